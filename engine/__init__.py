@@ -1,0 +1,1 @@
+"""Seeing inside captured 3D objects: Gaussians, atoms, cuts, filling and the renderers."""

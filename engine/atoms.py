@@ -1,0 +1,95 @@
+"""Opaque particles: what an object is made of once it is solid.
+
+Surface atoms are ellipsoids with spherical harmonics. Interior atoms are spheres with a plain colour, seven floats
+each; no cut can show more of them. Neither has an opacity: an atom is opaque (paper, section 3.4).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Atoms", "InteriorAtoms", "SurfaceAtoms"]
+
+Float = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class SurfaceAtoms:
+    """S ellipsoids on the skin, float32."""
+
+    means: Float
+    """(S, 3). World units."""
+    scales: Float
+    """(S, 3). Standard deviations, world units. Range (0, pitch]."""
+    quats: Float
+    """(S, 4). Unit quaternions, wxyz."""
+    sh: Float
+    """(S, (d+1)^2, 3). Degree d = 0..3."""
+
+    def __post_init__(self) -> None:
+        n = len(self.means)
+        assert self.means.shape == (n, 3), self.means.shape
+        assert self.scales.shape == (n, 3), self.scales.shape
+        assert self.quats.shape == (n, 4), self.quats.shape
+        assert self.sh.ndim == 3 and self.sh.shape[0] == n and self.sh.shape[2] == 3, self.sh.shape
+        assert self.sh.shape[1] in (1, 4, 9, 16), self.sh.shape
+
+    def __len__(self) -> int:
+        return len(self.means)
+
+    @property
+    def sh_degree(self) -> int:
+        """Degree of the spherical harmonics, 0..3."""
+        return int(round(self.sh.shape[1] ** 0.5)) - 1
+
+
+@dataclass(frozen=True)
+class InteriorAtoms:
+    """I spheres inside the body, float32. The first `exposed` of them close holes of the shell.
+
+    An exposed atom can be seen from outside (an open bottom, say), so the outside view draws it beside the surface
+    atoms; all others appear on cut faces only.
+    """
+
+    means: Float
+    """(I, 3). World units."""
+    sigmas: Float
+    """(I,). Isotropic standard deviations, world units, about half the local pitch."""
+    rgb: Float
+    """(I, 3). Range [0, 1]."""
+    exposed: int = 0
+    """How many of the first rows are seen from outside. Range [0, I]."""
+
+    def __post_init__(self) -> None:
+        n = len(self.means)
+        assert self.means.shape == (n, 3), self.means.shape
+        assert self.sigmas.shape == (n,), self.sigmas.shape
+        assert self.rgb.shape == (n, 3), self.rgb.shape
+        assert 0 <= self.exposed <= n, self.exposed
+
+    def __len__(self) -> int:
+        return len(self.means)
+
+
+@dataclass(frozen=True)
+class Atoms:
+    """A solid object: its skin and its inside."""
+
+    surface: SurfaceAtoms
+    interior: InteriorAtoms
+    pitch: float
+    """Scale cap of the surface atoms and lattice constant of the finest interior atoms, world units. Range (0, inf)."""
+
+    def __len__(self) -> int:
+        return len(self.surface) + len(self.interior)
+
+    @property
+    def bounds(self) -> Float:
+        """(2, 3). Smallest and largest centre along each axis; zeros where there are no atoms."""
+        means = np.concatenate([self.surface.means, self.interior.means])
+        if not len(means):
+            return np.zeros((2, 3), np.float32)
+        return np.stack([means.min(0), means.max(0)])

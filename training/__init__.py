@@ -1,0 +1,1 @@
+"""Interior textures: cut families, priors, training and the commands."""

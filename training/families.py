@@ -1,0 +1,74 @@
+"""Families of cut planes: what the paper calls cross-section types (section 3.2, figure 3, appendix A)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from engine.body import Body
+from engine.camera import equator
+from engine.errors import InputError
+from engine.plane import Plane
+
+__all__ = ["COUNTS", "Family", "Kind"]
+
+Kind = Literal["horizontal", "radial", "parallel", "custom"]
+
+# The paper's appendix: 40 horizontal, 30 radial, 60 parallel slices (bread).
+COUNTS: dict[Kind, int] = {"horizontal": 40, "radial": 30, "parallel": 60, "custom": 0}
+
+
+@dataclass(frozen=True)
+class Family:
+    """Cut planes of one kind, with the pictures and the words that say what they show."""
+
+    kind: Kind
+    count: int
+    """How many planes are trained; not used by `custom`."""
+    exemplars: tuple[Path, ...] = ()
+    """Pictures of cut faces of this family; the up axis stands upwards in radial and parallel ones."""
+    prompt: str = ""
+    axis: tuple[float, float, float] | None = None
+    """Normal of a `parallel` family; None: the longest horizontal extent of the body."""
+    custom: tuple[Plane, ...] = field(default=())
+    """The planes of a `custom` family."""
+
+    def __post_init__(self) -> None:
+        if self.kind not in get_args(Kind):
+            raise InputError(f"family '{self.kind}': unknown; choose {', '.join(get_args(Kind))}")
+        if self.kind != "custom" and self.count < 1:
+            raise InputError(f"family '{self.kind}': {self.count} planes; give at least 1")
+        if self.kind == "custom" and not self.custom:
+            raise InputError("family 'custom': no planes; give each as custom:a,b,c,d")
+
+    def normal(self, body: Body, up: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(3,). The common normal of a horizontal or parallel family."""
+        if self.kind == "horizontal":
+            return up
+        if self.axis is not None:
+            return np.asarray(self.axis, np.float64) / np.linalg.norm(self.axis)
+        low, high = body.bounds()
+        e1, e2 = equator(up)
+        return e1 if abs((high - low) @ e1) >= abs((high - low) @ e2) else e2
+
+    def planes(self, body: Body, up: NDArray[np.float64]) -> list[Plane]:
+        """The planes to train. Stacks are spaced evenly through the body, radial ones evenly over 180 degrees.
+
+        A stack's planes stand in the middle of `count` equal slabs, so none is tangent to the body.
+        """
+        if self.kind == "custom":
+            return list(self.custom)
+        centre = body.bounds().mean(0)
+        if self.kind == "radial":
+            e1, e2 = equator(up)
+            angles = np.pi * np.arange(self.count) / self.count
+            return [Plane.through(centre, np.cross(np.cos(a) * e1 + np.sin(a) * e2, up)) for a in angles]
+        normal = self.normal(body, up)
+        along = body.centres()[body.inside] @ normal
+        low, high = (float(along.min()), float(along.max())) if len(along) else (0.0, 0.0)
+        steps = low + (high - low) * (np.arange(self.count) + 0.5) / self.count
+        return [Plane.of(normal, -float(s)) for s in steps]
