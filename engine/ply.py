@@ -1,0 +1,240 @@
+"""3DGS scenes in .ply files: any dialect in, INRIA's layout out.
+
+In the file opacity is a logit and scales are logs; in memory they are activated (`Gaussians`).
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+from plyfile import PlyData, PlyElement, PlyParseError
+
+from engine.errors import InputError
+from engine.files import atomic
+from engine.gaussians import Gaussians
+from engine.ply_header import Element, Header, open_file, read_header
+
+__all__ = ["read_ply", "write_ply"]
+
+Float = NDArray[np.float32]
+
+BLOCK_ROWS = 1 << 14
+"""Rows read at once: 4 MB of SH-3 rows, small enough to stay in the cache while the columns are picked out."""
+
+REST_COUNTS = {0: 0, 9: 1, 24: 2, 45: 3}
+"""SH degree of each possible number of f_rest properties, 3 ((d+1)^2 - 1)."""
+
+GEOMETRY = ("x", "y", "z", "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3")
+COLOUR = ("f_dc_0", "f_dc_1", "f_dc_2")
+
+MAX_LOG_SCALE = 30.0
+"""Absurd beyond: e^-30 is less than float32 resolves beside a scene of size 1, yet flat captures reach e^-25."""
+
+MAX_POSITION = 1e9
+"""Absurd beyond, world units: the earth in millimetres is smaller, and squares still fit into float32."""
+
+MAX_SH = 1e4
+"""Absurd beyond: a colour thousands of times brighter than white."""
+
+MAX_SPREAD = 1e4
+"""A Gaussian this many times farther off, or larger, than the scene is wide belongs to no object. Skies reach 1e3."""
+
+SPREAD_ROWS = 100
+"""Rows from which on the width of the scene, a 90 % quantile, means something."""
+
+MAX_LOGIT = 16.6
+"""Logit of the largest opacity under 1 that float32 has, 1 - 2^-24. Infinite logits break other viewers."""
+
+
+def read_ply(path: str | Path) -> tuple[Gaussians, list[str]]:
+    """The Gaussians of any 3DGS .ply, and one line about each kind of row that had to be dropped.
+
+    SH degree 0..3, with or without normals and other properties and elements; ascii or binary of either endianness.
+    Dropped are rows with NaN or Inf (but an infinite opacity logit is plainly 0 or 1), zero quaternions, and sizes,
+    places or colours that no scene has. Raises InputError where the file is no 3DGS scene or holds no usable row.
+    """
+    path = Path(path)
+    header = read_header(path)
+    vertex = _scene_element(path, header)
+    rest = _rest_count(path, vertex)
+    names = [*GEOMETRY, *COLOUR, *(f"f_rest_{i}" for i in range(rest))]
+    table = np.empty((vertex.count, len(names)), np.float32)
+    filled = 0
+    with open_file(path) as file, np.errstate(over="ignore", invalid="ignore"):  # what does not fit becomes Inf
+        for block in _blocks(path, file, header, vertex, names):
+            table[filled : filled + len(block)] = block
+            filled += len(block)
+    if filled < vertex.count:
+        raise InputError(f"{path}: truncated: the header promises {vertex.count:,} Gaussians, {filled:,} are there")
+    keep, warnings = _usable(path, table)
+    return _activate(table if keep.all() else table[keep], rest), warnings
+
+
+def write_ply(path: str | Path, gaussians: Gaussians, comments: Sequence[str] = ()) -> None:
+    """Writes INRIA's layout (binary little endian, with zero normals), which every 3DGS viewer opens.
+
+    f_rest is channel-major: all red coefficients, then green, then blue. Opacities are kept to [6e-8, 1 - 6e-8], so
+    that their logits are finite. Comments become single ASCII lines. Raises InputError where writing fails.
+    """
+    n, rest = len(gaussians), gaussians.sh[:, 1:].shape[1]
+    names = ["x", "y", "z", "nx", "ny", "nz", *COLOUR, *(f"f_rest_{i}" for i in range(3 * rest)), *GEOMETRY[3:]]
+    opacities = gaussians.opacities.astype(np.float64)
+    with np.errstate(divide="ignore"):
+        logits = np.clip(np.log(opacities) - np.log1p(-opacities), -MAX_LOGIT, MAX_LOGIT)
+    table = np.empty((n, len(names)), np.float32)
+    table[:, 0:3] = gaussians.means
+    table[:, 3:6] = 0
+    table[:, 6:9] = gaussians.sh[:, 0]
+    table[:, 9 : 9 + 3 * rest] = gaussians.sh[:, 1:].transpose(0, 2, 1).reshape(n, 3 * rest)
+    table[:, -8] = logits
+    table[:, -7:-4] = np.log(gaussians.scales.astype(np.float64))
+    table[:, -4:] = gaussians.quats
+    rows = table.view(np.dtype([(name, "<f4") for name in names])).reshape(n)
+    lines = [" ".join(c.split()).encode("ascii", "backslashreplace").decode("ascii") for c in comments]
+    data = PlyData([PlyElement.describe(rows, "vertex")], text=False, byte_order="<", comments=lines)
+    with atomic(path) as temporary:
+        try:
+            data.write(str(temporary))
+        except OSError as error:
+            raise InputError(f"{path}: cannot be written ({error.strerror})") from error
+
+
+def _scene_element(path: Path, header: Header) -> Element:
+    """The element that holds the Gaussians. Raises InputError where the file holds something else."""
+    vertex = header.element("vertex")
+    if vertex is None:
+        raise InputError(f"{path}: no 'vertex' element; this is not a 3DGS scene")
+    if "packed_position" in vertex.properties:
+        raise InputError(f"{path}: SuperSplat's compressed .ply; export it again as an uncompressed .ply")
+    # The properties that only 3DGS has are asked for first: they tell what the file is instead.
+    missing = next((name for name in (*GEOMETRY[4:], *COLOUR, *GEOMETRY[:4]) if name not in vertex.properties), None)
+    if missing:
+        kind = "an incomplete" if header.is_splats else "a mesh, not a" if header.faces else "a point cloud, not a"
+        raise InputError(f"{path}: no '{missing}' property; this is {kind} 3DGS scene")
+    if vertex.dtype is None:
+        raise InputError(f"{path}: a vertex property is a list, which no 3DGS scene has; export the scene again")
+    if not vertex.count:
+        raise InputError(f"{path}: the scene is empty, it has 0 Gaussians")
+    return vertex
+
+
+def _rest_count(path: Path, vertex: Element) -> int:
+    """How many f_rest properties there are. Raises InputError where they make no SH degree."""
+    found = {name for name in vertex.properties if name.startswith("f_rest_")}
+    if len(found) not in REST_COUNTS or found != {f"f_rest_{i}" for i in range(len(found))}:
+        raise InputError(f"{path}: {len(found)} 'f_rest' properties; SH of degree 0 to 3 has 0, 9, 24 or 45")
+    return len(found)
+
+
+def _blocks(
+    path: Path, file: BinaryIO, header: Header, vertex: Element, names: list[str]
+) -> Iterator[NDArray[np.floating]]:
+    """The named columns of the vertex element, a block (R, len(names)) at a time; fewer rows where the file ends."""
+    before = header.elements[: header.elements.index(vertex)]
+    if header.ascii:
+        file.seek(header.data)
+        columns = [vertex.properties.index(name) for name in names]
+        yield from _ascii_blocks(path, file, sum(e.count for e in before), vertex.count, columns)
+        return
+    assert vertex.dtype is not None
+    skipped = header.data
+    for element in before:
+        if element.dtype is None:
+            yield _columns(_behind_lists(path), names)
+            return
+        skipped += element.count * element.dtype.itemsize
+    file.seek(skipped)
+    for first in range(0, vertex.count, BLOCK_ROWS):
+        data = file.read(min(BLOCK_ROWS, vertex.count - first) * vertex.dtype.itemsize)
+        yield _columns(np.frombuffer(data, vertex.dtype, len(data) // vertex.dtype.itemsize), names)
+
+
+def _columns(rows: NDArray[np.void], names: list[str]) -> NDArray[np.floating]:
+    """(R, len(names)). These fields of structured rows, float64 where one of them is."""
+    wide = any(rows.dtype[name].itemsize > 4 for name in names)
+    block = np.empty((len(rows), len(names)), np.float64 if wide else np.float32)
+    for i, name in enumerate(names):
+        block[:, i] = rows[name]
+    return block
+
+
+def _behind_lists(path: Path) -> NDArray[np.void]:
+    """The vertices of a binary file that come after rows of lists, over which only plyfile finds the way."""
+    try:
+        return PlyData.read(str(path))["vertex"].data
+    except (PlyParseError, ValueError, OSError, MemoryError) as error:
+        raise InputError(f"{path}: truncated or damaged: the rows before the vertices cannot be read") from error
+
+
+def _ascii_blocks(
+    path: Path, file: BinaryIO, skip: int, count: int, columns: list[int]
+) -> Iterator[NDArray[np.floating]]:
+    """These columns of `count` lines after `skip` others; blank lines do not count."""
+    lines = (line for line in file if not line.isspace())
+    next(itertools.islice(lines, skip, skip), None)
+    while count:
+        block = list(itertools.islice(lines, min(count, BLOCK_ROWS)))
+        if not block:
+            return
+        try:
+            yield np.loadtxt(block, np.float64, comments=None, usecols=columns, ndmin=2, encoding="latin-1")
+        except ValueError as error:
+            raise InputError(f"{path}: truncated or damaged: a row does not hold the numbers it should") from error
+        count -= len(block)
+
+
+def _usable(path: Path, table: Float) -> tuple[NDArray[np.bool_], list[str]]:
+    """Mask (N,) of the rows that can be drawn, and a line about each reason why others cannot.
+
+    Raises InputError where none is left.
+    """
+    n = len(table)
+    opacity = GEOMETRY.index("opacity")
+    finite = np.isfinite(table)
+    finite[:, opacity] = ~np.isnan(table[:, opacity])  # the logits of 0 and 1 are infinite, and both are meant
+    reasons = {"NaN or Inf": ~finite.all(1)}
+    means, log_scales, quats, sh = table[:, :3], table[:, 4:7], table[:, 7:11], table[:, 11:]
+    reasons["zero quaternions"] = ~quats.any(1)
+    reasons["absurd sizes"] = (np.abs(log_scales) > MAX_LOG_SCALE).any(1)
+    reasons["absurd positions"] = (np.abs(means) > MAX_POSITION).any(1)
+    reasons["absurd colours"] = (np.abs(sh) > MAX_SH).any(1)
+    keep = ~np.logical_or.reduce(list(reasons.values()))
+    if keep.sum() >= SPREAD_ROWS:
+        distances = np.zeros(n, np.float32)
+        distances[keep] = np.linalg.norm(means[keep] - np.median(means[keep], axis=0), axis=1)
+        width = float(np.quantile(distances[keep], 0.9))
+        if width > 0:
+            reasons["absurd positions"] |= distances > MAX_SPREAD * width
+            reasons["absurd sizes"] |= keep & (log_scales.max(1) > np.log(MAX_SPREAD * width))
+    warnings = []
+    keep = np.ones(n, bool)
+    for reason, bad in reasons.items():
+        fresh = int((bad & keep).sum())
+        keep &= ~bad
+        if fresh:
+            warnings.append(f"{path}: {fresh:,} of {n:,} Gaussians dropped: {reason}")
+    if not keep.any():
+        worst = max(reasons, key=lambda reason: int(reasons[reason].sum()))
+        raise InputError(f"{path}: none of the {n:,} Gaussians can be used: {worst}")
+    return keep, warnings
+
+
+def _activate(table: Float, rest: int) -> Gaussians:
+    """Gaussians from columns in the file's terms: logits, logs, quaternions of any length, channel-major SH."""
+    n = len(table)
+    with np.errstate(over="ignore"):  # exp(-logit) of a large negative logit is Inf, and the opacity then rightly 0
+        opacities = (1 / (1 + np.exp(-table[:, 3]))).astype(np.float32)
+    quats = table[:, 7:11].astype(np.float64)
+    quats /= np.linalg.norm(quats, axis=1, keepdims=True)
+    sh = np.empty((n, 1 + rest // 3, 3), np.float32)
+    sh[:, 0] = table[:, 11:14]
+    sh[:, 1:] = table[:, 14:].reshape(n, 3, rest // 3).transpose(0, 2, 1)
+    scales = np.exp(table[:, 4:7].astype(np.float64))
+    return Gaussians(
+        np.ascontiguousarray(table[:, :3]), scales.astype(np.float32), quats.astype(np.float32), opacities, sh
+    )
