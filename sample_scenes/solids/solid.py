@@ -1,0 +1,134 @@
+"""A solid: a colour function over 3-D space under a skin of known depth. What is true at every cut."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from engine.camera import Camera, section
+from engine.plane import Plane
+from training.families import Kind
+
+__all__ = ["Solid", "directions"]
+
+Field = Callable[[NDArray[np.float64]], NDArray[np.float32]]
+
+BLOCK = 1 << 18
+"""Points that are sampled at once: bounds the memory of a supersampled slice."""
+
+
+@dataclass(frozen=True)
+class Solid:
+    """A body with a known inside. The longest side is about 2 world units, centred near the origin."""
+
+    name: str
+    families: tuple[Kind, ...]
+    """The kinds of cut planes that its exemplars come in."""
+    skin_depth: Field
+    """(M, 3) float64 -> (M,): the depth under the skin."""
+    skin_colour: Field
+    """(M, 3) float64 -> (M, 3): the colour."""
+    bounds: NDArray[np.float64]
+    """(2, 3). Lowest and highest corner, world units."""
+    up: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    """Unit vector."""
+
+    @staticmethod
+    def of(name: str, families: tuple[Kind, ...], skin_depth: Field, skin_colour: Field) -> Solid:
+        """A solid whose bounds are those of its skin seen from the origin in 8192 directions."""
+        solid = Solid(name, families, skin_depth, skin_colour, np.zeros((2, 3)))
+        points = solid.skin(directions(8192))
+        return Solid(name, families, skin_depth, skin_colour, np.stack([points.min(0), points.max(0)]))
+
+    def depth(self, points: NDArray[np.floating]) -> NDArray[np.float32]:
+        """(...). Distance under the skin of points (..., 3), world units; exact to first order at the skin.
+
+        Positive inside. Deep inside it is no more than a monotone measure of depth.
+        """
+        flat = np.ascontiguousarray(np.reshape(points, (-1, 3)), np.float64)
+        return self.skin_depth(flat).reshape(np.shape(points)[:-1])
+
+    def colour(self, points: NDArray[np.floating]) -> NDArray[np.float32]:
+        """(..., 3). RGB of points (..., 3) inside, in [0, 1]; outside it goes on as at the skin."""
+        flat = np.ascontiguousarray(np.reshape(points, (-1, 3)), np.float64)
+        return self.skin_colour(flat).reshape(np.shape(points))
+
+    def skin(self, rays: NDArray[np.floating]) -> NDArray[np.float64]:
+        """(M, 3). Where rays from the origin in unit directions (M, 3) leave the solid, by bisection to 1e-9."""
+        low, high = np.zeros(len(rays)), np.full(len(rays), 2.0)
+        for _ in range(32):
+            middle = (low + high) / 2
+            inside = self.depth(rays * middle[:, None]) > 0
+            low, high = np.where(inside, middle, low), np.where(inside, high, middle)
+        return rays * ((low + high) / 2)[:, None]
+
+    def normals(self, points: NDArray[np.floating]) -> NDArray[np.float64]:
+        """(M, 3). Unit normals out of the solid at skin points (M, 3), by central differences of the depth."""
+        step = 2e-3 * np.eye(3)
+        slopes = [self.depth(points - e).astype(np.float64) - self.depth(points + e) for e in step]
+        normals = np.stack(slopes, axis=-1)
+        return normals / np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-12)
+
+    def slice(
+        self, plane: Plane, view: Camera | int, *, supersample: int = 1, background: float = 1.0
+    ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+        """The cut face itself: RGB (H, W, 3) over the background grey, and the silhouette (H, W) at pixel centres.
+
+        Seen by a camera, or straight on in a square picture of this many pixels (`engine.camera.section`).
+        supersample s averages s x s points a pixel; at 1 the colours are those of the pixel centres, exactly.
+        """
+        camera = section(plane, self.up, self.bounds, view) if isinstance(view, int) else view
+        inside = self._face(plane, camera, (np.array([0.5]), np.array([0.5])), 1)[1] > 0.5
+        offsets = (np.arange(supersample) + 0.5) / supersample
+        rgb, cover = self._face(plane, camera, (offsets, offsets), supersample)
+        return (rgb + background * (1 - cover[..., None])).astype(np.float32), inside
+
+    def _face(
+        self, plane: Plane, camera: Camera, offsets: tuple[NDArray[np.float64], NDArray[np.float64]], s: int
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Mean colour times coverage (H, W, 3) and coverage (H, W) over a pattern of s x s points in each pixel."""
+        rgb = np.zeros((camera.height * camera.width, 3))
+        cover = np.zeros(camera.height * camera.width)
+        rows, columns = np.divmod(np.arange(len(cover)), camera.width)
+        for oy in offsets[1]:
+            for ox in offsets[0]:
+                points, seen = _hits(plane, camera, columns + ox, rows + oy)
+                index = np.flatnonzero(seen)
+                index = index[self.depth(points[index]) > 0]
+                for start in range(0, len(index), BLOCK):
+                    part = index[start : start + BLOCK]
+                    rgb[part] += self.colour(points[part])
+                cover[index] += 1
+        size = (camera.height, camera.width)
+        return (rgb / s**2).reshape(*size, 3), (cover / s**2).reshape(size)
+
+
+def _hits(
+    plane: Plane, camera: Camera, x: NDArray[np.float64], y: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Where the rays of picture points x, y (M,) in pixels meet the plane: points (M, 3), and whether they do (M,)."""
+    a, b = (x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy
+    turn = camera.viewmat[:3, :3].T
+    if camera.orthographic:
+        origins = np.stack([a, b, np.zeros_like(a)], axis=-1) @ turn.T + camera.position
+        rays = np.broadcast_to(camera.forward, origins.shape)
+    else:
+        origins = np.broadcast_to(camera.position, (len(a), 3))
+        rays = np.stack([a, b, np.ones_like(a)], axis=-1) @ turn.T
+    speed = rays @ np.asarray(plane.normal)
+    seen = np.abs(speed) > 1e-12
+    depth = -plane.distance(origins) / np.where(seen, speed, 1.0)
+    if not camera.orthographic:
+        seen &= depth > camera.near
+    return origins + depth[:, None] * rays, seen
+
+
+def directions(count: int) -> NDArray[np.float64]:
+    """(count, 3). Unit vectors spread evenly over the sphere, on a golden-angle spiral."""
+    z = 1 - (2 * np.arange(count) + 1) / count
+    angle = np.arange(count) * np.pi * (3 - np.sqrt(5))
+    r = np.sqrt(1 - z * z)
+    return np.stack([r * np.cos(angle), r * np.sin(angle), z], axis=-1)
