@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from engine.plane import Plane
 
-__all__ = ["Camera", "equator", "fit_distance", "look_at", "orbit", "section"]
+__all__ = ["Camera", "around", "equator", "fit_distance", "look_at", "on_plane", "orbit", "section"]
 
 
 @dataclass(frozen=True)
@@ -147,3 +147,43 @@ def section(plane: Plane, up: ArrayLike, bounds: NDArray[np.floating], size: int
     matrix[:3, 3] = -matrix[:3, :3] @ (foot + n * diagonal)
     scale = size / (1.02 * diagonal)
     return Camera(matrix, scale, scale, size / 2, size / 2, size, size, orthographic=True)
+
+
+def on_plane(camera: Camera, plane: Plane) -> NDArray[np.float32]:
+    """(H, W, 3). Where the ray of each pixel's centre meets the plane, world units; NaN where it runs along it."""
+    u = (np.arange(camera.width) + 0.5 - camera.cx) / camera.fx
+    v = (np.arange(camera.height) + 0.5 - camera.cy) / camera.fy
+    x, y = np.meshgrid(u, v)
+    rotation, translation = camera.viewmat[:3, :3], camera.viewmat[:3, 3]
+    if camera.orthographic:
+        start = (np.stack([x, y, np.zeros_like(x)], -1) - translation) @ rotation
+        direction = np.broadcast_to(camera.forward, start.shape)
+    else:
+        start = np.broadcast_to(camera.position, (*x.shape, 3))
+        direction = np.stack([x, y, np.ones_like(x)], -1) @ rotation
+    slope = direction @ np.asarray(plane.normal)
+    slope = np.where(np.abs(slope) > 1e-12, slope, np.nan)
+    steps = -plane.distance(start) / slope
+    return (start + steps[..., None] * direction).astype(np.float32)
+
+
+def around(
+    centre: ArrayLike,  # [3]
+    radius: float,
+    up: ArrayLike,  # [3]
+    count: int,
+    size: int,
+    turn: float = 0.0,
+) -> list[Camera]:
+    """`count` cameras spread evenly over a sphere (a Fibonacci spiral), each with the object filling size x size pixels.
+
+    `turn` in degrees moves the whole spiral, so that two sets of views share no camera.
+    """
+    fov = math.radians(35.0)
+    distance = fit_distance(radius, fov, 1.0)
+    golden = math.degrees(math.pi * (3.0 - math.sqrt(5.0)))
+    cameras = []
+    for index in range(count):
+        elevation = math.degrees(math.asin(1.0 - 2.0 * (index + 0.5) / count))
+        cameras.append(orbit(centre, up, turn + golden * index, elevation, distance, size, size, fov))
+    return cameras

@@ -1,0 +1,36 @@
+# One command runs the main job (make demo), one proves that it works (make test); both set up all they need.
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+READY := $(VENV)/.ready
+SHELL := /bin/bash
+
+.PHONY: demo test lint types unit bench pictures clean
+
+demo: $(READY)
+	@tools/ensure_gl.sh
+	$(BIN)/fruitninja-train sample_scenes/watermelon/watermelon.ply -o out/watermelon \
+	    --exemplar horizontal=sample_scenes/watermelon/horizontal_1.png \
+	    --exemplar radial=sample_scenes/watermelon/radial_1.png --up z
+	$(BIN)/fruitninja-render out/watermelon/watermelon.ply -o out/watermelon/opened.png --plane 0.35,-0.2,1,0
+	@echo
+	@echo "Pictures: out/watermelon/opened.png (cut open), out/watermelon/cuts.png (six cuts nobody trained)"
+	@echo "The solid: out/watermelon/watermelon.ply; figures: out/watermelon/report.json"
+
+test: $(READY)
+	@tools/ensure_gl.sh
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/python -m pytest
+
+# Constraints are the versions the tests were run with; an editable install, so that a change needs no new one.
+$(READY): pyproject.toml constraints.txt
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --upgrade pip
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev,bench]'
+	@touch $(READY)
+
+clean:
+	rm -rf $(VENV) out build *.egg-info

@@ -1,0 +1,66 @@
+"""What a run needs to go on: arrays in safetensors files, each written whole or not at all."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from safetensors import SafetensorError, safe_open
+from safetensors.numpy import save_file
+
+from engine.errors import InputError
+from engine.files import atomic
+
+__all__ = ["Checkpoint"]
+
+Array = NDArray[Any]
+
+
+class Checkpoint:
+    """A folder of stages of one run. A stage of another run (other input, other settings) is refused."""
+
+    def __init__(self, folder: Path, run: str) -> None:
+        """`run` names input and settings; it is written into every stage."""
+        self.folder = folder
+        self.run = run
+
+    def path(self, stage: str) -> Path:
+        """Where a stage is kept."""
+        return self.folder / f"{stage}.safetensors"
+
+    def save(self, stage: str, arrays: dict[str, Array], facts: dict[str, Any]) -> Path:
+        """Writes arrays and JSON facts; the file appears whole or not at all. Returns where."""
+        with atomic(self.path(stage)) as temporary:
+            save_file(
+                {name: np.ascontiguousarray(array) for name, array in arrays.items()},
+                temporary,
+                metadata={"run": self.run, "facts": json.dumps(facts)},
+            )
+        return self.path(stage)
+
+    def load(self, stage: str) -> tuple[dict[str, Array], dict[str, Any]] | None:
+        """Arrays and facts of a stage, None where it was not reached.
+
+        Raises InputError where the file is broken or belongs to another run.
+        """
+        path = self.path(stage)
+        if not path.exists():
+            return None
+        try:
+            with safe_open(path, framework="np") as file:
+                metadata = file.metadata() or {}
+                arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a dict)
+            facts = json.loads(metadata["facts"])
+        except (SafetensorError, OSError, KeyError, ValueError) as error:
+            raise InputError(f"{path}: not a readable checkpoint; start again without --resume") from error
+        if metadata.get("run") != self.run:
+            raise InputError(f"{path}: made from another input or with other settings; start again without --resume")
+        return arrays, facts
+
+    def clear(self) -> None:
+        """Forgets every stage."""
+        for path in self.folder.glob("*.safetensors"):
+            path.unlink()

@@ -1,0 +1,69 @@
+"""A sheet of cuts that were not trained: the first thing a person looks at when a run is done."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from engine import opaque
+from engine.atoms import Atoms
+from engine.body import Body
+from engine.camera import equator, fit_distance, orbit, section
+from engine.files import atomic
+from engine.plane import Plane
+
+__all__ = ["save_picture", "save_sheet", "untrained_planes"]
+
+TILE = 320
+"""Pixels of a square tile."""
+
+# Tilt from the up axis and turn around it in degrees, and where the plane stands between centre (0) and skin (1).
+# Oblique, off-centre, near a pole, and upright beside the axis: no family of evenly spaced planes contains them.
+CUTS = ((35.0, 20.0, 0.0), (62.0, 140.0, 0.15), (48.0, 250.0, -0.35), (8.0, 77.0, 0.62), (90.0, 33.0, 0.45), (77.0, 301.0, 0.3))
+
+
+def untrained_planes(body: Body, up: NDArray[np.float64]) -> list[Plane]:
+    """Six planes through the body that no family contains; the kept side is the one away from up."""
+    e1, e2 = equator(up)
+    points = body.centres()[body.inside]
+    centre = body.bounds().mean(0)
+    planes = []
+    for tilt, turn, place in CUTS:
+        t, a = np.radians(tilt), np.radians(turn)
+        normal = np.cos(t) * up + np.sin(t) * (np.cos(a) * e1 + np.sin(a) * e2)
+        along = (points - centre) @ normal
+        reach = along.max() if place > 0 else -along.min()
+        planes.append(Plane.through(centre + normal * place * reach, normal))
+    return planes
+
+
+def save_sheet(path: Path, atoms: Atoms, body: Body, up: NDArray[np.float64]) -> None:
+    """Two rows for six cuts: the opened object as one sees it, and below each the cut face straight on."""
+    low, high = body.bounds()
+    radius = float(np.linalg.norm(high - low)) / 2
+    sheet = Image.new("RGB", (TILE * len(CUTS), TILE * 2), "white")
+    for index, (plane, (tilt, turn, _)) in enumerate(zip(untrained_planes(body, up), CUTS, strict=True)):
+        fov = np.radians(30.0)
+        # From the removed side and a little above, so that the face and the skin around it both show.
+        elevation = max(18.0, 90.0 - tilt - 25.0)
+        camera = orbit((low + high) / 2, up, turn + 28.0, elevation, fit_distance(radius, fov, 1.0), TILE, TILE, fov)
+        opened = opaque.render(atoms, camera, [plane], light=True)
+        face = opaque.render(atoms, section(plane, up, body.bounds(), TILE), [plane])
+        sheet.paste(to_image(opened.rgb), (TILE * index, 0))
+        sheet.paste(to_image(face.rgb), (TILE * index, TILE))
+    with atomic(path) as temporary:
+        sheet.save(temporary)
+
+
+def save_picture(path: Path, rgb: NDArray[np.float32]) -> None:
+    """One picture (H, W, 3) of range [0, 1] as PNG."""
+    with atomic(path) as temporary:
+        to_image(rgb).save(temporary)
+
+
+def to_image(rgb: NDArray[np.float32]) -> Image.Image:
+    """8-bit picture of (H, W, 3), range [0, 1], rounded."""
+    return Image.fromarray((np.clip(rgb, 0, 1) * 255 + 0.5).astype(np.uint8))

@@ -1,0 +1,139 @@
+"""What a run tells while it works: one JSON object a line for programs, a progress display for people."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, TextIO
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+from engine.errors import InputError
+
+__all__ = ["Reporter"]
+
+STAGES = {
+    "load": "Reading the scene",
+    "body": "Finding the body",
+    "atomise": "Making atoms",
+    "views": "Placing views",
+    "labels": "Drawing the inside",
+    "train": "Training",
+    "save": "Saving",
+}
+"""Name of each stage for programs, and for people."""
+
+
+@dataclass
+class Reporter:
+    """Carries what happens to a file of JSON lines, to the terminal, or to both."""
+
+    events: TextIO | None = None
+    """Where JSON lines go; None: nowhere."""
+    display: Progress | None = None
+    started: float = field(default_factory=time.perf_counter)
+    timings: dict[str, float] = field(default_factory=dict)
+    """Seconds spent in each stage so far."""
+
+    @staticmethod
+    def open(events: str | None, quiet: bool = False) -> Reporter:
+        """Events to a path, or to standard output for '-'; the display goes to standard error, to a terminal only."""
+        stream: TextIO | None = None
+        if events == "-":
+            stream = sys.stdout
+        elif events is not None:
+            try:
+                stream = Path(events).open("a", encoding="utf-8", buffering=1)  # noqa: SIM115 (open for the whole run)
+            except OSError as error:
+                raise InputError(f"{events}: cannot be written here ({error.strerror})") from error
+        console = Console(stderr=True)
+        display = Progress(
+            TextColumn("{task.description:<20}"),
+            BarColumn(),
+            TextColumn("{task.percentage:>3.0f}%"),
+            TextColumn("{task.fields[detail]}"),
+            TimeRemainingColumn(),
+            console=console,
+            disable=quiet or not console.is_terminal,
+        )
+        return Reporter(stream, display)
+
+    def __enter__(self) -> Reporter:
+        if self.display is not None:
+            self.display.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self.display is not None:
+            self.display.stop()
+        if self.events is not None and self.events is not sys.stdout:
+            self.events.close()
+
+    def emit(self, event: str, **facts: Any) -> None:
+        """Writes one line: the event's name, seconds since the start, and its facts; numbers JSON lacks become null."""
+        if self.events is None:
+            return
+        line = {"event": event, "seconds": round(time.perf_counter() - self.started, 3), **facts}
+        try:
+            print(json.dumps(_plain(line), allow_nan=False), file=self.events, flush=True)
+        except BrokenPipeError:
+            self.events = None  # nobody listens any more; the work goes on
+
+    def stage(self, name: str) -> Stage:
+        """A stage as a context: announces itself, shows a bar, and keeps its time."""
+        return Stage(self, name)
+
+    def warn(self, message: str) -> None:
+        """One line that the user should see but that stops nothing."""
+        self.emit("warning", message=message)
+        if self.display is not None:
+            self.display.console.print(f"warning: {message}", style="yellow", highlight=False, soft_wrap=True)
+
+
+class Stage:
+    """One stage of a run while it lasts."""
+
+    def __init__(self, reporter: Reporter, name: str) -> None:
+        self.reporter = reporter
+        self.name = name
+        self.last = 0.0
+
+    def __enter__(self) -> Stage:
+        self.begin = time.perf_counter()
+        self.reporter.emit("stage", stage=self.name, title=STAGES[self.name])
+        if self.reporter.display is not None:
+            self.task = self.reporter.display.add_task(STAGES[self.name], total=1.0, detail="")
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        spent = time.perf_counter() - self.begin
+        self.reporter.timings[self.name] = self.reporter.timings.get(self.name, 0.0) + spent
+        if self.reporter.display is not None and kind is None:
+            self.reporter.display.update(self.task, completed=1.0)
+
+    def progress(self, part: float, detail: str = "", **facts: Any) -> None:
+        """The part done, range [0, 1], with what the user may want to know; at most ten lines a second are written."""
+        now = time.perf_counter()
+        if self.reporter.display is not None:
+            self.reporter.display.update(self.task, completed=part, detail=detail)
+        if now - self.last < 0.1 and part < 1 and not facts:
+            return
+        self.last = now
+        eta = (now - self.begin) * (1 - part) / part if part > 0 else None
+        self.reporter.emit("progress", stage=self.name, part=round(part, 4), eta=eta, **facts)
+
+
+def _plain(value: Any) -> Any:
+    """The same without what JSON cannot say: infinities and NaN become null, paths become text."""
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return str(value) if isinstance(value, Path) else value

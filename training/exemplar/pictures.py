@@ -1,0 +1,230 @@
+"""Photographs of cut faces as people have them: read, freed from their background, evenly lit."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageOps, UnidentifiedImageError
+from scipy import ndimage
+
+from engine.errors import InputError
+from engine.files import atomic
+from training.families import Kind
+
+__all__ = ["Picture", "read_picture"]
+
+WORKING_SIDE = 768
+"""Longer side in pixels to which larger pictures are brought: a solve on 256 voxels uses no more."""
+
+SMALLEST_SIDE = 24
+"""A cut face narrower than this many pixels holds no 7x7 patches worth copying."""
+
+BACKGROUND_FLOOR = 0.05
+"""Least colour distance that counts as different from the background: noise and JPEG blocks stay under it."""
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A cut face: its colours, and where it is."""
+
+    path: Path
+    rgb: NDArray[np.float32]
+    """(H, W, 3). Range [0, 1]; outside of the mask the nearest colour inside."""
+    mask: NDArray[np.bool_]
+    """(H, W). The cut face."""
+    plain: NDArray[np.float32]
+    """(H, W, 3). The picture as it was, for the overlay."""
+
+    def save_overlay(self, path: str | Path) -> None:
+        """Writes the picture with everything that was taken for background in a dim violet."""
+        tint = np.array([0.45, 0.2, 0.6], np.float32)
+        shown = np.where(self.mask[..., None], self.plain, 0.25 * self.plain + 0.75 * tint)
+        with atomic(path) as temporary:
+            Image.fromarray((shown * 255 + 0.5).astype(np.uint8)).save(temporary, format="PNG")
+
+
+def read_picture(path: str | Path, kind: Kind) -> Picture:
+    """Reads a photograph of a cut face of one kind of family.
+
+    Transparency, where there is any, is the mask; else the background is what looks like the picture's border.
+    Raises InputError where the file cannot be read or no cut face stands out.
+    """
+    path = Path(path)
+    rgb, alpha = _read(path)
+    mask = _largest(alpha > 0.5) if alpha is not None else _foreground(rgb, path)
+    rows, columns = np.nonzero(mask)
+    if len(rows) == 0 or min(np.ptp(rows), np.ptp(columns)) + 1 < SMALLEST_SIDE:
+        raise InputError(
+            f"{path}: the cut face is smaller than {SMALLEST_SIDE} pixels; give a larger picture, or one where the "
+            "cut face stands out from a plain background"
+        )
+    margin = 2 + round(0.03 * max(np.ptp(rows), np.ptp(columns)))
+    mask, plain = (_crop(a, rows, columns, margin) for a in (mask, rgb))
+    return Picture(path, fill_outside(_even_light(plain, mask, kind), mask), mask, plain)
+
+
+def fill_outside(rgb: NDArray[np.float32], mask: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """(H, W, 3). Every pixel outside of the mask takes the colour of the nearest one a little inside.
+
+    A little: the outermost ring of a photograph is half background.
+    """
+    core = ndimage.binary_erosion(mask, iterations=1, border_value=0)
+    nearest = ndimage.distance_transform_edt(~core, return_distances=False, return_indices=True)
+    return rgb[nearest[0], nearest[1]]
+
+
+def _crop(a: NDArray, rows: NDArray, columns: NDArray, margin: int) -> NDArray:
+    """The bounding box of the cut face with a margin of repeated edge pixels (False for a mask)."""
+    box = a[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1]
+    around = [(margin, margin)] * 2 + [(0, 0)] * (a.ndim - 2)
+    return np.pad(box, around, mode="constant" if a.dtype == bool else "edge")
+
+
+def _read(path: Path) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
+    """(H, W, 3) colours and, where the picture has real transparency, (H, W) opacity; both in [0, 1]."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", Image.DecompressionBombWarning)
+            with Image.open(path) as opened:
+                image = ImageOps.exif_transpose(opened)
+                image.load()
+    except FileNotFoundError as error:
+        raise InputError(f"{path}: no such picture") from error
+    except (UnidentifiedImageError, OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
+        raise InputError(f"{path}: not a picture that can be read; give a PNG or JPEG file") from error
+    except Image.DecompressionBombWarning as error:
+        raise InputError(f"{path}: larger than 89 megapixels; scale it down") from error
+    alpha = None
+    if image.mode[:1] in "IF":  # 16 and 32 bits of grey
+        values = np.asarray(image, np.float64)
+        top = 65535.0 if values.max(initial=0) > 255 else max(1.0, float(values.max(initial=0)))
+        image = Image.fromarray((np.clip(values / top, 0, 1) * 255 + 0.5).astype(np.uint8))
+    if "A" in image.mode or "transparency" in image.info:
+        image = image.convert("RGBA")
+    if max(image.size) > WORKING_SIDE:
+        image.thumbnail((WORKING_SIDE, WORKING_SIDE), Image.Resampling.LANCZOS)
+    if min(image.size) < SMALLEST_SIDE:
+        raise InputError(f"{path}: only {image.width}x{image.height} pixels; give a larger picture")
+    if image.mode == "RGBA":
+        alpha = np.asarray(image.getchannel("A"), np.float32) / 255
+        if (alpha < 0.5).mean() < 0.005:
+            alpha = None
+    return np.asarray(image.convert("RGB"), np.float32) / 255, alpha
+
+
+def _foreground(rgb: NDArray[np.float32], path: Path) -> NDArray[np.bool_]:
+    """(H, W). What does not look like the border of the picture.
+
+    The border's colours are a smooth surface over the picture (uneven light, a soft shadow) plus a spread; up to two
+    such surfaces (a table and a wall). Otsu's threshold on the distance to them decides, held to sensible bounds.
+    """
+    height, width = rgb.shape[:2]
+    band = max(2, round(0.03 * min(height, width)))
+    border = np.ones((height, width), bool)
+    border[band:-band, band:-band] = False
+    y, x = np.meshgrid(np.linspace(-1, 1, height), np.linspace(-1, 1, width), indexing="ij")
+    basis = np.stack([np.ones_like(x), x, y, x * y, x * x, y * y], -1)
+    smooth = ndimage.gaussian_filter(rgb, (1.0, 1.0, 0))
+    # The colours with the light partly taken out: a shadow moves a table's brightness more than its hue.
+    light = smooth.sum(-1, keepdims=True) / 3
+    chroma = np.concatenate([0.6 * light, smooth - light], -1)
+    distance = np.full((height, width), np.inf)
+    left = border.copy()
+    for _ in range(2):
+        if left.sum() < 0.1 * border.sum():
+            break
+        surface, spread, member = _surface(chroma, basis, left)
+        distance = np.minimum(distance, np.linalg.norm(chroma - surface, axis=-1) / max(spread, BACKGROUND_FLOOR / 3))
+        left &= ~member
+    found = distance > float(np.clip(_otsu(distance[np.isfinite(distance)]), 3.0, 6.0))
+    found = ndimage.binary_opening(found, iterations=1)
+    found = ndimage.binary_closing(np.pad(found, 8), iterations=max(1, min(height, width) // 150))[8:-8, 8:-8]
+    mask = _largest(found)
+    share = float(mask.mean())
+    touching = float((mask & border).sum() / border.sum())
+    if share < 0.02:
+        raise InputError(f"{path}: no cut face stands out from the background; use a plain background, or cut it out")
+    if touching > 0.6:
+        raise InputError(f"{path}: the cut face fills the picture to its edges; leave some plain background around it")
+    return mask
+
+
+def _surface(
+    chroma: NDArray[np.float32], basis: NDArray[np.float64], where: NDArray[np.bool_]
+) -> tuple[NDArray[np.float64], float, NDArray[np.bool_]]:
+    """The colour surface of the larger part of the border: (H, W, 3), its spread, and (H, W) the pixels that follow it.
+
+    Starts from the most frequent colour, then alternates a least-squares fit with a choice of who follows.
+    """
+    colours = chroma[where]
+    bins = np.round(colours / 0.06).astype(np.int64)
+    values, counts = np.unique(bins, axis=0, return_counts=True)
+    mode = colours[(np.abs(bins - values[counts.argmax()]) <= 1).all(1)].mean(0)
+    surface = np.broadcast_to(mode, chroma.shape).astype(np.float64)
+    radius, spread = 0.15, 0.05
+    member = where
+    for terms in (1, 3, 6):
+        gap = np.linalg.norm(chroma - surface, axis=-1)
+        member = where & (gap < radius)
+        if member.sum() < 20:
+            break
+        # A little ridge keeps the curved terms from running away over the middle, which no border pixel sees.
+        a = basis[member][:, :terms]
+        ridge = 1e-2 * len(a) * np.diag([0.0, *[1.0] * (terms - 1)])
+        fit = np.linalg.solve(a.T @ a + ridge, a.T @ chroma[member])
+        surface = basis[..., :terms] @ fit
+        spread = float(np.sqrt((np.linalg.norm(chroma[member] - surface[member], axis=-1) ** 2).mean()))
+        radius = float(np.clip(4 * spread, 0.06, 0.15))
+    return surface, spread, member
+
+
+def _otsu(values: NDArray[np.floating]) -> float:
+    """The threshold that best parts values in two, on a logarithmic scale."""
+    logs = np.log(np.maximum(values, 1e-2))
+    counts, edges = np.histogram(logs, 128)
+    middle = (edges[1:] + edges[:-1]) / 2
+    below = np.cumsum(counts)
+    above = below[-1] - below
+    sums = np.cumsum(counts * middle)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        between = below * above * (sums / below - (sums[-1] - sums) / above) ** 2
+    return float(np.exp(middle[np.nanargmax(np.where(above > 0, between, np.nan))])) if len(values) else 3.0
+
+
+def _largest(found: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """The largest connected part, its holes filled: a hole in a cut face is a dark or a white part of it."""
+    parts, count = ndimage.label(found)
+    if count == 0:
+        return np.zeros_like(found)
+    sizes = np.bincount(parts.ravel())
+    sizes[0] = 0
+    return ndimage.binary_fill_holes(parts == sizes.argmax())
+
+
+def _even_light(rgb: NDArray[np.float32], mask: NDArray[np.bool_], kind: Kind) -> NDArray[np.float32]:
+    """The picture with a slope of brightness taken out, which is light and not fruit.
+
+    The slope is fitted to the logarithm of brightness against the median at the same depth under the skin. In radial
+    and parallel pictures only from side to side: from bottom to top a cake or a loaf may really change.
+    """
+    depth = ndimage.distance_transform_edt(mask)
+    band = np.minimum((depth / max(depth.max(), 1) * 12).astype(int), 11)
+    brightness = np.log(np.maximum(rgb.mean(-1), 0.02))
+    medians = np.array(
+        [np.median(brightness[mask & (band == b)]) if (mask & (band == b)).any() else 0.0 for b in range(12)]
+    )
+    rest = (brightness - medians[band])[mask]
+    y, x = np.meshgrid(np.linspace(-1, 1, rgb.shape[0]), np.linspace(-1, 1, rgb.shape[1]), indexing="ij")
+    axes = [x, y] if kind == "horizontal" else [x]
+    a = np.stack([np.ones(len(rest)), *[axis[mask] for axis in axes]], -1)
+    weight = np.ones(len(rest))
+    fit = np.zeros(a.shape[1])
+    for _ in range(5):  # seeds and membranes are outliers, not light
+        fit = np.linalg.lstsq(a * weight[:, None], rest * weight, rcond=None)[0]
+        weight = 1 / (1 + (np.abs(rest - a @ fit) / 0.08) ** 2)
+    slope = sum(c * axis for c, axis in zip(fit[1:], axes, strict=True))
+    return np.clip(rgb * np.exp(-np.clip(slope, -0.35, 0.35))[..., None], 0, 1).astype(np.float32)

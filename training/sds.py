@@ -1,0 +1,59 @@
+"""Score distillation: labels from a prior that can only denoise (paper, section 3.2, eq. 5).
+
+Schedules, the weighting w(t) and the loss live here, once, for every prior.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from training.prior import Condition, Denoises
+
+__all__ = ["FIRST_STEPS", "REFINE_STEPS", "Form", "distill"]
+
+FIRST_STEPS = 20
+"""Steps for the first label of a plane (paper, section 4.1)."""
+REFINE_STEPS = 4
+"""Steps per refinement round; the paper takes 3 to 4."""
+
+# Noise levels in units of the colour range, geometric from the first to the last step. A first label starts where
+# only the layout survives the noise; a refinement keeps what the render already has and moves the details.
+FIRST_SIGMAS = (0.8, 0.04)
+REFINE_SIGMAS = (0.2, 0.04)
+
+# Step of the noise-prediction form in units of sigma^2: the gradient of eq. 5 with w(t) = sigma_t is
+# sigma (eps_theta - eps), and a full step of it lands on the denoised picture.
+NOISE_STEP = 0.5
+
+Form = Literal["noise", "x0"]
+
+
+def distill(
+    label: NDArray[np.float32],  # [H, W, 3]
+    prior: Denoises,
+    condition: Condition,
+    rng: np.random.Generator,
+    form: Form = "x0",
+    refine: bool = False,
+) -> NDArray[np.float32]:
+    """(H, W, 3). The label moved to where the prior finds it likely; range [0, 1], unchanged outside the silhouette.
+
+    `noise` walks down the gradient of eq. 5, w(t) (eps_theta(I + sigma_t eps) - eps), the denoiser's Jacobian left
+    out as usual. `x0` takes the denoised picture I + sigma_t (eps - eps_theta) itself as the next label, which is
+    the same walk with the longest stable step.
+    """
+    assert label.ndim == 3 and label.shape[2] == 3, label.shape
+    steps = REFINE_STEPS if refine else FIRST_STEPS
+    sigmas = np.geomspace(*(REFINE_SIGMAS if refine else FIRST_SIGMAS), steps)
+    step = 1.0 if form == "x0" else NOISE_STEP
+    inside = condition.inside[..., None]
+    current = label.astype(np.float32)
+    for sigma in sigmas:
+        noise = rng.standard_normal(label.shape, dtype=np.float32)
+        predicted = prior.denoise(current + np.float32(sigma) * noise, float(sigma), condition, rng)
+        gradient = np.float32(sigma) * (predicted - noise)
+        current = np.where(inside, np.clip(current - np.float32(step) * gradient, 0, 1), label)
+    return current

@@ -1,0 +1,36 @@
+"""What a run is asked to do."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+__all__ = ["DETAILS", "Detail", "DetailName"]
+
+DetailName = Literal["draft", "standard", "high"]
+
+
+@dataclass(frozen=True)
+class Detail:
+    """How fine a run works, all from one word of the user."""
+
+    cells: int
+    """Cells along the body's longest side in the atom lattice: pitch = side / cells."""
+    voxels: int
+    """Cells along the longest side of the volume that a prior solves."""
+    label: int
+    """Pixels of a square label picture."""
+    surface: int
+    """Pixels of a square surface view."""
+    surface_views: int
+    """Surface views of the input that training draws from."""
+    iterations: int
+    """Most iterations of a run; the stop rule may end it sooner."""
+
+
+# The paper takes 120 to 200 iterations, 10 to 20 surface views in each, and labels of the diffusion model's size.
+DETAILS: dict[DetailName, Detail] = {
+    "draft": Detail(cells=64, voxels=80, label=128, surface=128, surface_views=24, iterations=40),
+    "standard": Detail(cells=104, voxels=128, label=224, surface=192, surface_views=40, iterations=120),
+    "high": Detail(cells=160, voxels=192, label=352, surface=256, surface_views=60, iterations=200),
+}
