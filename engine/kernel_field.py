@@ -1,0 +1,333 @@
+"""The kernel field: colour and density inside the object (DESIGN, section 3).
+
+c(p) = sum w_i c_i / sum w_i and D(p) = sum w_i, w_i = exp(-q_i / 2), cut off at three standard deviations. Seen from
+afar a pixel covers many atoms: every axis is then at least half a pixel's footprint long and the weight falls by the
+volume gained, so the sum stays what it was and the picture does not alias.
+
+The atoms lie in uniform grids, one for every octave of size, sorted by cell; a point reads the cells in its reach.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+
+from engine import sh
+from engine.atoms import Atoms
+from engine.formula import CUTOFF_Q
+
+__all__ = ["KernelField", "axes_of"]
+
+Float = NDArray[np.float32]
+
+CELLS_PER_REACH = 2
+"""Cells from a point to the end of its reach: two visit 53 of 91 candidates that one would, in 25 rows of cells."""
+
+CELLS_PER_ATOM = 8
+"""Upper limit of a grid's cells, so that atoms strewn over a huge space do not ask for a huge grid."""
+
+STRAY = 0.01
+"""Share of the atoms at either end of an axis that do not set the grid's extent: border cells hold what lies outside."""
+
+
+class Level(NamedTuple):
+    """Atoms of one octave of size, sorted by grid cell, x fastest. A named tuple, which numba can read."""
+
+    origin: NDArray[np.float64]
+    """(3,). Corner of cell (0, 0, 0), world units."""
+    scale: np.float32
+    """Cells per world unit."""
+    nx: int
+    ny: int
+    nz: int
+    first: NDArray[np.int32]
+    """(cells + 1,). Where each cell's atoms begin."""
+    atom: NDArray[np.int32]
+    """(n,). Row of each in the order surface, interior."""
+    shapes: Float
+    """(n, 6). Position, world units from the origin; one over each standard deviation."""
+    axes: Float
+    """(n, 3, 3). Rows are principal axes; (0, 3, 3) where all are spheres."""
+    rgb: Float
+    """(n, 3). Colours, a copy in this order: gathering them by row would cost more than the sums."""
+    box: Float
+    """(2, 3). Bounds of the positions."""
+    largest: np.float32
+    """Largest standard deviation, world units."""
+
+
+class KernelField:
+    """The field of a set of atoms, ready to be asked at many points."""
+
+    def __init__(self, atoms: Atoms) -> None:
+        surface, interior = atoms.surface, atoms.interior
+        self.levels: list[Level] = []
+        rgb = sh.sh_to_rgb(surface.sh[:, 0])
+        for rows in octaves(surface.scales.max(1, initial=0)):
+            axes = axes_of(surface.quats[rows])
+            self.levels.append(level(rows, surface.means[rows], surface.scales[rows], axes, rgb[rows]))
+        axes = np.zeros((0, 3, 3), np.float32)
+        for rows in octaves(interior.sigmas):
+            scales = np.repeat(interior.sigmas[rows, None], 3, 1)
+            atom = rows + len(surface)
+            self.levels.append(level(atom, interior.means[rows], scales, axes, interior.rgb[rows]))
+
+    def at(
+        self,
+        points: NDArray[np.floating],  # [P, 3]
+        footprint: float | NDArray[np.floating] = 0.0,  # [] or [P]
+    ) -> tuple[Float, Float]:
+        """Colour (P, 3) and density (P,) at world points; a footprint is a pixel's size there in world units.
+
+        A filled lattice has density formula.LATTICE_DENSITY; colour is zero where density is.
+        """
+        points, most = prepared(points, footprint)
+        colour, density = np.zeros((len(points), 3), np.float32), np.zeros(len(points), np.float32)
+        for grid in self.levels:
+            _sum(points, most, grid, colour, density)
+        _divide(colour, density)
+        return colour, density
+
+    def entries(
+        self,
+        points: NDArray[np.floating],  # [P, 3]
+        footprint: float | NDArray[np.floating] = 0.0,  # [] or [P]
+    ) -> tuple[NDArray[np.int64], NDArray[np.int32], Float]:
+        """The terms of the sums as compressed rows: offsets (P + 1,), atoms (E,) and their weights w_i (E,)."""
+        points, most = prepared(points, footprint)
+        count = np.zeros(len(points) + 1, np.int64)
+        for grid in self.levels:
+            _count(points, most, grid, count)
+        offsets = np.cumsum(count)
+        cursor = offsets[:-1].copy()
+        atom, weight = np.empty(offsets[-1], np.int32), np.empty(offsets[-1], np.float32)
+        for grid in self.levels:
+            _fill(points, most, grid, cursor, atom, weight)
+        return offsets, atom, weight
+
+
+def prepared(
+    points: NDArray[np.floating], footprint: float | NDArray[np.floating]
+) -> tuple[NDArray[np.floating], Float]:
+    """Points (P, 3) and the greatest inverse standard deviation (P,) that each footprint lets an atom have."""
+    assert points.shape == (len(points), 3), points.shape
+    with np.errstate(divide="ignore", over="ignore"):
+        most = 2.0 / np.broadcast_to(np.asarray(footprint, np.float64), len(points))
+    return np.ascontiguousarray(points), most.astype(np.float32)
+
+
+def octaves(sizes: NDArray[np.floating]) -> list[NDArray[np.intp]]:
+    """Rows of each octave of size that occurs; twelve octaves under the largest everything is of one kind."""
+    if not len(sizes):
+        return []
+    largest = max(float(sizes.max()), float(np.finfo(np.float32).tiny))
+    octave = np.floor(np.log2(np.maximum(sizes / largest, 2.0**-12)) + 1e-4).astype(int)
+    return [np.flatnonzero(octave == o) for o in np.unique(octave)]
+
+
+def axes_of(quats: NDArray[np.floating]) -> Float:
+    """(N, 3, 3). Rows are the principal axes of quaternions (N, 4), wxyz; the world's where one has no length."""
+    q = quats.astype(np.float64)
+    length = np.linalg.norm(q, axis=1, keepdims=True)
+    q = np.where(length > 1e-12, q / np.maximum(length, 1e-12), np.array([1.0, 0, 0, 0]))
+    w, x, y, z = q.T
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)],
+        [2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)],
+        [2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.stack([np.stack(row, -1) for row in rows], -2).astype(np.float32)
+
+
+def level(atom: NDArray[np.intp], means: Float, scales: Float, axes: Float, rgb: Float) -> Level:
+    """Sorts atoms of about one size into a grid."""
+    largest = float(scales.max())
+    ranked = np.sort(means, axis=0)
+    skipped = int(np.ceil(STRAY * (len(means) - 1)))
+    low, high = ranked[skipped].astype(np.float64), ranked[len(means) - 1 - skipped].astype(np.float64)
+    margin = 3 * STRAY * np.maximum(high - low, 0)  # a ball is sparse there, so the quantile falls short of its end
+    low, high = low - margin, high + margin
+    cell = max(3 * largest / CELLS_PER_REACH, float(np.finfo(np.float32).tiny))
+    while (np.maximum((high - low) / cell, 0) + 1).prod() > CELLS_PER_ATOM * len(atom) + 64:
+        cell *= 1.26  # a third of an octave: the count about halves
+    nx, ny, nz = (int(n) for n in np.maximum((high - low) / cell, 0) + 1)
+    scale = np.float32(1 / cell)
+    position = (means - low).astype(np.float32)
+    first, order = _cells(position, scale, nx, ny, nz)
+    inverse = 1 / np.maximum(scales, np.finfo(np.float32).tiny)
+    return Level(
+        low,
+        scale,
+        nx,
+        ny,
+        nz,
+        first,
+        atom[order].astype(np.int32),
+        np.concatenate([position, inverse], 1, dtype=np.float32)[order],
+        axes[order] if len(axes) else axes,
+        rgb[order].astype(np.float32),
+        np.stack([position.min(0), position.max(0)]),
+        np.float32(largest),
+    )
+
+
+@njit(cache=True)
+def _slot(x, scale, n):  # type: ignore[no-untyped-def]
+    """Cell of a coordinate; what lies outside belongs to the border cells."""
+    i = x * scale
+    if not i > 0:
+        return 0
+    return int(i) if i < n else n - 1
+
+
+@njit(cache=True)
+def _cells(position, scale, nx, ny, nz):  # type: ignore[no-untyped-def]
+    """Counting sort by cell: first (cells + 1,) and the order (n,); equal cells keep the order of the input."""
+    first = np.zeros(nx * ny * nz + 1, np.int32)
+    cell = np.empty(len(position), np.int32)
+    for i in range(len(position)):
+        x, y, z = _slot(position[i, 0], scale, nx), _slot(position[i, 1], scale, ny), _slot(position[i, 2], scale, nz)
+        cell[i] = (z * ny + y) * nx + x
+        first[cell[i] + 1] += 1
+    for c in range(nx * ny * nz):
+        first[c + 1] += first[c]
+    cursor = first[:-1].copy()
+    order = np.empty(len(position), np.int32)
+    for i in range(len(position)):
+        order[cursor[cell[i]]] = i
+        cursor[cell[i]] += 1
+    return first, order
+
+
+@njit(cache=True)
+def _weight(i, point, most, shapes, axes):  # type: ignore[no-untyped-def]
+    """w_i at a point; -1 where it is cut off."""
+    x, y, z = point[0] - shapes[i, 0], point[1] - shapes[i, 1], point[2] - shapes[i, 2]
+    a, b, c = shapes[i, 3], shapes[i, 4], shapes[i, 5]
+    if len(axes) > 0:
+        u = axes[i, 0, 0] * x + axes[i, 0, 1] * y + axes[i, 0, 2] * z
+        v = axes[i, 1, 0] * x + axes[i, 1, 1] * y + axes[i, 1, 2] * z
+        w = axes[i, 2, 0] * x + axes[i, 2, 1] * y + axes[i, 2, 2] * z
+        x, y, z = u, v, w
+    ratio = np.float32(1)
+    if a > most:
+        ratio *= most / a
+        a = most
+    if b > most:
+        ratio *= most / b
+        b = most
+    if c > most:
+        ratio *= most / c
+        c = most
+    x, y, z = x * a, y * b, z * c
+    q = x * x + y * y + z * z
+    if q > np.float32(CUTOFF_Q):
+        return np.float32(-1)
+    return math.exp(np.float32(-0.5) * q) * ratio
+
+
+@njit(cache=True)
+def _window(p, reach, grid):  # type: ignore[no-untyped-def]
+    """Cells within reach of p, ends included: x0, x1, y0, y1, z0, z1; x1 < x0 where there are none."""
+    for k in range(3):
+        if p[k] + reach < grid.box[0, k] or p[k] - reach > grid.box[1, k] or not reach >= 0:
+            return 0, -1, 0, -1, 0, -1
+    return (
+        _slot(p[0] - reach, grid.scale, grid.nx),
+        _slot(p[0] + reach, grid.scale, grid.nx),
+        _slot(p[1] - reach, grid.scale, grid.ny),
+        _slot(p[1] + reach, grid.scale, grid.ny),
+        _slot(p[2] - reach, grid.scale, grid.nz),
+        _slot(p[2] + reach, grid.scale, grid.nz),
+    )
+
+
+@njit(cache=True)
+def _local(point, origin):  # type: ignore[no-untyped-def]
+    """A point from the level's origin, single precision."""
+    return (
+        np.float32(point[0] - origin[0]),
+        np.float32(point[1] - origin[1]),
+        np.float32(point[2] - origin[2]),
+    )
+
+
+@njit(cache=True)
+def _reach(most, largest):  # type: ignore[no-untyped-def]
+    """Distance at which the last atom of a level is cut off, with a little air for rounding."""
+    return np.float32(3.0001) * max(largest, np.float32(1) / most)
+
+
+@njit(cache=True, parallel=True)
+def _sum(points, most, grid, colour, density):  # type: ignore[no-untyped-def]
+    for p in prange(len(points)):
+        point = _local(points[p], grid.origin)
+        x0, x1, y0, y1, z0, z1 = _window(point, _reach(most[p], grid.largest), grid)
+        if x1 < x0:
+            continue
+        total = np.float32(0)
+        red, green, blue = np.float32(0), np.float32(0), np.float32(0)
+        for z in range(z0, z1 + 1):
+            for y in range(y0, y1 + 1):
+                row = (z * grid.ny + y) * grid.nx
+                for i in range(grid.first[row + x0], grid.first[row + x1 + 1]):
+                    w = _weight(i, point, most[p], grid.shapes, grid.axes)
+                    if w >= 0:
+                        total += w
+                        red += w * grid.rgb[i, 0]
+                        green += w * grid.rgb[i, 1]
+                        blue += w * grid.rgb[i, 2]
+        density[p] += total
+        colour[p, 0] += red
+        colour[p, 1] += green
+        colour[p, 2] += blue
+
+
+@njit(cache=True, parallel=True)
+def _divide(colour, density):  # type: ignore[no-untyped-def]
+    for p in prange(len(density)):
+        if density[p] > 0:
+            for k in range(3):
+                colour[p, k] /= density[p]
+
+
+@njit(cache=True, parallel=True)
+def _count(points, most, grid, count):  # type: ignore[no-untyped-def]
+    for p in prange(len(points)):
+        point = _local(points[p], grid.origin)
+        x0, x1, y0, y1, z0, z1 = _window(point, _reach(most[p], grid.largest), grid)
+        if x1 < x0:
+            continue
+        n = 0
+        for z in range(z0, z1 + 1):
+            for y in range(y0, y1 + 1):
+                row = (z * grid.ny + y) * grid.nx
+                for i in range(grid.first[row + x0], grid.first[row + x1 + 1]):
+                    w = _weight(i, point, most[p], grid.shapes, grid.axes)
+                    if w >= 0:
+                        n += 1
+        count[p + 1] += n
+
+
+@njit(cache=True, parallel=True)
+def _fill(points, most, grid, cursor, columns, weights):  # type: ignore[no-untyped-def]
+    for p in prange(len(points)):
+        point = _local(points[p], grid.origin)
+        x0, x1, y0, y1, z0, z1 = _window(point, _reach(most[p], grid.largest), grid)
+        if x1 < x0:
+            continue
+        n = cursor[p]
+        for z in range(z0, z1 + 1):
+            for y in range(y0, y1 + 1):
+                row = (z * grid.ny + y) * grid.nx
+                for i in range(grid.first[row + x0], grid.first[row + x1 + 1]):
+                    w = _weight(i, point, most[p], grid.shapes, grid.axes)
+                    if w >= 0:
+                        columns[n] = grid.atom[i]
+                        weights[n] = w
+                        n += 1
+        cursor[p] = n
