@@ -65,7 +65,8 @@ def save_trained(path: str | Path, atoms: Atoms, meta: Meta) -> None:
     path = Path(path)
     gaussians = _as_gaussians(atoms)
     broken = [name for name, values in vars(gaussians).items() if not np.isfinite(values).all()]
-    assert not broken and (gaussians.scales > 0).all(), f"atoms that no reader takes: {broken or 'scales'}"
+    assert not broken, f"NaN or Inf in the atoms' {broken}"
+    assert (gaussians.scales > 0).all(), "scales that are not above 0"
     with atomic(sidecar_path(path)) as sidecar, atomic(path) as ply:
         write_ply(ply, gaussians, [f"FruitNinja: made from {meta.source}"] if meta.source else [])
         record = {
