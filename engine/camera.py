@@ -1,4 +1,6 @@
-"""Cameras: pinhole, or orthographic where a cut plane is looked at straight on. OpenCV axes (x right, y down, z forward).
+"""Cameras: pinhole, or orthographic where a cut plane is looked at straight on.
+
+OpenCV axes: x right, y down, z forward.
 
 Pixel (i, j) covers [i, i+1) x [j, j+1) of the picture; its centre is (i + 0.5, j + 0.5).
 """
@@ -111,9 +113,7 @@ def orbit(
     tilt = math.cos(e) * axis - math.sin(e) * (math.cos(a) * e1 + math.sin(a) * e2)
     eye = np.asarray(centre, np.float64) + distance * direction
     focal = height / 2 / math.tan(fov_y / 2)
-    return Camera(
-        look_at(eye, centre, tilt), focal, focal, width / 2, height / 2, width, height, near=1e-3 * distance
-    )
+    return Camera(look_at(eye, centre, tilt), focal, focal, width / 2, height / 2, width, height, near=1e-3 * distance)
 
 
 def equator(up: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -175,7 +175,7 @@ def around(
     size: int,
     turn: float = 0.0,
 ) -> list[Camera]:
-    """`count` cameras spread evenly over a sphere (a Fibonacci spiral), each with the object filling size x size pixels.
+    """`count` cameras spread evenly over a sphere (a Fibonacci spiral); the object fills size x size pixels.
 
     `turn` in degrees moves the whole spiral, so that two sets of views share no camera.
     """

@@ -35,12 +35,16 @@ def train(
     prompt: Annotated[
         list[str] | None, typer.Option(help="Words for a family, for priors that read: radial='a halved melon'.")
     ] = None,
-    up: Annotated[str | None, typer.Option(help="Up axis of the scene: x, y, z, -x, -y, -z. Detected if not given.")] = None,
+    up: Annotated[
+        str | None, typer.Option(help="Up axis of the scene: x, y, z, -x, -y, -z. Detected if not given.")
+    ] = None,
     detail: Annotated[str, typer.Option(help="draft, standard or high.")] = "standard",
     prior: Annotated[str, typer.Option(help="What draws the inside: exemplar.")] = "exemplar",
     iterations: Annotated[int | None, typer.Option(min=0, help="Most training iterations.")] = None,
     seed: Annotated[int, typer.Option(min=0, help="The same seed gives the same result.")] = 0,
-    events: Annotated[str | None, typer.Option(help="One JSON object a line, to a file or to standard output (-).")] = None,
+    events: Annotated[
+        str | None, typer.Option(help="One JSON object a line, to a file or to standard output (-).")
+    ] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Go on from the last checkpoint in the folder.")] = False,
 ) -> None:
     """Give a hollow capture an inside, from a few pictures of cut faces."""
@@ -147,7 +151,9 @@ def parse_families(exemplars: list[str], families: list[str], prompts: list[str]
         counts = {kind: COUNTS[kind] for kind in pictures}
     for kind in [*pictures, *words]:
         if not counts.get(kind):
-            raise InputError(f"{kind}: pictures or words but no planes; add --family {kind}:{COUNTS[kind] or 'a,b,c,d'}")
+            raise InputError(
+                f"{kind}: pictures or words but no planes; add --family {kind}:{COUNTS[kind] or 'a,b,c,d'}"
+            )
     if not any(pictures.values()):
         raise InputError("no picture of a cut face; give at least one, as in --exemplar horizontal=cut.png")
     return tuple(

@@ -22,7 +22,14 @@ TILE = 320
 
 # Tilt from the up axis and turn around it in degrees, and where the plane stands between centre (0) and skin (1).
 # Oblique, off-centre, near a pole, and upright beside the axis: no family of evenly spaced planes contains them.
-CUTS = ((35.0, 20.0, 0.0), (62.0, 140.0, 0.15), (48.0, 250.0, -0.35), (8.0, 77.0, 0.62), (90.0, 33.0, 0.45), (77.0, 301.0, 0.3))
+CUTS = (
+    (35.0, 20.0, 0.0),
+    (62.0, 140.0, 0.15),
+    (48.0, 250.0, -0.35),
+    (8.0, 77.0, 0.62),
+    (90.0, 33.0, 0.45),
+    (77.0, 301.0, 0.3),
+)
 
 
 def untrained_planes(body: Body, up: NDArray[np.float64]) -> list[Plane]:

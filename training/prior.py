@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,6 +61,7 @@ class Volume:
         return np.stack(channels, axis=-1)
 
 
+@runtime_checkable
 class Denoises(Protocol):
     """A prior that predicts noise; score distillation makes its labels."""
 
@@ -75,6 +76,7 @@ class Denoises(Protocol):
         ...
 
 
+@runtime_checkable
 class Solves(Protocol):
     """A prior that can answer for all planes at once."""
 

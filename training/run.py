@@ -20,11 +20,13 @@ from torch import Tensor
 
 from engine import classic, opaque
 from engine.atomise import atomise
-from engine.atoms import Atoms, InteriorAtoms, SurfaceAtoms
+from engine.atoms import Atoms
 from engine.body import Body
+from engine.files import atomic
 from engine.fill import fill, find_body
 from engine.gaussians import Gaussians
 from engine.load import load
+from engine.orient import detect_up
 from engine.trained import Meta, save_trained
 from training.checkpoint import Checkpoint
 from training.contact_sheet import save_picture, save_sheet
@@ -32,7 +34,7 @@ from training.events import Reporter, Stage
 from training.exemplar import ExemplarPrior
 from training.families import Family
 from training.losses import psnr
-from training.prior import Condition
+from training.prior import Denoises, Progress, Solves
 from training.sds import distill
 from training.settings import DETAILS, DetailName
 from training.trainer import Losses, Trainer
@@ -47,8 +49,13 @@ CHECKPOINT_SECONDS = 15.0
 # stays below it, two labels that disagree about a seed do not. The paper leaves its threshold open.
 AGREEMENT = 0.12
 
+WHITE = np.float32(1.0)
+
 # Training has settled when a whole turn of all sections improves the mean loss by less than this part.
 SETTLED = 0.01
+
+BODY_CELLS = 128
+"""Cells along the longest side of the grid on which the body is found; its depth is exact to a part of a cell."""
 
 HELD_OUT_VIEWS = 8
 """Surface views that training never sees, for the surface figure of the report."""
@@ -126,7 +133,7 @@ def run(request: Request, out: Path, reporter: Reporter, resume: bool, stopped: 
     labels, atoms = label(request, geometry, cuts, prior, reporter, checkpoint, check)
     trainer = Trainer(atoms, cuts, surfaces, request.seed)
     history = train(request, trainer, prior, labels, out, reporter, checkpoint, stopped)
-    return save(request, geometry, trainer, cuts, counts, history, out, reporter)
+    return save(request, geometry, trainer, counts, history, out, reporter)
 
 
 def watched(stage: Stage, check: Callable[[], None], start: float, end: float) -> Callable[[float], None]:
@@ -151,9 +158,9 @@ def prepare(
     gaussians = loaded.gaussians
     check()
     with reporter.stage("body") as stage:
-        found = find_body(gaussians, cells=detail.cells)
-        for warning in found.warnings:
-            reporter.warn(f"{request.scene}: {warning}")
+        found = find_body(gaussians, max(BODY_CELLS, detail.cells), request.scene.name)
+        for note in found.notes:
+            reporter.warn(f"{request.scene.name}: {note}")
         up, reason = upward(request, gaussians)
         stage.progress(1.0, reason, up=up.tolist(), reason=reason)
     check()
@@ -186,7 +193,7 @@ def label(
     request: Request,
     geometry: Geometry,
     cuts: Sequence[Section],
-    prior: ExemplarPrior,
+    prior: Denoises | Solves,
     reporter: Reporter,
     checkpoint: Checkpoint,
     check: Callable[[], None],
@@ -196,18 +203,12 @@ def label(
     with reporter.stage("labels") as stage:
         kept = checkpoint.load("labels")
         if kept is None:
-            volume = prior.solve(
-                geometry.body,
-                geometry.up,
-                request.families,
-                DETAILS[request.detail].voxels,
-                request.seed,
-                watched(stage, check, 0.0, 1.0),
+            watch = watched(stage, check, 0.0, 1.0)
+            arrays = (
+                solved(request, geometry, cuts, prior, watch)
+                if isinstance(prior, Solves)
+                else distilled(request, geometry, cuts, prior, watch)
             )
-            pictures = [
-                np.where(cut.condition.inside[..., None], volume.at(cut.points), np.float32(1.0)) for cut in cuts
-            ]
-            arrays = {"labels": np.stack(pictures), "rgb": volume.at(atoms.interior.means)}
             checkpoint.save("labels", arrays, {})
         else:
             arrays = kept[0]
@@ -215,3 +216,189 @@ def label(
     interior = replace(atoms.interior, rgb=np.clip(arrays["rgb"], 0, 1))
     labels = [torch.from_numpy(picture.copy()) for picture in arrays["labels"]]
     return labels, Atoms(atoms.surface, interior, atoms.pitch)
+
+
+def solved(
+    request: Request, geometry: Geometry, cuts: Sequence[Section], prior: Solves, progress: Progress
+) -> dict[str, NDArray[np.float32]]:
+    """Labels that agree in space, because they are cuts through one volume; atoms start from its colours."""
+    voxels = DETAILS[request.detail].voxels
+    volume = prior.solve(geometry.body, geometry.up, request.families, voxels, request.seed, progress)
+    pictures = [np.where(cut.condition.inside[..., None], volume.at(cut.points), WHITE) for cut in cuts]
+    return {"labels": np.stack(pictures), "rgb": volume.at(geometry.atoms.interior.means)}
+
+
+def distilled(
+    request: Request, geometry: Geometry, cuts: Sequence[Section], prior: Denoises, progress: Progress
+) -> dict[str, NDArray[np.float32]]:
+    """Labels made plane by plane by score distillation, from an even grey; atoms start grey too (paper, stage one)."""
+    pictures = []
+    for index, cut in enumerate(cuts):
+        start = np.where(cut.condition.inside[..., None], cut.condition.render, WHITE)
+        rng = np.random.default_rng([request.seed, index])
+        pictures.append(distill(start, prior, cut.condition, rng))
+        progress((index + 1) / len(cuts))
+    return {"labels": np.stack(pictures), "rgb": geometry.atoms.interior.rgb}
+
+
+def train(
+    request: Request,
+    trainer: Trainer,
+    prior: Denoises | Solves,
+    labels: list[Tensor],
+    out: Path,
+    reporter: Reporter,
+    checkpoint: Checkpoint,
+    stopped: Callable[[], bool],
+) -> dict[str, Any]:
+    """Iterations and refinement rounds until every section agrees with its label (paper, section 3.3).
+
+    A round ends when the loss has settled; sections that still disagree with their labels get labels refined from
+    what they show, and the next round begins. Returns the history for the report.
+    """
+    most = DETAILS[request.detail].iterations if request.iterations is None else request.iterations
+    history: dict[str, Any] = {"section": [], "surface": [], "rounds": 0, "ended": "all iterations done"}
+    kept = checkpoint.load("training")
+    if kept is not None:
+        arrays, history = kept
+        labels[:] = [torch.from_numpy(picture) for picture in arrays.pop("labels")]
+        trainer.restore(arrays, len(history["section"]))
+    saved = time.perf_counter()
+
+    def keep() -> None:
+        stacked = np.stack([picture.numpy() for picture in labels]) if labels else np.zeros((0, 1, 1, 3), np.float32)
+        checkpoint.save("training", trainer.state() | {"labels": stacked}, history)
+
+    with reporter.stage("train") as stage:
+        while trainer.iteration < most and history["ended"] == "all iterations done":
+            if stopped():
+                keep()
+                raise Interrupted(f"after {trainer.iteration} iterations")
+            losses = trainer.step(labels)
+            history["section"].append(losses.section)
+            history["surface"].append(losses.surface)
+            announce(stage, trainer, losses, most)
+            if settled(history["section"], trainer.turns, history.get("round_start", 0)):
+                disagreeing = np.flatnonzero(trainer.section_losses(labels) > AGREEMENT)
+                if not len(disagreeing) or not isinstance(prior, Denoises):
+                    history["ended"] = "every section agrees with its label"
+                else:
+                    refine(request, trainer, prior, labels, disagreeing.tolist(), history["rounds"])
+                    history["rounds"] += 1
+                    history["round_start"] = trainer.iteration
+            if time.perf_counter() - saved > CHECKPOINT_SECONDS:
+                previews(trainer, labels, out, reporter)
+                keep()
+                saved = time.perf_counter()
+        trainer.smooth()
+        previews(trainer, labels, out, reporter)
+    keep()
+    return history
+
+
+def refine(
+    request: Request, trainer: Trainer, prior: Denoises, labels: list[Tensor], which: Sequence[int], round_: int
+) -> None:
+    """New labels for the sections that disagree, a few steps from what they show now."""
+    for index in which:
+        section = trainer.sections[index]
+        shown = trainer.render(section)
+        rng = np.random.default_rng([request.seed, 2, round_, index])
+        better = distill(shown, prior, replace(section.condition, render=shown), rng, refine=True)
+        labels[index] = torch.from_numpy(better)
+
+
+def settled(losses: Sequence[float], turn: int, start: int) -> bool:
+    """Whether the last turn of all sections improved the mean loss by less than a hundredth over the one before.
+
+    Asked at the end of a turn only, and not before the round that began at `start` has had two.
+    """
+    done = len(losses) - start
+    if done < 2 * turn or done % turn:
+        return False
+    last, before = np.mean(losses[-turn:]), np.mean(losses[-2 * turn : -turn])
+    return bool(last > (1 - SETTLED) * before)
+
+
+def announce(stage: Stage, trainer: Trainer, losses: Losses, most: int) -> None:
+    """One iteration's line."""
+    stage.progress(
+        trainer.iteration / most,
+        f"{trainer.iteration}/{most}  sections {losses.section:.4f}  surface {losses.surface:.4f}",
+        iteration=trainer.iteration,
+        iterations=most,
+        losses={"section": losses.section, "surface": losses.surface},
+    )
+
+
+def previews(trainer: Trainer, labels: Sequence[Tensor], out: Path, reporter: Reporter) -> None:
+    """A label and what the atoms show of it, for the first, middle and last plane of each family."""
+    paths = []
+    for kind in dict.fromkeys(view.family.kind for view in trainer.sections):
+        mine = [index for index, view in enumerate(trainer.sections) if view.family.kind == kind]
+        for index in sorted({mine[len(mine) // 4], mine[len(mine) // 2]}):
+            both = np.concatenate([labels[index].numpy(), trainer.render(trainer.sections[index])], axis=1)
+            path = out / "previews" / f"{kind}_{index:03d}.png"
+            save_picture(path, both)
+            paths.append(path)
+    reporter.emit("previews", paths=paths)
+
+
+def save(
+    request: Request,
+    geometry: Geometry,
+    trainer: Trainer,
+    counts: dict[str, Any],
+    history: dict[str, Any],
+    out: Path,
+    reporter: Reporter,
+) -> Path:
+    """Writes the solid, the sheet of untrained cuts and the report."""
+    atoms = trainer.result()
+    path = out / f"{request.scene.stem}.ply"
+    with reporter.stage("save") as stage:
+        families = tuple(
+            {"kind": family.kind, "count": family.count, "prompt": family.prompt, "axis": family.axis}
+            for family in request.families
+        )
+        up = (float(geometry.up[0]), float(geometry.up[1]), float(geometry.up[2]))
+        save_trained(path, atoms, Meta(up, families, request.seed, request.prior, request.scene.name))
+        stage.progress(0.3)
+        save_sheet(out / "cuts.png", atoms, geometry.body, geometry.up)
+        stage.progress(0.7)
+        before, after = surface_psnr(geometry, atoms)
+    report = {
+        **counts,
+        "sh_degree": atoms.surface.sh_degree,
+        "views": {
+            kind: sum(view.family.kind == kind for view in trainer.sections)
+            for kind in dict.fromkeys(view.family.kind for view in trainer.sections)
+        },
+        "iterations": trainer.iteration,
+        "rounds": history["rounds"],
+        "ended": history["ended"],
+        "surface_psnr_db": after,
+        "surface_psnr_before_training_db": before,
+        "losses": {"section": history["section"], "surface": history["surface"]},
+        "seconds": {name: round(spent, 2) for name, spent in reporter.timings.items()},
+    }
+    with atomic(out / "report.json") as temporary:
+        temporary.write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
+    reporter.emit("done", scene=path, sheet=out / "cuts.png", report=out / "report.json")
+    return path
+
+
+def surface_psnr(geometry: Geometry, atoms: Atoms) -> tuple[float, float]:
+    """PSNR in dB of the opaque object against the input 3DGS, before and after training, on views never trained.
+
+    Both pictures stand on white and are whole: haze that was dropped and edges that are crisper count as errors.
+    """
+    size = DETAILS["standard"].surface
+    before: list[float] = []
+    after: list[float] = []
+    for camera in surface_cameras(geometry.body, geometry.up, HELD_OUT_VIEWS, size, turn=61.0):
+        target = torch.from_numpy(np.clip(classic.render(geometry.gaussians, camera, BACKGROUND).rgb, 0, 1))
+        for solid, figures in ((geometry.atoms, before), (atoms, after)):
+            picture = opaque.render(solid, camera, background=BACKGROUND).rgb
+            figures.append(psnr(torch.from_numpy(np.clip(picture, 0, 1)), target))
+    return float(np.mean(before)), float(np.mean(after))

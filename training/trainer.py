@@ -57,9 +57,7 @@ class Losses:
 class Trainer:
     """Colours on their way from the start to the labels."""
 
-    def __init__(
-        self, atoms: Atoms, sections: Sequence[Section], surfaces: Sequence[SurfaceView], seed: int
-    ) -> None:
+    def __init__(self, atoms: Atoms, sections: Sequence[Section], surfaces: Sequence[SurfaceView], seed: int) -> None:
         self.atoms = atoms
         self.sections = sections
         self.surfaces = surfaces
@@ -68,14 +66,19 @@ class Trainer:
         self.initial = atoms.interior.rgb
         self.rgb = torch.from_numpy(atoms.interior.rgb.copy())
         self.sh = torch.from_numpy(atoms.surface.sh.copy())
-        self.moments = {
-            name: torch.zeros_like(tensor) for name, tensor in (("rgb1", self.rgb), ("rgb2", self.rgb))
-        } | {name: torch.zeros_like(tensor) for name, tensor in (("sh1", self.sh), ("sh2", self.sh))}
+        self.moments = {name: torch.zeros_like(tensor) for name, tensor in (("rgb1", self.rgb), ("rgb2", self.rgb))} | {
+            name: torch.zeros_like(tensor) for name, tensor in (("sh1", self.sh), ("sh2", self.sh))
+        }
         # An atom is trained where some cut face shows it.
         shown = np.zeros(len(atoms), bool)
         for view in sections:
             shown |= view.weights.columns()
         self.trained: NDArray[np.bool_] = shown[len(atoms.surface) :]
+
+    @property
+    def turns(self) -> int:
+        """Iterations in which every section has its turn once."""
+        return max(1, -(-len(self.sections) // SECTIONS_PER_ITERATION))
 
     def state(self) -> dict[str, NDArray[np.float32]]:
         """All that changes while training, for a checkpoint."""
@@ -100,9 +103,8 @@ class Trainer:
     def step(self, labels: Sequence[Tensor]) -> Losses:
         """One iteration: a turn of the sections against their labels (H, W, 3), some surface views, one Adam step."""
         rng = np.random.default_rng([self.seed, self.iteration])
-        per_epoch = -(-len(self.sections) // SECTIONS_PER_ITERATION) if self.sections else 1
-        order = np.random.default_rng([self.seed, 1, self.iteration // per_epoch]).permutation(len(self.sections))
-        turn = self.iteration % per_epoch
+        order = np.random.default_rng([self.seed, 1, self.iteration // self.turns]).permutation(len(self.sections))
+        turn = self.iteration % self.turns
         chosen = order[turn * SECTIONS_PER_ITERATION : (turn + 1) * SECTIONS_PER_ITERATION]
         views = rng.choice(len(self.surfaces), min(SURFACES_PER_ITERATION, len(self.surfaces)), replace=False)
 
@@ -182,6 +184,6 @@ def seen_colours(
     """(S, 3). RGB of surface atoms as a pinhole camera sees them."""
     directions = means - camera.position.astype(np.float32)
     directions /= np.maximum(np.linalg.norm(directions, axis=1, keepdims=True), 1e-12)
-    degree = int(round(sh.shape[1] ** 0.5)) - 1
+    degree = round(sh.shape[1] ** 0.5) - 1
     functions = torch.from_numpy(basis(directions, degree))
     return (0.5 + torch.einsum("sk,skc->sc", functions, sh)).clamp_min(0)
