@@ -1,0 +1,83 @@
+"""The loss, score distillation and smoothing against closed forms."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from scipy import ndimage
+
+from training.families import Family
+from training.losses import psnr, reconstruction, ssim
+from training.prior import Condition
+from training.sds import distill
+from training.smoothing import smooth
+
+
+def test_ssim_meets_a_float64_reference():
+    rng = np.random.default_rng(0)
+    a = ndimage.gaussian_filter(rng.random((40, 52, 3)), (2, 2, 0))
+    b = np.clip(a + 0.1 * rng.standard_normal(a.shape), 0, 1)
+
+    def window(x):
+        # truncate 3.34 is the 11-pixel window of the original
+        return ndimage.gaussian_filter(x, (1.5, 1.5, 0), truncate=3.34)[5:-5, 5:-5]
+
+    ma, mb = window(a), window(b)
+    va, vb, cov = window(a * a) - ma**2, window(b * b) - mb**2, window(a * b) - ma * mb
+    expected = ((2 * ma * mb + 1e-4) * (2 * cov + 9e-4) / ((ma**2 + mb**2 + 1e-4) * (va + vb + 9e-4))).mean()
+    assert ssim(torch.from_numpy(a), torch.from_numpy(b)).item() == pytest.approx(expected, abs=1e-9)
+    assert ssim(torch.from_numpy(a), torch.from_numpy(a)).item() == pytest.approx(1.0)
+    loss = reconstruction(torch.from_numpy(a), torch.from_numpy(b), 0.3).item()
+    assert loss == pytest.approx(0.3 * ((a - b) ** 2).mean() + 0.7 * (1 - expected))
+    assert psnr(torch.zeros(4), torch.full((4,), 0.1)) == pytest.approx(20.0, abs=1e-5)
+
+
+class GaussianPrior:
+    """Every pixel is N(mean, spread^2): the noise that is best predicted has a closed form."""
+
+    def __init__(self, mean, spread):
+        self.mean, self.spread = mean, spread
+
+    def denoise(self, noisy, sigma, condition, rng):
+        return (sigma * (noisy - self.mean) / (sigma**2 + self.spread**2)).astype(np.float32)
+
+
+def condition(shape):
+    flat = np.zeros(shape, np.float32)
+    inside = np.zeros(shape, bool)
+    inside[4:-4, 4:-4] = True
+    grey = np.full((*shape, 3), 0.5, np.float32)
+    return Condition(Family("horizontal", 1), "", inside, flat, flat, flat, flat, flat, grey)
+
+
+@pytest.mark.parametrize(("form", "error"), [("x0", 0.03), ("noise", 0.06)])
+def test_distillation_finds_the_mode(form, error):
+    asked = condition((24, 24))
+    mean = np.random.default_rng(1).uniform(0.2, 0.8, (24, 24, 3)).astype(np.float32)
+    start = np.full_like(mean, 0.5)
+    label = distill(start, GaussianPrior(mean, 0.02), asked, np.random.default_rng(0), form=form)
+    assert np.sqrt(np.mean((label - mean)[asked.inside] ** 2)) < error
+    assert (label[~asked.inside] == 0.5).all()
+    again = distill(start, GaussianPrior(mean, 0.02), asked, np.random.default_rng(0), form=form)
+    assert (again == label).all()
+
+
+def test_smoothing_is_the_papers_weighted_mean():
+    means = np.array([[0, 0, 0], [1, 0, 0], [3, 0, 0]], np.float32)
+    initial = np.full((3, 3), 0.5, np.float32)
+    current = np.array([[1, 0, 0], [0.5, 0.5, 0.5], [0, 1, 0]], np.float32)
+    trained = np.array([True, False, True])
+    result = smooth(means, initial, current, trained)
+    assert (result[trained] == current[trained]).all()
+    # distances 1 and 2, so weights 2/3 and 1/3
+    assert np.allclose(result[1], [2 / 3, 1 / 3, 0], atol=1e-6)
+
+
+def test_smoothing_keeps_detail_and_survives_coincidence():
+    means = np.zeros((5, 3), np.float32)
+    initial = np.random.default_rng(0).random((5, 3)).astype(np.float32)
+    trained = np.array([True, True, False, False, True])
+    result = smooth(means, initial, initial, trained)
+    assert np.allclose(result, initial, atol=1e-6)
+    assert (smooth(means, initial, initial, np.zeros(5, bool)) == initial).all()
