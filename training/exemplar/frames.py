@@ -15,7 +15,7 @@ from scipy import ndimage
 
 from engine.body import Body
 from engine.camera import equator
-from training.exemplar.patches import FIXED, OVER, POLAR, RADIAL
+from training.exemplar.patches import OVER, POLAR, RADIAL
 from training.exemplar.pictures import Picture, fill_outside
 
 __all__ = ["DEPTH_SCALE", "Sheet", "Space", "View", "make_sheet", "make_space", "saturating", "voxel_gate"]
@@ -181,7 +181,10 @@ class Sheet:
         """(..., 3). Bilinear colours at (x, y) in cells."""
         at = np.stack([np.asarray(y) * OVER, np.asarray(x) * OVER])
         return np.stack(
-            [ndimage.map_coordinates(self.rgb[..., c], at, order=1, mode="nearest", output=np.float32) for c in range(3)],
+            [
+                ndimage.map_coordinates(self.rgb[..., c], at, order=1, mode="nearest", output=np.float32)
+                for c in range(3)
+            ],
             axis=-1,
         )
 
@@ -284,5 +287,7 @@ def _resize(a: NDArray[np.float32], scale: float) -> NDArray[np.float32]:
         return ndimage.map_coordinates(a, at, order=1, mode="nearest", output=np.float32)
     # Cubic where a small photograph is enlarged: linear leaves its pixels to be seen.
     order = 3 if scale > 1.5 else 1
-    channels = [ndimage.map_coordinates(a[..., c], at, order=order, mode="nearest", output=np.float32) for c in range(3)]
+    channels = [
+        ndimage.map_coordinates(a[..., c], at, order=order, mode="nearest", output=np.float32) for c in range(3)
+    ]
     return np.clip(np.stack(channels, -1), 0, 1)

@@ -134,9 +134,7 @@ def make_library(atlas: Atlas, family: int, gate: NDArray[np.float32], everythin
     )
 
 
-def _pack(
-    features: NDArray[np.float32], near: NDArray[np.int32]
-) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+def _pack(features: NDArray[np.float32], near: NDArray[np.int32]) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
     """Candidates in blocks (B, D, LANES) of neighbours: halved again and again along one coefficient after another."""
     levels = max(0, int(np.ceil(np.log2(max(len(near), 1) / LANES))))
     order = np.full(LANES << levels, -1, np.int32)

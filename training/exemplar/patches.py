@@ -70,15 +70,15 @@ def _read_grid(rgb, x, y, z):  # type: ignore[no-untyped-def]
     for d in range(2):
         h = w if d == 1 else _F1 - w
         a, b, c, e = w00 * h, w01 * h, w10 * h, w11 * h
-        c0 += (
-            a * rgb[i, j, k + d, 0] + b * rgb[i, j + 1, k + d, 0] + c * rgb[i + 1, j, k + d, 0]
-        ) + e * rgb[i + 1, j + 1, k + d, 0]
-        c1 += (
-            a * rgb[i, j, k + d, 1] + b * rgb[i, j + 1, k + d, 1] + c * rgb[i + 1, j, k + d, 1]
-        ) + e * rgb[i + 1, j + 1, k + d, 1]
-        c2 += (
-            a * rgb[i, j, k + d, 2] + b * rgb[i, j + 1, k + d, 2] + c * rgb[i + 1, j, k + d, 2]
-        ) + e * rgb[i + 1, j + 1, k + d, 2]
+        c0 += (a * rgb[i, j, k + d, 0] + b * rgb[i, j + 1, k + d, 0] + c * rgb[i + 1, j, k + d, 0]) + e * rgb[
+            i + 1, j + 1, k + d, 0
+        ]
+        c1 += (a * rgb[i, j, k + d, 1] + b * rgb[i, j + 1, k + d, 1] + c * rgb[i + 1, j, k + d, 1]) + e * rgb[
+            i + 1, j + 1, k + d, 1
+        ]
+        c2 += (a * rgb[i, j, k + d, 2] + b * rgb[i, j + 1, k + d, 2] + c * rgb[i + 1, j, k + d, 2]) + e * rgb[
+            i + 1, j + 1, k + d, 2
+        ]
     return c0, c1, c2
 
 
