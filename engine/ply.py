@@ -6,13 +6,14 @@ In the file opacity is a logit and scales are logs; in memory they are activated
 from __future__ import annotations
 
 import itertools
+import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
-from plyfile import PlyData, PlyElement, PlyParseError
+from plyfile import PlyData, PlyElement
 
 from engine.errors import InputError
 from engine.files import atomic
@@ -142,13 +143,12 @@ def _blocks(
         yield from _ascii_blocks(path, file, sum(e.count for e in before), vertex.count, columns)
         return
     assert vertex.dtype is not None
-    skipped = header.data
+    file.seek(header.data)
     for element in before:
         if element.dtype is None:
-            yield _columns(_behind_lists(path), names)
-            return
-        skipped += element.count * element.dtype.itemsize
-    file.seek(skipped)
+            _skip_lists(path, file, element)
+        else:
+            file.seek(element.count * element.dtype.itemsize, os.SEEK_CUR)
     for first in range(0, vertex.count, BLOCK_ROWS):
         data = file.read(min(BLOCK_ROWS, vertex.count - first) * vertex.dtype.itemsize)
         yield _columns(np.frombuffer(data, vertex.dtype, len(data) // vertex.dtype.itemsize), names)
@@ -163,12 +163,19 @@ def _columns(rows: NDArray[np.void], names: list[str]) -> NDArray[np.floating]:
     return block
 
 
-def _behind_lists(path: Path) -> NDArray[np.void]:
-    """The vertices of a binary file that come after rows of lists, over which only plyfile finds the way."""
-    try:
-        return PlyData.read(str(path))["vertex"].data
-    except (PlyParseError, ValueError, OSError, MemoryError) as error:
-        raise InputError(f"{path}: truncated or damaged: the rows before the vertices cannot be read") from error
+def _skip_lists(path: Path, file: BinaryIO, element: Element) -> None:
+    """Moves behind the binary rows of an element that has lists. A list's length is never trusted with memory."""
+    for _ in range(element.count):
+        for length, value in element.layout:
+            items = 1
+            if length is not None:
+                data = file.read(length.itemsize)
+                if len(data) < length.itemsize:
+                    raise InputError(f"{path}: truncated or damaged: it ends within the rows of '{element.name}'")
+                items = int(np.frombuffer(data, length)[0])
+                if items < 0:
+                    raise InputError(f"{path}: damaged: a list in '{element.name}' has a negative length")
+            file.seek(items * value.itemsize, os.SEEK_CUR)
 
 
 def _ascii_blocks(

@@ -11,7 +11,7 @@ import stat
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 from plyfile import PlyData, PlyElement, PlyListProperty, PlyParseError
@@ -33,6 +33,8 @@ class Element:
     properties: tuple[str, ...]
     dtype: np.dtype[np.void] | None
     """A row of a binary file; None where rows hold lists and so have no fixed size."""
+    layout: tuple[tuple[np.dtype[Any] | None, np.dtype[Any]], ...]
+    """For each property of a binary row the type of a list's length, None for a plain number, and of the values."""
     min_row: int
     """Bytes that a row takes at the least, in this file's format."""
 
@@ -147,11 +149,21 @@ def _parse(path: Path, lines: list[str], data: int) -> Header:
 
 def _element(element: PlyElement, count: int, parsed: PlyData) -> Element:
     """An element as plyfile read it, with its true count."""
-    names = tuple(p.name for p in element.properties)
-    lists = [p for p in element.properties if isinstance(p, PlyListProperty)]
-    if parsed.text:
-        min_row = max(1, 2 * len(names))  # a digit and a space or newline for each
-    else:
-        sizes = [np.dtype(p.list_dtype()[0] if p in lists else p.dtype()).itemsize for p in element.properties]
-        min_row = sum(sizes)
-    return Element(element.name, count, names, None if lists else np.dtype(element.dtype(parsed.byte_order)), min_row)
+    order = parsed.byte_order
+    layout = tuple(
+        (np.dtype(p.list_dtype(order)[0]), np.dtype(p.list_dtype(order)[1]))
+        if isinstance(p, PlyListProperty)
+        else (None, np.dtype(p.dtype(order)))
+        for p in element.properties
+    )
+    return Element(
+        element.name,
+        count,
+        tuple(p.name for p in element.properties),
+        None if any(length is not None for length, _ in layout) else np.dtype(element.dtype(order)),
+        layout,
+        # A digit and a space or newline for each number; or a number or a list's length, with an empty list behind it.
+        max(1, 2 * len(layout))
+        if parsed.text
+        else sum((value if length is None else length).itemsize for length, value in layout),
+    )
