@@ -108,19 +108,27 @@ def _colours(
         mottle = fbm(3.2 * x, 3.2 * y, 3.2 * z, 3, number + 6)
         rgb = mix((0.925, 0.845, 0.69), (0.975, 0.925, 0.805), step(-0.5, 0.5, mottle))
         # Crumb: thin bright walls round small dim bubbles, flattened like the big ones.
-        wx, wy, wz = 0.4 * noise(6 * x, 6 * y, 6 * z, number + 7), 0.4 * noise(6 * x, 6 * y, 6 * z, number + 8), 0.0
-        near, far, name = cells(17 * x + wx, 17 * y + wy, 25 * z + wz, 1.0, number + 9)
-        rgb = mix(rgb, (0.835, 0.715, 0.53), 0.5 * step(0.45, 0.08, near) * step(0.25, 0.6, name))
-        rgb = mix(rgb, (0.995, 0.965, 0.88), 0.22 * step(0.2, 0.0, far - near))
+        warp = noise(7 * x, 7 * y, 7 * z, number + 7)
+        for octave in range(2):
+            f = 16.0 + 15.0 * octave
+            near, far, name = cells(
+                f * x + 0.5 * warp, f * y - 0.5 * warp, 1.4 * f * z, 1.0, number + 9 + 20 * octave
+            )
+            hole = step(0.5, 0.1, near + 0.15 * warp) * step(0.3, 0.7, name)
+            rgb = mix(rgb, (0.80, 0.67, 0.475), (0.5 - 0.08 * octave) * hole)
+            rgb = mix(rgb, (0.995, 0.965, 0.88), 0.22 * step(0.2, 0.0, far - near))
         # Pores stay small near the crust, where the dough set first.
         q, item = strewn_at(x, y, z, 0.0, rows, starts, items)
-        size = step(0.02, 0.10, d)
-        q = math.sqrt(q) + 0.22 * noise(14 * x, 14 * y, 14 * z, number + 10) + 0.6 * (1 - size)
-        if q < 1.25:
+        if q < 5:
+            size = step(0.02, 0.10, d)
+            torn = noise(13 * x, 13 * y, 13 * z, number + 10) + 0.6 * noise(29 * x, 29 * y, 29 * z, number + 12)
+            q = math.sqrt(q) + 0.34 * torn + 0.6 * (1 - size)
             shade = rows[item, 15]
-            deep = mix((0.70, 0.545, 0.35), (0.80, 0.665, 0.47), shade)
-            rgb = mix(rgb, (0.985, 0.95, 0.86), 0.6 * step(1.25, 1.05, q))  # the skin of the bubble
-            rgb = mix(rgb, mix((0.865, 0.755, 0.575), deep, step(0.95, 0.45, q)), step(1.05, 0.9, q))
+            # A hole is darkest under its upper rim: light falls in from above.
+            under = min(max(0.5 + 0.5 * (z - rows[item, 2]) / rows[item, 12], 0.0), 1.0)
+            deep = mix((0.67, 0.505, 0.31), (0.80, 0.665, 0.47), 0.75 * shade + 0.35 * (1 - under))
+            rgb = mix(rgb, (0.985, 0.95, 0.86), 0.45 * step(1.2, 1.05, q))  # the skin of the bubble
+            rgb = mix(rgb, mix((0.85, 0.735, 0.55), deep, step(0.97, 0.55, q)), step(1.04, 0.93, q))
         if d < 0.16:
             # Thicker on the dome than on the sides of the tin; browning fades inwards.
             thick = 0.030 + 0.016 * step(-0.1, 0.35, z) + 0.008 * noise(3 * x, 3 * y, 3 * z, number + 11)

@@ -101,7 +101,7 @@ def _pulp(rho: float, angle: float, z: float, number: int, segment: float) -> tu
     rgb = mix(rgb, (0.94, 0.45, 0.035), 0.5 * step(0.6, 0.1, near))
     # The wall of a sac catches the light, here more and there less.
     shine = 0.3 + 0.35 * step(-0.5, 0.5, noise(6 * rho, 9 * angle, 9 * fan, number + 13))
-    rgb = mix(rgb, (1.0, 0.78, 0.34), shine * step(0.24, 0.0, far - near))
+    rgb = mix(rgb, (1.0, 0.78, 0.34), shine * step(0.17, 0.0, far - near))
     cloud = fbm(3 * rho, 5 * angle, 5 * fan, 2, number + 6)
     return mix(rgb, (0.985, 0.70, 0.25), 0.35 * step(0.0, 0.8, cloud))
 
@@ -149,8 +149,8 @@ def _colours(
         rgb = mix((0.985, 0.90, 0.70), (0.99, 0.955, 0.86), step(-0.4, 0.5, uneven))
         rgb = mix(rgb, (0.995, 0.83, 0.52), step(0.022, 0.0, -room) * step(0.14, 0.10, -pith) * 0.65)
         if room > -0.006:
-            rgb = mix(rgb, _pulp(inner, angle, z, number, float(segment)), step(-0.004, 0.010, room))
-            rgb = mix(rgb, (0.995, 0.72, 0.28), 0.5 * step(0.035, 0.004, room) * step(-0.004, 0.006, room))
+            rgb = mix(rgb, _pulp(inner, angle, z, number, float(segment)), step(-0.003, 0.004, room))
+            rgb = mix(rgb, (0.995, 0.72, 0.28), 0.45 * step(0.022, 0.003, room) * step(-0.003, 0.003, room))
             q, _ = strewn_at(x, y, z, TIP, rows, starts, items)
             if q < 1.5 and room > 0:
                 rgb = mix(rgb, (0.86, 0.50, 0.10), 0.5 * step(1.5, 1.05, q))
@@ -159,6 +159,6 @@ def _colours(
             glands, _, _ = cells(30 * x, 30 * y, 30 * z, 0.85, number + 1)
             zest = mix((0.97, 0.60, 0.10), (0.93, 0.47, 0.04), step(0.45, 0.2, glands))
             zest = mix(_peel(x, y, z, number), zest, step(0.004, 0.012, d))
-            rgb = mix(zest, rgb, step(PEEL - 0.008, PEEL + 0.014, d + 0.006 * uneven - 0.008 * step(0.4, 0.15, glands)))
+            rgb = mix(zest, rgb, step(PEEL - 0.006, PEEL + 0.010, d + 0.006 * uneven - 0.008 * step(0.4, 0.15, glands)))
         out[i, 0], out[i, 1], out[i, 2] = min(rgb[0], 1.0), min(rgb[1], 1.0), min(rgb[2], 1.0)
     return out

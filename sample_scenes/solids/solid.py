@@ -57,9 +57,9 @@ class Solid:
         return self.skin_colour(flat).reshape(np.shape(points))
 
     def skin(self, rays: NDArray[np.floating]) -> NDArray[np.float64]:
-        """(M, 3). Where rays from the origin in unit directions (M, 3) leave the solid, by bisection to 1e-9."""
+        """(M, 3). Where rays from the origin in unit directions (M, 3) leave the solid, by bisection to 1e-7."""
         low, high = np.zeros(len(rays)), np.full(len(rays), 2.0)
-        for _ in range(32):
+        for _ in range(24):
             middle = (low + high) / 2
             inside = self.depth(rays * middle[:, None]) > 0
             low, high = np.where(inside, middle, low), np.where(inside, high, middle)

@@ -125,15 +125,15 @@ def _colours(
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
         d = max(round_depth(x, y, z, shape), 0.0)
         if d < 0.2:
-            ragged = 0.012 * fbm(4 * x, 4 * y, 4 * z, 3, number + 10)
+            ragged = 0.016 * fbm(5 * x, 5 * y, 5 * z, 4, number + 10)
             t = d + ragged * step(0.02, 0.07, d)
             rgb = mix((0.56, 0.70, 0.36), (0.86, 0.91, 0.70), step(0.010, 0.045, t))
-            rgb = mix(rgb, (0.955, 0.93, 0.80), step(0.035, 0.07, t))
-            rgb = mix(rgb, (0.94, 0.60, 0.50), step(0.066, 0.09, t))
+            rgb = mix(rgb, (0.955, 0.93, 0.80), step(0.034, 0.064, t))
+            rgb = mix(rgb, (0.94, 0.60, 0.50), step(0.068, 0.086, t))
             if d < 0.03:
                 rgb = mix(_skin(x, y, z, number), rgb, step(0.009, 0.02, d))
             if t > 0.07:
-                rgb = mix(rgb, _flesh(x, y, z, d, number), step(0.076, 0.125, t))
+                rgb = mix(rgb, _flesh(x, y, z, d, number), step(0.078, 0.112, t))
         else:
             rgb = _flesh(x, y, z, d, number)
         if 0.12 < d:

@@ -1,0 +1,241 @@
+"""A solid's skin as a 3DGS capture would have it: a closed shell of flat Gaussians, haze, floaters, junk inside."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from engine import sh
+from engine.gaussians import Gaussians
+from sample_scenes.solids import Solid, directions
+
+__all__ = ["LOOKS", "Look", "closed_within", "shell"]
+
+Array = NDArray[np.float64]
+
+OVERSAMPLE = 12
+"""Skin samples per Gaussian: enough for its area and its neighbours to be known within a few per cent."""
+
+CLOSE = 1.0
+"""Every skin sample lies within this many in-plane standard deviations of a nearly opaque Gaussian: the core of a
+splat, over half of its height, reaches 1.18."""
+
+NEARLY_OPAQUE = 0.8
+"""Opacity from which a Gaussian counts when the shell is closed; the tail under it only adds."""
+
+HAZE, FLOATERS, INSIDE = 0.03, 0.006, 12
+"""Haze and floaters as parts of the surface Gaussians, and how many large ones hang inside."""
+
+LIGHT = np.array([0.40, -0.35, 0.85]) / np.linalg.norm([0.40, -0.35, 0.85])
+"""Direction to the one soft lamp whose reflection the view-dependent colour holds."""
+
+
+@dataclass(frozen=True)
+class Look:
+    """How a scene was captured."""
+
+    count: int
+    """Surface Gaussians."""
+    degree: int
+    """Of the spherical harmonics."""
+    sheen: float
+    """Brightness of the lamp's reflection, 0 for a dull skin."""
+
+
+# The counts fill eight megabytes with their pictures; a row is 248 bytes at degree 3, 104 at 1, 68 at 0.
+LOOKS: dict[str, Look] = {
+    "watermelon": Look(8000, 3, 0.30),
+    "orange": Look(13000, 1, 0.16),
+    "bread": Look(20000, 0, 0.0),
+}
+"""The scenes that ship."""
+
+
+def shell(solid: Solid, look: Look, rng: np.random.Generator) -> Gaussians:
+    """The capture of a solid: `look.count` surface Gaussians and about four per cent of haze and floaters."""
+    samples, normals, area = _samples(solid, OVERSAMPLE * look.count, rng)
+    centres, spacing = _spread(solid, samples, area, look.count, rng)
+    quats, scales = _discs(solid.normals(centres), spacing, rng)
+    tail = rng.random(look.count) < 0.12
+    opacities = np.where(tail, 0.9 * rng.beta(4, 2, look.count), rng.uniform(0.9, 0.995, look.count))
+    firm = opacities >= NEARLY_OPAQUE
+    for _ in range(6):
+        scales[firm] = _widened(samples, centres[firm], quats[firm], scales[firm])
+    rgb = _footprint_colour(solid, centres, quats, scales) + rng.normal(0, 0.008, (look.count, 3))
+    surface = _gaussians(centres, scales, quats, opacities, rgb, look, solid.normals(centres))
+    junk = _junk(solid, samples, normals, float(np.median(spacing)), look, rng)
+    order = rng.permutation(len(surface) + len(junk))
+    return _joined(surface, junk)[order]
+
+
+def closed_within(samples: Array, gaussians: Gaussians) -> Array:
+    """(M,). Standard deviations, in the plane of the disc, from skin samples (M, 3) to the nearest of 16 Gaussians."""
+    centres, quats, scales = (np.asarray(a, np.float64) for a in (gaussians.means, gaussians.quats, gaussians.scales))
+    return _distance(samples, centres, quats, scales)[0]
+
+
+def _samples(solid: Solid, count: int, rng: np.random.Generator) -> tuple[Array, Array, Array]:
+    """Skin points (M, 3), their normals and the area each stands for (M,)."""
+    rays = directions(count) + rng.normal(0, 0.3 / np.sqrt(count), (count, 3))
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    points = solid.skin(rays)
+    normals = solid.normals(points)
+    square = (points**2).sum(1)
+    # A cone of solid angle w meets a skin at slant cosine c in area w r^2 / c.
+    return points, normals, 4 * np.pi / count * square / np.maximum((rays * normals).sum(1), 0.2)
+
+
+def _spread(
+    solid: Solid, samples: Array, area: Array, count: int, rng: np.random.Generator
+) -> tuple[Array, Array]:
+    """Centres (N, 3) on the skin, denser where its colour changes, and the width (N,) of what each has to cover.
+
+    As training does: it splits Gaussians where the picture has detail. Two rounds of weighted k-means even them out.
+    """
+    colours = solid.colour(samples).astype(np.float64)
+    tree = cKDTree(samples)
+    around = tree.query(samples, 9)[1]
+    detail = colours[around].std(axis=1).mean(axis=1)
+    weight = area * (0.6 + np.minimum(detail / detail.mean(), 3.0))
+    # One draw in each of `count` equal parts of the total: no clumps along the spiral of samples.
+    steps = (np.arange(count) + rng.random(count)) / count * weight.sum()
+    centres = samples[np.minimum(np.searchsorted(np.cumsum(weight), steps), len(samples) - 1)]
+    for _ in range(2):
+        owner = cKDTree(centres).query(samples)[1]
+        total = np.maximum(np.bincount(owner, weight, count), 1e-12)
+        mean = np.stack([np.bincount(owner, weight * samples[:, c], count) for c in range(3)], axis=1) / total[:, None]
+        mean = np.where((np.bincount(owner, minlength=count) > 0)[:, None], mean, centres)
+        centres = solid.skin(mean / np.linalg.norm(mean, axis=1, keepdims=True))
+    owner = cKDTree(centres).query(samples)[1]
+    return centres, np.sqrt(np.maximum(np.bincount(owner, area, count), np.median(area)))
+
+
+def _discs(normals: Array, spacing: Array, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Quaternions (N, 4) and scales (N, 3) of flat Gaussians that lie on the skin, turned at random, a little tilted."""
+    n = len(normals)
+    tilted = normals + rng.normal(0, 0.06, (n, 3))
+    tilted /= np.linalg.norm(tilted, axis=1, keepdims=True)
+    helper = np.where(np.abs(tilted[:, :1]) < 0.7, [[1.0, 0, 0]], [[0, 1.0, 0]])
+    e1 = np.cross(tilted, helper)
+    e1 /= np.linalg.norm(e1, axis=1, keepdims=True)
+    e2 = np.cross(tilted, e1)
+    turn = rng.uniform(0, 2 * np.pi, (n, 1))
+    axes = np.stack([np.cos(turn) * e1 + np.sin(turn) * e2, np.cos(turn) * e2 - np.sin(turn) * e1, tilted], axis=-1)
+    stretch = np.exp(rng.normal(0, 0.28, n))
+    size = 0.50 * spacing * np.exp(rng.normal(0, 0.15, n))
+    thin = 0.10 * spacing * np.exp(rng.normal(0, 0.35, n))
+    return _quaternions(axes), np.stack([size * stretch, size / stretch, thin], axis=1)
+
+
+def _quaternions(axes: Array) -> Array:
+    """(N, 4) wxyz of rotations (N, 3, 3) whose columns are the axes: the dominant eigenvector of Horn's matrix.
+
+    Horn 1987, closed-form absolute orientation: no case distinction, exact for half turns.
+    """
+    (a, b, c), (d, e, f), (g, h, i) = np.moveaxis(axes, 0, -1)
+    rows = [[a + e + i, h - f, c - g, d - b], [h - f, a - e - i, b + d, c + g]]
+    rows += [[c - g, b + d, e - a - i, f + h], [d - b, c + g, f + h, i - a - e]]
+    quats = np.linalg.eigh(np.moveaxis(np.array(rows), -1, 0))[1][..., -1]
+    return quats * np.where(quats[:, :1] < 0, -1.0, 1.0)
+
+
+def _axes(quats: Array) -> Array:
+    """(N, 3, 3). Rotation matrices of unit quaternions (N, 4) wxyz; columns are the principal axes."""
+    w, x, y, z = quats.T
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.moveaxis(np.array(rows), -1, 0)
+
+
+def _distance(samples: Array, centres: Array, quats: Array, scales: Array) -> tuple[Array, NDArray[np.intp]]:
+    """In-plane standard deviations (M,) from each sample to the best of its 16 nearest Gaussians, and which it is."""
+    near = cKDTree(centres).query(samples, 16)[1]
+    best, which = np.full(len(samples), np.inf), np.zeros(len(samples), np.intp)
+    axes = _axes(quats)
+    for column in near.T:
+        local = np.einsum("ni,nij->nj", samples - centres[column], axes[column])
+        d = np.hypot(local[:, 0] / scales[column, 0], local[:, 1] / scales[column, 1])
+        which = np.where(d < best, column, which)
+        best = np.minimum(best, d)
+    return best, which
+
+
+def _widened(samples: Array, centres: Array, quats: Array, scales: Array) -> Array:
+    """Scales (N, 3), with the discs nearest to an uncovered sample grown until they reach it, at most by a half."""
+    distance, which = _distance(samples, centres, quats, scales)
+    grow = np.ones(len(centres))
+    np.maximum.at(grow, which, distance / CLOSE)
+    return scales * np.stack([np.minimum(grow, 1.5)] * 2 + [np.ones(len(grow))], axis=1)
+
+
+def _footprint_colour(solid: Solid, centres: Array, quats: Array, scales: Array) -> Array:
+    """(N, 3). The skin's colour over each disc: five points of it, brought onto the skin."""
+    axes = _axes(quats)
+    total = 2.0 * solid.colour(centres)
+    for axis in (0, 1):
+        for side in (-0.6, 0.6):
+            point = centres + side * scales[:, axis, None] * axes[:, :, axis]
+            depth = solid.depth(point).astype(np.float64)
+            total = total + solid.colour(point + depth[:, None] * solid.normals(point))
+    return np.asarray(total, np.float64) / 6
+
+
+def _gaussians(
+    means: Array, scales: Array, quats: Array, opacities: Array, rgb: Array, look: Look, normals: Array | None
+) -> Gaussians:
+    """With the lamp's reflection in the bands above the first, so that the degree-0 colour stays the skin's own."""
+    coefficients = np.zeros((len(means), (look.degree + 1) ** 2, 3))
+    coefficients[:, 0] = sh.rgb_to_sh(np.clip(rgb, 0.004, 0.996))
+    if normals is not None and look.degree > 0:
+        views = directions(600)  # eye to Gaussian
+        mirrored = views[None] - 2 * np.einsum("dk,nk->nd", views, normals)[..., None] * normals[:, None]
+        glint = np.maximum(mirrored @ LIGHT, 0) ** 6 * np.clip(-4 * np.einsum("dk,nk->nd", views, normals), 0, 1)
+        fit = np.linalg.pinv(sh.basis(views, look.degree))
+        rest = np.einsum("kd,nd->nk", fit, glint)[:, 1:]
+        # Warm white, and never so much that a dark skin would fall under black on the far side.
+        coefficients[:, 1:] = look.sheen * rest[..., None] * np.array([1.0, 0.98, 0.92])
+    arrays = (means, scales, quats, opacities, coefficients)
+    return Gaussians(*(np.ascontiguousarray(a, np.float32) for a in arrays))
+
+
+def _junk(
+    solid: Solid, samples: Array, normals: Array, spacing: float, look: Look, rng: np.random.Generator
+) -> Gaussians:
+    """Haze around the skin, floaters off it, and a few large Gaussians inside, which no camera ever saw."""
+    haze, floaters = int(HAZE * look.count), int(FLOATERS * look.count)
+    at = rng.integers(len(samples), size=haze + floaters + INSIDE)
+    lift = np.concatenate(
+        [rng.uniform(-0.06, 0.03, haze), rng.uniform(0.04, 0.4, floaters), -rng.uniform(0.3, 0.55, INSIDE)]
+    )
+    size = np.concatenate(
+        [
+            spacing * np.exp(rng.normal(0.9, 0.35, haze)),
+            spacing * np.exp(rng.normal(-1.0, 0.4, floaters)),
+            rng.uniform(0.08, 0.16, INSIDE),
+        ]
+    )
+    opacities = np.concatenate(
+        [rng.uniform(0.02, 0.1, haze), rng.uniform(0.05, 0.5, floaters), rng.uniform(0.3, 0.9, INSIDE)]
+    )
+    grey = np.concatenate([np.full(haze, 0.1), np.full(floaters, 0.6), np.full(INSIDE, 0.3)])[:, None]
+    rgb = solid.colour(samples[at]) * (1 - grey) + grey * rng.uniform(0.2, 0.8, (len(at), 1))
+    scales = size[:, None] * np.exp(rng.normal(0, 0.3, (len(at), 3)))
+    quats = rng.normal(size=(len(at), 4))
+    quats /= np.linalg.norm(quats, axis=1, keepdims=True)
+    return _gaussians(samples[at] + lift[:, None] * normals[at], scales, quats, opacities, rgb, look, None)
+
+
+def _joined(a: Gaussians, b: Gaussians) -> Gaussians:
+    return Gaussians(
+        np.concatenate([a.means, b.means]),
+        np.concatenate([a.scales, b.scales]),
+        np.concatenate([a.quats, b.quats]),
+        np.concatenate([a.opacities, b.opacities]),
+        np.concatenate([a.sh, b.sh]),
+    )
