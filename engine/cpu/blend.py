@@ -1,0 +1,197 @@
+"""The pixel loops: front-to-back compositing of the Gaussians of a tile, and its derivative, back to front.
+
+A tile is cut into blocks of two rows, 16 pixels: as many as the widest vector registers hold, so that the compiler
+turns the loop over a block into straight vector code (it has no branch and a length known when compiling), and few
+enough that a small splat skips the blocks above and below it.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from llvmlite import ir
+from numba import njit, types
+from numba.extending import intrinsic, overload
+
+from engine.cpu.tiles import SIDE, SLACK, TAIL_BITS
+
+__all__ = ["BLOCK", "BLOCKS", "MAX_ALPHA", "MIN_TRANSMITTANCE", "STATE", "blend", "blend_backward"]
+
+BLOCK = 2 * SIDE
+"""Pixels in a block."""
+
+BLOCKS = SIDE // 2
+"""Blocks in a tile."""
+
+MAX_ALPHA = float(np.float32(0.99))
+"""No Gaussian covers more: its derivative, which divides by 1 - alpha, stays finite. Exactly the float32 number in all
+precisions: two such layers leave (1 - 0.99)^2, a hair under MIN_TRANSMITTANCE, and all must agree that this is the end."""
+
+MIN_TRANSMITTANCE = 1e-4
+"""A layer that would leave less light than this is not drawn and ends the pixel, as in INRIA's renderer."""
+
+STATE = 6
+"""Numbers per pixel that go from slice to slice, each in a run of BLOCK: 0 transmittance while the pixel is open, then
+0; 1 transmittance; 2 3 4 colour; 5 depth times weight."""
+
+CHECK = 16
+"""Pairs between two looks at whether the tile has become opaque."""
+
+ROUND = 12582912.0  # 1.5 * 2^23: adding it to a float32 leaves the nearest whole number in the lowest bits
+
+
+@intrinsic
+def _float_bits(typingctx, x):  # type: ignore[no-untyped-def]
+    """The bits of a float32 as int32."""
+
+    def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+        return builder.bitcast(args[0], ir.IntType(32))
+
+    return types.int32(types.float32), codegen
+
+
+@intrinsic
+def _bits_float(typingctx, x):  # type: ignore[no-untyped-def]
+    """The float32 of these bits."""
+
+    def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+        return builder.bitcast(args[0], ir.FloatType())
+
+    return types.float32(types.int32), codegen
+
+
+def exp2(x):  # type: ignore[no-untyped-def]
+    """2^x for -100 < x < 100. In float32 a polynomial, because the library's is a call and stops vectorisation."""
+    return 2.0**x
+
+
+@overload(exp2)
+def _exp2(x):  # type: ignore[no-untyped-def]
+    if x is not types.float32:
+        return lambda x: math.exp(x * 0.6931471805599453)
+
+    def exp2_float32(x):  # type: ignore[no-untyped-def]
+        shifted = x + np.float32(ROUND)
+        r = x - (shifted - np.float32(ROUND))  # -0.5 .. 0.5
+        y = np.float32(1.5353362e-4)
+        y = y * r + np.float32(1.3398874e-3)
+        y = y * r + np.float32(9.6184373e-3)
+        y = y * r + np.float32(5.5503324e-2)
+        y = y * r + np.float32(2.4022648e-1)
+        y = y * r + np.float32(6.9314720e-1)
+        y = y * r + np.float32(1.0)
+        return _bits_float(_float_bits(y) + (_float_bits(shifted) << np.int32(23)))
+
+    return exp2_float32
+
+
+@njit(cache=True, error_model="numpy")
+def _block_rows(v, reach):  # type: ignore[no-untyped-def]
+    """(first, one past last) block of a tile with a pixel centre within reach of v, both counted from the tile's top."""
+    low = max(v - reach * (1.0 + 1e-5) - (0.5 + SLACK), 0.0)
+    high = min(v + reach * (1.0 + 1e-5) - (0.5 - SLACK), SIDE - 1.0)
+    if not low <= high:
+        return 0, 0
+    return int(math.ceil(low)) // 2, int(high) // 2 + 1
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def blend(  # type: ignore[no-untyped-def]
+    task,
+    tiles_per_task,
+    tiles,  # [T] tiles that have pairs
+    tile_starts,  # [all tiles + 1]
+    pair_slots,  # [pairs]
+    records,  # [V, RECORD]
+    states,  # in out [all tiles, BLOCKS, STATE * BLOCK]
+    lasts,  # in out [all tiles, BLOCKS, BLOCK] place of the last record drawn
+    open_tiles,  # in out [tiles_y, tiles_x]
+):
+    """Goes on compositing the tiles of one task with the pairs of a slice; closes tiles that have become opaque."""
+    number = states.dtype.type
+    zero, half, one = number(0), number(0.5), number(1)
+    least, most, dark = number(-TAIL_BITS), number(MAX_ALPHA), number(MIN_TRANSMITTANCE)
+    tiles_x = open_tiles.shape[1]
+    for index in range(task * tiles_per_task, min((task + 1) * tiles_per_task, len(tiles))):
+        tile = tiles[index]
+        ty = tile // tiles_x
+        tx = tile - ty * tiles_x
+        left, top = number(tx * SIDE), number(ty * SIDE)
+        at = tile_starts[tile]
+        end = tile_starts[tile + 1]
+        while at < end:
+            batch = min(at + CHECK, end)
+            while at < batch:
+                slot = pair_slots[at]
+                at += 1
+                q = records[slot]
+                u, v = (q[0] - left) + q[1], (q[2] - top) + q[3]
+                a, b, c, light = q[4], q[5], q[6], q[7]
+                red, green, blue, depth = q[8], q[9], q[10], q[11]
+                first, last = _block_rows(v, q[13])
+                for block in range(first, last):
+                    s = states[tile, block]
+                    last_drawn = lasts[tile, block]
+                    y = number(2 * block) + half - v
+                    for i in range(BLOCK):
+                        dx = number(i & (SIDE - 1)) + half - u
+                        m = a * dx
+                        n = b * dx + c * (y + number(i // SIDE))
+                        power = light - (m * m + n * n)
+                        alpha = min(exp2(power), most)
+                        alpha = alpha if power >= least else zero
+                        before = s[i]
+                        after = before * (one - alpha)
+                        going = after >= dark
+                        w = alpha * before if going else zero
+                        s[i] = after if going else zero
+                        s[BLOCK + i] = after if going else s[BLOCK + i]
+                        s[2 * BLOCK + i] += w * red
+                        s[3 * BLOCK + i] += w * green
+                        s[4 * BLOCK + i] += w * blue
+                        s[5 * BLOCK + i] += w * depth
+                        last_drawn[i] = slot if w > zero else last_drawn[i]
+            still_open = 0
+            for block in range(BLOCKS):
+                for i in range(BLOCK):
+                    still_open += states[tile, block, i] > zero
+            if still_open == 0:
+                open_tiles[ty, tx] = 0
+                break
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def start(ty, states, lasts, width, height):  # type: ignore[no-untyped-def]
+    """Empty pixels for one row of tiles; those outside of the picture count as finished."""
+    number = states.dtype.type
+    tiles_x = (width + SIDE - 1) // SIDE
+    for tx in range(tiles_x):
+        tile = ty * tiles_x + tx
+        for block in range(BLOCKS):
+            s = states[tile, block]
+            s[:] = number(0)
+            for i in range(BLOCK):
+                x = tx * SIDE + i % SIDE
+                y = ty * SIDE + 2 * block + i // SIDE
+                s[i] = number(x < width and y < height)
+                s[BLOCK + i] = number(1)
+                lasts[tile, block, i] = -1
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def resolve(ty, states, background, rgb, alpha, depth):  # type: ignore[no-untyped-def]
+    """Writes one row of tiles to the picture: rgb (H, W, 3) over the background (3,), alpha (H, W), depth (H, W)."""
+    height, width = alpha.shape
+    tiles_x = (width + SIDE - 1) // SIDE
+    one = states.dtype.type(1)
+    for y in range(ty * SIDE, min((ty + 1) * SIDE, height)):
+        for x in range(width):
+            s = states[ty * tiles_x + x // SIDE, (y % SIDE) // 2]
+            i = (y % 2) * SIDE + x % SIDE
+            left = s[BLOCK + i]
+            rgb[y, x, 0] = s[2 * BLOCK + i] + left * background[0]
+            rgb[y, x, 1] = s[3 * BLOCK + i] + left * background[1]
+            rgb[y, x, 2] = s[4 * BLOCK + i] + left * background[2]
+            alpha[y, x] = one - left
+            depth[y, x] = s[5 * BLOCK + i]

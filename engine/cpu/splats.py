@@ -1,0 +1,321 @@
+"""From Gaussians to records that the pixel loops read, and from their gradients back."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from engine.cpu.tiles import SIDE, TAIL_BITS, row_span, tile_rows
+from engine.formula import LOW_PASS
+from engine.projection import (
+    camera_point,
+    camera_point_backward,
+    half_axes,
+    half_axes_backward,
+    jacobian,
+    jacobian_backward,
+    project_point,
+    project_point_backward,
+    screen_axes,
+    screen_axes_backward,
+    screen_covariance,
+    screen_covariance_backward,
+)
+from engine.sh import C0, C1, C2, C3
+
+__all__ = ["GRADIENT", "RECORD", "project", "project_backward"]
+
+RECORD = 16
+"""Numbers in a record, 64 bytes in float32: one cache line. 0 1 whole and broken part of u, 2 3 of v; 4 5 6 whitening
+and 7 logarithm of the opacity, so that alpha = 2^(r7 - m^2 - n^2) with m = r4 dx, n = r5 dx + r6 dy: squares lose no
+digits on long needles, as a dx^2 + 2 b dx dy + c dy^2 does; 8 9 10 colour, 11 depth; 12 13 half width and height of the
+box outside which alpha is under 1/255, pixels. Two spare."""
+
+GRADIENT = 10
+"""Sums over pixels that a (tile, Gaussian) pair hands back, with p = dL/dalpha * alpha and w the pixel's weight:
+p, p m, p n, p m^2, p m n, p n^2 (m, n as in a record), then w times the picture's gradient in r, g, b and depth."""
+
+LOG2_E = 1.0 / math.log(2.0)
+ROOT_HALF_LOG2_E = math.sqrt(0.5 * LOG2_E)
+TWO_LN2 = 2.0 * math.log(2.0)
+
+
+@njit(cache=True, error_model="numpy")
+def _direction(cam, eye, x, y, z):  # type: ignore[no-untyped-def]
+    """(unit direction eye to Gaussian, distance); an orthographic camera looks forward everywhere, distance 0."""
+    if cam[20] != 0.0:
+        return cam[6], cam[7], cam[8], 0.0
+    dx, dy, dz = x - eye[0], y - eye[1], z - eye[2]
+    length = math.sqrt(dx * dx + dy * dy + dz * dz)
+    return dx / length, dy / length, dz / length, length
+
+
+@njit(cache=True, error_model="numpy")
+def _sh_basis(x, y, z, bands, out):  # type: ignore[no-untyped-def]
+    """`engine.sh.basis` of one direction into out (16,)."""
+    out[0] = C0
+    if bands > 1:
+        out[1], out[2], out[3] = -C1 * y, C1 * z, -C1 * x
+    if bands > 4:
+        xx, yy, zz = x * x, y * y, z * z
+        out[4], out[5], out[6] = C2[0] * x * y, C2[1] * y * z, C2[2] * (2.0 * zz - xx - yy)
+        out[7], out[8] = C2[3] * x * z, C2[4] * (xx - yy)
+        if bands > 9:
+            out[9], out[10], out[11] = C3[0] * y * (3.0 * xx - yy), C3[1] * x * y * z, C3[2] * y * (4.0 * zz - xx - yy)
+            out[12], out[13] = C3[3] * z * (2.0 * zz - 3.0 * xx - 3.0 * yy), C3[4] * x * (4.0 * zz - xx - yy)
+            out[14], out[15] = C3[5] * z * (xx - yy), C3[6] * x * (xx - 3.0 * yy)
+
+
+@njit(cache=True, error_model="numpy")
+def _sh_direction_gradient(x, y, z, bands, g):  # type: ignore[no-untyped-def]
+    """dL/d(x, y, z) of `_sh_basis`, given dL/d(basis) g (16,)."""
+    gx = -C1 * g[3]
+    gy = -C1 * g[1]
+    gz = C1 * g[2]
+    if bands > 4:
+        gx += C2[0] * y * g[4] - 2.0 * C2[2] * x * g[6] + C2[3] * z * g[7] + 2.0 * C2[4] * x * g[8]
+        gy += C2[0] * x * g[4] + C2[1] * z * g[5] - 2.0 * C2[2] * y * g[6] - 2.0 * C2[4] * y * g[8]
+        gz += C2[1] * y * g[5] + 4.0 * C2[2] * z * g[6] + C2[3] * x * g[7]
+    if bands > 9:
+        xx, yy, zz = x * x, y * y, z * z
+        gx += (
+            C3[0] * 6.0 * x * y * g[9]
+            + C3[1] * y * z * g[10]
+            - C3[2] * 2.0 * x * y * g[11]
+            - C3[3] * 6.0 * x * z * g[12]
+            + C3[4] * (4.0 * zz - 3.0 * xx - yy) * g[13]
+            + C3[5] * 2.0 * x * z * g[14]
+            + C3[6] * 3.0 * (xx - yy) * g[15]
+        )
+        gy += (
+            C3[0] * 3.0 * (xx - yy) * g[9]
+            + C3[1] * x * z * g[10]
+            + C3[2] * (4.0 * zz - xx - 3.0 * yy) * g[11]
+            - C3[3] * 6.0 * y * z * g[12]
+            - C3[4] * 2.0 * x * y * g[13]
+            - C3[5] * 2.0 * y * z * g[14]
+            - C3[6] * 6.0 * x * y * g[15]
+        )
+        gz += (
+            C3[1] * x * y * g[10]
+            + C3[2] * 8.0 * y * z * g[11]
+            + C3[3] * (6.0 * zz - 3.0 * xx - 3.0 * yy) * g[12]
+            + C3[4] * 8.0 * x * z * g[13]
+            + C3[5] * (xx - yy) * g[14]
+        )
+    return gx, gy, gz
+
+
+@njit(cache=True, error_model="numpy")
+def _may_touch(cam, camera_x, camera_y, z, u, v, scale, open_sums):  # type: ignore[no-untyped-def]
+    """Whether an open tile lies in a box that surely holds the Gaussian: its largest scale in all directions."""
+    tiles_y, tiles_x = open_sums.shape[0] - 1, open_sums.shape[1] - 1
+    j00, j02, j11, j12 = jacobian(cam, camera_x, camera_y, z)
+    ss = scale * scale
+    reach_x = REACH * math.sqrt(ss * (j00 * j00 + j02 * j02) + LOW_PASS) + 1.0
+    reach_y = REACH * math.sqrt(ss * (j11 * j11 + j12 * j12) + LOW_PASS) + 1.0
+    x0 = int(min(max((u - reach_x) / SIDE, 0.0), tiles_x))
+    x1 = int(min(max((u + reach_x) / SIDE + 1.0, 0.0), tiles_x))
+    y0 = int(min(max((v - reach_y) / SIDE, 0.0), tiles_y))
+    y1 = int(min(max((v + reach_y) / SIDE + 1.0, 0.0), tiles_y))
+    return open_sums[y1, x1] - open_sums[y0, x1] - open_sums[y1, x0] + open_sums[y0, x0] > 0
+
+
+REACH = math.sqrt(2.0 * math.log(255.0)) * 1.001
+"""Standard deviations beyond which an opaque Gaussian is under 1/255, and a little."""
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def project(  # type: ignore[no-untyped-def]
+    chunk,
+    chunk_size,
+    order,  # [V] the Gaussians, nearest first
+    first,  # of this slice of the order,
+    last,  # one past its last
+    cam,
+    eye,  # [3]
+    means,  # [N, 3]
+    scales,  # [N, 3]
+    quats,  # [N, 4]
+    opacities,  # [N]
+    colours,  # [N, K, 3]
+    plain,  # colours are RGB (K = 1), not SH
+    open_tiles,  # [tiles_y, tiles_x] uint8
+    open_sums,  # [tiles_y + 1, tiles_x + 1] summed-area table of open_tiles
+    records,  # out [V, RECORD]
+    owners,  # out [V] index of the Gaussian
+    pair_counts,  # out [V] tiles of each record
+    record_counts,  # out [chunks of this slice]
+    tile_counts,  # out [chunks of this slice, tiles]
+):
+    """Writes the records of one chunk of a slice, packed from the chunk's first place on, and counts their tiles.
+
+    A record's place grows with depth: comparing places compares depths.
+    """
+    start = first + chunk * chunk_size
+    stop = min(start + chunk_size, last)
+    tiles_y, tiles_x = open_tiles.shape
+    bands = colours.shape[1]
+    basis = np.empty(16, np.float64)
+    counts = tile_counts[chunk]
+    counts[:] = 0
+    slot = start
+    for k in range(start, stop):
+        i = order[k]
+        px, py, pz = np.float64(means[i, 0]), np.float64(means[i, 1]), np.float64(means[i, 2])
+        x, y, z = camera_point(cam, px, py, pz)
+        u, v = project_point(cam, x, y, z)
+        sx, sy, sz = np.float64(scales[i, 0]), np.float64(scales[i, 1]), np.float64(scales[i, 2])
+        if not _may_touch(cam, x, y, z, u, v, max(sx, sy, sz), open_sums):
+            continue
+        opacity = np.float64(opacities[i])
+        if not opacity * 255.0 >= 1.0:
+            continue
+        axes = half_axes(
+            cam,
+            np.float64(quats[i, 0]),
+            np.float64(quats[i, 1]),
+            np.float64(quats[i, 2]),
+            np.float64(quats[i, 3]),
+            sx,
+            sy,
+            sz,
+        )
+        xx, xy, yy, det, _ = screen_covariance(screen_axes(jacobian(cam, x, y, z), axes), LOW_PASS)
+        if not (det > 0.0 and det < 1e60 and abs(u) + abs(v) < 1e15):
+            continue  # not a number, or past all measure
+        log_opacity = math.log2(opacity)
+        reach = 2.0 * (log_opacity + TAIL_BITS) / LOG2_E  # squared, in standard deviations
+        record = records[slot]
+        record[0] = math.floor(u)
+        record[1] = u - math.floor(u)
+        record[2] = math.floor(v)
+        record[3] = v - math.floor(v)
+        record[4] = ROOT_HALF_LOG2_E / math.sqrt(xx)
+        record[5] = -ROOT_HALF_LOG2_E * xy / math.sqrt(xx * det)
+        record[6] = ROOT_HALF_LOG2_E * math.sqrt(xx / det)
+        record[7] = log_opacity
+        record[11] = z
+        record[12] = math.sqrt(reach * xx)
+        record[13] = math.sqrt(reach * yy)
+        pairs = 0
+        y0, y1 = tile_rows(record, tiles_y)
+        for ty in range(y0, y1):
+            x0, x1 = row_span(record, ty, tiles_x)
+            for tx in range(x0, x1):
+                if open_tiles[ty, tx]:
+                    counts[ty * tiles_x + tx] += 1
+                    pairs += 1
+        if pairs == 0:
+            continue
+        if plain:
+            record[8], record[9], record[10] = colours[i, 0, 0], colours[i, 0, 1], colours[i, 0, 2]
+        else:
+            dx, dy, dz, _ = _direction(cam, eye, px, py, pz)
+            _sh_basis(dx, dy, dz, bands, basis)
+            for channel in range(3):
+                value = 0.5
+                for band in range(bands):
+                    value += basis[band] * colours[i, band, channel]
+                record[8 + channel] = max(value, 0.0)
+        owners[slot] = i
+        pair_counts[slot] = pairs
+        slot += 1
+    record_counts[chunk] = slot - start
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def project_backward(  # type: ignore[no-untyped-def]
+    chunk,
+    chunk_size,
+    first,
+    record_counts,  # [chunks of this slice]
+    cam,
+    eye,
+    means,
+    scales,
+    quats,
+    opacities,
+    colours,
+    plain,
+    owners,
+    pair_counts,
+    first_rows,  # [chunks of this slice] where the chunk's gradient rows begin
+    rows,  # [pairs of this slice, GRADIENT]
+    g_means,  # out, like the parameters
+    g_scales,
+    g_quats,
+    g_opacities,
+    g_colours,
+):
+    """Adds up the rows of each record of a chunk, in tile order, and takes the sums back to the parameters."""
+    start = first + chunk * chunk_size
+    bands = colours.shape[1]
+    basis = np.empty(16, np.float64)
+    g_basis = np.empty(16, np.float64)
+    sums = np.empty(GRADIENT, np.float64)
+    row = first_rows[chunk]
+    for slot in range(start, start + record_counts[chunk]):
+        sums[:] = 0.0
+        for _ in range(pair_counts[slot]):
+            for column in range(GRADIENT):
+                sums[column] += rows[row, column]
+            row += 1
+        i = owners[slot]
+        px, py, pz = np.float64(means[i, 0]), np.float64(means[i, 1]), np.float64(means[i, 2])
+        qw, qx, qy, qz = (
+            np.float64(quats[i, 0]),
+            np.float64(quats[i, 1]),
+            np.float64(quats[i, 2]),
+            np.float64(quats[i, 3]),
+        )
+        sx, sy, sz = np.float64(scales[i, 0]), np.float64(scales[i, 1]), np.float64(scales[i, 2])
+        x, y, z = camera_point(cam, px, py, pz)
+        affine = jacobian(cam, x, y, z)
+        axes = half_axes(cam, qw, qx, qy, qz, sx, sy, sz)
+        screen = screen_axes(affine, axes)
+        xx, xy, _, det, _ = screen_covariance(screen, LOW_PASS)
+        a = ROOT_HALF_LOG2_E / math.sqrt(xx)
+        b = -ROOT_HALF_LOG2_E * xy / math.sqrt(xx * det)
+        c = ROOT_HALF_LOG2_E * math.sqrt(xx / det)
+
+        g_opacities[i] = sums[0] / opacities[i]
+        # With the whitening W = [[a, 0], [b, c]] and the inverse covariance 2 ln2 W^T W: dL/d(mean) = 2 ln2 W^T (p m, p n)
+        # and dL/dC = 2 ln2^2 W^T (p m^2, p m n; p m n, p n^2) W.
+        gu = TWO_LN2 * (a * sums[1] + b * sums[2])
+        gv = TWO_LN2 * c * sums[2]
+        h0, h1 = sums[3] * a + sums[4] * b, sums[4] * a + sums[5] * b
+        gxx = 0.5 * TWO_LN2 * TWO_LN2 * (a * h0 + b * h1)
+        gxy = TWO_LN2 * TWO_LN2 * c * h1
+        gyy = 0.5 * TWO_LN2 * TWO_LN2 * c * c * sums[5]
+        g_affine, g_axes = screen_axes_backward(affine, axes, screen_covariance_backward(screen, gxx, gxy, gyy))
+        g_quat, g_scale = half_axes_backward(cam, qw, qx, qy, qz, sx, sy, sz, g_axes)
+        g1 = jacobian_backward(cam, x, y, z, g_affine[0], g_affine[1], g_affine[2], g_affine[3])
+        g2 = project_point_backward(cam, x, y, z, gu, gv)
+        gx, gy, gz = camera_point_backward(cam, g1[0] + g2[0], g1[1] + g2[1], g1[2] + g2[2] + sums[9])
+        if plain:
+            for channel in range(3):
+                g_colours[i, 0, channel] = sums[6 + channel]
+        else:
+            dx, dy, dz, length = _direction(cam, eye, px, py, pz)
+            _sh_basis(dx, dy, dz, bands, basis)
+            g_basis[:] = 0.0
+            for channel in range(3):
+                value = 0.5
+                for band in range(bands):
+                    value += basis[band] * colours[i, band, channel]
+                if value > 0.0:  # a colour that is held at 0 hands nothing back
+                    for band in range(bands):
+                        g_colours[i, band, channel] = basis[band] * sums[6 + channel]
+                        g_basis[band] += colours[i, band, channel] * sums[6 + channel]
+            if bands > 1 and length > 0.0:
+                hx, hy, hz = _sh_direction_gradient(dx, dy, dz, bands, g_basis)
+                along = hx * dx + hy * dy + hz * dz
+                gx += (hx - along * dx) / length
+                gy += (hy - along * dy) / length
+                gz += (hz - along * dz) / length
+        g_means[i, 0], g_means[i, 1], g_means[i, 2] = gx, gy, gz
+        g_scales[i, 0], g_scales[i, 1], g_scales[i, 2] = g_scale
+        g_quats[i, 0], g_quats[i, 1], g_quats[i, 2], g_quats[i, 3] = g_quat
