@@ -1,0 +1,85 @@
+"""Cut faces: where the rays of a picture enter a convex piece through one of its planes, and how solid it is there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+
+from engine.formula import EDGE_SLOPE, SOLID_DENSITY
+
+__all__ = ["Hits", "coverage", "enter", "shade"]
+
+AMBIENT = 0.85
+"""Light on a face seen edge-on, as a share of straight on: enough to read the slant, too little to hide colours."""
+
+
+@dataclass(frozen=True)
+class Hits:
+    """The pixels whose ray enters the piece through a plane, K of them."""
+
+    pixels: NDArray[np.intp]
+    """(K,). Flat indices into the picture, ascending."""
+    points: NDArray[np.float64]
+    """(K, 3). Where, in the piece's own space."""
+    depth: NDArray[np.float32]
+    """(K,). World units along the camera's axis."""
+    footprint: NDArray[np.float32]
+    """(K,). Size of a pixel there, world units."""
+    facing: NDArray[np.float32]
+    """(K,). Cosine between the plane's normal and the way back to the eye. Range (0, 1]."""
+
+
+def enter(cam: NDArray[np.float64], planes: NDArray[np.float64]) -> Hits:
+    """Rays of a packed camera into the piece that camera-space planes (P, 4) bound.
+
+    Of the planes whose outside the ray comes from, the last one it passes is where it enters, if that lies before the
+    eye and within all other planes.
+    """
+    width, height = int(cam[22]), int(cam[23])
+    depth, facing = np.empty((height, width)), np.empty((height, width), np.float32)
+    _enter(cam, planes, depth, facing)
+    pixels = np.flatnonzero(np.isfinite(depth))
+    z = depth.reshape(-1)[pixels]
+    x = (pixels % width + 0.5 - cam[14]) / cam[12]
+    y = (pixels // width + 0.5 - cam[15]) / cam[13]
+    perspective = np.ones_like(z) if cam[20] else z
+    seen = np.stack([x * perspective, y * perspective, z], 1) - cam[9:12]
+    footprint = (perspective / np.sqrt(cam[12] * cam[13])).astype(np.float32)
+    return Hits(pixels, seen @ cam[:9].reshape(3, 3), z.astype(np.float32), footprint, facing.reshape(-1)[pixels])
+
+
+def coverage(density: NDArray[np.floating], footprint: NDArray[np.floating], pitch: float) -> NDArray[np.floating]:
+    """How much of a pixel (K,) is solid: an edge at the density of solids, one pixel wide however near the eye."""
+    edge = np.maximum(1, pitch / 2 / (EDGE_SLOPE * footprint)) / (2 * SOLID_DENSITY)
+    return np.clip(0.5 + (density - SOLID_DENSITY) * edge, 0, 1)
+
+
+def shade(hits: Hits) -> NDArray[np.float32]:
+    """(K,). Factor of a lamp at the eye."""
+    return AMBIENT + np.float32(1 - AMBIENT) * hits.facing
+
+
+@njit(cache=True, parallel=True, error_model="numpy")
+def _enter(cam, planes, depth, facing):  # type: ignore[no-untyped-def]
+    """Fills depth (H, W) of the entry, inf where there is none, and the cosine (H, W) at which the plane is met."""
+    orthographic = cam[20] != 0.0
+    for row in prange(depth.shape[0]):
+        for column in range(depth.shape[1]):
+            x, y = (column + 0.5 - cam[14]) / cam[12], (row + 0.5 - cam[15]) / cam[13]
+            entry, through, steep = -np.inf, -1, 0.0
+            for p in range(len(planes)):
+                a, b, c, d = planes[p, 0], planes[p, 1], planes[p, 2], planes[p, 3]
+                base, along = (a * x + b * y + d, c) if orthographic else (d, a * x + b * y + c)
+                if along < 0.0 and -base / along > entry:
+                    entry, through, steep = -base / along, p, -along
+            found = through >= 0 and entry > cam[21] and entry < np.inf
+            for p in range(len(planes)):
+                a, b, c, d = planes[p, 0], planes[p, 1], planes[p, 2], planes[p, 3]
+                base, along = (a * x + b * y + d, c) if orthographic else (d, a * x + b * y + c)
+                if p != through and base + entry * along > 0.0:
+                    found = False
+            depth[row, column] = entry if found else np.inf
+            facing[row, column] = steep / (1.0 if orthographic else np.sqrt(x * x + y * y + 1.0))
