@@ -1,0 +1,76 @@
+"""The exact Euclidean distance transform of a grid, in parallel (Felzenszwalb and Huttenlocher 2012)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+
+__all__ = ["nearest"]
+
+FAR = np.float32(1e12)
+"""Squared distance to a cell that does not exist: above any grid's, and its sums still differ in float32."""
+
+
+def nearest(mask: NDArray[np.bool_]) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+    """Distance in cells to the nearest true cell's centre, and that cell's flat index; both in the mask's shape.
+
+    The distance is infinite and the index -1 everywhere if no cell is true.
+    """
+    assert mask.ndim == 3 and mask.size < 2**31, mask.shape
+    squared = np.where(mask, np.float32(0), FAR)
+    index = np.where(mask, np.arange(mask.size, dtype=np.int32).reshape(mask.shape), np.int32(-1))
+    for axis in range(3):
+        # Each pass works on lines of the last axis, so the memory it walks through is contiguous.
+        lines = np.ascontiguousarray(np.moveaxis(squared, axis, 2))
+        owners = np.ascontiguousarray(np.moveaxis(index, axis, 2))
+        _envelopes(lines.reshape(-1, lines.shape[2]), owners.reshape(-1, lines.shape[2]))
+        squared, index = np.moveaxis(lines, 2, axis), np.moveaxis(owners, 2, axis)
+    distance = np.sqrt(np.ascontiguousarray(squared))
+    distance[distance > np.float32(1e5)] = np.inf
+    return distance, np.ascontiguousarray(index)
+
+
+@njit(cache=True, parallel=True)
+def _envelopes(
+    lines: NDArray[np.float32],  # [L, N] squared distances, replaced
+    owners: NDArray[np.int32],  # [L, N] flat indices, replaced
+) -> None:
+    """Replaces each line by the lower envelope of the parabolas that stand on its samples."""
+    count, n = lines.shape
+    block = 64
+    for b in prange((count + block - 1) // block):
+        apex = np.empty(n, np.int32)
+        start = np.empty(n + 1, np.float64)
+        value = np.empty(n, np.float32)
+        owner = np.empty(n, np.int32)
+        for line in range(b * block, min((b + 1) * block, count)):
+            top = -1
+            for q in range(n):
+                f = np.float64(lines[line, q])
+                if owners[line, q] < 0:
+                    continue
+                cut = -np.inf
+                while top >= 0:
+                    v = apex[top]
+                    cut = (f + q * q - (np.float64(lines[line, v]) + v * v)) / (2.0 * (q - v))
+                    if cut > start[top]:
+                        break
+                    top -= 1
+                if top < 0:
+                    cut = -np.inf
+                top += 1
+                apex[top] = q
+                start[top] = cut
+            if top < 0:
+                continue
+            start[top + 1] = np.inf
+            k = 0
+            for q in range(n):
+                while start[k + 1] < q:
+                    k += 1
+                v = apex[k]
+                value[q] = lines[line, v] + np.float32((q - v) * (q - v))
+                owner[q] = owners[line, v]
+            lines[line, :] = value
+            owners[line, :] = owner

@@ -1,0 +1,182 @@
+"""Which cells of a grid a shell encloses, where the shell may have holes.
+
+Three rules, each for what the one before cannot decide (DESIGN, section 4, item 3):
+
+1. Flood. What cannot be reached from outside without crossing a wall is inside, whatever else is in there.
+2. Rays. A hollow that is only open through a hole is found by a ball that is too big for the hole. It is inside if its
+   cells meet walls along at least five of the six axes (the paper's rule), mostly an odd number of sheets:
+   the hollow of a cup, whose wall has an outer and an inner sheet, counts two on every side.
+3. Caps. A hole is closed where the shell around it fills half of the sky. For a plane rim that is the flat disc.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+from scipy import fft, ndimage
+
+from engine.distance import nearest
+
+__all__ = ["enclosed", "flood"]
+
+Mask = NDArray[np.bool_]
+
+RADII = (1.5, 3.0, 6.0, 12.0, 24.0)
+"""Cells. Balls that close holes: each step doubles the hole, the last reaches a fifth of a body of 128 cells."""
+
+AXES_HIT = 5
+"""Of the six axes: one may leave through the hole."""
+
+ODD_SHARE = 0.4
+"""Share of the axes with an odd count from which a hollow counts as inside. A single sheet gives 1, a wall of two
+sheets 0, and debris in the hollow pulls either towards 1/2."""
+
+MOUTH = 0.4
+"""Of a hollow's border: the most that may be opening. Half a sphere has 1/3."""
+
+SMALL = 1000
+SMALL_MOUTH = 0.19
+"""Cells. Under that size a pocket may as well be a crease of the skin, where rays graze the wall: a triangular groove
+opens with 1/4 or more of its border, a leak with less."""
+
+
+def flood(wall: Mask) -> Mask:
+    """Cells that a path of face neighbours joins to the outside of the grid without entering the wall."""
+    regions, _ = ndimage.label(np.pad(~wall, 1, constant_values=True))
+    return (regions == regions[0, 0, 0])[1:-1, 1:-1, 1:-1]
+
+
+def enclosed(wall: Mask) -> tuple[Mask, float]:
+    """Cells (X, Y, Z) that are not outside, the walls included, and the area of the caps in cell faces."""
+    inside = ~flood(wall)
+    hollow = np.zeros_like(wall)
+    margin = int(max(RADII)) + 2
+    padded = np.pad(wall, margin)
+    inner = (slice(margin, -margin),) * 3
+    clearance, _ = nearest(padded)
+    for radius in RADII:
+        centres = flood(clearance <= radius)
+        reached = nearest(centres)[0][inner] <= radius
+        pockets, count = ndimage.label(~reached & ~inside)
+        if not count:
+            continue
+        hollow |= _voted(pockets, count, wall, inside, radius)
+        inside |= hollow
+    if not hollow.any():
+        return inside, 0.0
+    return _capped(wall, inside, hollow)
+
+
+def _voted(pockets: NDArray[np.int32], count: int, wall: Mask, inside: Mask, radius: float) -> Mask:
+    """The cells of those pockets that the rays hold to be inside."""
+    hits, odd = _rays(wall, inside & ~wall)
+    sizes = np.bincount(pockets.ravel(), minlength=count + 1)
+    votes = np.bincount(pockets.ravel(), (hits >= AXES_HIT).ravel(), count + 1) / np.maximum(sizes, 1)
+    shares = np.bincount(pockets.ravel(), (odd / np.maximum(hits, 1)).ravel(), count + 1) / np.maximum(sizes, 1)
+    mouths = _mouths(pockets, wall | inside)
+    good = (votes >= 0.5) & (shares >= ODD_SHARE) & (mouths <= np.where(sizes < SMALL, SMALL_MOUTH, MOUTH))
+    good &= sizes >= 0.5 * (2 * radius) ** 3  # thinner than the ball that found it: a crease
+    good[0] = False
+    chosen = good[pockets]
+    if not good.any():
+        return chosen
+    # Concave places outside, beside the hole, hang on the same pocket: their own rays cut them off.
+    free = ndimage.uniform_filter((~wall).astype(np.float32), 5)
+    local = ndimage.uniform_filter(((hits >= AXES_HIT) & ~wall).astype(np.float32), 5)
+    return chosen & (local >= 0.5 * free)
+
+
+def _mouths(pockets: NDArray[np.int32], closed: Mask) -> NDArray[np.float64]:
+    """(P + 1,). The open share of the faces of each pocket."""
+    faces, mouths = np.zeros(pockets.max() + 1), np.zeros(pockets.max() + 1)
+    for axis in range(3):
+        a, b = _faces(axis)
+        for own, other in ((a, b), (b, a)):
+            edge = (pockets[own] > 0) & (pockets[other] != pockets[own])
+            labels = pockets[own][edge]
+            faces += np.bincount(labels, minlength=len(faces))
+            mouths += np.bincount(labels, ~closed[other][edge], minlength=len(faces))
+    return mouths / np.maximum(faces, 1)
+
+
+def _rays(wall: Mask, solid: Mask) -> tuple[NDArray[np.int8], NDArray[np.int8]]:
+    """Per cell: along how many of the six axes there is a wall, and along how many an odd number of sheets.
+
+    A run of wall cells is one sheet; two if there is solid between its sides.
+    """
+    material = wall.astype(np.int8) + 2 * (solid & ~wall).astype(np.int8)
+    hits, odd = np.zeros(wall.shape, np.int8), np.zeros(wall.shape, np.int8)
+    for axis in range(3):
+        lines = np.ascontiguousarray(np.moveaxis(material, axis, 2))
+        for way in (1, -1):
+            sheets = _sheets(lines[:, :, ::way])
+            sheets = np.moveaxis(sheets[:, :, ::way], 2, axis)
+            hits += sheets > 0
+            odd += sheets % 2 == 1
+    return hits, odd
+
+
+@njit(cache=True, parallel=True)
+def _sheets(lines: NDArray[np.int8]) -> NDArray[np.int16]:
+    """(X, Y, Z). Sheets passed on the way along the last axis; lines hold 0 for empty, 1 for wall, 2 for solid."""
+    passed = np.zeros(lines.shape, np.int16)
+    for i in prange(lines.shape[0]):
+        for j in range(lines.shape[1]):
+            count, run = 0, 0
+            for k in range(lines.shape[2]):
+                kind = lines[i, j, k]
+                if kind > run:
+                    count += 1 if run or kind == 1 else 2
+                    run = kind
+                elif kind == 0:
+                    run = 0
+                passed[i, j, k] = count
+    return passed
+
+
+def _capped(wall: Mask, inside: Mask, hollow: Mask) -> tuple[Mask, float]:
+    """Replaces the rough openings of the hollows by caps, and counts their faces.
+
+    The winding number of the shell solves Laplace u = div(s), s the jump of the inside across faces that lie on the
+    wall, and 0 across the openings. Outside u is 0, behind the shell 1, and on a flat hole it passes 1/2.
+    """
+    shape = [fft.next_fast_len(2 * (n + max(inside.shape) // 3 + 1)) // 2 - 1 for n in inside.shape]
+    inner = tuple(slice((m - n) // 2, (m - n) // 2 + n) for m, n in zip(shape, inside.shape, strict=True))
+    near = ndimage.binary_dilation(wall)
+    level = inside.astype(np.float32)
+    for _ in range(2):  # the rim's own faces settle in the second
+        source = np.zeros(shape, np.float32)
+        for axis in range(3):
+            a, b = _faces(axis)
+            jump = (level[b] - level[a]) * (near[a] | near[b])
+            source[inner][a] += jump
+            source[inner][b] -= jump
+        winding = _laplace(source)[inner]
+        level = np.where(hollow | ~inside, winding >= 0.5, True).astype(np.float32)
+    capped = level > 0.5
+    outside_faces = 0.0
+    for axis in range(3):
+        a, b = _faces(axis)
+        outside_faces += float(np.count_nonzero((capped[a] != capped[b]) & ~(near[a] | near[b])))
+    return capped, outside_faces
+
+
+def _faces(axis: int) -> tuple[tuple[slice, ...], tuple[slice, ...]]:
+    """Index of the cells on the low and on the high side of all faces across an axis."""
+    low = tuple(slice(None, -1) if i == axis else slice(None) for i in range(3))
+    high = tuple(slice(1, None) if i == axis else slice(None) for i in range(3))
+    return low, high
+
+
+def _laplace(source: NDArray[np.float32]) -> NDArray[np.float32]:
+    """u with (seven-point Laplace u) = source, u = 0 on the border of the grid; by sine transforms."""
+    spectrum = fft.dstn(source, type=1, workers=-1)
+    waves = [
+        (2 * np.cos(np.pi * np.arange(1, n + 1) / (n + 1)) - 2)
+        .astype(np.float32)
+        .reshape([n if i == axis else 1 for i in range(3)])
+        for axis, n in enumerate(source.shape)
+    ]
+    spectrum /= waves[0] + waves[1] + waves[2]
+    return fft.idstn(spectrum, type=1, workers=-1)
