@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -117,18 +118,21 @@ def _parts(path: Path, warn: Callable[[str], None]) -> list[Part]:
         if not name.lower().endswith(".mtl"):
             raise InputError(f"{path}: its file '{name}' is missing; put it into the same folder")
         warn(f"{path}: its material file '{name}' is missing")
+    if files.broken:
+        raise InputError(f"{path}: its texture '{files.broken[0]}' is no picture that can be read")
     parts = []
-    grey = dropped = 0
+    notes: set[str] = set()
+    dropped = 0
     for (mesh, _), soup in zip(meshes, soups, strict=True):
         sound = np.isfinite(soup).all((1, 2))
         dropped += int((~sound).sum())
-        colours, plain = _colours(path, mesh, np.flatnonzero(sound), bool(files.found))
-        grey += plain
+        colours, note = _colours(path, mesh, np.flatnonzero(sound))
+        notes.add(note)
         parts.append(Part(soup[sound].astype(np.float64), colours))
     if dropped:
         warn(f"{path}: {dropped:,} faces dropped: NaN or Inf")
-    if grey:
-        warn(f"{path}: no texture and no colours{' in parts of it' if grey < len(parts) else ''}; it is grey")
+    for note in sorted(notes - {""}):
+        warn(f"{path}: {note}{' in a part of it' if len(notes) > 1 else ''}; it gets one plain colour")
     return parts
 
 
@@ -147,12 +151,12 @@ def _kind(path: Path) -> str:
 
 
 class _Neighbours(trimesh.resolvers.FilePathResolver):
-    """Files that a mesh refers to, from its own folder only. Remembers which it did not find."""
+    """Files that a mesh refers to, from its own folder only. Remembers what is wrong with them; trimesh is silent."""
 
     def __init__(self, source: str) -> None:
         super().__init__(source)
-        self.found: list[str] = []
         self.missing: list[str] = []
+        self.broken: list[str] = []
 
     def get(self, name: str) -> bytes:
         # Exporters write other systems' paths; then the file usually lies right beside the mesh.
@@ -161,24 +165,39 @@ class _Neighbours(trimesh.resolvers.FilePathResolver):
                 data = super().get(candidate)
             except (OSError, ValueError):
                 continue
-            self.found.append(name)
+            if not name.lower().endswith((".mtl", ".bin")) and not _is_picture(data):
+                self.broken.append(_short(name))
             return data
-        self.missing.append(" ".join(name.split())[:80])
+        self.missing.append(_short(name))
         raise FileNotFoundError(name)
 
 
-def _colours(path: Path, mesh: Any, faces: NDArray[np.int64], has_files: bool) -> tuple[Colours, bool]:
-    """How these faces (F,) of a trimesh mesh are coloured, and whether that is mere grey."""
+def _is_picture(data: bytes) -> bool:
+    """Whether Pillow knows these bytes for a picture, from their header."""
+    try:
+        Image.open(BytesIO(data)).close()
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError):
+        return False
+    return True
+
+
+def _short(name: str) -> str:
+    """A file's name as a mesh gives it, fit for one line."""
+    return " ".join(name.split())[:80]
+
+
+def _colours(path: Path, mesh: Any, faces: NDArray[np.int64]) -> tuple[Colours, str]:
+    """How these faces (F,) of a trimesh mesh are coloured, and what the user should know about it."""
     visual = mesh.visual
     corners = np.asarray(mesh.faces)[faces]
     if visual.kind == "vertex":
         table = np.asarray(visual.vertex_colors)[:, :3] / 255
-        return lambda face, weights: np.einsum("nk,nkc->nc", weights, table[corners[face]]), False
+        return lambda face, weights: np.einsum("nk,nkc->nc", weights, table[corners[face]]), ""
     if visual.kind == "face":
         table = np.asarray(visual.face_colors)[faces, :3] / 255
-        return lambda face, weights: table[face], False
+        return lambda face, weights: table[face], ""
     if visual.kind != "texture" or visual.material is None:
-        return lambda face, weights: np.full((len(face), 3), GREY), True
+        return lambda face, weights: np.full((len(face), 3), GREY), "no texture and no colours"
     material = visual.material
     image = getattr(material, "baseColorTexture", None) or getattr(material, "image", None)
     if image is not None and visual.uv is not None:
@@ -191,7 +210,9 @@ def _colours(path: Path, mesh: Any, faces: NDArray[np.int64], has_files: bool) -
             False,
         )
     flat = np.asarray(trimesh.visual.to_rgba(material.main_color), np.float64)[:3] / 255
-    return lambda face, weights: np.tile(flat, (len(face), 1)), False
+    # Texture coordinates without a texture: its format may be one that cannot be read.
+    note = "" if visual.uv is None or not np.ptp(visual.uv) else "no texture that can be read"
+    return lambda face, weights: np.tile(flat, (len(face), 1)), note
 
 
 def _pixels(path: Path, image: Image.Image) -> NDArray[np.uint8]:
@@ -199,7 +220,7 @@ def _pixels(path: Path, image: Image.Image) -> NDArray[np.uint8]:
     try:
         return np.asarray(image.convert("RGB"))
     except (OSError, ValueError, SyntaxError, MemoryError) as error:  # what Pillow raises for broken pictures
-        raise InputError(f"{path}: its texture is damaged; export the mesh again") from error
+        raise InputError(f"{path}: its texture is damaged; export it again") from error
 
 
 def _bilinear(texture: NDArray[np.uint8], uv: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -18,6 +18,9 @@ the plane fills 0.547), so hardly a point is lost by starting here."""
 SHRINK = 0.93
 """Factor on that distance after each pass, until enough points have found a place."""
 
+SAME_SIDE = -0.5
+"""Cosine between normals above which points keep their distance: across the edge of a box, not across a leaf."""
+
 
 def scatter(
     triangles: NDArray[np.float64],  # [F, 3, 3]
@@ -83,7 +86,7 @@ def _thin(points: NDArray[np.float64], normals: NDArray[np.float64], count: int,
                     for k in range(3):
                         gap += (points[i, k] - points[j, k]) ** 2
                         facing += normals[i, k] * normals[j, k]
-                    if gap < distance * distance and facing > 0.0:
+                    if gap < distance * distance and facing > SAME_SIDE:
                         free = False
                         break
                     j = following[j]
