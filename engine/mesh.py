@@ -207,7 +207,7 @@ def _colours(path: Path, mesh: Any, faces: NDArray[np.int64]) -> tuple[Colours, 
         uv = np.asarray(visual.uv, np.float64)
         return (
             lambda face, weights: tint * _bilinear(texture, np.einsum("nk,nkc->nc", weights, uv[corners[face]])),
-            False,
+            "",
         )
     flat = np.asarray(trimesh.visual.to_rgba(material.main_color), np.float64)[:3] / 255
     # Texture coordinates without a texture: its format may be one that cannot be read.
