@@ -131,7 +131,7 @@ def test_a_scene_of_parts(tmp_path: Path) -> None:
     scene.add_geometry(ball, transform=trimesh.transformations.scale_and_translate(2, [10, 0, 0]))
     scene.add_geometry(box)
     scene.export(tmp_path / "s.glb")
-    g = load(tmp_path / "s.glb").gaussians
+    g = read_mesh(tmp_path / "s.glb", 20_000)
     red = rgb(g)[:, 0] > 0.5
     np.testing.assert_allclose(rgb(g)[red], [[1, 0, 0]] * red.sum(), atol=1e-6)
     np.testing.assert_allclose(rgb(g)[~red], [[0, 0, 1]] * (~red).sum(), atol=1e-6)
@@ -148,7 +148,7 @@ PLY += "element face 1\nproperty list uchar int vertex_indices\n%send_header\n"
 def test_vertex_and_face_colours(tmp_path: Path) -> None:
     colour = "".join(f"property uchar {c}\n" for c in ("red", "green", "blue"))
     (tmp_path / "v.ply").write_text(PLY % (colour, "") + "0 0 0 255 0 0\n1 0 0 0 255 0\n0 1 0 0 0 255\n3 0 1 2\n")
-    g = load(tmp_path / "v.ply").gaussians
+    g = read_mesh(tmp_path / "v.ply", 500)
     x, y = g.means[:, 0], g.means[:, 1]
     np.testing.assert_allclose(rgb(g), np.stack([1 - x - y, x, y], axis=1), atol=1e-6)
     (tmp_path / "f.ply").write_text(PLY % ("", colour) + "0 0 0\n1 0 0\n0 1 0\n3 0 1 2 51 102 153\n")
@@ -169,8 +169,9 @@ def test_grey_with_a_warning(tmp_path: Path) -> None:
 def test_a_texture_that_cannot_be_read_is_told(tmp_path: Path) -> None:
     data = trimesh.load_mesh(square(tmp_path, ramp())).export(file_type="glb")
     (tmp_path / "s.glb").write_bytes(data.replace(b"\x89PNG", b"\0PNG"))
-    warnings = load(tmp_path / "s.glb").warnings
-    assert warnings == (f"{tmp_path / 's.glb'}: no texture that can be read; it gets one plain colour",)
+    warnings: list[str] = []
+    read_mesh(tmp_path / "s.glb", 10, warn=warnings.append)
+    assert warnings == [f"{tmp_path / 's.glb'}: no texture that can be read; it gets one plain colour"]
 
 
 def test_faces_without_area_take_no_points(tmp_path: Path) -> None:
