@@ -1,9 +1,9 @@
 """Classic 3DGS on the CPU: sorted alpha compositing of EWA splats, forward and backward (DESIGN §3, §6).
 
 It shows a capture as it came, makes the surface views that training follows, and is what accuracy is measured with.
-Kerbl et al. 2023 with the constants of INRIA's renderer: 0.3 px^2 low-pass, alpha at most 0.99, alpha under 1/255 left
-out, a pixel ends where less than 1e-4 of the light would be left. Every pixel where alpha reaches 1/255 is drawn, so the
-picture does not depend on how it is cut into tiles.
+Kerbl et al. 2023 with the constants of INRIA's renderer: 0.3 px^2 low-pass, alpha at most 0.99, alpha under 1/255
+left out, a pixel ends where less than 1e-4 of the light would be left. Every pixel where alpha reaches 1/255 is drawn,
+so the picture does not depend on how it is cut into tiles.
 
 A frame: order by depth; then, slice by slice from the front, project what may still be seen, list it per tile,
 composite. Tiles that have become opaque close, and what lies behind them is never projected.
@@ -15,19 +15,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from engine.camera import Camera
-from engine.cpu.blend import BLOCK, BLOCKS, STATE, blend, resolve, start
+from engine.cpu.blend import ADJOINT, BLOCK, BLOCKS, STATE, blend, blend_backward, resolve, start, start_backward
 from engine.cpu.depth_order import depth_order
-from engine.cpu.splats import RECORD, project
+from engine.cpu.splats import GRADIENT, RECORD, project, project_backward
 from engine.cpu.tiles import SIDE, list_pairs, place_pairs, sum_open
 from engine.gaussians import Gaussians
 from engine.picture import Picture
 from engine.projection import pack_camera
 from engine.threads import for_each
 
-__all__ = ["render"]
+__all__ = ["rasterize", "render"]
 
 SLICES = 8
 """Slices of a large scene: enough for the front ones to hide most of the rest, few enough that each fills the cores."""
@@ -83,13 +84,92 @@ class _Frame:
 
 def render(gaussians: Gaussians, camera: Camera, background: Sequence[float] = (0.0, 0.0, 0.0)) -> Picture:
     """The Gaussians seen by the camera over a background (3,); depth is the mean depth of what covers the pixel."""
-    arrays = (gaussians.means, gaussians.scales, gaussians.quats, gaussians.opacities, gaussians.sh)
-    scene = _Scene(*(np.ascontiguousarray(array) for array in arrays), plain=False)
+    scene = _Scene(
+        np.ascontiguousarray(gaussians.means),
+        np.ascontiguousarray(gaussians.scales),
+        np.ascontiguousarray(gaussians.quats),
+        np.ascontiguousarray(gaussians.opacities),
+        np.ascontiguousarray(gaussians.sh),
+        plain=False,
+    )
     rgb, alpha, depth = _picture(_composite(scene, camera), camera, background)
     covered = alpha > 0
     depth[covered] /= alpha[covered]
     depth[~covered] = np.inf
     return Picture(rgb, alpha, depth)
+
+
+def rasterize(
+    means: torch.Tensor,  # [N, 3]
+    scales: torch.Tensor,  # [N, 3]
+    quats: torch.Tensor,  # [N, 4]
+    opacities: torch.Tensor,  # [N]
+    colours: torch.Tensor,  # [N, 3] RGB or [N, (d+1)^2, 3] SH
+    camera: Camera,
+    background: Sequence[float] = (0.0, 0.0, 0.0),
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """(rgb (H, W, 3), alpha (H, W), depth times alpha (H, W)), differentiable in all five tensors.
+
+    CPU tensors, all float32 or all float64, as `Gaussians` holds them; quaternions of any length, which is divided out
+    (one of length 0 turns nothing). RGB is taken as it is; SH is evaluated towards the Gaussian and held at 0 from
+    below. Means get the gradient of the view direction too. What is held or skipped passes no gradient on.
+    """
+    n, kind = len(means), means.dtype
+    assert kind in (torch.float32, torch.float64), kind
+    for tensor in (scales, quats, opacities, colours):
+        assert tensor.dtype == kind, f"{tensor.dtype} beside {kind}"
+        assert tensor.device.type == "cpu", tensor.device
+    assert means.shape == scales.shape == (n, 3), (means.shape, scales.shape)
+    assert quats.shape == (n, 4) and opacities.shape == (n,), (quats.shape, opacities.shape)
+    assert colours.shape == (n, 3) or (colours.ndim == 3 and colours.shape[1] in (1, 4, 9, 16)), colours.shape
+    return _Rasterize.apply(means, scales, quats, opacities, colours, camera, tuple(background))
+
+
+class _Rasterize(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx, means, scales, quats, opacities, colours, camera, background):  # type: ignore[no-untyped-def]
+        tensors = (means, scales, quats, opacities, colours)
+        arrays = [tensor.detach().contiguous().numpy() for tensor in tensors]
+        plain = colours.ndim == 2
+        m, s, q, o, c = arrays
+        scene = _Scene(m, s, q, o, c[:, None] if plain else c, plain)
+        frame = _composite(scene, camera)
+        ctx.save_for_backward(*tensors)  # notices if one is written to before the way back
+        ctx.scene, ctx.frame, ctx.camera, ctx.background = scene, frame, camera, background
+        return tuple(torch.from_numpy(array) for array in _picture(frame, camera, background))
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx, g_rgb, g_alpha, g_depth):  # type: ignore[no-untyped-def]
+        tensors = ctx.saved_tensors
+        outer = [gradient.contiguous().numpy() for gradient in (g_rgb, g_alpha, g_depth)]
+        gradients = _backward(ctx.scene, ctx.frame, ctx.background, outer)
+        return (*(torch.from_numpy(g).view(t.shape) for g, t in zip(gradients, tensors, strict=True)), None, None)
+
+
+def _backward(
+    scene: _Scene, frame: _Frame, background: Sequence[float], outer: Sequence[NDArray[np.floating]]
+) -> list[NDArray[np.floating]]:
+    """Gradients of means, scales, quats, opacities and colours, given those of the picture (rgb, alpha, depth)."""
+    kind = scene.means.dtype
+    tiles_y, tiles_x = -(-outer[1].shape[0] // SIDE), -(-outer[1].shape[1] // SIDE)
+    adjoints = np.empty((tiles_y * tiles_x, BLOCKS, ADJOINT * BLOCK), kind)
+    for_each(start_backward, tiles_y, frame.states, np.asarray(background, kind), *outer, adjoints)
+    parameters = scene.means, scene.scales, scene.quats, scene.opacities, scene.colours
+    gradients = [np.zeros(array.shape, kind) for array in parameters]
+    buffer = np.empty((max((len(part.pair_slots) for part in frame.slices), default=0), GRADIENT), kind)
+    for part in reversed(frame.slices):
+        rows = buffer[: len(part.pair_slots)]
+        for_each(
+            blend_backward, -(-len(part.tiles) // TILES_PER_TASK), TILES_PER_TASK, part.tiles, tiles_x,
+            part.tile_starts, part.pair_slots, part.pair_rows, frame.records, frame.lasts, adjoints, rows,
+        )  # fmt: skip
+        for_each(
+            project_backward, len(part.record_counts), part.chunk_size, part.first, part.record_counts,
+            frame.cam, frame.eye, *parameters, scene.plain, frame.owners, frame.pair_counts,
+            part.first_rows, rows, *gradients,
+        )  # fmt: skip
+    return gradients
 
 
 def _composite(scene: _Scene, camera: Camera) -> _Frame:

@@ -51,7 +51,7 @@ def use_cores(count: int) -> None:
     They never run at the same time, so each may have them all.
     """
     count = max(1, count)
-    numba.set_num_threads(min(count, numba.config.NUMBA_NUM_THREADS))
+    numba.set_num_threads(min(count, vars(numba.config)["NUMBA_NUM_THREADS"]))
     torch.set_num_threads(count)
     if count != _pool.count:
         _pool.count = count

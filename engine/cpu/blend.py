@@ -10,13 +10,25 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from llvmlite import ir
+from llvmlite import ir  # type: ignore[import-untyped]
 from numba import njit, types
 from numba.extending import intrinsic, overload
 
 from engine.cpu.tiles import SIDE, SLACK, TAIL_BITS
 
-__all__ = ["BLOCK", "BLOCKS", "MAX_ALPHA", "MIN_TRANSMITTANCE", "STATE", "blend", "blend_backward"]
+__all__ = [
+    "ADJOINT",
+    "BLOCK",
+    "BLOCKS",
+    "MAX_ALPHA",
+    "MIN_TRANSMITTANCE",
+    "STATE",
+    "blend",
+    "blend_backward",
+    "resolve",
+    "start",
+    "start_backward",
+]
 
 BLOCK = 2 * SIDE
 """Pixels in a block."""
@@ -25,15 +37,19 @@ BLOCKS = SIDE // 2
 """Blocks in a tile."""
 
 MAX_ALPHA = float(np.float32(0.99))
-"""No Gaussian covers more: its derivative, which divides by 1 - alpha, stays finite. Exactly the float32 number in all
-precisions: two such layers leave (1 - 0.99)^2, a hair under MIN_TRANSMITTANCE, and all must agree that this is the end."""
+"""No Gaussian covers more: its derivative, which divides by 1 - alpha, stays finite. The float32 number in all
+precisions: two such layers leave (1 - 0.99)^2, a hair under MIN_TRANSMITTANCE, and all must agree that they end it."""
 
 MIN_TRANSMITTANCE = 1e-4
 """A layer that would leave less light than this is not drawn and ends the pixel, as in INRIA's renderer."""
 
-STATE = 6
-"""Numbers per pixel that go from slice to slice, each in a run of BLOCK: 0 transmittance while the pixel is open, then
-0; 1 transmittance; 2 3 4 colour; 5 depth times weight."""
+STATE = 5
+"""Numbers per pixel that go from slice to slice, each in a run of BLOCK: 0 transmittance, negative once the pixel has
+ended; 1 2 3 colour; 4 depth times weight."""
+
+ADJOINT = 6
+"""Numbers per pixel on the way back, each in a run of BLOCK: 0 transmittance behind the current layer; 1 that times
+the derivative of the loss by it; 2 3 4 5 dL/d(colour, depth times weight)."""
 
 CHECK = 16
 """Pairs between two looks at whether the tile has become opaque."""
@@ -81,19 +97,20 @@ def _exp2(x):  # type: ignore[no-untyped-def]
         y = y * r + np.float32(2.4022648e-1)
         y = y * r + np.float32(6.9314720e-1)
         y = y * r + np.float32(1.0)
-        return _bits_float(_float_bits(y) + (_float_bits(shifted) << np.int32(23)))
+        bits = _float_bits(y) + (_float_bits(shifted) << np.int32(23))  # type: ignore[call-arg]
+        return _bits_float(bits)  # type: ignore[call-arg]
 
     return exp2_float32
 
 
 @njit(cache=True, error_model="numpy")
 def _block_rows(v, reach):  # type: ignore[no-untyped-def]
-    """(first, one past last) block of a tile with a pixel centre within reach of v, both counted from the tile's top."""
+    """(first, one past last) block of a tile with a pixel centre within reach of v, which is counted from its top."""
     low = max(v - reach * (1.0 + 1e-5) - (0.5 + SLACK), 0.0)
     high = min(v + reach * (1.0 + 1e-5) - (0.5 - SLACK), SIDE - 1.0)
     if not low <= high:
         return 0, 0
-    return int(math.ceil(low)) // 2, int(high) // 2 + 1
+    return math.ceil(low) // 2, int(high) // 2 + 1
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -113,11 +130,13 @@ def blend(  # type: ignore[no-untyped-def]
     zero, half, one = number(0), number(0.5), number(1)
     least, most, dark = number(-TAIL_BITS), number(MAX_ALPHA), number(MIN_TRANSMITTANCE)
     tiles_x = open_tiles.shape[1]
+    alive = np.empty(BLOCKS, np.bool_)
     for index in range(task * tiles_per_task, min((task + 1) * tiles_per_task, len(tiles))):
         tile = tiles[index]
         ty = tile // tiles_x
         tx = tile - ty * tiles_x
         left, top = number(tx * SIDE), number(ty * SIDE)
+        alive[:] = True
         at = tile_starts[tile]
         end = tile_starts[tile + 1]
         while at < end:
@@ -131,6 +150,8 @@ def blend(  # type: ignore[no-untyped-def]
                 red, green, blue, depth = q[8], q[9], q[10], q[11]
                 first, last = _block_rows(v, q[13])
                 for block in range(first, last):
+                    if not alive[block]:
+                        continue
                     s = states[tile, block]
                     last_drawn = lasts[tile, block]
                     y = number(2 * block) + half - v
@@ -145,20 +166,146 @@ def blend(  # type: ignore[no-untyped-def]
                         after = before * (one - alpha)
                         going = after >= dark
                         w = alpha * before if going else zero
-                        s[i] = after if going else zero
-                        s[BLOCK + i] = after if going else s[BLOCK + i]
-                        s[2 * BLOCK + i] += w * red
-                        s[3 * BLOCK + i] += w * green
-                        s[4 * BLOCK + i] += w * blue
-                        s[5 * BLOCK + i] += w * depth
+                        s[i] = after if going else min(before, -before)
+                        s[BLOCK + i] += w * red
+                        s[2 * BLOCK + i] += w * green
+                        s[3 * BLOCK + i] += w * blue
+                        s[4 * BLOCK + i] += w * depth
                         last_drawn[i] = slot if w > zero else last_drawn[i]
             still_open = 0
             for block in range(BLOCKS):
+                open_pixels = 0
                 for i in range(BLOCK):
-                    still_open += states[tile, block, i] > zero
+                    open_pixels += states[tile, block, i] > zero
+                alive[block] = open_pixels > 0
+                still_open += open_pixels
             if still_open == 0:
                 open_tiles[ty, tx] = 0
                 break
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def blend_backward(  # type: ignore[no-untyped-def]
+    task,
+    tiles_per_task,
+    tiles,  # [T] tiles that have pairs
+    tiles_x,
+    tile_starts,  # [all tiles + 1]
+    pair_slots,  # [pairs]
+    pair_rows,  # [pairs]
+    records,  # [V, RECORD]
+    lasts,  # [all tiles, BLOCKS, BLOCK]
+    adjoints,  # in out [all tiles, BLOCKS, ADJOINT * BLOCK]
+    rows,  # out [pairs, GRADIENT]
+):
+    """Walks back through the pairs of a slice in the tiles of one task and writes each pair's sums over its pixels.
+
+    With s_i = c_i . dL/dC + z_i dL/dD the loss is sum w_i s_i + T_end (bg . dL/dC - dL/dA) + const, hence
+    dL/dalpha_i = T_i s_i - B_i / (1 - alpha_i), B_i the same sum over the layers behind i and the background.
+    """
+    number = adjoints.dtype.type
+    zero, half, one = number(0), number(0.5), number(1)
+    least, most = number(-TAIL_BITS), number(MAX_ALPHA)
+    lanes = np.empty((7, BLOCK), adjoints.dtype)
+    folds = np.empty(10 * SIDE, adjoints.dtype)
+    block_last = np.empty(BLOCKS, np.int32)
+    for index in range(task * tiles_per_task, min((task + 1) * tiles_per_task, len(tiles))):
+        tile = tiles[index]
+        ty = tile // tiles_x
+        left, top = number((tile - ty * tiles_x) * SIDE), number(ty * SIDE)
+        for block in range(BLOCKS):
+            block_last[block] = lasts[tile, block].max()
+        for at in range(tile_starts[tile + 1] - 1, tile_starts[tile] - 1, -1):
+            slot = pair_slots[at]
+            q = records[slot]
+            u, v = (q[0] - left) + q[1], (q[2] - top) + q[3]
+            a, b, c, light = q[4], q[5], q[6], q[7]
+            red, green, blue, depth = q[8], q[9], q[10], q[11]
+            row = rows[pair_rows[at]]
+            first, last = _block_rows(v, q[13])
+            lanes[:] = zero
+            touched = False
+            for block in range(first, last):
+                if slot > block_last[block]:
+                    continue
+                touched = True
+                s = adjoints[tile, block]
+                last_drawn = lasts[tile, block]
+                y = number(2 * block) + half - v
+                for i in range(BLOCK):
+                    m = a * (number(i & (SIDE - 1)) + half - u)
+                    n = b * (number(i & (SIDE - 1)) + half - u) + c * (y + number(i // SIDE))
+                    power = light - (m * m + n * n)
+                    alpha = min(exp2(power), most)
+                    alpha = alpha if (power >= least) & (slot <= last_drawn[i]) else zero
+                    share = one / (one - alpha)
+                    before = s[i] * share
+                    w = alpha * before
+                    shade = s[2 * BLOCK + i] * red + s[3 * BLOCK + i] * green + s[4 * BLOCK + i] * blue
+                    shade = shade + s[5 * BLOCK + i] * depth
+                    behind = s[BLOCK + i]
+                    p = (before * shade - behind * share) * (alpha if alpha < most else zero)
+                    s[i] = before
+                    s[BLOCK + i] = behind + w * shade
+                    lanes[0, i] += p
+                    lanes[1, i] += p * n
+                    lanes[2, i] += p * n * n
+                    lanes[3, i] += w * s[2 * BLOCK + i]
+                    lanes[4, i] += w * s[3 * BLOCK + i]
+                    lanes[5, i] += w * s[4 * BLOCK + i]
+                    lanes[6, i] += w * s[5 * BLOCK + i]
+            if not touched:
+                row[:] = zero
+                continue
+            for i in range(SIDE):  # m is the same all along a column: its moments are taken here
+                m = a * (number(i) + half - u)
+                p = lanes[0, i] + lanes[0, SIDE + i]
+                pn = lanes[1, i] + lanes[1, SIDE + i]
+                folds[i] = p
+                folds[SIDE + i] = p * m
+                folds[2 * SIDE + i] = pn
+                folds[3 * SIDE + i] = p * m * m
+                folds[4 * SIDE + i] = pn * m
+                folds[5 * SIDE + i] = lanes[2, i] + lanes[2, SIDE + i]
+                folds[6 * SIDE + i] = lanes[3, i] + lanes[3, SIDE + i]
+                folds[7 * SIDE + i] = lanes[4, i] + lanes[4, SIDE + i]
+                folds[8 * SIDE + i] = lanes[5, i] + lanes[5, SIDE + i]
+                folds[9 * SIDE + i] = lanes[6, i] + lanes[6, SIDE + i]
+            for k in range(40):  # neighbours pair up, three times: 8 columns to 1
+                folds[k] = folds[2 * k] + folds[2 * k + 1]
+            for k in range(20):
+                folds[k] = folds[2 * k] + folds[2 * k + 1]
+            for k in range(10):
+                row[k] = folds[2 * k] + folds[2 * k + 1]
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def start_backward(  # type: ignore[no-untyped-def]
+    ty,
+    states,  # [all tiles, BLOCKS, STATE * BLOCK]
+    background,  # [3]
+    g_rgb,  # [H, W, 3]
+    g_alpha,  # [H, W]
+    g_depth,  # [H, W]
+    adjoints,  # out [all tiles, BLOCKS, ADJOINT * BLOCK]
+):
+    """The picture's gradient for one row of tiles, in the order of the tiles."""
+    height, width = g_alpha.shape
+    tiles_x = (width + SIDE - 1) // SIDE
+    for tx in range(tiles_x):
+        for block in range(BLOCKS):
+            adjoints[ty * tiles_x + tx, block, :] = 0
+    for y in range(ty * SIDE, min((ty + 1) * SIDE, height)):
+        for x in range(width):
+            tile, block = ty * tiles_x + x // SIDE, (y % SIDE) // 2
+            i = (y % 2) * SIDE + x % SIDE
+            s = adjoints[tile, block]
+            left = abs(states[tile, block, i])
+            red, green, blue = g_rgb[y, x, 0], g_rgb[y, x, 1], g_rgb[y, x, 2]
+            s[i] = left
+            s[BLOCK + i] = left * (background[0] * red + background[1] * green + background[2] * blue - g_alpha[y, x])
+            s[2 * BLOCK + i], s[3 * BLOCK + i], s[4 * BLOCK + i] = red, green, blue
+            s[5 * BLOCK + i] = g_depth[y, x]
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -174,8 +321,7 @@ def start(ty, states, lasts, width, height):  # type: ignore[no-untyped-def]
             for i in range(BLOCK):
                 x = tx * SIDE + i % SIDE
                 y = ty * SIDE + 2 * block + i // SIDE
-                s[i] = number(x < width and y < height)
-                s[BLOCK + i] = number(1)
+                s[i] = number(1) if x < width and y < height else number(-1)
                 lasts[tile, block, i] = -1
 
 
@@ -189,9 +335,9 @@ def resolve(ty, states, background, rgb, alpha, depth):  # type: ignore[no-untyp
         for x in range(width):
             s = states[ty * tiles_x + x // SIDE, (y % SIDE) // 2]
             i = (y % 2) * SIDE + x % SIDE
-            left = s[BLOCK + i]
-            rgb[y, x, 0] = s[2 * BLOCK + i] + left * background[0]
-            rgb[y, x, 1] = s[3 * BLOCK + i] + left * background[1]
-            rgb[y, x, 2] = s[4 * BLOCK + i] + left * background[2]
+            left = abs(s[i])
+            rgb[y, x, 0] = s[BLOCK + i] + left * background[0]
+            rgb[y, x, 1] = s[2 * BLOCK + i] + left * background[1]
+            rgb[y, x, 2] = s[3 * BLOCK + i] + left * background[2]
             alpha[y, x] = one - left
-            depth[y, x] = s[5 * BLOCK + i]
+            depth[y, x] = s[4 * BLOCK + i]

@@ -282,8 +282,8 @@ def project_backward(  # type: ignore[no-untyped-def]
         c = ROOT_HALF_LOG2_E * math.sqrt(xx / det)
 
         g_opacities[i] = sums[0] / opacities[i]
-        # With the whitening W = [[a, 0], [b, c]] and the inverse covariance 2 ln2 W^T W: dL/d(mean) = 2 ln2 W^T (p m, p n)
-        # and dL/dC = 2 ln2^2 W^T (p m^2, p m n; p m n, p n^2) W.
+        # With W = [[a, 0], [b, c]] the inverse covariance is 2 ln2 W^T W: so dL/d(mean) = 2 ln2 W^T (p m, p n)
+        # and dL/dC = 2 ln2^2 W^T [[p m^2, p m n], [p m n, p n^2]] W.
         gu = TWO_LN2 * (a * sums[1] + b * sums[2])
         gv = TWO_LN2 * c * sums[2]
         h0, h1 = sums[3] * a + sums[4] * b, sums[4] * a + sums[5] * b
