@@ -13,7 +13,7 @@ from scipy import ndimage
 from engine.body import Body
 from training.families import Family
 
-__all__ = ["Condition", "Denoises", "Progress", "Solves", "Volume"]
+__all__ = ["Condition", "Denoises", "Encodes", "Progress", "Solves", "Volume"]
 
 Progress = Callable[[float], None]
 """Called now and then with the part done, range [0, 1]. May raise to stop the work."""
@@ -73,6 +73,19 @@ class Denoises(Protocol):
         rng: np.random.Generator,
     ) -> NDArray[np.float32]:
         """(H, W, 3). The noise in `noisy` in units of one: epsilon_theta of the paper's eq. 5."""
+        ...
+
+
+@runtime_checkable
+class Encodes(Denoises, Protocol):
+    """A prior that denoises in a space of its own: its `denoise` takes and gives codes instead of pictures."""
+
+    def encode(self, label: NDArray[np.float32]) -> NDArray[np.float32]:
+        """The code (h, w, c) of a picture (H, W, 3), of about unit variance."""
+        ...
+
+    def decode(self, code: NDArray[np.float32], shape: tuple[int, int]) -> NDArray[np.float32]:
+        """The picture (H, W, 3), range [0, 1], of a code (h, w, c)."""
         ...
 
 

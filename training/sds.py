@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from training.prior import Condition, Denoises
+from training.prior import Condition, Denoises, Encodes
 
 __all__ = ["FIRST_STEPS", "REFINE_STEPS", "Form", "distill"]
 
@@ -19,10 +19,13 @@ FIRST_STEPS = 20
 REFINE_STEPS = 4
 """Steps per refinement round; the paper takes 3 to 4."""
 
-# Noise levels in units of the colour range, geometric from the first to the last step. A first label starts where
-# only the layout survives the noise; a refinement keeps what the render already has and moves the details.
-FIRST_SIGMAS = (0.8, 0.04)
-REFINE_SIGMAS = (0.2, 0.04)
+# Noise levels in units of the data's own spread, geometric from the first to the last step. A first label starts
+# where only the layout survives the noise; a refinement keeps what the render has and moves the details.
+FIRST_SIGMAS = (3.2, 0.16)
+REFINE_SIGMAS = (0.8, 0.16)
+
+COLOUR_SPREAD = 0.25
+"""Standard deviation of the colours of cut faces, roughly; codes of a latent space have 1."""
 
 # Step of the noise-prediction form in units of sigma^2: the gradient of eq. 5 with w(t) = sigma_t is
 # sigma (eps_theta - eps), and a full step of it lands on the denoised picture.
@@ -47,13 +50,17 @@ def distill(
     """
     assert label.ndim == 3 and label.shape[2] == 3, label.shape
     steps = REFINE_STEPS if refine else FIRST_STEPS
-    sigmas = np.geomspace(*(REFINE_SIGMAS if refine else FIRST_SIGMAS), steps)
+    latent = isinstance(prior, Encodes)
+    sigmas = np.geomspace(*(REFINE_SIGMAS if refine else FIRST_SIGMAS), steps) * (1.0 if latent else COLOUR_SPREAD)
     step = 1.0 if form == "x0" else NOISE_STEP
     inside = condition.inside[..., None]
-    current = label.astype(np.float32)
+    current = prior.encode(label) if isinstance(prior, Encodes) else label.astype(np.float32)
     for sigma in sigmas:
-        noise = rng.standard_normal(label.shape, dtype=np.float32)
+        noise = rng.standard_normal(current.shape, dtype=np.float32)
         predicted = prior.denoise(current + np.float32(sigma) * noise, float(sigma), condition, rng)
         gradient = np.float32(sigma) * (predicted - noise)
-        current = np.where(inside, np.clip(current - np.float32(step) * gradient, 0, 1), label)
-    return current
+        current = current - np.float32(step) * gradient
+        if not latent:
+            current = np.where(inside, np.clip(current, 0, 1), label)
+    picture = prior.decode(current, label.shape[:2]) if isinstance(prior, Encodes) else current
+    return np.where(inside, picture, label)
