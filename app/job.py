@@ -1,0 +1,266 @@
+"""A training job: `fruitninja-train` in a process of its own, followed through the events it writes to a file.
+
+The job outlives the window. Its folder holds all there is to know: `job.json` (which process, which command),
+`events.jsonl` (what it tells) and `job.log` (what it prints), so the next window finds it and follows on.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import BinaryIO
+
+import psutil
+
+from app.document import Document
+from app.job_events import Progress, read_line
+from app.motion import Vec3
+from app.settings import state_folder
+from engine.errors import InputError
+from engine.files import atomic
+from training.families import Family
+
+__all__ = ["Job", "command_for", "default_out", "missing_for_training"]
+
+LOG_TAIL = 6
+"""Last lines of what a job printed that are shown when it died."""
+
+READ_AT_ONCE = 1 << 20
+"""Bytes of events taken in one poll, so that finding a long job again does not hold up a frame."""
+
+
+def missing_for_training(document: Document) -> str:
+    """What the user still has to give before training can start; empty: nothing."""
+    if document.scene is None:
+        return "Open an object first."
+    if not any(family.exemplars for family in document.families):
+        return "Add a picture of a cut face first: drop one on a family, or choose one."
+    gone = [path for family in document.families for path in family.exemplars if not path.is_file()]
+    return f"The picture {gone[0].name} is no longer there. Remove it or put it back." if gone else ""
+
+
+def default_out(scene: Path) -> Path:
+    """Beside the scene, or where the app keeps its own files if nothing can be written there."""
+    folder = scene.parent
+    if not os.access(folder, os.W_OK):
+        folder = state_folder() / "results"
+    return folder / f"{scene.stem}-inside"
+
+
+def command_for(document: Document, up: Vec3, out: Path) -> list[str]:
+    """The trainer's arguments for a document. Raises InputError where something is missing."""
+    if missing := missing_for_training(document):
+        raise InputError(missing)
+    training = document.training
+    arguments = [str(document.scene), "-o", str(out), "--events", str(out / "events.jsonl")]
+    arguments += ["--up", ",".join(repr(v) for v in up)]
+    arguments += ["--detail", training.detail, "--prior", training.prior, "--seed", str(training.seed)]
+    if training.iterations is not None:
+        arguments += ["--iterations", str(training.iterations)]
+    for family in document.families:
+        arguments += _family(family)
+    return arguments
+
+
+def _family(family: Family) -> list[str]:
+    """A family's arguments."""
+    result: list[str] = []
+    if family.kind == "custom":
+        for plane in family.custom:
+            result += ["--family", "custom:" + ",".join(repr(v) for v in (*plane.normal, plane.offset))]
+    else:
+        axis = "" if family.axis is None else ":" + ",".join(repr(v) for v in family.axis)
+        result += ["--family", f"{family.kind}:{family.count}{axis}"]
+    for exemplar in family.exemplars:
+        result += ["--exemplar", f"{family.kind}={exemplar}"]
+    if family.prompt:
+        result += ["--prompt", f"{family.kind}={family.prompt}"]
+    return result
+
+
+@dataclass
+class Job:
+    """One run of the trainer, this session's or an earlier one's."""
+
+    out: Path
+    command: tuple[str, ...]
+    """The whole command line."""
+    pid: int
+    started: float
+    """When the process began, as the system says; a number is used again, a number and a start are not."""
+    stopped: bool = False
+    """The user stopped it."""
+    progress: Progress = field(default_factory=Progress)
+    child: subprocess.Popen[bytes] | None = None
+    """The process, if this session started it."""
+    ended: bool = False
+    """The process is gone."""
+    offset: int = 0
+    """Bytes of the events already read."""
+
+    @staticmethod
+    def start(arguments: Sequence[str], out: Path, resume: bool = False, program: Sequence[str] = ()) -> Job:
+        """Starts the trainer with a folder for its result. `program`: something else that speaks the same events.
+
+        Raises InputError where the folder cannot be written, or a job already works in it.
+        """
+        other = Job.find(out)
+        if other is not None and not other.ended:
+            raise InputError(f"{out}: a job already works here; stop it first, or choose another folder")
+        command = [*(program or (sys.executable, "-m", "training.cli")), *arguments]
+        if resume and "--resume" not in command:
+            command.append("--resume")
+        try:
+            out.mkdir(parents=True, exist_ok=True)
+            if not resume:
+                (out / "events.jsonl").write_bytes(b"")
+            (out / "events.jsonl").touch()
+            with (out / "job.log").open("wb") as log:
+                child = _spawn(command, log)
+        except OSError as error:
+            raise InputError(f"{out}: training cannot start here ({error.strerror})") from error
+        try:
+            started = psutil.Process(child.pid).create_time()
+        except psutil.Error:  # it has died already; its log says why
+            started = 0.0
+        job = Job(out, tuple(command), child.pid, started, child=child)
+        job._note()
+        return job
+
+    @staticmethod
+    def find(out: Path) -> Job | None:
+        """The job of a folder, running or not; None where there was none."""
+        try:
+            note = json.loads((out / "job.json").read_text(encoding="utf-8"))
+            command = tuple(str(part) for part in note["command"])
+            job = Job(out, command, int(note["pid"]), float(note["started"]), bool(note["stopped"]))
+        except (OSError, ValueError, KeyError, TypeError):
+            return None
+        job.ended = job._process() is None
+        return job
+
+    @property
+    def phase(self) -> str:
+        """'running', 'paused', 'done', 'stopped' or 'failed'."""
+        if not self.ended:
+            return "paused" if self._is_paused() else "running"
+        if self.progress.result is not None:
+            return "done"
+        return "stopped" if self.stopped else "failed"
+
+    @property
+    def scene(self) -> Path:
+        """The capture it works on."""
+        return Path(self.command[self.command.index("-o") - 1])
+
+    def poll(self) -> bool:
+        """Reads what is new; True where something is."""
+        was = self.ended
+        if not self.ended:
+            self.ended = (self.child.poll() is not None) if self.child else self._process() is None
+        return self._read() or self.ended != was
+
+    def pause(self) -> None:
+        """Holds the process where it is, for as long as the computer runs. It keeps its memory."""
+        self._signal(lambda process: process.suspend())
+
+    def go_on(self) -> None:
+        """Lets a paused process run again."""
+        self._signal(lambda process: process.resume())
+
+    def stop(self) -> None:
+        """Asks the trainer to keep what it has and end. A paused one is woken for that."""
+        self.stopped = True
+        self._note()
+        self._signal(lambda process: process.resume())
+        self._signal(lambda process: process.terminate())
+
+    def kill(self) -> None:
+        """Ends it at once; what came after the last checkpoint is lost."""
+        self.stopped = True
+        self._note()
+        self._signal(lambda process: process.kill())
+
+    def resume(self) -> Job:
+        """The same job once more, from its last checkpoint. Raises InputError where it cannot start."""
+        words = list(self.command)
+        start = next((i for i, word in enumerate(words) if word == str(self.scene)), 0)
+        job = Job.start(words[start:], self.out, resume=True, program=words[:start])
+        job.progress = self.progress.again()
+        job.offset = self.offset
+        return job
+
+    def last_words(self) -> list[str]:
+        """The last lines that the process printed."""
+        try:
+            with (self.out / "job.log").open("rb") as file:
+                file.seek(max(0, file.seek(0, os.SEEK_END) - 8192))
+                text = file.read().decode("utf-8", "replace")
+        except OSError:
+            return []
+        return [line.rstrip() for line in text.splitlines() if line.strip()][-LOG_TAIL:]
+
+    def _read(self) -> bool:
+        """Takes the complete lines that were written since the last time."""
+        try:
+            with (self.out / "events.jsonl").open("rb") as file:
+                if file.seek(0, os.SEEK_END) < self.offset:  # begun anew
+                    self.offset, self.progress = 0, Progress()
+                file.seek(self.offset)
+                block = file.read(READ_AT_ONCE)
+        except OSError:
+            return False
+        end = block.rfind(b"\n") + 1
+        for line in block[:end].splitlines():
+            read_line(self.progress, line)
+        self.offset += end
+        return end > 0
+
+    def _process(self) -> psutil.Process | None:
+        """The living process, None where it has gone or its number belongs to another one now."""
+        try:
+            process = psutil.Process(self.pid)
+            same = abs(process.create_time() - self.started) < 1.0
+            return process if same and process.status() != psutil.STATUS_ZOMBIE else None
+        except psutil.Error:
+            return None
+
+    def _is_paused(self) -> bool:
+        process = self._process()
+        try:
+            return process is not None and process.status() == psutil.STATUS_STOPPED
+        except psutil.Error:
+            return False
+
+    def _signal(self, act: Callable[[psutil.Process], object]) -> None:
+        """Does something to the process, its children first."""
+        process = self._process()
+        if process is None:
+            return
+        with contextlib.suppress(psutil.Error):
+            for one in [*process.children(recursive=True), process]:
+                act(one)
+
+    def _note(self) -> None:
+        """Writes who works here."""
+        note = {"pid": self.pid, "started": self.started, "stopped": self.stopped, "command": list(self.command)}
+        with atomic(self.out / "job.json") as temporary:
+            temporary.write_text(json.dumps(note, indent=1) + "\n", encoding="utf-8")
+
+
+def _spawn(command: list[str], log: BinaryIO) -> subprocess.Popen[bytes]:
+    """A process apart from this one, so that closing the window or its terminal does not end it."""
+    if sys.platform == "win32":
+        flags = subprocess.CREATE_NEW_PROCESS_GROUP | subprocess.CREATE_NO_WINDOW
+        return subprocess.Popen(
+            command, stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT, creationflags=flags
+        )
+    return subprocess.Popen(
+        command, stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT, start_new_session=True
+    )
