@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
 from engine.formula import EDGE_SLOPE, SOLID_DENSITY
+from engine.plane import Plane
 
 __all__ = ["Hits", "coverage", "enter", "shade"]
 
@@ -30,6 +32,16 @@ class Hits:
     """(K,). Size of a pixel there, world units."""
     facing: NDArray[np.float32]
     """(K,). Cosine between the plane's normal and the way back to the eye. Range (0, 1]."""
+
+    def outside(self, joined: Sequence[Sequence[Plane]], tolerance: float) -> Hits:
+        """Without those that touch one of the pieces that the planes bound: there the matter goes on."""
+        free = np.ones(len(self.pixels), bool)
+        for planes in joined:
+            touching = np.ones(len(free), bool)
+            for plane in planes:
+                touching &= plane.distance(self.points) <= tolerance
+            free &= ~touching
+        return self if free.all() else Hits(*(getattr(self, name.name)[free] for name in fields(self)))
 
 
 def enter(cam: NDArray[np.float64], planes: NDArray[np.float64]) -> Hits:

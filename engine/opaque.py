@@ -28,6 +28,9 @@ __all__ = ["Splats", "camera_planes", "render", "render_pieces", "splats", "view
 
 Float = NDArray[np.float32]
 
+JOINT_PITCHES = 1e-3
+"""Pieces that did not move apart have no face between them; a point this near the other's plane touches it."""
+
 
 def render(
     atoms: Atoms,
@@ -62,7 +65,11 @@ def render_pieces(
         field = KernelField(atoms)
     for piece in pieces:
         if piece.planes and field is not None:
-            layers.append(face_layer(field, atoms.pitch, piece.camera(camera), piece.planes, light))
+            joined = [p.planes for p in pieces if p is not piece and np.array_equal(p.transform, piece.transform)]
+            view = piece.camera(camera)
+            hits = enter(pack_camera(view), camera_planes(view, piece.planes))
+            hits = hits.outside(joined, JOINT_PITCHES * atoms.pitch)
+            layers.append(face_layer(field, atoms.pitch, hits, (camera.height, camera.width), light))
     return compose(layers, background)
 
 
@@ -161,14 +168,12 @@ def camera_planes(camera: Camera, planes: Sequence[Plane]) -> NDArray[np.float64
     return rows
 
 
-def face_layer(field: KernelField, pitch: float, view: Camera, planes: Sequence[Plane], light: bool) -> Layer:
-    """Cut faces of one piece; `view` is the camera in the piece's own space."""
-    hits: Hits = enter(pack_camera(view), camera_planes(view, planes))
+def face_layer(field: KernelField, pitch: float, hits: Hits, shape: tuple[int, int], light: bool) -> Layer:
+    """The cut faces of one piece in a picture of this shape."""
     rgb, density = field.at(hits.points, hits.footprint)
     alpha = coverage(density, hits.footprint, pitch)
     if light:
         rgb = rgb * shade(hits)[:, None]
-    shape = (view.height, view.width)
     full = Layer(np.zeros((*shape, 3), np.float32), np.zeros(shape, np.float32), np.full(shape, np.inf, np.float32))
     full.rgb.reshape(-1, 3)[hits.pixels] = rgb * alpha[:, None]
     full.alpha.reshape(-1)[hits.pixels] = alpha
