@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from sample_scenes.solids.noise import cells, fbm, mix, noise, smin, step
+from sample_scenes.solids.noise import cells, fbm, mix, noise, put, smin, step
 from sample_scenes.solids.shapes import Strewn, strew, strewn_at, turned
 from sample_scenes.solids.solid import Solid
 
@@ -111,9 +111,7 @@ def _colours(
         warp = noise(7 * x, 7 * y, 7 * z, number + 7)
         for octave in range(2):
             f = 16.0 + 15.0 * octave
-            near, far, name = cells(
-                f * x + 0.5 * warp, f * y - 0.5 * warp, 1.4 * f * z, 1.0, number + 9 + 20 * octave
-            )
+            near, far, name = cells(f * x + 0.5 * warp, f * y - 0.5 * warp, 1.4 * f * z, 1.0, number + 9 + 20 * octave)
             hole = step(0.5, 0.1, near + 0.15 * warp) * step(0.3, 0.7, name)
             rgb = mix(rgb, (0.80, 0.67, 0.475), (0.5 - 0.08 * octave) * hole)
             rgb = mix(rgb, (0.995, 0.965, 0.88), 0.22 * step(0.2, 0.0, far - near))
@@ -136,5 +134,5 @@ def _colours(
             rgb = mix((0.80, 0.585, 0.33), rgb, step(thick * 0.6, thick + 0.03, d))
             rgb = mix((0.60, 0.35, 0.145), rgb, step(thick * 0.3, thick * 1.1, d))
             rgb = mix(_crust(x, y, z, number), rgb, step(0.004, 0.6 * thick, d))
-        out[i, 0], out[i, 1], out[i, 2] = min(rgb[0], 1.0), min(rgb[1], 1.0), min(rgb[2], 1.0)
+        put(out, i, rgb)
     return out

@@ -9,8 +9,9 @@ import math
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
-__all__ = ["cells", "fbm", "mix", "noise", "smin", "step", "unit"]
+__all__ = ["cell", "cells", "fbm", "mix", "noise", "put", "smin", "step", "unit"]
 
 # Odd 64-bit constants of well-known integer mixers (splitmix64 and the golden ratio); any odd numbers of mixed bits do.
 K1 = np.uint64(0x9E3779B97F4A7C15)
@@ -79,26 +80,36 @@ def fbm(x: float, y: float, z: float, octaves: int, seed: int) -> float:
 
 
 @njit(cache=True)
-def cells(x: float, y: float, z: float, jitter: float, seed: int) -> tuple[float, float, float]:
+def cell(x: float, y: float, z: float, jitter: float, seed: int) -> tuple[float, float, float, float, float, float]:
     """Cells around one jittered centre per lattice cube (Worley noise).
 
-    Returns the distances to the nearest and second nearest centre and a number in [0, 1) that names the cell.
+    Returns the squared distances to the nearest and second nearest centre, a number in [0, 1) that names the cell, and
+    the offset of the point from its centre.
     """
-    i, j, k = int(math.floor(x)), int(math.floor(y)), int(math.floor(z))
+    i, j, k = math.floor(x), math.floor(y), math.floor(z)
     first, second, name = 9.0, 9.0, 0.0
+    ox, oy, oz = 0.0, 0.0, 0.0
     for a in range(i - 1, i + 2):
         for b in range(j - 1, j + 2):
             for c in range(k - 1, k + 2):
                 u, v, w = unit(a, b, c, seed)
-                dx = a + 0.5 + jitter * (u - 0.5) - x
-                dy = b + 0.5 + jitter * (v - 0.5) - y
-                dz = c + 0.5 + jitter * (w - 0.5) - z
+                dx = x - a - 0.5 - jitter * (u - 0.5)
+                dy = y - b - 0.5 - jitter * (v - 0.5)
+                dz = z - c - 0.5 - jitter * (w - 0.5)
                 square = dx * dx + dy * dy + dz * dz
                 if square < first:
                     second, first = first, square
                     name = (u + 7 * v + 13 * w) % 1.0
+                    ox, oy, oz = dx, dy, dz
                 elif square < second:
                     second = square
+    return first, second, name, ox, oy, oz
+
+
+@njit(cache=True)
+def cells(x: float, y: float, z: float, jitter: float, seed: int) -> tuple[float, float, float]:
+    """As `cell`: distances to the nearest and second nearest centre, and the cell's name."""
+    first, second, name, _, _, _ = cell(x, y, z, jitter, seed)
     return math.sqrt(first), math.sqrt(second), name
 
 
@@ -117,8 +128,13 @@ def smin(a: float, b: float, k: float) -> float:
 
 
 @njit(cache=True)
-def mix(
-    a: tuple[float, float, float], b: tuple[float, float, float], t: float
-) -> tuple[float, float, float]:
+def mix(a: tuple[float, float, float], b: tuple[float, float, float], t: float) -> tuple[float, float, float]:
     """The colour a at t = 0, b at t = 1."""
     return a[0] + (b[0] - a[0]) * t, a[1] + (b[1] - a[1]) * t, a[2] + (b[2] - a[2]) * t
+
+
+@njit(cache=True)
+def put(out: NDArray[np.float32], i: int, rgb: tuple[float, float, float]) -> None:
+    """Row i of a table of colours, held to [0, 1]."""
+    for c in range(3):
+        out[i, c] = min(max(rgb[c], 0.0), 1.0)

@@ -8,8 +8,8 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from sample_scenes.solids.noise import cells, fbm, mix, noise, smin, step
-from sample_scenes.solids.shapes import Strewn, round_depth, round_shape, strew, strewn_at, turned
+from sample_scenes.solids.noise import cells, fbm, mix, noise, put, smin, step
+from sample_scenes.solids.shapes import Strewn, round_depth, round_depths, round_shape, strew, strewn_at, turned
 from sample_scenes.solids.solid import Solid
 
 __all__ = ["orange"]
@@ -43,7 +43,7 @@ def orange(seed: int = 0) -> Solid:
     return Solid.of(
         "orange",
         ("horizontal", "radial"),
-        lambda points: _depths(points, shape),
+        lambda points: round_depths(points, shape),
         lambda points: _colours(points, shape, walls, rows, starts, items, number),
     )
 
@@ -64,14 +64,6 @@ def _seeds(walls: NDArray[np.float64], rng: np.random.Generator) -> Strewn:
             frames.append(turned(axis / np.linalg.norm(axis), angle))
             halves.append(rng.uniform(0.85, 1.1) * np.array([0.095, 0.05, 0.045]))
     return strew(np.reshape(centres, (-1, 3)), frames, np.reshape(halves, (-1, 3)), np.zeros(len(centres)))
-
-
-@njit(cache=True, parallel=True)
-def _depths(points: NDArray[np.float64], shape: NDArray[np.float64]) -> NDArray[np.float32]:
-    out = np.empty(len(points), np.float32)
-    for i in prange(len(points)):
-        out[i] = round_depth(points[i, 0], points[i, 1], points[i, 2], shape)
-    return out
 
 
 @njit(cache=True)
@@ -133,8 +125,10 @@ def _colours(
         core = inner - (0.055 + 0.05 * abs(z) + 0.015 * noise(3 * x, 3 * y, 3 * z, number + 10))
         # Walls fan out from the core; they bend a little with height and radius.
         angle = math.atan2(dy, dx)
-        bent = angle + 0.07 * noise(0.9 * inner, 1.1 * z, 4.0, number + 11) + 0.035 * noise(
-            2.6 * x, 2.6 * y, 2.6 * z, number + 12
+        bent = (
+            angle
+            + 0.07 * noise(0.9 * inner, 1.1 * z, 4.0, number + 11)
+            + 0.035 * noise(2.6 * x, 2.6 * y, 2.6 * z, number + 12)
         )
         wall, segment = 9.0, 0
         for n in range(len(walls)):
@@ -160,5 +154,5 @@ def _colours(
             zest = mix((0.97, 0.60, 0.10), (0.93, 0.47, 0.04), step(0.45, 0.2, glands))
             zest = mix(_peel(x, y, z, number), zest, step(0.004, 0.012, d))
             rgb = mix(zest, rgb, step(PEEL - 0.006, PEEL + 0.010, d + 0.006 * uneven - 0.008 * step(0.4, 0.15, glands)))
-        out[i, 0], out[i, 1], out[i, 2] = min(rgb[0], 1.0), min(rgb[1], 1.0), min(rgb[2], 1.0)
+        put(out, i, rgb)
     return out

@@ -9,12 +9,12 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numba import njit
+from numba import njit, prange
 from numpy.typing import NDArray
 
 from sample_scenes.solids.noise import noise
 
-__all__ = ["Strewn", "drop", "round_depth", "round_shape", "strew", "strewn_at", "turned"]
+__all__ = ["Strewn", "drop", "round_depth", "round_depths", "round_shape", "strew", "strewn_at", "turned"]
 
 Strewn = tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]
 """Items (M, 16): centre 3, rows of the local frame 9, half lengths 3, kind; cell starts; items of each cell."""
@@ -35,13 +35,15 @@ def round_shape(
     top: tuple[float, float] = (0.0, 1.0),
     bottom: tuple[float, float] = (0.0, 1.0),
     lobes: tuple[float, int] = (0.0, 5),
+    crater: tuple[float, float] = (0.0, 1.0),
 ) -> NDArray[np.float64]:
-    """(13,). Numbers of a round body for `round_depth`.
+    """(15,). Numbers of a round body for `round_depth`.
 
     An ellipsoid of half axes `axes` with noise of relative height `wobble`, wider above by `taper`, with a dent (depth,
-    angular width in radians; a negative depth is a bump) at either pole and `lobes` (height, count) around the bottom.
+    angular width in radians; a negative depth is a bump) at either pole, a second one, `crater`, in the top one, and
+    `lobes` (height, count) around the bottom.
     """
-    return np.array([*axes, wobble, frequency, seed, taper, *top, *bottom, *lobes], np.float64)
+    return np.array([*axes, wobble, frequency, seed, taper, *top, *bottom, *lobes, *crater], np.float64)
 
 
 @njit(cache=True)
@@ -54,6 +56,8 @@ def _radius(x: float, y: float, z: float, shape: NDArray[np.float64]) -> float:
     polar = math.acos(min(max(z, -1.0), 1.0))
     if shape[7] != 0.0:
         radius -= shape[7] * math.exp(-((polar / shape[8]) ** 2))
+    if shape[13] != 0.0:
+        radius -= shape[13] * math.exp(-((polar / shape[14]) ** 2))
     if shape[9] != 0.0:
         radius -= shape[9] * math.exp(-(((math.pi - polar) / shape[10]) ** 2))
     if shape[11] != 0.0:
@@ -82,6 +86,15 @@ def round_depth(x: float, y: float, z: float, shape: NDArray[np.float64]) -> flo
     g = (_radius((x + e * ax) * n, (y + e * ay) * n, (z + e * az) * n, shape) - here) / e
     h = (_radius((x + e * bx) * n, (y + e * by) * n, (z + e * bz) * n, shape) - here) / e
     return (here - r) / math.sqrt(1 + (g * g + h * h) / (here * here))
+
+
+@njit(cache=True, parallel=True)
+def round_depths(points: NDArray[np.float64], shape: NDArray[np.float64]) -> NDArray[np.float32]:
+    """(M,). `round_depth` of points (M, 3)."""
+    out = np.empty(len(points), np.float32)
+    for i in prange(len(points)):
+        out[i] = round_depth(points[i, 0], points[i, 1], points[i, 2], shape)
+    return out
 
 
 def turned(axis: NDArray[np.float64], roll: float) -> NDArray[np.float64]:

@@ -8,8 +8,8 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from sample_scenes.solids.noise import cells, fbm, mix, noise, step
-from sample_scenes.solids.shapes import Strewn, round_depth, round_shape, strew, strewn_at, turned
+from sample_scenes.solids.noise import cells, fbm, mix, noise, put, step
+from sample_scenes.solids.shapes import Strewn, round_depth, round_depths, round_shape, strew, strewn_at, turned
 from sample_scenes.solids.solid import Solid, directions
 
 __all__ = ["watermelon"]
@@ -34,7 +34,7 @@ def watermelon(seed: int = 0) -> Solid:
     return Solid.of(
         "watermelon",
         ("horizontal", "radial"),
-        lambda points: _depths(points, shape),
+        lambda points: round_depths(points, shape),
         lambda points: _colours(points, shape, rows, starts, items, number),
     )
 
@@ -64,14 +64,6 @@ def _seeds(shape: NDArray[np.float64], rng: np.random.Generator) -> Strewn:
         halves.append(size * np.array([0.056, 0.042, 0.028]))
         kinds.append(float(white))
     return strew(np.array(centres), frames, np.array(halves), np.array(kinds))
-
-
-@njit(cache=True, parallel=True)
-def _depths(points: NDArray[np.float64], shape: NDArray[np.float64]) -> NDArray[np.float32]:
-    out = np.empty(len(points), np.float32)
-    for i in prange(len(points)):
-        out[i] = round_depth(points[i, 0], points[i, 1], points[i, 2], shape)
-    return out
 
 
 @njit(cache=True)
@@ -136,7 +128,7 @@ def _colours(
                 rgb = mix(rgb, _flesh(x, y, z, d, number), step(0.078, 0.112, t))
         else:
             rgb = _flesh(x, y, z, d, number)
-        if 0.12 < d:
+        if d > 0.12:
             q, item = strewn_at(x, y, z, TIP, rows, starts, items)
             if q < 1.8:
                 if rows[item, 15] > 0.5:
@@ -146,5 +138,5 @@ def _colours(
                     rgb = mix(rgb, (0.62, 0.07, 0.09), 0.5 * step(1.75, 1.1, q))
                     coat = mix((0.10, 0.055, 0.045), (0.055, 0.032, 0.03), step(0.9, 0.3, q))
                     rgb = mix(rgb, coat, step(1.12, 0.92, q))
-        out[i, 0], out[i, 1], out[i, 2] = min(max(rgb[0], 0.0), 1.0), min(max(rgb[1], 0.0), 1.0), min(max(rgb[2], 0.0), 1.0)
+        put(out, i, rgb)
     return out
