@@ -1,0 +1,6 @@
+"""The GL engine: opaque atoms with exact cuts, and the capture as it came, in OpenGL 3.3 core."""
+
+from engine.gl.context import GLMissing
+from engine.gl.renderer import Renderer
+
+__all__ = ["GLMissing", "Renderer"]

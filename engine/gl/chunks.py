@@ -1,0 +1,133 @@
+"""Atoms in spatial chunks: a run of a few hundred along a Morton curve, with its box.
+
+What a frame draws is decided chunk by chunk, and what is left is one list of indices. Within a chunk the atoms stand in
+bit-reversed order, so that any prefix of them is spread over the chunk: the coarser levels of detail.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+__all__ = ["CHUNK", "Chunks", "build", "near_plane", "rows_of"]
+
+CHUNK = 256
+"""Atoms of a chunk: smaller ones cull better but cost more per frame; from 128 to 512 frames take the same time."""
+
+MORTON_BITS = 10
+"""Bits of an axis in the Morton code: cells of a thousandth of the object, finer than any chunk."""
+
+
+@dataclass(frozen=True)
+class Chunks:
+    """K chunks of N atoms, which stand in the order of `order`."""
+
+    order: NDArray[np.intp]
+    """(N,). Row in the caller's arrays of each atom here."""
+    first: NDArray[np.int64]
+    """(K,). Each chunk's first atom."""
+    count: NDArray[np.int64]
+    """(K,). Atoms of each chunk."""
+    middle: NDArray[np.float64]
+    """(K, 3). Centre of each box."""
+    half: NDArray[np.float64]
+    """(K, 3). Half its sides; boxes hold the atoms' centres."""
+    sigma: NDArray[np.float64]
+    """(K,). Largest standard deviation in each chunk."""
+
+    def __len__(self) -> int:
+        return len(self.first)
+
+    def distances(self, normal: NDArray[np.float64], offset: float) -> NDArray[np.float64]:
+        """(K, 2). Least and largest signed distance of each box to a plane."""
+        at = self.middle @ normal + offset
+        reach = self.half @ np.abs(normal)
+        return np.stack([at - reach, at + reach], 1)
+
+
+def build(means: NDArray[np.float32], sigmas: NDArray[np.float32], chunk: int = CHUNK) -> Chunks:
+    """Chunks of atoms with centres (N, 3) and largest standard deviations (N,)."""
+    n = len(means)
+    if n == 0:
+        empty = np.zeros(0, np.int64)
+        return Chunks(empty.astype(np.intp), empty, empty, np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
+    low = means.min(0).astype(np.float64)
+    span = max(float((means.max(0) - low).max()), 1e-30)
+    cells = ((means - low) * ((2**MORTON_BITS - 1) / span)).astype(np.uint32)
+    order = np.argsort(morton(cells), kind="stable")
+    first = np.arange(0, n, chunk)
+    count = np.minimum(chunk, n - first)
+    tail = n % chunk
+    whole = order[: n - tail].reshape(-1, chunk)[:, reversal(chunk)].ravel()
+    order = np.concatenate([whole, order[n - tail :][reversal(tail)]])
+    points = means[order].astype(np.float64)
+    least = np.minimum.reduceat(points, first)
+    most = np.maximum.reduceat(points, first)
+    sigma = np.maximum.reduceat(sigmas[order].astype(np.float64), first)
+    return Chunks(order, first, count, (least + most) / 2, (most - least) / 2, sigma)
+
+
+def reversal(n: int) -> NDArray[np.intp]:
+    """(n,). The numbers below n ordered by their reversed bits: every prefix is spread evenly."""
+    bits = max(n - 1, 0).bit_length()
+    numbers = np.arange(1 << bits)
+    reverse = np.zeros_like(numbers)
+    for bit in range(bits):
+        reverse |= ((numbers >> bit) & 1) << (bits - 1 - bit)
+    return reverse[reverse < n]
+
+
+def morton(cells: NDArray[np.uint32]) -> NDArray[np.uint32]:
+    """(N,). Interleaved bits of cells (N, 3), each below 2^MORTON_BITS."""
+    code = np.zeros(len(cells), np.uint32)
+    for axis in range(3):
+        spread = cells[:, axis]
+        for shift, mask in ((16, 0x030000FF), (8, 0x0300F00F), (4, 0x030C30C3), (2, 0x09249249)):
+            spread = (spread | (spread << np.uint32(shift))) & np.uint32(mask)  # bits two apart in the end
+        code |= spread << np.uint32(axis)
+    return code
+
+
+@njit(cache=True)
+def rows_of(first, count):  # type: ignore[no-untyped-def]
+    """uint32 indices of the runs that begin at `first` (K,) and have `count` (K,) atoms."""
+    total = 0
+    for k in range(len(first)):
+        total += count[k]
+    rows = np.empty(total, np.uint32)
+    at = 0
+    for k in range(len(first)):
+        for i in range(count[k]):
+            rows[at] = first[k] + i
+            at += 1
+    return rows
+
+
+@njit(cache=True)
+def near_plane(points, reach, first, count, planes, j):  # type: ignore[no-untyped-def]
+    """uint32 indices of atoms that plane j of planes (P, 4) meets and no other plane removes, from runs of atoms.
+
+    points (N, 3) float32, reach (N,) float32: how far an atom is felt.
+    """
+    total = 0
+    for k in range(len(first)):
+        total += count[k]
+    rows = np.empty(total, np.uint32)
+    at = 0
+    for k in range(len(first)):
+        for i in range(first[k], first[k] + count[k]):
+            x, y, z = points[i, 0], points[i, 1], points[i, 2]
+            r = reach[i]
+            kept = abs(planes[j, 0] * x + planes[j, 1] * y + planes[j, 2] * z + planes[j, 3]) <= r
+            if kept:
+                for m in range(len(planes)):
+                    if m != j and planes[m, 0] * x + planes[m, 1] * y + planes[m, 2] * z + planes[m, 3] > r:
+                        kept = False
+                        break
+            if kept:
+                rows[at] = i
+                at += 1
+    return rows[:at]

@@ -1,0 +1,87 @@
+"""Atoms and Gaussians on the GPU, in the order of their chunks."""
+
+from __future__ import annotations
+
+import moderngl
+import numpy as np
+from numpy.typing import NDArray
+
+from engine.gl.chunks import Chunks, build
+
+__all__ = ["Ellipsoids", "Spheres"]
+
+Float = NDArray[np.float32]
+
+
+class Ellipsoids:
+    """N splats with spherical harmonics: geometry once, colours replaced in place."""
+
+    def __init__(
+        self,
+        ctx: moderngl.Context,
+        means: Float,  # [N, 3] relative to the object's centre
+        scales: Float,  # [N, 3]
+        quats: Float,  # [N, 4]
+        sh: Float,  # [N, (d+1)^2, 3]
+    ) -> None:
+        self.chunks: Chunks = build(means, scales.max(1, initial=0))
+        order = self.chunks.order
+        self.means = np.ascontiguousarray(means[order])
+        self.reach = 3 * scales[order].max(1, initial=0)
+        self.degree = round(sh.shape[1] ** 0.5) - 1
+        self.vectors = -(-3 * sh.shape[1] // 4)
+        """vec4 attributes that hold an atom's coefficients."""
+        geometry = np.concatenate([self.means, scales[order], quats[order]], 1).astype(np.float32)
+        self.geometry = ctx.buffer(geometry) if len(means) else ctx.buffer(reserve=40)
+        self.coefficients = ctx.buffer(reserve=max(len(means), 1) * 16 * self.vectors)
+        self.update(sh)
+
+    def __len__(self) -> int:
+        return len(self.means)
+
+    def update(self, sh: Float) -> None:
+        """Other colours, (N, (d+1)^2, 3) in the caller's order, for the same atoms."""
+        assert sh.shape == (len(self), (self.degree + 1) ** 2, 3), sh.shape
+        if len(self):
+            packed = np.zeros((len(self), 4 * self.vectors), np.float32)
+            packed[:, : 3 * sh.shape[1]] = sh.reshape(len(self), -1)[self.chunks.order]
+            self.coefficients.write(packed)
+
+    def release(self) -> None:
+        """Frees the buffers."""
+        self.geometry.release()
+        self.coefficients.release()
+
+
+class Spheres:
+    """N interior atoms."""
+
+    def __init__(
+        self,
+        ctx: moderngl.Context,
+        means: Float,  # [N, 3] relative to the object's centre
+        sigmas: Float,  # [N]
+        rgb: Float,  # [N, 3]
+    ) -> None:
+        self.chunks: Chunks = build(means, sigmas)
+        order = self.chunks.order
+        self.means = np.ascontiguousarray(means[order])
+        self.reach = 3 * sigmas[order]
+        geometry = np.concatenate([self.means, sigmas[order, None]], 1).astype(np.float32)
+        self.geometry = ctx.buffer(geometry) if len(means) else ctx.buffer(reserve=16)
+        self.colours = ctx.buffer(reserve=max(len(means), 1) * 12)
+        self.update(rgb)
+
+    def __len__(self) -> int:
+        return len(self.means)
+
+    def update(self, rgb: Float) -> None:
+        """Other colours, (N, 3) in the caller's order, for the same atoms."""
+        assert rgb.shape == (len(self), 3), rgb.shape
+        if len(self):
+            self.colours.write(np.ascontiguousarray(rgb[self.chunks.order], np.float32))
+
+    def release(self) -> None:
+        """Frees the buffers."""
+        self.geometry.release()
+        self.colours.release()

@@ -1,0 +1,98 @@
+// An atom where a cut plane meets it: a square point, or a quad that lies in the plane.
+#include "camera.glsl"
+#include "shape.glsl"
+
+in vec3 mean;
+#ifdef ELLIPSOID
+in vec3 scale;
+in vec4 quat;
+in vec3 dc;
+#else
+in float sigma;
+in vec3 rgb;
+#endif
+#ifndef POINTS
+in vec2 corner; // -1 or 1
+#endif
+
+uniform vec4 cut;      // the plane in object space
+uniform vec3 cut_x;    // two unit vectors in the plane
+uniform vec3 cut_y;
+uniform float enlarge;
+
+flat out vec3 centre;
+flat out vec4 colour;  // rgb; weight at the centre
+#ifdef ELLIPSOID
+flat out mat3 whiten;
+#else
+flat out float spread; // standard deviation
+#endif
+
+// Half sizes along cut_x and cut_y of the splat's section, and its middle relative to the foot of the centre.
+void main() {
+    centre = mean;
+    float distance = dot(cut.xyz, mean) + cut.w;
+    vec3 foot = mean - distance * cut.xyz;
+    float z = (view * vec4(foot, 1.0)).z;
+    vec2 extent = vec2(0.0), middle = vec2(0.0);
+#ifdef ELLIPSOID
+    vec3 own = scale * enlarge;
+    float least = 0.5 * footprint_at(max(z, near));
+    vec3 used = max(own, vec3(least));
+    vec3 ratio = own / used;
+    colour = vec4(max(0.5 + 0.28209479177387814 * dc, 0.0), ratio.x * ratio.y * ratio.z);
+    mat3 axes = rotation_of(quat);
+    whiten = transpose(mat3(axes[0] / used.x, axes[1] / used.y, axes[2] / used.z));
+    // The section of q = |W (foot - mean + x e1 + y e2)|^2 <= CUTOFF_Q, a conic in x and y.
+    vec3 a = whiten * cut_x, b = whiten * cut_y, d = whiten * (foot - mean);
+    float aa = dot(a, a), ab = dot(a, b), bb = dot(b, b);
+    vec3 n = cross(a, b);
+    float det = dot(n, n);
+    if (det > 0.0) {
+        middle = vec2(ab * dot(b, d) - bb * dot(a, d), ab * dot(a, d) - aa * dot(b, d)) / det;
+        vec3 rest = d + middle.x * a + middle.y * b;
+        float left = CUTOFF_Q - dot(rest, rest);
+        if (left > 0.0) extent = sqrt(left * vec2(bb, aa) / det) * 1.01;
+    }
+#else
+    float own = sigma * enlarge;
+    spread = own;
+    colour = vec4(rgb, 1.0);
+    float used = own;
+#ifdef MINIFIED
+    // A little more than the largest footprint within the splat; the fragments find their own.
+    float least = 0.5 * footprint_at(max(z, near));
+    used = max(own, 1.1 * least);
+#endif
+    float left = CUTOFF_Q * used * used - distance * distance;
+    if (left > 0.0) extent = vec2(sqrt(left));
+#endif
+    if (extent.x <= 0.0) {
+        gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
+#ifdef POINTS
+        gl_PointSize = 1.0;
+#endif
+        return;
+    }
+#ifdef POINTS
+    vec3 at = (view * vec4(foot, 1.0)).xyz;
+#ifdef ORTHOGRAPHIC
+    gl_PointSize = 2.0 * extent.x * max(lens.x, lens.y) + 2.0;
+    gl_Position = vec4(to_ndc(lens.xy * at.xy + lens.zw), 0.0, 1.0);
+#else
+    vec2 slope = abs(at.xy / at.z);
+    float radius = extent.x * max(lens.x, lens.y) * (1.0 + max(slope.x, slope.y)) / max(at.z - extent.x, 0.1 * at.z);
+    gl_PointSize = 2.0 * radius + 2.0;
+    gl_Position = vec4(to_ndc(lens.xy * at.xy / at.z + lens.zw), 0.0, 1.0);
+#endif
+#else
+    vec2 at = middle + corner * extent;
+    vec3 c = (view * vec4(foot + at.x * cut_x + at.y * cut_y, 1.0)).xyz;
+#ifdef ORTHOGRAPHIC
+    gl_Position = vec4(to_ndc(lens.xy * c.xy + lens.zw), 0.0, 1.0);
+#else
+    vec2 scaled = lens.xy * c.xy + lens.zw * c.z; // pixel times depth
+    gl_Position = vec4(scaled / size * 2.0 - c.z, 0.0, c.z);
+#endif
+#endif
+}

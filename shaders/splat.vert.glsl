@@ -1,0 +1,43 @@
+// One projected atom as a square point (small, inside the picture) or as a quad along its axes (any).
+#include "camera.glsl"
+
+in vec4 record_centre;
+in vec4 record_conic;
+in vec4 record_shape;
+in vec4 record_colour;
+#ifndef POINTS
+in vec2 corner; // -1 or 1
+#endif
+
+uniform float reach;        // in standard deviations: all of the splat, or its core
+uniform float behind;       // world units added to the front depth: what the pass still lets through
+
+flat out vec4 centre;
+flat out vec4 conic;
+flat out vec2 depth_slope;
+flat out vec3 colour;
+
+void main() {
+    centre = record_centre;
+    conic = record_conic;
+    depth_slope = record_shape.xy;
+    colour = record_colour.rgb;
+    if (record_shape.z <= 0.0) {
+        gl_Position = vec4(2.0, 2.0, 2.0, 1.0); // outside of the clip volume
+#ifdef POINTS
+        gl_PointSize = 1.0;
+#endif
+        return;
+    }
+#ifdef POINTS
+    gl_PointSize = 2.0 * reach * record_shape.z + 1.0;
+    gl_Position = vec4(to_ndc(centre.xy), 0.0, 1.0);
+#else
+    vec2 major = vec2(cos(record_shape.w), sin(record_shape.w));
+    vec2 half_axes = reach * vec2(record_shape.z, record_colour.w) + 0.1;
+    vec2 u = corner.x * half_axes.x * major + corner.y * half_axes.y * vec2(-major.y, major.x);
+    // w = 1 makes depth linear over the quad, which is what the splat's is: the early depth test stays on.
+    float z = centre.z + dot(depth_slope, u) - behind;
+    gl_Position = vec4(to_ndc(centre.xy + u), linear_depth(z) * 2.0 - 1.0, 1.0);
+#endif
+}
