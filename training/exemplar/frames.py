@@ -18,7 +18,7 @@ from engine.camera import equator
 from training.exemplar.patches import OVER, POLAR, RADIAL
 from training.exemplar.pictures import Picture, fill_outside
 
-__all__ = ["DEPTH_SCALE", "Sheet", "Space", "View", "make_sheet", "make_space", "saturating", "voxel_gate"]
+__all__ = ["DEPTH_SCALE", "Sheet", "Space", "View", "make_sheet", "make_space", "rim_of", "saturating", "voxel_gate"]
 
 DEPTH_SCALE = 0.15
 """Depth in inradii over which the rind's depth stops to matter (DESIGN 5.1, step 2)."""
@@ -88,8 +88,11 @@ class Space:
 
     def slice_radius(self) -> float:
         """Radius in cells of the disc with the area of the widest slice across the axis."""
-        levels = np.round(self.planar[:, 2]).astype(int)
-        return float(np.sqrt(np.bincount(levels - levels.min()).max() / np.pi))
+        return float(np.sqrt(self.widest_slice(self.planar[:, 2]) / np.pi))
+
+    def widest_slice(self, along: NDArray[np.floating]) -> float:
+        """Square cells of the largest slice one cell thick across a direction; `along` (N,) are places along it."""
+        return float(np.bincount(np.round(along - along.min()).astype(int)).max())
 
 
 def make_space(body: Body, up: NDArray[np.float64], voxels: int) -> Space:
@@ -131,14 +134,14 @@ def make_space(body: Body, up: NDArray[np.float64], voxels: int) -> Space:
         np.maximum(depth[wanted] / body.inradius, 0).astype(np.float32),
         planar,
         radius,
-        _rim(planar, radius),
+        rim_of(planar, radius),
         np.clip(planar[:, 2] / half, -1, 1),
         slopes.astype(np.float32),
         (reach.astype(np.int32), source.astype(np.int32)),
     )
 
 
-def _rim(planar: NDArray[np.float32], radius: NDArray[np.float32]) -> NDArray[np.float32]:
+def rim_of(planar: NDArray[np.float32], radius: NDArray[np.float32]) -> NDArray[np.float32]:
     """(N,). The greatest radius among the voxels of the same height and angle."""
     level = np.round(planar[:, 2] - planar[:, 2].min()).astype(int)
     turn = (np.arctan2(planar[:, 1], planar[:, 0]) / (2 * np.pi) * ANGLES).astype(int) % ANGLES

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from engine.body import Body
 from engine.errors import InputError
-from training.exemplar.frames import Frame, Sheet, Space, make_sheet, make_space, voxel_gate
-from training.exemplar.layout import SLABS, extruded, height_correction, revolved, rind_depth
+from training.exemplar.decompose import Layers, decompose
+from training.exemplar.frames import Frame, Space, View, make_sheet, make_space, voxel_gate
+from training.exemplar.layout import SIDEWAYS, along, carried, height_correction, revolved
 from training.exemplar.library import Atlas, Library, make_atlas, make_library
 from training.exemplar.patches import FIXED, POLAR, RADIAL, gather_votes, match
 from training.exemplar.pictures import read_picture
+from training.exemplar.scatter import strew
 from training.families import Family
 from training.prior import Progress, Volume
 
@@ -35,26 +36,13 @@ TAU = 1.0
 WIDTHS = np.array([0.15, 0.08, 0.05], np.float32)
 """Mean shift's widths, colour distance (DESIGN 5.1, step 5)."""
 
-ITERATIONS = 3
+ITERATIONS = 0
 
 THIN = 4
 """One in this many voxels of a plane is matched; the others live on its votes. Planes are never skipped."""
 
 CHUNKS = 48
 """Parts of an iteration between which the prices of exemplar pixels are brought up to date."""
-
-CHOICE_VOXELS = 96
-"""Grid on which the slab is chosen: on a finer one a 7x7 patch sees too little (DESIGN 5.1, step 7)."""
-
-
-@dataclass(frozen=True)
-class View:
-    """How one family looks at the body."""
-
-    kind: Frame
-    basis: NDArray[np.float64]
-    """(3, 3). World rows: e1, e2, up for round frames; a, b, normal for a fixed one."""
-    sheets: list[Sheet]
 
 
 def solve(
@@ -73,7 +61,7 @@ def solve(
     views = [_view(space, family) for family in families]
     atlas = make_atlas([v.sheets for v in views])
     progress(0.05)
-    rgb = space.scatter(_layout(body, up, families, space, views, voxels, rng))
+    rgb = _layout(space, views, rng)
     progress(0.15)
     state = _Matching(space, views, atlas)
     for iteration in range(ITERATIONS):
@@ -113,64 +101,45 @@ def _face_area(space: Space, family: Family, kind: Frame) -> float:
     if kind == POLAR:
         return np.pi * space.slice_radius() ** 2
     if kind == RADIAL:
-        near = np.abs(space.planar[:, 1]) < 0.5
+        near = (space.planar[:, 1] >= -0.5) & (space.planar[:, 1] < 0.5)
         return float(near.sum())
-    along = np.round((space.cells - space.centre) @ family.normal(space.body, space.up)).astype(int)
-    return float(np.bincount(along - along.min()).max())
+    return space.widest_slice((space.cells - space.centre) @ family.normal(space.body, space.up))
 
 
-def _layout(
-    body: Body,
-    up: NDArray[np.float64],
-    families: Sequence[Family],
-    space: Space,
-    views: list[View],
-    voxels: int,
-    rng: np.random.Generator,
-) -> NDArray[np.float32]:
-    """(N, 3). The start."""
-    polar = [v for v in views if v.kind == POLAR]
-    radial = [v for v in views if v.kind == RADIAL]
-    if polar:
-        rind = rind_depth(polar[0].sheets[0])
-        slab = np.inf
-        if radial:
-            small = make_space(body, up, CHOICE_VOXELS) if voxels > CHOICE_VOXELS else space
-            few = (
-                [_view(small, f) for f in families if f.kind in ("horizontal", "radial")]
-                if small is not space
-                else views
-            )
-            slab = _choose_slab(small, few, rind, rng)
-            log.info("slab %.2f radii, rind %.2f", slab, rind)
-        start = extruded(space, polar[0].sheets, rind, slab * space.slice_radius(), rng)
-        if radial:
-            start += height_correction(space, radial[0].sheets, rind)
-        return np.clip(start, 0, 1)
+def _layout(space: Space, views: list[View], rng: np.random.Generator) -> NDArray[np.float32]:
+    """(X, Y, Z, 3). The start: one family's pictures carried through the body, corrected and strewn with details."""
+    layers = [[decompose(sheet) for sheet in view.sheets] for view in views]
+    kinds = [v.kind for v in views]
+    carrier = next((n for kind in (FIXED, POLAR) for n, k in enumerate(kinds) if k == kind), None)
+    radial = next((n for n, k in enumerate(kinds) if k == RADIAL), None)
+    if carrier is None:
+        colours = revolved(space, layers[0][0])
+    else:
+        view = views[carrier]
+        axis = along(space, view.basis, view.kind == POLAR)
+        rate = _drift(layers[carrier], layers[radial] if radial is not None else None)
+        log.info("texture drifts %.2f cells a cell", rate)
+        colours = carried(space, axis, layers[carrier], rate, rng)
+        if radial is not None:
+            colours += height_correction(space, views[radial].sheets, layers[carrier][0].rind)
+    rgb = space.scatter(np.clip(colours, 0, 1))
+    count = strew(rgb, space, views, layers, rng)
+    log.info("%d details", count)
+    space.fill(rgb)
+    return rgb
+
+
+def _drift(carrier: list[Layers], radial: list[Layers] | None) -> float:
+    """Cells that the texture moves sideways per cell along the axis, so that its slope there is as steep as it should be.
+
+    That is what the radial pictures show along the axis; without them, what the carrier shows on the average.
+    """
+    spread, a, b = np.mean([p.spread for p in carrier], axis=0)
+    wanted = np.sqrt((a * a + b * b) / 2) / spread
     if radial:
-        return revolved(space, radial[0].sheets[0], rind_depth(radial[0].sheets[0]))
-    sheet = views[0].sheets[0]
-    colours = sheet.rgb[sheet.depth > 0]
-    return colours[rng.integers(len(colours), size=len(space.cells))]
-
-
-def _choose_slab(space: Space, views: list[View], rind: float, rng: np.random.Generator) -> float:
-    """The slab thickness, in radii, whose radial planes look most like the radial pictures."""
-    polar = next(v for v in views if v.kind == POLAR)
-    radial = next(v for v in views if v.kind == RADIAL)
-    atlas = make_atlas([radial.sheets])
-    rows = rng.choice(len(space.cells), min(len(space.cells), 20_000), replace=False)
-    gate = voxel_gate(space, RADIAL)
-    best, chosen = np.inf, np.inf
-    library = make_library(atlas, 0, gate[rows])
-    for slab in SLABS:
-        colours = extruded(space, polar.sheets, rind, slab * space.slice_radius(), np.random.default_rng(1))
-        _, distance = _find(space.scatter(colours), space, radial, atlas, library, rows, gate[rows], None)
-        score = float(distance.mean())
-        log.info("slab %.2f: %.4f", slab, score)
-        if score < best:
-            best, chosen = score, slab
-    return chosen
+        of, _, steep = np.mean([p.spread for p in radial], axis=0)
+        wanted = steep / of
+    return float(np.clip(wanted / (np.sqrt((SIDEWAYS * a) ** 2 + b * b) / spread), 0.1, 1.5))
 
 
 def _find(

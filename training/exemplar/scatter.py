@@ -1,0 +1,217 @@
+"""Things that end, strewn through the body: seeds and pores as many and as long as the pictures say."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from training.exemplar.decompose import Layers
+from training.exemplar.frames import Space, View, voxel_gate
+from training.exemplar.patches import OVER, POLAR, RADIAL, _frame
+
+__all__ = ["strew"]
+
+SECTION = np.pi / 4
+"""Mean size of a random section of an ellipsoid over the size of its largest."""
+
+TRIES = 20
+"""Places tried for a thing before it may touch another."""
+
+
+@dataclass(frozen=True)
+class _Kind:
+    """A detail of a picture as a thing in space."""
+
+    view: int
+    layers: int
+    detail: int
+    across: float
+    """Half length along the picture's normal, cells."""
+    copies: float
+    """How many of it the body holds."""
+    rows: NDArray[np.intp]
+    """Voxels where one may be centred."""
+
+
+def strew(
+    rgb: NDArray[np.float32],  # [X, Y, Z, 3]
+    space: Space,
+    views: Sequence[View],
+    layers: Sequence[Sequence[Layers]],
+    rng: np.random.Generator,
+) -> int:
+    """Paints the details of all pictures into the grid, in place, and returns how many.
+
+    A detail of a picture is a section of a thing that is as long across the picture as the other families' details say
+    of their own, or, where there are none, as it is wide. A plane meets a thing of length L on a share L/H of its
+    places, so a face with n of them stands for n H / L in the body: short things are more.
+    """
+    kinds = _kinds(space, views, layers)
+    if not kinds:
+        return 0
+    order = np.argsort([-k.across for k in kinds], kind="stable")
+    placed = np.zeros((0, 4), np.float32)
+    total = 0
+    grid = _Buckets(space)
+    for n in order:
+        kind = kinds[n]
+        whole, part = divmod(kind.copies, 1)
+        parts = layers[kind.view][kind.layers]
+        detail = parts.details[kind.detail]
+        size = max(*detail.half, kind.across)
+        for _ in range(int(whole) + (rng.random() < part)):
+            at = grid.place(kind.rows, size, rng)
+            view = views[kind.view]
+            _paint(
+                rgb,
+                space.number,
+                space.cells[at].astype(np.float32) + rng.uniform(-0.5, 0.5, 3).astype(np.float32),
+                view.kind,
+                view.basis.astype(np.float32),
+                space.centre,
+                parts.sheet.rgb,
+                parts.detail,
+                parts.labels,
+                detail.label,
+                np.float32(detail.x),
+                np.float32(detail.y),
+                np.float32(detail.reach),
+                parts.sheet.ab[detail.pixel],
+                np.float32(kind.across),
+            )
+            total += 1
+    del placed
+    return total
+
+
+class _Buckets:
+    """Where things are already, in coarse cells, to keep them from running into each other."""
+
+    def __init__(self, space: Space) -> None:
+        self.space = space
+        self.step = 8
+        self.held: dict[tuple[int, ...], list[tuple[NDArray[np.float32], float]]] = {}
+
+    def place(self, rows: NDArray[np.intp], size: float, rng: np.random.Generator) -> int:
+        """A row of `space.cells` among `rows` with room for a thing of this half length, if there is any."""
+        at = int(rows[rng.integers(len(rows))])
+        for _ in range(TRIES):
+            point = self.space.cells[at].astype(np.float32)
+            key = tuple((point // self.step).astype(int).tolist())
+            reach = 1 + int(1.5 * size // self.step)
+            near = (
+                other
+                for i in range(-reach, reach + 1)
+                for j in range(-reach, reach + 1)
+                for k in range(-reach, reach + 1)
+                for other in self.held.get((key[0] + i, key[1] + j, key[2] + k), ())
+            )
+            if all(float(((point - p) ** 2).sum()) > (0.8 * (size + s)) ** 2 for p, s in near):
+                self.held.setdefault(key, []).append((point, size))
+                return at
+            at = int(rows[rng.integers(len(rows))])
+        return at
+
+
+def _kinds(space: Space, views: Sequence[View], layers: Sequence[Sequence[Layers]]) -> list[_Kind]:
+    """What to strew: each detail of each picture, its length across, its number and its places."""
+    speaking = [v for v in range(len(views)) if any(p.details for p in layers[v])]
+    # Where a radial or parallel family knows at which height and depth things are, the others' things go there too.
+    aspects = [_aspect(layers[v]) for v in range(len(views))]
+    kinds = []
+    for v in speaking:
+        others = [aspects[o] for o in speaking if o != v]
+        gates = voxel_gate(space, views[v].kind)
+        pixels = np.concatenate([p.sheet.gate for p in layers[v]])
+        allowed = np.ones(len(gates), bool)
+        if views[v].kind == POLAR:
+            allowed = _known_to(space, views, layers, [o for o in speaking if views[o].kind == RADIAL])
+        for n, parts in enumerate(layers[v]):
+            for d, detail in enumerate(parts.details):
+                gate = parts.sheet.gate[detail.pixel]
+                box = 0.6
+                rows = np.flatnonzero((np.abs(gates - gate) <= box).all(1))
+                area = float((np.abs(pixels - gate) <= box).all(1).sum())
+                if len(rows) == 0 or area == 0:
+                    continue
+                share = float(len(rows))
+                inside = rows[allowed[rows]]
+                rows = inside if len(inside) else rows
+                width = float(np.sqrt(detail.half[0] * detail.half[1]))
+                across = width * float(np.mean(others)) if others else width
+                across = float(np.clip(across, 0.5 * min(detail.half), 1.5 * max(detail.half))) / SECTION
+                kinds.append(_Kind(v, n, d, across, share / area / (2 * across) / len(speaking), rows))
+    return kinds
+
+
+def _aspect(layers: Sequence[Layers]) -> float:
+    """Typical length along the second direction over that along the first, of a family's larger details."""
+    halves = np.array([d.half for parts in layers for d in parts.details]).reshape(-1, 2)
+    if len(halves) == 0:
+        return 1.0
+    large = halves[halves.prod(1) >= np.median(halves.prod(1))]
+    ratio = float(np.median(large[:, 1] / large[:, 0]))
+    return float(np.clip(ratio, 0.5, 2.0))
+
+
+def _known_to(
+    space: Space, views: Sequence[View], layers: Sequence[Sequence[Layers]], families: Sequence[int]
+) -> NDArray[np.bool_]:
+    """(N,). Voxels near whose place some detail of these families lies; all where there are no such families."""
+    known = np.full(len(space.cells), not families)
+    for v in families:
+        gates = voxel_gate(space, views[v].kind)
+        for parts in layers[v]:
+            for detail in parts.details:
+                known |= (np.abs(gates - parts.sheet.gate[detail.pixel]) <= 0.8).all(1)
+    return known
+
+
+@njit(cache=True)
+def _paint(  # type: ignore[no-untyped-def]
+    rgb, number, point, kind, basis, centre, picture, opacity, labels, label, x, y, reach, ab, across
+):
+    """One thing: its picture in its own plane, shrunk like an ellipsoid towards its two ends."""
+    ax, ay, az, bx, by, bz = _frame(kind, basis, centre, point[0], point[1], point[2])
+    nx, ny, nz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+    grow = np.float32(1.15)  # sections are smaller than what they cut
+    far = max(reach * grow, across) + 1
+    height, width = opacity.shape
+    low0, high0 = max(int(point[0] - far), 0), min(int(point[0] + far) + 2, number.shape[0])
+    low1, high1 = max(int(point[1] - far), 0), min(int(point[1] + far) + 2, number.shape[1])
+    low2, high2 = max(int(point[2] - far), 0), min(int(point[2] + far) + 2, number.shape[2])
+    for i in range(low0, high0):
+        for j in range(low1, high1):
+            for k in range(low2, high2):
+                if number[i, j, k] < 0:
+                    continue
+                dx, dy, dz = np.float32(i) - point[0], np.float32(j) - point[1], np.float32(k) - point[2]
+                w = (dx * nx + dy * ny + dz * nz) / across
+                if w * w >= np.float32(0.98):
+                    continue
+                scale = grow * np.sqrt(np.float32(1) - w * w)
+                s = (dx * ax + dy * ay + dz * az) / scale
+                t = (dx * bx + dy * by + dz * bz) / scale
+                if s * s + t * t > reach * reach:
+                    continue
+                px, py = x + s * ab[0] + t * ab[2], y + s * ab[1] + t * ab[3]
+                column, row = px * np.float32(OVER), py * np.float32(OVER)
+                c, r = int(column), int(row)
+                if c < 0 or r < 0 or c >= width - 1 or r >= height - 1:
+                    continue
+                u, v = column - np.float32(c), row - np.float32(r)
+                if labels[int(row + np.float32(0.5)), int(column + np.float32(0.5))] != label:
+                    continue
+                for channel in range(3):
+                    colour = np.float32(0)
+                    alpha = np.float32(0)
+                    for m in range(2):
+                        for n in range(2):
+                            weight = (v if m else 1 - v) * (u if n else 1 - u)
+                            colour += weight * picture[r + m, c + n, channel]
+                            alpha += weight * opacity[r + m, c + n]
+                    rgb[i, j, k, channel] += alpha * (colour - rgb[i, j, k, channel])
