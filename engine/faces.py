@@ -6,11 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from engine.formula import EDGE_SLOPE, SOLID_DENSITY
 from engine.plane import Plane
+from engine.threads import for_each
 
 __all__ = ["Hits", "coverage", "enter", "shade"]
 
@@ -52,7 +53,7 @@ def enter(cam: NDArray[np.float64], planes: NDArray[np.float64]) -> Hits:
     """
     width, height = int(cam[22]), int(cam[23])
     depth, facing = np.empty((height, width)), np.empty((height, width), np.float32)
-    _enter(cam, planes, depth, facing)
+    for_each(_enter, height, cam, planes, depth, facing)
     pixels = np.flatnonzero(np.isfinite(depth))
     z = depth.reshape(-1)[pixels]
     x = (pixels % width + 0.5 - cam[14]) / cam[12]
@@ -74,24 +75,23 @@ def shade(hits: Hits) -> NDArray[np.float32]:
     return AMBIENT + np.float32(1 - AMBIENT) * hits.facing
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
-def _enter(cam, planes, depth, facing):  # type: ignore[no-untyped-def]
-    """Fills depth (H, W) of the entry, inf where there is none, and the cosine (H, W) at which the plane is met."""
+@njit(cache=True, nogil=True, error_model="numpy")
+def _enter(row, cam, planes, depth, facing):  # type: ignore[no-untyped-def]
+    """Fills a row of depth (H, W) of the entry, inf where there is none, and of the cosine (H, W) at the plane."""
     orthographic = cam[20] != 0.0
-    for row in prange(depth.shape[0]):
-        for column in range(depth.shape[1]):
-            x, y = (column + 0.5 - cam[14]) / cam[12], (row + 0.5 - cam[15]) / cam[13]
-            entry, through, steep = -np.inf, -1, 0.0
-            for p in range(len(planes)):
-                a, b, c, d = planes[p, 0], planes[p, 1], planes[p, 2], planes[p, 3]
-                base, along = (a * x + b * y + d, c) if orthographic else (d, a * x + b * y + c)
-                if along < 0.0 and -base / along > entry:
-                    entry, through, steep = -base / along, p, -along
-            found = through >= 0 and entry > cam[21] and entry < np.inf
-            for p in range(len(planes)):
-                a, b, c, d = planes[p, 0], planes[p, 1], planes[p, 2], planes[p, 3]
-                base, along = (a * x + b * y + d, c) if orthographic else (d, a * x + b * y + c)
-                if p != through and base + entry * along > 0.0:
-                    found = False
-            depth[row, column] = entry if found else np.inf
-            facing[row, column] = steep / (1.0 if orthographic else np.sqrt(x * x + y * y + 1.0))
+    for column in range(depth.shape[1]):
+        x, y = (column + 0.5 - cam[14]) / cam[12], (row + 0.5 - cam[15]) / cam[13]
+        entry, through, steep = -np.inf, -1, 0.0
+        for p in range(len(planes)):
+            a, b, c, d = planes[p, 0], planes[p, 1], planes[p, 2], planes[p, 3]
+            base, along = (a * x + b * y + d, c) if orthographic else (d, a * x + b * y + c)
+            if along < 0.0 and -base / along > entry:
+                entry, through, steep = -base / along, p, -along
+        found = through >= 0 and entry > cam[21] and entry < np.inf
+        for p in range(len(planes)):
+            a, b, c, d = planes[p, 0], planes[p, 1], planes[p, 2], planes[p, 3]
+            base, along = (a * x + b * y + d, c) if orthographic else (d, a * x + b * y + c)
+            if p != through and base + entry * along > 0.0:
+                found = False
+        depth[row, column] = entry if found else np.inf
+        facing[row, column] = steep / (1.0 if orthographic else np.sqrt(x * x + y * y + 1.0))

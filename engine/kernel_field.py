@@ -13,12 +13,13 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from engine import sh
 from engine.atoms import Atoms
 from engine.formula import CUTOFF_Q
+from engine.threads import for_each
 
 __all__ = ["KernelField", "axes_of"]
 
@@ -31,7 +32,10 @@ CELLS_PER_ATOM = 8
 """Upper limit of a grid's cells, so that atoms strewn over a huge space do not ask for a huge grid."""
 
 STRAY = 0.01
-"""Share of the atoms at either end of an axis that do not set the grid's extent: border cells hold what lies outside."""
+"""Share of the atoms at either end of an axis that does not set the grid's extent: border cells hold the strays."""
+
+POINTS = 2048
+"""Points in a task: many tasks, so that the cores stay even, each long beside the call."""
 
 
 class Level(NamedTuple):
@@ -86,10 +90,11 @@ class KernelField:
         A filled lattice has density formula.LATTICE_DENSITY; colour is zero where density is.
         """
         points, most = prepared(points, footprint)
+        tasks = -(-len(points) // POINTS)
         colour, density = np.zeros((len(points), 3), np.float32), np.zeros(len(points), np.float32)
         for grid in self.levels:
-            _sum(points, most, grid, colour, density)
-        _divide(colour, density)
+            for_each(_sum, tasks, points, most, grid, colour, density)
+        for_each(_divide, tasks, colour, density)
         return colour, density
 
     def entries(
@@ -99,14 +104,15 @@ class KernelField:
     ) -> tuple[NDArray[np.int64], NDArray[np.int32], Float]:
         """The terms of the sums as compressed rows: offsets (P + 1,), atoms (E,) and their weights w_i (E,)."""
         points, most = prepared(points, footprint)
+        tasks = -(-len(points) // POINTS)
         count = np.zeros(len(points) + 1, np.int64)
         for grid in self.levels:
-            _count(points, most, grid, count)
+            for_each(_count, tasks, points, most, grid, count)
         offsets = np.cumsum(count)
         cursor = offsets[:-1].copy()
         atom, weight = np.empty(offsets[-1], np.int32), np.empty(offsets[-1], np.float32)
         for grid in self.levels:
-            _fill(points, most, grid, cursor, atom, weight)
+            for_each(_fill, tasks, points, most, grid, cursor, atom, weight)
         return offsets, atom, weight
 
 
@@ -262,9 +268,9 @@ def _reach(most, largest):  # type: ignore[no-untyped-def]
     return np.float32(3.0001) * max(largest, np.float32(1) / most)
 
 
-@njit(cache=True, parallel=True)
-def _sum(points, most, grid, colour, density):  # type: ignore[no-untyped-def]
-    for p in prange(len(points)):
+@njit(cache=True, nogil=True)
+def _sum(task, points, most, grid, colour, density):  # type: ignore[no-untyped-def]
+    for p in range(task * POINTS, min((task + 1) * POINTS, len(points))):
         point = _local(points[p], grid.origin)
         x0, x1, y0, y1, z0, z1 = _window(point, _reach(most[p], grid.largest), grid)
         if x1 < x0:
@@ -287,17 +293,17 @@ def _sum(points, most, grid, colour, density):  # type: ignore[no-untyped-def]
         colour[p, 2] += blue
 
 
-@njit(cache=True, parallel=True)
-def _divide(colour, density):  # type: ignore[no-untyped-def]
-    for p in prange(len(density)):
+@njit(cache=True, nogil=True)
+def _divide(task, colour, density):  # type: ignore[no-untyped-def]
+    for p in range(task * POINTS, min((task + 1) * POINTS, len(density))):
         if density[p] > 0:
             for k in range(3):
                 colour[p, k] /= density[p]
 
 
-@njit(cache=True, parallel=True)
-def _count(points, most, grid, count):  # type: ignore[no-untyped-def]
-    for p in prange(len(points)):
+@njit(cache=True, nogil=True)
+def _count(task, points, most, grid, count):  # type: ignore[no-untyped-def]
+    for p in range(task * POINTS, min((task + 1) * POINTS, len(points))):
         point = _local(points[p], grid.origin)
         x0, x1, y0, y1, z0, z1 = _window(point, _reach(most[p], grid.largest), grid)
         if x1 < x0:
@@ -313,9 +319,9 @@ def _count(points, most, grid, count):  # type: ignore[no-untyped-def]
         count[p + 1] += n
 
 
-@njit(cache=True, parallel=True)
-def _fill(points, most, grid, cursor, columns, weights):  # type: ignore[no-untyped-def]
-    for p in prange(len(points)):
+@njit(cache=True, nogil=True)
+def _fill(task, points, most, grid, cursor, columns, weights):  # type: ignore[no-untyped-def]
+    for p in range(task * POINTS, min((task + 1) * POINTS, len(points))):
         point = _local(points[p], grid.origin)
         x0, x1, y0, y1, z0, z1 = _window(point, _reach(most[p], grid.largest), grid)
         if x1 < x0:

@@ -20,17 +20,8 @@ from safetensors.numpy import save_file
 from engine import sh as harmonics
 from engine.atoms import Atoms
 from engine.camera import Camera
-from engine.errors import InputError
-from engine.faces import Hits, coverage, enter
-from engine.files import atomic
-from engine.formula import MIN_WEIGHT
-from engine.kernel_field import KernelField
-from engine.opaque import camera_planes, splats
-from engine.piece import Piece
-from engine.plane import Plane
-from engine.projection import pack_camera
-from engine.splat_kernels import resolve
-from engine.view_kernels import (
+from engine.cpu.view_rows import (
+    ROWS,
     apply,
     apply_transposed,
     count_splats,
@@ -39,10 +30,23 @@ from engine.view_kernels import (
     layer_limit,
     truncate,
 )
+from engine.errors import InputError
+from engine.faces import Hits, coverage, enter
+from engine.files import atomic
+from engine.formula import MIN_WEIGHT
+from engine.kernel_field import KernelField
+from engine.outside import camera_planes, directions, draw, splats_of, view_colours
+from engine.piece import Piece
+from engine.plane import Plane
+from engine.projection import pack_camera
+from engine.threads import for_each
 
 __all__ = ["TruncatedViewWeights", "ViewWeights", "load"]
 
 Float = NDArray[np.float32]
+
+BANDS = 4
+"""Parts of a picture whose gradients are summed apart and then together; fixed, so that threads do not matter."""
 
 
 @dataclass(frozen=True)
@@ -73,31 +77,25 @@ class ViewWeights:
         atoms: Atoms, camera: Camera, planes: Sequence[Plane] = (), field: KernelField | None = None
     ) -> ViewWeights:
         """The opaque view that `opaque.render` draws (without light): the outside and, given planes, the cut faces."""
-        drawn = splats(atoms, camera, [Piece(tuple(planes))])
-        size = camera.height * camera.width
-        shown, cover = (
-            np.empty((camera.height, camera.width, 3), np.float32),
-            np.empty((camera.height, camera.width), np.float32),
-        )
-        resolve(drawn.sums, shown, cover)
-        weight = drawn.sums[..., 0]
+        piece = Piece(tuple(planes))
+        outside = draw(splats_of(atoms), [view_colours(atoms, camera)], camera, [piece], atoms.pitch)
+        cover = outside.resolved()[1]
+        weight = outside.sums[..., 0]
         faces = _faces(atoms, camera, planes, field) if planes else None
-        left = np.ones(size, np.float32)
+        left = np.ones_like(cover)
         if faces is not None:
-            left[faces.hits.pixels] -= faces.alpha
-        left = left.reshape(cover.shape)
+            left.reshape(-1)[faces.hits.pixels] -= faces.alpha
         share = np.where(weight > MIN_WEIGHT, left * cover / np.maximum(weight, MIN_WEIGHT), 0).astype(np.float32)
-        view = (drawn.cam, drawn.planes, drawn.records, drawn.spans, drawn.first, drawn.listed, drawn.columns)
-        limit = layer_limit(drawn.front, atoms.pitch)
+        limit = layer_limit(outside.front, outside.frame.layer)
         count = np.zeros(cover.shape, np.int64)
-        count_splats(*view, limit, share, count)
+        for_each(count_splats, outside.tasks, outside.frame, limit, share, count)
         counted = count.reshape(-1)
         if faces is not None:
             counted[faces.hits.pixels] += faces.counts
         offsets = np.concatenate([[0], np.cumsum(counted)])
         entries, weights = np.empty(offsets[-1], np.int32), np.empty(offsets[-1], np.float32)
         cursor = offsets[:-1].reshape(cover.shape).copy()
-        fill_splats(*view, limit, share, cursor, entries, weights)
+        for_each(fill_splats, outside.tasks, outside.frame, limit, share, cursor, entries, weights)
         if faces is not None:
             faces.fill(cursor.reshape(-1), entries, weights)
         alpha = (1 - left * (1 - cover)).reshape(-1)
@@ -132,7 +130,8 @@ class ViewWeights:
         assert keep >= 1, keep
         offsets = np.concatenate([[0], np.cumsum(np.minimum(np.diff(self.offsets), keep))])
         atoms, weights = np.empty(offsets[-1], np.int32), np.empty(offsets[-1], np.float32)
-        truncate(self.offsets, self.atoms, self.weights, keep, offsets, atoms, weights)
+        tasks = -(-len(self.alpha) // ROWS)
+        for_each(truncate, tasks, self.offsets, self.atoms, self.weights, keep, offsets, atoms, weights)
         short = {"offsets": offsets, "atoms": atoms, "weights": weights, "keep": keep}
         return TruncatedViewWeights(**(vars(self) | short))
 
@@ -150,7 +149,7 @@ class ViewWeights:
     def matmul(self, colours: torch.Tensor) -> torch.Tensor:
         """(P, 3) = W colours (C, 3), differentiable; float32."""
         assert colours.shape == (self.columns, 3), colours.shape
-        return _Product.apply(colours[torch.from_numpy(self.used).long()], self)
+        return _Product.apply(_Rows.apply(colours, self.used), self)
 
     def picture(
         self,
@@ -159,15 +158,14 @@ class ViewWeights:
         background: Sequence[float] | torch.Tensor = (1.0, 1.0, 1.0),
     ) -> torch.Tensor:
         """(H, W, 3). What `opaque.render` shows with these colours, differentiable in both."""
-        used = torch.from_numpy(self.used).long()
-        interior = self.columns - self.skin
+        used, interior = self.used, self.columns - self.skin
         outside, face = used[used < self.skin], used[used >= interior] - interior
         inside = used[(used >= self.skin) & (used < interior)] - self.skin
         degree = round(coefficients.shape[1] ** 0.5) - 1
         basis = torch.from_numpy(harmonics.basis(self.directions, degree).astype(np.float32))
-        seen = 0.5 + torch.einsum("nk,nkc->nc", basis, coefficients[outside])
-        skin = 0.5 + harmonics.C0 * coefficients[face, 0]
-        colours = torch.cat([seen.clamp(min=0), rgb[inside], skin.clamp(min=0)])
+        seen = 0.5 + torch.einsum("nk,nkc->nc", basis, _Rows.apply(coefficients, outside))
+        skin = 0.5 + harmonics.C0 * _Rows.apply(coefficients, face)[:, 0]
+        colours = torch.cat([seen.clamp(min=0), _Rows.apply(rgb, inside), skin.clamp(min=0)])
         product = _Product.apply(colours, self)
         uncovered = torch.from_numpy(1 - self.alpha)[:, None]
         over = product + uncovered * torch.as_tensor(background, dtype=torch.float32)
@@ -190,13 +188,14 @@ class ViewWeights:
 
     def _forward(self, colours: Float) -> Float:
         picture = np.empty((len(self.alpha), 3), np.float32)
-        apply(self.offsets, self.atoms, self.weights, np.ascontiguousarray(colours), picture)
+        tasks = -(-len(self.alpha) // ROWS)
+        for_each(apply, tasks, self.offsets, self.atoms, self.weights, np.ascontiguousarray(colours), picture)
         return picture
 
     def _backward(self, picture: Float) -> Float:
-        colours = np.empty((len(self.used), 3), np.float32)
-        apply_transposed(self.offsets, self.atoms, self.weights, picture, colours)
-        return colours
+        parts = np.empty((BANDS, len(self.used), 3), np.float32)
+        for_each(apply_transposed, BANDS, self.offsets, self.atoms, self.weights, picture, parts)
+        return parts.sum(0)
 
 
 @dataclass(frozen=True)
@@ -260,9 +259,10 @@ class _Faces:
     def fill(self, cursor: NDArray[np.int64], atoms: NDArray[np.int32], weights: Float) -> None:
         """Writes the entries at cursor (P,)."""
         share = np.where(self.alpha > 0, self.alpha / np.where(self.alpha > 0, self.density, 1), 0)
-        fill_faces(
-            self.hits.pixels, self.offsets, self.atoms, self.weights, share.astype(np.float32), cursor, atoms, weights
-        )
+        for_each(
+            fill_faces, -(-len(share) // ROWS), self.hits.pixels, self.offsets, self.atoms, self.weights,
+            share.astype(np.float32), cursor, atoms, weights,
+        )  # fmt: skip
 
 
 def _faces(atoms: Atoms, camera: Camera, planes: Sequence[Plane], field: KernelField | None) -> _Faces:
@@ -292,11 +292,23 @@ def _packed(
     used = np.flatnonzero(occurs).astype(np.int32)
     place = np.zeros(columns, np.int32)
     place[used] = np.arange(len(used), dtype=np.int32)
-    way = atoms.surface.means[used[used < skin]] - camera.position.astype(np.float32)
-    way /= np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-12)
-    if camera.orthographic:
-        way[:] = camera.forward
+    way = np.ascontiguousarray(directions(atoms.surface.means[used[used < skin]], camera))
     return ViewWeights(camera.height, camera.width, columns, skin, offsets, used, place[entries], weights, alpha, way)
+
+
+class _Rows(torch.autograd.Function):
+    """tensor[rows] with rows (V,) ascending: none twice, so the way back need not add (torch's sorts and adds)."""
+
+    @staticmethod
+    def forward(context: Any, tensor: torch.Tensor, rows: NDArray[np.int32]) -> torch.Tensor:
+        context.rows, context.shape, context.kind = rows, tensor.shape, tensor.dtype
+        return torch.from_numpy(tensor.detach().numpy()[rows])
+
+    @staticmethod
+    def backward(context: Any, *gradients: torch.Tensor) -> tuple[torch.Tensor, None]:
+        whole = torch.zeros(context.shape, dtype=context.kind)
+        whole.numpy()[context.rows] = gradients[0].numpy()
+        return whole, None
 
 
 class _Product(torch.autograd.Function):
