@@ -22,18 +22,23 @@ __all__ = ["enclosed", "flood"]
 
 Mask = NDArray[np.bool_]
 
-RADII = (1.5, 3.0, 6.0, 12.0, 24.0)
-"""Cells. Balls that close holes: each step doubles the hole, the last reaches a fifth of a body of 128 cells."""
+SMALLEST_BALL = 1.5
+LARGEST_BALL = 0.55
+"""Radii of the balls that close holes, from cells to a share of the longest side, doubling. The largest cannot fall
+into any hole: a cake without a bottom is as open as can be."""
 
 AXES_HIT = 5
 """Of the six axes: one may leave through the hole."""
+
+LOCAL_AXES_HIT = 3
+"""At a single cell of a hollow: just under a hole that faces a diagonal, three axes leave through it."""
 
 ODD_SHARE = 0.4
 """Share of the axes with an odd count from which a hollow counts as inside. A single sheet gives 1, a wall of two
 sheets 0, and debris in the hollow pulls either towards 1/2."""
 
-MOUTH = 0.4
-"""Of a hollow's border: the most that may be opening. Half a sphere has 1/3."""
+MOUTH = 0.45
+"""Of a hollow's border: the most that may be opening. Half a sphere has 1/3, a dish 1/2."""
 
 SMALL = 1000
 SMALL_MOUTH = 0.19
@@ -51,21 +56,35 @@ def enclosed(wall: Mask) -> tuple[Mask, float]:
     """Cells (X, Y, Z) that are not outside, the walls included, and the area of the caps in cell faces."""
     inside = ~flood(wall)
     hollow = np.zeros_like(wall)
-    margin = int(max(RADII)) + 2
-    padded = np.pad(wall, margin)
-    inner = (slice(margin, -margin),) * 3
-    clearance, _ = nearest(padded)
-    for radius in RADII:
-        centres = flood(clearance <= radius)
-        reached = nearest(centres)[0][inner] <= radius
-        pockets, count = ndimage.label(~reached & ~inside)
-        if not count:
-            continue
-        hollow |= _voted(pockets, count, wall, inside, radius)
-        inside |= hollow
+    radius = SMALLEST_BALL
+    while radius < 2 * LARGEST_BALL * max(wall.shape):
+        radius = min(radius, LARGEST_BALL * max(wall.shape))
+        pockets, count = ndimage.label(~_reached(wall, radius) & ~inside)
+        if count:
+            hollow |= _voted(pockets, count, wall, inside, radius)
+            inside |= hollow
+        radius *= 2
     if not hollow.any():
         return inside, 0.0
     return _capped(wall, inside, hollow)
+
+
+def _reached(wall: Mask, radius: float) -> Mask:
+    """Cells that a ball of this radius (cells), coming from outside, covers somewhere on its way around the wall."""
+    # A large ball rolls on coarser cells: it finds the hollow, whose border is drawn later.
+    coarse = 1 if radius < 12 else 2 if radius < 30 else 4
+    margin = int(np.ceil(radius)) + 2
+    ends = [(margin, margin + -(n + 2 * margin) % coarse) for n in wall.shape]
+    blocks = np.pad(wall, ends)
+    shape = [k for n in blocks.shape for k in (n // coarse, coarse)]
+    clearance, _ = nearest(blocks.reshape(shape).any((1, 3, 5)))
+    covered = nearest(flood(clearance <= radius / coarse))[0] <= radius / coarse
+    for axis in range(3):
+        covered = covered.repeat(coarse, axis)
+    covered = covered[tuple(slice(margin, margin + n) for n in wall.shape)]
+    if coarse > 1:  # a coarse wall is thicker than the true one
+        covered = ndimage.binary_dilation(covered, iterations=coarse + 1, mask=~wall)
+    return covered
 
 
 def _voted(pockets: NDArray[np.int32], count: int, wall: Mask, inside: Mask, radius: float) -> Mask:
@@ -76,14 +95,14 @@ def _voted(pockets: NDArray[np.int32], count: int, wall: Mask, inside: Mask, rad
     shares = np.bincount(pockets.ravel(), (odd / np.maximum(hits, 1)).ravel(), count + 1) / np.maximum(sizes, 1)
     mouths = _mouths(pockets, wall | inside)
     good = (votes >= 0.5) & (shares >= ODD_SHARE) & (mouths <= np.where(sizes < SMALL, SMALL_MOUTH, MOUTH))
-    good &= sizes >= 0.5 * (2 * radius) ** 3  # thinner than the ball that found it: a crease
+    good &= sizes >= min(0.5 * (2 * radius) ** 3, SMALL)  # thinner than the ball that found it: a crease
     good[0] = False
     chosen = good[pockets]
     if not good.any():
         return chosen
-    # Concave places outside, beside the hole, hang on the same pocket: their own rays cut them off.
+    # Open places beside the hole may hang on the same pocket: their own rays cut them off.
     free = ndimage.uniform_filter((~wall).astype(np.float32), 5)
-    local = ndimage.uniform_filter(((hits >= AXES_HIT) & ~wall).astype(np.float32), 5)
+    local = ndimage.uniform_filter(((hits >= LOCAL_AXES_HIT) & ~wall).astype(np.float32), 5)
     return chosen & (local >= 0.5 * free)
 
 
@@ -141,18 +160,16 @@ def _capped(wall: Mask, inside: Mask, hollow: Mask) -> tuple[Mask, float]:
     The winding number of the shell solves Laplace u = div(s), s the jump of the inside across faces that lie on the
     wall, and 0 across the openings. Outside u is 0, behind the shell 1, and on a flat hole it passes 1/2.
     """
-    shape = [fft.next_fast_len(2 * (n + max(inside.shape) // 3 + 1)) // 2 - 1 for n in inside.shape]
-    inner = tuple(slice((m - n) // 2, (m - n) // 2 + n) for m, n in zip(shape, inside.shape, strict=True))
     near = ndimage.binary_dilation(wall)
     level = inside.astype(np.float32)
     for _ in range(2):  # the rim's own faces settle in the second
-        source = np.zeros(shape, np.float32)
+        source = np.zeros(inside.shape, np.float32)
         for axis in range(3):
             a, b = _faces(axis)
             jump = (level[b] - level[a]) * (near[a] | near[b])
-            source[inner][a] += jump
-            source[inner][b] -= jump
-        winding = _laplace(source)[inner]
+            source[a] += jump
+            source[b] -= jump
+        winding = _laplace(source)
         level = np.where(hollow | ~inside, winding >= 0.5, True).astype(np.float32)
     capped = level > 0.5
     outside_faces = 0.0
@@ -170,13 +187,24 @@ def _faces(axis: int) -> tuple[tuple[slice, ...], tuple[slice, ...]]:
 
 
 def _laplace(source: NDArray[np.float32]) -> NDArray[np.float32]:
-    """u with (seven-point Laplace u) = source, u = 0 on the border of the grid; by sine transforms."""
-    spectrum = fft.dstn(source, type=1, workers=-1)
+    """u with (seven-point Laplace u) = source, u = 0 far outside of the grid; by sine transforms.
+
+    Solved on cells of twice the size, with room around: a border nearby would pull u down in wide holes.
+    """
+    shape = [fft.next_fast_len(2 * (n // 2 + max(source.shape) // 2 + 1)) // 2 - 1 for n in source.shape]
+    start = [(m - (n + 1) // 2) // 2 for m, n in zip(shape, source.shape, strict=True)]
+    ends = [(2 * a, 2 * m - n - 2 * a) for a, m, n in zip(start, shape, source.shape, strict=True)]
+    blocks = np.pad(source, ends).reshape([k for m in shape for k in (m, 2)])
+    # Twice the edge makes the second difference four times as large; the block's mean is its sum over eight.
+    spectrum = fft.dstn(blocks.sum((1, 3, 5)) / 2, type=1, workers=-1)
     waves = [
-        (2 * np.cos(np.pi * np.arange(1, n + 1) / (n + 1)) - 2)
-        .astype(np.float32)
-        .reshape([n if i == axis else 1 for i in range(3)])
-        for axis, n in enumerate(source.shape)
+        (2 * np.cos(np.pi * np.arange(1, m + 1) / (m + 1)) - 2).reshape([m if i == axis else 1 for i in range(3)])
+        for axis, m in enumerate(shape)
     ]
-    spectrum /= waves[0] + waves[1] + waves[2]
-    return fft.idstn(spectrum, type=1, workers=-1)
+    coarse = fft.idstn((spectrum / (waves[0] + waves[1] + waves[2])).astype(np.float32), type=1, workers=-1)
+    for axis, n in enumerate(source.shape):  # linear, from the coarse centres to the fine
+        at = start[axis] + (np.arange(n) - 0.5) / 2
+        low = np.floor(at).astype(int)
+        share = (at - low).astype(np.float32).reshape([n if i == axis else 1 for i in range(3)])
+        coarse = coarse.take(low, axis) * (1 - share) + coarse.take(low + 1, axis) * share
+    return coarse

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
+from numba import njit, prange
 from numpy.typing import NDArray
 from scipy import ndimage
 
@@ -97,13 +100,47 @@ def _redistanced(level: Float) -> Float:
     inside = level > 0
     if inside.all() or not inside.any():
         return np.where(inside, np.inf, -np.inf).astype(np.float32)
-    result = np.empty_like(level)
-    for sign, side in ((1, inside), (-1, ~inside)):
-        # From the nearest cell on the other side, less what that cell itself is away from the skin.
-        distance, index = nearest(~side)
-        beyond = np.minimum(np.abs(level.ravel()[index.ravel()]).reshape(level.shape), 1)
-        far = np.maximum(distance - beyond, 0)
-        near = np.clip((distance - BAND) / 1.0, 0, 1)
-        own = np.minimum(np.abs(level), far + 1)
-        result[side] = sign * (own * (1 - near) + far * near)[side]
-    return result
+    border = np.flatnonzero(inside ^ ndimage.binary_erosion(inside) | ~inside & ndimage.binary_dilation(inside))
+    cells = np.stack(np.unravel_index(border, level.shape), axis=1)
+    slope = np.stack([np.gradient(level, axis=a).ravel()[border] for a in range(3)], axis=1)
+    feet = (cells - slope * (level.ravel()[border] / np.maximum((slope**2).sum(1), 0.25))[:, None]).astype(np.float32)
+    mask = np.zeros(level.size, bool)
+    mask[border] = True
+    _, index = nearest(mask.reshape(level.shape))
+    owner = (np.cumsum(mask, dtype=np.int32) - 1)[index]
+    for step in (4, 2, 1):
+        owner, far = _nearer(feet, owner, step)
+    share = np.clip(far - BAND, 0, 1)
+    own = np.minimum(np.abs(level), far + 1)
+    return np.where(inside, 1, -1).astype(np.float32) * (own * (1 - share) + far * share)
+
+
+STAR = ((0, 0, 0), (1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1))
+
+
+@njit(cache=True, parallel=True)
+def _nearer(
+    feet: Float,  # [F, 3] points of the skin, in cells
+    owner: NDArray[np.int32],  # [X, Y, Z] a foot near each cell
+    step: int,
+) -> tuple[NDArray[np.int32], Float]:
+    """The nearest of the feet of a cell and of its six neighbours at `step`, and the distance to it (jump flooding)."""
+    nx, ny, nz = owner.shape
+    best = np.empty_like(owner)
+    distance = np.empty(owner.shape, np.float32)
+    for i in prange(nx):
+        for j in range(ny):
+            for k in range(nz):
+                least = np.float32(np.inf)
+                for di, dj, dk in STAR:
+                    a = min(max(np.int64(i) + step * di, 0), nx - 1)
+                    b = min(max(np.int64(j) + step * dj, 0), ny - 1)
+                    c = min(max(np.int64(k) + step * dk, 0), nz - 1)
+                    f = owner[a, b, c]
+                    dx, dy, dz = feet[f, 0] - i, feet[f, 1] - j, feet[f, 2] - k
+                    squared = np.float32(dx * dx + dy * dy + dz * dz)
+                    if squared < least:
+                        least = squared
+                        best[i, j, k] = f
+                distance[i, j, k] = math.sqrt(least)
+    return best, distance
