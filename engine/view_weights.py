@@ -258,7 +258,7 @@ class _Faces:
 
     def fill(self, cursor: NDArray[np.int64], atoms: NDArray[np.int32], weights: Float) -> None:
         """Writes the entries at cursor (P,)."""
-        share = np.where(self.alpha > 0, self.alpha / np.where(self.alpha > 0, self.density, 1), 0)
+        share = self.alpha / np.where(self.density > 0, self.density, 1)
         for_each(
             fill_faces, -(-len(share) // ROWS), self.hits.pixels, self.offsets, self.atoms, self.weights,
             share.astype(np.float32), cursor, atoms, weights,

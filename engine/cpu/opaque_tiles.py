@@ -265,12 +265,12 @@ def accumulate_backward(task, frame, colours, front, d_sums, first_rows, rows): 
             part[:] = zero
             for line_k in range(start // TILE, end // TILE):
                 for lane_k in range(np.uintp(TILE)):
-                    k = np.uintp(line_k * TILE) + lane_k
-                    g = falloff(min(h[k], cutoff))
-                    g = g if (h[k] <= cutoff) & (z[k] <= limit[k]) else zero
-                    d_weight = d0[k] + red * d2[k] + green * d3[k] + blue * d4[k]
-                    p = -g * (weight * d_weight + edge * d1[k])
-                    dx, dy = (px[k] - u0) - u1, (py[k] - v0) - v1
+                    n = np.uintp(line_k * TILE) + lane_k
+                    g = falloff(min(h[n], cutoff))
+                    g = g if (h[n] <= cutoff) & (z[n] <= limit[n]) else zero
+                    d_weight = d0[n] + red * d2[n] + green * d3[n] + blue * d4[n]
+                    p = -g * (weight * d_weight + edge * d1[n])
+                    dx, dy = (px[n] - u0) - u1, (py[n] - v0) - v1
                     w = g * weight
                     p0[lane_k] += p * dx
                     p1[lane_k] += p * dy
@@ -278,10 +278,10 @@ def accumulate_backward(task, frame, colours, front, d_sums, first_rows, rows): 
                     p3[lane_k] += p * dx * dy
                     p4[lane_k] += p * dy * dy
                     p5[lane_k] += g * d_weight
-                    p6[lane_k] += g * d1[k]
-                    p7[lane_k] += w * d2[k]
-                    p8[lane_k] += w * d3[k]
-                    p9[lane_k] += w * d4[k]
+                    p6[lane_k] += g * d1[n]
+                    p7[lane_k] += w * d2[n]
+                    p8[lane_k] += w * d3[n]
+                    p9[lane_k] += w * d4[n]
             span = frame.spans[i]
             at = first_rows[i] + (line - span[2]) * (span[1] - span[0]) + column - span[0]
             for c in range(GRADIENT):
