@@ -37,6 +37,12 @@ class Body:
         """Depth of the deepest point, world units."""
         return float(self.depth.max())
 
+    @property
+    def radius(self) -> float:
+        """Distance of the farthest inside point from the middle of the bounds, world units."""
+        points = self.centres()[self.inside] - self.bounds().mean(0)
+        return float(np.linalg.norm(points, axis=1).max()) + self.cell / 2 if len(points) else self.cell
+
     def centres(self) -> NDArray[np.float32]:
         """(X, Y, Z, 3). World positions of the cell centres."""
         axes = [self.origin[i] + (np.arange(self.depth.shape[i]) + 0.5) * self.cell for i in range(3)]

@@ -124,12 +124,14 @@ def equator(up: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.fl
     return e1, np.cross(up, e1)
 
 
-def section(plane: Plane, up: ArrayLike, bounds: NDArray[np.floating], size: int) -> Camera:
+def section(
+    plane: Plane, up: ArrayLike, bounds: NDArray[np.floating], size: int, radius: float | None = None
+) -> Camera:
     """The orthographic camera that looks at a cut face straight on, from the removed side; size x size pixels.
 
     One rule for all planes: up (3,) stands upwards in the picture; where the plane lies across up, the second vector
-    of `equator(up)` does. The picture is centred on the foot of the centre of bounds (2, 3) and as wide as its
-    diagonal and a little air, so that all sections of an object have one scale.
+    of `equator(up)` does. The picture is centred on the foot of the centre of bounds (2, 3) and twice as wide as radius
+    (world units; None: half the diagonal of the bounds) with a little air, so all sections have one scale.
     """
     n = np.asarray(plane.normal)
     axis = np.asarray(up, np.float64) / np.linalg.norm(up)
@@ -145,7 +147,7 @@ def section(plane: Plane, up: ArrayLike, bounds: NDArray[np.floating], size: int
     matrix[:3, :3] = np.stack([np.cross(upward, n), -upward, -n])
     diagonal = float(np.linalg.norm(high - low))
     matrix[:3, 3] = -matrix[:3, :3] @ (foot + n * diagonal)
-    scale = size / (1.02 * diagonal)
+    scale = size / (1.02 * (diagonal if radius is None else 2 * radius))
     return Camera(matrix, scale, scale, size / 2, size / 2, size, size, orthographic=True)
 
 

@@ -13,6 +13,7 @@ from engine.atoms import Atoms
 from engine.body import Body
 from engine.camera import equator, fit_distance, orbit, section
 from engine.files import atomic
+from engine.kernel_field import KernelField
 from engine.plane import Plane
 
 __all__ = ["save_picture", "save_sheet", "untrained_planes"]
@@ -49,16 +50,16 @@ def untrained_planes(body: Body, up: NDArray[np.float64]) -> list[Plane]:
 
 def save_sheet(path: Path, atoms: Atoms, body: Body, up: NDArray[np.float64]) -> None:
     """Two rows for six cuts: the opened object as one sees it, and below each the cut face straight on."""
-    low, high = body.bounds()
-    radius = float(np.linalg.norm(high - low)) / 2
+    field = KernelField(atoms)
+    centre = body.bounds().mean(0)
     sheet = Image.new("RGB", (TILE * len(CUTS), TILE * 2), "white")
     for index, (plane, (tilt, turn, _)) in enumerate(zip(untrained_planes(body, up), CUTS, strict=True)):
         fov = np.radians(30.0)
         # From the removed side and a little above, so that the face and the skin around it both show.
         elevation = max(18.0, 90.0 - tilt - 25.0)
-        camera = orbit((low + high) / 2, up, turn + 28.0, elevation, fit_distance(radius, fov, 1.0), TILE, TILE, fov)
-        opened = opaque.render(atoms, camera, [plane], light=True)
-        face = opaque.render(atoms, section(plane, up, body.bounds(), TILE), [plane])
+        camera = orbit(centre, up, turn + 28.0, elevation, fit_distance(body.radius, fov, 1.0), TILE, TILE, fov)
+        opened = opaque.render(atoms, camera, [plane], light=True, field=field)
+        face = opaque.render(atoms, section(plane, up, body.bounds(), TILE, body.radius), [plane], field=field)
         sheet.paste(to_image(opened.rgb), (TILE * index, 0))
         sheet.paste(to_image(face.rgb), (TILE * index, TILE))
     with atomic(path) as temporary:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 from scipy import ndimage
 
@@ -23,7 +22,7 @@ QUANTILES = 512
 
 def face_psnr(picture: Picture, truth: Picture, inside: Mask) -> float:
     """PSNR in dB over the pixels of the cut face (H, W) only."""
-    return psnr(torch.from_numpy(picture[inside]), torch.from_numpy(truth[inside]))
+    return psnr(picture[inside], truth[inside])
 
 
 def face_ssim(picture: Picture, truth: Picture, inside: Mask) -> float:
@@ -31,7 +30,7 @@ def face_ssim(picture: Picture, truth: Picture, inside: Mask) -> float:
     rows, columns = np.nonzero(inside)
     box = np.s_[max(rows.min() - 6, 0) : rows.max() + 7, max(columns.min() - 6, 0) : columns.max() + 7]
     a, b = (np.where(inside[..., None], p, np.float32(1))[box] for p in (picture, truth))
-    return float(ssim(torch.from_numpy(a.copy()), torch.from_numpy(b.copy())))
+    return ssim(a, b)
 
 
 def patch_distance(a: Picture, inside_a: Mask, b: Picture, inside_b: Mask) -> float:

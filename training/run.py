@@ -110,7 +110,7 @@ def run(request: Request, out: Path, reporter: Reporter, resume: bool, stopped: 
     checkpoint = Checkpoint(out / "checkpoint", request.fingerprint())
     if not resume:
         checkpoint.clear()
-    torch.manual_seed(request.seed)
+    torch.set_num_threads(1)  # the kernels use the cores; torch's own threads would only wait for each other
 
     def check() -> None:
         if stopped():
@@ -168,7 +168,7 @@ def prepare(
     pitch = float((high - low).max()) / detail.cells
     with reporter.stage("atomise"):
         made = atomise(gaussians, pitch, found.body)
-        atoms = Atoms(made.atoms, fill(found.body, pitch, request.seed), pitch)
+        atoms = Atoms(made.atoms, fill(found.body, pitch, request.seed, made.atoms), pitch)
     counts = {
         "gaussians": len(gaussians),
         "surface_atoms": len(atoms.surface),
@@ -397,8 +397,8 @@ def surface_psnr(geometry: Geometry, atoms: Atoms) -> tuple[float, float]:
     before: list[float] = []
     after: list[float] = []
     for camera in surface_cameras(geometry.body, geometry.up, HELD_OUT_VIEWS, size, turn=61.0):
-        target = torch.from_numpy(np.clip(classic.render(geometry.gaussians, camera, BACKGROUND).rgb, 0, 1))
+        target = np.clip(classic.render(geometry.gaussians, camera, BACKGROUND).rgb, 0, 1)
         for solid, figures in ((geometry.atoms, before), (atoms, after)):
             picture = opaque.render(solid, camera, background=BACKGROUND).rgb
-            figures.append(psnr(torch.from_numpy(np.clip(picture, 0, 1)), target))
+            figures.append(psnr(np.clip(picture, 0, 1), target))
     return float(np.mean(before)), float(np.mean(after))

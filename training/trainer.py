@@ -14,11 +14,10 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from engine.atoms import Atoms, InteriorAtoms, SurfaceAtoms
-from engine.camera import Camera
-from engine.sh import C0, basis
+from engine.sh import C0
 from training.losses import reconstruction
 from training.smoothing import smooth
-from training.views import Section, SurfaceView
+from training.views import BACKGROUND, Section, SurfaceView
 
 __all__ = ["Losses", "Trainer"]
 
@@ -70,10 +69,10 @@ class Trainer:
             name: torch.zeros_like(tensor) for name, tensor in (("sh1", self.sh), ("sh2", self.sh))
         }
         # An atom is trained where some cut face shows it.
-        shown = np.zeros(len(atoms), bool)
+        self.trained: NDArray[np.bool_] = np.zeros(len(atoms.interior), bool)
         for view in sections:
-            shown |= view.weights.columns()
-        self.trained: NDArray[np.bool_] = shown[len(atoms.surface) :]
+            columns = view.weights.used - len(atoms.surface)
+            self.trained[columns[(columns >= 0) & (columns < len(self.trained))]] = True
 
     @property
     def turns(self) -> int:
@@ -110,19 +109,16 @@ class Trainer:
 
         rgb = self.rgb.requires_grad_()
         sh = self.sh.requires_grad_()
-        plain = torch.cat([base_colours(sh), rgb])
         # Each kind of view is a mean, so that neither outweighs the other by its number.
         section_loss = torch.zeros(())
         for index in chosen.tolist():
-            section_loss = section_loss + reconstruction(
-                self.sections[index].weights.matmul(plain), labels[index], SECTION_ALPHA
-            )
+            shown = self.sections[index].weights.picture(sh, rgb, BACKGROUND)
+            section_loss = section_loss + reconstruction(shown, labels[index], SECTION_ALPHA)
         section_loss = section_loss / max(len(chosen), 1)
         surface_loss = torch.zeros(())
         for index in views.tolist():
-            view = self.surfaces[index]
-            seen = torch.cat([seen_colours(sh, self.atoms.surface.means, view.camera), rgb])
-            surface_loss = surface_loss + reconstruction(view.weights.matmul(seen), view.target, SURFACE_ALPHA)
+            shown = self.surfaces[index].weights.picture(sh, rgb, BACKGROUND)
+            surface_loss = surface_loss + reconstruction(shown, self.surfaces[index].target, SURFACE_ALPHA)
         surface_loss = surface_loss / max(len(views), 1)
         (section_loss + surface_loss).backward()
 
@@ -149,15 +145,14 @@ class Trainer:
     def render(self, section: Section) -> NDArray[np.float32]:
         """(H, W, 3). A cut face as the atoms show it now, over white."""
         with torch.no_grad():
-            return section.weights.matmul(torch.cat([base_colours(self.sh), self.rgb])).numpy()
+            return section.weights.picture(self.sh, self.rgb, BACKGROUND).numpy()
 
     def section_losses(self, labels: Sequence[Tensor]) -> NDArray[np.float64]:
         """(V,). Reconstruction loss of every section; the paper refines until all are under a threshold."""
         with torch.no_grad():
-            plain = torch.cat([base_colours(self.sh), self.rgb])
             return np.array(
                 [
-                    reconstruction(view.weights.matmul(plain), label, SECTION_ALPHA).item()
+                    reconstruction(view.weights.picture(self.sh, self.rgb, BACKGROUND), label, SECTION_ALPHA).item()
                     for view, label in zip(self.sections, labels, strict=True)
                 ]
             )
@@ -169,21 +164,3 @@ class Trainer:
         second.lerp_(gradient * gradient, 1 - BETAS[1])
         corrected = second / (1 - BETAS[1] ** self.iteration)
         return first / (1 - BETAS[0] ** self.iteration) / (corrected.sqrt() + TINY)
-
-
-def base_colours(sh: Tensor) -> Tensor:
-    """(S, 3). What a surface atom shows on a cut face: its colour without the view-dependent bands."""
-    return (0.5 + C0 * sh[:, 0]).clamp_min(0)
-
-
-def seen_colours(
-    sh: Tensor,  # [S, (d+1)^2, 3]
-    means: NDArray[np.float32],  # [S, 3]
-    camera: Camera,
-) -> Tensor:
-    """(S, 3). RGB of surface atoms as a pinhole camera sees them."""
-    directions = means - camera.position.astype(np.float32)
-    directions /= np.maximum(np.linalg.norm(directions, axis=1, keepdims=True), 1e-12)
-    degree = round(sh.shape[1] ** 0.5) - 1
-    functions = torch.from_numpy(basis(directions, degree))
-    return (0.5 + torch.einsum("sk,skc->sc", functions, sh)).clamp_min(0)

@@ -15,6 +15,7 @@ from engine.atoms import Atoms
 from engine.body import Body
 from engine.camera import Camera, around, equator, on_plane, section
 from engine.gaussians import Gaussians
+from engine.kernel_field import KernelField
 from engine.plane import Plane
 from engine.view_weights import ViewWeights
 from training.families import Family
@@ -63,15 +64,16 @@ def sections(
     progress: Callable[[float], None],
 ) -> list[Section]:
     """Every plane of every family as a view of size x size pixels; planes that miss the body are left out."""
-    bounds = body.bounds()
+    bounds, radius = body.bounds(), body.radius
     planes = [(family, plane) for family in families for plane in family.planes(body, up)]
+    field = KernelField(atoms)
     result = []
     for index, (family, plane) in enumerate(planes):
-        camera = section(plane, up, bounds, size)
+        camera = section(plane, up, bounds, size, radius)
         points = on_plane(camera, plane)
         inside = body.at(points) > 0
         if inside.any():
-            weights = ViewWeights.section(atoms, plane, camera).truncated(ENTRIES)
+            weights = ViewWeights.section(atoms, plane, camera, field).truncated(ENTRIES)
             condition = conditioned(family, body, up, camera, points)
             result.append(Section(family, plane, camera, weights, condition, points))
         progress((index + 1) / len(planes))
@@ -112,8 +114,7 @@ def conditioned(
 
 def surface_cameras(body: Body, up: NDArray[np.float64], count: int, size: int, turn: float = 0.0) -> list[Camera]:
     """Cameras from all around the body."""
-    low, high = body.bounds()
-    return around((low + high) / 2, float(np.linalg.norm(high - low)) / 2, up, count, size, turn)
+    return around(body.bounds().mean(0), body.radius, up, count, size, turn)
 
 
 def surface_views(
