@@ -91,7 +91,8 @@ def _enter(row, cam, planes, depth, facing):  # type: ignore[no-untyped-def]
         for p in range(len(planes)):
             a, b, c, d = planes[p, 0], planes[p, 1], planes[p, 2], planes[p, 3]
             base, along = (a * x + b * y + d, c) if orthographic else (d, a * x + b * y + c)
-            if p != through and base + entry * along > 0.0:
+            # Planes that the ray enters through lie before the last of them; testing them again would crack edges.
+            if along >= 0.0 and base + entry * along > 0.0:
                 found = False
         depth[row, column] = entry if found else np.inf
         facing[row, column] = steep / (1.0 if orthographic else np.sqrt(x * x + y * y + 1.0))

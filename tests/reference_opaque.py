@@ -159,8 +159,9 @@ def faces(atoms: Atoms, camera: Camera, planes: Sequence[Plane], light: bool) ->
         entry, through = np.where(first, s, entry), np.where(first, j, through)
     met = (through >= 0) & (entry > nearest(camera))
     point = origin + np.where(met, entry, 0)[..., None] * direction
-    for j, plane in enumerate(planes):
-        met &= (through == j) | (plane.distance(point) <= 0)
+    for plane in planes:
+        # The other planes that the ray enters through lie before the last: the point keeps to them by itself.
+        met &= (direction @ np.array(plane.normal) < 0) | (plane.distance(point) <= 0)
     scale = np.sqrt(camera.fx * camera.fy)
     footprint = (np.where(met, entry, 1) if not camera.orthographic else np.ones(size)) / scale
     colour, density = np.zeros((*size, 3)), np.zeros(size)
