@@ -1,0 +1,38 @@
+"""`fruitninja`: the desktop app."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+__all__ = ["main"]
+
+
+def main() -> None:
+    """Entry point: `fruitninja [SCENE | PROJECT.fruitninja]`."""
+    parser = argparse.ArgumentParser(
+        prog="fruitninja", description="Slice a 3DGS capture anywhere, and give it an inside."
+    )
+    parser.add_argument("path", nargs="?", type=Path, help="a scene (.ply, .splat, .obj, ...) or a .fruitninja project")
+    path: Path | None = parser.parse_args().path
+    if path is not None and not path.is_file():
+        print(f"fruitninja: {path}: no such file", file=sys.stderr)
+        sys.exit(2)
+    # Not before: the window's libraries take a second to load, and a wrong path should be said at once.
+    from app.project import Viewing
+    from app.samples import sample_document
+    from app.session import Session
+    from app.ui.window import Window
+
+    def start(session: Session) -> None:
+        if path is not None:
+            session.open(path)
+        else:
+            session.show(sample_document(), Viewing(mode="capture"), None)
+
+    Window(Session(), start).run()
+
+
+if __name__ == "__main__":
+    main()

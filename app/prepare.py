@@ -1,0 +1,139 @@
+"""Reads a scene and makes it solid, in a process of its own: `python -m app.prepare`, started by `app.preparing`.
+
+A process, not a thread, because the geometry's kernels hold the interpreter's lock, and because it can be stopped at
+any moment. One request as JSON on standard input; JSON lines on standard output; arrays in files that the lines name.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from safetensors.numpy import save_file
+from scipy.spatial import cKDTree
+
+from engine.atoms import Atoms, InteriorAtoms, SurfaceAtoms
+from engine.body import Body
+from engine.errors import InputError
+from engine.gaussians import Gaussians
+from engine.sh import sh_to_rgb
+from engine.trained import load_trained, sidecar_path
+from training.settings import DETAILS
+
+PLAIN = (0.83, 0.82, 0.80)
+"""Colour of an inside that nobody has trained: it should read as material, not as a picture."""
+
+SKIN_PITCHES = 2.0
+"""Pitches under the skin over which its colour fades into the plain one: a cut shows a rim, as a shell would."""
+
+BODY_CELLS = 128
+"""The trainer's: with the same grid its atoms are the same, and the window can follow their colours."""
+
+
+def main() -> None:
+    """Answers one request."""
+    request = json.loads(sys.stdin.readline())
+    folder, path = Path(request["folder"]), Path(request["scene"])
+    try:
+        trained = request["trained"]
+        if sidecar_path(path).exists():
+            _send_trained(path, folder, capture=True)
+        else:
+            gaussians = _capture(path, folder, request["seed"])
+            if trained is not None:
+                _send_trained(Path(trained), folder, capture=False)
+            else:
+                _solid(path, gaussians, DETAILS[request["detail"]].cells, request["seed"], folder)
+    except InputError as error:
+        _say(error=str(error))
+    except MemoryError:
+        _say(error=f"{path}: not enough memory for it; close other programs, or choose a coarser detail")
+    _say(end=True)
+
+
+def _capture(path: Path, folder: Path, seed: int) -> Gaussians:
+    from engine.load import load
+    from engine.orient import detect_up
+
+    _say(stage=f"Reading {path.name}", part=0.02)
+    loaded = load(path, seed)
+    gaussians = loaded.gaussians
+    up, reason = detect_up(gaussians)
+    facts = {"up": np.asarray(up, np.float64).tolist(), "reason": reason, "warnings": list(loaded.warnings)}
+    _send(folder, "capture", _arrays(gaussians), facts)
+    return gaussians
+
+
+def _solid(path: Path, gaussians: Gaussians, cells: int, seed: int, folder: Path) -> None:
+    from engine.atomise import atomise
+    from engine.fill import fill, find_body
+
+    _say(stage="Finding the body", part=0.15)
+    found = find_body(gaussians, max(BODY_CELLS, cells), path.name)
+    low, high = found.body.bounds()
+    pitch = float((high - low).max()) / cells
+    _say(stage="Making it solid", part=0.4)
+    surface = atomise(gaussians, pitch, found.body).atoms
+    _say(stage="Filling it", part=0.85)
+    interior = fill(found.body, pitch, seed)
+    interior = InteriorAtoms(
+        interior.means, interior.sigmas, plain_inside(surface, interior, found.body, pitch), interior.exposed
+    )
+    atoms = Atoms(surface, interior, pitch)
+    _send_atoms(folder, atoms, {"notes": list(found.notes), "trained": False})
+
+
+def plain_inside(surface: SurfaceAtoms, interior: InteriorAtoms, body: Body, pitch: float) -> NDArray[np.float32]:
+    """(I, 3). An even inside under the colours of the skin next to it."""
+    rgb = np.tile(np.array(PLAIN, np.float32), (len(interior), 1))
+    depth = body.at(interior.means)
+    near = depth < 1.5 * SKIN_PITCHES * pitch
+    if len(surface) and near.any():
+        skin = np.clip(sh_to_rgb(surface.sh[:, 0]), 0, 1).astype(np.float32)
+        _, rows = cKDTree(surface.means).query(interior.means[near], k=min(4, len(surface)))
+        colour = skin[rows].mean(1) if rows.ndim == 2 else skin[rows]
+        weight = np.clip(1.5 - depth[near] / (SKIN_PITCHES * pitch), 0, 1)[:, None].astype(np.float32)
+        rgb[near] += weight * (colour - rgb[near])
+    return rgb
+
+
+def _send_trained(path: Path, folder: Path, capture: bool) -> None:
+    _say(stage=f"Reading {path.name}", part=0.3)
+    atoms, meta = load_trained(path)
+    if capture:
+        from engine.ply import read_ply
+
+        gaussians, _ = read_ply(path)
+        facts = {"up": list(meta.up), "reason": "as trained", "warnings": []}
+        _send(folder, "capture", _arrays(gaussians), facts)
+    _send_atoms(folder, atoms, {"notes": [], "trained": True})
+
+
+def _send_atoms(folder: Path, atoms: Atoms, facts: dict[str, Any]) -> None:
+    s, i = atoms.surface, atoms.interior
+    arrays = {"means": s.means, "scales": s.scales, "quats": s.quats, "sh": s.sh}
+    arrays |= {"inside": i.means, "sigmas": i.sigmas, "rgb": i.rgb}
+    _send(folder, "atoms", arrays, {"pitch": float(atoms.pitch), "exposed": int(i.exposed), **facts})
+
+
+def _arrays(gaussians: Gaussians) -> dict[str, NDArray[Any]]:
+    g = gaussians
+    return {"means": g.means, "scales": g.scales, "quats": g.quats, "opacities": g.opacities, "sh": g.sh}
+
+
+def _send(folder: Path, what: str, arrays: dict[str, NDArray[Any]], facts: dict[str, Any]) -> None:
+    file = folder / f"{what}.safetensors"
+    save_file({name: np.ascontiguousarray(array) for name, array in arrays.items()}, file)
+    _say(ready=what, file=str(file), facts=facts)
+
+
+def _say(**facts: Any) -> None:
+    print(json.dumps(facts), flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,277 @@
+"""The commands of the window, and the menus, the rail and the shortcut sheet made from them."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+from imgui_bundle import ImVec2, imgui
+from imgui_bundle import icons_fontawesome_6 as icon
+
+from app.camera_control import AXIS_VIEWS
+from app.project import SUFFIX
+from app.samples import sample_document
+from app.session import TOOLS, Session, Tool
+from app.ui.commands import Command, Ctrl, Key, Shift
+from app.ui.dialogs import Dialogs
+from app.ui.export_window import ExportWindow
+from app.ui.theme import Fonts, apply, palette, px, rgba
+from app.ui.viewport import Viewport
+from app.ui.widgets import font, icon_button, secondary, tip
+
+__all__ = ["Menus"]
+
+TOOL_ICONS: dict[Tool, tuple[str, str, str]] = {
+    "select": (icon.ICON_FA_ARROW_POINTER, "Select pieces; drag to look around", "V"),
+    "knife": (icon.ICON_FA_UTENSILS, "Knife: drag across the object to cut it", "K"),
+    "plane": (icon.ICON_FA_LAYER_GROUP, "Plane: drag to open the object along a plane", "P"),
+    "move": (icon.ICON_FA_UP_DOWN_LEFT_RIGHT, "Move pieces", "M"),
+    "turn": (icon.ICON_FA_ROTATE, "Turn pieces", "T"),
+}
+
+
+class Menus:
+    """Draws them."""
+
+    def __init__(self, session: Session, viewport: Viewport, dialogs: Dialogs, export: ExportWindow) -> None:
+        self.session, self.viewport, self.dialogs, self.export = session, viewport, dialogs, export
+        self.sheet = False
+        """Whether the shortcut sheet is shown."""
+        session.ask_where = lambda then: dialogs.save(
+            "Save the project", self.suggestion(), ["FruitNinja project", f"*{SUFFIX}"], then
+        )
+        self.commands = self._commands()
+
+    def suggestion(self) -> Path:
+        """Where a new project would go."""
+        scene = self.session.document.scene
+        return scene.with_suffix(SUFFIX) if scene else Path.home() / f"untitled{SUFFIX}"
+
+    def _commands(self) -> list[Command]:
+        s, view = self.session, self.viewport
+        desk, ask = s.desk, self.export.ask
+
+        def opened() -> bool:
+            return s.document.scene is not None
+
+        def chosen() -> bool:
+            return bool(s.selection)
+
+        def is_cut() -> bool:
+            return bool(s.document.cuts)
+
+        axis_keys = (("1", Key._1), ("3", Key._3), ("2", Key._2), ("4", Key._4), ("6", Key._6), ("5", Key._5))
+        look = [Command("View", "Fit", view.fit, "F", Key.f, opened)]
+        for name, (keys, chord) in zip(AXIS_VIEWS, axis_keys, strict=True):
+            look.append(Command("View", name.title(), partial(self._look_from, name), keys, chord, gap=name == "front"))
+        look += [
+            Command("View", "Perspective", self._perspective, "O", Key.o, on=self._in_perspective, gap=True),
+            Command("View", "Light on cut faces", self._light, on=lambda: s.settings.face_light),
+            Command("View", "Light theme", self._theme, on=lambda: s.settings.theme == "light"),
+        ]
+        tools = []
+        for tool in TOOLS:
+            keys = TOOL_ICONS[tool][2]
+            tools.append(Command("Tools", tool.title(), partial(s.take, tool), keys, getattr(Key, keys.lower())))
+        return [
+            Command("File", "Open...", self._open, "Ctrl+O", Ctrl | Key.o),
+            Command("File", "Save", s.save, "Ctrl+S", Ctrl | Key.s, opened, gap=True),
+            Command("File", "Save as...", self._save_as, "Ctrl+Shift+S", Ctrl | Shift | Key.s, opened),
+            Command("File", "Save picture...", partial(ask, "picture"), "Ctrl+E", Ctrl | Key.e, opened, gap=True),
+            Command("File", "Save turntable...", partial(ask, "turntable"), can=opened),
+            Command("File", "Save plane sweep...", partial(ask, "sweep"), can=is_cut),
+            Command("File", "Save cut face...", partial(ask, "section"), can=is_cut),
+            Command("File", "Save pieces as .ply...", partial(ask, "pieces"), can=lambda: s.atoms is not None),
+            Command("File", "Quit", s.close, "Ctrl+Q", Ctrl | Key.q, gap=True),
+            Command("Edit", "Undo", s.undo, "Ctrl+Z", Ctrl | Key.z, lambda: s.history.cursor > 0),
+            Command(
+                "Edit", "Redo", s.redo, "Ctrl+Shift+Z", Ctrl | Shift | Key.z,
+                lambda: s.history.cursor + 1 < len(s.history.entries),
+            ),
+            Command("Edit", "Select all", self._select_all, "Ctrl+A", Ctrl | Key.a, opened, gap=True),
+            Command("Edit", "Hide", s.hide, "H", Key.h, chosen),
+            Command("Edit", "Delete", s.delete, "Del", Key.delete, chosen),
+            *tools,
+            Command("Cut", "Add plane", s.add_plane, "", 0, opened),
+            Command("Cut", "Put back together", s.together, "Ctrl+G", Ctrl | Key.g, is_cut),
+            Command("Cut", "Remove all cuts", self._no_cuts, can=is_cut),
+            Command("Interior", "Give it an inside", desk.start, can=lambda: opened() and not desk.busy),
+            Command("Interior", "Pause", desk.toggle_pause, can=lambda: desk.busy),
+            Command("Interior", "Stop", desk.stop, can=lambda: desk.busy),
+            Command("Interior", "Resume", desk.resume, can=lambda: desk.job is not None and not desk.busy),
+            Command("Interior", "Choose pictures...", self._pictures, can=opened, gap=True),
+            *look,
+            Command("Help", "Shortcuts", self._toggle_sheet, "?", Shift | Key.slash),
+        ]  # fmt: skip
+
+    # Menus and rail
+
+    def show(self) -> None:
+        """The menu bar."""
+        for name in dict.fromkeys(command.menu for command in self.commands):
+            if name == "Tools":
+                continue  # the rail is their menu
+            if imgui.begin_menu(name):
+                for command in self.commands:
+                    if command.menu == name:
+                        self._item(command)
+                        if command.label == "Open...":
+                            self._recent()
+                        if command.label == "Redo":
+                            self._history()
+                imgui.end_menu()
+
+    def _item(self, command: Command) -> None:
+        if command.gap:
+            imgui.separator()
+        on = command.on is not None and command.on()
+        keys = command.keys.replace("Ctrl", "Cmd") if sys.platform == "darwin" else command.keys
+        if imgui.menu_item(command.label, keys, on, command.can())[0]:
+            command.act()
+
+    def _recent(self) -> None:
+        if imgui.begin_menu("Open recent", bool(self.session.settings.recent)):
+            for name in self.session.settings.recent:
+                if imgui.menu_item(Path(name).name, "", False)[0]:
+                    self.session.open(Path(name))
+                tip(name)
+            imgui.end_menu()
+        if imgui.begin_menu("Samples"):
+            for name in ("watermelon", "orange", "bread"):
+                if imgui.menu_item(name.title(), "", False)[0]:
+                    self.open_sample(name)
+            imgui.end_menu()
+
+    def _history(self) -> None:
+        history = self.session.history
+        if imgui.begin_menu("History"):
+            first = max(0, len(history.entries) - 30)
+            for index in range(first, len(history.entries)):
+                label = f"{history.entries[index].name}##{index}"
+                if imgui.menu_item(label, "", index == history.cursor)[0]:
+                    self.session.jump(index)
+            imgui.end_menu()
+
+    def rail(self) -> None:
+        """Tools at the left edge."""
+        imgui.push_style_var(imgui.StyleVar_.item_spacing, ImVec2(px(8), px(8)))
+        for tool in TOOLS:
+            mark, words, keys = TOOL_ICONS[tool]
+            if icon_button(f"{mark}##{tool}", 38, active=self.session.tool == tool):
+                self.session.take(tool)
+            tip(words, keys)
+        imgui.dummy(ImVec2(0, px(2)))
+        if icon_button(f"{icon.ICON_FA_EXPAND}##fit", 38):
+            self.viewport.fit()
+        tip("Fit the object into the picture", "F")
+        if icon_button(f"{icon.ICON_FA_CAMERA}##picture", 38):
+            self.export.ask("picture")
+        tip("Save a picture", "Ctrl+E")
+        imgui.pop_style_var()
+
+    def context(self) -> None:
+        """What a right click on the object offers."""
+        if self.viewport.menu_asked:
+            self.viewport.menu_asked = False
+            imgui.open_popup("context")
+        if not imgui.begin_popup("context"):
+            return
+        for label in ("Hide", "Delete", "Put back together", "Fit"):
+            self._item(next(replace(c, gap=False) for c in self.commands if c.label == label))
+        hidden = [p.key for p in self.session.pieces if not p.visible]
+        if hidden and imgui.menu_item_simple("Show all"):
+            self.session.mark("Show all", frozenset(hidden), lambda p: replace(p, visible=True))
+        imgui.end_popup()
+
+    def show_sheet(self) -> None:
+        """All shortcuts on one page."""
+        if not self.sheet:
+            return
+        imgui.set_next_window_pos(imgui.get_main_viewport().get_center(), imgui.Cond_.always, ImVec2(0.5, 0.5))
+        imgui.push_style_color(imgui.Col_.window_bg, rgba(palette().panel, 0.98))
+        imgui.push_style_var(imgui.StyleVar_.window_padding, ImVec2(px(22), px(18)))
+        flags = imgui.WindowFlags_.no_decoration | imgui.WindowFlags_.always_auto_resize | imgui.WindowFlags_.no_docking
+        imgui.begin("##shortcuts", None, flags | imgui.WindowFlags_.no_saved_settings)
+        with font(Fonts.bold):
+            imgui.text_unformatted("Shortcuts")
+        imgui.separator()
+        mouse = (
+            ("Drag", "look around, or use the tool"),
+            ("Right drag", "look around"),
+            ("Middle or Shift+right drag", "shift the picture"),
+            ("Wheel", "nearer, to the pointer"),
+            ("Alt+drag", "look around with any tool"),
+            ("Shift while cutting", "level and upright cuts"),
+            ("Esc while cutting", "do not cut"),
+            ("Ctrl+click", "select several pieces"),
+        )
+        left = [(c.keys, c.label) for c in self.commands if c.keys and c.menu in ("File", "Edit", "Cut", "Help")]
+        right = [(c.keys, c.label) for c in self.commands if c.keys and c.menu in ("Tools", "View")]
+        if imgui.begin_table("##keys", 3, imgui.TableFlags_.sizing_fixed_fit):
+            for column in (left, right, mouse):
+                imgui.table_next_column()
+                wide = max(imgui.calc_text_size(keys).x for keys, _ in column) + px(16)
+                for keys, label in column:
+                    start = imgui.get_cursor_pos_x()
+                    secondary(keys)
+                    imgui.same_line(start + wide)
+                    imgui.text_unformatted(label.removesuffix("..."))
+                    imgui.same_line()
+                    imgui.dummy(ImVec2(px(18), 0))
+            imgui.end_table()
+        outside = imgui.is_mouse_clicked(imgui.MouseButton_.left) and not imgui.is_window_hovered()
+        if outside or imgui.is_key_pressed(imgui.Key.escape):
+            self.sheet = False
+        imgui.end()
+        imgui.pop_style_var()
+        imgui.pop_style_color()
+
+    # Acts
+
+    def _open(self) -> None:
+        self.dialogs.open_scene(self.session.open)
+
+    def open_sample(self, name: str) -> None:
+        """A sample scene, ready to be trained."""
+        session = self.session
+        session.unless_unsaved(
+            lambda: session.show(sample_document(name), replace(session.viewing, mode="capture"), None)
+        )
+
+    def _save_as(self) -> None:
+        if self.session.ask_where is not None:
+            self.session.ask_where(self.session.save)
+
+    def _pictures(self) -> None:
+        self.dialogs.open_pictures(lambda paths: self.session.add_pictures(None, paths))
+
+    def _select_all(self) -> None:
+        self.session.selection = frozenset(piece.key for piece in self.session.pieces if piece.visible)
+
+    def _no_cuts(self) -> None:
+        self.session.change("Remove all cuts", replace(self.session.document, cuts=(), placements=()))
+
+    def _perspective(self) -> None:
+        eye = self.session.viewing.eye
+        self.session.look(replace(self.session.viewing, eye=replace(eye, orthographic=not eye.orthographic)))
+
+    def _in_perspective(self) -> bool:
+        return not self.session.viewing.eye.orthographic
+
+    def _look_from(self, view: str) -> None:
+        self.viewport.go(self.session.viewing.eye.seen_from(view))
+
+    def _light(self) -> None:
+        settings = self.session.settings
+        self.session.remember(replace(settings, face_light=not settings.face_light))
+
+    def _theme(self) -> None:
+        settings = self.session.settings
+        new = replace(settings, theme="light" if settings.theme == "dark" else "dark")
+        self.session.remember(new)
+        apply(new.theme)
+
+    def _toggle_sheet(self) -> None:
+        self.sheet = not self.sheet

@@ -1,0 +1,200 @@
+"""Colours, type and distances (DESIGN, section 7), dark and light with the same roles."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from imgui_bundle import ImVec2, ImVec4, hello_imgui, imgui, implot
+
+__all__ = ["DARK", "LIGHT", "Palette", "apply", "load_fonts", "palette", "px", "u32"]
+
+FONT_SIZE = 15.5
+SMALL_SIZE = 13.5
+
+
+@dataclass(frozen=True)
+class Palette:
+    """What each colour is for."""
+
+    accent: str = "#FF6B4A"
+    """The active tool, the one main action, progress."""
+    on_accent: str = "#1B1C1E"
+    ground: str = "#1B1C1E"
+    panel: str = "#232528"
+    field: str = "#303337"
+    hover: str = "#3C3F44"
+    pressed: str = "#474B51"
+    text: str = "#E6E7E9"
+    second: str = "#8F949C"
+    """Text of less weight."""
+    line: str = "#34373C"
+    view: str = "#1F2023"
+    """Behind the object."""
+    trouble: str = "#F2B84B"
+    curve: str = "#7FA7D9"
+    """The second curve of a plot."""
+
+
+DARK = Palette()
+LIGHT = Palette(
+    accent="#E9532F",
+    on_accent="#FFFFFF",
+    ground="#E4E5E7",
+    panel="#F4F4F5",
+    field="#E3E5E8",
+    hover="#D5D8DC",
+    pressed="#C6CACF",
+    text="#1F2124",
+    second="#666B73",
+    line="#D3D6DA",
+    view="#ECEDEF",
+    trouble="#A86A00",
+    curve="#2F6DB5",
+)
+
+_current = DARK
+
+
+def palette() -> Palette:
+    """The colours in use."""
+    return _current
+
+
+def rgba(colour: str, alpha: float = 1.0) -> ImVec4:
+    """A colour '#RRGGBB' for a style."""
+    r, g, b = (int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5))
+    return ImVec4(r, g, b, alpha)
+
+
+def u32(colour: str, alpha: float = 1.0) -> int:
+    """A colour '#RRGGBB' for a draw list."""
+    return int(imgui.color_convert_float4_to_u32(rgba(colour, alpha)))
+
+
+def rgb(colour: str) -> tuple[float, float, float]:
+    """A colour '#RRGGBB' for a renderer."""
+    v = rgba(colour)
+    return v.x, v.y, v.z
+
+
+def px(value: float) -> float:
+    """A distance at 96 DPI in the window's units."""
+    return value * float(hello_imgui.dpi_window_size_factor())
+
+
+class Fonts:
+    """Loaded once by the runner."""
+
+    small: imgui.ImFont | None = None
+    bold: imgui.ImFont | None = None
+
+
+def load_fonts() -> None:
+    """Roboto with Font Awesome 6, a smaller and a bolder one."""
+    hello_imgui.get_runner_params().callbacks.default_icon_font = hello_imgui.DefaultIconFont.font_awesome6
+    hello_imgui.load_font_ttf_with_font_awesome_icons("fonts/Roboto/Roboto-Regular.ttf", FONT_SIZE)
+    Fonts.small = hello_imgui.load_font("fonts/Roboto/Roboto-Regular.ttf", SMALL_SIZE)
+    Fonts.bold = hello_imgui.load_font("fonts/Roboto/Roboto-Bold.ttf", FONT_SIZE)
+
+
+def apply(name: str) -> None:
+    """Sets every colour and distance of the current ImGui context."""
+    global _current
+    _current = p = LIGHT if name == "light" else DARK
+    style = imgui.get_style()
+    scale = px(1.0)
+    for field, value in {
+        "window_padding": (12, 12),
+        "frame_padding": (9, 5),
+        "item_spacing": (8, 8),
+        "item_inner_spacing": (6, 4),
+        "cell_padding": (4, 3),
+        "window_menu_button_position": None,
+        "separator_text_padding": (0, 4),
+    }.items():
+        if value is not None:
+            setattr(style, field, ImVec2(value[0] * scale, value[1] * scale))
+    for field, size in {
+        "frame_rounding": 5,
+        "child_rounding": 5,
+        "popup_rounding": 6,
+        "window_rounding": 6,
+        "grab_rounding": 5,
+        "tab_rounding": 5,
+        "scrollbar_rounding": 5,
+        "scrollbar_size": 9,
+        "grab_min_size": 10,
+        "indent_spacing": 16,
+        "docking_separator_size": 2,
+    }.items():
+        setattr(style, field, size * scale)
+    style.window_border_size = style.frame_border_size = style.child_border_size = 0.0
+    style.popup_border_size = 1.0
+    style.window_menu_button_position = imgui.Dir.none
+    style.disabled_alpha = 0.45
+    for role, colour in _roles(p).items():
+        style.set_color_(getattr(imgui.Col_, role), colour)
+    for role, colour in {
+        "frame_bg": rgba(p.field, 0),
+        "plot_bg": rgba(p.ground, 0.55),
+        "plot_border": rgba(p.line, 0),
+        "axis_grid": rgba(p.second, 0.18),
+        "axis_text": rgba(p.second),
+        "axis_bg": rgba(p.panel, 0),
+        "legend_bg": rgba(p.panel, 0.0),
+        "legend_border": rgba(p.panel, 0.0),
+        "legend_text": rgba(p.second),
+    }.items():
+        implot.get_style().set_color_(getattr(implot.Col_, role), colour)
+    implot.get_style().plot_padding = ImVec2(px(6), px(6))
+
+
+def _roles(p: Palette) -> dict[str, ImVec4]:
+    clear = rgba(p.panel, 0)
+    return {
+        "text": rgba(p.text),
+        "text_disabled": rgba(p.second),
+        "window_bg": rgba(p.panel),
+        "child_bg": clear,
+        "popup_bg": rgba(p.panel),
+        "border": rgba(p.line),
+        "border_shadow": clear,
+        "frame_bg": rgba(p.field),
+        "frame_bg_hovered": rgba(p.hover),
+        "frame_bg_active": rgba(p.pressed),
+        "title_bg": rgba(p.ground),
+        "title_bg_active": rgba(p.ground),
+        "title_bg_collapsed": rgba(p.ground),
+        "menu_bar_bg": rgba(p.ground),
+        "scrollbar_bg": clear,
+        "scrollbar_grab": rgba(p.hover),
+        "scrollbar_grab_hovered": rgba(p.pressed),
+        "scrollbar_grab_active": rgba(p.second),
+        "check_mark": rgba(p.text),
+        "slider_grab": rgba(p.second),
+        "slider_grab_active": rgba(p.text),
+        "button": rgba(p.field),
+        "button_hovered": rgba(p.hover),
+        "button_active": rgba(p.pressed),
+        "header": rgba(p.field),
+        "header_hovered": rgba(p.hover),
+        "header_active": rgba(p.pressed),
+        "separator": rgba(p.line),
+        "separator_hovered": rgba(p.second),
+        "separator_active": rgba(p.text),
+        "resize_grip": clear,
+        "tab": rgba(p.panel),
+        "tab_hovered": rgba(p.hover),
+        "tab_selected": rgba(p.field),
+        "tab_dimmed": rgba(p.panel),
+        "tab_dimmed_selected": rgba(p.field),
+        "docking_preview": rgba(p.accent, 0.4),
+        "docking_empty_bg": rgba(p.ground),
+        "plot_histogram": rgba(p.accent),
+        "text_selected_bg": rgba(p.accent, 0.35),
+        "nav_cursor": rgba(p.second),
+        "modal_window_dim_bg": rgba("#000000", 0.45),
+        "drag_drop_target": rgba(p.accent),
+        "tab_selected_overline": clear,
+        "tab_dimmed_selected_overline": clear,
+    }

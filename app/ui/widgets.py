@@ -1,0 +1,193 @@
+"""Small parts that several panels use."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+
+from imgui_bundle import ImVec2, imgui
+from imgui_bundle import icons_fontawesome_6 as icon
+
+from app.ui.theme import Fonts, palette, px, rgba, u32
+
+__all__ = [
+    "disabled",
+    "heading",
+    "icon_button",
+    "main_button",
+    "minutes",
+    "number_slider",
+    "secondary",
+    "segmented",
+    "thin_bar",
+    "tip",
+]
+
+
+def tip(text: str, keys: str = "") -> None:
+    """What the item under the pointer does, with its shortcut."""
+    if imgui.is_item_hovered(imgui.HoveredFlags_.for_tooltip | imgui.HoveredFlags_.allow_when_disabled):
+        imgui.push_style_var(imgui.StyleVar_.window_padding, ImVec2(px(9), px(6)))
+        if imgui.begin_tooltip():
+            imgui.push_text_wrap_pos(px(300))
+            imgui.text_unformatted(text)
+            imgui.pop_text_wrap_pos()
+            if keys:
+                imgui.same_line()
+                imgui.text_disabled(keys)
+            imgui.end_tooltip()
+        imgui.pop_style_var()
+
+
+@contextmanager
+def disabled(when: bool) -> Iterator[None]:
+    """Greyed out while something is missing."""
+    imgui.begin_disabled(when)
+    yield
+    imgui.end_disabled()
+
+
+@contextmanager
+def font(kind: imgui.ImFont | None) -> Iterator[None]:
+    """Another of the loaded fonts, at its own size."""
+    if kind is None:
+        yield
+        return
+    imgui.push_font(kind, kind.legacy_size)
+    yield
+    imgui.pop_font()
+
+
+def heading(text: str, right: str = "") -> None:
+    """A section of the inspector."""
+    imgui.dummy(ImVec2(0, px(2)))
+    with font(Fonts.bold):
+        imgui.text_unformatted(text)
+    if right:
+        right_text(right)
+    imgui.separator()
+    imgui.dummy(ImVec2(0, px(1)))
+
+
+def secondary(text: str, wrap: bool = False) -> None:
+    """Text of less weight."""
+    imgui.push_style_color(imgui.Col_.text, rgba(palette().second))
+    if wrap:
+        imgui.text_wrapped(text)
+    else:
+        imgui.text_unformatted(text)
+    imgui.pop_style_color()
+
+
+def right_text(text: str) -> None:
+    """On the same line, ending at the right edge."""
+    imgui.same_line()
+    right = imgui.get_cursor_pos_x() + imgui.get_content_region_avail().x
+    imgui.set_cursor_pos_x(max(imgui.get_cursor_pos_x(), right - imgui.calc_text_size(text).x))
+    secondary(text)
+
+
+def icon_button(label: str, size: float, active: bool = False, quiet: bool = False) -> bool:
+    """A square button with an icon; the active one has the accent, a quiet one shows only when pointed at."""
+    p = palette()
+    if active:
+        colours = (rgba(p.accent), rgba(p.accent), rgba(p.accent), rgba(p.on_accent))
+    else:
+        colours = (rgba(p.field, 0.0 if quiet else 1.0), rgba(p.hover), rgba(p.pressed), rgba(p.text))
+    for role, colour in zip(("button", "button_hovered", "button_active", "text"), colours, strict=True):
+        imgui.push_style_color(getattr(imgui.Col_, role), colour)
+    imgui.push_style_var(imgui.StyleVar_.frame_padding, ImVec2(0, 0))
+    pressed = imgui.button(label, ImVec2(px(size), px(size)))
+    imgui.pop_style_var()
+    imgui.pop_style_color(4)
+    return pressed
+
+
+def main_button(label: str, width: float = -1.0) -> bool:
+    """The one main action."""
+    p = palette()
+    for role, colour in (
+        ("button", rgba(p.accent)),
+        ("button_hovered", rgba(p.accent, 0.9)),
+        ("button_active", rgba(p.accent, 0.8)),
+        ("text", rgba(p.on_accent)),
+    ):
+        imgui.push_style_color(getattr(imgui.Col_, role), colour)
+    pressed = imgui.button(label, ImVec2(width, px(32)))
+    imgui.pop_style_color(4)
+    return pressed
+
+
+def segmented(name: str, labels: Sequence[str], current: int, width: float, hints: Sequence[str] = ()) -> int:
+    """One of a few, side by side in one field; returns the chosen index. `width` of the whole, window units."""
+    p = palette()
+    each, height = width / len(labels), imgui.get_frame_height()
+    origin = imgui.get_cursor_screen_pos()
+    draw = imgui.get_window_draw_list()
+    draw.add_rect_filled(origin, ImVec2(origin.x + width, origin.y + height), u32(p.field), px(5))
+    imgui.begin_group()
+    for index, label in enumerate(labels):
+        low = ImVec2(origin.x + each * index, origin.y)
+        imgui.set_cursor_screen_pos(low)
+        if imgui.invisible_button(f"{label}##{name}", ImVec2(each, height)):
+            current = index
+        hovered = imgui.is_item_hovered()
+        if hints:
+            tip(hints[index])
+        high = ImVec2(low.x + each, low.y + height)
+        if index == current:
+            inset = px(2)
+            draw.add_rect_filled(
+                ImVec2(low.x + inset, low.y + inset), ImVec2(high.x - inset, high.y - inset), u32(p.pressed), px(4)
+            )
+        size = imgui.calc_text_size(label)
+        draw.add_text(
+            ImVec2(low.x + (each - size.x) / 2, low.y + (height - size.y) / 2),
+            u32(p.text if index == current or hovered else p.second),
+            label,
+        )
+    imgui.end_group()
+    return current
+
+
+def number_slider(
+    name: str, value: float, low: float, high: float, form: str = "%.2f", width: float = -1.0
+) -> tuple[bool, float]:
+    """A slider with its number at the right, which keeps its place; double click or Ctrl+click to type."""
+    room = imgui.calc_text_size("-00.00").x + px(6)
+    full = imgui.get_content_region_avail().x if width < 0 else width
+    imgui.set_next_item_width(full - room)
+    imgui.push_style_var(imgui.StyleVar_.frame_padding, ImVec2(px(9), px(3)))
+    changed, value = imgui.slider_float(name, value, low, high, "")
+    imgui.pop_style_var()
+    text = form % value
+    imgui.same_line(0, 0)
+    imgui.set_cursor_pos_x(imgui.get_cursor_pos_x() + room - imgui.calc_text_size(text).x)
+    imgui.align_text_to_frame_padding()
+    imgui.text_unformatted(text)
+    return changed, value
+
+
+def thin_bar(part: float, paused: bool = False) -> None:
+    """Progress, as thin as can be."""
+    p = palette()
+    width, height = imgui.get_content_region_avail().x, px(5)
+    low = imgui.get_cursor_screen_pos()
+    draw = imgui.get_window_draw_list()
+    draw.add_rect_filled(low, ImVec2(low.x + width, low.y + height), u32(p.field), height / 2)
+    if part > 0:
+        end = low.x + max(height, width * min(part, 1.0))
+        draw.add_rect_filled(low, ImVec2(end, low.y + height), u32(p.second if paused else p.accent), height / 2)
+    imgui.dummy(ImVec2(width, height))
+
+
+def minutes(seconds: float) -> str:
+    """'1:05', '2:03:10'."""
+    whole = round(max(seconds, 0.0))
+    hours, rest = divmod(whole, 3600)
+    return f"{hours}:{rest // 60:02d}:{rest % 60:02d}" if hours else f"{rest // 60}:{rest % 60:02d}"
+
+
+def eye_icon(on: bool) -> str:
+    """Shown or hidden."""
+    return icon.ICON_FA_EYE if on else icon.ICON_FA_EYE_SLASH

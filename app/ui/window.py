@@ -1,0 +1,313 @@
+"""The window: hello_imgui's runner around a session, with the GL engine attached to its context."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import glfw
+import moderngl
+from imgui_bundle import ImVec2, ImVec4, hello_imgui, imgui, implot
+from imgui_bundle import icons_fontawesome_6 as icon
+from imgui_bundle.glfw_utils import glfw_window_hello_imgui
+
+from app.autosave import Rescued, rescued
+from app.session import PICTURES, Session
+from app.settings import settings_folder
+from app.ui.commands import press_shortcuts
+from app.ui.dialogs import Dialogs
+from app.ui.export_window import ExportWindow
+from app.ui.exporting import Exporter
+from app.ui.inspector import Inspector
+from app.ui.interior import InteriorPanel
+from app.ui.menus import Menus
+from app.ui.painter import Painter
+from app.ui.theme import Fonts, apply, load_fonts, palette, px, rgba, u32
+from app.ui.thumbs import Thumbs
+from app.ui.viewport import Viewport
+from app.ui.widgets import font, main_button, secondary
+
+__all__ = ["Window"]
+
+IDLE_FRAMES = 6.0
+"""A second, while nothing happens: often enough to follow a job."""
+
+GUI_ERRORS = 3
+"""Failures of one frame in a row after which the window gives up rather than loop."""
+
+
+class Window:
+    """Builds the panels when the context is there, and draws them."""
+
+    def __init__(self, session: Session, start: Callable[[Session], None] | None = None) -> None:
+        self.session = session
+        self.start = start
+        self.dropped: list[Path] = []
+        self.rescues: list[Rescued] = []
+        self.params = self._params()
+        self._failures = 0
+
+    def run(self) -> None:
+        """Until the window is closed."""
+        hello_imgui.run(self.params)
+
+    def _params(self) -> hello_imgui.RunnerParams:
+        params = hello_imgui.RunnerParams()
+        settings = self.session.settings
+        params.app_window_params.window_title = "FruitNinja"
+        params.app_window_params.window_geometry.size = settings.window
+        params.renderer_backend_options.open_gl_options.anti_aliasing_samples = 0
+        windows = params.imgui_window_params
+        windows.default_imgui_window_type = hello_imgui.DefaultImGuiWindowType.provide_full_screen_dock_space
+        windows.show_menu_bar = True
+        windows.show_menu_app = False
+        windows.show_menu_view = False
+        windows.show_status_bar = True
+        windows.show_status_fps = False
+        windows.remember_theme = windows.remember_status_bar_settings = False
+        params.ini_folder_type = hello_imgui.IniFolderType.absolute_path
+        params.ini_filename = str(settings_folder() / "window.ini")
+        params.fps_idling.fps_idle = IDLE_FRAMES
+        callbacks = params.callbacks
+        callbacks.default_icon_font = hello_imgui.DefaultIconFont.font_awesome6
+        callbacks.load_additional_fonts = load_fonts
+        callbacks.setup_imgui_style = lambda: apply(settings.theme)
+        callbacks.post_init = self._begin
+        callbacks.before_exit = self._end
+        callbacks.pre_new_frame = self._tick
+        callbacks.show_gui = lambda: self._guard(self._gui)
+        callbacks.show_menus = lambda: self._guard(self.menus.show)
+        callbacks.show_status = self._status
+        rail = hello_imgui.EdgeToolbar()
+        rail.show_toolbar = lambda: self._guard(self.menus.rail)
+        rail.options = hello_imgui.EdgeToolbarOptions(size_em=4.0, window_padding_em=ImVec2(0.72, 0.75))
+        callbacks.edges_toolbars = {hello_imgui.EdgeToolbarType.left: rail}
+        params.docking_params = self._docking()
+        return params
+
+    def _docking(self) -> hello_imgui.DockingParams:
+        docking = hello_imgui.DockingParams()
+        quiet = imgui.DockNodeFlags_.auto_hide_tab_bar
+        docking.main_dock_space_node_flags = quiet | imgui.DockNodeFlags_.passthru_central_node
+        split = hello_imgui.DockingSplit("MainDockSpace", "Inspector", imgui.Dir.right, 0.245)
+        split.node_flags = quiet
+        docking.docking_splits = [split]
+        view = hello_imgui.DockableWindow("Object", "MainDockSpace", self._viewport, can_be_closed_=False)
+        view.call_begin_end = False
+        panel = hello_imgui.DockableWindow("Inspector", "Inspector", self._inspector, can_be_closed_=False)
+        docking.dockable_windows = [view, panel]
+        return docking
+
+    # Life
+
+    def _begin(self) -> None:
+        self.ctx = moderngl.create_context(require=330)
+        self.painter = Painter(self.ctx)
+        self.thumbs = Thumbs(self.ctx)
+        self.dialogs = Dialogs()
+        self.viewport = Viewport(self.session, self.painter)
+        self.exporter = Exporter(self.session, self.painter)
+        self.export = ExportWindow(self.exporter, self.dialogs)
+        self.menus = Menus(self.session, self.viewport, self.dialogs, self.export)
+        self.interior = InteriorPanel(self.session, self.viewport, self.thumbs, self.dialogs)
+        self.inspector = Inspector(self.session, self.interior)
+        if implot.get_current_context() is None:
+            implot.create_context()
+        apply(self.session.settings.theme)
+        self.window = glfw_window_hello_imgui()
+        glfw.set_drop_callback(self.window, self._note_drop)
+        if self.start is not None:
+            self.start(self.session)
+        self.rescues = rescued()
+
+    def _end(self) -> None:
+        size = glfw.get_window_size(self.window)
+        self.session.remember(replace(self.session.settings, window=(max(size[0], 200), max(size[1], 200))))
+        glfw.set_drop_callback(self.window, None)  # type: ignore[arg-type]
+        self.thumbs.release()
+        self.painter.release()
+
+    def _tick(self) -> None:
+        session = self.session
+        session.tick()
+        if self.dropped:
+            self._take_drop()
+        preparing = session.preparing is not None
+        busy = preparing or self.exporter.busy or self.viewport.moving
+        self.params.fps_idling.enable_idling = not busy
+        glfw.set_window_title(self.window, f"{session.title} - FruitNinja" if session.document.scene else "FruitNinja")
+        if (glfw.window_should_close(self.window) or self.params.app_shall_exit) and not session.closing:
+            glfw.set_window_should_close(self.window, False)
+            self.params.app_shall_exit = False
+            if session.question is None:
+                session.close()
+        if session.closing:
+            self.params.app_shall_exit = True
+
+    def _note_drop(self, _: Any, names: Any, *__: Any) -> None:
+        self.dropped += [Path(name) for name in names]
+
+    def _take_drop(self) -> None:
+        paths, self.dropped = tuple(self.dropped), []
+        pictures = tuple(path for path in paths if path.suffix.lower() in PICTURES)
+        if pictures and self.session.document.scene is not None:
+            self.interior.dropped(pictures, imgui.get_io().mouse_pos.y)
+        elif paths and not pictures:
+            self.session.open(paths[0])
+        else:
+            self.session.say("Open an object first, then drop pictures of its cut faces.")
+
+    def _guard(self, draw: Callable[[], None]) -> None:
+        """An error in the window is shown in it; ImGui's stack is put right so that the frame can end."""
+        state = imgui.internal.ErrorRecoveryState()
+        imgui.internal.error_recovery_store_state(state)
+        try:
+            draw()
+            self._failures = 0
+        except Exception as error:
+            self._failures += 1
+            if self._failures > GUI_ERRORS:
+                raise
+            imgui.internal.error_recovery_try_to_recover_state(state)
+            self.session.fail(f"Something went wrong ({type(error).__name__}: {error}). Your work is kept; save it.")
+
+    # Drawing
+
+    def _gui(self) -> None:
+        press_shortcuts(self.menus.commands)
+        self.menus.show_sheet()
+        self.export.show()
+        self.dialogs.show()
+        self._question()
+
+    def _viewport(self) -> None:
+        imgui.push_style_var(imgui.StyleVar_.window_padding, ImVec2(0, 0))
+        flags = imgui.WindowFlags_.no_scrollbar | imgui.WindowFlags_.no_scroll_with_mouse
+        imgui.begin("Object", None, flags | imgui.WindowFlags_.no_move | imgui.WindowFlags_.no_title_bar)
+        imgui.pop_style_var()
+        self._guard(self._viewport_body)
+        imgui.end()
+
+    def _viewport_body(self) -> None:
+        self.viewport.show()
+        self._notices()
+        self.menus.context()
+        if self.session.document.scene is None:
+            self._welcome()
+
+    def _inspector(self) -> None:
+        self._guard(self.inspector.show)
+
+    def _status(self) -> None:
+        message = self.session.message or "Drop a capture on the window, or open one with Ctrl+O."
+        imgui.text_unformatted(message)
+
+    def _welcome(self) -> None:
+        """The one obvious thing to do while nothing is open."""
+        view = self.viewport
+        width = px(300)
+        left = view.origin.x + (view.size[0] - width) / 2
+        imgui.set_cursor_screen_pos(ImVec2(left, view.origin.y + view.size[1] / 2 - px(60)))
+        imgui.begin_group()
+        with font(Fonts.bold):
+            imgui.text_unformatted("Open a capture to slice it")
+        secondary("or drop it here: .ply, .splat, .spz, .obj, .glb")
+        imgui.dummy(ImVec2(0, px(4)))
+        if main_button(f"{icon.ICON_FA_FOLDER_OPEN}  Open...", width):
+            self.dialogs.open_scene(self.session.open)
+        if imgui.button("Try the watermelon", ImVec2(width, px(32))):
+            self.menus.open_sample("watermelon")
+        imgui.end_group()
+
+    def _notices(self) -> None:
+        """Errors, what is being read, and unsaved work of a session that crashed, at the foot of the viewport."""
+        view, session = self.viewport, self.session
+        texts: list[tuple[str, str, Callable[[], None] | None, Callable[[], None]]] = []
+        if self.rescues:
+            first = self.rescues[0]
+            name = first.project.stem if first.project else "a project that was never saved"
+            texts.append((f"Unsaved work on {name} was kept.", "Bring it back", self._recover, self._forget))
+        if session.error:
+            texts.append((session.error, "", None, lambda: setattr(session, "error", "")))
+        y = view.origin.y + view.size[1] - px(46)
+        for text, label, act, dismiss in texts:
+            y -= self._notice(text, label, act, dismiss, y) + px(8)
+
+    def _notice(
+        self, text: str, label: str, act: Callable[[], None] | None, dismiss: Callable[[], None], bottom: float
+    ) -> float:
+        """One card; returns its height."""
+        p, view = palette(), self.viewport
+        draw = imgui.get_window_draw_list()
+        inner = min(px(560), view.size[0] - px(56))
+        words = inner - px(64) - (imgui.calc_text_size(label).x + px(34) if label else 0)
+        size = imgui.calc_text_size(text, wrap_width=words)
+        height = max(size.y, px(26)) + px(20)
+        low = ImVec2(view.origin.x + (view.size[0] - inner) / 2, bottom - height)
+        draw.add_rect_filled(low, ImVec2(low.x + inner, bottom), u32(p.panel, 0.97), px(6))
+        draw.add_rect(low, ImVec2(low.x + inner, bottom), u32(p.trouble if not label else p.line), px(6), px(1))
+        mark = icon.ICON_FA_CIRCLE_INFO if label else icon.ICON_FA_TRIANGLE_EXCLAMATION
+        draw.add_text(ImVec2(low.x + px(13), low.y + (height - imgui.get_font_size()) / 2), u32(p.trouble), mark)
+        imgui.set_cursor_screen_pos(ImVec2(low.x + px(40), low.y + (height - size.y) / 2))
+        imgui.push_text_wrap_pos(imgui.get_cursor_pos_x() + words)
+        imgui.text_unformatted(text)
+        imgui.pop_text_wrap_pos()
+        right = low.x + inner - px(34)
+        middle = low.y + (height - imgui.get_frame_height()) / 2
+        if label and act is not None:
+            imgui.set_cursor_screen_pos(ImVec2(right - imgui.calc_text_size(label).x - px(26), middle))
+            imgui.set_next_item_allow_overlap()
+            if imgui.button(label):
+                act()
+        imgui.set_cursor_screen_pos(ImVec2(right, middle))
+        imgui.set_next_item_allow_overlap()
+        imgui.push_style_color(imgui.Col_.button, ImVec4(0, 0, 0, 0))
+        if imgui.button(f"{icon.ICON_FA_XMARK}##dismiss{text[:20]}", ImVec2(px(28), 0)):
+            dismiss()
+        imgui.pop_style_color()
+        return height
+
+    def _recover(self) -> None:
+        first = self.rescues.pop(0)
+        self.session.unless_unsaved(lambda: self.session.recover(first))
+
+    def _forget(self) -> None:
+        self.rescues.pop(0).discard()
+
+    def _question(self) -> None:
+        question = self.session.question
+        if question is None:
+            return
+        imgui.open_popup("Question")
+        imgui.set_next_window_pos(imgui.get_main_viewport().get_center(), imgui.Cond_.always, ImVec2(0.5, 0.5))
+        imgui.set_next_window_size(ImVec2(px(440), 0))
+        imgui.push_style_var(imgui.StyleVar_.window_padding, ImVec2(px(20), px(18)))
+        flags = imgui.WindowFlags_.no_title_bar | imgui.WindowFlags_.no_resize
+        chosen = None
+        if imgui.begin_popup_modal("Question", None, flags)[0]:
+            with font(Fonts.bold):
+                imgui.text_unformatted(question.title)
+            imgui.push_style_color(imgui.Col_.text, rgba(palette().second))
+            imgui.text_wrapped(question.text)
+            imgui.pop_style_color()
+            imgui.dummy(ImVec2(0, px(6)))
+            for choice in question.choices:
+                width = imgui.calc_text_size(choice.label).x + px(32)
+                pressed = (
+                    main_button(choice.label, width)
+                    if choice.main
+                    else imgui.button(choice.label, ImVec2(width, px(32)))
+                )
+                if pressed:
+                    chosen = choice
+                imgui.same_line()
+            if imgui.is_key_pressed(imgui.Key.escape):
+                chosen = question.choices[-1]
+            if chosen is not None:
+                imgui.close_current_popup()
+            imgui.end_popup()
+        imgui.pop_style_var()
+        if chosen is not None:
+            self.session.answer(chosen)
