@@ -1,0 +1,251 @@
+"""Reads a Stable Diffusion depth model from a local folder, and asks it one question: which noise is in a code?"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import numpy as np
+import torch
+from diffusers import AutoencoderKL, DDPMScheduler, UNet2DConditionModel
+from numpy.typing import NDArray
+from torch import Tensor
+from torch.nn import functional
+from transformers import CLIPTextModel, CLIPTokenizer
+
+from engine.errors import InputError
+from training.families import Kind
+
+__all__ = ["NOTE", "Model", "load_model", "load_part", "resized"]
+
+Prediction = Literal["epsilon", "v_prediction"]
+
+NOTE = "fruitninja.json"
+"""Says in the folder of a fine-tuned model which prompts it learned."""
+
+DEPTH_CHANNELS = 5
+"""Four of the code and one of depth: what tells a depth-conditioned model from a plain one."""
+
+PICKLES = ("*.bin", "*.ckpt", "*.pt", "*.pth")
+
+
+@dataclass
+class Model:
+    """The parts of a model that stay in memory; codes are (B, 4, h, w) here, pictures (B, 3, H, W) in [0, 1]."""
+
+    folder: Path
+    unet: Any
+    vae: Any
+    text_encoder: Any
+    tokenizer: Any
+    sigmas: NDArray[np.float64]
+    """(T,). Noise over signal of each timestep, sqrt((1 - a) / a) for a the cumulative product of the alphas."""
+    prediction: Prediction
+    device: torch.device
+    prompts: dict[Kind, str]
+    """Prompts that the model was fine-tuned on; empty for any other."""
+
+    @property
+    def cell(self) -> int:
+        """Pixels along a side of one cell of a code."""
+        return 2 ** (len(self.vae.config.block_out_channels) - 1)
+
+    def working_size(self, height: int, width: int) -> tuple[int, int]:
+        """The size in pixels that the model knows, for a picture of this shape: the longer side as in its training.
+
+        Smaller pictures must be enlarged, not taken as they are: the model draws every object at its own scale.
+        """
+        native = int(np.max(self.unet.config.sample_size))
+        scale = native / max(height, width)
+        rows, columns = (max(1, round(side * scale)) for side in (height, width))
+        return rows * self.cell, columns * self.cell
+
+    @torch.no_grad()
+    def encode(self, pictures: Tensor) -> Tensor:
+        """Codes of pictures whose sides are multiples of `cell`; the mean of the encoder, so without chance."""
+        given = (2 * pictures - 1).to(self.device, self.vae.dtype)
+        return self.vae.encode(given).latent_dist.mode().float() * self.vae.config.scaling_factor
+
+    @torch.no_grad()
+    def decode(self, codes: Tensor) -> Tensor:
+        """Pictures of codes, not yet clipped."""
+        given = codes.to(self.device, self.vae.dtype) / self.vae.config.scaling_factor
+        return (self.vae.decode(given).sample.float() + 1) / 2
+
+    @torch.no_grad()
+    def embed(self, prompts: Sequence[str]) -> Tensor:
+        """(B, tokens, dim). The text embeddings of prompts."""
+        words = self.tokenizer(
+            list(prompts),
+            padding="max_length",
+            max_length=self.text_encoder.config.max_position_embeddings,
+            truncation=True,
+            return_tensors="pt",
+        )
+        return self.text_encoder(words.input_ids.to(self.device))[0]
+
+    def noise(self, codes: Tensor, sigma: float | Tensor, text: Tensor, depth: Tensor) -> Tensor:
+        """(B, 4, h, w). The noise in codes = clean + sigma * noise, in units of one.
+
+        The network speaks of sqrt(a) clean + sqrt(1 - a) noise with sigma^2 = (1 - a) / a, so its input is the codes
+        over sqrt(1 + sigma^2), at the timestep whose own sigma is nearest on a logarithmic scale.
+        sigma: one for all or (B,); text: (B, tokens, dim); depth: (B, 1, h, w) in [-1, 1], near is large.
+        """
+        assert codes.ndim == 4 and depth.shape == (len(codes), 1, *codes.shape[2:]), (codes.shape, depth.shape)
+        level = torch.as_tensor(sigma, dtype=torch.float32, device=codes.device).expand(len(codes))
+        signal = torch.rsqrt(1 + level**2)[:, None, None, None]
+        scaled = codes * signal
+        given = torch.cat([scaled, depth.to(codes)], dim=1).to(self.unet.dtype)
+        said = self.unet(given, self.timestep(level), text.to(self.unet.dtype)).sample.float()
+        if self.prediction == "v_prediction":
+            # v = sqrt(a) noise - sqrt(1 - a) clean (Salimans and Ho 2022), solved with the input for the noise
+            said = signal * said + level[:, None, None, None] * signal * scaled
+        return said
+
+    def guided(
+        self, codes: Tensor, sigma: float, text: Tensor, empty: Tensor, depth: Tensor, guidance: float
+    ) -> Tensor:
+        """The same for one code, pushed along what the text changes (Ho and Salimans 2022)."""
+        if guidance == 1:
+            return self.noise(codes, sigma, text, depth)
+        twice = [torch.cat([part, part]) for part in (codes, depth)]
+        plain, told = self.noise(twice[0], sigma, torch.cat([empty, text]), twice[1]).chunk(2)
+        return plain + guidance * (told - plain)
+
+    def timestep(self, sigma: Tensor) -> Tensor:
+        """(B,). The timesteps nearest to noise levels (B,)."""
+        asked = np.log(np.maximum(sigma.double().cpu().numpy(), 1e-9))
+        nearest = np.abs(np.log(self.sigmas) - asked[:, None]).argmin(1)
+        return torch.from_numpy(nearest).to(sigma.device)
+
+
+def load_model(folder: str | Path, half: bool, device: torch.device | None = None) -> Model:
+    """Reads a model in the layout of diffusers; on the best device there is, unless one is given.
+
+    `half`: a CUDA device keeps the network in 16 bits, which is for asking and not for training. Raises InputError for
+    a folder that is missing, incomplete, damaged, pickled, or holds another kind of model.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise InputError(f"{folder}: no such folder; give a depth model of Stable Diffusion in the layout of diffusers")
+    scheduler = read_json(folder / "scheduler" / "scheduler_config.json")
+    prediction = scheduler.get("prediction_type", "epsilon")
+    if prediction not in get_args(Prediction):
+        raise InputError(f"{folder}: a model that predicts '{prediction}' cannot be used; give one that predicts noise")
+    channels = read_json(folder / "unet" / "config.json").get("in_channels")
+    if channels != DEPTH_CHANNELS:
+        raise InputError(
+            f"{folder}: not a depth-conditioned model ({channels} input channels instead of {DEPTH_CHANNELS}); "
+            "give one such as stable-diffusion-2-depth"
+        )
+    device = device or best_device()
+    unet = load_part(UNet2DConditionModel, folder / "unet")
+    return Model(
+        folder=folder,
+        unet=unet.to(device, torch.float16 if half and device.type == "cuda" else torch.float32),
+        # The decoder overflows in 16 bits on some pictures, and is cheap beside the network.
+        vae=load_part(AutoencoderKL, folder / "vae").to(device, torch.float32),
+        text_encoder=load_part(CLIPTextModel, folder / "text_encoder").to(device, torch.float32),
+        tokenizer=load_tokenizer(folder / "tokenizer"),
+        sigmas=read_sigmas(folder / "scheduler"),
+        prediction=prediction,
+        device=device,
+        prompts=read_prompts(folder / NOTE),
+    )
+
+
+def best_device() -> torch.device:
+    """CUDA, else Apple's GPU, else the CPU."""
+    if torch.cuda.is_available():
+        return torch.device("cuda")
+    return torch.device("mps" if torch.backends.mps.is_available() else "cpu")
+
+
+def load_part(kind: Any, folder: Path) -> Any:
+    """One network from the safetensors in its folder, frozen. Raises InputError where a weight is missing."""
+    read_json(folder / "config.json")
+    names = [path.name for path in folder.glob("*.safetensors")]
+    if not names:
+        pickled = sorted(path.name for pattern in PICKLES for path in folder.glob(pattern))
+        if pickled:
+            raise InputError(
+                f"{folder / pickled[0]}: pickled weights, which can run code when they are read; "
+                "give the model as .safetensors"
+            )
+        raise InputError(f"{folder}: no weights; a .safetensors file should be there")
+    variant = None if any(".fp16." not in name for name in names) else "fp16"
+    try:
+        network, found = kind.from_pretrained(
+            folder,
+            variant=variant,
+            local_files_only=True,
+            use_safetensors=True,
+            torch_dtype=torch.float32,
+            output_loading_info=True,
+        )
+    except Exception as error:  # for a damaged file the libraries raise whatever comes
+        raise InputError(f"{folder}: cannot be read ({one_line(error)})") from error
+    lacking = sorted([*found["missing_keys"], *(key for key, *_ in found["mismatched_keys"])])
+    if lacking:
+        raise InputError(f"{folder}: {len(lacking)} weights are missing or of another size, such as {lacking[0]}")
+    return network.eval().requires_grad_(False)
+
+
+def load_tokenizer(folder: Path) -> Any:
+    """The tokenizer from vocab.json and merges.txt, or from tokenizer.json."""
+    if not (folder / "tokenizer.json").is_file():
+        for name in ("vocab.json", "merges.txt"):
+            if not (folder / name).is_file():
+                raise InputError(f"{folder / name}: missing; copy the model's tokenizer folder whole")
+    try:
+        return CLIPTokenizer.from_pretrained(folder, local_files_only=True)
+    except Exception as error:  # as above
+        raise InputError(f"{folder}: not a tokenizer that can be read ({one_line(error)})") from error
+
+
+def read_sigmas(folder: Path) -> NDArray[np.float64]:
+    """(T,). Noise over signal of each timestep. A schedule that ends in pure noise is cut off short of infinity."""
+    try:
+        signal = DDPMScheduler.from_pretrained(folder, local_files_only=True).alphas_cumprod.double().numpy()
+    except Exception as error:  # as above
+        raise InputError(f"{folder}: not a noise schedule that can be read ({one_line(error)})") from error
+    signal = np.clip(signal, 1e-6, 1 - 1e-9)
+    return np.sqrt((1 - signal) / signal)
+
+
+def read_prompts(path: Path) -> dict[Kind, str]:
+    """The prompts of a fine-tuned model; none where the note is not there."""
+    if not path.is_file():
+        return {}
+    prompts = read_json(path).get("prompts")
+    if not isinstance(prompts, dict):
+        raise InputError(f"{path}: no 'prompts' in it; fine-tune the model again, or delete the file")
+    return {kind: str(prompts[kind]) for kind in get_args(Kind) if kind in prompts}
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """An object from a JSON file."""
+    try:
+        value = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError as error:
+        raise InputError(f"{path}: missing; give a whole model in the layout of diffusers") from error
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: cannot be read ({one_line(error)})") from error
+    if not isinstance(value, dict):
+        raise InputError(f"{path}: not a JSON object")
+    return value
+
+
+def one_line(error: Exception) -> str:
+    """The first line of what a library says."""
+    return (str(error).strip().splitlines() or [type(error).__name__])[0]
+
+
+def resized(pictures: Tensor, size: tuple[int, int]) -> Tensor:
+    """(B, C, *size). Pictures (B, C, H, W) at another size, without aliasing."""
+    if pictures.shape[2:] == size:
+        return pictures
+    return functional.interpolate(pictures, size=size, mode="bilinear", antialias=True, align_corners=False)

@@ -1,0 +1,32 @@
+"""What a family of cut faces is called in a prompt."""
+
+from __future__ import annotations
+
+from typing import get_args
+
+from training.families import Kind
+
+__all__ = ["TOKEN", "plain_prompts", "tuned_prompts"]
+
+TOKEN = "sks"
+"""The word that fine-tuning fills with the pictures' own look: one token for CLIP, and rare in captions."""
+
+# The first is the paper's own example (section 3.2); its radial and parallel slices are both "vertical" there, but a
+# loaf may have pictures of both, and then each needs words of its own.
+VIEWS: dict[Kind, str] = {
+    "horizontal": "the horizontal cross-sectional view of {}",
+    "radial": "the vertical cross-sectional view of {}",
+    "parallel": "the cross-sectional view of a slice of {}",
+    "custom": "the cross-sectional view of {}",
+}
+
+
+def plain_prompts(thing: str) -> dict[Kind, str]:
+    """A prompt for every kind of family of an object, such as "watermelon"."""
+    article = "an" if thing[:1].lower() in set("aeiou") else "a"
+    return {kind: VIEWS[kind].format(f"{article} {thing}") for kind in get_args(Kind)}
+
+
+def tuned_prompts(thing: str) -> dict[Kind, str]:
+    """The same for the one object that a model was fine-tuned on (DreamBooth's "a [V] class")."""
+    return plain_prompts(f"{TOKEN} {thing}")
