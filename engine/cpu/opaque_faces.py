@@ -75,7 +75,10 @@ def field_backward(  # type: ignore[no-untyped-def]
                 gx += pull * turn[k]
                 gy += pull * turn[3 + k]
                 gz += pull * turn[6 + k]
-                g_scale[k] += g * w * (u[k] * u[k] / s[k] if scales[i, k] > least[p] else 1.0 / scales[i, k])
+                if scales[i, k] > least[p]:
+                    g_scale[k] += g * w * u[k] * u[k] / s[k]
+                elif w > 0.0:  # without extent an atom weighs nothing, and its slope is left at nothing too
+                    g_scale[k] += g * w / scales[i, k]
                 for row in range(3):
                     turned[3 * row + k] -= pull * d[row]
         d_means[i, 0], d_means[i, 1], d_means[i, 2] = gx, gy, gz
