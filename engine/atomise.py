@@ -1,0 +1,100 @@
+"""From Gaussians to opaque surface atoms (paper, section 3.4): small, and every one of them solid."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from engine.atoms import SurfaceAtoms
+from engine.body import Body
+from engine.gaussians import Gaussians
+from engine.kernel_field import axes_of
+
+__all__ = ["Atomised", "atomise"]
+
+FAINT = 0.04
+"""Opacity under which a Gaussian is haze whatever its size: sixty of them in a row let half of the light through."""
+
+DEEPEST = 3.0
+"""Pitches under the skin from which a Gaussian can no longer be seen: a capture's debris, not its surface."""
+
+HIGHEST = 2.5
+"""Pitches above the skin from which a Gaussian is a floater."""
+
+SPACING = 1.6
+"""Between the parts of a split Gaussian, in their standard deviations: the sum of unit kernels then ripples by 8 %."""
+
+MOST_PARTS = 12
+"""Along one axis. A Gaussian that would need more is a background's; it ends where its parts end."""
+
+
+@dataclass(frozen=True)
+class Atomised:
+    """Surface atoms, and what became of the Gaussians."""
+
+    atoms: SurfaceAtoms
+    dropped: int
+    """Gaussians that were haze, floaters or debris inside."""
+    split: int
+    """Gaussians that were larger than the pitch and became several atoms."""
+
+
+def atomise(gaussians: Gaussians, pitch: float, body: Body | None = None) -> Atomised:
+    """Atoms no larger than the pitch (the paper's atomic clipping) and opaque (its uniform opacification).
+
+    A Gaussian of opacity a becomes an atom of a times its area across its thin axis, so that what it hides stays the
+    same. Larger ones are split along their principal axes into parts with the same mean and variance. With a body,
+    Gaussians that lie off its skin are dropped. Bit-equal for the same input.
+    """
+    assert pitch > 0, pitch
+    keep = gaussians.opacities >= FAINT
+    if body is not None:
+        depth = body.at(gaussians.means)
+        keep &= (depth < DEEPEST * pitch) & (depth > -HIGHEST * pitch)
+    kept = gaussians[keep]
+    scales = kept.scales.copy()
+    thin = scales.argmin(axis=1)
+    shrink = np.repeat(np.sqrt(kept.opacities)[:, None], 3, axis=1)
+    shrink[np.arange(len(kept)), thin] = 1.0
+    scales *= shrink
+    large = (scales > pitch).any(axis=1)
+    whole, parts = kept[~large], kept[large]
+    source, means, part_scales = split(parts, scales[large], pitch)
+    atoms = SurfaceAtoms(
+        np.concatenate([whole.means, means]),
+        np.concatenate([scales[~large], part_scales]),
+        np.concatenate([whole.quats, parts.quats[source]]),
+        np.concatenate([whole.sh, parts.sh[source]]),
+    )
+    return Atomised(atoms, int((~keep).sum()), int(large.sum()))
+
+
+def split(
+    gaussians: Gaussians,
+    scales: NDArray[np.float32],  # [N, 3] to use in place of the Gaussians' own
+    pitch: float,
+) -> tuple[NDArray[np.intp], NDArray[np.float32], NDArray[np.float32]]:
+    """Rows (P,), means (P, 3) and scales (P, 3) of the parts, no larger than pitch.
+
+    Along an axis of variance s^2 the parts have sigma = pitch and stand evenly on [-L, L], whose variance L^2 / 3 is
+    what remains: L = sqrt(3 (s^2 - pitch^2)).
+    """
+    cap = np.float32(pitch)
+    reach = np.sqrt(3 * np.maximum(scales.astype(np.float64) ** 2 - pitch**2, 0))
+    counts = np.minimum(1 + np.ceil(2 * reach / (SPACING * pitch)), MOST_PARTS).astype(np.intp)
+    counts[scales <= cap] = 1
+    reach = np.minimum(reach, (counts - 1) * SPACING * pitch / 2)
+    total = counts.prod(axis=1)
+    source = np.repeat(np.arange(len(scales)), total)
+    number = np.arange(len(source)) - np.repeat(np.cumsum(total) - total, total)
+    local = np.empty((len(source), 3))
+    for axis in range(3):
+        count = counts[source, axis]
+        place = number % count
+        number = number // count
+        local[:, axis] = np.where(count > 1, (2 * place / np.maximum(count - 1, 1) - 1) * reach[source, axis], 0)
+    axes = axes_of(gaussians.quats)[source].astype(np.float64)  # rows are principal axes
+    means = gaussians.means[source] + np.einsum("pa,pax->px", local, axes)
+    return source, means.astype(np.float32), np.minimum(scales, cap)[source]
