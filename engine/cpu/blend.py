@@ -98,7 +98,7 @@ def _exp2(x):  # type: ignore[no-untyped-def]
         y = y * r + np.float32(6.9314720e-1)
         y = y * r + np.float32(1.0)
         bits = _float_bits(y) + (_float_bits(shifted) << np.int32(23))  # type: ignore[call-arg]
-        return _bits_float(bits)  # type: ignore[call-arg]
+        return _bits_float(bits)
 
     return exp2_float32
 
