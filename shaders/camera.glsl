@@ -44,3 +44,12 @@ float footprint_at(float z) {
 vec2 to_ndc(vec2 pixel) {
     return pixel / size * 2.0 - 1.0;
 }
+
+// Clip position of a point in camera space, without a depth: those tests are made against linear depth.
+vec4 clip_position(vec3 p) {
+#ifdef ORTHOGRAPHIC
+    return vec4(to_ndc(lens.xy * p.xy + lens.zw), 0.0, 1.0);
+#else
+    return vec4((lens.xy * p.xy + lens.zw * p.z) / size * 2.0 - p.z, 0.0, p.z);
+#endif
+}

@@ -4,58 +4,54 @@
 uniform sampler2D splats;    // weighted rgb, weight
 uniform sampler2D sharpness; // weighted sharpness
 uniform sampler2D front;     // linear depth
+#ifdef FACES
 uniform sampler2D faces;     // rgb, coverage
 uniform sampler2D face_depths;
+uniform float tolerance;     // world units: a splat that the plane cuts is not in front of the face
+#endif
+#ifdef BELOW
 uniform sampler2D below;     // the frame so far
 uniform sampler2D below_info;
+#endif
 uniform vec3 background;
-uniform float tolerance;     // world units: a splat that the plane cuts is not in front of the face
 uniform float group;
-uniform int has_faces;
-uniform int has_below;
 
 layout(location = 0) out vec4 frame;
-layout(location = 1) out vec4 info; // depth, group, coverage
+layout(location = 1) out vec2 info; // depth; 2 * group + coverage, group -1 where there is none
 
 const float NOTHING = 3.0e38;
 
 void main() {
     ivec2 at = ivec2(gl_FragCoord.xy);
     vec4 sum = texelFetch(splats, at, 0);
-    float buffer = texelFetch(front, at, 0).r;
-    float z = buffer < 1.0 ? buffer / depth_range.y + depth_range.x : NOTHING;
-    vec3 colour = vec3(0.0);
-    float alpha = 0.0;
-    if (sum.a > MIN_WEIGHT) {
-        colour = sum.rgb / sum.a;
-        alpha = clamp(0.5 + (sum.a - 0.5) * texelFetch(sharpness, at, 0).r / sum.a, 0.0, 1.0);
-    }
+    float stored = texelFetch(front, at, 0).r;
+    float z = stored < 1.0 ? stored / depth_range.y + depth_range.x : NOTHING;
+    float weight = max(sum.a, MIN_WEIGHT);
+    vec3 colour = sum.rgb / weight;
+    float alpha = clamp(0.5 + (sum.a - 0.5) * texelFetch(sharpness, at, 0).r / weight, 0.0, 1.0);
+    if (sum.a <= MIN_WEIGHT) alpha = 0.0;
     vec3 over = alpha * colour; // premultiplied
-    if (has_faces != 0) {
-        vec4 face = texelFetch(faces, at, 0);
-        float face_z = texelFetch(face_depths, at, 0).r;
-        if (face.a > 0.0) {
-            if (face_z <= z + tolerance) {
-                over = face.a * face.rgb + (1.0 - face.a) * over;
-                if (face.a >= 0.5) z = face_z;
-            } else {
-                over += (1.0 - alpha) * face.a * face.rgb;
-                if (alpha < 0.5 && face.a >= 0.5) z = face_z;
-            }
-            alpha = 1.0 - (1.0 - face.a) * (1.0 - alpha);
-        }
-    }
-    vec3 under = background;
-    vec4 before = vec4(NOTHING, -1.0, 0.0, 0.0);
-    if (has_below != 0) {
-        under = texelFetch(below, at, 0).rgb;
-        before = texelFetch(below_info, at, 0);
-    }
-    if (z <= before.x) {
-        frame = vec4(over + (1.0 - alpha) * under, 1.0);
-    } else {
-        frame = vec4(under + (1.0 - before.z) * (over - alpha * background), 1.0);
-    }
-    bool nearer = z < before.x || (before.y < 0.0 && alpha > 0.0);
-    info = vec4(min(z, before.x), nearer ? group : before.y, 1.0 - (1.0 - alpha) * (1.0 - before.z), 0.0);
+#ifdef FACES
+    vec4 face = texelFetch(faces, at, 0);
+    float face_z = texelFetch(face_depths, at, 0).r;
+    bool before_splats = face_z <= z + tolerance;
+    over = before_splats ? face.a * face.rgb + (1.0 - face.a) * over : over + (1.0 - alpha) * face.a * face.rgb;
+    if (face.a >= 0.5 && (before_splats || alpha < 0.5)) z = face_z;
+    alpha = 1.0 - (1.0 - face.a) * (1.0 - alpha);
+#endif
+#ifdef BELOW
+    vec3 under = texelFetch(below, at, 0).rgb;
+    vec2 before = texelFetch(below_info, at, 0).xy;
+    float before_group = floor(before.y * 0.5);
+    float before_alpha = before.y - 2.0 * before_group;
+    vec3 mixed = z <= before.x ? over + (1.0 - alpha) * under
+                               : under + (1.0 - before_alpha) * (over - alpha * background);
+    frame = vec4(mixed, 1.0);
+    bool nearer = z < before.x || (before_group < 0.0 && alpha > 0.0);
+    float both = 1.0 - (1.0 - alpha) * (1.0 - before_alpha);
+    info = vec2(min(z, before.x), 2.0 * (nearer ? group : before_group) + both);
+#else
+    frame = vec4(over + (1.0 - alpha) * background, 1.0);
+    info = vec2(z, alpha > 0.0 ? 2.0 * group + alpha : -2.0);
+#endif
 }

@@ -1,8 +1,6 @@
 // The kernel field at the point where the pixel's ray meets the plane: weighted colour and weight, added up.
 #include "camera.glsl"
-
-uniform sampler2D hull;
-uniform float index;
+#include "cut.glsl"
 
 flat in vec3 centre;
 flat in vec4 colour;
@@ -12,27 +10,28 @@ flat in mat3 whiten;
 flat in float spread;
 #endif
 
+uniform float tolerance;         // world units
+uniform int other_count;
+uniform vec4 others[MAX_PLANES]; // the piece's other planes, camera space
+
 layout(location = 0) out vec4 weighted;
 
 void main() {
-    vec4 point = texelFetch(hull, ivec2(gl_FragCoord.xy), 0);
-    if (point.w != index) discard;
-    vec3 offset = point.xyz - centre;
+    vec3 p = hit(gl_FragCoord.xy);
+    for (int m = 0; m < other_count; m++)
+        if (dot(others[m].xyz, p) + others[m].w > tolerance) discard;
+    vec3 offset = p - centre;
     float weight = colour.w;
 #ifdef ELLIPSOID
     offset = whiten * offset;
     float q = dot(offset, offset);
 #else
-    float used = spread;
-#ifdef MINIFIED
-    float z = view[0].z * point.x + view[1].z * point.y + view[2].z * point.z + view[3].z;
-    used = max(spread, 0.5 * footprint_at(z));
+    float used = max(spread, 0.5 * footprint_at(p.z));
     float ratio = spread / used;
     weight *= ratio * ratio * ratio;
-#endif
     float q = dot(offset, offset) / (used * used);
 #endif
-    if (q > CUTOFF_Q) discard;
+    if (q > CUTOFF_Q || !(p.z > near)) discard;
     weight *= exp(-0.5 * q);
     weighted = vec4(weight * colour.rgb, weight);
 }

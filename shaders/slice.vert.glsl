@@ -20,31 +20,31 @@ uniform vec3 cut_x;    // two unit vectors in the plane
 uniform vec3 cut_y;
 uniform float enlarge;
 
-flat out vec3 centre;
+flat out vec3 centre;  // camera space
 flat out vec4 colour;  // rgb; weight at the centre
 #ifdef ELLIPSOID
-flat out mat3 whiten;
+flat out mat3 whiten;  // of camera space
 #else
 flat out float spread; // standard deviation
 #endif
 
-// Half sizes along cut_x and cut_y of the splat's section, and its middle relative to the foot of the centre.
 void main() {
-    centre = mean;
+    centre = (view * vec4(mean, 1.0)).xyz;
     float distance = dot(cut.xyz, mean) + cut.w;
     vec3 foot = mean - distance * cut.xyz;
     float z = (view * vec4(foot, 1.0)).z;
+    // Half sizes along cut_x and cut_y of the splat's section, and its middle relative to the foot of the centre.
     vec2 extent = vec2(0.0), middle = vec2(0.0);
 #ifdef ELLIPSOID
     vec3 own = scale * enlarge;
-    float least = 0.5 * footprint_at(max(z, near));
-    vec3 used = max(own, vec3(least));
+    vec3 used = max(own, vec3(0.5 * footprint_at(max(z, near))));
     vec3 ratio = own / used;
     colour = vec4(max(0.5 + 0.28209479177387814 * dc, 0.0), ratio.x * ratio.y * ratio.z);
     mat3 axes = rotation_of(quat);
-    whiten = transpose(mat3(axes[0] / used.x, axes[1] / used.y, axes[2] / used.z));
+    mat3 inverse_axes = transpose(mat3(axes[0] / used.x, axes[1] / used.y, axes[2] / used.z));
+    whiten = inverse_axes * transpose(mat3(view));
     // The section of q = |W (foot - mean + x e1 + y e2)|^2 <= CUTOFF_Q, a conic in x and y.
-    vec3 a = whiten * cut_x, b = whiten * cut_y, d = whiten * (foot - mean);
+    vec3 a = inverse_axes * cut_x, b = inverse_axes * cut_y, d = inverse_axes * (foot - mean);
     float aa = dot(a, a), ab = dot(a, b), bb = dot(b, b);
     vec3 n = cross(a, b);
     float det = dot(n, n);
@@ -55,15 +55,10 @@ void main() {
         if (left > 0.0) extent = sqrt(left * vec2(bb, aa) / det) * 1.01;
     }
 #else
-    float own = sigma * enlarge;
-    spread = own;
+    spread = sigma * enlarge;
     colour = vec4(rgb, 1.0);
-    float used = own;
-#ifdef MINIFIED
     // A little more than the largest footprint within the splat; the fragments find their own.
-    float least = 0.5 * footprint_at(max(z, near));
-    used = max(own, 1.1 * least);
-#endif
+    float used = max(spread, 1.1 * 0.5 * footprint_at(max(z, near)));
     float left = CUTOFF_Q * used * used - distance * distance;
     if (left > 0.0) extent = vec2(sqrt(left));
 #endif
@@ -87,12 +82,6 @@ void main() {
 #endif
 #else
     vec2 at = middle + corner * extent;
-    vec3 c = (view * vec4(foot + at.x * cut_x + at.y * cut_y, 1.0)).xyz;
-#ifdef ORTHOGRAPHIC
-    gl_Position = vec4(to_ndc(lens.xy * c.xy + lens.zw), 0.0, 1.0);
-#else
-    vec2 scaled = lens.xy * c.xy + lens.zw * c.z; // pixel times depth
-    gl_Position = vec4(scaled / size * 2.0 - c.z, 0.0, c.z);
-#endif
+    gl_Position = clip_position((view * vec4(foot + at.x * cut_x + at.y * cut_y, 1.0)).xyz);
 #endif
 }

@@ -12,7 +12,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-__all__ = ["CHUNK", "Chunks", "build", "near_plane", "rows_of"]
+from engine.gl.facing import RIND
+
+__all__ = ["CHUNK", "Chunks", "build", "near_plane", "pick"]
 
 CHUNK = 256
 """Atoms of a chunk: smaller ones cull better but cost more per frame; from 128 to 512 frames take the same time."""
@@ -92,21 +94,6 @@ def morton(cells: NDArray[np.uint32]) -> NDArray[np.uint32]:
 
 
 @njit(cache=True)
-def rows_of(first, count):  # type: ignore[no-untyped-def]
-    """uint32 indices of the runs that begin at `first` (K,) and have `count` (K,) atoms."""
-    total = 0
-    for k in range(len(first)):
-        total += count[k]
-    rows = np.empty(total, np.uint32)
-    at = 0
-    for k in range(len(first)):
-        for i in range(count[k]):
-            rows[at] = first[k] + i
-            at += 1
-    return rows
-
-
-@njit(cache=True)
 def near_plane(points, reach, first, count, planes, j):  # type: ignore[no-untyped-def]
     """uint32 indices of atoms that plane j of planes (P, 4) meets and no other plane removes, from runs of atoms.
 
@@ -131,3 +118,69 @@ def near_plane(points, reach, first, count, planes, j):  # type: ignore[no-untyp
                 rows[at] = i
                 at += 1
     return rows[:at]
+
+
+@njit(cache=True)
+def pick(points, reach, axes, least, zone, low, cell, first, count, planes, eye, parallel):  # type: ignore[no-untyped-def]
+    """uint32 indices of the atoms that can show on a piece's outside: those no plane touches, and those one clips.
+
+    points (N, 3), reach (N,): how far an atom is felt. axes (N, 3), least (N,), zone (X, Y, Z), low (3,), cell: see
+    engine.gl.facing.Hiding. planes (P, 4). eye (3,): where it is, or with `parallel` the direction it looks in.
+    Floats are float32.
+    """
+    total = 0
+    for k in range(len(first)):
+        total += count[k]
+    free = np.empty(total, np.uint32)
+    clipped = np.empty(total, np.uint32)
+    frees = clips = 0
+    for k in range(len(first)):
+        for i in range(first[k], first[k] + count[k]):
+            x, y, z = points[i, 0], points[i, 1], points[i, 2]
+            r = reach[i]
+            kept, touched, close = True, False, False
+            for j in range(len(planes)):
+                distance = planes[j, 0] * x + planes[j, 1] * y + planes[j, 2] * z + planes[j, 3]
+                if distance > r:
+                    kept = False
+                    break
+                touched = touched or distance > -r
+                # The rim of a face is rounded off by atoms on both of its sides.
+                close = close or distance > np.float32(-3.0) * r
+            if not kept:
+                continue
+            if least[i] <= 1 and not close:
+                dx, dy, dz = eye[0], eye[1], eye[2]
+                length = np.float32(1.0)
+                if not parallel:
+                    dx, dy, dz = x - dx, y - dy, z - dz
+                    length = np.sqrt(dx * dx + dy * dy + dz * dz)
+                if dx * axes[i, 0] + dy * axes[i, 1] + dz * axes[i, 2] >= least[i] * length and sound(
+                    x, y, z, dx, dy, dz, parallel, planes, zone, low, cell
+                ):
+                    continue
+            if touched:
+                clipped[clips] = i
+                clips += 1
+            else:
+                free[frees] = i
+                frees += 1
+    return free[:frees], clipped[:clips]
+
+
+@njit(cache=True)
+def sound(x, y, z, dx, dy, dz, parallel, planes, zone, low, cell):  # type: ignore[no-untyped-def]
+    """Whether the line of sight (dx, dy, dz) to a point meets each plane in the air or deep inside, not in the rind."""
+    for j in range(len(planes)):
+        along = planes[j, 0] * dx + planes[j, 1] * dy + planes[j, 2] * dz
+        if along >= 0:
+            continue
+        back = (planes[j, 0] * x + planes[j, 1] * y + planes[j, 2] * z + planes[j, 3]) / along
+        if not parallel and back > 1:  # the plane lies behind the eye
+            continue
+        a = int(np.floor((x - back * dx - low[0]) / cell))
+        b = int(np.floor((y - back * dy - low[1]) / cell))
+        c = int(np.floor((z - back * dz - low[2]) / cell))
+        if 0 <= a < zone.shape[0] and 0 <= b < zone.shape[1] and 0 <= c < zone.shape[2] and zone[a, b, c] == RIND:
+            return False
+    return True

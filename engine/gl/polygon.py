@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from engine.plane import frame
 
-__all__ = ["face_polygons"]
+__all__ = ["face_polygons", "section_of_box", "without"]
 
 Double = NDArray[np.float64]
 
@@ -18,25 +18,46 @@ def face_polygons(planes: Double, centre: Double, radius: float) -> list[Double]
     The piece is where all planes keep, within the cube of half side `radius` about `centre`.
     """
     polygons = []
-    for j, (normal, offset) in enumerate(zip(planes[:, :3], planes[:, 3], strict=True)):
-        e1, e2, n = frame(normal)
-        foot = centre - n * float(n @ centre + offset)
-        # The cube's half diagonal is sqrt(3) radius: a square with that half side covers every section.
-        reach = 1.75 * radius
-        polygon = foot + reach * np.array([-e1 - e2, e1 - e2, e1 + e2, -e1 + e2])
-        for axis in np.eye(3):
-            polygon = clip(polygon, axis, -float(axis @ centre) - radius)
-            polygon = clip(polygon, -axis, float(axis @ centre) - radius)
+    for j, plane in enumerate(planes):
+        polygon = section_of_box(plane, centre - radius, centre + radius)
         for m, other in enumerate(planes):
             if m != j and len(polygon):
-                alike = other[:3] @ n > 1 - 1e-12 and abs(other[3] - offset) < 1e-12 * radius
+                alike = other[:3] @ plane[:3] > 1 - 1e-12 and abs(other[3] - plane[3]) < 1e-12 * radius
                 if alike and m > j:
                     continue  # a plane given twice: its first mention shows it, the others nothing
-                if alike:
-                    polygon = polygon[:0]
-                polygon = clip(polygon, other[:3], float(other[3]))
+                polygon = polygon[:0] if alike else clip(polygon, other[:3], float(other[3]))
         polygons.append(polygon)
     return polygons
+
+
+def section_of_box(plane: Double, low: Double, high: Double) -> Double:
+    """(V, 3). The polygon in which a plane (4,) meets the box from low (3,) to high (3,); (0, 3) where it does not."""
+    e1, e2, normal = frame(plane[:3])
+    middle = (low + high) / 2
+    foot = middle - normal * float(normal @ middle + plane[3])
+    # No point of the box is farther from its middle than half its diagonal.
+    reach = float(np.linalg.norm(high - low)) / 2
+    polygon = foot + reach * np.array([-e1 - e2, e1 - e2, e1 + e2, -e1 + e2])
+    for axis, least, most in zip(np.eye(3), low, high, strict=True):
+        polygon = clip(polygon, axis, -float(most))
+        polygon = clip(polygon, -axis, float(least))
+    return polygon
+
+
+def without(polygon: Double, planes: Double, tolerance: float) -> list[Double]:
+    """What is left of a convex polygon (V, 3) outside of the convex solid that planes (P, 4) bound, as convex parts.
+
+    The solid counts as larger by the tolerance: what touches it is inside.
+    """
+    left = []
+    for normal, offset in zip(planes[:, :3], planes[:, 3], strict=True):
+        outside = clip(polygon, -normal, tolerance - float(offset))
+        if len(outside) >= 3:
+            left.append(outside)
+        polygon = clip(polygon, normal, float(offset) - tolerance)
+        if len(polygon) < 3:
+            break
+    return left
 
 
 def clip(polygon: Double, normal: Double, offset: float) -> Double:

@@ -10,7 +10,9 @@ background.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from types import TracebackType
+from typing import Any
 
 import moderngl
 import numpy as np
@@ -23,6 +25,8 @@ from engine.errors import InputError
 from engine.formula import EPSILON_PITCHES
 from engine.gl.batches import Pool
 from engine.gl.context import Programs, offscreen_context, write_uniforms
+from engine.gl.facing import hiding
+from engine.gl.look import Look
 from engine.gl.polygon import face_polygons
 from engine.gl.section import SectionPass
 from engine.gl.store import Ellipsoids, Spheres
@@ -36,6 +40,8 @@ from engine.plane import stack
 __all__ = ["Renderer"]
 
 Double = NDArray[np.float64]
+Rect = tuple[int, int, int, int]
+"""x, y, width, height in pixels."""
 
 WHOLE = (Piece(),)
 
@@ -92,7 +98,9 @@ class Renderer:
         def shift(means: NDArray[np.float32]) -> NDArray[np.float32]:
             return (means.astype(np.float64) - self._centre).astype(np.float32)
 
-        self._skin = Ellipsoids(self.ctx, shift(skin.means), skin.scales, skin.quats, skin.sh)
+        hidden = hiding(atoms)
+        hidden = replace(hidden, low=hidden.low - self._centre)
+        self._skin = Ellipsoids(self.ctx, shift(skin.means), skin.scales, skin.quats, skin.sh, hidden)
         self._inside = Spheres(self.ctx, shift(inside.means), inside.sigmas, inside.rgb)
         if inside.exposed:
             n = inside.exposed
@@ -111,6 +119,7 @@ class Renderer:
         assert self._skin is not None and self._inside is not None, "no atoms yet"
         if sh_coefficients is not None:
             self._skin.update(sh_coefficients)
+        self.section.grids.clear()
         if rgb is not None:
             self._inside.update(rgb)
             if self._exposed is not None:
@@ -137,6 +146,7 @@ class Renderer:
         self._resize(camera.width, camera.height)
         self._camera, self._pieces = camera, pieces
         self.pool.begin()
+        self.section.grids.begin()
         ground = np.asarray(background, np.float64)
         frame, other = self._frames
         self._clear(frame, ground)
@@ -148,76 +158,66 @@ class Renderer:
             if rect is None or self._skin is None or self._inside is None:
                 continue
             planes = [self._bounding_planes(pieces[m]) for m in members]
-            self._draw_group(view, [p for p in planes if p is not None], rect, light, level, cull)
-            self._resolve(view, rect, number, ground, frame if first else other, None if first else frame)
+            faces = self._draw_group(view, [p for p in planes if p is not None], rect, Look(light, level, cull))
+            below = None if first else frame
+            self._resolve(view, rect, number, ground, frame if first else other, below, faces)
             if not first:
                 self._copy(other, frame, rect)
             first = False
         return frame.colour
 
-    def _draw_group(
-        self,
-        view: View,
-        planes: list[Double],
-        rect: tuple[int, int, int, int],
-        light: bool,
-        level: int,
-        cull: bool,
-    ) -> None:
+    def _draw_group(self, view: View, planes: list[Double], rect: Rect, look: Look) -> bool:
+        """Fills the accumulators; True where a face is seen."""
         sums, skin, inside = self._sums, self._skin, self._inside
         assert sums is not None and skin is not None and inside is not None
-        pitch = self._pitch * 2.0 ** (level / 2)
-        for fbo in (sums.front_fbo, sums.splat_fbo, sums.hull_fbo, sums.field_fbo, sums.face_fbo):
+        for fbo in (sums.front_fbo, sums.splat_fbo, sums.field_fbo, sums.face_fbo):
             fbo.scissor = rect
-        sums.face_fbo.depth_mask = True
-        sums.face_fbo.clear(depth=1.0, viewport=rect)
-        self._has_faces = False
         sums.front_fbo.use()  # transform feedback asks for a whole framebuffer, too, and a window may not have one
-        for p in planes:
-            shown = self.section.draw(view, p, inside, skin, sums, self._pitch, rect, light, level, cull)
-            self._has_faces |= shown
-        runs = self.surface.project(view, planes, skin, level, cull)
+        sums.front_fbo.clear(depth=1.0, viewport=rect)
+        has_faces = False
+        for i, p in enumerate(planes):
+            if len(p) and not has_faces:
+                sums.face_fbo.depth_mask = False
+                sums.face_fbo.clear(viewport=rect)
+                sums.face_fbo.depth_mask = True
+            has_faces |= self.section.draw(
+                view, p, planes[:i] + planes[i + 1 :], inside, skin, sums, self._pitch, rect, look
+            )
+        runs = self.surface.project(view, planes, skin, look)
         if self._exposed is not None:
-            runs += self.surface.project(view, planes, self._exposed, level, cull)
+            runs += self.surface.project(view, planes, self._exposed, look)
         sums.splat_fbo.depth_mask = False
         sums.splat_fbo.clear(viewport=rect)
-        self.surface.draw(view, runs, sums, pitch)
+        self.surface.draw(view, runs, sums, self._pitch * 2.0 ** (look.level / 2))
+        return has_faces
 
     def _resolve(
-        self,
-        view: View,
-        rect: tuple[int, int, int, int],
-        number: int,
-        ground: Double,
-        into: Frame,
-        below: Frame | None,
+        self, view: View, rect: Rect, number: int, ground: Double, into: Frame, below: Frame | None, faces: bool
     ) -> None:
         sums = self._sums
         assert sums is not None
         into.fbo.scissor = rect
         into.fbo.use()
         self.ctx.enable_only(moderngl.NOTHING)
-        program = self.programs.get(
-            "screen.vert.glsl", "resolve.frag.glsl", {"ORTHOGRAPHIC": int(view.camera.orthographic)}
-        )
-        values = {
+        defines = {"FACES": int(faces), "BELOW": int(below is not None)}
+        program = self.programs.get("screen.vert.glsl", "resolve.frag.glsl", defines)
+        values: dict[str, Any] = {
+            **view.uniforms,
             "splats@0": sums.splats,
             "sharpness@1": sums.sharpness,
             "front@2": sums.depth,
             "faces@3": sums.faces,
             "face_depths@4": sums.face_depths,
-            "below@5": below.colour if below else sums.splats,
-            "below_info@6": below.info if below else sums.splats,
             "background": tuple(ground),
             "tolerance": 1e-3 * self._pitch,
             "group": float(number),
-            "has_faces": int(self._has_faces),
-            "has_below": int(below is not None),
         }
-        write_uniforms(program, {**view.uniforms, **values})
+        if below is not None:
+            values |= {"below@5": below.colour, "below_info@6": below.info}
+        write_uniforms(program, values)
         self._triangle(program).render(moderngl.TRIANGLES, vertices=3)
 
-    def _copy(self, source: Frame, into: Frame, rect: tuple[int, int, int, int]) -> None:
+    def _copy(self, source: Frame, into: Frame, rect: Rect) -> None:
         into.fbo.scissor = rect
         into.fbo.use()
         program = self.programs.get("screen.vert.glsl", "copy.frag.glsl")
@@ -227,7 +227,7 @@ class Renderer:
     def _clear(self, frame: Frame, ground: Double) -> None:
         red, green, blue = ground.tolist()
         frame.colour_fbo.clear(red, green, blue, 1.0)
-        frame.info_fbo.clear(NOTHING, -1.0, 0.0, 0.0)
+        frame.info_fbo.clear(NOTHING, -2.0, 0.0, 0.0)
 
     def _triangle(self, program: moderngl.Program) -> moderngl.VertexArray:
         if program not in self._screen:
@@ -261,10 +261,11 @@ class Renderer:
         width, height = self._size
         frame = self._frames[0]
         colour = np.frombuffer(frame.fbo.read(components=4, dtype="f4"), np.float32).reshape(height, width, 4)
-        info = np.frombuffer(frame.fbo.read(components=4, attachment=1, dtype="f4"), np.float32)
-        info = info.reshape(height, width, 4)
+        info = np.frombuffer(frame.fbo.read(components=2, attachment=1, dtype="f4"), np.float32)
+        info = info.reshape(height, width, 2)
+        coverage = info[..., 1] - 2 * np.floor(info[..., 1] / 2)
         depth = np.where(info[..., 0] < 1e38, info[..., 0], np.float32(np.inf))
-        return Picture(colour[..., :3].copy(), info[..., 2].copy(), depth)
+        return Picture(colour[..., :3].copy(), coverage, depth)
 
     # Housekeeping
 
@@ -275,6 +276,7 @@ class Renderer:
             self._frames = [Frame(self.ctx, width, height) for _ in range(2)]
             self._sums = Accumulators(self.ctx, width, height)
             self._size = (width, height)
+            self._frames[0].fbo.use()  # what was bound may be gone
 
     def _drop_targets(self) -> None:
         for frame in self._frames:
@@ -287,6 +289,7 @@ class Renderer:
 
     def _drop_atoms(self) -> None:
         self.pool.forget_sources()
+        self.section.grids.clear()
         for store in (self._skin, self._exposed, self._inside):
             if store is not None:
                 store.release()
@@ -319,7 +322,7 @@ def grouped(pieces: Sequence[Piece]) -> list[tuple[Double, list[int]]]:
     return groups
 
 
-def bounds_on_screen(view: View) -> tuple[int, int, int, int] | None:
+def bounds_on_screen(view: View) -> Rect | None:
     """x, y, width, height of the part of the picture that the object's ball can touch; None where there is none."""
     camera = view.camera
     x, y, z = view.matrix[:3, 3]

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
 from engine.gl.chunks import Chunks, build
+from engine.gl.facing import Hiding, nothing_hides
 
 __all__ = ["Ellipsoids", "Spheres"]
 
@@ -23,17 +26,25 @@ class Ellipsoids:
         scales: Float,  # [N, 3]
         quats: Float,  # [N, 4]
         sh: Float,  # [N, (d+1)^2, 3]
+        hiding: Hiding | None = None,
     ) -> None:
         self.chunks: Chunks = build(means, scales.max(1, initial=0))
         order = self.chunks.order
         self.means = np.ascontiguousarray(means[order])
         self.reach = 3 * scales[order].max(1, initial=0)
+        hiding = hiding or nothing_hides(len(means))
+        self.hiding = replace(hiding, axes=np.ascontiguousarray(hiding.axes[order]), least=hiding.least[order])
+        """In the order of the chunks, `low` relative to the object's centre."""
         self.degree = round(sh.shape[1] ** 0.5) - 1
         self.vectors = -(-3 * sh.shape[1] // 4)
         """vec4 attributes that hold an atom's coefficients."""
         geometry = np.concatenate([self.means, scales[order], quats[order]], 1).astype(np.float32)
         self.geometry = ctx.buffer(geometry) if len(means) else ctx.buffer(reserve=40)
         self.coefficients = ctx.buffer(reserve=max(len(means), 1) * 16 * self.vectors)
+        shape = {"mean": 3, "scale": 3, "quat": 4}
+        self.streams = ((self.geometry, shape), (self.coefficients, {"sh": 4 * self.vectors}))
+        self.flat_streams = ((self.geometry, shape), (self.coefficients, {"dc": 3, "rest": 4 * self.vectors - 3}))
+        """The same without what depends on the view."""
         self.update(sh)
 
     def __len__(self) -> int:
@@ -64,12 +75,15 @@ class Spheres:
         rgb: Float,  # [N, 3]
     ) -> None:
         self.chunks: Chunks = build(means, sigmas)
+        self.low = means.min(0, initial=0).astype(np.float64)
+        self.high = means.max(0, initial=0).astype(np.float64)
         order = self.chunks.order
         self.means = np.ascontiguousarray(means[order])
         self.reach = 3 * sigmas[order]
         geometry = np.concatenate([self.means, sigmas[order, None]], 1).astype(np.float32)
         self.geometry = ctx.buffer(geometry) if len(means) else ctx.buffer(reserve=16)
         self.colours = ctx.buffer(reserve=max(len(means), 1) * 12)
+        self.streams = ((self.geometry, {"mean": 3, "sigma": 1}), (self.colours, {"rgb": 3}))
         self.update(rgb)
 
     def __len__(self) -> int:

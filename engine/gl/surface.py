@@ -11,29 +11,29 @@ from numpy.typing import NDArray
 
 from engine.formula import CORE_Q, CUTOFF_Q, EPSILON_PITCHES
 from engine.gl.batches import Batch, Pool
-from engine.gl.chunks import rows_of
+from engine.gl.chunks import pick
 from engine.gl.context import Programs, write_uniforms
+from engine.gl.facing import nothing_hides
+from engine.gl.look import Look
 from engine.gl.store import Ellipsoids
 from engine.gl.targets import Accumulators
 from engine.gl.view import View
 
-__all__ = ["MAX_PLANES", "RECORD", "SurfacePass", "sh_fields"]
+__all__ = ["MAX_PLANES", "RECORD", "SurfacePass"]
 
 MAX_PLANES = 64
 """Planes that can bound one piece, after those that cut nothing off it are dropped."""
 
-POINT_LIMIT = 20.0
-"""Pixels across up to which a splat is drawn as a square point: a point is set up four times faster than a quad, but
-a quad hugs its ellipse."""
+POINT_LIMIT = 12.0
+"""Pixels across up to which a splat is drawn as a square point: a point is set up in half the time of a quad, but a
+quad hugs its ellipse."""
+
+CORE, WHOLE = CORE_Q**0.5, CUTOFF_Q**0.5
+"""How far the two passes draw a splat, in standard deviations."""
+
+REACHES = (WHOLE, CORE, 0.0)
 
 RECORD = {"record_centre": 4, "record_conic": 4, "record_shape": 4, "record_colour": 4}
-
-GEOMETRY = {"mean": 3, "scale": 3, "quat": 4}
-
-
-def sh_fields(splats: Ellipsoids) -> dict[str, int]:
-    """The coefficient buffer's layout."""
-    return {"sh": 4 * splats.vectors}
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,8 @@ class Run:
     """Projected atoms that are drawn alike."""
 
     batch: Batch
-    points: bool
+    reach: float
+    """Standard deviations up to which these splats are small enough to be drawn as points."""
     planes: NDArray[np.float64]
     """(P, 4). Camera space; none where no atom of the run is near one."""
 
@@ -57,37 +58,50 @@ class SurfacePass:
         view: View,
         pieces: Sequence[NDArray[np.float64]],
         splats: Ellipsoids,
-        level: int,
-        cull: bool,
+        look: Look,
     ) -> list[Run]:
         """The atoms that each piece, given by planes (P, 4) in centred object space, can show."""
         chunks = splats.chunks
         if not len(chunks):
             return []
-        enlarge = 2.0 ** (level / 2)
+        enlarge = 2.0 ** (look.level / 2)
         seen, inside, diameter = view.chunks_seen(chunks, enlarge)
-        if not cull:
+        if not look.cull:
             seen = np.ones_like(seen)
-        small = inside & (diameter <= POINT_LIMIT)
         # A splat is felt three sigma away, and what the low-pass adds, which grows with depth.
         deepest = chunks.middle @ view.matrix[2, :3] + view.matrix[2, 3] + np.linalg.norm(chunks.half, axis=1)
-        reach = 3 * chunks.sigma * enlarge + 4 * view.footprint(deepest)
+        widened = 4 * view.footprint(deepest)
+        count = -(-chunks.count // 2**look.level)
+        reach = (splats.reach * enlarge + np.repeat(widened, chunks.count)).astype(np.float32)
+        hide = splats.hiding if look.cull else nothing_hides(len(splats))
+        eye = view.eye.astype(np.float32)
+        # A point whose centre is outside of the picture is not drawn at all: only what is wholly inside may be one.
+        points = np.select([inside & (diameter * r / 3 <= POINT_LIMIT) for r in REACHES[:-1]], REACHES[:-1], 0.0)
         lists, runs = [], []
         for planes in pieces:
-            kept, free = seen.copy(), np.ones(len(chunks), bool)
+            kept = seen.copy()
             for plane in planes:
-                distances = chunks.distances(plane[:3], plane[3])
-                if cull:
-                    kept &= distances[:, 0] <= reach
-                free &= distances[:, 1] < -reach
-            for points in (True, False):
-                for clipped in (False, True):
-                    chosen = kept & (small == points) & (free != clipped)
-                    if chosen.any():
-                        count = -(-chunks.count[chosen] // 2**level)
-                        lists.append(rows_of(chunks.first[chosen], count))
-                        near = view.planes_in_camera(planes) if clipped else planes[:0]
-                        runs.append(Run(self.pool.take(), points, near))
+                kept &= chunks.distances(plane[:3], plane[3])[:, 0] <= 3 * chunks.sigma * enlarge + widened
+            for size in REACHES:
+                chosen = kept & (points == size)
+                found = pick(
+                    splats.means,
+                    reach,
+                    hide.axes,
+                    hide.least,
+                    hide.zone,
+                    hide.low.astype(np.float32),
+                    np.float32(hide.cell),
+                    chunks.first[chosen],
+                    count[chosen],
+                    planes.astype(np.float32),
+                    eye,
+                    view.camera.orthographic,
+                )
+                for rows, near in zip(found, (planes[:0], view.planes_in_camera(planes)), strict=True):
+                    if len(rows):
+                        lists.append(rows)
+                        runs.append(Run(self.pool.take(), size, near))
         if not runs:
             return []
         self.pool.write_indices(np.concatenate(lists))
@@ -102,7 +116,7 @@ class SurfacePass:
             varyings=RECORD,
         )
         write_uniforms(program, {**view.uniforms, "enlarge": enlarge})
-        array = self.pool.source(program, (splats.geometry, GEOMETRY), (splats.coefficients, sh_fields(splats)))
+        array = self.pool.source(program, *splats.streams)
         first = 0
         for rows, run in zip(lists, runs, strict=True):
             run.batch.fill(array, RECORD, first, len(rows))
@@ -115,21 +129,22 @@ class SurfacePass:
         targets.front_fbo.use()
         ctx.enable_only(moderngl.DEPTH_TEST | moderngl.PROGRAM_POINT_SIZE)
         ctx.depth_func = "<"
-        self._pass(view, runs, CORE_Q**0.5, 0.0, visibility=True)
+        self._pass(view, runs, CORE, 0.0, visibility=True)
         targets.splat_fbo.use()
         ctx.enable_only(moderngl.DEPTH_TEST | moderngl.PROGRAM_POINT_SIZE | moderngl.BLEND)
         ctx.depth_func = "<="
         ctx.blend_func = moderngl.ONE, moderngl.ONE
-        self._pass(view, runs, CUTOFF_Q**0.5, EPSILON_PITCHES * pitch, visibility=False)
+        self._pass(view, runs, WHOLE, EPSILON_PITCHES * pitch, visibility=False)
 
     def _pass(self, view: View, runs: Sequence[Run], reach: float, behind: float, visibility: bool) -> None:
         for run in runs:
+            points = run.reach >= reach
             program = self.programs.get(
                 "splat.vert.glsl",
                 "splat.frag.glsl",
                 {
                     "VISIBILITY": int(visibility),
-                    "POINTS": int(run.points),
+                    "POINTS": int(points),
                     "CLIPPED": int(len(run.planes) > 0),
                     "MAX_PLANES": MAX_PLANES,
                     "ORTHOGRAPHIC": int(view.camera.orthographic),
@@ -141,4 +156,4 @@ class SurfacePass:
                 padded[: len(run.planes)] = run.planes
                 values["planes"] = padded
             write_uniforms(program, values)
-            run.batch.draw(program, RECORD, run.points)
+            run.batch.draw(program, RECORD, points)
