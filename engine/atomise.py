@@ -17,11 +17,14 @@ __all__ = ["Atomised", "atomise"]
 FAINT = 0.04
 """Opacity under which a Gaussian is haze whatever its size: sixty of them in a row let half of the light through."""
 
+HAZE_OPACITY = 0.15
+"""Opacity under which a Gaussian larger than the pitch is haze: compositing never lets it hide what is behind it."""
+
 DEEPEST = 3.0
 """Pitches under the skin from which a Gaussian can no longer be seen: a capture's debris, not its surface."""
 
-HIGHEST = 2.5
-"""Pitches above the skin from which a Gaussian is a floater."""
+HIGHEST = 1.0
+"""Pitches above the skin from which an atom is a floater, or the end of a Gaussian that sticks out."""
 
 SPACING = 1.6
 """Between the parts of a split Gaussian, in their standard deviations: the sum of unit kernels then ripples by 8 %."""
@@ -49,10 +52,8 @@ def atomise(gaussians: Gaussians, pitch: float, body: Body | None = None) -> Ato
     Gaussians that lie off its skin are dropped. Bit-equal for the same input.
     """
     assert pitch > 0, pitch
-    keep = gaussians.opacities >= FAINT
-    if body is not None:
-        depth = body.at(gaussians.means)
-        keep &= (depth < DEEPEST * pitch) & (depth > -HIGHEST * pitch)
+    haze = (gaussians.opacities < HAZE_OPACITY) & (gaussians.scales.max(axis=1, initial=0) > pitch)
+    keep = np.flatnonzero((gaussians.opacities >= FAINT) & ~haze)
     kept = gaussians[keep]
     scales = kept.scales.copy()
     thin = scales.argmin(axis=1)
@@ -62,13 +63,20 @@ def atomise(gaussians: Gaussians, pitch: float, body: Body | None = None) -> Ato
     large = (scales > pitch).any(axis=1)
     whole, parts = kept[~large], kept[large]
     source, means, part_scales = split(parts, scales[large], pitch)
+    means = np.concatenate([whole.means, means])
+    origin = np.concatenate([keep[~large], keep[large][source]])
+    on_skin = np.ones(len(means), bool)
+    if body is not None:
+        depth = body.at(means)
+        on_skin = (depth < DEEPEST * pitch) & (depth > -HIGHEST * pitch)
+    origin = origin[on_skin]
     atoms = SurfaceAtoms(
-        np.concatenate([whole.means, means]),
-        np.concatenate([scales[~large], part_scales]),
-        np.concatenate([whole.quats, parts.quats[source]]),
-        np.concatenate([whole.sh, parts.sh[source]]),
+        means[on_skin],
+        np.concatenate([scales[~large], part_scales])[on_skin],
+        gaussians.quats[origin],
+        gaussians.sh[origin],
     )
-    return Atomised(atoms, int((~keep).sum()), int(large.sum()))
+    return Atomised(atoms, len(gaussians) - len(np.unique(origin)), int(large.sum()))
 
 
 def split(

@@ -30,6 +30,7 @@ from engine.orient import detect_up
 from engine.trained import Meta, save_trained
 from training.checkpoint import Checkpoint
 from training.contact_sheet import save_picture, save_sheet
+from training.deblur import deblurred
 from training.events import Reporter, Stage
 from training.exemplar import ExemplarPrior
 from training.families import Family
@@ -225,7 +226,7 @@ def solved(
     voxels = DETAILS[request.detail].voxels
     volume = prior.solve(geometry.body, geometry.up, request.families, voxels, request.seed, progress)
     pictures = [np.where(cut.condition.inside[..., None], volume.at(cut.points), WHITE) for cut in cuts]
-    return {"labels": np.stack(pictures), "rgb": volume.at(geometry.atoms.interior.means)}
+    return {"labels": np.stack(pictures), "rgb": deblurred(geometry.atoms, volume)}
 
 
 def distilled(
@@ -262,12 +263,14 @@ def train(
     if kept is not None:
         arrays, history = kept
         labels[:] = [torch.from_numpy(picture) for picture in arrays.pop("labels")]
-        trainer.restore(arrays, len(history["section"]))
+        trainer.restore(arrays, len(history["section"]), history.pop("round_start"))
     saved = time.perf_counter()
 
     def keep() -> None:
         stacked = np.stack([picture.numpy() for picture in labels]) if labels else np.zeros((0, 1, 1, 3), np.float32)
-        checkpoint.save("training", trainer.state() | {"labels": stacked}, history)
+        checkpoint.save(
+            "training", trainer.state() | {"labels": stacked}, history | {"round_start": trainer.round_start}
+        )
 
     with reporter.stage("train") as stage:
         while trainer.iteration < most and history["ended"] == "all iterations done":
@@ -278,14 +281,14 @@ def train(
             history["section"].append(losses.section)
             history["surface"].append(losses.surface)
             announce(stage, trainer, losses, most)
-            if settled(history["section"], trainer.turns, history.get("round_start", 0)):
+            if settled(history["section"], trainer.turns, trainer.round_start):
                 disagreeing = np.flatnonzero(trainer.section_losses(labels) > AGREEMENT)
                 if not len(disagreeing) or not isinstance(prior, Denoises):
                     history["ended"] = "every section agrees with its label"
                 else:
                     refine(request, trainer, prior, labels, disagreeing.tolist(), history["rounds"])
                     history["rounds"] += 1
-                    history["round_start"] = trainer.iteration
+                    trainer.round_start = trainer.iteration
             if time.perf_counter() - saved > CHECKPOINT_SECONDS:
                 previews(trainer, labels, out, reporter)
                 keep()

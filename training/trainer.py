@@ -37,6 +37,10 @@ INTERIOR_RATE = 0.02
 SURFACE_RATE = 0.002
 BANDS_RATE = SURFACE_RATE / 20
 
+# Every step of Adam is as long as its rate, however small the residual: rates are halved in this many turns of all
+# sections, or the colours would end as noise of that size. A refinement round starts afresh.
+HALVED_IN_TURNS = 3
+
 # The paper smooths every 30 to 40 iterations.
 SMOOTH_EVERY = 30
 
@@ -62,6 +66,8 @@ class Trainer:
         self.surfaces = surfaces
         self.seed = seed
         self.iteration = 0
+        self.round_start = 0
+        """Iteration at which the labels last changed."""
         self.initial = atoms.interior.rgb
         self.rgb = torch.from_numpy(atoms.interior.rgb.copy())
         self.sh = torch.from_numpy(atoms.surface.sh.copy())
@@ -83,12 +89,12 @@ class Trainer:
         """All that changes while training, for a checkpoint."""
         return {"rgb": self.rgb.numpy(), "sh": self.sh.numpy()} | {k: v.numpy() for k, v in self.moments.items()}
 
-    def restore(self, state: dict[str, NDArray[np.float32]], iteration: int) -> None:
+    def restore(self, state: dict[str, NDArray[np.float32]], iteration: int, round_start: int) -> None:
         """Goes back to a checkpoint's state."""
         self.rgb = torch.from_numpy(state["rgb"].copy())
         self.sh = torch.from_numpy(state["sh"].copy())
         self.moments = {name: torch.from_numpy(state[name].copy()) for name in self.moments}
-        self.iteration = iteration
+        self.iteration, self.round_start = iteration, round_start
 
     def result(self) -> Atoms:
         """The atoms with the colours they have now."""
@@ -128,11 +134,12 @@ class Trainer:
         self.rgb, self.sh = rgb.detach(), sh.detach()
         self.rgb.grad = self.sh.grad = None
         self.iteration += 1
-        self.rgb += self._adam("rgb", rgb_gradient) * -INTERIOR_RATE
+        pace = 0.5 ** ((self.iteration - self.round_start) / (HALVED_IN_TURNS * self.turns))
+        self.rgb += self._adam("rgb", rgb_gradient) * (-INTERIOR_RATE * pace)
         self.rgb.clamp_(0, 1)
         rates = torch.full((self.sh.shape[1], 1), -BANDS_RATE)
         rates[0] = -SURFACE_RATE / C0
-        self.sh += self._adam("sh", sh_gradient) * rates
+        self.sh += self._adam("sh", sh_gradient) * (rates * pace)
         if self.iteration % SMOOTH_EVERY == 0:
             self.smooth()
         return Losses(section_loss.item(), surface_loss.item())

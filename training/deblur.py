@@ -1,0 +1,36 @@
+"""Colours with which soft atoms show a sharp volume.
+
+An atom shows on a cut face as a Gaussian of half a pitch, so a field of atoms that copy the volume is a blurred volume.
+Undoing that on the trained planes alone would ring between them; here it is undone everywhere at once.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_matrix
+
+from engine.atoms import Atoms
+from engine.kernel_field import KernelField
+from training.prior import Volume
+
+__all__ = ["deblurred"]
+
+# Steps of c += V - F c (Van Cittert). The field keeps 29 % of a pattern as fine as the lattice can hold and more of
+# every coarser one, so each step leaves at most 71 % of what is missing; after four the finest is back to 75 % and
+# noise has grown less than fourfold.
+STEPS = 4
+
+
+def deblurred(atoms: Atoms, volume: Volume) -> NDArray[np.float32]:
+    """(I, 3). Interior colours whose kernel field at the atoms is near the volume's colour there. Range [0, 1]."""
+    means = atoms.interior.means
+    wanted = volume.at(means)
+    offsets, columns, weights = KernelField(atoms).entries(means)
+    field = csr_matrix((weights, columns, offsets), shape=(len(means), len(atoms)))
+    field = field[:, len(atoms.surface) :]  # the skin has its own colours, which are not to bleed into the flesh
+    total = np.maximum(np.asarray(field.sum(axis=1)), np.finfo(np.float32).tiny).reshape(-1, 1)
+    rgb = wanted
+    for _ in range(STEPS):
+        rgb = np.clip(rgb + wanted - (field @ rgb) / total, 0, 1).astype(np.float32)
+    return rgb
