@@ -21,7 +21,7 @@ except ImportError as error:
         f"Stable Diffusion needs more packages ({error.name} is missing); pip install fruitninja[diffusion]"
     ) from error
 
-from training.diffusion.finetune import finetune
+from training.diffusion.dreambooth import finetune
 from training.diffusion.prior import StableDiffusionPrior
 
 __all__ = ["StableDiffusionPrior", "finetune"]

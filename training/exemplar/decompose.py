@@ -19,7 +19,7 @@ __all__ = ["Detail", "Layers", "decompose", "rind_depth"]
 WINDOW = 0.13
 """Half side of the median window that defines the ground, in inradii: wider than half of any seed or membrane."""
 
-LEAST_CONTRAST = 0.10
+LEAST_CONTRAST = 0.08
 """Least colour distance from the ground that makes a detail or a structure and not texture."""
 
 LONGEST_DETAIL = 0.2
@@ -63,6 +63,8 @@ class Layers:
     labels: NDArray[np.int32]
     """(H, W). Number of the detail a pixel belongs to, with a rim of two pixels; 0 for none."""
     details: list[Detail]
+    thickness: float
+    """Typical half thickness of long structures, cells."""
     spread: tuple[float, float, float]
     """Standard deviation of the texture, and of its slope along the directions a and b, per cell."""
 
@@ -92,7 +94,7 @@ def decompose(sheet: Sheet) -> Layers:
     median = _wide_median(picture, WINDOW * inradius)
     contrast = np.linalg.norm(picture - median, axis=-1) * core
     contrast = contrast.astype(np.float32)
-    high = max(LEAST_CONTRAST, 4.0 * float(np.median(contrast[core]))) if core.any() else 1.0
+    high = max(LEAST_CONTRAST, 3.5 * float(np.median(contrast[core]))) if core.any() else 1.0
     # A pixel is as opaque as its contrast to the ground is a share of the strongest one nearby; so a black seed and the
     # pale strand that it lies on come apart.
     peak = ndimage.maximum_filter(contrast, size=2 * max(2, round(0.03 * inradius)) + 1)
@@ -125,6 +127,7 @@ def decompose(sheet: Sheet) -> Layers:
         detail.astype(np.float32),
         labels,
         _details(sheet, parts, compact, labels),
+        _thickness(long[parts]),
         _spread(sheet, picture - ground, clean),
     )
 
@@ -188,6 +191,12 @@ def _turning(median: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:
     mean = ndimage.gaussian_filter(median, (sigma, sigma, 0))
     square = ndimage.gaussian_filter(median**2, (sigma, sigma, 0))
     return np.sqrt(np.maximum(square - mean**2, 0).sum(-1))
+
+
+def _thickness(long: NDArray[np.bool_]) -> float:
+    """Half thickness in cells of what is long: a ribbon's pixels lie a quarter of its width under its edge."""
+    depth = ndimage.distance_transform_edt(long)[long]
+    return float(np.clip(2 * depth.mean() / OVER, 0.5, 2.5)) if len(depth) else 1.0
 
 
 def _smooth(picture: NDArray[np.float32], clean: NDArray[np.bool_], sigma: float) -> NDArray[np.float32]:

@@ -32,6 +32,9 @@ MARGIN = 6
 ANGLES = 180
 """Directions around the axis in which the rim of a slice is known."""
 
+ROUND = 0.09
+"""Relative variation of the rim up to which a body counts as round: an ellipse of 1 to 1.3."""
+
 Frame = Literal[0, 1, 2]
 
 
@@ -86,9 +89,15 @@ class Space:
         self.fill(rgb)
         return rgb
 
-    def slice_radius(self) -> float:
-        """Radius in cells of the disc with the area of the widest slice across the axis."""
-        return float(np.sqrt(self.widest_slice(self.planar[:, 2]) / np.pi))
+    @property
+    def is_round(self) -> bool:
+        """Whether the slices across the axis are round enough for a picture to be turned in them.
+
+        The rim of a round body varies by a few per cent around the axis, that of a loaf or a thigh by a quarter.
+        """
+        middle = np.abs(self.height) < 0.3
+        edge = middle & (self.radius > self.rim - 1.5)
+        return float(self.rim[edge].std() / self.rim[edge].mean()) < ROUND
 
     def widest_slice(self, along: NDArray[np.floating]) -> float:
         """Square cells of the largest slice one cell thick across a direction; `along` (N,) are places along it."""

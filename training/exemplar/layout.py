@@ -14,13 +14,19 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from training.exemplar.decompose import Layers
-from training.exemplar.frames import Sheet, Space
+from training.exemplar.frames import Space, rim_of
 from training.exemplar.patches import OVER
 
-__all__ = ["Axis", "along", "carried", "height_correction", "revolved"]
+__all__ = ["Axis", "along", "carried", "heights", "revolved"]
 
 CHUNK = 400_000
 """Voxels laid out at once: bounds the memory of the look-ups."""
+
+DIFFERENT = 0.10
+"""Colour distance from which a place shows another thing and not another shade."""
+
+WAVES = 0.035
+"""Waviness of structures along the axis, radians: a cut along a straight sheet a voxel thick shows the grid."""
 
 SIDEWAYS = 0.6
 """Drift of the texture along the radius over that around the axis. With one alone, cuts across it show stripes."""
@@ -46,8 +52,6 @@ def along(space: Space, basis: NDArray[np.float64], is_round: bool) -> Axis:
     """The voxels seen along the third row of `basis` (3, 3)."""
     planar = ((space.cells - space.centre) @ basis.T).astype(np.float32)
     radius = np.hypot(planar[:, 0], planar[:, 1])
-    from training.exemplar.frames import rim_of
-
     return Axis(planar[:, :2], planar[:, 2] - planar[:, 2].min(), radius, rim_of(planar, radius), is_round)
 
 
@@ -60,39 +64,73 @@ def carried(
     picture gives the structures; the texture is taken from all of them, one after another along the axis.
     """
     main = layers[0]
-    top = float(axis.level.max())
     turn = rng.uniform(0, 2 * np.pi, 8)
     out = np.empty((len(axis.place), 3), np.float32)
     inradius = float(main.sheet.depth.max()) * space.inradius
+    # Half a wavelength of the grain; and whether grains are long along the radius, like juice sacs.
+    of, slope_a, slope_b = main.spread
+    grain = float(np.clip(np.pi * of / slope_b, 2, 0.3 * inradius))
+    stranded = slope_b > 1.8 * slope_a
+    swing = 0.12 * inradius
     for start in range(0, len(out), CHUNK):
         part = slice(start, start + CHUNK)
         angle = np.arctan2(axis.place[part, 1], axis.place[part, 0])
         share = np.minimum(axis.radius[part] / axis.rim[part], 1)
         depth, level = space.depth[part], axis.level[part]
+        if axis.round:
+            wave = level / (0.55 * inradius)
+            angle = angle + WAVES * (np.sin(wave + turn[4]) + np.sin(1.7 * wave + 5 * share + turn[5]))
         x, y = _place(space, main, angle, share, depth)
         colour = _read(main.ground, x, y)
-        # The texture's own way: around the axis at an even pace, to and fro across it.
-        swing = 0.12 * inradius
-        period = 4 * swing / max(SIDEWAYS * rate, 1e-3)
-        wobble = 2.0 * np.sin(2 * angle + turn[0]) + 1.3 * np.sin(3 * share * np.pi + turn[1])
-        to_and_fro = swing * _triangle((level + 0.15 * inradius * wobble) / period)
+        # The texture's own way.
+        phase = 0.3 * inradius * np.sin(angle + turn[0])
+        to_and_fro = swing * _triangle((level + phase) * SIDEWAYS * rate / (4 * swing))
         if axis.round:
-            # Cells around the axis are an angle by the radius; near the axis no less than a fifth of the rim.
-            other = angle + rate * level / np.maximum(share * axis.rim[part], 0.25 * axis.rim[part]) + turn[2]
+            # One angle for a whole slice, so that nothing is sheared; the pace is right at half the radius.
+            other = angle + rate * level / (0.5 * inradius) + turn[3]
+            if stranded:
+                other = angle + _strands(angle, level, grain, round(np.pi * inradius / (2 * grain)), turn)
             u, v = _place(space, main, other, share, np.maximum(depth, main.rind))
             u, v = u + to_and_fro * np.cos(other), v - to_and_fro * np.sin(other)
         else:
-            second = (
-                0.15
-                * inradius
-                * _triangle((level + 0.2 * inradius * np.cos(angle + turn[3])) * rate / (0.6 * inradius))
-            )
-            u, v = x + to_and_fro, y + second
+            u, v = x + to_and_fro, y + swing * _triangle((level - phase) * rate / (4 * swing))
         colour += _read(main.texture, u, v)
-        opacity = _read(main.structure[..., None], x, y)
-        out[part] = colour + opacity * (_read(main.sheet.rgb, x, y) - colour)
-    del top
+        opacity, theirs = _structure(main, x, y)
+        # On a small slice the picture is shrunk, but a membrane is as thick as anywhere.
+        small = np.flatnonzero(main.sheet.rim(angle) > 1.15 * axis.rim[part])
+        wider = np.minimum(main.sheet.rim(angle[small]) / axis.rim[part][small] - 1, 2) * main.thickness
+        for side in (-1.0, -0.5, 0.5, 1.0):
+            dx, dy = -np.sin(angle[small]) * wider * side, -np.cos(angle[small]) * wider * side
+            more, colours = _structure(main, x[small] + dx, y[small] + dy)
+            won = (more > opacity[small])[:, 0]
+            opacity[small[won]], theirs[small[won]] = more[won], colours[won]
+        out[part] = colour + opacity * (theirs - colour)
     return np.clip(out, 0, 1)
+
+
+def _structure(
+    layers: Layers, x: NDArray[np.floating], y: NDArray[np.floating]
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """(M, 1), (M, 3). Opacity and colour of what runs through, at places in cells."""
+    return _read(layers.structure[..., None], x, y), _read(layers.sheet.rgb, x, y)
+
+
+def _strands(
+    angle: NDArray[np.floating], level: NDArray[np.floating], grain: float, count: int, turn: NDArray[np.float64]
+) -> NDArray[np.floating]:
+    """(M,). For a texture of long grains: the angle by which each strand's picture is turned.
+
+    Strands run out from the axis, `count` around it and two grains high, their walls a little wavy; each shows another
+    part of the picture. So a cut across them shows the ends of grains, where a drift would draw them out to stripes.
+    """
+    row = level / (2 * grain) + 0.4 * np.sin((count // 2) * angle + turn[4]) + 0.25 * np.sin(5 * angle + turn[5])
+    j = np.floor(row).astype(np.int64)
+    i = (
+        np.floor(angle / (2 * np.pi) * count + 0.5 * (j % 2) + 0.35 * np.sin(level / grain + turn[6])).astype(np.int64)
+        % count
+    )
+    mixed = (i * 73856093 ^ j * 19349663) & 0xFFFFFF
+    return (mixed * 2654435761 % 65521) / 65521 * 2 * np.pi
 
 
 def _place(
@@ -132,36 +170,68 @@ def _near_skin(depth: NDArray[np.floating], rind: float) -> NDArray[np.floating]
 def revolved(space: Space, layers: Layers) -> NDArray[np.float32]:
     """(N, 3). The right half of a radial picture turned about the axis."""
     sheet = layers.sheet
-    across, up = space.radius / float(space.rim.max()) * sheet.half[0], space.height * sheet.half[1]
-    angle, length = np.arctan2(up, across), np.hypot(across, up)
-    x, y = _place(space, layers, angle, np.minimum(length / sheet.rim(angle), 1), space.depth)
+    x, y = _radial_place(space, layers, slice(None))
     colour = _read(layers.ground, x, y) + _read(layers.texture, x, y)
     opacity = _read(layers.structure[..., None], x, y)
     return np.clip(colour + opacity * (_read(sheet.rgb, x, y) - colour), 0, 1)
 
 
-def height_correction(space: Space, sheets: list[Sheet], rind: float) -> NDArray[np.float32]:
-    """(N, 3). What radial pictures know about height: colours to add.
+def heights(space: Space, axis: Axis, colours: NDArray[np.float32], carrier: Layers, radial: Sequence[Layers]) -> None:
+    """Corrects a carried picture (N, 3), in place, by what radial pictures know of height.
 
-    The halves of all pictures are looks at the same (radius, height) map. What they agree on is the map (Wiener's
-    weight), what they do not is chance. Its median over the heights is taken off: the extrusion knows that already.
+    Each half of each radial picture is a look at the same map of (direction, depth). Where most of them show another
+    thing than the carried picture's ring at that place has (a layer, the end of a core, thick pith at a pole), theirs is
+    taken; where they agree on a gentler difference, it is added. Seeds and other chance is in one of them at a time.
     """
-    halves = []
-    n = 128
-    t, h = np.meshgrid((np.arange(n // 2) + 0.5) / (n // 2), np.linspace(-1, 1, n), indexing="ij")
-    for sheet in sheets:
-        for side in (1, -1):
-            x, y = sheet.middle[0] + side * t * sheet.half[0], sheet.middle[1] - h * sheet.half[1]
-            halves.append(sheet.read(x, y))
-    looks = np.stack(halves)
-    mean = ndimage.gaussian_filter(looks.mean(0), (1.0, 0.7, 0))
-    chance = ndimage.gaussian_filter(looks.var(0, ddof=1).sum(-1), 2.0) / len(looks)
-    change = mean - np.median(mean, axis=1, keepdims=True)
-    power = ndimage.gaussian_filter((change**2).sum(-1), 2.0)
-    weight = np.clip(1 - 2 * chance / np.maximum(power, 1e-6), 0, 1)[..., None]
-    change = change * weight
-    widest = float(space.rim.max())
-    at = np.stack([space.radius / widest * (n // 2) - 0.5, (space.height + 1) / 2 * (n - 1)])
-    out = np.stack([ndimage.map_coordinates(change[..., c], at, order=1, mode="nearest") for c in range(3)], -1)
-    # The rind follows the skin, not the height.
-    return (out * (1 - _near_skin(space.depth, rind))[:, None]).astype(np.float32)
+    ring = _ring(carrier)
+    looks = [(p, side) for p in radial for side in (1, -1)]
+    for start in range(0, len(colours), CHUNK):
+        part = slice(start, start + CHUNK)
+        share = np.minimum(axis.radius[part] / axis.rim[part], 1)
+        # The rings of the carried picture, by depth and share like the picture itself.
+        whole = float(carrier.sheet.rims.mean())
+        by_depth = np.clip(1 - space.depth[part] * space.inradius / whole, 0, 1)
+        near = _near_skin(space.depth[part], carrier.rind)
+        at = (near * by_depth + (1 - near) * share) * (len(ring) - 1)
+        base = np.stack([np.interp(at, np.arange(len(ring)), ring[:, c]) for c in range(3)], -1)
+        seen = np.empty((len(looks), len(base), 3), np.float32)
+        for n, (parts, side) in enumerate(looks):
+            x, y = _radial_place(space, parts, part)
+            x = parts.sheet.middle[0] + side * (x - parts.sheet.middle[0])
+            bare = _read(parts.ground, x, y) + _read(parts.texture, x, y)
+            opacity = _read(parts.structure[..., None], x, y)
+            seen[n] = bare + opacity * (_read(parts.sheet.rgb, x, y) - bare)
+        gap = seen - base
+        other = _smooth_step(DIFFERENT, 1.6 * DIFFERENT, np.linalg.norm(gap, axis=-1))
+        votes = other.mean(0)
+        weight = _smooth_step(0.45, 0.75, votes)[:, None]
+        theirs = (other[..., None] * seen).sum(0) / np.maximum(other.sum(0), 1e-6)[:, None]
+        gentle = np.median(gap, axis=0)
+        chance = gap.std(axis=0).mean(-1, keepdims=True)
+        gentle *= np.clip(1 - chance / np.maximum(np.abs(gentle).mean(-1, keepdims=True), 1e-6), 0, 1)
+        colours[part] += gentle * (1 - weight)
+        colours[part] += weight * (theirs - colours[part])
+
+
+def _ring(parts: Layers) -> NDArray[np.float32]:
+    """(64, 3). Median colour of a picture from its centre to its edge."""
+    sheet = parts.sheet
+    angles = np.linspace(0, 2 * np.pi, 180, endpoint=False)
+    r = np.linspace(0, 1, 64)[:, None] * sheet.rim(angles)
+    return np.median(sheet.read(sheet.middle[0] + r * np.cos(angles), sheet.middle[1] - r * np.sin(angles)), axis=1)
+
+
+def _radial_place(space: Space, layers: Layers, part: slice) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """(M,), (M,). Where voxels lie in the right half of a radial picture, cells."""
+    sheet = layers.sheet
+    across = space.radius[part] / float(space.rim.max()) * sheet.half[0]
+    up = space.height[part] * sheet.half[1]
+    angle = np.arctan2(up, across)
+    share = np.minimum(np.hypot(across, up) / sheet.rim(angle), 1)
+    return _place(space, layers, angle, share, space.depth[part])
+
+
+def _smooth_step(low: float, high: float, value: NDArray[np.floating]) -> NDArray[np.floating]:
+    """0 under `low`, 1 over `high`."""
+    t = np.clip((value - low) / (high - low), 0, 1)
+    return t * t * (3 - 2 * t)

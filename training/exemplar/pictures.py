@@ -143,7 +143,8 @@ def _foreground(rgb: NDArray[np.float32], path: Path) -> NDArray[np.bool_]:
     found = distance > float(np.clip(_otsu(distance[np.isfinite(distance)]), 3.0, 6.0))
     found = ndimage.binary_opening(found, iterations=1)
     found = ndimage.binary_closing(np.pad(found, 8), iterations=max(1, min(height, width) // 150))[8:-8, 8:-8]
-    mask = _largest(found)
+    # The edge pixels are half background, and smoothing has moved the edge outwards by another half.
+    mask = _largest(ndimage.binary_erosion(found))
     share = float(mask.mean())
     touching = float((mask & border).sum() / border.sum())
     if share < 0.02:

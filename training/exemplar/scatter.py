@@ -15,11 +15,48 @@ from training.exemplar.patches import OVER, POLAR, RADIAL, _frame
 
 __all__ = ["strew"]
 
+BIN = 0.4
+"""Edge of a bin of gate coordinates; a thing may stand in its own bin and the neighbours."""
+
 SECTION = np.pi / 4
 """Mean size of a random section of an ellipsoid over the size of its largest."""
 
 TRIES = 20
 """Places tried for a thing before it may touch another."""
+
+
+class _Places:
+    """Voxels by gate coordinates, to draw one near given coordinates quickly."""
+
+    def __init__(self, gates: NDArray[np.float32], rows: NDArray[np.intp]) -> None:
+        keys = self._keys(np.floor(gates[rows] / BIN).astype(np.int64))
+        order = np.argsort(keys, kind="stable")
+        self.rows = rows[order]
+        self.keys, self.first, self.count = np.unique(keys[order], return_index=True, return_counts=True)
+
+    @staticmethod
+    def _keys(bins: NDArray[np.int64]) -> NDArray[np.int64]:
+        return (bins + 8) @ np.array([1_000_000, 1_000, 1])
+
+    def _near(self, gate: NDArray[np.float32]) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
+        """First row and number of rows of the bins around gate coordinates."""
+        around = np.stack(np.meshgrid(*[[-1, 0, 1]] * 3, indexing="ij"), -1).reshape(-1, 3)
+        wanted = self._keys(np.floor(gate / BIN).astype(np.int64) + around)
+        at = np.minimum(np.searchsorted(self.keys, wanted), len(self.keys) - 1)
+        found = self.keys[at] == wanted
+        return self.first[at[found]], self.count[at[found]]
+
+    def number(self, gate: NDArray[np.float32]) -> int:
+        """How many voxels lie around these coordinates."""
+        return int(self._near(gate)[1].sum()) if len(self.keys) else 0
+
+    def draw(self, gate: NDArray[np.float32], count: int, rng: np.random.Generator) -> NDArray[np.intp]:
+        """(count,). Voxels around these coordinates, drawn evenly; there must be some."""
+        first, number = self._near(gate)
+        ends = np.cumsum(number)
+        pick = rng.integers(ends[-1], size=count)
+        which = np.searchsorted(ends, pick, side="right")
+        return self.rows[first[which] + pick - (ends[which] - number[which])]
 
 
 @dataclass(frozen=True)
@@ -33,8 +70,9 @@ class _Kind:
     """Half length along the picture's normal, cells."""
     copies: float
     """How many of it the body holds."""
-    rows: NDArray[np.intp]
-    """Voxels where one may be centred."""
+    places: _Places
+    gate: NDArray[np.float32]
+    """(3,). Where one may be centred, gate coordinates."""
 
 
 def strew(
@@ -54,7 +92,6 @@ def strew(
     if not kinds:
         return 0
     order = np.argsort([-k.across for k in kinds], kind="stable")
-    placed = np.zeros((0, 4), np.float32)
     total = 0
     grid = _Buckets(space)
     for n in order:
@@ -64,7 +101,7 @@ def strew(
         detail = parts.details[kind.detail]
         size = max(*detail.half, kind.across)
         for _ in range(int(whole) + (rng.random() < part)):
-            at = grid.place(kind.rows, size, rng)
+            at = grid.place(kind.places.draw(kind.gate, TRIES, rng), size)
             view = views[kind.view]
             _paint(
                 rgb,
@@ -84,7 +121,6 @@ def strew(
                 np.float32(kind.across),
             )
             total += 1
-    del placed
     return total
 
 
@@ -96,10 +132,9 @@ class _Buckets:
         self.step = 8
         self.held: dict[tuple[int, ...], list[tuple[NDArray[np.float32], float]]] = {}
 
-    def place(self, rows: NDArray[np.intp], size: float, rng: np.random.Generator) -> int:
-        """A row of `space.cells` among `rows` with room for a thing of this half length, if there is any."""
-        at = int(rows[rng.integers(len(rows))])
-        for _ in range(TRIES):
+    def place(self, choice: NDArray[np.intp], size: float) -> int:
+        """The first of some rows of `space.cells` that has room for a thing of this half length; else the last."""
+        for at in choice.tolist():
             point = self.space.cells[at].astype(np.float32)
             key = tuple((point // self.step).astype(int).tolist())
             reach = 1 + int(1.5 * size // self.step)
@@ -111,9 +146,8 @@ class _Buckets:
                 for other in self.held.get((key[0] + i, key[1] + j, key[2] + k), ())
             )
             if all(float(((point - p) ** 2).sum()) > (0.8 * (size + s)) ** 2 for p, s in near):
-                self.held.setdefault(key, []).append((point, size))
-                return at
-            at = int(rows[rng.integers(len(rows))])
+                break
+        self.held.setdefault(key, []).append((point, size))
         return at
 
 
@@ -127,24 +161,25 @@ def _kinds(space: Space, views: Sequence[View], layers: Sequence[Sequence[Layers
         others = [aspects[o] for o in speaking if o != v]
         gates = voxel_gate(space, views[v].kind)
         pixels = np.concatenate([p.sheet.gate for p in layers[v]])
-        allowed = np.ones(len(gates), bool)
+        everywhere = _Places(gates, np.arange(len(gates)))
+        shown = _Places(pixels, np.arange(len(pixels)))
+        allowed = everywhere
         if views[v].kind == POLAR:
-            allowed = _known_to(space, views, layers, [o for o in speaking if views[o].kind == RADIAL])
+            known = _known_to(space, views, layers, [o for o in speaking if views[o].kind == RADIAL])
+            allowed = _Places(gates, np.flatnonzero(known))
         for n, parts in enumerate(layers[v]):
             for d, detail in enumerate(parts.details):
                 gate = parts.sheet.gate[detail.pixel]
-                box = 0.6
-                rows = np.flatnonzero((np.abs(gates - gate) <= box).all(1))
-                area = float((np.abs(pixels - gate) <= box).all(1).sum())
-                if len(rows) == 0 or area == 0:
+                voxels, area = everywhere.number(gate), shown.number(gate)
+                if voxels == 0 or area == 0:
                     continue
-                share = float(len(rows))
-                inside = rows[allowed[rows]]
-                rows = inside if len(inside) else rows
+                places = allowed if allowed.number(gate) else everywhere
                 width = float(np.sqrt(detail.half[0] * detail.half[1]))
                 across = width * float(np.mean(others)) if others else width
                 across = float(np.clip(across, 0.5 * min(detail.half), 1.5 * max(detail.half))) / SECTION
-                kinds.append(_Kind(v, n, d, across, share / area / (2 * across) / len(speaking), rows))
+                kinds.append(
+                    _Kind(v, n, d, across, voxels / area / (2 * SECTION * across) / len(speaking), places, gate)
+                )
     return kinds
 
 

@@ -1,0 +1,194 @@
+"""Frozen geometry against the full opaque renderer: seconds an iteration, and the error that truncation costs.
+
+    python -m benchmarks.frozen_geometry [--quick]
+
+One iteration is a picture and its gradient. Half of the atoms lie on a unit sphere, half in it, sigma = diameter / 150
+for all, so that views of few atoms have the same footprints as views of many. Three kinds of view: the outside, the
+outside with a cut, and a section. Writes results/frozen_geometry.json and .png beside this file. Seconds are the least
+of several runs; `busy` is processor time over cores, which a loaded machine disturbs less.
+"""
+
+from __future__ import annotations
+
+import json
+import resource
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+import torch
+
+from engine import sh
+from engine.atoms import Atoms, InteriorAtoms, SurfaceAtoms
+from engine.camera import Camera, orbit, section
+from engine.kernel_field import KernelField
+from engine.opaque import render
+from engine.opaque_gradient import AtomTensors, opaque_image
+from engine.plane import Plane
+from engine.threads import cores
+from engine.view_weights import ViewWeights
+
+mpl.use("Agg")
+from matplotlib import pyplot as plt
+
+FOLDER = Path(__file__).parent / "results"
+KEPT = (4, 8, 16, 32, 64)
+CUT = Plane.of((0.3, 0.2, 1.0), -0.05)
+UP = (0.0, 0.0, 1.0)
+
+
+def inside_colours(points: np.ndarray) -> np.ndarray:
+    """(N, 3). A citrus-like solid at points (N, 3): rind, pith, segments, membranes as thin as an atom, soft grain."""
+    x, y, z = points.T
+    radius, turn = np.linalg.norm(points, axis=1) / 0.5, np.arctan2(y, x)
+    grain = sum(
+        np.sin(f * (x * a + y * b + z * c) + f)
+        for f, a, b, c in ((40, 1, 0.3, 0.2), (55, -0.4, 1, 0.3), (70, 0.2, -0.5, 1))
+    )
+    flesh = np.array([0.95, 0.55, 0.12]) + 0.05 * grain[:, None] * np.array([0.6, 1.0, 0.5])
+    membrane = np.abs(np.sin(5 * turn)) * np.hypot(x, y) < 0.02
+    rgb = np.where(membrane[:, None], [0.98, 0.85, 0.55], flesh)
+    rgb = np.where((radius > 0.88)[:, None], [0.97, 0.93, 0.8], rgb)
+    rgb = np.where((radius > 0.95)[:, None], np.array([0.93, 0.45, 0.05]) + 0.04 * grain[:, None], rgb)
+    return np.clip(rgb, 0, 1).astype(np.float32)
+
+
+def ball(count: int) -> Atoms:
+    """Half of `count` atoms on a sphere of diameter 1 and half in it, isotropic, sigma 1/150."""
+    rng = np.random.default_rng(0)
+    way = rng.normal(size=(count, 3))
+    way /= np.linalg.norm(way, axis=1, keepdims=True)
+    radius = np.where(np.arange(count) < count // 2, 1.0, 0.97 * rng.random(count) ** (1 / 3))
+    points = (0.5 * radius[:, None] * way).astype(np.float32)
+    # Neighbours in space lie near each other in memory, as after loading.
+    for part in (slice(0, count // 2), slice(count // 2, count)):
+        cell = ((points[part] + 0.5) * 16).astype(int).clip(0, 15)
+        points[part] = points[part][np.lexsort(cell.T)]
+    rgb = inside_colours(points)
+    n = count // 2
+    quats = np.zeros((n, 4), np.float32)
+    quats[:, 0] = 1
+    sigma = np.float32(1 / 150)
+    skin = SurfaceAtoms(points[:n], np.full((n, 3), sigma), quats, sh.rgb_to_sh(rgb[:n, None]).astype(np.float32))
+    return Atoms(skin, InteriorAtoms(points[n:], np.full(count - n, sigma), rgb[n:]), float(2 * sigma))
+
+
+def seconds(run: Callable[[], object], times: int) -> tuple[float, float]:
+    """Least wall seconds, and least processor seconds over cores, of several runs after a first."""
+    run()
+    best, busy = np.inf, np.inf
+    for _ in range(times):
+        wall, cpu = time.perf_counter(), time.process_time()
+        run()
+        best = min(best, time.perf_counter() - wall)
+        busy = min(busy, (time.process_time() - cpu) / cores())
+    return best, busy
+
+
+def measure(atoms: Atoms, camera: Camera, kind: str, times: int) -> dict[str, object]:
+    """Seconds and errors of one kind of view."""
+    planes = [] if kind == "outside" else [CUT]
+    field = KernelField(atoms)
+
+    def build() -> ViewWeights:
+        if kind == "section":
+            return ViewWeights.section(atoms, CUT, camera, field)
+        return ViewWeights.surface(atoms, camera, planes, field)
+
+    tensors = AtomTensors.of(atoms)
+    geometry = [
+        tensors.means,
+        tensors.scales,
+        tensors.quats,
+        tensors.sh,
+        tensors.inner_means,
+        tensors.sigmas,
+        tensors.rgb,
+    ]
+    for tensor in geometry:
+        tensor.requires_grad_()
+
+    def full() -> None:
+        for tensor in geometry:
+            tensor.grad = None
+        opaque_image(tensors, camera, planes)[0].square().sum().backward()
+
+    exact = build()
+    colours = exact.colours(atoms)
+    truth = exact.apply(colours)
+    grey = np.full((len(exact.alpha), 3), 0.5, np.float32)
+    known = colours[exact.used]
+
+    def step(view: ViewWeights) -> Callable[[], object]:
+        return lambda: (view._forward(known), view._backward(grey))
+
+    row: dict[str, object] = {"kind": kind, "atoms": len(atoms), "pixels": camera.width, "entries": len(exact.weights)}
+    row["megabytes"] = round((exact.weights.nbytes + exact.atoms.nbytes + exact.offsets.nbytes) / 2**20, 1)
+    row["covered"] = float(exact.pixels.mean())
+    row["full"], row["full busy"] = seconds(full, max(1, times // 3))
+    row["render"], row["render busy"] = seconds(lambda: render(atoms, camera, planes, field=field), max(1, times // 3))
+    row["build"], row["build busy"] = seconds(build, max(1, times // 3))
+    row["exact"], row["exact busy"] = seconds(step(exact), times)
+    if kind != "section":
+        drawn = render(atoms, camera, planes, (0, 0, 0), field=field).rgb
+        row["exact error"] = float(np.abs(drawn - truth).max())
+    shown = exact.pixels
+    for keep in KEPT:
+        short = exact.truncated(keep)
+        wall, busy = seconds(step(short), times)
+        wrong = (short.apply(colours) - truth).reshape(-1, 3)[shown]
+        row[f"keep {keep}"] = {
+            "seconds": wall,
+            "busy": busy,
+            "error dB": round(float(10 * np.log10(np.square(wrong, dtype=np.float64).mean() + 1e-20)), 1),
+        }
+    row["peak megabytes"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024
+    return row
+
+
+def chart(rows: list[dict], path: Path) -> None:
+    """Seconds an iteration against the error of the picture."""
+    kinds = ("outside", "cut", "section")
+    most = max((row["atoms"], row["pixels"]) for row in rows)
+    figure, panels = plt.subplots(1, len(kinds), figsize=(13, 4), sharey=True, constrained_layout=True)
+    for kind, panel in zip(kinds, panels, strict=True):
+        row = next(r for r in rows if r["kind"] == kind and (r["atoms"], r["pixels"]) == most)
+        errors = [row[f"keep {k}"]["error dB"] for k in KEPT]
+        times = [1e3 * row[f"keep {k}"]["busy"] for k in KEPT]
+        panel.plot(errors, times, "o-", color="#FF6B4A", label="truncated W, K largest")
+        for k, e, t in zip(KEPT, errors, times, strict=True):
+            panel.annotate(str(k), (e, t), textcoords="offset points", xytext=(5, 5))
+        panel.axhline(1e3 * row["exact busy"], color="#303337", label="exact W")
+        panel.axhline(1e3 * row["full busy"], color="#8F949C", linestyle="--", label="full renderer")
+        panel.set(title=kind, xlabel="error of the picture, dB", yscale="log")
+        panel.grid(alpha=0.3)
+    panels[0].set_ylabel("picture and gradient, ms (busy)")
+    panels[0].legend(fontsize=8)
+    figure.suptitle(f"Frozen geometry, {most[0]:,} atoms, {most[1]} x {most[1]} pixels, {cores()} cores")
+    figure.savefig(path, dpi=130)
+
+
+def main() -> None:
+    """Measures, prints a row a view and writes numbers and chart."""
+    quick = "--quick" in sys.argv[1:]
+    torch.set_num_threads(cores())
+    rows = []
+    for count, size in ((20_000, 256), (100_000, 256), (100_000, 512), (500_000, 512)):
+        if quick and count > 100_000:
+            continue
+        atoms = ball(count)
+        around = orbit((0, 0, 0), UP, 30, 35, 1.75, size, size)
+        for kind in ("outside", "cut", "section"):
+            camera = section(CUT, UP, atoms.bounds, size) if kind == "section" else around
+            rows.append(measure(atoms, camera, kind, 3 if quick else 7))
+            print(json.dumps(rows[-1]), flush=True)
+    FOLDER.mkdir(exist_ok=True)
+    (FOLDER / "frozen_geometry.json").write_text(json.dumps(rows, indent=1) + "\n")
+    chart(rows, FOLDER / "frozen_geometry.png")
+
+
+if __name__ == "__main__":
+    main()
