@@ -20,10 +20,10 @@ FAINT = 0.04
 HAZE_OPACITY = 0.15
 """Opacity under which a Gaussian larger than the pitch is haze: compositing never lets it hide what is behind it."""
 
-DEEPEST = 3.0
-"""Pitches under the skin from which a Gaussian can no longer be seen: a capture's debris, not its surface."""
+DEEPEST = 1.0
+"""Pitches under the skin from which an atom can no longer be seen: debris, or the buried part of a fat Gaussian."""
 
-HIGHEST = 1.0
+HIGHEST = 0.75
 """Pitches above the skin from which an atom is a floater, or the end of a Gaussian that sticks out."""
 
 SPACING = 1.6
