@@ -169,7 +169,7 @@ def test_a_cup_keeps_its_hollow() -> None:
 def test_a_box_without_a_bottom_on_a_mat_is_filled_to_the_mat() -> None:
     box = np.array([[0.5, 0], [0.5, 1], [0, 1]])
     mat = np.array([[0.5, 0], [1.0, 0]])
-    body = find_body(joined(lathe(box, 15000, closed=False), lathe(mat, 8000, closed=False)), cells=64).body
+    body = find_body(joined(lathe(box, 15000, closed=False), lathe(mat, 8000, closed=False)), cells=96).body
     assert abs(body.volume / (np.pi / 4) - 1) < 0.04
     assert body.at(np.array([[0.8, 0, 0.05]]))[0] < 0
 
@@ -204,8 +204,10 @@ def test_atoms_stay_under_the_skin_and_leave_no_gap() -> None:
     assert np.array_equal(atoms.means, fill(body, pitch, seed=3).means)
     # Solid to half a pitch under the skin: the weights add up to more than half a lattice's.
     probe = np.random.default_rng(0).normal(size=(500, 3))
-    probe *= (np.random.default_rng(1).random((500, 1)) ** (1 / 3)) * (1 - pitch / 2) / np.linalg.norm(
-        probe, axis=1, keepdims=True
+    probe *= (
+        (np.random.default_rng(1).random((500, 1)) ** (1 / 3))
+        * (1 - pitch / 2)
+        / np.linalg.norm(probe, axis=1, keepdims=True)
     )
     squared = ((probe[:, None] - atoms.means[None]) ** 2).sum(-1) / (pitch / 2) ** 2
     assert np.exp(-0.5 * squared).sum(1).min() > 0.98
