@@ -1,0 +1,63 @@
+"""Which way is up: captures differ, and nothing in the file says so. A guess that the user can overrule."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from engine.gaussians import Gaussians
+
+__all__ = ["detect_up"]
+
+FAINT = 0.1
+"""Opacity under which a Gaussian says nothing about the object's shape."""
+
+SLAB = 0.06
+"""Of an axis' extent. What stands within this of an end may be what the object stands on."""
+
+SUPPORT = 0.22
+"""Share of all centres in one end's slab from which it is a floor. A ball has its 6 %, a box's own face about 17 %."""
+
+ROUND = 0.12
+"""Relative difference of the two variances across an axis under which the object is round about it."""
+
+NAMES = ("x", "y", "z")
+
+
+def detect_up(gaussians: Gaussians) -> tuple[NDArray[np.float64], str]:
+    """(3,) unit vector among +-x, +-y, +-z, and the reason in words.
+
+    A floor or mat under the object decides first, then the axis that the object is round about, then +z.
+    """
+    default = np.array([0.0, 0.0, 1.0])
+    means = gaussians.means[gaussians.opacities >= FAINT].astype(np.float64)
+    if len(means) < 100:
+        return default, "+z, too few Gaussians to tell"
+    low, high = np.percentile(means, [0.5, 99.5], axis=0)
+    means = means[((means >= low) & (means <= high)).all(axis=1)]
+    extent = np.maximum(high - low, 1e-12)
+    ends = np.stack([(means < low + SLAB * extent).mean(0), (means > high - SLAB * extent).mean(0)])
+    end, axis = np.unravel_index(ends.argmax(), ends.shape)
+    if ends[end, axis] > SUPPORT and ends[1 - end, axis] < ends[end, axis] / 2:
+        up = np.zeros(3)
+        up[axis] = 1.0 if end == 0 else -1.0
+        return up, f"{'+' if end == 0 else '-'}{NAMES[axis]}, away from the floor it stands on"
+    variance = means.var(axis=0)
+    unround = np.array(
+        [abs(variance[b] - variance[c]) / (variance[b] + variance[c]) for b, c in ((1, 2), (0, 2), (0, 1))]
+    )
+    distinct = np.array([abs(2 * variance[a] / (variance.sum() - variance[a]) - 1) for a in range(3)])
+    # Round about z as well as about another axis (a ball): z, as most modelling tools have it.
+    score = unround - 0.5 * np.minimum(distinct, 0.2) - np.array([0.0, 0.0, 0.02])
+    axis = int(score.argmin())
+    squat = 2 * variance[axis] < 1.2 * (variance.sum() - variance[axis])  # a long round thing lies on its side
+    if unround[axis] < ROUND and axis != 2 and squat:
+        # Upright scans of small things have y up when they come from a viewer and down when from a camera rig; the
+        # flatter end is the one they lie on.
+        sign = 1.0 if ends[0, axis] >= ends[1, axis] else -1.0
+        up = np.zeros(3)
+        up[axis] = sign
+        return up, f"{'+' if sign > 0 else '-'}{NAMES[axis]}, the axis it is round about"
+    return default, "+z, the axis it is round about" if unround[
+        2
+    ] < ROUND else "+z, nothing in the scene says otherwise"
