@@ -30,6 +30,8 @@ class Rescued:
     """Where it was to be saved, if it ever was."""
     when: float
     """Seconds since 1970."""
+    name: str = ""
+    """Of the project, or of its scene."""
 
     def load(self) -> Project:
         """The work. Raises InputError where the file is broken."""
@@ -63,7 +65,9 @@ class Autosave:
             return False
         self.next = now + EVERY
         save_project(self.file, project)
+        named = target or project.document.scene
         note = {"project": None if target is None else str(target), "when": time.time(), **_me()}
+        note["name"] = named.stem if named else ""
         with atomic(_note(self.file)) as temporary:
             temporary.write_text(json.dumps(note), encoding="utf-8")
         self.last = project
@@ -86,7 +90,7 @@ def rescued(folder: Path | None = None) -> list[Rescued]:
             if _alive(int(note["pid"]), float(note["started"])):
                 continue
             project = None if note["project"] is None else Path(str(note["project"]))
-            found.append(Rescued(file, project, float(note["when"])))
+            found.append(Rescued(file, project, float(note["when"]), str(note["name"])))
         except (OSError, ValueError, KeyError, TypeError, InputError):
             continue
     return sorted(found, key=lambda item: -item.when)

@@ -16,14 +16,26 @@ from training.families import Family
 __all__ = ["body_of", "family_outlines", "outline"]
 
 
-def outline(points: NDArray[np.float64], plane: Plane, spacing: float) -> NDArray[np.float64] | None:
-    """(K, 3). A closed line on the plane around points (N, 3) nearer to it than `spacing`; None where it misses them.
+SLAB = 0.02
+"""Of the radius: half the thickness of the slab whose surface points make an outline. Ten thousand points on a ball
+have two hundred in the slab at its equator."""
 
-    A hull knows no hollows: it is a guide to the eye, the cut itself is exact.
+
+def outline(solid: Solid, plane: Plane, rows: NDArray[np.intp] | None = None) -> NDArray[np.float64] | None:
+    """(K, 3). A closed line where a plane meets the solid, or the part of it in `rows`; None where it misses.
+
+    It is the hull of the surface points near the plane, and a hull knows no hollows: a guide to the eye. The cut itself
+    is exact.
     """
+    points = solid.points if rows is None else solid.points[rows]
     distance = plane.distance(points)
-    near = points[np.abs(distance) <= spacing]
-    if len(near) < 8 or (distance > 0).all() or (distance < 0).all():
+    if not len(points) or (distance > 0).all() or (distance < 0).all():
+        return None
+    skin = points[: solid.skin] if rows is None else solid.points[rows[rows < solid.skin]]
+    if solid.skin < 1000:
+        skin = points
+    near = skin[np.abs(plane.distance(skin)) <= max(SLAB * solid.radius, 0.5 * solid.spacing if skin is points else 0)]
+    if len(near) < 8:
         return None
     e1, e2, n = frame(plane.normal)
     flat = near @ np.stack([e1, e2]).T
@@ -53,5 +65,5 @@ def family_outlines(
     """Outlines of a family's planes as they will be trained; of every second or third where there are very many."""
     planes = family.planes(body, np.asarray(up, np.float64))
     planes = planes[:: max(1, -(-len(planes) // most))]
-    found = (outline(solid.points, plane, solid.spacing) for plane in planes)
+    found = (outline(solid, plane) for plane in planes)
     return [line for line in found if line is not None]

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from app.document import WHOLE, Document, Key
 from app.motion import Motion
@@ -25,35 +26,45 @@ class Solid:
     """Where the object is, in a few thousand points."""
 
     points: NDArray[np.float64]
-    """(N, 3). Spread over surface and inside."""
+    """(N, 3). Spread over surface and inside, the surface's first."""
     centre: NDArray[np.float64]
     """(3,). Middle of the bounds."""
     radius: float
     """Of the sphere around the centre that holds all points, world units. Range (0, inf)."""
+    skin: int = 0
+    """How many of the points lie on the surface. Range [0, N]."""
 
     @staticmethod
     def of(given: NDArray[np.floating], limit: int = SAMPLE) -> Solid:
         """From given points (N, 3), of which at most `limit` are kept, the same ones every time."""
-        points = given.astype(np.float64)
+        points = _sample(given, limit)
         if not len(points):
             return Solid(np.zeros((0, 3)), np.zeros(3), 1.0)
         low, high = points.min(0), points.max(0)
         centre = (low + high) / 2
         radius = float(np.sqrt(((points - centre) ** 2).sum(1).max())) or 1.0
-        if len(points) > limit:
-            rows = np.sort(np.random.default_rng(0).choice(len(points), limit, replace=False))
-            points = points[rows]
         return Solid(points, centre, radius)
 
     @staticmethod
     def of_atoms(atoms: Atoms) -> Solid:
-        """From the centres of all atoms."""
-        return Solid.of(np.concatenate([atoms.surface.means, atoms.interior.means]))
+        """From the centres of atoms. Stray surface atoms far from the inside do not count as solid."""
+        skin, inside = (_sample(means, SAMPLE // 2) for means in (atoms.surface.means, atoms.interior.means))
+        if len(inside):
+            reach = 2.5 * float(np.ptp(inside, axis=0).max()) / max(len(inside), 1) ** (1 / 3)
+            skin = skin[cKDTree(inside).query(skin, distance_upper_bound=reach)[0] < np.inf]
+        return replace(Solid.of(np.concatenate([skin, inside])), skin=len(skin))
 
     @property
     def spacing(self) -> float:
         """About the distance between neighbouring points, world units."""
         return 2 * self.radius / max(len(self.points), 1) ** (1 / 3)
+
+
+def _sample(points: NDArray[np.floating], limit: int) -> NDArray[np.float64]:
+    """At most `limit` of some points (N, 3), in their order."""
+    if len(points) > limit:
+        points = points[np.sort(np.random.default_rng(0).choice(len(points), limit, replace=False))]
+    return points.astype(np.float64)
 
 
 @dataclass(frozen=True)

@@ -421,7 +421,7 @@ class Session:
             if new.trained and self.viewing.mode == "capture":
                 self.viewing = replace(self.viewing, mode="solid")
             if new.atoms is not None:
-                self.say(new.notes[-1] if new.notes else f"{preparing.request.scene.name} is ready. Press K to cut it.")
+                self.say(f"{preparing.request.scene.name} is solid now. Press K and drag across it to cut it.")
         if preparing.ended:
             if preparing.error:
                 self.fail(preparing.error)

@@ -7,6 +7,7 @@ import time
 import traceback
 from collections.abc import Callable
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from imgui_bundle import ImVec2, hello_imgui, imgui
@@ -20,15 +21,14 @@ __all__ = ["Driver", "drive"]
 
 TEN_MINUTES = 600.0
 
+T = TypeVar("T")
+
 
 class Driver:
     """What a script can do; it runs in step with the window's frames."""
 
     def __init__(self, window: Window, context: imgui.test_engine.TestContext) -> None:
         self.window, self.session, self.context = window, window.session, context
-        self._picture: NDArray[np.uint8] | None = None
-        self._asked = False
-        window.params.callbacks.before_swap = self._before_swap
 
     def frames(self, count: int = 1) -> None:
         """Lets frames pass."""
@@ -38,7 +38,10 @@ class Driver:
         """Lets frames pass until something is so."""
         end = time.monotonic() + seconds
         while not done():
-            assert time.monotonic() < end, f"waited {seconds:g} s for {what or done}: {self.session.message} {self.session.error}"
+            assert time.monotonic() < end, (
+                f"waited {seconds:g} s for {what or done}: {self.session.message} {self.session.error}"
+            )
+            time.sleep(0.02)  # leaves the processor to what is waited for
             self.context.yield_()
 
     def still(self) -> None:
@@ -51,7 +54,13 @@ class Driver:
         view = self.window.viewport
         return ImVec2(view.origin.x + x * view.size[0], view.origin.y + y * view.size[1])
 
-    def drag(self, start: tuple[float, float], end: tuple[float, float], button: int = 0, hold: Callable[[], None] | None = None) -> None:
+    def drag(
+        self,
+        start: tuple[float, float],
+        end: tuple[float, float],
+        button: int = 0,
+        hold: Callable[[], None] | None = None,
+    ) -> None:
         """Across the viewport; `hold` is done before the button is let go."""
         self.context.mouse_move_to_pos(self.point(*start))
         self.context.mouse_down(button)
@@ -75,13 +84,11 @@ class Driver:
     def picture(self, path: Path | None = None) -> NDArray[np.uint8]:
         """(H, W, 3). The whole window as it is now, saved where a path is given."""
         self.frames(2)
-        self._asked, self._picture = True, None
-        while self._picture is None:
-            self.frames(1)
+        picture = self.between_frames(self._read)
         if path is not None:
             path.parent.mkdir(parents=True, exist_ok=True)
-            Image.fromarray(self._picture).save(path)
-        return self._picture
+            Image.fromarray(picture).save(path)
+        return picture
 
     def view(self) -> NDArray[np.uint8]:
         """(H, W, 3). The viewport's part of the picture."""
@@ -89,15 +96,25 @@ class Driver:
         x, y = int(view.origin.x), int(view.origin.y)
         return picture[y : y + view.size[1], x : x + view.size[0]]
 
-    def _before_swap(self) -> None:
-        if not self._asked:
-            return
-        self._asked = False
+    def between_frames(self, act: Callable[[], T]) -> T:
+        """Does something where the GL context is current: at the end of a frame, in the window's own thread."""
+        done: list[T] = []
+
+        def once() -> None:
+            if not done:
+                done.append(act())
+
+        callbacks = self.window.params.callbacks
+        callbacks.before_swap = once
+        while not done:
+            self.frames(1)
+        return done[0]
+
+    def _read(self) -> NDArray[np.uint8]:
         screen = self.window.ctx.detect_framebuffer(0)
-        width, height = hello_imgui.get_runner_params().app_window_params.window_geometry.size
         width, height = (int(side) for side in imgui.get_io().display_size)
         data = screen.read(viewport=(0, 0, width, height), components=3, alignment=1)
-        self._picture = np.frombuffer(data, np.uint8).reshape(height, width, 3)[::-1].copy()
+        return np.frombuffer(data, np.uint8).reshape(height, width, 3)[::-1].copy()
 
 
 def drive(session: Session, script: Callable[[Driver], None], start: Callable[[Session], None] | None = None) -> Window:
@@ -125,6 +142,7 @@ def drive(session: Session, script: Callable[[Driver], None], start: Callable[[S
             except BaseException as error:
                 traceback.print_exc()
                 failures.append(error)
+            session.autosave.clear()
             session.closing = True
 
         test.test_func = run

@@ -10,7 +10,7 @@ from pathlib import Path
 
 
 def main() -> None:
-    """python app_stub_trainer.py SCENE -o OUT --events FILE [--steps N] [--die] [--resume]"""
+    """python app_stub_trainer.py [--steps N] [--die] [--paint ATOMS] SCENE -o OUT --events FILE [--resume]"""
     words = sys.argv[1:]
     out, events = Path(words[words.index("-o") + 1]), Path(words[words.index("--events") + 1])
     steps = int(words[words.index("--steps") + 1]) if "--steps" in words else 5
@@ -26,6 +26,8 @@ def main() -> None:
     emit("stage", stage="load", title="Reading the scene")
     emit("warning", message="3 rows were dropped")
     emit("stage", stage="train", title="Training")
+    if "--paint" in words:
+        paint(out, int(words[words.index("--paint") + 1]))
     for index in range(first, steps):
         if asked:
             state.write_text(str(index))
@@ -40,7 +42,21 @@ def main() -> None:
             state.write_text(str(index))
             sys.exit("MemoryError: the machine has no memory left")
         time.sleep(0.02)
+    emit("previews", paths=[str(out / "label.png")])
     emit("done", scene=str(out / "melon.ply"), sheet=str(out / "cuts.png"), report=str(out / "report.json"))
+
+
+def paint(out: Path, count: int) -> None:
+    """Leaves a checkpoint in which the whole inside is red, and a picture of a label."""
+    import numpy as np
+    from PIL import Image
+    from safetensors.numpy import save_file
+
+    (out / "checkpoint").mkdir(exist_ok=True)
+    red = np.tile(np.array([0.9, 0.1, 0.1], np.float32), (count, 1))
+    save_file({"rgb": red}, out / "checkpoint" / "new.safetensors")
+    (out / "checkpoint" / "new.safetensors").replace(out / "checkpoint" / "labels.safetensors")
+    Image.new("RGB", (64, 32), (230, 30, 30)).save(out / "label.png")
 
 
 if __name__ == "__main__":

@@ -44,7 +44,7 @@ def axis_cube(camera: Camera, up: Vec3, centre: ImVec2, size: float) -> Vec3 | N
             with font(Fonts.small):
                 extent = imgui.calc_text_size(name)
                 at = flat.mean(0)
-                colour = u32(p.text if hovered else p.second, min(1.0, 1.6 * facing - 0.35))
+                colour = u32(p.text if hovered else p.second, min(1.0, 0.45 + 0.9 * facing))
                 draw.add_text(ImVec2(float(at[0]) - extent.x / 2, float(at[1]) - extent.y / 2), colour, name)
         if hovered:
             imgui.set_mouse_cursor(imgui.MouseCursor_.hand)

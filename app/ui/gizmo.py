@@ -40,7 +40,7 @@ def _piece_handles(session: Session, camera: Camera, origin: ImVec2, size: ImVec
     if moved is not None:
         motion = Motion.of(moved @ np.linalg.inv(place))
         session.place("Move" if session.tool == "move" else "Turn", session.selection, motion, merge="handles")
-    return _busy(session)
+    return _busy()
 
 
 def _plane_handles(session: Session, camera: Camera, origin: ImVec2, size: ImVec2) -> bool:
@@ -53,12 +53,14 @@ def _plane_handles(session: Session, camera: Camera, origin: ImVec2, size: ImVec
     place[:3, :3] = frame(plane.normal).T
     centre = session.solid.centre
     place[:3, 3] = centre - np.asarray(plane.normal) * float(plane.distance(centre))
-    operation = gizmo.OPERATION.rotate_x | gizmo.OPERATION.rotate_y | gizmo.OPERATION.translate_z
-    moved = _manipulate("plane", camera, origin, size, operation, gizmo.MODE.local, place)
+    moved = None
+    for name, operation in (("slide", gizmo.OPERATION.translate_z), ("tilt", gizmo.OPERATION.rotate)):
+        dragged = _manipulate(name, camera, origin, size, operation, gizmo.MODE.local, place)
+        moved = moved if dragged is None else dragged
     if moved is not None:
         new = Plane.through(moved[:3, 3], moved[:3, 2])
         session.change_cut("Move plane", cut.id, lambda c: replace(c, parts=(Part(new),), shift=0.0), merge="handles")
-    return _busy(session)
+    return _busy()
 
 
 def _manipulate(
@@ -88,9 +90,7 @@ def _manipulate(
     return np.asarray(matrix.values, np.float64).reshape(4, 4).T if changed else None
 
 
-def _busy(session: Session) -> bool:
-    if not gizmo.is_using() and imgui.is_mouse_released(imgui.MouseButton_.left):
-        session.history.settle()
+def _busy() -> bool:
     return bool(gizmo.is_using() or gizmo.is_over())
 
 

@@ -63,7 +63,8 @@ class Inspector:
             return
         imgui.align_text_to_frame_padding()
         secondary(document.scene.name)
-        tip(str(document.scene))
+        notes = session.object.notes if session.object is not None else ()
+        tip("\n".join([str(document.scene), *notes]))
         imgui.same_line(imgui.get_content_region_avail().x - px(78))
         imgui.set_next_item_width(px(90))
         current = axis_name(session.up)
@@ -136,13 +137,10 @@ class Inspector:
         plane = cut.plane(cut.parts[0])
         place = -float(plane.distance(solid.centre)) / solid.radius
         width = imgui.get_content_region_avail().x - px(32)
-        changed, new = number_slider("##place", place, -1.0, 1.0, width=width)
+        changed, new = number_slider("##place", place, -1.0, 1.0, "Sweeps the plane through the object", width)
         if changed:
             shift = cut.shift + (new - place) * solid.radius
             session.change_cut(f"Move {cut.name}", cut.id, lambda c: replace(c, shift=shift), merge=f"cut {cut.id}")
-        if imgui.is_item_deactivated():
-            session.history.settle()
-        tip("Sweeps the plane through the object")
 
     def _detail(self, cut: Cut) -> None:
         """The numbers of the active cut, and what else can be done with it."""
@@ -204,13 +202,10 @@ class Inspector:
             imgui.align_text_to_frame_padding()
             secondary(label)
             imgui.same_line(px(76))
-            changed, new = number_slider(f"##{name}", value, 0.0, 1.0 if name == "gap" else 2.0)
+            changed, new = number_slider(f"##{name}", value, 0.0, 1.0 if name == "gap" else 2.0, hint)
             if changed:
                 changed_one = replace(document, gap=new) if name == "gap" else replace(document, explode=new)
                 session.change(label, changed_one, merge=name)
-            if imgui.is_item_deactivated():
-                session.history.settle()
-            tip(hint)
         for piece in session.pieces:
             self._piece(piece)
         if imgui.button("Put back together", ImVec2(-1, 0)):

@@ -30,6 +30,7 @@ from app.ui.widgets import (
     segmented,
     thin_bar,
     tip,
+    whole_slider,
 )
 from training.families import COUNTS, Family, Kind
 from training.settings import DETAILS, DetailName
@@ -141,17 +142,14 @@ class InteriorPanel:
         def change(name: str, new: Family, merge: str = "") -> None:
             session.change(name, session.document.with_family(new), merge)
 
-        label = px(70)
+        label = px(80)
         if kind != "custom":
             imgui.align_text_to_frame_padding()
             secondary("Planes")
             imgui.same_line(label)
-            imgui.set_next_item_width(-1)
-            changed, count = imgui.slider_int("##count", family.count, 1, 2 * COUNTS[kind])
+            changed, count = whole_slider("##count", family.count, 1, 2 * COUNTS[kind])
             if changed:
                 change("Planes", replace(family, count=max(1, count)), merge=f"count {kind}")
-            if imgui.is_item_deactivated():
-                session.history.settle()
         if kind == "parallel":
             imgui.align_text_to_frame_padding()
             secondary("Along")
@@ -170,8 +168,6 @@ class InteriorPanel:
         changed, text = imgui.input_text_with_hint("##prompt", "optional, for priors that read", family.prompt)
         if changed:
             change("Words", replace(family, prompt=text), merge=f"prompt {kind}")
-        if imgui.is_item_deactivated():
-            session.history.settle()
         self._pictures(family)
         if imgui.button("Remove family"):
             session.change(f"Remove {kind}", session.document.without_family(kind))

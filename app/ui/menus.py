@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from dataclasses import replace
 from functools import partial
+from itertools import zip_longest
 from pathlib import Path
 
 from imgui_bundle import ImVec2, imgui
@@ -209,17 +210,14 @@ class Menus:
         )
         left = [(c.keys, c.label) for c in self.commands if c.keys and c.menu in ("File", "Edit", "Cut", "Help")]
         right = [(c.keys, c.label) for c in self.commands if c.keys and c.menu in ("Tools", "View")]
-        if imgui.begin_table("##keys", 3, imgui.TableFlags_.sizing_fixed_fit):
-            for column in (left, right, mouse):
-                imgui.table_next_column()
-                wide = max(imgui.calc_text_size(keys).x for keys, _ in column) + px(16)
-                for keys, label in column:
-                    start = imgui.get_cursor_pos_x()
-                    secondary(keys)
-                    imgui.same_line(start + wide)
-                    imgui.text_unformatted(label.removesuffix("..."))
-                    imgui.same_line()
-                    imgui.dummy(ImVec2(px(18), 0))
+        if imgui.begin_table("##keys", 6, imgui.TableFlags_.sizing_fixed_fit):
+            for row in zip_longest(mouse, right, left, fillvalue=("", "")):
+                imgui.table_next_row()
+                for keys, label in row:
+                    imgui.table_next_column()
+                    secondary(f"{keys}   ")
+                    imgui.table_next_column()
+                    imgui.text_unformatted(f"{label.removesuffix('...')}        ")
             imgui.end_table()
         outside = imgui.is_mouse_clicked(imgui.MouseButton_.left) and not imgui.is_window_hovered()
         if outside or imgui.is_key_pressed(imgui.Key.escape):

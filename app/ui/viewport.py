@@ -285,7 +285,7 @@ class Viewport:
             return
         plane = cut.plane(cut.parts[0])
         self._sheet(camera, plane)
-        line = outline(session.solid.points, plane, session.solid.spacing)
+        line = outline(session.solid, plane)
         if line is not None:
             self._line(camera, line, u32(palette().accent, 0.9), u32(palette().accent, 0.35), px(1.6))
 
@@ -324,18 +324,16 @@ class Viewport:
         at = self._at()
         stroke = Stroke(drag.start, at, imgui.get_io().key_shift)
         plane = plane_of(camera, stroke, session.up, session.solid.centre)
-        if plane is not None and session.atoms is not None:
-            for piece in pieces:
-                if piece.visible and (not session.selection or piece.key in session.selection):
-                    line = outline(
-                        session.solid.points[piece.rows], piece.motion.inverse().carried(plane), session.solid.spacing
-                    )
-                    if line is not None:
-                        self._line(camera, line, u32(p.accent, 0.95), u32(p.accent, 0.4), px(2), piece.motion)
         draw = imgui.get_window_draw_list()
         ends = [ImVec2(x + self.origin.x, y + self.origin.y) for x, y in (drag.start, at)]
         draw.add_line(ends[0], ends[1], u32("#000000", 0.35), px(4))
         draw.add_line(ends[0], ends[1], u32("#FFFFFF"), px(1.8))
+        if plane is not None and session.atoms is not None:
+            for piece in pieces:
+                if piece.visible and (not session.selection or piece.key in session.selection):
+                    line = outline(session.solid, piece.motion.inverse().carried(plane), piece.rows)
+                    if line is not None:
+                        self._line(camera, line, u32(p.accent, 0.95), u32(p.accent, 0.4), px(2.4), piece.motion)
         for end in ends:
             draw.add_circle_filled(end, px(4.5), u32(p.accent))
         words = "release to cut" if drag.kind == "stroke" else "release to place"

@@ -21,6 +21,7 @@ __all__ = [
     "segmented",
     "thin_bar",
     "tip",
+    "whole_slider",
 ]
 
 
@@ -151,7 +152,7 @@ def segmented(name: str, labels: Sequence[str], current: int, width: float, hint
 
 
 def number_slider(
-    name: str, value: float, low: float, high: float, form: str = "%.2f", width: float = -1.0
+    name: str, value: float, low: float, high: float, hint: str, width: float = -1.0
 ) -> tuple[bool, float]:
     """A slider with its number at the right, which keeps its place; double click or Ctrl+click to type."""
     room = imgui.calc_text_size("-00.00").x + px(6)
@@ -160,12 +161,30 @@ def number_slider(
     imgui.push_style_var(imgui.StyleVar_.frame_padding, ImVec2(px(9), px(3)))
     changed, value = imgui.slider_float(name, value, low, high, "")
     imgui.pop_style_var()
-    text = form % value
-    imgui.same_line(0, 0)
-    imgui.set_cursor_pos_x(imgui.get_cursor_pos_x() + room - imgui.calc_text_size(text).x)
-    imgui.align_text_to_frame_padding()
-    imgui.text_unformatted(text)
+    tip(hint)
+    _number_at_right(f"{value if abs(value) >= 0.005 else 0.0:.2f}", room)
     return changed, value
+
+
+def whole_slider(name: str, value: int, low: int, high: int) -> tuple[bool, int]:
+    """The same for whole numbers, as wide as there is room."""
+    room = imgui.calc_text_size("0000").x + px(6)
+    imgui.set_next_item_width(imgui.get_content_region_avail().x - room)
+    imgui.push_style_var(imgui.StyleVar_.frame_padding, ImVec2(px(9), px(3)))
+    changed, value = imgui.slider_int(name, value, low, high, "")
+    imgui.pop_style_var()
+    _number_at_right(str(value), room)
+    return changed, value
+
+
+def _number_at_right(text: str, room: float) -> None:
+    """Ends `room` after the last item, level with it."""
+    low, high = imgui.get_item_rect_min(), imgui.get_item_rect_max()
+    size = imgui.calc_text_size(text)
+    at = ImVec2(high.x + room - size.x, (low.y + high.y - size.y) / 2)
+    imgui.get_window_draw_list().add_text(at, u32(palette().text), text)
+    imgui.same_line(0, 0)
+    imgui.dummy(ImVec2(room, high.y - low.y))
 
 
 def thin_bar(part: float, paused: bool = False) -> None:

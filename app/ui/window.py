@@ -9,7 +9,7 @@ from typing import Any
 
 import glfw
 import moderngl
-from imgui_bundle import ImVec2, ImVec4, hello_imgui, imgui, implot
+from imgui_bundle import ImVec2, ImVec4, hello_imgui, imgui, imguizmo, implot
 from imgui_bundle import icons_fontawesome_6 as icon
 from imgui_bundle.glfw_utils import glfw_window_hello_imgui
 
@@ -33,6 +33,9 @@ __all__ = ["Window"]
 
 IDLE_FRAMES = 6.0
 """A second, while nothing happens: often enough to follow a job."""
+
+INSPECTOR = 344.0
+"""Width of the inspector at 96 DPI; it keeps it when the window grows."""
 
 GUI_ERRORS = 3
 """Failures of one frame in a row after which the window gives up rather than loop."""
@@ -89,9 +92,11 @@ class Window:
 
     def _docking(self) -> hello_imgui.DockingParams:
         docking = hello_imgui.DockingParams()
-        quiet = imgui.DockNodeFlags_.auto_hide_tab_bar
+        quiet = imgui.internal.DockNodeFlagsPrivate_.no_tab_bar
         docking.main_dock_space_node_flags = quiet | imgui.DockNodeFlags_.passthru_central_node
-        split = hello_imgui.DockingSplit("MainDockSpace", "Inspector", imgui.Dir.right, 0.245)
+        split = hello_imgui.DockingSplit(
+            "MainDockSpace", "Inspector", imgui.Dir.right, INSPECTOR / self.session.settings.window[0]
+        )
         split.node_flags = quiet
         docking.docking_splits = [split]
         view = hello_imgui.DockableWindow("Object", "MainDockSpace", self._viewport, can_be_closed_=False)
@@ -176,6 +181,8 @@ class Window:
     # Drawing
 
     def _gui(self) -> None:
+        if not imgui.is_any_item_active() and not imguizmo.im_guizmo.is_using_any():
+            self.session.history.settle()  # what was dragged has been let go
         press_shortcuts(self.menus.commands)
         self.menus.show_sheet()
         self.export.show()
@@ -187,11 +194,11 @@ class Window:
         flags = imgui.WindowFlags_.no_scrollbar | imgui.WindowFlags_.no_scroll_with_mouse
         imgui.begin("Object", None, flags | imgui.WindowFlags_.no_move | imgui.WindowFlags_.no_title_bar)
         imgui.pop_style_var()
+        self._guard(self.viewport.show)
         self._guard(self._viewport_body)
         imgui.end()
 
     def _viewport_body(self) -> None:
-        self.viewport.show()
         self._notices()
         self.menus.context()
         if self.session.document.scene is None:
@@ -227,7 +234,7 @@ class Window:
         texts: list[tuple[str, str, Callable[[], None] | None, Callable[[], None]]] = []
         if self.rescues:
             first = self.rescues[0]
-            name = first.project.stem if first.project else "a project that was never saved"
+            name = first.name or "a project that was never saved"
             texts.append((f"Unsaved work on {name} was kept.", "Bring it back", self._recover, self._forget))
         if session.error:
             texts.append((session.error, "", None, lambda: setattr(session, "error", "")))

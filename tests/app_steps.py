@@ -1,0 +1,290 @@
+"""The real window, driven: run by test_app_window.py in a process of its own, `python app_steps.py NAME FOLDER`."""
+
+from __future__ import annotations
+
+import os
+import random
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from app_driver import Driver, drive
+from imgui_bundle import imgui
+from numpy.typing import NDArray
+from PIL import Image
+
+from app.camera_control import AXIS_VIEWS
+from app.document import Document, Training
+from app.knife import Stroke
+from app.motion import Motion
+from app.pieces import pieces
+from app.project import Project, Viewing, load_project, save_project
+from app.samples import sample_document
+from app.session import TOOLS, Session
+from app.settings import Settings
+from app.ui.exporting import Options
+from engine.ply import read_ply
+
+Key = imgui.Key
+SIZE = (860, 560)
+STUB = Path(__file__).with_name("app_stub_trainer.py")
+
+
+def tiny(folder: Path) -> Document:
+    """The generated melon, coarse enough to be solid in a moment."""
+    os.environ["FRUITNINJA_HOME"] = str(folder / "home")
+    document = sample_document("no such sample")
+    return replace(document, training=Training(detail="draft", out=folder / "result"))
+
+
+def opened(folder: Path, script: Callable[[Driver], None]) -> None:
+    """Runs a script on the tiny melon, once it is solid."""
+    document = tiny(folder)
+
+    def run(driver: Driver) -> None:
+        driver.until(lambda: driver.session.atoms is not None, 120, "the solid")
+        driver.still()
+        script(driver)
+        assert not driver.session.error, driver.session.error
+        assert driver.window.ctx.error == "GL_NO_ERROR"
+
+    drive(Session(settings=Settings(window=SIZE)), run, lambda session: session.show(document, Viewing(), None))
+
+
+def ground(view: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    """(H, W). Where the viewport shows its own background."""
+    return (np.abs(view.astype(int) - view[-40, 60].astype(int)) < 6).all(2)
+
+
+def steps(driver: Driver, folder: Path) -> None:
+    """Cut, undo, families, training, saving, opening again, exporting, as a user does it."""
+    session, window = driver.session, driver.window
+    shots = folder / "shots"
+    driver.picture(shots / "1_solid.png")
+    whole = ground(driver.view())
+    middle = (0.5, 0.5)
+
+    # The knife: two pieces in the model and in the picture.
+    driver.press(Key.k)
+    assert session.tool == "knife"
+    driver.drag((0.5, 0.05), (0.5, 0.95), hold=lambda: driver.picture(shots / "2_stroke.png"))
+    driver.still()
+    assert len(session.pieces) == 2 and len(session.document.cuts) == 1, session.message
+    halves = ground(driver.view())
+    column = halves.shape[1] // 2
+    assert not whole[halves.shape[0] // 2, column] and halves[halves.shape[0] // 2, column]
+    driver.picture(shots / "3_halves.png")
+
+    # A miss changes nothing and says so; Esc cancels.
+    driver.drag((0.03, 0.3), (0.04, 0.8))
+    assert len(session.document.cuts) == 1 and "missed" in session.message
+    driver.drag((0.2, 0.5), (0.8, 0.5), hold=lambda: driver.press(Key.escape))
+    assert len(session.document.cuts) == 1
+
+    # Grab a piece; look around; undo.
+    driver.press(Key.m)
+    before = session.pieces[0].motion, session.pieces[1].motion
+    driver.drag((0.35, 0.5), (0.25, 0.45))
+    assert (session.pieces[0].motion, session.pieces[1].motion) != before and len(session.history.entries) == 3
+    eye = session.viewing.eye
+    driver.drag(middle, (0.6, 0.6), button=1)
+    assert session.viewing.eye.azimuth != eye.azimuth and len(session.history.entries) == 3
+    driver.press(Key.mod_ctrl | Key.z)
+    assert (session.pieces[0].motion, session.pieces[1].motion) == before
+    driver.press(Key.mod_ctrl | Key.z)
+    assert len(session.pieces) == 1
+    driver.press(Key.mod_ctrl | Key.mod_shift | Key.z)
+    assert len(session.pieces) == 2
+
+    # A family, with a picture that is dropped on the window, and its planes in the viewport.
+    Image.new("RGB", (64, 64), (200, 40, 40)).save(folder / "cut.png")
+    driver.press(Key.v)
+    window.dropped.append(folder / "cut.png")
+    driver.frames(3)
+    family = session.document.family("horizontal")
+    assert family is not None and family.exemplars == (folder / "cut.png",)
+    window.viewport.show_families = frozenset(["horizontal"])
+    driver.press(Key._1)
+    driver.still()
+    driver.picture(shots / "4_families.png")
+    window.viewport.show_families = frozenset()
+
+    # Training: colours change while it runs; pause, stop.
+    assert session.atoms is not None
+    session.desk.program = (
+        sys.executable, str(STUB), "--steps", "2000", "--paint", str(len(session.atoms.interior))
+    )  # fmt: skip
+    driver.press(Key._3)
+    driver.still()
+    plain = driver.view().astype(int)
+    session.desk.start()
+    driver.until(lambda: session.colours > 0, 20, "new colours")
+    driver.until(lambda: session.desk.job is not None and session.desk.job.progress.iteration > 5, 20, "a curve")
+    window.viewport.go(session.viewing.eye.seen_from("top"))
+    driver.still()
+    session.look(replace(session.viewing, mode="interior"))
+    driver.frames(3)
+    red = driver.view().astype(int)
+    assert (
+        ((red[..., 0] > 150) & (red[..., 1] < 90)).mean() > 0.05 > ((plain[..., 0] > 150) & (plain[..., 1] < 90)).mean()
+    )
+    driver.picture(shots / "5_training.png")
+    job = session.desk.job
+    assert job is not None
+    session.desk.toggle_pause()
+    driver.until(lambda: job.phase == "paused", 10, "the pause")
+    session.desk.toggle_pause()
+    session.desk.stop()
+    driver.until(lambda: job.phase == "stopped", 20, "the stop")
+    session.look(replace(session.viewing, mode="solid"))
+
+    # Save, open again, export.
+    session.save(folder / "melon.fruitninja")
+    assert not session.history.changed
+    document, viewing = session.document, session.viewing
+    session.open(folder / "melon.fruitninja")
+    driver.until(lambda: session.atoms is not None, 60, "the solid again")
+    assert (session.document, session.viewing) == (document, viewing)
+    driver.still()
+    driver.between_frames(lambda: window.exporter.run(Options("picture", 200, 150), folder / "picture.png"))
+    picture = np.asarray(Image.open(folder / "picture.png"))
+    assert picture.shape == (150, 200, 4) and picture[0, 0, 3] == 0 and picture[..., 3].max() == 255
+    driver.between_frames(lambda: window.exporter.run(Options("pieces"), folder / "pieces.ply"))
+    assert len(read_ply(folder / "pieces.ply")[0]) == len(session.atoms)
+    driver.between_frames(lambda: window.exporter.run(Options("section", 120), folder / "face.png"))
+    driver.between_frames(lambda: window.exporter.run(Options("turntable", 64, 64, frames=4), folder / "turn.webp"))
+    driver.until(lambda: not window.exporter.busy, 20, "the turntable")
+    assert Image.open(folder / "turn.webp").n_frames == 4 and (folder / "face.png").stat().st_size > 500
+    driver.picture(shots / "6_again.png")
+
+    # An error is shown in words.
+    session.open(folder / "cut.txt")
+    driver.frames(2)
+    assert "no such file" in session.error
+    driver.picture(shots / "7_error.png")
+    session.error = ""
+
+
+def soak(driver: Driver, actions: int = 2000) -> None:
+    """Anything in any order: no error, nothing left on the GPU, nothing lost."""
+    session, window, chance = driver.session, driver.window, random.Random(7)
+    start = session.document
+    driver.frames(5)
+    names = gl_names(driver)
+    keys = [
+        Key.k,
+        Key.p,
+        Key.m,
+        Key.t,
+        Key.v,
+        Key.f,
+        Key.h,
+        Key._1,
+        Key._2,
+        Key._3,
+        Key._6,
+        Key.o,
+        Key.delete,
+        Key.escape,
+    ]
+    keys += [Key.mod_ctrl | Key.z, Key.mod_ctrl | Key.mod_shift | Key.z, Key.mod_ctrl | Key.a, Key.mod_ctrl | Key.g]
+
+    def place() -> tuple[float, float]:
+        return chance.uniform(0.02, 0.98), chance.uniform(0.1, 0.98)
+
+    def stroke() -> None:
+        if len(session.document.cuts) < 5:
+            (a, b), (c, d) = place(), place()
+            w, h = window.viewport.size
+            session.slice(window.viewport.camera(), Stroke((a * w, b * h), (c * w, d * h), chance.random() < 0.3))
+
+    def cut() -> None:
+        if session.document.cuts:
+            one = chance.choice(session.document.cuts)
+            what = chance.random()
+            if what < 0.4:
+                session.change_cut("Move", one.id, lambda c: replace(c, shift=chance.uniform(-1, 1)), merge="slide")
+            elif what < 0.7:
+                session.change_cut("Toggle", one.id, lambda c: replace(c, on=not c.on))
+            else:
+                session.remove_cut(one.id)
+
+    def piece() -> None:
+        if session.pieces:
+            keys_ = frozenset([chance.choice(session.pieces).key])
+            session.selection = keys_
+            motion = Motion.by([chance.uniform(-0.2, 0.2) for _ in range(3)])
+            chance.choice([session.hide, session.delete, lambda: session.place("Move", keys_, motion)])()
+
+    acts: list[Callable[[], object]] = [
+        stroke, cut, piece, session.undo, session.undo, session.redo, session.together, session.add_plane,
+        lambda: session.take(chance.choice(TOOLS)),
+        lambda: session.jump(chance.randrange(len(session.history.entries))),
+        lambda: session.look(replace(session.viewing, mode=chance.choice(["solid", "solid", "interior"]))),
+        lambda: window.viewport.go(session.viewing.eye.seen_from(chance.choice(list(AXIS_VIEWS)))),
+        lambda: session.change("Gap", replace(session.document, gap=chance.uniform(0, 1)), merge="gap"),
+    ]  # fmt: skip
+    for index in range(actions):
+        if index % 40 == 0:
+            driver.drag(place(), place(), button=chance.choice([0, 0, 1]))
+        elif index % 10 == 0:
+            driver.context.key_press(chance.choice(keys))
+            driver.frames(1)
+        else:
+            chance.choice(acts)()
+        if session.question is not None:
+            session.answer(session.question.choices[-1])
+        window.export.asked = window.menus.sheet = False
+        assert not session.error, session.error
+        rows = sum(len(p.rows) for p in session.pieces)
+        assert rows <= len(session.solid.points)
+    # The document goes all the way back, all the way forward, and through a file.
+    end = session.document
+    while session.history.undo():
+        pass
+    assert session.document == start
+    while session.history.redo():
+        pass
+    session.jump(next(i for i, e in enumerate(session.history.entries) if e.state == end))
+    path = Path(os.environ["FRUITNINJA_HOME"]) / "soak.fruitninja"
+    save_project(path, Project(session.document, session.viewing))
+    again = load_project(path, outside=True)
+    assert again == Project(session.document, session.viewing)
+    assert [p.key for p in pieces(again.document, session.solid)] == [p.key for p in session.pieces]
+    session.jump(0)
+    session.look(replace(session.viewing, mode="solid"))
+    driver.still()
+    driver.frames(5)
+    left = gl_names(driver)
+    assert all(after <= before + 2 for before, after in zip(names, left, strict=True)), (names, left)
+
+
+def gl_names(driver: Driver) -> tuple[int, ...]:
+    """The names that GL gives to new objects: free ones are used again, so they grow only if something was left."""
+
+    def look() -> tuple[int, ...]:
+        ctx = driver.window.ctx
+        buffer, texture = ctx.buffer(reserve=4), ctx.texture((1, 1), 4)
+        frame = ctx.framebuffer([texture])
+        names = (buffer.glo, texture.glo, frame.glo)
+        for item in (frame, texture, buffer):
+            item.release()
+        return names
+
+    return driver.between_frames(look)
+
+
+def main() -> None:
+    """Runs one of them."""
+    name, folder = sys.argv[1], Path(sys.argv[2])
+    if name == "steps":
+        opened(folder, lambda driver: steps(driver, folder))
+    else:
+        opened(folder, soak)
+    print("well")
+
+
+if __name__ == "__main__":
+    main()
