@@ -16,10 +16,10 @@ __all__ = ["LOOKS", "Look", "closed_within", "shell"]
 
 Array = NDArray[np.float64]
 
-OVERSAMPLE = 12
-"""Skin samples per Gaussian: enough for its area and its neighbours to be known within a few per cent."""
+OVERSAMPLE = 24
+"""Skin samples per Gaussian: a fifth of its spacing apart, so that little skin can stay open between them."""
 
-CLOSE = 1.0
+CLOSE = 0.95
 """Every skin sample lies within this many in-plane standard deviations of a nearly opaque Gaussian: the core of a
 splat, over half of its height, reaches 1.18."""
 
@@ -65,8 +65,7 @@ def shell(solid: Solid, look: Look, rng: np.random.Generator) -> Gaussians:
     tail = rng.random(look.count) < 0.12
     opacities = np.where(tail, 0.9 * rng.beta(4, 2, look.count), rng.uniform(0.9, 0.995, look.count))
     firm = opacities >= NEARLY_OPAQUE
-    for _ in range(6):
-        scales[firm] = _widened(samples, centres[firm], quats[firm], scales[firm])
+    scales[firm] = _closed(samples, centres[firm], quats[firm], scales[firm])
     rgb = _footprint_colour(solid, centres, quats, scales) + rng.normal(0, 0.008, (look.count, 3))
     surface = _gaussians(centres, scales, quats, opacities, rgb, look, solid.normals(centres))
     junk = _junk(solid, samples, normals, float(np.median(spacing)), look, rng)
@@ -82,13 +81,17 @@ def closed_within(samples: Array, gaussians: Gaussians) -> Array:
 
 def _samples(solid: Solid, count: int, rng: np.random.Generator) -> tuple[Array, Array, Array]:
     """Skin points (M, 3), their normals and the area each stands for (M,)."""
-    rays = directions(count) + rng.normal(0, 0.3 / np.sqrt(count), (count, 3))
+    rays = directions(count)
+    # A cone of solid angle w meets a skin at slant cosine c in area w r^2 / c; more rays where that is more, so that
+    # the far corners of a loaf are sampled as densely as its sides.
+    points = solid.skin(rays)
+    area = (points**2).sum(1) / np.maximum((rays * solid.normals(points)).sum(1), 0.15)
+    total = np.cumsum(area)
+    rays = rays[np.searchsorted(total, (np.arange(count) + 0.5) / count * total[-1])]
+    rays += rng.normal(0, 1.5 / np.sqrt(count), (count, 3))
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     points = solid.skin(rays)
-    normals = solid.normals(points)
-    square = (points**2).sum(1)
-    # A cone of solid angle w meets a skin at slant cosine c in area w r^2 / c.
-    return points, normals, 4 * np.pi / count * square / np.maximum((rays * normals).sum(1), 0.2)
+    return points, solid.normals(points), np.full(count, 4 * np.pi * area.mean() / count)
 
 
 def _spread(solid: Solid, samples: Array, area: Array, count: int, rng: np.random.Generator) -> tuple[Array, Array]:
@@ -125,8 +128,8 @@ def _discs(normals: Array, spacing: Array, rng: np.random.Generator) -> tuple[Ar
     e2 = np.cross(tilted, e1)
     turn = rng.uniform(0, 2 * np.pi, (n, 1))
     axes = np.stack([np.cos(turn) * e1 + np.sin(turn) * e2, np.cos(turn) * e2 - np.sin(turn) * e1, tilted], axis=-1)
-    stretch = np.exp(rng.normal(0, 0.28, n))
-    size = 0.50 * spacing * np.exp(rng.normal(0, 0.15, n))
+    stretch = np.exp(rng.normal(0, 0.22, n))
+    size = 0.45 * spacing * np.exp(rng.normal(0, 0.15, n))
     thin = 0.10 * spacing * np.exp(rng.normal(0, 0.35, n))
     return _quaternions(axes), np.stack([size * stretch, size / stretch, thin], axis=1)
 
@@ -167,12 +170,18 @@ def _distance(samples: Array, centres: Array, quats: Array, scales: Array) -> tu
     return best, which
 
 
-def _widened(samples: Array, centres: Array, quats: Array, scales: Array) -> Array:
-    """Scales (N, 3), with the discs nearest to an uncovered sample grown until they reach it, at most by a half."""
-    distance, which = _distance(samples, centres, quats, scales)
-    grow = np.ones(len(centres))
-    np.maximum.at(grow, which, distance / CLOSE)
-    return scales * np.stack([np.minimum(grow, 1.5)] * 2 + [np.ones(len(grow))], axis=1)
+def _closed(samples: Array, centres: Array, quats: Array, scales: Array) -> Array:
+    """Scales (N, 3), with the discs nearest to uncovered samples grown in their planes until they reach them."""
+    for _ in range(10):
+        distance, which = _distance(samples, centres, quats, scales)
+        samples, which, distance = samples[distance > CLOSE], which[distance > CLOSE], distance[distance > CLOSE]
+        if not len(samples):
+            break
+        grow = np.ones(len(centres))
+        np.maximum.at(grow, which, distance / CLOSE)
+        # A half at a time: one that grows next door may reach the sample as well.
+        scales = scales * np.minimum(grow, 1.5)[:, None] ** [1, 1, 0]
+    return scales
 
 
 def _footprint_colour(solid: Solid, centres: Array, quats: Array, scales: Array) -> Array:
@@ -180,7 +189,7 @@ def _footprint_colour(solid: Solid, centres: Array, quats: Array, scales: Array)
     axes = _axes(quats)
     total = 2.0 * solid.colour(centres)
     for axis in (0, 1):
-        for side in (-0.6, 0.6):
+        for side in (-0.5, 0.5):
             point = centres + side * scales[:, axis, None] * axes[:, :, axis]
             depth = solid.depth(point).astype(np.float64)
             total = total + solid.colour(point + depth[:, None] * solid.normals(point))

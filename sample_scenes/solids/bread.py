@@ -55,8 +55,8 @@ def _box(x: float, y: float, a: float, b: float, r: float) -> float:
 
 
 @njit(cache=True)
-def _depth(x: float, y: float, z: float, number: int) -> float:
-    """Depth in the loaf: a rounded box with a domed top that swells over the sides of the tin."""
+def _level(x: float, y: float, z: float, number: int) -> float:
+    """Positive in the loaf, zero on its skin: a rounded box with a domed top that swells over the sides of the tin."""
     swell = 0.012 * noise(1.7 * x, 1.7 * y, 1.7 * z, number)
     # The top sinks a little towards the two ends.
     crown = z + 0.10 * x * x
@@ -68,6 +68,18 @@ def _depth(x: float, y: float, z: float, number: int) -> float:
     u, v = across + 0.14, abs(x) - LENGTH + 0.14
     body = math.sqrt(max(u, 0.0) ** 2 + max(v, 0.0) ** 2) + min(max(u, v), 0.0) - 0.14
     return -body + swell
+
+
+@njit(cache=True)
+def _depth(x: float, y: float, z: float, number: int) -> float:
+    """Depth in the loaf: level / |gradient|, the distance to first order at the skin."""
+    e = 1e-4
+    here = _level(x, y, z, number)
+    a = _level(x + e, y, z, number) - here
+    b = _level(x, y + e, z, number) - here
+    c = _level(x, y, z + e, number) - here
+    # Deep inside, where all sides are equally far, the gradient vanishes.
+    return here / max(math.sqrt(a * a + b * b + c * c) / e, 0.6)
 
 
 @njit(cache=True, parallel=True)

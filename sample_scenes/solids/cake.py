@@ -57,7 +57,7 @@ def _depths(points: NDArray[np.float64], number: int) -> NDArray[np.float32]:
 @njit(cache=True)
 def _cream(x: float, y: float, z: float, number: int) -> tuple[float, float, float]:
     soft = fbm(4 * x, 4 * y, 9 * z, 3, number + 1)
-    return mix((0.962, 0.93, 0.868), (0.99, 0.972, 0.93), step(-0.6, 0.5, soft))
+    return mix((0.948, 0.905, 0.81), (0.98, 0.952, 0.88), step(-0.6, 0.5, soft))
 
 
 @njit(cache=True)
@@ -66,7 +66,7 @@ def _coat(x: float, y: float, z: float, number: int) -> tuple[float, float, floa
     rgb = _cream(x, y, z, number)
     rho = math.sqrt(x * x + y * y)
     stroke = noise(2 * x, 2 * y, 17 * z, number + 2) if z < HALF - 0.03 else noise(14 * rho, 2 * x, 2 * y, number + 2)
-    rgb = mix(rgb, (0.885, 0.835, 0.755), 0.5 * step(0.1, 0.7, stroke))
+    rgb = mix(rgb, (0.865, 0.80, 0.68), 0.5 * step(0.1, 0.7, stroke))
     torn = 0.35 * noise(25 * x, 25 * y, 25 * z, number + 12)
     near, _, name = cells(21 * x, 21 * y, 21 * z, 1.0, number + 3)
     near += torn

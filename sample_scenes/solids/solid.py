@@ -57,13 +57,26 @@ class Solid:
         return self.skin_colour(flat).reshape(np.shape(points))
 
     def skin(self, rays: NDArray[np.floating]) -> NDArray[np.float64]:
-        """(M, 3). Where rays from the origin in unit directions (M, 3) leave the solid, by bisection to 1e-7."""
+        """(M, 3). Where rays from the origin in unit directions (M, 3) leave the solid, to 1e-6.
+
+        By false position with halved ends (the Illinois rule): as safe as bisection, a third of its evaluations.
+        """
         low, high = np.zeros(len(rays)), np.full(len(rays), 2.0)
-        for _ in range(24):
-            middle = (low + high) / 2
-            inside = self.depth(rays * middle[:, None]) > 0
-            low, high = np.where(inside, middle, low), np.where(inside, high, middle)
-        return rays * ((low + high) / 2)[:, None]
+        inner, outer = self.depth(low[:, None] * rays).astype(float), self.depth(high[:, None] * rays).astype(float)
+        kept = np.zeros(len(rays))
+        radius = low
+        for _ in range(40):
+            radius = low + (high - low) * inner / (inner - outer)
+            depth = self.depth(radius[:, None] * rays).astype(float)
+            if np.abs(depth).max(initial=0.0) < 3e-7:
+                break
+            inside = depth > 0
+            low, high = np.where(inside, radius, low), np.where(inside, high, radius)
+            # The end that stays a second time counts half, else one end would never move.
+            outer = np.where(inside, np.where(kept > 0, outer / 2, outer), depth)
+            inner = np.where(inside, depth, np.where(kept < 0, inner / 2, inner))
+            kept = np.where(inside, 1.0, -1.0)
+        return rays * radius[:, None]
 
     def normals(self, points: NDArray[np.floating]) -> NDArray[np.float64]:
         """(M, 3). Unit normals out of the solid at skin points (M, 3), by central differences of the depth."""
