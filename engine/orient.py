@@ -21,6 +21,9 @@ SUPPORT = 0.22
 ROUND = 0.12
 """Relative difference of the two variances across an axis under which the object is round about it."""
 
+SQUAT = 0.8
+"""Variance along an axis over that across it, under which the object is flattened along it."""
+
 NAMES = ("x", "y", "z")
 
 
@@ -46,12 +49,11 @@ def detect_up(gaussians: Gaussians) -> tuple[NDArray[np.float64], str]:
     unround = np.array(
         [abs(variance[b] - variance[c]) / (variance[b] + variance[c]) for b, c in ((1, 2), (0, 2), (0, 1))]
     )
-    distinct = np.array([abs(2 * variance[a] / (variance.sum() - variance[a]) - 1) for a in range(3)])
-    # Round about z as well as about another axis (a ball): z, as most modelling tools have it.
-    score = unround - 0.5 * np.minimum(distinct, 0.2) - np.array([0.0, 0.0, 0.02])
-    axis = int(score.argmin())
-    squat = 2 * variance[axis] < 1.2 * (variance.sum() - variance[axis])  # a long round thing lies on its side
-    if unround[axis] < ROUND and axis != 2 and squat:
+    # z unless the object is plainly round about another axis and squat along it: a long round thing lies on its side,
+    # and a ball is round about all three.
+    squat = np.array([2 * variance[a] / (variance.sum() - variance[a]) for a in range(3)]) < SQUAT
+    axis = int(np.where(squat, unround, np.inf).argmin())
+    if squat[axis] and unround[axis] < ROUND < unround[2]:
         # Upright scans of small things have y up when they come from a viewer and down when from a camera rig; the
         # flatter end is the one they lie on.
         sign = 1.0 if ends[0, axis] >= ends[1, axis] else -1.0
