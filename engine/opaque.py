@@ -53,20 +53,25 @@ def render_pieces(
     light: bool = False,
     field: KernelField | None = None,
 ) -> Picture:
-    """Several pieces of the same atoms in one picture."""
-    colours = [view_colours(atoms, piece.camera(camera)) for piece in pieces]
-    outside = draw(splats_of(atoms), colours, camera, pieces, atoms.pitch)
-    layers = [Layer(*outside.resolved(), outside.front)]
+    """Several pieces of the same atoms in one picture.
+
+    Pieces with one transform lie together as they grew and share their sums. Those that moved apart are pictures of
+    their own, put over each other by depth, so that an edge is blended with what lies behind it.
+    """
+    if not pieces:
+        shape = (camera.height, camera.width)
+        blank = np.broadcast_to(np.asarray(background, np.float32), (*shape, 3)).copy()
+        return Picture(blank, np.zeros(shape, np.float32), np.full(shape, np.inf, np.float32))
     if any(piece.planes for piece in pieces) and field is None:
         field = KernelField(atoms)
+    groups: dict[bytes, list[Piece]] = {}
     for piece in pieces:
-        if piece.planes and field is not None:
-            joined = [p.planes for p in pieces if p is not piece and np.array_equal(p.transform, piece.transform)]
-            view = piece.camera(camera)
-            hits = enter(pack_camera(view), camera_planes(view, piece.planes))
-            hits = hits.outside(joined, JOINT_PITCHES * atoms.pitch)
-            layers.append(face_layer(field, atoms.pitch, hits, (camera.height, camera.width), light))
-    return compose(layers, background)
+        groups.setdefault(np.ascontiguousarray(piece.transform, np.float64).tobytes(), []).append(piece)
+    middle = np.append(atoms.bounds.mean(0), 1.0)
+    together = sorted(groups.values(), key=lambda group: (group[0].camera(camera).viewmat @ middle)[2])
+    whole = over([group_layer(atoms, camera, group, light, field) for group in together])
+    rgb = whole.rgb + (1 - whole.alpha)[..., None] * np.asarray(background, np.float32)
+    return Picture(rgb, whole.alpha, whole.depth)
 
 
 @dataclass(frozen=True)
@@ -78,7 +83,25 @@ class Layer:
     alpha: Float
     """(H, W). Range [0, 1]."""
     depth: Float
-    """(H, W). Where it lies; inf where it is not."""
+    """(H, W). Where it lies, world units along the camera's axis; inf where it is not."""
+    solid: Float
+    """(H, W). The same where it hides what is behind: a core of the outside, a face that covers half of the pixel."""
+
+
+def group_layer(atoms: Atoms, camera: Camera, pieces: Sequence[Piece], light: bool, field: KernelField | None) -> Layer:
+    """Pieces that lie together: their outside, and the faces that are not joined to one of the others."""
+    colours = [view_colours(atoms, piece.camera(camera)) for piece in pieces]
+    outside = draw(splats_of(atoms), colours, camera, pieces, atoms.pitch)
+    layers = [Layer(*outside.resolved(), outside.front, outside.front)]
+    for piece in pieces:
+        if piece.planes and field is not None:
+            view = piece.camera(camera)
+            hits = enter(pack_camera(view), camera_planes(view, piece.planes))
+            others = [other.planes for other in pieces if other is not piece]
+            hits = hits.outside(others, JOINT_PITCHES * atoms.pitch)
+            # In front of the list: nothing of a piece lies before its own cut, so equal depths are the face's.
+            layers.insert(0, face_layer(field, atoms.pitch, hits, (camera.height, camera.width), light))
+    return over(layers)
 
 
 def face_layer(field: KernelField, pitch: float, hits: Hits, shape: tuple[int, int], light: bool) -> Layer:
@@ -87,34 +110,24 @@ def face_layer(field: KernelField, pitch: float, hits: Hits, shape: tuple[int, i
     alpha = coverage(density, hits.footprint, pitch)
     if light:
         rgb = rgb * shade(hits)[:, None]
-    full = Layer(np.zeros((*shape, 3), np.float32), np.zeros(shape, np.float32), np.full(shape, np.inf, np.float32))
-    full.rgb.reshape(-1, 3)[hits.pixels] = rgb * alpha[:, None]
-    full.alpha.reshape(-1)[hits.pixels] = alpha
-    full.depth.reshape(-1)[hits.pixels] = np.where(alpha > 0, hits.depth, np.inf)
-    return full
+    weighted, covered = np.zeros((*shape, 3), np.float32), np.zeros(shape, np.float32)
+    depth = np.full(shape, np.inf, np.float32)
+    weighted.reshape(-1, 3)[hits.pixels] = rgb * alpha[:, None]
+    covered.reshape(-1)[hits.pixels] = alpha
+    depth.reshape(-1)[hits.pixels] = np.where(alpha > 0, hits.depth, np.inf)
+    return Layer(weighted, covered, depth, np.where(covered >= 0.5, depth, np.float32(np.inf)))
 
 
-def compose(layers: Sequence[Layer], background: Sequence[float]) -> Picture:
-    """Layers over each other in order of depth, over the background. The first layer is the outside.
-
-    The depth of the picture is the nearest face's that covers half of the pixel, or the outside's if that is nearer.
-    """
-    outside = layers[0]
-    ordered = list(layers)
-    if len(layers) == 2:
-        ordered = [layers[1], outside]  # nothing of a piece lies before its own cut
-    elif len(layers) > 2:
-        rank = np.argsort(np.stack([layer.depth for layer in layers]), axis=0, kind="stable")
-        rgb, alpha = np.stack([layer.rgb for layer in layers]), np.stack([layer.alpha for layer in layers])
-        depth = np.stack([layer.depth for layer in layers])
-        rgb = np.take_along_axis(rgb, rank[..., None], 0)
-        alpha, depth = np.take_along_axis(alpha, rank, 0), np.take_along_axis(depth, rank, 0)
-        ordered = [Layer(*parts) for parts in zip(rgb, alpha, depth, strict=True)]
-    colour, left = np.zeros_like(outside.rgb), np.ones_like(outside.alpha)
-    for layer in ordered:
-        colour = colour + left[..., None] * layer.rgb
-        left = left * (1 - layer.alpha)
-    depth = outside.depth
-    for layer in layers[1:]:
-        depth = np.where((layer.alpha >= 0.5) & (layer.depth < depth), layer.depth, depth)
-    return Picture(colour + left[..., None] * np.asarray(background, np.float32), 1 - left, depth)
+def over(layers: Sequence[Layer]) -> Layer:
+    """Layers over each other in order of depth, pixel by pixel; where depths are equal the first is in front."""
+    if len(layers) == 1:
+        return layers[0]
+    rank = np.argsort(np.stack([layer.depth for layer in layers]), axis=0, kind="stable")
+    rgb = np.take_along_axis(np.stack([layer.rgb for layer in layers]), rank[..., None], 0)
+    alpha = np.take_along_axis(np.stack([layer.alpha for layer in layers]), rank, 0)
+    colour, left = rgb[0], 1 - alpha[0]
+    for k in range(1, len(layers)):
+        colour = colour + left[..., None] * rgb[k]
+        left = left * (1 - alpha[k])
+    solid = np.minimum.reduce([layer.solid for layer in layers])
+    return Layer(colour, 1 - left, solid, solid)

@@ -134,6 +134,13 @@ def test_pieces_hide_each_other_by_depth() -> None:
     np.testing.assert_allclose(both.depth[hidden], alone.depth[hidden], atol=1e-6)
 
 
+def test_no_pieces_are_the_background() -> None:
+    picture = render_pieces(ball(0.2), view(16), [], (0.1, 0.2, 0.3))
+    np.testing.assert_allclose(picture.rgb, np.broadcast_to([0.1, 0.2, 0.3], picture.rgb.shape), atol=1e-7)
+    assert picture.alpha.max() == 0
+    assert np.isinf(picture.depth).all()
+
+
 def test_the_order_of_the_atoms_does_not_matter() -> None:
     atoms = ball(0.1)
     rng = np.random.default_rng(6)
