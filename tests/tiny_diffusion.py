@@ -39,6 +39,7 @@ def save_tiny(folder: Path, channels: int = 5, prediction: str = "epsilon", seed
             layers_per_block=1,
             norm_num_groups=4,
             sample_size=NATIVE,
+            scaling_factor=5.0,  # codes of about unit variance, as a trained one has them
         )
         vocabulary = save_tokenizer(folder / "tokenizer")
         text = CLIPTextModel(

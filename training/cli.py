@@ -19,6 +19,9 @@ from training.settings import DetailName
 
 __all__ = ["main", "parse_families"]
 
+CLASS_PART = 0.5
+"""Part of a fine-tuning that goes by before its first step: drawing pictures of the class."""
+
 AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
 
@@ -39,7 +42,14 @@ def train(
         str | None, typer.Option(help="Up axis of the scene: x, y, z, -x, -y, -z. Detected if not given.")
     ] = None,
     detail: Annotated[str, typer.Option(help="draft, standard or high.")] = "standard",
-    prior: Annotated[str, typer.Option(help="What draws the inside: exemplar.")] = "exemplar",
+    prior: Annotated[str, typer.Option(help="What draws the inside: exemplar or stable-diffusion.")] = "exemplar",
+    model: Annotated[Path | None, typer.Option(help="Local folder of a Stable Diffusion depth model.")] = None,
+    midas: Annotated[
+        Path | None, typer.Option(help="Local folder of a depth estimator, heard beside the exact depth.")
+    ] = None,
+    thing: Annotated[
+        str | None, typer.Option("--object", help="What the object is, for priors that read: watermelon.")
+    ] = None,
     iterations: Annotated[int | None, typer.Option(min=0, help="Most training iterations.")] = None,
     seed: Annotated[int, typer.Option(min=0, help="The same seed gives the same result.")] = 0,
     events: Annotated[
@@ -55,14 +65,20 @@ def train(
         raise InputError(f"--detail {detail}: unknown; choose {', '.join(get_args(DetailName))}")
     if prior not in get_args(PriorName):
         raise InputError(f"--prior {prior}: unknown; choose {', '.join(get_args(PriorName))}")
+    reads = prior == "stable-diffusion"
+    if not reads and (model or midas):
+        raise InputError("--model and --midas belong to --prior stable-diffusion; add it, or leave them out")
     request = Request(
         scene=scene,
-        families=parse_families(exemplar or [], family or [], prompt or []),
+        families=parse_families(exemplar or [], family or [], prompt or [], pictures_needed=not reads),
         detail=cast(DetailName, detail),
         up=None if up is None else parse_axis(up, "--up"),
         seed=seed,
         iterations=iterations,
         prior=cast(PriorName, prior),
+        model=model,
+        midas=midas,
+        thing=thing,
     )
     reporter = Reporter.open(events)
     stop.listen()
@@ -70,6 +86,47 @@ def train(
         result = run(request, out, reporter, resume, stop.asked)
     if events != "-":
         print(f"{result}\n{out / 'cuts.png'}\n{out / 'report.json'}")
+
+
+def finetune(
+    model: Annotated[Path, typer.Option(help="Local folder of a Stable Diffusion depth model.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the new model.")],
+    exemplar: Annotated[list[str], typer.Option(help="A picture of a cut face: horizontal=A.png, radial=B.jpg.")],
+    thing: Annotated[str, typer.Option("--object", help="What the pictures show: watermelon.")] = "object",
+    full: Annotated[bool, typer.Option("--full", help="Train every weight of the network, not LoRA's few.")] = False,
+    steps: Annotated[int | None, typer.Option(min=1, help="Training steps.")] = None,
+    seed: Annotated[int, typer.Option(min=0, help="The same seed gives the same result.")] = 0,
+    events: Annotated[
+        str | None, typer.Option(help="One JSON object a line, to a file or to standard output (-).")
+    ] = None,
+) -> None:
+    """Teach a Stable Diffusion depth model the look of one object; the result is a --model for training."""
+    from training import diffusion  # an extra, and slow to import
+
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # so that a half-written folder is cleared away
+    steps = diffusion.STEPS if steps is None else steps
+    with Reporter.open(events) as reporter:
+        with reporter.stage("finetune") as stage:
+            diffusion.finetune(
+                model,
+                parse_pictures(exemplar),
+                thing,
+                out,
+                full,
+                steps,
+                seed,
+                on_class=lambda part: stage.progress(CLASS_PART * part, "drawing the class"),
+                on_step=lambda step, loss: stage.progress(
+                    CLASS_PART + (1 - CLASS_PART) * step / steps,
+                    f"{step}/{steps}  loss {loss:.4f}",
+                    iteration=step,
+                    iterations=steps,
+                    losses={"pictures": loss},
+                ),
+            )
+        reporter.emit("done", model=out)
+    if events != "-":
+        print(out)
 
 
 class Stop:
@@ -117,18 +174,15 @@ def parse_numbers(text: str, count: int, complaint: str) -> list[float]:
     return numbers
 
 
-def parse_families(exemplars: list[str], families: list[str], prompts: list[str]) -> tuple[Family, ...]:
+def parse_families(
+    exemplars: list[str], families: list[str], prompts: list[str], pictures_needed: bool = True
+) -> tuple[Family, ...]:
     """Families of planes from the command line, in the order of `Kind`.
 
-    Families given only by their pictures get the paper's number of planes. Raises InputError for anything that does
-    not read, for pictures of a family without planes, and where no family is left.
+    Families given only by their pictures or words get the paper's number of planes. Raises InputError for anything
+    that does not read, for pictures of a family without planes, and where no family or no needed picture is left.
     """
-    pictures: dict[Kind, list[Path]] = {}
-    for text in exemplars:
-        kind, path = parse_pair(text, "--exemplar")
-        if not Path(path).is_file():
-            raise InputError(f"{path}: no such file (exemplar of the {kind} family)")
-        pictures.setdefault(kind, []).append(Path(path))
+    pictures = parse_pictures(exemplars)
     words = dict(parse_pair(text, "--prompt") for text in prompts)
     counts: dict[Kind, int] = {}
     axis: tuple[float, float, float] | None = None
@@ -148,14 +202,16 @@ def parse_families(exemplars: list[str], families: list[str], prompts: list[str]
         if len(parts) == 2:
             axis = parse_axis(parts[1], "--family parallel")
     if not families:
-        counts = {kind: COUNTS[kind] for kind in pictures}
+        counts = {kind: COUNTS[kind] for kind in [*pictures, *words]}
     for kind in [*pictures, *words]:
         if not counts.get(kind):
             raise InputError(
                 f"{kind}: pictures or words but no planes; add --family {kind}:{COUNTS[kind] or 'a,b,c,d'}"
             )
-    if not any(pictures.values()):
+    if pictures_needed and not pictures:
         raise InputError("no picture of a cut face; give at least one, as in --exemplar horizontal=cut.png")
+    if not counts:
+        raise InputError(f"no plane to train; give some, as in --family horizontal:{COUNTS['horizontal']}")
     return tuple(
         Family(
             kind,
@@ -168,6 +224,17 @@ def parse_families(exemplars: list[str], families: list[str], prompts: list[str]
         for kind in get_args(Kind)
         if kind in counts
     )
+
+
+def parse_pictures(exemplars: list[str]) -> dict[Kind, list[Path]]:
+    """The pictures of each kind of family from the command line."""
+    pictures: dict[Kind, list[Path]] = {}
+    for text in exemplars:
+        kind, path = parse_pair(text, "--exemplar")
+        if not Path(path).is_file():
+            raise InputError(f"{path}: no such file (exemplar of the {kind} family)")
+        pictures.setdefault(kind, []).append(Path(path))
+    return pictures
 
 
 def parse_pair(text: str, option: str) -> tuple[Kind, str]:
@@ -187,11 +254,19 @@ def parse_kind(name: str, where: str) -> Kind:
 
 
 def main() -> None:
-    """Entry point: one clear line and status 2 for bad input, 130 or 143 for a run that was stopped."""
+    """Entry point: one clear line and status 2 for bad input, 130 or 143 for a run that was stopped.
+
+    `finetune` as the first word asks for that; anything else is a scene to train.
+    """
+    name, arguments = "fruitninja-train", sys.argv[1:]
     app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
-    app.command()(train)
+    if arguments[:1] == ["finetune"]:
+        name, arguments = f"{name} finetune", arguments[1:]
+        app.command()(finetune)
+    else:
+        app.command(epilog="To teach a Stable Diffusion model an object: fruitninja-train finetune --help")(train)
     try:
-        app()
+        app(arguments, prog_name=name)
     except InputError as error:
         print(f"fruitninja-train: {error}", file=sys.stderr)
         sys.exit(2)

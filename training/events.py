@@ -25,6 +25,7 @@ STAGES = {
     "labels": "Drawing the inside",
     "train": "Training",
     "save": "Saving",
+    "finetune": "Learning the pictures",
 }
 """Name of each stage for programs, and for people."""
 

@@ -22,6 +22,7 @@ from engine import classic, opaque
 from engine.atomise import atomise
 from engine.atoms import Atoms
 from engine.body import Body
+from engine.errors import InputError
 from engine.files import atomic
 from engine.fill import fill, find_body
 from engine.gaussians import Gaussians
@@ -62,7 +63,7 @@ HELD_OUT_VIEWS = 8
 """Surface views that training never sees, for the surface figure of the report."""
 
 
-PriorName = Literal["exemplar"]
+PriorName = Literal["exemplar", "stable-diffusion"]
 
 
 class Interrupted(Exception):
@@ -82,12 +83,21 @@ class Request:
     iterations: int | None = None
     """Most iterations; None: as the detail says."""
     prior: PriorName = "exemplar"
+    model: Path | None = None
+    """Folder of the model that `stable-diffusion` asks."""
+    midas: Path | None = None
+    """Folder of a depth estimator, to be heard beside the exact depth."""
+    thing: str | None = None
+    """What the object is called in prompts; None: as the scene's file."""
 
     def fingerprint(self) -> str:
         """A name for input and settings: the same for the same result."""
         digest = hashlib.sha256()
         for path in [self.scene, *(p for family in self.families for p in family.exemplars)]:
             digest.update(path.read_bytes())
+        for folder in filter(None, (self.model, self.midas)):
+            for path in sorted(folder.rglob("*.safetensors")):  # gigabytes: size and time must do for their content
+                digest.update(f"{path.name} {path.stat().st_size} {path.stat().st_mtime_ns}".encode())
         digest.update(json.dumps(asdict(self), sort_keys=True, default=str).encode())
         return digest.hexdigest()[:16]
 
@@ -117,6 +127,7 @@ def run(request: Request, out: Path, reporter: Reporter, resume: bool, stopped: 
         if stopped():
             raise Interrupted
 
+    prior = make_prior(request)
     detail = DETAILS[request.detail]
     geometry, counts = prepare(request, reporter, checkpoint, check)
     with reporter.stage("views") as stage:
@@ -130,11 +141,21 @@ def run(request: Request, out: Path, reporter: Reporter, resume: bool, stopped: 
         )
         cameras = surface_cameras(geometry.body, geometry.up, detail.surface_views, detail.surface)
         surfaces = surface_views(geometry.atoms, geometry.gaussians, cameras, watched(stage, check, 0.5, 1.0))
-    prior = ExemplarPrior()
     labels, atoms = label(request, geometry, cuts, prior, reporter, checkpoint, check)
     trainer = Trainer(atoms, cuts, surfaces, request.seed)
     history = train(request, trainer, prior, labels, out, reporter, checkpoint, stopped)
     return save(request, geometry, trainer, counts, history, out, reporter)
+
+
+def make_prior(request: Request) -> Denoises | Solves:
+    """The prior that was asked for. Raises InputError where its model or its packages are missing."""
+    if request.prior == "exemplar":
+        return ExemplarPrior()
+    if request.model is None:
+        raise InputError("--prior stable-diffusion needs a model; give its local folder with --model")
+    from training.diffusion import StableDiffusionPrior  # an extra, and slow to import
+
+    return StableDiffusionPrior(request.model, request.thing or request.scene.stem, midas=request.midas)
 
 
 def watched(stage: Stage, check: Callable[[], None], start: float, end: float) -> Callable[[float], None]:

@@ -21,10 +21,10 @@ except ImportError as error:
         f"Stable Diffusion needs more packages ({error.name} is missing); pip install fruitninja[diffusion]"
     ) from error
 
-from training.diffusion.dreambooth import finetune
+from training.diffusion.dreambooth import STEPS, finetune
 from training.diffusion.prior import StableDiffusionPrior
 
-__all__ = ["StableDiffusionPrior", "finetune"]
+__all__ = ["STEPS", "StableDiffusionPrior", "finetune"]
 
 # What the user should know is said in one line by this project; the libraries' own chatter about files is not.
 for _library in (diffusers, transformers):

@@ -1,0 +1,378 @@
+"""Stable Diffusion behind the prior's door, on a tiny model of random weights; score distillation on codes."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import socket
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image, ImageDraw
+from tiny_diffusion import NATIVE, save_midas, save_tiny
+
+from engine.errors import InputError
+from training.families import Family
+from training.prior import Condition, Encodes, Solves
+from training.sds import distill
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _alone():
+    """One thread: the tiny networks lose time to any more. No network: models come from local folders only."""
+    threads, connect = torch.get_num_threads(), socket.socket.connect
+
+    def refuse(*_):
+        raise AssertionError("asked for the network")
+
+    torch.set_num_threads(1)
+    socket.socket.connect = refuse
+    yield
+    socket.socket.connect = connect
+    torch.set_num_threads(threads)
+
+
+@pytest.fixture(scope="module")
+def tiny(tmp_path_factory):
+    for name in ("diffusers", "transformers", "peft"):
+        pytest.importorskip(name, reason="the extra 'diffusion' is not installed")
+    return save_tiny(tmp_path_factory.mktemp("models") / "tiny")
+
+
+@pytest.fixture(scope="module")
+def prior(tiny):
+    from training.diffusion import StableDiffusionPrior
+
+    return StableDiffusionPrior(tiny, "orange", device=torch.device("cpu"))
+
+
+@pytest.fixture(scope="module")
+def picture(tmp_path_factory):
+    """A disc with a rim on white, as a photograph of a cut orange."""
+    image = Image.new("RGB", (96, 80), "white")
+    draw = ImageDraw.Draw(image)
+    draw.ellipse((18, 10, 78, 70), fill=(240, 130, 20))
+    draw.ellipse((24, 16, 72, 64), fill=(250, 190, 60))
+    path = tmp_path_factory.mktemp("pictures") / "cut.png"
+    image.save(path)
+    return path
+
+
+def blank(condition):
+    """A label before anything is drawn in it: grey on white."""
+    return np.where(condition.inside[..., None], condition.render, np.float32(1))
+
+
+def asked(height=48, width=48, prompt="", depth=2.0):
+    flat = np.zeros((height, width), np.float32)
+    y, x = np.mgrid[:height, :width]
+    inside = (y - height / 2) ** 2 + (x - width / 2) ** 2 < (0.35 * min(height, width)) ** 2
+    grey = np.full((height, width, 3), 0.5, np.float32)
+    far = np.where(inside, np.float32(depth), np.float32(np.inf))
+    return Condition(Family("horizontal", 1), prompt, inside, flat, flat, flat, flat, far, grey)
+
+
+def noisy_code(prior, sigma, shape=(48, 48)):
+    code = prior.encode(np.full((*shape, 3), 0.5, np.float32))
+    return code + np.float32(sigma) * np.random.default_rng(5).standard_normal(code.shape, dtype=np.float32)
+
+
+@pytest.mark.parametrize("shape", [(48, 48), (50, 70), (33, 17), (200, 131)])
+def test_codes_are_of_the_size_the_model_knows(prior, shape):
+    assert isinstance(prior, Encodes)
+    assert not isinstance(prior, Solves)
+    label = np.random.default_rng(0).random((*shape, 3), dtype=np.float32)
+    code = prior.encode(label)
+    assert code.dtype == np.float32
+    assert max(code.shape[:2]) == NATIVE // 8 and code.shape[2] == 4
+    assert abs(code.shape[0] / code.shape[1] - shape[0] / shape[1]) < 0.15
+    back = prior.decode(code, shape)
+    assert back.shape == label.shape and back.dtype == np.float32
+    assert back.min() >= 0 and back.max() <= 1
+
+
+def test_noise_of_pure_noise_is_finite_and_the_same_bits(prior):
+    for sigma in (0.01, 1.0, 14.0, 80.0):
+        code = noisy_code(prior, sigma)
+        found = prior.denoise(code, sigma, asked(), np.random.default_rng(0))
+        assert found.shape == code.shape and found.dtype == np.float32
+        assert np.isfinite(found).all()
+        assert (found == prior.denoise(code, sigma, asked(), np.random.default_rng(9))).all()
+
+
+def test_timesteps_and_input_follow_the_models_schedule(prior):
+    """Against the forward process as DDPM has it: x_t = sqrt(a) x + sqrt(1 - a) noise, asked at t."""
+    betas = np.linspace(0.00085**0.5, 0.012**0.5, 1000) ** 2
+    signal = np.cumprod(1 - betas)
+    assert np.allclose(prior.model.sigmas, np.sqrt((1 - signal) / signal), rtol=1e-4)
+    step = 617
+    sigma = float(prior.model.sigmas[step])
+    code = noisy_code(prior, sigma)
+    condition = asked(prompt="a cut")
+    depth = prior._depth_of(condition)
+    depth = torch.nn.functional.interpolate(depth, size=code.shape[:2], mode="bilinear", antialias=True)
+    scaled = torch.from_numpy(code).permute(2, 0, 1)[None] * float(np.sqrt(signal[step]))
+    with torch.no_grad():
+        unet = prior.model.unet
+        said = unet(torch.cat([scaled, depth], 1), torch.tensor([step]), prior.model.embed(["a cut"])).sample
+        empty = unet(torch.cat([scaled, depth], 1), torch.tensor([step]), prior.model.embed([""])).sample
+    said, empty = (x[0].permute(1, 2, 0).numpy() for x in (said, empty))
+    guidance = prior.guidance
+    try:
+        prior.guidance = 1
+        assert np.allclose(prior.denoise(code, sigma, condition, np.random.default_rng(0)), said, atol=2e-5)
+        prior.guidance = 3
+        guided = prior.denoise(code, sigma, condition, np.random.default_rng(0))
+    finally:
+        prior.guidance = guidance
+    assert np.abs(said - empty).max() > 1e-4
+    assert np.allclose(guided, empty + 3 * (said - empty), atol=1e-4)
+
+
+def test_v_prediction_is_turned_into_noise(tiny, prior, tmp_path):
+    """The same network, said to predict v: noise = sqrt(a) v + sqrt(1 - a) x_t."""
+    from training.diffusion import StableDiffusionPrior
+
+    other = shutil.copytree(tiny, tmp_path / "v")
+    path = other / "scheduler" / "scheduler_config.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"prediction_type": "v_prediction"}))
+    v = StableDiffusionPrior(other, "orange", guidance=1, device=torch.device("cpu"))
+    plain = StableDiffusionPrior(tiny, "orange", guidance=1, device=torch.device("cpu"))
+    sigma = 2.0
+    code = noisy_code(prior, sigma)
+    said = plain.denoise(code, sigma, asked(), np.random.default_rng(0))
+    a = 1 / (1 + sigma**2)
+    expected = np.sqrt(a) * said + np.sqrt(1 - a) * np.sqrt(a) * code
+    assert np.allclose(v.denoise(code, sigma, asked(), np.random.default_rng(0)), expected, atol=1e-5)
+
+
+def test_depth_and_words_reach_the_model(tiny, prior, tmp_path):
+    from training.diffusion import StableDiffusionPrior
+    from training.diffusion.depth import exact_depth
+
+    condition = asked()
+    depth = exact_depth(condition.inside, condition.depth)[0, 0].numpy()
+    assert (depth[condition.inside] == 1).all() and (depth[~condition.inside] == -1).all()
+    sloped = np.where(condition.inside, np.linspace(1, 2, 48, dtype=np.float32), np.inf)
+    depth = exact_depth(condition.inside, sloped)[0, 0].numpy()
+    nearest = sloped[condition.inside].min()
+    assert np.allclose(depth[condition.inside], 2 * nearest / sloped[condition.inside] - 1)
+
+    code = noisy_code(prior, 2.0)
+
+    def said(by, condition):
+        return by.denoise(code, 2.0, condition, np.random.default_rng(0))
+
+    here = said(prior, condition)
+    smaller = asked()
+    smaller.inside[:24] = False
+    assert np.abs(said(prior, smaller) - here).max() > 1e-4
+    assert np.abs(said(prior, asked(prompt="something else")) - here).max() > 1e-4
+    assert (said(prior, asked(prompt="the horizontal cross-sectional view of an orange")) == here).all()
+    guess = StableDiffusionPrior(tiny, "orange", midas=save_midas(tmp_path / "midas"), device=torch.device("cpu"))
+    both = said(guess, condition)
+    assert np.isfinite(both).all()
+    assert np.abs(both - here).max() > 1e-4
+
+
+@pytest.mark.parametrize("refine", [False, True])
+def test_distillation_stays_in_the_silhouette(prior, refine):
+    condition = asked(50, 70)
+    start = blank(condition)
+    label = distill(start, prior, condition, np.random.default_rng(0), refine=refine)
+    assert label.shape == start.shape
+    assert (label[~condition.inside] == 1).all()
+    assert np.abs(label[condition.inside] - 0.5).max() > 0.01
+    assert label.min() >= 0 and label.max() <= 1
+    again = distill(start, prior, condition, np.random.default_rng(0), refine=refine)
+    assert (again == label).all()
+
+
+def test_finetuning_learns_the_picture_and_keeps_the_rest(tiny, picture, tmp_path, monkeypatch):
+    from training.diffusion import StableDiffusionPrior, finetune
+    from training.diffusion.loading import load_model
+
+    # Random weights know nothing yet, and these few steps must teach them something.
+    monkeypatch.setattr("training.diffusion.dreambooth.FULL_RATE", 4e-3)
+    monkeypatch.setattr("training.diffusion.dreambooth.LORA_RATE", 4e-3)
+    cpu = torch.device("cpu")
+    for full in (False, True):
+        out = tmp_path / f"tuned_{full}"
+        steps = 24
+        seen = []
+        losses = finetune(
+            tiny,
+            {"horizontal": [picture], "radial": [picture]},
+            "orange",
+            out,
+            full=full,
+            steps=steps,
+            on_class=seen.append,
+            device=cpu,
+        )
+        assert len(losses) == steps and seen[-1] == 1
+        assert sorted(seen) == seen
+        before, after = load_model(tiny, half=True, device=cpu), StableDiffusionPrior(out, device=cpu)
+        assert after.prompts["radial"] == "the vertical cross-sectional view of a sks orange"
+        assert fixed_loss(after, picture) < fixed_loss(StableDiffusionPrior(tiny, device=cpu), picture) * 0.97
+        changed = {
+            name
+            for (name, a), b in zip(before.unet.named_parameters(), after.model.unet.state_dict().values(), strict=True)
+            if not torch.equal(a, b)
+        }
+        assert changed
+        if not full:
+            assert all(".attn" in name and ".to_" in name for name in changed), changed
+        for name in ("vae", "text_encoder"):
+            a, b = (getattr(m, name).state_dict() for m in (before, after.model))
+            assert all(torch.equal(a[key], b[key]) for key in a)
+        assert not list(tmp_path.glob(".*")), "something temporary was left"
+        with pytest.raises(InputError, match="is there already"):
+            finetune(tiny, {"horizontal": [picture]}, "orange", out, steps=1, device=cpu)
+
+
+def fixed_loss(prior, picture):
+    """The loss of the noise prediction on the picture, over noise levels and noises that are always the same."""
+    with Image.open(picture) as image:
+        code = prior.encode(np.asarray(image.convert("RGB"), np.float32)[:, 8:-8] / 255)
+    rng = np.random.default_rng(3)
+    prior.guidance = 1
+    errors = []
+    for sigma in np.geomspace(0.3, 10, 8):
+        noise = rng.standard_normal(code.shape, dtype=np.float32)
+        found = prior.denoise(code + np.float32(sigma) * noise, float(sigma), asked(80, 80), rng)
+        errors.append(np.mean((found - noise) ** 2))
+    return float(np.mean(errors))
+
+
+def test_finetuning_twice_gives_the_same_bits(tiny, picture, tmp_path):
+    from training.diffusion import finetune
+
+    weights = []
+    for name in ("a", "b"):
+        finetune(tiny, {"parallel": [picture]}, "loaf", tmp_path / name, steps=2, seed=4, device=torch.device("cpu"))
+        weights.append((tmp_path / name / "unet" / "diffusion_pytorch_model.safetensors").read_bytes())
+    assert weights[0] == weights[1]
+
+
+def spoil_unet(folder):
+    shutil.rmtree(folder / "unet")
+    save_plain = save_tiny(folder.parent / "plain", channels=4)
+    shutil.copytree(save_plain / "unet", folder / "unet")
+
+
+def spoil_weights(folder):
+    path = folder / "unet" / "diffusion_pytorch_model.safetensors"
+    path.write_bytes(path.read_bytes()[:-1000])
+
+
+def spoil_one_weight(folder):
+    from safetensors.torch import load_file, save_file
+
+    path = folder / "vae" / "diffusion_pytorch_model.safetensors"
+    weights = load_file(path)
+    del weights["decoder.conv_in.weight"]
+    save_file(weights, path, metadata={"format": "pt"})
+
+
+SPOILS = {
+    "no such folder": shutil.rmtree,
+    "not a depth-conditioned model": spoil_unet,
+    "cannot be read": spoil_weights,
+    "1 weights are missing": spoil_one_weight,
+    "pickled weights": lambda f: (f / "unet" / "diffusion_pytorch_model.safetensors").rename(f / "unet" / "x.bin"),
+    "model.bin: pickled weights": lambda f: (f / "text_encoder" / "model.safetensors").rename(
+        f / "text_encoder" / "model.bin"
+    ),
+    "no weights": lambda f: (f / "vae" / "diffusion_pytorch_model.safetensors").unlink(),
+    "vocab.json: missing": lambda f: (f / "tokenizer" / "vocab.json").unlink(),
+    "not a tokenizer": lambda f: (f / "tokenizer" / "vocab.json").write_text("{"),
+    "scheduler_config.json: missing": lambda f: shutil.rmtree(f / "scheduler"),
+    "config.json: cannot be read": lambda f: (f / "vae" / "config.json").write_text("{'"),
+    "predicts 'sample'": lambda f: (f / "scheduler" / "scheduler_config.json").write_text(
+        '{"prediction_type": "sample"}'
+    ),
+    "no 'prompts'": lambda f: (f / "fruitninja.json").write_text("{}"),
+}
+
+
+@pytest.mark.parametrize("complaint", SPOILS)
+def test_folders_that_hold_no_such_model_get_one_line(tiny, tmp_path, complaint):
+    from training.diffusion import StableDiffusionPrior
+
+    folder = shutil.copytree(tiny, tmp_path / "model")
+    SPOILS[complaint](folder)
+    with pytest.raises(InputError, match=complaint) as raised:
+        StableDiffusionPrior(folder, device=torch.device("cpu"))
+    assert "\n" not in str(raised.value)
+    assert str(folder) in str(raised.value)
+
+
+def test_half_precision_copies_are_found(tiny, tmp_path):
+    from training.diffusion import StableDiffusionPrior
+
+    folder = shutil.copytree(tiny, tmp_path / "model")
+    for path in folder.glob("*/*.safetensors"):
+        path.rename(path.with_suffix(".fp16.safetensors"))
+    StableDiffusionPrior(folder, device=torch.device("cpu"))
+
+
+def test_a_missing_package_is_said_in_one_line():
+    code = (
+        "import sys; sys.modules['diffusers'] = None\n"
+        "from engine.errors import InputError\n"
+        "try:\n    import training.diffusion\n"
+        "except InputError as error:\n    print(error)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip().endswith("pip install fruitninja[diffusion]")
+
+
+class GaussianCodes:
+    """Codes are the pictures themselves less grey; each number is N(mean, spread^2)."""
+
+    def __init__(self, mean, spread):
+        self.mean, self.spread = np.float32(mean), spread
+
+    def encode(self, label):
+        return label - np.float32(0.5)
+
+    def decode(self, code, shape):
+        return code + np.float32(0.5)
+
+    def denoise(self, noisy, sigma, condition, rng):
+        self.seen = noisy, sigma
+        return (sigma * (noisy - self.mean) / (sigma**2 + self.spread**2)).astype(np.float32)
+
+
+@pytest.mark.parametrize(("form", "error"), [("x0", 0.02), ("noise", 0.1)])
+def test_distillation_of_codes_finds_the_mode(form, error):
+    condition = asked()
+    mean = np.random.default_rng(1).uniform(-0.3, 0.3, (48, 48, 3)).astype(np.float32)
+    start = np.full_like(mean, 0.9)
+    label = distill(start, GaussianCodes(mean, 0.05), condition, np.random.default_rng(0), form=form)
+    assert np.sqrt(np.mean((label - 0.5 - mean)[condition.inside] ** 2)) < error
+
+
+def test_a_first_label_forgets_the_grey_it_started_from():
+    """Two starts end apart by their difference times the product of spread^2 / (spread^2 + sigma^2)."""
+    condition = asked()
+    ends = [
+        distill(np.full((48, 48, 3), start, np.float32), GaussianCodes(0.0, 8.0), condition, np.random.default_rng(0))
+        for start in (0.4, 0.6)
+    ]
+    apart = (ends[1] - ends[0])[condition.inside]
+    assert np.abs(apart).max() < 0.05 * 0.2
+
+
+def test_a_prior_of_codes_sees_the_surroundings_as_they_are():
+    condition = asked()
+    start = blank(condition)
+    codes = GaussianCodes(-0.3, 0.05)
+    distill(start, codes, condition, np.random.default_rng(0))
+    noisy, sigma = codes.seen
+    outside = ((noisy - 0.5) / sigma)[~condition.inside]
+    assert abs(outside.mean()) < 0.1 and abs(outside.std() - 1) < 0.1
