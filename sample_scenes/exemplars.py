@@ -48,7 +48,7 @@ def planes(solid: Solid, kind: Kind) -> list[Plane]:
 def crop(solid: Solid, plane: Plane, size: int) -> Camera:
     """The camera that looks straight at the face, centred on it, with the face filling FRAME of size x size pixels."""
     wide = section(plane, solid.up, solid.bounds, 256)
-    rows, columns = np.nonzero(solid.slice(plane, wide)[1])
+    rows, columns = np.nonzero(solid.silhouette(plane, wide))
     low = np.array([columns.min(), rows.min()])
     high = np.array([columns.max(), rows.max()]) + 1
     zoom = FRAME * size / float((high - low).max())

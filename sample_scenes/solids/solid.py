@@ -94,29 +94,33 @@ class Solid:
         supersample s averages s x s points a pixel; at 1 the colours are those of the pixel centres, exactly.
         """
         camera = section(plane, self.up, self.bounds, view) if isinstance(view, int) else view
-        inside = self._face(plane, camera, (np.array([0.5]), np.array([0.5])), 1)[1] > 0.5
-        offsets = (np.arange(supersample) + 0.5) / supersample
-        rgb, cover = self._face(plane, camera, (offsets, offsets), supersample)
-        return (rgb + background * (1 - cover[..., None])).astype(np.float32), inside
-
-    def _face(
-        self, plane: Plane, camera: Camera, offsets: tuple[NDArray[np.float64], NDArray[np.float64]], s: int
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Mean colour times coverage (H, W, 3) and coverage (H, W) over a pattern of s x s points in each pixel."""
         rgb = np.zeros((camera.height * camera.width, 3))
         cover = np.zeros(camera.height * camera.width)
-        rows, columns = np.divmod(np.arange(len(cover)), camera.width)
-        for oy in offsets[1]:
-            for ox in offsets[0]:
-                points, seen = _hits(plane, camera, columns + ox, rows + oy)
-                index = np.flatnonzero(seen)
-                index = index[self.depth(points[index]) > 0]
+        offsets = (np.arange(supersample) + 0.5) / supersample
+        for oy in offsets:
+            for ox in offsets:
+                points, index = self._face(plane, camera, ox, oy)
                 for start in range(0, len(index), BLOCK):
-                    part = index[start : start + BLOCK]
-                    rgb[part] += self.colour(points[part])
+                    part = slice(start, start + BLOCK)
+                    rgb[index[part]] += self.colour(points[part])
                 cover[index] += 1
-        size = (camera.height, camera.width)
-        return (rgb / s**2).reshape(*size, 3), (cover / s**2).reshape(size)
+        rgb, cover = rgb / supersample**2, cover / supersample**2
+        picture = (rgb + background * (1 - cover[:, None])).astype(np.float32)
+        return picture.reshape(camera.height, camera.width, 3), self.silhouette(plane, camera)
+
+    def silhouette(self, plane: Plane, camera: Camera) -> NDArray[np.bool_]:
+        """(H, W). Pixels whose centre shows the cut face."""
+        inside = np.zeros(camera.height * camera.width, bool)
+        inside[self._face(plane, camera, 0.5, 0.5)[1]] = True
+        return inside.reshape(camera.height, camera.width)
+
+    def _face(self, plane: Plane, camera: Camera, ox: float, oy: float) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
+        """Points (M, 3) of the face that stand at (ox, oy) in their pixels, and the pixels' numbers (M,)."""
+        rows, columns = np.divmod(np.arange(camera.height * camera.width), camera.width)
+        points, seen = _hits(plane, camera, columns + ox, rows + oy)
+        index = np.flatnonzero(seen)
+        index = index[self.depth(points[index]) > 0]
+        return points[index], index
 
 
 def _hits(
