@@ -9,8 +9,10 @@ in vec4 record_colour;
 in vec2 corner; // -1 or 1
 #endif
 
+#ifndef CLASSIC
 uniform float reach;        // in standard deviations: all of the splat, or its core
 uniform float behind;       // world units added to the front depth: what the pass still lets through
+#endif
 
 flat out vec4 centre;
 flat out vec4 conic;
@@ -33,11 +35,18 @@ void main() {
     gl_PointSize = 2.0 * reach * record_shape.z + 1.0;
     gl_Position = vec4(to_ndc(centre.xy), 0.0, 1.0);
 #else
+#ifdef CLASSIC
+    float reach = sqrt(max(0.0, 2.0 * log(255.0 * centre.w))); // where opacity falls to 1/255
+#endif
     vec2 major = vec2(cos(record_shape.w), sin(record_shape.w));
     vec2 half_axes = reach * vec2(record_shape.z, record_colour.w) + 0.1;
     vec2 u = corner.x * half_axes.x * major + corner.y * half_axes.y * vec2(-major.y, major.x);
+#ifdef CLASSIC
+    gl_Position = vec4(to_ndc(centre.xy + u), 0.0, 1.0);
+#else
     // w = 1 makes depth linear over the quad, which is what the splat's is: the early depth test stays on.
     float z = centre.z + dot(depth_slope, u) - behind;
     gl_Position = vec4(to_ndc(centre.xy + u), linear_depth(z) * 2.0 - 1.0, 1.0);
+#endif
 #endif
 }

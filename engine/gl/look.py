@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
-__all__ = ["Look"]
+__all__ = ["Look", "Mode"]
+
+Mode = Literal["opaque", "classic", "interior"]
+"""The solid; the capture as it came; the solid without its skin."""
 
 
 @dataclass(frozen=True)
 class Look:
-    """How a frame is drawn."""
+    """How the solid is drawn."""
 
+    interior_only: bool
+    """Without the skin."""
     light: bool
     """Shade cut faces a little."""
     level: int

@@ -24,7 +24,7 @@ __all__ = ["MAX_PLANES", "RECORD", "SurfacePass"]
 MAX_PLANES = 64
 """Planes that can bound one piece, after those that cut nothing off it are dropped."""
 
-POINT_LIMIT = 12.0
+POINT_LIMIT = 40.0
 """Pixels across up to which a splat is drawn as a square point: a point is set up in half the time of a quad, but a
 quad hugs its ellipse."""
 

@@ -3,8 +3,13 @@
 from __future__ import annotations
 
 import moderngl
+import numpy as np
+from numpy.typing import NDArray
 
-__all__ = ["Accumulators", "Frame"]
+__all__ = ["NOTHING", "Accumulators", "Frame"]
+
+NOTHING = 3.0e38
+"""The depth of a pixel that shows nothing, as the shaders have it."""
 
 
 class Frame:
@@ -19,6 +24,12 @@ class Frame:
         self.fbo = ctx.framebuffer([self.colour, self.info])
         self.colour_fbo = ctx.framebuffer([self.colour])
         self.info_fbo = ctx.framebuffer([self.info])
+
+    def clear(self, background: NDArray[np.float64]) -> None:
+        """Nothing but a background (3,)."""
+        red, green, blue = background.tolist()
+        self.colour_fbo.clear(red, green, blue, 1.0)
+        self.info_fbo.clear(NOTHING, -2.0)
 
     def release(self) -> None:
         """Frees the textures."""
@@ -39,13 +50,34 @@ class Accumulators:
         self.field = ctx.texture(size, 4, dtype="f4")
         self.faces = ctx.texture(size, 4, dtype="f2")
         self.face_depths = ctx.texture(size, 1, dtype="f4")
+        self._ctx = ctx
+        self._distances: moderngl.Texture | None = None
+        self._classic_fbo: moderngl.Framebuffer | None = None
         self.front_fbo = ctx.framebuffer([], self.depth)
         self.splat_fbo = ctx.framebuffer([self.splats, self.sharpness], self.depth)
         self.field_fbo = ctx.framebuffer([self.field])
         self.face_fbo = ctx.framebuffer([self.faces, self.face_depths], self.depth)
 
+    @property
+    def distances(self) -> moderngl.Texture:
+        """Depth by weight of the classic mode; made when first asked for, since few frames need it."""
+        if self._distances is None:
+            self._distances = self._ctx.texture(self.splats.size, 4, dtype="f4")
+        return self._distances
+
+    @property
+    def classic_fbo(self) -> moderngl.Framebuffer:
+        """Takes the classic mode's sums."""
+        if self._classic_fbo is None:
+            self._classic_fbo = self._ctx.framebuffer([self.splats, self.distances])
+        return self._classic_fbo
+
     def release(self) -> None:
         """Frees everything."""
+        if self._classic_fbo is not None:
+            self._classic_fbo.release()
+        if self._distances is not None:
+            self._distances.release()
         for fbo in (self.front_fbo, self.splat_fbo, self.field_fbo, self.face_fbo):
             fbo.release()
         for texture in (

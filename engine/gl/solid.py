@@ -1,0 +1,87 @@
+"""An object of atoms on the GPU, and what each mode draws of it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import moderngl
+import numpy as np
+from numpy.typing import NDArray
+
+from engine import sh
+from engine.atoms import Atoms
+from engine.formula import EPSILON_PITCHES
+from engine.gl.buried import outermost
+from engine.gl.facing import hiding
+from engine.gl.store import Ellipsoids, Spheres
+
+__all__ = ["Solid"]
+
+Float = NDArray[np.float32]
+
+
+class Solid:
+    """Surface and interior atoms, in buffers of their own."""
+
+    def __init__(self, ctx: moderngl.Context, atoms: Atoms) -> None:
+        self.ctx = ctx
+        bounds = atoms.bounds.astype(np.float64)
+        skin, inside = atoms.surface, atoms.interior
+        widest = max(float(skin.scales.max(initial=0)), float(inside.sigmas.max(initial=0)))
+        self.centre = bounds.mean(0)
+        """(3,). What the GPU holds is relative to it."""
+        # Splats reach three sigma, the corners of their quads a factor of sqrt(2) more; epsilon lies in front.
+        margin = 4.5 * widest + 2 * EPSILON_PITCHES * atoms.pitch
+        self.radius = float(np.linalg.norm(bounds[1] - bounds[0])) / 2 + margin
+        """About the centre, world units: all of the object, splats included."""
+        self.pitch = float(atoms.pitch)
+        hidden = hiding(atoms)
+        hidden = replace(hidden, low=hidden.low - self.centre)
+        self.skin = Ellipsoids(ctx, self._shifted(skin.means), skin.scales, skin.quats, skin.sh, hidden)
+        self.inside = Spheres(ctx, self._shifted(inside.means), inside.sigmas, inside.rgb)
+        self._atoms = atoms
+        self._exposed = self._as_splats(np.arange(inside.exposed)) if inside.exposed else None
+        self._core: Ellipsoids | None = None
+        self._core_rows = np.zeros(0, np.intp)
+        self._rgb = inside.rgb
+
+    def _shifted(self, means: Float) -> Float:
+        return (means.astype(np.float64) - self.centre).astype(np.float32)
+
+    def _as_splats(self, rows: NDArray[np.integer]) -> Ellipsoids:
+        """Interior atoms for the outside view."""
+        inside = self._atoms.interior
+        unit = np.tile(np.array([1, 0, 0, 0], np.float32), (len(rows), 1))
+        scales = np.repeat(inside.sigmas[rows, None], 3, 1)
+        return Ellipsoids(
+            self.ctx, self._shifted(inside.means[rows]), scales, unit, sh.rgb_to_sh(inside.rgb[rows, None])
+        )
+
+    def splats(self, interior_only: bool) -> list[Ellipsoids]:
+        """What the outside shows: skin and exposed atoms, or the outermost of the interior ones."""
+        if not interior_only:
+            return [self.skin] if self._exposed is None else [self.skin, self._exposed]
+        if self._core is None:
+            inside = self._atoms.interior
+            self._core_rows = np.flatnonzero(outermost(inside.means, inside.sigmas))
+            self._core = self._as_splats(self._core_rows)
+            self._core.update(sh.rgb_to_sh(self._rgb[self._core_rows, None]))
+        return [self._core]
+
+    def update(self, sh_coefficients: Float | None, rgb: Float | None) -> None:
+        """Other colours, (S, (d+1)^2, 3) and (I, 3), for the same atoms."""
+        if sh_coefficients is not None:
+            self.skin.update(sh_coefficients)
+        if rgb is not None:
+            self._rgb = rgb
+            self.inside.update(rgb)
+            if self._exposed is not None:
+                self._exposed.update(sh.rgb_to_sh(rgb[: len(self._exposed), None]))
+            if self._core is not None:
+                self._core.update(sh.rgb_to_sh(rgb[self._core_rows, None]))
+
+    def release(self) -> None:
+        """Frees the buffers."""
+        for store in (self.skin, self.inside, self._exposed, self._core):
+            if store is not None:
+                store.release()

@@ -1,0 +1,16 @@
+// 3DGS as captured (Kerbl et al. 2023), front to back: what is in front leaves less of the light for what follows.
+flat in vec4 centre;
+flat in vec4 conic;
+flat in vec3 colour;
+
+layout(location = 0) out vec4 light;    // colour, opacity
+layout(location = 1) out vec4 distance; // depth, opacity in alpha
+
+void main() {
+    vec2 u = gl_FragCoord.xy - centre.xy;
+    float q = conic.x * u.x * u.x + 2.0 * conic.y * u.x * u.y + conic.z * u.y * u.y;
+    float alpha = min(0.99, centre.w * exp(-0.5 * q));
+    if (!(alpha >= 1.0 / 255.0)) discard;
+    light = vec4(alpha * colour, alpha);
+    distance = vec4(alpha * centre.z, 0.0, 0.0, alpha);
+}
