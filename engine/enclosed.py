@@ -23,9 +23,16 @@ __all__ = ["enclosed", "flood"]
 Mask = NDArray[np.bool_]
 
 SMALLEST_BALL = 1.5
+WIDE_BALL = 12.0
 LARGEST_BALL = 0.55
-"""Radii of the balls that close holes, from cells to a share of the longest side, doubling. The largest cannot fall
-into any hole: a cake without a bottom is as open as can be."""
+"""Radii of the balls that close holes, doubling: the first and the wide ones in cells, the last as a share of the
+longest side. It cannot fall into any hole: a cake without a bottom is as open as can be."""
+
+SUBSTANTIAL = 0.1
+"""Of what the largest ball cannot reach. Once so much is inside, wide balls would only find room between leaves."""
+
+LEAST_POCKET = 1000
+"""Cells. Smallest hollow that a wide ball may close; for narrow ones it is half of the ball's own cube."""
 
 AXES_HIT = 5
 """Of the six axes: one may leave through the hole."""
@@ -37,13 +44,12 @@ ODD_SHARE = 0.4
 """Share of the axes with an odd count from which a hollow counts as inside. A single sheet gives 1, a wall of two
 sheets 0, and debris in the hollow pulls either towards 1/2."""
 
-MOUTH = 0.45
-"""Of a hollow's border: the most that may be opening. Half a sphere has 1/3, a dish 1/2."""
-
-SMALL = 1000
 SMALL_MOUTH = 0.19
-"""Cells. Under that size a pocket may as well be a crease of the skin, where rays graze the wall: a triangular groove
-opens with 1/4 or more of its border, a leak with less."""
+MOUTH = 0.25
+WIDE_MOUTH = 0.45
+"""Of a hollow's border: the most that may be opening, for pockets under LEAST_POCKET, others, and those of wide balls.
+A leak opens little; a groove of the skin, where rays graze the walls and count badly, opens 0.2 (if it is dovetailed)
+or more. Half a sphere has 1/3, a dish 1/2."""
 
 
 def flood(wall: Mask) -> Mask:
@@ -56,13 +62,15 @@ def enclosed(wall: Mask) -> tuple[Mask, float]:
     """Cells (X, Y, Z) that are not outside, the walls included, and the area of the caps in cell faces."""
     inside = ~flood(wall)
     hollow = np.zeros_like(wall)
+    largest = LARGEST_BALL * max(wall.shape)
+    substantial = SUBSTANTIAL * np.count_nonzero(~_reached(wall, largest))
     radius = SMALLEST_BALL
-    while radius < 2 * LARGEST_BALL * max(wall.shape):
-        radius = min(radius, LARGEST_BALL * max(wall.shape))
-        pockets, count = ndimage.label(~_reached(wall, radius) & ~inside)
-        if count:
-            hollow |= _voted(pockets, count, wall, inside, radius)
-            inside |= hollow
+    while radius < 2 * largest:
+        radius = min(radius, largest)
+        if radius >= WIDE_BALL and np.count_nonzero(inside & ~wall) > substantial:
+            break
+        hollow |= _hollows(~_reached(wall, radius) & ~inside, wall, inside, radius)
+        inside |= hollow
         radius *= 2
     if not hollow.any():
         return inside, 0.0
@@ -72,12 +80,12 @@ def enclosed(wall: Mask) -> tuple[Mask, float]:
 def _reached(wall: Mask, radius: float) -> Mask:
     """Cells that a ball of this radius (cells), coming from outside, covers somewhere on its way around the wall."""
     # A large ball rolls on coarser cells: it finds the hollow, whose border is drawn later.
-    coarse = 1 if radius < 12 else 2 if radius < 30 else 4
+    coarse = 1 if radius < WIDE_BALL else 2 if radius < 2.5 * WIDE_BALL else 4
     margin = int(np.ceil(radius)) + 2
     ends = [(margin, margin + -(n + 2 * margin) % coarse) for n in wall.shape]
     blocks = np.pad(wall, ends)
     shape = [k for n in blocks.shape for k in (n // coarse, coarse)]
-    clearance, _ = nearest(blocks.reshape(shape).any((1, 3, 5)))
+    clearance, _ = nearest(np.asarray(blocks.reshape(shape).any((1, 3, 5))))
     covered = nearest(flood(clearance <= radius / coarse))[0] <= radius / coarse
     for axis in range(3):
         covered = covered.repeat(coarse, axis)
@@ -87,16 +95,20 @@ def _reached(wall: Mask, radius: float) -> Mask:
     return covered
 
 
-def _voted(pockets: NDArray[np.int32], count: int, wall: Mask, inside: Mask, radius: float) -> Mask:
-    """The cells of those pockets that the rays hold to be inside."""
-    hits, odd = _rays(wall, inside & ~wall)
+def _hollows(unreached: Mask, wall: Mask, inside: Mask, radius: float) -> Mask:
+    """The cells of those pockets, among the ones that the ball did not reach, that the rays hold to be inside."""
+    pockets, count = ndimage.label(unreached)
     sizes = np.bincount(pockets.ravel(), minlength=count + 1)
+    good = sizes >= min(0.5 * (2 * radius) ** 3, LEAST_POCKET)
+    good[0] = False
+    if not good.any():
+        return np.zeros_like(wall)
+    hits, odd = _rays(wall, inside & ~wall)
     votes = np.bincount(pockets.ravel(), (hits >= AXES_HIT).ravel(), count + 1) / np.maximum(sizes, 1)
     shares = np.bincount(pockets.ravel(), (odd / np.maximum(hits, 1)).ravel(), count + 1) / np.maximum(sizes, 1)
-    mouths = _mouths(pockets, wall | inside)
-    good = (votes >= 0.5) & (shares >= ODD_SHARE) & (mouths <= np.where(sizes < SMALL, SMALL_MOUTH, MOUTH))
-    good &= sizes >= min(0.5 * (2 * radius) ** 3, SMALL)  # thinner than the ball that found it: a crease
-    good[0] = False
+    mouths = _mouths(pockets, count, wall | inside)
+    widest = WIDE_MOUTH if radius >= WIDE_BALL else np.where(sizes < LEAST_POCKET, SMALL_MOUTH, MOUTH)
+    good &= (votes >= 0.5) & (shares >= ODD_SHARE) & (mouths <= widest)
     chosen = good[pockets]
     if not good.any():
         return chosen
@@ -109,9 +121,9 @@ def _voted(pockets: NDArray[np.int32], count: int, wall: Mask, inside: Mask, rad
     return ndimage.binary_propagation(chosen, mask=chosen | joining)
 
 
-def _mouths(pockets: NDArray[np.int32], closed: Mask) -> NDArray[np.float64]:
-    """(P + 1,). The open share of the faces of each pocket."""
-    faces, mouths = np.zeros(pockets.max() + 1), np.zeros(pockets.max() + 1)
+def _mouths(pockets: NDArray[np.int32], count: int, closed: Mask) -> NDArray[np.float64]:
+    """(count + 1,). The open share of the faces of each pocket."""
+    faces, mouths = np.zeros(count + 1), np.zeros(count + 1)
     for axis in range(3):
         a, b = _faces(axis)
         for own, other in ((a, b), (b, a)):
