@@ -57,7 +57,9 @@ class Layers:
     texture: NDArray[np.float32]
     """(H, W, 3). What is left of the picture over the ground, with structures and details filled in."""
     structure: NDArray[np.float32]
-    """(H, W). Opacity of what runs through; its colours are the sheet's."""
+    """(H, W). Opacity of what runs through."""
+    through: NDArray[np.float32]
+    """(H, W, 3). Its colours, carried on a little beyond its edges."""
     detail: NDArray[np.float32]
     """(H, W). Opacity of the details."""
     labels: NDArray[np.int32]
@@ -118,12 +120,17 @@ def decompose(sheet: Sheet) -> Layers:
         clean = core if core.any() else sheet.depth > 0
     ground = _smooth(picture, clean, 0.06 * inradius)
     texture = _mirrored(picture - ground, clean)
+    # Thin sheets are smoothed by half a voxel, or cuts along them would show the grid; their colours reach as far.
+    solid = structure > 0.7
+    nearest = ndimage.distance_transform_edt(~solid, return_distances=False, return_indices=True)
+    thin = ndimage.gaussian_filter(structure, 0.5 * OVER)
     return Layers(
         sheet,
         rind,
         ground,
         texture,
-        structure,
+        np.maximum(thin, structure * (1 - _smoothstep(rind, 1.2 * rind, sheet.depth))).astype(np.float32),
+        sheet.rgb[nearest[0], nearest[1]] if solid.any() else sheet.rgb,
         detail.astype(np.float32),
         labels,
         _details(sheet, parts, compact, labels),

@@ -7,7 +7,6 @@ height or position (DESIGN section 5.1, steps 1 and 2).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +17,20 @@ from engine.camera import equator
 from training.exemplar.patches import OVER, POLAR, RADIAL
 from training.exemplar.pictures import Picture, fill_outside
 
-__all__ = ["DEPTH_SCALE", "Sheet", "Space", "View", "make_sheet", "make_space", "rim_of", "saturating", "voxel_gate"]
+__all__ = [
+    "HEIGHT_CELLS",
+    "RADIUS_CELLS",
+    "Frame",
+    "Sheet",
+    "Space",
+    "View",
+    "depth_gate",
+    "make_sheet",
+    "make_space",
+    "rim_of",
+    "scaled_sheet",
+    "voxel_gate",
+]
 
 DEPTH_SCALE = 0.15
 """Depth in inradii over which the rind's depth stops to matter (DESIGN 5.1, step 2)."""
@@ -35,7 +47,8 @@ ANGLES = 180
 ROUND = 0.09
 """Relative variation of the rim up to which a body counts as round: an ellipse of 1 to 1.3."""
 
-Frame = Literal[0, 1, 2]
+Frame = int
+"""POLAR, RADIAL or FIXED (see `patches`)."""
 
 
 @dataclass(frozen=True)
@@ -163,9 +176,9 @@ def rim_of(planar: NDArray[np.float32], radius: NDArray[np.float32]) -> NDArray[
     return np.maximum(rims[level, turn], np.maximum(radius, 0.5))
 
 
-def saturating(depth: NDArray[np.floating]) -> NDArray[np.float32]:
-    """Depth in inradii to a gate coordinate in [0, 1): the rind in detail, the middle as one."""
-    return (1 - np.exp(-np.asarray(depth, np.float32) / np.float32(DEPTH_SCALE))).astype(np.float32)
+def depth_gate(depth: NDArray[np.floating]) -> NDArray[np.float32]:
+    """Depth in inradii to a gate coordinate: the rind in detail, the middle as one (DESIGN 5.1, step 2)."""
+    return ((1 - np.exp(-np.asarray(depth, np.float32) / DEPTH_SCALE)) * DEPTH_CELLS).astype(np.float32)
 
 
 @dataclass(frozen=True)
@@ -218,13 +231,18 @@ class View:
 
 def make_sheet(picture: Picture, space: Space, kind: Frame, area: float) -> Sheet:
     """The picture at the scale where its cut face covers `area` square cells, with gate coordinates for a frame."""
-    scale = float(np.sqrt(area / max(picture.mask.sum(), 1))) * OVER
+    return scaled_sheet(picture, space.inradius, kind, float(np.sqrt(area / max(picture.mask.sum(), 1))))
+
+
+def scaled_sheet(picture: Picture, inradius: float, kind: Frame, cells: float) -> Sheet:
+    """The picture with `cells` cells to its pixel, for a body of this inradius in cells."""
+    scale = cells * OVER
     rgb, mask = _resize(picture.rgb, scale), _resize(picture.mask.astype(np.float32), scale) > 0.5
     pad = 3 * OVER
     mask = np.pad(mask, pad)
     rgb = np.pad(rgb, ((pad, pad), (pad, pad), (0, 0)), mode="edge")
     rgb = np.clip(np.where(mask[..., None], rgb, fill_outside(rgb, mask)), 0, 1)
-    depth = ndimage.distance_transform_edt(mask).astype(np.float32) / (OVER * space.inradius)
+    depth = ndimage.distance_transform_edt(mask).astype(np.float32) / np.float32(OVER * inradius)
     rows, columns = np.nonzero(mask)
     if kind == POLAR:
         middle = (columns.mean() / OVER, rows.mean() / OVER)
@@ -238,7 +256,7 @@ def make_sheet(picture: Picture, space: Space, kind: Frame, area: float) -> Shee
     xy = (np.stack([columns, rows], -1) / OVER).astype(np.float32)
     right, high = xy[:, 0] - middle[0], middle[1] - xy[:, 1]
     r = np.hypot(right, high)
-    d = saturating(depth[rows, columns]) * DEPTH_CELLS
+    d = depth_gate(depth[rows, columns])
     zero, one = np.zeros_like(r), np.ones_like(r)
     if kind == POLAR:
         c, s = right / np.maximum(r, 1e-3), high / np.maximum(r, 1e-3)
@@ -257,7 +275,7 @@ def make_sheet(picture: Picture, space: Space, kind: Frame, area: float) -> Shee
 
 def voxel_gate(space: Space, kind: Frame) -> NDArray[np.float32]:
     """(N, 3). Gate coordinates of the voxels for a frame; the same units as a sheet's."""
-    d = saturating(space.depth) * np.float32(DEPTH_CELLS)
+    d = depth_gate(space.depth)
     zero = np.zeros_like(d)
     if kind == POLAR:
         return np.stack([d, np.minimum(space.radius / space.rim, 1) * np.float32(RADIUS_CELLS), zero], -1)

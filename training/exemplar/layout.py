@@ -1,7 +1,7 @@
-"""The first guess of an inside, which is most of it: every layer of the pictures carried on along the axis in its own way.
+"""The layers of a picture carried along the axis that it does not show, each in its own way.
 
-Structures run through; the texture drifts sideways on its way, so that it is as fine along the axis as the pictures say;
-details are left to `scatter`. What pictures along the axis know of height is added (DESIGN 5.1, step 3).
+Structures run through; the texture drifts sideways on its way, so that it is as fine along the axis as the pictures
+say; details are left to `scatter`. What pictures along the axis know of height is added (DESIGN 5.1, step 3).
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from scipy import ndimage
 from training.exemplar.decompose import Layers
 from training.exemplar.frames import Space, rim_of
 from training.exemplar.patches import OVER
+from training.prior import Progress
 
 __all__ = ["Axis", "along", "carried", "heights", "revolved"]
 
@@ -56,12 +57,11 @@ def along(space: Space, basis: NDArray[np.float64], is_round: bool) -> Axis:
 
 
 def carried(
-    space: Space, axis: Axis, layers: Sequence[Layers], rate: float, rng: np.random.Generator
+    space: Space, axis: Axis, layers: Sequence[Layers], rate: float, rng: np.random.Generator, progress: Progress
 ) -> NDArray[np.float32]:
-    """(N, 3). A picture drawn out along an axis: ground and structures straight, the texture drifting `rate` cells a cell.
+    """(N, 3). A picture drawn out along an axis: ground and structures straight, texture drifting `rate` cells a cell.
 
-    Near the skin a voxel reads the picture at its own depth, deeper at its own share of the slice's radius. The first
-    picture gives the structures; the texture is taken from all of them, one after another along the axis.
+    Near the skin a voxel reads the picture at its own depth, deeper at its own share of the slice's radius.
     """
     main = layers[0]
     turn = rng.uniform(0, 2 * np.pi, 8)
@@ -73,6 +73,7 @@ def carried(
     stranded = slope_b > 1.8 * slope_a
     swing = 0.12 * inradius
     for start in range(0, len(out), CHUNK):
+        progress(start / len(out))
         part = slice(start, start + CHUNK)
         angle = np.arctan2(axis.place[part, 1], axis.place[part, 0])
         share = np.minimum(axis.radius[part] / axis.rim[part], 1)
@@ -112,7 +113,7 @@ def _structure(
     layers: Layers, x: NDArray[np.floating], y: NDArray[np.floating]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """(M, 1), (M, 3). Opacity and colour of what runs through, at places in cells."""
-    return _read(layers.structure[..., None], x, y), _read(layers.sheet.rgb, x, y)
+    return _read(layers.structure[..., None], x, y), _read(layers.through, x, y)
 
 
 def _strands(
@@ -169,11 +170,10 @@ def _near_skin(depth: NDArray[np.floating], rind: float) -> NDArray[np.floating]
 
 def revolved(space: Space, layers: Layers) -> NDArray[np.float32]:
     """(N, 3). The right half of a radial picture turned about the axis."""
-    sheet = layers.sheet
     x, y = _radial_place(space, layers, slice(None))
     colour = _read(layers.ground, x, y) + _read(layers.texture, x, y)
     opacity = _read(layers.structure[..., None], x, y)
-    return np.clip(colour + opacity * (_read(sheet.rgb, x, y) - colour), 0, 1)
+    return np.clip(colour + opacity * (_read(layers.through, x, y) - colour), 0, 1)
 
 
 def heights(space: Space, axis: Axis, colours: NDArray[np.float32], carrier: Layers, radial: Sequence[Layers]) -> None:
@@ -200,7 +200,7 @@ def heights(space: Space, axis: Axis, colours: NDArray[np.float32], carrier: Lay
             x = parts.sheet.middle[0] + side * (x - parts.sheet.middle[0])
             bare = _read(parts.ground, x, y) + _read(parts.texture, x, y)
             opacity = _read(parts.structure[..., None], x, y)
-            seen[n] = bare + opacity * (_read(parts.sheet.rgb, x, y) - bare)
+            seen[n] = bare + opacity * (_read(parts.through, x, y) - bare)
         gap = seen - base
         other = _smooth_step(DIFFERENT, 1.6 * DIFFERENT, np.linalg.norm(gap, axis=-1))
         votes = other.mean(0)

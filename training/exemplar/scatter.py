@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from training.exemplar.decompose import Layers
 from training.exemplar.frames import Space, View, voxel_gate
-from training.exemplar.patches import OVER, POLAR, RADIAL, _frame
+from training.exemplar.patches import OVER, POLAR, RADIAL, frame_at
+from training.prior import Progress
 
 __all__ = ["strew"]
 
@@ -81,6 +82,7 @@ def strew(
     views: Sequence[View],
     layers: Sequence[Sequence[Layers]],
     rng: np.random.Generator,
+    progress: Progress,
 ) -> int:
     """Paints the details of all pictures into the grid, in place, and returns how many.
 
@@ -94,7 +96,8 @@ def strew(
     order = np.argsort([-k.across for k in kinds], kind="stable")
     total = 0
     grid = _Buckets(space)
-    for n in order:
+    for done, n in enumerate(order):
+        progress(done / len(order))
         kind = kinds[n]
         whole, part = divmod(kind.copies, 1)
         parts = layers[kind.view][kind.layers]
@@ -211,7 +214,7 @@ def _paint(  # type: ignore[no-untyped-def]
     rgb, number, point, kind, basis, centre, picture, opacity, labels, label, x, y, reach, ab, across
 ):
     """One thing: its picture in its own plane, shrunk like an ellipsoid towards its two ends."""
-    ax, ay, az, bx, by, bz = _frame(kind, basis, centre, point[0], point[1], point[2])
+    ax, ay, az, bx, by, bz = frame_at(kind, basis, centre, point[0], point[1], point[2])
     nx, ny, nz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
     grow = np.float32(1.15)  # sections are smaller than what they cut
     far = max(reach * grow, across) + 1

@@ -1,0 +1,159 @@
+"""The closed-form patch denoiser: what a picture made of the exemplars' patches most likely was under its noise.
+
+Kamb and Ganguli's observation turned round: a denoiser that sees 7x7 pixels and knows only the exemplars is a softmax
+over their patches. Gated by where in the body a pixel lies (DESIGN section 5.1, step 2).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from training.exemplar.frames import HEIGHT_CELLS, RADIUS_CELLS, Frame, depth_gate, scaled_sheet
+from training.exemplar.patches import FIXED, OVER, PATCH, POLAR, RADIAL, posterior, read_patches
+from training.exemplar.pictures import Picture
+from training.prior import Condition
+
+__all__ = ["Patches", "denoised", "pixels_per_radius", "prepare"]
+
+COEFFICIENTS = 24
+"""PCA coefficients that are compared; over 95 % of the variance of photographs' patches."""
+
+MOST = 800
+"""Candidates of a gate cell: over this they are thinned evenly."""
+
+FEWEST = 100
+"""Candidates under which the nearest others in gate coordinates are taken in."""
+
+SHARPEST = 0.04
+"""Least noise assumed, in colour units: the exemplars are samples of the fruit and not all of it."""
+
+
+@dataclass(frozen=True)
+class Patches:
+    """The exemplar patches of a family at one scale."""
+
+    kind: Frame
+    mean: NDArray[np.float32]
+    """(PATCH,)."""
+    axes: NDArray[np.float32]
+    """(PATCH, D). Orthonormal columns."""
+    features: NDArray[np.float32]
+    """(P, D)."""
+    colours: NDArray[np.float32]
+    """(P, 3). Colour at the patch's centre."""
+    gate: NDArray[np.float32]
+    """(P, 3). Gate coordinates."""
+
+
+def pixels_per_radius(condition: Condition) -> float:
+    """Pixels to the body's greatest radius in the condition's pictures."""
+    gy, gx = np.gradient(condition.radius)
+    inner = ndimage.binary_erosion(condition.inside, iterations=2)
+    slope = np.hypot(gx, gy)[inner]
+    steepest = float(np.quantile(slope, 0.9)) if len(slope) else 0.0
+    return 1 / steepest if steepest > 1e-6 else float(np.sqrt(max(condition.inside.sum(), 1) / np.pi))
+
+
+def prepare(pictures: list[Picture], kind: Frame, radius: float, inradius: float) -> Patches:
+    """Patches of pictures whose cut face is `radius` pixels in half width; inradius of the body in pixels."""
+    sheets = []
+    for picture in pictures:
+        rows, columns = np.nonzero(picture.mask)
+        half = np.sqrt(len(rows) / np.pi) if kind == POLAR else np.ptp(columns) / 2
+        sheets.append(scaled_sheet(picture, inradius, kind, radius / max(half, 1.0)))
+    patches, colours = [], []
+    for sheet in sheets:
+        out = np.empty((len(sheet.xy), PATCH), np.float32)
+        # One pixel of the sheet is a fraction of a pixel of the label; a patch's steps are the label's.
+        read_patches(sheet.rgb, sheet.xy * np.float32(OVER), sheet.ab * np.float32(OVER), out)
+        patches.append(out)
+        column, row = (sheet.xy * OVER + 0.5).astype(int).T
+        colours.append(sheet.rgb[row, column])
+    joined = np.concatenate(patches)
+    mean = joined.mean(0, dtype=np.float64).astype(np.float32)
+    centred = joined - mean
+    covariance = centred[:: max(1, len(centred) // 20_000)].astype(np.float64)
+    axes = np.linalg.eigh(covariance.T @ covariance)[1][:, ::-1][:, :COEFFICIENTS].astype(np.float32)
+    return Patches(
+        kind,
+        mean,
+        np.ascontiguousarray(axes),
+        np.ascontiguousarray(centred @ axes),
+        np.concatenate(colours),
+        np.concatenate([s.gate for s in sheets]),
+    )
+
+
+def denoised(noisy: NDArray[np.float32], sigma: float, condition: Condition, patches: Patches) -> NDArray[np.float32]:
+    """(H, W, 3). The posterior mean of the picture under the noise; outside of the silhouette the render."""
+    out = condition.render.astype(np.float32).copy()
+    rows, columns = np.nonzero(condition.inside)
+    if len(rows) == 0:
+        return out
+    gate = _gate(condition, patches.kind)[rows, columns]
+    ab = _directions(condition, patches.kind)[rows, columns]
+    queries = np.empty((len(rows), PATCH), np.float32)
+    read_patches(noisy, np.stack([columns, rows], -1).astype(np.float32), ab, queries)
+    cells, lists = np.unique(np.floor(gate).astype(np.int64), axis=0, return_inverse=True)
+    near = [_candidates(patches.gate, cell + 0.5) for cell in cells]
+    starts = np.cumsum([0, *[len(n) for n in near]]).astype(np.int64)
+    found = np.empty((len(rows), 3), np.float32)
+    posterior(
+        np.ascontiguousarray((queries - patches.mean) @ patches.axes),
+        lists.ravel().astype(np.int64),
+        starts,
+        np.concatenate(near).astype(np.int32),
+        patches.features,
+        patches.colours,
+        max(sigma, SHARPEST),
+        found,
+    )
+    out[rows, columns] = found
+    return out
+
+
+def _candidates(gates: NDArray[np.float32], at: NDArray[np.floating]) -> NDArray[np.intp]:
+    """Patches in a gate cell and its neighbours, thinned to `MOST`; the nearest `FEWEST` where there are too few."""
+    near = np.flatnonzero((np.abs(gates - at) <= 1.5).all(1))
+    if len(near) < FEWEST:
+        gaps = ((gates - at) ** 2).sum(1)
+        count = min(FEWEST, len(gates))
+        return np.sort(np.argpartition(gaps, count - 1)[:count])
+    return near[np.linspace(0, len(near) - 1, min(MOST, len(near))).astype(int)]
+
+
+def _gate(condition: Condition, kind: Frame) -> NDArray[np.float32]:
+    """(H, W, 3). Gate coordinates of every pixel, as those of the sheets."""
+    depth = depth_gate(condition.under_skin)
+    zero = np.zeros_like(depth)
+    if kind == POLAR:
+        widest = max(float(condition.radius[condition.inside].max()), 1e-6)
+        return np.stack([depth, np.clip(condition.radius / widest, 0, 1) * np.float32(RADIUS_CELLS), zero], -1)
+    if kind == RADIAL:
+        across = np.clip(condition.radius, 0, 1) * np.float32(RADIUS_CELLS)
+        up = (np.clip(condition.height, -1, 1) + 1) / 2 * np.float32(HEIGHT_CELLS)
+        return np.stack([depth, across, up.astype(np.float32)], -1)
+    return np.stack([depth, zero, zero], -1)
+
+
+def _directions(condition: Condition, kind: Frame) -> NDArray[np.float32]:
+    """(H, W, 4). Directions a and b in the picture, x to the right and y down."""
+    out = np.zeros((*condition.radius.shape, 4), np.float32)
+    out[..., 0], out[..., 3] = 1, -1
+    if kind == FIXED:
+        return out
+    gy, gx = np.gradient(ndimage.gaussian_filter(condition.radius, 1.0))
+    length = np.maximum(np.hypot(gx, gy), 1e-9)
+    gx, gy = gx / length, gy / length
+    if kind == RADIAL:
+        out[..., 0] = np.where(gx < 0, -1, 1)
+        return out
+    # Around the axis: across the radius, towards growing angles.
+    ty, tx = np.gradient(np.unwrap(condition.angle, axis=1))
+    sign = np.sign(np.median((-gy * tx + gx * ty)[condition.inside])) or 1.0
+    out[..., 0], out[..., 1], out[..., 2], out[..., 3] = gx, gy, -gy * sign, gx * sign
+    return out
