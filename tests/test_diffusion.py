@@ -7,6 +7,7 @@ import shutil
 import socket
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from tiny_diffusion import NATIVE, save_midas, save_tiny
 from engine.errors import InputError
 from training.families import Family
 from training.prior import Condition, Encodes, Solves
-from training.sds import distill
+from training.sds import distill, touched
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -178,6 +179,62 @@ def test_depth_and_words_reach_the_model(tiny, prior, tmp_path):
     assert np.abs(both - here).max() > 1e-4
 
 
+class GaussianNetwork:
+    """Stands for the network: knows exactly that every number of a code is N(mean, 0.2^2), and depth and text nothing.
+
+    For clean = N(mean, s^2) and given = sqrt(a) clean + sqrt(1 - a) noise, the mean noise is
+    sqrt(1 - a) (given - sqrt(a) mean) / (a s^2 + 1 - a).
+    """
+
+    dtype = torch.float32
+    spread = 0.2
+
+    def __init__(self, mean, sigmas, prediction, config):
+        self.mean, self.prediction, self.config = torch.from_numpy(mean).permute(2, 0, 1)[None], prediction, config
+        self.signal = torch.from_numpy(1 / (1 + sigmas**2)).float()
+
+    def __call__(self, given, timestep, text):
+        a = self.signal[timestep][:, None, None, None]
+        codes = given[:, :4]
+        noise = (1 - a).sqrt() * (codes - a.sqrt() * self.mean) / (a * self.spread**2 + 1 - a)
+        clean = (codes - (1 - a).sqrt() * noise) / a.sqrt()
+        said = noise if self.prediction == "epsilon" else a.sqrt() * noise - (1 - a).sqrt() * clean
+        return SimpleNamespace(sample=said)
+
+
+@pytest.mark.parametrize("prediction", ["epsilon", "v_prediction"])
+@pytest.mark.parametrize("form", ["x0", "noise"])
+def test_distillation_through_the_door_lowers_its_loss(tiny, prediction, form):
+    """Schedule, guidance, both kinds of prediction and the loop together: the label's code ends at the mean."""
+    from training.diffusion import StableDiffusionPrior
+
+    prior = StableDiffusionPrior(tiny, device=torch.device("cpu"))
+    mean = np.random.default_rng(2).standard_normal((6, 6, 4)).astype(np.float32)
+    model = prior.model
+    mean = np.pad(mean, ((1, 1), (1, 1), (0, 0)))
+    model.unet = GaussianNetwork(mean, model.sigmas, prediction, model.unet.config)
+    model.prediction = prediction
+    ends = []
+    prior.decode = lambda code, shape: ends.append(code) or np.zeros((*shape, 3), np.float32)
+    condition = asked(64, 64)
+    distill(blank(condition), prior, condition, np.random.default_rng(0), form=form)
+    free = touched(condition.inside, (8, 8))
+    start = prior.encode(blank(condition))
+    assert (ends[0][~free] == start[~free]).all()
+    assert np.sqrt(np.mean((ends[0] - mean)[free] ** 2)) < 0.15 * np.sqrt(np.mean((start - mean)[free] ** 2))
+
+    def loss(code):
+        rng = np.random.default_rng(7)
+        total = 0.0
+        for sigma in np.geomspace(0.16, 10, 12):
+            noise = rng.standard_normal(code.shape, dtype=np.float32)
+            found = prior.denoise(code + np.float32(sigma) * noise, float(sigma), condition, rng)
+            total += np.mean((found - noise)[free] ** 2)
+        return total
+
+    assert loss(ends[0]) < 0.5 * loss(start)
+
+
 @pytest.mark.parametrize("refine", [False, True])
 def test_distillation_stays_in_the_silhouette(prior, refine):
     condition = asked(50, 70)
@@ -201,7 +258,7 @@ def test_finetuning_learns_the_picture_and_keeps_the_rest(tiny, picture, tmp_pat
     cpu = torch.device("cpu")
     for full in (False, True):
         out = tmp_path / f"tuned_{full}"
-        steps = 24
+        steps = 16
         seen = []
         losses = finetune(
             tiny,

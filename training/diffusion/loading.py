@@ -117,7 +117,7 @@ class Model:
 
     def timestep(self, sigma: Tensor) -> Tensor:
         """(B,). The timesteps nearest to noise levels (B,)."""
-        asked = np.log(np.maximum(sigma.double().cpu().numpy(), 1e-9))
+        asked = np.log(np.maximum(sigma.cpu().double().numpy(), 1e-9))
         nearest = np.abs(np.log(self.sigmas) - asked[:, None]).argmin(1)
         return torch.from_numpy(nearest).to(sigma.device)
 

@@ -59,6 +59,8 @@ def save_model(model: Model, out: Path, thing: str) -> None:
         umask = os.umask(0)
         os.umask(umask)
         temporary.chmod(0o777 & ~umask)  # mkdtemp makes private folders; this one is the user's
+        if out.is_dir():
+            out.rmdir()  # empty; not every system replaces one
         temporary.replace(out)
     except OSError as error:
         raise InputError(f"{out}: cannot be written ({error.strerror or error})") from error
