@@ -28,6 +28,9 @@ from engine.cpu.view_rows import (
     fill_faces,
     fill_splats,
     layer_limit,
+    mark,
+    rename,
+    row_sums,
     truncate,
 )
 from engine.errors import InputError
@@ -270,7 +273,8 @@ def _faces(atoms: Atoms, camera: Camera, planes: Sequence[Plane], field: KernelF
     field = field or KernelField(atoms)
     hits = enter(pack_camera(camera), camera_planes(camera, planes))
     offsets, columns, weights = field.entries(hits.points, hits.footprint)
-    _, density = field.at(hits.points, hits.footprint)
+    density = np.empty(len(hits.pixels), np.float32)
+    for_each(row_sums, -(-len(density) // ROWS), offsets, weights, density)
     alpha = coverage(density, hits.footprint, atoms.pitch).astype(np.float32)
     columns[columns < len(atoms.surface)] += len(atoms)
     return _Faces(hits, alpha, density, offsets, columns, weights)
@@ -288,12 +292,14 @@ def _packed(
     skin = len(atoms.surface)
     columns = len(atoms) + skin
     occurs = np.zeros(columns, bool)
-    occurs[entries] = True
+    tasks = -(-len(alpha) // ROWS)
+    for_each(mark, tasks, offsets, entries, occurs)
     used = np.flatnonzero(occurs).astype(np.int32)
     place = np.zeros(columns, np.int32)
     place[used] = np.arange(len(used), dtype=np.int32)
+    for_each(rename, tasks, offsets, entries, place)
     way = np.ascontiguousarray(directions(atoms.surface.means[used[used < skin]], camera))
-    return ViewWeights(camera.height, camera.width, columns, skin, offsets, used, place[entries], weights, alpha, way)
+    return ViewWeights(camera.height, camera.width, columns, skin, offsets, used, entries, weights, alpha, way)
 
 
 class _Rows(torch.autograd.Function):

@@ -217,6 +217,31 @@ def accumulate(task, frame, colours, front, sums):  # type: ignore[no-untyped-de
                     sums[y, x, c] = total[c, k]
 
 
+@njit(cache=True, error_model="numpy")
+def _add_row(part, g, px, py, r, red, green, blue, at):  # type: ignore[no-untyped-def]
+    """Adds what one row of a tile hands back to the lanes of the GRADIENT sums in `part`."""
+    given = np.uintp(GRADIENT * TILE) + at
+    u0, u1, v0, v1, weight, edge = r[0], r[1], r[2], r[3], r[12], r[13]
+    for k in range(np.uintp(TILE)):
+        d0, d1 = part[given + k], part[given + np.uintp(AREA) + k]
+        d2, d3 = part[given + np.uintp(2 * AREA) + k], part[given + np.uintp(3 * AREA) + k]
+        d4 = part[given + np.uintp(4 * AREA) + k]
+        d_weight = d0 + red * d2 + green * d3 + blue * d4
+        p = -g[at + k] * (weight * d_weight + edge * d1)
+        dx, dy = (px[at + k] - u0) - u1, (py[at + k] - v0) - v1
+        w = g[at + k] * weight
+        part[k] += p * dx
+        part[np.uintp(TILE) + k] += p * dy
+        part[np.uintp(2 * TILE) + k] += p * dx * dx
+        part[np.uintp(3 * TILE) + k] += p * dx * dy
+        part[np.uintp(4 * TILE) + k] += p * dy * dy
+        part[np.uintp(5 * TILE) + k] += g[at + k] * d_weight
+        part[np.uintp(6 * TILE) + k] += g[at + k] * d1
+        part[np.uintp(7 * TILE) + k] += w * d2
+        part[np.uintp(8 * TILE) + k] += w * d3
+        part[np.uintp(9 * TILE) + k] += w * d4
+
+
 @njit(cache=True, error_model="numpy", nogil=True)
 def accumulate_backward(task, frame, colours, front, d_sums, first_rows, rows):  # type: ignore[no-untyped-def]
     """Writes the gradient row of every pair of some tiles, given d_sums (H, W, 5) of `accumulate`.
@@ -228,11 +253,8 @@ def accumulate_backward(task, frame, colours, front, d_sums, first_rows, rows): 
     lane = np.empty((5, AREA), kind)
     px, py, h, z, limit = lane[0], lane[1], lane[2], lane[3], lane[4]
     base, slope = np.empty((len(frame.planes), AREA), kind), np.empty((len(frame.planes), AREA), kind)
-    given = np.empty((5, AREA), kind)
-    d0, d1, d2, d3, d4 = given[0], given[1], given[2], given[3], given[4]
-    part = np.empty((GRADIENT, TILE), kind)
-    p0, p1, p2, p3, p4 = part[0], part[1], part[2], part[3], part[4]
-    p5, p6, p7, p8, p9 = part[5], part[6], part[7], part[8], part[9]
+    # One flat array, for one base pointer: with twenty the compiler would have to suspect that they overlap.
+    part = np.empty(GRADIENT * TILE + 5 * AREA, kind)
     near, zero, layer, cutoff = kind(frame.cam[21]), kind(0.0), kind(frame.layer), kind(0.5 * CUTOFF_Q)
     for tile in range(task * TILES_PER_TASK, min((task + 1) * TILES_PER_TASK, len(frame.first) - 1)):
         column, line = tile % frame.columns, tile // frame.columns
@@ -244,12 +266,11 @@ def accumulate_backward(task, frame, colours, front, d_sums, first_rows, rows): 
         for k in range(AREA):
             x, y = left + k % TILE, top + k // TILE
             limit[k] = -kind(np.inf)
-            given[:, k] = zero
             if x < width and y < height:
                 limit[k] = front[y, x] + layer if front[y, x] < kind(np.inf) else kind(FAR)
                 last = max(last, limit[k])
-                for c in range(5):
-                    given[c, k] = d_sums[y, x, c]
+            for c in range(5):
+                part[GRADIENT * TILE + c * AREA + k] = d_sums[y, x, c] if x < width and y < height else zero
         for pair in range(frame.first[tile], frame.first[tile + 1]):
             i = frame.listed[pair]
             r = frame.records[i]
@@ -259,35 +280,20 @@ def accumulate_backward(task, frame, colours, front, d_sums, first_rows, rows): 
             if start == end:
                 continue
             fragments(r, frame.spans[i], near, px, py, base, slope, start, end, h, z)
-            weight, edge = r[12], r[13]
             red, green, blue = colours[i, 0], colours[i, 1], colours[i, 2]
-            u0, u1, v0, v1 = r[0], r[1], r[2], r[3]
-            part[:] = zero
+            # From here on h holds exp(-q / 2).
+            for k in range(np.uintp(start), np.uintp(end)):
+                g = falloff(min(h[k], cutoff))
+                h[k] = g if (h[k] <= cutoff) & (z[k] <= limit[k]) else zero
+            part[: GRADIENT * TILE] = zero
             for line_k in range(start // TILE, end // TILE):
-                for lane_k in range(np.uintp(TILE)):
-                    n = np.uintp(line_k * TILE) + lane_k
-                    g = falloff(min(h[n], cutoff))
-                    g = g if (h[n] <= cutoff) & (z[n] <= limit[n]) else zero
-                    d_weight = d0[n] + red * d2[n] + green * d3[n] + blue * d4[n]
-                    p = -g * (weight * d_weight + edge * d1[n])
-                    dx, dy = (px[n] - u0) - u1, (py[n] - v0) - v1
-                    w = g * weight
-                    p0[lane_k] += p * dx
-                    p1[lane_k] += p * dy
-                    p2[lane_k] += p * dx * dx
-                    p3[lane_k] += p * dx * dy
-                    p4[lane_k] += p * dy * dy
-                    p5[lane_k] += g * d_weight
-                    p6[lane_k] += g * d1[n]
-                    p7[lane_k] += w * d2[n]
-                    p8[lane_k] += w * d3[n]
-                    p9[lane_k] += w * d4[n]
+                _add_row(part, h, px, py, r, red, green, blue, np.uintp(line_k * TILE))
             span = frame.spans[i]
             at = first_rows[i] + (line - span[2]) * (span[1] - span[0]) + column - span[0]
             for c in range(GRADIENT):
                 total = zero
-                for value in part[c]:
-                    total += value
+                for k in range(c * TILE, (c + 1) * TILE):
+                    total += part[k]
                 rows[at, c] = total
 
 

@@ -12,7 +12,19 @@ from engine.cpu.opaque_splats import TILE
 from engine.cpu.opaque_tiles import AREA, FAR, TILES_PER_TASK, falloff, fragments, rows_of, tile_points
 from engine.formula import CUTOFF_Q, MIN_WEIGHT
 
-__all__ = ["ROWS", "apply", "apply_transposed", "count_splats", "fill_faces", "fill_splats", "layer_limit", "truncate"]
+__all__ = [
+    "ROWS",
+    "apply",
+    "apply_transposed",
+    "count_splats",
+    "fill_faces",
+    "fill_splats",
+    "layer_limit",
+    "mark",
+    "rename",
+    "row_sums",
+    "truncate",
+]
 
 ROWS = 4096
 """Rows of the matrix in a task."""
@@ -87,6 +99,30 @@ def fill_faces(task, pixels, offsets, columns, entries, share, cursor, atoms, we
                 weights[place] = entries[e] * share[k]
                 place += 1
             cursor[pixels[k]] = place
+
+
+@njit(cache=True, nogil=True)
+def mark(task, offsets, atoms, occurs):  # type: ignore[no-untyped-def]
+    """Sets occurs (C,) where some rows have an entry; tasks may set one place together, to the same value."""
+    for e in range(offsets[task * ROWS], offsets[min((task + 1) * ROWS, len(offsets) - 1)]):
+        occurs[atoms[e]] = True
+
+
+@njit(cache=True, nogil=True)
+def rename(task, offsets, atoms, names):  # type: ignore[no-untyped-def]
+    """Replaces the atoms of some rows by names (C,)."""
+    for e in range(offsets[task * ROWS], offsets[min((task + 1) * ROWS, len(offsets) - 1)]):
+        atoms[e] = names[atoms[e]]
+
+
+@njit(cache=True, nogil=True)
+def row_sums(task, offsets, weights, sums):  # type: ignore[no-untyped-def]
+    """Fills some of sums (P,) with the sum of each row."""
+    for row in range(task * ROWS, min((task + 1) * ROWS, len(offsets) - 1)):
+        total = np.float32(0)
+        for e in range(offsets[row], offsets[row + 1]):
+            total += weights[e]
+        sums[row] = total
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
