@@ -22,7 +22,7 @@ from engine.camera import Camera
 from engine.cpu.blend import ADJOINT, BLOCK, BLOCKS, STATE, blend, blend_backward, resolve, start, start_backward
 from engine.cpu.depth_order import depth_order
 from engine.cpu.splats import GRADIENT, RECORD, project, project_backward
-from engine.cpu.tiles import SIDE, list_pairs, place_pairs, sum_open
+from engine.cpu.tiles import SIDE, list_pairs, place_pairs, sort_pairs, sum_open
 from engine.gaussians import Gaussians
 from engine.picture import Picture
 from engine.projection import pack_camera
@@ -30,10 +30,10 @@ from engine.threads import for_each
 
 __all__ = ["rasterize", "render"]
 
-SLICES = 8
+SLICES = 12
 """Slices of a large scene: enough for the front ones to hide most of the rest, few enough that each fills the cores."""
 
-LEAST_SLICE = 8192
+LEAST_SLICE = 1 << 15
 """Gaussians under which a slice costs more to set up than it can save."""
 
 CHUNKS = 16
@@ -61,11 +61,12 @@ class _Slice:
     first: int
     chunk_size: int
     record_counts: NDArray[np.int64]  # [chunks]
-    first_rows: NDArray[np.int64]  # [chunks]
+    first_places: NDArray[np.int64]  # [chunks]
     tiles: NDArray[np.int64]  # [T]
     tile_starts: NDArray[np.int64]  # [tiles + 1]
     pair_slots: NDArray[np.int32]  # [pairs]
-    pair_rows: NDArray[np.int32]  # [pairs]
+    pair_tiles: NDArray[np.int32]  # [most pairs]
+    pair_places: NDArray[np.int32]  # [most pairs]
 
 
 @dataclass
@@ -157,17 +158,18 @@ def _backward(
     for_each(start_backward, tiles_y, frame.states, np.asarray(background, kind), *outer, adjoints)
     parameters = scene.means, scene.scales, scene.quats, scene.opacities, scene.colours
     gradients = [np.zeros(array.shape, kind) for array in parameters]
+    tile_lasts = frame.lasts.max(axis=(1, 2))
     buffer = np.empty((max((len(part.pair_slots) for part in frame.slices), default=0), GRADIENT), kind)
     for part in reversed(frame.slices):
         rows = buffer[: len(part.pair_slots)]
         for_each(
             blend_backward, -(-len(part.tiles) // TILES_PER_TASK), TILES_PER_TASK, part.tiles, tiles_x,
-            part.tile_starts, part.pair_slots, part.pair_rows, frame.records, frame.lasts, adjoints, rows,
+            part.tile_starts, part.pair_slots, frame.records, frame.lasts, tile_lasts, adjoints, rows,
         )  # fmt: skip
         for_each(
             project_backward, len(part.record_counts), part.chunk_size, part.first, part.record_counts,
             frame.cam, frame.eye, *parameters, scene.plain, frame.owners, frame.pair_counts,
-            part.first_rows, rows, *gradients,
+            part.first_places, part.pair_tiles, part.pair_places, tile_lasts, rows, *gradients,
         )  # fmt: skip
     return gradients
 
@@ -205,31 +207,35 @@ def _composite_slice(
     chunks = -(-(last - first) // chunk_size)
     open_sums = np.empty((tiles_y + 1, tiles_x + 1), np.int32)
     sum_open(open_tiles, open_sums)
-    record_counts = np.empty(chunks, np.int64)
-    places = np.empty((chunks, tiles_y * tiles_x), np.int32)
+    record_counts, pair_bounds = np.empty(chunks, np.int64), np.empty(chunks, np.int64)
     for_each(
         project, chunks, chunk_size, order, first, last, frame.cam, frame.eye,
         scene.means, scene.scales, scene.quats, scene.opacities, scene.colours, scene.plain,
-        open_tiles, open_sums, frame.records, frame.owners, frame.pair_counts, record_counts, places,
+        open_sums, frame.records, frame.owners, record_counts, pair_bounds,
     )  # fmt: skip
-    first_rows = np.cumsum(places.sum(axis=1, dtype=np.int64))
-    pairs = int(first_rows[-1])
-    first_rows = np.concatenate([[0], first_rows[:-1]])
+    first_places = np.cumsum(pair_bounds) - pair_bounds
+    pair_tiles = np.empty(int(pair_bounds.sum()), np.int32)
+    places = np.empty((chunks, tiles_y * tiles_x), np.int32)
+    for_each(
+        list_pairs, chunks, chunk_size, first, record_counts, frame.records, open_tiles, first_places,
+        pair_tiles, frame.pair_counts, places,
+    )  # fmt: skip
     tile_starts = np.empty(tiles_y * tiles_x + 1, np.int64)
     place_pairs(places, tile_starts)
     tiles = np.flatnonzero(np.diff(tile_starts))
-    pair_slots = np.empty(pairs, np.int32)
-    pair_rows = np.empty(pairs, np.int32)
+    pair_slots, pair_places = np.empty(tile_starts[-1], np.int32), np.empty_like(pair_tiles)
     for_each(
-        list_pairs, chunks, chunk_size, first, record_counts, frame.records, open_tiles, places, first_rows,
-        pair_slots, pair_rows,
+        sort_pairs, chunks, chunk_size, first, record_counts, first_places, pair_tiles, frame.pair_counts, places,
+        pair_slots, pair_places,
     )  # fmt: skip
     tasks = -(-len(tiles) // TILES_PER_TASK)
     for_each(
         blend, tasks, TILES_PER_TASK, tiles, tile_starts, pair_slots, frame.records, frame.states, frame.lasts,
         open_tiles,
     )  # fmt: skip
-    frame.slices.append(_Slice(first, chunk_size, record_counts, first_rows, tiles, tile_starts, pair_slots, pair_rows))
+    frame.slices.append(
+        _Slice(first, chunk_size, record_counts, first_places, tiles, tile_starts, pair_slots, pair_tiles, pair_places)
+    )
 
 
 def _picture(

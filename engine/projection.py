@@ -101,7 +101,8 @@ def project_point(cam, x, y, z):  # type: ignore[no-untyped-def]
     """(u, v) in pixels of a camera-space point; z must not be 0 unless orthographic."""
     if cam[_ORTHO] != 0.0:
         return cam[_FX] * x + cam[_CX], cam[_FY] * y + cam[_CY]
-    return cam[_FX] * x / z + cam[_CX], cam[_FY] * y / z + cam[_CY]
+    per_depth = 1.0 / z
+    return cam[_FX] * x * per_depth + cam[_CX], cam[_FY] * y * per_depth + cam[_CY]
 
 
 @njit(cache=True, error_model="numpy")
@@ -109,9 +110,10 @@ def project_point_backward(cam, x, y, z, gu, gv):  # type: ignore[no-untyped-def
     """dL/d(camera-space point) of `project_point`."""
     if cam[_ORTHO] != 0.0:
         return cam[_FX] * gu, cam[_FY] * gv, 0.0
-    gx = cam[_FX] * gu / z
-    gy = cam[_FY] * gv / z
-    return gx, gy, -(gx * x + gy * y) / z
+    per_depth = 1.0 / z
+    gx = cam[_FX] * gu * per_depth
+    gy = cam[_FY] * gv * per_depth
+    return gx, gy, -(gx * x + gy * y) * per_depth
 
 
 @njit(cache=True, error_model="numpy")
@@ -123,9 +125,10 @@ def jacobian(cam, x, y, z):  # type: ignore[no-untyped-def]
     fx, fy = cam[_FX], cam[_FY]
     if cam[_ORTHO] != 0.0:
         return fx, 0.0, fy, 0.0
-    slope_x = min(max(x / z, cam[_X_LOW]), cam[_X_HIGH])
-    slope_y = min(max(y / z, cam[_Y_LOW]), cam[_Y_HIGH])
-    return fx / z, -fx * slope_x / z, fy / z, -fy * slope_y / z
+    per_depth = 1.0 / z
+    slope_x = min(max(x * per_depth, cam[_X_LOW]), cam[_X_HIGH])
+    slope_y = min(max(y * per_depth, cam[_Y_LOW]), cam[_Y_HIGH])
+    return fx * per_depth, -fx * slope_x * per_depth, fy * per_depth, -fy * slope_y * per_depth
 
 
 @njit(cache=True, error_model="numpy")
@@ -134,21 +137,22 @@ def jacobian_backward(cam, x, y, z, g00, g02, g11, g12):  # type: ignore[no-unty
     if cam[_ORTHO] != 0.0:
         return 0.0, 0.0, 0.0
     fx, fy = cam[_FX], cam[_FY]
-    z2 = z * z
-    slope_x, slope_y = x / z, y / z
+    per_depth = 1.0 / z
+    fx2, fy2 = fx * per_depth * per_depth, fy * per_depth * per_depth
+    slope_x, slope_y = x * per_depth, y * per_depth
     gx = 0.0
     gy = 0.0
-    gz = -(g00 * fx + g11 * fy) / z2
+    gz = -(g00 * fx2 + g11 * fy2)
     if cam[_X_LOW] <= slope_x <= cam[_X_HIGH]:
-        gx = -g02 * fx / z2
-        gz += 2.0 * g02 * fx * slope_x / z2
+        gx = -g02 * fx2
+        gz += 2.0 * g02 * fx2 * slope_x
     else:
-        gz += g02 * fx * min(max(slope_x, cam[_X_LOW]), cam[_X_HIGH]) / z2
+        gz += g02 * fx2 * min(max(slope_x, cam[_X_LOW]), cam[_X_HIGH])
     if cam[_Y_LOW] <= slope_y <= cam[_Y_HIGH]:
-        gy = -g12 * fy / z2
-        gz += 2.0 * g12 * fy * slope_y / z2
+        gy = -g12 * fy2
+        gz += 2.0 * g12 * fy2 * slope_y
     else:
-        gz += g12 * fy * min(max(slope_y, cam[_Y_LOW]), cam[_Y_HIGH]) / z2
+        gz += g12 * fy2 * min(max(slope_y, cam[_Y_LOW]), cam[_Y_HIGH])
     return gx, gy, gz
 
 
@@ -158,7 +162,8 @@ def rotation(qw, qx, qy, qz):  # type: ignore[no-untyped-def]
     length = math.sqrt(qw * qw + qx * qx + qy * qy + qz * qz)
     if not length > 0.0:
         return 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0
-    w, x, y, z = qw / length, qx / length, qy / length, qz / length
+    unit = 1.0 / length
+    w, x, y, z = qw * unit, qx * unit, qy * unit, qz * unit
     return (
         1.0 - 2.0 * (y * y + z * z),
         2.0 * (x * y - w * z),
@@ -178,14 +183,15 @@ def rotation_backward(qw, qx, qy, qz, g):  # type: ignore[no-untyped-def]
     length = math.sqrt(qw * qw + qx * qx + qy * qy + qz * qz)
     if not length > 0.0:
         return 0.0, 0.0, 0.0, 0.0
-    w, x, y, z = qw / length, qx / length, qy / length, qz / length
+    unit = 1.0 / length
+    w, x, y, z = qw * unit, qx * unit, qy * unit, qz * unit
     g00, g01, g02, g10, g11, g12, g20, g21, g22 = g
     gw = 2.0 * (x * (g21 - g12) + y * (g02 - g20) + z * (g10 - g01))
     gx = 2.0 * (w * (g21 - g12) + y * (g01 + g10) + z * (g02 + g20)) - 4.0 * x * (g11 + g22)
     gy = 2.0 * (w * (g02 - g20) + x * (g01 + g10) + z * (g12 + g21)) - 4.0 * y * (g00 + g22)
     gz = 2.0 * (w * (g10 - g01) + x * (g02 + g20) + y * (g12 + g21)) - 4.0 * z * (g00 + g11)
     along = gw * w + gx * x + gy * y + gz * z  # the length of q is not seen: only what turns it counts
-    return (gw - along * w) / length, (gx - along * x) / length, (gy - along * y) / length, (gz - along * z) / length
+    return (gw - along * w) * unit, (gx - along * x) * unit, (gy - along * y) * unit, (gz - along * z) * unit
 
 
 @njit(cache=True, error_model="numpy")
@@ -297,7 +303,8 @@ def screen_covariance_backward(b, gxx, gxy, gyy):  # type: ignore[no-untyped-def
 @njit(cache=True, error_model="numpy")
 def conic(xx, xy, yy, det):  # type: ignore[no-untyped-def]
     """(a, b, c) of the inverse of [[xx, xy], [xy, yy]]: q(dx, dy) = a dx^2 + 2 b dx dy + c dy^2."""
-    return yy / det, -xy / det, xx / det
+    per_det = 1.0 / det
+    return yy * per_det, -xy * per_det, xx * per_det
 
 
 @njit(cache=True, error_model="numpy")

@@ -227,6 +227,7 @@ def ball(n: int) -> list[Tensor]:
 
 def test_slices_and_threads_change_no_bit(monkeypatch: pytest.MonkeyPatch) -> None:
     parameters, camera = ball(20_000), orbit([0, 0, 0], [0, 0, 1], 30, 20, 4, 100, 90)
+    monkeypatch.setattr(classic, "LEAST_SLICE", 1000)
     pictures, all_gradients = gradients(rasterize, parameters, camera)
     count = cores()
     for threads in (1, 2, 3):

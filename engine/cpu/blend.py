@@ -14,7 +14,7 @@ from llvmlite import ir  # type: ignore[import-untyped]
 from numba import njit, types
 from numba.extending import intrinsic, overload
 
-from engine.cpu.tiles import SIDE, SLACK, TAIL_BITS
+from engine.cpu.tiles import SIDE, SLACK, TAIL_BITS, WIDER
 
 __all__ = [
     "ADJOINT",
@@ -77,6 +77,34 @@ def _bits_float(typingctx, x):  # type: ignore[no-untyped-def]
     return types.float32(types.int32), codegen
 
 
+@intrinsic
+def _lane_sum(typingctx, lanes, row):  # type: ignore[no-untyped-def]
+    """The sum of lanes[row, :BLOCK], the two halves added up until one number is left.
+
+    The compiler may not reorder a plain loop of float additions, so it would add one number after the other.
+    """
+
+    def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+        kind = context.get_data_type(signature.args[0].dtype)
+        data = context.make_array(signature.args[0])(context, builder, args[0]).data
+        address = builder.gep(data, [builder.mul(args[1], ir.Constant(args[1].type, BLOCK))])
+        pointer = builder.bitcast(address, ir.VectorType(kind, BLOCK).as_pointer())
+        total = builder.load(pointer, align=context.get_abi_sizeof(kind))
+        width = BLOCK
+        while width > 1:
+            width //= 2
+            lanes_kind = ir.VectorType(ir.IntType(32), width)
+            low = ir.Constant(lanes_kind, list(range(width)))
+            high = ir.Constant(lanes_kind, list(range(width, 2 * width)))
+            nothing = ir.Constant(total.type, ir.Undefined)
+            total = builder.fadd(
+                builder.shuffle_vector(total, nothing, low), builder.shuffle_vector(total, nothing, high)
+            )
+        return builder.extract_element(total, ir.Constant(ir.IntType(32), 0))
+
+    return lanes.dtype(lanes, types.int64), codegen
+
+
 def exp2(x):  # type: ignore[no-untyped-def]
     """2^x for -100 < x < 100. In float32 a polynomial, because the library's is a call and stops vectorisation."""
     return 2.0**x
@@ -106,8 +134,8 @@ def _exp2(x):  # type: ignore[no-untyped-def]
 @njit(cache=True, error_model="numpy")
 def _block_rows(v, reach):  # type: ignore[no-untyped-def]
     """(first, one past last) block of a tile with a pixel centre within reach of v, which is counted from its top."""
-    low = max(v - reach * (1.0 + 1e-5) - (0.5 + SLACK), 0.0)
-    high = min(v + reach * (1.0 + 1e-5) - (0.5 - SLACK), SIDE - 1.0)
+    low = max(v - reach * WIDER - (0.5 + SLACK), 0.0)
+    high = min(v + reach * WIDER - (0.5 - SLACK), SIDE - 1.0)
     if not low <= high:
         return 0, 0
     return math.ceil(low) // 2, int(high) // 2 + 1
@@ -192,11 +220,11 @@ def blend_backward(  # type: ignore[no-untyped-def]
     tiles_x,
     tile_starts,  # [all tiles + 1]
     pair_slots,  # [pairs]
-    pair_rows,  # [pairs]
     records,  # [V, RECORD]
     lasts,  # [all tiles, BLOCKS, BLOCK]
+    tile_lasts,  # [all tiles] greatest of them
     adjoints,  # in out [all tiles, BLOCKS, ADJOINT * BLOCK]
-    rows,  # out [pairs, GRADIENT]
+    rows,  # out [pairs, GRADIENT], left alone where the tile was closed before the pair
 ):
     """Walks back through the pairs of a slice in the tiles of one task and writes each pair's sums over its pixels.
 
@@ -206,8 +234,7 @@ def blend_backward(  # type: ignore[no-untyped-def]
     number = adjoints.dtype.type
     zero, half, one = number(0), number(0.5), number(1)
     least, most = number(-TAIL_BITS), number(MAX_ALPHA)
-    lanes = np.empty((7, BLOCK), adjoints.dtype)
-    folds = np.empty(10 * SIDE, adjoints.dtype)
+    lanes = np.empty((10, BLOCK), adjoints.dtype)
     block_last = np.empty(BLOCKS, np.int32)
     for index in range(task * tiles_per_task, min((task + 1) * tiles_per_task, len(tiles))):
         tile = tiles[index]
@@ -217,18 +244,17 @@ def blend_backward(  # type: ignore[no-untyped-def]
             block_last[block] = lasts[tile, block].max()
         for at in range(tile_starts[tile + 1] - 1, tile_starts[tile] - 1, -1):
             slot = pair_slots[at]
+            if slot > tile_lasts[tile]:
+                continue
             q = records[slot]
             u, v = (q[0] - left) + q[1], (q[2] - top) + q[3]
             a, b, c, light = q[4], q[5], q[6], q[7]
             red, green, blue, depth = q[8], q[9], q[10], q[11]
-            row = rows[pair_rows[at]]
             first, last = _block_rows(v, q[13])
-            lanes[:] = zero
-            touched = False
+            lanes[:7] = zero
             for block in range(first, last):
                 if slot > block_last[block]:
                     continue
-                touched = True
                 s = adjoints[tile, block]
                 last_drawn = lasts[tile, block]
                 y = number(2 * block) + half - v
@@ -254,29 +280,22 @@ def blend_backward(  # type: ignore[no-untyped-def]
                     lanes[4, i] += w * s[3 * BLOCK + i]
                     lanes[5, i] += w * s[4 * BLOCK + i]
                     lanes[6, i] += w * s[5 * BLOCK + i]
-            if not touched:
-                row[:] = zero
-                continue
-            for i in range(SIDE):  # m is the same all along a column: its moments are taken here
-                m = a * (number(i) + half - u)
-                p = lanes[0, i] + lanes[0, SIDE + i]
-                pn = lanes[1, i] + lanes[1, SIDE + i]
-                folds[i] = p
-                folds[SIDE + i] = p * m
-                folds[2 * SIDE + i] = pn
-                folds[3 * SIDE + i] = p * m * m
-                folds[4 * SIDE + i] = pn * m
-                folds[5 * SIDE + i] = lanes[2, i] + lanes[2, SIDE + i]
-                folds[6 * SIDE + i] = lanes[3, i] + lanes[3, SIDE + i]
-                folds[7 * SIDE + i] = lanes[4, i] + lanes[4, SIDE + i]
-                folds[8 * SIDE + i] = lanes[5, i] + lanes[5, SIDE + i]
-                folds[9 * SIDE + i] = lanes[6, i] + lanes[6, SIDE + i]
-            for k in range(40):  # neighbours pair up, three times: 8 columns to 1
-                folds[k] = folds[2 * k] + folds[2 * k + 1]
-            for k in range(20):
-                folds[k] = folds[2 * k] + folds[2 * k + 1]
-            for k in range(10):
-                row[k] = folds[2 * k] + folds[2 * k + 1]
+            for i in range(BLOCK):  # m is the same all along a column: its moments are taken here
+                m = a * (number(i & (SIDE - 1)) + half - u)
+                lanes[7, i] = lanes[0, i] * m
+                lanes[8, i] = lanes[0, i] * m * m
+                lanes[9, i] = lanes[1, i] * m
+            row = rows[at]
+            row[0] = _lane_sum(lanes, 0)  # type: ignore[call-arg]
+            row[1] = _lane_sum(lanes, 7)
+            row[2] = _lane_sum(lanes, 1)
+            row[3] = _lane_sum(lanes, 8)
+            row[4] = _lane_sum(lanes, 9)
+            row[5] = _lane_sum(lanes, 2)
+            row[6] = _lane_sum(lanes, 3)
+            row[7] = _lane_sum(lanes, 4)
+            row[8] = _lane_sum(lanes, 5)
+            row[9] = _lane_sum(lanes, 6)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numba import njit
 
-from engine.cpu.tiles import SIDE, TAIL_BITS, row_span, tile_rows
+from engine.cpu.tiles import SIDE, TAIL_BITS, box_size
 from engine.formula import LOW_PASS
 from engine.projection import (
     camera_point,
@@ -28,10 +28,12 @@ from engine.sh import C0, C1, C2, C3
 __all__ = ["GRADIENT", "RECORD", "project", "project_backward"]
 
 RECORD = 16
-"""Numbers in a record, 64 bytes in float32: one cache line. 0 1 whole and broken part of u, 2 3 of v; 4 5 6 whitening
-and 7 logarithm of the opacity, so that alpha = 2^(r7 - m^2 - n^2) with m = r4 dx, n = r5 dx + r6 dy: squares lose no
-digits on long needles, as a dx^2 + 2 b dx dy + c dy^2 does; 8 9 10 colour, 11 depth; 12 13 half width and height of the
-box outside which alpha is under 1/255, pixels. Two spare."""
+"""Numbers in a record, 64 bytes in float32: one cache line.
+
+0 1 whole and broken part of u, 2 3 of v; 4 5 6 whitening and 7 logarithm of the opacity, so that alpha =
+2^(r7 - m^2 - n^2) with m = r4 dx, n = r5 dx + r6 dy: squares lose no digits on long needles, as a dx^2 + 2 b dx dy +
+c dy^2 does; 8 9 10 colour, 11 depth; 12 13 half width and height of the ellipse outside which alpha is under 1/255,
+14 dx per dy along the middles of its horizontal chords, 15 half its middle chord, pixels."""
 
 GRADIENT = 10
 """Sums over pixels that a (tile, Gaussian) pair hands back, with p = dL/dalpha * alpha and w the pixel's weight:
@@ -49,7 +51,8 @@ def _direction(cam, eye, x, y, z):  # type: ignore[no-untyped-def]
         return cam[6], cam[7], cam[8], 0.0
     dx, dy, dz = x - eye[0], y - eye[1], z - eye[2]
     length = math.sqrt(dx * dx + dy * dy + dz * dz)
-    return dx / length, dy / length, dz / length, length
+    unit = 1.0 / length
+    return dx * unit, dy * unit, dz * unit, length
 
 
 @njit(cache=True, error_model="numpy")
@@ -109,22 +112,23 @@ def _sh_direction_gradient(x, y, z, bands, g):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _may_touch(cam, camera_x, camera_y, z, u, v, scale, open_sums):  # type: ignore[no-untyped-def]
+def _may_touch(u, v, j00, j02, j11, j12, scale, open_sums):  # type: ignore[no-untyped-def]
     """Whether an open tile lies in a box that surely holds the Gaussian: its largest scale in all directions."""
     tiles_y, tiles_x = open_sums.shape[0] - 1, open_sums.shape[1] - 1
-    j00, j02, j11, j12 = jacobian(cam, camera_x, camera_y, z)
-    ss = scale * scale
-    reach_x = REACH * math.sqrt(ss * (j00 * j00 + j02 * j02) + LOW_PASS) + 1.0
-    reach_y = REACH * math.sqrt(ss * (j11 * j11 + j12 * j12) + LOW_PASS) + 1.0
-    x0 = int(min(max((u - reach_x) / SIDE, 0.0), tiles_x))
-    x1 = int(min(max((u + reach_x) / SIDE + 1.0, 0.0), tiles_x))
-    y0 = int(min(max((v - reach_y) / SIDE, 0.0), tiles_y))
-    y1 = int(min(max((v + reach_y) / SIDE + 1.0, 0.0), tiles_y))
+    reach_x = REACH * (scale * (abs(j00) + abs(j02))) + FRINGE
+    reach_y = REACH * (scale * (abs(j11) + abs(j12))) + FRINGE
+    x0 = int(min(max((u - reach_x) * (1.0 / SIDE), 0.0), tiles_x))
+    x1 = int(min(max((u + reach_x) * (1.0 / SIDE) + 1.0, 0.0), tiles_x))
+    y0 = int(min(max((v - reach_y) * (1.0 / SIDE), 0.0), tiles_y))
+    y1 = int(min(max((v + reach_y) * (1.0 / SIDE) + 1.0, 0.0), tiles_y))
     return open_sums[y1, x1] - open_sums[y0, x1] - open_sums[y1, x0] + open_sums[y0, x0] > 0
 
 
 REACH = math.sqrt(2.0 * math.log(255.0)) * 1.001
 """Standard deviations beyond which an opaque Gaussian is under 1/255, and a little."""
+
+FRINGE = REACH * math.sqrt(LOW_PASS) + 1.0
+"""What the low-pass adds to that, pixels, and a little."""
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -142,25 +146,22 @@ def project(  # type: ignore[no-untyped-def]
     opacities,  # [N]
     colours,  # [N, K, 3]
     plain,  # colours are RGB (K = 1), not SH
-    open_tiles,  # [tiles_y, tiles_x] uint8
-    open_sums,  # [tiles_y + 1, tiles_x + 1] summed-area table of open_tiles
+    open_sums,  # [tiles_y + 1, tiles_x + 1] summed-area table of the open tiles
     records,  # out [V, RECORD]
     owners,  # out [V] index of the Gaussian
-    pair_counts,  # out [V] tiles of each record
     record_counts,  # out [chunks of this slice]
-    tile_counts,  # out [chunks of this slice, tiles]
+    pair_bounds,  # out [chunks of this slice] at most so many tiles are touched
 ):
-    """Writes the records of one chunk of a slice, packed from the chunk's first place on, and counts their tiles.
+    """Writes the records of one chunk of a slice, packed from the chunk's first place on.
 
     A record's place grows with depth: comparing places compares depths.
     """
     start = first + chunk * chunk_size
     stop = min(start + chunk_size, last)
-    tiles_y, tiles_x = open_tiles.shape
+    tiles_y, tiles_x = open_sums.shape[0] - 1, open_sums.shape[1] - 1
     bands = colours.shape[1]
     basis = np.empty(16, np.float64)
-    counts = tile_counts[chunk]
-    counts[:] = 0
+    most_pairs = 0
     slot = start
     for k in range(start, stop):
         i = order[k]
@@ -168,7 +169,8 @@ def project(  # type: ignore[no-untyped-def]
         x, y, z = camera_point(cam, px, py, pz)
         u, v = project_point(cam, x, y, z)
         sx, sy, sz = np.float64(scales[i, 0]), np.float64(scales[i, 1]), np.float64(scales[i, 2])
-        if not _may_touch(cam, x, y, z, u, v, max(sx, sy, sz), open_sums):
+        affine = jacobian(cam, x, y, z)
+        if not _may_touch(u, v, affine[0], affine[1], affine[2], affine[3], max(sx, sy, sz), open_sums):
             continue
         opacity = np.float64(opacities[i])
         if not opacity * 255.0 >= 1.0:
@@ -183,7 +185,7 @@ def project(  # type: ignore[no-untyped-def]
             sy,
             sz,
         )
-        xx, xy, yy, det, _ = screen_covariance(screen_axes(jacobian(cam, x, y, z), axes), LOW_PASS)
+        xx, xy, yy, det, _ = screen_covariance(screen_axes(affine, axes), LOW_PASS)
         if not (det > 0.0 and det < 1e60 and abs(u) + abs(v) < 1e15):
             continue  # not a number, or past all measure
         log_opacity = math.log2(opacity)
@@ -200,16 +202,12 @@ def project(  # type: ignore[no-untyped-def]
         record[11] = z
         record[12] = math.sqrt(reach * xx)
         record[13] = math.sqrt(reach * yy)
-        pairs = 0
-        y0, y1 = tile_rows(record, tiles_y)
-        for ty in range(y0, y1):
-            x0, x1 = row_span(record, ty, tiles_x)
-            for tx in range(x0, x1):
-                if open_tiles[ty, tx]:
-                    counts[ty * tiles_x + tx] += 1
-                    pairs += 1
-        if pairs == 0:
+        record[14] = xy / yy
+        record[15] = math.sqrt(reach * det / yy)
+        size = box_size(record, tiles_y, tiles_x)
+        if size == 0:
             continue
+        most_pairs += size
         if plain:
             record[8], record[9], record[10] = colours[i, 0, 0], colours[i, 0, 1], colours[i, 0, 2]
         else:
@@ -221,9 +219,9 @@ def project(  # type: ignore[no-untyped-def]
                     value += basis[band] * colours[i, band, channel]
                 record[8 + channel] = max(value, 0.0)
         owners[slot] = i
-        pair_counts[slot] = pairs
         slot += 1
     record_counts[chunk] = slot - start
+    pair_bounds[chunk] = most_pairs
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -241,9 +239,12 @@ def project_backward(  # type: ignore[no-untyped-def]
     colours,
     plain,
     owners,
-    pair_counts,
-    first_rows,  # [chunks of this slice] where the chunk's gradient rows begin
-    rows,  # [pairs of this slice, GRADIENT]
+    pair_counts,  # [V]
+    first_places,  # [chunks of this slice] where the chunk's pairs begin in
+    pair_tiles,  # [most pairs] tile of each pair, record by record, and
+    pair_places,  # [most pairs] place of the pair in the list of its tile
+    tile_lasts,  # [tiles] last record that a tile saw before it closed
+    rows,  # [pairs of this slice, GRADIENT] by place
     g_means,  # out, like the parameters
     g_scales,
     g_quats,
@@ -256,13 +257,19 @@ def project_backward(  # type: ignore[no-untyped-def]
     basis = np.empty(16, np.float64)
     g_basis = np.empty(16, np.float64)
     sums = np.empty(GRADIENT, np.float64)
-    row = first_rows[chunk]
+    end = first_places[chunk]
     for slot in range(start, start + record_counts[chunk]):
+        begin, end = end, end + pair_counts[slot]
+        seen = False
         sums[:] = 0.0
-        for _ in range(pair_counts[slot]):
-            for column in range(GRADIENT):
-                sums[column] += rows[row, column]
-            row += 1
+        for pair in range(begin, end):
+            if slot <= tile_lasts[pair_tiles[pair]]:
+                seen = True
+                row = rows[pair_places[pair]]
+                for column in range(GRADIENT):
+                    sums[column] += row[column]
+        if not seen:
+            continue
         i = owners[slot]
         px, py, pz = np.float64(means[i, 0]), np.float64(means[i, 1]), np.float64(means[i, 2])
         qw, qx, qy, qz = (

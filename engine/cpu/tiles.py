@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numba import njit
 
-__all__ = ["SIDE", "SLACK", "TAIL_BITS", "list_pairs", "place_pairs", "row_span", "sum_open", "tile_rows"]
+__all__ = ["SIDE", "SLACK", "TAIL_BITS", "WIDER", "box_size", "list_pairs", "place_pairs", "sort_pairs", "sum_open"]
 
 SIDE = 8
 """Pixels along a tile's edge. A splat of a detailed scene is a few pixels wide: larger tiles mostly miss it."""
@@ -18,45 +18,28 @@ TAIL_BITS = math.log2(255.0)
 SLACK = 1e-3
 """Pixels by which the outline is widened, against rounding: an extra tile changes nothing, a missing one would."""
 
-
-@njit(cache=True, error_model="numpy")
-def tile_rows(record, tiles_y):  # type: ignore[no-untyped-def]
-    """(first, one past last) row of tiles with a pixel centre inside the record's box."""
-    v = np.float64(record[2]) + np.float64(record[3])
-    reach = record[13] * (1.0 + 1e-5) + SLACK
-    low = math.ceil(min(max(v - reach - 0.5, 0.0), 1e9))
-    high = math.floor(min(max(v + reach - 0.5, -1.0), tiles_y * SIDE - 1.0))
-    if low > high:
-        return 0, 0
-    return int(low) // SIDE, int(high) // SIDE + 1
+WIDER = 1.0 + 1e-5
+"""Factor by which it is widened, for the rounding of large splats."""
 
 
 @njit(cache=True, error_model="numpy")
-def row_span(record, ty, tiles_x):  # type: ignore[no-untyped-def]
-    """(first, one past last) column of tiles whose pixel centres in tile row ty may see alpha >= 1/255.
-
-    The chord of the ellipse at height dy is centred on m dy and has half width h sqrt(1 - (dy/ey)^2): over a band of
-    dy its ends lie where the ellipse is widest or at the end of the band nearest to there.
-    """
-    u = np.float64(record[0]) + np.float64(record[1])
-    v = np.float64(record[2]) + np.float64(record[3])
-    ex = record[12] * (1.0 + 1e-5) + SLACK
-    ey = record[13] * (1.0 + 1e-5) + SLACK
-    low = max(ty * SIDE + 0.5 - v, -ey)
-    high = min(ty * SIDE + (SIDE - 0.5) - v, ey)
-    a = max(np.float64(record[4]) * record[4] + np.float64(record[5]) * record[5], 1e-30)
-    m = -np.float64(record[5]) * record[6] / a
-    h = math.sqrt((record[7] + TAIL_BITS) / a) * (1.0 + 1e-5) + SLACK
-    widest = m * ey * ey / ex
-    right = min(max(widest, low), high)
-    left = min(max(-widest, low), high)
-    x1 = u + min(m * right + h * math.sqrt(max(1.0 - (right / ey) * (right / ey), 0.0)) + SLACK, ex)
-    x0 = u + max(m * left - h * math.sqrt(max(1.0 - (left / ey) * (left / ey), 0.0)) - SLACK, -ex)
-    first = math.ceil(min(max(x0 - 0.5, 0.0), 1e9))
-    last = math.floor(min(max(x1 - 0.5, -1.0), tiles_x * SIDE - 1.0))
+def _tile_range(low, high, tiles):  # type: ignore[no-untyped-def]
+    """(first, one past last) tile of a row of so many with a pixel centre in low..high."""
+    first = math.ceil(min(max(low - 0.5, 0.0), 1e9))
+    last = math.floor(min(max(high - 0.5, -1.0), tiles * SIDE - 1.0))
     if first > last:
         return 0, 0
     return int(first) // SIDE, int(last) // SIDE + 1
+
+
+@njit(cache=True, error_model="numpy")
+def box_size(record, tiles_y, tiles_x):  # type: ignore[no-untyped-def]
+    """Number of tiles in the box around the record's ellipse."""
+    u, v = np.float64(record[0]) + np.float64(record[1]), np.float64(record[2]) + np.float64(record[3])
+    ex, ey = record[12] * WIDER + SLACK, record[13] * WIDER + SLACK
+    x0, x1 = _tile_range(u - ex, u + ex, tiles_x)
+    y0, y1 = _tile_range(v - ey, v + ey, tiles_y)
+    return (x1 - x0) * (y1 - y0)
 
 
 @njit(cache=True, error_model="numpy")
@@ -94,27 +77,71 @@ def list_pairs(  # type: ignore[no-untyped-def]
     first,
     record_counts,  # [chunks]
     records,
-    open_tiles,
-    places,  # [chunks, tiles] next free place of this chunk in each tile's list
-    first_rows,  # [chunks]
-    pair_slots,  # out [pairs]
-    pair_rows,  # out [pairs] row of the pair among its Gaussian's
+    open_tiles,  # [tiles_y, tiles_x]
+    first_places,  # [chunks] where the chunk may begin to write its tiles
+    pair_tiles,  # out [most pairs] tiles of each record in turn
+    pair_counts,  # out [V] how many of them
+    tile_counts,  # out [chunks, tiles]
 ):
-    """Writes the records of one chunk into the lists of the tiles they touch, nearest first."""
+    """Finds the open tiles with a pixel centre where a record's alpha may reach 1/255.
+
+    The chord of the ellipse at height dy has its middle at m dy and its half width is h sqrt(1 - (dy/ey)^2): within a
+    row of tiles its ends reach farthest where the ellipse is widest, or at the end of the row nearest to there.
+    """
     start = first + chunk * chunk_size
     tiles_y, tiles_x = open_tiles.shape
-    free = places[chunk]
-    row = first_rows[chunk]
+    counts = tile_counts[chunk]
+    counts[:] = 0
+    at = first_places[chunk]
     for slot in range(start, start + record_counts[chunk]):
         record = records[slot]
-        y0, y1 = tile_rows(record, tiles_y)
+        u, v = np.float64(record[0]) + np.float64(record[1]), np.float64(record[2]) + np.float64(record[3])
+        ex, ey = record[12] * WIDER + SLACK, record[13] * WIDER + SLACK
+        m, h = np.float64(record[14]), record[15] * WIDER + SLACK
+        per_ey = 1.0 / ey
+        widest = m * ey * ey / ex
+        begin = at
+        y0, y1 = _tile_range(v - ey, v + ey, tiles_y)
         for ty in range(y0, y1):
-            x0, x1 = row_span(record, ty, tiles_x)
-            for tx in range(x0, x1):
+            low = max(ty * SIDE + 0.5 - v, -ey)
+            high = min(ty * SIDE + (SIDE - 0.5) - v, ey)
+            right = min(max(widest, low), high)
+            left = min(max(-widest, low), high)
+            fall_right, fall_left = right * per_ey, left * per_ey
+            x1 = u + min(m * right + h * math.sqrt(max(1.0 - fall_right * fall_right, 0.0)) + SLACK, ex)
+            x0 = u + max(m * left - h * math.sqrt(max(1.0 - fall_left * fall_left, 0.0)) - SLACK, -ex)
+            tx0, tx1 = _tile_range(x0, x1, tiles_x)
+            for tx in range(tx0, tx1):
                 if open_tiles[ty, tx]:
                     tile = ty * tiles_x + tx
-                    at = free[tile]
-                    free[tile] = at + 1
-                    pair_slots[at] = slot
-                    pair_rows[at] = row
-                    row += 1
+                    counts[tile] += 1
+                    pair_tiles[at] = tile
+                    at += 1
+        pair_counts[slot] = at - begin
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def sort_pairs(  # type: ignore[no-untyped-def]
+    chunk,
+    chunk_size,
+    first,
+    record_counts,  # [chunks]
+    first_places,  # [chunks]
+    pair_tiles,  # [most pairs]
+    pair_counts,  # [V]
+    free_places,  # [chunks, tiles] next free place of this chunk in each tile's list
+    pair_slots,  # out [pairs] record by place: tile by tile, nearest first
+    pair_places,  # out [most pairs] and back: place of each pair, record by record
+):
+    """Brings the pairs of one chunk into the lists of their tiles."""
+    start = first + chunk * chunk_size
+    free = free_places[chunk]
+    pair = first_places[chunk]
+    for slot in range(start, start + record_counts[chunk]):
+        for _ in range(pair_counts[slot]):
+            tile = pair_tiles[pair]
+            place = free[tile]
+            free[tile] = place + 1
+            pair_slots[place] = slot
+            pair_places[pair] = place
+            pair += 1
