@@ -43,7 +43,7 @@ class SurfaceAtoms:
     @property
     def sh_degree(self) -> int:
         """Degree of the spherical harmonics, 0..3."""
-        return int(round(self.sh.shape[1] ** 0.5)) - 1
+        return round(self.sh.shape[1] ** 0.5) - 1
 
 
 @dataclass(frozen=True)

@@ -33,8 +33,10 @@ EDGE_SLOPE = 0.59
 LATTICE_DENSITY = (2.0 * math.pi) ** 1.5 / 8.0
 """Sum of the weights inside a lattice of spheres with sigma = pitch / 2."""
 
-SOLID_DENSITY = LATTICE_DENSITY / 2
-"""Weight sum from which a point counts as solid: half of the lattice's, which its boundary plane has."""
+SOLID_DENSITY = LATTICE_DENSITY / 4
+"""Weight sum from which a point counts as solid. A boundary plane of an even lattice has half of the lattice's, but
+atoms are jittered and end a little under the skin: at half, 6 % of the points 0.05 to 1.5 pitches under a skin are
+holes, at a quarter 0.2 %, and 0.04 % of those 0.4 to 1 pitch above it are solid."""
 
 MIN_WEIGHT = 1e-6
 """Weight sum under which a pixel has no colour of its own."""

@@ -55,7 +55,7 @@ def colours(
     directions: NDArray[np.floating],  # [N, 3] unit, eye to Gaussian
 ) -> NDArray[np.floating]:
     """(N, 3). RGB of each Gaussian seen along its direction. Range [0, inf)."""
-    degree = int(round(sh.shape[1] ** 0.5)) - 1
+    degree = round(sh.shape[1] ** 0.5) - 1
     return np.maximum(0.5 + np.einsum("nk,nkc->nc", basis(directions, degree), sh), 0)
 
 
