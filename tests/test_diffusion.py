@@ -16,8 +16,10 @@ from PIL import Image, ImageDraw
 from tiny_diffusion import NATIVE, save_midas, save_tiny
 
 from engine.errors import InputError
+from training.cli import main
 from training.families import Family
 from training.prior import Condition, Encodes, Solves
+from training.run import Request, make_prior
 from training.sds import distill, touched
 
 
@@ -375,6 +377,45 @@ def test_half_precision_copies_are_found(tiny, tmp_path):
     for path in folder.glob("*/*.safetensors"):
         path.rename(path.with_suffix(".fp16.safetensors"))
     StableDiffusionPrior(folder, device=torch.device("cpu"))
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("finetune --model nowhere -o new --exemplar horizontal=PICTURE", "nowhere: no such folder"),
+        ("finetune --model nowhere -o TAKEN --exemplar horizontal=PICTURE", "is there already"),
+        ("finetune --model nowhere -o new --exemplar sideways=PICTURE", "no family 'sideways'"),
+        ("PICTURE -o new --prior stable-diffusion", "no plane to train"),
+        ("PICTURE -o new --exemplar horizontal=PICTURE --model TAKEN", "belong to --prior stable-diffusion"),
+    ],
+)
+def test_commands_say_what_is_wrong(tiny, picture, tmp_path, monkeypatch, capsys, words, said):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("signal.signal", lambda *_: None)
+    words = words.replace("PICTURE", str(picture)).replace("TAKEN", str(tiny))
+    monkeypatch.setattr("sys.argv", ["fruitninja-train", *words.split()])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 2
+    error = capsys.readouterr().err
+    assert said in error and error.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_command_finetunes(tiny, picture, tmp_path, monkeypatch, capsys):
+    out, events = tmp_path / "new", tmp_path / "events"
+    monkeypatch.setattr("signal.signal", lambda *_: None)
+    words = f"finetune --model {tiny} -o {out} --exemplar radial={picture} --steps 1 --object pear --events {events}"
+    monkeypatch.setattr("sys.argv", ["fruitninja-train", *words.split()])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert not ended.value.code
+    assert capsys.readouterr().out.strip() == str(out)
+    lines = [json.loads(line) for line in events.read_text().splitlines()]
+    assert [line["event"] for line in lines if line["event"] != "progress"] == ["stage", "done"]
+    request = Request(picture, (), prior="stable-diffusion", model=out)
+    assert make_prior(request).prompts["radial"].endswith(" a sks pear")
+    assert request.fingerprint() != Request(picture, (), prior="stable-diffusion", model=tiny).fingerprint()
 
 
 def test_a_missing_package_is_said_in_one_line():
