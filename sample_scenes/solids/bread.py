@@ -78,8 +78,8 @@ def _depth(x: float, y: float, z: float, number: int) -> float:
     a = _level(x + e, y, z, number) - here
     b = _level(x, y + e, z, number) - here
     c = _level(x, y, z + e, number) - here
-    # Deep inside, where all sides are equally far, the gradient vanishes.
-    return here / max(math.sqrt(a * a + b * b + c * c) / e, 0.6)
+    # Deep inside, where sides are equally far, the gradient vanishes or jumps: there the level has to do.
+    return here / min(max(math.sqrt(a * a + b * b + c * c) / e, 0.6), 1.15)
 
 
 @njit(cache=True, parallel=True)
