@@ -46,7 +46,7 @@ class Driver:
 
     def still(self) -> None:
         """Until nothing moves."""
-        self.until(lambda: not self.window.viewport.moving, 10.0)
+        self.until(lambda: not (self.window.viewport.moving or self.window.painter.unfinished), 30.0)
         self.frames(2)
 
     def point(self, x: float, y: float) -> ImVec2:

@@ -12,12 +12,21 @@ from numpy.typing import NDArray
 
 from app.motion import Vec3
 from app.session import Session
-from engine.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from engine.camera import Camera
+from engine.gl.look import Mode
+from engine.gl.overlay import Sheet
 from engine.gl.renderer import Renderer
 from engine.piece import Piece
 
 __all__ = ["Painter"]
+
+SLOW, QUICK = 60.0, 20.0
+"""Milliseconds of a frame over which a moving view is drawn coarser, and under which it is drawn finer again."""
+
+COARSEST = 4
+"""Level of detail: each halves the atoms."""
+
+MODES: dict[str, Mode] = {"capture": "classic", "solid": "opaque", "interior": "interior"}
 
 
 class Painter:
@@ -29,107 +38,104 @@ class Painter:
         self.renderer = Renderer(ctx)
         self.ctx = self.renderer.ctx
         self.milliseconds = 0.0
-        """Of the last frame that was drawn."""
-        self.drawn = 0
-        """Frames drawn so far."""
-        self._held: tuple[int, str] | None = None
-        self._colours = -1
+        """Of the last frame of full quality."""
+        self.unfinished = False
+        """Whether a better frame should follow soon: the last one was coarse, or in an older order."""
+        self._level = 0
+        self._capture: object = None
+        self._atoms: tuple[int, int] | None = None
+        """Geometry and colours of the session that the GPU has."""
         self._key: object = None
-        self._capture = None
-        self._cpu = None
-        self._seen = None
         self._texture: moderngl.Texture | None = None
 
     def frame(
-        self, session: Session, camera: Camera, pieces: Sequence[Piece], background: Vec3
+        self,
+        session: Session,
+        camera: Camera,
+        pieces: Sequence[Piece],
+        background: Vec3,
+        sheets: Sequence[Sheet] = (),
+        moving: bool = False,
     ) -> moderngl.Texture | None:
-        """The session's object as it is now; None while there is nothing to draw. Lasts until the next call."""
+        """The session's object as it is now; None while there is nothing to draw. Lasts until the next call.
+
+        `moving`: the view changes from frame to frame, and keeping up matters more than the last atom.
+        """
         if not self._hold(session):
             return None
-        light = session.settings.face_light
+        level = self._level if moving and session.mode != "capture" else 0
+        light, mode = session.settings.face_light, session.mode
         key = (
-            self._held,
-            self._colours,
+            (mode, self._atoms, id(self._capture), background, light, level),
             camera.viewmat.tobytes(),
-            replace(camera, viewmat=np.zeros(0)).__repr__(),
+            repr(replace(camera, viewmat=np.zeros(0))),
             tuple((piece.planes, piece.transform.tobytes()) for piece in pieces),
-            background,
-            light,
+            tuple((sheet.rgba, sheet.corners.tobytes()) for sheet in sheets),
         )
-        if key != self._key or self._texture is None:
+        if key != self._key or self._texture is None or self.renderer.sorting:
             begin = time.perf_counter()
-            self._texture = self._draw(session.mode, camera, pieces, background, light)
-            if self._screen is not None:
-                self._screen.use()  # ImGui draws where it finds the context
+            texture = self.renderer.render(camera, pieces, MODES[mode], background, light, level, wait=False)
+            self._texture = self.renderer.overlay(sheets) if sheets else texture
+            self._give_back()
             self.ctx.finish()
-            self.milliseconds = 1000 * (time.perf_counter() - begin)
+            taken = 1000 * (time.perf_counter() - begin)
+            if level == 0:
+                self.milliseconds = taken
+            if taken > SLOW:
+                self._level = min(self._level + 1, COARSEST)
+            elif taken < QUICK:
+                self._level = max(self._level - 1, 0)
             self._key = key
-            self.drawn += 1
+        self.unfinished = level > 0 or self.renderer.sorting
         return self._texture
+
+    def pick(self, x: float, y: float) -> tuple[int | None, NDArray[np.float64] | None]:
+        """Number of the piece under a pixel of the last frame, and the world point (3,) there."""
+        if self._texture is None:
+            return None, None
+        found = self.renderer.pick(x, y)
+        self._give_back()
+        return found
 
     def picture(self, session: Session, camera: Camera, pieces: Sequence[Piece]) -> NDArray[np.uint8]:
         """(H, W, 4). A picture for a file, straight alpha; the next frame of the window is drawn anew."""
         self._key = None
         if not self._hold(session):
             return np.zeros((camera.height, camera.width, 4), np.uint8)
-        self._draw(session.mode, camera, pieces, (0.0, 0.0, 0.0), session.settings.face_light)
-        if self._screen is not None:
-            self._screen.use()
-        seen = self._seen if session.mode == "capture" else self.renderer.read()
-        alpha = seen.alpha[..., None]
+        self.renderer.render(camera, pieces, MODES[session.mode], (0.0, 0.0, 0.0), session.settings.face_light)
+        seen = self.renderer.read()
+        self._give_back()
+        alpha = np.clip(seen.alpha[..., None], 0, 1)
         rgb = np.where(alpha > 1e-3, seen.rgb / np.maximum(alpha, 1e-3), 0.0)
         return (np.clip(np.concatenate([rgb, alpha], 2), 0, 1) * 255 + 0.5).astype(np.uint8)
 
-    def _draw(
-        self, mode: str, camera: Camera, pieces: Sequence[Piece], background: Vec3, light: bool
-    ) -> moderngl.Texture:
-        if mode == "capture":
-            return self._draw_capture(camera, background)
-        return self.renderer.render(camera, pieces, background, light=light)
-
-    def _draw_capture(self, camera: Camera, background: Vec3) -> moderngl.Texture:
-        from engine import classic
-
-        assert self._capture is not None
-        seen = classic.render(self._capture, camera, background)
-        self._seen = seen
-        if self._cpu is not None:
-            self._cpu.release()
-        self._cpu = self.ctx.texture(
-            (camera.width, camera.height), 3, np.ascontiguousarray(seen.rgb, np.float32), dtype="f4", alignment=1
-        )
-        return self._cpu
+    def _give_back(self) -> None:
+        """ImGui draws where it finds the context."""
+        if self._screen is not None:
+            self._screen.use()
 
     def _hold(self, session: Session) -> bool:
-        """Puts the session's object onto the GPU where it is not there already; False where there is none."""
+        """Puts what the session shows onto the GPU where it is not there already; False where there is nothing."""
         shown = session.object
-        if shown is None or (shown.atoms is None and shown.capture is None):
+        if shown is None:
             return False
-        mode = session.mode
-        held = (session.geometry, mode)
-        if held != self._held:
-            if mode == "capture":
-                if shown.capture is None:
-                    return False
-                self._capture = shown.capture
-            else:
-                assert shown.atoms is not None
-                self.renderer.set_atoms(shown.atoms if mode == "solid" else bare(shown.atoms))
-            self._held, self._colours, self._key = held, session.colours, None
-        elif session.colours != self._colours and shown.atoms is not None and mode != "capture":
-            sh = shown.atoms.surface.sh if mode == "solid" else None
-            self.renderer.update_colours(sh, shown.atoms.interior.rgb)
-            self._colours, self._key = session.colours, None
+        if session.mode == "capture":
+            if shown.capture is None:
+                return False
+            if shown.capture is not self._capture:
+                self.renderer.set_capture(shown.capture)
+                self._capture, self._key = shown.capture, None
+            return True
+        assert shown.atoms is not None
+        atoms = (session.geometry, session.colours)
+        if self._atoms is None or self._atoms[0] != session.geometry:
+            self.renderer.set_atoms(shown.atoms)
+        elif self._atoms[1] != session.colours:
+            self.renderer.update_colours(shown.atoms.surface.sh, shown.atoms.interior.rgb)
+        self._atoms = atoms
         return True
 
     def release(self) -> None:
         """Frees everything on the GPU."""
         self.renderer.release()
         self._texture = None
-
-
-def bare(atoms: Atoms) -> Atoms:
-    """The inside alone, seen from outside."""
-    s, i = atoms.surface, atoms.interior
-    none = SurfaceAtoms(s.means[:0], s.scales[:0], s.quats[:0], s.sh[:0])
-    return Atoms(none, InteriorAtoms(i.means, i.sigmas, i.rgb, len(i)), atoms.pitch)

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass, replace
 
 import numpy as np
 from imgui_bundle import ImVec2, imgui
 from numpy.typing import NDArray
 
-from app.camera_control import Eye, project_points, ray
-from app.document import Key
+from app.camera_control import Eye, project_points
+from app.document import Cut, Key
 from app.knife import SHORTEST, Stroke, plane_of
 from app.motion import Motion
 from app.outline import body_of, family_outlines, outline
-from app.pieces import Lying, Solid, sections
+from app.pieces import Lying, sections
 from app.project import VIEW_MODES
 from app.session import Session
 from app.ui.cube import axis_cube
@@ -23,7 +24,8 @@ from app.ui.painter import Painter
 from app.ui.theme import palette, px, rgb, u32
 from app.ui.widgets import segmented
 from engine.camera import Camera
-from engine.plane import Plane, frame
+from engine.gl.overlay import Sheet
+from engine.plane import frame
 
 __all__ = ["Viewport"]
 
@@ -40,6 +42,9 @@ HINTS = {
     "move": "Drag a piece to move it",
     "turn": "Drag a piece to turn it",
 }
+
+REST = 0.2
+"""Seconds after which a view that no longer changes is drawn in full."""
 
 MODE_LABELS = ("Capture", "Solid", "Interior")
 MODE_HINTS = (
@@ -76,7 +81,8 @@ class Viewport:
         """Of the picture, in the window's units."""
         self.origin = ImVec2(0, 0)
         self._outlines: tuple[object, list[NDArray[np.float64]]] = (None, [])
-        self._hint_over = False
+        self._eye = Eye()
+        self._turned = -10.0
 
     @property
     def moving(self) -> bool:
@@ -114,7 +120,11 @@ class Viewport:
         background = session.viewing.background or rgb(palette().view)
         draw = imgui.get_window_draw_list()
         corner = ImVec2(self.origin.x + size.x, self.origin.y + size.y)
-        texture = self.painter.frame(session, self.camera(scale), shown, background)
+        eye = self.eye_glide.now() or session.viewing.eye
+        if eye != self._eye:
+            self._eye, self._turned = eye, time.monotonic()
+        moving = self.moving or time.monotonic() - self._turned < REST
+        texture = self.painter.frame(session, self.camera(scale), shown, background, self._sheets(), moving)
         if texture is None:
             draw.add_rect_filled(self.origin, corner, u32(palette().view))
         else:
@@ -184,10 +194,10 @@ class Viewport:
             if session.tool in ("knife", "plane"):
                 kind = "stroke" if session.tool == "knife" else "plane"
             elif session.tool in ("move", "turn"):
-                found = pick(camera, at, pieces, session.solid)
-                if found is not None:
-                    kind, depth = session.tool, found[1]
-                    keys = session.selection if found[0] in session.selection else frozenset([found[0]])
+                found, point = self._pick(at, pieces)
+                if found is not None and point is not None:
+                    kind, depth = session.tool, float((point - camera.position) @ camera.forward)
+                    keys = session.selection if found in session.selection else frozenset([found])
                     session.selection = keys
         self.drag = Drag(kind, at, at, keys, depth)
 
@@ -209,8 +219,7 @@ class Viewport:
 
     def _click(self, camera: Camera, at: tuple[float, float], pieces: list[Lying]) -> None:
         session = self.session
-        found = pick(camera, at, pieces, session.solid)
-        key = None if found is None else found[0]
+        key, _ = self._pick(at, pieces)
         if imgui.is_mouse_released(imgui.MouseButton_.right):
             if key is not None and key not in session.selection:
                 session.selection = frozenset([key])
@@ -219,6 +228,15 @@ class Viewport:
             session.selection = session.selection ^ {key}
         else:
             session.selection = frozenset() if key is None or len(pieces) < 2 else frozenset([key])
+
+    def _pick(self, at: tuple[float, float], pieces: list[Lying]) -> tuple[Key | None, NDArray[np.float64] | None]:
+        """The piece under a point of the picture, and the world point (3,) seen there."""
+        if self.session.mode == "capture":
+            return None, None
+        scale = float(imgui.get_io().display_framebuffer_scale.x) or 1.0
+        number, point = self.painter.pick(at[0] * scale, at[1] * scale)
+        shown = [piece.key for piece in pieces if piece.visible]
+        return (shown[number], point) if number is not None and number < len(shown) else (None, None)
 
     def _lay(self, camera: Camera, drag: Drag, dx: float, dy: float) -> None:
         """Moves or turns what was grabbed, along the picture."""
@@ -276,31 +294,33 @@ class Viewport:
             self._line(camera, line, u32(palette().text, 0.75), u32(palette().text, 0.13), px(1.2))
 
     def _draw_planes(self, camera: Camera) -> None:
-        """The active cut plane, as a sheet with the outline of the object in it."""
-        session = self.session
-        if session.active_cut is None or session.tool == "knife" or session.atoms is None:
-            return
-        cut = session.document.cut(session.active_cut)
-        if cut.kind != "section" or not cut.on:
+        """The outline of the object in the active section plane."""
+        session, cut = self.session, self._active_section()
+        if cut is None:
             return
         plane = cut.plane(cut.parts[0])
-        self._sheet(camera, plane)
         line = outline(session.solid, plane)
         if line is not None:
             self._line(camera, line, u32(palette().accent, 0.9), u32(palette().accent, 0.35), px(1.6))
 
-    def _sheet(self, camera: Camera, plane: Plane) -> None:
-        session = self.session
+    def _sheets(self) -> list[Sheet]:
+        """The active section plane, as a sheet that the object hides where it is in front."""
+        session, cut = self.session, self._active_section()
+        if cut is None:
+            return []
+        plane = cut.plane(cut.parts[0])
         e1, e2, n = frame(plane.normal)
         foot = session.solid.centre - n * float(plane.distance(session.solid.centre))
-        side = 1.15 * session.solid.radius
+        side = 1.1 * session.solid.radius
         corners = np.stack([foot + side * (a * e1 + b * e2) for a, b in ((1, 1), (-1, 1), (-1, -1), (1, -1))])
-        pixels, depth = project_points(camera, corners)
-        if (depth <= 0).any() and not camera.orthographic:
-            return
-        a, b, c, d = (ImVec2(x + self.origin.x, y + self.origin.y) for x, y in pixels.tolist())
-        draw = imgui.get_window_draw_list()
-        draw.add_quad(a, b, c, d, u32(palette().text, 0.35), px(1))
+        return [Sheet(corners, (*rgb(palette().text), 0.10), hidden=0.0)]
+
+    def _active_section(self) -> Cut | None:
+        session = self.session
+        if session.active_cut is None or session.tool == "knife" or session.atoms is None or session.mode == "capture":
+            return None
+        cut = session.document.cut(session.active_cut)
+        return cut if cut.kind == "section" and cut.on else None
 
     def _draw_selection(self, camera: Camera, pieces: list[Lying]) -> None:
         """A quiet mark at the corner of each selected piece."""
@@ -385,22 +405,6 @@ class Viewport:
             return
         mouse = imgui.get_mouse_pos()
         _label(imgui.get_window_draw_list(), ImVec2(mouse.x + px(16), mouse.y + px(12)), text)
-
-
-def pick(camera: Camera, at: tuple[float, float], pieces: list[Lying], solid: Solid) -> tuple[Key, float] | None:
-    """The piece under a pixel and its depth there: the nearest of the solid's points close to the line of sight."""
-    start, direction = ray(camera, at)
-    best: tuple[Key, float] | None = None
-    for piece in pieces:
-        if not piece.visible or not len(piece.rows):
-            continue
-        local = piece.motion.apply(solid.points[piece.rows]) - start
-        along = local @ direction
-        aside = np.linalg.norm(local - along[:, None] * direction, axis=1)
-        near = (aside < 0.8 * solid.spacing) & (along > 0)
-        if near.any() and (best is None or along[near].min() < best[1]):
-            best = piece.key, float(along[near].min())
-    return best
 
 
 def _label(draw: imgui.ImDrawList, at: ImVec2, text: str) -> None:

@@ -140,7 +140,7 @@ class Window:
         if self.dropped:
             self._take_drop()
         preparing = session.preparing is not None
-        busy = preparing or self.exporter.busy or self.viewport.moving
+        busy = preparing or self.exporter.busy or self.viewport.moving or self.painter.unfinished
         self.params.fps_idling.enable_idling = not busy
         glfw.set_window_title(self.window, f"{session.title} - FruitNinja" if session.document.scene else "FruitNinja")
         if (glfw.window_should_close(self.window) or self.params.app_shall_exit) and not session.closing:
