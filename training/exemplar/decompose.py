@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from training.exemplar.frames import Sheet
-from training.exemplar.patches import OVER
+from training.exemplar.frames import Frame, Sheet
+from training.exemplar.patches import OVER, POLAR
 
 __all__ = ["Detail", "Layers", "decompose", "rind_depth"]
 
@@ -86,7 +86,7 @@ def rind_depth(sheet: Sheet) -> float:
     return 0.15
 
 
-def decompose(sheet: Sheet) -> Layers:
+def decompose(sheet: Sheet, kind: Frame) -> Layers:
     """Takes a sheet apart. Details are compact and stand out; structures stand out and are long."""
     rind = rind_depth(sheet)
     core = sheet.depth > rind
@@ -104,11 +104,20 @@ def decompose(sheet: Sheet) -> Layers:
     parts, count = ndimage.label((contrast > 0.5 * high) & (opacity > 0.4))
     numbers = np.arange(count + 1)
     strong = ndimage.maximum(contrast, parts, numbers) > high
-    # At the corner of a wide thing the median itself turns: what stands out there is no thing of its own.
+    strong[0] = False
+    # At the edge of a wide thing the median itself turns: what stands out there is that edge, and runs through.
     turning = _turning(median, 0.06 * inradius)
-    strong &= ndimage.mean(turning, parts, numbers) < 0.4 * ndimage.mean(contrast, parts, numbers)
-    compact, long = _classify(parts, count, strong, inradius)
-    structure = opacity * ndimage.binary_dilation(long[parts], iterations=1) if count else np.zeros_like(contrast)
+    edges = strong & (ndimage.mean(turning, parts, numbers) > 0.4 * ndimage.mean(contrast, parts, numbers))
+    compact, long = _classify(parts, count, strong & ~edges, inradius)
+    if kind == POLAR:
+        # What stands on the axis is the core and not a seed.
+        middle = (round(sheet.middle[1] * OVER), round(sheet.middle[0] * OVER))
+        reach = round(0.06 * inradius)
+        box = parts[middle[0] - reach : middle[0] + reach + 1, middle[1] - reach : middle[1] + reach + 1]
+        edges[np.unique(box)] |= strong[np.unique(box)]
+        compact &= ~edges
+    runs = long | edges
+    structure = opacity * ndimage.binary_dilation(runs[parts], iterations=1) if count else np.zeros_like(contrast)
     reach, owner = ndimage.distance_transform_edt(~compact[parts], return_indices=True)
     labels = np.where(reach <= 2.5, (parts * compact[parts])[owner[0], owner[1]], 0).astype(np.int32)
     detail = opacity * (labels > 0) * (structure < 0.5)
@@ -118,7 +127,8 @@ def decompose(sheet: Sheet) -> Layers:
     clean &= ~ndimage.binary_dilation(strong[parts], iterations=2)
     if not clean.any():
         clean = core if core.any() else sheet.depth > 0
-    ground = _smooth(picture, clean, 0.06 * inradius)
+    # The median keeps the edges of wide things where a mean would spread them; details and structures are not in it.
+    ground = ndimage.gaussian_filter(median, (0.02 * inradius, 0.02 * inradius, 0))
     texture = _mirrored(picture - ground, clean)
     # Thin sheets are smoothed by half a voxel, or cuts along them would show the grid; their colours reach as far.
     solid = structure > 0.7
@@ -204,16 +214,6 @@ def _thickness(long: NDArray[np.bool_]) -> float:
     """Half thickness in cells of what is long: a ribbon's pixels lie a quarter of its width under its edge."""
     depth = ndimage.distance_transform_edt(long)[long]
     return float(np.clip(2 * depth.mean() / OVER, 0.5, 2.5)) if len(depth) else 1.0
-
-
-def _smooth(picture: NDArray[np.float32], clean: NDArray[np.bool_], sigma: float) -> NDArray[np.float32]:
-    """The picture blurred over its clean pixels alone; far from any the nearest value."""
-    weight = ndimage.gaussian_filter(clean.astype(np.float32), sigma)
-    blurred = ndimage.gaussian_filter(picture * clean[..., None], (sigma, sigma, 0))
-    known = weight > 1e-3
-    out = blurred / np.maximum(weight, 1e-3)[..., None]
-    nearest = ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
-    return out[nearest[0], nearest[1]].astype(np.float32)
 
 
 def _mirrored(texture: NDArray[np.float32], clean: NDArray[np.bool_]) -> NDArray[np.float32]:

@@ -48,7 +48,7 @@ def solve(
     space = make_space(body, up, voxels)
     progress(0.1)
     views = [_view(space, family, own) for family, own in zip(families, pictures, strict=True)]
-    layers = [[decompose(sheet) for sheet in view.sheets] for view in views]
+    layers = [[decompose(sheet, view.kind) for sheet in view.sheets] for view in views]
     progress(0.2)
     rgb = space.scatter(_carry(space, views, layers, rng, lambda part: progress(0.2 + 0.5 * part)))
     count = strew(rgb, space, views, layers, rng, lambda part: progress(0.7 + 0.1 * part))
