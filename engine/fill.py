@@ -42,9 +42,17 @@ HAZE_OPACITY = 0.1
 HUGE = 0.25
 """Of the longest side. Longer than this a Gaussian is background, whatever its opacity."""
 
-OUTLIER = 0.5
-"""Spans between the 1st and 99th percentile: a centre farther than this beyond them does not belong to the object.
-A stem or an ear is nearer."""
+OUTLIER = 1.0
+"""Of the longest span between the 5th and 95th percentiles of the centres: a stem is not farther than this outside."""
+
+FLOATER = 0.003
+"""Of all Gaussians. A separate cluster with fewer of them is a floater: it may not widen the grid."""
+
+COARSE = 64
+"""Cells along the longest side of the grid on which clusters are told apart."""
+
+MARGIN = 4
+"""Cells around the outermost centres: a wall's own thickness, and a way around it for the flood."""
 
 SMALLEST = 0.01
 """Of the largest hollow. Smaller ones are gaps between leaves or debris, not bodies."""
@@ -71,15 +79,13 @@ def find_body(gaussians: Gaussians, cells: int = 128, name: str = "scene") -> Fo
     assert cells >= 8, cells
     shell, notes = _without_haze(gaussians)
     if len(shell) < 4:
-        raise InputError(f"{name}: no closed body found; only {len(shell)} Gaussians are part of an object")
-    low, high = shell.means.min(0).astype(np.float64), shell.means.max(0).astype(np.float64)
-    cell = float((high - low).max()) / cells
-    if not cell > 0:
+        raise InputError(
+            f"{name}: no closed body found; {len(gaussians)} Gaussians are too few, too large or too faint for a skin"
+        )
+    grid = _grid(shell, cells)
+    if grid is None:
         raise InputError(f"{name}: no closed body found; all Gaussians stand at one point")
-    margin = 4
-    shape = np.ceil((high - low) / cell).astype(int) + 2 * margin
-    origin = (low + high) / 2 - shape * cell / 2
-    grid = Grid(origin, cell, (int(shape[0]), int(shape[1]), int(shape[2])))
+    cell = grid.cell
     wall = _walls(opacity_field(shell, grid, WIDEN * cell))
     closed, cap_faces = enclosed(wall)
     inside = _bodies(_inner(closed, wall))
@@ -92,7 +98,17 @@ def find_body(gaussians: Gaussians, cells: int = 128, name: str = "scene") -> Fo
     if cap_faces >= 1e-3 * np.count_nonzero(inside ^ ndimage.binary_erosion(inside)):
         skin_faces = np.count_nonzero(inside) - np.count_nonzero(ndimage.binary_erosion(inside))
         notes.append(f"the shell is open: holes, {cap_faces / (cap_faces + skin_faces):.1%} of its skin, were closed")
-    return Found(Body(origin, cell, np.ascontiguousarray(depth, np.float32)), tuple(notes))
+    return Found(Body(grid.origin, cell, np.ascontiguousarray(depth, np.float32)), tuple(notes))
+
+
+def _grid(gaussians: Gaussians, cells: int) -> Grid | None:
+    """A grid around the centres with this many cells along their longest side; None if they all coincide."""
+    low, high = gaussians.means.min(0).astype(np.float64), gaussians.means.max(0).astype(np.float64)
+    cell = float((high - low).max()) / cells
+    if not cell > 0:
+        return None
+    shape = np.ceil((high - low) / cell).astype(int) + 2 * MARGIN
+    return Grid((low + high) / 2 - shape * cell / 2, cell, (int(shape[0]), int(shape[1]), int(shape[2])))
 
 
 def _without_haze(gaussians: Gaussians) -> tuple[Gaussians, list[str]]:
@@ -101,18 +117,32 @@ def _without_haze(gaussians: Gaussians) -> tuple[Gaussians, list[str]]:
     gaussians = gaussians[finite]
     if not len(gaussians):
         return gaussians, []
-    low, high = np.percentile(gaussians.means, [1, 99], axis=0)
-    near = ((gaussians.means >= low - OUTLIER * (high - low).max()) & (
-        gaussians.means <= high + OUTLIER * (high - low).max())).all(1)  # fmt: skip
+    low, high = np.percentile(gaussians.means, [5, 95], axis=0)
     side = float((high - low).max())
+    near = ((gaussians.means >= low - OUTLIER * side) & (gaussians.means <= high + OUTLIER * side)).all(1)
     longest = gaussians.scales.max(1)
     haze = (longest > HUGE * side) | ((longest > HAZE_SIZE * side) & (gaussians.opacities < HAZE_OPACITY))
+    shell = gaussians[near & ~haze]
+    floaters = _floaters(shell)
     notes = []
-    if (~near).any():
-        notes.append(f"{int((~near).sum())} Gaussians far from the object were left out")
     if (near & haze).any():
         notes.append(f"{int((near & haze).sum())} large faint Gaussians (haze) were left out")
-    return gaussians[near & ~haze], notes
+    if (~near).any() or floaters.any():
+        notes.append(f"{int((~near).sum() + floaters.sum())} Gaussians apart from the object were left out")
+    return shell[~floaters], notes
+
+
+def _floaters(gaussians: Gaussians) -> NDArray[np.bool_]:
+    """(N,). Gaussians in clusters that are too small to be a part of the object."""
+    grid = _grid(gaussians, COARSE) if len(gaussians) else None
+    if grid is None:
+        return np.zeros(len(gaussians), bool)
+    regions, count = ndimage.label(opacity_field(gaussians, grid, grid.cell) >= WALL_OPACITY)
+    cells = np.clip(np.round(grid.index(gaussians.means)).astype(int), 0, np.array(grid.shape) - 1)
+    own = regions[tuple(cells.T)]
+    sizes = np.bincount(own, minlength=count + 1)
+    sizes[0] = 0
+    return sizes[own] < min(FLOATER * len(gaussians), sizes.max())
 
 
 def _walls(opacity: NDArray[np.float32]) -> NDArray[np.bool_]:

@@ -179,6 +179,23 @@ def test_everything_in_the_outer_shell_is_solid() -> None:
     assert abs(body.volume / (4 / 3 * np.pi) - 1) < 0.01
 
 
+def test_what_flies_around_does_not_coarsen_the_grid() -> None:
+    rng = np.random.default_rng(0)
+    n = 200
+    far = shell(100 * rng.normal(size=(n, 3)), np.tile([0.0, 0, 1], (n, 1)), 0.5)
+    near = shell(rng.uniform(1.3, 1.5, (20, 3)), np.tile([0.0, 0, 1], (20, 1)), 0.02)
+    found = find_body(joined(sphere(), far, near), cells=64)
+    assert abs(found.body.volume / (4 / 3 * np.pi) - 1) < 0.01
+    assert any(note.startswith("220 Gaussians") for note in found.notes)
+
+
+@pytest.mark.parametrize("thickness", [0.05, 0.1])
+def test_a_thin_plate_is_a_solid(thickness: float) -> None:
+    profile = np.array([[0, 0], [0.5, 0], [0.5, thickness], [0, thickness]])
+    body = find_body(lathe(profile, 20000), cells=64).body
+    assert abs(body.volume / (np.pi * 0.25 * thickness) - 1) < 0.05
+
+
 @pytest.mark.parametrize(
     "scene",
     [
