@@ -19,9 +19,9 @@ import torch
 from numpy.typing import NDArray
 
 from engine.camera import Camera
-from engine.cpu.blend import ADJOINT, BLOCK, BLOCKS, STATE, blend, blend_backward, resolve, start, start_backward
+from engine.cpu.blend import ADJOINT, BLOCK, BLOCKS, ROW, STATE, blend, blend_backward, resolve, start, start_backward
 from engine.cpu.depth_order import depth_order
-from engine.cpu.splats import GRADIENT, RECORD, project, project_backward
+from engine.cpu.splats import RECORD, project, project_backward
 from engine.cpu.tiles import SIDE, list_pairs, place_pairs, sort_pairs, sum_open
 from engine.gaussians import Gaussians
 from engine.picture import Picture
@@ -159,7 +159,7 @@ def _backward(
     parameters = scene.means, scene.scales, scene.quats, scene.opacities, scene.colours
     gradients = [np.zeros(array.shape, kind) for array in parameters]
     tile_lasts = frame.lasts.max(axis=(1, 2))
-    buffer = np.empty((max((len(part.pair_slots) for part in frame.slices), default=0), GRADIENT), kind)
+    buffer = np.empty((max((len(part.pair_slots) for part in frame.slices), default=0), ROW), kind)
     for part in reversed(frame.slices):
         rows = buffer[: len(part.pair_slots)]
         for_each(
@@ -168,7 +168,7 @@ def _backward(
         )  # fmt: skip
         for_each(
             project_backward, len(part.record_counts), part.chunk_size, part.first, part.record_counts,
-            frame.cam, frame.eye, *parameters, scene.plain, frame.owners, frame.pair_counts,
+            frame.cam, frame.eye, *parameters, scene.plain, tiles_x, frame.records, frame.owners, frame.pair_counts,
             part.first_places, part.pair_tiles, part.pair_places, tile_lasts, rows, *gradients,
         )  # fmt: skip
     return gradients

@@ -22,6 +22,7 @@ __all__ = [
     "BLOCKS",
     "MAX_ALPHA",
     "MIN_TRANSMITTANCE",
+    "ROW",
     "STATE",
     "blend",
     "blend_backward",
@@ -51,6 +52,11 @@ ADJOINT = 6
 """Numbers per pixel on the way back, each in a run of BLOCK: 0 transmittance behind the current layer; 1 that times
 the derivative of the loss by it; 2 3 4 5 dL/d(colour, depth times weight)."""
 
+ROW = BLOCK
+"""Numbers that a (tile, Gaussian) pair hands back, sums over its pixels; 64 bytes in float32, one cache line. With p =
+dL/dalpha * alpha, w the pixel's weight, n as in a record and k the column, counted from the tile's middle: 0 p, 1 p k,
+2 p k^2, 3 p n, 4 p n k, 5 p n^2, then w times the picture's gradient in 6 7 8 colour, 9 depth. The rest is 0."""
+
 CHECK = 16
 """Pairs between two looks at whether the tile has become opaque."""
 
@@ -78,31 +84,41 @@ def _bits_float(typingctx, x):  # type: ignore[no-untyped-def]
 
 
 @intrinsic
-def _lane_sum(typingctx, lanes, row):  # type: ignore[no-untyped-def]
-    """The sum of lanes[row, :BLOCK], the two halves added up until one number is left.
+def _fold(typingctx, lanes, row):  # type: ignore[no-untyped-def]
+    """Writes the sums over lanes (7, BLOCK) that a pair hands back to row (ROW,), in the order of `ROW`.
 
-    The compiler may not reorder a plain loop of float additions, so it would add one number after the other.
+    Halves are added to halves, for all sums at once, until every number of one vector is one of the sums. The compiler
+    may not reorder a plain loop of float additions, and would add number after number.
     """
 
     def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
         kind = context.get_data_type(signature.args[0].dtype)
+        vector, align = ir.VectorType(kind, BLOCK), context.get_abi_sizeof(kind)
         data = context.make_array(signature.args[0])(context, builder, args[0]).data
-        address = builder.gep(data, [builder.mul(args[1], ir.Constant(args[1].type, BLOCK))])
-        pointer = builder.bitcast(address, ir.VectorType(kind, BLOCK).as_pointer())
-        total = builder.load(pointer, align=context.get_abi_sizeof(kind))
-        width = BLOCK
-        while width > 1:
-            width //= 2
-            lanes_kind = ir.VectorType(ir.IntType(32), width)
-            low = ir.Constant(lanes_kind, list(range(width)))
-            high = ir.Constant(lanes_kind, list(range(width, 2 * width)))
-            nothing = ir.Constant(total.type, ir.Undefined)
-            total = builder.fadd(
-                builder.shuffle_vector(total, nothing, low), builder.shuffle_vector(total, nothing, high)
+        start = builder.bitcast(data, vector.as_pointer())
+        p, pn, pnn, *colours = (
+            builder.load(builder.gep(start, [ir.Constant(ir.IntType(64), k)]), align=align) for k in range(7)
+        )
+        column = ir.Constant(vector, [i % SIDE - 0.5 * (SIDE - 1) for i in range(BLOCK)])
+        pk = builder.fmul(p, column)
+        vectors = [p, pk, builder.fmul(pk, column), pn, builder.fmul(pn, column), pnn, *colours]
+        vectors += [ir.Constant(vector, [0.0] * BLOCK)] * (BLOCK - len(vectors))
+        half = BLOCK // 2
+        while half:
+            low = [k for k in range(2 * BLOCK) if k % (2 * half) < half]
+            first, second = (
+                ir.Constant(ir.VectorType(ir.IntType(32), BLOCK), [k + shift for k in low]) for shift in (0, half)
             )
-        return builder.extract_element(total, ir.Constant(ir.IntType(32), 0))
+            vectors = [
+                builder.fadd(builder.shuffle_vector(a, b, first), builder.shuffle_vector(a, b, second))
+                for a, b in zip(vectors[::2], vectors[1::2], strict=True)
+            ]
+            half //= 2
+        out = context.make_array(signature.args[1])(context, builder, args[1]).data
+        builder.store(vectors[0], builder.bitcast(out, vector.as_pointer()), align=align)
+        return context.get_dummy_value()
 
-    return lanes.dtype(lanes, types.int64), codegen
+    return types.none(lanes, row), codegen
 
 
 def exp2(x):  # type: ignore[no-untyped-def]
@@ -224,7 +240,7 @@ def blend_backward(  # type: ignore[no-untyped-def]
     lasts,  # [all tiles, BLOCKS, BLOCK]
     tile_lasts,  # [all tiles] greatest of them
     adjoints,  # in out [all tiles, BLOCKS, ADJOINT * BLOCK]
-    rows,  # out [pairs, GRADIENT], left alone where the tile was closed before the pair
+    rows,  # out [pairs, ROW], left alone where the tile was closed before the pair
 ):
     """Walks back through the pairs of a slice in the tiles of one task and writes each pair's sums over its pixels.
 
@@ -234,7 +250,7 @@ def blend_backward(  # type: ignore[no-untyped-def]
     number = adjoints.dtype.type
     zero, half, one = number(0), number(0.5), number(1)
     least, most = number(-TAIL_BITS), number(MAX_ALPHA)
-    lanes = np.empty((10, BLOCK), adjoints.dtype)
+    lanes = np.empty((7, BLOCK), adjoints.dtype)
     block_last = np.empty(BLOCKS, np.int32)
     for index in range(task * tiles_per_task, min((task + 1) * tiles_per_task, len(tiles))):
         tile = tiles[index]
@@ -251,7 +267,7 @@ def blend_backward(  # type: ignore[no-untyped-def]
             a, b, c, light = q[4], q[5], q[6], q[7]
             red, green, blue, depth = q[8], q[9], q[10], q[11]
             first, last = _block_rows(v, q[13])
-            lanes[:7] = zero
+            lanes[:] = zero
             for block in range(first, last):
                 if slot > block_last[block]:
                     continue
@@ -280,22 +296,7 @@ def blend_backward(  # type: ignore[no-untyped-def]
                     lanes[4, i] += w * s[3 * BLOCK + i]
                     lanes[5, i] += w * s[4 * BLOCK + i]
                     lanes[6, i] += w * s[5 * BLOCK + i]
-            for i in range(BLOCK):  # m is the same all along a column: its moments are taken here
-                m = a * (number(i & (SIDE - 1)) + half - u)
-                lanes[7, i] = lanes[0, i] * m
-                lanes[8, i] = lanes[0, i] * m * m
-                lanes[9, i] = lanes[1, i] * m
-            row = rows[at]
-            row[0] = _lane_sum(lanes, 0)  # type: ignore[call-arg]
-            row[1] = _lane_sum(lanes, 7)
-            row[2] = _lane_sum(lanes, 1)
-            row[3] = _lane_sum(lanes, 8)
-            row[4] = _lane_sum(lanes, 9)
-            row[5] = _lane_sum(lanes, 2)
-            row[6] = _lane_sum(lanes, 3)
-            row[7] = _lane_sum(lanes, 4)
-            row[8] = _lane_sum(lanes, 5)
-            row[9] = _lane_sum(lanes, 6)
+            _fold(lanes, rows[at])  # type: ignore[call-arg]
 
 
 @njit(cache=True, error_model="numpy", nogil=True)

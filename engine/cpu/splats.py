@@ -25,7 +25,7 @@ from engine.projection import (
 )
 from engine.sh import C0, C1, C2, C3
 
-__all__ = ["GRADIENT", "RECORD", "project", "project_backward"]
+__all__ = ["RECORD", "project", "project_backward"]
 
 RECORD = 16
 """Numbers in a record, 64 bytes in float32: one cache line.
@@ -34,10 +34,6 @@ RECORD = 16
 2^(r7 - m^2 - n^2) with m = r4 dx, n = r5 dx + r6 dy: squares lose no digits on long needles, as a dx^2 + 2 b dx dy +
 c dy^2 does; 8 9 10 colour, 11 depth; 12 13 half width and height of the ellipse outside which alpha is under 1/255,
 14 dx per dy along the middles of its horizontal chords, 15 half its middle chord, pixels."""
-
-GRADIENT = 10
-"""Sums over pixels that a (tile, Gaussian) pair hands back, with p = dL/dalpha * alpha and w the pixel's weight:
-p, p m, p n, p m^2, p m n, p n^2 (m, n as in a record), then w times the picture's gradient in r, g, b and depth."""
 
 LOG2_E = 1.0 / math.log(2.0)
 ROOT_HALF_LOG2_E = math.sqrt(0.5 * LOG2_E)
@@ -238,13 +234,15 @@ def project_backward(  # type: ignore[no-untyped-def]
     opacities,
     colours,
     plain,
-    owners,
+    tiles_x,
+    records,  # [V, RECORD]
+    owners,  # [V]
     pair_counts,  # [V]
     first_places,  # [chunks of this slice] where the chunk's pairs begin in
     pair_tiles,  # [most pairs] tile of each pair, record by record, and
     pair_places,  # [most pairs] place of the pair in the list of its tile
     tile_lasts,  # [tiles] last record that a tile saw before it closed
-    rows,  # [pairs of this slice, GRADIENT] by place
+    rows,  # [pairs of this slice, ROW] by place
     g_means,  # out, like the parameters
     g_scales,
     g_quats,
@@ -256,20 +254,36 @@ def project_backward(  # type: ignore[no-untyped-def]
     bands = colours.shape[1]
     basis = np.empty(16, np.float64)
     g_basis = np.empty(16, np.float64)
-    sums = np.empty(GRADIENT, np.float64)
     end = first_places[chunk]
     for slot in range(start, start + record_counts[chunk]):
         begin, end = end, end + pair_counts[slot]
+        u, a, b, c = (
+            np.float64(records[slot, 0]) + records[slot, 1],
+            records[slot, 4],
+            records[slot, 5],
+            records[slot, 6],
+        )
+        sp = sm = sn = smm = smn = snn = red = green = blue = depth = 0.0
         seen = False
-        sums[:] = 0.0
         for pair in range(begin, end):
-            if slot <= tile_lasts[pair_tiles[pair]]:
+            tile = pair_tiles[pair]
+            if slot <= tile_lasts[tile]:
                 seen = True
                 row = rows[pair_places[pair]]
-                for column in range(GRADIENT):
-                    sums[column] += row[column]
+                middle = (tile % tiles_x) * SIDE + 0.5 * SIDE - u  # so that m = a (middle + k)
+                sp += row[0]
+                sm += row[1] + middle * row[0]
+                smm += row[2] + middle * (2.0 * row[1] + middle * row[0])
+                sn += row[3]
+                smn += row[4] + middle * row[3]
+                snn += row[5]
+                red += row[6]
+                green += row[7]
+                blue += row[8]
+                depth += row[9]
         if not seen:
             continue
+        sm, smn, smm = a * sm, a * smn, a * a * smm
         i = owners[slot]
         px, py, pz = np.float64(means[i, 0]), np.float64(means[i, 1]), np.float64(means[i, 2])
         qw, qx, qy, qz = (
@@ -283,28 +297,23 @@ def project_backward(  # type: ignore[no-untyped-def]
         affine = jacobian(cam, x, y, z)
         axes = half_axes(cam, qw, qx, qy, qz, sx, sy, sz)
         screen = screen_axes(affine, axes)
-        xx, xy, _, det, _ = screen_covariance(screen, LOW_PASS)
-        a = ROOT_HALF_LOG2_E / math.sqrt(xx)
-        b = -ROOT_HALF_LOG2_E * xy / math.sqrt(xx * det)
-        c = ROOT_HALF_LOG2_E * math.sqrt(xx / det)
 
-        g_opacities[i] = sums[0] / opacities[i]
+        g_opacities[i] = sp / opacities[i]
         # With W = [[a, 0], [b, c]] the inverse covariance is 2 ln2 W^T W: so dL/d(mean) = 2 ln2 W^T (p m, p n)
         # and dL/dC = 2 ln2^2 W^T [[p m^2, p m n], [p m n, p n^2]] W.
-        gu = TWO_LN2 * (a * sums[1] + b * sums[2])
-        gv = TWO_LN2 * c * sums[2]
-        h0, h1 = sums[3] * a + sums[4] * b, sums[4] * a + sums[5] * b
+        gu = TWO_LN2 * (a * sm + b * sn)
+        gv = TWO_LN2 * c * sn
+        h0, h1 = smm * a + smn * b, smn * a + snn * b
         gxx = 0.5 * TWO_LN2 * TWO_LN2 * (a * h0 + b * h1)
         gxy = TWO_LN2 * TWO_LN2 * c * h1
-        gyy = 0.5 * TWO_LN2 * TWO_LN2 * c * c * sums[5]
+        gyy = 0.5 * TWO_LN2 * TWO_LN2 * c * c * snn
         g_affine, g_axes = screen_axes_backward(affine, axes, screen_covariance_backward(screen, gxx, gxy, gyy))
         g_quat, g_scale = half_axes_backward(cam, qw, qx, qy, qz, sx, sy, sz, g_axes)
         g1 = jacobian_backward(cam, x, y, z, g_affine[0], g_affine[1], g_affine[2], g_affine[3])
         g2 = project_point_backward(cam, x, y, z, gu, gv)
-        gx, gy, gz = camera_point_backward(cam, g1[0] + g2[0], g1[1] + g2[1], g1[2] + g2[2] + sums[9])
+        gx, gy, gz = camera_point_backward(cam, g1[0] + g2[0], g1[1] + g2[1], g1[2] + g2[2] + depth)
         if plain:
-            for channel in range(3):
-                g_colours[i, 0, channel] = sums[6 + channel]
+            g_colours[i, 0, 0], g_colours[i, 0, 1], g_colours[i, 0, 2] = red, green, blue
         else:
             dx, dy, dz, length = _direction(cam, eye, px, py, pz)
             _sh_basis(dx, dy, dz, bands, basis)
@@ -314,9 +323,10 @@ def project_backward(  # type: ignore[no-untyped-def]
                 for band in range(bands):
                     value += basis[band] * colours[i, band, channel]
                 if value > 0.0:  # a colour that is held at 0 hands nothing back
+                    g = red if channel == 0 else green if channel == 1 else blue
                     for band in range(bands):
-                        g_colours[i, band, channel] = basis[band] * sums[6 + channel]
-                        g_basis[band] += colours[i, band, channel] * sums[6 + channel]
+                        g_colours[i, band, channel] = basis[band] * g
+                        g_basis[band] += colours[i, band, channel] * g
             if bands > 1 and length > 0.0:
                 hx, hy, hz = _sh_direction_gradient(dx, dy, dz, bands, g_basis)
                 along = hx * dx + hy * dy + hz * dz
