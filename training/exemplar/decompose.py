@@ -41,6 +41,8 @@ class Detail:
     """Radius around the centre that holds all of it, in cells."""
     label: int
     """Its number in `Layers.labels`."""
+    ground: NDArray[np.float32]
+    """(3,). Colour of what it lies in."""
     pixel: int
     """The sheet's candidate pixel nearest to the centre."""
 
@@ -133,7 +135,7 @@ def decompose(sheet: Sheet, kind: Frame) -> Layers:
     # Thin sheets are smoothed by half a voxel, or cuts along them would show the grid; their colours reach as far.
     solid = structure > 0.7
     nearest = ndimage.distance_transform_edt(~solid, return_distances=False, return_indices=True)
-    thin = ndimage.gaussian_filter(structure, 0.5 * OVER)
+    thin = ndimage.gaussian_filter(structure, 0.6 * OVER)
     return Layers(
         sheet,
         rind,
@@ -143,7 +145,7 @@ def decompose(sheet: Sheet, kind: Frame) -> Layers:
         sheet.rgb[nearest[0], nearest[1]] if solid.any() else sheet.rgb,
         detail.astype(np.float32),
         labels,
-        _details(sheet, parts, compact, labels),
+        _details(sheet, parts, compact, labels, ground),
         _thickness(long[parts]),
         _spread(sheet, picture - ground, clean),
     )
@@ -184,7 +186,11 @@ def _classify(
 
 
 def _details(
-    sheet: Sheet, parts: NDArray[np.int32], compact: NDArray[np.bool_], labels: NDArray[np.int32]
+    sheet: Sheet,
+    parts: NDArray[np.int32],
+    compact: NDArray[np.bool_],
+    labels: NDArray[np.int32],
+    ground: NDArray[np.float32],
 ) -> list[Detail]:
     """The compact parts, measured along the picture's own directions."""
     found = []
@@ -199,7 +205,8 @@ def _details(
         a, b = sheet.ab[pixel, :2], sheet.ab[pixel, 2:]
         half = tuple(2 * float(np.sqrt(((offsets @ d) ** 2).mean() + 0.03)) for d in (a, b))
         reach = float(np.linalg.norm(offsets, axis=1).max()) + 2.5 / OVER
-        found.append(Detail(float(x), float(y), (half[0], half[1]), reach, int(number), pixel))
+        under = ground[rows, columns].mean(0)
+        found.append(Detail(float(x), float(y), (half[0], half[1]), reach, int(number), under, pixel))
     return found
 
 

@@ -168,12 +168,24 @@ def _near_skin(depth: NDArray[np.floating], rind: float) -> NDArray[np.floating]
     return 1 - t * t * (3 - 2 * t)
 
 
-def revolved(space: Space, layers: Layers) -> NDArray[np.float32]:
-    """(N, 3). The right half of a radial picture turned about the axis."""
-    x, y = _radial_place(space, layers, slice(None))
-    colour = _read(layers.ground, x, y) + _read(layers.texture, x, y)
-    opacity = _read(layers.structure[..., None], x, y)
-    return np.clip(colour + opacity * (_read(layers.through, x, y) - colour), 0, 1)
+def revolved(space: Space, layers: Layers, rng: np.random.Generator) -> NDArray[np.float32]:
+    """(N, 3). The right half of a radial picture turned about the axis; its texture drifts, or it would show rings."""
+    swing = 0.12 * float(layers.sheet.depth.max()) * space.inradius
+    # To and fro a whole number of times on the way round, as fast as the texture is fine at half the radius.
+    times = max(3, round(np.pi * float(np.median(space.rim)) / (4 * swing)))
+    turn = rng.uniform(0, 1, 4)
+    out = np.empty((len(space.cells), 3), np.float32)
+    for start in range(0, len(out), CHUNK):
+        part = slice(start, start + CHUNK)
+        x, y = _radial_place(space, layers, part)
+        round_ = np.arctan2(space.planar[part, 1], space.planar[part, 0]) / (2 * np.pi)
+        # Out of step at other heights and radii, so that no face repeats itself.
+        u = swing * _triangle(times * round_ + turn[0] + 0.3 * np.sin(space.height[part] * 4 + turn[1]))
+        v = swing * _triangle((times + 1) * round_ + turn[2] + 0.3 * np.sin(space.radius[part] / swing + turn[3]))
+        colour = _read(layers.ground, x, y) + _read(layers.texture, x + u, y + v)
+        opacity, theirs = _structure(layers, x, y)
+        out[part] = colour + opacity * (theirs - colour)
+    return np.clip(out, 0, 1)
 
 
 def heights(space: Space, axis: Axis, colours: NDArray[np.float32], carrier: Layers, radial: Sequence[Layers]) -> None:

@@ -22,6 +22,9 @@ BIN = 0.4
 SECTION = np.pi / 4
 """Mean size of a random section of an ellipsoid over the size of its largest."""
 
+ALIKE = 0.25
+"""Colour distance up to which a place is like the one where the picture shows a thing: no crumbs in the cream."""
+
 TRIES = 20
 """Places tried for a thing before it may touch another."""
 
@@ -104,7 +107,12 @@ def strew(
         detail = parts.details[kind.detail]
         size = max(*detail.half, kind.across)
         for _ in range(int(whole) + (rng.random() < part)):
-            at = grid.place(kind.places.draw(kind.gate, TRIES, rng), size)
+            choice = kind.places.draw(kind.gate, TRIES, rng)
+            i, j, k = space.cells[choice].T
+            choice = choice[np.linalg.norm(rgb[i, j, k] - detail.ground, axis=1) < ALIKE]
+            if len(choice) == 0:
+                continue
+            at = grid.place(choice, size)
             view = views[kind.view]
             _paint(
                 rgb,

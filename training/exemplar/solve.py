@@ -87,7 +87,7 @@ def _carry(
     radial = kinds.index(RADIAL) if RADIAL in kinds else None
     if carrier is None:
         log.info("radial pictures alone: turned about the axis")
-        return revolved(space, layers[0][0])
+        return revolved(space, layers[0][0], rng)
     view = views[carrier]
     axis = along(space, view.basis, view.kind == POLAR)
     rate = _drift(layers[carrier], layers[radial] if radial is not None else [])
