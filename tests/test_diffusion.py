@@ -18,8 +18,9 @@ from tiny_diffusion import NATIVE, save_midas, save_tiny
 from engine.errors import InputError
 from training.cli import main
 from training.families import Family
+from training.labels import make_prior
 from training.prior import Condition, Encodes, Solves
-from training.run import Request, make_prior
+from training.request import Request
 from training.sds import distill, touched
 
 

@@ -14,13 +14,15 @@ import numpy as np
 import pytest
 from PIL import Image
 
-import training.run
+import training.fit
+import training.settings
 from engine.load import load
 from engine.trained import load_trained
 from training import cli
 from training.events import Reporter
 from training.families import Family
-from training.run import Interrupted, Request, run
+from training.request import Interrupted, Request
+from training.run import run
 from training.settings import Detail
 
 SCENE = Path(__file__).parents[1] / "sample_scenes/watermelon"
@@ -34,10 +36,10 @@ REQUEST = Request(
 # The command with its draft made tiny, for tests that have to end it from outside.
 SMALL_COMMAND = f"""
 import sys
-import training.run
+import training.fit, training.settings
 from training.settings import Detail
-training.run.DETAILS["draft"] = {TINY!r}
-training.run.CHECKPOINT_SECONDS = 0.0
+training.settings.DETAILS["draft"] = {TINY!r}
+training.fit.CHECKPOINT_SECONDS = 0.0
 from training.cli import main
 main()
 """
@@ -50,14 +52,14 @@ ARGUMENTS = [
 
 @pytest.fixture(autouse=True)
 def tiny(monkeypatch):
-    monkeypatch.setitem(training.run.DETAILS, "draft", TINY)
+    monkeypatch.setitem(training.settings.DETAILS, "draft", TINY)
 
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
     out = tmp_path_factory.mktemp("whole")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(training.run.DETAILS, "draft", TINY)
+        patch.setitem(training.settings.DETAILS, "draft", TINY)
         run(REQUEST, out, Reporter(), False, lambda: False)
     return out
 

@@ -14,7 +14,8 @@ from engine.errors import InputError
 from engine.plane import Plane
 from training.events import Reporter
 from training.families import COUNTS, Family, Kind
-from training.run import Interrupted, PriorName, Request, run
+from training.request import Interrupted, PriorName, Request
+from training.run import run
 from training.settings import DetailName
 
 __all__ = ["main", "parse_families"]

@@ -22,6 +22,7 @@ STAGES = {
     "body": "Finding the body",
     "atomise": "Making atoms",
     "views": "Placing views",
+    "refit": "Matching the skin",
     "labels": "Drawing the inside",
     "train": "Training",
     "save": "Saving",

@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from engine.atoms import Atoms, InteriorAtoms, SurfaceAtoms
+from engine.refit import SurfaceView
 from engine.sh import C0
 from training.losses import reconstruction
 from training.smoothing import smooth
-from training.views import BACKGROUND, Section, SurfaceView
+from training.views import BACKGROUND, Section
 
 __all__ = ["Losses", "Trainer"]
 
@@ -33,8 +34,8 @@ SURFACES_PER_ITERATION = 10
 
 # Adam's steps in colour units. The surface starts from the fitted input and must not drift, so it moves less, and its
 # view-dependent bands less again (3DGS: a twentieth).
-INTERIOR_RATE = 0.02
-SURFACE_RATE = 0.002
+INTERIOR_RATE = 0.005
+SURFACE_RATE = 0.001
 BANDS_RATE = SURFACE_RATE / 20
 
 # Every step of Adam is as long as its rate, however small the residual: rates are halved in this many turns of all
@@ -123,8 +124,12 @@ class Trainer:
         section_loss = section_loss / max(len(chosen), 1)
         surface_loss = torch.zeros(())
         for index in views.tolist():
-            shown = self.surfaces[index].weights.picture(sh, rgb, BACKGROUND)
-            surface_loss = surface_loss + reconstruction(shown, self.surfaces[index].target, SURFACE_ALPHA)
+            view = self.surfaces[index]
+            target = torch.from_numpy(view.target)
+            # Where the input lets its background through it is no evidence of what an opaque atom should show.
+            seen = torch.from_numpy(view.opaque)[..., None]
+            shown = torch.where(seen, view.weights.picture(sh, rgb, BACKGROUND), target)
+            surface_loss = surface_loss + reconstruction(shown, target, SURFACE_ALPHA)
         surface_loss = surface_loss / max(len(views), 1)
         (section_loss + surface_loss).backward()
 

@@ -6,22 +6,18 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
-from engine import classic
 from engine.atoms import Atoms
 from engine.body import Body
 from engine.camera import Camera, around, equator, on_plane, section
-from engine.gaussians import Gaussians
 from engine.kernel_field import KernelField
 from engine.plane import Plane
 from engine.view_weights import ViewWeights
 from training.families import Family
 from training.prior import Condition
 
-__all__ = ["Section", "SurfaceView", "sections", "surface_cameras", "surface_views"]
+__all__ = ["BACKGROUND", "ENTRIES", "Section", "sections", "surface_cameras"]
 
 BACKGROUND = (1.0, 1.0, 1.0)
 """White, as exemplar pictures usually have it."""
@@ -43,16 +39,6 @@ class Section:
     condition: Condition
     points: NDArray[np.float32]
     """(H, W, 3). World points of the pixels."""
-
-
-@dataclass(frozen=True)
-class SurfaceView:
-    """The input from one side."""
-
-    camera: Camera
-    weights: ViewWeights
-    target: Tensor
-    """(H, W, 3). The input 3DGS as it was captured, over white."""
 
 
 def sections(
@@ -115,16 +101,3 @@ def conditioned(
 def surface_cameras(body: Body, up: NDArray[np.float64], count: int, size: int, turn: float = 0.0) -> list[Camera]:
     """Cameras from all around the body."""
     return around(body.bounds().mean(0), body.radius, up, count, size, turn)
-
-
-def surface_views(
-    atoms: Atoms, gaussians: Gaussians, cameras: Sequence[Camera], progress: Callable[[float], None]
-) -> list[SurfaceView]:
-    """The input seen by each camera, and the weights with which the atoms make that picture."""
-    result = []
-    for index, camera in enumerate(cameras):
-        target = classic.render(gaussians, camera, BACKGROUND).rgb
-        weights = ViewWeights.surface(atoms, camera).truncated(ENTRIES)
-        result.append(SurfaceView(camera, weights, torch.from_numpy(np.clip(target, 0, 1))))
-        progress((index + 1) / len(cameras))
-    return result

@@ -1,0 +1,109 @@
+"""Labels for every cut: from one volume where the prior can solve for it, else plane by plane (paper, section 3.2)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from engine.atoms import Atoms
+from engine.errors import InputError
+from training.checkpoint import Checkpoint
+from training.deblur import deblurred
+from training.exemplar import ExemplarPrior
+from training.prior import Denoises, Progress, Solves
+from training.request import Geometry, Request
+from training.sds import distill
+from training.smoothing import smooth
+from training.trainer import Trainer
+from training.views import Section
+
+__all__ = ["label", "make_prior", "refine"]
+
+
+def make_prior(request: Request) -> Denoises | Solves:
+    """The prior that was asked for. Raises InputError where its model or its packages are missing."""
+    if request.prior == "exemplar":
+        return ExemplarPrior()
+    if request.model is None:
+        raise InputError("--prior stable-diffusion needs a model; give its local folder with --model")
+    from training.diffusion import StableDiffusionPrior  # an extra, and slow to import
+
+    return StableDiffusionPrior(request.model, request.thing or request.scene.stem, midas=request.midas)
+
+
+def label(
+    request: Request,
+    geometry: Geometry,
+    cuts: Sequence[Section],
+    prior: Denoises | Solves,
+    checkpoint: Checkpoint,
+    progress: Progress,
+) -> tuple[list[Tensor], Atoms]:
+    """A label for every cut, and the atoms with colours to start from."""
+    kept = checkpoint.load("labels")
+    if kept is None:
+        if isinstance(prior, Solves):
+            arrays = solved(request, geometry, cuts, prior, progress)
+        else:
+            arrays = distilled(request, geometry, cuts, prior, progress)
+        checkpoint.save("labels", arrays, {})
+    else:
+        arrays = kept[0]
+    interior = replace(geometry.atoms.interior, rgb=np.clip(arrays["rgb"], 0, 1))
+    labels = [torch.from_numpy(picture.copy()) for picture in arrays["labels"]]
+    return labels, replace(geometry.atoms, interior=interior)
+
+
+def solved(
+    request: Request, geometry: Geometry, cuts: Sequence[Section], prior: Solves, progress: Progress
+) -> dict[str, NDArray[np.float32]]:
+    """Labels that agree in space, because they are cuts through one volume; atoms start from its colours."""
+    voxels = request.fineness.voxels
+    volume = prior.solve(geometry.body, geometry.up, request.families, voxels, request.seed, progress)
+    pictures = [np.where(cut.condition.inside[..., None], volume.at(cut.points), np.float32(1.0)) for cut in cuts]
+    return {"labels": np.stack(pictures), "rgb": deblurred(geometry.atoms, volume)}
+
+
+def distilled(
+    request: Request, geometry: Geometry, cuts: Sequence[Section], prior: Denoises, progress: Progress
+) -> dict[str, NDArray[np.float32]]:
+    """Labels made plane by plane by score distillation, from an even grey (paper, stage one)."""
+    pictures = []
+    for index, cut in enumerate(cuts):
+        start = np.where(cut.condition.inside[..., None], cut.condition.render, np.float32(1.0))
+        rng = np.random.default_rng([request.seed, index])
+        pictures.append(distill(start, prior, cut.condition, rng))
+        progress((index + 1) / len(cuts))
+    return {"labels": np.stack(pictures), "rgb": written_back(geometry.atoms, cuts, pictures)}
+
+
+def written_back(atoms: Atoms, cuts: Sequence[Section], pictures: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
+    """(I, 3). Each interior atom's mean over the label pixels that show it; the others take their neighbours'."""
+    start = len(atoms.surface)
+    total = np.zeros((len(atoms.interior), 4), np.float64)
+    for cut, picture in zip(cuts, pictures, strict=True):
+        ones = np.ones(picture.shape, np.float32)
+        rows = np.s_[start : start + len(total)]
+        total[:, :3] += cut.weights.apply_transposed(picture)[rows]
+        total[:, 3] += cut.weights.apply_transposed(ones)[rows, 0]
+    shown = total[:, 3] > 0
+    rgb = atoms.interior.rgb.copy()
+    rgb[shown] = total[shown, :3] / total[shown, 3:]
+    return smooth(atoms.interior.means, atoms.interior.rgb, rgb, shown)
+
+
+def refine(
+    request: Request, trainer: Trainer, prior: Denoises, labels: list[Tensor], which: Sequence[int], round_: int
+) -> None:
+    """New labels for the sections that disagree, a few steps from what they show now."""
+    for index in which:
+        section = trainer.sections[index]
+        shown = trainer.render(section)
+        rng = np.random.default_rng([request.seed, 2, round_, index])
+        better = distill(shown, prior, replace(section.condition, render=shown), rng, refine=True)
+        labels[index] = torch.from_numpy(better)
