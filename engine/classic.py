@@ -19,10 +19,10 @@ import torch
 from numpy.typing import NDArray
 
 from engine.camera import Camera
-from engine.cpu.blend import ADJOINT, BLOCK, BLOCKS, ROW, STATE, blend, blend_backward, resolve, start, start_backward
+from engine.cpu.blend import ADJOINT, BLOCK, ROW, STATE, blend, blend_backward, resolve, start, start_backward
 from engine.cpu.depth_order import depth_order
 from engine.cpu.splats import RECORD, project, project_backward
-from engine.cpu.tiles import SIDE, list_pairs, place_pairs, sort_pairs, sum_open
+from engine.cpu.tiles import BLOCKS, SIDE, list_pairs, place_pairs, sort_pairs, sum_open
 from engine.gaussians import Gaussians
 from engine.picture import Picture
 from engine.projection import pack_camera
@@ -64,7 +64,7 @@ class _Slice:
     first_places: NDArray[np.int64]  # [chunks]
     tiles: NDArray[np.int64]  # [T]
     tile_starts: NDArray[np.int64]  # [tiles + 1]
-    pair_slots: NDArray[np.int32]  # [pairs]
+    pair_codes: NDArray[np.int32]  # [pairs]
     pair_tiles: NDArray[np.int32]  # [most pairs]
     pair_places: NDArray[np.int32]  # [most pairs]
 
@@ -159,12 +159,12 @@ def _backward(
     parameters = scene.means, scene.scales, scene.quats, scene.opacities, scene.colours
     gradients = [np.zeros(array.shape, kind) for array in parameters]
     tile_lasts = frame.lasts.max(axis=(1, 2))
-    buffer = np.empty((max((len(part.pair_slots) for part in frame.slices), default=0), ROW), kind)
+    buffer = np.empty((max((len(part.pair_codes) for part in frame.slices), default=0), ROW), kind)
     for part in reversed(frame.slices):
-        rows = buffer[: len(part.pair_slots)]
+        rows = buffer[: len(part.pair_codes)]
         for_each(
             blend_backward, -(-len(part.tiles) // TILES_PER_TASK), TILES_PER_TASK, part.tiles, tiles_x,
-            part.tile_starts, part.pair_slots, frame.records, frame.lasts, tile_lasts, adjoints, rows,
+            part.tile_starts, part.pair_codes, frame.records, frame.lasts, tile_lasts, adjoints, rows,
         )  # fmt: skip
         for_each(
             project_backward, len(part.record_counts), part.chunk_size, part.first, part.record_counts,
@@ -223,18 +223,18 @@ def _composite_slice(
     tile_starts = np.empty(tiles_y * tiles_x + 1, np.int64)
     place_pairs(places, tile_starts)
     tiles = np.flatnonzero(np.diff(tile_starts))
-    pair_slots, pair_places = np.empty(tile_starts[-1], np.int32), np.empty_like(pair_tiles)
+    pair_codes, pair_places = np.empty(tile_starts[-1], np.int32), np.empty_like(pair_tiles)
     for_each(
         sort_pairs, chunks, chunk_size, first, record_counts, first_places, pair_tiles, frame.pair_counts, places,
-        pair_slots, pair_places,
+        pair_codes, pair_places,
     )  # fmt: skip
     tasks = -(-len(tiles) // TILES_PER_TASK)
     for_each(
-        blend, tasks, TILES_PER_TASK, tiles, tile_starts, pair_slots, frame.records, frame.states, frame.lasts,
+        blend, tasks, TILES_PER_TASK, tiles, tile_starts, pair_codes, frame.records, frame.states, frame.lasts,
         open_tiles,
     )  # fmt: skip
     frame.slices.append(
-        _Slice(first, chunk_size, record_counts, first_places, tiles, tile_starts, pair_slots, pair_tiles, pair_places)
+        _Slice(first, chunk_size, record_counts, first_places, tiles, tile_starts, pair_codes, pair_tiles, pair_places)
     )
 
 

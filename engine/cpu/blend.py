@@ -1,8 +1,9 @@
 """The pixel loops: front-to-back compositing of the Gaussians of a tile, and its derivative, back to front.
 
-A tile is cut into blocks of two rows, 16 pixels: as many as the widest vector registers hold, so that the compiler
-turns the loop over a block into straight vector code (it has no branch and a length known when compiling), and few
-enough that a small splat skips the blocks above and below it.
+A block, two rows of a tile, has 16 pixels: as many as the widest vector registers hold, so that the compiler turns the
+loop over it into straight vector code (it has no branch and a length known when compiling), and few enough that a small
+splat skips the blocks above and below it. Which ones is noted in the list of pairs: were it computed here, the branch
+would be guessed wrongly at nearly every splat, and known only when the record of the splat has come from memory.
 """
 
 from __future__ import annotations
@@ -14,12 +15,11 @@ from llvmlite import ir  # type: ignore[import-untyped]
 from numba import njit, types
 from numba.extending import intrinsic, overload
 
-from engine.cpu.tiles import SIDE, SLACK, TAIL_BITS, WIDER
+from engine.cpu.tiles import BLOCKS, SIDE, TAIL_BITS
 
 __all__ = [
     "ADJOINT",
     "BLOCK",
-    "BLOCKS",
     "MAX_ALPHA",
     "MIN_TRANSMITTANCE",
     "ROW",
@@ -33,9 +33,6 @@ __all__ = [
 
 BLOCK = 2 * SIDE
 """Pixels in a block."""
-
-BLOCKS = SIDE // 2
-"""Blocks in a tile."""
 
 MAX_ALPHA = float(np.float32(0.99))
 """No Gaussian covers more: its derivative, which divides by 1 - alpha, stays finite. The float32 number in all
@@ -147,23 +144,13 @@ def _exp2(x):  # type: ignore[no-untyped-def]
     return exp2_float32
 
 
-@njit(cache=True, error_model="numpy")
-def _block_rows(v, reach):  # type: ignore[no-untyped-def]
-    """(first, one past last) block of a tile with a pixel centre within reach of v, which is counted from its top."""
-    low = max(v - reach * WIDER - (0.5 + SLACK), 0.0)
-    high = min(v + reach * WIDER - (0.5 - SLACK), SIDE - 1.0)
-    if not low <= high:
-        return 0, 0
-    return math.ceil(low) // 2, int(high) // 2 + 1
-
-
 @njit(cache=True, error_model="numpy", nogil=True)
 def blend(  # type: ignore[no-untyped-def]
     task,
     tiles_per_task,
     tiles,  # [T] tiles that have pairs
     tile_starts,  # [all tiles + 1]
-    pair_slots,  # [pairs]
+    pair_codes,  # [pairs]
     records,  # [V, RECORD]
     states,  # in out [all tiles, BLOCKS, STATE * BLOCK]
     lasts,  # in out [all tiles, BLOCKS, BLOCK] place of the last record drawn
@@ -174,27 +161,26 @@ def blend(  # type: ignore[no-untyped-def]
     zero, half, one = number(0), number(0.5), number(1)
     least, most, dark = number(-TAIL_BITS), number(MAX_ALPHA), number(MIN_TRANSMITTANCE)
     tiles_x = open_tiles.shape[1]
-    alive = np.empty(BLOCKS, np.bool_)
     for index in range(task * tiles_per_task, min((task + 1) * tiles_per_task, len(tiles))):
         tile = tiles[index]
         ty = tile // tiles_x
         tx = tile - ty * tiles_x
         left, top = number(tx * SIDE), number(ty * SIDE)
-        alive[:] = True
+        open_blocks = (1 << BLOCKS) - 1
         at = tile_starts[tile]
         end = tile_starts[tile + 1]
         while at < end:
             batch = min(at + CHECK, end)
             while at < batch:
-                slot = pair_slots[at]
+                slot = pair_codes[at] >> BLOCKS
+                blocks = pair_codes[at] & open_blocks
                 at += 1
                 q = records[slot]
                 u, v = (q[0] - left) + q[1], (q[2] - top) + q[3]
                 a, b, c, light = q[4], q[5], q[6], q[7]
                 red, green, blue, depth = q[8], q[9], q[10], q[11]
-                first, last = _block_rows(v, q[13])
-                for block in range(first, last):
-                    if not alive[block]:
+                for block in range(BLOCKS):
+                    if not (blocks >> block) & 1:
                         continue
                     s = states[tile, block]
                     last_drawn = lasts[tile, block]
@@ -216,14 +202,13 @@ def blend(  # type: ignore[no-untyped-def]
                         s[3 * BLOCK + i] += w * blue
                         s[4 * BLOCK + i] += w * depth
                         last_drawn[i] = slot if w > zero else last_drawn[i]
-            still_open = 0
+            open_blocks = 0
             for block in range(BLOCKS):
                 open_pixels = 0
                 for i in range(BLOCK):
                     open_pixels += states[tile, block, i] > zero
-                alive[block] = open_pixels > 0
-                still_open += open_pixels
-            if still_open == 0:
+                open_blocks |= (open_pixels > 0) << block
+            if open_blocks == 0:
                 open_tiles[ty, tx] = 0
                 break
 
@@ -235,7 +220,7 @@ def blend_backward(  # type: ignore[no-untyped-def]
     tiles,  # [T] tiles that have pairs
     tiles_x,
     tile_starts,  # [all tiles + 1]
-    pair_slots,  # [pairs]
+    pair_codes,  # [pairs]
     records,  # [V, RECORD]
     lasts,  # [all tiles, BLOCKS, BLOCK]
     tile_lasts,  # [all tiles] greatest of them
@@ -259,17 +244,17 @@ def blend_backward(  # type: ignore[no-untyped-def]
         for block in range(BLOCKS):
             block_last[block] = lasts[tile, block].max()
         for at in range(tile_starts[tile + 1] - 1, tile_starts[tile] - 1, -1):
-            slot = pair_slots[at]
+            slot = pair_codes[at] >> BLOCKS
             if slot > tile_lasts[tile]:
                 continue
+            blocks = pair_codes[at]
             q = records[slot]
             u, v = (q[0] - left) + q[1], (q[2] - top) + q[3]
             a, b, c, light = q[4], q[5], q[6], q[7]
             red, green, blue, depth = q[8], q[9], q[10], q[11]
-            first, last = _block_rows(v, q[13])
             lanes[:] = zero
-            for block in range(first, last):
-                if slot > block_last[block]:
+            for block in range(BLOCKS):
+                if not (blocks >> block) & 1 or slot > block_last[block]:
                     continue
                 s = adjoints[tile, block]
                 last_drawn = lasts[tile, block]

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numba import njit
 
-from engine.cpu.tiles import SIDE, TAIL_BITS, box_size
+from engine.cpu.tiles import BLOCKS, SIDE, TAIL_BITS, box_size
 from engine.formula import LOW_PASS
 from engine.projection import (
     camera_point,
@@ -239,7 +239,7 @@ def project_backward(  # type: ignore[no-untyped-def]
     owners,  # [V]
     pair_counts,  # [V]
     first_places,  # [chunks of this slice] where the chunk's pairs begin in
-    pair_tiles,  # [most pairs] tile of each pair, record by record, and
+    pair_tiles,  # [most pairs] tile << BLOCKS | blocks of each pair, record by record, and
     pair_places,  # [most pairs] place of the pair in the list of its tile
     tile_lasts,  # [tiles] last record that a tile saw before it closed
     rows,  # [pairs of this slice, ROW] by place
@@ -266,7 +266,7 @@ def project_backward(  # type: ignore[no-untyped-def]
         sp = sm = sn = smm = smn = snn = red = green = blue = depth = 0.0
         seen = False
         for pair in range(begin, end):
-            tile = pair_tiles[pair]
+            tile = pair_tiles[pair] >> BLOCKS
             if slot <= tile_lasts[tile]:
                 seen = True
                 row = rows[pair_places[pair]]

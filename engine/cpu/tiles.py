@@ -7,10 +7,13 @@ import math
 import numpy as np
 from numba import njit
 
-__all__ = ["SIDE", "SLACK", "TAIL_BITS", "WIDER", "box_size", "list_pairs", "place_pairs", "sort_pairs", "sum_open"]
+__all__ = ["BLOCKS", "SIDE", "TAIL_BITS", "box_size", "list_pairs", "place_pairs", "sort_pairs", "sum_open"]
 
 SIDE = 8
 """Pixels along a tile's edge. A splat of a detailed scene is a few pixels wide: larger tiles mostly miss it."""
+
+BLOCKS = SIDE // 2
+"""Blocks in a tile: the pixel loops take two rows at a time."""
 
 TAIL_BITS = math.log2(255.0)
 """alpha = 2^-TAIL_BITS is one step of an 8-bit picture; what is fainter is left out."""
@@ -23,13 +26,17 @@ WIDER = 1.0 + 1e-5
 
 
 @njit(cache=True, error_model="numpy")
-def _tile_range(low, high, tiles):  # type: ignore[no-untyped-def]
-    """(first, one past last) tile of a row of so many with a pixel centre in low..high."""
+def _centres(low, high, tiles):  # type: ignore[no-untyped-def]
+    """(first, one past last) of the pixels with a centre in low..high, in a row of so many tiles."""
     first = math.ceil(min(max(low - 0.5, 0.0), 1e9))
     last = math.floor(min(max(high - 0.5, -1.0), tiles * SIDE - 1.0))
-    if first > last:
-        return 0, 0
-    return int(first) // SIDE, int(last) // SIDE + 1
+    return int(first), max(int(first), int(last) + 1)
+
+
+@njit(cache=True, error_model="numpy")
+def _covering(first, stop):  # type: ignore[no-untyped-def]
+    """(first, one past last) tile with one of these pixels."""
+    return first // SIDE, (stop + SIDE - 1) // SIDE if stop > first else first // SIDE
 
 
 @njit(cache=True, error_model="numpy")
@@ -37,8 +44,10 @@ def box_size(record, tiles_y, tiles_x):  # type: ignore[no-untyped-def]
     """Number of tiles in the box around the record's ellipse."""
     u, v = np.float64(record[0]) + np.float64(record[1]), np.float64(record[2]) + np.float64(record[3])
     ex, ey = record[12] * WIDER + SLACK, record[13] * WIDER + SLACK
-    x0, x1 = _tile_range(u - ex, u + ex, tiles_x)
-    y0, y1 = _tile_range(v - ey, v + ey, tiles_y)
+    left, right = _centres(u - ex, u + ex, tiles_x)
+    top, bottom = _centres(v - ey, v + ey, tiles_y)
+    x0, x1 = _covering(left, right)
+    y0, y1 = _covering(top, bottom)
     return (x1 - x0) * (y1 - y0)
 
 
@@ -79,7 +88,7 @@ def list_pairs(  # type: ignore[no-untyped-def]
     records,
     open_tiles,  # [tiles_y, tiles_x]
     first_places,  # [chunks] where the chunk may begin to write its tiles
-    pair_tiles,  # out [most pairs] tiles of each record in turn
+    pair_tiles,  # out [most pairs] tile << BLOCKS | which of its blocks, of each record in turn
     pair_counts,  # out [V] how many of them
     tile_counts,  # out [chunks, tiles]
 ):
@@ -101,7 +110,8 @@ def list_pairs(  # type: ignore[no-untyped-def]
         per_ey = 1.0 / ey
         widest = m * ey * ey / ex
         begin = at
-        y0, y1 = _tile_range(v - ey, v + ey, tiles_y)
+        top, bottom = _centres(v - ey, v + ey, tiles_y)
+        y0, y1 = _covering(top, bottom)
         for ty in range(y0, y1):
             low = max(ty * SIDE + 0.5 - v, -ey)
             high = min(ty * SIDE + (SIDE - 0.5) - v, ey)
@@ -110,12 +120,16 @@ def list_pairs(  # type: ignore[no-untyped-def]
             fall_right, fall_left = right * per_ey, left * per_ey
             x1 = u + min(m * right + h * math.sqrt(max(1.0 - fall_right * fall_right, 0.0)) + SLACK, ex)
             x0 = u + max(m * left - h * math.sqrt(max(1.0 - fall_left * fall_left, 0.0)) - SLACK, -ex)
-            tx0, tx1 = _tile_range(x0, x1, tiles_x)
+            tx0, tx1 = _centres(x0, x1, tiles_x)
+            tx0, tx1 = _covering(tx0, tx1)
+            first_block = max(top - ty * SIDE, 0) // 2
+            end_block = (min(bottom - ty * SIDE, SIDE) + 1) // 2
+            blocks = (1 << end_block) - (1 << first_block)
             for tx in range(tx0, tx1):
                 if open_tiles[ty, tx]:
                     tile = ty * tiles_x + tx
                     counts[tile] += 1
-                    pair_tiles[at] = tile
+                    pair_tiles[at] = (tile << BLOCKS) | blocks
                     at += 1
         pair_counts[slot] = at - begin
 
@@ -130,7 +144,7 @@ def sort_pairs(  # type: ignore[no-untyped-def]
     pair_tiles,  # [most pairs]
     pair_counts,  # [V]
     free_places,  # [chunks, tiles] next free place of this chunk in each tile's list
-    pair_slots,  # out [pairs] record by place: tile by tile, nearest first
+    pair_codes,  # out [pairs] record << BLOCKS | blocks, by place: tile by tile, nearest first
     pair_places,  # out [most pairs] and back: place of each pair, record by record
 ):
     """Brings the pairs of one chunk into the lists of their tiles."""
@@ -139,9 +153,9 @@ def sort_pairs(  # type: ignore[no-untyped-def]
     pair = first_places[chunk]
     for slot in range(start, start + record_counts[chunk]):
         for _ in range(pair_counts[slot]):
-            tile = pair_tiles[pair]
+            tile = pair_tiles[pair] >> BLOCKS
             place = free[tile]
             free[tile] = place + 1
-            pair_slots[place] = slot
+            pair_codes[place] = (slot << BLOCKS) | (pair_tiles[pair] & ((1 << BLOCKS) - 1))
             pair_places[pair] = place
             pair += 1
