@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
 
 from engine.atoms import SurfaceAtoms
 from engine.body import Body
+from engine.fill import WALL_OPACITY, without_haze
 from engine.gaussians import Gaussians
 from engine.kernel_field import axes_of
+from engine.opacity_field import Grid, opacity_field
+from engine.patches import patches
 
 __all__ = ["Atomised", "atomise"]
 
@@ -24,7 +27,13 @@ DEEPEST = 1.0
 """Pitches under the skin from which an atom can no longer be seen: debris, or the buried part of a fat Gaussian."""
 
 HIGHEST = 0.75
-"""Pitches above the skin from which an atom is a floater, or the end of a Gaussian that sticks out."""
+"""Pitches above the skin from which an atom is off it: a stem, a leaf, a mat, or a floater."""
+
+SHEET_OPACITY = 0.5
+"""Opacity field from which an atom off the skin stays: a ray loses 2/5 there, so the capture shows something."""
+
+COVERAGE = 2.0
+"""Sum of unit kernels on the skin that is aimed at: where it is less, chance leaves holes between the atoms."""
 
 SPACING = 1.6
 """Between the parts of a split Gaussian, in their standard deviations: the sum of unit kernels then ripples by 8 %."""
@@ -42,22 +51,32 @@ class Atomised:
     """Gaussians that were haze, floaters or debris inside."""
     split: int
     """Gaussians that were larger than the pitch and became several atoms."""
+    patched: int = 0
+    """Atoms that were added where the others leave a hole in the skin."""
 
 
 def atomise(gaussians: Gaussians, pitch: float, body: Body | None = None) -> Atomised:
     """Atoms no larger than the pitch (the paper's atomic clipping) and opaque (its uniform opacification).
 
-    A Gaussian of opacity a becomes an atom of a times its area across its thin axis, so that what it hides stays the
-    same. Larger ones are split along their principal axes into parts with the same mean and variance. With a body,
-    Gaussians that lie off its skin are dropped. Bit-equal for the same input.
+    A Gaussian of opacity a becomes an atom of at least a times its area across its thin axis, and of more where the
+    skin is thin (COVERAGE): what it hides stays about the same. Larger ones are split along their principal axes into
+    parts with the same mean and variance. With a body, what lies under its skin is dropped, and so is what floats off
+    it without hiding anything; holes that this or the capture leaves in the skin are patched. Bit-equal for the same
+    input.
     """
     assert pitch > 0, pitch
     haze = (gaussians.opacities < HAZE_OPACITY) & (gaussians.scales.max(axis=1, initial=0) > pitch)
     keep = np.flatnonzero((gaussians.opacities >= FAINT) & ~haze)
     kept = gaussians[keep]
+    area = kept.opacities.copy()
+    if body is not None:
+        grid = Grid(body.origin, body.cell, body.depth.shape)
+        shell = without_haze(gaussians)[0]
+        opacity = Body(body.origin, body.cell, opacity_field(shell, grid, body.cell / 2))
+        area = np.clip(COVERAGE * area / np.maximum(opacity.at(kept.means), 1e-6), area, 1)
     scales = kept.scales.copy()
     thin = scales.argmin(axis=1)
-    shrink = np.repeat(np.sqrt(kept.opacities)[:, None], 3, axis=1)
+    shrink = np.repeat(np.sqrt(area)[:, None], 3, axis=1)
     shrink[np.arange(len(kept)), thin] = 1.0
     scales *= shrink
     large = (scales > pitch).any(axis=1)
@@ -68,7 +87,7 @@ def atomise(gaussians: Gaussians, pitch: float, body: Body | None = None) -> Ato
     on_skin = np.ones(len(means), bool)
     if body is not None:
         depth = body.at(means)
-        on_skin = (depth < DEEPEST * pitch) & (depth > -HIGHEST * pitch)
+        on_skin = (depth < DEEPEST * pitch) & ((depth > -HIGHEST * pitch) | (opacity.at(means) >= SHEET_OPACITY))
     origin = origin[on_skin]
     atoms = SurfaceAtoms(
         means[on_skin],
@@ -76,7 +95,12 @@ def atomise(gaussians: Gaussians, pitch: float, body: Body | None = None) -> Ato
         gaussians.quats[origin],
         gaussians.sh[origin],
     )
-    return Atomised(atoms, len(gaussians) - len(np.unique(origin)), int(large.sum()))
+    dropped, patched = len(gaussians) - len(np.unique(origin)), 0
+    if body is not None:
+        more = patches(atoms, shell, body, pitch, opacity.depth, WALL_OPACITY)
+        patched = len(more)
+        atoms = SurfaceAtoms(*(np.concatenate([getattr(a, f.name) for a in (atoms, more)]) for f in fields(atoms)))
+    return Atomised(atoms, dropped, int(large.sum()), patched)
 
 
 def split(

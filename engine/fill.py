@@ -18,7 +18,7 @@ from engine.gaussians import Gaussians
 from engine.opacity_field import Grid, opacity_field, rotations
 from engine.skin import signed_depth
 
-__all__ = ["Found", "fill", "find_body"]
+__all__ = ["WALL_OPACITY", "Found", "fill", "find_body", "without_haze"]
 
 WALL_OPACITY = 0.2
 """The paper's sigma_th: d on a sheet is the sum of the alphas that a ray meets there, and here it loses a quarter
@@ -77,7 +77,7 @@ def find_body(gaussians: Gaussians, cells: int = 128, name: str = "scene") -> Fo
     Raises InputError if nothing is enclosed.
     """
     assert cells >= 8, cells
-    shell, notes = _without_haze(gaussians)
+    shell, notes = without_haze(gaussians)
     if len(shell) < 4:
         raise InputError(
             f"{name}: no closed body found; {len(gaussians)} Gaussians are too few, too large or too faint for a skin"
@@ -111,7 +111,7 @@ def _grid(gaussians: Gaussians, cells: int) -> Grid | None:
     return Grid((low + high) / 2 - shape * cell / 2, cell, (int(shape[0]), int(shape[1]), int(shape[2])))
 
 
-def _without_haze(gaussians: Gaussians) -> tuple[Gaussians, list[str]]:
+def without_haze(gaussians: Gaussians) -> tuple[Gaussians, list[str]]:
     """The Gaussians that may be part of a skin, and what was left out."""
     finite = np.isfinite(gaussians.means).all(1) & np.isfinite(gaussians.scales).all(1) & (gaussians.opacities > 0)
     gaussians = gaussians[finite]
