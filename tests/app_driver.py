@@ -64,7 +64,7 @@ class Driver:
         """Across the viewport; `hold` is done before the button is let go."""
         self.context.mouse_move_to_pos(self.point(*start))
         self.context.mouse_down(button)
-        for part in (0.3, 0.7, 1.0):
+        for part in (0.5, 1.0):
             at = tuple(a + part * (b - a) for a, b in zip(start, end, strict=True))
             self.context.mouse_move_to_pos(self.point(*at))
         if hold is not None:

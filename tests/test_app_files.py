@@ -16,6 +16,7 @@ from PIL import Image
 
 from app.autosave import Autosave, rescued
 from app.camera_control import Eye
+from app.colours import Watch
 from app.document import WHOLE, Document, Part, Training
 from app.export import ffmpeg, piece_gaussians, save_animation, save_pieces, save_still, sweep, turned_sh, turntable
 from app.job import Job, command_for, default_out
@@ -23,12 +24,14 @@ from app.job_events import Progress, read_line
 from app.motion import Motion
 from app.pieces import Lying, Solid, pieces
 from app.project import Outside, Project, Viewing, load_project, save_project
+from app.samples import sample_document
 from app.settings import Settings, load_settings, save_settings
 from engine.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from engine.errors import InputError
 from engine.plane import Plane
 from engine.ply import read_ply
 from engine.sh import colours
+from engine.trained import load_trained
 from training.families import Family
 
 STUB = (sys.executable, str(Path(__file__).with_name("app_stub_trainer.py")))
@@ -234,6 +237,32 @@ def test_a_killed_job_is_a_failed_one(tmp_path: Path) -> None:
     job.child.kill()
     follow(job, lambda job: job.ended)
     assert job.phase == "failed"
+
+
+def test_a_real_training_is_killed_and_resumed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("FRUITNINJA_HOME", str(tmp_path))
+    Image.new("RGB", (64, 64), (200, 40, 40)).save(tmp_path / "cut.png")
+    family = Family("horizontal", 2, (tmp_path / "cut.png",))
+    training = Training("draft", iterations=2, out=tmp_path / "result")
+    document = replace(sample_document("none"), families=(family,), training=training)
+    out = tmp_path / "result"
+    job = Job.start(command_for(document, (0.0, 0.0, 1.0), out), out)
+    follow(job, lambda job: job.progress.stage == "labels", 200)
+    assert job.phase == "running" and job.child is not None
+    job.child.kill()
+    follow(job, lambda job: job.ended)
+    assert job.phase == "failed" and 0 < job.progress.whole < 1
+    resumed = job.resume()
+    follow(resumed, lambda job: job.ended, 200)
+    while resumed.poll():
+        pass
+    assert resumed.phase == "done", resumed.last_words()
+    assert len(resumed.progress.section) == 2 and resumed.progress.whole == 1 and resumed.progress.previews
+    assert resumed.progress.result is not None
+    solid, _ = load_trained(resumed.progress.result)
+    window = solid.interior  # what the app would be showing: the same atoms, so that colours fit
+    again = Watch(out).newer(Atoms(solid.surface, replace(window, rgb=np.zeros_like(window.rgb)), solid.pitch))
+    assert again is not None and again.interior.rgb.max() > 0.5
 
 
 def test_half_a_line_is_read_when_it_is_whole(tmp_path: Path) -> None:

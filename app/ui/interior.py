@@ -13,7 +13,7 @@ from imgui_bundle import icons_fontawesome_6 as icon
 from app.document import Training
 from app.job import Job, missing_for_training
 from app.job_events import Progress
-from app.session import Session
+from app.session import Choice, Session
 from app.ui.dialogs import Dialogs
 from app.ui.theme import palette, px, rgba, u32
 from app.ui.thumbs import Thumbs
@@ -296,8 +296,11 @@ class InteriorPanel:
         job = desk.job
         missing = missing_for_training(session.document)
         if job is None:
+            trained = session.object is not None and session.object.trained
             with disabled(bool(missing)):
-                if main_button(f"{icon.ICON_FA_PLAY}  Give it an inside"):
+                if trained and imgui.button(f"{icon.ICON_FA_ARROWS_ROTATE}  Train again", ImVec2(-1, px(32))):
+                    self._again()
+                elif not trained and main_button(f"{icon.ICON_FA_PLAY}  Give it an inside"):
                     desk.start()
             if missing:
                 secondary(missing, wrap=True)
@@ -321,6 +324,15 @@ class InteriorPanel:
                 desk.dismiss()
                 desk.start()
         self._progress(job, phase)
+
+    def _again(self) -> None:
+        """A second run takes the place of the first, so it is asked for twice."""
+        session = self.session
+        session.ask(
+            "Train again",
+            "The new inside takes the place of the one that is shown.",
+            Choice("Train again", session.desk.start, main=True),
+        )
 
     def _progress(self, job: Job, phase: str) -> None:
         progress = job.progress
@@ -347,9 +359,12 @@ class InteriorPanel:
             return
         plain = implot.AxisFlags_.no_label | implot.AxisFlags_.no_tick_marks
         implot.setup_axes("", "", plain | implot.AxisFlags_.no_tick_labels | implot.AxisFlags_.no_grid_lines, plain)
-        highest = max(np.nanmax(progress.section), np.nanmax(progress.surface)) if progress.section else 1.0
+        told = np.array([*progress.section, *progress.surface])
+        told = told[np.isfinite(told)]
+        low, high = (float(told.min()), float(told.max())) if len(told) else (0.0, 1.0)
+        room = 0.1 * max(high - low, 1e-3)
         last = max(progress.iterations, len(progress.section), 2)
-        implot.setup_axes_limits(1, last, 0, max(1.08 * float(highest), 1e-3), implot.Cond_.always)
+        implot.setup_axes_limits(1, last, max(0.0, low - room), high + room, implot.Cond_.always)
         implot.setup_axis_format(implot.ImAxis_.y1, "%.2f")
         implot.setup_legend(implot.Location_.north_east, implot.LegendFlags_.no_buttons)
         for name, values, colour in (

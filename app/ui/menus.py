@@ -60,6 +60,9 @@ class Menus:
         def chosen() -> bool:
             return bool(s.selection)
 
+        def can_start() -> bool:
+            return opened() and not desk.busy and not (s.object is not None and s.object.trained)
+
         def is_cut() -> bool:
             return bool(s.document.cuts)
 
@@ -98,7 +101,7 @@ class Menus:
             Command("Cut", "Add plane", s.add_plane, "", 0, opened),
             Command("Cut", "Put back together", s.together, "Ctrl+G", Ctrl | Key.g, is_cut),
             Command("Cut", "Remove all cuts", self._no_cuts, can=is_cut),
-            Command("Interior", "Give it an inside", desk.start, can=lambda: opened() and not desk.busy),
+            Command("Interior", "Give it an inside", desk.start, can=can_start),
             Command("Interior", "Pause", desk.toggle_pause, can=lambda: desk.busy),
             Command("Interior", "Stop", desk.stop, can=lambda: desk.busy),
             Command("Interior", "Resume", desk.resume, can=lambda: desk.job is not None and not desk.busy),

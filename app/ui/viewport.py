@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -80,7 +81,7 @@ class Viewport:
         self.size = (640, 480)
         """Of the picture, in the window's units."""
         self.origin = ImVec2(0, 0)
-        self._outlines: tuple[object, list[NDArray[np.float64]]] = (None, [])
+        self._outlines: tuple[object, Sequence[tuple[str, NDArray[np.float64]]]] = (None, [])
         self._eye = Eye()
         self._turned = -10.0
 
@@ -135,7 +136,6 @@ class Viewport:
         imgui.invisible_button("##canvas", size, ANY_BUTTON)
         hovered, active = imgui.is_item_hovered(), imgui.is_item_active()
         self._draw_families(camera)
-        self._draw_planes(camera)
         self._draw_selection(camera, pieces)
         busy = self.drag is None and handles(session, camera, self.origin, size)
         if not busy:
@@ -267,7 +267,7 @@ class Viewport:
         pixels, depth = project_points(camera, points)
         if not camera.orthographic and (depth <= camera.near).any():
             return
-        middle = points.mean(0)
+        middle = self.session.solid.centre if motion is None else motion.apply(self.session.solid.centre)
         eye = -camera.forward if camera.orthographic else camera.position - middle
         front = (points - middle) @ eye > 0
         draw = imgui.get_window_draw_list()
@@ -284,24 +284,15 @@ class Viewport:
         if self._outlines[0] != key:
             body = body_of(session.solid) if families else None
             lines = [
-                line
+                (f.kind, line)
                 for f in families
                 if body is not None
                 for line in family_outlines(f, session.solid, body, session.up)
             ]
             self._outlines = (key, lines)
-        for line in self._outlines[1]:
-            self._line(camera, line, u32(palette().text, 0.75), u32(palette().text, 0.13), px(1.2))
-
-    def _draw_planes(self, camera: Camera) -> None:
-        """The outline of the object in the active section plane."""
-        session, cut = self.session, self._active_section()
-        if cut is None:
-            return
-        plane = cut.plane(cut.parts[0])
-        line = outline(session.solid, plane)
-        if line is not None:
-            self._line(camera, line, u32(palette().accent, 0.9), u32(palette().accent, 0.35), px(1.6))
+        for kind, line in self._outlines[1]:
+            colour = palette().text if kind == "horizontal" else palette().curve
+            self._line(camera, line, u32(colour, 0.7), u32(colour, 0.08), px(1.1))
 
     def _sheets(self) -> list[Sheet]:
         """The active section plane, as a sheet that the object hides where it is in front."""
@@ -313,7 +304,7 @@ class Viewport:
         foot = session.solid.centre - n * float(plane.distance(session.solid.centre))
         side = 1.1 * session.solid.radius
         corners = np.stack([foot + side * (a * e1 + b * e2) for a, b in ((1, 1), (-1, 1), (-1, -1), (1, -1))])
-        return [Sheet(corners, (*rgb(palette().text), 0.10), hidden=0.0)]
+        return [Sheet(corners, (*rgb(palette().text), 0.07), hidden=0.0)]
 
     def _active_section(self) -> Cut | None:
         session = self.session

@@ -1,0 +1,163 @@
+"""The five pictures of the README, from the real window: `make screenshots`.
+
+Runs the app under a virtual X server where there is no display, opens the watermelon, shows its families, trains it,
+cuts it, and saves what the window shows into docs/pictures/. A finished training result in out/screenshots is used
+again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shutil
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from imgui_bundle import imgui
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
+
+from app_driver import Driver, drive  # noqa: E402 (tests is no package)
+
+from app.document import Part, Training  # noqa: E402
+from app.motion import Motion  # noqa: E402
+from app.project import Viewing  # noqa: E402
+from app.samples import sample_document  # noqa: E402
+from app.session import Session  # noqa: E402
+from app.settings import Settings  # noqa: E402
+from engine.plane import Plane  # noqa: E402
+
+Key = imgui.Key
+PICTURES = ROOT / "docs" / "pictures"
+OUT = ROOT / "out" / "screenshots"
+SIZE = (1440, 900)
+
+
+def main() -> None:
+    """Restarts itself under xvfb-run if it has to, then takes the pictures."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
+    parser.add_argument("--detail", default="standard", choices=("draft", "standard", "high"))
+    parser.add_argument("--fresh", action="store_true", help="train again even if there is a result")
+    parser.add_argument("--theme", default="dark", choices=("dark", "light"))
+    options = parser.parse_args()
+    if not os.environ.get("DISPLAY") and sys.platform.startswith("linux"):
+        server = shutil.which("xvfb-run")
+        if server is None:
+            sys.exit("screenshots: no display; install xvfb")
+        screen = f"-screen 0 {SIZE[0] + 160}x{SIZE[1] + 100}x24"
+        os.execv(server, [server, "-a", "-s", screen, sys.executable, __file__, *sys.argv[1:]])
+    os.environ["FRUITNINJA_HOME"] = str(OUT / "home")
+    shutil.rmtree(OUT / "home", ignore_errors=True)
+    if options.fresh:
+        shutil.rmtree(OUT / "watermelon", ignore_errors=True)
+    take(options.detail, options.theme)
+
+
+def take(detail: str, theme: str) -> None:
+    """Opens the window and goes through the scenes."""
+    document = sample_document("watermelon")
+    document = replace(document, training=Training(detail=detail, out=OUT / "watermelon"))  # type: ignore[arg-type]
+    result = OUT / "watermelon" / "watermelon.ply"
+    kept = result.with_suffix(".kept")
+    if result.exists():  # hide it, so that the first pictures show the hollow capture
+        result.rename(kept)
+
+    def script(driver: Driver) -> None:
+        session, window = driver.session, driver.window
+        view = window.viewport
+
+        def shot(name: str) -> None:
+            driver.context.mouse_move_to_pos(driver.point(0.97, 0.97))
+            driver.still()
+            driver.picture(PICTURES / f"{name}.png")
+            print(f"{name}.png", flush=True)
+
+        # The hollow input.
+        driver.until(lambda: session.atoms is not None, 600, "the solid")
+        view.fit()
+        shot("1_capture")
+
+        # The families, with their planes on the object.
+        session.look(replace(session.viewing, mode="solid", eye=replace(session.viewing.eye, elevation=26.0)))
+        view.show_families = frozenset(["horizontal", "radial"])
+        window.interior.open = "horizontal"
+        shot("5_families")
+        view.show_families, window.interior.open = frozenset(), None
+
+        # Training, seen through an opened object.
+        if kept.exists():
+            kept.rename(result)
+            session.prepare()
+            driver.until(lambda: session.object is not None and session.object.trained, 120, "the result")
+        else:
+            session.add_plane()
+            cut = session.document.cuts[0]
+            tilt(session, cut.id)
+            session.desk.start()
+            driver.until(lambda: busy_training(session), 3600, "training with curves and pictures")
+            shot("4_training")
+            driver.until(lambda: session.object is not None and session.object.trained, 3600, "the end of training")
+            session.remove_cut(cut.id)
+
+        # The knife.
+        session.look(replace(session.viewing, mode="solid"))
+        view.fit()
+        driver.still()
+        driver.press(Key.k)
+        driver.drag(
+            (0.30, 0.20), (0.72, 0.82), hold=lambda: (driver.still(), driver.picture(PICTURES / "2_knife.png"))
+        )  # fmt: skip
+        print("2_knife.png", flush=True)
+
+        # The halves, laid open.
+        driver.still()
+        assert len(session.pieces) == 2, session.message
+        driver.press(Key.v)
+        lay_open(session)
+        view.fit()
+        shot("3_halves")
+
+    drive(
+        Session(settings=Settings(theme=theme, window=SIZE, seen_hint=True)),  # type: ignore[arg-type]
+        script,
+        lambda session: session.show(document, Viewing(mode="capture"), None),
+    )
+
+
+def busy_training(session: Session) -> bool:
+    """Whether there is something to see: a curve, label pictures, colours."""
+    job = session.desk.job
+    assert job is not None and job.phase in ("running", "done"), session.error
+    progress = job.progress
+    return len(progress.section) > 0.6 * progress.iterations > 0 and bool(progress.previews) and session.colours > 0
+
+
+def tilt(session: Session, cut_id: int) -> None:
+    """Slants a section plane towards the eye, so that its face fills the view."""
+    camera = session.viewing.eye.camera(640, 480, session.up)
+    plane = Plane.through(session.solid.centre, -0.75 * camera.forward + 0.55 * np.asarray(session.up))
+    session.change_cut("Tilt", cut_id, lambda cut: replace(cut, parts=(Part(plane),), shift=0.0))
+
+
+def lay_open(session: Session) -> None:
+    """Turns both halves so that their faces look at the eye, side by side."""
+    camera = session.viewing.eye.camera(640, 480, session.up)
+    right, down = camera.viewmat[0, :3], camera.viewmat[1, :3]
+    radius = session.solid.radius
+    for piece, side in zip(session.pieces, (-1.0, 1.0), strict=True):
+        normal = piece.motion.rotation @ np.asarray(piece.planes[-1].normal)  # out of the face
+        towards = -camera.forward + 0.25 * side * -right - 0.18 * down
+        towards /= np.linalg.norm(towards)
+        axis = np.cross(normal, towards)
+        angle = float(np.degrees(np.arctan2(np.linalg.norm(axis), normal @ towards)))
+        middle = piece.motion.apply(session.solid.points[piece.rows]).mean(0)
+        turn = Motion.about(middle, axis, angle)
+        place = session.solid.centre + 0.92 * side * radius * right - middle
+        session.place("Lay open", frozenset([piece.key]), Motion.by(place).after(turn))
+
+
+if __name__ == "__main__":
+    main()
