@@ -76,16 +76,16 @@ class Layers:
 def rind_depth(sheet: Sheet) -> float:
     """Depth, over the body's inradius, at which the layers along the skin end.
 
-    The first depth from which the median colour holds for a while.
+    From there on the median colour is that of the flesh, a third to a half of the inradius deep.
     """
     step = 0.02
-    bands = [sheet.rgb[(sheet.depth > step * i) & (sheet.depth <= step * (i + 1))] for i in range(25)]
-    medians = np.array([np.median(b, axis=0) if len(b) else np.full(3, np.nan) for b in bands])
-    for i in range(1, 18):
-        gap = np.linalg.norm(medians[i : i + 6] - medians[i], axis=1)
-        if np.isfinite(gap).all() and gap.max() < 0.08:
-            return step * (i + 0.5)
-    return 0.15
+    deep = sheet.rgb[(sheet.depth > 0.33) & (sheet.depth < 0.5)]
+    flesh = np.median(deep, axis=0) if len(deep) else np.median(sheet.rgb[sheet.depth > 0], axis=0)
+    for i in range(16, -1, -1):
+        band = sheet.rgb[(sheet.depth > step * i) & (sheet.depth <= step * (i + 1))]
+        if len(band) and np.linalg.norm(np.median(band, axis=0) - flesh) > 0.08:
+            return step * (i + 1.5)
+    return step
 
 
 def decompose(sheet: Sheet, kind: Frame) -> Layers:

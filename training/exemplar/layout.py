@@ -192,8 +192,8 @@ def heights(space: Space, axis: Axis, colours: NDArray[np.float32], carrier: Lay
     """Corrects a carried picture (N, 3), in place, by what radial pictures know of height.
 
     Each half of each radial picture is a look at the same map of (direction, depth). Where most of them show another
-    thing than the carried picture's ring at that place has (a layer, the end of a core, thick pith at a pole), theirs is
-    taken; where they agree on a gentler difference, it is added. Seeds and other chance is in one of them at a time.
+    thing than the carried picture's ring at that place (a layer, the end of a core, thick pith at a pole), theirs is
+    taken; where they agree on a gentler difference, it is added. Seeds and other chance are in one of them at a time.
     """
     ring = _ring(carrier)
     looks = [(p, side) for p in radial for side in (1, -1)]

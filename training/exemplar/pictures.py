@@ -98,7 +98,7 @@ def _read(path: Path) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
         raise InputError(f"{path}: not a picture that can be read; give a PNG or JPEG file") from error
     except Image.DecompressionBombWarning as error:
         raise InputError(f"{path}: larger than 89 megapixels; scale it down") from error
-    alpha = None
+    alpha: NDArray[np.float32] | None = None
     if image.mode[:1] in "IF":  # 16 and 32 bits of grey
         values = np.asarray(image, np.float64)
         top = 65535.0 if values.max(initial=0) > 255 else max(1.0, float(values.max(initial=0)))
@@ -110,10 +110,10 @@ def _read(path: Path) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
     if min(image.size) < SMALLEST_SIDE:
         raise InputError(f"{path}: only {image.width}x{image.height} pixels; give a larger picture")
     if image.mode == "RGBA":
-        alpha = np.asarray(image.getchannel("A"), np.float32) / 255
+        alpha = np.asarray(image.getchannel("A"), np.float32) / np.float32(255)
         if (alpha < 0.5).mean() < 0.005:
             alpha = None
-    return np.asarray(image.convert("RGB"), np.float32) / 255, alpha
+    return np.asarray(image.convert("RGB"), np.float32) / np.float32(255), alpha
 
 
 def _foreground(rgb: NDArray[np.float32], path: Path) -> NDArray[np.bool_]:
@@ -193,7 +193,8 @@ def _otsu(values: NDArray[np.floating]) -> float:
     sums = np.cumsum(counts * middle)
     with np.errstate(divide="ignore", invalid="ignore"):
         between = below * above * (sums / below - (sums[-1] - sums) / above) ** 2
-    return float(np.exp(middle[np.nanargmax(np.where(above > 0, between, np.nan))])) if len(values) else 3.0
+    between[~np.isfinite(between)] = 0  # one of the two sides is empty
+    return float(np.exp(middle[between.argmax()]))
 
 
 def _largest(found: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from training.exemplar.frames import Space, View
+from training.exemplar.frames import Sheet, Space, View
 from training.exemplar.patches import OVER, RADIAL
 
 __all__ = ["sharpen"]
@@ -38,14 +38,14 @@ def sharpen(space: Space, rgb: NDArray[np.float32], views: Sequence[View]) -> fl
     """
     edges = rgb - np.stack([ndimage.gaussian_filter(rgb[..., c], SIGMA) for c in range(3)], -1)
     core = space.cells[space.depth > CORE]
-    core = core[:: max(1, len(core) // SAMPLES)].astype(np.float32)
+    core = core[:: max(1, len(core) // SAMPLES)]
     wanted, sums = 0.0, np.zeros(3)
     for view in views:
         sheet = view.sheets[0]
         column, row = (sheet.xy * OVER + 0.5).astype(int).T
         x, y = sheet.xy[sheet.depth[row, column] > CORE].T
-        wanted += float((_laplacian(lambda x, y, s=sheet: s.read(x, y).mean(-1), x, y) ** 2).mean())  # type: ignore[misc]
-        plain, edge = (_laplacian(_cut(grid.mean(-1), core, view), 0.0, 0.0) for grid in (rgb, edges))
+        wanted += float((_laplacian(_picture(sheet), x, y) ** 2).mean())
+        plain, edge = (_laplacian(_cut(grid.mean(-1), core, view), *np.zeros((2, 1))) for grid in (rgb, edges))
         sums += [(plain**2).mean(), (plain * edge).mean(), (edge**2).mean()]
     a, b, c = sums
     gain = (-b + np.sqrt(max(b * b - c * (a - wanted), 0))) / c if c > 0 and a < wanted else 0.0
@@ -58,7 +58,12 @@ def sharpen(space: Space, rgb: NDArray[np.float32], views: Sequence[View]) -> fl
     return gain
 
 
-def _cut(grey: NDArray[np.float32], core: NDArray[np.float32], view: View) -> Read:
+def _picture(sheet: Sheet) -> Read:
+    """Reads the grey of a sheet."""
+    return lambda x, y: sheet.read(x, y).mean(-1)
+
+
+def _cut(grey: NDArray[np.float32], core: NDArray[np.int16], view: View) -> Read:
     """Reads a grid around core voxels in a plane like the view's, but not along the axes of the grid."""
     a, b = view.basis[0], view.basis[2 if view.kind == RADIAL else 1]
     first, second = 0.8 * a + 0.6 * b, 0.8 * b - 0.6 * a

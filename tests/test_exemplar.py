@@ -1,0 +1,279 @@
+"""The exemplar prior: pictures as people have them, and invariants of the insides made from them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from PIL import Image
+from scipy import ndimage
+
+from engine.body import Body
+from engine.errors import InputError
+from training.exemplar import ExemplarPrior, read_picture
+from training.exemplar.decompose import decompose
+from training.exemplar.frames import make_sheet, make_space
+from training.exemplar.patches import POLAR, posterior
+from training.families import Family
+from training.prior import Condition
+
+UP = np.array([0.0, 0.0, 1.0])
+RIND, FLESH, SEED = np.array([0.1, 0.5, 0.1]), np.array([0.85, 0.15, 0.15]), np.array([0.05, 0.03, 0.02])
+
+
+def quiet(_: float) -> None:
+    """Progress that nobody watches."""
+
+
+def ball(n: int = 24) -> Body:
+    """A ball of radius 1."""
+    cell = 2 / n
+    body = Body(np.full(3, -1 - 3 * cell), cell, np.zeros((n + 6,) * 3, np.float32))
+    return Body(body.origin, cell, (1 - np.linalg.norm(body.centres(), axis=-1)).astype(np.float32))
+
+
+def disc(size: int = 160, seeds: int = 0, radius: float = 0.8) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """A melon's face on white: rind a tenth thick, flesh, a ring of round seeds; and its mask."""
+    y, x = (np.mgrid[:size, :size] + 0.5) / size * 2 - 1
+    r = np.hypot(x, y) / radius
+    face = np.where((r > 0.88)[..., None], RIND, FLESH)
+    for angle in np.arange(seeds) / max(seeds, 1) * 2 * np.pi:
+        at = 0.55 * radius * np.array([np.cos(angle), np.sin(angle)])
+        face[np.hypot(x - at[0], y - at[1]) < 0.06 * radius] = SEED
+    return np.where((r < 1)[..., None], face, 1.0).astype(np.float32), r < 1
+
+
+def save(path: Path, picture: NDArray[np.floating]) -> Path:
+    """Writes a picture in [0, 1] as a PNG."""
+    Image.fromarray((np.clip(picture, 0, 1) * 255 + 0.5).astype(np.uint8)).save(path)
+    return path
+
+
+def overlap(a: NDArray[np.bool_], b: NDArray[np.bool_]) -> float:
+    """Intersection over union of two masks, each in its own bounding box."""
+    boxes = []
+    for mask in (a, b):
+        rows, columns = np.nonzero(mask)
+        box = mask[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1].astype(np.float32)
+        boxes.append(ndimage.zoom(box, (100 / box.shape[0], 100 / box.shape[1]), order=1) > 0.5)
+    return float((boxes[0] & boxes[1]).sum() / (boxes[0] | boxes[1]).sum())
+
+
+@pytest.mark.parametrize("background", ["white", "black", "blue", "table", "uneven", "transparent"])
+def test_background_is_found(tmp_path: Path, background: str) -> None:
+    face, mask = disc(200, seeds=6, radius=0.6)
+    face, mask = (np.roll(a, (20, -25), (0, 1)) for a in (face, mask))
+    rng = np.random.default_rng(0)
+    y, x = np.mgrid[:200, :200] / 200
+    behind = {
+        "white": np.ones((200, 200, 3)),
+        "black": np.full((200, 200, 3), 0.03),
+        "blue": np.broadcast_to([0.1, 0.2, 0.6], (200, 200, 3)),
+        "table": 0.75 + 0.04 * ndimage.gaussian_filter(rng.normal(size=(200, 200, 1)), (2, 8, 0)) * [5, 4, 3],
+        "uneven": np.broadcast_to(0.55 + 0.35 * (x + y)[..., None] / 2, (200, 200, 3)),
+        "transparent": np.ones((200, 200, 3)),
+    }[background]
+    picture = np.where(mask[..., None], face, behind)
+    if background == "transparent":
+        picture = np.concatenate([picture, mask[..., None]], -1)
+    found = read_picture(save(tmp_path / "face.png", picture), "horizontal")
+    assert overlap(found.mask, mask) > 0.96
+    found.save_overlay(tmp_path / "overlay.png")
+    assert Image.open(tmp_path / "overlay.png").size == found.mask.shape[::-1]
+
+
+def test_uneven_light_is_taken_out(tmp_path: Path) -> None:
+    face, mask = disc(160)
+    slope = np.linspace(0.8, 1.2, 160)[None, :, None]
+    lit = read_picture(save(tmp_path / "lit.png", np.where(mask[..., None], 0.8 * face * slope, 1)), "radial")
+    half = lit.mask.shape[1] // 2
+    row = lit.rgb[lit.mask.shape[0] // 2, :, 0]
+    assert abs(row[half - 30] / row[half + 30] - 1) < 0.03
+
+
+def test_modes_and_orientation(tmp_path: Path) -> None:
+    face, mask = disc(120)
+    face[20:50][mask[20:50]] = 0.0  # darker at the top
+    grey = (face.mean(-1) * 65535).astype(np.uint16)
+    Image.fromarray(grey).save(tmp_path / "deep.png")
+    assert read_picture(tmp_path / "deep.png", "radial").rgb.shape[2] == 3
+    exif = Image.Exif()
+    exif[0x0112] = 3  # upside down
+    Image.fromarray((face[::-1, ::-1] * 255).astype(np.uint8)).save(tmp_path / "turned.jpg", exif=exif, quality=95)
+    read = read_picture(tmp_path / "turned.jpg", "radial")
+    third = len(read.rgb) // 3
+    assert read.rgb[:third].mean() < read.rgb[-third:].mean()
+
+
+def test_refusals_are_one_clear_line(tmp_path: Path) -> None:
+    (tmp_path / "text.png").write_text("no picture")
+    save(tmp_path / "blank.png", np.full((100, 100, 3), 0.5))
+    save(tmp_path / "tiny.png", np.zeros((8, 8, 3)))
+    save(tmp_path / "noise.png", np.random.default_rng(0).random((100, 100, 3)))
+    for name in ("text", "blank", "tiny", "noise", "missing"):
+        with pytest.raises(InputError, match=name) as caught:
+            read_picture(tmp_path / f"{name}.png", "horizontal")
+        assert "\n" not in str(caught.value)
+    with pytest.raises(InputError, match="no exemplar"):
+        ExemplarPrior().solve(ball(), UP, [Family("horizontal", 40)], 16, 0, quiet)
+
+
+def test_photograph_of_an_orange() -> None:
+    photo = Path(__file__).parents[1].parent / "shared/data/photos/sliced_orange.png"
+    if not photo.exists():
+        pytest.skip("the photographs are not beside the repository")
+    assert read_picture(photo, "horizontal").mask.mean() > 0.6
+
+
+def test_rings_stay_rings_and_rind_stays_out_of_the_core(tmp_path: Path) -> None:
+    face, _ = disc()
+    family = Family("horizontal", 40, (save(tmp_path / "face.png", face),))
+    volume = ExemplarPrior().solve(ball(), UP, [family], 32, 0, quiet)
+    depth = volume.body.depth
+    core, skin = volume.rgb[depth > 0.3], volume.rgb[(depth > 0.03) & (depth < 0.07)]
+    assert np.abs(core - FLESH).max() < 0.1
+    assert np.abs(np.median(skin, axis=0) - RIND).max() < 0.05
+    # What the picture shows the same all around is the same all around.
+    centres = volume.body.centres()
+    level = np.abs(centres[..., 2]) < volume.body.cell
+    ring = level & (np.abs(np.hypot(centres[..., 0], centres[..., 1]) - 0.5) < 0.03)
+    assert volume.rgb[ring].std(axis=0).max() < 0.02
+
+
+def test_straight_walls_run_through(tmp_path: Path) -> None:
+    """Walls of the picture stand at their place at every height."""
+    face, mask = disc(200)
+    y, x = (np.mgrid[:200, :200] + 0.5) / 100 - 1
+    face[mask & (np.minimum(np.abs(x), np.abs(y)) < 0.035) & (np.hypot(x, y) < 0.7)] = 0.95
+    family = Family("horizontal", 40, (save(tmp_path / "walls.png", face),))
+    volume = ExemplarPrior().solve(ball(32), UP, [family], 48, 0, quiet)
+    heights = np.linspace(-0.5, 0.5, 9)
+    on = volume.at(np.array([[0.4, 0, h] for h in heights] + [[0, -0.4, h] for h in heights]))
+    off = volume.at(np.array([[0.3, 0.3, h] for h in heights]))
+    assert on[:, 1].mean() > 0.5
+    assert off[:, 1].max() < 0.3
+
+
+def test_seeds_end_and_are_as_many_as_shown(tmp_path: Path) -> None:
+    face, _ = disc(seeds=8)
+    family = Family("horizontal", 40, (save(tmp_path / "melon.png", face),))
+    volume = ExemplarPrior().solve(ball(32), UP, [family], 64, 0, quiet)
+    x, y = np.meshgrid(np.linspace(-1, 1, 160), np.linspace(-1, 1, 160))
+    counts, dark = [], []
+    for h in np.linspace(-0.3, 0.3, 9):
+        cut = volume.at(np.stack([x, y, np.full_like(x, h)], -1))
+        seeds = (cut[..., 0] < 0.4) & (np.hypot(x, y) < 0.75)
+        counts.append(ndimage.label(seeds)[1])
+        dark.append(seeds)
+    assert 4 <= np.mean(counts) <= 13
+    # A seed of a cut is gone half the radius higher, as one that ran through would not be.
+    assert (dark[0] & dark[-1]).sum() < 0.3 * dark[0].sum()
+
+
+def test_colours_by_depth_are_the_pictures(tmp_path: Path) -> None:
+    rng = np.random.default_rng(3)
+    face, mask = disc()
+    grain = ndimage.gaussian_filter(rng.normal(size=(160, 160)), 1.5)
+    face = np.where(mask[..., None], face + 0.06 * (grain / grain.std())[..., None], 1)
+    family = Family("horizontal", 40, (save(tmp_path / "grain.png", face),))
+    picture = read_picture(family.exemplars[0], "horizontal")
+    volume = ExemplarPrior().solve(ball(32), UP, [family], 48, 0, quiet)
+    space = make_space(ball(32), UP, 48)
+    sheet = make_sheet(picture, space, POLAR, space.widest_slice(space.planar[:, 2]))
+    ours = np.sort(volume.rgb[volume.body.depth > 0.25].mean(-1))
+    theirs = np.sort(sheet.rgb[sheet.depth > 0.25].mean(-1))
+    quantiles = np.linspace(0.02, 0.98, 49)
+    assert np.abs(np.quantile(ours, quantiles) - np.quantile(theirs, quantiles)).max() < 0.06
+
+
+def test_same_seed_same_bits(tmp_path: Path) -> None:
+    face, _ = disc(seeds=5)
+    path = save(tmp_path / "face.png", face)
+    families = [Family("horizontal", 40, (path,)), Family("radial", 30, (path,))]
+    seen: list[float] = []
+    first = ExemplarPrior().solve(ball(), UP, families, 32, 7, seen.append)
+    again = ExemplarPrior().solve(ball(), UP, families, 32, 7, quiet)
+    other = ExemplarPrior().solve(ball(), UP, families, 32, 8, quiet)
+    np.testing.assert_array_equal(first.rgb, again.rgb)
+    assert (first.rgb != other.rgb).any()
+    assert seen == sorted(seen) and seen[0] == 0 and seen[-1] == 1
+
+    def stop(_: float) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        ExemplarPrior().solve(ball(), UP, families, 16, 0, stop)
+
+
+def test_layers_come_from_the_radial_picture(tmp_path: Path) -> None:
+    face, mask = disc(200)
+    layered = face.copy()
+    layered[94:108][mask[94:108] & (np.abs(np.mgrid[94:108, :200][1] - 100) < 62)] = 0.95
+    families = [
+        Family("horizontal", 40, (save(tmp_path / "flat.png", face),)),
+        Family("radial", 30, (save(tmp_path / "layered.png", layered),)),
+    ]
+    volume = ExemplarPrior().solve(ball(32), UP, families, 48, 0, quiet)
+    turns = np.linspace(0, 2 * np.pi, 12)
+    ring = np.stack([0.4 * np.cos(turns), 0.4 * np.sin(turns), 0 * turns], -1)
+    assert volume.at(ring)[:, 1].min() > 0.6
+    assert volume.at(ring + np.array([0, 0, 0.4]))[:, 1].max() < 0.3
+
+
+def test_decompose_tells_seeds_from_walls(tmp_path: Path) -> None:
+    face, mask = disc(240, seeds=7)
+    y, x = (np.mgrid[:240, :240] + 0.5) / 120 - 1
+    face[mask & (np.abs(y - 0.15 * x) < 0.02) & (np.abs(x) < 0.66)] = 0.95
+    space = make_space(ball(), UP, 64)
+    picture = read_picture(save(tmp_path / "both.png", face), "horizontal")
+    layers = decompose(make_sheet(picture, space, POLAR, space.widest_slice(space.planar[:, 2])), POLAR)
+    assert 5 <= len(layers.details) <= 7  # one or two touch the wall
+    column, row = round(2 * (layers.sheet.middle[0] - 8)), round(2 * (layers.sheet.middle[1] - 1.2))
+    assert layers.structure[row - 2 : row + 3, column].max() > 0.7
+
+
+def test_posterior_is_the_softmax_over_candidates() -> None:
+    rng = np.random.default_rng(0)
+    features, queries = rng.normal(size=(200, 24)), rng.normal(size=(9, 24))
+    colours = rng.random((200, 3))
+    members, starts = rng.permutation(200), np.array([0, 80, 200])
+    lists = rng.integers(0, 2, 9)
+    out = np.empty((9, 3), np.float32)
+    single = [a.astype(np.float32) for a in (queries, features, colours)]
+    posterior(single[0], lists, starts, members.astype(np.int32), single[1], single[2], 0.7, out)
+    for m in range(9):
+        own = members[starts[lists[m]] : starts[lists[m] + 1]]
+        logs = -((queries[m] - features[own]) ** 2).sum(1) / (2 * 0.7**2)
+        weight = np.exp(logs - logs.max())
+        np.testing.assert_allclose(out[m], weight @ colours[own] / weight.sum(), atol=1e-5)
+
+
+def test_denoiser_finds_the_noise(tmp_path: Path) -> None:
+    face, mask = disc(96, seeds=8)
+    family = Family("horizontal", 40, (save(tmp_path / "face.png", disc(192, seeds=8)[0]),))
+    y, x = (np.mgrid[:96, :96] + 0.5) / 48 - 1
+    r = (np.hypot(x, y) / 0.8).astype(np.float32)
+    flat = np.zeros((96, 96), np.float32)
+    condition = Condition(
+        family,
+        "",
+        mask,
+        np.where(mask, 1 - r, 0).astype(np.float32),
+        r,
+        np.arctan2(-y, x).astype(np.float32),
+        flat,
+        np.where(mask, 1, np.inf).astype(np.float32),
+        np.ones((96, 96, 3), np.float32),
+    )
+    rng = np.random.default_rng(0)
+    prior = ExemplarPrior()
+    for sigma in (0.15, 0.5):
+        noise = rng.normal(size=face.shape).astype(np.float32)
+        noisy = face + sigma * noise
+        found = prior.denoise(noisy, sigma, condition, rng)
+        np.testing.assert_array_equal(found, prior.denoise(noisy, sigma, condition, rng))
+        left = np.sqrt(((noisy - sigma * found - face)[mask] ** 2).mean())
+        assert left < 0.5 * sigma
+        np.testing.assert_allclose(found[~mask], noise[~mask], atol=1e-5)
