@@ -20,7 +20,7 @@ from engine.fill import fill, find_body
 from engine.gaussians import Gaussians
 from engine.load import load
 from engine.orient import detect_up
-from engine.refit import SurfaceView, refit, surface_views
+from engine.surface_fit import SurfaceView, refit, surface_views
 from training.checkpoint import Checkpoint
 from training.events import Reporter, Stage
 from training.fit import train

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from engine.atoms import Atoms, InteriorAtoms, SurfaceAtoms
-from engine.refit import SurfaceView
 from engine.sh import C0
+from engine.surface_fit import SurfaceView
 from training.losses import reconstruction
 from training.smoothing import smooth
 from training.views import BACKGROUND, Section
