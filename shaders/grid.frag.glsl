@@ -8,6 +8,7 @@ layout(location = 0) out vec4 weighted;
 void main() {
     vec2 u = gl_FragCoord.xy - shape.xy;
     float square = dot(u, u);
-    if (square > limit) discard;
-    weighted = colour * exp(-square * shape.z);
+    float rim = clamp(sqrt(limit) - sqrt(square) + 0.5, 0.0, 1.0);
+    if (rim <= 0.0) discard;
+    weighted = rim * colour * exp(-square * shape.z);
 }

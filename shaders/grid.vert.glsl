@@ -24,6 +24,6 @@ void main() {
     shape = vec3(at, 0.5 * cell * cell / narrowed);
     colour = vec4(rgb, 1.0) * exp(-0.5 * distance * distance / (own * own)) * own * own / narrowed;
     limit = (CUTOFF_Q * own * own - distance * distance) / (cell * cell);
-    gl_PointSize = limit > 0.0 ? 2.0 * sqrt(limit) + 1.0 : 1.0;
+    gl_PointSize = limit > 0.0 ? 2.0 * sqrt(limit) + 2.0 : 1.0;
     gl_Position = limit > 0.0 ? vec4(at / cells * 2.0 - 1.0, 0.0, 1.0) : vec4(2.0, 2.0, 2.0, 1.0);
 }

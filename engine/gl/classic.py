@@ -42,7 +42,7 @@ class Capture:
             np.float32
         )
         packed = np.zeros((self.count, 4 * self.vectors), np.float32)
-        packed[:, : 3 * gaussians.sh.shape[1]] = gaussians.sh.reshape(self.count, -1)
+        packed[:, : 3 * gaussians.sh.shape[1]] = gaussians.sh.reshape(self.count, 3 * gaussians.sh.shape[1])
         self.geometry = ctx.buffer(shape) if self.count else ctx.buffer(reserve=44)
         self.coefficients = ctx.buffer(packed) if self.count else ctx.buffer(reserve=16 * self.vectors)
         self._thread = ThreadPoolExecutor(1, "depth-order")

@@ -91,7 +91,7 @@ class Growing:
         """Room for so many bytes; True where the buffer had to be made anew and what refers to it must be, too."""
         if size <= self.buffer.size:
             return False
-        room = max(size, 3 * self.buffer.size // 2)
+        room = -(-max(size, 3 * self.buffer.size // 2) // 4096) * 4096  # transform feedback asks for whole words
         self.buffer.release()
         self.buffer = self.ctx.buffer(reserve=room, dynamic=True)
         return True

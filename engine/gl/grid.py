@@ -2,8 +2,8 @@
 
 A face looks the same from every camera, so its sums need not be made again for each frame: a plane's grid is made
 once, read with linear interpolation, and shared by the two pieces that the plane parts. The cells are fine against the
-atoms, and the atoms are narrowed by what the interpolation widens them, so that what is read is the field itself to
-about -60 dB.
+atoms, and the atoms are narrowed by what the interpolation widens them. What stays is the edge of each kernel at three
+sigma, where it falls by 1/90, which falls between grid points: 55 dB on black and white atoms side by side.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ __all__ = ["Grid", "Grids"]
 Double = NDArray[np.float64]
 
 CELLS_PER_SIGMA = 2.5
-"""Grid points to a standard deviation: linear interpolation then errs by less than 1/500 of a contrast."""
+"""Grid points to a standard deviation; with 4 a grid takes 2.5 times as long to make for 3 dB more."""
 
 WIDEST = 12.0
 """Largest standard deviation over the smallest on one grid: a point is at most 255 cells wide."""

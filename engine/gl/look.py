@@ -19,6 +19,8 @@ class Look:
     """Without the skin."""
     light: bool
     """Shade cut faces a little."""
+    exact: bool
+    """Faces pixel by pixel, instead of from grids that are kept as long as a plane stays."""
     level: int
     """0: all atoms; each further one: half as many, enlarged."""
     cull: bool

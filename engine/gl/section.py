@@ -92,7 +92,7 @@ class SectionPass:
             depths = face.corners @ view.matrix[2, :3] + view.matrix[2, 3]
             widest = 0.5 * float(view.footprint(np.array([depths.max()]))[0])
             minified = widest > float(spheres.reach.min(initial=np.inf)) / 3
-            grids.append(None if minified else self.grids.get(face.plane, spheres, look.level))
+            grids.append(None if look.exact or minified else self.grids.get(face.plane, spheres, look.level))
 
         targets.field_fbo.clear(viewport=rect)
         targets.field_fbo.use()

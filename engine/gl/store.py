@@ -55,7 +55,7 @@ class Ellipsoids:
         assert sh.shape == (len(self), (self.degree + 1) ** 2, 3), sh.shape
         if len(self):
             packed = np.zeros((len(self), 4 * self.vectors), np.float32)
-            packed[:, : 3 * sh.shape[1]] = sh.reshape(len(self), -1)[self.chunks.order]
+            packed[:, : 3 * sh.shape[1]] = sh.reshape(len(self), 3 * sh.shape[1])[self.chunks.order]
             self.coefficients.write(packed)
 
     def release(self) -> None:
