@@ -64,9 +64,9 @@ class OpaqueMode:
         for number in np.argsort(depth)[::-1]:
             transform, members = groups[number]
             view = View(Piece((), transform).camera(camera), solid.centre, solid.radius)
-            rect = bounds_on_screen(view)
             planes = [left for m in members if (left := bounding_planes(pieces[m], solid)) is not None]
-            if rect is None or not planes:
+            rect = bounds_on_screen(view, planes, solid) if planes else None
+            if rect is None:
                 continue
             faces = self._add_up(view, planes, solid, sums, rect, look)
             values: dict[str, Any] = {
@@ -106,7 +106,9 @@ class OpaqueMode:
                 sums.face_fbo.clear(viewport=rect)
                 sums.face_fbo.depth_mask = True
             mates = planes[:i] + planes[i + 1 :]
-            has_faces |= self.section.draw(view, piece, mates, solid.inside, skin, sums, solid.pitch, rect, look)
+            has_faces |= self.section.draw(
+                view, piece, mates, solid.box, solid.inside, skin, sums, solid.pitch, rect, look
+            )
         runs = []
         for splats in solid.splats(look.interior_only):
             runs += self.surface.project(view, planes, splats, look)
@@ -145,7 +147,7 @@ def bounding_planes(piece: Piece, solid: Solid) -> Double | None:
         return None
     planes = planes[planes[:, 3] >= -solid.radius]
     if len(planes) > 1:
-        polygons = face_polygons(planes, np.zeros(3), solid.radius)
+        polygons = face_polygons(planes, *solid.box)
         showing = np.array([len(p) >= 3 for p in polygons])
         if not showing.any() and len(planes):
             return None  # they shut each other out, or would bound the piece somewhere
@@ -155,25 +157,23 @@ def bounding_planes(piece: Piece, solid: Solid) -> Double | None:
     return planes
 
 
-def bounds_on_screen(view: View) -> Rect | None:
-    """The part of the picture that the solid's ball can touch; None where there is none."""
-    camera = view.camera
-    x, y, z = view.matrix[:3, 3]
-    r = view.radius
-    whole = (0, 0, camera.width, camera.height)
-    spans = []
-    for f, c, at, extent in ((camera.fx, camera.cx, x, camera.width), (camera.fy, camera.cy, y, camera.height)):
-        if camera.orthographic:
-            low, high = f * (at - r) + c, f * (at + r) + c
-        else:
-            if z + r <= camera.near:
-                return None
-            if z - r <= 0.1 * r:  # inside or beside the eye
-                return whole
-            angle, half = np.arctan2(at, z), np.arcsin(min(r / np.hypot(at, z), 1.0))
-            if abs(angle) + half >= 1.5:
-                return whole
-            low, high = f * np.tan(angle - half) + c, f * np.tan(angle + half) + c
-        spans.append((int(np.clip(np.floor(low) - 4, 0, extent)), int(np.clip(np.ceil(high) + 4, 0, extent))))
-    (x0, x1), (y0, y1) = spans
-    return (x0, y0, x1 - x0, y1 - y0) if x1 > x0 and y1 > y0 else None
+def bounds_on_screen(view: View, pieces: Sequence[Double], solid: Solid) -> Rect | None:
+    """The part of the picture that what the pieces keep of the solid can touch; None where there is none."""
+    low, high = np.full(2, np.inf), np.full(2, -np.inf)
+    for chunks in (solid.skin.chunks, solid.inside.chunks):
+        reach = np.linalg.norm(chunks.half, axis=1) + 3 * chunks.sigma
+        kept = np.zeros(len(chunks), bool)
+        for planes in pieces:
+            own = np.ones(len(chunks), bool)
+            for plane in planes:
+                own &= chunks.distances(plane[:3], plane[3])[:, 0] <= 3 * chunks.sigma
+            kept |= own
+        if kept.any():
+            least, most = view.extent(chunks.middle[kept], reach[kept])
+            low, high = np.minimum(low, least), np.maximum(high, most)
+    size = np.array([view.camera.width, view.camera.height])
+    first = np.clip(np.floor(low) - 4, 0, size).astype(int)
+    last = np.clip(np.ceil(high) + 4, 0, size).astype(int)
+    if (last <= first).any():
+        return None
+    return int(first[0]), int(first[1]), int(last[0] - first[0]), int(last[1] - first[1])

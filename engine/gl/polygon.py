@@ -12,17 +12,18 @@ __all__ = ["face_polygons", "section_of_box", "without"]
 Double = NDArray[np.float64]
 
 
-def face_polygons(planes: Double, centre: Double, radius: float) -> list[Double]:
+def face_polygons(planes: Double, low: Double, high: Double) -> list[Double]:
     """One convex polygon (V, 3) for each of the planes (P, 4); (0, 3) where it does not bound the piece.
 
-    The piece is where all planes keep, within the cube of half side `radius` about `centre`.
+    The piece is where all planes keep, within the box from low (3,) to high (3,).
     """
+    size = float(np.linalg.norm(high - low))
     polygons = []
     for j, plane in enumerate(planes):
-        polygon = section_of_box(plane, centre - radius, centre + radius)
+        polygon = section_of_box(plane, low, high)
         for m, other in enumerate(planes):
             if m != j and len(polygon):
-                alike = other[:3] @ plane[:3] > 1 - 1e-12 and abs(other[3] - plane[3]) < 1e-12 * radius
+                alike = other[:3] @ plane[:3] > 1 - 1e-12 and abs(other[3] - plane[3]) < 1e-12 * size
                 if alike and m > j:
                     continue  # a plane given twice: its first mention shows it, the others nothing
                 polygon = polygon[:0] if alike else clip(polygon, other[:3], float(other[3]))

@@ -73,6 +73,7 @@ class SectionPass:
         view: View,
         planes: Double,  # [P, 4] centred object space
         mates: list[Double],  # [P, 4] each: the other pieces that lie where they grew beside this one
+        box: tuple[Double, Double],  # corners of the solid's box, centred
         spheres: Spheres,
         ellipsoids: Ellipsoids | None,
         targets: Accumulators,
@@ -81,7 +82,7 @@ class SectionPass:
         look: Look,
     ) -> bool:
         """Adds the piece's faces to the face layer, nearest first in depth; False where it shows none."""
-        faces = self._faces(view, planes, mates, 1e-3 * pitch)
+        faces = self._faces(view, planes, mates, box, 1e-3 * pitch)
         if not faces:
             return False
         if self.vertices.write(np.concatenate([f.corners for f in faces]).astype(np.float32)):
@@ -127,13 +128,15 @@ class SectionPass:
                 first += len(part)
         return True
 
-    def _faces(self, view: View, planes: Double, mates: list[Double], tolerance: float) -> list[Face]:
+    def _faces(
+        self, view: View, planes: Double, mates: list[Double], box: tuple[Double, Double], tolerance: float
+    ) -> list[Face]:
         """The faces of a piece that look towards the eye; where a mate lies against one, the matter runs on."""
         front = view.sees_removed_side(planes) if len(planes) else np.zeros(0, bool)
         if not front.any():
             return []
         found, first = [], 0
-        for j, polygon in enumerate(face_polygons(planes, np.zeros(3), view.radius)):
+        for j, polygon in enumerate(face_polygons(planes, *box)):
             if not front[j] or len(polygon) < 3:
                 continue
             parts = [polygon]

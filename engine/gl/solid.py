@@ -32,8 +32,12 @@ class Solid:
         """(3,). What the GPU holds is relative to it."""
         # Splats reach three sigma, the corners of their quads a factor of sqrt(2) more; epsilon lies in front.
         margin = 4.5 * widest + 2 * EPSILON_PITCHES * atoms.pitch
-        self.radius = float(np.linalg.norm(bounds[1] - bounds[0])) / 2 + margin
+        far = [np.linalg.norm(means - self.centre, axis=1).max(initial=0) for means in (skin.means, inside.means)]
+        self.radius = float(max(far)) + margin
         """About the centre, world units: all of the object, splats included."""
+        half = (bounds[1] - bounds[0]) / 2 + margin
+        self.box = -half, half
+        """The same as a box: its corners (3,), relative to the centre."""
         self.pitch = float(atoms.pitch)
         hidden = hiding(atoms)
         hidden = replace(hidden, low=hidden.low - self.centre)

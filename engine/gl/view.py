@@ -129,3 +129,30 @@ class View:
                 seen &= at + span >= -(f * reach + BLUR_REACH * deepest)
                 inside &= at - span >= 0
         return seen, inside, 2 * (3 * sigma * stretch * zoom + BLUR_REACH)
+
+    def extent(self, middle: Double, radius: Double) -> tuple[Double, Double]:
+        """(2,), (2,). Least and largest pixel x and y that balls (K, 3), (K,) of centred object space can touch.
+
+        Infinite where a ball is beside or about the eye.
+        """
+        c = self.camera
+        centre = middle @ self.matrix[:3, :3].T + self.matrix[:3, 3]
+        z = centre[:, 2]
+        if not c.orthographic:
+            ahead = z + radius > c.near
+            centre, z, radius = centre[ahead], z[ahead], radius[ahead]
+            if not len(z):
+                return np.full(2, np.inf), np.full(2, -np.inf)
+            if (z <= 1.05 * radius).any():
+                return np.full(2, -np.inf), np.full(2, np.inf)
+        low, high = np.empty(2), np.empty(2)
+        for axis, (f, shift) in enumerate(((c.fx, c.cx), (c.fy, c.cy))):
+            at = centre[:, axis]
+            if c.orthographic:
+                low[axis], high[axis] = f * (at - radius).min() + shift, f * (at + radius).max() + shift
+                continue
+            # A ball is seen between two tangents; with z > r both are ahead.
+            angle, half = np.arctan2(at, z), np.arcsin(np.minimum(radius / np.hypot(at, z), 1.0))
+            low[axis] = f * np.tan(np.maximum(angle - half, -1.57)).min() + shift
+            high[axis] = f * np.tan(np.minimum(angle + half, 1.57)).max() + shift
+        return low, high
