@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
 
 from engine.atoms import Atoms
 
 __all__ = ["Watch"]
 
-STAGES = ("labels", "training")
-"""Checkpoints that hold colours, in the order in which they appear."""
+STAGES = ("surface", "labels", "training")
+"""Checkpoints that hold colours, in the order in which they appear; the later one counts."""
 
 
 class Watch:
@@ -20,33 +23,31 @@ class Watch:
 
     def __init__(self, out: Path) -> None:
         self.folder = out / "checkpoint"
-        self._seen: tuple[str, int] | None = None
+        self._seen: tuple[tuple[str, int], ...] = ()
 
     def newer(self, atoms: Atoms) -> Atoms | None:
         """The same atoms in the latest colours; None where there is nothing new, or nothing that fits.
 
         The trainer makes its atoms from the same scene by the same steps, so they come in the same order. Where the
-        counts differ (another detail, another version) the colours are left alone.
+        counts differ (another detail, another version) the colours are left alone. The skin may come with spherical
+        harmonics of another degree.
         """
-        latest = None
+        written = []
         for stage in STAGES:
-            try:
-                latest = (stage, (self.folder / f"{stage}.safetensors").stat().st_mtime_ns)
-            except OSError:
-                continue
-        if latest is None or latest == self._seen:
+            with contextlib.suppress(OSError):
+                written.append((stage, (self.folder / f"{stage}.safetensors").stat().st_mtime_ns))
+        if not written or tuple(written) == self._seen:
             return None
-        self._seen = latest
-        try:
-            with safe_open(self.folder / f"{latest[0]}.safetensors", framework="np") as file:
-                names = set(file.keys())
-                rgb = file.get_tensor("rgb") if "rgb" in names else None
-                sh = file.get_tensor("sh") if "sh" in names else None
-        except (SafetensorError, OSError):
-            return None
+        self._seen = tuple(written)
+        found: dict[str, NDArray[np.float32]] = {}
+        for stage, _ in written:
+            with (
+                contextlib.suppress(SafetensorError, OSError),
+                safe_open(self.folder / f"{stage}.safetensors", framework="np") as file,
+            ):
+                found |= {name: file.get_tensor(name) for name in ("rgb", "sh") if name in set(file.keys())}
         surface, interior = atoms.surface, atoms.interior
-        if rgb is None or rgb.shape != interior.rgb.shape or (sh is not None and sh.shape != surface.sh.shape):
+        rgb, sh = found.get("rgb", interior.rgb), found.get("sh", surface.sh)
+        if not found or rgb.shape != interior.rgb.shape or sh.ndim != 3 or len(sh) != len(surface):
             return None
-        return Atoms(
-            surface if sh is None else replace(surface, sh=sh), replace(interior, rgb=rgb.clip(0, 1)), atoms.pitch
-        )
+        return Atoms(replace(surface, sh=sh), replace(interior, rgb=rgb.clip(0, 1)), atoms.pitch)

@@ -175,3 +175,5 @@ class Desk:
         if atoms is not None:
             session.object = replace(shown, atoms=atoms)
             session.colours += 1
+            if atoms.surface.sh.shape != shown.atoms.surface.sh.shape:
+                session.geometry += 1

@@ -11,7 +11,16 @@ from typing import Any
 __all__ = ["Progress", "read_line"]
 
 # Parts of the whole time that the stages take, for one bar over all of them; measured at standard detail.
-WEIGHTS = {"load": 0.02, "body": 0.03, "atomise": 0.07, "views": 0.15, "labels": 0.45, "train": 0.22, "save": 0.06}
+WEIGHTS = {
+    "load": 0.02,
+    "body": 0.05,
+    "atomise": 0.03,
+    "views": 0.13,
+    "refit": 0.07,
+    "labels": 0.42,
+    "train": 0.22,
+    "save": 0.06,
+}
 
 
 @dataclass

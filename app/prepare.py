@@ -18,6 +18,7 @@ from scipy.spatial import cKDTree
 
 from engine.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from engine.body import Body
+from engine.camera import around
 from engine.errors import InputError
 from engine.gaussians import Gaussians
 from engine.sh import sh_to_rgb
@@ -34,6 +35,11 @@ BODY_CELLS = 128
 """The trainer's: with the same grid its atoms are the same, and the window can follow their colours."""
 
 
+FIT_VIEWS, FIT_SIZE, FIT_ENTRIES = 24, 160, 16
+"""Views of the capture that the skin's colours are fitted to, their pixels, and atoms kept for a pixel: as many as a
+draft run takes, for something to look at before training fits them better."""
+
+
 def main() -> None:
     """Answers one request."""
     request = json.loads(sys.stdin.readline())
@@ -43,11 +49,11 @@ def main() -> None:
         if sidecar_path(path).exists():
             _send_trained(path, folder, capture=True)
         else:
-            gaussians = _capture(path, folder, request["seed"])
+            gaussians, up = _capture(path, folder, request["seed"])
             if trained is not None:
                 _send_trained(Path(trained), folder, capture=False)
             else:
-                _solid(path, gaussians, DETAILS[request["detail"]].cells, request["seed"], folder)
+                _solid(path, gaussians, up, DETAILS[request["detail"]].cells, request["seed"], folder)
     except InputError as error:
         _say(error=str(error))
     except MemoryError:
@@ -55,7 +61,7 @@ def main() -> None:
     _say(end=True)
 
 
-def _capture(path: Path, folder: Path, seed: int) -> Gaussians:
+def _capture(path: Path, folder: Path, seed: int) -> tuple[Gaussians, NDArray[np.float64]]:
     from engine.load import load
     from engine.orient import detect_up
 
@@ -65,12 +71,13 @@ def _capture(path: Path, folder: Path, seed: int) -> Gaussians:
     up, reason = detect_up(gaussians)
     facts = {"up": np.asarray(up, np.float64).tolist(), "reason": reason, "warnings": list(loaded.warnings)}
     _send(folder, "capture", _arrays(gaussians), facts)
-    return gaussians
+    return gaussians, up
 
 
-def _solid(path: Path, gaussians: Gaussians, cells: int, seed: int, folder: Path) -> None:
+def _solid(path: Path, gaussians: Gaussians, up: NDArray[np.float64], cells: int, seed: int, folder: Path) -> None:
     from engine.atomise import atomise
     from engine.fill import fill, find_body
+    from engine.surface_fit import refit, surface_views
 
     _say(stage="Finding the body", part=0.15)
     found = find_body(gaussians, max(BODY_CELLS, cells), path.name)
@@ -79,12 +86,18 @@ def _solid(path: Path, gaussians: Gaussians, cells: int, seed: int, folder: Path
     _say(stage="Making it solid", part=0.4)
     surface = atomise(gaussians, pitch, found.body).atoms
     _say(stage="Filling it", part=0.85)
-    interior = fill(found.body, pitch, seed)
+    interior = fill(found.body, pitch, seed, surface)
     interior = InteriorAtoms(
         interior.means, interior.sigmas, plain_inside(surface, interior, found.body, pitch), interior.exposed
     )
     atoms = Atoms(surface, interior, pitch)
-    _send_atoms(folder, atoms, {"notes": list(found.notes), "trained": False})
+    facts = {"notes": list(found.notes), "trained": False}
+    _send_atoms(folder, atoms, facts)
+    # It can be cut from here on; what follows only makes its skin look like the capture's.
+    _say(stage="Matching the skin", part=0.9)
+    cameras = around(found.body.bounds().mean(0), found.body.radius, up, FIT_VIEWS, FIT_SIZE)
+    views = surface_views(atoms, gaussians, cameras, FIT_ENTRIES)
+    _send_atoms(folder, refit(atoms, views).atoms, facts)
 
 
 def plain_inside(surface: SurfaceAtoms, interior: InteriorAtoms, body: Body, pitch: float) -> NDArray[np.float32]:

@@ -65,6 +65,8 @@ class Preparing:
         self.error = ""
         """One line for the user; what was ready before it stays."""
         self.ended = False
+        self.ready = False
+        """The user has been told that it can be cut."""
         self.object = Object(request)
         self._queue: queue.SimpleQueue[tuple[dict[str, Any], dict[str, NDArray[Any]]]] = queue.SimpleQueue()
         self._folder = Path(tempfile.mkdtemp(prefix="fruitninja-"))
@@ -126,7 +128,7 @@ class Preparing:
         surface = SurfaceAtoms(arrays["means"], arrays["scales"], arrays["quats"], arrays["sh"])
         interior = InteriorAtoms(arrays["inside"], arrays["sigmas"], arrays["rgb"], facts["exposed"])
         atoms = Atoms(surface, interior, facts["pitch"])
-        notes = (*self.object.notes, *facts["notes"])
+        notes = tuple(dict.fromkeys((*self.object.notes, *facts["notes"])))
         self.object = replace(
             self.object, atoms=atoms, solid=Solid.of_atoms(atoms), notes=notes, trained=facts["trained"]
         )

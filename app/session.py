@@ -420,7 +420,8 @@ class Session:
                 self.fit()
             if new.trained and self.viewing.mode == "capture":
                 self.viewing = replace(self.viewing, mode="solid")
-            if new.atoms is not None:
+            if new.atoms is not None and not preparing.ready:
+                preparing.ready = True
                 self.say(f"{preparing.request.scene.name} is solid now. Press K and drag across it to cut it.")
         if preparing.ended:
             if preparing.error:

@@ -167,6 +167,7 @@ def follow(job: Job, until: Callable[[Job], bool], seconds: float = 15.0) -> Non
     end = time.monotonic() + seconds
     while not until(job):
         job.poll()
+        assert not job.ended or until(job), (job.phase, job.last_words())
         assert time.monotonic() < end, (job.phase, job.progress, job.last_words())
         time.sleep(0.01)
 
@@ -241,7 +242,10 @@ def test_a_killed_job_is_a_failed_one(tmp_path: Path) -> None:
 
 def test_a_real_training_is_killed_and_resumed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("FRUITNINJA_HOME", str(tmp_path))
-    Image.new("RGB", (64, 64), (200, 40, 40)).save(tmp_path / "cut.png")
+    y, x = np.mgrid[:64, :64] - 31.5
+    disc = (x**2 + y**2 < 28**2)[..., None]
+    picture = np.where(disc, np.random.default_rng(0).integers(150, 250, (64, 64, 1)) * (1, 0.2, 0.2), 255)
+    Image.fromarray(picture.astype(np.uint8)).save(tmp_path / "cut.png")
     family = Family("horizontal", 2, (tmp_path / "cut.png",))
     training = Training("draft", iterations=2, out=tmp_path / "result")
     document = replace(sample_document("none"), families=(family,), training=training)
