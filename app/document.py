@@ -17,6 +17,7 @@ from training.families import COUNTS, Family, Kind
 from training.settings import DetailName
 
 __all__ = [
+    "PRIORS",
     "WHOLE",
     "Cut",
     "CutKind",
@@ -30,6 +31,9 @@ __all__ = [
 
 Key = tuple[tuple[int, int], ...]
 """Name of a piece: (id of a cut, side) for each cut that made it, in their order. Side -1 is the kept one."""
+
+PRIORS = ("exemplar", "stable-diffusion")
+"""What draws the inside: the trainer's --prior."""
 
 WHOLE: Key = ()
 
@@ -96,6 +100,10 @@ class Training:
     """None: as the detail says."""
     out: Path | None = None
     """Folder of the result; None: beside the scene."""
+    model: Path | None = None
+    """Folder of the diffusion model, for the prior that has one."""
+    thing: str = ""
+    """What the object is, for priors that read."""
 
 
 @dataclass(frozen=True)

@@ -39,7 +39,12 @@ def missing_for_training(document: Document) -> str:
     """What the user still has to give before training can start; empty: nothing."""
     if document.scene is None:
         return "Open an object first."
-    if not any(family.exemplars for family in document.families):
+    if document.training.prior == "stable-diffusion":
+        if document.training.model is None:
+            return "Choose the folder of a Stable Diffusion depth model, under More."
+        if not document.families:
+            return "Add a family of cuts first."
+    elif not any(family.exemplars for family in document.families):
         return "Add a picture of a cut face first: drop one on a family, or choose one."
     gone = [path for family in document.families for path in family.exemplars if not path.is_file()]
     return f"The picture {gone[0].name} is no longer there. Remove it or put it back." if gone else ""
@@ -61,6 +66,8 @@ def command_for(document: Document, up: Vec3, out: Path) -> list[str]:
     arguments = [str(document.scene), "-o", str(out), "--events", str(out / "events.jsonl")]
     arguments += ["--up", ",".join(repr(v) for v in up)]
     arguments += ["--detail", training.detail, "--prior", training.prior, "--seed", str(training.seed)]
+    if training.prior == "stable-diffusion":
+        arguments += ["--model", str(training.model), *(["--object", training.thing] if training.thing else [])]
     if training.iterations is not None:
         arguments += ["--iterations", str(training.iterations)]
     for family in document.families:

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, TypeVar, get_args
 
 from app.camera_control import Eye
-from app.document import Cut, CutKind, Document, Key, Part, Placement, Training
+from app.document import PRIORS, Cut, CutKind, Document, Key, Part, Placement, Training
 from app.motion import Motion, Vec3
 from engine.errors import InputError
 from engine.files import atomic
@@ -149,6 +149,8 @@ def _record(project: Project, folder: Path) -> dict[str, Any]:
             "seed": training.seed,
             "iterations": training.iterations,
             "out": _relative(training.out, folder),
+            "model": _relative(training.model, folder),
+            "thing": training.thing,
         },
         "view": {
             "mode": view.mode,
@@ -267,10 +269,12 @@ class _Reader:
         iterations = fields.get("iterations")
         return Training(
             detail=self.choice(fields, "detail", get_args(DetailName)),
-            prior=self.text(fields, "prior"),
+            prior=self.choice(fields, "prior", PRIORS),
             seed=self.whole(fields, "seed", 0),
             iterations=None if iterations is None else self.whole(fields, "iterations", 0, 1_000_000),
             out=self.file(fields, "out"),
+            model=self.file(fields, "model"),
+            thing=self.text(fields, "thing"),
         )
 
     def viewing(self, fields: dict[str, Any]) -> Viewing:

@@ -49,7 +49,9 @@ def full(folder: Path) -> Project:
     document = document.with_exemplars("horizontal", (folder / "a.png", folder / "b.png"))
     document = document.with_family(Family("parallel", 12, (folder / "c.png",), "rye bread", (0.0, 1.0, 0.0)))
     document = document.with_family(Family("custom", 1, custom=(Plane.of((3, 1, 2), 0.4),)))
-    document = replace(document, training=Training("high", "exemplar", 7, 50, folder / "out"))
+    document = replace(
+        document, training=Training("high", "stable-diffusion", 7, 50, folder / "out", folder / "model", "rye bread")
+    )
     eye = Eye((0.1, 1e9, -3.0), 12.5, -90.0, 1 / 3, 50.0, True)
     return Project(document, Viewing(eye, "capture", (0.1, 0.2, 0.3)))
 
@@ -102,6 +104,7 @@ BREAK: dict[str, Callable[[dict], object]] = {
     "elevation": lambda r: r["view"].update(elevation=91),
     "distance": lambda r: r["view"].update(distance=0),
     "mode": lambda r: r["view"].update(mode="x-ray"),
+    "prior": lambda r: r["training"].update(prior="magic"),
     "seed": lambda r: r["training"].update(seed=-1),
     "view": lambda r: r.update(view=None),
 }
@@ -304,9 +307,10 @@ def test_the_command_is_the_documents(tmp_path: Path) -> None:
     }
     assert np.allclose(families[-1].custom[0].normal, project.document.families[-1].custom[0].normal)
     assert parse_axis(given("--up")[0], "--up") == (0.0, -1.0, 0.0)
+    assert given("--model") == [str(tmp_path / "model")] and given("--object") == ["rye bread"]
     assert given("--iterations") == ["50"] and given("--seed") == ["7"] and given("--detail") == ["high"]
     with pytest.raises(InputError, match="picture"):
-        command_for(replace(project.document, families=()), (0.0, 0.0, 1.0), tmp_path)
+        command_for(replace(project.document, families=(), training=Training()), (0.0, 0.0, 1.0), tmp_path)
     assert default_out(tmp_path / "melon.ply") == tmp_path / "melon-inside"
 
 

@@ -51,7 +51,7 @@ WHAT: dict[Kind, str] = {
 }
 AXIS_CHOICES = {"longest side": None, "x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 DETAIL_HINTS = ("A first look, in a minute", "For most objects", "Fine structures; takes longest")
-PRIORS = {"exemplar": "From the pictures"}
+PRIORS = {"exemplar": "From the pictures", "stable-diffusion": "From words, by diffusion"}
 
 
 class InteriorPanel:
@@ -266,6 +266,19 @@ class InteriorPanel:
         changed, index = imgui.combo("##prior", current, list(PRIORS.values()))
         if changed:
             self._change_training("Prior", replace(training, prior=names[index]))
+        if training.prior == "stable-diffusion":
+            row("Model")
+            if imgui.button(training.model.name if training.model else "Choose a folder...", ImVec2(-1, 0)):
+                self.dialogs.folder(
+                    "Folder of a Stable Diffusion depth model",
+                    Path.home(),
+                    lambda path: self._change_training("Model", replace(training, model=path)),
+                )
+            row("Object")
+            changed, thing = imgui.input_text_with_hint("##thing", "watermelon", training.thing)
+            if changed:
+                self._change_training("Object", replace(training, thing=thing), merge="thing")
+            tip("What it is, in a word or two")
         row("Seed")
         changed, seed = imgui.input_int("##seed", training.seed)
         if changed:
