@@ -37,9 +37,15 @@ LEAST_SLICE = 1 << 15
 """Gaussians under which a slice costs more to set up than it can save."""
 
 CHUNKS = 16
-"""Tasks in a slice."""
+"""Tasks in a slice, unless they fall under"""
 
-TILES_PER_TASK = 32
+LEAST_CHUNK = 2048
+"""Gaussians: a tenth of a millisecond's work, against some microseconds to call a kernel."""
+
+TILES_PER_TASK = 64
+
+ROWS_PER_TASK = 4
+"""Rows of tiles that are filled or read out in one task."""
 
 
 @dataclass(frozen=True)
@@ -155,7 +161,15 @@ def _backward(
     kind = scene.means.dtype
     tiles_y, tiles_x = -(-outer[1].shape[0] // SIDE), -(-outer[1].shape[1] // SIDE)
     adjoints = np.empty((tiles_y * tiles_x, BLOCKS, ADJOINT * BLOCK), kind)
-    for_each(start_backward, tiles_y, frame.states, np.asarray(background, kind), *outer, adjoints)
+    for_each(
+        start_backward,
+        -(-tiles_y // ROWS_PER_TASK),
+        ROWS_PER_TASK,
+        frame.states,
+        np.asarray(background, kind),
+        *outer,
+        adjoints,
+    )
     parameters = scene.means, scene.scales, scene.quats, scene.opacities, scene.colours
     gradients = [np.zeros(array.shape, kind) for array in parameters]
     tile_lasts = frame.lasts.max(axis=(1, 2))
@@ -168,7 +182,7 @@ def _backward(
         )  # fmt: skip
         for_each(
             project_backward, len(part.record_counts), part.chunk_size, part.first, part.record_counts,
-            frame.cam, frame.eye, *parameters, scene.plain, tiles_x, frame.records, frame.owners, frame.pair_counts,
+            frame.cam, frame.eye, *parameters, scene.plain, frame.records, frame.owners, frame.pair_counts,
             part.first_places, part.pair_tiles, part.pair_places, tile_lasts, rows, *gradients,
         )  # fmt: skip
     return gradients
@@ -189,7 +203,7 @@ def _composite(scene: _Scene, camera: Camera) -> _Frame:
         np.empty((tiles_y * tiles_x, BLOCKS, STATE * BLOCK), kind),
         np.empty((tiles_y * tiles_x, BLOCKS, BLOCK), np.int32),
     )
-    for_each(start, tiles_y, frame.states, frame.lasts, camera.width, camera.height)
+    for_each(start, -(-tiles_y // ROWS_PER_TASK), ROWS_PER_TASK, frame.states, frame.lasts, camera.width, camera.height)
     open_tiles = np.ones((tiles_y, tiles_x), np.uint8)
     size = max(LEAST_SLICE, -(-visible // SLICES))
     for first in range(0, visible, size):
@@ -203,7 +217,7 @@ def _composite_slice(
     scene: _Scene, frame: _Frame, order: NDArray[np.int64], first: int, last: int, open_tiles: NDArray[np.uint8]
 ) -> None:
     tiles_y, tiles_x = open_tiles.shape
-    chunk_size = max(512, -(-(last - first) // CHUNKS))
+    chunk_size = max(LEAST_CHUNK, -(-(last - first) // CHUNKS))
     chunks = -(-(last - first) // chunk_size)
     open_sums = np.empty((tiles_y + 1, tiles_x + 1), np.int32)
     sum_open(open_tiles, open_sums)
@@ -245,5 +259,6 @@ def _picture(
     kind = frame.states.dtype
     shape = camera.height, camera.width
     rgb, alpha, depth = np.empty((*shape, 3), kind), np.empty(shape, kind), np.empty(shape, kind)
-    for_each(resolve, -(-camera.height // SIDE), frame.states, np.asarray(background, kind), rgb, alpha, depth)
+    tasks = -(-camera.height // (SIDE * ROWS_PER_TASK))
+    for_each(resolve, tasks, ROWS_PER_TASK, frame.states, np.asarray(background, kind), rgb, alpha, depth)
     return rgb, alpha, depth

@@ -50,9 +50,10 @@ ADJOINT = 6
 the derivative of the loss by it; 2 3 4 5 dL/d(colour, depth times weight)."""
 
 ROW = BLOCK
-"""Numbers that a (tile, Gaussian) pair hands back, sums over its pixels; 64 bytes in float32, one cache line. With p =
-dL/dalpha * alpha, w the pixel's weight, n as in a record and k the column, counted from the tile's middle: 0 p, 1 p k,
-2 p k^2, 3 p n, 4 p n k, 5 p n^2, then w times the picture's gradient in 6 7 8 colour, 9 depth. The rest is 0."""
+"""Numbers that a (tile, Gaussian) pair hands back, sums over its pixels; 64 bytes in float32, one cache line.
+
+With p = dL/dalpha * alpha, w the pixel's weight and m, n as in a record: 0 p, 1 p m, 2 p m^2, 3 p n, 4 p n m, 5 p n^2,
+then w times the picture's gradient in 6 7 8 colour, 9 depth. The rest is 0."""
 
 CHECK = 16
 """Pairs between two looks at whether the tile has become opaque."""
@@ -81,8 +82,10 @@ def _bits_float(typingctx, x):  # type: ignore[no-untyped-def]
 
 
 @intrinsic
-def _fold(typingctx, lanes, row):  # type: ignore[no-untyped-def]
+def _fold(typingctx, lanes, slope, middle, row):  # type: ignore[no-untyped-def]
     """Writes the sums over lanes (7, BLOCK) that a pair hands back to row (ROW,), in the order of `ROW`.
+
+    The columns' m = slope * (middle + -3.5..3.5) comes in here, as it is the same in every block.
 
     Halves are added to halves, for all sums at once, until every number of one vector is one of the sums. The compiler
     may not reorder a plain loop of float additions, and would add number after number.
@@ -96,9 +99,18 @@ def _fold(typingctx, lanes, row):  # type: ignore[no-untyped-def]
         p, pn, pnn, *colours = (
             builder.load(builder.gep(start, [ir.Constant(ir.IntType(64), k)]), align=align) for k in range(7)
         )
-        column = ir.Constant(vector, [i % SIDE - 0.5 * (SIDE - 1) for i in range(BLOCK)])
-        pk = builder.fmul(p, column)
-        vectors = [p, pk, builder.fmul(pk, column), pn, builder.fmul(pn, column), pnn, *colours]
+        columns = ir.Constant(vector, [i % SIDE - 0.5 * (SIDE - 1) for i in range(BLOCK)])
+        undefined = ir.Constant(vector, ir.Undefined)
+        spread = ir.Constant(ir.VectorType(ir.IntType(32), BLOCK), [0] * BLOCK)
+        everywhere = [
+            builder.shuffle_vector(
+                builder.insert_element(undefined, scalar, ir.Constant(ir.IntType(32), 0)), undefined, spread
+            )
+            for scalar in args[1:3]
+        ]
+        m = builder.fmul(everywhere[0], builder.fadd(columns, everywhere[1]))
+        pm = builder.fmul(p, m)
+        vectors = [p, pm, builder.fmul(pm, m), pn, builder.fmul(pn, m), pnn, *colours]
         vectors += [ir.Constant(vector, [0.0] * BLOCK)] * (BLOCK - len(vectors))
         half = BLOCK // 2
         while half:
@@ -111,11 +123,11 @@ def _fold(typingctx, lanes, row):  # type: ignore[no-untyped-def]
                 for a, b in zip(vectors[::2], vectors[1::2], strict=True)
             ]
             half //= 2
-        out = context.make_array(signature.args[1])(context, builder, args[1]).data
+        out = context.make_array(signature.args[3])(context, builder, args[3]).data
         builder.store(vectors[0], builder.bitcast(out, vector.as_pointer()), align=align)
         return context.get_dummy_value()
 
-    return types.none(lanes, row), codegen
+    return types.none(lanes, lanes.dtype, lanes.dtype, row), codegen
 
 
 def exp2(x):  # type: ignore[no-untyped-def]
@@ -281,12 +293,13 @@ def blend_backward(  # type: ignore[no-untyped-def]
                     lanes[4, i] += w * s[3 * BLOCK + i]
                     lanes[5, i] += w * s[4 * BLOCK + i]
                     lanes[6, i] += w * s[5 * BLOCK + i]
-            _fold(lanes, rows[at])  # type: ignore[call-arg]
+            _fold(lanes, a, number(0.5 * SIDE) - u, rows[at])  # type: ignore[call-arg]
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def start_backward(  # type: ignore[no-untyped-def]
-    ty,
+    task,
+    rows_per_task,  # rows of tiles
     states,  # [all tiles, BLOCKS, STATE * BLOCK]
     background,  # [3]
     g_rgb,  # [H, W, 3]
@@ -294,15 +307,14 @@ def start_backward(  # type: ignore[no-untyped-def]
     g_depth,  # [H, W]
     adjoints,  # out [all tiles, BLOCKS, ADJOINT * BLOCK]
 ):
-    """The picture's gradient for one row of tiles, in the order of the tiles."""
+    """The picture's gradient for the rows of tiles of one task, in the order of the tiles."""
     height, width = g_alpha.shape
     tiles_x = (width + SIDE - 1) // SIDE
-    for tx in range(tiles_x):
-        for block in range(BLOCKS):
-            adjoints[ty * tiles_x + tx, block, :] = 0
-    for y in range(ty * SIDE, min((ty + 1) * SIDE, height)):
+    first = task * rows_per_task
+    adjoints[first * tiles_x : (first + rows_per_task) * tiles_x] = 0
+    for y in range(first * SIDE, min((first + rows_per_task) * SIDE, height)):
         for x in range(width):
-            tile, block = ty * tiles_x + x // SIDE, (y % SIDE) // 2
+            tile, block = (y // SIDE) * tiles_x + x // SIDE, (y % SIDE) // 2
             i = (y % 2) * SIDE + x % SIDE
             s = adjoints[tile, block]
             left = abs(states[tile, block, i])
@@ -314,12 +326,14 @@ def start_backward(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def start(ty, states, lasts, width, height):  # type: ignore[no-untyped-def]
-    """Empty pixels for one row of tiles; those outside of the picture count as finished."""
+def start(task, rows_per_task, states, lasts, width, height):  # type: ignore[no-untyped-def]
+    """Empty pixels for the rows of tiles of one task; those outside of the picture count as finished."""
     number = states.dtype.type
     tiles_x = (width + SIDE - 1) // SIDE
-    for tx in range(tiles_x):
-        tile = ty * tiles_x + tx
+    first = task * rows_per_task * tiles_x
+    for tile in range(first, min(first + rows_per_task * tiles_x, len(states))):
+        ty = tile // tiles_x
+        tx = tile - ty * tiles_x
         for block in range(BLOCKS):
             s = states[tile, block]
             s[:] = number(0)
@@ -331,14 +345,15 @@ def start(ty, states, lasts, width, height):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def resolve(ty, states, background, rgb, alpha, depth):  # type: ignore[no-untyped-def]
-    """Writes one row of tiles to the picture: rgb (H, W, 3) over the background (3,), alpha (H, W), depth (H, W)."""
+def resolve(task, rows_per_task, states, background, rgb, alpha, depth):  # type: ignore[no-untyped-def]
+    """Writes the rows of tiles of one task to rgb (H, W, 3), over the background (3,), alpha and depth (H, W)."""
     height, width = alpha.shape
     tiles_x = (width + SIDE - 1) // SIDE
     one = states.dtype.type(1)
-    for y in range(ty * SIDE, min((ty + 1) * SIDE, height)):
+    first = task * rows_per_task * SIDE
+    for y in range(first, min(first + rows_per_task * SIDE, height)):
         for x in range(width):
-            s = states[ty * tiles_x + x // SIDE, (y % SIDE) // 2]
+            s = states[(y // SIDE) * tiles_x + x // SIDE, (y % SIDE) // 2]
             i = (y % 2) * SIDE + x % SIDE
             left = abs(s[i])
             rgb[y, x, 0] = s[BLOCK + i] + left * background[0]

@@ -7,6 +7,7 @@ import math
 import numpy as np
 from numba import njit
 
+from engine.cpu.blend import ROW
 from engine.cpu.tiles import BLOCKS, SIDE, TAIL_BITS, box_size
 from engine.formula import LOW_PASS
 from engine.projection import (
@@ -234,7 +235,6 @@ def project_backward(  # type: ignore[no-untyped-def]
     opacities,
     colours,
     plain,
-    tiles_x,
     records,  # [V, RECORD]
     owners,  # [V]
     pair_counts,  # [V]
@@ -254,36 +254,26 @@ def project_backward(  # type: ignore[no-untyped-def]
     bands = colours.shape[1]
     basis = np.empty(16, np.float64)
     g_basis = np.empty(16, np.float64)
-    end = first_places[chunk]
-    for slot in range(start, start + record_counts[chunk]):
-        begin, end = end, end + pair_counts[slot]
-        u, a, b, c = (
-            np.float64(records[slot, 0]) + records[slot, 1],
-            records[slot, 4],
-            records[slot, 5],
-            records[slot, 6],
-        )
-        sp = sm = sn = smm = smn = snn = red = green = blue = depth = 0.0
-        seen = False
-        for pair in range(begin, end):
-            tile = pair_tiles[pair] >> BLOCKS
-            if slot <= tile_lasts[tile]:
-                seen = True
-                row = rows[pair_places[pair]]
-                middle = (tile % tiles_x) * SIDE + 0.5 * SIDE - u  # so that m = a (middle + k)
-                sp += row[0]
-                sm += row[1] + middle * row[0]
-                smm += row[2] + middle * (2.0 * row[1] + middle * row[0])
-                sn += row[3]
-                smn += row[4] + middle * row[3]
-                snn += row[5]
-                red += row[6]
-                green += row[7]
-                blue += row[8]
-                depth += row[9]
-        if not seen:
+    # The rows lie all over memory: gathered in a loop of their own, many are on their way at once.
+    sums = np.zeros((record_counts[chunk], ROW), np.float64)
+    seen = np.zeros(record_counts[chunk], np.bool_)
+    pair = first_places[chunk]
+    for k in range(record_counts[chunk]):
+        for _ in range(pair_counts[start + k]):
+            if start + k <= tile_lasts[pair_tiles[pair] >> BLOCKS]:
+                seen[k] = True
+                place = pair_places[pair]
+                for column in range(ROW):
+                    sums[k, column] += rows[place, column]
+            pair += 1
+
+    for k in range(record_counts[chunk]):
+        if not seen[k]:
             continue
-        sm, smn, smm = a * sm, a * smn, a * a * smm
+        slot = start + k
+        a, b, c = np.float64(records[slot, 4]), np.float64(records[slot, 5]), np.float64(records[slot, 6])
+        sp, sm, smm, sn, smn, snn = sums[k, 0], sums[k, 1], sums[k, 2], sums[k, 3], sums[k, 4], sums[k, 5]
+        red, green, blue, depth = sums[k, 6], sums[k, 7], sums[k, 8], sums[k, 9]
         i = owners[slot]
         px, py, pz = np.float64(means[i, 0]), np.float64(means[i, 1]), np.float64(means[i, 2])
         qw, qx, qy, qz = (

@@ -1,0 +1,210 @@
+"""The classic renderer against plain torch: seconds a frame, forward and forward+backward, and error against float64.
+
+    python -m benchmarks.cpu_renderer [--quick] [--cores N]
+
+Half of the Gaussians lie on a unit sphere, half in it, opaque, sigma = diameter / 150, in an order in which neighbours
+in space are neighbours in memory. Both renderers run in turn, so that what else the machine does falls on both; the
+least of several runs counts. `busy` is processor time, which a loaded machine disturbs less. Writes
+docs/charts/cpu_renderer.json and .png.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import platform
+import resource
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from benchmarks import torch_baseline
+from engine.camera import Camera, orbit
+from engine.classic import rasterize
+from engine.files import atomic
+from engine.threads import cores, use_cores
+
+CHARTS = Path(__file__).parents[1] / "docs" / "charts"
+COUNTS = (20_000, 100_000, 500_000)
+SIZES = (256, 512)
+CELLS = 64
+"""Cells along an edge for the order in memory: one holds a few Gaussians of the largest scene."""
+
+
+def scene(count: int, kind: torch.dtype = torch.float32) -> list[Tensor]:
+    """means, scales, quats, opacities, rgb."""
+    rng = np.random.default_rng(0)
+    direction = rng.normal(size=(count, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    radius = np.where(np.arange(count) < count // 2, 1.0, rng.random(count) ** (1 / 3))
+    means = direction * radius[:, None]
+    cell = ((means + 1) / 2 * CELLS).astype(np.int64).clip(0, CELLS - 1)
+    code = np.zeros(count, np.int64)
+    for bit in range(CELLS.bit_length() - 1):
+        for axis in range(3):
+            code |= (cell[:, axis] >> bit & 1) << (3 * bit + axis)
+    means = means[np.argsort(code, kind="stable")]
+    quats = rng.normal(size=(count, 4))
+    arrays = (means, np.full((count, 3), 2 / 150), quats, np.ones(count), rng.uniform(0, 1, (count, 3)))
+    return [torch.tensor(array.astype(np.float32), dtype=kind) for array in arrays]
+
+
+def view(size: int) -> Camera:
+    """The sphere fills most of the picture."""
+    return orbit([0, 0, 0], [0, 0, 1], 30, 20, 3.6, size, size)
+
+
+def outer(size: int, kind: torch.dtype = torch.float32) -> Tensor:
+    """A fixed dL/d(rgb) (H, W, 3)."""
+    return torch.rand(size, size, 3, generator=torch.Generator().manual_seed(1)).to(kind)
+
+
+def ours(parameters: list[Tensor], camera: Camera, gradient: Tensor | None) -> Tensor:
+    with torch.set_grad_enabled(gradient is not None):
+        means, scales, quats, opacities, rgb = parameters
+        picture, _, _ = rasterize(means, scales, quats, opacities, rgb, camera)
+        if gradient is not None:
+            torch.autograd.backward(picture, gradient)
+    return picture.detach()
+
+
+def theirs(parameters: list[Tensor], camera: Camera, gradient: Tensor | None) -> Tensor:
+    means, scales, quats, opacities, rgb = parameters
+    if gradient is None:
+        return torch_baseline.forward(means, scales, quats, opacities, rgb, camera)
+    return torch_baseline.forward_backward(means, scales, quats, opacities, rgb, camera, gradient)
+
+
+Renderer = Callable[[list[Tensor], Camera, Tensor | None], Tensor]
+RENDERERS: dict[str, Renderer] = {"classic": ours, "torch": theirs}
+
+
+def timed(run: Renderer, parameters: list[Tensor], camera: Camera, gradient: Tensor | None) -> tuple[float, float]:
+    """Seconds on the wall and of the processor, one run."""
+    leaves = [parameter.detach().requires_grad_(gradient is not None) for parameter in parameters]
+    wall, busy = time.perf_counter(), time.process_time()
+    run(leaves, camera, gradient)
+    return time.perf_counter() - wall, time.process_time() - busy
+
+
+def measure(count: int, size: int, rounds: int) -> dict[str, object]:
+    """Times and errors of one scene at one size."""
+    camera, gradient, parameters = view(size), outer(size), scene(count)
+    row: dict[str, object] = {"gaussians": count, "size": size}
+    exact = [parameter.requires_grad_() for parameter in scene(count, torch.float64)]
+    true = ours(exact, camera, outer(size, torch.float64))
+    for name, run in RENDERERS.items():
+        leaves = [parameter.detach().requires_grad_() for parameter in parameters]
+        picture = run(leaves, camera, gradient)
+        row[f"{name} rms error"] = float((picture - true).pow(2).mean().sqrt())
+        row[f"{name} largest error"] = float((picture - true).abs().max())
+        for label, leaf, truth in zip(("means", "scales", "opacities", "rgb"), pick(leaves), pick(exact), strict=True):
+            assert leaf.grad is not None and truth.grad is not None
+            row[f"{name} error of the gradient of {label}"] = float((leaf.grad - truth.grad).norm() / truth.grad.norm())
+    best: dict[str, tuple[float, float]] = {}
+    for _ in range(rounds):
+        for name, run in RENDERERS.items():
+            for mode, g in (("forward", None), ("forward+backward", gradient)):
+                for _ in range(5 if name == "classic" else 1):
+                    wall, busy = timed(run, parameters, camera, g)
+                    least = best.get(f"{name} {mode}", (np.inf, np.inf))
+                    best[f"{name} {mode}"] = min(least[0], wall), min(least[1], busy)
+    for name, (wall, busy) in best.items():
+        row[f"{name} seconds"], row[f"{name} busy"] = wall, busy
+    for mode in ("forward", "forward+backward"):
+        row[f"{mode} times faster"] = best[f"torch {mode}"][0] / best[f"classic {mode}"][0]
+    return row
+
+
+def pick(parameters: list[Tensor]) -> list[Tensor]:
+    """All but the quaternions: turning a sphere changes nothing, their gradient is 0."""
+    return [parameters[0], parameters[1], parameters[3], parameters[4]]
+
+
+def peak_memory(count: int, size: int) -> float:
+    """MB of a process that does nothing but one forward+backward, libraries included."""
+    command = [sys.executable, "-m", "benchmarks.cpu_renderer", "--memory", str(count), str(size)]
+    done = subprocess.run(command, check=True, capture_output=True, text=True, cwd=Path(__file__).parents[1])
+    return float(done.stdout)
+
+
+def chart(rows: list[dict[str, object]], path: Path) -> None:
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    from matplotlib import pyplot as plt
+
+    figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.4), constrained_layout=True)
+    colours = {"classic": "#FF6B4A", "torch": "#5B6270"}
+    names = {"classic": "this renderer", "torch": "plain torch"}
+    markers, sizes = {20_000: "o", 100_000: "s", 500_000: "D"}, {256: 36, 512: 90}
+    for name, colour in colours.items():
+        for row in rows:
+            count, size = int(str(row["gaussians"])), int(str(row["size"]))
+            x, y = float(str(row[f"{name} forward+backward seconds"])), float(str(row[f"{name} rms error"]))
+            left.scatter(x, y, s=sizes[size], c=colour, marker=markers[count], edgecolors="white", linewidths=0.6)
+        for size, style in ((256, "--"), (512, "-")):
+            line = [row for row in rows if row["size"] == size]
+            x_line = [int(str(row["gaussians"])) for row in line]
+            y_line = [float(str(row[f"{name} forward+backward seconds"])) for row in line]
+            right.plot(x_line, y_line, style, marker="o", color=colour, label=f"{names[name]}, {size}²")
+    for count, marker in markers.items():
+        left.scatter([], [], marker=marker, c="#999999", label=f"{count // 1000} k Gaussians")
+    left.scatter([], [], s=36, c="#999999", label="small: 256², large: 512²")
+    for axes in (left, right):
+        axes.set_xscale("log")
+        axes.set_yscale("log")
+        axes.grid(True, which="major", color="#E4E4E4")
+        axes.spines[["top", "right"]].set_visible(False)
+    left.set_xlabel("seconds, forward+backward")
+    left.set_ylabel("RMS error against float64, colours in 0..1")
+    left.legend(frameon=False, fontsize=8)
+    left.set_title("Error and time", loc="left", fontsize=11)
+    right.set_xlabel("Gaussians")
+    right.set_ylabel("seconds, forward+backward")
+    right.legend(frameon=False, fontsize=8)
+    right.set_title("Growth", loc="left", fontsize=11)
+    with atomic(path) as part:
+        figure.savefig(part, format="png", dpi=130)
+    plt.close(figure)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="the smallest scene only, nothing is written")
+    parser.add_argument("--cores", type=int, default=cores(), help="threads of both renderers")
+    parser.add_argument("--memory", type=int, nargs=2, metavar=("COUNT", "SIZE"), help=argparse.SUPPRESS)
+    arguments = parser.parse_args()
+    use_cores(arguments.cores)
+    if arguments.memory:
+        count, size = arguments.memory
+        ours([parameter.requires_grad_() for parameter in scene(count)], view(size), outer(size))
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        print(peak / 2**20 if sys.platform == "darwin" else peak / 2**10)
+        return
+    rows = []
+    for count in COUNTS[:1] if arguments.quick else COUNTS:
+        for size in SIZES[:1] if arguments.quick else SIZES:
+            rows.append(measure(count, size, 3 if count <= 20_000 else 1))
+            print(json.dumps(rows[-1], indent=1), flush=True)
+    if arguments.quick:
+        return
+    report = {
+        "machine": f"{platform.machine()}, {arguments.cores} cores",
+        "peak memory at 500000 Gaussians and 512 pixels, MB": peak_memory(COUNTS[-1], SIZES[-1]),
+        "rows": rows,
+    }
+    CHARTS.mkdir(parents=True, exist_ok=True)
+    with atomic(CHARTS / "cpu_renderer.json") as part:
+        part.write_text(json.dumps(report, indent=1) + "\n")
+    chart(rows, CHARTS / "cpu_renderer.png")
+
+
+if __name__ == "__main__":
+    main()
