@@ -30,7 +30,7 @@ from engine.threads import for_each
 
 __all__ = ["rasterize", "render"]
 
-SLICES = 12
+SLICES = 16
 """Slices of a large scene: enough for the front ones to hide most of the rest, few enough that each fills the cores."""
 
 LEAST_SLICE = 1 << 15
