@@ -139,7 +139,8 @@ def _arrays(gaussians: Gaussians) -> dict[str, NDArray[Any]]:
 
 
 def _send(folder: Path, what: str, arrays: dict[str, NDArray[Any]], facts: dict[str, Any]) -> None:
-    file = folder / f"{what}.safetensors"
+    # A name of its own each time: the window may still be reading the last one.
+    file = folder / f"{what}_{len(list(folder.iterdir()))}.safetensors"
     save_file({name: np.ascontiguousarray(array) for name, array in arrays.items()}, file)
     _say(ready=what, file=str(file), facts=facts)
 

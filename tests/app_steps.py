@@ -166,11 +166,21 @@ def steps(driver: Driver, folder: Path) -> None:
     assert Image.open(folder / "turn.webp").n_frames == 4 and (folder / "face.png").stat().st_size > 500
     driver.picture(shots / "6_again.png")
 
+    # Closing asks about unsaved work, and can be called off.
+    session.together()
+    driver.between_frames(lambda: glfw.set_window_should_close(window.window, True))
+    driver.until(lambda: session.question is not None, 5, "the question")
+    assert session.question is not None and "Unsaved" in session.question.title
+    driver.picture(shots / "7_question.png")
+    driver.press(Key.escape)
+    assert session.question is None and not session.closing
+    session.undo()
+
     # An error is shown in words.
     session.open(folder / "cut.txt")
     driver.frames(2)
     assert "no such file" in session.error
-    driver.picture(shots / "7_error.png")
+    driver.picture(shots / "8_error.png")
     session.error = ""
 
 

@@ -38,7 +38,7 @@ def run(name: str, folder: Path) -> None:
 
 def test_a_user_cuts_trains_saves_and_exports(tmp_path: Path) -> None:
     run("steps", tmp_path)
-    assert len(list((tmp_path / "shots").glob("*.png"))) == 7
+    assert len(list((tmp_path / "shots").glob("*.png"))) == 8
 
 
 def test_two_thousand_random_actions_leave_nothing_behind(tmp_path: Path) -> None:
