@@ -13,12 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from training.exemplar.carve import Carving
 from training.exemplar.decompose import Layers
 from training.exemplar.frames import Space, rim_of
+from training.exemplar.morph import Slices
 from training.exemplar.patches import OVER
 from training.prior import Progress
 
-__all__ = ["Axis", "along", "carried", "heights", "revolved"]
+__all__ = ["Axis", "along", "between", "carried", "heights", "revolved"]
 
 CHUNK = 400_000
 """Voxels laid out at once: bounds the memory of the look-ups."""
@@ -28,6 +30,12 @@ DIFFERENT = 0.10
 
 WAVES = 0.035
 """Waviness of structures along the axis, radians: a cut along a straight sheet a voxel thick shows the grid."""
+
+FLAT_END = 0.4
+"""Share of the widest slice from which the end of a body counts as cut off flat and not as grown."""
+
+DEFAULT_RIND = 0.15
+"""Depth in inradii to which skin follows the surface where no picture says more."""
 
 SIDEWAYS = 0.6
 """Drift of the texture along the radius over that around the axis. With one alone, cuts across it show stripes."""
@@ -57,7 +65,13 @@ def along(space: Space, basis: NDArray[np.float64], is_round: bool) -> Axis:
 
 
 def carried(
-    space: Space, axis: Axis, layers: Sequence[Layers], rate: float, rng: np.random.Generator, progress: Progress
+    space: Space,
+    axis: Axis,
+    layers: Sequence[Layers],
+    rate: float,
+    carve: Carving | None,
+    rng: np.random.Generator,
+    progress: Progress,
 ) -> NDArray[np.float32]:
     """(N, 3). A picture drawn out along an axis: ground and structures straight, texture drifting `rate` cells a cell.
 
@@ -72,6 +86,7 @@ def carried(
     grain = float(np.clip(np.pi * of / slope_b, 2, 0.3 * inradius))
     stranded = slope_b > 1.8 * slope_a
     swing = 0.12 * inradius
+    widest = float(space.rim.max())
     for start in range(0, len(out), CHUNK):
         progress(start / len(out))
         part = slice(start, start + CHUNK)
@@ -105,8 +120,34 @@ def carried(
             more, colours = _structure(main, x[small] + dx, y[small] + dy)
             won = (more > opacity[small])[:, 0]
             opacity[small[won]], theirs[small[won]] = more[won], colours[won]
+        if carve is not None:
+            # The rind is the skin's, not the axis's.
+            inner = np.flatnonzero((opacity[:, 0] > 0) & (depth > 1.2 * main.rind))
+            opacity[inner, 0] *= carve.at(theirs[inner], space.radius[part][inner] / widest, space.height[part][inner])
         out[part] = colour + opacity * (theirs - colour)
     return np.clip(out, 0, 1)
+
+
+def between(space: Space, axis: Axis, stack: Slices) -> NDArray[np.float32]:
+    """(N, 3). Slices of one thing turned into one another along an axis, each voxel at its share of the rim.
+
+    Where the body closes at its ends a voxel near the skin reads the slice at its depth; where it is cut off flat, as a
+    limb is, the end shows what lies inside.
+    """
+    out = np.empty((len(space.cells), 3), np.float32)
+    levels = np.round(axis.level).astype(int)
+    areas = np.bincount(levels)
+    flat = min(areas[2], areas[-3]) > FLAT_END * areas.max() if len(areas) > 8 else False
+    for start in range(0, len(out), CHUNK):
+        part = slice(start, start + CHUNK)
+        share = np.minimum(axis.radius[part] / axis.rim[part], 1)
+        if not flat:
+            by_depth = np.clip(1 - space.depth[part] * space.inradius / axis.rim.max(), 0, 1)
+            near = _near_skin(space.depth[part], DEFAULT_RIND)
+            share = near * by_depth + (1 - near) * share
+        angle = np.arctan2(axis.place[part, 1], axis.place[part, 0])
+        out[part] = stack.read(share * np.cos(angle), share * np.sin(angle), axis.level[part] / len(areas))
+    return out
 
 
 def _structure(

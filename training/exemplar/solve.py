@@ -17,9 +17,11 @@ from scipy import ndimage
 
 from engine.body import Body
 from engine.errors import InputError
+from training.exemplar.carve import carving
 from training.exemplar.decompose import Layers, decompose
 from training.exemplar.frames import Space, View, make_sheet, make_space
-from training.exemplar.layout import SIDEWAYS, along, carried, heights, revolved
+from training.exemplar.layout import SIDEWAYS, along, between, carried, heights, revolved
+from training.exemplar.morph import slices
 from training.exemplar.patches import FIXED, POLAR, RADIAL
 from training.exemplar.pictures import Picture, read_picture
 from training.exemplar.scatter import strew
@@ -48,6 +50,11 @@ def solve(
     space = make_space(body, up, voxels)
     progress(0.1)
     views = [_view(space, family, own) for family, own in zip(families, pictures, strict=True)]
+    if len(views) == 1 and (stack := slices(views[0].sheets)) is not None:
+        log.info("the pictures are slices of one thing, in order along %s", np.round(views[0].basis[2], 2).tolist())
+        rgb = space.scatter(between(space, along(space, views[0].basis, False), stack))
+        sharpen(space, rgb, views)
+        return _volume(space, rgb, progress)
     layers = [[decompose(sheet, view.kind) for sheet in view.sheets] for view in views]
     progress(0.2)
     rgb = space.scatter(_carry(space, views, layers, rng, lambda part: progress(0.2 + 0.5 * part)))
@@ -55,6 +62,11 @@ def solve(
     space.fill(rgb)
     gain = sharpen(space, rgb, views)
     log.info("%d details strewn, edges sharpened by %.2f", count, gain)
+    return _volume(space, rgb, progress)
+
+
+def _volume(space: Space, rgb: NDArray[np.float32], progress: Progress) -> Volume:
+    """The answer: the grid with the air around filled from the nearest voxel inside."""
     progress(0.95)
     nearest = ndimage.distance_transform_edt(space.number < 0, return_distances=False, return_indices=True)
     volume = Volume(space.body, rgb[tuple(nearest)])
@@ -94,7 +106,8 @@ def _carry(
     log.info(
         "carried along the %s axis, texture drifting %.2f cells a cell", "up" if view.kind == POLAR else "fixed", rate
     )
-    colours = carried(space, axis, layers[carrier], rate, rng, progress)
+    carve = carving(layers[carrier][0], layers[radial], rng) if radial is not None else None
+    colours = carried(space, axis, layers[carrier], rate, carve, rng, progress)
     if radial is not None:
         heights(space, axis, colours, layers[carrier][0], layers[radial])
     return np.clip(colours, 0, 1)
