@@ -145,8 +145,8 @@ def pick(points, reach, axes, least, zone, low, cell, first, count, planes, eye,
                     kept = False
                     break
                 touched = touched or distance > -r
-                # The rim of a face is rounded off by atoms on both of its sides.
-                close = close or distance > np.float32(-3.0) * r
+                # The rim of a face is rounded off by atoms that reach over it.
+                close = close or distance > np.float32(-1.5) * r
             if not kept:
                 continue
             if least[i] <= 1 and not close:

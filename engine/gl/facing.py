@@ -28,8 +28,8 @@ NO_CONE = 2.0
 FLAT = 0.5
 """Thickness over the next axis from which a disc has no side."""
 
-CELL = 2.0
-"""Cells of the occupancy grid, in pitches: one holds about eight lattice atoms."""
+CELL = 1.5
+"""Cells of the occupancy grid, in pitches: one holds three or four lattice atoms, evened out over 4 x 4 x 4 cells."""
 
 FILLED = 0.4
 """Share of a cell's lattice from which it counts as solid."""
