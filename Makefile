@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 SHELL := /bin/bash
 
-.PHONY: demo test lint types unit bench pictures clean
+.PHONY: demo test bench screenshots clean
 
 demo: $(READY)
 	@tools/ensure_gl.sh
@@ -19,17 +19,28 @@ demo: $(READY)
 	@echo "The solid: out/watermelon/watermelon.ply; figures: out/watermelon/report.json"
 
 test: $(READY)
-	@tools/ensure_gl.sh
+	@tools/ensure_gl.sh window
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/python -m pytest
 
+bench: $(READY)
+	@tools/ensure_gl.sh
+	$(BIN)/python -m benchmarks.oblique_cuts
+	$(BIN)/python -m benchmarks.frozen_geometry
+	$(BIN)/python -m benchmarks.cpu_renderer
+	$(BIN)/python -m benchmarks.gl_frames
+
+screenshots: $(READY)
+	@tools/ensure_gl.sh window
+	$(BIN)/python -m tools.screenshots
+
 # Constraints are the versions the tests were run with; an editable install, so that a change needs no new one.
 $(READY): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --upgrade pip
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev,bench]'
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev,bench,diffusion]'
 	@touch $(READY)
 
 clean:

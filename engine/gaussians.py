@@ -46,6 +46,4 @@ class Gaussians:
 
     def __getitem__(self, rows: NDArray[np.bool_] | NDArray[np.integer] | slice) -> Gaussians:
         """The Gaussians of these rows: a mask (N,), indices (M,) or a slice."""
-        return Gaussians(
-            self.means[rows], self.scales[rows], self.quats[rows], self.opacities[rows], self.sh[rows]
-        )
+        return Gaussians(self.means[rows], self.scales[rows], self.quats[rows], self.opacities[rows], self.sh[rows])

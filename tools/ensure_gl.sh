@@ -1,20 +1,26 @@
 #!/usr/bin/env bash
-# Makes sure that offscreen OpenGL (EGL) is there: on Debian-like systems installs it, elsewhere says what to install.
+# Makes sure that offscreen OpenGL (EGL) is there, and with the argument "window" a virtual screen for window tests.
+# On Debian-like systems what is missing is installed; elsewhere one line says what to install.
 set -euo pipefail
 here=$(cd "$(dirname "$0")/.." && pwd)
-probe='import moderngl; moderngl.create_context(standalone=True, backend="egl").release()'
-if "$here/.venv/bin/python" -c "$probe" 2>/dev/null; then
+missing=()
+if ! "$here/.venv/bin/python" -c 'import moderngl; moderngl.create_context(standalone=True, backend="egl").release()' 2>/dev/null; then
+    missing+=(libegl1 libgl1-mesa-dri)
+fi
+if [ "${1:-}" = window ] && ! command -v xvfb-run >/dev/null; then
+    missing+=(xvfb xauth libgl1 libglx-mesa0 libgl1-mesa-dri)
+fi
+if [ ${#missing[@]} -eq 0 ]; then
     exit 0
 fi
-packages="libegl1 libgl1-mesa-dri"
 run=""
 if [ "$(id -u)" -ne 0 ]; then
     run="sudo -n"
 fi
 if command -v apt-get >/dev/null && { [ -z "$run" ] || $run true 2>/dev/null; }; then
-    echo "Installing $packages for offscreen OpenGL"
+    echo "Installing ${missing[*]}"
     $run apt-get update -qq
-    DEBIAN_FRONTEND=noninteractive $run apt-get install -y -qq $packages >/dev/null
+    $run env DEBIAN_FRONTEND=noninteractive apt-get install -y -qq "${missing[@]}" >/dev/null
     exit 0
 fi
-echo "No offscreen OpenGL (EGL) here; install Mesa's (Debian: $packages, Fedora: mesa-libEGL mesa-dri-drivers). Pictures are drawn on the CPU until then."
+echo "Please install ${missing[*]} (Fedora: mesa-libEGL mesa-dri-drivers xorg-x11-server-Xvfb); until then pictures are drawn on the CPU and such tests are skipped."
