@@ -79,7 +79,7 @@ def atomise(gaussians: Gaussians, pitch: float, body: Body | None = None) -> Ato
     shrink = np.repeat(np.sqrt(area)[:, None], 3, axis=1)
     shrink[np.arange(len(kept)), thin] = 1.0
     scales *= shrink
-    large = (scales > pitch).any(axis=1)
+    large = scales.max(axis=1, initial=0) > pitch
     whole, parts = kept[~large], kept[large]
     source, means, part_scales = split(parts, scales[large], pitch)
     means = np.concatenate([whole.means, means])
