@@ -91,14 +91,12 @@ class _Frame:
 
 def render(gaussians: Gaussians, camera: Camera, background: Sequence[float] = (0.0, 0.0, 0.0)) -> Picture:
     """The Gaussians seen by the camera over a background (3,); depth is the mean depth of what covers the pixel."""
-    scene = _Scene(
-        np.ascontiguousarray(gaussians.means),
-        np.ascontiguousarray(gaussians.scales),
-        np.ascontiguousarray(gaussians.quats),
-        np.ascontiguousarray(gaussians.opacities),
-        np.ascontiguousarray(gaussians.sh),
-        plain=False,
+    # Contiguous and writeable, so that the kernels that are compiled already fit.
+    means, scales, quats, opacities, sh = (
+        np.require(array, np.float32, ("C", "W"))
+        for array in (gaussians.means, gaussians.scales, gaussians.quats, gaussians.opacities, gaussians.sh)
     )
+    scene = _Scene(means, scales, quats, opacities, sh, plain=False)
     rgb, alpha, depth = _picture(_composite(scene, camera), camera, background)
     covered = alpha > 0
     depth[covered] /= alpha[covered]
@@ -166,7 +164,7 @@ def _backward(
         -(-tiles_y // ROWS_PER_TASK),
         ROWS_PER_TASK,
         frame.states,
-        np.asarray(background, kind),
+        np.array(background, kind),
         *outer,
         adjoints,
     )
@@ -260,5 +258,5 @@ def _picture(
     shape = camera.height, camera.width
     rgb, alpha, depth = np.empty((*shape, 3), kind), np.empty(shape, kind), np.empty(shape, kind)
     tasks = -(-camera.height // (SIDE * ROWS_PER_TASK))
-    for_each(resolve, tasks, ROWS_PER_TASK, frame.states, np.asarray(background, kind), rgb, alpha, depth)
+    for_each(resolve, tasks, ROWS_PER_TASK, frame.states, np.array(background, kind), rgb, alpha, depth)
     return rgb, alpha, depth

@@ -7,7 +7,6 @@ import math
 import numpy as np
 from numba import njit
 
-from engine.cpu.blend import ROW
 from engine.cpu.tiles import BLOCKS, SIDE, TAIL_BITS, box_size
 from engine.formula import LOW_PASS
 from engine.projection import (
@@ -35,6 +34,9 @@ RECORD = 16
 2^(r7 - m^2 - n^2) with m = r4 dx, n = r5 dx + r6 dy: squares lose no digits on long needles, as a dx^2 + 2 b dx dy +
 c dy^2 does; 8 9 10 colour, 11 depth; 12 13 half width and height of the ellipse outside which alpha is under 1/255,
 14 dx per dy along the middles of its horizontal chords, 15 half its middle chord, pixels."""
+
+GRADIENT = 10
+"""Numbers of a row of `engine.cpu.blend.ROW` that mean something."""
 
 LOG2_E = 1.0 / math.log(2.0)
 ROOT_HALF_LOG2_E = math.sqrt(0.5 * LOG2_E)
@@ -255,17 +257,29 @@ def project_backward(  # type: ignore[no-untyped-def]
     basis = np.empty(16, np.float64)
     g_basis = np.empty(16, np.float64)
     # The rows lie all over memory: gathered in a loop of their own, many are on their way at once.
-    sums = np.zeros((record_counts[chunk], ROW), np.float64)
+    sums = np.empty((record_counts[chunk], GRADIENT), np.float64)
     seen = np.zeros(record_counts[chunk], np.bool_)
     pair = first_places[chunk]
     for k in range(record_counts[chunk]):
+        s0 = s1 = s2 = s3 = s4 = s5 = s6 = s7 = s8 = s9 = 0.0
         for _ in range(pair_counts[start + k]):
             if start + k <= tile_lasts[pair_tiles[pair] >> BLOCKS]:
                 seen[k] = True
-                place = pair_places[pair]
-                for column in range(ROW):
-                    sums[k, column] += rows[place, column]
+                row = rows[pair_places[pair]]
+                s0 += row[0]
+                s1 += row[1]
+                s2 += row[2]
+                s3 += row[3]
+                s4 += row[4]
+                s5 += row[5]
+                s6 += row[6]
+                s7 += row[7]
+                s8 += row[8]
+                s9 += row[9]
             pair += 1
+        total = sums[k]
+        total[0], total[1], total[2], total[3], total[4] = s0, s1, s2, s3, s4
+        total[5], total[6], total[7], total[8], total[9] = s5, s6, s7, s8, s9
 
     for k in range(record_counts[chunk]):
         if not seen[k]:
