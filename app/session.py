@@ -13,6 +13,7 @@ from typing import Literal
 
 import numpy as np
 
+from app.asking import Choice, Question
 from app.autosave import Autosave, Rescued
 from app.desk import Desk
 from app.document import Cut, Document, Key, Part, Placement
@@ -29,7 +30,7 @@ from engine.errors import InputError
 from engine.plane import Plane
 from training.families import Kind
 
-__all__ = ["PICTURES", "TOOLS", "Choice", "Question", "Session", "Tool"]
+__all__ = ["PICTURES", "TOOLS", "Session", "Tool"]
 
 Tool = Literal["select", "knife", "plane", "move", "turn"]
 TOOLS: tuple[Tool, ...] = ("select", "knife", "plane", "move", "turn")
@@ -37,24 +38,6 @@ TOOLS: tuple[Tool, ...] = ("select", "knife", "plane", "move", "turn")
 PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".bmp")
 
 EMPTY = Solid.of(np.zeros((0, 3)))
-
-
-@dataclass(frozen=True)
-class Choice:
-    """A button."""
-
-    label: str
-    act: Callable[[], None]
-    main: bool = False
-
-
-@dataclass(frozen=True)
-class Question:
-    """What the user must decide before anything goes on. The last choice is what Esc does."""
-
-    title: str
-    text: str
-    choices: tuple[Choice, ...]
 
 
 @dataclass

@@ -41,6 +41,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument("--detail", default="standard", choices=("draft", "standard", "high"))
     parser.add_argument("--fresh", action="store_true", help="train again even if there is a result")
+    parser.add_argument("--only", default="12345", help="numbers of the pictures to take: 145")
     parser.add_argument("--theme", default="dark", choices=("dark", "light"))
     options = parser.parse_args()
     if not os.environ.get("DISPLAY") and sys.platform.startswith("linux"):
@@ -52,15 +53,15 @@ def main() -> None:
     os.environ["FRUITNINJA_HOME"] = str(OUT / "home")
     shutil.rmtree(OUT / "home", ignore_errors=True)
     if options.fresh:
-        shutil.rmtree(OUT / "watermelon", ignore_errors=True)
-    take(options.detail, options.theme)
+        shutil.rmtree(OUT / options.detail, ignore_errors=True)
+    take(options.detail, options.theme, options.only)
 
 
-def take(detail: str, theme: str) -> None:
+def take(detail: str, theme: str, only: str) -> None:
     """Opens the window and goes through the scenes."""
     document = sample_document("watermelon")
-    document = replace(document, training=Training(detail=detail, out=OUT / "watermelon"))  # type: ignore[arg-type]
-    result = OUT / "watermelon" / "watermelon.ply"
+    document = replace(document, training=Training(detail=detail, out=OUT / detail))  # type: ignore[arg-type]
+    result = OUT / detail / "watermelon.ply"
     kept = result.with_suffix(".kept")
     if result.exists():  # hide it, so that the first pictures show the hollow capture
         result.rename(kept)
@@ -70,13 +71,19 @@ def take(detail: str, theme: str) -> None:
         view = window.viewport
 
         def shot(name: str) -> None:
-            driver.context.mouse_move_to_pos(driver.point(0.97, 0.97))
+            if name[0] in only:
+                driver.context.mouse_move_to_pos(driver.point(0.97, 0.97))
+                hold(name)
+
+        def hold(name: str) -> None:
+            """A picture without moving the pointer."""
             driver.still()
-            driver.picture(PICTURES / f"{name}.png")
-            print(f"{name}.png", flush=True)
+            if name[0] in only:
+                driver.picture(PICTURES / f"{name}.png")
+                print(f"{name}.png", flush=True)
 
         # The hollow input.
-        driver.until(lambda: session.atoms is not None, 600, "the solid")
+        driver.until(lambda: session.atoms is not None and session.preparing is None, 600, "the solid")
         view.fit()
         shot("1_capture")
 
@@ -107,10 +114,7 @@ def take(detail: str, theme: str) -> None:
         view.fit()
         driver.still()
         driver.press(Key.k)
-        driver.drag(
-            (0.30, 0.20), (0.72, 0.82), hold=lambda: (driver.still(), driver.picture(PICTURES / "2_knife.png"))
-        )  # fmt: skip
-        print("2_knife.png", flush=True)
+        driver.drag((0.30, 0.20), (0.72, 0.82), hold=lambda: hold("2_knife"))
 
         # The halves, laid open.
         driver.still()
@@ -118,6 +122,8 @@ def take(detail: str, theme: str) -> None:
         driver.press(Key.v)
         lay_open(session)
         view.fit()
+        eye = session.viewing.eye  # both halves together are wide, not tall: the sphere around them leaves much room
+        session.look(replace(session.viewing, eye=replace(eye, distance=0.76 * eye.distance)))
         shot("3_halves")
 
     drive(
@@ -132,7 +138,7 @@ def busy_training(session: Session) -> bool:
     job = session.desk.job
     assert job is not None and job.phase in ("running", "done"), session.error
     progress = job.progress
-    return len(progress.section) > 0.6 * progress.iterations > 0 and bool(progress.previews) and session.colours > 0
+    return len(progress.section) > 20 and bool(progress.previews) and session.colours > 0
 
 
 def tilt(session: Session, cut_id: int) -> None:

@@ -82,8 +82,8 @@ class Inspector:
             thin_bar(preparing.part)
             imgui.align_text_to_frame_padding()
             secondary(preparing.stage)
-            imgui.same_line(imgui.get_content_region_avail().x - px(44))
-            if imgui.button("Cancel##preparing", ImVec2(px(60), 0)):
+            imgui.same_line(imgui.get_content_region_avail().x - px(56))
+            if imgui.button("Cancel##preparing", ImVec2(px(68), 0)):
                 session.cancel_preparing()
 
     # Cuts

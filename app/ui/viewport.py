@@ -21,6 +21,7 @@ from app.session import Session
 from app.ui.cube import axis_cube
 from app.ui.gizmo import handles
 from app.ui.glide import CameraGlide, PieceGlide
+from app.ui.marks import brackets, closed_line, label
 from app.ui.painter import Painter
 from app.ui.theme import palette, px, rgb, u32
 from app.ui.widgets import segmented
@@ -253,30 +254,6 @@ class Viewport:
 
     # What is drawn over the picture
 
-    def _line(
-        self,
-        camera: Camera,
-        points: NDArray[np.float64],
-        colour: int,
-        faint: int,
-        width: float,
-        motion: Motion | None = None,
-    ) -> None:
-        """A closed line on the object: full where it faces the eye, faint behind."""
-        points = points if motion is None else motion.apply(points)
-        pixels, depth = project_points(camera, points)
-        if not camera.orthographic and (depth <= camera.near).any():
-            return
-        middle = self.session.solid.centre if motion is None else motion.apply(self.session.solid.centre)
-        eye = -camera.forward if camera.orthographic else camera.position - middle
-        front = (points - middle) @ eye > 0
-        draw = imgui.get_window_draw_list()
-        seen = pixels + np.array([self.origin.x, self.origin.y])
-        for i in range(len(seen)):
-            j = (i + 1) % len(seen)
-            colour_here = colour if front[i] and front[j] else faint
-            draw.add_line(ImVec2(*seen[i].tolist()), ImVec2(*seen[j].tolist()), colour_here, width)
-
     def _draw_families(self, camera: Camera) -> None:
         session = self.session
         families = [f for f in session.document.families if f.kind in self.show_families]
@@ -292,7 +269,7 @@ class Viewport:
             self._outlines = (key, lines)
         for kind, line in self._outlines[1]:
             colour = palette().text if kind == "horizontal" else palette().curve
-            self._line(camera, line, u32(colour, 0.7), u32(colour, 0.08), px(1.1))
+            closed_line(camera, self.origin, line, session.solid.centre, (u32(colour, 0.7), u32(colour, 0.08)), px(1.1))
 
     def _sheets(self) -> list[Sheet]:
         """The active section plane, as a sheet that the object hides where it is in front."""
@@ -324,7 +301,7 @@ class Viewport:
                 continue
             pixels, _ = project_points(camera, piece.motion.apply(session.solid.points[piece.rows]))
             pixels = pixels + np.array([self.origin.x, self.origin.y])
-            _brackets(draw, pixels.min(0) - px(10), pixels.max(0) + px(10))
+            brackets(draw, pixels.min(0) - px(10), pixels.max(0) + px(10))
 
     def _draw_stroke(self, camera: Camera, pieces: list[Lying]) -> None:
         """The line, and where its plane would go through each piece."""
@@ -344,11 +321,13 @@ class Viewport:
                 if piece.visible and (not session.selection or piece.key in session.selection):
                     line = outline(session.solid, piece.motion.inverse().carried(plane), piece.rows)
                     if line is not None:
-                        self._line(camera, line, u32(p.accent, 0.95), u32(p.accent, 0.4), px(2.4), piece.motion)
+                        moved, middle = piece.motion.apply(line), piece.motion.apply(session.solid.centre)
+                        colours = (u32(p.accent, 0.95), u32(p.accent, 0.4))
+                        closed_line(camera, self.origin, moved, middle, colours, px(2.4))
         for end in ends:
             draw.add_circle_filled(end, px(4.5), u32(p.accent))
         words = "release to cut" if drag.kind == "stroke" else "release to place"
-        _label(draw, ImVec2(ends[1].x + px(14), ends[1].y + px(6)), f"{words}    Shift: snap    Esc: cancel")
+        label(draw, ImVec2(ends[1].x + px(14), ends[1].y + px(6)), f"{words}    Shift: snap    Esc: cancel")
 
     def _overlays(self, camera: Camera) -> None:
         session, p = self.session, palette()
@@ -395,22 +374,4 @@ class Viewport:
         if not text or session.atoms is None or (session.tool == "knife" and session.settings.seen_hint):
             return
         mouse = imgui.get_mouse_pos()
-        _label(imgui.get_window_draw_list(), ImVec2(mouse.x + px(16), mouse.y + px(12)), text)
-
-
-def _label(draw: imgui.ImDrawList, at: ImVec2, text: str) -> None:
-    """Words over the picture, on a ground that keeps them readable."""
-    size = imgui.calc_text_size(text)
-    low = ImVec2(at.x - px(7), at.y - px(4))
-    draw.add_rect_filled(low, ImVec2(at.x + size.x + px(7), at.y + size.y + px(4)), u32(palette().ground, 0.8), px(5))
-    draw.add_text(at, u32(palette().text), text)
-
-
-def _brackets(draw: imgui.ImDrawList, low: NDArray[np.float64], high: NDArray[np.float64]) -> None:
-    """Four corners."""
-    colour, length = u32(palette().accent), px(12)
-    for x, dx in ((low[0], 1), (high[0], -1)):
-        for y, dy in ((low[1], 1), (high[1], -1)):
-            corner = ImVec2(float(x), float(y))
-            draw.add_line(corner, ImVec2(float(x) + dx * length, float(y)), colour, px(1.8))
-            draw.add_line(corner, ImVec2(float(x), float(y) + dy * length), colour, px(1.8))
+        label(imgui.get_window_draw_list(), ImVec2(mouse.x + px(16), mouse.y + px(12)), text)

@@ -158,9 +158,7 @@ def number_slider(
     room = imgui.calc_text_size("-00.00").x + px(6)
     full = imgui.get_content_region_avail().x if width < 0 else width
     imgui.set_next_item_width(full - room)
-    imgui.push_style_var(imgui.StyleVar_.frame_padding, ImVec2(px(9), px(3)))
     changed, value = imgui.slider_float(name, value, low, high, "")
-    imgui.pop_style_var()
     tip(hint)
     _number_at_right(f"{value if abs(value) >= 0.005 else 0.0:.2f}", room)
     return changed, value
@@ -170,9 +168,7 @@ def whole_slider(name: str, value: int, low: int, high: int) -> tuple[bool, int]
     """The same for whole numbers, as wide as there is room."""
     room = imgui.calc_text_size("0000").x + px(6)
     imgui.set_next_item_width(imgui.get_content_region_avail().x - room)
-    imgui.push_style_var(imgui.StyleVar_.frame_padding, ImVec2(px(9), px(3)))
     changed, value = imgui.slider_int(name, value, low, high, "")
-    imgui.pop_style_var()
     _number_at_right(str(value), room)
     return changed, value
 

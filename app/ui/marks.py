@@ -1,0 +1,57 @@
+"""Lines and words over the picture of the object."""
+
+from __future__ import annotations
+
+import numpy as np
+from imgui_bundle import ImVec2, imgui
+from numpy.typing import NDArray
+
+from app.camera_control import project_points
+from app.ui.theme import palette, px, u32
+from engine.camera import Camera
+
+__all__ = ["brackets", "closed_line", "label"]
+
+
+def closed_line(
+    camera: Camera,
+    origin: ImVec2,
+    points: NDArray[np.float64],  # [K, 3]
+    middle: NDArray[np.float64],  # [3]
+    colours: tuple[int, int],
+    width: float,
+) -> None:
+    """A closed line on an object around its middle: the first colour where it faces the eye, the second behind."""
+    pixels, depth = project_points(camera, points)
+    if not camera.orthographic and (depth <= camera.near).any():
+        return
+    eye = -camera.forward if camera.orthographic else camera.position - middle
+    front = (points - middle) @ eye > 0
+    draw = imgui.get_window_draw_list()
+    seen = pixels + np.array([origin.x, origin.y])
+    for i in range(len(seen)):
+        j = (i + 1) % len(seen)
+        colour = colours[0] if front[i] and front[j] else colours[1]
+        draw.add_line(ImVec2(*seen[i].tolist()), ImVec2(*seen[j].tolist()), colour, width)
+
+
+def label(draw: imgui.ImDrawList, at: ImVec2, text: str) -> None:
+    """Words over the picture, on a ground that keeps them readable, inside of what is drawn."""
+    size = imgui.calc_text_size(text)
+    low, high = draw.get_clip_rect_min(), draw.get_clip_rect_max()
+    at = ImVec2(
+        max(low.x + px(10), min(at.x, high.x - size.x - px(14))), max(low.y, min(at.y, high.y - size.y - px(10)))
+    )
+    low = ImVec2(at.x - px(7), at.y - px(4))
+    draw.add_rect_filled(low, ImVec2(at.x + size.x + px(7), at.y + size.y + px(4)), u32(palette().ground, 0.8), px(5))
+    draw.add_text(at, u32(palette().text), text)
+
+
+def brackets(draw: imgui.ImDrawList, low: NDArray[np.float64], high: NDArray[np.float64]) -> None:
+    """Four corners."""
+    colour, length = u32(palette().accent), px(12)
+    for x, dx in ((low[0], 1), (high[0], -1)):
+        for y, dy in ((low[1], 1), (high[1], -1)):
+            corner = ImVec2(float(x), float(y))
+            draw.add_line(corner, ImVec2(float(x) + dx * length, float(y)), colour, px(1.8))
+            draw.add_line(corner, ImVec2(float(x), float(y) + dy * length), colour, px(1.8))
