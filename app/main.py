@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+import warnings
 from pathlib import Path
 
 __all__ = ["main"]
@@ -31,7 +32,22 @@ def main() -> None:
         else:
             session.show(sample_document(), Viewing(mode="capture"), None)
 
+    if not can_show():
+        print(
+            "fruitninja: there is no display to open a window on; fruitninja-train and fruitninja-render need none",
+            file=sys.stderr,
+        )
+        sys.exit(2)
     Window(Session(), start).run()
+
+
+def can_show() -> bool:
+    """Whether there is a display; asked before, because the window's own answer is an assertion in C++."""
+    import glfw
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return bool(glfw.init())
 
 
 if __name__ == "__main__":

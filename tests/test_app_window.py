@@ -43,3 +43,14 @@ def test_a_user_cuts_trains_saves_and_exports(tmp_path: Path) -> None:
 
 def test_two_thousand_random_actions_leave_nothing_behind(tmp_path: Path) -> None:
     run("soak", tmp_path)
+
+
+def test_without_a_display_or_a_file_one_line_says_so(tmp_path: Path) -> None:
+    environment = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "WAYLAND_DISPLAY")}
+    environment |= {"PYTHONPATH": str(HERE.parent), "FRUITNINJA_HOME": str(tmp_path)}
+    for words, said in ((["nowhere.ply"], "no such file"), ([], "no display")):
+        if not words and not sys.platform.startswith("linux"):
+            continue
+        command = [sys.executable, "-m", "app.main", *words]
+        done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120)
+        assert done.returncode == 2 and said in done.stderr and done.stderr.count("\n") == 1, done.stderr

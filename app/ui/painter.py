@@ -75,6 +75,7 @@ class Painter:
         if key != self._key or self._texture is None or self.renderer.sorting:
             begin = time.perf_counter()
             texture = self.renderer.render(camera, pieces, MODES[mode], background, light, level=level, wait=False)
+            self._give_back()  # its scissor is off, which the copy under the sheets needs
             self._texture = self.renderer.overlay(sheets) if sheets else texture
             self._give_back()
             self.ctx.finish()
