@@ -40,7 +40,7 @@ def detect_up(gaussians: Gaussians) -> tuple[NDArray[np.float64], str]:
     means = means[((means >= low) & (means <= high)).all(axis=1)]
     extent = np.maximum(high - low, 1e-12)
     ends = np.stack([(means < low + SLAB * extent).mean(0), (means > high - SLAB * extent).mean(0)])
-    end, axis = np.unravel_index(ends.argmax(), ends.shape)
+    end, axis = divmod(int(ends.argmax()), 3)
     if ends[end, axis] > SUPPORT and ends[1 - end, axis] < ends[end, axis] / 2:
         up = np.zeros(3)
         up[axis] = 1.0 if end == 0 else -1.0
