@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import json
 import queue
@@ -78,6 +79,7 @@ class Preparing:
             threading.Thread(target=self._keep_errors, daemon=True),
         ]
         self._errors = b""
+        atexit.register(self._clear)
         for thread in self._threads:
             thread.start()
         asked: dict[str, Any] = {"scene": str(request.scene), "folder": str(self._folder), "detail": request.detail}
@@ -151,6 +153,12 @@ class Preparing:
             last = self._errors.decode("utf-8", "replace").strip().splitlines()[-1:] or ["it gave no reason"]
             name = self.request.scene.name
             self._queue.put(({"error": f"{name}: opening it failed ({last[0]})", "end": True}, {}))
+        atexit.unregister(self._clear)
+        self._clear()
+
+    def _clear(self) -> None:
+        """Leaves neither a process nor files behind, even when the app ends in the middle."""
+        self._process.kill()
         shutil.rmtree(self._folder, ignore_errors=True)
 
     def _keep_errors(self) -> None:
