@@ -17,6 +17,7 @@ import engine.classic as classic
 from engine.camera import Camera, look_at, orbit
 from engine.classic import rasterize, render
 from engine.cpu.depth_order import depth_order
+from engine.cpu.splats import project
 from engine.gaussians import Gaussians
 from engine.projection import pack_camera
 from engine.threads import cores, for_each, use_cores
@@ -255,6 +256,16 @@ def test_render_is_rasterize() -> None:
     np.testing.assert_allclose(ours.depth[seen] * ours.alpha[seen], depth.numpy()[seen], rtol=1e-6)
     assert np.isinf(ours.depth[~seen]).all()
     assert (~seen).any()
+
+
+def test_read_only_arrays_compile_nothing_new() -> None:
+    means, scales, quats, opacities, sh = (tensor.numpy() for tensor in scene(20, 4, seed=9, kind=torch.float32))
+    rasterize(*scene(20, 4, seed=9, kind=torch.float32), PINHOLE)
+    known = len(project.signatures)
+    for array in (means, scales, quats, opacities, sh):
+        array.flags.writeable = False
+    render(Gaussians(means, scales, quats, opacities, sh), PINHOLE)
+    assert len(project.signatures) == known
 
 
 def degenerate(name: str, n: int = 3) -> list[Tensor]:

@@ -130,6 +130,23 @@ FRINGE = REACH * math.sqrt(LOW_PASS) + 1.0
 """What the low-pass adds to that, pixels, and a little."""
 
 
+@njit(cache=True, error_model="numpy")
+def _gather(rows, means, scales, quats, opacities):  # type: ignore[no-untyped-def]
+    """(len(rows), 11) float64: mean, scales, quaternion, opacity of these Gaussians.
+
+    They lie all over memory: a loop that only loads has many on their way at once, one that also computes has few.
+    """
+    out = np.empty((len(rows), 11), np.float64)
+    for k in range(len(rows)):
+        i = rows[k]
+        g = out[k]
+        g[0], g[1], g[2] = means[i, 0], means[i, 1], means[i, 2]
+        g[3], g[4], g[5] = scales[i, 0], scales[i, 1], scales[i, 2]
+        g[6], g[7], g[8], g[9] = quats[i, 0], quats[i, 1], quats[i, 2], quats[i, 3]
+        g[10] = opacities[i]
+    return out
+
+
 @njit(cache=True, error_model="numpy", nogil=True)
 def project(  # type: ignore[no-untyped-def]
     chunk,
@@ -160,30 +177,45 @@ def project(  # type: ignore[no-untyped-def]
     tiles_y, tiles_x = open_sums.shape[0] - 1, open_sums.shape[1] - 1
     bands = colours.shape[1]
     basis = np.empty(16, np.float64)
+    near = np.empty((stop - start, 4), np.float64)
+    for k in range(stop - start):
+        i = order[start + k]
+        near[k, 0], near[k, 1], near[k, 2] = means[i, 0], means[i, 1], means[i, 2]
+        near[k, 3] = max(scales[i, 0], scales[i, 1], scales[i, 2])
+    rows = np.empty(stop - start, np.int64)
+    count = 0
+    for k in range(stop - start):
+        x, y, z = camera_point(cam, near[k, 0], near[k, 1], near[k, 2])
+        u, v = project_point(cam, x, y, z)
+        affine = jacobian(cam, x, y, z)
+        rows[count] = order[start + k]
+        count += _may_touch(u, v, affine[0], affine[1], affine[2], affine[3], near[k, 3], open_sums)
+    gathered = _gather(rows[:count], means, scales, quats, opacities)
+
     most_pairs = 0
     slot = start
-    for k in range(start, stop):
-        i = order[k]
-        px, py, pz = np.float64(means[i, 0]), np.float64(means[i, 1]), np.float64(means[i, 2])
+    for k in range(count):
+        i = rows[k]
+        g = gathered[k]
+        px, py, pz, sx, sy, sz, qw, qx, qy, qz, opacity = (
+            g[0],
+            g[1],
+            g[2],
+            g[3],
+            g[4],
+            g[5],
+            g[6],
+            g[7],
+            g[8],
+            g[9],
+            g[10],
+        )
         x, y, z = camera_point(cam, px, py, pz)
         u, v = project_point(cam, x, y, z)
-        sx, sy, sz = np.float64(scales[i, 0]), np.float64(scales[i, 1]), np.float64(scales[i, 2])
         affine = jacobian(cam, x, y, z)
-        if not _may_touch(u, v, affine[0], affine[1], affine[2], affine[3], max(sx, sy, sz), open_sums):
-            continue
-        opacity = np.float64(opacities[i])
         if not opacity * 255.0 >= 1.0:
             continue
-        axes = half_axes(
-            cam,
-            np.float64(quats[i, 0]),
-            np.float64(quats[i, 1]),
-            np.float64(quats[i, 2]),
-            np.float64(quats[i, 3]),
-            sx,
-            sy,
-            sz,
-        )
+        axes = half_axes(cam, qw, qx, qy, qz, sx, sy, sz)
         xx, xy, yy, det, _ = screen_covariance(screen_axes(affine, axes), LOW_PASS)
         if not (det > 0.0 and det < 1e60 and abs(u) + abs(v) < 1e15):
             continue  # not a number, or past all measure
@@ -256,15 +288,16 @@ def project_backward(  # type: ignore[no-untyped-def]
     bands = colours.shape[1]
     basis = np.empty(16, np.float64)
     g_basis = np.empty(16, np.float64)
-    # The rows lie all over memory: gathered in a loop of their own, many are on their way at once.
+    slots = np.empty(record_counts[chunk], np.int64)
     sums = np.empty((record_counts[chunk], GRADIENT), np.float64)
-    seen = np.zeros(record_counts[chunk], np.bool_)
+    count = 0
     pair = first_places[chunk]
-    for k in range(record_counts[chunk]):
+    for slot in range(start, start + record_counts[chunk]):
         s0 = s1 = s2 = s3 = s4 = s5 = s6 = s7 = s8 = s9 = 0.0
-        for _ in range(pair_counts[start + k]):
-            if start + k <= tile_lasts[pair_tiles[pair] >> BLOCKS]:
-                seen[k] = True
+        seen = False
+        for _ in range(pair_counts[slot]):
+            if slot <= tile_lasts[pair_tiles[pair] >> BLOCKS]:
+                seen = True
                 row = rows[pair_places[pair]]
                 s0 += row[0]
                 s1 += row[1]
@@ -277,32 +310,40 @@ def project_backward(  # type: ignore[no-untyped-def]
                 s8 += row[8]
                 s9 += row[9]
             pair += 1
-        total = sums[k]
-        total[0], total[1], total[2], total[3], total[4] = s0, s1, s2, s3, s4
-        total[5], total[6], total[7], total[8], total[9] = s5, s6, s7, s8, s9
+        if seen:
+            slots[count] = slot
+            total = sums[count]
+            total[0], total[1], total[2], total[3], total[4] = s0, s1, s2, s3, s4
+            total[5], total[6], total[7], total[8], total[9] = s5, s6, s7, s8, s9
+            count += 1
+    gathered = _gather(owners[slots[:count]], means, scales, quats, opacities)
 
-    for k in range(record_counts[chunk]):
-        if not seen[k]:
-            continue
-        slot = start + k
+    for k in range(count):
+        slot = slots[k]
+        i = owners[slot]
+        g = gathered[k]
+        px, py, pz, sx, sy, sz, qw, qx, qy, qz, opacity = (
+            g[0],
+            g[1],
+            g[2],
+            g[3],
+            g[4],
+            g[5],
+            g[6],
+            g[7],
+            g[8],
+            g[9],
+            g[10],
+        )
         a, b, c = np.float64(records[slot, 4]), np.float64(records[slot, 5]), np.float64(records[slot, 6])
         sp, sm, smm, sn, smn, snn = sums[k, 0], sums[k, 1], sums[k, 2], sums[k, 3], sums[k, 4], sums[k, 5]
         red, green, blue, depth = sums[k, 6], sums[k, 7], sums[k, 8], sums[k, 9]
-        i = owners[slot]
-        px, py, pz = np.float64(means[i, 0]), np.float64(means[i, 1]), np.float64(means[i, 2])
-        qw, qx, qy, qz = (
-            np.float64(quats[i, 0]),
-            np.float64(quats[i, 1]),
-            np.float64(quats[i, 2]),
-            np.float64(quats[i, 3]),
-        )
-        sx, sy, sz = np.float64(scales[i, 0]), np.float64(scales[i, 1]), np.float64(scales[i, 2])
         x, y, z = camera_point(cam, px, py, pz)
         affine = jacobian(cam, x, y, z)
         axes = half_axes(cam, qw, qx, qy, qz, sx, sy, sz)
         screen = screen_axes(affine, axes)
 
-        g_opacities[i] = sp / opacities[i]
+        g_opacities[i] = sp / opacity
         # With W = [[a, 0], [b, c]] the inverse covariance is 2 ln2 W^T W: so dL/d(mean) = 2 ln2 W^T (p m, p n)
         # and dL/dC = 2 ln2^2 W^T [[p m^2, p m n], [p m n, p n^2]] W.
         gu = TWO_LN2 * (a * sm + b * sn)
@@ -327,10 +368,10 @@ def project_backward(  # type: ignore[no-untyped-def]
                 for band in range(bands):
                     value += basis[band] * colours[i, band, channel]
                 if value > 0.0:  # a colour that is held at 0 hands nothing back
-                    g = red if channel == 0 else green if channel == 1 else blue
+                    outer = red if channel == 0 else green if channel == 1 else blue
                     for band in range(bands):
-                        g_colours[i, band, channel] = basis[band] * g
-                        g_basis[band] += colours[i, band, channel] * g
+                        g_colours[i, band, channel] = basis[band] * outer
+                        g_basis[band] += colours[i, band, channel] * outer
             if bands > 1 and length > 0.0:
                 hx, hy, hz = _sh_direction_gradient(dx, dy, dz, bands, g_basis)
                 along = hx * dx + hy * dy + hz * dz
