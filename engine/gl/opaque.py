@@ -20,7 +20,7 @@ from engine.errors import InputError
 from engine.gl.batches import Pool
 from engine.gl.context import Programs
 from engine.gl.look import Look
-from engine.gl.polygon import face_polygons
+from engine.gl.polygon import corners_within, face_polygons
 from engine.gl.screen import Rect, Screen
 from engine.gl.section import SectionPass
 from engine.gl.solid import Solid
@@ -94,17 +94,17 @@ class OpaqueMode:
         self, view: View, planes: list[Double], solid: Solid, sums: Accumulators, rect: Rect, look: Look
     ) -> bool:
         """Fills the accumulators with pieces that lie together; True where a face is seen."""
+        sums.front_fbo.scissor = (0, 0, *sums.front_fbo.size)
+        sums.front_fbo.use()  # transform feedback asks for a whole framebuffer, too, and a window may not have one
+        # Software GL clears a whole texture of bytes, half floats or depth faster than a part of it, one of floats not.
+        sums.front_fbo.clear(depth=1.0)
         for fbo in (sums.front_fbo, sums.splat_fbo, sums.field_fbo, sums.face_fbo):
             fbo.scissor = rect
-        sums.front_fbo.use()  # transform feedback asks for a whole framebuffer, too, and a window may not have one
-        sums.front_fbo.clear(depth=1.0, viewport=rect)
         skin = None if look.interior_only else solid.skin
         has_faces = False
         for i, piece in enumerate(planes):
             if len(piece) and not has_faces:
-                sums.face_fbo.depth_mask = False
-                sums.face_fbo.clear(viewport=rect)
-                sums.face_fbo.depth_mask = True
+                sums.coverage_fbo.clear()
             mates = planes[:i] + planes[i + 1 :]
             has_faces |= self.section.draw(
                 view, piece, mates, solid.box, solid.inside, skin, sums, solid.pitch, rect, look
@@ -159,21 +159,16 @@ def bounding_planes(piece: Piece, solid: Solid) -> Double | None:
 
 def bounds_on_screen(view: View, pieces: Sequence[Double], solid: Solid) -> Rect | None:
     """The part of the picture that what the pieces keep of the solid can touch; None where there is none."""
+    least, most = view.extent(np.zeros((1, 3)), np.array([solid.reach]))
     low, high = np.full(2, np.inf), np.full(2, -np.inf)
-    for chunks in (solid.skin.chunks, solid.inside.chunks):
-        reach = np.linalg.norm(chunks.half, axis=1) + 3 * chunks.sigma
-        kept = np.zeros(len(chunks), bool)
-        for planes in pieces:
-            own = np.ones(len(chunks), bool)
-            for plane in planes:
-                own &= chunks.distances(plane[:3], plane[3])[:, 0] <= 3 * chunks.sigma
-            kept |= own
-        if kept.any():
-            least, most = view.extent(chunks.middle[kept], reach[kept])
-            low, high = np.minimum(low, least), np.maximum(high, most)
+    for planes in pieces:
+        corners = corners_within(planes, *solid.box)
+        if len(corners):
+            first, last = view.extent(corners, np.zeros(len(corners)))
+            low, high = np.minimum(low, first), np.maximum(high, last)
     size = np.array([view.camera.width, view.camera.height])
-    first = np.clip(np.floor(low) - 4, 0, size).astype(int)
-    last = np.clip(np.ceil(high) + 4, 0, size).astype(int)
-    if (last <= first).any():
+    begin = np.clip(np.floor(np.maximum(low, least)) - 4, 0, size).astype(int)
+    end = np.clip(np.ceil(np.minimum(high, most)) + 4, 0, size).astype(int)
+    if (end <= begin).any():
         return None
-    return int(first[0]), int(first[1]), int(last[0] - first[0]), int(last[1] - first[1])
+    return int(begin[0]), int(begin[1]), int(end[0] - begin[0]), int(end[1] - begin[1])

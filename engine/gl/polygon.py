@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from engine.plane import frame
 
-__all__ = ["face_polygons", "section_of_box", "without"]
+__all__ = ["corners_within", "face_polygons", "section_of_box", "without"]
 
 Double = NDArray[np.float64]
 
@@ -43,6 +43,23 @@ def section_of_box(plane: Double, low: Double, high: Double) -> Double:
         polygon = clip(polygon, axis, -float(most))
         polygon = clip(polygon, -axis, float(least))
     return polygon
+
+
+def corners_within(planes: Double, low: Double, high: Double) -> Double:
+    """(V, 3). The corners of what planes (P, 4) keep of the box from low (3,) to high (3,), some of them twice."""
+    sides = [
+        np.append(sign * axis, -sign * end[i])
+        for i, axis in enumerate(np.eye(3))
+        for sign, end in ((1, high), (-1, low))
+    ]
+    polygons = []
+    for plane in [*sides, *planes]:
+        polygon = section_of_box(plane, low, high)
+        for other in planes:
+            if other is not plane:
+                polygon = clip(polygon, other[:3], float(other[3]))
+        polygons.append(polygon)
+    return np.concatenate(polygons)
 
 
 def without(polygon: Double, planes: Double, tolerance: float) -> list[Double]:

@@ -168,6 +168,7 @@ class Renderer:
         camera, frame = self._camera, self._frames[0]
         if self._overlaid is None:
             self._overlaid = Frame(self.ctx, camera.width, camera.height)
+        self._overlaid.colour_fbo.use()  # first: a copy keeps to the scissor of what was bound
         self.ctx.copy_framebuffer(self._overlaid.colour_fbo, frame.colour_fbo)
         self._overlaid.colour_fbo.use()
         centre = np.zeros(3) if self._solid is None else self._solid.centre

@@ -30,14 +30,15 @@ class Solid:
         widest = max(float(skin.scales.max(initial=0)), float(inside.sigmas.max(initial=0)))
         self.centre = bounds.mean(0)
         """(3,). What the GPU holds is relative to it."""
-        # Splats reach three sigma, the corners of their quads a factor of sqrt(2) more; epsilon lies in front.
-        margin = 4.5 * widest + 2 * EPSILON_PITCHES * atoms.pitch
         far = [np.linalg.norm(means - self.centre, axis=1).max(initial=0) for means in (skin.means, inside.means)]
-        self.radius = float(max(far)) + margin
+        self.reach = float(max(far)) + 3 * widest
         """About the centre, world units: all of the object, splats included."""
-        half = (bounds[1] - bounds[0]) / 2 + margin
+        # In depth the corners of a splat's quad count, a factor of sqrt(2) more, and epsilon lies in front.
+        self.radius = float(max(far)) + 4.5 * widest + 2 * EPSILON_PITCHES * atoms.pitch
+        """About the centre, world units: the range of depths."""
+        half = (bounds[1] - bounds[0]) / 2 + 3 * widest
         self.box = -half, half
-        """The same as a box: its corners (3,), relative to the centre."""
+        """All of the object: the box' corners (3,), relative to the centre."""
         self.pitch = float(atoms.pitch)
         hidden = hiding(atoms)
         hidden = replace(hidden, low=hidden.low - self.centre)

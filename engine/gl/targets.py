@@ -27,6 +27,7 @@ class Frame:
 
     def clear(self, background: NDArray[np.float64]) -> None:
         """Nothing but a background (3,)."""
+        self.colour_fbo.use()  # a clear keeps to the scissor of what was bound
         red, green, blue = background.tolist()
         self.colour_fbo.clear(red, green, blue, 1.0)
         self.info_fbo.clear(NOTHING, -2.0)
@@ -57,6 +58,8 @@ class Accumulators:
         self.splat_fbo = ctx.framebuffer([self.splats, self.sharpness], self.depth)
         self.field_fbo = ctx.framebuffer([self.field])
         self.face_fbo = ctx.framebuffer([self.faces, self.face_depths], self.depth)
+        self.coverage_fbo = ctx.framebuffer([self.faces])
+        """For clearing: without a coverage nothing else is read."""
 
     @property
     def distances(self) -> moderngl.Texture:
@@ -78,7 +81,7 @@ class Accumulators:
             self._classic_fbo.release()
         if self._distances is not None:
             self._distances.release()
-        for fbo in (self.front_fbo, self.splat_fbo, self.field_fbo, self.face_fbo):
+        for fbo in (self.front_fbo, self.splat_fbo, self.field_fbo, self.face_fbo, self.coverage_fbo):
             fbo.release()
         for texture in (
             self.depth,

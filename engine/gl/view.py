@@ -139,11 +139,10 @@ class View:
         centre = middle @ self.matrix[:3, :3].T + self.matrix[:3, 3]
         z = centre[:, 2]
         if not c.orthographic:
-            ahead = z + radius > c.near
-            centre, z, radius = centre[ahead], z[ahead], radius[ahead]
-            if not len(z):
+            ahead = z + radius > max(c.near, 0.0)
+            if not ahead.any():
                 return np.full(2, np.inf), np.full(2, -np.inf)
-            if (z <= 1.05 * radius).any():
+            if not ahead.all() or (z <= 1.05 * radius).any():
                 return np.full(2, -np.inf), np.full(2, np.inf)
         low, high = np.empty(2), np.empty(2)
         for axis, (f, shift) in enumerate(((c.fx, c.cx), (c.fy, c.cy))):
