@@ -31,7 +31,8 @@ class Plane:
         n = np.asarray(normal, np.float64)
         length = float(np.linalg.norm(n)) if n.shape == (3,) else 0.0
         if not (np.isfinite(length) and np.isfinite(offset) and length > 1e-12):
-            raise InputError(f"plane {tuple(np.ravel(n))}, {offset}: the normal a,b,c must be finite and not zero")
+            given = ",".join(f"{value:g}" for value in [*np.ravel(n), offset])
+            raise InputError(f"plane {given}: the normal a,b,c must be finite and not zero")
         a, b, c = (n / length).tolist()
         return Plane((a, b, c), float(offset) / length)
 
