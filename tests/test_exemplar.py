@@ -15,6 +15,7 @@ from engine.errors import InputError
 from training.exemplar import ExemplarPrior, read_picture
 from training.exemplar.decompose import decompose
 from training.exemplar.frames import make_sheet, make_space
+from training.exemplar.light import gain_between
 from training.exemplar.patches import POLAR, posterior
 from training.families import Family
 from training.prior import Condition
@@ -91,6 +92,15 @@ def test_uneven_light_is_taken_out(tmp_path: Path) -> None:
     half = lit.mask.shape[1] // 2
     row = lit.rgb[lit.mask.shape[0] // 2, :, 0]
     assert abs(row[half - 30] / row[half + 30] - 1) < 0.03
+
+
+def test_two_pictures_are_brought_to_one_light() -> None:
+    face, mask = disc(120)
+    other, other_mask = disc(160, seeds=9)
+    tint = np.array([0.8, 0.95, 1.1], np.float32)
+    gain = gain_between(other * tint, other_mask, face, mask)
+    np.testing.assert_allclose(gain * tint, 1, atol=0.04)
+    np.testing.assert_array_equal(gain_between(other, other_mask, face, mask), 1)
 
 
 def test_modes_and_orientation(tmp_path: Path) -> None:
@@ -220,6 +230,29 @@ def test_layers_come_from_the_radial_picture(tmp_path: Path) -> None:
     ring = np.stack([0.4 * np.cos(turns), 0.4 * np.sin(turns), 0 * turns], -1)
     assert volume.at(ring)[:, 1].min() > 0.6
     assert volume.at(ring + np.array([0, 0, 0.4]))[:, 1].max() < 0.3
+
+
+def test_slices_of_one_thing_are_turned_into_one_another(tmp_path: Path) -> None:
+    """A bone that wanders from slice to slice stands half way between two slices, once."""
+    y, x = (np.mgrid[:160, :160] + 0.5) / 80 - 1
+    paths = []
+    for n, at in enumerate((-0.16, 0.0, 0.16)):
+        face, _ = disc(160)
+        face[np.hypot(x - at, y + 0.2) < 0.14] = 0.95
+        face[np.hypot(x, y - 0.35) < 0.2] = [0.3, 0.1, 0.1]
+        paths.append(save(tmp_path / f"slice_{n}.png", face))
+    cell = 2 / 24
+    grid = Body(np.array([-1.25, -1.25, -1.75]), cell, np.zeros((30, 30, 42), np.float32))
+    p = grid.centres()
+    limb = np.minimum(1 - np.hypot(p[..., 0], p[..., 1]), 1.5 - np.abs(p[..., 2]))
+    body = Body(grid.origin, cell, limb.astype(np.float32))
+    volume = ExemplarPrior().solve(body, UP, [Family("horizontal", 40, tuple(paths))], 60, 0, quiet)
+    across = np.linspace(-0.7, 0.7, 57)
+    row = volume.at(np.stack([across, np.full(57, 0.25), np.full(57, -0.5)], -1))[:, 1]
+    bright = row > 0.55
+    assert ndimage.label(bright)[1] == 1
+    assert abs(across[bright].mean() + 0.08) < 0.05
+    assert abs(np.ptp(across[bright]) - 0.34) < 0.12
 
 
 def test_decompose_tells_seeds_from_walls(tmp_path: Path) -> None:

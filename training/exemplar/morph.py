@@ -49,9 +49,8 @@ class Slices:
             f = (at[mine] - k).astype(np.float32)
             u, v = x[mine], y[mine]
             # Of the two slices each moves its part of the way, so what both show is not seen twice.
-            d, e = _sample(forth, u, v), _sample(back, u, v)
-            a = _sample(self.discs[k], u + f * e[:, 0], v + f * e[:, 1])
-            b = _sample(self.discs[k + 1], u + (1 - f) * d[:, 0], v + (1 - f) * d[:, 1])
+            a = _sample(self.discs[k], *_origin(forth, u, v, f))
+            b = _sample(self.discs[k + 1], *_origin(back, u, v, 1 - f))
             # A quick change half way blurs less than a slow one all the way.
             w = np.clip((f - 0.5) / 0.4 + 0.5, 0, 1)[:, None]
             out[mine] = a + w * w * (3 - 2 * w) * (b - a)
@@ -108,6 +107,17 @@ def _sample(picture: NDArray[np.floating], x: NDArray[np.floating], y: NDArray[n
     )
 
 
+def _origin(
+    flow: NDArray[np.float32], x: NDArray[np.floating], y: NDArray[np.floating], part: NDArray[np.floating]
+) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+    """(M,), (M,). The place that a part of the flow takes to (x, y), by fixed-point steps."""
+    u, v = x, y
+    for _ in range(4):
+        step = _sample(flow, u, v) * part[:, None]
+        u, v = x - step[:, 0], y - step[:, 1]
+    return u, v
+
+
 def _correlation(a: NDArray[np.floating], b: NDArray[np.floating]) -> float:
     """Of two sets of colours (M, 3), each channel about its mean."""
     a, b = a - a.mean(0), b - b.mean(0)
@@ -121,16 +131,16 @@ def _flow(a: NDArray[np.float32], b: NDArray[np.float32]) -> NDArray[np.float32]
     """
     x, y = _grid()
     flow = np.zeros((SIDE, SIDE, 2), np.float32)
-    for blur in (6.0, 3.0, 1.5):
+    for blur in (16.0, 8.0, 4.0, 2.0):
         smooth_a, smooth_b = (ndimage.gaussian_filter(p, (blur, blur, 0)) for p in (a, b))
-        for _ in range(40):
+        sigma = max(FLOW_SIGMA * SIDE / 2, 0.5 * blur)
+        for _ in range(60):
             moved = _sample(smooth_b, (x + flow[..., 0]).ravel(), (y + flow[..., 1]).ravel()).reshape(a.shape)
             rows, columns = np.gradient(moved, 2 / SIDE, axis=(0, 1))
             gap = smooth_a - moved
             force = np.stack([(gap * columns).sum(-1), -(gap * rows).sum(-1)], -1)
-            # The step is at most about a pixel and a half whatever the contrast.
+            # The step is at most about a pixel whatever the contrast.
             scale = (columns**2 + rows**2).sum(-1) + (gap**2).sum(-1) * (SIDE / 3) ** 2
             flow += (force / np.maximum(scale, 1e-6)[..., None]).astype(np.float32)
-            sigma = FLOW_SIGMA * SIDE / 2
             flow = ndimage.gaussian_filter(flow, (sigma, sigma, 0))
     return flow

@@ -13,6 +13,7 @@ from scipy import ndimage
 
 from engine.errors import InputError
 from engine.files import atomic
+from training.exemplar.light import even_light
 from training.families import Kind
 
 __all__ = ["Picture", "read_picture"]
@@ -64,7 +65,7 @@ def read_picture(path: str | Path, kind: Kind) -> Picture:
         )
     margin = 2 + round(0.03 * max(np.ptp(rows), np.ptp(columns)))
     mask, plain = (_crop(a, rows, columns, margin) for a in (mask, rgb))
-    return Picture(path, fill_outside(_even_light(plain, mask, kind), mask), mask, plain)
+    return Picture(path, fill_outside(even_light(plain, mask, kind), mask), mask, plain)
 
 
 def fill_outside(rgb: NDArray[np.float32], mask: NDArray[np.bool_]) -> NDArray[np.float32]:
@@ -205,28 +206,3 @@ def _largest(found: NDArray[np.bool_]) -> NDArray[np.bool_]:
     sizes = np.bincount(parts.ravel())
     sizes[0] = 0
     return ndimage.binary_fill_holes(parts == sizes.argmax())
-
-
-def _even_light(rgb: NDArray[np.float32], mask: NDArray[np.bool_], kind: Kind) -> NDArray[np.float32]:
-    """The picture with a slope of brightness taken out, which is light and not fruit.
-
-    The slope is fitted to the logarithm of brightness against the median at the same depth under the skin. In radial
-    and parallel pictures only from side to side: from bottom to top a cake or a loaf may really change.
-    """
-    depth = ndimage.distance_transform_edt(mask)
-    band = np.minimum((depth / max(depth.max(), 1) * 12).astype(int), 11)
-    brightness = np.log(np.maximum(rgb.mean(-1), 0.02))
-    medians = np.array(
-        [np.median(brightness[mask & (band == b)]) if (mask & (band == b)).any() else 0.0 for b in range(12)]
-    )
-    rest = (brightness - medians[band])[mask]
-    y, x = np.meshgrid(np.linspace(-1, 1, rgb.shape[0]), np.linspace(-1, 1, rgb.shape[1]), indexing="ij")
-    axes = [x, y] if kind == "horizontal" else [x]
-    a = np.stack([np.ones(len(rest)), *[axis[mask] for axis in axes]], -1)
-    weight = np.ones(len(rest))
-    fit = np.zeros(a.shape[1])
-    for _ in range(5):  # seeds and membranes are outliers, not light
-        fit = np.linalg.lstsq(a * weight[:, None], rest * weight, rcond=None)[0]
-        weight = 1 / (1 + (np.abs(rest - a @ fit) / 0.08) ** 2)
-    slope = sum(c * axis for c, axis in zip(fit[1:], axes, strict=True))
-    return np.clip(rgb * np.exp(-np.clip(slope, -0.35, 0.35))[..., None], 0, 1).astype(np.float32)

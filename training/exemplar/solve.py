@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,7 @@ from training.exemplar.carve import carving
 from training.exemplar.decompose import Layers, decompose
 from training.exemplar.frames import Space, View, make_sheet, make_space
 from training.exemplar.layout import SIDEWAYS, along, between, carried, heights, revolved
+from training.exemplar.light import gain_between
 from training.exemplar.morph import slices
 from training.exemplar.patches import FIXED, POLAR, RADIAL
 from training.exemplar.pictures import Picture, read_picture
@@ -46,7 +48,7 @@ def solve(
         raise InputError("no exemplar pictures: give at least one family a photograph of a cut face")
     rng = np.random.default_rng(seed)
     progress(0.0)
-    pictures = [[read_picture(p, f.kind) for p in f.exemplars] for f in families]
+    pictures = _one_light([[read_picture(p, f.kind) for p in f.exemplars] for f in families])
     space = make_space(body, up, voxels)
     progress(0.1)
     views = [_view(space, family, own) for family, own in zip(families, pictures, strict=True)]
@@ -63,6 +65,18 @@ def solve(
     gain = sharpen(space, rgb, views)
     log.info("%d details strewn, edges sharpened by %.2f", count, gain)
     return _volume(space, rgb, progress)
+
+
+def _one_light(families: list[list[Picture]]) -> list[list[Picture]]:
+    """The pictures of all families in the light of the first family's first one.
+
+    Within that family nothing is changed: slices of one thing differ for other reasons than light.
+    """
+    first = families[0][0]
+    return families[:1] + [
+        [replace(p, rgb=np.minimum(p.rgb * gain_between(p.rgb, p.mask, first.rgb, first.mask), 1)) for p in family]
+        for family in families[1:]
+    ]
 
 
 def _volume(space: Space, rgb: NDArray[np.float32], progress: Progress) -> Volume:

@@ -1,0 +1,142 @@
+"""Insides that the exemplar prior makes, beside the truth, on cuts that nobody trained.
+
+    python -m benchmarks.interior [--quick] [solid ...]
+
+For each solid of known inside: solve from the pictures of its cut faces, then compare seven cuts (oblique, off-centre,
+near the pole) with the true ones. The yardstick is another true solid of the kind on the same cuts; the ceiling is the
+truth sampled on the same grid. Writes results/interior_<solid>.png (upper row truth, lower row ours) and
+results/interior.json beside this file. `busy` is processor time, which a loaded machine disturbs less.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+from scipy import ndimage
+
+from engine.body import Body
+from engine.camera import Camera, section
+from engine.files import atomic
+from engine.plane import Plane
+from sample_scenes.exemplars import photograph, planes
+from sample_scenes.solids import SOLIDS, Solid
+from training.exemplar import ExemplarPrior
+from training.families import COUNTS, Family
+from training.metrics import face_psnr, face_ssim, patch_distance, sharpness
+from training.prior import Volume
+
+FOLDER = Path(__file__).parent / "results"
+CUTS = (
+    ((0.3, 0.2, 0.93), 0.05),
+    ((0.5, -0.4, 0.77), 0.25),
+    ((0.7, 0.1, 0.7), -0.2),
+    ((0, 0, 1), 0.3),
+    ((0.05, 0, 1), 0.72),
+    ((0.35, 1, 0), 0.02),
+    ((1, 0.3, 0.1), 0.45),
+)
+"""Normals, and offsets from the centre as shares of the half size."""
+
+SIZE = 320
+"""Pixels of a cut's picture: a voxel of 192 is about a pixel."""
+
+PHOTOGRAPH = 384
+"""Pixels of an exemplar."""
+
+BODY_CELLS = 128
+
+
+def body_of(solid: Solid, cells: int = BODY_CELLS) -> Body:
+    """The solid's depth on a grid: its own near the skin, the distance to the skin deeper."""
+    low, high = solid.bounds
+    cell = float((high - low).max()) / cells
+    shape = np.ceil((high - low) / cell).astype(int) + 6
+    grid = Body((low + high) / 2 - shape * cell / 2, cell, np.zeros(tuple(shape), np.float32))
+    near = solid.depth(grid.centres())
+    inside, outside = (ndimage.distance_transform_edt(m) for m in (near > 0, near <= 0))
+    far = (inside - outside - 0.5 * np.sign(inside - outside)) * cell
+    return Body(grid.origin, cell, np.where(np.abs(near) < 1.5 * cell, near, far).astype(np.float32))
+
+
+def cut_planes(solid: Solid) -> list[Plane]:
+    """The cuts through a solid."""
+    centre, half = solid.bounds.mean(0), (solid.bounds[1] - solid.bounds[0]) / 2
+    return [Plane.through(centre + np.array(n) / np.linalg.norm(n) * offset * half, n) for n, offset in CUTS]
+
+
+def points_on(plane: Plane, camera: Camera) -> np.ndarray:
+    """(H, W, 3). Where an orthographic camera's pixels meet a plane that it looks straight at."""
+    x, y = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
+    right, down, forward = camera.viewmat[:3, :3]
+    start = camera.position + ((x - camera.cx) / camera.fx)[..., None] * right
+    start = start + ((y - camera.cy) / camera.fy)[..., None] * down
+    return start - plane.distance(start)[..., None] / (np.asarray(plane.normal) @ forward) * forward
+
+
+def measure(name: str, voxels: int) -> dict[str, float]:
+    """Solves one solid, writes its sheet, and returns the figures, means over the cuts."""
+    solid, other = SOLIDS[name](0), SOLIDS[name](1)
+    body = body_of(solid)
+    with tempfile.TemporaryDirectory() as folder:
+        families = []
+        for kind in solid.families:
+            paths = []
+            for n, plane in enumerate(planes(solid, kind)):
+                paths.append(Path(folder) / f"{kind}_{n}.png")
+                Image.fromarray(photograph(solid, plane, PHOTOGRAPH)).save(paths[-1])
+            families.append(Family(kind, COUNTS[kind], tuple(paths)))
+        start, busy = time.perf_counter(), time.process_time()
+        ours = ExemplarPrior().solve(body, np.asarray(solid.up), families, voxels, 0, lambda part: None)
+        seconds, busy = time.perf_counter() - start, time.process_time() - busy
+    truth = Volume(ours.body, solid.colour(ours.body.centres()))
+    rows: list[dict[str, float]] = []
+    sheet = []
+    for plane, its in zip(cut_planes(solid), cut_planes(other), strict=True):
+        camera = section(plane, solid.up, solid.bounds, SIZE)
+        true, inside = solid.slice(plane, camera, supersample=2)
+        another, another_inside = other.slice(its, SIZE, supersample=2)
+        points = points_on(plane, camera)
+        made, sampled = (np.where(inside[..., None], v.at(points), np.float32(1)) for v in (ours, truth))
+        rows.append(
+            {
+                "psnr": face_psnr(made, true, inside),
+                "ssim": face_ssim(made, true, inside),
+                "patch": patch_distance(made, inside, true, inside),
+                "patch_another": patch_distance(another, another_inside, true, inside),
+                "patch_voxelised": patch_distance(sampled, inside, true, inside),
+                "sharp": sharpness(made, inside) / sharpness(true, inside),
+                "sharp_another": sharpness(another, another_inside) / sharpness(true, inside),
+                "sharp_voxelised": sharpness(sampled, inside) / sharpness(true, inside),
+            }
+        )
+        sheet.append(np.concatenate([true, made]))
+    with atomic(FOLDER / f"interior_{name}.png") as path:
+        picture = np.clip(np.concatenate(sheet, 1), 0, 1) * 255 + 0.5
+        Image.fromarray(picture.astype(np.uint8)).save(path, format="PNG")
+    means = {key: round(float(np.mean([row[key] for row in rows])), 4) for key in rows[0]}
+    return {"voxels": voxels, "seconds": round(seconds, 1), "busy": round(busy, 1), **means}
+
+
+def main(arguments: list[str]) -> None:
+    """Measures the solids named, or all."""
+    quick = "--quick" in arguments
+    names = [a for a in arguments if a in SOLIDS] or list(SOLIDS)
+    found = {name: measure(name, 64 if quick else 192) for name in names}
+    for name, row in found.items():
+        print(name, row)
+    target = FOLDER / "interior.json"
+    known = json.loads(target.read_text()) if target.exists() and not quick else {}
+    if not quick:
+        with atomic(target) as path:
+            path.write_text(json.dumps({"cores": os.cpu_count(), **known, **found}, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

@@ -1,0 +1,79 @@
+"""The light of photographs: slopes of brightness taken out of one, and several brought to one colour."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from training.families import Kind
+
+__all__ = ["even_light", "gain_between"]
+
+BANDS = 12
+"""Depths under the edge at which colours are compared."""
+
+LEAST_GAIN = 0.04
+"""Logarithm of a gain that is left alone: two faces of a fruit differ as much in the same light."""
+
+MOST_GAIN = 0.35
+
+DARK = 0.06
+"""Value under which a ratio is noise."""
+
+
+def gain_between(
+    rgb: NDArray[np.float32], mask: NDArray[np.bool_], to: NDArray[np.float32], to_mask: NDArray[np.bool_]
+) -> NDArray[np.float32]:
+    """(3,). Factors on the colours of a picture (H, W, 3) that bring it to the light of another, channel by channel.
+
+    The median over depths under the edge of the ratio of median colours: what one picture shows at some depth and the
+    other does not leaves it alone.
+    """
+    ours, theirs = _medians(rgb, mask), _medians(to, to_mask)
+    gain = np.zeros(3)
+    for c in range(3):
+        bright = (ours[:, c] > DARK) & (theirs[:, c] > DARK)  # False where either is NaN
+        if bright.any():
+            gain[c] = np.median(np.log(theirs[bright, c] / ours[bright, c]))
+    if np.abs(gain).max() < LEAST_GAIN:
+        return np.ones(3, np.float32)
+    return np.exp(np.clip(gain, -MOST_GAIN, MOST_GAIN)).astype(np.float32)
+
+
+def _medians(values: NDArray[np.float32], mask: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """(BANDS, C). Median of (H, W, C) in bands of depth under the edge of a mask; NaN where a band is empty."""
+    band = _bands(mask)
+    return np.array(
+        [
+            np.median(values[band == n], axis=0) if (band == n).any() else np.full(values.shape[2], np.nan)
+            for n in range(BANDS)
+        ]
+    )
+
+
+def _bands(mask: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """(H, W). Band of depth of each pixel, -1 outside."""
+    depth = ndimage.distance_transform_edt(mask)
+    band = np.minimum((depth / max(depth.max(), 1) * BANDS).astype(np.int64), BANDS - 1)
+    return np.where(mask, band, -1)
+
+
+def even_light(rgb: NDArray[np.float32], mask: NDArray[np.bool_], kind: Kind) -> NDArray[np.float32]:
+    """The picture with a slope of brightness taken out, which is light and not fruit.
+
+    The slope is fitted to the logarithm of brightness against the median at the same depth under the skin. In radial
+    and parallel pictures only from side to side: from bottom to top a cake or a loaf may really change.
+    """
+    brightness = np.log(np.maximum(rgb.mean(-1), 0.02))
+    rest = (brightness - _medians(brightness[..., None], mask)[_bands(mask), 0])[mask]
+    y, x = np.meshgrid(np.linspace(-1, 1, rgb.shape[0]), np.linspace(-1, 1, rgb.shape[1]), indexing="ij")
+    axes = [x, y] if kind == "horizontal" else [x]
+    a = np.stack([np.ones(len(rest)), *[axis[mask] for axis in axes]], -1)
+    weight = np.ones(len(rest))
+    fit = np.zeros(a.shape[1])
+    for _ in range(5):  # seeds and membranes are outliers, not light
+        fit = np.linalg.lstsq(a * weight[:, None], rest * weight, rcond=None)[0]
+        weight = 1 / (1 + (np.abs(rest - a @ fit) / 0.08) ** 2)
+    slope = sum(c * axis for c, axis in zip(fit[1:], axes, strict=True))
+    return np.clip(rgb * np.exp(-np.clip(slope, -0.35, 0.35))[..., None], 0, 1).astype(np.float32)
