@@ -100,10 +100,13 @@ def refit(atoms: Atoms, views: Sequence[SurfaceView], progress: Callable[[float]
         figures.append(db(error(judges, atoms, trials[-1])))
         progress(0.7 * (degree + 1) / (highest + 1))
     degree = next(d for d, figure in enumerate(figures) if figure >= max(figures) - WORTH_DB)
+    before = db(error(judges, atoms, start))
+    if before >= figures[degree]:  # a scan that is opaque already shows itself best
+        progress(1.0)
+        return Refit(atoms, highest, (before, before))
     s = atoms.surface
     surface = SurfaceAtoms(s.means, s.scales, s.quats, fit(views, atoms, trials[degree], STEPS))
     progress(1.0)
-    before = db(error(judges, atoms, start))
     return Refit(Atoms(surface, atoms.interior, atoms.pitch), degree, (before, figures[degree]))
 
 
