@@ -118,7 +118,8 @@ def measure(count: int, size: int, rounds: int) -> dict[str, object]:
     for name, (wall, busy) in best.items():
         row[f"{name} seconds"], row[f"{name} busy"] = wall, busy
     for mode in ("forward", "forward+backward"):
-        row[f"{mode} times faster"] = best[f"torch {mode}"][0] / best[f"classic {mode}"][0]
+        for label, which in (("seconds", 0), ("busy", 1)):
+            row[f"{mode} times faster, {label}"] = best[f"torch {mode}"][which] / best[f"classic {mode}"][which]
     return row
 
 
@@ -166,6 +167,8 @@ def chart(rows: list[dict[str, object]], path: Path) -> None:
     left.set_ylabel("RMS error against float64, colours in 0..1")
     left.legend(frameon=False, fontsize=8)
     left.set_title("Error and time", loc="left", fontsize=11)
+    right.set_xticks(COUNTS, [f"{count // 1000} k" for count in COUNTS])
+    right.minorticks_off()
     right.set_xlabel("Gaussians")
     right.set_ylabel("seconds, forward+backward")
     right.legend(frameon=False, fontsize=8)
@@ -188,6 +191,8 @@ def main() -> None:
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
         print(peak / 2**20 if sys.platform == "darwin" else peak / 2**10)
         return
+    # First, because the peak of a child begins with its parent's.
+    memory = None if arguments.quick else peak_memory(COUNTS[-1], SIZES[-1])
     rows = []
     for count in COUNTS[:1] if arguments.quick else COUNTS:
         for size in SIZES[:1] if arguments.quick else SIZES:
@@ -197,7 +202,7 @@ def main() -> None:
         return
     report = {
         "machine": f"{platform.machine()}, {arguments.cores} cores",
-        "peak memory at 500000 Gaussians and 512 pixels, MB": peak_memory(COUNTS[-1], SIZES[-1]),
+        "peak memory at 500000 Gaussians and 512 pixels, MB": memory,
         "rows": rows,
     }
     CHARTS.mkdir(parents=True, exist_ok=True)

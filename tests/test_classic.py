@@ -357,16 +357,19 @@ def test_none() -> None:
 
 
 @CAMERAS
-def test_depth_order_is_a_stable_sort(camera: Camera) -> None:
+@pytest.mark.parametrize("kind", [np.float32, np.float64])
+def test_depth_order_is_a_stable_sort(camera: Camera, kind: type) -> None:
     rng = np.random.default_rng(0)
-    means = rng.normal(0, 4, (100_000, 3)).astype(np.float32).round(2)
-    depths = (means.astype(np.float64) @ camera.viewmat[2, :3] + camera.viewmat[2, 3]).astype(np.float32)
+    means = rng.normal(0, 4, (100_000, 3)).astype(kind)
+    means[1::2] = means[::2]  # ties
+    rotation, shift = camera.viewmat[2, :3], camera.viewmat[2, 3]
+    depths = rotation[0] * means[:, 0] + rotation[1] * means[:, 1] + rotation[2] * means[:, 2] + shift
     seen = np.flatnonzero(depths > camera.near) if not camera.orthographic else np.arange(len(means))
-    expected = seen[np.argsort(depths[seen], kind="stable")]
     order = depth_order(pack_camera(camera), means)
-    assert len(order) == len(expected)
-    assert np.array_equal(depths[order], depths[expected])
-    assert np.array_equal(order, expected)
+    assert np.array_equal(np.sort(order), seen)
+    steps = np.diff(depths[order])
+    assert steps.min() > -5e-8  # float32 depths would be wrong by 1e-6
+    assert (np.diff(order)[steps == 0] > 0).all()
 
 
 def test_for_each_runs_all_and_raises() -> None:

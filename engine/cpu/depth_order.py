@@ -14,9 +14,12 @@ __all__ = ["depth_order"]
 CHUNK = 1 << 15
 """Gaussians to a task: long enough to hide the cost of handing it out."""
 
-DIGIT = 12
-"""Bits sorted in one pass: its histogram of 4096 counts fits a first-level cache. Depths within a factor of two of each
-other differ in 23 bits: two passes."""
+DIGIT = 11
+"""Bits sorted in one pass: its histogram of 2048 counts fits a first-level cache."""
+
+KEY = 32
+"""Bits of a sorted depth: more than the 24 of a float32, with which some of half a million depths would tie and the
+wrong one of two Gaussians would hide the other."""
 
 
 def depth_order(
@@ -25,70 +28,73 @@ def depth_order(
 ) -> NDArray[np.int64]:
     """(V,) int64. Indices of the Gaussians beyond the near plane, nearest first, equal depths in index order.
 
-    Float32 means are ordered by their depth in float32, float64 ones in float64.
+    Depths are told apart to 2^-KEY of their range by an orthographic camera; by a pinhole, to 2^-32 of themselves where
+    the farthest is twice as far as the nearest, to 2^-28 where it is a thousand times as far.
     """
     n = len(means)
-    if means.dtype == np.float64:
-        depths = means @ cam[6:9] + cam[11]
-        rows = np.flatnonzero((depths > cam[21]) & np.isfinite(depths))
-        return rows[np.argsort(depths[rows], kind="stable")]
     chunks = -(-n // CHUNK)
-    items = np.empty(n, np.uint64)
+    depths, rows = np.empty(n, np.float64), np.empty(n, np.uint32)
     counts = np.zeros(chunks, np.int64)
-    low = np.full(chunks, 0xFFFFFFFF, np.uint64)
-    high = np.zeros(chunks, np.uint64)
-    for_each(_depth_keys, chunks, cam, means, items, counts, low, high)
+    low, high = np.full(chunks, np.inf), np.full(chunks, -np.inf)
+    for_each(_depths, chunks, cam, means, depths, rows, counts, low, high)
     visible = int(counts.sum())
     if visible == 0:
         return np.empty(0, np.int64)
+    nearest, farthest = low.min(), high.max()
+    if cam[20]:
+        shift, bits = 0, KEY if farthest > nearest else 0
+    else:
+        spread = int(farthest.view(np.uint64) - nearest.view(np.uint64)).bit_length()
+        shift, bits = max(0, spread - KEY), min(spread, KEY)
+    scale = (2.0**KEY - 1.0) / (farthest - nearest) if cam[20] and farthest > nearest else 0.0
     starts = np.concatenate([[0], np.cumsum(counts)])
-    packed = np.empty(visible, np.uint64)
-    bottom = np.uint64(low.min())
-    for_each(_pack, chunks, items, starts, bottom, packed)
-    bits = int(high.max() - bottom).bit_length()
-    spare = items[:visible]
+    items = np.empty(visible, np.uint64)
+    for_each(_pack, chunks, depths, rows, starts, nearest, bool(cam[20]), scale, shift, items)
+    spare = depths.view(np.uint64)[:visible]
     chunks = -(-visible // CHUNK)
     histogram = np.empty((chunks, 1 << DIGIT), np.int64)
-    for shift in range(0, bits, DIGIT):
-        for_each(_count_digits, chunks, packed, shift, histogram)
+    for done in range(0, bits, DIGIT):
+        for_each(_count_digits, chunks, items, done, histogram)
         _prefix(histogram)
-        for_each(_scatter_digits, chunks, packed, shift, histogram, spare)
-        packed, spare = spare, packed
+        for_each(_scatter_digits, chunks, items, done, histogram, spare)
+        items, spare = spare, items
     order = np.empty(visible, np.int64)
-    for_each(_indices, chunks, packed, order)
+    for_each(_indices, chunks, items, order)
     return order
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _depth_keys(chunk, cam, means, items, counts, low, high):  # type: ignore[no-untyped-def]
-    """Sortable key of the depth in the upper, index in the lower 32 bits; visible ones first in the chunk."""
+def _depths(chunk, cam, means, depths, rows, counts, low, high):  # type: ignore[no-untyped-def]
+    """Depths in float64, and whose they are; the visible ones of a chunk come first in it."""
     start = chunk * CHUNK
-    stop = min(start + CHUNK, len(means))
-    one = np.empty(1, np.float32)
-    bits = one.view(np.uint32)
     at = start
-    for i in range(start, stop):
+    for i in range(start, min(start + CHUNK, len(means))):
         x, y, z = camera_point(cam, means[i, 0], means[i, 1], means[i, 2])
         if not (z > cam[21] and abs(x) + abs(y) + abs(z) < 1e30):  # also drops what is not a number
             continue
-        one[0] = z
-        key = np.uint64(bits[0])
-        # Floats of one sign order as their bits do; the others are turned round, below them.
-        key = key | np.uint64(0x80000000) if key < np.uint64(0x80000000) else np.uint64(0xFFFFFFFF) - key
-        items[at] = (key << np.uint64(32)) | np.uint64(i)
+        depths[at] = z
+        rows[at] = i
         at += 1
-        low[chunk] = min(low[chunk], key)
-        high[chunk] = max(high[chunk], key)
+        low[chunk] = min(low[chunk], z)
+        high[chunk] = max(high[chunk], z)
     counts[chunk] = at - start
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _pack(chunk, items, starts, bottom, packed):  # type: ignore[no-untyped-def]
-    """Closes the gaps between chunks and counts keys from the smallest one."""
+def _pack(chunk, depths, rows, starts, nearest, linear, scale, shift, items):  # type: ignore[no-untyped-def]
+    """Closes the gaps between chunks: the depth over the nearest in the upper, the index in the lower 32 bits.
+
+    Linear: in steps of the range; else by the bits of the float, which order as positive floats do.
+    """
     source = chunk * CHUNK
-    offset = bottom << np.uint64(32)
+    one = np.full(1, nearest)
+    pattern = one.view(np.uint64)
+    bottom = pattern[0]
+    by = np.uint64(shift)
     for k in range(starts[chunk + 1] - starts[chunk]):
-        packed[starts[chunk] + k] = items[source + k] - offset
+        one[0] = depths[source + k]
+        key = np.uint64((one[0] - nearest) * scale) if linear else (pattern[0] - bottom) >> by
+        items[starts[chunk] + k] = (key << np.uint64(32)) | np.uint64(rows[source + k])
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
