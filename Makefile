@@ -35,6 +35,7 @@ bench: $(READY)
 screenshots: $(READY)
 	@tools/ensure_gl.sh window
 	$(BIN)/python tools/screenshots.py
+	$(BIN)/python tools/sheet.py
 
 # Constraints are the versions the tests were run with; an editable install, so that a change needs no new one.
 $(READY): pyproject.toml constraints.txt

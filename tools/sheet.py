@@ -1,0 +1,25 @@
+"""The README's sheet of cuts: the last `make demo`, or a new one, scaled to the page."""
+
+from __future__ import annotations
+
+import subprocess
+from pathlib import Path
+
+from PIL import Image
+
+ROOT = Path(__file__).parents[1]
+WIDTH = 1440
+
+
+def main() -> None:
+    """Writes docs/pictures/watermelon_cuts.png."""
+    sheet = ROOT / "out/watermelon/cuts.png"
+    if not sheet.exists():
+        subprocess.run(["make", "demo"], cwd=ROOT, check=True)
+    picture = Image.open(sheet)
+    size = (WIDTH, WIDTH * picture.height // picture.width)
+    picture.resize(size, Image.Resampling.LANCZOS).save(ROOT / "docs/pictures/watermelon_cuts.png", optimize=True)
+
+
+if __name__ == "__main__":
+    main()
