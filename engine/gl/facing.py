@@ -10,7 +10,7 @@ line of sight enters through a cut face near the skin, the face may have a gap: 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numba import njit
@@ -43,6 +43,9 @@ AIR, RIND, DEEP = 0, 1, 2
 MARGIN = math.radians(8.0)
 """Beyond edge-on: an atom turned away by less may still round off a silhouette."""
 
+MARGIN_STEP = math.radians(3.0)
+"""Fineness with which the margin grows with the footprint of a pixel."""
+
 MOST_CELLS = 1 << 25
 """Cells of the occupancy grid; an object strewn wider than that has no cones."""
 
@@ -61,12 +64,36 @@ class Hiding:
     """(3,). Outer corner of cell (0, 0, 0), world units."""
     cell: float
     """Edge of a cell, world units."""
+    pitch: float
+    """Of the solid, world units."""
+
+    def least_at(self, eye: NDArray[np.float64] | None, footprint: float) -> Float:
+        """(S,). `least` for an eye (3,), None if it is infinitely far, and pixels that span `footprint` world units.
+
+        From within the solid, where one looks at the skin from behind, nothing is hidden.
+
+        What is turned away by m lies inside of the silhouette by (1 - cos m) radii of curvature; two pixels at a
+        radius of twenty pitches keep it from rounding the silhouette off. In steps, so that few are ever made.
+        """
+        if eye is not None:
+            at = np.floor((eye - self.low) / self.cell).astype(np.int64)
+            if (at >= 0).all() and (at < self.zone.shape).all() and self.zone[tuple(at)] != AIR:
+                return np.full_like(self.least, NO_CONE)
+        away = math.acos(max(-1.0, 1 - 2 * footprint / (20 * self.pitch)))
+        step = max(0, math.ceil((away - MARGIN) / MARGIN_STEP))
+        if step not in self._known:
+            angle = np.arcsin(np.minimum(self.least, 1)) + step * MARGIN_STEP
+            widened = np.where((self.least <= 1) & (angle < math.pi / 2), np.sin(angle), NO_CONE)
+            self._known[step] = widened.astype(np.float32)
+        return self._known[step]
+
+    _known: dict[int, Float] = field(default_factory=dict, init=False, repr=False, compare=False)
 
 
 def nothing_hides(count: int) -> Hiding:
     """For atoms that are always drawn."""
     least = np.full(count, NO_CONE, np.float32)
-    return Hiding(np.zeros((count, 3), np.float32), least, np.zeros((1, 1, 1), np.uint8), np.zeros(3), 1.0)
+    return Hiding(np.zeros((count, 3), np.float32), least, np.zeros((1, 1, 1), np.uint8), np.zeros(3), 1.0, 1.0)
 
 
 def hiding(atoms: Atoms) -> Hiding:
@@ -107,7 +134,7 @@ def hiding(atoms: Atoms) -> Hiding:
     axes, cosines = cones(cells_of(means), shape, normals.astype(np.float32), backed)
     angle = np.arccos(np.clip(cosines, -1, 1)) + MARGIN
     least = np.where((cosines > 0) & (angle < math.pi / 2), np.sin(angle), NO_CONE)
-    return Hiding(axes, least.astype(np.float32), zone, low, cell)
+    return Hiding(axes, least.astype(np.float32), zone, low, cell, float(atoms.pitch))
 
 
 def spread(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -74,6 +74,8 @@ class SurfacePass:
         count = -(-chunks.count // 2**look.level)
         reach = (splats.reach * enlarge + np.repeat(widened, chunks.count)).astype(np.float32)
         hide = splats.hiding if look.cull else nothing_hides(len(splats))
+        farthest = view.footprint(np.array([view.matrix[2, 3] + view.radius]))
+        least = hide.least_at(None if view.camera.orthographic else view.eye, float(farthest[0]))
         eye = view.eye.astype(np.float32)
         # A point whose centre is outside of the picture is not drawn at all: only what is wholly inside may be one.
         points = np.select([inside & (diameter * r / 3 <= POINT_LIMIT) for r in REACHES[:-1]], REACHES[:-1], 0.0)
@@ -88,7 +90,7 @@ class SurfacePass:
                     splats.means,
                     reach,
                     hide.axes,
-                    hide.least,
+                    least,
                     hide.zone,
                     hide.low.astype(np.float32),
                     np.float32(hide.cell),
