@@ -75,8 +75,9 @@ def test_coarser_levels_keep_the_shape(renderer: Renderer) -> None:
     for level in (1, 2):
         coarse = draw(renderer, camera, *pieces, level=level)
         assert (np.abs(coarse.alpha - full.alpha) > 0.5).mean() < 0.06
+        assert coarse.alpha[ndimage.binary_erosion(full.alpha > 0.99, iterations=6)].min() > 0.99
         quality.append(psnr(coarse.rgb, full.rgb))
-    assert quality[0] > quality[1] > 18
+    assert quality[0] > quality[1] > 16
     assert np.array_equal(draw(renderer, camera, *pieces).rgb, full.rgb)
 
 

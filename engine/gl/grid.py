@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from engine.gl.batches import Pool
 from engine.gl.chunks import near_plane
 from engine.gl.context import Programs, write_uniforms
+from engine.gl.look import Look
 from engine.gl.polygon import section_of_box
 from engine.gl.store import Spheres
 from engine.plane import frame
@@ -67,12 +68,12 @@ class Grids:
         """A new frame."""
         self._used.clear()
 
-    def get(self, plane: Double, spheres: Spheres, level: int) -> Grid | None:
+    def get(self, plane: Double, spheres: Spheres, look: Look) -> Grid | None:
         """The grid of a plane (4,) in centred object space; None where the atoms' sizes do not allow one."""
         plane = plane if plane[np.argmax(np.abs(plane[:3]))] > 0 else -plane  # both sides share it
-        key = (*plane.tolist(), level)
+        key = (*plane.tolist(), look.level)
         if key not in self._kept:
-            self._kept[key] = self._make(plane, spheres, level)
+            self._kept[key] = self._make(plane, spheres, look)
         self._kept.move_to_end(key)
         self._used.add(key)
         self._evict()
@@ -95,13 +96,13 @@ class Grids:
                 total -= grid.size
                 grid.texture.release()
 
-    def _make(self, plane: Double, spheres: Spheres, level: int) -> Grid | None:
+    def _make(self, plane: Double, spheres: Spheres, look: Look) -> Grid | None:
         chunks = spheres.chunks
-        enlarge = 2.0 ** (level / 3)
+        enlarge = look.ball_scale
         reach = 3 * chunks.sigma * enlarge
         distances = chunks.distances(plane[:3], plane[3])
         met = (distances[:, 0] <= reach) & (distances[:, 1] >= -reach)
-        count = -(-chunks.count[met] // 2**level)
+        count = -(-chunks.count[met] // 2**look.level)
         felt = (spheres.reach * enlarge).astype(np.float32)
         rows = near_plane(spheres.means, felt, chunks.first[met], count, plane[None].astype(np.float32), 0)
         if not len(rows):

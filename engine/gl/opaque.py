@@ -114,7 +114,7 @@ class OpaqueMode:
             runs += self.surface.project(view, planes, splats, look)
         sums.splat_fbo.depth_mask = False
         sums.splat_fbo.clear(viewport=rect)
-        self.surface.draw(view, runs, sums, solid.pitch * 2.0 ** (look.level / 2))
+        self.surface.draw(view, runs, sums, solid.pitch * look.disc_scale)
         return has_faces
 
     def release(self) -> None:

@@ -93,7 +93,7 @@ class SectionPass:
             depths = face.corners @ view.matrix[2, :3] + view.matrix[2, 3]
             widest = 0.5 * float(view.footprint(np.array([depths.max()]))[0])
             minified = widest > float(spheres.reach.min(initial=np.inf)) / 3
-            grids.append(None if look.exact or minified else self.grids.get(face.plane, spheres, look.level))
+            grids.append(None if look.exact or minified else self.grids.get(face.plane, spheres, look))
 
         targets.field_fbo.clear(viewport=rect)
         targets.field_fbo.use()
@@ -161,7 +161,7 @@ class SectionPass:
         if not len(chunks):
             return
         ellipsoid = isinstance(atoms, Ellipsoids)
-        enlarge = 2.0 ** (look.level / (2 if ellipsoid else 3))
+        enlarge = look.disc_scale if ellipsoid else look.ball_scale
         depths = face.corners @ view.matrix[2, :3] + view.matrix[2, 3]
         least = 0.5 * float(view.footprint(np.array([depths.max()]))[0])
         # An atom is felt three sigma away, or as much of a wide pixel's.

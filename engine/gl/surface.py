@@ -64,7 +64,7 @@ class SurfacePass:
         chunks = splats.chunks
         if not len(chunks):
             return []
-        enlarge = 2.0 ** (look.level / 2)
+        enlarge = look.disc_scale
         seen, inside, diameter = view.chunks_seen(chunks, enlarge)
         if not look.cull:
             seen = np.ones_like(seen)
