@@ -28,6 +28,7 @@ test: $(READY)
 bench: $(READY)
 	@tools/ensure_gl.sh
 	$(BIN)/python -m benchmarks.oblique_cuts
+	$(BIN)/python -m benchmarks.interior
 	$(BIN)/python -m benchmarks.frozen_geometry
 	$(BIN)/python -m benchmarks.cpu_renderer
 	$(BIN)/python -m benchmarks.gl_frames

@@ -4,7 +4,7 @@
 
 One iteration is a picture and its gradient. Half of the atoms lie on a unit sphere, half in it, sigma = diameter / 150
 for all, so that views of few atoms have the same footprints as views of many. Three kinds of view: the outside, the
-outside with a cut, and a section. Writes results/frozen_geometry.json and .png beside this file. Seconds are the least
+outside with a cut, and a section. Writes docs/charts/frozen_geometry.json and .png. Seconds are the least
 of several runs; `busy` is processor time over cores, which a loaded machine disturbs less.
 """
 
@@ -34,7 +34,7 @@ from engine.view_weights import ViewWeights
 mpl.use("Agg")
 from matplotlib import pyplot as plt
 
-FOLDER = Path(__file__).parent / "results"
+FOLDER = Path(__file__).parents[1] / "docs/charts"
 KEPT = (4, 8, 16, 32, 64)
 CUT = Plane.of((0.3, 0.2, 1.0), -0.05)
 UP = (0.0, 0.0, 1.0)

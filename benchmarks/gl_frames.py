@@ -6,7 +6,7 @@ A melon stands in a picture of 1280 x 720, framed as the app frames it: a lattic
 of discs (1.5 to a pitch squared, sigma 0.6 of their spacing: 10 of them over each pixel that shows skin). The camera
 goes round in steps of a degree, so that no frame can be kept; the cuts stay, or move in the rows that say so. Each mode
 is timed beside the floor, the same atoms drawn once as one-pixel GL_POINTS, in the same run. Writes
-results/gl_frames.json and .png beside this file.
+docs/charts/gl_frames.json and .png.
 
 Seconds are the least of several frames; `busy` is processor time over cores, which a loaded machine disturbs less (it
 says nothing where a GPU does the work). Accuracy is measured on a small melon against the float64 references.
@@ -44,7 +44,7 @@ from engine.threads import cores
 mpl.use("Agg")
 from matplotlib import pyplot as plt
 
-FOLDER = Path(__file__).parent / "results"
+FOLDER = Path(__file__).parents[1] / "docs/charts"
 SIZE = 1280, 720
 FOV = math.radians(35)
 AIR = 1.12  # radii that fit the picture, as the app frames an object

@@ -4,8 +4,8 @@
 
 For each solid of known inside: solve from the pictures of its cut faces, then compare seven cuts (oblique, off-centre,
 near the pole) with the true ones. The yardstick is another true solid of the kind on the same cuts; the ceiling is the
-truth sampled on the same grid. Writes results/interior_<solid>.png (upper row truth, lower row ours) and
-results/interior.json beside this file. `busy` is processor time, which a loaded machine disturbs less.
+truth sampled on the same grid. Writes docs/charts/interior_<solid>.png (upper row truth, lower row ours) and
+docs/charts/interior.json. `busy` is processor time, which a loaded machine disturbs less.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from training.families import COUNTS, Family
 from training.metrics import face_psnr, face_ssim, patch_distance, sharpness
 from training.prior import Volume
 
-FOLDER = Path(__file__).parent / "results"
+FOLDER = Path(__file__).parents[1] / "docs/charts"
 CUTS = (
     ((0.3, 0.2, 0.93), 0.05),
     ((0.5, -0.4, 0.77), 0.25),
