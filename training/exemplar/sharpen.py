@@ -19,8 +19,11 @@ SIGMA = 0.8
 MOST = 2.0
 """Greatest gain; more would show the grid."""
 
-OVERSHOOT = 0.03
-"""How far a voxel may leave the range of its neighbours, colour units: bright seams beside membranes stay unseen."""
+TARGET = 0.95
+"""Share of the pictures' sharpness to reach: all of it needs edges that overshoot, which shows more than blur."""
+
+OVERSHOOT = 0.02
+"""How far a voxel may leave the range of its neighbours, colour units: more shows as seams beside membranes."""
 
 CORE = 0.15
 """Depth in inradii from which sharpness is compared: the rind would decide it alone."""
@@ -31,7 +34,7 @@ Read = Callable[[NDArray[np.floating], NDArray[np.floating]], NDArray[np.float32
 
 
 def sharpen(space: Space, rgb: NDArray[np.float32], views: Sequence[View]) -> float:
-    """Sharpens the grid (X, Y, Z, 3) in place until cuts through it are as sharp as the pictures; returns the gain.
+    """Sharpens the grid (X, Y, Z, 3) in place until its cuts are nearly as sharp as the pictures; returns the gain.
 
     Sharpness is the RMS Laplacian of grey, one cell wide, read between the voxels as any cut is. An unsharp mask is
     linear in its gain, so the gain follows from three sums.
@@ -44,7 +47,7 @@ def sharpen(space: Space, rgb: NDArray[np.float32], views: Sequence[View]) -> fl
         sheet = view.sheets[0]
         column, row = (sheet.xy * OVER + 0.5).astype(int).T
         x, y = sheet.xy[sheet.depth[row, column] > CORE].T
-        wanted += float((_laplacian(_picture(sheet), x, y) ** 2).mean())
+        wanted += TARGET**2 * float((_laplacian(_picture(sheet), x, y) ** 2).mean())
         plain, edge = (_laplacian(_cut(grid.mean(-1), core, view), *np.zeros((2, 1))) for grid in (rgb, edges))
         sums += [(plain**2).mean(), (plain * edge).mean(), (edge**2).mean()]
     a, b, c = sums

@@ -52,7 +52,7 @@ def solve(
     space = make_space(body, up, voxels)
     progress(0.1)
     views = [_view(space, family, own) for family, own in zip(families, pictures, strict=True)]
-    if len(views) == 1 and (stack := slices(views[0].sheets)) is not None:
+    if len(views) == 1 and views[0].kind != RADIAL and (stack := slices(views[0].sheets)) is not None:
         log.info("the pictures are slices of one thing, in order along %s", np.round(views[0].basis[2], 2).tolist())
         rgb = space.scatter(between(space, along(space, views[0].basis, False), stack))
         sharpen(space, rgb, views)
