@@ -66,7 +66,10 @@ def atomise(gaussians: Gaussians, pitch: float, body: Body | None = None) -> Ato
     """
     assert pitch > 0, pitch
     haze = (gaussians.opacities < HAZE_OPACITY) & (gaussians.scales.max(axis=1, initial=0) > pitch)
-    keep = np.flatnonzero((gaussians.opacities >= FAINT) & ~haze)
+    keep = (gaussians.opacities >= FAINT) & ~haze
+    if body is not None:  # the end of a fat Gaussian that reaches the skin from within is no part of the skin
+        keep &= body.at(gaussians.means) < DEEPEST * pitch
+    keep = np.flatnonzero(keep)
     kept = gaussians[keep]
     area = kept.opacities.copy()
     if body is not None:
