@@ -113,14 +113,14 @@ def split(
 ) -> tuple[NDArray[np.intp], NDArray[np.float32], NDArray[np.float32]]:
     """Rows (P,), means (P, 3) and scales (P, 3) of the parts, no larger than pitch.
 
-    Along an axis of variance s^2 the parts have sigma = pitch and stand evenly on [-L, L], whose variance L^2 / 3 is
-    what remains: L = sqrt(3 (s^2 - pitch^2)).
+    Along an axis of variance s^2 the parts have sigma = pitch and stand evenly on [-L, L]. The variance of k such
+    places, L^2 (k + 1) / (3 (k - 1)), is what remains of the whole's: s^2 - pitch^2.
     """
     cap = np.float32(pitch)
     reach = np.sqrt(3 * np.maximum(scales.astype(np.float64) ** 2 - pitch**2, 0))
     counts = np.minimum(1 + np.ceil(2 * reach / (SPACING * pitch)), MOST_PARTS).astype(np.intp)
     counts[scales <= cap] = 1
-    reach = np.minimum(reach, (counts - 1) * SPACING * pitch / 2)
+    reach = np.minimum(reach * np.sqrt((counts - 1) / (counts + 1)), (counts - 1) * SPACING * pitch / 2)
     total = counts.prod(axis=1)
     source = np.repeat(np.arange(len(scales)), total)
     number = np.arange(len(source)) - np.repeat(np.cumsum(total) - total, total)

@@ -36,6 +36,19 @@ def test_a_mat_under_the_object_is_down(axis, sign):
     assert "floor" in reason
 
 
+@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_dome_stands_on_its_flat_end(axis, sign):
+    dome = ball(8000)
+    dome = dome[dome[:, axis] * sign > 0]
+    disc = np.random.default_rng(2).uniform(-1, 1, (6000, 3))
+    disc[:, axis] = 0.0
+    disc = disc[np.linalg.norm(disc, axis=1) < 1]
+    up, reason = detect_up(cloud(np.concatenate([dome, disc])))
+    assert up[axis] == sign
+    assert "floor" in reason or "broad end" in reason
+
+
 def test_a_flattened_ball_stands_on_its_flat_side():
     for axis in range(3):
         up, _ = detect_up(cloud(ball() * np.where(np.arange(3) == axis, 0.6, 1.0)))

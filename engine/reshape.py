@@ -1,0 +1,88 @@
+"""Sizes for the atoms of a skin: how large each is decides how much of its neighbours it hides."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+import torch
+
+from engine import classic
+from engine.atoms import Atoms, InteriorAtoms
+from engine.camera import Camera
+from engine.gaussians import Gaussians
+from engine.opaque_gradient import AtomTensors, opaque_image
+from engine.sh import C0
+
+__all__ = ["reshape"]
+
+SIZE_RATE = 0.03
+COLOUR_RATE = 0.03
+"""Adam's steps at the start, in the logarithm of a scale and in units of the harmonics; both fall to 0 as a cosine.
+Steps for the places were tried: they blurred what the capture drew with its smallest Gaussians."""
+
+STEPS = 100
+"""On top of fitted colours they bring a donut 1.3 dB in views of 288 pixels and 0.6 in views of 192."""
+
+VIEWS_PER_STEP = 2
+
+OPAQUE, EMPTY = 0.95, 0.02
+"""Alpha of the capture from which a pixel shows the object alone, and up to which it shows none."""
+
+SMALLEST = 1 / 64
+"""Pitches. Shortest axis: an atom that shrinks to it has left the picture."""
+
+
+def reshape(
+    atoms: Atoms,
+    gaussians: Gaussians,
+    cameras: Sequence[Camera],
+    steps: int = STEPS,
+    seed: int = 0,
+    progress: Callable[[float], None] = lambda part: None,
+) -> Atoms:
+    """The atoms with scales and harmonics of the surface that show what the cameras see of the capture better.
+
+    Atoms that were drawn behind others in the capture lie in one blended layer once all are opaque; here they shrink
+    out of the way. Adam through the differentiable opaque image; scales stay under the pitch, degree-0 colours in
+    [0, 1]. Pixels where the capture is neither opaque nor empty are no evidence. Bit-equal for the same input and seed.
+    """
+    views = [_seen(gaussians, camera) for camera in cameras]
+    i = atoms.interior
+    shown_inside = InteriorAtoms(i.means[: i.exposed], i.sigmas[: i.exposed], i.rgb[: i.exposed], i.exposed)
+    start = AtomTensors.of(replace(atoms, interior=shown_inside))
+    sizes = start.scales.clamp(min=SMALLEST * atoms.pitch).log().requires_grad_()
+    colours = start.sh.clone().requires_grad_()
+    optimiser = torch.optim.Adam(
+        [{"params": [sizes], "lr": SIZE_RATE}, {"params": [colours], "lr": COLOUR_RATE}], betas=(0.9, 0.99)
+    )
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, max(steps, 1))
+    rng = np.random.default_rng(seed)
+    low, high = math.log(SMALLEST * atoms.pitch), math.log(atoms.pitch)
+    for step in range(steps):
+        optimiser.zero_grad()
+        for index in rng.choice(len(views), min(VIEWS_PER_STEP, len(views)), replace=False):
+            target, evidence = views[index]
+            shown, _ = opaque_image(replace(start, scales=sizes.exp(), sh=colours), cameras[index])
+            (evidence * (shown - target) ** 2).mean().backward()
+        optimiser.step()
+        schedule.step()
+        with torch.no_grad():
+            sizes.clamp_(low, high)
+            colours[:, 0].clamp_(-0.5 / C0, 0.5 / C0)
+        progress((step + 1) / steps)
+    surface = replace(
+        atoms.surface,
+        scales=np.minimum(sizes.detach().exp().numpy(), np.float32(atoms.pitch)),
+        sh=colours.detach().numpy(),
+    )
+    return replace(atoms, surface=surface)
+
+
+def _seen(gaussians: Gaussians, camera: Camera) -> tuple[torch.Tensor, torch.Tensor]:
+    """The capture over white (H, W, 3), and 1 where it is evidence (H, W, 1)."""
+    picture = classic.render(gaussians, camera, (1.0, 1.0, 1.0))
+    evidence = (picture.alpha >= OPAQUE) | (picture.alpha <= EMPTY)
+    return torch.from_numpy(np.clip(picture.rgb, 0, 1)), torch.from_numpy(evidence[..., None].astype(np.float32))
