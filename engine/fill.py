@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
-from scipy.spatial import KDTree
 
 from engine.atoms import InteriorAtoms, SurfaceAtoms
 from engine.body import Body
@@ -15,7 +14,8 @@ from engine.distance import nearest
 from engine.enclosed import enclosed
 from engine.errors import InputError
 from engine.gaussians import Gaussians
-from engine.opacity_field import Grid, opacity_field, rotations
+from engine.opacity_field import Grid, opacity_field
+from engine.patches import coverage_at, inwards
 from engine.skin import signed_depth
 
 __all__ = ["WALL_OPACITY", "Found", "fill", "find_body", "without_haze"]
@@ -213,13 +213,6 @@ def fill(body: Body, pitch: float, seed: int = 0, surface: SurfaceAtoms | None =
     )
 
 
-def _slope(body: Body, points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(N, 3). Unit direction into the body at points (N, 3); zero on its medial axis."""
-    step = np.eye(3) * body.cell
-    slope = np.stack([body.at(points + s) - body.at(points - s) for s in step], axis=1).astype(np.float64)
-    return slope / np.maximum(np.linalg.norm(slope, axis=1, keepdims=True), 1e-12)
-
-
 def _pushed_under(body: Body, points: NDArray[np.float64], depth: float) -> NDArray[np.float64]:
     """The points (N, 3), those nearer to the skin than `depth` moved inwards as far as the body allows."""
     points = points.copy()
@@ -228,7 +221,7 @@ def _pushed_under(body: Body, points: NDArray[np.float64], depth: float) -> NDAr
         if not len(short):
             break
         missing = depth - body.at(points[short])
-        points[short] += _slope(body, points[short]) * missing[:, None]
+        points[short] += inwards(body, points[short]) * missing[:, None]
     return points
 
 
@@ -237,15 +230,7 @@ def _seen(body: Body, means: NDArray[np.float64], pitch: float, surface: Surface
     seen = np.zeros(len(means), bool)
     depth = body.at(means)
     outer = np.flatnonzero(depth < pitch)
-    seen[outer] = True
-    if not len(surface) or not len(outer):
-        return seen
-    skin = means[outer] - _slope(body, means[outer]) * depth[outer, None]
-    count = min(16, len(surface))
-    distance, rows = KDTree(surface.means).query(skin, k=count)
-    distance, rows = distance.reshape(-1, count), rows.reshape(-1, count)
-    offset = skin[:, None] - surface.means[rows]
-    local = np.einsum("nkij,nki->nkj", rotations(surface.quats)[rows], offset)
-    sigma = np.maximum(surface.scales[rows], pitch / 2)
-    seen[outer] = np.exp(-0.5 * ((local / sigma) ** 2).sum(-1)).sum(-1) < COVERED
+    into = inwards(body, means[outer])
+    skin = means[outer] - into * depth[outer, None]
+    seen[outer] = coverage_at(surface, skin, -into, pitch) < COVERED
     return seen
