@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -10,7 +11,10 @@ from pathlib import Path
 
 from engine.errors import InputError
 
-__all__ = ["atomic"]
+__all__ = ["atomic", "sweep"]
+
+LEFTOVER = re.compile(r"\..+\.[a-z0-9_]{8}(\.\w+)?")
+"""Names that `atomic` gives its temporary files; the eight letters are tempfile's."""
 
 
 @contextmanager
@@ -38,3 +42,10 @@ def atomic(path: str | Path) -> Iterator[Path]:
         temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def sweep(folder: Path) -> None:
+    """Removes temporary files that killed writers left in a folder and below. Nobody else may be writing there."""
+    for path in folder.rglob(".*"):
+        if LEFTOVER.fullmatch(path.name) and path.is_file():
+            path.unlink(missing_ok=True)

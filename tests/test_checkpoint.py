@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from engine.errors import InputError
-from engine.files import atomic
+from engine.files import atomic, sweep
 from training.checkpoint import Checkpoint
 from training.events import Reporter
 
@@ -48,6 +48,17 @@ def test_a_failed_write_leaves_the_old_file(tmp_path):
         write()
     assert path.read_text() == "old"
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_killed_writer_leaves_nothing_after_the_next_start(tmp_path):
+    keep = tmp_path / ".settings.json"
+    keep.touch()
+    writer = atomic(tmp_path / "previews/radial_001.png")
+    left = writer.__enter__()
+    assert left.exists()
+    sweep(tmp_path)
+    assert not left.exists()
+    assert keep.exists()
 
 
 def test_events_are_json_lines_whatever_the_numbers():

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from engine.atomise import atomise
 from engine.atoms import Atoms
+from engine.files import sweep
 from engine.fill import fill, find_body
 from engine.gaussians import Gaussians
 from engine.load import load
@@ -43,6 +44,7 @@ def run(request: Request, out: Path, reporter: Reporter, resume: bool, stopped: 
     InputError for whatever the user can mend.
     """
     checkpoint = Checkpoint(out / "checkpoint", request.fingerprint())
+    sweep(out)
     if not resume:
         checkpoint.clear()
     torch.set_num_threads(1)  # the kernels use the cores; torch's own threads would only wait for each other
