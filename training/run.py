@@ -51,7 +51,7 @@ def run(request: Request, out: Path, reporter: Reporter, resume: bool, stopped: 
 
     def check() -> None:
         if stopped():
-            raise Interrupted
+            raise Interrupted("before training began")
 
     prior = make_prior(request)
     fineness = request.fineness
