@@ -103,11 +103,16 @@ class Pool:
             array.release()
         self._sources.clear()
 
-    def release(self) -> None:
-        """Frees everything."""
+    def clear(self) -> None:
+        """Frees what grew for the atoms that were: another object needs other batches, of other sizes."""
         self.forget_sources()
         for batch in self._batches:
             batch.release()
         self._batches.clear()
+        self._taken = 0
+
+    def release(self) -> None:
+        """Frees everything."""
+        self.clear()
         self.indices.release()
         self.corners.release()

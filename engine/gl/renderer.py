@@ -239,14 +239,14 @@ class Renderer:
             self._overlaid = None
 
     def _drop_solid(self) -> None:
-        self._pool.forget_sources()
+        self._pool.clear()
         self._opaque.section.grids.clear()
         if self._solid is not None:
             self._solid.release()
             self._solid = None
 
     def _drop_capture(self) -> None:
-        self._pool.forget_sources()
+        self._pool.clear()
         if self._capture is not None:
             self._capture.release()
             self._capture = None
