@@ -37,7 +37,7 @@ DONE = "all iterations done"
 def train(
     request: Request,
     trainer: Trainer,
-    prior: Denoises | Solves,
+    prior: Denoises | Solves | None,
     labels: list[Tensor],
     out: Path,
     reporter: Reporter,
@@ -47,7 +47,8 @@ def train(
     """Iterations and refinement rounds until every section agrees with its label (paper, section 3.3).
 
     A round ends when the loss has settled; sections that still disagree with their labels get labels refined from
-    what they show, and the next round begins. Returns the history for the report.
+    what they show, and the next round begins; none begins without a prior that denoises. Returns the history for the
+    report.
     """
     most = request.fineness.iterations if request.iterations is None else request.iterations
     history: dict[str, Any] = {"section": [], "surface": [], "disagreeing": [], "ended": DONE}

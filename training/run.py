@@ -6,7 +6,7 @@ Each stage that takes long leaves a checkpoint; a run that was stopped goes on f
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -27,17 +27,36 @@ from training.events import Reporter, Stage
 from training.fit import train
 from training.labels import label, make_prior
 from training.outcome import save
+from training.prior import Denoises, Solves
 from training.request import Geometry, Interrupted, Request
 from training.trainer import Trainer
 from training.views import ENTRIES, sections, surface_cameras
 
-__all__ = ["run"]
+__all__ = ["Parts", "prepare", "refitted", "run"]
 
 BODY_CELLS = 128
 """Cells along the longest side of the grid on which the body is found; its depth is exact to a part of a cell."""
 
 
-def run(request: Request, out: Path, reporter: Reporter, resume: bool, stopped: Callable[[], bool]) -> Path:
+@dataclass(frozen=True)
+class Parts:
+    """What a run is put together from. An evaluation swaps a part to see what it is good for; users never do."""
+
+    prior: Callable[[Request], Denoises | Solves] = make_prior
+    """Makes the prior that draws the labels."""
+    trainer: type[Trainer] = Trainer
+    refines: bool = True
+    """Whether sections that disagree with their labels get new ones."""
+
+
+def run(
+    request: Request,
+    out: Path,
+    reporter: Reporter,
+    resume: bool,
+    stopped: Callable[[], bool],
+    parts: Parts = Parts(),
+) -> Path:
     """Does the whole job; returns the trained scene's path. Bit-equal for a request, resumed or not.
 
     `stopped` is asked now and then; once it says yes the run keeps what it has and raises Interrupted. Raises
@@ -53,7 +72,7 @@ def run(request: Request, out: Path, reporter: Reporter, resume: bool, stopped: 
         if stopped():
             raise Interrupted("before training began")
 
-    prior = make_prior(request)
+    prior = parts.prior(request)
     fineness = request.fineness
     geometry, facts = prepare(request, reporter, check)
     with reporter.stage("views") as stage:
@@ -68,8 +87,8 @@ def run(request: Request, out: Path, reporter: Reporter, resume: bool, stopped: 
     geometry = replace(geometry, atoms=atoms)
     with reporter.stage("labels") as stage:
         labels, atoms = label(request, geometry, cuts, prior, checkpoint, watched(stage, check, 0.0, 1.0))
-    trainer = Trainer(atoms, cuts, surfaces, request.seed)
-    history = train(request, trainer, prior, labels, out, reporter, checkpoint, stopped)
+    trainer = parts.trainer(atoms, cuts, surfaces, request.seed)
+    history = train(request, trainer, prior if parts.refines else None, labels, out, reporter, checkpoint, stopped)
     return save(request, geometry, trainer, facts, history, out, reporter)
 
 
