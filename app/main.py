@@ -15,7 +15,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         prog="fruitninja", description="Slice a 3DGS capture anywhere, and give it an inside."
     )
-    parser.add_argument("path", nargs="?", type=Path, help="a scene (.ply, .splat, .obj, ...) or a .fruitninja project")
+    kinds = ".ply, .splat, .spz, .obj, .glb, ..."
+    parser.add_argument("path", nargs="?", type=Path, help=f"a scene ({kinds}) or a .fruitninja project")
     path: Path | None = parser.parse_args().path
     if path is not None and not path.is_file():
         print(f"fruitninja: {path}: no such file", file=sys.stderr)

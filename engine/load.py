@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from engine.errors import InputError
@@ -10,11 +12,19 @@ from engine.gaussians import Gaussians
 from engine.mesh import MESH_SUFFIXES, read_mesh
 from engine.ply import read_ply
 from engine.ply_header import open_file, read_header
+from engine.splat import read_splat
+from engine.spz import GZIP, read_spz
 
-__all__ = ["Loaded", "load"]
+__all__ = ["SCENE_SUFFIXES", "Loaded", "load"]
 
-SPLATS_TO_CONVERT = (".ksplat", ".splat", ".spz", ".sog")
-"""Captures that other programs turn into a .ply."""
+SPLAT_SUFFIXES = (".ply", ".splat", ".spz")
+"""Captures. SuperSplat's compressed .ply is one of the first."""
+
+SCENE_SUFFIXES = tuple(dict.fromkeys((*SPLAT_SUFFIXES, *MESH_SUFFIXES)))
+"""Names of files that `load` opens."""
+
+TO_CONVERT = (".ksplat", ".sog", ".sogs")
+"""Captures that only their own programs read."""
 
 
 @dataclass(frozen=True)
@@ -27,28 +37,40 @@ class Loaded:
 
 
 def load(path: str | Path, seed: int = 0) -> Loaded:
-    """The scene in a 3DGS .ply, or in a mesh (.obj, .glb, .gltf, .ply, .stl), whose surface is sampled with `seed`.
+    """The scene in a capture (.ply, SuperSplat's compressed .ply, .splat, .spz) or in a mesh (.obj, .glb, .gltf, .ply,
+    .stl), whose surface is sampled with `seed`.
 
-    What a .ply or .glb is shows its content, not its name. Raises InputError for anything else.
+    What a .ply, .spz or .glb is shows its content, not its name. Raises InputError for anything else.
     """
     path = Path(path)
+    mesh = partial(_mesh, seed)
+    read: Callable[[Path], tuple[Gaussians, list[str]]]
     suffix = path.suffix.lower()
     with open_file(path) as file:
         start = file.read(4)
     if start[:3] == b"ply" and start[3:] in (b"\n", b"\r", b" ", b"\t"):
         header = read_header(path)
-        is_mesh = header.faces > 0 and not header.is_splats
+        read = mesh if header.faces > 0 and not header.is_splats else read_ply
     elif start == b"glTF" or (suffix in MESH_SUFFIXES and suffix != ".ply"):
-        is_mesh = True
+        read = mesh
+    elif start[:2] == GZIP:
+        read = read_spz
+    elif suffix == ".splat":
+        read = read_splat
     elif suffix == ".ply":
-        is_mesh = False  # it is no .ply, and the reader says so
-    elif suffix in SPLATS_TO_CONVERT:
-        raise InputError(f"{path}: {suffix} files cannot be opened yet; export the capture as an uncompressed .ply")
+        read = read_ply  # it is no .ply, and the reader says so
+    elif suffix == ".spz":
+        raise InputError(f"{path}: not an .spz scene of version 2 or 3, which are gzipped; export it as one, or a .ply")
+    elif suffix in TO_CONVERT:
+        raise InputError(f"{path}: {suffix} files cannot be opened; export the capture as a .ply, .splat or .spz")
     else:
-        kinds = ", ".join(s for s in MESH_SUFFIXES if s != ".ply")
-        raise InputError(f"{path}: not a scene; a 3DGS .ply or a mesh ({kinds} or .ply) can be opened")
-    if is_mesh:
-        warnings: list[str] = []
-        return Loaded(read_mesh(path, seed=seed, warn=warnings.append), tuple(warnings))
-    gaussians, dropped = read_ply(path)
-    return Loaded(gaussians, tuple(dropped))
+        kinds = ", ".join((*SPLAT_SUFFIXES, *(s for s in MESH_SUFFIXES if s != ".ply")))
+        raise InputError(f"{path}: not a scene; {kinds} can be opened")
+    gaussians, warnings = read(path)
+    return Loaded(gaussians, tuple(warnings))
+
+
+def _mesh(seed: int, path: Path) -> tuple[Gaussians, list[str]]:
+    """A mesh, its surface sampled, and what was amiss with it."""
+    warnings: list[str] = []
+    return read_mesh(path, seed=seed, warn=warnings.append), warnings

@@ -15,38 +15,20 @@ import numpy as np
 from numpy.typing import NDArray
 from plyfile import PlyData, PlyElement
 
+from engine.compressed_ply import is_compressed, read_compressed_ply
 from engine.errors import InputError
 from engine.files import atomic
 from engine.gaussians import Gaussians
 from engine.ply_header import Element, Header, open_file, read_header
+from engine.splat_rows import COLOUR, GEOMETRY, gaussians_of, logits
 
 __all__ = ["read_ply", "write_ply"]
-
-Float = NDArray[np.float32]
 
 BLOCK_ROWS = 1 << 14
 """Rows read at once: 4 MB of SH-3 rows, small enough to stay in the cache while the columns are picked out."""
 
 REST_COUNTS = {0: 0, 9: 1, 24: 2, 45: 3}
 """SH degree of each possible number of f_rest properties, 3 ((d+1)^2 - 1)."""
-
-GEOMETRY = ("x", "y", "z", "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3")
-COLOUR = ("f_dc_0", "f_dc_1", "f_dc_2")
-
-MAX_LOG_SCALE = 30.0
-"""Absurd beyond: e^-30 is less than float32 resolves beside a scene of size 1, yet flat captures reach e^-25."""
-
-MAX_POSITION = 1e9
-"""Absurd beyond, world units: the earth in millimetres is smaller, and squares still fit into float32."""
-
-MAX_SH = 1e4
-"""Absurd beyond: a colour thousands of times brighter than white."""
-
-MAX_SPREAD = 1e4
-"""A Gaussian this many times farther off, or larger, than the scene is wide belongs to no object. Skies reach 1e3."""
-
-SPREAD_ROWS = 100
-"""Rows from which on the width of the scene, a 90 % quantile, means something."""
 
 MAX_LOGIT = 16.6
 """Logit of the largest opacity under 1 that float32 has, 1 - 2^-24. Infinite logits break other viewers."""
@@ -55,12 +37,14 @@ MAX_LOGIT = 16.6
 def read_ply(path: str | Path) -> tuple[Gaussians, list[str]]:
     """The Gaussians of any 3DGS .ply, and one line about each kind of row that had to be dropped.
 
-    SH degree 0..3, with or without normals and other properties and elements; ascii or binary of either endianness.
-    Dropped are rows with NaN or Inf (but an infinite opacity logit is plainly 0 or 1), zero quaternions, and sizes,
-    places or colours that no scene has. Raises InputError where the file is no 3DGS scene or holds no usable row.
+    SH degree 0..3, with or without normals and other properties and elements; ascii or binary of either endianness;
+    SuperSplat's compressed form too. `gaussians_of` says what is dropped. Raises InputError where the file is no 3DGS
+    scene or holds no usable row.
     """
     path = Path(path)
     header = read_header(path)
+    if is_compressed(header):
+        return read_compressed_ply(path, header)
     vertex = _scene_element(path, header)
     rest = _rest_count(path, vertex)
     names = [*GEOMETRY, *COLOUR, *(f"f_rest_{i}" for i in range(rest))]
@@ -72,8 +56,7 @@ def read_ply(path: str | Path) -> tuple[Gaussians, list[str]]:
             filled += len(block)
     if filled < vertex.count:
         raise InputError(f"{path}: truncated: the header promises {vertex.count:,} Gaussians, {filled:,} are there")
-    keep, warnings = _usable(path, table)
-    return _activate(table if keep.all() else table[keep], rest), warnings
+    return gaussians_of(path, table)
 
 
 def write_ply(path: str | Path, gaussians: Gaussians, comments: Sequence[str] = ()) -> None:
@@ -84,15 +67,12 @@ def write_ply(path: str | Path, gaussians: Gaussians, comments: Sequence[str] = 
     """
     n, rest = len(gaussians), gaussians.sh[:, 1:].shape[1]
     names = ["x", "y", "z", "nx", "ny", "nz", *COLOUR, *(f"f_rest_{i}" for i in range(3 * rest)), *GEOMETRY[3:]]
-    opacities = gaussians.opacities.astype(np.float64)
-    with np.errstate(divide="ignore"):
-        logits = np.clip(np.log(opacities) - np.log1p(-opacities), -MAX_LOGIT, MAX_LOGIT)
     table = np.empty((n, len(names)), np.float32)
     table[:, 0:3] = gaussians.means
     table[:, 3:6] = 0
     table[:, 6:9] = gaussians.sh[:, 0]
     table[:, 9 : 9 + 3 * rest] = gaussians.sh[:, 1:].transpose(0, 2, 1).reshape(n, 3 * rest)
-    table[:, -8] = logits
+    table[:, -8] = np.clip(logits(gaussians.opacities.astype(np.float64)), -MAX_LOGIT, MAX_LOGIT)
     table[:, -7:-4] = np.log(gaussians.scales.astype(np.float64))
     table[:, -4:] = gaussians.quats
     rows = table.view(np.dtype([(name, "<f4") for name in names])).reshape(n)
@@ -110,8 +90,6 @@ def _scene_element(path: Path, header: Header) -> Element:
     vertex = header.element("vertex")
     if vertex is None:
         raise InputError(f"{path}: no 'vertex' element; this is not a 3DGS scene")
-    if "packed_position" in vertex.properties:
-        raise InputError(f"{path}: SuperSplat's compressed .ply; export it again as an uncompressed .ply")
     # The properties that only 3DGS has are asked for first: they tell what the file is instead.
     missing = next((name for name in (*GEOMETRY[4:], *COLOUR, *GEOMETRY[:4]) if name not in vertex.properties), None)
     if missing:
@@ -193,55 +171,3 @@ def _ascii_blocks(
         except ValueError as error:
             raise InputError(f"{path}: truncated or damaged: a row does not hold the numbers it should") from error
         count -= len(block)
-
-
-def _usable(path: Path, table: Float) -> tuple[NDArray[np.bool_], list[str]]:
-    """Mask (N,) of the rows that can be drawn, and a line about each reason why others cannot.
-
-    Raises InputError where none is left.
-    """
-    n = len(table)
-    opacity = GEOMETRY.index("opacity")
-    finite = np.isfinite(table)
-    finite[:, opacity] = ~np.isnan(table[:, opacity])  # the logits of 0 and 1 are infinite, and both are meant
-    reasons = {"NaN or Inf": ~finite.all(1)}
-    means, log_scales, quats, sh = table[:, :3], table[:, 4:7], table[:, 7:11], table[:, 11:]
-    reasons["zero quaternions"] = ~quats.any(1)
-    reasons["absurd sizes"] = (np.abs(log_scales) > MAX_LOG_SCALE).any(1)
-    reasons["absurd positions"] = (np.abs(means) > MAX_POSITION).any(1)
-    reasons["absurd colours"] = (np.abs(sh) > MAX_SH).any(1)
-    keep = ~np.logical_or.reduce(list(reasons.values()))
-    if keep.sum() >= SPREAD_ROWS:
-        distances = np.zeros(n, np.float32)
-        distances[keep] = np.linalg.norm(means[keep] - np.median(means[keep], axis=0), axis=1)
-        width = float(np.quantile(distances[keep], 0.9))
-        if width > 0:
-            reasons["absurd positions"] |= distances > MAX_SPREAD * width
-            reasons["absurd sizes"] |= keep & (log_scales.max(1) > np.log(MAX_SPREAD * width))
-    warnings = []
-    keep = np.ones(n, bool)
-    for reason, bad in reasons.items():
-        fresh = int((bad & keep).sum())
-        keep &= ~bad
-        if fresh:
-            warnings.append(f"{path}: {fresh:,} of {n:,} Gaussians dropped: {reason}")
-    if not keep.any():
-        worst = max(reasons, key=lambda reason: int(reasons[reason].sum()))
-        raise InputError(f"{path}: none of the {n:,} Gaussians can be used: {worst}")
-    return keep, warnings
-
-
-def _activate(table: Float, rest: int) -> Gaussians:
-    """Gaussians from columns in the file's terms: logits, logs, quaternions of any length, channel-major SH."""
-    n = len(table)
-    with np.errstate(over="ignore"):  # exp(-logit) of a large negative logit is Inf, and the opacity then rightly 0
-        opacities = (1 / (1 + np.exp(-table[:, 3]))).astype(np.float32)
-    quats = table[:, 7:11].astype(np.float64)
-    quats /= np.linalg.norm(quats, axis=1, keepdims=True)
-    sh = np.empty((n, 1 + rest // 3, 3), np.float32)
-    sh[:, 0] = table[:, 11:14]
-    sh[:, 1:] = table[:, 14:].reshape(n, 3, rest // 3).transpose(0, 2, 1)
-    scales = np.exp(table[:, 4:7].astype(np.float64))
-    return Gaussians(
-        np.ascontiguousarray(table[:, :3]), scales.astype(np.float32), quats.astype(np.float32), opacities, sh
-    )

@@ -247,8 +247,8 @@ BAD: dict[str, tuple[Callable[[Path], Path], str]] = {
     "empty stl": (content("a.stl", b""), ""),
     "10^12 faces": (content("a.ply", HUGE), "1,000,000,000,000 rows of 'face'"),
     "cloud": (content("a.ply", b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n1\n"), "cloud"),
-    "splat": (content("a.splat", b"\0" * 64), "cannot be opened yet"),
-    "picture": (content("a.png", b"\x89PNG"), "a 3DGS .ply or a mesh"),
+    "splat": (content("a.splat", b"\0" * 64), "none of the 2"),
+    "picture": (content("a.png", b"\x89PNG"), "not a scene; .ply, .splat"),
     "nothing": (content("a.ply", b""), ""),
 }
 
@@ -301,5 +301,5 @@ def test_shapes_of_known_truth(name: str) -> None:
 def test_real_files_open_by_what_they_are() -> None:
     assert load(DATA / "splats/donut_mipsplatting.ply").warnings == ()
     assert len(load(DATA / "meshes/trimesh_bunny.ply").gaussians) == 60_000
-    for name in ("splats/plant.splat", "splats/guitar.compressed.ply", "photos/opencv_fruits.jpg"):
+    for name in ("photos/opencv_fruits.jpg", "volumes/vhm_thigh_rgba.npz"):
         refusal(lambda path=DATA / name: load(path), DATA / name)

@@ -27,7 +27,9 @@ AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
 
 def train(
-    scene: Annotated[Path, typer.Argument(help="A 3DGS .ply, or a textured mesh (.obj, .glb, .ply).")],
+    scene: Annotated[
+        Path, typer.Argument(help="A capture (.ply, .splat, .spz), or a textured mesh (.obj, .glb, .ply).")
+    ],
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the result.")],
     exemplar: Annotated[
         list[str] | None, typer.Option(help="A picture of a cut face: horizontal=A.png, radial=B.jpg, parallel=C.png.")

@@ -11,13 +11,16 @@ from pathlib import Path
 from imgui_bundle import ImVec2, imgui
 from imgui_bundle import portable_file_dialogs as pfd
 
+from app.project import SUFFIX
+from app.session import PICTURES
 from app.ui.theme import px
 from app.ui.widgets import main_button, secondary
+from engine.load import SCENE_SUFFIXES
 
 __all__ = ["Dialogs"]
 
-SCENES = ["Scenes", "*.ply *.splat *.spz *.obj *.glb *.gltf *.stl *.fruitninja", "All files", "*"]
-IMAGES = ["Pictures", "*.png *.jpg *.jpeg *.webp *.bmp", "All files", "*"]
+SCENES = ["Scenes", " ".join(f"*{suffix}" for suffix in (*SCENE_SUFFIXES, SUFFIX)), "All files", "*"]
+IMAGES = ["Pictures", " ".join(f"*{suffix}" for suffix in PICTURES), "All files", "*"]
 
 Then = Callable[[tuple[Path, ...]], None]
 
