@@ -83,7 +83,8 @@ def _family(family: Family) -> list[str]:
             result += ["--family", "custom:" + ",".join(repr(v) for v in (*plane.normal, plane.offset))]
     else:
         axis = "" if family.axis is None else ":" + ",".join(repr(v) for v in family.axis)
-        result += ["--family", f"{family.kind}:{family.count}{axis}"]
+        span = "" if family.span == (0.0, 1.0) else f":{family.span[0]!r}..{family.span[1]!r}"
+        result += ["--family", f"{family.kind}:{family.count}{axis}{span}"]
     for exemplar in family.exemplars:
         result += ["--exemplar", f"{family.kind}={exemplar}"]
     if family.prompt:

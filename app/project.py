@@ -137,6 +137,7 @@ def _record(project: Project, folder: Path) -> dict[str, Any]:
                 "exemplars": [_relative(exemplar, folder) for exemplar in family.exemplars],
                 "prompt": family.prompt,
                 "axis": family.axis,
+                "range": family.span,
                 "planes": [_plane(plane) for plane in family.custom],
             }
             for family in document.families
@@ -260,8 +261,9 @@ class _Reader:
         pictures = self.each(fields, "exemplars", lambda name: self.inside(name, "'exemplars'"))
         count = self.whole(fields, "count", 0, 10_000)
         prompt, axis = self.text(fields, "prompt"), self.unit(fields, "axis")
+        low, high = self.numbers(fields.get("range", [0.0, 1.0]), 2, "'range'")  # projects of before have none
         try:
-            return Family(kind, count, pictures, prompt, axis, planes)
+            return Family(kind, count, pictures, prompt, axis, planes, (low, high))
         except InputError as error:
             raise InputError(f"{self.path}: not a project: {error}") from error
 

@@ -47,7 +47,9 @@ def full(folder: Path) -> Project:
     motion = Motion.about((0.1, 0.2, 0.3), (1, 1, 1), 33.3)
     document = document.placed(((1, 1),), lambda p: replace(p, motion=motion, visible=False, removed=True, name="lid"))
     document = document.with_exemplars("horizontal", (folder / "a.png", folder / "b.png"))
-    document = document.with_family(Family("parallel", 12, (folder / "c.png",), "rye bread", (0.0, 1.0, 0.0)))
+    document = document.with_family(
+        Family("parallel", 12, (folder / "c.png",), "rye bread", (0.0, 1.0, 0.0), (), (0.1, 2 / 3))
+    )
     document = document.with_family(Family("custom", 1, custom=(Plane.of((3, 1, 2), 0.4),)))
     document = replace(
         document, training=Training("high", "stable-diffusion", 7, 50, folder / "out", folder / "model", "rye bread")
@@ -98,6 +100,8 @@ BREAK: dict[str, Callable[[dict], object]] = {
     "side": lambda r: r["pieces"][0].update(key=[[1, 2]]),
     "turn": lambda r: r["pieces"][0].update(turn=[0, 0, 0, 0]),
     "family": lambda r: r["families"][0].update(count=0),
+    "range": lambda r: r["families"][0].update(range=[0.5, 0.1]),
+    "range of one": lambda r: r["families"][0].update(range=[0.5]),
     "family twice": lambda r: r["families"].append(r["families"][0]),
     "picture": lambda r: r["families"][0].update(exemplars=[3]),
     "nul": lambda r: r.update(scene="a\0b"),
@@ -296,8 +300,8 @@ def test_the_command_is_the_documents(tmp_path: Path) -> None:
         return [words[i + 1] for i, word in enumerate(words) if word == option]
 
     families = parse_families(given("--exemplar"), given("--family"), given("--prompt"))
-    assert {f.kind: (f.count, f.exemplars, f.prompt) for f in families} == {
-        f.kind: (f.count, f.exemplars, f.prompt) for f in project.document.families
+    assert {f.kind: (f.count, f.exemplars, f.prompt, f.span) for f in families} == {
+        f.kind: (f.count, f.exemplars, f.prompt, f.span) for f in project.document.families
     }
     assert np.allclose(families[-1].custom[0].normal, project.document.families[-1].custom[0].normal)
     assert parse_axis(given("--up")[0], "--up") == (0.0, -1.0, 0.0)

@@ -49,6 +49,18 @@ def test_radial_planes_hold_the_axis_and_share_180_degrees():
     assert np.allclose(normals @ UP, 0)
 
 
+def test_a_range_takes_a_part_of_the_extent_and_of_the_angles():
+    whole, part = Family("horizontal", 10), Family("horizontal", 4, span=(0.3, 0.7))
+    heights = [[-p.offset for p in f.planes(ball(), UP)] for f in (whole, part)]
+    assert np.allclose(heights[0][3:7], heights[1])
+    turns = [
+        [p.normal for p in Family("radial", n, span=s).planes(ball(), UP)] for n, s in ((12, (0, 1)), (6, (0.5, 1)))
+    ]
+    assert np.allclose(turns[0][6:], turns[1])
+    with pytest.raises(InputError, match=r"range 0\.7\.\.0\.3"):
+        Family("radial", 4, span=(0.7, 0.3))
+
+
 def test_a_section_camera_sees_its_plane_with_up_upwards():
     plane = Plane.through((0.3, -0.2, 0.5), (1.0, 0.4, 0.0))
     camera = section(plane, UP, ball().bounds(), 64)
@@ -67,6 +79,11 @@ def test_command_line_families(tmp_path):
     families = parse_families([f"parallel={picture}"], ["parallel:12:-y", "custom:0,0,2,1"], [])
     assert families[0].axis == (0.0, -1.0, 0.0)
     assert families[1].custom == (Plane((0.0, 0.0, 1.0), 0.5),)
+    assert all(family.span == (0.0, 1.0) for family in families)
+    wanted = ["horizontal:7:0.25..1", "radial:30:0..5e-1", "parallel:12:-y:.1...9"]
+    families = parse_families([f"parallel={picture}"], wanted, [])
+    assert [family.span for family in families] == [(0.25, 1.0), (0.0, 0.5), (0.1, 0.9)]
+    assert [family.count for family in families] == [7, 30, 12] and families[2].axis == (0.0, -1.0, 0.0)
 
 
 @pytest.mark.parametrize(
@@ -82,6 +99,11 @@ def test_command_line_families(tmp_path):
         (["radial={}"], ["radial:3", "custom:1,2"], "custom:a,b,c,d"),
         (["parallel={}"], ["parallel:3:0,0,0"], "direction"),
         ([], ["horizontal:3"], "at least one"),
+        (["radial={}"], ["radial:3:0.8..0.2"], "as in 0.2..0.8"),
+        (["radial={}"], ["radial:3:0..1.5"], "as in 0.2..0.8"),
+        (["radial={}"], ["radial:3:0.1.."], "as in 0.2..0.8"),
+        (["radial={}"], ["radial:3:nan..1"], "as in 0.2..0.8"),
+        (["radial={}"], ["radial:0..1"], "above zero"),
     ],
 )
 def test_families_that_cannot_be(exemplars, families, said, tmp_path):

@@ -36,7 +36,10 @@ def train(
     ] = None,
     family: Annotated[
         list[str] | None,
-        typer.Option(help="Planes to train: horizontal:40, radial:30, parallel:60[:x], custom:a,b,c,d."),
+        typer.Option(
+            help="Planes to train: horizontal:40, radial:30, parallel:60[:x], custom:a,b,c,d. "
+            "A range at the end, as in horizontal:40:0.2..0.8, keeps to that part of the whole."
+        ),
     ] = None,
     prompt: Annotated[
         list[str] | None, typer.Option(help="Words for a family, for priors that read: radial='a halved melon'.")
@@ -188,6 +191,7 @@ def parse_families(
     pictures = parse_pictures(exemplars)
     words = dict(parse_pair(text, "--prompt") for text in prompts)
     counts: dict[Kind, int] = {}
+    spans: dict[Kind, tuple[float, float]] = {}
     axis: tuple[float, float, float] | None = None
     custom: list[Plane] = []
     for text in families:
@@ -199,6 +203,8 @@ def parse_families(
             custom.append(Plane.of((a, b, c), d))
             counts[kind] = len(custom)
             continue
+        if len(parts) > 1 and ".." in parts[-1]:
+            spans[kind] = parse_span(parts.pop(), f"--family {text}")
         if len(parts) > (2 if kind == "parallel" else 1) or not (parts and parts[0].isdigit() and int(parts[0]) > 0):
             raise InputError(f"--family {text}: give a number of planes above zero, as in {kind}:{COUNTS[kind]}")
         counts[kind] = int(parts[0])
@@ -223,10 +229,20 @@ def parse_families(
             words.get(kind, ""),
             axis if kind == "parallel" else None,
             tuple(custom) if kind == "custom" else (),
+            spans.get(kind, (0.0, 1.0)),
         )
         for kind in get_args(Kind)
         if kind in counts
     )
+
+
+def parse_span(text: str, where: str) -> tuple[float, float]:
+    """The two ends of low..high, parts of the whole."""
+    complaint = f"{where}: give the range as parts of the whole, as in 0.2..0.8"
+    low, high = parse_numbers(text.replace("..", ",", 1), 2, complaint)
+    if not 0 <= low < high <= 1:
+        raise InputError(complaint)
+    return low, high
 
 
 def parse_pictures(exemplars: list[str]) -> dict[Kind, list[Path]]:

@@ -36,12 +36,17 @@ class Family:
     """Normal of a `parallel` family; None: the longest horizontal extent of the body."""
     custom: tuple[Plane, ...] = field(default=())
     """The planes of a `custom` family."""
+    span: tuple[float, float] = (0.0, 1.0)
+    """Part of the body's extent along the normal, or of the 180 degrees of a `radial` family, in which planes stand."""
 
     def __post_init__(self) -> None:
         if self.kind not in get_args(Kind):
             raise InputError(f"family '{self.kind}': unknown; choose {', '.join(get_args(Kind))}")
         if self.kind != "custom" and self.count < 1:
             raise InputError(f"family '{self.kind}': {self.count} planes; give at least 1")
+        if not 0 <= self.span[0] < self.span[1] <= 1:
+            low, high = self.span
+            raise InputError(f"family '{self.kind}': range {low:g}..{high:g}; give parts of the whole, as in 0.2..0.8")
         if self.kind == "custom" and not self.custom:
             raise InputError("family 'custom': no planes; give each as custom:a,b,c,d")
 
@@ -56,19 +61,26 @@ class Family:
         return e1 if abs((high - low) @ e1) >= abs((high - low) @ e2) else e2
 
     def planes(self, body: Body, up: NDArray[np.float64]) -> list[Plane]:
-        """The planes to train. Stacks are spaced evenly through the body, radial ones evenly over 180 degrees.
+        """The planes to train. Stacks are spaced evenly through the body, radial ones evenly over 180 degrees, or over
+        the part of it that `span` says.
 
-        A stack's planes stand in the middle of `count` equal slabs, so none is tangent to the body.
+        A stack's planes stand in the middle of `count` equal slabs, so none is tangent to the body; radial planes stand
+        at the beginning of `count` equal angles, for the end of 180 degrees is their beginning.
         """
         if self.kind == "custom":
             return list(self.custom)
         centre = body.bounds().mean(0)
         if self.kind == "radial":
             e1, e2 = equator(up)
-            angles = np.pi * np.arange(self.count) / self.count
+            angles = np.pi * self._parts(0.0)
             return [Plane.through(centre, np.cross(np.cos(a) * e1 + np.sin(a) * e2, up)) for a in angles]
         normal = self.normal(body, up)
         along = body.centres()[body.inside] @ normal
         low, high = (float(along.min()), float(along.max())) if len(along) else (0.0, 0.0)
-        steps = low + (high - low) * (np.arange(self.count) + 0.5) / self.count
+        steps = low + (high - low) * self._parts(0.5)
         return [Plane.of(normal, -float(s)) for s in steps]
+
+    def _parts(self, offset: float) -> NDArray[np.float64]:
+        """(count,). Where in [0, 1] the planes stand: in each of `count` equal steps of `span`, `offset` of the way."""
+        low, high = self.span
+        return low + (high - low) * (np.arange(self.count) + offset) / self.count

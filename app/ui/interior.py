@@ -25,6 +25,7 @@ from app.ui.widgets import (
     icon_button,
     main_button,
     minutes,
+    range_slider,
     right_text,
     secondary,
     segmented,
@@ -48,6 +49,11 @@ WHAT: dict[Kind, str] = {
     "radial": "Cuts through the upright axis, as halves and wedges",
     "parallel": "Slices along one direction, as bread",
     "custom": "Planes that you chose one by one",
+}
+RANGE_HINTS: dict[Kind, str] = {
+    "horizontal": "From which part of the height to which its planes stand. Double click: all of it",
+    "radial": "From which part of a half turn to which its planes stand. Double click: all of it",
+    "parallel": "From which part of the length to which its planes stand. Double click: all of it",
 }
 AXIS_CHOICES = {"longest side": None, "x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 DETAIL_HINTS = ("A first look, in a minute", "For most objects", "Fine structures; takes longest")
@@ -150,6 +156,12 @@ class InteriorPanel:
             changed, count = whole_slider("##count", family.count, 1, 2 * COUNTS[kind])
             if changed:
                 change("Planes", replace(family, count=max(1, count)), merge=f"count {kind}")
+            imgui.align_text_to_frame_padding()
+            secondary("Range")
+            imgui.same_line(label)
+            changed, span = range_slider("##range", family.span, RANGE_HINTS[kind])
+            if changed:
+                change("Range", replace(family, span=span), merge=f"range {kind}")
         if kind == "parallel":
             imgui.align_text_to_frame_padding()
             secondary("Along")

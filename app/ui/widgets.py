@@ -17,6 +17,7 @@ __all__ = [
     "main_button",
     "minutes",
     "number_slider",
+    "range_slider",
     "secondary",
     "segmented",
     "thin_bar",
@@ -171,6 +172,40 @@ def whole_slider(name: str, value: int, low: int, high: int) -> tuple[bool, int]
     changed, value = imgui.slider_int(name, value, low, high, "")
     _number_at_right(str(value), room)
     return changed, value
+
+
+def range_slider(name: str, ends: tuple[float, float], hint: str) -> tuple[bool, tuple[float, float]]:
+    """A slider with two ends in [0, 1], a hundredth apart or more; a drag takes the nearer one. Double click: all."""
+    p, draw = palette(), imgui.get_window_draw_list()
+    room = imgui.calc_text_size("0000").x + px(6)
+    width, height = imgui.get_content_region_avail().x - room, imgui.get_frame_height()
+    origin, grab, inset = imgui.get_cursor_screen_pos(), px(10), px(2)
+    track = width - 2 * inset - grab
+    imgui.invisible_button(name, ImVec2(width, height))
+    hovered, active = imgui.is_item_hovered(), imgui.is_item_active()
+    at = (imgui.get_mouse_pos().x - origin.x - inset - grab / 2) / track
+    storage, key = imgui.get_state_storage(), imgui.get_id(name)
+    if imgui.is_item_activated():
+        first = abs(at - ends[0]) < abs(at - ends[1]) or (ends[0] == ends[1] and at < ends[0])
+        storage.set_int(key, 0 if first else 1)
+    new = ends
+    if hovered and imgui.is_mouse_double_clicked(imgui.MouseButton_.left):
+        new = (0.0, 1.0)
+    elif active and imgui.is_mouse_dragging(imgui.MouseButton_.left, 1.0):
+        at = round(min(1.0, max(0.0, at)), 2)
+        new = (min(at, ends[1] - 0.01), ends[1]) if storage.get_int(key) == 0 else (ends[0], max(at, ends[0] + 0.01))
+        new = (round(max(new[0], 0.0), 2), round(min(new[1], 1.0), 2))
+    low, high = (origin.x + inset + part * track for part in new)
+    draw.add_rect_filled(
+        origin, ImVec2(origin.x + width, origin.y + height), u32(p.hover if hovered or active else p.field), px(5)
+    )
+    top, bottom = origin.y + inset, origin.y + height - inset
+    draw.add_rect_filled(ImVec2(low, top), ImVec2(high + grab, bottom), u32(p.pressed), px(4))
+    for x in (low, high):
+        draw.add_rect_filled(ImVec2(x, top), ImVec2(x + grab, bottom), u32(p.text if active else p.second), px(4))
+    tip(hint)
+    _number_at_right("all" if new == (0.0, 1.0) else f"{new[1] - new[0]:.0%}", room)
+    return new != ends, new
 
 
 def _number_at_right(text: str, room: float) -> None:
