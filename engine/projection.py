@@ -1,8 +1,8 @@
 """EWA projection of a Gaussian (Zwicker et al. 2001, as INRIA's 3DGS and gsplat do it) and its derivative.
 
-Device functions for numba kernels, on scalars and tuples of scalars. They take floats of any width and compute in
-float64: in scalar code that costs no more than float32, and a projected mean is then right to the last bit that its
-float32 home holds.
+Device functions for numba kernels, on scalars and tuples of scalars or on `engine.cpu.lanes`: hence no branches. They
+take floats of any width and compute in float64: a projected mean is then right to the last bit that its float32 home
+holds, and in scalar code it costs no more than float32.
 
 A Gaussian is handled through its *half axes* A = R_view R(q) diag(s) (3x3, row-major tuple of 9, camera axes): its
 covariance in camera space is A A^T, and on the picture C0 = (J A)(J A)^T. Determinants come from cross products of
@@ -13,13 +13,12 @@ Every forward function that training needs has its `_backward`: given dL/d(outpu
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from engine.camera import Camera
+from engine.cpu.lanes import maximum, minimum, root, where
 
 __all__ = [
     "CAMERA_SIZE",
@@ -97,23 +96,25 @@ def camera_point_backward(cam, gx, gy, gz):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
+def _per_depth(cam, z):  # type: ignore[no-untyped-def]
+    """What a picture shrinks by with depth: 1 / z; 1 if orthographic."""
+    return 1.0 / (z * (1.0 - cam[_ORTHO]) + cam[_ORTHO])
+
+
+@njit(cache=True, error_model="numpy")
 def project_point(cam, x, y, z):  # type: ignore[no-untyped-def]
     """(u, v) in pixels of a camera-space point; z must not be 0 unless orthographic."""
-    if cam[_ORTHO] != 0.0:
-        return cam[_FX] * x + cam[_CX], cam[_FY] * y + cam[_CY]
-    per_depth = 1.0 / z
+    per_depth = _per_depth(cam, z)
     return cam[_FX] * x * per_depth + cam[_CX], cam[_FY] * y * per_depth + cam[_CY]
 
 
 @njit(cache=True, error_model="numpy")
 def project_point_backward(cam, x, y, z, gu, gv):  # type: ignore[no-untyped-def]
     """dL/d(camera-space point) of `project_point`."""
-    if cam[_ORTHO] != 0.0:
-        return cam[_FX] * gu, cam[_FY] * gv, 0.0
-    per_depth = 1.0 / z
+    per_depth = _per_depth(cam, z)
     gx = cam[_FX] * gu * per_depth
     gy = cam[_FY] * gv * per_depth
-    return gx, gy, -(gx * x + gy * y) * per_depth
+    return gx, gy, -(gx * x + gy * y) * per_depth * (1.0 - cam[_ORTHO])
 
 
 @njit(cache=True, error_model="numpy")
@@ -122,47 +123,37 @@ def jacobian(cam, x, y, z):  # type: ignore[no-untyped-def]
 
     Pinhole: d(u, v)/d(x, y, z) with x/z and y/z held within the picture and a margin. Orthographic: diag(fx, fy).
     """
-    fx, fy = cam[_FX], cam[_FY]
-    if cam[_ORTHO] != 0.0:
-        return fx, 0.0, fy, 0.0
-    per_depth = 1.0 / z
-    slope_x = min(max(x * per_depth, cam[_X_LOW]), cam[_X_HIGH])
-    slope_y = min(max(y * per_depth, cam[_Y_LOW]), cam[_Y_HIGH])
-    return fx * per_depth, -fx * slope_x * per_depth, fy * per_depth, -fy * slope_y * per_depth
+    per_depth, pinhole = _per_depth(cam, z), 1.0 - cam[_ORTHO]
+    slope_x = minimum(maximum(x * per_depth, cam[_X_LOW]), cam[_X_HIGH])
+    slope_y = minimum(maximum(y * per_depth, cam[_Y_LOW]), cam[_Y_HIGH])
+    j00, j11 = cam[_FX] * per_depth, cam[_FY] * per_depth
+    return j00, -j00 * slope_x * pinhole, j11, -j11 * slope_y * pinhole
 
 
 @njit(cache=True, error_model="numpy")
 def jacobian_backward(cam, x, y, z, g00, g02, g11, g12):  # type: ignore[no-untyped-def]
     """dL/d(camera-space point) of `jacobian`; a slope that is held passes nothing on to x or y."""
-    if cam[_ORTHO] != 0.0:
-        return 0.0, 0.0, 0.0
-    fx, fy = cam[_FX], cam[_FY]
-    per_depth = 1.0 / z
-    fx2, fy2 = fx * per_depth * per_depth, fy * per_depth * per_depth
+    per_depth, pinhole = _per_depth(cam, z), 1.0 - cam[_ORTHO]
+    fx2, fy2 = cam[_FX] * per_depth * per_depth * pinhole, cam[_FY] * per_depth * per_depth * pinhole
     slope_x, slope_y = x * per_depth, y * per_depth
-    gx = 0.0
-    gy = 0.0
-    gz = -(g00 * fx2 + g11 * fy2)
-    if cam[_X_LOW] <= slope_x <= cam[_X_HIGH]:
-        gx = -g02 * fx2
-        gz += 2.0 * g02 * fx2 * slope_x
-    else:
-        gz += g02 * fx2 * min(max(slope_x, cam[_X_LOW]), cam[_X_HIGH])
-    if cam[_Y_LOW] <= slope_y <= cam[_Y_HIGH]:
-        gy = -g12 * fy2
-        gz += 2.0 * g12 * fy2 * slope_y
-    else:
-        gz += g12 * fy2 * min(max(slope_y, cam[_Y_LOW]), cam[_Y_HIGH])
-    return gx, gy, gz
+    held_x = minimum(maximum(slope_x, cam[_X_LOW]), cam[_X_HIGH])
+    held_y = minimum(maximum(slope_y, cam[_Y_LOW]), cam[_Y_HIGH])
+    free_x, free_y = where(held_x == slope_x, 1.0, 0.0), where(held_y == slope_y, 1.0, 0.0)
+    gz = -(g00 * fx2 + g11 * fy2) + g02 * fx2 * held_x * (1.0 + free_x) + g12 * fy2 * held_y * (1.0 + free_y)
+    return -g02 * fx2 * free_x, -g12 * fy2 * free_y, gz
+
+
+@njit(cache=True, error_model="numpy")
+def _per_length(qw, qx, qy, qz):  # type: ignore[no-untyped-def]
+    """One over the length of a quaternion; 0 for one of length 0, which so turns nothing."""
+    length = root(qw * qw + qx * qx + qy * qy + qz * qz)
+    return where(length > 0.0, 1.0 / length, 0.0)
 
 
 @njit(cache=True, error_model="numpy")
 def rotation(qw, qx, qy, qz):  # type: ignore[no-untyped-def]
     """Rotation matrix (9, by rows) of a quaternion wxyz of any length; one of length 0 turns nothing."""
-    length = math.sqrt(qw * qw + qx * qx + qy * qy + qz * qz)
-    if not length > 0.0:
-        return 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0
-    unit = 1.0 / length
+    unit = _per_length(qw, qx, qy, qz)
     w, x, y, z = qw * unit, qx * unit, qy * unit, qz * unit
     return (
         1.0 - 2.0 * (y * y + z * z),
@@ -180,10 +171,7 @@ def rotation(qw, qx, qy, qz):  # type: ignore[no-untyped-def]
 @njit(cache=True, error_model="numpy")
 def rotation_backward(qw, qx, qy, qz, g):  # type: ignore[no-untyped-def]
     """dL/dq (4,) of `rotation`, given dL/dR (9, by rows). Zero for a quaternion of length 0."""
-    length = math.sqrt(qw * qw + qx * qx + qy * qy + qz * qz)
-    if not length > 0.0:
-        return 0.0, 0.0, 0.0, 0.0
-    unit = 1.0 / length
+    unit = _per_length(qw, qx, qy, qz)
     w, x, y, z = qw * unit, qx * unit, qy * unit, qz * unit
     g00, g01, g02, g10, g11, g12, g20, g21, g22 = g
     gw = 2.0 * (x * (g21 - g12) + y * (g02 - g20) + z * (g10 - g01))

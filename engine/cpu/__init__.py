@@ -1,5 +1,5 @@
 """The numba kernels of the classic renderer, one stage a file, in the order in which a frame runs through them:
-`depth_order`, `splats`, `tiles`, `blend`. `engine.classic` puts them together.
+`depth_order`, `splats`, `tiles`, `blend`. `engine.classic` puts them together. `lanes` gives them vectors.
 
 The kernels run on one core each and leave the interpreter free; `engine.threads.for_each` spreads their chunks over
 the cores. How the work is cut into chunks never depends on the number of cores, so neither does the result. All are

@@ -1,20 +1,16 @@
 """The pixel loops: front-to-back compositing of the Gaussians of a tile, and its derivative, back to front.
 
-A block, two rows of a tile, has 16 pixels: as many as the widest vector registers hold, so that the compiler turns the
-loop over it into straight vector code (it has no branch and a length known when compiling), and few enough that a small
+A block, two rows of a tile, has 16 pixels: as many as the widest vector registers hold, and few enough that a small
 splat skips the blocks above and below it. Which ones is noted in the list of pairs: were it computed here, the branch
 would be guessed wrongly at nearly every splat, and known only when the record of the splat has come from memory.
 """
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
-from llvmlite import ir  # type: ignore[import-untyped]
-from numba import njit, types
-from numba.extending import intrinsic, overload
+from numba import njit
 
+from engine.cpu.lanes import absolute, any_of, exp2, fma, load16, minimum, row_sums, store, where
 from engine.cpu.tiles import BLOCKS, SIDE, TAIL_BITS
 
 __all__ = [
@@ -46,8 +42,8 @@ STATE = 5
 ended; 1 2 3 colour; 4 depth times weight."""
 
 ADJOINT = 6
-"""Numbers per pixel on the way back, each in a run of BLOCK: 0 transmittance behind the current layer; 1 that times
-the derivative of the loss by it; 2 3 4 5 dL/d(colour, depth times weight)."""
+"""Numbers per pixel on the way back, each in a run of BLOCK: 0 transmittance behind the current layer; 1 the derivative
+of the loss by it; 2 3 4 5 dL/d(colour, depth times weight)."""
 
 ROW = BLOCK
 """Numbers that a (tile, Gaussian) pair hands back, sums over its pixels; 64 bytes in float32, one cache line.
@@ -55,105 +51,39 @@ ROW = BLOCK
 With p = dL/dalpha * alpha, w the pixel's weight and m, n as in a record: 0 p, 1 p m, 2 p m^2, 3 p n, 4 p n m, 5 p n^2,
 then w times the picture's gradient in 6 7 8 colour, 9 depth. The rest is 0."""
 
-CHECK = 16
-"""Pairs between two looks at whether the tile has become opaque."""
-
-ROUND = 12582912.0  # 1.5 * 2^23: adding it to a float32 leaves the nearest whole number in the lowest bits
-
-
-@intrinsic
-def _float_bits(typingctx, x):  # type: ignore[no-untyped-def]
-    """The bits of a float32 as int32."""
-
-    def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
-        return builder.bitcast(args[0], ir.IntType(32))
-
-    return types.int32(types.float32), codegen
+BATCH = 64
+"""Pairs that go through the blocks of a tile together: a block's pixels stay in registers meanwhile, and those that
+have all ended are noticed after it."""
 
 
-@intrinsic
-def _bits_float(typingctx, x):  # type: ignore[no-untyped-def]
-    """The float32 of these bits."""
+@njit(cache=True, error_model="numpy")
+def _centres(kind):  # type: ignore[no-untyped-def]
+    """((2 + BLOCKS) * BLOCK,) of the float type of `kind`: a tile's pixel centres, from its corner.
 
-    def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
-        return builder.bitcast(args[0], ir.FloatType())
-
-    return types.float32(types.int32), codegen
-
-
-@intrinsic
-def _fold(typingctx, lanes, slope, middle, row):  # type: ignore[no-untyped-def]
-    """Writes the sums over lanes (7, BLOCK) that a pair hands back to row (ROW,), in the order of `ROW`.
-
-    The columns' m = slope * (middle + -3.5..3.5) comes in here, as it is the same in every block.
-
-    Halves are added to halves, for all sums at once, until every number of one vector is one of the sums. The compiler
-    may not reorder a plain loop of float additions, and would add number after number.
+    x of a block, the same for all; zeros; then y of each block.
     """
-
-    def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
-        kind = context.get_data_type(signature.args[0].dtype)
-        vector, align = ir.VectorType(kind, BLOCK), context.get_abi_sizeof(kind)
-        data = context.make_array(signature.args[0])(context, builder, args[0]).data
-        start = builder.bitcast(data, vector.as_pointer())
-        p, pn, pnn, *colours = (
-            builder.load(builder.gep(start, [ir.Constant(ir.IntType(64), k)]), align=align) for k in range(7)
-        )
-        columns = ir.Constant(vector, [i % SIDE - 0.5 * (SIDE - 1) for i in range(BLOCK)])
-        undefined = ir.Constant(vector, ir.Undefined)
-        spread = ir.Constant(ir.VectorType(ir.IntType(32), BLOCK), [0] * BLOCK)
-        everywhere = [
-            builder.shuffle_vector(
-                builder.insert_element(undefined, scalar, ir.Constant(ir.IntType(32), 0)), undefined, spread
-            )
-            for scalar in args[1:3]
-        ]
-        m = builder.fmul(everywhere[0], builder.fadd(columns, everywhere[1]))
-        pm = builder.fmul(p, m)
-        vectors = [p, pm, builder.fmul(pm, m), pn, builder.fmul(pn, m), pnn, *colours]
-        vectors += [ir.Constant(vector, [0.0] * BLOCK)] * (BLOCK - len(vectors))
-        half = BLOCK // 2
-        while half:
-            low = [k for k in range(2 * BLOCK) if k % (2 * half) < half]
-            first, second = (
-                ir.Constant(ir.VectorType(ir.IntType(32), BLOCK), [k + shift for k in low]) for shift in (0, half)
-            )
-            vectors = [
-                builder.fadd(builder.shuffle_vector(a, b, first), builder.shuffle_vector(a, b, second))
-                for a, b in zip(vectors[::2], vectors[1::2], strict=True)
-            ]
-            half //= 2
-        out = context.make_array(signature.args[3])(context, builder, args[3]).data
-        builder.store(vectors[0], builder.bitcast(out, vector.as_pointer()), align=align)
-        return context.get_dummy_value()
-
-    return types.none(lanes, lanes.dtype, lanes.dtype, row), codegen
+    out = np.zeros((2 + BLOCKS) * BLOCK, kind.dtype)
+    for i in range(BLOCK):
+        out[i] = i % SIDE + 0.5
+        for block in range(BLOCKS):
+            out[(2 + block) * BLOCK + i] = 2 * block + i // SIDE + 0.5
+    return out
 
 
-def exp2(x):  # type: ignore[no-untyped-def]
-    """2^x for -100 < x < 100. In float32 a polynomial, because the library's is a call and stops vectorisation."""
-    return 2.0**x
+@njit(cache=True, error_model="numpy")
+def _columns(across, u, a, b, light):  # type: ignore[no-untyped-def]
+    """m, the part of n, and the part of log2(alpha) that the columns decide."""
+    dx = across - u
+    m = dx * a
+    return m, dx * b, fma(-m, m, light)
 
 
-@overload(exp2)
-def _exp2(x):  # type: ignore[no-untyped-def]
-    if x is not types.float32:
-        return lambda x: math.exp(x * 0.6931471805599453)
-
-    def exp2_float32(x):  # type: ignore[no-untyped-def]
-        shifted = x + np.float32(ROUND)
-        r = x - (shifted - np.float32(ROUND))  # -0.5 .. 0.5
-        y = np.float32(1.5353362e-4)
-        y = y * r + np.float32(1.3398874e-3)
-        y = y * r + np.float32(9.6184373e-3)
-        y = y * r + np.float32(5.5503324e-2)
-        y = y * r + np.float32(2.4022648e-1)
-        y = y * r + np.float32(6.9314720e-1)
-        y = y * r + np.float32(1.0)
-        bits = _float_bits(y) + (_float_bits(shifted) << np.int32(23))  # type: ignore[call-arg]
-        return _bits_float(bits)
-
-    return exp2_float32
+@njit(cache=True, error_model="numpy")
+def _rows(down, v, c, n, power):  # type: ignore[no-untyped-def]
+    """(alpha, n) from the parts of `_columns`; alpha is 2^(light - m^2 - n^2), and 0 where that is under 1/255."""
+    n = fma(down - v, c, n)
+    power = fma(-n, n, power)
+    return where(power >= -TAIL_BITS, minimum(exp2(power), MAX_ALPHA), 0.0), n
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -170,59 +100,79 @@ def blend(  # type: ignore[no-untyped-def]
 ):
     """Goes on compositing the tiles of one task with the pairs of a slice; closes tiles that have become opaque."""
     number = states.dtype.type
-    zero, half, one = number(0), number(0.5), number(1)
-    least, most, dark = number(-TAIL_BITS), number(MAX_ALPHA), number(MIN_TRANSMITTANCE)
     tiles_x = open_tiles.shape[1]
+    centres = _centres(states)
+    listed, counts = np.empty((BLOCKS, BATCH), np.int32), np.empty(BLOCKS, np.int64)
     for index in range(task * tiles_per_task, min((task + 1) * tiles_per_task, len(tiles))):
         tile = tiles[index]
         ty = tile // tiles_x
         tx = tile - ty * tiles_x
         left, top = number(tx * SIDE), number(ty * SIDE)
         open_blocks = (1 << BLOCKS) - 1
-        at = tile_starts[tile]
         end = tile_starts[tile + 1]
-        while at < end:
-            batch = min(at + CHECK, end)
-            while at < batch:
-                slot = pair_codes[at] >> BLOCKS
-                blocks = pair_codes[at] & open_blocks
-                at += 1
-                q = records[slot]
-                u, v = (q[0] - left) + q[1], (q[2] - top) + q[3]
-                a, b, c, light = q[4], q[5], q[6], q[7]
-                red, green, blue, depth = q[8], q[9], q[10], q[11]
-                for block in range(BLOCKS):
-                    if not (blocks >> block) & 1:
-                        continue
-                    s = states[tile, block]
-                    last_drawn = lasts[tile, block]
-                    y = number(2 * block) + half - v
-                    for i in range(BLOCK):
-                        dx = number(i & (SIDE - 1)) + half - u
-                        m = a * dx
-                        n = b * dx + c * (y + number(i // SIDE))
-                        power = light - (m * m + n * n)
-                        alpha = min(exp2(power), most)
-                        alpha = alpha if power >= least else zero
-                        before = s[i]
-                        after = before * (one - alpha)
-                        going = after >= dark
-                        w = alpha * before if going else zero
-                        s[i] = after if going else min(before, -before)
-                        s[BLOCK + i] += w * red
-                        s[2 * BLOCK + i] += w * green
-                        s[3 * BLOCK + i] += w * blue
-                        s[4 * BLOCK + i] += w * depth
-                        last_drawn[i] = slot if w > zero else last_drawn[i]
-            open_blocks = 0
+        for at in range(tile_starts[tile], end, BATCH):
+            _list_blocks(pair_codes[at : min(at + BATCH, end)], listed, counts)
             for block in range(BLOCKS):
-                open_pixels = 0
-                for i in range(BLOCK):
-                    open_pixels += states[tile, block, i] > zero
-                open_blocks |= (open_pixels > 0) << block
+                if (open_blocks >> block) & 1 and not _blend_block(
+                    listed[block, : counts[block]],
+                    records,
+                    left,
+                    top,
+                    load16(centres, 0),
+                    load16(centres, (2 + block) * BLOCK),
+                    states[tile, block],
+                    lasts[tile, block],
+                ):
+                    open_blocks ^= 1 << block
             if open_blocks == 0:
                 open_tiles[ty, tx] = 0
                 break
+
+
+@njit(cache=True, error_model="numpy")
+def _list_blocks(codes, listed, counts):  # type: ignore[no-untyped-def]
+    """Sorts the records of some pairs by the blocks that they touch: listed (BLOCKS, BATCH), counts (BLOCKS,).
+
+    Without a branch, which would be guessed wrongly half of the time.
+    """
+    n0 = n1 = n2 = n3 = 0
+    for k in range(len(codes)):
+        code = codes[k]
+        slot = code >> BLOCKS
+        listed[0, n0], listed[1, n1], listed[2, n2], listed[3, n3] = slot, slot, slot, slot
+        n0 += code & 1
+        n1 += (code >> 1) & 1
+        n2 += (code >> 2) & 1
+        n3 += (code >> 3) & 1
+    counts[0], counts[1], counts[2], counts[3] = n0, n1, n2, n3
+
+
+@njit(cache=True, error_model="numpy")
+def _blend_block(slots, records, left, top, across, down, s, last_drawn):  # type: ignore[no-untyped-def]
+    """Composites records into the state of one block; whether some pixel of it is still open."""
+    before, last = load16(s, 0), load16(last_drawn, 0)
+    red, green, blue = load16(s, BLOCK), load16(s, 2 * BLOCK), load16(s, 3 * BLOCK)
+    depth = load16(s, 4 * BLOCK)
+    for k in range(len(slots)):
+        q = records[slots[k]]
+        _, n, power = _columns(across, (q[0] - left) + q[1], q[4], q[5], q[7])
+        alpha, _ = _rows(down, (q[2] - top) + q[3], q[6], n, power)
+        after = fma(alpha, -before, before)
+        going = after >= MIN_TRANSMITTANCE
+        w = where(going, alpha * before, 0.0)
+        before = where(going, after, -absolute(before))
+        red = fma(w, q[8], red)
+        green = fma(w, q[9], green)
+        blue = fma(w, q[10], blue)
+        depth = fma(w, q[11], depth)
+        last = where(w > 0.0, slots[k], last)
+    store(s, 0, before)
+    store(s, BLOCK, red)
+    store(s, 2 * BLOCK, green)
+    store(s, 3 * BLOCK, blue)
+    store(s, 4 * BLOCK, depth)
+    store(last_drawn, 0, last)
+    return any_of(before > 0.0)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -241,13 +191,12 @@ def blend_backward(  # type: ignore[no-untyped-def]
 ):
     """Walks back through the pairs of a slice in the tiles of one task and writes each pair's sums over its pixels.
 
-    With s_i = c_i . dL/dC + z_i dL/dD the loss is sum w_i s_i + T_end (bg . dL/dC - dL/dA) + const, hence
-    dL/dalpha_i = T_i s_i - B_i / (1 - alpha_i), B_i the same sum over the layers behind i and the background.
+    With s_i = c_i . dL/dC + z_i dL/dD and R_i the derivative by the transmittance behind layer i, which for the last is
+    bg . dL/dC - dL/dA: dL/dalpha_i = T_i (s_i - R_i), and R_(i-1) = R_i + alpha_i (s_i - R_i).
     """
     number = adjoints.dtype.type
-    zero, half, one = number(0), number(0.5), number(1)
-    least, most = number(-TAIL_BITS), number(MAX_ALPHA)
-    lanes = np.empty((7, BLOCK), adjoints.dtype)
+    centres = _centres(adjoints)
+    across, nothing = load16(centres, 0), load16(centres, BLOCK)
     block_last = np.empty(BLOCKS, np.int32)
     for index in range(task * tiles_per_task, min((task + 1) * tiles_per_task, len(tiles))):
         tile = tiles[index]
@@ -261,39 +210,43 @@ def blend_backward(  # type: ignore[no-untyped-def]
                 continue
             blocks = pair_codes[at]
             q = records[slot]
-            u, v = (q[0] - left) + q[1], (q[2] - top) + q[3]
-            a, b, c, light = q[4], q[5], q[6], q[7]
-            red, green, blue, depth = q[8], q[9], q[10], q[11]
-            lanes[:] = zero
+            v = (q[2] - top) + q[3]
+            m, n_part, power = _columns(across, (q[0] - left) + q[1], q[4], q[5], q[7])
+            p_sum, pn_sum, pnn_sum, red, green, blue, depth = (
+                nothing,
+                nothing,
+                nothing,
+                nothing,
+                nothing,
+                nothing,
+                nothing,
+            )
             for block in range(BLOCKS):
                 if not (blocks >> block) & 1 or slot > block_last[block]:
                     continue
                 s = adjoints[tile, block]
-                last_drawn = lasts[tile, block]
-                y = number(2 * block) + half - v
-                for i in range(BLOCK):
-                    m = a * (number(i & (SIDE - 1)) + half - u)
-                    n = b * (number(i & (SIDE - 1)) + half - u) + c * (y + number(i // SIDE))
-                    power = light - (m * m + n * n)
-                    alpha = min(exp2(power), most)
-                    alpha = alpha if (power >= least) & (slot <= last_drawn[i]) else zero
-                    share = one / (one - alpha)
-                    before = s[i] * share
-                    w = alpha * before
-                    shade = s[2 * BLOCK + i] * red + s[3 * BLOCK + i] * green + s[4 * BLOCK + i] * blue
-                    shade = shade + s[5 * BLOCK + i] * depth
-                    behind = s[BLOCK + i]
-                    p = (before * shade - behind * share) * (alpha if alpha < most else zero)
-                    s[i] = before
-                    s[BLOCK + i] = behind + w * shade
-                    lanes[0, i] += p
-                    lanes[1, i] += p * n
-                    lanes[2, i] += p * n * n
-                    lanes[3, i] += w * s[2 * BLOCK + i]
-                    lanes[4, i] += w * s[3 * BLOCK + i]
-                    lanes[5, i] += w * s[4 * BLOCK + i]
-                    lanes[6, i] += w * s[5 * BLOCK + i]
-            _fold(lanes, a, number(0.5 * SIDE) - u, rows[at])  # type: ignore[call-arg]
+                alpha, n = _rows(load16(centres, (2 + block) * BLOCK), v, q[6], n_part, power)
+                alpha = where(load16(lasts[tile, block], 0) >= slot, alpha, 0.0)
+                g_red, g_green, g_blue = load16(s, 2 * BLOCK), load16(s, 3 * BLOCK), load16(s, 4 * BLOCK)
+                g_depth = load16(s, 5 * BLOCK)
+                before = load16(s, 0) / (1.0 - alpha)
+                behind = load16(s, BLOCK)
+                more = fma(g_red, q[8], fma(g_green, q[9], fma(g_blue, q[10], g_depth * q[11]))) - behind
+                w = alpha * before
+                store(s, 0, before)
+                store(s, BLOCK, fma(alpha, more, behind))
+                p = where(alpha < MAX_ALPHA, w * more, 0.0)
+                pn = p * n
+                p_sum = p_sum + p
+                pn_sum = pn_sum + pn
+                pnn_sum = fma(pn, n, pnn_sum)
+                red = fma(w, g_red, red)
+                green = fma(w, g_green, green)
+                blue = fma(w, g_blue, blue)
+                depth = fma(w, g_depth, depth)
+            pm_sum = p_sum * m
+            sums = row_sums((p_sum, pm_sum, pm_sum * m, pn_sum, pn_sum * m, pnn_sum, red, green, blue, depth))
+            store(rows[at], 0, sums)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -320,7 +273,7 @@ def start_backward(  # type: ignore[no-untyped-def]
             left = abs(states[tile, block, i])
             red, green, blue = g_rgb[y, x, 0], g_rgb[y, x, 1], g_rgb[y, x, 2]
             s[i] = left
-            s[BLOCK + i] = left * (background[0] * red + background[1] * green + background[2] * blue - g_alpha[y, x])
+            s[BLOCK + i] = background[0] * red + background[1] * green + background[2] * blue - g_alpha[y, x]
             s[2 * BLOCK + i], s[3 * BLOCK + i], s[4 * BLOCK + i] = red, green, blue
             s[5 * BLOCK + i] = g_depth[y, x]
 

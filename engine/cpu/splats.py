@@ -7,6 +7,8 @@ import math
 import numpy as np
 from numba import njit
 
+from engine.cpu.blend import ROW
+from engine.cpu.lanes import floor, load8, load16, root, store, widen
 from engine.cpu.tiles import BLOCKS, SIDE, TAIL_BITS, box_size
 from engine.formula import LOW_PASS
 from engine.projection import (
@@ -37,6 +39,12 @@ c dy^2 does; 8 9 10 colour, 11 depth; 12 13 half width and height of the ellipse
 
 GRADIENT = 10
 """Numbers of a row of `engine.cpu.blend.ROW` that mean something."""
+
+GROUP = 8
+"""Gaussians that are computed side by side: as many float64 as the widest vector registers hold."""
+
+GIVEN = 11
+"""Numbers of a Gaussian without its colours."""
 
 LOG2_E = 1.0 / math.log(2.0)
 ROOT_HALF_LOG2_E = math.sqrt(0.5 * LOG2_E)
@@ -132,19 +140,51 @@ FRINGE = REACH * math.sqrt(LOW_PASS) + 1.0
 
 @njit(cache=True, error_model="numpy")
 def _gather(rows, means, scales, quats, opacities):  # type: ignore[no-untyped-def]
-    """(len(rows), 11) float64: mean, scales, quaternion, opacity of these Gaussians.
+    """(groups, GIVEN, GROUP) float64: mean, scales, quaternion, opacity of these Gaussians, group after group.
 
     They lie all over memory: a loop that only loads has many on their way at once, one that also computes has few.
     """
-    out = np.empty((len(rows), 11), np.float64)
+    out = np.zeros((-(-len(rows) // GROUP), GIVEN, GROUP), np.float64)
     for k in range(len(rows)):
-        i = rows[k]
-        g = out[k]
-        g[0], g[1], g[2] = means[i, 0], means[i, 1], means[i, 2]
-        g[3], g[4], g[5] = scales[i, 0], scales[i, 1], scales[i, 2]
-        g[6], g[7], g[8], g[9] = quats[i, 0], quats[i, 1], quats[i, 2], quats[i, 3]
-        g[10] = opacities[i]
+        i, lane = rows[k], k % GROUP
+        g = out[k // GROUP]
+        g[0, lane], g[1, lane], g[2, lane] = means[i, 0], means[i, 1], means[i, 2]
+        g[3, lane], g[4, lane], g[5, lane] = scales[i, 0], scales[i, 1], scales[i, 2]
+        g[6, lane], g[7, lane], g[8, lane], g[9, lane] = quats[i, 0], quats[i, 1], quats[i, 2], quats[i, 3]
+        g[10, lane] = opacities[i]
     return out
+
+
+@njit(cache=True, error_model="numpy")
+def _project_group(cam, given, log_opacity, out):  # type: ignore[no-untyped-def]
+    """Fills out (RECORD + 3, GROUP), colours apart: the records of one group, then det, u and v."""
+    px, py, pz = load8(given, 0), load8(given, GROUP), load8(given, 2 * GROUP)
+    sx, sy, sz = load8(given, 3 * GROUP), load8(given, 4 * GROUP), load8(given, 5 * GROUP)
+    qw, qx = load8(given, 6 * GROUP), load8(given, 7 * GROUP)
+    qy, qz = load8(given, 8 * GROUP), load8(given, 9 * GROUP)
+    x, y, z = camera_point(cam, px, py, pz)
+    u, v = project_point(cam, x, y, z)
+    axes = half_axes(cam, qw, qx, qy, qz, sx, sy, sz)
+    xx, xy, yy, det, _ = screen_covariance(screen_axes(jacobian(cam, x, y, z), axes), LOW_PASS)
+    power = load8(log_opacity, 0)
+    reach = (power + TAIL_BITS) * (2.0 / LOG2_E)  # squared, in standard deviations
+    whole_u, whole_v = floor(u), floor(v)
+    store(out, 0, whole_u)
+    store(out, GROUP, u - whole_u)
+    store(out, 2 * GROUP, whole_v)
+    store(out, 3 * GROUP, v - whole_v)
+    store(out, 4 * GROUP, ROOT_HALF_LOG2_E / root(xx))
+    store(out, 5 * GROUP, -ROOT_HALF_LOG2_E * xy / root(xx * det))
+    store(out, 6 * GROUP, ROOT_HALF_LOG2_E * root(xx / det))
+    store(out, 7 * GROUP, power)
+    store(out, 11 * GROUP, z)
+    store(out, 12 * GROUP, root(reach * xx))
+    store(out, 13 * GROUP, root(reach * yy))
+    store(out, 14 * GROUP, xy / yy)
+    store(out, 15 * GROUP, root(reach * det / yy))
+    store(out, 16 * GROUP, det)
+    store(out, 17 * GROUP, u)
+    store(out, 18 * GROUP, v)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -194,47 +234,22 @@ def project(  # type: ignore[no-untyped-def]
 
     most_pairs = 0
     slot = start
+    log_opacity, out = np.zeros(GROUP, np.float64), np.empty((RECORD + 3, GROUP), np.float64)
     for k in range(count):
-        i = rows[k]
-        g = gathered[k]
-        px, py, pz, sx, sy, sz, qw, qx, qy, qz, opacity = (
-            g[0],
-            g[1],
-            g[2],
-            g[3],
-            g[4],
-            g[5],
-            g[6],
-            g[7],
-            g[8],
-            g[9],
-            g[10],
-        )
-        x, y, z = camera_point(cam, px, py, pz)
-        u, v = project_point(cam, x, y, z)
-        affine = jacobian(cam, x, y, z)
-        if not opacity * 255.0 >= 1.0:
+        i, lane = rows[k], k % GROUP
+        g = gathered[k // GROUP]
+        if lane == 0:
+            for other in range(GROUP):
+                log_opacity[other] = math.log2(g[10, other])
+            _project_group(cam, g, log_opacity, out)
+        if not g[10, lane] * 255.0 >= 1.0:
             continue
-        axes = half_axes(cam, qw, qx, qy, qz, sx, sy, sz)
-        xx, xy, yy, det, _ = screen_covariance(screen_axes(affine, axes), LOW_PASS)
-        if not (det > 0.0 and det < 1e60 and abs(u) + abs(v) < 1e15):
+        det = out[16, lane]
+        if not (det > 0.0 and det < 1e60 and abs(out[17, lane]) + abs(out[18, lane]) < 1e15):
             continue  # not a number, or past all measure
-        log_opacity = math.log2(opacity)
-        reach = 2.0 * (log_opacity + TAIL_BITS) / LOG2_E  # squared, in standard deviations
         record = records[slot]
-        record[0] = math.floor(u)
-        record[1] = u - math.floor(u)
-        record[2] = math.floor(v)
-        record[3] = v - math.floor(v)
-        record[4] = ROOT_HALF_LOG2_E / math.sqrt(xx)
-        record[5] = -ROOT_HALF_LOG2_E * xy / math.sqrt(xx * det)
-        record[6] = ROOT_HALF_LOG2_E * math.sqrt(xx / det)
-        record[7] = log_opacity
-        record[11] = z
-        record[12] = math.sqrt(reach * xx)
-        record[13] = math.sqrt(reach * yy)
-        record[14] = xy / yy
-        record[15] = math.sqrt(reach * det / yy)
+        for n in range(RECORD):
+            record[n] = out[n, lane]
         size = box_size(record, tiles_y, tiles_x)
         if size == 0:
             continue
@@ -242,7 +257,7 @@ def project(  # type: ignore[no-untyped-def]
         if plain:
             record[8], record[9], record[10] = colours[i, 0, 0], colours[i, 0, 1], colours[i, 0, 2]
         else:
-            dx, dy, dz, _ = _direction(cam, eye, px, py, pz)
+            dx, dy, dz, _ = _direction(cam, eye, g[0, lane], g[1, lane], g[2, lane])
             _sh_basis(dx, dy, dz, bands, basis)
             for channel in range(3):
                 value = 0.5
@@ -253,6 +268,48 @@ def project(  # type: ignore[no-untyped-def]
         slot += 1
     record_counts[chunk] = slot - start
     pair_bounds[chunk] = most_pairs
+
+
+@njit(cache=True, error_model="numpy")
+def _project_group_backward(cam, given, sums, out):  # type: ignore[no-untyped-def]
+    """Fills out (GIVEN, GROUP): dL/d(given), from the Gaussians of one group (GIVEN, GROUP) and sums (GRADIENT + 3,
+    GROUP) of their rows, followed by the whitening of their records. The way over the direction of view is left out."""
+    px, py, pz = load8(given, 0), load8(given, GROUP), load8(given, 2 * GROUP)
+    sx, sy, sz = load8(given, 3 * GROUP), load8(given, 4 * GROUP), load8(given, 5 * GROUP)
+    qw, qx = load8(given, 6 * GROUP), load8(given, 7 * GROUP)
+    qy, qz = load8(given, 8 * GROUP), load8(given, 9 * GROUP)
+    sm, smm, sn = load8(sums, GROUP), load8(sums, 2 * GROUP), load8(sums, 3 * GROUP)
+    smn, snn = load8(sums, 4 * GROUP), load8(sums, 5 * GROUP)
+    a, b, c = load8(sums, 10 * GROUP), load8(sums, 11 * GROUP), load8(sums, 12 * GROUP)
+    x, y, z = camera_point(cam, px, py, pz)
+    affine = jacobian(cam, x, y, z)
+    axes = half_axes(cam, qw, qx, qy, qz, sx, sy, sz)
+    screen = screen_axes(affine, axes)
+    # With W = [[a, 0], [b, c]] the inverse covariance is 2 ln2 W^T W: so dL/d(mean) = 2 ln2 W^T (p m, p n)
+    # and dL/dC = 2 ln2^2 W^T [[p m^2, p m n], [p m n, p n^2]] W.
+    gu = TWO_LN2 * (a * sm + b * sn)
+    gv = TWO_LN2 * c * sn
+    h0, h1 = smm * a + smn * b, smn * a + snn * b
+    gxx = 0.5 * TWO_LN2 * TWO_LN2 * (a * h0 + b * h1)
+    gxy = TWO_LN2 * TWO_LN2 * c * h1
+    gyy = 0.5 * TWO_LN2 * TWO_LN2 * c * c * snn
+    g_affine, g_axes = screen_axes_backward(affine, axes, screen_covariance_backward(screen, gxx, gxy, gyy))
+    g_quat, g_scale = half_axes_backward(cam, qw, qx, qy, qz, sx, sy, sz, g_axes)
+    g1 = jacobian_backward(cam, x, y, z, g_affine[0], g_affine[1], g_affine[2], g_affine[3])
+    g2 = project_point_backward(cam, x, y, z, gu, gv)
+    depth = load8(sums, 9 * GROUP)
+    gx, gy, gz = camera_point_backward(cam, g1[0] + g2[0], g1[1] + g2[1], g1[2] + g2[2] + depth)
+    store(out, 0, gx)
+    store(out, GROUP, gy)
+    store(out, 2 * GROUP, gz)
+    store(out, 3 * GROUP, g_scale[0])
+    store(out, 4 * GROUP, g_scale[1])
+    store(out, 5 * GROUP, g_scale[2])
+    store(out, 6 * GROUP, g_quat[0])
+    store(out, 7 * GROUP, g_quat[1])
+    store(out, 8 * GROUP, g_quat[2])
+    store(out, 9 * GROUP, g_quat[3])
+    store(out, 10 * GROUP, load8(sums, 0) / load8(given, 10 * GROUP))
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -289,78 +346,42 @@ def project_backward(  # type: ignore[no-untyped-def]
     basis = np.empty(16, np.float64)
     g_basis = np.empty(16, np.float64)
     slots = np.empty(record_counts[chunk], np.int64)
-    sums = np.empty((record_counts[chunk], GRADIENT), np.float64)
+    sums = np.zeros((-(-record_counts[chunk] // GROUP), GRADIENT + 3, GROUP), np.float64)
+    total = np.zeros(2 * ROW, np.float64)
+    nothing = load16(total, ROW)
     count = 0
     pair = first_places[chunk]
     for slot in range(start, start + record_counts[chunk]):
-        s0 = s1 = s2 = s3 = s4 = s5 = s6 = s7 = s8 = s9 = 0.0
+        lanes = nothing
         seen = False
         for _ in range(pair_counts[slot]):
             if slot <= tile_lasts[pair_tiles[pair] >> BLOCKS]:
                 seen = True
-                row = rows[pair_places[pair]]
-                s0 += row[0]
-                s1 += row[1]
-                s2 += row[2]
-                s3 += row[3]
-                s4 += row[4]
-                s5 += row[5]
-                s6 += row[6]
-                s7 += row[7]
-                s8 += row[8]
-                s9 += row[9]
+                lanes = lanes + widen(load16(rows[pair_places[pair]], 0))
             pair += 1
         if seen:
             slots[count] = slot
-            total = sums[count]
-            total[0], total[1], total[2], total[3], total[4] = s0, s1, s2, s3, s4
-            total[5], total[6], total[7], total[8], total[9] = s5, s6, s7, s8, s9
+            store(total, 0, lanes)
+            group, lane = sums[count // GROUP], count % GROUP
+            for n in range(GRADIENT):
+                group[n, lane] = total[n]
+            for n in range(3):
+                group[GRADIENT + n, lane] = records[slot, 4 + n]
             count += 1
     gathered = _gather(owners[slots[:count]], means, scales, quats, opacities)
 
+    out = np.empty((GIVEN, GROUP), np.float64)
     for k in range(count):
-        slot = slots[k]
-        i = owners[slot]
-        g = gathered[k]
-        px, py, pz, sx, sy, sz, qw, qx, qy, qz, opacity = (
-            g[0],
-            g[1],
-            g[2],
-            g[3],
-            g[4],
-            g[5],
-            g[6],
-            g[7],
-            g[8],
-            g[9],
-            g[10],
-        )
-        a, b, c = np.float64(records[slot, 4]), np.float64(records[slot, 5]), np.float64(records[slot, 6])
-        sp, sm, smm, sn, smn, snn = sums[k, 0], sums[k, 1], sums[k, 2], sums[k, 3], sums[k, 4], sums[k, 5]
-        red, green, blue, depth = sums[k, 6], sums[k, 7], sums[k, 8], sums[k, 9]
-        x, y, z = camera_point(cam, px, py, pz)
-        affine = jacobian(cam, x, y, z)
-        axes = half_axes(cam, qw, qx, qy, qz, sx, sy, sz)
-        screen = screen_axes(affine, axes)
-
-        g_opacities[i] = sp / opacity
-        # With W = [[a, 0], [b, c]] the inverse covariance is 2 ln2 W^T W: so dL/d(mean) = 2 ln2 W^T (p m, p n)
-        # and dL/dC = 2 ln2^2 W^T [[p m^2, p m n], [p m n, p n^2]] W.
-        gu = TWO_LN2 * (a * sm + b * sn)
-        gv = TWO_LN2 * c * sn
-        h0, h1 = smm * a + smn * b, smn * a + snn * b
-        gxx = 0.5 * TWO_LN2 * TWO_LN2 * (a * h0 + b * h1)
-        gxy = TWO_LN2 * TWO_LN2 * c * h1
-        gyy = 0.5 * TWO_LN2 * TWO_LN2 * c * c * snn
-        g_affine, g_axes = screen_axes_backward(affine, axes, screen_covariance_backward(screen, gxx, gxy, gyy))
-        g_quat, g_scale = half_axes_backward(cam, qw, qx, qy, qz, sx, sy, sz, g_axes)
-        g1 = jacobian_backward(cam, x, y, z, g_affine[0], g_affine[1], g_affine[2], g_affine[3])
-        g2 = project_point_backward(cam, x, y, z, gu, gv)
-        gx, gy, gz = camera_point_backward(cam, g1[0] + g2[0], g1[1] + g2[1], g1[2] + g2[2] + depth)
+        i, lane = owners[slots[k]], k % GROUP
+        given, group = gathered[k // GROUP], sums[k // GROUP]
+        if lane == 0:
+            _project_group_backward(cam, given, group, out)
+        gx, gy, gz = out[0, lane], out[1, lane], out[2, lane]
+        red, green, blue = group[6, lane], group[7, lane], group[8, lane]
         if plain:
             g_colours[i, 0, 0], g_colours[i, 0, 1], g_colours[i, 0, 2] = red, green, blue
         else:
-            dx, dy, dz, length = _direction(cam, eye, px, py, pz)
+            dx, dy, dz, length = _direction(cam, eye, given[0, lane], given[1, lane], given[2, lane])
             _sh_basis(dx, dy, dz, bands, basis)
             g_basis[:] = 0.0
             for channel in range(3):
@@ -379,5 +400,7 @@ def project_backward(  # type: ignore[no-untyped-def]
                 gy += (hy - along * dy) / length
                 gz += (hz - along * dz) / length
         g_means[i, 0], g_means[i, 1], g_means[i, 2] = gx, gy, gz
-        g_scales[i, 0], g_scales[i, 1], g_scales[i, 2] = g_scale
-        g_quats[i, 0], g_quats[i, 1], g_quats[i, 2], g_quats[i, 3] = g_quat
+        g_scales[i, 0], g_scales[i, 1], g_scales[i, 2] = out[3, lane], out[4, lane], out[5, lane]
+        for n in range(4):
+            g_quats[i, n] = out[6 + n, lane]
+        g_opacities[i] = out[10, lane]
