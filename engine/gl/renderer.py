@@ -24,6 +24,7 @@ from engine.gl.look import Look, Mode
 from engine.gl.opaque import Group, OpaqueMode, grouped
 from engine.gl.overlay import Lines, OverlayPass, Sheet
 from engine.gl.screen import Screen
+from engine.gl.software import SoftwareMode, is_software
 from engine.gl.solid import Solid
 from engine.gl.targets import NOTHING, Accumulators, Frame
 from engine.gl.view import View
@@ -56,14 +57,20 @@ class Renderer:
     A foreign context is left with another framebuffer bound and other capabilities enabled than it was found with.
     """
 
-    def __init__(self, ctx: moderngl.Context | None = None) -> None:
-        """Attached to a context, or on one of its own without a window (raises context.GLMissing)."""
+    def __init__(self, ctx: moderngl.Context | None = None, shaders: bool | None = None) -> None:
+        """Attached to a context, or on one of its own without a window (raises context.GLMissing).
+
+        shaders: whether the solid is drawn by GLSL or by the processor's own kernels; None: by whichever is faster,
+        that is by GLSL wherever there is a graphics card.
+        """
         self._own = ctx is None
         self.ctx = offscreen_context() if ctx is None else ctx
         self._programs = Programs(self.ctx)
         self._pool = Pool(self.ctx)
         self._screen = Screen(self.ctx, self._programs)
         self._opaque = OpaqueMode(self.ctx, self._programs, self._pool, self._screen)
+        by_shaders = not is_software(self.ctx.info["GL_RENDERER"]) if shaders is None else shaders
+        self._software = None if by_shaders else SoftwareMode()
         self._overlays = OverlayPass(self.ctx, self._programs)
         self._solid: Solid | None = None
         self._capture: Capture | None = None
@@ -106,7 +113,7 @@ class Renderer:
         assert self._solid is not None, "no atoms yet"
         self._solid.update(sh, rgb)
         if rgb is not None:
-            self._opaque.section.grids.clear()
+            self._forget_grids()
 
     # Drawing
 
@@ -141,10 +148,15 @@ class Renderer:
         self._camera, self._pieces = camera, list(pieces)
         self._groups = grouped(self._pieces)
         ground = np.asarray(background, np.float64)
-        frame = self._frames[0]
-        frame.clear(ground)
-        sums = self._sums
+        frame, sums = self._frames[0], self._sums
         assert sums is not None
+        if self._software is not None and mode != "classic" and self._solid is not None:
+            look = Look(mode == "interior", light, exact, level, cull)
+            self._software.draw(self._solid, camera, self._pieces, self._groups, frame, ground, look)
+            return frame.colour
+        if self._software is not None:
+            self._software.forget()
+        frame.clear(ground)
         if mode == "classic":
             if self._capture is not None:
                 self._capture.draw(camera, sums, wait)
@@ -231,6 +243,8 @@ class Renderer:
         for frame in self._frames:
             frame.release()
         self._frames = []
+        if self._software is not None:
+            self._software.forget()
         if self._sums is not None:
             self._sums.release()
             self._sums = None
@@ -240,10 +254,15 @@ class Renderer:
 
     def _drop_solid(self) -> None:
         self._pool.clear()
-        self._opaque.section.grids.clear()
+        self._forget_grids()
         if self._solid is not None:
             self._solid.release()
             self._solid = None
+
+    def _forget_grids(self) -> None:
+        self._opaque.section.grids.clear()
+        if self._software is not None:
+            self._software.grids.clear()
 
     def _drop_capture(self) -> None:
         self._pool.clear()
@@ -264,6 +283,8 @@ class Renderer:
         self._drop_targets()
         self._overlays.release()
         self._opaque.release()
+        if self._software is not None:
+            self._software.release()
         self._screen.release()
         self._pool.release()
         self._programs.release()

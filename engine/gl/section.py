@@ -7,6 +7,7 @@ than they are) is added up pixel by pixel.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import moderngl
@@ -25,7 +26,7 @@ from engine.gl.targets import Accumulators
 from engine.gl.view import View
 from engine.plane import frame
 
-__all__ = ["SectionPass"]
+__all__ = ["Face", "SectionPass", "near_face", "scale_of", "visible_faces"]
 
 Double = NDArray[np.float64]
 
@@ -53,10 +54,15 @@ class Face:
     parts: list[Double]
     """Convex polygons (V, 3), one vertex after the other."""
 
-    @property
+    @cached_property
     def corners(self) -> Double:
         """(V, 3). All of them."""
         return np.concatenate(self.parts)
+
+    def widest_pixel(self, view: View) -> float:
+        """World units that a pixel spans where the face is farthest away."""
+        depths = self.corners @ view.matrix[2, :3] + view.matrix[2, 3]
+        return float(view.footprint(np.array([depths.max()]))[0])
 
 
 class SectionPass:
@@ -82,7 +88,7 @@ class SectionPass:
         look: Look,
     ) -> bool:
         """Adds the piece's faces to the face layer, nearest first in depth; False where it shows none."""
-        faces = self._faces(view, planes, mates, box, 1e-3 * pitch)
+        faces = visible_faces(view, planes, mates, box, 1e-3 * pitch)
         if not faces:
             return False
         if self.vertices.write(np.concatenate([f.corners for f in faces]).astype(np.float32)):
@@ -90,8 +96,7 @@ class SectionPass:
         ctx = self.ctx
         grids = []
         for face in faces:
-            depths = face.corners @ view.matrix[2, :3] + view.matrix[2, 3]
-            widest = 0.5 * float(view.footprint(np.array([depths.max()]))[0])
+            widest = 0.5 * face.widest_pixel(view)
             minified = widest > float(spheres.reach.min(initial=np.inf)) / 3
             grids.append(None if look.exact or minified else self.grids.get(face.plane, spheres, look))
 
@@ -128,25 +133,6 @@ class SectionPass:
                 first += len(part)
         return True
 
-    def _faces(
-        self, view: View, planes: Double, mates: list[Double], box: tuple[Double, Double], tolerance: float
-    ) -> list[Face]:
-        """The faces of a piece that look towards the eye; where a mate lies against one, the matter runs on."""
-        front = view.sees_removed_side(planes) if len(planes) else np.zeros(0, bool)
-        if not front.any():
-            return []
-        found, first = [], 0
-        for j, polygon in enumerate(face_polygons(planes, *box)):
-            if not front[j] or len(polygon) < 3:
-                continue
-            parts = [polygon]
-            for mate in mates:
-                parts = [rest for part in parts for rest in without(part, mate, tolerance)]
-            if parts:
-                found.append(Face(j, planes[j], first, parts))
-                first += len(found[-1].corners)
-        return found
-
     def _polygon(self, program: moderngl.Program) -> moderngl.VertexArray:
         if program not in self._polygons:
             content = [layout(program, self.vertices.buffer, {"position": 3})]
@@ -161,28 +147,12 @@ class SectionPass:
         if not len(chunks):
             return
         ellipsoid = isinstance(atoms, Ellipsoids)
-        enlarge = look.disc_scale if ellipsoid else look.ball_scale
-        depths = face.corners @ view.matrix[2, :3] + view.matrix[2, 3]
-        least = 0.5 * float(view.footprint(np.array([depths.max()]))[0])
-        # An atom is felt three sigma away, or as much of a wide pixel's.
-        widened = np.maximum(chunks.sigma * enlarge, least)
-        kept = np.ones(len(chunks), bool)
-        seen, inside, _ = view.chunks_seen(chunks, enlarge)
-        if look.cull:
-            kept = seen.copy()
-            for j, plane in enumerate(planes):
-                distances = chunks.distances(plane[:3], plane[3])
-                kept &= distances[:, 0] <= 3 * widened
-                if j == face.index:
-                    kept &= distances[:, 1] >= -3 * widened
+        enlarge = scale_of(atoms, look)
+        _, inside, _ = view.chunks_seen(chunks, enlarge)
         steep = abs(face.plane[:3] @ view.matrix[2, :3]) >= OBLIQUE
+        widened = np.maximum(chunks.sigma * enlarge, 0.5 * face.widest_pixel(view))
         small = inside & (section_diameter(view, chunks, widened) <= POINT_LIMIT) & (steep and not ellipsoid)
-        reach = np.maximum(atoms.reach * enlarge, 3 * least).astype(np.float32)
-        flat, lists = planes.astype(np.float32), []
-        for points in (True, False):
-            chosen = kept & (small == points)
-            count = -(-chunks.count[chosen] // 2**look.level)
-            lists.append(near_plane(atoms.means, reach, chunks.first[chosen], count, flat, face.index))
+        lists = [near_face(view, planes, face, atoms, look, small == points) for points in (True, False)]
         self.pool.write_indices(np.concatenate(lists))
         e1, e2, _ = frame(face.plane[:3])
         others = view.planes_in_camera(np.delete(planes, face.index, 0))
@@ -229,6 +199,64 @@ class SectionPass:
         self._forget_polygons()
         self.grids.clear()
         self.vertices.release()
+
+
+def visible_faces(
+    view: View,
+    planes: Double,  # [P, 4] centred object space
+    mates: list[Double],  # [P, 4] each
+    box: tuple[Double, Double],
+    tolerance: float,
+) -> list[Face]:
+    """The faces of a piece that look towards the eye; where a mate lies against one, the matter runs on."""
+    front = view.sees_removed_side(planes) if len(planes) else np.zeros(0, bool)
+    if not front.any():
+        return []
+    found, first = [], 0
+    for j, polygon in enumerate(face_polygons(planes, *box)):
+        if not front[j] or len(polygon) < 3:
+            continue
+        parts = [polygon]
+        for mate in mates:
+            parts = [rest for part in parts for rest in without(part, mate, tolerance)]
+        if parts:
+            found.append(Face(j, planes[j], first, parts))
+            first += len(found[-1].corners)
+    return found
+
+
+def scale_of(atoms: Spheres | Ellipsoids, look: Look) -> float:
+    """How much larger than they are these atoms are drawn."""
+    return look.disc_scale if isinstance(atoms, Ellipsoids) else look.ball_scale
+
+
+def near_face(
+    view: View,
+    planes: Double,
+    face: Face,
+    atoms: Spheres | Ellipsoids,
+    look: Look,
+    chosen: NDArray[np.bool_] | None = None,  # [K] chunks; None: all
+) -> NDArray[np.uint32]:
+    """Indices of the atoms that a face shows."""
+    chunks = atoms.chunks
+    enlarge, least = scale_of(atoms, look), 0.5 * face.widest_pixel(view)
+    kept = np.ones(len(chunks), bool) if chosen is None else chosen.copy()
+    if look.cull:
+        # An atom is felt three sigma away, or as much of a wide pixel's.
+        widened = np.maximum(chunks.sigma * enlarge, least)
+        kept &= view.chunks_seen(chunks, enlarge)[0]
+        for j, plane in enumerate(planes):
+            distances = chunks.distances(plane[:3], plane[3])
+            kept &= distances[:, 0] <= 3 * widened
+            if j == face.index:
+                kept &= distances[:, 1] >= -3 * widened
+    reach = np.maximum(atoms.reach * np.float32(enlarge), np.float32(3 * least))
+    count = -(-chunks.count[kept] // 2**look.level)
+    rows: NDArray[np.uint32] = near_plane(
+        atoms.means, reach, chunks.first[kept], count, planes.astype(np.float32), face.index
+    )
+    return rows
 
 
 def section_diameter(view: View, chunks: Chunks, sigma: Double) -> Double:

@@ -39,6 +39,9 @@ class Ellipsoids:
         self.vectors = -(-3 * sh.shape[1] // 4)
         """vec4 attributes that hold an atom's coefficients."""
         geometry = np.concatenate([self.means, scales[order], quats[order]], 1).astype(np.float32)
+        self._packed = np.zeros((len(means), 4 * self.vectors), np.float32)
+        self.kept = geometry, self._packed
+        """The same in memory: (N, 10) and coefficients (N, 4 vectors)."""
         self.geometry = ctx.buffer(geometry) if len(means) else ctx.buffer(reserve=40)
         self.coefficients = ctx.buffer(reserve=max(len(means), 1) * 16 * self.vectors)
         shape = {"mean": 3, "scale": 3, "quat": 4}
@@ -54,9 +57,8 @@ class Ellipsoids:
         """Other colours, (N, (d+1)^2, 3) in the caller's order, for the same atoms."""
         assert sh.shape == (len(self), (self.degree + 1) ** 2, 3), sh.shape
         if len(self):
-            packed = np.zeros((len(self), 4 * self.vectors), np.float32)
-            packed[:, : 3 * sh.shape[1]] = sh.reshape(len(self), 3 * sh.shape[1])[self.chunks.order]
-            self.coefficients.write(packed)
+            self._packed[:, : 3 * sh.shape[1]] = sh.reshape(len(self), 3 * sh.shape[1])[self.chunks.order]
+            self.coefficients.write(self._packed)
 
     def release(self) -> None:
         """Frees the buffers."""
@@ -81,6 +83,9 @@ class Spheres:
         self.means = np.ascontiguousarray(means[order])
         self.reach = 3 * sigmas[order]
         geometry = np.concatenate([self.means, sigmas[order, None]], 1).astype(np.float32)
+        self._rgb = np.zeros((len(means), 3), np.float32)
+        self.kept = geometry, self._rgb
+        """The same in memory: (N, 4) and RGB (N, 3)."""
         self.geometry = ctx.buffer(geometry) if len(means) else ctx.buffer(reserve=16)
         self.colours = ctx.buffer(reserve=max(len(means), 1) * 12)
         self.streams = ((self.geometry, {"mean": 3, "sigma": 1}), (self.colours, {"rgb": 3}))
@@ -93,7 +98,8 @@ class Spheres:
         """Other colours, (N, 3) in the caller's order, for the same atoms."""
         assert rgb.shape == (len(self), 3), rgb.shape
         if len(self):
-            self.colours.write(np.ascontiguousarray(rgb[self.chunks.order], np.float32))
+            self._rgb[:] = rgb[self.chunks.order]
+            self.colours.write(self._rgb)
 
     def release(self) -> None:
         """Frees the buffers."""

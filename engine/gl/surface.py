@@ -19,7 +19,7 @@ from engine.gl.store import Ellipsoids
 from engine.gl.targets import Accumulators
 from engine.gl.view import View
 
-__all__ = ["MAX_PLANES", "RECORD", "SurfacePass"]
+__all__ = ["MAX_PLANES", "RECORD", "SurfacePass", "shown"]
 
 MAX_PLANES = 64
 """Planes that can bound one piece, after those that cut nothing off it are dropped."""
@@ -64,43 +64,14 @@ class SurfacePass:
         chunks = splats.chunks
         if not len(chunks):
             return []
-        enlarge = look.disc_scale
-        seen, inside, diameter = view.chunks_seen(chunks, enlarge)
-        if not look.cull:
-            seen = np.ones_like(seen)
-        # A splat is felt three sigma away, and what the low-pass adds, which grows with depth.
-        deepest = chunks.middle @ view.matrix[2, :3] + view.matrix[2, 3] + np.linalg.norm(chunks.half, axis=1)
-        widened = 4 * view.footprint(deepest)
-        count = -(-chunks.count // 2**look.level)
-        reach = (splats.reach * enlarge + np.repeat(widened, chunks.count)).astype(np.float32)
-        hide = splats.hiding if look.cull else nothing_hides(len(splats))
-        farthest = view.footprint(np.array([view.matrix[2, 3] + view.radius]))
-        least = hide.least_at(None if view.camera.orthographic else view.eye, float(farthest[0]))
-        eye = view.eye.astype(np.float32)
+        _, inside, diameter = view.chunks_seen(chunks, look.disc_scale)
         # A point whose centre is outside of the picture is not drawn at all: only what is wholly inside may be one.
         points = np.select([inside & (diameter * r / 3 <= POINT_LIMIT) for r in REACHES[:-1]], REACHES[:-1], 0.0)
         lists, runs = [], []
-        for planes in pieces:
-            kept = seen.copy()
-            for plane in planes:
-                kept &= chunks.distances(plane[:3], plane[3])[:, 0] <= 3 * chunks.sigma * enlarge + widened
-            for size in REACHES:
-                chosen = kept & (points == size)
-                found = pick(
-                    splats.means,
-                    reach,
-                    hide.axes,
-                    least,
-                    hide.zone,
-                    hide.low.astype(np.float32),
-                    np.float32(hide.cell),
-                    chunks.first[chosen],
-                    count[chosen],
-                    planes.astype(np.float32),
-                    eye,
-                    view.camera.orthographic,
-                )
-                for rows, near in zip(found, (planes[:0], view.planes_in_camera(planes)), strict=True):
+        sizes = [points == size for size in REACHES]
+        for planes, found in zip(pieces, shown(view, pieces, splats, look, sizes), strict=True):
+            for size, (free, clipped) in zip(REACHES, found, strict=True):
+                for rows, near in ((free, planes[:0]), (clipped, view.planes_in_camera(planes))):
                     if len(rows):
                         lists.append(rows)
                         runs.append(Run(self.pool.take(), size, near))
@@ -117,7 +88,7 @@ class SurfacePass:
             },
             varyings=RECORD,
         )
-        write_uniforms(program, {**view.uniforms, "enlarge": enlarge})
+        write_uniforms(program, {**view.uniforms, "enlarge": look.disc_scale})
         array = self.pool.source(program, *splats.streams)
         first = 0
         for rows, run in zip(lists, runs, strict=True):
@@ -159,3 +130,42 @@ class SurfacePass:
                 values["planes"] = padded
             write_uniforms(program, values)
             run.batch.draw(program, RECORD, points)
+
+
+def shown(
+    view: View,
+    pieces: Sequence[NDArray[np.float64]],
+    splats: Ellipsoids,
+    look: Look,
+    classes: Sequence[NDArray[np.bool_]],  # [K] each
+) -> list[list[tuple[NDArray[np.uint32], NDArray[np.uint32]]]]:
+    """For each piece and each class of chunks: indices of the atoms that can show, untouched by planes and clipped."""
+    chunks, enlarge = splats.chunks, look.disc_scale
+    seen, _, _ = view.chunks_seen(chunks, enlarge)
+    if not look.cull:
+        seen = np.ones_like(seen)
+    # A splat is felt three sigma away, and what the low-pass adds, which grows with depth.
+    deepest = chunks.middle @ view.matrix[2, :3] + view.matrix[2, 3] + np.linalg.norm(chunks.half, axis=1)
+    widened = 4 * view.footprint(deepest)
+    count = -(-chunks.count // 2**look.level)
+    reach = splats.reach * np.float32(enlarge) + np.repeat(widened.astype(np.float32), chunks.count)
+    hide = splats.hiding if look.cull else nothing_hides(len(splats))
+    farthest = view.footprint(np.array([view.matrix[2, 3] + view.radius]))
+    least = hide.least_at(None if view.camera.orthographic else view.eye, float(farthest[0]))
+    eye, low = view.eye.astype(np.float32), hide.low.astype(np.float32)
+    found = []
+    for planes in pieces:
+        kept = seen.copy()
+        for plane in planes:
+            kept &= chunks.distances(plane[:3], plane[3])[:, 0] <= 3 * chunks.sigma * enlarge + widened
+        flat = planes.astype(np.float32)
+        found.append(
+            [
+                pick(
+                    splats.means, reach, hide.axes, least, hide.zone, low, np.float32(hide.cell),
+                    chunks.first[kept & chosen], count[kept & chosen], flat, eye, view.camera.orthographic,
+                )
+                for chosen in classes
+            ]
+        )  # fmt: skip
+    return found

@@ -1,0 +1,286 @@
+"""Opaque mode where the processor is the graphics card: the same frame from the renderer's own kernels.
+
+Software GL shades four by four pixels at a time and blends wide targets; the kernels of the CPU renderer add up the
+same splats in a third of the time, and the frame is handed to GL as a texture. Who is drawn is decided as for a
+graphics card.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from engine.camera import Camera
+from engine.cpu.opaque_splats import RECORD, TILE
+from engine.cpu.opaque_tiles import TILES_PER_TASK, accumulate, count_tiles, fill_tiles
+from engine.cpu.opaque_tiles import Frame as Tiled
+from engine.cpu.tiles import place_pairs
+from engine.formula import EPSILON_PITCHES
+from engine.gl.look import Look
+from engine.gl.opaque import Group, bounding_planes, bounds_on_screen
+from engine.gl.screen import Rect
+from engine.gl.section import Face, near_face, scale_of, visible_faces
+from engine.gl.software_faces import BAND, SECTION, add_faces, bin_bands, sections
+from engine.gl.software_frame import compose, gather, pack
+from engine.gl.software_grid import CHUNKS, KeptGrids
+from engine.gl.solid import Solid
+from engine.gl.store import Ellipsoids, Spheres
+from engine.gl.surface import shown
+from engine.gl.targets import NOTHING, Frame
+from engine.gl.view import View
+from engine.piece import Piece
+from engine.plane import frame as frame_of
+from engine.projection import pack_camera
+from engine.threads import for_each
+
+__all__ = ["SoftwareMode", "is_software"]
+
+Double = NDArray[np.float64]
+
+
+def is_software(renderer: str) -> bool:
+    """Whether a GL renderer of this name draws on the processor."""
+    return any(name in renderer.lower() for name in ("llvmpipe", "softpipe", "swr"))
+
+
+class SoftwareMode:
+    """Draws a solid's pieces into a frame."""
+
+    def __init__(self) -> None:
+        self.grids = KeptGrids()
+        self._rooms: dict[str, NDArray[Any]] = {}
+        self._size = (0, 0)
+        self._drawn: Rect | None = None
+        """What of the frame is not background; None: unknown."""
+        self._background = np.zeros(3, np.float32)
+
+    def forget(self) -> None:
+        """Something else has drawn into the frame, or it is a new one."""
+        self._drawn = None
+
+    def draw(
+        self,
+        solid: Solid,
+        camera: Camera,
+        pieces: Sequence[Piece],
+        groups: Sequence[Group],
+        target: Frame,
+        background: Double,
+        look: Look,
+    ) -> None:
+        """Puts the pieces over the background into a frame."""
+        self.grids.begin()
+        ground = background.astype(np.float32)
+        rgb = self._room("rgb", (camera.height, camera.width, 3), np.float32)
+        info = self._room("info", (camera.height, camera.width, 2), np.float32)
+        whole = (0, 0, camera.width, camera.height)
+        if self._size != (camera.width, camera.height) or not np.array_equal(ground, self._background):
+            self._drawn = None
+        self._size, self._background = (camera.width, camera.height), ground
+        stale = whole if self._drawn is None else self._drawn
+        depth = [float((camera.viewmat @ transform @ np.append(solid.centre, 1))[2]) for transform, _ in groups]
+        drawn: Rect = (0, 0, 0, 0)
+        jobs = []
+        for number in np.argsort(depth)[::-1]:
+            transform, members = groups[number]
+            view = View(Piece((), transform).camera(camera), solid.centre, solid.radius)
+            planes = [left for m in members if (left := bounding_planes(pieces[m], solid)) is not None]
+            rect = bounds_on_screen(view, planes, solid) if planes else None
+            if rect is None:
+                continue
+            jobs.append((view, planes, rect, int(number)))
+            drawn = union(drawn, rect)
+        # The first group writes all pixels of its rectangle.
+        for x, y, width, height in [stale, drawn] if len(jobs) > 1 else around(stale, drawn):
+            rgb[y : y + height, x : x + width] = ground
+            info[y : y + height, x : x + width] = NOTHING, -2.0
+        for k, (view, planes, rect, number) in enumerate(jobs):
+            self._group(view, planes, solid, rect, look, ground, number, k > 0, rgb, info)
+        self._drawn = drawn
+        self._upload(target, union(stale, drawn), rgb, info)
+
+    def _group(
+        self,
+        view: View,
+        planes: list[Double],
+        solid: Solid,
+        rect: Rect,
+        look: Look,
+        ground: NDArray[np.float32],
+        number: int,
+        below: bool,
+        rgb: NDArray[np.float32],
+        info: NDArray[np.float32],
+    ) -> None:
+        """Adds up pieces that lie together and puts them into the frame."""
+        x, y, width, height = rect
+        cam = pack_camera(view.camera)
+        cam[9:12] = view.matrix[:3, 3]
+        cam[14:16] -= x, y
+        cam[22:24] = width, height
+        front, sums = self._splats(view, cam, planes, solid, look, (height, width))
+        face = self._room("face", (height, width, 4), np.float32)
+        depths = self._room("depths", (height, width), np.float32)
+        has_faces = False
+        for i, piece in enumerate(planes):
+            mates = planes[:i] + planes[i + 1 :]
+            has_faces |= self._faces(view, cam, piece, mates, solid, look, face, depths, not has_faces)
+        for_each(
+            compose, -(-height // BAND), x, y, sums, front, has_faces, face, depths,
+            np.float32(1e-3 * solid.pitch), ground, np.float32(number), below, rgb, info, np.float32(NOTHING),
+        )  # fmt: skip
+
+    def _splats(
+        self, view: View, cam: Double, planes: list[Double], solid: Solid, look: Look, shape: tuple[int, int]
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Front depth (H, W) and sums (H, W, 5) of the outside."""
+        front = self._room("front", shape, np.float32)
+        sums = self._room("sums", (*shape, 5), np.float32)
+        jobs = []
+        for splats in solid.splats(look.interior_only):
+            every = [np.ones(len(splats.chunks), bool)]
+            for k, ((free, clipped),) in enumerate(shown(view, planes, splats, look, every)):
+                if len(free) or len(clipped):
+                    jobs.append((splats, k, np.concatenate([free, clipped])))
+        count = sum(len(rows) for _, _, rows in jobs)
+        means, scales = self._room("means", (count, 3), np.float32), self._room("scales", (count, 3), np.float32)
+        quats, colours = self._room("quats", (count, 4), np.float32), self._room("colours", (count, 3), np.float32)
+        records = self._room("records", (count, RECORD), np.float32)
+        spans = self._room("spans", (count, 6), np.int32)
+        stacked = np.concatenate([np.zeros((0, 4)), *(view.planes_in_camera(p) for p in planes)])
+        end = np.cumsum([0] + [len(p) for p in planes])
+        at = 0
+        for splats, k, rows in jobs:
+            own = slice(at, at + len(rows))
+            at += len(rows)
+            size = -(-len(rows) // CHUNKS)
+            geometry, packed = splats.kept
+            for_each(
+                gather, CHUNKS, size, rows, geometry, packed, splats.degree, look.disc_scale, view.eye,
+                view.camera.orthographic, means[own], scales[own], quats[own], colours[own],
+                cam, stacked, end[k : k + 2], records[own], spans[own],
+            )  # fmt: skip
+        columns, lines = -(-shape[1] // TILE), -(-shape[0] // TILE)
+        size = -(-count // CHUNKS)
+        places = self._room("places", (CHUNKS, columns * lines), np.int64)
+        places[:] = 0
+        first = self._room("first", (columns * lines + 1,), np.int64)
+        for_each(count_tiles, CHUNKS, size, spans, columns, places)
+        place_pairs(places, first)
+        listed = self._room("listed", (int(first[-1]),), np.int32)
+        for_each(fill_tiles, CHUNKS, size, spans, columns, places, listed)
+        layer = EPSILON_PITCHES * solid.pitch * look.disc_scale
+        tiled = Tiled(cam, stacked, records, spans, first, listed, columns, layer)
+        tasks = -(-columns * lines // TILES_PER_TASK)
+        for_each(accumulate, tasks, tiled, colours, front, sums)
+        return front, sums
+
+    def _faces(
+        self,
+        view: View,
+        cam: Double,
+        planes: Double,
+        mates: list[Double],
+        solid: Solid,
+        look: Look,
+        face: NDArray[np.float32],
+        depths: NDArray[np.float32],
+        fresh: bool,
+    ) -> bool:
+        """Adds the faces of one piece to the layer; False where it shows none."""
+        visible = visible_faces(view, planes, mates, solid.box, 1e-3 * solid.pitch)
+        if not visible:
+            return False
+        jobs: list[tuple[Face, Spheres | Ellipsoids, NDArray[np.uint32]]] = []
+        keys = []
+        for f in visible:
+            minified = 0.5 * f.widest_pixel(view) > float(solid.inside.reach.min(initial=np.inf)) / 3
+            key = None if look.exact or minified else self.grids.get(f.plane, solid.inside, look)
+            if key is not None:
+                keys.append((f.index, key))
+            else:
+                jobs.append((f, solid.inside, near_face(view, planes, f, solid.inside, look)))
+            if not look.interior_only:
+                jobs.append((f, solid.skin, near_face(view, planes, f, solid.skin, look)))
+        count = sum(len(rows) for _, _, rows in jobs)
+        records = self._room("sections", (count, SECTION), np.float32)
+        boxes = self._room("boxes", (count, 4), np.int32)
+        owner = self._room("owner", (count,), np.int32)
+        frames = np.zeros((len(planes), 8))
+        for f in visible:
+            for k, axis in enumerate(frame_of(f.plane[:3])[:2]):
+                turned = view.matrix[:3, :3] @ axis
+                frames[f.index, 4 * k : 4 * k + 3] = turned
+                frames[f.index, 4 * k + 3] = -turned @ view.matrix[:3, 3]
+        at = 0
+        for f, store, rows in jobs:
+            own = slice(at, at + len(rows))
+            at += len(rows)
+            e1, e2, _ = frame_of(f.plane[:3])
+            owner[own] = f.index
+            enlarge = scale_of(store, look)
+            for_each(
+                sections, CHUNKS, -(-len(rows) // CHUNKS), rows, *store.kept, enlarge, f.plane, e1, e2, view.matrix,
+                cam, records[own], boxes[own],
+            )  # fmt: skip
+        height = len(depths)
+        cells, table = self.grids.together(keys, len(planes))
+        first, listed = bin_bands(boxes, -(-height // BAND))
+        beside = np.concatenate([np.zeros((0, 4)), *(view.planes_in_camera(m) for m in mates)])
+        first_mate = np.cumsum([0] + [len(m) for m in mates])
+        for_each(
+            add_faces, -(-height // BAND), cam, view.planes_in_camera(planes), frames, beside, first_mate,
+            1e-3 * solid.pitch, first, listed, boxes, records, owner, cells, table, solid.pitch / 2,
+            look.light, fresh, face, depths,
+        )  # fmt: skip
+        return True
+
+    def _upload(self, target: Frame, rect: Rect, rgb: NDArray[np.float32], info: NDArray[np.float32]) -> None:
+        x, y, width, height = rect
+        if not width or not height:
+            return
+        halves = self._room("halves", (height, width, 4), np.uint16)
+        infos = self._room("infos", (height, width, 2), np.float32)
+        for_each(pack, -(-height // BAND), x, y, info, rgb.view(np.int32), halves, infos)
+        target.colour.write(halves, viewport=rect)
+        target.info.write(infos, viewport=rect)
+
+    def _room(self, name: str, shape: tuple[int, ...], kind: type) -> Any:
+        """An array of this shape that is used again from frame to frame; it holds what it held."""
+        need = int(np.prod(shape))
+        if name not in self._rooms or len(self._rooms[name]) < need:
+            self._rooms[name] = np.zeros(need + need // 4, kind)
+        return self._rooms[name][:need].reshape(shape)
+
+    def release(self) -> None:
+        """Frees the arrays."""
+        self._rooms.clear()
+        self.grids.clear()
+        self.forget()
+
+
+def around(outer: Rect, hole: Rect) -> list[Rect]:
+    """What is left of a rectangle without another: strips above, below, left and right."""
+    x, y, width, height = outer
+    x0, y0 = min(max(hole[0], x), x + width), min(max(hole[1], y), y + height)
+    x1, y1 = min(max(hole[0] + hole[2], x0), x + width), min(max(hole[1] + hole[3], y0), y + height)
+    strips = [
+        (x, y, width, y0 - y),
+        (x, y1, width, y + height - y1),
+        (x, y0, x0 - x, y1 - y0),
+        (x1, y0, x + width - x1, y1 - y0),
+    ]
+    return [strip for strip in strips if strip[2] > 0 and strip[3] > 0]
+
+
+def union(a: Rect, b: Rect) -> Rect:
+    """The rectangle about both; one without pixels does not count."""
+    if not a[2] or not a[3]:
+        return b
+    if not b[2] or not b[3]:
+        return a
+    x, y = min(a[0], b[0]), min(a[1], b[1])
+    return x, y, max(a[0] + a[2], b[0] + b[2]) - x, max(a[1] + a[3], b[1] + b[3]) - y

@@ -1,0 +1,347 @@
+"""Cut faces where the processor draws: the kernel field on each plane, added up pixel by pixel (DESIGN, section 3).
+
+The section of an ellipsoid with a plane is a Gaussian in the plane: with coordinates s, t there, and the same for each
+pixel's point, an atom costs a quadratic and an exponential a pixel, row by row, so that a row is a run of vectors.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from engine.cpu.opaque_tiles import falloff
+from engine.formula import CUTOFF_Q, EDGE_SLOPE, SOLID_DENSITY
+from engine.projection import rotation
+
+__all__ = ["BAND", "GRID", "SECTION", "add_faces", "bin_bands", "fill_grid", "sections"]
+
+BAND = 8
+"""Rows of the picture in a task."""
+
+SECTION = 10
+"""Numbers in a record: 0 1 centre s, t; 2 3 4 conic, q / 2 = r2 ds^2 + r3 ds dt + r4 dt^2; 5 q / 2 at which it ends;
+6 weight, 7 8 9 weight times RGB."""
+
+GRID = 6
+"""Numbers that describe a grid: 0 its first cell (-1: none), 1 2 height and width, 3 4 low s and t, 5 1 / cell."""
+
+LANES = 8
+"""Numbers of a pixel while its band is worked on: 0 plane (-1 none), 1 2 s and t, 3 depth, 4 weight, 5 6 7 RGB by
+weight. All in one array: with several the compiler would have to suspect that they overlap."""
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def sections(  # type: ignore[no-untyped-def]
+    chunk,
+    chunk_size,
+    rows,  # [N] which atoms
+    geometry,  # [A, 10] mean, scales, quat; or [A, 4] mean, sigma
+    colours,  # [A, C] RGB in the first three, as coefficients of degree 0 if C > 3
+    enlarge,
+    plane,  # [4] object space
+    e1,  # [3] unit vectors in the plane
+    e2,
+    matrix,  # [4, 4] object space to camera
+    cam,  # packed camera
+    records,  # out [N, SECTION]
+    boxes,  # out [N, 4] first and end pixel in x and in y
+):
+    """The sections of some atoms with a plane, and the pixels that they can touch; an empty box where none."""
+    ortho, near, width, height = cam[20] != 0.0, cam[21], int(cam[22]), int(cam[23])
+    per_pixel = 1.0 / math.sqrt(cam[12] * cam[13])
+    coefficient, ball = colours.shape[1] > 3, geometry.shape[1] == 4
+    upright = rotation(1.0, 0.0, 0.0, 0.0)
+    for i in range(chunk * chunk_size, min((chunk + 1) * chunk_size, len(rows))):
+        g = geometry[rows[i]]
+        boxes[i, :] = 0
+        x, y, z = float(g[0]), float(g[1]), float(g[2])
+        distance = plane[0] * x + plane[1] * y + plane[2] * z + plane[3]
+        fx, fy, fz = x - distance * plane[0], y - distance * plane[1], z - distance * plane[2]
+        deep = matrix[2, 0] * fx + matrix[2, 1] * fy + matrix[2, 2] * fz + matrix[2, 3]
+        least = 0.5 * per_pixel * (1.0 if ortho else max(deep, near))
+        aa, ab, bb, ad, bd, dd, weight = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0
+        turn = upright if ball else rotation(g[6], g[7], g[8], g[9])
+        for k in range(3):
+            own = g[3 if ball else 3 + k] * enlarge
+            used = max(own, least)
+            weight *= own / used
+            a = (turn[k] * e1[0] + turn[3 + k] * e1[1] + turn[6 + k] * e1[2]) / used
+            b = (turn[k] * e2[0] + turn[3 + k] * e2[1] + turn[6 + k] * e2[2]) / used
+            d = -distance * (turn[k] * plane[0] + turn[3 + k] * plane[1] + turn[6 + k] * plane[2]) / used
+            aa += a * a
+            ab += a * b
+            bb += b * b
+            ad += a * d
+            bd += b * d
+            dd += d * d
+        det = aa * bb - ab * ab
+        if not det > 0.0:
+            continue
+        ms, mt = (ab * bd - bb * ad) / det, (ab * ad - aa * bd) / det
+        nn = max(dd + ms * ad + mt * bd, 0.0)
+        left = CUTOFF_Q - nn
+        if not left > 0.0:
+            continue
+        s = e1[0] * x + e1[1] * y + e1[2] * z + ms
+        t = e2[0] * x + e2[1] * y + e2[2] * z + mt
+        reach_s, reach_t = math.sqrt(left * bb / det), math.sqrt(left * aa / det)
+        x0, x1, y0, y1, whole = np.inf, -np.inf, np.inf, -np.inf, False
+        for corner in range(4):
+            cs = s + (reach_s if corner & 1 else -reach_s)
+            ct = t + (reach_t if corner & 2 else -reach_t)
+            px = cs * e1[0] + ct * e2[0] - plane[3] * plane[0]
+            py = cs * e1[1] + ct * e2[1] - plane[3] * plane[1]
+            pz = cs * e1[2] + ct * e2[2] - plane[3] * plane[2]
+            cx = matrix[0, 0] * px + matrix[0, 1] * py + matrix[0, 2] * pz + matrix[0, 3]
+            cy = matrix[1, 0] * px + matrix[1, 1] * py + matrix[1, 2] * pz + matrix[1, 3]
+            cz = matrix[2, 0] * px + matrix[2, 1] * py + matrix[2, 2] * pz + matrix[2, 3]
+            over = 1.0 if ortho else cz
+            if not over > 1e-9:
+                whole = True  # beside or behind the eye: somewhere in the picture
+                continue
+            u, v = cam[12] * cx / over + cam[14], cam[13] * cy / over + cam[15]
+            x0, x1, y0, y1 = min(x0, u), max(x1, u), min(y0, v), max(y1, v)
+        if whole:
+            x0, x1, y0, y1 = 0.0, float(width), 0.0, float(height)
+        boxes[i, 0], boxes[i, 1] = int(max(math.floor(x0), 0.0)), int(min(math.ceil(x1) + 1.0, width))
+        boxes[i, 2], boxes[i, 3] = int(max(math.floor(y0), 0.0)), int(min(math.ceil(y1) + 1.0, height))
+        if boxes[i, 0] >= boxes[i, 1] or boxes[i, 2] >= boxes[i, 3]:
+            boxes[i, :] = 0
+            continue
+        weight *= math.exp(-0.5 * nn)
+        r = records[i]
+        r[0], r[1], r[2], r[3], r[4], r[5], r[6] = s, t, 0.5 * aa, ab, 0.5 * bb, 0.5 * left, weight
+        for c in range(3):
+            value = float(colours[rows[i], c])
+            r[7 + c] = weight * (max(0.5 + 0.28209479177387814 * value, 0.0) if coefficient else value)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def bin_bands(boxes, bands):  # type: ignore[no-untyped-def]
+    """(first (bands + 1,), listed (pairs,)): the records that touch each band of rows, in their order."""
+    first = np.zeros(bands + 1, np.int64)
+    for i in range(len(boxes)):
+        if boxes[i, 3] > boxes[i, 2]:
+            for band in range(boxes[i, 2] // BAND, (boxes[i, 3] - 1) // BAND + 1):
+                first[band + 1] += 1
+    for band in range(bands):
+        first[band + 1] += first[band]
+    listed = np.empty(first[bands], np.int32)
+    at = first[:-1].copy()
+    for i in range(len(boxes)):
+        if boxes[i, 3] > boxes[i, 2]:
+            for band in range(boxes[i, 2] // BAND, (boxes[i, 3] - 1) // BAND + 1):
+                listed[at[band]] = i
+                at[band] += 1
+    return first, listed
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def enter(y, cam, planes, mates, first_mate, tolerance, entry, through, slope, left):  # type: ignore[no-untyped-def]
+    """Fills depth `entry` (W,) and plane `through` (W,) of the entry of row y's rays, -1 where there is none.
+
+    Planes (P, 4) and mates (M, 4) in camera space; mates first_mate[m]..first_mate[m + 1] bound one piece that lies
+    beside this one: where it touches, the matter runs on. `slope` and `left` (W,) are scratch.
+    """
+    n = len(entry)
+    ortho = cam[20] != 0.0
+    down = (y + 0.5 - cam[15]) / cam[13]
+    entry[:] = -np.inf
+    through[:] = -1
+    for p in range(len(planes)):
+        a, b, c, d = planes[p, 0], planes[p, 1], planes[p, 2], planes[p, 3]
+        for k in range(n):
+            across = a * ((k + 0.5 - cam[14]) / cam[12]) + b * down
+            base = across + d if ortho else d
+            along = c if ortho else across + c
+            s = -base / along if along < 0.0 else -np.inf
+            through[k] = p if s > entry[k] else through[k]
+            entry[k] = max(s, entry[k])
+    for k in range(n):
+        through[k] = through[k] if entry[k] > cam[21] and entry[k] < np.inf else -1
+    if len(planes) > 1:
+        for p in range(len(planes)):
+            a, b, c, d = planes[p, 0], planes[p, 1], planes[p, 2], planes[p, 3]
+            for k in range(n):
+                across = a * ((k + 0.5 - cam[14]) / cam[12]) + b * down
+                base = across + d if ortho else d
+                along = c if ortho else across + c
+                # Planes that the ray enters through lie before the last of them; testing them again would crack edges.
+                out = along >= 0.0 and base + entry[k] * along > 0.0
+                through[k] = -1 if out else through[k]
+    for m in range(len(first_mate) - 1):
+        left[:] = 1.0
+        for p in range(first_mate[m], first_mate[m + 1]):
+            a, b, c, d = mates[p, 0], mates[p, 1], mates[p, 2], mates[p, 3]
+            for k in range(n):
+                across = a * ((k + 0.5 - cam[14]) / cam[12]) + b * down
+                slope[k] = across + d + entry[k] * c if ortho else d + entry[k] * (across + c)
+                left[k] = left[k] if slope[k] <= tolerance else 0.0
+        for k in range(n):
+            through[k] = -1 if left[k] > 0.0 else through[k]
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def add_faces(  # type: ignore[no-untyped-def]
+    band,
+    cam,
+    planes,  # [P, 4] camera space
+    frames,  # [P, 8] e1 and e2 of each plane in camera space, each with its offset: s = e . p + offset
+    mates,
+    first_mate,
+    tolerance,
+    first,
+    listed,
+    boxes,
+    records,
+    owner,  # [N] plane of each record
+    cells,  # [cells, 4] grids of the field of the interior atoms, one after the other
+    grids,  # [P, GRID] which of them is each plane's
+    edge_sigma,
+    light,
+    fresh,  # whether nothing is in the layer yet
+    face,  # in and out [H, W, 4] rgb, coverage
+    depths,  # in and out [H, W]
+):
+    """Puts the faces of one piece into a band of the face layer, the nearest in front."""
+    height, width = depths.shape
+    top, bottom = band * BAND, min((band + 1) * BAND, height)
+    area = BAND * width
+    entry, slope, left = np.empty(width), np.empty(width), np.empty(width)
+    own = np.empty(width, np.int32)
+    lane = np.empty((LANES, BAND, width), np.float32)
+    ortho = cam[20] != 0.0
+    found = False
+    for y in range(top, bottom):
+        row = y - top
+        enter(y, cam, planes, mates, first_mate, tolerance, entry, own, slope, left)
+        down = (y + 0.5 - cam[15]) / cam[13]
+        for k in range(width):
+            lane[0, row, k] = own[k]
+            lane[3, row, k] = entry[k]
+        for p in range(len(planes)):
+            f = frames[p]
+            for k in range(width):
+                across = (k + 0.5 - cam[14]) / cam[12]
+                ray_s, ray_t = f[0] * across + f[1] * down, f[4] * across + f[5] * down
+                here_s = ray_s + f[2] * entry[k] + f[3] if ortho else entry[k] * (ray_s + f[2]) + f[3]
+                here_t = ray_t + f[6] * entry[k] + f[7] if ortho else entry[k] * (ray_t + f[6]) + f[7]
+                lane[1, row, k] = here_s if own[k] == p else lane[1, row, k]
+                lane[2, row, k] = here_t if own[k] == p else lane[2, row, k]
+        for k in range(width):
+            found |= own[k] >= 0
+    if found:
+        lane[4:] = 0
+        if len(cells) > 0:
+            read_grids(lane, bottom - top, cells, grids)
+        flat = lane.reshape(-1)
+        for pair in range(first[band], first[band + 1]):
+            i = listed[pair]
+            r = records[i]
+            plane = np.float32(owner[i])
+            for y in range(max(boxes[i, 2], top), min(boxes[i, 3], bottom)):
+                at = (y - top) * width
+                add_row(r, plane, np.uintp(at + boxes[i, 0]), np.uintp(at + boxes[i, 1]), np.uintp(area), flat)
+    per_pixel = 1.0 / math.sqrt(cam[12] * cam[13])
+    for y in range(top, bottom):
+        row = y - top
+        down = (y + 0.5 - cam[15]) / cam[13]
+        for k in range(width):
+            cover = 0.0
+            density = float(lane[4, row, k]) if found and lane[0, row, k] >= 0 else 0.0
+            deep = float(lane[3, row, k])
+            if density > 0.0:
+                footprint = per_pixel if ortho else per_pixel * deep
+                edge = max(1.0, edge_sigma / (EDGE_SLOPE * footprint)) / (2.0 * SOLID_DENSITY)
+                cover = min(max(0.5 + (density - SOLID_DENSITY) * edge, 0.0), 1.0)
+            if cover > 0.0 and (fresh or face[y, k, 3] <= 0.0 or deep <= depths[y, k]):
+                shade, p = 1.0, int(lane[0, row, k])
+                if light:
+                    across = (k + 0.5 - cam[14]) / cam[12]
+                    if ortho:
+                        facing = -planes[p, 2]
+                    else:
+                        facing = -(planes[p, 0] * across + planes[p, 1] * down + planes[p, 2])
+                        facing /= math.sqrt(across * across + down * down + 1.0)
+                    shade = 0.85 + 0.15 * max(facing, 0.0)
+                for c in range(3):
+                    face[y, k, c] = shade * lane[5 + c, row, k] / density
+                face[y, k, 3] = cover
+                depths[y, k] = deep
+            elif fresh:
+                face[y, k, 3] = 0.0
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def add_row(r, owner, start, end, area, lane):  # type: ignore[no-untyped-def]
+    """Adds one section to pixels start..end of the band's lanes, which stand `area` apart."""
+    s0, t0, aa, ab, bb, limit = r[0], r[1], r[2], r[3], r[4], r[5]
+    weight, red, green, blue = r[6], r[7], r[8], r[9]
+    zero = r.dtype.type(0)
+    two, four, five = area + area, np.uintp(4) * area, np.uintp(5) * area
+    six, seven = np.uintp(6) * area, np.uintp(7) * area
+    for k in range(start, end):
+        ds, dt = lane[area + k] - s0, lane[two + k] - t0
+        h = ds * (aa * ds + ab * dt) + bb * dt * dt
+        g = falloff(min(h, limit))
+        g = g if (h <= limit) & (lane[k] == owner) else zero
+        lane[four + k] += g * weight
+        lane[five + k] += g * red
+        lane[six + k] += g * green
+        lane[seven + k] += g * blue
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def read_grids(lane, rows, cells, grids):  # type: ignore[no-untyped-def]
+    """Starts the sums of a band with what the grids of its planes hold, read with linear interpolation."""
+    half, one, zero = np.float32(0.5), np.float32(1), np.float32(0)
+    last, plane, begin, height, width = np.float32(-1), 0, -1, 0, 0
+    low_s, low_t, per_cell, right, bottom = zero, zero, zero, zero, zero
+    for row in range(rows):
+        for k in range(lane.shape[2]):
+            if lane[0, row, k] != last:
+                last = lane[0, row, k]
+                plane = int(last)
+                begin = int(grids[plane, 0]) if plane >= 0 else -1
+                height, width = int(grids[plane, 1]), int(grids[plane, 2])
+                low_s, low_t = np.float32(grids[plane, 3]), np.float32(grids[plane, 4])
+                per_cell = np.float32(grids[plane, 5])
+                right, bottom = np.float32(width - 1), np.float32(height - 1)
+            if begin < 0:
+                continue
+            u, v = (lane[1, row, k] - low_s) * per_cell - half, (lane[2, row, k] - low_t) * per_cell - half
+            if not (u >= zero and v >= zero and u < right and v < bottom):
+                continue
+            x, y = int(u), int(v)
+            b, d = u - np.float32(x), v - np.float32(y)
+            a, c = one - b, one - d
+            p, q, r, s = a * c, b * c, a * d, b * d
+            at = begin + y * width + x
+            for m in range(4):
+                lane[4 + m, row, k] = (
+                    p * cells[at, m] + q * cells[at + 1, m] + r * cells[at + width, m] + s * cells[at + width + 1, m]
+                )
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def fill_grid(band, low_s, low_t, cell, first, listed, boxes, records, grid):  # type: ignore[no-untyped-def]
+    """Adds up a band of a grid (h, w, 4) of weight and RGB by weight, whose cells stand at low + (k + 1/2) cell."""
+    height, width = grid.shape[0], grid.shape[1]
+    top, bottom = band * BAND, min((band + 1) * BAND, height)
+    lane = np.zeros((LANES, BAND, width), np.float32)
+    for row in range(bottom - top):
+        for k in range(width):
+            lane[1, row, k] = low_s + (k + 0.5) * cell
+            lane[2, row, k] = low_t + (top + row + 0.5) * cell
+    flat, none = lane.reshape(-1), np.float32(0)
+    for pair in range(first[band], first[band + 1]):
+        i = listed[pair]
+        for y in range(max(boxes[i, 2], top), min(boxes[i, 3], bottom)):
+            start, end = (y - top) * width + boxes[i, 0], (y - top) * width + boxes[i, 1]
+            add_row(records[i], none, np.uintp(start), np.uintp(end), np.uintp(BAND * width), flat)
+    for row in range(bottom - top):
+        for k in range(width):
+            for m in range(4):
+                grid[top + row, k, m] = lane[4 + m, row, k]

@@ -1,0 +1,126 @@
+"""engine.gl.grid where the processor draws: the field of the interior atoms on a cut plane, for as long as it stays.
+
+A plane that moves is drawn pixel by pixel, which costs less than its grid; the grid is made when it is seen again.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from engine.gl.chunks import near_plane
+from engine.gl.grid import CELLS_PER_SIGMA, KEPT_BYTES, MOST_CELLS, WIDEST
+from engine.gl.look import Look
+from engine.gl.polygon import section_of_box
+from engine.gl.software_faces import BAND, GRID, SECTION, bin_bands, fill_grid, sections
+from engine.gl.store import Spheres
+from engine.plane import frame as frame_of
+from engine.threads import for_each
+
+__all__ = ["CHUNKS", "KeptGrids"]
+
+Double = NDArray[np.float64]
+Grid = tuple[NDArray[np.float32], Double]
+"""Weight and RGB by weight (cells, 4), and what it is (GRID,)."""
+
+CHUNKS = 16
+"""Tasks into which atoms are cut."""
+
+
+class KeptGrids:
+    """The grids of one set of interior atoms."""
+
+    def __init__(self) -> None:
+        self._kept: OrderedDict[tuple[Any, ...], Grid | None] = OrderedDict()
+        self._seen: set[tuple[Any, ...]] = set()
+        self._now: set[tuple[Any, ...]] = set()
+        self._row: list[tuple[Any, ...]] = []
+        self._cells = np.zeros((0, 4), np.float32)
+
+    def begin(self) -> None:
+        """A new frame."""
+        self._seen, self._now = self._now, set()
+
+    def get(self, plane: Double, spheres: Spheres, look: Look) -> tuple[Any, ...] | None:
+        """The key of the grid of a plane (4,), made if the last frame showed it, too; None where there is none."""
+        key = (*plane.tolist(), look.level)
+        self._now.add(key)
+        if key not in self._kept:
+            if key not in self._seen:
+                return None
+            self._kept[key] = make(plane, spheres, look)
+        self._kept.move_to_end(key)
+        total = sum(grid[0].nbytes for grid in self._kept.values() if grid is not None)
+        for old in [old for old in self._kept if old not in self._now and old not in self._seen]:
+            if total <= KEPT_BYTES and len(self._kept) < 1000:
+                break
+            grid = self._kept.pop(old)
+            total -= 0 if grid is None else grid[0].nbytes
+        return None if self._kept[key] is None else key
+
+    def together(self, keys: Sequence[tuple[int, tuple[Any, ...]]], planes: int) -> Grid:
+        """The grids of some planes one after the other, and for each of `planes` planes where its own is (P, GRID)."""
+        if self._row != [key for _, key in keys]:
+            found = [grid[0] for _, key in keys if (grid := self._kept[key]) is not None]
+            self._cells = np.concatenate(found) if found else np.zeros((0, 4), np.float32)
+            self._row = [key for _, key in keys]
+        table, at = np.full((planes, GRID), -1.0), 0
+        for plane, key in keys:
+            grid = self._kept[key]
+            assert grid is not None
+            table[plane] = grid[1]
+            table[plane, 0] = at
+            at += len(grid[0])
+        return self._cells, table
+
+    def clear(self) -> None:
+        """Drops all: the atoms or their colours have changed."""
+        self._kept.clear()
+        self._row = []
+        self._cells = np.zeros((0, 4), np.float32)
+
+
+def make(plane: Double, spheres: Spheres, look: Look) -> Grid | None:
+    """The grid of a plane (4,) in centred object space; None where the atoms' sizes do not allow one."""
+    chunks, enlarge = spheres.chunks, look.ball_scale
+    felt = (spheres.reach * enlarge).astype(np.float32)
+    distances, reach = chunks.distances(plane[:3], plane[3]), 3 * chunks.sigma * enlarge
+    met = (distances[:, 0] <= reach) & (distances[:, 1] >= -reach)
+    count = -(-chunks.count[met] // 2**look.level)
+    rows = near_plane(spheres.means, felt, chunks.first[met], count, plane[None].astype(np.float32), 0)
+    if not len(rows):
+        return None
+    widest, least = float(felt[rows].max()) / 3, float(felt[rows].min()) / 3
+    e1, e2, normal = frame_of(plane[:3])
+    polygon = section_of_box(plane, spheres.low - 3 * widest, spheres.high + 3 * widest)
+    if widest > WIDEST * least or not len(polygon):
+        return None
+    flat = polygon @ np.stack([e1, e2], 1)
+    cell = least / CELLS_PER_SIGMA
+    low = flat.min(0) - 3 * widest
+    width, height = np.ceil((flat.max(0) + 3 * widest - low) / cell).astype(int).tolist()
+    if width * height > MOST_CELLS:
+        return None
+    # A camera that looks straight at the plane, a cell to a pixel.
+    matrix = np.eye(4)
+    matrix[:3, :3] = e1, e2, normal
+    cam = np.zeros(24)
+    cam[12:16] = 1 / cell, 1 / cell, -low[0] / cell, -low[1] / cell
+    cam[20:24] = 1, -np.inf, width, height
+    records, boxes = np.empty((len(rows), SECTION), np.float32), np.empty((len(rows), 4), np.int32)
+    for_each(
+        sections, CHUNKS, -(-len(rows) // CHUNKS), rows, *spheres.kept, enlarge, plane, e1, e2, matrix, cam,
+        records, boxes,
+    )  # fmt: skip
+    # Narrowed by the variance of the hat that linear interpolation is, with the same reach and the same sum.
+    widened = 1 / (1 - 2 * records[:, 2:3] * cell * cell / 6)
+    records[:, 2:10] *= widened
+    records[:, 3] = 0
+    first, listed = bin_bands(boxes, -(-height // BAND))
+    grid = np.empty((height, width, 4), np.float32)
+    for_each(fill_grid, -(-height // BAND), low[0], low[1], cell, first, listed, boxes, records, grid)
+    return grid.reshape(-1, 4), np.array([0, height, width, low[0], low[1], 1 / cell])
