@@ -1,4 +1,4 @@
-"""Lines and words over the picture of the object."""
+"""Marks and words over the picture of the object."""
 
 from __future__ import annotations
 
@@ -6,33 +6,9 @@ import numpy as np
 from imgui_bundle import ImVec2, imgui
 from numpy.typing import NDArray
 
-from app.camera_control import project_points
 from app.ui.theme import palette, px, u32
-from engine.camera import Camera
 
-__all__ = ["brackets", "closed_line", "label"]
-
-
-def closed_line(
-    camera: Camera,
-    origin: ImVec2,
-    points: NDArray[np.float64],  # [K, 3]
-    middle: NDArray[np.float64],  # [3]
-    colours: tuple[int, int],
-    width: float,
-) -> None:
-    """A closed line on an object around its middle: the first colour where it faces the eye, the second behind."""
-    pixels, depth = project_points(camera, points)
-    if not camera.orthographic and (depth <= camera.near).any():
-        return
-    eye = -camera.forward if camera.orthographic else camera.position - middle
-    front = (points - middle) @ eye > 0
-    draw = imgui.get_window_draw_list()
-    seen = pixels + np.array([origin.x, origin.y])
-    for i in range(len(seen)):
-        j = (i + 1) % len(seen)
-        colour = colours[0] if front[i] and front[j] else colours[1]
-        draw.add_line(ImVec2(*seen[i].tolist()), ImVec2(*seen[j].tolist()), colour, width)
+__all__ = ["brackets", "label"]
 
 
 def label(draw: imgui.ImDrawList, at: ImVec2, text: str) -> None:

@@ -14,7 +14,7 @@ from app.motion import Vec3
 from app.session import Session
 from engine.camera import Camera
 from engine.gl.look import Mode
-from engine.gl.overlay import Sheet
+from engine.gl.overlay import Lines, Sheet
 from engine.gl.renderer import Renderer
 from engine.piece import Piece
 
@@ -23,8 +23,9 @@ __all__ = ["Painter"]
 SLOW, QUICK = 60.0, 20.0
 """Milliseconds of a frame over which a moving view is drawn coarser, and under which it is drawn finer again."""
 
-COARSEST = 4
-"""Level of detail: each halves the atoms."""
+STEPS = ((1.0, 0), (0.75, 1), (0.5, 1), (0.5, 2), (0.35, 3))
+"""How a moving view gets coarser: part of the pixels along a side, and level of detail, which halves the atoms each
+time. A GPU has too many atoms before it has too many pixels, a processor that draws the other way round."""
 
 MODES: dict[str, Mode] = {"capture": "classic", "solid": "opaque", "interior": "interior"}
 
@@ -38,15 +39,20 @@ class Painter:
         self.renderer = Renderer(ctx)
         self.ctx = self.renderer.ctx
         self.milliseconds = 0.0
-        """Of the last frame of full quality."""
+        """Of the last frame of full quality that did not have to bring the object to the GPU first."""
         self.unfinished = False
         """Whether a better frame should follow soon: the last one was coarse, or in an older order."""
-        self._level = 0
+        self._step = 0
+        self._drawn = 1.0
+        """Part of the pixels along a side that the last frame has."""
         self._capture: object = None
         self._atoms: tuple[int, int] | None = None
         """Geometry and colours of the session that the GPU has."""
         self._key: object = None
+        self._picture: moderngl.Texture | None = None
         self._texture: moderngl.Texture | None = None
+        """The picture, with marks over it where there are any."""
+        self._marks: object = None
 
     def frame(
         self,
@@ -54,47 +60,56 @@ class Painter:
         camera: Camera,
         pieces: Sequence[Piece],
         background: Vec3,
-        sheets: Sequence[Sheet] = (),
+        over: Sequence[Lines | Sheet] = (),
         moving: bool = False,
     ) -> moderngl.Texture | None:
         """The session's object as it is now; None while there is nothing to draw. Lasts until the next call.
 
         `moving`: the view changes from frame to frame, and keeping up matters more than the last atom.
         """
+        held = self._atoms, self._capture
         if not self._hold(session):
             return None
-        level = self._level if moving and session.mode != "capture" else 0
+        part, level = STEPS[self._step] if moving else STEPS[0]
         light, mode = session.settings.face_light, session.mode
         key = (
-            (mode, self._atoms, id(self._capture), background, light, level),
+            (mode, self._atoms, id(self._capture), background, light, part, level, moving),
             camera.viewmat.tobytes(),
             repr(replace(camera, viewmat=np.zeros(0))),
             tuple((piece.planes, piece.transform.tobytes()) for piece in pieces),
-            tuple((sheet.rgba, sheet.corners.tobytes()) for sheet in sheets),
+        )
+        marks = tuple(
+            (i.rgba, (i.corners if isinstance(i, Sheet) else i.ends).tobytes(), i.hidden, getattr(i, "width", 0.0))
+            for i in over
         )
         if key != self._key or self._texture is None or self.renderer.sorting:
             begin = time.perf_counter()
-            texture = self.renderer.render(camera, pieces, MODES[mode], background, light, level=level, wait=False)
-            self._give_back()  # its scissor is off, which the copy under the sheets needs
-            self._texture = self.renderer.overlay(sheets) if sheets else texture
+            texture = self.renderer.render(
+                scaled(camera, part), pieces, MODES[mode], background, light, exact=not moving, level=level, wait=False
+            )
             self._give_back()
             self.ctx.finish()
             taken = 1000 * (time.perf_counter() - begin)
-            if level == 0:
+            if not moving and held == (self._atoms, self._capture):
                 self.milliseconds = taken
-            if taken > SLOW:
-                self._level = min(self._level + 1, COARSEST)
-            elif taken < QUICK:
-                self._level = max(self._level - 1, 0)
-            self._key = key
-        self.unfinished = level > 0 or self.renderer.sorting
+            if moving and taken > SLOW:
+                self._step = min(self._step + 1, len(STEPS) - 1)
+            elif moving and taken < QUICK:
+                self._step = max(self._step - 1, 0)
+            self._key, self._drawn, self._marks = key, part, None
+            self._picture = texture
+        if marks != self._marks:
+            self._texture = self.renderer.overlay(over) if over else self._picture
+            self._give_back()
+            self._marks = marks
+        self.unfinished = moving or self.renderer.sorting
         return self._texture
 
     def pick(self, x: float, y: float) -> tuple[int | None, NDArray[np.float64] | None]:
-        """Number of the piece under a pixel of the last frame, and the world point (3,) there."""
+        """Number of the piece under a pixel of the frame as it was asked for, and the world point (3,) there."""
         if self._texture is None:
             return None, None
-        found = self.renderer.pick(x, y)
+        found = self.renderer.pick(x * self._drawn, y * self._drawn)
         self._give_back()
         return found
 
@@ -139,4 +154,15 @@ class Painter:
     def release(self) -> None:
         """Frees everything on the GPU."""
         self.renderer.release()
-        self._texture = None
+        self._texture = self._picture = None
+
+
+def scaled(camera: Camera, part: float) -> Camera:
+    """The same view in fewer pixels."""
+    if part == 1:
+        return camera
+    width, height = (max(16, round(side * part)) for side in (camera.width, camera.height))
+    x, y = width / camera.width, height / camera.height
+    return replace(
+        camera, fx=camera.fx * x, fy=camera.fy * y, cx=camera.cx * x, cy=camera.cy * y, width=width, height=height
+    )

@@ -14,19 +14,20 @@ from app.camera_control import Eye, project_points
 from app.document import Cut, Key
 from app.knife import SHORTEST, Stroke, plane_of
 from app.motion import Motion
-from app.outline import body_of, family_outlines, outline
 from app.pieces import Lying, sections
 from app.project import VIEW_MODES
 from app.session import Session
 from app.ui.cube import axis_cube
 from app.ui.gizmo import handles
 from app.ui.glide import CameraGlide, PieceGlide
-from app.ui.marks import brackets, closed_line, label
+from app.ui.guides import Guides
+from app.ui.marks import brackets, label
 from app.ui.painter import Painter
 from app.ui.theme import palette, px, rgb, u32
 from app.ui.widgets import segmented
 from engine.camera import Camera
-from engine.gl.overlay import Sheet
+from engine.gl.overlay import Lines, Sheet
+from engine.piece import Piece
 from engine.plane import frame
 
 __all__ = ["Viewport"]
@@ -82,9 +83,10 @@ class Viewport:
         self.size = (640, 480)
         """Of the picture, in the window's units."""
         self.origin = ImVec2(0, 0)
-        self._outlines: tuple[object, Sequence[tuple[str, NDArray[np.float64]]]] = (None, [])
+        self.guides = Guides(session)
         self._eye = Eye()
-        self._turned = -10.0
+        self._laid: tuple[object, ...] = ()
+        self._moved = -10.0
 
     @property
     def moving(self) -> bool:
@@ -122,11 +124,13 @@ class Viewport:
         background = session.viewing.background or rgb(palette().view)
         draw = imgui.get_window_draw_list()
         corner = ImVec2(self.origin.x + size.x, self.origin.y + size.y)
-        eye = self.eye_glide.now() or session.viewing.eye
-        if eye != self._eye:
-            self._eye, self._turned = eye, time.monotonic()
-        moving = self.moving or time.monotonic() - self._turned < REST
-        texture = self.painter.frame(session, self.camera(scale), shown, background, self._sheets(), moving)
+        moving = self._notice(shown)
+        over: list[Lines | Sheet] = [
+            *self._sheets(),
+            *self.guides.families(self.show_families, scale),
+            *self._knife_lines(pieces, scale),
+        ]
+        texture = self.painter.frame(session, self.camera(scale), shown, background, over, moving)
         if texture is None:
             draw.add_rect_filled(self.origin, corner, u32(palette().view))
         else:
@@ -136,17 +140,27 @@ class Viewport:
         imgui.set_next_item_allow_overlap()
         imgui.invisible_button("##canvas", size, ANY_BUTTON)
         hovered, active = imgui.is_item_hovered(), imgui.is_item_active()
-        self._draw_families(camera)
         self._draw_selection(camera, pieces)
         busy = self.drag is None and handles(session, camera, self.origin, size)
         if not busy:
             self._mouse(camera, hovered, active, pieces)
         if self.drag is not None and self.drag.kind in ("stroke", "plane"):
-            self._draw_stroke(camera, pieces)
+            self._draw_stroke()
         self._overlays(camera)
         if hovered and self.drag is None and not busy:
             self._hint()
         imgui.pop_clip_rect()
+
+    def _notice(self, shown: Sequence[Piece]) -> bool:
+        """Whether the view is in motion: the eye, or pieces and planes while they are pulled."""
+        eye = self.eye_glide.now() or self.session.viewing.eye
+        laid = tuple((piece.planes, piece.transform.tobytes()) for piece in shown)
+        pulled = imgui.is_mouse_down(imgui.MouseButton_.left) and laid != self._laid
+        now = time.monotonic()
+        if eye != self._eye or pulled:
+            self._moved = now
+        self._eye, self._laid = eye, laid
+        return self.moving or now - self._moved < REST
 
     # The hand
 
@@ -254,23 +268,6 @@ class Viewport:
 
     # What is drawn over the picture
 
-    def _draw_families(self, camera: Camera) -> None:
-        session = self.session
-        families = [f for f in session.document.families if f.kind in self.show_families]
-        key = (tuple(families), id(session.solid), session.up)
-        if self._outlines[0] != key:
-            body = body_of(session.solid) if families else None
-            lines = [
-                (f.kind, line)
-                for f in families
-                if body is not None
-                for line in family_outlines(f, session.solid, body, session.up)
-            ]
-            self._outlines = (key, lines)
-        for kind, line in self._outlines[1]:
-            colour = palette().text if kind == "horizontal" else palette().curve
-            closed_line(camera, self.origin, line, session.solid.centre, (u32(colour, 0.7), u32(colour, 0.08)), px(1.1))
-
     def _sheets(self) -> list[Sheet]:
         """The active section plane, as a sheet that the object hides where it is in front."""
         session, cut = self.session, self._active_section()
@@ -303,27 +300,26 @@ class Viewport:
             pixels = pixels + np.array([self.origin.x, self.origin.y])
             brackets(draw, pixels.min(0) - px(10), pixels.max(0) + px(10))
 
-    def _draw_stroke(self, camera: Camera, pieces: list[Lying]) -> None:
-        """The line, and where its plane would go through each piece."""
-        drag, session, p = self.drag, self.session, palette()
+    def _knife_lines(self, pieces: Sequence[Lying], scale: float) -> list[Lines]:
+        """Where the plane of the stroke would go through each piece."""
+        session, drag = self.session, self.drag
+        if drag is None or drag.kind not in ("stroke", "plane") or drag.cancelled or session.atoms is None:
+            return []
+        stroke = Stroke(drag.start, self._at(), imgui.get_io().key_shift)
+        plane = plane_of(self.camera(), stroke, session.up, session.solid.centre)
+        met = [piece for piece in pieces if not session.selection or piece.key in session.selection]
+        return [] if plane is None else self.guides.cut(plane, [piece for piece in met if piece.visible], scale)
+
+    def _draw_stroke(self) -> None:
+        """The line of the hand."""
+        drag, p = self.drag, palette()
         assert drag is not None
         if drag.cancelled:
             return
-        at = self._at()
-        stroke = Stroke(drag.start, at, imgui.get_io().key_shift)
-        plane = plane_of(camera, stroke, session.up, session.solid.centre)
         draw = imgui.get_window_draw_list()
-        ends = [ImVec2(x + self.origin.x, y + self.origin.y) for x, y in (drag.start, at)]
+        ends = [ImVec2(x + self.origin.x, y + self.origin.y) for x, y in (drag.start, self._at())]
         draw.add_line(ends[0], ends[1], u32("#000000", 0.35), px(4))
         draw.add_line(ends[0], ends[1], u32("#FFFFFF"), px(1.8))
-        if plane is not None and session.atoms is not None:
-            for piece in pieces:
-                if piece.visible and (not session.selection or piece.key in session.selection):
-                    line = outline(session.solid, piece.motion.inverse().carried(plane), piece.rows)
-                    if line is not None:
-                        moved, middle = piece.motion.apply(line), piece.motion.apply(session.solid.centre)
-                        colours = (u32(p.accent, 0.95), u32(p.accent, 0.4))
-                        closed_line(camera, self.origin, moved, middle, colours, px(2.4))
         for end in ends:
             draw.add_circle_filled(end, px(4.5), u32(p.accent))
         words = "release to cut" if drag.kind == "stroke" else "release to place"
@@ -365,7 +361,8 @@ class Viewport:
             pieces = f"    {count} pieces" if count != 1 else ""
             total = len(shown.atoms) if self.session.mode == "solid" else len(shown.atoms.interior)
             what = f"{total:,} atoms{pieces}"
-        return f"{what}    {self.painter.milliseconds:.0f} ms"
+        taken = self.painter.milliseconds
+        return f"{what}    {taken:.0f} ms" if taken else what
 
     def _hint(self) -> None:
         """What the tool waits for, at the pointer, until it has been used once."""
