@@ -1,4 +1,4 @@
-"""How good an inside is, against a true one: on pictures of cut faces."""
+"""How good an inside is, against a true one: on pictures of cut faces, and on features of sets of them."""
 
 from __future__ import annotations
 
@@ -8,10 +8,19 @@ from scipy import ndimage
 
 from training.losses import psnr, ssim
 
-__all__ = ["face_psnr", "face_ssim", "patch_distance", "sharpness"]
+__all__ = [
+    "face_psnr",
+    "face_ssim",
+    "frechet_distance",
+    "kernel_distance",
+    "mean_cosine",
+    "patch_distance",
+    "sharpness",
+]
 
 Picture = NDArray[np.float32]
 Mask = NDArray[np.bool_]
+Features = NDArray[np.float64]
 
 # Sliced Wasserstein: patches of 7 x 7 as the prior matches them, on a fixed set of directions, so that two
 # measurements agree to the last bit.
@@ -62,6 +71,36 @@ def sharpness(picture: Picture, inside: Mask) -> float:
         return 0.0
     laplacian = np.stack([ndimage.laplace(picture[..., c]) for c in range(3)], axis=-1)
     return float(np.sqrt((laplacian[core] ** 2).mean()))
+
+
+def frechet_distance(a: Features, b: Features) -> float:
+    """Between Gaussians of the means and covariances of two sets of features (N, D), (M, D); N, M > 1. FID's formula.
+
+    |mu_a - mu_b|^2 + tr(A + B - 2 (A B)^1/2). With A = X^T X and B = Y^T Y the last trace is the nuclear norm of
+    X Y^T, which is small where D is large.
+    """
+    x, y = ((f - f.mean(0)) / np.sqrt(len(f) - 1) for f in (a, b))
+    cross = np.linalg.svd(x @ y.T, compute_uv=False).sum()
+    gap = ((a.mean(0) - b.mean(0)) ** 2).sum()
+    return float(max(gap + (x**2).sum() + (y**2).sum() - 2 * cross, 0.0))
+
+
+def kernel_distance(a: Features, b: Features) -> float:
+    """Squared maximum mean discrepancy of two sets of features (N, D), (M, D), unbiased, so it may fall below zero.
+
+    KID's kernel, (x.y / D + 1)^3 (Binkowski et al. 2018).
+    """
+    n, m = len(a), len(b)
+    of_a, of_b, between = ((x @ y.T / a.shape[1] + 1) ** 3 for x, y in ((a, a), (b, b), (a, b)))
+    own = (of_a.sum() - np.trace(of_a)) / (n * (n - 1)) + (of_b.sum() - np.trace(of_b)) / (m * (m - 1))
+    return float(own - 2 * between.mean())
+
+
+def mean_cosine(features: Features) -> float:
+    """Mean cosine between every two of the features (N, D), N > 1: the paper's consistency (its table 2)."""
+    unit = features / np.linalg.norm(features, axis=1, keepdims=True)
+    count = len(unit)
+    return float((np.sum(unit.sum(0) ** 2) - count) / (count * (count - 1)))
 
 
 def _patches(picture: Picture, inside: Mask) -> Picture:

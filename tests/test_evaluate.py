@@ -1,0 +1,165 @@
+"""The evaluation: figures against closed forms, and a tiny grid from end to end."""
+
+from __future__ import annotations
+
+import json
+import re
+
+import numpy as np
+import pytest
+
+import training.settings
+from engine.errors import InputError
+from training.evaluate import cli, grid
+from training.evaluate.cuts import Cut, Truth, cuts_of, meeting_points, truth_of
+from training.evaluate.grid import cells, perform
+from training.evaluate.measure import agreement, read
+from training.evaluate.report import write_report
+from training.evaluate.scenes import subject
+from training.evaluate.tables import table
+from training.metrics import frechet_distance, kernel_distance, mean_cosine
+from training.settings import Detail
+
+TINY = Detail(cells=16, voxels=24, label=32, surface=32, surface_views=6, iterations=4)
+
+
+def test_distances_of_a_set_to_itself():
+    features = np.random.default_rng(0).normal(size=(40, 300))
+    assert frechet_distance(features, features) == pytest.approx(0, abs=1e-9)
+    assert mean_cosine(np.repeat(features[:1], 5, axis=0)) == pytest.approx(1)
+    assert mean_cosine(np.eye(6)) == pytest.approx(0)
+
+
+def test_frechet_distance_of_known_gaussians():
+    rng = np.random.default_rng(1)
+    a = rng.normal(size=(400, 3)) * [1.0, 2.0, 0.5]
+    a = (a - a.mean(0)) @ np.linalg.inv(np.linalg.cholesky(np.cov(a.T))).T * [1.0, 2.0, 0.5]
+    # Same axes, so the distance is that of the means and of the standard deviations.
+    b = a * [3.0, 1.0, 1.0] + [0.0, 0.0, 4.0]
+    assert frechet_distance(a, b) == pytest.approx(4.0**2 + 2.0**2, rel=1e-6)
+
+
+def test_kernel_distance_has_no_bias():
+    rng = np.random.default_rng(2)
+    same = [kernel_distance(*rng.normal(size=(2, 12, 8))) for _ in range(400)]
+    assert abs(np.mean(same)) < 3 * np.std(same) / np.sqrt(len(same)) + 1e-3
+    # E[(x.y / d + 1)^3] for x, y of means m, -m and no spread: the plain polynomial.
+    a = np.full((5, 4), 2.0)
+    assert kernel_distance(a, -a) == pytest.approx((4 + 1) ** 3 * 2 - 2 * (-4 + 1) ** 3)
+
+
+@pytest.fixture(scope="module")
+def bread(tmp_path_factory):
+    return subject("bread", tmp_path_factory.mktemp("scenes"))
+
+
+@pytest.fixture
+def cuts(bread):
+    return cuts_of(bread.solid, bread.families, 6)
+
+
+def test_cuts_are_the_same_for_everybody_and_meet_the_solid(bread, cuts, tmp_path):
+    again = cuts_of(bread.solid, bread.families, 6)
+    assert [cut.plane for cut in cuts] == [cut.plane for cut in again]
+    assert [cut.canonical for cut in cuts] == ["", "", "", "", "", "", "horizontal", "parallel"]
+    truth = truth_of(bread.solid, cuts, tmp_path / "truth.safetensors")
+    assert (truth.inside.mean((1, 2)) > 0.02).all()
+    assert not truth.inside[:, [0, -1]].any()
+    kept = truth_of(bread.solid, cuts, tmp_path / "truth.safetensors")
+    assert (kept.pictures == truth.pictures).all()
+    # What depends on the place in the world alone agrees with itself to how fast it changes in a pixel.
+    places = np.stack([0.5 + 0.3 * np.sin(2 * cut.points) for cut in cuts]).astype(np.float32)
+    everywhere = Truth(places, truth.inside)
+    assert agreement(places, cuts, bread, everywhere)["disagreement"] < 1e-3
+    shifted = places + np.float32(0.1) * (np.arange(len(cuts)) % 2)[:, None, None, None]
+    assert agreement(shifted, cuts, bread, everywhere)["disagreement"] > 0.03
+
+
+def test_a_world_point_is_read_where_its_pixel_is(bread, cuts: list[Cut]):
+    for a, b, points in meeting_points(bread.solid, cuts):
+        for cut in (cuts[a], cuts[b]):
+            assert np.allclose(read(cut.points.astype(np.float64), cut.place(points)), points, atol=1e-5)
+
+
+def test_tables_compare_on_common_scenes_and_mark_the_best():
+    facts = {
+        "ours": {"orange": {"psnr_db": 20.0, "sharpness": 0.9}, "bread": {"psnr_db": 1.0, "sharpness": 0.1}},
+        "physgaussian": {"orange": {"psnr_db": 10.0, "sharpness": 1.05}},
+        "oracle": {"orange": {"psnr_db": 30.0, "sharpness": 1.0}},
+    }
+    made = table(facts, list(facts), ("psnr_db", "sharpness", "clip_random"), ["orange", "bread"])
+    assert made.scenes == ["orange"]
+    assert [column.key for column in made.columns] == ["psnr_db", "sharpness"]
+    assert [row.best for row in made.rows] == [[True, False], [False, True], [False, False]]
+    assert made.rows[0].values == ["20.00", "0.90"]
+
+
+@pytest.fixture
+def tiny(monkeypatch):
+    monkeypatch.setitem(training.settings.DETAILS, "draft", TINY)
+
+
+def test_a_small_evaluation_goes_on_where_it_was_stopped(tiny, tmp_path, monkeypatch):
+    small = cells(["bread"], ["ours", "physgaussian"], [0], "draft", 6, None, tmp_path)
+    facts = perform(small[0], TINY)
+    assert facts["psnr_db"] > 10
+    assert facts["interior_atoms"] > 500
+    assert 0 <= facts["disagreement"] < 0.2
+    assert json.loads(small[0].result.read_text())["facts"] == facts
+    # The second time only what is missing is done; here in this process, where a child would take seconds to start.
+    called = []
+
+    class Here:
+        def __init__(self, *_: object) -> None: ...
+        def __enter__(self) -> Here:
+            return self
+
+        def __exit__(self, *_: object) -> None: ...
+        def submit(self, function, cell, numbers):  # type: ignore[no-untyped-def]
+            called.append(cell.method)
+            function(cell, numbers)
+            return self
+
+        def result(self) -> None: ...
+
+    monkeypatch.setattr(grid, "ProcessPoolExecutor", Here)
+    arguments = ["--scenes", "bread", "--methods", "ours,physgaussian", "--cuts", "6", "-o", str(tmp_path)]
+    monkeypatch.setattr("sys.argv", ["fruitninja-evaluate", *arguments])
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    assert ended.value.code == 0
+    assert called == ["physgaussian"]
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    # Self-contained: whatever it names is in it.
+    assert not re.search(r"""(src|href)=["'](?!data:)""", page)
+    assert "http" not in re.sub(r"base64,[A-Za-z0-9+/=]+", "", page)
+    assert page.count("data:image/jpeg") == 3
+    record = json.loads((tmp_path / "report.json").read_text())
+    assert record["results"]["bread/ours"] == facts
+    assert record["tables"]["Accuracy"]["scenes"] == ["bread"]
+    assert cells(["bread"], ["ours"], [0], "draft", 7, None, tmp_path)[0].kept() is None
+
+
+def test_a_grid_without_results_says_why(tmp_path):
+    cell = cells(["bread"], ["ours"], [0], "draft", 6, None, tmp_path)[0]
+    with pytest.raises(InputError, match="bread/ours: it broke"):
+        write_report([cell], {cell: "it broke"}, tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--scenes", "melon"], "--scenes melon: unknown; choose watermelon"),
+        (["--methods", "magic"], "--methods magic: unknown; choose ours"),
+        (["--detail", "extreme"], "draft, standard or high"),
+        (["--clip", "nowhere"], "no such folder"),
+    ],
+)
+def test_bad_input_gets_one_line(arguments, said, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("sys.argv", ["fruitninja-evaluate", *arguments, "-o", str(tmp_path)])
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    assert ended.value.code == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert said.replace("draft, standard or high", "choose draft") in error

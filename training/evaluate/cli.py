@@ -1,0 +1,82 @@
+"""`fruitninja-evaluate`: how good the insides are, as figures, pictures and tables."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated, cast, get_args
+
+import typer
+
+from engine.errors import InputError
+from training.evaluate.grid import Cell, cells, perform_all
+from training.evaluate.methods import METHODS
+from training.evaluate.report import write_report
+from training.evaluate.scenes import SCENES
+from training.settings import DetailName
+
+__all__ = ["main"]
+
+
+def evaluate(
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for report.html, report.json and what they need.")],
+    scenes: Annotated[str, typer.Option(help=f"With commas between: {','.join(SCENES)}.")] = "watermelon,orange,bread",
+    methods: Annotated[str, typer.Option(help=f"With commas between: {','.join(METHODS)}.")] = ",".join(METHODS),
+    detail: Annotated[str, typer.Option(help="draft, standard or high.")] = "draft",
+    cuts: Annotated[int, typer.Option(min=6, help="Random cuts of each scene, the paper's 120 for its table 2.")] = 120,
+    seeds: Annotated[int, typer.Option(min=1, help="Repeats of each method, with seeds 0, 1, ...")] = 1,
+    clip: Annotated[Path | None, typer.Option(help="Local folder of a CLIP model, for CLIP scores.")] = None,
+) -> None:
+    """Measure the insides of scenes whose inside is known; started again, it goes on where it was stopped."""
+    if detail not in get_args(DetailName):
+        raise InputError(f"--detail {detail}: unknown; choose {', '.join(get_args(DetailName))}")
+    if clip is not None and not clip.is_dir():
+        raise InputError(f"--clip {clip}: no such folder")
+    grid = cells(
+        chosen(scenes, SCENES, "--scenes"),
+        chosen(methods, tuple(METHODS), "--methods"),
+        range(seeds),
+        cast(DetailName, detail),
+        cuts,
+        clip,
+        out.absolute(),
+    )
+    failed = perform_all(grid, told)
+    page = write_report(grid, failed, out)
+    print(page)
+    if failed:
+        sys.exit(1)
+
+
+def chosen(text: str, known: tuple[str, ...], option: str) -> list[str]:
+    """The names of a list with commas, each once, all of them known."""
+    names = list(dict.fromkeys(name.strip() for name in text.split(",") if name.strip()))
+    for name in names:
+        if name not in known:
+            raise InputError(f"{option} {name}: unknown; choose {', '.join(known)}")
+    if not names:
+        raise InputError(f"{option}: none given; choose {', '.join(known)}")
+    return names
+
+
+def told(cell: Cell, what: str) -> None:
+    """One line to the terminal."""
+    print(f"{cell.name}: {what}", file=sys.stderr, flush=True)
+
+
+def main() -> None:
+    """Entry point: one clear line and status 2 for bad input, 1 where a part of the grid failed."""
+    app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+    app.command()(evaluate)
+    try:
+        app(prog_name="fruitninja-evaluate")
+    except InputError as error:
+        print(f"fruitninja-evaluate: {error}", file=sys.stderr)
+        sys.exit(2)
+    except KeyboardInterrupt:
+        print("fruitninja-evaluate: stopped; the same command goes on from here", file=sys.stderr)
+        sys.exit(130)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,127 @@
+"""The cuts that methods are measured on: the same for all of them, and none that anybody trained."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from safetensors.numpy import load_file, save_file
+
+from engine.camera import Camera, equator, on_plane, section
+from engine.files import atomic
+from engine.plane import Plane
+from sample_scenes.solids import Solid, directions
+from training.families import Family
+
+__all__ = ["Cut", "Truth", "cuts_of", "meeting_points", "truth_of"]
+
+Float = NDArray[np.float32]
+
+SIZE = 224
+"""Pixels of a cut's picture, what the network of the features takes in."""
+
+REACH = 0.5
+"""Random planes stand up to this share of the way from the centre to the skin."""
+
+CANONICAL = 3
+"""One canonical cut (along a trained family, at a place of its own) for this many random ones."""
+
+MET = 12
+"""Random cuts of which every two are compared where they meet: 66 pairs."""
+
+MET_POINTS = 48
+"""Points along the line where two cuts meet."""
+
+
+@dataclass(frozen=True)
+class Cut:
+    """A plane and the camera that looks at it straight on."""
+
+    plane: Plane
+    camera: Camera
+    canonical: str = ""
+    """Kind of the family that it lies along; empty for a random one."""
+
+    @property
+    def points(self) -> Float:
+        """(H, W, 3). World points of the pixels."""
+        return on_plane(self.camera, self.plane)
+
+    def place(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(M, 2). Column and row, in array indices, where world points (M, 3) are seen."""
+        seen = points @ self.camera.viewmat[:3, :3].T + self.camera.viewmat[:3, 3]
+        place = seen[:, :2] * [self.camera.fx, self.camera.fy] + [self.camera.cx, self.camera.cy]
+        return np.asarray(place - 0.5)
+
+
+def cuts_of(solid: Solid, families: tuple[Family, ...], count: int) -> list[Cut]:
+    """`count` random planes through a solid, then canonical ones, which belong to the families in turns."""
+    rng = np.random.default_rng(7)
+    bounds, up = solid.bounds, np.asarray(solid.up)
+    centre, half = bounds.mean(0), np.ptp(bounds, axis=0) / 2
+    planes: list[tuple[Plane, str]] = []
+    for _ in range(count):
+        normal = rng.standard_normal(3)
+        normal /= np.linalg.norm(normal)
+        # Between the half sizes of a ball and of a box in this direction.
+        reach = float(half @ np.abs(normal)) / np.sqrt(3)
+        planes.append((Plane.through(centre + normal * reach * rng.uniform(-REACH, REACH), normal), ""))
+    e1, e2 = equator(up)
+    for index in range(-(-count // CANONICAL)):
+        family = families[index % len(families)]
+        normal, place = up, rng.uniform(-0.7, 0.7)
+        if family.kind == "radial":
+            angle, place = rng.uniform(0, np.pi), 0.0
+            normal = np.cos(angle) * e1 + np.sin(angle) * e2
+        elif family.kind == "parallel" and family.axis is not None:
+            normal = np.asarray(family.axis)
+        planes.append((Plane.through(centre + place * half * normal, normal), family.kind))
+    radius = float(np.linalg.norm(solid.skin(directions(2048)) - centre, axis=1).max())
+    return [Cut(plane, section(plane, up, bounds, SIZE, radius), kind) for plane, kind in planes]
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What the cuts really show."""
+
+    pictures: Float
+    """(C, H, W, 3). Over white."""
+    inside: NDArray[np.bool_]
+    """(C, H, W)."""
+
+
+def truth_of(solid: Solid, cuts: list[Cut], path: Path) -> Truth:
+    """The true pictures, kept in a file: every method of a scene is compared with the same ones."""
+    if path.is_file():
+        kept = load_file(path)
+        if len(kept["pictures"]) == len(cuts):
+            return Truth(kept["pictures"], kept["inside"])
+    shown = [solid.slice(cut.plane, cut.camera, supersample=2) for cut in cuts]
+    truth = Truth(np.stack([rgb for rgb, _ in shown]), np.stack([inside for _, inside in shown]))
+    with atomic(path) as temporary:
+        save_file({"pictures": truth.pictures, "inside": truth.inside}, temporary)
+    return truth
+
+
+def meeting_points(solid: Solid, cuts: list[Cut]) -> list[tuple[int, int, NDArray[np.float64]]]:
+    """Pairs of random cuts and the points (M, 3) inside the solid where they meet."""
+    random = [index for index, cut in enumerate(cuts) if not cut.canonical][:MET]
+    low, high = solid.bounds
+    reach = float(np.linalg.norm(high - low)) / 2
+    clear = 0.04 * float((high - low).max())  # clear of the skin by more than a pixel of either picture
+    result = []
+    for a, b in itertools.combinations(random, 2):
+        na, nb = (np.asarray(cuts[i].plane.normal) for i in (a, b))
+        along = np.cross(na, nb)
+        if np.linalg.norm(along) < 0.1:
+            continue
+        along /= np.linalg.norm(along)
+        start = np.linalg.solve(np.stack([na, nb, along]), [-cuts[a].plane.offset, -cuts[b].plane.offset, 0.0])
+        line = start + np.linspace(-reach, reach, 4 * MET_POINTS)[:, None] * along
+        line = line[solid.depth(line) > clear]
+        if len(line):
+            result.append((a, b, line))
+    return result

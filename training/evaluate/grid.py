@@ -1,0 +1,103 @@
+"""The grid of an evaluation: independent cells, each kept in a file of its own when it is done."""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from engine.errors import InputError
+from engine.files import atomic
+from training.evaluate.measure import fingerprint, measure
+from training.settings import DETAILS, Detail, DetailName
+
+__all__ = ["Cell", "cells", "perform", "perform_all"]
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One method on one scene: a call of `measure` whose facts are kept in a JSON file."""
+
+    scene: str
+    method: str
+    seed: int
+    detail: DetailName
+    cuts: int
+    clip: Path | None
+    out: Path
+
+    @property
+    def name(self) -> str:
+        """For people; unique in its grid."""
+        return f"{self.scene}/{self.method}" + (f"-{self.seed}" if self.seed else "")
+
+    @property
+    def result(self) -> Path:
+        """Where the facts are kept."""
+        return self.out / "results" / self.scene / f"{self.method}-{self.seed}.json"
+
+    @property
+    def fingerprint(self) -> str:
+        """The same for the same figures."""
+        return fingerprint(self.scene, self.method, self.seed, self.detail, self.cuts, self.clip)
+
+    def kept(self) -> dict[str, Any] | None:
+        """The facts of an earlier evaluation with the same settings, None where there are none."""
+        try:
+            record = json.loads(self.result.read_bytes())
+        except (OSError, ValueError):
+            return None
+        whole = isinstance(record, dict) and record.get("fingerprint") == self.fingerprint
+        return record.get("facts") if whole else None
+
+
+def cells(
+    scenes: Sequence[str],
+    methods: Sequence[str],
+    seeds: Sequence[int],
+    detail: DetailName,
+    cuts: int,
+    clip: Path | None,
+    out: Path,
+) -> list[Cell]:
+    """All of them, one method after the other, so that what every scene has comes first."""
+    return [
+        Cell(scene, method, seed, detail, cuts, clip, out) for method in methods for scene in scenes for seed in seeds
+    ]
+
+
+def perform(cell: Cell, numbers: Detail) -> dict[str, Any]:
+    """Measures one cell and keeps its facts; `numbers` are those behind the detail's name, wherever this runs."""
+    DETAILS[cell.detail] = numbers
+    facts = measure(cell.scene, cell.method, cell.seed, cell.detail, cell.cuts, cell.clip, cell.out)
+    text = json.dumps({"fingerprint": cell.fingerprint, "facts": facts}, indent=1, allow_nan=False)
+    with atomic(cell.result) as temporary:
+        temporary.write_text(text + "\n", encoding="utf-8")
+    return facts
+
+
+def perform_all(grid: Sequence[Cell], told: Callable[[Cell, str], None]) -> dict[Cell, str]:
+    """Does what is not done yet, one after the other, each in a process of its own; returns what failed, and why.
+
+    A process of its own, because the memory of a method is its process's.
+    """
+    failed = {}
+    for cell in grid:
+        if cell.kept() is not None:
+            told(cell, "kept")
+            continue
+        told(cell, "begins")
+        with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
+            try:
+                pool.submit(perform, cell, DETAILS[cell.detail]).result()
+            except InputError as error:
+                failed[cell] = str(error)
+            except BrokenProcessPool:
+                failed[cell] = "its process died (out of memory, or killed)"
+        told(cell, f"failed: {failed[cell]}" if cell in failed else "done")
+    return failed

@@ -1,0 +1,201 @@
+"""One cell of the grid: a method on a scene, measured."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import resource
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from safetensors.numpy import load_file, save_file
+from scipy import ndimage
+
+from engine.files import atomic
+from engine.trained import sidecar_path
+from training.contact_sheet import to_image
+from training.evaluate.cuts import Cut, Truth, cuts_of, meeting_points, truth_of
+from training.evaluate.features import Clip, Features, network
+from training.evaluate.methods import METHODS, Made
+from training.evaluate.scenes import Subject, subject
+from training.metrics import (
+    face_psnr,
+    face_ssim,
+    frechet_distance,
+    kernel_distance,
+    mean_cosine,
+    patch_distance,
+    sharpness,
+)
+from training.settings import DETAILS, DetailName
+
+__all__ = ["SHOWN", "fingerprint", "measure"]
+
+Float = NDArray[np.float32]
+
+SHOWN = 6
+"""Cuts in the report's pictures."""
+
+FORMAT = 1
+"""Of a result; grows with every change of what a figure means."""
+
+
+def fingerprint(scene: str, method: str, seed: int, detail: DetailName, cuts: int, clip: Path | None) -> str:
+    """The same for the same figures; a result that carries another one is made again."""
+    told = [FORMAT, scene, method, seed, asdict(DETAILS[detail]), cuts, str(clip) if clip else None]
+    return hashlib.sha256(json.dumps(told).encode()).hexdigest()[:16]
+
+
+def measure(
+    scene: str, method: str, seed: int, detail: DetailName, cuts: int, clip: Path | None, out: Path
+) -> dict[str, Any]:
+    """Figures of a method on a scene as JSON facts; leaves out/results/<scene>/<method>-<seed>.png beside.
+
+    Memory is the whole process's: give each call a process of its own. Raises InputError for what the user can mend.
+    """
+    about = subject(scene, out / "scenes")
+    chosen = cuts_of(about.solid, about.families, cuts)
+    begun = time.perf_counter()
+    made = METHODS[method].make(about, about.request(DETAILS[detail], seed), out / "runs" / scene / f"{method}-{seed}")
+    seconds = time.perf_counter() - begun
+    facts = made.facts | {
+        "seconds": round(seconds, 2),
+        "peak_mb": round(peak_bytes() / 2**20),
+        "surface_atoms": len(made.atoms.surface),
+        "interior_atoms": len(made.atoms.interior),
+        "file_mb": round(sum(p.stat().st_size for p in (made.path, sidecar_path(made.path))) / 1e6, 2),
+    }
+    truth = truth_of(about.solid, chosen, out / "truth" / f"{scene}.safetensors")
+    begun = time.perf_counter()
+    pictures = shown(made, chosen, truth)
+    facts["seconds_per_cut"] = round((time.perf_counter() - begun) / len(chosen), 3)
+    facts |= accuracy(pictures, chosen, truth, yardstick(about, chosen, truth, out / "truth" / f"{scene}_another"))
+    facts |= agreement(pictures, chosen, about, truth)
+    facts |= distances(pictures, chosen, truth, out / "truth" / f"{scene}_features.safetensors", clip, scene)
+    save_strip(out / "results" / scene / f"{method}-{seed}.png", pictures[:SHOWN])
+    save_strip(out / "results" / scene / "truth.png", truth.pictures[:SHOWN])
+    return facts
+
+
+def peak_bytes() -> int:
+    """The most memory that this process has held."""
+    most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return most if sys.platform == "darwin" else most * 1024
+
+
+def shown(made: Made, cuts: Sequence[Cut], truth: Truth) -> Float:
+    """(C, H, W, 3). The faces as the method shows them, white where there is none."""
+    pictures = [made.show(number, cut) for number, cut in enumerate(cuts)]
+    return np.where(truth.inside[..., None], np.stack(pictures), np.float32(1))
+
+
+def yardstick(about: Subject, cuts: Sequence[Cut], truth: Truth, path: Path) -> float | None:
+    """Patch distance between the cuts of two true ones of the kind, mean over random cuts."""
+    if about.another is None:
+        return None
+    other = truth_of(about.another, [cut for cut in cuts if not cut.canonical], path.with_suffix(".safetensors"))
+    both = zip(other.pictures, other.inside, truth.pictures, truth.inside, strict=False)
+    return float(np.mean([patch_distance(a, i, b, j) for a, i, b, j in both]))
+
+
+def accuracy(pictures: Float, cuts: Sequence[Cut], truth: Truth, another: float | None) -> dict[str, Any]:
+    """Means over the random cuts of the figures that compare a face with the true one."""
+    random = [number for number, cut in enumerate(cuts) if not cut.canonical]
+    rows = []
+    for number in random:
+        made, true, inside = pictures[number], truth.pictures[number], truth.inside[number]
+        rows.append(
+            (
+                face_psnr(made, true, inside),
+                face_ssim(made, true, inside),
+                patch_distance(made, inside, true, inside),
+                sharpness(made, inside) / max(sharpness(true, inside), 1e-9),
+            )
+        )
+    psnr, ssim, patch, sharp = np.mean(rows, axis=0)
+    return {
+        "psnr_db": round(float(psnr), 3),
+        "ssim": round(float(ssim), 4),
+        "patch": round(float(patch), 4),
+        "patch_ratio": None if another is None else round(float(patch) / another, 2),
+        "sharpness": round(float(sharp), 3),
+    }
+
+
+def agreement(pictures: Float, cuts: Sequence[Cut], about: Subject, truth: Truth) -> dict[str, Any]:
+    """RMS colour difference of the same points seen by two cuts; the truth's own is what reading pixels costs."""
+    result = {}
+    for name, of in (("disagreement", pictures), ("disagreement_truth", truth.pictures)):
+        squares = [
+            (read(of[a], cuts[a].place(points)) - read(of[b], cuts[b].place(points))) ** 2
+            for a, b, points in meeting_points(about.solid, list(cuts))
+        ]
+        result[name] = round(float(np.sqrt(np.concatenate(squares).mean())), 4) if squares else None
+    return result
+
+
+def read(picture: Float, places: NDArray[np.float64]) -> Float:
+    """(M, 3). Colours at columns and rows (M, 2), bilinear."""
+    at = places.T[::-1]
+    return np.stack([ndimage.map_coordinates(picture[..., c], at, order=1, mode="nearest") for c in range(3)], -1)
+
+
+def distances(
+    pictures: Float, cuts: Sequence[Cut], truth: Truth, kept: Path, clip: Path | None, scene: str
+) -> dict[str, Any]:
+    """Figures on features: of canonical cuts as in the paper's table 1, of random ones as in its table 2."""
+    facts: dict[str, Any] = {}
+    sets = {
+        "canonical": [number for number, cut in enumerate(cuts) if cut.canonical],
+        "random": [number for number, cut in enumerate(cuts) if not cut.canonical],
+    }
+    sees = network()
+    if sees is not None:
+        true = truth_features(truth, sees.of, kept)
+        found = sees.of(list(pictures))
+        for name, numbers in sets.items():
+            a, b = found[numbers], true[numbers]
+            facts[f"fid_{name}"] = round(frechet_distance(a, b), 3)
+            facts[f"kid_{name}"] = round(kernel_distance(a, b), 5)
+            facts[f"cosine_{name}"] = round(mean_cosine(a), 4)
+            facts[f"cosine_{name}_truth"] = round(mean_cosine(b), 4)
+    if clip is not None:
+        reader = Clip(clip)
+        unit = reader.of(list(pictures))
+        thing = "red velvet cake" if scene == "cake" else scene
+        facts["clip_random"] = round(reader.score(unit[sets["random"]], f"the cross-section of a {thing}"), 2)
+        facts["clip_cosine_random"] = round(mean_cosine(unit[sets["random"]]), 4)
+        kinds = sorted({cuts[number].canonical for number in sets["canonical"]})
+        scores = [
+            reader.score(unit[[n for n in sets["canonical"] if cuts[n].canonical == kind]], words(kind, thing))
+            for kind in kinds
+        ]
+        facts["clip_canonical"] = round(float(np.mean(scores)), 2)
+    return facts
+
+
+def words(kind: str, thing: str) -> str:
+    """The paper's prompt for a canonical cut."""
+    return f"the {'horizontal' if kind == 'horizontal' else 'vertical'} cross-section of a {thing}"
+
+
+def truth_features(truth: Truth, of: Callable[[Sequence[Float]], Features], path: Path) -> Features:
+    """Those of the true pictures, kept for the next method."""
+    if path.is_file() and len(found := load_file(path)["features"]) == len(truth.pictures):
+        return found
+    found = of(list(truth.pictures))
+    with atomic(path) as temporary:
+        save_file({"features": found}, temporary)
+    return found
+
+
+def save_strip(path: Path, pictures: Float) -> None:
+    """Pictures (N, H, W, 3) side by side."""
+    with atomic(path) as temporary:
+        to_image(np.concatenate(list(pictures), axis=1)).save(temporary, optimize=True)

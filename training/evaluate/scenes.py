@@ -1,0 +1,157 @@
+"""Scenes with a known inside: a shell as it would be captured, pictures of a few cut faces, and the truth at every cut.
+
+The sample solids, and one that nature made: `thigh`, true-colour slices of a human thigh (Visible Human Male), where
+the file with them is at hand.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+from scipy import ndimage
+
+from engine.body import Body
+from engine.errors import InputError
+from engine.files import atomic
+from engine.plane import Plane
+from engine.ply import write_ply
+from sample_scenes.exemplars import photograph
+from sample_scenes.make import SHIPPED, make
+from sample_scenes.shell import Look, shell
+from sample_scenes.solids import SOLIDS, Solid
+from training.families import COUNTS, Family
+from training.prior import Volume
+from training.request import Request
+from training.settings import DETAILS, Detail
+
+__all__ = ["SCENES", "Subject", "Tuned", "subject", "thigh"]
+
+THIGH = "thigh"
+SCENES = (*SOLIDS, THIGH)
+
+SHIPPED_AT = Path(__file__).parents[2] / "sample_scenes"
+THIGH_AT = Path(__file__).parents[3] / "shared/data/volumes/vhm_thigh_rgba.npz"
+
+THIGH_LOOK = Look(20000, 0, 0.0)
+THIGH_SLICES = (-0.6, 0.0, 0.6)
+"""Where the exemplars lie, as shares of the half height."""
+
+PICTURE = 512
+"""Pixels of an exemplar."""
+
+
+@dataclass(frozen=True)
+class Tuned(Request):
+    """A request with numbers of its own in place of a detail's name."""
+
+    numbers: Detail = DETAILS["draft"]
+
+    @property
+    def fineness(self) -> Detail:
+        """The numbers."""
+        return self.numbers
+
+
+@dataclass(frozen=True)
+class Subject:
+    """A scene to be measured."""
+
+    name: str
+    solid: Solid
+    """The truth."""
+    another: Solid | None
+    """Another true one of the kind, the yardstick for what a different but right inside differs by."""
+    scene: Path
+    families: tuple[Family, ...]
+
+    def request(self, numbers: Detail, seed: int) -> Tuned:
+        """What a run is asked for."""
+        return Tuned(self.scene, self.families, up=self.solid.up, seed=seed, numbers=numbers)
+
+
+def subject(name: str, folder: Path) -> Subject:
+    """The scene of this name; its files are made in folder/name where they do not come with the project.
+
+    Raises InputError where there is no such scene, or its data is not at hand.
+    """
+    if name == THIGH:
+        return _thigh_subject(folder)
+    if name not in SOLIDS:
+        raise InputError(f"--scenes {name}: no such scene; choose {', '.join(SCENES)}")
+    solid = SOLIDS[name](0)
+    home = SHIPPED_AT if name in SHIPPED and (SHIPPED_AT / name / f"{name}.ply").is_file() else folder
+    pictures = {kind: home / name / f"{kind}_1.png" for kind in COUNTS if kind in solid.families}
+    scene = home / name / f"{name}.ply"
+    if not all(path.is_file() for path in (scene, *pictures.values())):
+        make(name, folder)
+    families = tuple(
+        Family(kind, COUNTS[kind], (path,), axis=_axis(solid) if kind == "parallel" else None)
+        for kind, path in pictures.items()
+    )
+    return Subject(name, solid, SOLIDS[name](1), scene, families)
+
+
+def _axis(solid: Solid) -> tuple[float, float, float]:
+    """The longer of the two horizontal axes, along which parallel exemplars are cut."""
+    low, high = solid.bounds
+    return (1.0, 0.0, 0.0) if high[0] - low[0] >= high[1] - low[1] else (0.0, 1.0, 0.0)
+
+
+def _thigh_subject(folder: Path) -> Subject:
+    solid = thigh(THIGH_AT)
+    scene = folder / THIGH / f"{THIGH}.ply"
+    pictures = tuple(folder / THIGH / f"horizontal_{number}.png" for number in range(1, len(THIGH_SLICES) + 1))
+    low, high = solid.bounds
+    for place, path in zip(THIGH_SLICES, pictures, strict=True):
+        if not path.is_file():
+            plane = Plane.through((low + high) / 2 + place * (high - low) / 2 * [0, 0, 1], (0.0, 0.0, 1.0))
+            with atomic(path) as temporary:
+                Image.fromarray(photograph(solid, plane, PICTURE)).save(temporary, optimize=True)
+    if not scene.is_file():
+        write_ply(scene, shell(solid, THIGH_LOOK, np.random.default_rng(100)), comments=("thigh, up +z",))
+    return Subject(THIGH, solid, None, scene, (Family("horizontal", COUNTS["horizontal"], pictures),))
+
+
+def thigh(path: Path) -> Solid:
+    """The thigh as a solid, its longest side 2 units. Raises InputError where the file is not there."""
+    if not path.is_file():
+        raise InputError(f"{path}: not there; leave the scene '{THIGH}' out, or put the file there")
+    with np.load(path, allow_pickle=False) as data:
+        rgb, spacing = data["rgb"], data["spacing_mm"].astype(np.float64)
+        shape = tuple(int(n) for n in data["mask_shape"])
+        mask = np.unpackbits(data["mask"])[: int(np.prod(shape))].reshape(shape).astype(bool)
+    # From z, y, x (y downwards, slices from the hip to the knee) to world axes with the hip up, on cubes.
+    rgb, mask = (np.moveaxis(a[::-1, ::-1], (0, 1, 2), (2, 1, 0)) for a in (rgb, mask))
+    spacing = spacing[::-1]
+    cell = float(spacing.min())
+    box = [slice(max(at.min() - 1, 0), at.max() + 2) for at in np.nonzero(mask)]
+    rgb, mask = rgb[tuple(box)], mask[tuple(box)]
+    colour = np.stack([_cubes((rgb[..., c] / 255).astype(np.float32), spacing / cell) for c in range(3)], axis=-1)
+    inside = _cubes(mask.astype(np.float32), spacing / cell) > 0.5
+    # The outermost ring of the photographs is half the blue they were taken on.
+    core = ndimage.binary_erosion(inside, iterations=2)
+    nearest = ndimage.distance_transform_edt(~core, return_distances=False, return_indices=True)
+    margin = 8
+    colour = np.pad(colour[tuple(nearest)], [(margin, margin)] * 3 + [(0, 0)], mode="edge")
+    inside = np.pad(inside, margin)
+    size = 2 * cell / float(max(np.ptp(at) + 1 for at in np.nonzero(inside)) * cell)
+    centre = np.array([(at.min() + at.max() + 1) / 2 for at in np.nonzero(inside)])
+    inner, outer = (ndimage.distance_transform_edt(m) for m in (inside, ~inside))
+    depth = ndimage.gaussian_filter((inner - outer).astype(np.float32), 1.0) * np.float32(size)
+    body = Body(-centre * size, size, depth)
+    volume = Volume(body, np.ascontiguousarray(colour))
+
+    def skin_depth(points: NDArray[np.float64]) -> NDArray[np.float32]:
+        # Off the grid the depth goes on falling, so that a search for the skin knows where to turn.
+        return body.at(points) - np.maximum(np.abs(points).max(-1) - 1.1, 0).astype(np.float32)
+
+    return Solid.of(THIGH, ("horizontal",), skin_depth, volume.at)
+
+
+def _cubes(values: NDArray[np.float32], zoom: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Resampled so that cells are cubes."""
+    return ndimage.zoom(values, zoom, order=1, output=np.float32)
