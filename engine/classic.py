@@ -11,8 +11,10 @@ composite. Tiles that have become opaque close, and what lies behind them is nev
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import torch
@@ -48,6 +50,10 @@ ROWS_PER_TASK = 4
 """Rows of tiles that are filled or read out in one task."""
 
 
+LINE = 64
+"""Bytes of a cache line, and of the widest vector."""
+
+
 @dataclass(frozen=True)
 class _Scene:
     """Parameters of one float type, contiguous."""
@@ -72,7 +78,7 @@ class _Slice:
     tile_starts: NDArray[np.int64]  # [tiles + 1]
     pair_codes: NDArray[np.int32]  # [pairs]
     pair_tiles: NDArray[np.int32]  # [most pairs]
-    pair_places: NDArray[np.int32]  # [most pairs]
+    pair_rows: NDArray[np.int32]  # [pairs]
 
 
 @dataclass
@@ -158,7 +164,7 @@ def _backward(
     """Gradients of means, scales, quats, opacities and colours, given those of the picture (rgb, alpha, depth)."""
     kind = scene.means.dtype
     tiles_y, tiles_x = -(-outer[1].shape[0] // SIDE), -(-outer[1].shape[1] // SIDE)
-    adjoints = np.empty((tiles_y * tiles_x, BLOCKS, ADJOINT * BLOCK), kind)
+    adjoints = _empty((tiles_y * tiles_x, BLOCKS, ADJOINT * BLOCK), kind)
     for_each(
         start_backward,
         -(-tiles_y // ROWS_PER_TASK),
@@ -171,19 +177,26 @@ def _backward(
     parameters = scene.means, scene.scales, scene.quats, scene.opacities, scene.colours
     gradients = [np.zeros(array.shape, kind) for array in parameters]
     tile_lasts = frame.lasts.max(axis=(1, 2))
-    buffer = np.empty((max((len(part.pair_codes) for part in frame.slices), default=0), ROW), kind)
+    buffer = _empty((max((len(part.pair_tiles) for part in frame.slices), default=0), ROW), kind)
     for part in reversed(frame.slices):
-        rows = buffer[: len(part.pair_codes)]
         for_each(
             blend_backward, -(-len(part.tiles) // TILES_PER_TASK), TILES_PER_TASK, part.tiles, tiles_x,
-            part.tile_starts, part.pair_codes, frame.records, frame.lasts, tile_lasts, adjoints, rows,
+            part.tile_starts, part.pair_codes, part.pair_rows, frame.records, frame.lasts, tile_lasts, adjoints, buffer,
         )  # fmt: skip
         for_each(
             project_backward, len(part.record_counts), part.chunk_size, part.first, part.record_counts,
             frame.cam, frame.eye, *parameters, scene.plain, frame.records, frame.owners, frame.pair_counts,
-            part.first_places, part.pair_tiles, part.pair_places, tile_lasts, rows, *gradients,
+            part.first_places, part.pair_tiles, tile_lasts, buffer, *gradients,
         )  # fmt: skip
     return gradients
+
+
+def _empty(shape: tuple[int, ...], kind: np.dtype[Any]) -> NDArray[Any]:
+    """An array that begins with a cache line, so that a record or a vector of pixels fills whole lines."""
+    size = math.prod(shape) * kind.itemsize
+    raw = np.empty(size + LINE, np.uint8)
+    start = -raw.__array_interface__["data"][0] % LINE
+    return raw[start : start + size].view(kind).reshape(shape)
 
 
 def _composite(scene: _Scene, camera: Camera) -> _Frame:
@@ -195,11 +208,11 @@ def _composite(scene: _Scene, camera: Camera) -> _Frame:
     frame = _Frame(
         cam,
         camera.position,
-        np.empty((visible, RECORD), kind),
+        _empty((visible, RECORD), kind),
         np.empty(visible, np.int32),
         np.empty(visible, np.int32),
-        np.empty((tiles_y * tiles_x, BLOCKS, STATE * BLOCK), kind),
-        np.empty((tiles_y * tiles_x, BLOCKS, BLOCK), np.int32),
+        _empty((tiles_y * tiles_x, BLOCKS, STATE * BLOCK), kind),
+        _empty((tiles_y * tiles_x, BLOCKS, BLOCK), np.dtype(np.int32)),
     )
     for_each(start, -(-tiles_y // ROWS_PER_TASK), ROWS_PER_TASK, frame.states, frame.lasts, camera.width, camera.height)
     open_tiles = np.ones((tiles_y, tiles_x), np.uint8)
@@ -235,10 +248,10 @@ def _composite_slice(
     tile_starts = np.empty(tiles_y * tiles_x + 1, np.int64)
     place_pairs(places, tile_starts)
     tiles = np.flatnonzero(np.diff(tile_starts))
-    pair_codes, pair_places = np.empty(tile_starts[-1], np.int32), np.empty_like(pair_tiles)
+    pair_codes, pair_rows = np.empty(tile_starts[-1], np.int32), np.empty(tile_starts[-1], np.int32)
     for_each(
         sort_pairs, chunks, chunk_size, first, record_counts, first_places, pair_tiles, frame.pair_counts, places,
-        pair_codes, pair_places,
+        pair_codes, pair_rows,
     )  # fmt: skip
     tasks = -(-len(tiles) // TILES_PER_TASK)
     for_each(
@@ -246,7 +259,7 @@ def _composite_slice(
         open_tiles,
     )  # fmt: skip
     frame.slices.append(
-        _Slice(first, chunk_size, record_counts, first_places, tiles, tile_starts, pair_codes, pair_tiles, pair_places)
+        _Slice(first, chunk_size, record_counts, first_places, tiles, tile_starts, pair_codes, pair_tiles, pair_rows)
     )
 
 

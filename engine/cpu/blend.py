@@ -183,13 +183,16 @@ def blend_backward(  # type: ignore[no-untyped-def]
     tiles_x,
     tile_starts,  # [all tiles + 1]
     pair_codes,  # [pairs]
+    pair_rows,  # [pairs] row of each
     records,  # [V, RECORD]
     lasts,  # [all tiles, BLOCKS, BLOCK]
     tile_lasts,  # [all tiles] greatest of them
     adjoints,  # in out [all tiles, BLOCKS, ADJOINT * BLOCK]
-    rows,  # out [pairs, ROW], left alone where the tile was closed before the pair
+    rows,  # out [most pairs, ROW], left alone where the tile was closed before the pair
 ):
     """Walks back through the pairs of a slice in the tiles of one task and writes each pair's sums over its pixels.
+
+    A record's rows lie together: to write all over memory costs nothing beside this much arithmetic, to read would.
 
     With s_i = c_i . dL/dC + z_i dL/dD and R_i the derivative by the transmittance behind layer i, which for the last is
     bg . dL/dC - dL/dA: dL/dalpha_i = T_i (s_i - R_i), and R_(i-1) = R_i + alpha_i (s_i - R_i).
@@ -246,7 +249,7 @@ def blend_backward(  # type: ignore[no-untyped-def]
                 depth = fma(w, g_depth, depth)
             pm_sum = p_sum * m
             sums = row_sums((p_sum, pm_sum, pm_sum * m, pn_sum, pn_sum * m, pnn_sum, red, green, blue, depth))
-            store(rows[at], 0, sums)
+            store(rows[pair_rows[at]], 0, sums)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -263,19 +266,22 @@ def start_backward(  # type: ignore[no-untyped-def]
     """The picture's gradient for the rows of tiles of one task, in the order of the tiles."""
     height, width = g_alpha.shape
     tiles_x = (width + SIDE - 1) // SIDE
-    first = task * rows_per_task
-    adjoints[first * tiles_x : (first + rows_per_task) * tiles_x] = 0
-    for y in range(first * SIDE, min((first + rows_per_task) * SIDE, height)):
-        for x in range(width):
-            tile, block = (y // SIDE) * tiles_x + x // SIDE, (y % SIDE) // 2
-            i = (y % 2) * SIDE + x % SIDE
-            s = adjoints[tile, block]
-            left = abs(states[tile, block, i])
-            red, green, blue = g_rgb[y, x, 0], g_rgb[y, x, 1], g_rgb[y, x, 2]
-            s[i] = left
-            s[BLOCK + i] = background[0] * red + background[1] * green + background[2] * blue - g_alpha[y, x]
-            s[2 * BLOCK + i], s[3 * BLOCK + i], s[4 * BLOCK + i] = red, green, blue
-            s[5 * BLOCK + i] = g_depth[y, x]
+    first = task * rows_per_task * tiles_x
+    for tile in range(first, min(first + rows_per_task * tiles_x, len(adjoints))):
+        top, left = tile // tiles_x * SIDE, tile % tiles_x * SIDE
+        adjoints[tile] = 0
+        for y in range(top, min(top + SIDE, height)):
+            block, shift = (y - top) // 2, (y - top) % 2 * SIDE - left
+            for x in range(left, min(left + SIDE, width)):
+                i = shift + x
+                red, green, blue = g_rgb[y, x, 0], g_rgb[y, x, 1], g_rgb[y, x, 2]
+                behind = background[0] * red + background[1] * green + background[2] * blue - g_alpha[y, x]
+                adjoints[tile, block, i] = abs(states[tile, block, i])
+                adjoints[tile, block, BLOCK + i] = behind
+                adjoints[tile, block, 2 * BLOCK + i] = red
+                adjoints[tile, block, 3 * BLOCK + i] = green
+                adjoints[tile, block, 4 * BLOCK + i] = blue
+                adjoints[tile, block, 5 * BLOCK + i] = g_depth[y, x]
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -303,14 +309,16 @@ def resolve(task, rows_per_task, states, background, rgb, alpha, depth):  # type
     height, width = alpha.shape
     tiles_x = (width + SIDE - 1) // SIDE
     one = states.dtype.type(1)
-    first = task * rows_per_task * SIDE
-    for y in range(first, min(first + rows_per_task * SIDE, height)):
-        for x in range(width):
-            s = states[(y // SIDE) * tiles_x + x // SIDE, (y % SIDE) // 2]
-            i = (y % 2) * SIDE + x % SIDE
-            left = abs(s[i])
-            rgb[y, x, 0] = s[BLOCK + i] + left * background[0]
-            rgb[y, x, 1] = s[2 * BLOCK + i] + left * background[1]
-            rgb[y, x, 2] = s[3 * BLOCK + i] + left * background[2]
-            alpha[y, x] = one - left
-            depth[y, x] = s[4 * BLOCK + i]
+    first = task * rows_per_task * tiles_x
+    for tile in range(first, min(first + rows_per_task * tiles_x, len(states))):
+        top, corner = tile // tiles_x * SIDE, tile % tiles_x * SIDE
+        for y in range(top, min(top + SIDE, height)):
+            block, shift = (y - top) // 2, (y - top) % 2 * SIDE - corner
+            for x in range(corner, min(corner + SIDE, width)):
+                i = shift + x
+                left = abs(states[tile, block, i])
+                rgb[y, x, 0] = states[tile, block, BLOCK + i] + left * background[0]
+                rgb[y, x, 1] = states[tile, block, 2 * BLOCK + i] + left * background[1]
+                rgb[y, x, 2] = states[tile, block, 3 * BLOCK + i] + left * background[2]
+                alpha[y, x] = one - left
+                depth[y, x] = states[tile, block, 4 * BLOCK + i]

@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 
 from engine.cpu.blend import ROW
-from engine.cpu.lanes import floor, load8, load16, root, store, widen
+from engine.cpu.lanes import absolute, floor, load8, load16, maximum, minimum, root, store, widen
 from engine.cpu.tiles import BLOCKS, SIDE, TAIL_BITS, box_size
 from engine.formula import LOW_PASS
 from engine.projection import (
@@ -119,16 +119,22 @@ def _sh_direction_gradient(x, y, z, bands, g):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _may_touch(u, v, j00, j02, j11, j12, scale, open_sums):  # type: ignore[no-untyped-def]
-    """Whether an open tile lies in a box that surely holds the Gaussian: its largest scale in all directions."""
-    tiles_y, tiles_x = open_sums.shape[0] - 1, open_sums.shape[1] - 1
-    reach_x = REACH * (scale * (abs(j00) + abs(j02))) + FRINGE
-    reach_y = REACH * (scale * (abs(j11) + abs(j12))) + FRINGE
-    x0 = int(min(max((u - reach_x) * (1.0 / SIDE), 0.0), tiles_x))
-    x1 = int(min(max((u + reach_x) * (1.0 / SIDE) + 1.0, 0.0), tiles_x))
-    y0 = int(min(max((v - reach_y) * (1.0 / SIDE), 0.0), tiles_y))
-    y1 = int(min(max((v + reach_y) * (1.0 / SIDE) + 1.0, 0.0), tiles_y))
-    return open_sums[y1, x1] - open_sums[y0, x1] - open_sums[y1, x0] + open_sums[y0, x0] > 0
+def _box_group(cam, near, tiles_y, tiles_x, box):  # type: ignore[no-untyped-def]
+    """Fills box (4, GROUP), tiles x0, x1, y0, y1: it surely holds the Gaussian, its largest scale in all directions.
+
+    near (4, GROUP) is mean and largest scale.
+    """
+    x, y, z = camera_point(cam, load8(near, 0), load8(near, GROUP), load8(near, 2 * GROUP))
+    scale = load8(near, 3 * GROUP)
+    u, v = project_point(cam, x, y, z)
+    j00, j02, j11, j12 = jacobian(cam, x, y, z)
+    reach_x = REACH * (scale * (absolute(j00) + absolute(j02))) + FRINGE
+    reach_y = REACH * (scale * (absolute(j11) + absolute(j12))) + FRINGE
+    per_side = 1.0 / SIDE
+    store(box, 0, minimum(maximum((u - reach_x) * per_side, 0.0), tiles_x))
+    store(box, GROUP, minimum(maximum((u + reach_x) * per_side + 1.0, 0.0), tiles_x))
+    store(box, 2 * GROUP, minimum(maximum((v - reach_y) * per_side, 0.0), tiles_y))
+    store(box, 3 * GROUP, minimum(maximum((v + reach_y) * per_side + 1.0, 0.0), tiles_y))
 
 
 REACH = math.sqrt(2.0 * math.log(255.0)) * 1.001
@@ -217,19 +223,21 @@ def project(  # type: ignore[no-untyped-def]
     tiles_y, tiles_x = open_sums.shape[0] - 1, open_sums.shape[1] - 1
     bands = colours.shape[1]
     basis = np.empty(16, np.float64)
-    near = np.empty((stop - start, 4), np.float64)
+    near, box = np.zeros((-(-(stop - start) // GROUP), 4, GROUP), np.float64), np.empty((4, GROUP), np.float64)
     for k in range(stop - start):
         i = order[start + k]
-        near[k, 0], near[k, 1], near[k, 2] = means[i, 0], means[i, 1], means[i, 2]
-        near[k, 3] = max(scales[i, 0], scales[i, 1], scales[i, 2])
+        group, lane = near[k // GROUP], k % GROUP
+        group[0, lane], group[1, lane], group[2, lane] = means[i, 0], means[i, 1], means[i, 2]
+        group[3, lane] = max(scales[i, 0], scales[i, 1], scales[i, 2])
     rows = np.empty(stop - start, np.int64)
     count = 0
     for k in range(stop - start):
-        x, y, z = camera_point(cam, near[k, 0], near[k, 1], near[k, 2])
-        u, v = project_point(cam, x, y, z)
-        affine = jacobian(cam, x, y, z)
+        lane = k % GROUP
+        if lane == 0:
+            _box_group(cam, near[k // GROUP], tiles_y, tiles_x, box)
+        x0, x1, y0, y1 = int(box[0, lane]), int(box[1, lane]), int(box[2, lane]), int(box[3, lane])
         rows[count] = order[start + k]
-        count += _may_touch(u, v, affine[0], affine[1], affine[2], affine[3], near[k, 3], open_sums)
+        count += open_sums[y1, x1] - open_sums[y0, x1] - open_sums[y1, x0] + open_sums[y0, x0] > 0
     gathered = _gather(rows[:count], means, scales, quats, opacities)
 
     most_pairs = 0
@@ -330,10 +338,9 @@ def project_backward(  # type: ignore[no-untyped-def]
     owners,  # [V]
     pair_counts,  # [V]
     first_places,  # [chunks of this slice] where the chunk's pairs begin in
-    pair_tiles,  # [most pairs] tile << BLOCKS | blocks of each pair, record by record, and
-    pair_places,  # [most pairs] place of the pair in the list of its tile
+    pair_tiles,  # [most pairs] tile << BLOCKS | blocks of each pair, record by record
     tile_lasts,  # [tiles] last record that a tile saw before it closed
-    rows,  # [pairs of this slice, ROW] by place
+    rows,  # [most pairs, ROW] record by record
     g_means,  # out, like the parameters
     g_scales,
     g_quats,
@@ -357,7 +364,7 @@ def project_backward(  # type: ignore[no-untyped-def]
         for _ in range(pair_counts[slot]):
             if slot <= tile_lasts[pair_tiles[pair] >> BLOCKS]:
                 seen = True
-                lanes = lanes + widen(load16(rows[pair_places[pair]], 0))
+                lanes = lanes + widen(load16(rows[pair], 0))
             pair += 1
         if seen:
             slots[count] = slot

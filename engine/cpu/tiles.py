@@ -145,7 +145,7 @@ def sort_pairs(  # type: ignore[no-untyped-def]
     pair_counts,  # [V]
     free_places,  # [chunks, tiles] next free place of this chunk in each tile's list
     pair_codes,  # out [pairs] record << BLOCKS | blocks, by place: tile by tile, nearest first
-    pair_places,  # out [most pairs] and back: place of each pair, record by record
+    pair_rows,  # out [pairs] and which pair that is, counted record by record
 ):
     """Brings the pairs of one chunk into the lists of their tiles."""
     start = first + chunk * chunk_size
@@ -157,5 +157,5 @@ def sort_pairs(  # type: ignore[no-untyped-def]
             place = free[tile]
             free[tile] = place + 1
             pair_codes[place] = (slot << BLOCKS) | (pair_tiles[pair] & ((1 << BLOCKS) - 1))
-            pair_places[pair] = place
+            pair_rows[place] = pair
             pair += 1
