@@ -25,6 +25,10 @@ class Watch:
         self.folder = out / "checkpoint"
         self._seen: tuple[tuple[str, int], ...] = ()
 
+    def forget(self) -> None:
+        """Everything is new again: for atoms that have none of the colours yet."""
+        self._seen = ()
+
     def newer(self, atoms: Atoms) -> Atoms | None:
         """The same atoms in the latest colours; None where there is nothing new, or nothing that fits.
 

@@ -145,6 +145,12 @@ class Desk:
             self._next_colours = now + COLOURS_EVERY
             self._take_colours()
 
+    def recolour(self) -> None:
+        """Other atoms of the same object are shown: they take on at once what training has reached."""
+        if self.watch is not None:
+            self.watch.forget()
+            self._next_colours = 0.0
+
     def _follow(self, job: Job) -> None:
         self.job, self.watch, self._phase = job, Watch(job.out), job.phase
         self._next_look = self._next_colours = 0.0

@@ -399,6 +399,7 @@ class Session:
                 new = replace(self.object, request=new.request)  # the same scene again: keep showing it meanwhile
             self.object = new
             self.geometry += 1
+            self.desk.recolour()
             if first and self.viewing.eye == Viewing().eye:
                 self.fit()
             if new.trained and self.viewing.mode == "capture":

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from app.document import Key
 from app.outline import body_of_atoms, body_of_shell, contours
 from app.pieces import Lying
 from app.session import Session
@@ -28,24 +30,27 @@ class Guides:
     def __init__(self, session: Session) -> None:
         self.session = session
         self._body: tuple[object, Body] | None = None
-        self._families: dict[str, tuple[object, NDArray[np.float64]]] = {}
+        self._families: dict[tuple[str, Key], tuple[object, NDArray[np.float64]]] = {}
 
-    def families(self, kinds: Collection[str], scale: float) -> list[Lines]:
-        """The planes of these kinds as they will be trained, on a screen of `scale` pixels a unit."""
+    def families(self, kinds: Collection[str], pieces: Sequence[Lying], scale: float) -> list[Lines]:
+        """The planes of these kinds as they will be trained, on pieces as they lie, on a screen of `scale` pixels a
+        unit."""
         p = palette()
-        shown = [family for family in self.session.document.families if family.kind in kinds]
-        return [
-            lines(self._of(family), p.text if family.kind == "horizontal" else p.curve, 0.75, px(1.2) * scale, 0.1)
-            for family in shown
-        ]
+        result = []
+        for family in self.session.document.families:
+            if family.kind in kinds:
+                parts = [moved(piece, self._of(family, piece)) for piece in pieces if piece.visible]
+                ends = np.concatenate([np.zeros((0, 2, 3)), *parts])
+                colour = p.text if family.kind == "horizontal" else p.curve
+                result.append(lines(ends, colour, 0.75, px(1.2) * scale, 0.1))
+        return result
 
     def cut(self, plane: Plane, pieces: Sequence[Lying], scale: float) -> list[Lines]:
         """Where a plane of the world meets pieces."""
-        found = []
-        for piece in pieces:
-            ends = contours(self.body, [piece.motion.inverse().carried(plane)], piece.planes)
-            found.append(piece.motion.apply(ends.reshape(-1, 3)).reshape(ends.shape))
-        ends = np.concatenate(found) if found else np.zeros((0, 2, 3))
+        found = [
+            moved(piece, contours(self.body, [piece.motion.inverse().carried(plane)], piece.planes)) for piece in pieces
+        ]
+        ends = np.concatenate([np.zeros((0, 2, 3)), *found])
         return [lines(ends, palette().accent, 0.95, px(2.4) * scale, 0.4)]
 
     @property
@@ -59,16 +64,21 @@ class Guides:
             self._body = (key, body)
         return self._body[1]
 
-    def _of(self, family: Family) -> NDArray[np.float64]:
-        """(S, 2, 3)."""
-        body = self.body
-        key = (family, id(body), self.session.up)
-        kept = self._families.get(family.kind)
+    def _of(self, family: Family, piece: Lying) -> NDArray[np.float64]:
+        """(S, 2, 3). In the object's space."""
+        body, place = self.body, (family.kind, piece.key)
+        key = (replace(family, exemplars=(), prompt=""), piece.planes, id(body), self.session.up)
+        kept = self._families.get(place)
         if kept is None or kept[0] != key:
             planes = family.planes(body, np.asarray(self.session.up, np.float64))
-            kept = (key, contours(body, planes[:: max(1, -(-len(planes) // MOST))]))
-            self._families[family.kind] = kept
+            kept = (key, contours(body, planes[:: max(1, -(-len(planes) // MOST))], piece.planes))
+            self._families[place] = kept
         return kept[1]
+
+
+def moved(piece: Lying, ends: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(S, 2, 3). Where lines of the object's space lie with a piece."""
+    return piece.motion.apply(ends.reshape(-1, 3)).reshape(ends.shape)
 
 
 def lines(ends: NDArray[np.float64], colour: str, alpha: float, width: float, hidden: float) -> Lines:

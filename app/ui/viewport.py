@@ -127,7 +127,7 @@ class Viewport:
         moving = self._notice(shown)
         over: list[Lines | Sheet] = [
             *self._sheets(),
-            *self.guides.families(self.show_families, scale),
+            *self.guides.families(self.show_families, pieces, scale),
             *self._knife_lines(pieces, scale),
         ]
         texture = self.painter.frame(session, self.camera(scale), shown, background, over, moving)
