@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -30,10 +31,6 @@ PLAIN = (0.83, 0.82, 0.80)
 
 SKIN_PITCHES = 2.0
 """Pitches under the skin over which its colour fades into the plain one: a cut shows a rim, as a shell would."""
-
-BODY_CELLS = 128
-"""The trainer's: with the same grid its atoms are the same, and the window can follow their colours."""
-
 
 FIT_VIEWS, FIT_SIZE, FIT_ENTRIES = 24, 160, 16
 """Views of the capture that the skin's colours are fitted to, their pixels, and atoms kept for a pixel: as many as a
@@ -75,22 +72,15 @@ def _capture(path: Path, folder: Path, seed: int) -> tuple[Gaussians, NDArray[np
 
 
 def _solid(path: Path, gaussians: Gaussians, up: NDArray[np.float64], cells: int, seed: int, folder: Path) -> None:
-    from engine.atomise import atomise
-    from engine.fill import fill, find_body
+    from engine.solidify import enclosed, solidify
     from engine.surface_fit import refit, surface_views
 
     _say(stage="Finding the body", part=0.15)
-    found = find_body(gaussians, max(BODY_CELLS, cells), path.name)
-    low, high = found.body.bounds()
-    pitch = float((high - low).max()) / cells
+    found = enclosed(gaussians, cells, path.name)
     _say(stage="Making it solid", part=0.4)
-    surface = atomise(gaussians, pitch, found.body).atoms
-    _say(stage="Filling it", part=0.85)
-    interior = fill(found.body, pitch, seed, surface)
-    interior = InteriorAtoms(
-        interior.means, interior.sigmas, plain_inside(surface, interior, found.body, pitch), interior.exposed
-    )
-    atoms = Atoms(surface, interior, pitch)
+    atoms = solidify(gaussians, found.body, cells, seed).atoms
+    plain = plain_inside(atoms.surface, atoms.interior, found.body, atoms.pitch)
+    atoms = replace(atoms, interior=replace(atoms.interior, rgb=plain))
     facts = {"notes": list(found.notes), "trained": False}
     _send_atoms(folder, atoms, facts)
     # It can be cut from here on; what follows only makes its skin look like the capture's.

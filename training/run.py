@@ -14,13 +14,12 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from engine.atomise import atomise
 from engine.atoms import Atoms
 from engine.files import sweep
-from engine.fill import fill, find_body
 from engine.gaussians import Gaussians
 from engine.load import load
 from engine.orient import detect_up
+from engine.solidify import enclosed, solidify
 from engine.surface_fit import SurfaceView, refit, surface_views
 from training.checkpoint import Checkpoint
 from training.events import Reporter, Stage
@@ -33,9 +32,6 @@ from training.trainer import Trainer
 from training.views import ENTRIES, sections, surface_cameras
 
 __all__ = ["Parts", "prepare", "refitted", "run"]
-
-BODY_CELLS = 128
-"""Cells along the longest side of the grid on which the body is found; its depth is exact to a part of a cell."""
 
 
 @dataclass(frozen=True)
@@ -111,26 +107,24 @@ def prepare(request: Request, reporter: Reporter, check: Callable[[], None]) -> 
     gaussians = loaded.gaussians
     check()
     with reporter.stage("body") as stage:
-        found = find_body(gaussians, max(BODY_CELLS, request.fineness.cells), request.scene.name)
+        found = enclosed(gaussians, request.fineness.cells, request.scene.name)
         for note in found.notes:
             reporter.warn(f"{request.scene.name}: {note}")
         up, reason = upward(request, gaussians)
         stage.progress(1.0, reason, up=up.tolist(), reason=reason)
     check()
-    low, high = found.body.bounds()
-    pitch = float((high - low).max()) / request.fineness.cells
     with reporter.stage("atomise"):
-        made = atomise(gaussians, pitch, found.body)
-        atoms = Atoms(made.atoms, fill(found.body, pitch, request.seed, made.atoms), pitch)
+        solid = solidify(gaussians, found.body, request.fineness.cells, request.seed)
+        atoms = solid.atoms
     facts = {
         "gaussians": len(gaussians),
-        "gaussians_dropped": made.dropped,
-        "gaussians_split": made.split,
+        "gaussians_dropped": solid.skin.dropped,
+        "gaussians_split": solid.skin.split,
         "surface_atoms": len(atoms.surface),
         "interior_atoms": len(atoms.interior),
         "exposed_atoms": atoms.interior.exposed,
         "volume": found.body.volume,
-        "pitch": pitch,
+        "pitch": atoms.pitch,
         "up": up.tolist(),
     }
     return Geometry(gaussians, atoms, found.body, up), facts
