@@ -17,7 +17,7 @@ from engine.view_weights import ViewWeights
 from training.families import Family
 from training.prior import Condition
 
-__all__ = ["BACKGROUND", "ENTRIES", "Section", "sections", "surface_cameras"]
+__all__ = ["BACKGROUND", "ENTRIES", "Extent", "Section", "conditioned", "sections", "surface_cameras"]
 
 BACKGROUND = (1.0, 1.0, 1.0)
 """White, as exemplar pictures usually have it."""
@@ -50,7 +50,7 @@ def sections(
     progress: Callable[[float], None],
 ) -> list[Section]:
     """Every plane of every family as a view of size x size pixels; planes that miss the body are left out."""
-    bounds, radius = body.bounds(), body.radius
+    bounds, radius, extent = body.bounds(), body.radius, Extent.of(body, up)
     planes = [(family, plane) for family in families for plane in family.planes(body, up)]
     field = KernelField(atoms)
     result = []
@@ -60,28 +60,47 @@ def sections(
         inside = body.at(points) > 0
         if inside.any():
             weights = ViewWeights.section(atoms, plane, camera, field).truncated(ENTRIES)
-            condition = conditioned(family, body, up, camera, points)
+            condition = conditioned(family, body, extent, camera, points)
             result.append(Section(family, plane, camera, weights, condition, points))
         progress((index + 1) / len(planes))
     return result
 
 
+@dataclass(frozen=True)
+class Extent:
+    """How far a body reaches along and around its axis: the units of a condition's coordinates."""
+
+    up: NDArray[np.float64]
+    centre: NDArray[np.float64]
+    reach: float
+    """Greatest distance from the axis, world units."""
+    bottom: float
+    """Lowest and highest point along the axis, from the centre."""
+    top: float
+    inradius: float
+
+    @staticmethod
+    def of(body: Body, up: NDArray[np.float64]) -> Extent:
+        """Of all cells inside."""
+        centre = body.bounds().mean(0)
+        points = body.centres()[body.inside] - centre
+        along = points @ up
+        reach = np.linalg.norm(np.cross(points, up), axis=-1).max()
+        return Extent(up, centre, float(reach), float(along.min()), float(along.max()), body.inradius)
+
+
 def conditioned(
     family: Family,
     body: Body,
-    up: NDArray[np.float64],  # [3]
+    extent: Extent,
     camera: Camera,
     points: NDArray[np.float32],  # [H, W, 3]
 ) -> Condition:
     """What a prior is told about a cut face before anything is trained: its render is even grey."""
-    low, high = body.bounds()
-    centre = (low + high) / 2
-    along = (body.centres()[body.inside] - centre) @ up
-    e1, e2 = equator(up)
-    offset = points - centre
-    x, y, z = offset @ e1, offset @ e2, offset @ up
-    reach = np.linalg.norm(np.cross(body.centres()[body.inside] - centre, up), axis=-1).max()
-    bottom, top = float(along.min()), float(along.max())
+    e1, e2 = equator(extent.up)
+    offset = points - extent.centre
+    x, y, z = offset @ e1, offset @ e2, offset @ extent.up
+    bottom, top = extent.bottom, extent.top
     depth = body.at(points)
     inside = depth > 0
     distance = points @ camera.viewmat[2, :3] + camera.viewmat[2, 3]
@@ -89,8 +108,8 @@ def conditioned(
         family=family,
         prompt=family.prompt,
         inside=inside,
-        under_skin=np.clip(depth / body.inradius, 0, 1).astype(np.float32),
-        radius=(np.hypot(x, y) / reach).astype(np.float32),
+        under_skin=np.clip(depth / extent.inradius, 0, 1).astype(np.float32),
+        radius=(np.hypot(x, y) / extent.reach).astype(np.float32),
         angle=np.arctan2(y, x).astype(np.float32),
         height=(2 * (z - bottom) / max(top - bottom, 1e-12) - 1).astype(np.float32),
         depth=np.where(inside, distance, np.inf).astype(np.float32),

@@ -42,7 +42,7 @@ from training.request import Geometry, Request
 from training.run import Parts, prepare, refitted, run
 from training.sds import distill
 from training.trainer import Trainer
-from training.views import BACKGROUND, ENTRIES, Section, conditioned, surface_cameras
+from training.views import BACKGROUND, ENTRIES, Extent, Section, conditioned, surface_cameras
 
 __all__ = ["METHODS", "Made", "Method"]
 
@@ -292,12 +292,12 @@ def inpainting(subject: Subject, request: Tuned, out: Path) -> Made:
     geometry, facts = hollow(request, out)
     prior = make_prior(request)
     assert isinstance(prior, Denoises), prior
-    size = request.fineness.label
+    size, extent = request.fineness.label, Extent.of(geometry.body, geometry.up)
 
     def show(number: int, cut: Cut) -> Float:
         family = nearest_family(cut.plane, request.families, geometry)
         small = cut.camera.resized(size, size)
-        condition = conditioned(family, geometry.body, geometry.up, small, on_plane(small, cut.plane))
+        condition = conditioned(family, geometry.body, extent, small, on_plane(small, cut.plane))
         start = np.where(condition.inside[..., None], condition.render, np.float32(1))
         label = distill(start, prior, condition, np.random.default_rng([request.seed, number]))
         zoom = cut.camera.width / size
