@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
 
-from engine.atoms import Atoms
+from engine.atoms import Atoms, InteriorAtoms
 
 __all__ = ["Watch"]
 
@@ -30,11 +31,11 @@ class Watch:
         self._seen = ()
 
     def newer(self, atoms: Atoms) -> Atoms | None:
-        """The same atoms in the latest colours; None where there is nothing new, or nothing that fits.
+        """The object in the latest colours; None where there is nothing new, or nothing that fits.
 
-        The trainer makes its atoms from the same scene by the same steps, so they come in the same order. Where the
-        counts differ (another detail, another version) the colours are left alone. The skin may come with spherical
-        harmonics of another degree.
+        The trainer makes its skin from the same scene by the same steps, so its atoms come in the same order; where
+        their counts differ (another detail, another version) nothing fits. The inside may come with atoms of its own,
+        as fine as its colours need them, and the skin with spherical harmonics of another degree.
         """
         written = []
         for stage in STAGES:
@@ -44,14 +45,22 @@ class Watch:
             return None
         self._seen = tuple(written)
         found: dict[str, NDArray[np.float32]] = {}
+        exposed = atoms.interior.exposed
         for stage, _ in written:
             with (
-                contextlib.suppress(SafetensorError, OSError),
+                contextlib.suppress(SafetensorError, OSError, ValueError),
                 safe_open(self.folder / f"{stage}.safetensors", framework="np") as file,
             ):
-                found |= {name: file.get_tensor(name) for name in ("rgb", "sh") if name in set(file.keys())}
+                names = {"means", "sigmas", "rgb", "sh"} & set(file.keys())
+                found |= {name: file.get_tensor(name) for name in names}
+                facts = json.loads((file.metadata() or {}).get("facts", "{}"))
+                exposed = int(facts.get("exposed", exposed))
         surface, interior = atoms.surface, atoms.interior
+        means, sigmas = found.get("means", interior.means), found.get("sigmas", interior.sigmas)
         rgb, sh = found.get("rgb", interior.rgb), found.get("sh", surface.sh)
-        if not found or rgb.shape != interior.rgb.shape or sh.ndim != 3 or len(sh) != len(surface):
+        fits = rgb.shape == means.shape == (len(sigmas), 3) and 0 <= exposed <= len(means)
+        if not found or not fits or sh.ndim != 3 or len(sh) != len(surface):
             return None
+        if not np.array_equal(means, interior.means):
+            interior = InteriorAtoms(means, sigmas, rgb, exposed)
         return Atoms(replace(surface, sh=sh), replace(interior, rgb=rgb.clip(0, 1)), atoms.pitch)

@@ -181,5 +181,6 @@ class Desk:
         if atoms is not None:
             session.object = replace(shown, atoms=atoms)
             session.colours += 1
-            if atoms.surface.sh.shape != shown.atoms.surface.sh.shape:
+            same = atoms.interior.means is shown.atoms.interior.means
+            if not same or atoms.surface.sh.shape != shown.atoms.surface.sh.shape:
                 session.geometry += 1

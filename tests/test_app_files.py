@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from safetensors.numpy import save_file
 
 from app.autosave import Autosave, rescued
 from app.camera_control import Eye
@@ -268,6 +269,38 @@ def test_a_real_training_speaks_as_the_window_listens(tmp_path: Path, monkeypatc
     window = solid.interior  # what the app would be showing: the same atoms, so that colours fit
     again = Watch(out).newer(Atoms(solid.surface, replace(window, rgb=np.zeros_like(window.rgb)), solid.pitch))
     assert again is not None and again.interior.rgb.max() > 0.5
+
+
+def test_the_window_takes_on_what_a_training_has_reached(tmp_path: Path) -> None:
+    solid, watch = atoms(), Watch(tmp_path)
+    (tmp_path / "checkpoint").mkdir()
+
+    def reached(stage: str, facts: dict[str, int], **arrays: np.ndarray) -> None:
+        path = tmp_path / "checkpoint" / f"{stage}.safetensors"
+        save_file(arrays, path, metadata={"facts": json.dumps(facts)})
+        os.utime(path, ns=(len(written), len(written)))
+        written.append(stage)
+
+    written: list[str] = []
+    assert watch.newer(solid) is None
+    red = np.tile(np.float32([2, 0, 0]), (600, 1))
+    reached("labels", {}, rgb=red)
+    seen = watch.newer(solid)
+    assert seen is not None and seen.interior.means is solid.interior.means and (seen.interior.rgb == [1, 0, 0]).all()
+    assert watch.newer(solid) is None
+    watch.forget()  # the window has made its atoms anew
+    assert watch.newer(solid) is not None
+    # An inside of the trainer's own making, then colours for it.
+    means, sigmas = np.float32([[0, 0, 0], [1, 2, 3]]), np.float32([0.1, 0.2])
+    reached("labels", {"exposed": 1}, means=means, sigmas=sigmas, rgb=red[:2])
+    seen = watch.newer(solid)
+    assert seen is not None and len(seen.interior) == 2 and seen.interior.exposed == 1
+    reached("training", {}, rgb=red[:2] / 4, sh=np.zeros((300, 4, 3), np.float32))
+    again = watch.newer(seen)
+    assert again is not None and again.interior.means is seen.interior.means and again.surface.sh_degree == 1
+    assert np.allclose(again.interior.rgb, [0.5, 0, 0])
+    reached("training", {}, rgb=red[:5])
+    assert watch.newer(seen) is None
 
 
 def test_half_a_line_is_read_when_it_is_whole(tmp_path: Path) -> None:
