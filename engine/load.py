@@ -9,19 +9,14 @@ from pathlib import Path
 
 from engine.errors import InputError
 from engine.gaussians import Gaussians
-from engine.mesh import MESH_SUFFIXES, read_mesh
+from engine.mesh import read_mesh
 from engine.ply import read_ply
 from engine.ply_header import open_file, read_header
 from engine.splat import read_splat
 from engine.spz import GZIP, read_spz
+from engine.suffixes import MESH_SUFFIXES, SCENE_SUFFIXES
 
-__all__ = ["SCENE_SUFFIXES", "Loaded", "load"]
-
-SPLAT_SUFFIXES = (".ply", ".splat", ".spz")
-"""Captures. SuperSplat's compressed .ply is one of the first."""
-
-SCENE_SUFFIXES = tuple(dict.fromkeys((*SPLAT_SUFFIXES, *MESH_SUFFIXES)))
-"""Names of files that `load` opens."""
+__all__ = ["Loaded", "load"]
 
 TO_CONVERT = (".ksplat", ".sog", ".sogs")
 """Captures that only their own programs read."""
@@ -64,8 +59,7 @@ def load(path: str | Path, seed: int = 0) -> Loaded:
     elif suffix in TO_CONVERT:
         raise InputError(f"{path}: {suffix} files cannot be opened; export the capture as a .ply, .splat or .spz")
     else:
-        kinds = ", ".join((*SPLAT_SUFFIXES, *(s for s in MESH_SUFFIXES if s != ".ply")))
-        raise InputError(f"{path}: not a scene; {kinds} can be opened")
+        raise InputError(f"{path}: not a scene; {', '.join(SCENE_SUFFIXES)} can be opened")
     gaussians, warnings = read(path)
     return Loaded(gaussians, tuple(warnings))
 

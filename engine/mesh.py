@@ -20,12 +20,10 @@ from engine.ply_header import open_file, read_header
 from engine.scatter import scatter
 from engine.sh import rgb_to_sh
 
-__all__ = ["MESH_SUFFIXES", "read_mesh"]
+__all__ = ["read_mesh"]
 
 # trimesh reports broken textures to its log; without a handler Python would print them with a traceback.
 logging.getLogger("trimesh").addHandler(logging.NullHandler())
-
-MESH_SUFFIXES = (".obj", ".glb", ".gltf", ".ply", ".stl")
 
 IN_PLANE = 0.75
 """Standard deviation along the surface, in mean spacings sqrt(area / count). At this the kernels add up to 1.3 or more

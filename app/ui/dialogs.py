@@ -15,7 +15,7 @@ from app.project import SUFFIX
 from app.session import PICTURES
 from app.ui.theme import px
 from app.ui.widgets import main_button, secondary
-from engine.load import SCENE_SUFFIXES
+from engine.suffixes import SCENE_SUFFIXES
 
 __all__ = ["Dialogs"]
 
