@@ -117,8 +117,16 @@ class Driver:
         return np.frombuffer(data, np.uint8).reshape(height, width, 3)[::-1].copy()
 
 
-def drive(session: Session, script: Callable[[Driver], None], start: Callable[[Session], None] | None = None) -> Window:
-    """Runs the window until the script has ended; an error of the script is raised here."""
+def drive(
+    session: Session,
+    script: Callable[[Driver], None],
+    start: Callable[[Session], None] | None = None,
+    prepare: Callable[[Window], None] = lambda window: None,
+) -> Window:
+    """Runs the window until the script has ended; an error of the script is raised here.
+
+    `start` is done in the window once it is there, `prepare` before there is one.
+    """
     os.environ.setdefault("LIBGL_ALWAYS_SOFTWARE", "1")
     window = Window(session, start)
     failures: list[BaseException] = []
@@ -127,6 +135,7 @@ def drive(session: Session, script: Callable[[Driver], None], start: Callable[[S
     params.fps_idling.enable_idling = False
     params.fps_idling.vsync_to_monitor = False
     params.ini_disable = True
+    prepare(window)
 
     def register() -> None:
         engine = hello_imgui.get_imgui_test_engine()
