@@ -122,7 +122,7 @@ def near_plane(points, reach, first, count, planes, j):  # type: ignore[no-untyp
 
 @njit(cache=True)
 def pick(points, reach, axes, least, zone, low, cell, first, count, planes, eye, parallel):  # type: ignore[no-untyped-def]
-    """uint32 indices of the atoms that can show on a piece's outside: those no plane touches, and those one clips.
+    """uint32 indices of the atoms on a piece's outside: those no plane touches, those one clips, those the solid hides.
 
     points (N, 3), reach (N,): how far an atom is felt. axes (N, 3), least (N,), zone (X, Y, Z), low (3,), cell: see
     engine.gl.facing.Hiding. planes (P, 4). eye (3,): where it is, or with `parallel` the direction it looks in.
@@ -133,7 +133,8 @@ def pick(points, reach, axes, least, zone, low, cell, first, count, planes, eye,
         total += count[k]
     free = np.empty(total, np.uint32)
     clipped = np.empty(total, np.uint32)
-    frees = clips = 0
+    hidden = np.empty(total, np.uint32)
+    frees = clips = hides = 0
     for k in range(len(first)):
         for i in range(first[k], first[k] + count[k]):
             x, y, z = points[i, 0], points[i, 1], points[i, 2]
@@ -158,6 +159,8 @@ def pick(points, reach, axes, least, zone, low, cell, first, count, planes, eye,
                 if dx * axes[i, 0] + dy * axes[i, 1] + dz * axes[i, 2] >= least[i] * length and sound(
                     x, y, z, dx, dy, dz, parallel, planes, zone, low, cell
                 ):
+                    hidden[hides] = i
+                    hides += 1
                     continue
             if touched:
                 clipped[clips] = i
@@ -165,7 +168,7 @@ def pick(points, reach, axes, least, zone, low, cell, first, count, planes, eye,
             else:
                 free[frees] = i
                 frees += 1
-    return free[:frees], clipped[:clips]
+    return free[:frees], clipped[:clips], hidden[:hides]
 
 
 @njit(cache=True)

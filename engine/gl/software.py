@@ -26,6 +26,7 @@ from engine.gl.section import Face, near_face, scale_of, visible_faces
 from engine.gl.software_faces import BAND, SECTION, add_faces, bin_bands, sections
 from engine.gl.software_frame import compose, gather, pack
 from engine.gl.software_grid import CHUNKS, KeptGrids
+from engine.gl.software_holes import fill_holes, seen_through, tile_depths
 from engine.gl.solid import Solid
 from engine.gl.store import Ellipsoids, Spheres
 from engine.gl.surface import shown
@@ -39,6 +40,9 @@ from engine.threads import for_each
 __all__ = ["SoftwareMode", "is_software"]
 
 Double = NDArray[np.float64]
+
+
+NO_FACE = np.zeros((0, 0, 4), np.float32)
 
 
 def is_software(renderer: str) -> bool:
@@ -121,62 +125,98 @@ class SoftwareMode:
         cam[9:12] = view.matrix[:3, 3]
         cam[14:16] -= x, y
         cam[22:24] = width, height
-        front, sums = self._splats(view, cam, planes, solid, look, (height, width))
         face = self._room("face", (height, width, 4), np.float32)
         depths = self._room("depths", (height, width), np.float32)
         has_faces = False
         for i, piece in enumerate(planes):
             mates = planes[:i] + planes[i + 1 :]
             has_faces |= self._faces(view, cam, piece, mates, solid, look, face, depths, not has_faces)
+        front, sums = self._splats(view, cam, rect, planes, solid, look, face if has_faces else NO_FACE, depths)
         for_each(
             compose, -(-height // BAND), x, y, sums, front, has_faces, face, depths,
             np.float32(1e-3 * solid.pitch), ground, np.float32(number), below, rgb, info, np.float32(NOTHING),
         )  # fmt: skip
 
     def _splats(
-        self, view: View, cam: Double, planes: list[Double], solid: Solid, look: Look, shape: tuple[int, int]
+        self,
+        view: View,
+        cam: Double,
+        rect: Rect,
+        planes: list[Double],
+        solid: Solid,
+        look: Look,
+        face: NDArray[np.float32],
+        depths: NDArray[np.float32],
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Front depth (H, W) and sums (H, W, 5) of the outside."""
+        """Front depth (H, W) and sums (H, W, 5) of the outside; `face` (H, W, 4) and `depths` are the faces, if any."""
+        shape = rect[3], rect[2]
         front = self._room("front", shape, np.float32)
         sums = self._room("sums", (*shape, 5), np.float32)
-        jobs = []
+        jobs, hidden = [], []
         for splats in solid.splats(look.interior_only):
             every = [np.ones(len(splats.chunks), bool)]
-            for k, ((free, clipped),) in enumerate(shown(view, planes, splats, look, every)):
-                if len(free) or len(clipped):
-                    jobs.append((splats, k, np.concatenate([free, clipped])))
+            for k, ((free, clipped, behind),) in enumerate(shown(view, planes, splats, look, every)):
+                jobs.append((splats, k, np.concatenate([free, clipped])))
+                hidden.append((splats, k, behind))
+        tiled, colours = self._tiled("", view, cam, planes, jobs, solid, look, shape)
+        for_each(accumulate, -(-(len(tiled.first) - 1) // TILES_PER_TASK), tiled, colours, front, sums)
+
+        lines, columns = -(-shape[0] // TILE), -(-shape[1] // TILE)
+        ends = self._room("ends", shape, np.float32)
+        limits = self._room("limits", (lines, columns), np.float32)
+        left_open, right_open = rect[0] > 0, rect[0] + rect[2] < view.camera.width
+        if any(len(rows) for _, _, rows in hidden):
+            for_each(tile_depths, lines, front, len(face) > 0, face, depths, left_open, right_open, ends, limits)
+            jobs = [
+                (splats, k, seen_through(rows, splats.kept[0], look.disc_scale, cam, limits, tiled.layer))
+                for splats, k, rows in hidden
+            ]
+            if any(len(rows) for _, _, rows in jobs):
+                behind_tiled, behind_colours = self._tiled("behind ", view, cam, planes, jobs, solid, look, shape)
+                for_each(fill_holes, lines, tiled, colours, behind_tiled, behind_colours, ends, front, sums)
+        return front, sums
+
+    def _tiled(
+        self,
+        name: str,
+        view: View,
+        cam: Double,
+        planes: list[Double],
+        jobs: Sequence[tuple[Ellipsoids, int, NDArray[np.uint32]]],  # each: atoms of a piece
+        solid: Solid,
+        look: Look,
+        shape: tuple[int, int],
+    ) -> tuple[Tiled, NDArray[np.float32]]:
+        """Projected atoms in lists for each tile, and their colours (N, 3)."""
         count = sum(len(rows) for _, _, rows in jobs)
-        means, scales = self._room("means", (count, 3), np.float32), self._room("scales", (count, 3), np.float32)
-        quats, colours = self._room("quats", (count, 4), np.float32), self._room("colours", (count, 3), np.float32)
-        records = self._room("records", (count, RECORD), np.float32)
-        spans = self._room("spans", (count, 6), np.int32)
+        means = self._room(name + "means", (count, 3), np.float32)
+        scales = self._room(name + "scales", (count, 3), np.float32)
+        quats = self._room(name + "quats", (count, 4), np.float32)
+        colours = self._room(name + "colours", (count, 3), np.float32)
+        records = self._room(name + "records", (count, RECORD), np.float32)
+        spans = self._room(name + "spans", (count, 6), np.int32)
         stacked = np.concatenate([np.zeros((0, 4)), *(view.planes_in_camera(p) for p in planes)])
         end = np.cumsum([0] + [len(p) for p in planes])
         at = 0
         for splats, k, rows in jobs:
             own = slice(at, at + len(rows))
             at += len(rows)
-            size = -(-len(rows) // CHUNKS)
-            geometry, packed = splats.kept
             for_each(
-                gather, CHUNKS, size, rows, geometry, packed, splats.degree, look.disc_scale, view.eye,
+                gather, CHUNKS, -(-len(rows) // CHUNKS), rows, *splats.kept, splats.degree, look.disc_scale, view.eye,
                 view.camera.orthographic, means[own], scales[own], quats[own], colours[own],
                 cam, stacked, end[k : k + 2], records[own], spans[own],
             )  # fmt: skip
         columns, lines = -(-shape[1] // TILE), -(-shape[0] // TILE)
         size = -(-count // CHUNKS)
-        places = self._room("places", (CHUNKS, columns * lines), np.int64)
+        places = self._room(name + "places", (CHUNKS, columns * lines), np.int64)
         places[:] = 0
-        first = self._room("first", (columns * lines + 1,), np.int64)
+        first = self._room(name + "first", (columns * lines + 1,), np.int64)
         for_each(count_tiles, CHUNKS, size, spans, columns, places)
         place_pairs(places, first)
-        listed = self._room("listed", (int(first[-1]),), np.int32)
+        listed = self._room(name + "listed", (int(first[-1]),), np.int32)
         for_each(fill_tiles, CHUNKS, size, spans, columns, places, listed)
         layer = EPSILON_PITCHES * solid.pitch * look.disc_scale
-        tiled = Tiled(cam, stacked, records, spans, first, listed, columns, layer)
-        tasks = -(-columns * lines // TILES_PER_TASK)
-        for_each(accumulate, tasks, tiled, colours, front, sums)
-        return front, sums
+        return Tiled(cam, stacked, records, spans, first, listed, columns, layer), colours
 
     def _faces(
         self,

@@ -70,8 +70,12 @@ class SurfacePass:
         lists, runs = [], []
         sizes = [points == size for size in REACHES]
         for planes, found in zip(pieces, shown(view, pieces, splats, look, sizes), strict=True):
-            for size, (free, clipped) in zip(REACHES, found, strict=True):
-                for rows, near in ((free, planes[:0]), (clipped, view.planes_in_camera(planes))):
+            for size, (free, clipped, hidden) in zip(REACHES, found, strict=True):
+                # Hidden ones last: the depth test is quick to dismiss them.
+                for rows, near in (
+                    (np.concatenate([free, hidden]), planes[:0]),
+                    (clipped, view.planes_in_camera(planes)),
+                ):
                     if len(rows):
                         lists.append(rows)
                         runs.append(Run(self.pool.take(), size, near))
@@ -138,8 +142,9 @@ def shown(
     splats: Ellipsoids,
     look: Look,
     classes: Sequence[NDArray[np.bool_]],  # [K] each
-) -> list[list[tuple[NDArray[np.uint32], NDArray[np.uint32]]]]:
-    """For each piece and each class of chunks: indices of the atoms that can show, untouched by planes and clipped."""
+) -> list[list[tuple[NDArray[np.uint32], NDArray[np.uint32], NDArray[np.uint32]]]]:
+    """For each piece and each class of chunks: indices of the atoms that no plane touches, that one clips, and that
+    show only where the skin before them has a hole (no plane touches these, either)."""
     chunks, enlarge = splats.chunks, look.disc_scale
     seen, _, _ = view.chunks_seen(chunks, enlarge)
     if not look.cull:

@@ -1,0 +1,141 @@
+"""What is seen through the holes of a skin: hidden atoms that reach before what was drawn count after all.
+
+Atoms that look away from the eye are left out (engine.gl.facing), which is right where the skin before them is whole.
+Skins of captures have pinholes, pixels without a core or with one from far behind. Each hidden atom is held against the
+depth of the tiles that it touches; where one passes, the pixels are made anew of everything.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from engine.cpu.opaque_splats import TILE
+from engine.cpu.opaque_tiles import AREA, FAR, fragments, tile_points
+from engine.formula import CORE_Q, CUTOFF_Q
+
+__all__ = ["fill_holes", "seen_through", "tile_depths"]
+
+OPAQUE = 0.999
+"""Coverage of a face from which nothing behind it counts."""
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def tile_depths(line, front, faces, face, depths, left_open, right_open, ends, limits):  # type: ignore[no-untyped-def]
+    """Fills a line of tiles of ends (H, W), the depth behind which nothing shows, and limits (lines, columns), its
+    largest value in each tile.
+
+    A run of pixels without a front that ends at a side of the rectangle with nothing beyond (`left_open`, `right_open`)
+    is outside of the object and does not count. One between two parts of it does, which costs time and changes nothing.
+    """
+    width, infinite = front.shape[1], np.float32(np.inf)
+    limits[line, :] = -infinite
+    for y in range(line * TILE, min((line + 1) * TILE, len(front))):
+        start, end = 0, width
+        while left_open and start < width and front[y, start] == infinite and not (faces and face[y, start, 3] > 0):
+            ends[y, start] = -infinite
+            start += 1
+        while right_open and end > start and front[y, end - 1] == infinite and not (faces and face[y, end - 1, 3] > 0):
+            end -= 1
+            ends[y, end] = -infinite
+        for x in range(start, end):
+            limit = front[y, x]
+            if faces and face[y, x, 3] >= OPAQUE:
+                limit = min(limit, depths[y, x])
+            ends[y, x] = limit
+            limits[line, x // TILE] = max(limits[line, x // TILE], limit)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def seen_through(rows, geometry, enlarge, cam, limits, layer):  # type: ignore[no-untyped-def]
+    """Those of some atoms that begin before the limit of a tile that they touch, or within the layer behind it."""
+    kept = np.empty(len(rows), np.uint32)
+    count = 0
+    lines, columns = limits.shape
+    ortho = cam[20] != 0.0
+    tilt = 1.0
+    if not ortho:  # a splat's affine extent is 3 sigma f / z sqrt(1 + slope^2), the slope held
+        across, down = max(-cam[16], cam[17]), max(-cam[18], cam[19])
+        tilt = math.sqrt(1.0 + across * across + down * down)
+    for i in range(len(rows)):
+        g = geometry[rows[i]]
+        x = cam[0] * g[0] + cam[1] * g[1] + cam[2] * g[2] + cam[9]
+        y = cam[3] * g[0] + cam[4] * g[1] + cam[5] * g[2] + cam[10]
+        z = cam[6] * g[0] + cam[7] * g[1] + cam[8] * g[2] + cam[11]
+        if not z > cam[21]:
+            continue
+        over = 1.0 if ortho else z
+        u, v = cam[12] * x / over + cam[14], cam[13] * y / over + cam[15]
+        size = 3.0 * enlarge * max(g[3], g[4], g[5])
+        reach = size * max(cam[12], cam[13]) / over * tilt + 3.0
+        x0, x1 = max(math.floor((u - reach) / TILE), 0.0), min(math.floor((u + reach) / TILE) + 1.0, columns)
+        y0, y1 = max(math.floor((v - reach) / TILE), 0.0), min(math.floor((v + reach) / TILE) + 1.0, lines)
+        begin = z - size - layer
+        if x0 < x1 and y0 < y1 and deepest(limits, int(x0), int(x1), int(y0), int(y1)) >= begin:
+            kept[count] = rows[i]
+            count += 1
+    return kept[:count]
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def deepest(limits, x0, x1, y0, y1):  # type: ignore[no-untyped-def]
+    """Largest limit of some tiles."""
+    most = limits[y0, x0]
+    for y in range(y0, y1):
+        for x in range(x0, x1):
+            most = max(most, limits[y, x])
+    return most
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def fill_holes(line, frame, colours, behind, behind_colours, ends, front, sums):  # type: ignore[no-untyped-def]
+    """Makes front (H, W) and sums (H, W, 5) of a line of tiles anew where hidden atoms show.
+
+    frame and behind: engine.cpu.opaque_tiles.Frame of what was drawn and of what was hidden, with the same planes.
+    """
+    height, width = front.shape
+    kind = frame.records.dtype.type
+    lane = np.empty((4, AREA), kind)
+    px, py, h, z = lane[0], lane[1], lane[2], lane[3]
+    base, slope = np.empty((len(frame.planes), AREA), kind), np.empty((len(frame.planes), AREA), kind)
+    limit, nearest, shows = np.empty(AREA, kind), np.empty(AREA, kind), np.empty(AREA, np.bool_)
+    near, layer, infinite = kind(frame.cam[21]), kind(frame.layer), kind(np.inf)
+    core, cutoff = kind(0.5 * CORE_Q), kind(0.5 * CUTOFF_Q)
+    for column in range(frame.columns):
+        tile = line * frame.columns + column
+        if behind.first[tile] == behind.first[tile + 1]:
+            continue
+        tile_points(frame, tile, px, py, base, slope)
+        for k in range(AREA):
+            x, y = column * TILE + k % TILE, line * TILE + k // TILE
+            nearest[k] = front[y, x] if x < width and y < height else -infinite
+            limit[k] = ends[y, x] + layer if x < width and y < height else -infinite
+            shows[k] = False
+        for pair in range(behind.first[tile], behind.first[tile + 1]):
+            i = behind.listed[pair]
+            fragments(behind.records[i], behind.spans[i], near, px, py, base, slope, 0, AREA, h, z)
+            for k in range(AREA):
+                shows[k] |= (h[k] <= cutoff) & (z[k] < infinite) & (z[k] <= limit[k])
+                nearest[k] = min(nearest[k], z[k] if h[k] <= core else infinite)
+        for k in range(AREA):
+            x, y = column * TILE + k % TILE, line * TILE + k // TILE
+            if not shows[k]:
+                continue
+            last = nearest[k] + layer if nearest[k] < infinite else kind(FAR)
+            total = np.zeros(5, kind)
+            for one in range(2):
+                drawn, rgb = (behind, behind_colours) if one else (frame, colours)
+                for pair in range(drawn.first[tile], drawn.first[tile + 1]):
+                    i = drawn.listed[pair]
+                    r = drawn.records[i]
+                    fragments(r, drawn.spans[i], near, px, py, base, slope, k, k + 1, h, z)
+                    if h[k] <= cutoff and z[k] <= last:
+                        g = math.exp(-h[k])
+                        total[0] += g * r[12]
+                        total[1] += g * r[13]
+                        for c in range(3):
+                            total[2 + c] += g * r[12] * rgb[i, c]
+            front[y, x] = nearest[k]
+            sums[y, x] = total
