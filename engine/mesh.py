@@ -19,6 +19,7 @@ from engine.gaussians import Gaussians
 from engine.ply_header import open_file, read_header
 from engine.scatter import scatter
 from engine.sh import rgb_to_sh
+from engine.suffixes import MESH_SUFFIXES
 
 __all__ = ["read_mesh"]
 
