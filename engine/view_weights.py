@@ -272,7 +272,11 @@ def _faces(atoms: Atoms, camera: Camera, planes: Sequence[Plane], field: KernelF
     """The terms of the kernel field on cut faces; a surface atom's column is that of its colour on faces."""
     field = field or KernelField(atoms)
     hits = enter(pack_camera(camera), camera_planes(camera, planes))
-    offsets, columns, weights = field.entries(hits.points, hits.footprint)
+    if camera.orthographic and len(planes) == 1 and len(hits.pixels) == camera.height * camera.width:
+        grid = hits.points.reshape(camera.height, camera.width, 3)
+        offsets, columns, weights = field.entries_on(grid, float(hits.footprint[0]))
+    else:
+        offsets, columns, weights = field.entries(hits.points, hits.footprint)
     density = np.empty(len(hits.pixels), np.float32)
     for_each(row_sums, -(-len(density) // ROWS), offsets, weights, density)
     alpha = coverage(density, hits.footprint, atoms.pitch).astype(np.float32)

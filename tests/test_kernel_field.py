@@ -47,6 +47,18 @@ def test_entries_are_the_terms_of_the_sums() -> None:
     assert all(len(set(atom[a:b])) == b - a for a, b in pairwise(offsets))
 
 
+@pytest.mark.parametrize("atoms", [ball(0.12), scatter(60, 80)])
+@pytest.mark.parametrize("footprint", [0.0, 0.02, 0.3])
+def test_a_picture_of_a_plane_has_the_same_entries(atoms: Atoms, footprint: float) -> None:
+    x, y = np.meshgrid(np.linspace(-0.9, 0.8, 37), np.linspace(-0.7, 0.9, 29))
+    across, down = np.array([0.8, 0.6, 0.0]), np.array([-0.3, 0.4, 0.7])  # neither level nor at right angles
+    points = 0.1 + x[..., None] * across + y[..., None] * down
+    field = KernelField(atoms)
+    one, other = field.entries(points.reshape(-1, 3), footprint), field.entries_on(points, footprint)
+    assert len(one[1]) > 1000
+    assert all(np.array_equal(a, b) for a, b in zip(one, other, strict=True))
+
+
 def test_a_filled_lattice_has_the_lattice_density_at_any_footprint() -> None:
     side = np.arange(-12, 13, dtype=np.float32)
     points = np.stack(np.meshgrid(side, side, side), -1).reshape(-1, 3)
