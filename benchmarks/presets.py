@@ -1,0 +1,153 @@
+"""Accuracy of the inside against training time and number of atoms: the presets, and the knobs behind them.
+
+    python -m benchmarks.presets [--quick]
+
+Each knob is turned alone, from draft; accuracy is the mean over random cuts of the sample orange that nobody trained.
+Writes docs/charts/interior_presets.json and .png, with the Pareto fronts (nothing is both cheaper and better) drawn and
+the presets marked. Seconds are of the whole run; `busy` is processor time over cores, which a loaded machine disturbs
+less.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+
+from engine.files import atomic
+from engine.threads import cores
+from training.evaluate.cuts import cuts_of, truth_of
+from training.evaluate.measure import accuracy, shown
+from training.evaluate.methods import METHODS
+from training.evaluate.scenes import subject
+from training.settings import DETAILS, Detail
+
+mpl.use("Agg")
+from matplotlib import pyplot as plt
+
+FOLDER = Path(__file__).parents[1] / "docs/charts"
+SCENE = "orange"
+CUTS = 20
+ACCENT, OTHER = "#FF6B4A", "#5B7A99"
+
+PANELS = (
+    ("seconds", "psnr_db", "seconds", "PSNR dB"),
+    ("atoms", "psnr_db", "atoms", "PSNR dB"),
+    ("seconds", "sharpness", "seconds", "sharpness (truth 1)"),
+    ("atoms", "sharpness", "atoms", "sharpness (truth 1)"),
+)
+
+
+def settings() -> dict[str, tuple[Detail, float]]:
+    """What is run: numbers, and planes as a multiple of the paper's."""
+    draft = DETAILS["draft"]
+    turned = {
+        "label": [draft.label * 5 // 8, draft.label * 3 // 2],
+        "voxels": [draft.voxels * 8 // 5],
+        "iterations": [draft.iterations // 4, draft.iterations * 3],
+        "cells": [draft.cells * 3 // 4, draft.cells * 3 // 2],
+    }
+    runs = {name: (detail, 1.0) for name, detail in DETAILS.items()}
+    for knob, values in turned.items():
+        runs |= {f"{knob} {value}": (replace(draft, **{knob: value}), 1.0) for value in values}
+    return runs | {f"planes x{times:g}": (draft, times) for times in (0.5, 2.0)}
+
+
+def measure(numbers: Detail, planes: float, folder: Path) -> dict[str, Any]:
+    """One run and its figures."""
+    about = subject(SCENE, folder)
+    families = tuple(replace(family, count=round(family.count * planes)) for family in about.families)
+    about = replace(about, families=families)
+    cuts = cuts_of(about.solid, about.families, CUTS)
+    truth = truth_of(about.solid, cuts, folder / "truth.safetensors")
+    with tempfile.TemporaryDirectory(dir=folder) as out:
+        begun, busy = time.perf_counter(), time.process_time()
+        made = METHODS["ours"].make(about, about.request(numbers, 0), Path(out))
+        seconds, busy = time.perf_counter() - begun, (time.process_time() - busy) / cores()
+        figures = accuracy(shown(made, cuts, truth), cuts, truth, None)
+    return {
+        "numbers": asdict(numbers),
+        "planes": sum(family.count for family in families),
+        "seconds": round(seconds, 1),
+        "busy": round(busy, 1),
+        "atoms": len(made.atoms),
+        "iterations": made.facts["iterations"],
+        "rounds": made.facts["refinement_rounds"],
+        **figures,
+    }
+
+
+def front(cost: Sequence[float], value: Sequence[float]) -> list[int]:
+    """Indices of the points than which no other is both cheaper and better, by rising cost."""
+    order = sorted(range(len(cost)), key=lambda i: (cost[i], -value[i]))
+    kept: list[int] = []
+    for i in order:
+        if not kept or value[i] > value[kept[-1]]:
+            kept.append(i)
+    return kept
+
+
+def draw(runs: dict[str, dict[str, Any]], path: Path) -> None:
+    """Four panels."""
+    figure, panels = plt.subplots(2, 2, figsize=(12.5, 9))
+    for panel, (across, up, x_title, y_title) in zip(panels.flat, PANELS, strict=True):
+        x, y = [run[across] for run in runs.values()], [run[up] for run in runs.values()]
+        # Sharper than the truth is as wrong as blurred.
+        worth = [-abs(1 - v) for v in y] if up == "sharpness" else y
+        best = front(x, worth)
+        panel.plot([x[i] for i in best], [y[i] for i in best], "-", color="#B0B5BA", zorder=1)
+        for name, a, b in zip(runs, x, y, strict=True):
+            preset = name in DETAILS
+            panel.plot(a, b, "D" if preset else "o", color=ACCENT if preset else OTHER, markersize=9 if preset else 6)
+            weight = "bold" if preset else "normal"
+            panel.annotate(name, (a, b), (5, 4), textcoords="offset points", fontsize=8, fontweight=weight)
+        panel.set_xscale("log")
+        panel.set_xlabel(x_title)
+        panel.set_ylabel(y_title)
+        panel.margins(0.12)
+        panel.grid(alpha=0.25, which="both")
+    figure.suptitle(f"Interior of the {SCENE} on {CUTS} random cuts; knobs are turned alone, from draft")
+    figure.tight_layout()
+    with atomic(path) as temporary:
+        figure.savefig(temporary, format="png", dpi=110)
+    plt.close(figure)
+
+
+def main(arguments: list[str]) -> None:
+    """Runs everything, or draft and two knobs."""
+    quick = "--quick" in arguments
+    chosen = settings()
+    if quick:
+        chosen = {name: chosen[name] for name in list(chosen) if name == "draft" or name.startswith("iterations")}
+    runs = {}
+    with tempfile.TemporaryDirectory() as folder:
+        for name, (numbers, planes) in chosen.items():
+            runs[name] = measure(numbers, planes, Path(folder))
+            print(name, {k: v for k, v in runs[name].items() if k != "numbers"}, flush=True)
+    if quick:
+        return
+    fronts = {
+        f"{up} against {across}": [
+            list(runs)[i]
+            for i in front(
+                [run[across] for run in runs.values()],
+                [-abs(1 - run[up]) if up == "sharpness" else run[up] for run in runs.values()],
+            )
+        ]
+        for across, up, _, _ in PANELS
+    }
+    record = {"scene": SCENE, "cuts": CUTS, "cores": cores(), "fronts": fronts, "runs": runs}
+    with atomic(FOLDER / "interior_presets.json") as path:
+        path.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+    draw(runs, FOLDER / "interior_presets.png")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
