@@ -1,0 +1,180 @@
+"""`fruitninja-batch`: the main job for all scenes of a manifest."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
+
+from engine.errors import InputError
+from engine.files import atomic
+from training.batch.grid import Outcome, run_grid
+from training.batch.manifest import Mistakes, read_manifest
+from training.batch.scene import scene_task
+from training.batch.task import Task
+from training.cli import Stop
+from training.settings import DetailName
+
+__all__ = ["main"]
+
+GIGABYTES: dict[DetailName, float] = {"draft": 1.0, "standard": 1.6, "high": 3.2}
+"""Memory of one run, measured on the sample scenes and rounded up; decides how many run on this machine at once."""
+
+FAILED, STOPPED = 1, 130
+"""Exit status where a scene failed, and where the user stopped."""
+
+
+def batch(
+    manifest: Annotated[Path, typer.Argument(help="Scenes and their options in TOML.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the results, one folder for each scene.")],
+    scheduler: Annotated[
+        str | None, typer.Option(help="A running Dask cluster, as tcp://host:8786. Its workers share these files.")
+    ] = None,
+    workers: Annotated[
+        int | None, typer.Option(min=1, help="Scenes at once on this machine; chosen if not given.")
+    ] = None,
+) -> None:
+    """Give every capture of a manifest an inside. The same command again goes on where this one ended."""
+    stop = Stop()
+    if scheduler is not None and workers is not None:
+        raise InputError("--workers is for this machine; a cluster at --scheduler has its own, leave one of them out")
+    scenes = read_manifest(manifest)
+    out = out.absolute()
+    tasks = [scene_task(scene.name, scene.request, out / scene.name) for scene in scenes]
+    need = max(GIGABYTES[scene.request.detail] for scene in scenes)
+    summary = Summary(out / "batch.json", manifest)
+    summary.write(())  # whether it can be written at all is better known now
+    stop.listen()
+    with Board(tasks) as board:
+        known = {task.name: Outcome(task) for task in tasks}
+
+        def told(outcome: Outcome, line: dict[str, Any]) -> None:
+            known[outcome.task.name] = outcome
+            board.told(outcome, line)
+            if not line:
+                summary.write(known.values())
+
+        outcomes = run_grid(tasks, told, stop.asked, scheduler=scheduler, count=workers, gigabytes=need)
+    for outcome in outcomes:
+        if outcome.status == "failed":
+            print(f"fruitninja-batch: {outcome.task.name}: {outcome.error}", file=sys.stderr)
+    print(out / "batch.json")
+    if any(outcome.status == "stopped" for outcome in outcomes):
+        print("fruitninja-batch: stopped; the same command goes on", file=sys.stderr)
+        raise typer.Exit(STOPPED)
+    if any(outcome.status == "failed" for outcome in outcomes):
+        raise typer.Exit(FAILED)
+
+
+class Summary:
+    """The file that says how every scene of a batch ended."""
+
+    def __init__(self, path: Path, manifest: Path) -> None:
+        self.path = path
+        self.manifest = manifest
+        self.begun = time.monotonic()
+
+    def write(self, outcomes: Iterable[Outcome]) -> None:
+        """Writes it whole. Raises InputError where that fails."""
+        outcomes = list(outcomes)
+        statuses = [outcome.status for outcome in outcomes]
+        record = {
+            "manifest": str(self.manifest),
+            "seconds": round(time.monotonic() - self.begun, 1),
+            "counts": {status: statuses.count(status) for status in dict.fromkeys(statuses)},
+            "scenes": [
+                {
+                    "name": outcome.task.name,
+                    "status": outcome.status,
+                    "attempts": outcome.attempts,
+                    "seconds": round(outcome.seconds, 1),
+                    "result": str(outcome.task.files[0]) if outcome.status in ("done", "kept") else None,
+                    "warnings": outcome.facts.get("warnings", []),
+                    "error": outcome.error or None,
+                }
+                for outcome in outcomes
+            ],
+        }
+        with atomic(self.path) as temporary:
+            temporary.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+
+
+class Board:
+    """All scenes at a glance: a bar for the batch and one for each scene at work; plain lines where no terminal is."""
+
+    def __init__(self, tasks: list[Task]) -> None:
+        self.console = Console(stderr=True)
+        self.total = len(tasks)
+        self.ended = 0
+        self.bars: dict[str, TaskID] = {}
+        self.titles: dict[str, str] = {}
+        self.progress = Progress(
+            TextColumn("{task.description:<24}"),
+            BarColumn(),
+            TextColumn("{task.fields[detail]}"),
+            TimeElapsedColumn(),
+            console=self.console,
+            disable=not self.console.is_terminal,
+        )
+
+    def __enter__(self) -> Board:
+        self.progress.start()
+        self.all = self.progress.add_task("All scenes", total=self.total, detail=f"0 of {self.total}")
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.progress.stop()
+
+    def told(self, outcome: Outcome, line: dict[str, Any]) -> None:
+        """Takes in a new status, or a line of a scene at work."""
+        name = outcome.task.name
+        if line:
+            self.titles[name] = line.get("title") or self.titles.get(name, "")
+            self.progress.update(self.bars[name], completed=line.get("part", 0.0), detail=self.titles[name])
+            return
+        if outcome.status == "running":
+            self.bars[name] = self.progress.add_task(name, total=1.0, detail="Starting")
+            return
+        if name in self.bars:
+            self.progress.remove_task(self.bars.pop(name))
+        if outcome.status == "waiting":
+            self.line(f"{name}: {outcome.error}; trying once more")
+            return
+        self.ended += 1
+        self.progress.update(self.all, completed=self.ended, detail=f"{self.ended} of {self.total}")
+        words = {
+            "done": f"done in {outcome.seconds:.0f} s",
+            "kept": "done before",
+            "failed": f"failed: {outcome.error}",
+        }
+        self.line(f"{name}: {words.get(outcome.status, outcome.status)} ({self.ended} of {self.total})")
+
+    def line(self, text: str) -> None:
+        self.console.print(text, highlight=False, markup=False, soft_wrap=True)
+
+
+def main() -> None:
+    """Entry point: status 2 and one clear line for each mistake in the manifest, 1 where a scene failed."""
+    app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+    app.command()(batch)
+    try:
+        app(prog_name="fruitninja-batch")
+    except Mistakes as mistakes:
+        print(mistakes, file=sys.stderr)
+        sys.exit(2)
+    except InputError as error:
+        print(f"fruitninja-batch: {error}", file=sys.stderr)
+        sys.exit(2)
+    except KeyboardInterrupt:
+        sys.exit(130)
+
+
+if __name__ == "__main__":
+    main()

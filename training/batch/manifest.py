@@ -1,0 +1,234 @@
+"""The manifest of a batch: scenes and their options in TOML, checked as a whole before anything starts.
+
+    [defaults]                                  # for every scene that does not say otherwise
+    up = "z"
+    exemplar = { horizontal = "slice.png" }     # a picture or a list of them for each family
+
+    [[scene]]
+    scene = "captures/melon.ply"                # relative to the manifest, as all paths
+    name = "melon"                              # folder of the result; the scene's own name if not given
+    exemplar = { horizontal = ["a.png", "b.png"], radial = "c.png" }
+    family = ["horizontal:40", "radial:30"]
+
+The keys are the options of `fruitninja-train`; a scene's own key takes the place of the default's.
+"""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, cast, get_args
+
+from PIL import Image
+
+from engine.errors import InputError
+from engine.ply_header import open_file
+from training.cli import parse_axis, parse_families
+from training.request import PriorName, Request
+from training.settings import DetailName
+
+__all__ = ["Mistakes", "Scene", "read_manifest"]
+
+LIMIT = 1 << 24
+"""Bytes of the largest manifest that is read: a hundred thousand scenes."""
+
+NAME = re.compile(r"\w[\w .+-]{0,99}")
+"""Names of results: folders on any system, inside of the output folder."""
+
+KEYS = ("scene", "name", "exemplar", "family", "prompt", "up", "detail", "prior", "model", "midas", "object",
+        "iterations", "seed")  # fmt: skip
+OWN = ("scene", "name")
+"""What two scenes cannot share."""
+
+
+class Mistakes(InputError):
+    """All that is wrong with a manifest, one line for each mistake."""
+
+
+@dataclass(frozen=True)
+class Scene:
+    """An entry of a manifest."""
+
+    name: str
+    """Unique; the folder of the result."""
+    request: Request
+    """With absolute paths."""
+
+
+def read_manifest(path: Path) -> list[Scene]:
+    """The scenes of a manifest, in order. Raises Mistakes with one line for each thing to mend."""
+    with open_file(path) as file:
+        raw = file.read(LIMIT + 1)
+    if len(raw) > LIMIT:
+        raise InputError(f"{path}: not a manifest: it is far too large")
+    try:
+        fields = tomllib.loads(raw.decode("utf-8"))
+    except (ValueError, RecursionError) as error:  # bad UTF-8 and bad TOML are both ValueErrors
+        raise InputError(f"{path}: no TOML: {' '.join(str(error).split())[:200]}") from error
+    return _Reader(path).scenes(fields)
+
+
+class _Reader:
+    """Turns parsed fields into scenes, and gathers what is wrong with them."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.folder = path.parent.resolve()
+        self.lines: list[str] = []
+
+    def scenes(self, fields: dict[str, Any]) -> list[Scene]:
+        """All scenes, or Mistakes."""
+        for key in fields.keys() - {"defaults", "scene"}:
+            self.wrong("the file", f"unknown key '{_short(key)}'; it has [defaults] and a [[scene]] for each scene")
+        defaults, entries = fields.get("defaults", {}), fields.get("scene", [])
+        if not isinstance(defaults, dict):
+            self.wrong("defaults", "write it as a table: [defaults]")
+            defaults = {}
+        for key in defaults.keys() & set(OWN):
+            self.wrong("defaults", f"'{key}' belongs to each [[scene]] alone; move it there")
+        self.unknown("defaults", defaults)
+        if not isinstance(entries, list) or not entries or not all(isinstance(entry, dict) for entry in entries):
+            self.wrong("the file", "no scenes; add a [[scene]] with scene = 'capture.ply' for each")
+            entries = []
+        scenes: list[Scene] = []
+        seen: dict[str, str] = {}
+        for number, entry in enumerate(entries, start=1):
+            name = entry.get("name", entry.get("scene"))
+            where = f"scene {number}" + (f" ({_short(name)})" if isinstance(name, str) else "")
+            self.unknown(where, entry)
+            try:
+                scene = self.scene({k: v for k, v in defaults.items() if k not in OWN} | entry)
+            except (InputError, ValueError, OSError) as error:
+                # The words are those of fruitninja-train, whose options have dashes.
+                self.wrong(where, re.sub(r"(?<!\S)--(?=[a-z])", "", " ".join(str(error).split())))
+                continue
+            first = seen.setdefault(scene.name.casefold(), where)  # one folder on systems that ignore case
+            if first != where:
+                self.wrong(where, f"its result would be '{scene.name}', as that of {first}; give one of them a name")
+            scenes.append(scene)
+        if self.lines:
+            raise Mistakes("\n".join(self.lines))
+        return scenes
+
+    def scene(self, fields: dict[str, Any]) -> Scene:
+        """One scene with the defaults filled in. Raises InputError for its first mistake."""
+        path = self.file(fields, "scene")
+        if path is None:
+            raise InputError("no 'scene'; give the capture as scene = 'capture.ply'")
+        name = _text(fields, "name", path.stem)
+        if not NAME.fullmatch(name) or name.endswith((".", " ")):
+            raise InputError(f"name '{_short(name)}': cannot be a folder; use letters, digits, blanks and . + - _")
+        detail, prior = _text(fields, "detail", "standard"), _text(fields, "prior", "exemplar")
+        for key, value, allowed in (("detail", detail, DetailName), ("prior", prior, PriorName)):
+            if value not in get_args(allowed):
+                raise InputError(f"{key} '{_short(value)}': unknown; choose {', '.join(get_args(allowed))}")
+        reads = prior == "stable-diffusion"
+        model, midas = self.file(fields, "model", folder=True), self.file(fields, "midas", folder=True)
+        if reads != (model is not None) or (midas and not reads):
+            raise InputError("model and midas belong to prior = 'stable-diffusion', which needs a model")
+        up = fields.get("up")
+        axis = ",".join(map(str, up)) if isinstance(up, list) else up
+        if axis is not None and not isinstance(axis, str):
+            raise InputError("up: give 'z', '-y' or three numbers as [0, 0, 1]")
+        return Scene(
+            name,
+            Request(
+                path,
+                parse_families(self.exemplars(fields), _texts(fields, "family"), _prompts(fields), not reads),
+                cast(DetailName, detail),
+                None if axis is None else parse_axis(axis, "up"),
+                _whole(fields, "seed") or 0,
+                _whole(fields, "iterations"),
+                cast(PriorName, prior),
+                model,
+                midas,
+                _text(fields, "object", "") or None,
+            ),
+        )
+
+    def exemplars(self, fields: dict[str, Any]) -> list[str]:
+        """The pictures as family=path, each opened far enough to see that it is a picture."""
+        table = _table(fields, "exemplar", "{ horizontal = 'cut.png' }")
+        result = []
+        for kind, names in table.items():
+            for name in names if isinstance(names, list) else [names]:
+                if not isinstance(name, str) or not name:
+                    raise InputError(f"exemplar of {_short(kind)}: give a picture or a list of pictures")
+                path = self.resolved(name)
+                if not path.is_file():
+                    raise InputError(f"{path}: no such file (exemplar of the {_short(kind)} family)")
+                try:
+                    with Image.open(path):
+                        pass
+                except (OSError, ValueError, Image.DecompressionBombError) as error:
+                    raise InputError(f"{path}: not a picture that can be opened; save it as .png or .jpg") from error
+                result.append(f"{kind}={path}")
+        return result
+
+    def file(self, fields: dict[str, Any], key: str, folder: bool = False) -> Path | None:
+        """An absolute path that is there."""
+        name = _text(fields, key, "")
+        if not name:
+            return None
+        path = self.resolved(name)
+        if not (path.is_dir() if folder else path.is_file()):
+            raise InputError(f"{path}: no such {'folder' if folder else 'file'}")
+        return path
+
+    def resolved(self, name: str) -> Path:
+        """A path of the manifest."""
+        if "\0" in name or len(name) > 4096:
+            raise InputError(f"'{_short(name)}' is no path")
+        return (self.folder / Path(name).expanduser()).absolute()
+
+    def unknown(self, where: str, fields: dict[str, Any]) -> None:
+        """Notes keys that mean nothing."""
+        for key in fields.keys() - set(KEYS):
+            self.wrong(where, f"unknown key '{_short(key)}'; there are {', '.join(KEYS)}")
+
+    def wrong(self, where: str, what: str) -> None:
+        self.lines.append(f"{self.path}: {where}: {what}")
+
+
+def _short(text: str) -> str:
+    """A piece of the file, fit for one line."""
+    plain = "".join(c if c.isprintable() else "?" for c in text)
+    return plain if len(plain) <= 60 else plain[:57] + "..."
+
+
+def _text(fields: dict[str, Any], key: str, default: str) -> str:
+    value = fields.get(key, default)
+    if not isinstance(value, str) or len(value) > 10_000:
+        raise InputError(f"{key}: give it as text, in quotes")
+    return value
+
+
+def _texts(fields: dict[str, Any], key: str) -> list[str]:
+    value = fields.get(key, [])
+    values = [value] if isinstance(value, str) else value
+    if not isinstance(values, list) or not all(isinstance(item, str) for item in values):
+        raise InputError(f"{key}: give a list of texts, as ['horizontal:40', 'radial:30']")
+    return values
+
+
+def _table(fields: dict[str, Any], key: str, example: str) -> dict[str, Any]:
+    value = fields.get(key, {})
+    if not isinstance(value, dict):
+        raise InputError(f"{key}: give one for each family, as {key} = {example}")
+    return value
+
+
+def _prompts(fields: dict[str, Any]) -> list[str]:
+    table = _table(fields, "prompt", "{ radial = 'a halved melon' }")
+    if not all(isinstance(words, str) for words in table.values()):
+        raise InputError("prompt: give words in quotes for each family")
+    return [f"{kind}={words}" for kind, words in table.items()]
+
+
+def _whole(fields: dict[str, Any], key: str) -> int | None:
+    value = fields.get(key)
+    if value is not None and (type(value) is not int or not 0 <= value < 1 << 53):
+        raise InputError(f"{key}: give a whole number of at least 0")
+    return value

@@ -1,0 +1,76 @@
+"""A scene as a task: what `fruitninja-train` does, on a worker."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import platform
+from pathlib import Path
+from typing import Any, TextIO
+
+from engine.errors import InputError
+from training.batch.task import Stopped, Task, say, stopped
+from training.checkpoint import Checkpoint
+from training.events import Reporter
+from training.request import Interrupted, Request
+from training.run import run
+
+__all__ = ["scene_task", "train_scene"]
+
+
+def scene_task(name: str, request: Request, out: Path) -> Task:
+    """The task that trains a scene into the folder `out`, which every worker sees under this path."""
+    fingerprint = request.fingerprint()
+    arguments = {"request": request, "out": out, "fingerprint": fingerprint}
+    files = (out / f"{request.scene.stem}.ply", out / "cuts.png", out / "report.json")
+    return Task(name, train_scene, arguments, out / "batch.json", fingerprint, files)
+
+
+def train_scene(request: Request, out: Path, fingerprint: str) -> dict[str, Any]:
+    """One run, from its checkpoint where that is whole. Returns the warnings it gave; its events are kept beside it."""
+    if request.fingerprint() != fingerprint:
+        raise InputError(f"{request.scene}: this worker sees other files under these paths; share one folder with all")
+    out.mkdir(parents=True, exist_ok=True)
+    checkpoint = Checkpoint(out / "checkpoint", fingerprint)
+    with (out / "events.jsonl").open("a", encoding="utf-8", buffering=1) as file:
+        events = _Events(file)
+        with Reporter(events) as reporter:
+            reporter.emit("started", host=platform.node(), pid=os.getpid())
+            try:
+                run(request, out, reporter, whole(checkpoint), stopped)
+            except Interrupted as interrupted:
+                raise Stopped(str(interrupted)) from interrupted
+            except Exception as error:
+                reporter.emit("failed", message=str(error))
+                raise
+    checkpoint.clear()  # a hundred megabytes a scene; the result is what is wanted
+    return {"warnings": events.warnings}
+
+
+def whole(checkpoint: Checkpoint) -> bool:
+    """Whether every stage that is kept can be gone on with: none is broken, none is another run's."""
+    try:
+        for path in checkpoint.folder.glob("*.safetensors"):
+            checkpoint.load(path.stem)
+    except InputError:
+        return False
+    return True
+
+
+class _Events(io.StringIO):
+    """Where a run's lines go: to a file that stays, and to whoever runs the grid."""
+
+    def __init__(self, file: TextIO) -> None:
+        super().__init__()
+        self.file = file
+        self.warnings: list[str] = []
+
+    def write(self, text: str) -> int:
+        self.file.write(text)
+        if text.strip():
+            line = json.loads(text)
+            if line["event"] == "warning":
+                self.warnings.append(line["message"])
+            say(line)
+        return len(text)
