@@ -18,6 +18,7 @@ from safetensors.numpy import load_file, save_file
 from scipy import ndimage
 
 from engine.files import atomic
+from engine.threads import cores
 from engine.trained import sidecar_path
 from training.contact_sheet import to_image
 from training.evaluate.cuts import Cut, Truth, cuts_of, meeting_points, truth_of
@@ -61,11 +62,12 @@ def measure(
     """
     about = subject(scene, out / "scenes")
     chosen = cuts_of(about.solid, about.families, cuts)
-    begun = time.perf_counter()
+    begun, busy = time.perf_counter(), time.process_time()
     made = METHODS[method].make(about, about.request(DETAILS[detail], seed), out / "runs" / scene / f"{method}-{seed}")
-    seconds = time.perf_counter() - begun
+    seconds, busy = time.perf_counter() - begun, (time.process_time() - busy) / cores()
     facts = made.facts | {
         "seconds": round(seconds, 2),
+        "busy_seconds": round(busy, 2),
         "peak_mb": round(peak_bytes() / 2**20),
         "surface_atoms": len(made.atoms.surface),
         "interior_atoms": len(made.atoms.interior),

@@ -28,7 +28,7 @@ ACCURACY = (
     "surface_psnr_db",
 )  # fmt: skip
 COST = (
-    "seconds", "seconds_per_cut", "peak_mb", "surface_atoms", "interior_atoms", "file_mb", "iterations",
+    "seconds", "busy_seconds", "seconds_per_cut", "peak_mb", "surface_atoms", "interior_atoms", "file_mb", "iterations",
     "refinement_rounds",
 )  # fmt: skip
 ABLATED = ("psnr_db", "ssim", "patch", "sharpness", "disagreement", "fid_random", "kid_random", "section_loss")

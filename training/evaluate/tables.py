@@ -61,6 +61,7 @@ COLUMNS = columns(
     Column("surface_psnr_db", "Surface PSNR dB", "high", 2, what="views of the outside against the input"),
     Column("section_loss", "Final loss", "low", 3, what="0.3 MSE + 0.7 (1 - SSIM) of the trained sections"),
     Column("seconds", "Seconds", "low", 0, what="for the whole run"),
+    Column("busy_seconds", "Busy", "low", 0, what="processor time over cores, in seconds: other work disturbs it less"),
     Column("seconds_per_cut", "Seconds a cut", "low", 2, what="for a new cut of 224 x 224"),
     Column("peak_mb", "Peak MB", "low", 0, what="memory of the process until the run ended"),
     Column("surface_atoms", "Surface atoms", "", 0),
@@ -110,7 +111,7 @@ def table(facts: Facts, methods: Sequence[str], keys: Sequence[str], scenes: Seq
         shown, best = [], []
         for column, i in zip(kept, used, strict=True):
             value = values[m][i]
-            shown.append("-" if value is None else f"{value * column.times:.{column.digits}f}")
+            shown.append("-" if value is None else f"{value * column.times:,.{column.digits}f}")
             gaps = [column.gap(v) for r in rivals if (v := values[r][i]) is not None]
             ranked = column.better != "" and m in rivals and value is not None and len(gaps) > 1
             best.append(bool(ranked and column.gap(value if value is not None else 0.0) <= min(gaps) + 1e-12))
