@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import subprocess
+import tempfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -125,28 +126,34 @@ def _save_mp4(path: Path, frames: Frames, rate: int, background: Vec3) -> int:
     if program is None:
         raise InputError(f"{path}: MP4 needs ffmpeg, which is not installed; choose .webp or .gif")
     count = 0
-    with atomic(path) as temporary:
-        writer: subprocess.Popen[bytes] | None = None
-        for frame in frames:
-            rgb = _on(frame, background)
-            rgb = rgb[: len(rgb) // 2 * 2, : rgb.shape[1] // 2 * 2]  # the codec's chroma needs even sides
-            if writer is None:
-                size = f"{rgb.shape[1]}x{rgb.shape[0]}"
-                command = [program, "-y", "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", size]
-                command += ["-r", str(rate), "-i", "-", "-pix_fmt", "yuv420p", "-crf", "18", str(temporary)]
-                writer = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE)
-            assert writer.stdin is not None
-            try:
+    writer: subprocess.Popen[bytes] | None = None
+    with atomic(path) as temporary, tempfile.TemporaryFile() as errors:
+        try:
+            for frame in frames:
+                rgb = _on(frame, background)
+                rgb = rgb[: len(rgb) // 2 * 2, : rgb.shape[1] // 2 * 2]  # the codec's chroma needs even sides
+                if writer is None:
+                    size = f"{rgb.shape[1]}x{rgb.shape[0]}"
+                    command = [program, "-y", "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", size]
+                    command += ["-r", str(rate), "-i", "-", "-pix_fmt", "yuv420p", "-crf", "18", str(temporary)]
+                    writer = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=errors)
+                assert writer.stdin is not None
                 writer.stdin.write(np.ascontiguousarray(rgb).tobytes())
-            except BrokenPipeError:
-                break
-            count += 1
-        if writer is None:
-            raise InputError(f"{path}: nothing to animate")
-        _, errors = writer.communicate()
+                count += 1
+            if writer is None:
+                raise InputError(f"{path}: nothing to animate")
+            writer.communicate()
+        except BrokenPipeError:  # it has given up; its last words say why
+            assert writer is not None
+            writer.wait()
+        finally:
+            if writer is not None and writer.poll() is None:
+                writer.kill()  # the user has stopped it
+                writer.wait()
         if writer.returncode:
-            last = errors.decode("utf-8", "replace").strip().splitlines()[-1:]
-            raise InputError(f"{path}: ffmpeg could not write it ({' '.join(last)})")
+            errors.seek(0)
+            last = errors.read().decode("utf-8", "replace").strip().splitlines()[-1:]
+            raise InputError(f"{path}: ffmpeg could not write it ({' '.join(last) or 'it gave no reason'})")
     return count
 
 

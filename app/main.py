@@ -23,15 +23,18 @@ def main() -> None:
         sys.exit(2)
     # Not before: the window's libraries take a second to load, and a wrong path should be said at once.
     from app.project import Viewing
+    from app.returning import document_of, left_jobs
     from app.samples import sample_document
     from app.session import Session
     from app.ui.window import Window
 
     def start(session: Session) -> None:
+        left = [job for job in left_jobs(session) if not job.ended]
         if path is not None:
             session.open(path)
         else:
-            session.show(sample_document(), Viewing(mode="capture"), None)
+            document = document_of(left[0]) if left else sample_document()
+            session.show(document, Viewing(mode="capture"), None)
 
     if not can_show():
         print(

@@ -31,7 +31,6 @@ class Settings:
     """Projects outside of whose folder the user allowed to read."""
     face_light: bool = True
     """A plain light on cut faces."""
-    font_scale: float = 1.0
     window: tuple[int, int] = (1440, 900)
     seen_hint: bool = False
     """Whether the first cut has been made: then the opening hint has done its work."""

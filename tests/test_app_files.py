@@ -6,7 +6,7 @@ import json
 import os
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -25,8 +25,11 @@ from app.job_events import Progress, read_line
 from app.motion import Motion
 from app.pieces import Lying, Solid, pieces
 from app.project import Outside, Project, Viewing, load_project, save_project
+from app.returning import document_of, forget_job, left_jobs, words_of
 from app.samples import sample_document
+from app.session import Session
 from app.settings import Settings, load_settings, save_settings
+from app.ui.dialogs import Dialogs
 from engine.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from engine.errors import InputError
 from engine.plane import Plane
@@ -156,10 +159,10 @@ def test_unsaved_work_survives_a_crash(tmp_path: Path) -> None:
 
 def test_settings_survive_and_a_broken_file_does_no_harm(tmp_path: Path) -> None:
     path = tmp_path / "settings.json"
-    settings = Settings("light", font_scale=1.5, face_light=False).with_recent(tmp_path / "a").with_job(tmp_path / "b")
+    settings = Settings("light", face_light=False, seen_hint=True).with_recent(tmp_path / "a").with_job(tmp_path / "b")
     save_settings(settings, path)
     assert load_settings(path) == settings
-    for text in ("", "[]", '{"theme": 3, "recent": [1], "window": [1, 2, 3], "font_scale": "x"}'):
+    for text in ("", "[]", '{"theme": 3, "recent": [1], "window": [1, 2, 3], "seen_hint": "x"}'):
         path.write_text(text)
         assert load_settings(path) == Settings()
     many = settings
@@ -400,6 +403,120 @@ def test_stills_and_animations_open_again(tmp_path: Path) -> None:
         with pytest.raises(InputError, match="saved as"):
             call(path, frames[0])
     assert not [name for name in os.listdir(tmp_path) if name.startswith(".")]
+
+
+STAND_IN = """#!{python}
+import sys
+from pathlib import Path
+words = sys.argv[1:]
+if "7x" in words[words.index("-s") + 1] or "6x" in words[words.index("-s") + 1]:
+    sys.exit("width not liked")
+Path(words[-1]).write_bytes(words[words.index("-s") + 1].encode() + b" " + sys.stdin.buffer.read())
+"""
+
+
+def test_mp4_is_written_by_ffmpeg_and_refused_in_words_without(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    frames = [np.full((21, 31, 4), (index * 20, 100, 200, 255), np.uint8) for index in range(6)]
+    if ffmpeg() is not None:
+        assert save_animation(tmp_path / "real.mp4", iter(frames)) == 6
+        assert (tmp_path / "real.mp4").read_bytes()[4:8] == b"ftyp"
+    monkeypatch.setenv("PATH", str(tmp_path / "bin"))
+    with pytest.raises(InputError, match=r"MP4 needs ffmpeg.*choose \.webp or \.gif"):
+        save_animation(tmp_path / "a.mp4", iter(frames))
+    program = tmp_path / "bin" / "ffmpeg"
+    program.parent.mkdir()
+    program.write_text(STAND_IN.format(python=sys.executable))
+    program.chmod(0o755)
+    assert save_animation(tmp_path / "a.mp4", iter(frames)) == 6
+    said, pixels = (tmp_path / "a.mp4").read_bytes().split(b" ", 1)
+    assert said == b"30x20" and len(pixels) == 6 * 30 * 20 * 3 and pixels[-3:] == bytes([100, 100, 200])
+    with pytest.raises(InputError, match="width not liked"):
+        save_animation(tmp_path / "b.mp4", iter([frame[:, :7] for frame in frames]))
+
+    def stopped() -> Iterator[np.ndarray]:
+        yield frames[0]
+        raise InputError("cancelled")
+
+    with pytest.raises(InputError, match="cancelled"):
+        save_animation(tmp_path / "c.mp4", stopped())
+    left = [path.name for path in tmp_path.iterdir() if path.is_file() and path.name != "real.mp4"]
+    assert left == ["a.mp4"]  # nothing of the failed ones
+
+
+def test_dialogs_of_the_system_open_and_are_cancelled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    answers: list[object] = [[], ["a.spz"], "", "b.png", [], ["c.png", "d.png"]]
+    asked: list[tuple[object, ...]] = []
+
+    class Fake:
+        def __init__(self, *words: object) -> None:
+            asked.append(words)
+
+        def ready(self, _: int) -> bool:
+            return True
+
+        def result(self) -> object:
+            return answers.pop(0)
+
+    for kind in ("open_file", "save_file", "select_folder"):
+        monkeypatch.setattr(f"app.ui.dialogs.pfd.{kind}", Fake)
+    dialogs, got = Dialogs(), []
+    dialogs.native = True
+    for _ in range(2):
+        dialogs.open_scene(got.append)
+        dialogs.show()
+    assert got == [Path("a.spz")] and dialogs.asked is None
+    assert all(f"*{suffix}" in str(asked[0][2]) for suffix in (".ply", ".splat", ".spz", ".obj", ".fruitninja"))
+    for _ in range(2):
+        dialogs.save("Save", tmp_path / "x.png", ["PNG", "*.png"], got.append)
+        dialogs.show()
+    for _ in range(2):
+        dialogs.open_pictures(got.append)
+        dialogs.show()
+    assert got == [Path("a.spz"), Path("b.png"), (Path("c.png"), Path("d.png"))]
+
+
+def test_a_job_that_was_left_running_is_found_at_the_next_start(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("FRUITNINJA_HOME", str(tmp_path / "home"))
+    project = full(tmp_path)
+    for name in ("a.png", "b.png", "c.png", "scenes/melon.ply"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).touch()
+    first = Session(autosave=Autosave(tmp_path))
+    monkeypatch.setattr(first, "prepare", lambda trained=True: None)
+    first.show(project.document, Viewing(), None)
+    first.desk.program = (*STUB, "--steps", "2000")
+    first.desk.start()
+    assert first.desk.job is not None, first.error
+    first.close()
+    assert first.question is not None and "still running" in first.question.title
+    first.answer(first.question.choices[0])
+    assert first.closing and first.desk.job.phase == "running"
+
+    second = Session(autosave=Autosave(tmp_path))
+    monkeypatch.setattr(second, "prepare", lambda trained=True: None)
+    try:
+        (job,) = left_jobs(second)
+        assert job.phase == "running"
+        document = document_of(job)
+        asked, true = document.training, project.document.training
+        assert (document.scene, document.up, asked) == (project.document.scene, project.document.up, true)
+        assert [f.kind for f in document.families] == [f.kind for f in project.document.families]
+        assert all(
+            a.exemplars == b.exemplars for a, b in zip(document.families, project.document.families, strict=True)
+        )
+        second.show(document, Viewing(), None)
+        assert second.desk.job is not None and second.desk.busy and "went on" in second.message
+        assert left_jobs(second) == []  # it is the one that is shown
+    finally:
+        first.desk.job.kill()
+    follow(second.desk.job, lambda job: job.ended)
+    third = Session(autosave=Autosave(tmp_path))
+    (job,) = left_jobs(third)
+    assert job.ended and words_of(job) == "Training of melon ended early."
+    forget_job(third, job)
+    assert left_jobs(Session()) == []
 
 
 def test_a_turntable_closes_and_a_sweep_passes_through_everything() -> None:

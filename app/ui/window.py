@@ -14,6 +14,9 @@ from imgui_bundle import icons_fontawesome_6 as icon
 from imgui_bundle.glfw_utils import glfw_window_hello_imgui
 
 from app.autosave import Rescued, rescued
+from app.job import Job
+from app.project import Viewing
+from app.returning import document_of, forget_job, left_jobs, words_of
 from app.session import PICTURES, Session
 from app.settings import settings_folder
 from app.ui.commands import press_shortcuts
@@ -49,6 +52,8 @@ class Window:
         self.start = start
         self.dropped: list[Path] = []
         self.rescues: list[Rescued] = []
+        self.left: list[Job] = []
+        """Trainings of earlier sessions."""
         self.params = self._params()
         self._failures = 0
 
@@ -126,6 +131,7 @@ class Window:
         if self.start is not None:
             self.start(self.session)
         self.rescues = rescued()
+        self.left = left_jobs(self.session)
 
     def _end(self) -> None:
         size = glfw.get_window_size(self.window)
@@ -236,6 +242,8 @@ class Window:
             first = self.rescues[0]
             name = first.name or "a project that was never saved"
             texts.append((f"Unsaved work on {name} was kept.", "Bring it back", self._recover, self._forget))
+        if self.left:
+            texts.append((words_of(self.left[0]), "Show it", self._return, self._pass_over))
         if session.error:
             texts.append((session.error, "", None, lambda: setattr(session, "error", "")))
         y = view.origin.y + view.size[1] - px(46)
@@ -282,6 +290,19 @@ class Window:
 
     def _forget(self) -> None:
         self.rescues.pop(0).discard()
+
+    def _return(self) -> None:
+        """To a training that an earlier session left behind."""
+        session, job = self.session, self.left[0]
+
+        def show() -> None:
+            session.show(document_of(job), Viewing(mode="capture"), None)
+            self._pass_over()
+
+        session.unless_unsaved(show)
+
+    def _pass_over(self) -> None:
+        forget_job(self.session, self.left.pop(0))
 
     def _question(self) -> None:
         question = self.session.question
