@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -29,12 +30,15 @@ class Plane:
         Raises InputError where the normal has no direction or a number is not finite.
         """
         n = np.asarray(normal, np.float64)
-        length = float(np.linalg.norm(n)) if n.shape == (3,) else 0.0
-        if not (np.isfinite(length) and np.isfinite(offset) and length > 1e-12):
-            given = ",".join(f"{value:g}" for value in [*np.ravel(n), offset])
-            raise InputError(f"plane {given}: the normal a,b,c must be finite and not zero")
-        a, b, c = (n / length).tolist()
-        return Plane((a, b, c), float(offset) / length)
+        size = float(np.abs(n).max()) if n.shape == (3,) else 0.0  # divided by first: squares of 1e200 overflow
+        if np.isfinite(size) and size > 1e-12:
+            length = float(np.linalg.norm(n / size))
+            a, b, c = (n / size / length).tolist()
+            d = float(offset) / size / length
+            if math.isfinite(d):
+                return Plane((a, b, c), d)
+        given = ",".join(f"{value:g}" for value in [*np.ravel(n), offset])
+        raise InputError(f"plane {given}: the normal a,b,c must be finite and not zero, and d finite")
 
     @staticmethod
     def through(point: ArrayLike, normal: ArrayLike) -> Plane:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -33,11 +34,12 @@ class Checkpoint:
 
     def save(self, stage: str, arrays: dict[str, Array], facts: dict[str, Any]) -> Path:
         """Writes arrays and JSON facts; the file appears whole or not at all. Returns where."""
+        text = json.dumps(facts)
         with atomic(self.path(stage)) as temporary:
             save_file(
                 {name: np.ascontiguousarray(array) for name, array in arrays.items()},
                 temporary,
-                metadata={"run": self.run, "facts": json.dumps(facts)},
+                metadata={"run": self.run, "facts": text, "crc32": str(_crc(arrays, text))},
             )
         return self.path(stage)
 
@@ -54,6 +56,8 @@ class Checkpoint:
                 metadata = file.metadata() or {}
                 arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a dict)
             facts = json.loads(metadata["facts"])
+            if metadata["crc32"] != str(_crc(arrays, metadata["facts"])):
+                raise ValueError("checksum")  # safetensors has none: a flipped bit would train on
         except (SafetensorError, OSError, KeyError, ValueError) as error:
             raise InputError(f"{path}: not a readable checkpoint; start again without --resume") from error
         if metadata.get("run") != self.run:
@@ -64,3 +68,13 @@ class Checkpoint:
         """Forgets every stage."""
         for path in self.folder.glob("*.safetensors"):
             path.unlink()
+
+
+def _crc(arrays: dict[str, Array], facts: str) -> int:
+    """CRC-32 of all that a stage holds."""
+    crc = zlib.crc32(facts.encode())
+    for name in sorted(arrays):
+        array = np.ascontiguousarray(arrays[name])
+        crc = zlib.crc32(f"{name} {array.dtype} {array.shape}".encode(), crc)
+        crc = zlib.crc32(array.data, crc) if array.size else crc
+    return crc

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import re
 import signal
 import sys
 from pathlib import Path
@@ -157,7 +159,7 @@ class Stop:
 
 
 def parse_axis(text: str, option: str) -> tuple[float, float, float]:
-    """(x, y, z) of an axis given as a letter with an optional sign, or as three numbers with commas."""
+    """Unit vector of an axis given as a letter with an optional sign, or as three numbers with commas."""
     sign = -1.0 if text.startswith("-") else 1.0
     letter = text.lstrip("+-")
     if letter in AXES:
@@ -166,7 +168,10 @@ def parse_axis(text: str, option: str) -> tuple[float, float, float]:
     numbers = parse_numbers(text, 3, f"{option} {text}: give x, y, z, -x, -y, -z or three numbers a,b,c")
     if not any(numbers):
         raise InputError(f"{option} {text}: an axis needs a direction; give a,b,c that are not all zero")
-    return numbers[0], numbers[1], numbers[2]
+    size = max(map(abs, numbers))  # divided by first: squares of 1e200 overflow
+    length = math.hypot(*(number / size for number in numbers))
+    x, y, z = (number / size / length for number in numbers)
+    return x, y, z
 
 
 def parse_numbers(text: str, count: int, complaint: str) -> list[float]:
@@ -205,7 +210,9 @@ def parse_families(
             continue
         if len(parts) > 1 and ".." in parts[-1]:
             spans[kind] = parse_span(parts.pop(), f"--family {text}")
-        if len(parts) > (2 if kind == "parallel" else 1) or not (parts and parts[0].isdigit() and int(parts[0]) > 0):
+        if len(parts) > (2 if kind == "parallel" else 1) or not (
+            parts and re.fullmatch(r"0*[1-9][0-9]{0,8}", parts[0])
+        ):
             raise InputError(f"--family {text}: give a number of planes above zero, as in {kind}:{COUNTS[kind]}")
         counts[kind] = int(parts[0])
         if len(parts) == 2:

@@ -21,6 +21,9 @@ Kind = Literal["horizontal", "radial", "parallel", "custom"]
 # The paper's appendix: 40 horizontal, 30 radial, 60 parallel slices (bread).
 COUNTS: dict[Kind, int] = {"horizontal": 40, "radial": 30, "parallel": 60, "custom": 0}
 
+MOST = 10_000
+"""Planes of a family. At 10,000 they stand closer than any atom is small, and each costs a label picture."""
+
 
 @dataclass(frozen=True)
 class Family:
@@ -44,6 +47,8 @@ class Family:
             raise InputError(f"family '{self.kind}': unknown; choose {', '.join(get_args(Kind))}")
         if self.kind != "custom" and self.count < 1:
             raise InputError(f"family '{self.kind}': {self.count} planes; give at least 1")
+        if self.count > MOST:
+            raise InputError(f"family '{self.kind}': {self.count:,} planes; give at most {MOST:,}")
         if not 0 <= self.span[0] < self.span[1] <= 1:
             low, high = self.span
             raise InputError(f"family '{self.kind}': range {low:g}..{high:g}; give parts of the whole, as in 0.2..0.8")
