@@ -136,6 +136,28 @@ def test_pieces_put_back_together_are_the_uncut_object(renderer: Renderer) -> No
         assert psnr(draw(renderer, camera, *quarters).rgb, whole.rgb) >= 60
 
 
+def test_pieces_apart_are_put_together_by_depth(renderer: Renderer) -> None:
+    """Each as the reference draws it alone, the nearer one over the other pixel by pixel."""
+    atoms = ball(1 / 10)
+    renderer.set_atoms(atoms)
+    plane, camera = Plane.of((0.2, 0.1, 1), 0.05), around(30, 30, 1.6, 80, 60)
+    up, down = np.eye(4), np.linalg.inv(look_at((0.1, 0.2, 0.15), (1, 0.4, 0.2), (0, 0, 1)))
+    up[:3, 3] = 0.1, 0, 0.35
+    pieces = Piece((plane,), down), Piece((plane.flipped(),), up)
+    black = (0.0, 0.0, 0.0)
+    alone = [reference(atoms, piece.camera(camera), piece.planes, black) for piece in pieces]
+    (rgb, alpha, depth), (other, other_alpha, other_depth) = alone
+    both = np.where((alpha > 0) & (other_alpha > 0), 1, 0)
+    assert both.sum() > 50  # they hide each other
+    first = (depth <= other_depth)[..., None]
+    over = np.where(first, rgb + (1 - alpha[..., None]) * other, other + (1 - other_alpha[..., None]) * rgb)
+    ours = draw(renderer, camera, *pieces, background=black)
+    assert psnr(ours.rgb, over) >= 45
+    assert psnr(ours.alpha, 1 - (1 - alpha) * (1 - other_alpha)) >= 45
+    swapped = draw(renderer, camera, *pieces[::-1], background=black)
+    assert np.abs(swapped.rgb - ours.rgb).max() < 1 / 255
+
+
 def test_a_gap_shows_the_face_behind_it(renderer: Renderer) -> None:
     """Of three slices the middle one is taken out: the lower one's face is whole although nothing was moved."""
     renderer.set_atoms(tight_ball(1 / 20))
@@ -191,6 +213,28 @@ def test_culling_changes_no_pixel(renderer: Renderer, distance: float) -> None:
                 all_of_them = draw(renderer, camera, Piece(planes), exact=exact, cull=False)
                 assert np.abs(few.rgb - all_of_them.rgb).max() <= 1 / 255
                 assert np.abs(few.alpha - all_of_them.alpha).max() <= 1 / 255
+
+
+def test_what_stands_behind_pinholes_counts(renderer: Renderer) -> None:
+    """Skins of captures have holes finer than anything that is known of them before a frame."""
+    atoms = tight_ball(1 / 24)
+    rng = np.random.default_rng(4)
+    kept = rng.random(len(atoms.surface)) > 0.12
+    s = atoms.surface
+    sh = s.sh.copy()
+    sh[:, 0] = rng.uniform(-1.5, 1.5, (len(s), 3))
+    scales = s.scales * np.float32([0.75, 0.75, 1])
+    renderer.set_atoms(replace(atoms, surface=SurfaceAtoms(s.means[kept], scales[kept], s.quats[kept], sh[kept])))
+    assert (renderer._solid.skin.hiding.least <= 1).mean() > 0.5  # type: ignore[union-attr]
+    leaks = 0
+    for k, distance in enumerate((0.4, 0.7, 1.0, 1.5, 3.0)):
+        camera = around(50 * k, 60 - 30 * k, distance, 200, 150)
+        for planes in ((), (Plane.of((0.3, 0, 1), 0.05),)):
+            few = draw(renderer, camera, Piece(planes))
+            all_of_them = draw(renderer, camera, Piece(planes), cull=False)
+            assert np.abs(few.rgb - all_of_them.rgb).max() <= 1 / 255
+            leaks += ((all_of_them.depth > np.linalg.norm(camera.position) + 0.1) & (few.alpha > 0.5)).sum()
+    assert leaks > 20
 
 
 def test_a_shell_with_a_hole_hides_nothing(renderer: Renderer) -> None:

@@ -6,6 +6,7 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
+import moderngl
 import numpy as np
 import pytest
 import torch
@@ -95,6 +96,24 @@ def test_the_interior_alone_lies_within_the_solid(renderer: Renderer) -> None:
     assert np.abs(shown.rgb[..., 1:]).max() < 1e-3
 
 
+def test_the_interior_alone_is_solid(renderer: Renderer) -> None:
+    """Its outer atoms leave no gaps, near or far: nothing of the far side, nothing of the background."""
+    atoms = ball(1 / 30)
+    inside = atoms.interior
+    for azimuth, elevation in ((0, 0), (45, 35)):
+        camera = around(azimuth, elevation, 1.2)
+        near = (inside.means @ camera.forward < 0.15)[:, None]
+        rgb = np.where(near, np.float32([1, 0, 0]), np.float32([0, 0, 1]))
+        renderer.set_atoms(replace(atoms, interior=replace(inside, rgb=rgb)))
+        for distance in (0.5, 1.2, 4.0):
+            shown = draw(renderer, around(azimuth, elevation, distance), mode="interior", background=(0, 1, 0))
+            within = ndimage.binary_erosion(ndimage.binary_fill_holes(shown.alpha > 0.5), iterations=5)
+            assert within.sum() > 50
+            assert shown.alpha[within].min() > 0.99
+            rim = ndimage.binary_erosion(within, iterations=2 if distance > 2 else 6)
+            assert shown.rgb[rim][:, 0].min() > 0.95
+
+
 def test_pick(renderer: Renderer) -> None:
     renderer.set_atoms(tight_ball(1 / 24))
     camera = around(0, 40, 1.6)
@@ -130,6 +149,68 @@ def test_overlays(renderer: Renderer) -> None:
     assert np.allclose(shown[pixel(camera, (0.6, 0.6, 0.45))], [0, 0, 0.5, 1], atol=0.01)
     assert (shown[..., 3] == 1).all()
     assert np.array_equal(renderer.read().rgb, before)
+
+
+def test_an_overlay_shows_the_whole_frame(renderer: Renderer) -> None:
+    """Whatever was bound before, with whatever scissor, and whatever the overlay showed before."""
+    renderer.set_atoms(tight_ball(1 / 24))
+    ctx, first = renderer.ctx, renderer.ctx.fbo
+    other = ctx.simple_framebuffer((300, 200))
+    for azimuth in (0, 70):
+        for scissor in (None, (40, 30, 7, 5)):
+            frame = draw(renderer, around(azimuth, 20), Piece((HALF,)), background=(azimuth / 100, 0.5, 0)).rgb
+            other.scissor = scissor
+            other.use()
+            copy = np.frombuffer(renderer.overlay([]).read(), np.float16).reshape(90, 120, 4)
+            assert np.array_equal(copy[..., :3].astype(np.float32), frame)
+    first.use()  # what is bound must not go
+    other.release()
+
+
+def test_in_the_context_of_another(renderer: Renderer) -> None:
+    """The owner's state does not change the picture, and the owner draws as before with what it has bound."""
+    owner, first = renderer.ctx, renderer.ctx.fbo
+    atoms, camera, pieces = tight_ball(1 / 20), around(30, 40), (Piece((HALF,)),)
+    renderer.set_atoms(atoms)
+    renderer.set_capture(capture(50))
+    expected = [draw(renderer, camera, *pieces, mode=mode).rgb for mode in ("opaque", "classic", "interior")]
+    mine = owner.framebuffer([owner.texture((64, 32), 4)], owner.depth_texture((64, 32)))
+    program = owner.program(
+        vertex_shader="#version 330\nin vec2 p; void main() { gl_Position = vec4(p, 0.0, 1.0); }",
+        fragment_shader="#version 330\nout vec4 c; void main() { c = vec4(1.0, 0.5, 0.25, 0.5); }",
+    )
+    array = owner.vertex_array(program, owner.buffer(np.float32([-1, -1, 3, -1, -1, 3])), "p")
+
+    def own_frame() -> bytes:
+        mine.clear(0.2, 0.4, 0.6, 1.0)
+        owner.enable(moderngl.BLEND | moderngl.CULL_FACE)
+        array.render()
+        return mine.read(components=4)
+
+    for shaders in (True, False):
+        guest = Renderer(owner, shaders=shaders)
+        mine.viewport, mine.scissor = (10, 5, 40, 20), (20, 10, 12, 9)
+        mine.use()
+        owner.blend_func = moderngl.SRC_ALPHA, moderngl.ONE_MINUS_SRC_ALPHA
+        before = own_frame()
+        guest.set_atoms(atoms)
+        guest.set_capture(capture(50))
+        for mode, picture in zip(("opaque", "classic", "interior"), expected, strict=True):
+            owner.blend_func = moderngl.DST_COLOR, moderngl.ZERO
+            owner.enable(moderngl.BLEND | moderngl.CULL_FACE | moderngl.DEPTH_TEST)
+            owner.depth_func = ">"
+            guest.render(camera, pieces, mode=mode)
+            assert np.abs(guest.read().rgb - picture).max() <= 1 / 255
+            guest.overlay([Lines(np.zeros((1, 2, 3)), (1, 0, 0, 1))])
+            guest.pick(60, 45)
+            assert owner.detect_framebuffer().glo == mine.glo
+            mine.use()  # brings the owner's viewport and scissor
+            assert own_frame() == before
+        guest.release()
+        assert owner.error == "GL_NO_ERROR"
+    first.use()  # what is bound must not go
+    for item in (array, program, mine):
+        item.release()
 
 
 def test_brush_tiny_case(renderer: Renderer) -> None:

@@ -40,13 +40,25 @@ Method = TypeVar("Method", bound=Callable[..., Any])
 
 
 def current(method: Method) -> Method:
-    """Makes the renderer's own context the current one, which it stays; there may be others beside it."""
+    """Makes the renderer's own context the current one, which it stays; there may be others beside it.
+
+    In a foreign context the framebuffer that was bound is bound again afterwards, and what a pass has set otherwise is
+    as OpenGL starts: nothing enabled, depth test `<`, blending of straight alpha.
+    """
 
     @wraps(method)
     def call(self: Renderer, *arguments: Any, **named: Any) -> Any:
         if self._own:
             self.ctx.__enter__()
-        return method(self, *arguments, **named)
+            return method(self, *arguments, **named)
+        found = self.ctx.detect_framebuffer()
+        try:
+            return method(self, *arguments, **named)
+        finally:
+            found.use()
+            self.ctx.enable_only(moderngl.NOTHING)
+            self.ctx.depth_func = "<"
+            self.ctx.blend_func = moderngl.SRC_ALPHA, moderngl.ONE_MINUS_SRC_ALPHA
 
     return cast(Method, call)
 
@@ -54,7 +66,7 @@ def current(method: Method) -> Method:
 class Renderer:
     """Draws one object. Not thread-safe: all calls from the thread that owns the context.
 
-    A foreign context is left with another framebuffer bound and other capabilities enabled than it was found with.
+    A foreign context keeps the framebuffer that is bound; what it has enabled is off afterwards, see `current`.
     """
 
     def __init__(self, ctx: moderngl.Context | None = None, shaders: bool | None = None) -> None:

@@ -19,6 +19,10 @@ __all__ = ["Solid"]
 
 Float = NDArray[np.float32]
 
+CORE_SCALE = 1.2
+"""How much larger the outermost interior atoms are drawn where there is no skin: the core of a splat (half height, 1.18
+sigma) then reaches the middle of a lattice's cell, 1.41 sigma away, and the layer behind fills what jitter opens."""
+
 
 class Solid:
     """Surface and interior atoms, in buffers of their own."""
@@ -53,11 +57,11 @@ class Solid:
     def _shifted(self, means: Float) -> Float:
         return (means.astype(np.float64) - self.centre).astype(np.float32)
 
-    def _as_splats(self, rows: NDArray[np.integer]) -> Ellipsoids:
+    def _as_splats(self, rows: NDArray[np.integer], scale: float = 1.0) -> Ellipsoids:
         """Interior atoms for the outside view."""
         inside = self._atoms.interior
         unit = np.tile(np.array([1, 0, 0, 0], np.float32), (len(rows), 1))
-        scales = np.repeat(inside.sigmas[rows, None], 3, 1)
+        scales = np.repeat(np.float32(scale) * inside.sigmas[rows, None], 3, 1)
         return Ellipsoids(
             self.ctx, self._shifted(inside.means[rows]), scales, unit, sh.rgb_to_sh(inside.rgb[rows, None])
         )
@@ -69,7 +73,7 @@ class Solid:
         if self._core is None:
             inside = self._atoms.interior
             self._core_rows = np.flatnonzero(outermost(inside.means, inside.sigmas))
-            self._core = self._as_splats(self._core_rows)
+            self._core = self._as_splats(self._core_rows, CORE_SCALE)
             self._core.update(sh.rgb_to_sh(self._rgb[self._core_rows, None]))
         return [self._core]
 
