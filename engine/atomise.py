@@ -9,19 +9,31 @@ from numpy.typing import NDArray
 
 from engine.atoms import SurfaceAtoms
 from engine.body import Body
+from engine.camera import around
 from engine.fill import WALL_OPACITY, without_haze
 from engine.gaussians import Gaussians
 from engine.kernel_field import axes_of
 from engine.opacity_field import Grid, opacity_field
 from engine.patches import patches
+from engine.shown import shown
 
 __all__ = ["Atomised", "atomise"]
 
 FAINT = 0.04
 """Opacity under which a Gaussian is haze whatever its size: sixty of them in a row let half of the light through."""
 
+HIDDEN = 0.02
+"""Opacity that the rest of the capture leaves a Gaussian in its best view, under which it is not part of the picture.
+On a capture of a donut a third of the Gaussians are: drawn opaque, they would only mix their colours into the skin."""
+
 HAZE_OPACITY = 0.15
 """Opacity under which a Gaussian larger than the pitch is haze: compositing never lets it hide what is behind it."""
+
+UP = np.array([0.0, 0.0, 1.0])
+"""Views from all around need an axis, no matter which."""
+
+VIEWS, VIEW_SIZE = 24, 192
+"""Views of the capture, and their pixels along an edge, in which it shows what it is made of."""
 
 DEEPEST = 1.0
 """Pitches under the skin from which an atom can no longer be seen: debris, or the buried part of a fat Gaussian."""
@@ -61,14 +73,16 @@ def atomise(gaussians: Gaussians, pitch: float, body: Body | None = None) -> Ato
     A Gaussian of opacity a becomes an atom of at least a times its area across its thin axis, and of more where the
     skin is thin (COVERAGE): what it hides stays about the same. Larger ones are split along their principal axes into
     parts with the same mean and variance. With a body, what lies under its skin is dropped, and so is what floats off
-    it without hiding anything; holes that this or the capture leaves in the skin are patched. Bit-equal for the same
-    input.
+    it without hiding anything, and what has no weight in any view of the capture; holes that this or the capture leaves
+    in the skin are patched. Bit-equal for the same input.
     """
     assert pitch > 0, pitch
     haze = (gaussians.opacities < HAZE_OPACITY) & (gaussians.scales.max(axis=1, initial=0) > pitch)
     keep = (gaussians.opacities >= FAINT) & ~haze
     if body is not None:  # the end of a fat Gaussian that reaches the skin from within is no part of the skin
         keep &= body.at(gaussians.means) < DEEPEST * pitch
+        cameras = around(body.bounds().mean(0), body.radius, UP, VIEWS, VIEW_SIZE)
+        keep &= shown(gaussians, cameras) >= HIDDEN
     keep = np.flatnonzero(keep)
     kept = gaussians[keep]
     area = kept.opacities.copy()
