@@ -17,13 +17,14 @@ from __future__ import annotations
 
 import re
 import tomllib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast, get_args
 
 from PIL import Image
 
-from engine.errors import InputError
+from engine.errors import InputError, one_line
 from engine.ply_header import open_file
 from training.cli import parse_axis, parse_families
 from training.request import PriorName, Request
@@ -45,6 +46,9 @@ OWN = ("scene", "name")
 
 class Mistakes(InputError):
     """All that is wrong with a manifest, one line for each mistake."""
+
+    def __init__(self, lines: Sequence[str]) -> None:
+        ValueError.__init__(self, "\n".join(map(one_line, lines)))
 
 
 @dataclass(frozen=True)
@@ -109,7 +113,7 @@ class _Reader:
                 self.wrong(where, f"its result would be '{scene.name}', as that of {first}; give one of them a name")
             scenes.append(scene)
         if self.lines:
-            raise Mistakes("\n".join(self.lines))
+            raise Mistakes(self.lines)
         return scenes
 
     def scene(self, fields: dict[str, Any]) -> Scene:

@@ -1,0 +1,107 @@
+"""Fuzzes every reader with as many inputs as one likes, with little memory and a watch on the time.
+
+    python -m benchmarks.fuzz --inputs 50000
+
+Prints one JSON line for each target: inputs, how many of them were accepted, the slowest, and what broke, if anything.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import resource
+import signal
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import psutil
+from hypothesis import HealthCheck, Phase, given, seed, settings
+
+from benchmarks.fuzz_targets import TARGETS, Target
+
+HANG = 5.0
+"""Seconds that one input may take."""
+
+MEMORY = 1 << 30
+"""Bytes that may be allocated beyond what the imports took: a reader that believes a header asks for more."""
+
+
+def main() -> None:
+    """Runs all targets; exit status 1 where one broke."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--inputs", type=int, default=50_000)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--only", choices=list(TARGETS))
+    arguments = parser.parse_args()
+    os.fsync = lambda _: None  # type: ignore[assignment]  # no power fails here
+    used = psutil.Process().memory_info().vms
+    resource.setrlimit(resource.RLIMIT_AS, (used + MEMORY, resource.getrlimit(resource.RLIMIT_AS)[1]))
+    broke = False
+    with tempfile.TemporaryDirectory() as folder:
+        for name, target in TARGETS.items():
+            if arguments.only in (None, name):
+                result = fuzz(target, int(arguments.inputs * target.share), arguments.seed, Path(folder))
+                broke |= result["broke"] is not None
+                print(json.dumps({"target": name, **result}), flush=True)
+    sys.exit(1 if broke else 0)
+
+
+def fuzz(target: Target, inputs: int, start: int, folder: Path) -> dict[str, Any]:
+    """Counts, and the smallest input that broke the target in words, if one did."""
+    counts = {"inputs": 0, "accepted": 0}
+    slowest = 0.0
+
+    @seed(start)
+    @settings(
+        max_examples=inputs,
+        deadline=None,
+        database=None,
+        phases=[Phase.generate, Phase.shrink],
+        suppress_health_check=list(HealthCheck),
+    )
+    @given(target.inputs)
+    def run(value: Any) -> None:
+        nonlocal slowest
+        begun = time.perf_counter()
+        with watched():
+            accepted = target.check(value, folder)
+        counts["inputs"] += 1
+        counts["accepted"] += accepted
+        slowest = max(slowest, time.perf_counter() - begun)
+
+    begun = time.perf_counter()
+    broke = None
+    try:
+        run()
+    except BaseException as error:  # whatever it is, it is what this looks for; the next target still runs
+        if isinstance(error, KeyboardInterrupt):
+            raise
+        inner = error.exceptions[0] if isinstance(error, BaseExceptionGroup) else error
+        broke = f"{type(inner).__name__}: {str(inner)[:500]} {' '.join(getattr(inner, '__notes__', []))[:1500]}"
+    return counts | {"seconds": round(time.perf_counter() - begun, 1), "slowest": round(slowest, 3), "broke": broke}
+
+
+@contextmanager
+def watched() -> Iterator[None]:
+    """Ends what takes too long."""
+
+    def late(*_: object) -> None:
+        raise TimeoutError(f"over {HANG} s")
+
+    before = signal.signal(signal.SIGALRM, late)
+    signal.setitimer(signal.ITIMER_REAL, HANG)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)
+
+
+if __name__ == "__main__":
+    main()

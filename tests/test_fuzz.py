@@ -1,0 +1,35 @@
+"""Whatever is fed to the readers: one clear line, or something finite that survives a round trip.
+
+The inputs are always the same 2,000; `python -m benchmarks.fuzz` makes as many others as one likes.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+
+from benchmarks.fuzz_targets import TARGETS
+
+INPUTS = 2000
+
+
+@pytest.mark.parametrize("name", TARGETS)
+def test_no_input_breaks_a_reader(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "fsync", lambda _: None)  # what is written is read at once, no power fails here
+    target = TARGETS[name]
+
+    @settings(
+        max_examples=int(INPUTS * target.share),
+        deadline=5000,
+        derandomize=True,
+        database=None,
+        suppress_health_check=list(HealthCheck),
+    )
+    @given(target.inputs)
+    def fuzz(value: object) -> None:
+        target.check(value, tmp_path)
+
+    fuzz()
