@@ -11,9 +11,9 @@ __all__ = ["outermost"]
 
 Float = NDArray[np.float32]
 
-CELL = 1.5
-"""Cells of the occupancy grid, in lattice constants of the atoms (2 sigma): as in engine.gl.facing. The layer is a cell
-thick at least, so that two atoms lie behind each other and no gap of the outer ones shows what is beyond."""
+CELL = 2.0
+"""Cells of the occupancy grid, in lattice constants of the atoms (2 sigma). The layer is a cell thick at least, so that
+atoms lie behind each other and no gap of the outer ones shows what is beyond."""
 
 
 def outermost(means: Float, sigmas: Float) -> NDArray[np.bool_]:

@@ -21,7 +21,7 @@ Float = NDArray[np.float32]
 
 CORE_SCALE = 1.2
 """How much larger the outermost interior atoms are drawn where there is no skin: the core of a splat (half height, 1.18
-sigma) then reaches the middle of a lattice's cell, 1.41 sigma away, and the layer behind fills what jitter opens."""
+sigma) then reaches the middle of a lattice's cell, 1.41 sigma away; the layers behind fill what jitter opens."""
 
 
 class Solid:
