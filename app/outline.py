@@ -79,10 +79,10 @@ def _counted(points: Float, cell: float) -> tuple[NDArray[np.float32], Float]:
     return counts.reshape(shape).astype(np.float32), origin
 
 
-def contours(body: Body, planes: Sequence[Plane], within: Sequence[Plane] = ()) -> Float:
+def contours(body: Body, planes: Sequence[Plane], within: Sequence[Plane] = (), outset: float = 0.0) -> Float:
     """(S, 2, 3). Ends of the straight pieces of line where planes meet a body, or what the half-spaces leave of it.
 
-    In no order. A line is as fine as the body's cells.
+    In no order. A line is as fine as the body's cells, and runs `outset` cells outside of the skin.
     """
     low, high = body.bounds()
     centre, radius = (low + high) / 2, float(np.linalg.norm(high - low)) / 2 + body.cell
@@ -96,7 +96,7 @@ def contours(body: Body, planes: Sequence[Plane], within: Sequence[Plane] = ()) 
         axes, foot = np.stack([e1, e2]), centre - distance * n
         flat = np.stack(np.meshgrid(steps, steps, indexing="ij"), 2)
         points = foot + flat @ axes
-        depth = body.at(points).astype(np.float64)
+        depth = body.at(points).astype(np.float64) + outset * body.cell
         for half in within:
             depth = np.minimum(depth, -half.distance(points))
         found.append(foot + (_marched(depth) * body.cell + steps[0]) @ axes)

@@ -78,6 +78,13 @@ def take(detail: str, theme: str, only: str) -> None:
         def hold(name: str) -> None:
             """A picture without moving the pointer."""
             driver.still()
+            if name[0] in only and name[0] != "2":  # the time of a frame is that of frames in motion: move a little
+                eye = session.viewing.eye
+                for step in range(16):
+                    session.look(replace(session.viewing, eye=replace(eye, azimuth=eye.azimuth + 0.2 * (step % 4))))
+                    driver.frames(1)
+                session.look(replace(session.viewing, eye=eye))
+                driver.still()
             if name[0] in only:
                 driver.picture(PICTURES / f"{name}.png")
                 print(f"{name}.png", flush=True)
@@ -138,7 +145,7 @@ def busy_training(session: Session) -> bool:
     job = session.desk.job
     assert job is not None and job.phase in ("running", "done"), session.error
     progress = job.progress
-    return len(progress.section) > 20 and bool(progress.previews) and session.colours > 0
+    return len(progress.section) >= 6 and bool(progress.previews) and session.colours > 0
 
 
 def tilt(session: Session, cut_id: int) -> None:

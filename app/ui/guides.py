@@ -23,6 +23,9 @@ __all__ = ["Guides"]
 MOST = 40
 """Planes of a family that are drawn: of more, every second or third."""
 
+OUTSET = 0.6
+"""Cells by which lines stand off the skin, which is a little uneven and would swallow parts of them."""
+
 
 class Guides:
     """Lines of one session's object; they are found anew only where the object or a family has changed."""
@@ -48,7 +51,8 @@ class Guides:
     def cut(self, plane: Plane, pieces: Sequence[Lying], scale: float) -> list[Lines]:
         """Where a plane of the world meets pieces."""
         found = [
-            moved(piece, contours(self.body, [piece.motion.inverse().carried(plane)], piece.planes)) for piece in pieces
+            moved(piece, contours(self.body, [piece.motion.inverse().carried(plane)], piece.planes, OUTSET))
+            for piece in pieces
         ]
         ends = np.concatenate([np.zeros((0, 2, 3)), *found])
         return [lines(ends, palette().accent, 0.95, px(2.4) * scale, 0.4)]
@@ -71,7 +75,7 @@ class Guides:
         kept = self._families.get(place)
         if kept is None or kept[0] != key:
             planes = family.planes(body, np.asarray(self.session.up, np.float64))
-            kept = (key, contours(body, planes[:: max(1, -(-len(planes) // MOST))], piece.planes))
+            kept = (key, contours(body, planes[:: max(1, -(-len(planes) // MOST))], piece.planes, OUTSET))
             self._families[place] = kept
         return kept[1]
 

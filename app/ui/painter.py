@@ -39,7 +39,9 @@ class Painter:
         self.renderer = Renderer(ctx)
         self.ctx = self.renderer.ctx
         self.milliseconds = 0.0
-        """Of the last frame of full quality that did not have to bring the object to the GPU first."""
+        """What a frame takes while the view moves, evened out; before it ever has, what the last full one took."""
+        self._timed = False
+        """Whether a frame in motion has been timed."""
         self.unfinished = False
         """Whether a better frame should follow soon: the last one was coarse, or in an older order."""
         self._step = 0
@@ -90,8 +92,7 @@ class Painter:
             self._give_back()
             self.ctx.finish()
             taken = 1000 * (time.perf_counter() - begin)
-            if not moving and held == (self._atoms, self._capture):
-                self.milliseconds = taken
+            self._note(taken, moving, held == (self._atoms, self._capture))
             if moving and taken > SLOW:
                 self._step = min(self._step + 1, len(STEPS) - 1)
             elif moving and taken < QUICK:
@@ -104,6 +105,14 @@ class Painter:
             self._marks = marks
         self.unfinished = moving or self.renderer.sorting
         return self._texture
+
+    def _note(self, taken: float, moving: bool, held: bool) -> None:
+        """Keeps the time of a frame, in milliseconds; not of one that had to bring the object to the GPU first."""
+        if moving and held:
+            self.milliseconds = taken if not self._timed else 0.8 * self.milliseconds + 0.2 * taken
+            self._timed = True
+        elif held and not self._timed:
+            self.milliseconds = taken
 
     def pick(self, x: float, y: float) -> tuple[int | None, NDArray[np.float64] | None]:
         """Number of the piece under a pixel of the frame as it was asked for, and the world point (3,) there."""
