@@ -17,10 +17,11 @@ import training.families
 import training.outcome
 import training.settings
 from engine.errors import InputError
+from training.batch.grid import Outcome
 from training.evaluate import cli, grid
 from training.evaluate.cuts import Cut, Truth, cuts_of, meeting_points, truth_of
 from training.evaluate.features import Clip, Network
-from training.evaluate.grid import cells, perform
+from training.evaluate.grid import cells, perform, perform_on
 from training.evaluate.measure import agreement, read
 from training.evaluate.report import write_report
 from training.evaluate.scenes import subject
@@ -185,6 +186,24 @@ def test_a_small_evaluation_goes_on_where_it_was_stopped(tiny, tmp_path, monkeyp
     assert record["results"]["bread/ours"] == facts
     assert record["tables"]["Accuracy"]["scenes"] == ["bread"]
     assert cells(["bread"], ["ours"], [0], "draft", 7, None, tmp_path)[0].kept() is None
+
+
+def test_a_cluster_keeps_what_the_command_reads(tmp_path, monkeypatch):
+    small = cells(["bread", "orange"], ["ours"], [0], "draft", 6, None, tmp_path)
+
+    def here(tasks, told, stop, scheduler):  # type: ignore[no-untyped-def]
+        tasks[0].keep({"psnr_db": 1.0})
+        ended = [Outcome(tasks[0], "done"), Outcome(tasks[1], "failed", error="it broke")]
+        for outcome in ended:
+            told(outcome, {})
+        return ended
+
+    monkeypatch.setattr(grid, "run_grid", here)
+    lines: list[str] = []
+    failed = perform_on("tcp://somewhere:8786", small, lambda cell, what: lines.append(f"{cell.name} {what}"))
+    assert lines == ["bread/ours done", "orange/ours failed"]
+    assert failed == {small[1]: "it broke"}
+    assert small[0].kept() == {"psnr_db": 1.0}
 
 
 def test_a_grid_without_results_says_why(tmp_path):

@@ -9,7 +9,7 @@ from typing import Annotated, cast, get_args
 import typer
 
 from engine.errors import InputError
-from training.evaluate.grid import Cell, cells, perform_all
+from training.evaluate.grid import Cell, cells, perform_all, perform_on
 from training.evaluate.methods import METHODS
 from training.evaluate.report import write_report
 from training.evaluate.scenes import SCENES
@@ -26,6 +26,9 @@ def evaluate(
     cuts: Annotated[int, typer.Option(min=6, help="Random cuts of each scene, the paper's 120 for its table 2.")] = 120,
     seeds: Annotated[int, typer.Option(min=1, help="Repeats of each method, with seeds 0, 1, ...")] = 1,
     clip: Annotated[Path | None, typer.Option(help="Local folder of a CLIP model, for CLIP scores.")] = None,
+    scheduler: Annotated[
+        str | None, typer.Option(help="A running Dask cluster, as tcp://host:8786. Its workers share these files.")
+    ] = None,
 ) -> None:
     """Measure the insides of scenes whose inside is known; started again, it goes on where it was stopped."""
     if detail not in get_args(DetailName):
@@ -41,7 +44,7 @@ def evaluate(
         clip,
         out.absolute(),
     )
-    failed = perform_all(grid, told)
+    failed = perform_all(grid, told) if scheduler is None else perform_on(scheduler, grid, told)
     page = write_report(grid, failed, out)
     print(page)
     if failed:

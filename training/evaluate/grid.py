@@ -7,16 +7,18 @@ import multiprocessing
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
 from engine.errors import InputError
 from engine.files import atomic
+from training.batch.grid import Outcome, run_grid
+from training.batch.task import Task
 from training.evaluate.measure import fingerprint, measure
 from training.settings import DETAILS, Detail, DetailName
 
-__all__ = ["Cell", "cells", "perform", "perform_all"]
+__all__ = ["Cell", "cells", "perform", "perform_all", "perform_on"]
 
 
 @dataclass(frozen=True)
@@ -101,3 +103,23 @@ def perform_all(grid: Sequence[Cell], told: Callable[[Cell, str], None]) -> dict
                 failed[cell] = "its process died (out of memory, or killed)"
         told(cell, f"failed: {failed[cell]}" if cell in failed else "done")
     return failed
+
+
+def perform_on(scheduler: str, grid: Sequence[Cell], told: Callable[[Cell, str], None]) -> dict[Cell, str]:
+    """Does what is not done yet on a running Dask cluster, whose workers share the files; returns what failed, and why.
+
+    Memory is then that of a worker, which does one cell after another. Raises InputError where there is no cluster.
+    """
+    named = {cell.name: cell for cell in grid}
+    tasks = [
+        Task(cell.name, measure, {field.name: getattr(cell, field.name) for field in fields(cell)}, cell.result,
+             cell.fingerprint)
+        for cell in grid
+    ]  # fmt: skip
+
+    def say(outcome: Outcome, line: dict[str, Any]) -> None:
+        if not line:
+            told(named[outcome.task.name], outcome.status)
+
+    outcomes = run_grid(tasks, say, lambda: False, scheduler=scheduler)
+    return {named[outcome.task.name]: outcome.error for outcome in outcomes if outcome.status == "failed"}
