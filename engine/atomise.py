@@ -14,6 +14,7 @@ from engine.fill import WALL_OPACITY, without_haze
 from engine.gaussians import Gaussians
 from engine.kernel_field import axes_of
 from engine.opacity_field import Grid, opacity_field
+from engine.order import morton_order
 from engine.patches import patches
 from engine.shown import shown
 
@@ -74,7 +75,7 @@ def atomise(gaussians: Gaussians, pitch: float, body: Body | None = None) -> Ato
     skin is thin (COVERAGE): what it hides stays about the same. Larger ones are split along their principal axes into
     parts with the same mean and variance. With a body, what lies under its skin is dropped, and so is what floats off
     it without hiding anything, and what has no weight in any view of the capture; holes that this or the capture leaves
-    in the skin are patched. Bit-equal for the same input.
+    in the skin are patched. The atoms stand in Morton order. Bit-equal for the same input.
     """
     assert pitch > 0, pitch
     haze = (gaussians.opacities < HAZE_OPACITY) & (gaussians.scales.max(axis=1, initial=0) > pitch)
@@ -117,6 +118,8 @@ def atomise(gaussians: Gaussians, pitch: float, body: Body | None = None) -> Ato
         more = patches(atoms, shell, body, pitch, opacity.depth, WALL_OPACITY)
         patched = len(more)
         atoms = SurfaceAtoms(*(np.concatenate([getattr(a, f.name) for a in (atoms, more)]) for f in fields(atoms)))
+    order = morton_order(atoms.means)
+    atoms = SurfaceAtoms(*(getattr(atoms, f.name)[order] for f in fields(atoms)))
     return Atomised(atoms, dropped, int(large.sum()), patched)
 
 

@@ -63,6 +63,7 @@ def test_no_axis_is_longer_than_the_pitch() -> None:
     assert made.atoms.scales.max() <= np.float32(0.03)
     assert made.split > 0
     assert len(made.atoms) <= 12**3 * len(wild)
+    assert np.linalg.norm(np.diff(made.atoms.means, axis=0), axis=1).mean() < 0.1  # neighbours stand side by side
     again = atomise(wild, 0.03)
     assert np.array_equal(made.atoms.means, again.atoms.means)
     assert np.array_equal(made.atoms.scales, again.atoms.scales)

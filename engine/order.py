@@ -1,0 +1,28 @@
+"""An order of points in which neighbours in space are neighbours in memory."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["morton_order"]
+
+BITS = 10
+"""Bits of an axis: cells of a thousandth of the longest side, finer than the atoms of any object."""
+
+
+def morton_order(points: NDArray[np.floating]) -> NDArray[np.intp]:
+    """(N,). Rows of points (N, 3) along a Morton curve through their bounds; rows of one cell keep their order.
+
+    What a picture takes from memory it then takes in runs: drawing unordered atoms costs up to twice as much.
+    """
+    if not len(points):
+        return np.zeros(0, np.intp)
+    low = points.min(0).astype(np.float64)
+    side = max(float((points.max(0) - low).max()), float(np.finfo(np.float32).tiny))
+    cells = ((points - low) * ((2**BITS - 1) / side)).astype(np.uint32)
+    code = np.zeros(len(points), np.uint32)
+    for bit in range(BITS):
+        for axis in range(3):
+            code |= (cells[:, axis] >> np.uint32(bit) & np.uint32(1)) << np.uint32(3 * bit + axis)
+    return np.argsort(code, kind="stable")
