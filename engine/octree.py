@@ -91,7 +91,7 @@ def merged(errors: list[NDArray[np.float32]], tolerance: float) -> list[NDArray[
     for error in errors:
         good = error <= tolerance**2
         if result:  # of blocks that are leaves themselves, among such: sizes change by one level at a time
-            good &= blocks(ndimage.binary_erosion(result[-1], CORNERS), 2).min(axis=(1, 3, 5))
+            good &= blocks(ndimage.binary_erosion(result[-1], CORNERS, border_value=1), 2).min(axis=(1, 3, 5))
         result.append(good)
     return result
 

@@ -26,7 +26,7 @@ from training.run import run
 from training.settings import Detail
 
 SCENE = Path(__file__).parents[1] / "sample_scenes/watermelon"
-TINY = Detail(cells=20, voxels=32, label=48, surface=48, surface_views=6, iterations=9)
+TINY = Detail(cells=20, fine=28, voxels=32, label=48, surface=48, surface_views=6, iterations=9)
 REQUEST = Request(
     SCENE / "watermelon.ply",
     (Family("horizontal", 8, (SCENE / "horizontal_1.png",)), Family("radial", 6, (SCENE / "radial_1.png",))),

@@ -1,6 +1,6 @@
 """Colours with which soft atoms show a sharp volume.
 
-An atom shows on a cut face as a Gaussian of half a pitch, so a field of atoms that copy the volume is a blurred volume.
+An atom shows on a cut face as a Gaussian of half its spacing, so a field of atoms that copy a volume is a blurred one.
 Undoing that on the trained planes alone would ring between them; here it is undone everywhere at once.
 """
 
@@ -12,7 +12,6 @@ from scipy.sparse import csr_matrix
 
 from engine.atoms import Atoms
 from engine.kernel_field import KernelField
-from training.prior import Volume
 
 __all__ = ["deblurred"]
 
@@ -22,10 +21,9 @@ __all__ = ["deblurred"]
 STEPS = 4
 
 
-def deblurred(atoms: Atoms, volume: Volume) -> NDArray[np.float32]:
-    """(I, 3). Interior colours whose kernel field at the atoms is near the volume's colour there. Range [0, 1]."""
+def deblurred(atoms: Atoms, wanted: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(I, 3). Interior colours whose kernel field at the atoms is near those wanted there (I, 3). Range [0, 1]."""
     means = atoms.interior.means
-    wanted = volume.at(means)
     offsets, columns, weights = KernelField(atoms).entries(means)
     field = csr_matrix((weights, columns, offsets), shape=(len(means), len(atoms)))
     field = field[:, len(atoms.surface) :]  # the skin has its own colours, which are not to bleed into the flesh

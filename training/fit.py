@@ -47,8 +47,8 @@ def train(
     """Iterations and refinement rounds until every section agrees with its label (paper, section 3.3).
 
     A round ends when the loss has settled; sections that still disagree with their labels get labels refined from
-    what they show, and the next round begins; none begins without a prior that denoises. Returns the history for the
-    report.
+    what they show, and the next round begins; none begins without a prior that denoises, nor after one that solved.
+    Returns the history for the report.
     """
     most = request.fineness.iterations if request.iterations is None else request.iterations
     history: dict[str, Any] = {"section": [], "surface": [], "disagreeing": [], "ended": DONE}
@@ -78,7 +78,8 @@ def train(
                 wrong = np.flatnonzero(trainer.section_losses(labels) > AGREEMENT).tolist()
                 if not wrong:
                     history["ended"] = "every section agrees with its label"
-                elif not isinstance(prior, Denoises):
+                elif not isinstance(prior, Denoises) or isinstance(prior, Solves):
+                    # Labels from one volume agree as they are: what is missing is finer atoms, not other labels.
                     history["ended"] = f"settled; {len(wrong)} sections disagree with their labels"
                 elif history["disagreeing"] and len(wrong) >= history["disagreeing"][-1]:
                     history["ended"] = f"agreement no longer grows; {len(wrong)} sections disagree with their labels"

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 from torch import Tensor
 
-from engine.atoms import Atoms
+from engine.atoms import Atoms, InteriorAtoms
 from engine.errors import InputError
+from engine.fill import Colours, fill
 from training.checkpoint import Checkpoint
 from training.deblur import deblurred
 from training.exemplar import ExemplarPrior
@@ -20,7 +22,7 @@ from training.request import Geometry, Request
 from training.sds import distill
 from training.smoothing import smooth
 from training.trainer import Trainer
-from training.views import Section
+from training.views import Section, Slice, sections
 
 __all__ = ["label", "make_prior", "refine"]
 
@@ -39,47 +41,64 @@ def make_prior(request: Request) -> Denoises | Solves:
 def label(
     request: Request,
     geometry: Geometry,
-    cuts: Sequence[Section],
+    cuts: Sequence[Slice],
     prior: Denoises | Solves,
     checkpoint: Checkpoint,
     progress: Progress,
+    filler: Callable[..., InteriorAtoms] = fill,
 ) -> tuple[list[Tensor], Atoms]:
-    """A label for every cut, and the atoms with colours to start from."""
+    """A label for every cut, and atoms as fine as the labels need, with colours to start from.
+
+    `filler` makes them, as engine.fill.fill does.
+    """
     kept = checkpoint.load("labels")
     if kept is None:
         if isinstance(prior, Solves):
-            arrays = solved(request, geometry, cuts, prior, progress)
+            pictures, colours = solved(request, geometry, cuts, prior, progress)
         else:
-            arrays = distilled(request, geometry, cuts, prior, progress)
-        checkpoint.save("labels", arrays, {})
+            pictures, colours = distilled(request, geometry, cuts, prior, progress)
+        finest = geometry.atoms.pitch * request.fineness.cells / request.fineness.fine
+        interior = filler(geometry.body, finest, request.seed, geometry.atoms.surface, colours)
+        rgb = deblurred(replace(geometry.atoms, interior=interior), interior.rgb)
+        arrays = {"labels": np.stack(pictures), "means": interior.means, "sigmas": interior.sigmas, "rgb": rgb}
+        checkpoint.save("labels", arrays, {"exposed": interior.exposed})
     else:
-        arrays = kept[0]
-    interior = replace(geometry.atoms.interior, rgb=np.clip(arrays["rgb"], 0, 1))
+        arrays, facts = kept
+        interior = InteriorAtoms(arrays["means"], arrays["sigmas"], arrays["rgb"], facts["exposed"])
     labels = [torch.from_numpy(picture.copy()) for picture in arrays["labels"]]
-    return labels, replace(geometry.atoms, interior=interior)
+    return labels, replace(geometry.atoms, interior=replace(interior, rgb=arrays["rgb"]))
 
 
 def solved(
-    request: Request, geometry: Geometry, cuts: Sequence[Section], prior: Solves, progress: Progress
-) -> dict[str, NDArray[np.float32]]:
-    """Labels that agree in space, because they are cuts through one volume; atoms start from its colours."""
+    request: Request, geometry: Geometry, cuts: Sequence[Slice], prior: Solves, progress: Progress
+) -> tuple[list[NDArray[np.float32]], Colours]:
+    """Labels that agree in space, because they are cuts through one volume; and its colours."""
     voxels = request.fineness.voxels
     volume = prior.solve(geometry.body, geometry.up, request.families, voxels, request.seed, progress)
     pictures = [np.where(cut.condition.inside[..., None], volume.at(cut.points), np.float32(1.0)) for cut in cuts]
-    return {"labels": np.stack(pictures), "rgb": deblurred(geometry.atoms, volume)}
+    return pictures, volume.at
 
 
 def distilled(
-    request: Request, geometry: Geometry, cuts: Sequence[Section], prior: Denoises, progress: Progress
-) -> dict[str, NDArray[np.float32]]:
-    """Labels made plane by plane by score distillation, from an even grey (paper, stage one)."""
+    request: Request, geometry: Geometry, cuts: Sequence[Slice], prior: Denoises, progress: Progress
+) -> tuple[list[NDArray[np.float32]], Colours]:
+    """Labels made plane by plane by score distillation, from an even grey (paper, stage one); and their colours.
+
+    The colours are written back to the uniform fill first: there each point's are those of the nearest atom.
+    """
     pictures = []
     for index, cut in enumerate(cuts):
         start = np.where(cut.condition.inside[..., None], cut.condition.render, np.float32(1.0))
         rng = np.random.default_rng([request.seed, index])
         pictures.append(distill(start, prior, cut.condition, rng))
         progress((index + 1) / len(cuts))
-    return {"labels": np.stack(pictures), "rgb": written_back(geometry.atoms, cuts, pictures)}
+    rgb = written_back(geometry.atoms, sections(geometry.atoms, cuts, lambda _: None), pictures)
+    tree = cKDTree(geometry.atoms.interior.means)
+
+    def colours(points: NDArray[np.floating]) -> NDArray[np.float32]:
+        return np.clip(rgb[tree.query(points, workers=-1)[1]], 0, 1)
+
+    return pictures, colours
 
 
 def written_back(atoms: Atoms, cuts: Sequence[Section], pictures: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:

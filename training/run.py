@@ -14,8 +14,9 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from engine.atoms import Atoms
+from engine.atoms import Atoms, InteriorAtoms
 from engine.files import sweep
+from engine.fill import fill
 from engine.gaussians import Gaussians
 from engine.load import load
 from engine.orient import detect_up
@@ -29,7 +30,7 @@ from training.outcome import save
 from training.prior import Denoises, Solves
 from training.request import Geometry, Interrupted, Request
 from training.trainer import Trainer
-from training.views import ENTRIES, sections, surface_cameras
+from training.views import ENTRIES, sections, slices, surface_cameras
 
 __all__ = ["Parts", "prepare", "refitted", "run"]
 
@@ -43,6 +44,8 @@ class Parts:
     trainer: type[Trainer] = Trainer
     refines: bool = True
     """Whether sections that disagree with their labels get new ones."""
+    fill: Callable[..., InteriorAtoms] = fill
+    """Makes the interior atoms from the labels' colours, as engine.fill.fill does."""
 
 
 def run(
@@ -71,19 +74,22 @@ def run(
     prior = parts.prior(request)
     fineness = request.fineness
     geometry, facts = prepare(request, reporter, check)
+    with reporter.stage("labels") as stage:
+        watch = watched(stage, check, 0.0, 1.0)
+        cuts = slices(geometry.body, geometry.up, request.families, fineness.label)
+        labels, atoms = label(request, geometry, cuts, prior, checkpoint, watch, parts.fill)
+        geometry = replace(geometry, atoms=atoms)
+        facts |= {"interior_atoms": len(atoms.interior), "exposed_atoms": atoms.interior.exposed}
     with reporter.stage("views") as stage:
         cameras = surface_cameras(geometry.body, geometry.up, fineness.surface_views, fineness.surface)
         watch = watched(stage, check, 0.0, 0.5)
         surfaces = surface_views(geometry.atoms, geometry.gaussians, cameras, ENTRIES, watch)
-        watch = watched(stage, check, 0.5, 1.0)
-        cuts = sections(geometry.atoms, geometry.body, geometry.up, request.families, fineness.label, watch)
+        faces = sections(geometry.atoms, cuts, watched(stage, check, 0.5, 1.0))
     with reporter.stage("refit") as stage:
         atoms, held_out = refitted(geometry.atoms, surfaces, checkpoint, watched(stage, check, 0.0, 1.0))
         facts |= {"sh_degree": atoms.surface.sh_degree, "refit_held_out_psnr_db": held_out}
     geometry = replace(geometry, atoms=atoms)
-    with reporter.stage("labels") as stage:
-        labels, atoms = label(request, geometry, cuts, prior, checkpoint, watched(stage, check, 0.0, 1.0))
-    trainer = parts.trainer(atoms, cuts, surfaces, request.seed)
+    trainer = parts.trainer(atoms, faces, surfaces, request.seed)
     history = train(request, trainer, prior if parts.refines else None, labels, out, reporter, checkpoint, stopped)
     return save(request, geometry, trainer, facts, history, out, reporter)
 
@@ -121,8 +127,6 @@ def prepare(request: Request, reporter: Reporter, check: Callable[[], None]) -> 
         "gaussians_dropped": solid.skin.dropped,
         "gaussians_split": solid.skin.split,
         "surface_atoms": len(atoms.surface),
-        "interior_atoms": len(atoms.interior),
-        "exposed_atoms": atoms.interior.exposed,
         "volume": found.body.volume,
         "pitch": atoms.pitch,
         "up": up.tolist(),

@@ -15,7 +15,9 @@ class Detail:
     """How fine a run works, all from one word of the user."""
 
     cells: int
-    """Cells along the body's longest side in the atom lattice: pitch = side / cells."""
+    """Surface atoms are at most side / cells, the pitch, for the body's longest side."""
+    fine: int
+    """Cells along the longest side in the lattice of the finest interior atoms."""
     voxels: int
     """Cells along the longest side of the volume that a prior solves."""
     label: int
@@ -30,7 +32,7 @@ class Detail:
 
 # The paper takes 120 to 200 iterations, 10 to 20 surface views in each, and labels of the diffusion model's size.
 DETAILS: dict[DetailName, Detail] = {
-    "draft": Detail(cells=64, voxels=80, label=128, surface=128, surface_views=24, iterations=40),
-    "standard": Detail(cells=104, voxels=128, label=224, surface=192, surface_views=40, iterations=120),
-    "high": Detail(cells=160, voxels=192, label=352, surface=256, surface_views=60, iterations=200),
+    "draft": Detail(cells=64, fine=96, voxels=80, label=128, surface=128, surface_views=24, iterations=40),
+    "standard": Detail(cells=104, fine=160, voxels=128, label=224, surface=192, surface_views=40, iterations=120),
+    "high": Detail(cells=160, fine=224, voxels=192, label=352, surface=256, surface_views=60, iterations=200),
 }

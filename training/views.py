@@ -17,7 +17,17 @@ from engine.view_weights import ViewWeights
 from training.families import Family
 from training.prior import Condition
 
-__all__ = ["BACKGROUND", "ENTRIES", "Extent", "Section", "conditioned", "sections", "surface_cameras"]
+__all__ = [
+    "BACKGROUND",
+    "ENTRIES",
+    "Extent",
+    "Section",
+    "Slice",
+    "conditioned",
+    "sections",
+    "slices",
+    "surface_cameras",
+]
 
 BACKGROUND = (1.0, 1.0, 1.0)
 """White, as exemplar pictures usually have it."""
@@ -29,40 +39,51 @@ ENTRIES = 16
 
 
 @dataclass(frozen=True)
-class Section:
-    """A cut face as it is trained."""
+class Slice:
+    """A cut face of the body, whatever atoms fill it."""
 
     family: Family
     plane: Plane
     camera: Camera
-    weights: ViewWeights
     condition: Condition
     points: NDArray[np.float32]
     """(H, W, 3). World points of the pixels."""
 
 
-def sections(
-    atoms: Atoms,
+@dataclass(frozen=True)
+class Section(Slice):
+    """A cut face as it is trained."""
+
+    weights: ViewWeights
+
+
+def slices(
     body: Body,
     up: NDArray[np.float64],  # [3]
     families: Sequence[Family],
     size: int,
-    progress: Callable[[float], None],
-) -> list[Section]:
+) -> list[Slice]:
     """Every plane of every family as a view of size x size pixels; planes that miss the body are left out."""
     bounds, radius, extent = body.bounds(), body.radius, Extent.of(body, up)
-    planes = [(family, plane) for family in families for plane in family.planes(body, up)]
+    result = []
+    for family in families:
+        for plane in family.planes(body, up):
+            camera = section(plane, up, bounds, size, radius)
+            points = on_plane(camera, plane)
+            if (body.at(points) > 0).any():
+                condition = conditioned(family, body, extent, camera, points)
+                result.append(Slice(family, plane, camera, condition, points))
+    return result
+
+
+def sections(atoms: Atoms, cuts: Sequence[Slice], progress: Callable[[float], None]) -> list[Section]:
+    """The slices with the weights that these atoms have in them."""
     field = KernelField(atoms)
     result = []
-    for index, (family, plane) in enumerate(planes):
-        camera = section(plane, up, bounds, size, radius)
-        points = on_plane(camera, plane)
-        inside = body.at(points) > 0
-        if inside.any():
-            weights = ViewWeights.section(atoms, plane, camera, field).truncated(ENTRIES)
-            condition = conditioned(family, body, extent, camera, points)
-            result.append(Section(family, plane, camera, weights, condition, points))
-        progress((index + 1) / len(planes))
+    for index, cut in enumerate(cuts):
+        weights = ViewWeights.section(atoms, cut.plane, cut.camera, field).truncated(ENTRIES)
+        result.append(Section(cut.family, cut.plane, cut.camera, cut.condition, cut.points, weights))
+        progress((index + 1) / len(cuts))
     return result
 
 
