@@ -15,7 +15,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from engine.errors import InputError
 
-__all__ = ["Reporter"]
+__all__ = ["Reporter", "plain"]
 
 STAGES = {
     "load": "Reading the scene",
@@ -82,7 +82,7 @@ class Reporter:
             return
         line = {"event": event, "seconds": round(time.perf_counter() - self.started, 3), **facts}
         try:
-            print(json.dumps(_plain(line), allow_nan=False), file=self.events, flush=True)
+            print(json.dumps(plain(line), allow_nan=False), file=self.events, flush=True)
         except BrokenPipeError:
             self.events = None  # nobody listens any more; the work goes on
 
@@ -130,12 +130,12 @@ class Stage:
         self.reporter.emit("progress", stage=self.name, part=round(part, 4), eta=eta, **facts)
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
     """The same without what JSON cannot say: infinities and NaN become null, paths become text."""
     if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
+        return {key: plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
+        return [plain(item) for item in value]
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     return str(value) if isinstance(value, Path) else value

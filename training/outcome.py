@@ -13,7 +13,7 @@ from engine.atoms import Atoms
 from engine.files import atomic
 from engine.trained import Meta, save_trained
 from training.contact_sheet import save_sheet
-from training.events import Reporter
+from training.events import Reporter, plain
 from training.losses import psnr
 from training.request import Geometry, Request
 from training.settings import DETAILS
@@ -64,7 +64,7 @@ def save(
         "seconds": {name: round(spent, 2) for name, spent in reporter.timings.items()},
     }
     with atomic(out / "report.json") as temporary:
-        temporary.write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
+        temporary.write_text(json.dumps(plain(report), indent=1, allow_nan=False) + "\n", encoding="utf-8")
     reporter.emit("done", scene=path, sheet=out / "cuts.png", report=out / "report.json")
     return path
 

@@ -15,6 +15,7 @@ import torch
 from numpy.typing import NDArray
 
 from engine.atoms import Atoms, InteriorAtoms
+from engine.errors import InputError
 from engine.files import sweep
 from engine.fill import fill
 from engine.gaussians import Gaussians
@@ -77,6 +78,11 @@ def run(
     with reporter.stage("labels") as stage:
         watch = watched(stage, check, 0.0, 1.0)
         cuts = slices(geometry.body, geometry.up, request.families, fineness.label)
+        asked = sum(len(family.custom) or family.count for family in request.families)
+        if not cuts:
+            raise InputError(f"{request.scene.name}: none of the {asked} planes meets the object; give others")
+        if len(cuts) < asked:
+            reporter.warn(f"{request.scene.name}: {asked - len(cuts)} of {asked} planes miss the object, left out")
         labels, atoms = label(request, geometry, cuts, prior, checkpoint, watch, parts.fill)
         geometry = replace(geometry, atoms=atoms)
         facts |= {"interior_atoms": len(atoms.interior), "exposed_atoms": atoms.interior.exposed}
