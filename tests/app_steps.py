@@ -17,7 +17,7 @@ from imgui_bundle import imgui
 from numpy.typing import NDArray
 from PIL import Image
 
-from app.camera_control import AXIS_VIEWS
+from app.camera_control import AXIS_VIEWS, project_points
 from app.document import Document, Training
 from app.history import History
 from app.knife import Stroke
@@ -29,6 +29,7 @@ from app.samples import sample_document
 from app.session import TOOLS, Session
 from app.settings import Settings
 from app.ui.exporting import Options
+from app.ui.theme import px
 from app.ui.window import Window
 from engine.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from engine.ply import read_ply
@@ -222,6 +223,81 @@ def steps(driver: Driver, folder: Path) -> None:
     session.error = ""
 
 
+def twice_as_dense(window: Window) -> None:
+    """A screen of 192 DPI, which has four pixels where others have one."""
+    window.params.dpi_aware_params.dpi_window_size_factor = 2.0
+
+
+def habits(driver: Driver, folder: Path) -> None:
+    """On a dense screen: the hand meets what it points at; files are dropped and asked for; leaving is asked about."""
+    session, window = driver.session, driver.window
+    assert px(1) == 2.0
+    style = imgui.get_style()
+    assert (style.frame_padding.x, style.item_spacing.x, style.indent_spacing) == (18, 16, 32)
+    assert style.font_size_base * style.font_scale_main * style.font_scale_dpi > 30  # drawn large, not enlarged
+    driver.press(Key.k)
+    driver.drag((0.5, 0.13), (0.5, 0.97), hold=lambda: driver.picture(folder / "shots" / "9_dense_stroke.png"))
+    driver.still()
+    assert len(session.pieces) == 2, session.message
+    view = driver.view()
+    assert ground(view)[view.shape[0] // 2, view.shape[1] // 2]  # the gap is where the stroke was
+    driver.press(Key.v)
+    camera = window.viewport.camera()
+    for piece in session.pieces:
+        points = piece.motion.apply(session.solid.points[piece.rows])
+        ((x, _),) = project_points(camera, points.mean(0)[None])[0]
+        driver.context.mouse_move_to_pos(driver.point(float(x) / camera.width, 0.5))
+        driver.context.mouse_click(0)
+        driver.frames(3)
+        assert session.selection == {piece.key}
+    driver.picture(folder / "shots" / "9_dense.png")
+
+    # A file let go over the window, as GLFW tells of it: a picture, then a scene, which would lose work.
+    Image.new("RGB", (64, 64), (200, 40, 40)).save(folder / "cut.png")
+    told = glfw.set_drop_callback(window.window, None)
+    glfw.set_drop_callback(window.window, told)
+    told(window.window, [str(folder / "cut.png")])
+    driver.frames(3)
+    family = session.document.family("horizontal")
+    assert family is not None and family.exemplars == (folder / "cut.png",)
+    scene = session.document.scene
+    told(window.window, [str(folder / "other.splat")])
+    driver.frames(3)
+    assert session.question is not None and "Unsaved" in session.question.title
+    driver.press(Key.escape)
+    assert session.question is None and session.document.scene == scene and session.preparing is None
+
+    # The dialog in the window, where the system has none: opened and cancelled, opened and answered.
+    dialogs = window.dialogs
+    dialogs.native = False
+    driver.press(Key.mod_ctrl | Key.o)
+    assert dialogs.typed is not None
+    driver.press(Key.escape)
+    assert dialogs.typed is None and session.document.scene == scene
+    Image.new("RGB", (64, 64), (40, 200, 40)).save(folder / "second.png")
+    driver.press(Key.mod_ctrl | Key.o)
+    assert dialogs.typed is not None
+    dialogs.typed.text = str(folder / "second.png")
+    driver.frames(2)
+    driver.click("//Path/OK")
+    driver.frames(2)
+    family = session.document.family("horizontal")
+    assert dialogs.typed is None and family is not None and len(family.exemplars) == 2
+
+    # Leaving while a job runs.
+    session.history.saved = session.document
+    session.desk.program = (sys.executable, str(STUB), "--steps", "4000")
+    session.desk.start()
+    job = session.desk.job
+    assert job is not None
+    driver.between_frames(lambda: glfw.set_window_should_close(window.window, True))
+    driver.until(lambda: session.question is not None, 5, "the question")
+    assert session.question is not None and "still running" in session.question.title
+    driver.press(Key.escape)
+    assert not session.closing and job.phase == "running"
+    job.kill()
+
+
 def soak(driver: Driver, actions: int = 2000) -> None:
     """Anything in any order: no error, nothing left on the GPU, nothing lost."""
     session, window, chance = driver.session, driver.window, random.Random(7)
@@ -342,6 +418,8 @@ def main() -> None:
     name, folder = sys.argv[1], Path(sys.argv[2])
     if name == "steps":
         opened(folder, lambda driver: steps(driver, folder))
+    elif name == "habits":
+        at_once(folder, lambda driver: habits(driver, folder), (800, 560), twice_as_dense)
     else:
         at_once(folder, soak, (640, 300))  # most frames are drawn by the processor: a small view is a quick one
     print("well")

@@ -20,7 +20,7 @@ def run(name: str, folder: Path) -> None:
         server = shutil.which("xvfb-run")
         if server is None:
             pytest.skip("no display, and no xvfb-run to make one (install xvfb)")
-        command = [server, "-a", "-s", "-screen 0 1280x800x24", *command]
+        command = [server, "-a", "-s", "-screen 0 1680x1200x24", *command]
     path = os.pathsep.join([str(HERE.parent), *filter(None, [os.environ.get("PYTHONPATH")])])
     done = subprocess.run(
         command,
@@ -39,6 +39,10 @@ def run(name: str, folder: Path) -> None:
 def test_a_user_cuts_trains_saves_and_exports(tmp_path: Path) -> None:
     run("steps", tmp_path)
     assert len(list((tmp_path / "shots").glob("*.png"))) == 8
+
+
+def test_a_dense_screen_dropped_files_dialogs_and_leaving(tmp_path: Path) -> None:
+    run("habits", tmp_path)
 
 
 def test_two_thousand_random_actions_leave_nothing_behind(tmp_path: Path) -> None:

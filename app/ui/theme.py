@@ -97,12 +97,15 @@ def load_fonts() -> None:
     Fonts.bold = hello_imgui.load_font("fonts/Roboto/Roboto-Bold.ttf", FONT_SIZE)
 
 
-def apply(name: str) -> None:
-    """Sets every colour and distance of the current ImGui context."""
+def apply(name: str, scaled_later: bool = False) -> None:
+    """Sets every colour and distance of the current ImGui context.
+
+    `scaled_later`: the runner itself brings the distances to the screen's density, as it does with the first style.
+    """
     global _current
     _current = p = LIGHT if name == "light" else DARK
     style = imgui.get_style()
-    scale = px(1.0)
+    scale = 1.0 if scaled_later else px(1.0)
     for field, value in {
         "window_padding": (12, 12),
         "frame_padding": (9, 5),

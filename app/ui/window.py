@@ -81,7 +81,7 @@ class Window:
         callbacks = params.callbacks
         callbacks.default_icon_font = hello_imgui.DefaultIconFont.font_awesome6
         callbacks.load_additional_fonts = load_fonts
-        callbacks.setup_imgui_style = lambda: apply(settings.theme)
+        callbacks.setup_imgui_style = lambda: apply(settings.theme, scaled_later=True)
         callbacks.post_init = self._begin
         callbacks.before_exit = self._end
         callbacks.pre_new_frame = self._tick
@@ -125,7 +125,6 @@ class Window:
         self.inspector = Inspector(self.session, self.interior)
         if implot.get_current_context() is None:
             implot.create_context()
-        apply(self.session.settings.theme)
         self.window = glfw_window_hello_imgui()
         glfw.set_drop_callback(self.window, self._note_drop)
         if self.start is not None:
@@ -134,8 +133,8 @@ class Window:
         self.left = left_jobs(self.session)
 
     def _end(self) -> None:
-        size = glfw.get_window_size(self.window)
-        self.session.remember(replace(self.session.settings, window=(max(size[0], 200), max(size[1], 200))))
+        width, height = (max(200, round(side / px(1))) for side in glfw.get_window_size(self.window))
+        self.session.remember(replace(self.session.settings, window=(width, height)))  # as at 96 DPI, like all sizes
         glfw.set_drop_callback(self.window, None)  # type: ignore[arg-type]
         self.thumbs.release()
         self.painter.release()
