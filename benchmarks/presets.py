@@ -52,7 +52,7 @@ def settings() -> dict[str, tuple[Detail, float]]:
         "label": [draft.label * 5 // 8, draft.label * 3 // 2],
         "voxels": [draft.voxels * 8 // 5],
         "iterations": [draft.iterations // 4, draft.iterations * 3],
-        "cells": [draft.cells * 3 // 4, draft.cells * 3 // 2],
+        "fine": [draft.fine * 2 // 3, draft.fine * 3 // 2],
     }
     runs = {name: (detail, 1.0) for name, detail in DETAILS.items()}
     for knob, values in turned.items():

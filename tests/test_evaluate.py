@@ -29,7 +29,7 @@ from training.evaluate.tables import table
 from training.metrics import frechet_distance, kernel_distance, mean_cosine
 from training.settings import DETAILS
 
-TINY = replace(DETAILS["draft"], cells=16, voxels=24, label=32, surface=32, surface_views=6, iterations=4)
+TINY = replace(DETAILS["draft"], cells=16, fine=20, voxels=24, label=32, surface=32, surface_views=6, iterations=4)
 
 
 def test_distances_of_a_set_to_itself():

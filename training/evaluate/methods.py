@@ -20,9 +20,10 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from engine import classic, sh
-from engine.atoms import Atoms
+from engine.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from engine.body import Body
 from engine.camera import Camera, on_plane
+from engine.fill import fill
 from engine.kernel_field import KernelField
 from engine.opaque import render
 from engine.plane import Plane
@@ -105,6 +106,19 @@ def ours(subject: Subject, request: Tuned, out: Path) -> Made:
 def without_refinement(subject: Subject, request: Tuned, out: Path) -> Made:
     """Labels stay what they were."""
     return trained(subject, request, out, Parts(refines=False))
+
+
+def evenly(
+    body: Body, pitch: float, seed: int, surface: SurfaceAtoms, colours: Callable[[NDArray[np.floating]], Float]
+) -> InteriorAtoms:
+    """One atom for every cell of the finest lattice, whatever the colours."""
+    interior = fill(body, pitch, seed, surface)
+    return replace(interior, rgb=colours(interior.means).astype(np.float32))
+
+
+def uniform(subject: Subject, request: Tuned, out: Path) -> Made:
+    """Atoms as fine everywhere as ours are where the colours vary."""
+    return trained(subject, request, out, Parts(fill=evenly))
 
 
 class Unsmoothed(Trainer):
@@ -190,7 +204,8 @@ def oracle(subject: Subject, request: Tuned, out: Path) -> Made:
 
 def without_clipping(subject: Subject, request: Tuned, out: Path) -> Made:
     """Everything alike on atoms with a cap so wide that nothing of the capture reaches it."""
-    wide = replace(request.numbers, cells=max(8, request.numbers.cells // WIDER))
+    numbers = request.numbers
+    wide = replace(numbers, cells=max(8, numbers.cells // WIDER), fine=max(8, numbers.fine // WIDER))
     return trained(subject, replace(request, numbers=wide), out, Parts())
 
 
@@ -265,11 +280,14 @@ def hollow(request: Tuned, out: Path) -> tuple[Geometry, dict[str, Any]]:
     return geometry, facts
 
 
-def nearest_surface(atoms: Atoms) -> Atoms:
-    """The PhysGaussian rule: every interior atom takes the colour of the nearest surface atom."""
-    _, index = cKDTree(atoms.surface.means).query(atoms.interior.means)
-    rgb = np.clip(sh.sh_to_rgb(atoms.surface.sh[index, 0]), 0, 1).astype(np.float32)
-    return replace(atoms, interior=replace(atoms.interior, rgb=rgb))
+def nearest_surface(geometry: Geometry, request: Tuned) -> Atoms:
+    """The PhysGaussian rule: every interior atom takes the colour of the nearest surface atom; filled as ours is."""
+    surface = geometry.atoms.surface
+    rgb = np.clip(sh.sh_to_rgb(surface.sh[:, 0]), 0, 1).astype(np.float32)
+    tree = cKDTree(surface.means)
+    finest = geometry.atoms.pitch * request.numbers.cells / request.numbers.fine
+    interior = fill(geometry.body, finest, request.seed, surface, lambda points: rgb[tree.query(points)[1]])
+    return replace(geometry.atoms, interior=interior)
 
 
 def saved(geometry: Geometry, atoms: Atoms, request: Tuned, out: Path) -> Path:
@@ -283,7 +301,7 @@ def saved(geometry: Geometry, atoms: Atoms, request: Tuned, out: Path) -> Path:
 def physgaussian(subject: Subject, request: Tuned, out: Path) -> Made:
     """The nearest surface colour."""
     geometry, facts = hollow(request, out)
-    atoms = nearest_surface(geometry.atoms)
+    atoms = nearest_surface(geometry, request)
     return Made(atoms, saved(geometry, atoms, request, out), facts, faces(atoms))
 
 
@@ -329,5 +347,8 @@ METHODS: dict[str, Method] = {
     "no_smoothing": Method("No smoothing", "Atoms that no view shows keep their start.", without_smoothing),
     "looped_no_smoothing": Method("Loop, no smoothing", "The loop without smoothing.", looped_without_smoothing),
     "no_refinement": Method("No refinement", "Labels stay what they were.", without_refinement),
+    "uniform": Method(
+        "Uniform fill", "The finest atoms everywhere: what the adaptive fill saves on.", uniform, rival=False
+    ),
     "oracle": Method("Oracle labels", "True slices as labels: the 3-D part alone.", oracle, rival=False),
 }
