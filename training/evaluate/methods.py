@@ -347,8 +347,6 @@ METHODS: dict[str, Method] = {
     "no_smoothing": Method("No smoothing", "Atoms that no view shows keep their start.", without_smoothing),
     "looped_no_smoothing": Method("Loop, no smoothing", "The loop without smoothing.", looped_without_smoothing),
     "no_refinement": Method("No refinement", "Labels stay what they were.", without_refinement),
-    "uniform": Method(
-        "Uniform fill", "The finest atoms everywhere: what the adaptive fill saves on.", uniform, rival=False
-    ),
+    "uniform": Method("Uniform fill", "The finest atoms everywhere.", uniform, rival=False),
     "oracle": Method("Oracle labels", "True slices as labels: the 3-D part alone.", oracle, rival=False),
 }
