@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import lru_cache, wraps
+from typing import TypeVar
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -10,8 +14,24 @@ from engine.plane import frame
 __all__ = ["corners_within", "face_polygons", "section_of_box", "without"]
 
 Double = NDArray[np.float64]
+Result = TypeVar("Result")
 
 
+def kept(function: Callable[[Double, Double, Double], Result]) -> Callable[[Double, Double, Double], Result]:
+    """Remembers the last results for planes (P, 4) and a box: those of a frame are mostly those of the frame before."""
+
+    @lru_cache(maxsize=64)
+    def known(planes: bytes, low: bytes, high: bytes) -> Result:
+        return function(np.frombuffer(planes).reshape(-1, 4), np.frombuffer(low), np.frombuffer(high))
+
+    @wraps(function)
+    def call(planes: Double, low: Double, high: Double) -> Result:
+        return known(*(np.ascontiguousarray(a, np.float64).tobytes() for a in (planes, low, high)))
+
+    return call
+
+
+@kept
 def face_polygons(planes: Double, low: Double, high: Double) -> list[Double]:
     """One convex polygon (V, 3) for each of the planes (P, 4); (0, 3) where it does not bound the piece.
 
@@ -45,6 +65,7 @@ def section_of_box(plane: Double, low: Double, high: Double) -> Double:
     return polygon
 
 
+@kept
 def corners_within(planes: Double, low: Double, high: Double) -> Double:
     """(V, 3). The corners of what planes (P, 4) keep of the box from low (3,) to high (3,), some of them twice."""
     sides = [

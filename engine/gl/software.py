@@ -266,7 +266,11 @@ class SoftwareMode:
                 sections, CHUNKS, -(-len(rows) // CHUNKS), rows, *store.kept, enlarge, f.plane, e1, e2, view.matrix,
                 cam, records[own], boxes[own],
             )  # fmt: skip
+        corners = np.concatenate([f.corners for f in visible])
+        low, high = view.extent(corners, np.zeros(len(corners)))
         height = len(depths)
+        shift = view.camera.cy - cam[15]
+        lines = np.clip([low[1] - shift - 1, high[1] - shift + 1], 0, height)
         cells, table = self.grids.together(keys, len(planes))
         first, listed = bin_bands(boxes, -(-height // BAND))
         beside = np.concatenate([np.zeros((0, 4)), *(view.planes_in_camera(m) for m in mates)])
@@ -274,7 +278,7 @@ class SoftwareMode:
         for_each(
             add_faces, -(-height // BAND), cam, view.planes_in_camera(planes), frames, beside, first_mate,
             1e-3 * solid.pitch, first, listed, boxes, records, owner, cells, table, solid.pitch / 2,
-            look.light, fresh, face, depths,
+            look.light, lines, fresh, face, depths,
         )  # fmt: skip
         return True
 

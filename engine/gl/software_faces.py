@@ -201,6 +201,7 @@ def add_faces(  # type: ignore[no-untyped-def]
     grids,  # [P, GRID] which of them is each plane's
     edge_sigma,
     light,
+    lines,  # [2] first and end row in which a face can be
     fresh,  # whether nothing is in the layer yet
     face,  # in and out [H, W, 4] rgb, coverage
     depths,  # in and out [H, W]
@@ -208,6 +209,12 @@ def add_faces(  # type: ignore[no-untyped-def]
     """Puts the faces of one piece into a band of the face layer, the nearest in front."""
     height, width = depths.shape
     top, bottom = band * BAND, min((band + 1) * BAND, height)
+    if bottom <= lines[0] or top >= lines[1]:
+        if fresh:
+            for y in range(top, bottom):
+                for k in range(width):
+                    face[y, k, 3] = 0.0
+        return
     area = BAND * width
     entry, slope, left = np.empty(width), np.empty(width), np.empty(width)
     own = np.empty(width, np.int32)
