@@ -254,14 +254,17 @@ def habits(driver: Driver, folder: Path) -> None:
 
     # A file let go over the window, as GLFW tells of it: a picture, then a scene, which would lose work.
     Image.new("RGB", (64, 64), (200, 40, 40)).save(folder / "cut.png")
-    told = glfw.set_drop_callback(window.window, None)
-    glfw.set_drop_callback(window.window, told)
-    told(window.window, [str(folder / "cut.png")])
+    told = glfw.set_drop_callback(window.window, None)  # what GLFW calls, with C's own types
+
+    def drop(*paths: Path) -> None:
+        told(window.window, len(paths), (ctypes.c_char_p * len(paths))(*(str(path).encode() for path in paths)))
+
+    drop(folder / "cut.png")
     driver.frames(3)
     family = session.document.family("horizontal")
     assert family is not None and family.exemplars == (folder / "cut.png",)
     scene = session.document.scene
-    told(window.window, [str(folder / "other.splat")])
+    drop(folder / "other.splat")
     driver.frames(3)
     assert session.question is not None and "Unsaved" in session.question.title
     driver.press(Key.escape)
@@ -277,9 +280,8 @@ def habits(driver: Driver, folder: Path) -> None:
     Image.new("RGB", (64, 64), (40, 200, 40)).save(folder / "second.png")
     driver.press(Key.mod_ctrl | Key.o)
     assert dialogs.typed is not None
-    dialogs.typed.text = str(folder / "second.png")
     driver.frames(2)
-    driver.click("//Path/OK")
+    driver.context.key_chars_replace_enter(str(folder / "second.png"))
     driver.frames(2)
     family = session.document.family("horizontal")
     assert dialogs.typed is None and family is not None and len(family.exemplars) == 2

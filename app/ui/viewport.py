@@ -323,7 +323,9 @@ class Viewport:
         for end in ends:
             draw.add_circle_filled(end, px(4.5), u32(p.accent))
         words = "release to cut" if drag.kind == "stroke" else "release to place"
-        label(draw, ImVec2(ends[1].x + px(14), ends[1].y + px(6)), f"{words}    Shift: snap    Esc: cancel")
+        low = ends[1].y + px(40) > self.origin.y + self.size[1]  # at the foot of the view the words stand above
+        below = ImVec2(ends[1].x + px(14), ends[1].y + (-px(40) if low else px(6)))
+        label(draw, below, f"{words}    Shift: snap    Esc: cancel")
 
     def _overlays(self, camera: Camera) -> None:
         session, p = self.session, palette()
