@@ -90,7 +90,9 @@ def refit(atoms: Atoms, views: Sequence[SurfaceView], progress: Callable[[float]
     Interior atoms and all geometry stay. Atoms that no view shows keep their colours. Bit-equal for the same input.
     """
     assert len(views) > 1, len(views)
-    start = atoms.surface.sh
+    # Where the colour is under black the clamp hides every change, so the fit begins at black.
+    start = atoms.surface.sh.copy()
+    start[:, 0] = np.maximum(start[:, 0], sh.rgb_to_sh(np.zeros(3, np.float32)))
     judges = views[::HELD_OUT]
     fitted = [view for index, view in enumerate(views) if index % HELD_OUT]
     highest = atoms.surface.sh_degree
@@ -100,7 +102,7 @@ def refit(atoms: Atoms, views: Sequence[SurfaceView], progress: Callable[[float]
         figures.append(db(error(judges, atoms, trials[-1])))
         progress(0.7 * (degree + 1) / (highest + 1))
     degree = next(d for d, figure in enumerate(figures) if figure >= max(figures) - WORTH_DB)
-    before = db(error(judges, atoms, start))
+    before = db(error(judges, atoms, atoms.surface.sh))
     if before >= figures[degree]:  # a scan that is opaque already shows itself best
         progress(1.0)
         return Refit(atoms, highest, (before, before))
