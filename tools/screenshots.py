@@ -112,6 +112,7 @@ def take(detail: str, theme: str, only: str) -> None:
             tilt(session, cut.id)
             session.desk.start()
             driver.until(lambda: busy_training(session), 3600, "training with curves and pictures")
+            session.active_cut = None  # its numbers would push the pictures of the training out of the panel
             shot("4_training")
             driver.until(lambda: session.object is not None and session.object.trained, 3600, "the end of training")
             session.remove_cut(cut.id)
@@ -130,7 +131,7 @@ def take(detail: str, theme: str, only: str) -> None:
         lay_open(session)
         view.fit()
         eye = session.viewing.eye  # both halves together are wide, not tall: the sphere around them leaves much room
-        session.look(replace(session.viewing, eye=replace(eye, distance=0.76 * eye.distance)))
+        session.look(replace(session.viewing, eye=replace(eye, distance=0.8 * eye.distance)))
         shot("3_halves")
 
     drive(
@@ -168,7 +169,7 @@ def lay_open(session: Session) -> None:
         angle = float(np.degrees(np.arctan2(np.linalg.norm(axis), normal @ towards)))
         middle = piece.motion.apply(session.solid.points[piece.rows]).mean(0)
         turn = Motion.about(middle, axis, angle)
-        place = session.solid.centre + 0.92 * side * radius * right - middle
+        place = session.solid.centre + side * radius * right - middle
         session.place("Lay open", frozenset([piece.key]), Motion.by(place).after(turn))
 
 

@@ -13,6 +13,11 @@ from app.ui.widgets import secondary, tip
 __all__ = ["curves", "previews"]
 
 
+SHORTEST = 10
+"""Iterations that the curves are wide at the least; then they are as wide as they are long, for nobody knows how soon
+a training has settled."""
+
+
 def curves(progress: Progress) -> None:
     """The losses so far."""
     p = palette()
@@ -25,7 +30,7 @@ def curves(progress: Progress) -> None:
     told = told[np.isfinite(told)]
     low, high = (float(told.min()), float(told.max())) if len(told) else (0.0, 1.0)
     room = 0.1 * max(high - low, 1e-3)
-    last = max(progress.iterations, len(progress.section), 2)
+    last = max(len(progress.section), SHORTEST)
     implot.setup_axes_limits(1, last, max(0.0, low - room), high + room, implot.Cond_.always)
     implot.setup_axis_format(implot.ImAxis_.y1, "%.2f")
     implot.setup_legend(implot.Location_.north_east, implot.LegendFlags_.no_buttons)

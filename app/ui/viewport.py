@@ -278,7 +278,7 @@ class Viewport:
         foot = session.solid.centre - n * float(plane.distance(session.solid.centre))
         side = 1.1 * session.solid.radius
         corners = np.stack([foot + side * (a * e1 + b * e2) for a, b in ((1, 1), (-1, 1), (-1, -1), (1, -1))])
-        return [Sheet(corners, (*rgb(palette().text), 0.07), hidden=0.0)]
+        return [Sheet(corners, (*rgb(palette().text), 0.05), hidden=0.0)]
 
     def _active_section(self) -> Cut | None:
         session = self.session
