@@ -45,6 +45,10 @@ HALVED_IN_TURNS = 3
 # The paper smooths every 30 to 40 iterations.
 SMOOTH_EVERY = 30
 
+# Surface colours stay within this, or within what the capture has: far beyond black and white, so it binds only where
+# steps are much too long, and keeps those finite.
+MOST_SH = 10.0
+
 # Adam's moments, Kingma and Ba 2015.
 BETAS = (0.9, 0.99)
 TINY = 1e-8
@@ -72,6 +76,7 @@ class Trainer:
         self.initial = atoms.interior.rgb
         self.rgb = torch.from_numpy(atoms.interior.rgb.copy())
         self.sh = torch.from_numpy(atoms.surface.sh.copy())
+        self.most_sh = max(MOST_SH, float(np.abs(atoms.surface.sh).max(initial=0)))
         self.moments = {name: torch.zeros_like(tensor) for name, tensor in (("rgb1", self.rgb), ("rgb2", self.rgb))} | {
             name: torch.zeros_like(tensor) for name, tensor in (("sh1", self.sh), ("sh2", self.sh))
         }
@@ -145,6 +150,7 @@ class Trainer:
         rates = torch.full((self.sh.shape[1], 1), -BANDS_RATE)
         rates[0] = -SURFACE_RATE / C0
         self.sh += self._adam("sh", sh_gradient) * (rates * pace)
+        self.sh.clamp_(-self.most_sh, self.most_sh)
         if self.iteration % SMOOTH_EVERY == 0:
             self.smooth()
         return Losses(section_loss.item(), surface_loss.item())
