@@ -31,7 +31,7 @@ def main() -> None:
     def start(session: Session) -> None:
         left = [job for job in left_jobs(session) if not job.ended]
         if path is not None:
-            session.open(path)
+            session.files.open(path)
         else:
             document = document_of(left[0]) if left else sample_document()
             session.show(document, Viewing(mode="capture"), None)

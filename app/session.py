@@ -14,15 +14,16 @@ from typing import Literal
 import numpy as np
 
 from app.asking import Choice, Question
-from app.autosave import Autosave, Rescued
+from app.autosave import Autosave
 from app.desk import Desk
 from app.document import Cut, Document, Key, Part, Placement
+from app.files import PICTURES, Files
 from app.history import History
 from app.knife import Stroke, slice_object
 from app.motion import Motion, Vec3, vec3
 from app.pieces import Lying, Solid, pieces
 from app.preparing import Object, Preparing, Request
-from app.project import SUFFIX, Outside, Project, Viewing, load_project, save_project
+from app.project import Project, Viewing
 from app.settings import Settings, load_settings, save_settings
 from engine.atoms import Atoms
 from engine.camera import Camera
@@ -30,12 +31,10 @@ from engine.errors import InputError
 from engine.plane import Plane
 from training.families import Kind
 
-__all__ = ["PICTURES", "TOOLS", "Session", "Tool"]
+__all__ = ["TOOLS", "Session", "Tool"]
 
 Tool = Literal["select", "knife", "plane", "move", "turn"]
 TOOLS: tuple[Tool, ...] = ("select", "knife", "plane", "move", "turn")
-
-PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".bmp")
 
 EMPTY = Solid.of(np.zeros((0, 3)))
 
@@ -66,12 +65,11 @@ class Session:
     """Grows when other atoms or another capture are to be drawn."""
     colours: int = 0
     """Grows when the same atoms have other colours."""
-    ask_where: Callable[[Callable[[Path], None]], None] | None = None
-    """The window's dialog for the place of a new project."""
     autosave: Autosave = field(default_factory=Autosave)
 
     def __post_init__(self) -> None:
         self.desk = Desk(self)
+        self.files = Files(self)
         self._pieces: tuple[Document, Solid, list[Lying]] | None = None
 
     # What there is
@@ -136,70 +134,7 @@ class Session:
         self.question = None
         choice.act()
 
-    # Opening and saving
-
-    def open(self, path: Path) -> None:
-        """A scene, a project, or a picture for a family; asks first where work would be lost."""
-        if path.suffix.lower() in PICTURES:
-            self.add_pictures(None, (path,))
-            return
-        act = self._open_project if path.suffix == SUFFIX else self._open_scene
-        self.unless_unsaved(lambda: act(path))
-
-    def unless_unsaved(self, act: Callable[[], None]) -> None:
-        """Does it at once, or after asking what becomes of unsaved changes."""
-        if not self.history.changed:
-            act()
-            return
-
-        def save_first() -> None:
-            self.save(then=act)
-
-        self.ask(
-            "Unsaved changes",
-            f"Save the changes to {self.title.removesuffix(' *')} first?",
-            Choice("Save", save_first, main=True),
-            Choice("Don't save", act),
-        )
-
-    def _open_scene(self, path: Path) -> None:
-        if not path.is_file():
-            self.fail(f"{path}: no such file")
-            return
-        self.show(Document(scene=path.absolute()), Viewing(mode="capture"), None)
-        self.remember(self.settings.with_recent(path))
-
-    def _open_project(self, path: Path, outside: bool = False) -> None:
-        trusted = outside or str(path.resolve()) in self.settings.trusted
-        try:
-            project = load_project(path, outside=trusted)
-        except Outside as error:
-            names = "\n".join(str(p) for p in error.paths[:6]) + ("\n..." if len(error.paths) > 6 else "")
-            self.ask(
-                "Files outside of the project's folder",
-                f"{path.name} uses files that are not in its folder:\n{names}\n"
-                "Open it only if you know where it is from.",
-                Choice("Open anyway", lambda: self._open_project(path, outside=True)),
-            )
-            return
-        except InputError as error:
-            self.fail(error)
-            return
-        settings = self.settings.with_recent(path)
-        self.remember(settings.with_trusted(path) if outside else settings)
-        self.show(project.document, project.viewing, path)
-
-    def recover(self, rescued: Rescued) -> None:
-        """Takes up the unsaved work of a session that crashed."""
-        try:
-            project = rescued.load()
-        except InputError as error:
-            self.fail(error)
-            return
-        self.show(project.document, project.viewing, rescued.project)
-        self.history.saved = None  # it is unsaved still
-        self.say("Your unsaved work is back. Save it to keep it.")
-        rescued.discard()
+    # What is shown
 
     def show(self, document: Document, viewing: Viewing, path: Path | None) -> None:
         """Another document in the place of this one."""
@@ -220,26 +155,6 @@ class Session:
         assert scene is not None
         result = self.desk.result_for(self.document) if trained else None
         self.preparing = Preparing(Request(scene, training.detail, training.seed, result))
-
-    def save(self, path: Path | None = None, then: Callable[[], None] = lambda: None) -> None:
-        """Saves the project, asking for its place where it has none; goes on with `then` once it is saved."""
-        path = path or self.path
-        if path is None:
-            if self.ask_where is not None:
-                self.ask_where(lambda chosen: self.save(chosen, then))
-            return
-        path = path if path.suffix == SUFFIX else path.with_name(path.name + SUFFIX)
-        try:
-            save_project(path, Project(self.document, self.viewing))
-        except InputError as error:
-            self.fail(error)
-            return
-        self.path, self.history.saved = path, self.document
-        self.autosave.clear()
-        # What the user saved from here may be opened again without a question.
-        self.remember(self.settings.with_recent(path).with_trusted(path))
-        self.say(f"Saved {path.name}.")
-        then()
 
     def remember(self, settings: Settings) -> None:
         """Keeps settings, on disk too."""
@@ -418,30 +333,3 @@ class Session:
             self.preparing.cancel()
             self.preparing = None
             self.say("Stopped.")
-
-    def close(self) -> None:
-        """The user wants to leave: asks about unsaved work, then about a running job."""
-        self.unless_unsaved(self._close_job)
-
-    def _close_job(self) -> None:
-        job = self.desk.job
-        if job is None or job.phase not in ("running", "paused"):
-            self._leave()
-            return
-
-        def stop() -> None:
-            job.stop()
-            self._leave()
-
-        self.ask(
-            "Training is still running",
-            "It can go on without the window, and is found again when you come back.",
-            Choice("Leave it running", self._leave, main=True),
-            Choice("Stop it", stop),
-        )
-
-    def _leave(self) -> None:
-        if self.preparing is not None:
-            self.preparing.cancel()
-        self.autosave.clear()
-        self.closing = True

@@ -187,10 +187,10 @@ def steps(driver: Driver, folder: Path) -> None:
     session.look(replace(session.viewing, mode="solid"))
 
     # Save, open again, export.
-    session.save(folder / "melon.fruitninja")
+    session.files.save(folder / "melon.fruitninja")
     assert not session.history.changed
     document, viewing = session.document, session.viewing
-    session.open(folder / "melon.fruitninja")
+    session.files.open(folder / "melon.fruitninja")
     driver.until(lambda: session.atoms is not None, 60, "the solid again")
     assert (session.document, session.viewing) == (document, viewing)
     driver.still()
@@ -216,7 +216,7 @@ def steps(driver: Driver, folder: Path) -> None:
     session.undo()
 
     # An error is shown in words.
-    session.open(folder / "cut.txt")
+    session.files.open(folder / "cut.txt")
     driver.frames(2)
     assert "no such file" in session.error
     driver.picture(shots / "8_error.png")

@@ -489,7 +489,7 @@ def test_a_job_that_was_left_running_is_found_at_the_next_start(
     first.desk.program = (*STUB, "--steps", "2000")
     first.desk.start()
     assert first.desk.job is not None, first.error
-    first.close()
+    first.files.close()
     assert first.question is not None and "still running" in first.question.title
     first.answer(first.question.choices[0])
     assert first.closing and first.desk.job.phase == "running"

@@ -11,8 +11,8 @@ from pathlib import Path
 from imgui_bundle import ImVec2, imgui
 from imgui_bundle import portable_file_dialogs as pfd
 
+from app.files import PICTURES
 from app.project import SUFFIX
-from app.session import PICTURES
 from app.ui.theme import px
 from app.ui.widgets import main_button, secondary
 from engine.suffixes import SCENE_SUFFIXES

@@ -40,7 +40,7 @@ class Menus:
         self.session, self.viewport, self.dialogs, self.export = session, viewport, dialogs, export
         self.sheet = False
         """Whether the shortcut sheet is shown."""
-        session.ask_where = lambda then: dialogs.save(
+        session.files.ask_where = lambda then: dialogs.save(
             "Save the project", self.suggestion(), ["FruitNinja project", f"*{SUFFIX}"], then
         )
         self.commands = self._commands()
@@ -81,14 +81,14 @@ class Menus:
             tools.append(Command("Tools", tool.title(), partial(s.take, tool), keys, getattr(Key, keys.lower())))
         return [
             Command("File", "Open...", self._open, "Ctrl+O", Ctrl | Key.o),
-            Command("File", "Save", s.save, "Ctrl+S", Ctrl | Key.s, opened, gap=True),
+            Command("File", "Save", s.files.save, "Ctrl+S", Ctrl | Key.s, opened, gap=True),
             Command("File", "Save as...", self._save_as, "Ctrl+Shift+S", Ctrl | Shift | Key.s, opened),
             Command("File", "Save picture...", partial(ask, "picture"), "Ctrl+E", Ctrl | Key.e, opened, gap=True),
             Command("File", "Save turntable...", partial(ask, "turntable"), can=opened),
             Command("File", "Save plane sweep...", partial(ask, "sweep"), can=is_cut),
             Command("File", "Save cut face...", partial(ask, "section"), can=is_cut),
             Command("File", "Save pieces as .ply...", partial(ask, "pieces"), can=lambda: s.atoms is not None),
-            Command("File", "Quit", s.close, "Ctrl+Q", Ctrl | Key.q, gap=True),
+            Command("File", "Quit", s.files.close, "Ctrl+Q", Ctrl | Key.q, gap=True),
             Command("Edit", "Undo", s.undo, "Ctrl+Z", Ctrl | Key.z, lambda: s.history.cursor > 0),
             Command(
                 "Edit", "Redo", s.redo, "Ctrl+Shift+Z", Ctrl | Shift | Key.z,
@@ -139,7 +139,7 @@ class Menus:
         if imgui.begin_menu("Open recent", bool(self.session.settings.recent)):
             for name in self.session.settings.recent:
                 if imgui.menu_item(Path(name).name, "", False)[0]:
-                    self.session.open(Path(name))
+                    self.session.files.open(Path(name))
                 tip(name)
             imgui.end_menu()
         if imgui.begin_menu("Samples"):
@@ -232,18 +232,18 @@ class Menus:
     # Acts
 
     def _open(self) -> None:
-        self.dialogs.open_scene(self.session.open)
+        self.dialogs.open_scene(self.session.files.open)
 
     def open_sample(self, name: str) -> None:
         """A sample scene, ready to be trained."""
         session = self.session
-        session.unless_unsaved(
+        session.files.unless_unsaved(
             lambda: session.show(sample_document(name), replace(session.viewing, mode="capture"), None)
         )
 
     def _save_as(self) -> None:
-        if self.session.ask_where is not None:
-            self.session.ask_where(self.session.save)
+        if self.session.files.ask_where is not None:
+            self.session.files.ask_where(self.session.files.save)
 
     def _pictures(self) -> None:
         self.dialogs.open_pictures(lambda paths: self.session.add_pictures(None, paths))

@@ -14,10 +14,11 @@ from imgui_bundle import icons_fontawesome_6 as icon
 from imgui_bundle.glfw_utils import glfw_window_hello_imgui
 
 from app.autosave import Rescued, rescued
+from app.files import PICTURES
 from app.job import Job
 from app.project import Viewing
 from app.returning import document_of, forget_job, left_jobs, words_of
-from app.session import PICTURES, Session
+from app.session import Session
 from app.settings import settings_folder
 from app.ui.commands import press_shortcuts
 from app.ui.dialogs import Dialogs
@@ -152,7 +153,7 @@ class Window:
             glfw.set_window_should_close(self.window, False)
             self.params.app_shall_exit = False
             if session.question is None:
-                session.close()
+                session.files.close()
         if session.closing:
             self.params.app_shall_exit = True
 
@@ -165,7 +166,7 @@ class Window:
         if pictures and self.session.document.scene is not None:
             self.interior.dropped(pictures, imgui.get_io().mouse_pos.y)
         elif paths and not pictures:
-            self.session.open(paths[0])
+            self.session.files.open(paths[0])
         else:
             self.session.say("Open an object first, then drop pictures of its cut faces.")
 
@@ -228,7 +229,7 @@ class Window:
         secondary("or drop it here: .ply, .splat, .spz, .obj, .glb")
         imgui.dummy(ImVec2(0, px(4)))
         if main_button(f"{icon.ICON_FA_FOLDER_OPEN}  Open...", width):
-            self.dialogs.open_scene(self.session.open)
+            self.dialogs.open_scene(self.session.files.open)
         if imgui.button("Try the watermelon", ImVec2(width, px(32))):
             self.menus.open_sample("watermelon")
         imgui.end_group()
@@ -285,7 +286,7 @@ class Window:
 
     def _recover(self) -> None:
         first = self.rescues.pop(0)
-        self.session.unless_unsaved(lambda: self.session.recover(first))
+        self.session.files.unless_unsaved(lambda: self.session.files.recover(first))
 
     def _forget(self) -> None:
         self.rescues.pop(0).discard()
@@ -298,7 +299,7 @@ class Window:
             session.show(document_of(job), Viewing(mode="capture"), None)
             self._pass_over()
 
-        session.unless_unsaved(show)
+        session.files.unless_unsaved(show)
 
     def _pass_over(self) -> None:
         forget_job(self.session, self.left.pop(0))
