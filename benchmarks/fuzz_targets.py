@@ -124,7 +124,7 @@ def poisoned(value: Any, changes: list[tuple[float, int, int]]) -> Any:
         for key in way:
             holder = holder[key]
         if how < 7:
-            holder[last] = POISON[which % len(POISON)]
+            holder[last] = copy.deepcopy(POISON[which % len(POISON)])
         elif how == 7:
             del holder[last]
         elif how == 8 and isinstance(holder, list):
