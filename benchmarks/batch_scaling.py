@@ -1,0 +1,120 @@
+"""Scenes per hour against workers of `fruitninja-batch`, and what bounds them.
+
+    python -m benchmarks.batch_scaling [--scenes 4] [--most 2]
+
+Trains the same small scenes (the sample orange with several seeds, one iteration at draft detail) with one worker, two,
+and so on, each time from nothing. Start-up of the cluster is told apart from the training, as are the seconds that
+scenes wait with none at work. Writes docs/charts/batch_scaling.png and, with the numbers, batch_scaling.json.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import resource
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import psutil
+
+from engine.files import atomic
+from training.batch import Outcome, run_grid
+from training.batch.scene import scene_task
+from training.families import Family
+from training.request import Request
+
+mpl.use("Agg")
+from matplotlib import pyplot as plt
+
+ROOT = Path(__file__).parents[1]
+FOLDER = ROOT / "docs/charts"
+ORANGE = ROOT / "sample_scenes/orange"
+ACCENT, QUIET = "#FF6B4A", "#8F949C"
+
+
+def requests(count: int) -> list[Request]:
+    """Runs that differ by their seeds alone, so that each costs the same."""
+    families = (
+        Family("horizontal", 12, (ORANGE / "horizontal_1.png",)),
+        Family("radial", 10, (ORANGE / "radial_1.png",)),
+    )
+    return [Request(ORANGE / "orange.ply", families, "draft", (0, 0, 1), seed, 1) for seed in range(count)]
+
+
+def measure(workers: int, count: int) -> dict[str, Any]:
+    """One batch from nothing: seconds to the first scene's start, to the end, and of processor time."""
+    begun = time.perf_counter()
+    first = 0.0
+
+    def told(outcome: Outcome, line: dict[str, Any]) -> None:
+        nonlocal first
+        if line and not first:
+            first = time.perf_counter() - begun
+
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    with tempfile.TemporaryDirectory() as folder:
+        tasks = [scene_task(f"s{i}", request, Path(folder) / f"s{i}") for i, request in enumerate(requests(count))]
+        outcomes = run_grid(tasks, told, lambda: False, count=workers)
+        assert all(outcome.status == "done" for outcome in outcomes), [outcome.error for outcome in outcomes]
+    seconds = time.perf_counter() - begun
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    busy = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    return {
+        "workers": workers,
+        "scenes": count,
+        "seconds": round(seconds, 1),
+        "start_seconds": round(first, 1),
+        "scenes_per_hour": round(3600 * count / (seconds - first), 1),
+        "seconds_per_scene_on_a_worker": round(sum(outcome.seconds for outcome in outcomes) / count, 1),
+        "processor_seconds_per_scene": round(busy / count, 1),
+        "load": round(os.getloadavg()[0], 1),
+    }
+
+
+def main() -> None:
+    """Measures and draws."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--scenes", type=int, default=4)
+    parser.add_argument("--most", type=int, default=2)
+    arguments = parser.parse_args()
+    rows = [measure(workers, arguments.scenes) for workers in range(1, arguments.most + 1)]
+    cores = os.cpu_count() or 1
+    bound = 3600 * cores / min(row["processor_seconds_per_scene"] for row in rows)
+    figures = {
+        "cores": cores,
+        "memory_gb": round(psutil.virtual_memory().total / 2**30),
+        "bound_scenes_per_hour_of_all_cores": round(bound, 1),
+        "rows": rows,
+        "bound": "Scenes share nothing but the disk: a machine is bound by processor time, cores x 3600 s over the "
+        "processor seconds of a scene; then by memory, and the last scenes of a batch leave workers idle for at most "
+        "one scene's time. `load` says what else the machine was doing: its cores are shared when it is above workers.",
+    }
+    with atomic(FOLDER / "batch_scaling.json") as path:
+        path.write_text(json.dumps(figures, indent=1) + "\n")
+    draw(figures)
+
+
+def draw(figures: dict[str, Any]) -> None:
+    """Scenes per hour, and where the cores end."""
+    plt.rcParams.update({"font.size": 9, "axes.spines.top": False, "axes.spines.right": False})
+    figure, axis = plt.subplots(figsize=(5, 3.4), layout="constrained")
+    workers = [row["workers"] for row in figures["rows"]]
+    rate = [row["scenes_per_hour"] for row in figures["rows"]]
+    axis.plot(workers, rate, "o-", color=ACCENT, label="measured")
+    axis.plot(workers, [rate[0] * n for n in workers], "--", color=QUIET, label="in proportion to one worker")
+    axis.axhline(figures["bound_scenes_per_hour_of_all_cores"], color=QUIET, linewidth=0.8)
+    axis.annotate(f"all {figures['cores']} cores busy", (1, figures["bound_scenes_per_hour_of_all_cores"]), (0, 4),
+                  textcoords="offset points", color=QUIET)  # fmt: skip
+    axis.set(xlabel="workers", ylabel="scenes per hour", xticks=workers, title="fruitninja-batch")
+    axis.set_ylim(bottom=0)
+    axis.legend(frameon=False, loc="lower right")
+    with atomic(FOLDER / "batch_scaling.png") as path:
+        figure.savefig(path, dpi=130, format="png")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,210 @@
+"""How far the method holds: a hole of growing size, a wrong axis, coarse labels, long steps, other seeds.
+
+    python -m benchmarks.stability
+
+Small solids of known inside, so that the whole takes about a minute of processor time; the curves show where a thing
+breaks and how, not how good it can be. Writes docs/charts/stability.png and, with the numbers, stability.json.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+import matplotlib as mpl
+import numpy as np
+import torch
+from PIL import Image
+
+from benchmarks.interior import body_of, cut_planes, points_on
+from engine.atoms import Atoms, SurfaceAtoms
+from engine.camera import section
+from engine.errors import InputError
+from engine.files import atomic
+from engine.fill import fill, find_body
+from engine.gaussians import Gaussians
+from sample_scenes.exemplars import photograph, planes
+from sample_scenes.solids import SOLIDS, Solid
+from training import trainer
+from training.exemplar import ExemplarPrior
+from training.families import Family
+from training.metrics import face_psnr
+from training.views import sections, slices
+
+mpl.use("Agg")
+from matplotlib import pyplot as plt
+
+FOLDER = Path(__file__).parents[1] / "docs/charts"
+VOXELS = 40
+CUT_SIZE = 120
+SEEDS = range(10)
+HOLES = (0, 20, 40, 60, 70, 80, 90, 100, 110, 120, 135)
+"""Half angles of the hole in a sphere, degrees. At 90 half of it is gone."""
+TILTS = (0, 5, 10, 20, 45, 90)
+OFFSETS = (0.0, 0.1, 0.2, 0.4, 0.6)
+LABELS = (12, 16, 24, 48, 96, 160)
+RATES = (0.01, 0.1, 1.0, 10.0, 100.0, 1e4, 1e8)
+
+ACCENT, QUIET = "#FF6B4A", "#8F949C"
+
+
+def sphere(hole: float, count: int = 8000) -> Gaussians:
+    """The skin of the unit sphere, without the cap of this half angle in degrees."""
+    z = np.linspace(-1, 1, count)
+    angle = np.pi * (1 + 5**0.5) * np.arange(count)
+    normals = np.column_stack([np.sqrt(1 - z**2) * np.cos(angle), np.sqrt(1 - z**2) * np.sin(angle), z])
+    normals = normals[normals[:, 2] >= -np.cos(np.radians(hole)) - 1e-9]
+    half = normals + np.array([0, 0, 1 + 1e-6])
+    quats = np.column_stack([np.zeros(len(half)), half / np.linalg.norm(half, axis=1, keepdims=True)])
+    size = (4 * np.pi / count) ** 0.5
+    n = len(normals)
+    return Gaussians(
+        normals.astype(np.float32),
+        np.tile(np.float32([size, size, size / 5]), (n, 1)),
+        quats.astype(np.float32),
+        np.full(n, 0.99, np.float32),
+        np.zeros((n, 1, 3), np.float32),
+    )
+
+
+def holes() -> list[dict[str, Any]]:
+    """Volume found over that under a flat lid; refusals say so."""
+    rows: list[dict[str, Any]] = []
+    for hole in HOLES:
+        h = 1 - np.cos(np.radians(hole))
+        truth = 4 / 3 * np.pi - np.pi * h**2 * (3 - h) / 3
+        try:
+            found = find_body(sphere(hole), cells=64)
+            row = {"volume": round(found.body.volume / truth, 4), "notes": list(found.notes)}
+        except InputError as error:
+            row = {"volume": None, "notes": [str(error)]}
+        rows.append({"hole": hole, **row})
+    return rows
+
+
+def core(offset: float) -> Solid:
+    """A ball with a dark column along its axis, `offset` away from the middle."""
+
+    def depth(points: np.ndarray) -> np.ndarray:
+        return (1 - np.linalg.norm(points, axis=1)).astype(np.float32)
+
+    def colour(points: np.ndarray) -> np.ndarray:
+        inner = np.hypot(points[:, 0] - offset, points[:, 1])[:, None] < 0.22
+        rind = np.linalg.norm(points, axis=1)[:, None] > 0.9
+        return np.where(rind, (0.2, 0.5, 0.2), np.where(inner, (0.3, 0.1, 0.1), (0.9, 0.7, 0.5))).astype(np.float32)
+
+    return Solid.of(f"core {offset}", ("horizontal", "radial"), depth, colour)
+
+
+def solved(solid: Solid, tilt: float = 0.0, seed: int = 0) -> float:
+    """Mean PSNR in dB of untrained cuts, with the up axis turned away by `tilt` degrees."""
+    body = body_of(solid, VOXELS)
+    up = np.array([np.sin(np.radians(tilt)), 0.0, np.cos(np.radians(tilt))])
+    with tempfile.TemporaryDirectory() as folder:
+        families = []
+        for kind in solid.families:
+            paths = []
+            for number, plane in enumerate(planes(solid, kind)):
+                paths.append(Path(folder) / f"{kind}_{number}.png")
+                Image.fromarray(photograph(solid, plane, 96)).save(paths[-1])
+            families.append(Family(kind, 10, tuple(paths)))
+        volume = ExemplarPrior().solve(body, up, families, VOXELS, seed, lambda part: None)
+    figures = []
+    for plane in cut_planes(solid):
+        camera = section(plane, solid.up, solid.bounds, CUT_SIZE)
+        true, inside = solid.slice(plane, camera)
+        made = np.where(inside[..., None], volume.at(points_on(plane, camera)), np.float32(1))
+        figures.append(face_psnr(made, true, inside))
+    return round(float(np.mean(figures)), 3)
+
+
+def fitted(size: int = 96, rate: float = 1.0) -> dict[str, float]:
+    """PSNR in dB of the atoms' colours after training on true labels of this size, at this multiple of the rates."""
+    solid = SOLIDS["watermelon"](0)
+    body = body_of(solid, 32)
+    pitch = float(np.ptp(body.bounds(), axis=0).max()) / 26
+    interior = fill(body, pitch)
+    none = SurfaceAtoms(*(np.zeros(shape, np.float32) for shape in ((0, 3), (0, 3), (0, 4), (0, 1, 3))))
+    atoms = Atoms(none, replace(interior, rgb=np.full_like(interior.rgb, 0.5)), pitch)
+    up = np.array([0.0, 0.0, 1.0])
+    cuts = sections(atoms, slices(body, up, [Family("horizontal", 14), Family("radial", 10)], size), lambda part: None)
+    labels = [
+        torch.from_numpy(np.where(cut.condition.inside[..., None], solid.colour(cut.points), np.float32(1)))
+        for cut in cuts
+    ]
+    with (
+        mock.patch.object(trainer, "INTERIOR_RATE", 10 * trainer.INTERIOR_RATE * rate),  # from even grey, so ten times
+        mock.patch.object(trainer, "HALVED_IN_TURNS", 20),
+    ):
+        training = trainer.Trainer(atoms, cuts, [], 0)
+        losses = [training.step(labels).section for _ in range(60)]
+    rgb = training.result().interior.rgb[training.trained]
+    truth = solid.colour(interior.means[training.trained])
+    error = float(np.mean((rgb - truth) ** 2))
+    return {"psnr_db": round(-10 * float(np.log10(error)), 3), "loss": round(losses[-1], 5),
+            "largest": float(np.abs(rgb).max())}  # fmt: skip
+
+
+def main() -> None:
+    """Runs all sweeps, and draws them."""
+    cake = SOLIDS["cake"](0)
+    figures: dict[str, Any] = {"cores": os.cpu_count(), "voxels": VOXELS, "holes": holes()}
+    figures["labels"] = [{"pixels": size, **fitted(size=size)} for size in LABELS]
+    figures["rates"] = [{"times": rate, **fitted(rate=rate)} for rate in RATES]
+    figures["tilts"] = [{"degrees": tilt, "psnr_db": solved(cake, tilt)} for tilt in TILTS]
+    figures["offsets"] = [{"radii": offset, "psnr_db": solved(core(offset))} for offset in OFFSETS]
+    figures["seeds"] = [{"seed": seed, "psnr_db": solved(cake, seed=seed)} for seed in SEEDS]
+    spread = [row["psnr_db"] for row in figures["seeds"]]
+    figures["seeds_mean_db"], figures["seeds_sd_db"] = (round(float(f(spread)), 3) for f in (np.mean, np.std))
+    with atomic(FOLDER / "stability.json") as path:
+        path.write_text(json.dumps(figures, indent=1, allow_nan=False) + "\n")
+    draw(figures)
+
+
+def draw(figures: dict[str, Any]) -> None:
+    """Small multiples, one for each thing that goes wrong."""
+    plt.rcParams.update({"font.size": 9, "axes.spines.top": False, "axes.spines.right": False, "axes.titlesize": 10})
+    figure, axes = plt.subplots(2, 3, figsize=(11, 6), layout="constrained")
+
+    def line(at: int, title: str, x: Sequence[float], y: Sequence[Any], xlabel: str, ylabel: str) -> Any:
+        axis = axes.flat[at]
+        axis.plot(x, [np.nan if value is None else value for value in y], "o-", color=ACCENT, markersize=4)
+        axis.set(title=title, xlabel=xlabel, ylabel=ylabel)
+        return axis
+
+    def of(name: str, key: str) -> list[Any]:
+        return [row[key] for row in figures[name]]
+
+    axis = line(0, "A hole in the shell", of("holes", "hole"), of("holes", "volume"), "half angle, degrees",
+                "volume found / under a flat lid")  # fmt: skip
+    axis.axhspan(0.97, 1.03, color=QUIET, alpha=0.2, linewidth=0)
+    gone = [row["hole"] for row in figures["holes"] if row["volume"] is None]
+    axis.plot(gone, [0.5] * len(gone), "x", color=QUIET)
+    axis.set_ylim(0.4, 1.2)
+    if gone:
+        axis.annotate(
+            "refused in one line", (gone[0], 0.5), (0, 8), textcoords="offset points", ha="center", color=QUIET
+        )
+    psnr = "PSNR of untrained cuts, dB"
+    line(1, "A wrong up axis (layer cake)", of("tilts", "degrees"), of("tilts", "psnr_db"), "tilt, degrees", psnr)
+    line(2, "A core away from the axis", of("offsets", "radii"), of("offsets", "psnr_db"), "offset, radii", psnr)
+    atoms = "PSNR of atoms on true labels, dB"
+    axis = line(3, "Coarse labels", of("labels", "pixels"), of("labels", "psnr_db"), "pixels of a label", atoms)
+    axis = line(4, "Long steps", of("rates", "times"), of("rates", "psnr_db"), "times the learning rate", atoms)
+    axis.set_xscale("log")
+    mean, sd = figures["seeds_mean_db"], figures["seeds_sd_db"]
+    axis = line(5, f"Seeds: {mean:.2f} ± {sd:.2f} dB", of("seeds", "seed"), of("seeds", "psnr_db"), "seed", psnr)
+    axis.axhspan(mean - sd, mean + sd, color=QUIET, alpha=0.2, linewidth=0)
+    axis.set_ylim(mean - 2, mean + 2)
+    with atomic(FOLDER / "stability.png") as path:
+        figure.savefig(path, dpi=130, format="png")
+
+
+if __name__ == "__main__":
+    main()
