@@ -17,6 +17,7 @@ from app.session import Session
 from app.settings import Settings
 from app.ui.painter import STEPS, Painter, scaled
 from engine.atoms import Atoms, InteriorAtoms, SurfaceAtoms
+from engine.gaussians import Gaussians
 from engine.gl import GLMissing
 
 EYE = Eye(azimuth=30.0, elevation=20.0, distance=5.0)
@@ -102,6 +103,16 @@ def test_slow_moves_are_drawn_coarser_and_rest_is_drawn_in_full(
         camera = replace(EYE, azimuth=9.0 + turn).camera(160, 120, session.up)
         texture = painter.frame(session, camera, shown, (0.0, 0.0, 0.0), moving=True)
     assert texture is not None and texture.size == (160, 120)
+
+
+def test_another_capture_takes_the_place_of_the_one_before(painter: Painter, session: Session) -> None:
+    s = ball().surface
+    session.viewing = Viewing(EYE, "capture")
+    for opacity in (0.5, 0.9):
+        capture = Gaussians(s.means, s.scales, s.quats, np.full(len(s), opacity, np.float32), s.sh)
+        session.object = replace(session.object, capture=capture)  # type: ignore[type-var]
+        for _ in range(2):
+            assert painter.frame(session, EYE.camera(64, 48, session.up), [], (0.0, 0.0, 0.0)) is not None
 
 
 def test_a_camera_of_fewer_pixels_sees_the_same() -> None:

@@ -69,7 +69,7 @@ class Painter:
 
         `moving`: the view changes from frame to frame, and keeping up matters more than the last atom.
         """
-        held = self._atoms, self._capture
+        atoms, capture = self._atoms, self._capture
         if not self._hold(session):
             return None
         part, level = STEPS[self._step] if moving else STEPS[0]
@@ -92,7 +92,7 @@ class Painter:
             self._give_back()
             self.ctx.finish()
             taken = 1000 * (time.perf_counter() - begin)
-            self._note(taken, moving, held == (self._atoms, self._capture))
+            self._note(taken, moving, atoms == self._atoms and capture is self._capture)
             if moving and taken > SLOW:
                 self._step = min(self._step + 1, len(STEPS) - 1)
             elif moving and taken < QUICK:
