@@ -33,7 +33,8 @@ def curves(progress: Progress) -> None:
     last = max(len(progress.section), SHORTEST)
     implot.setup_axes_limits(1, last, max(0.0, low - room), high + room, implot.Cond_.always)
     implot.setup_axis_format(implot.ImAxis_.y1, "%.2f")
-    implot.setup_legend(implot.Location_.north_east, implot.LegendFlags_.no_buttons)
+    beside = implot.LegendFlags_.no_buttons | implot.LegendFlags_.outside | implot.LegendFlags_.horizontal
+    implot.setup_legend(implot.Location_.north_west, beside)
     for name, values, colour in (
         ("cut faces", progress.section, p.accent),
         ("surface", progress.surface, p.curve),
