@@ -19,7 +19,8 @@ from app.ui.window import Window
 
 __all__ = ["Driver", "drive"]
 
-TEN_MINUTES = 600.0
+HOUR = 3600.0
+"""After which the test engine stops hearing a script: longer than any training on a busy machine."""
 
 T = TypeVar("T")
 
@@ -142,7 +143,7 @@ def drive(
         io = imgui.test_engine.get_io(engine)
         io.config_run_speed = imgui.test_engine.TestRunSpeed.fast
         io.config_log_to_tty = False
-        io.config_watchdog_warning = io.config_watchdog_kill_test = TEN_MINUTES
+        io.config_watchdog_warning = io.config_watchdog_kill_test = HOUR
         test = imgui.test_engine.register_test(engine, "app", "script")
 
         def run(context: imgui.test_engine.TestContext) -> None:
