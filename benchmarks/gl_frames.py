@@ -3,13 +3,17 @@
     python -m benchmarks.gl_frames [--quick]
 
 A melon stands in a picture of 1280 x 720, framed as the app frames it: a lattice of interior atoms under a closed skin
-of discs (1.5 to a pitch squared, sigma 0.6 of their spacing: 10 of them over each pixel that shows skin). The camera
-goes round in steps of a degree, so that no frame can be kept; the cuts stay, or move in the rows that say so. Each mode
-is timed beside the floor, the same atoms drawn once as one-pixel GL_POINTS, in the same run. Writes
+of discs, as many and as large as captures of an orange and an apple give (16 of them over each pixel that shows skin).
+The camera goes round in steps of a degree, so that no frame can be kept; the cuts stay, or move in the rows that say
+so. Each mode is timed beside the floor, the same atoms drawn once as one-pixel GL_POINTS, in the same run. Writes
 docs/charts/gl_frames.json and .png.
 
+Where GL is software the solid is drawn by the processor's own kernels; `opaque, by shaders` is what GLSL takes there.
+The coarser rows are what a view that moves may fall back to: fewer pixels along a side, fewer atoms.
+
 Seconds are the least of several frames; `busy` is processor time over cores, which a loaded machine disturbs less (it
-says nothing where a GPU does the work). Accuracy is measured on a small melon against the float64 references.
+says nothing where a GPU does the work). Accuracy is measured against float64, in windows on the face, across its rim
+and on the skin of the melon of a million atoms; of classic mode on a small one.
 """
 
 from __future__ import annotations
@@ -18,9 +22,10 @@ import json
 import math
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
 import moderngl
@@ -37,6 +42,7 @@ from engine.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from engine.camera import Camera, fit_distance, orbit
 from engine.gaussians import Gaussians
 from engine.gl import Renderer
+from engine.gl.software import is_software
 from engine.piece import Piece
 from engine.plane import Plane
 from engine.threads import cores
@@ -48,19 +54,26 @@ FOLDER = Path(__file__).parents[1] / "docs/charts"
 SIZE = 1280, 720
 FOV = math.radians(35)
 AIR = 1.12  # radii that fit the picture, as the app frames an object
+DENSITY, SIGMA = 0.9, 0.75  # discs to a pitch squared, sigma in spacings: as captures of an orange and an apple give
 CUTS = {
     "uncut": (),
     "one cut": (Plane.of((0.1, 0.05, 1), 0.01),),
     "three cuts": (Plane.of((0.1, 0.05, 1), 0.01), Plane.of((1, 0.1, 0), -0.1), Plane.of((0.1, 1, 0.2), -0.2)),
 }
-MODES = {
+MODES: dict[str, dict[str, Any]] = {
     "opaque": {"exact": False},
     "opaque, exact faces": {"exact": True},
-    "opaque, level 1": {"exact": False, "level": 1},
-    "opaque, level 2": {"exact": False, "level": 2},
     "opaque, no culling": {"exact": True, "cull": False},
-    "classic": {"mode": "classic"},
 }
+SHADERS = "opaque, by shaders"
+COARSER: dict[str, tuple[float, int]] = {  # part of the pixels along a side, level of detail
+    "coarser: 3/4 of the side, level 1": (0.75, 1),
+    "coarser: 1/2, level 1": (0.5, 1),
+    "coarser: 1/2, level 2": (0.5, 2),
+    "coarser: 1/3, level 3": (0.35, 3),
+}
+WINDOWS = {"face": (560, 300), "near rim": (600, 560), "far rim": (800, 175), "silhouette": (780, 585)}
+WINDOW = 96  # pixels along a side
 POINTS = """
 #version 330
 in vec3 mean; in vec3 rgb; uniform mat4 matrix; out vec3 colour;
@@ -75,16 +88,16 @@ void main() { pixel = vec4(colour, 1.0); }
 
 def melon(count: int) -> Atoms:
     """`count` atoms: a ball of radius 0.5, its skin striped, its flesh with a rind and a soft grain."""
-    radius, density = 0.5, 1.5
+    radius, under = 0.5, 0.4  # pitches from the skin to the lattice
     pitch = float(np.cbrt(4 / 3 * np.pi * radius**3 / count))
-    for _ in range(20):  # what the skin takes, the lattice does not have
-        skin = density * 4 * np.pi * radius**2 / pitch**2
-        pitch = float(np.cbrt(4 / 3 * np.pi * radius**3 / (count - skin)))
+    for _ in range(50):  # what the skin takes, the lattice does not have
+        skin = DENSITY * 4 * np.pi * radius**2 / pitch**2
+        pitch = float(np.cbrt(4 / 3 * np.pi * (radius - under * pitch) ** 3 / (count - skin)))
     rng = np.random.default_rng(0)
     side = np.arange(-int(radius / pitch) - 1, int(radius / pitch) + 2) * pitch
     inner = np.stack(np.meshgrid(side, side, side, indexing="ij"), -1).reshape(-1, 3)
     inner += rng.uniform(-0.2, 0.2, inner.shape) * pitch
-    inner = inner[np.linalg.norm(inner, axis=1) < radius - 0.4 * pitch]
+    inner = inner[np.linalg.norm(inner, axis=1) < radius - under * pitch]
     n = count - len(inner)
     spacing = math.sqrt(4 * np.pi * radius**2 / n)
     rank = np.arange(n) + 0.5
@@ -95,7 +108,7 @@ def melon(count: int) -> Atoms:
     stripe = np.sin(10 * np.arctan2(normal[:, 1], normal[:, 0]) + 2 * np.sin(5 * normal[:, 2])) > 0
     coefficients = 0.05 * rng.normal(size=(n, 4, 3))
     coefficients[:, 0] = sh.rgb_to_sh(np.where(stripe[:, None], [0.2, 0.6, 0.2], [0.05, 0.3, 0.1]))
-    scales = np.tile(np.array([0.6, 0.6, 0.15]) * spacing, (n, 1))
+    scales = np.tile(np.array([SIGMA, SIGMA, 0.15]) * spacing, (n, 1))
     depth = 1 - np.linalg.norm(inner, axis=1, keepdims=True) / radius
     rgb = np.where(depth > 0.14, [0.85, 0.15, 0.2], np.where(depth > 0.08, [0.9, 0.95, 0.75], [0.6, 0.85, 0.4]))
     rgb = np.clip(rgb + 0.1 * np.sin(inner * 60), 0, 1)
@@ -164,7 +177,15 @@ def timed(renderer: Renderer, draw: Callable[[int], object], times: int) -> dict
     return {"ms": round(1e3 * best, 2), "busy ms": round(1e3 * busy, 2)}
 
 
-def speed(renderer: Renderer, count: int, times: int) -> list[dict[str, object]]:
+def smaller(camera: Camera, part: float) -> Camera:
+    """The same view in fewer pixels."""
+    width, height = round(part * camera.width), round(part * camera.height)
+    x, y = width / camera.width, height / camera.height
+    fx, fy, cx, cy = camera.fx * x, camera.fy * y, camera.cx * x, camera.cy * y
+    return replace(camera, fx=fx, fy=fy, cx=cx, cy=cy, width=width, height=height)
+
+
+def speed(renderer: Renderer, shaders: Renderer, count: int, times: int) -> list[dict[str, object]]:
     """A row for each mode and cut."""
     atoms = melon(count)
     renderer.set_atoms(atoms)
@@ -179,8 +200,17 @@ def speed(renderer: Renderer, count: int, times: int) -> list[dict[str, object]]
     for cut, planes in CUTS.items():
         pieces = (Piece(planes),)
         for mode, options in MODES.items():
-            if mode != "classic":
-                add(mode, cut, lambda step, p=pieces, o=options: renderer.render(view(step), p, **o))
+            for _ in range(2):
+                renderer.render(view(0), pieces, **options)  # the grid of a plane is made when it is seen again
+            add(mode, cut, lambda step, p=pieces, o=options: renderer.render(view(step), p, **o))
+    pieces = (Piece(CUTS["one cut"]),)
+    for mode, (part, level) in COARSER.items():
+
+        def coarse(step: int, part: float = part, level: int = level) -> None:
+            renderer.render(smaller(view(step), part), pieces, exact=False, level=level)
+
+        coarse(0)
+        add(mode, "one cut", coarse)
     one = CUTS["one cut"][0]
 
     def sweep(step: int) -> None:
@@ -188,6 +218,10 @@ def speed(renderer: Renderer, count: int, times: int) -> list[dict[str, object]]
         renderer.render(view(0), (Piece((moved,)),), exact=False)
 
     add("opaque", "moving cut", sweep)
+    if shaders is not renderer:
+        shaders.set_atoms(atoms)
+        add(SHADERS, "one cut", lambda step: shaders.render(view(step), pieces, exact=False))
+        shaders.set_atoms(melon(200))
     renderer.set_capture(as_capture(atoms))
     add("classic", "uncut", lambda step: renderer.render(view(step), mode="classic"))
     add("points", "uncut again", floor)
@@ -195,20 +229,34 @@ def speed(renderer: Renderer, count: int, times: int) -> list[dict[str, object]]
     return rows
 
 
-def accuracy(renderer: Renderer) -> dict[str, float]:
-    """PSNR in dB of each mode on a small melon with one cut, against float64."""
-    atoms = melon(6000)
-    camera, planes = view(0, 160, 120), CUTS["one cut"]
-    truth, _, _ = reference(atoms, camera, planes)
+def accuracy(renderer: Renderer, shaders: Renderer) -> dict[str, float]:
+    """PSNR in dB of each mode against float64: of a million atoms with one cut, in windows."""
+    atoms, planes, camera = melon(1_000_000), CUTS["one cut"], view(0)
+    truths = [true_window(atoms, camera, planes, *corner) for corner in WINDOWS.values()]
+
+    def compared(rgb: np.ndarray) -> float:
+        parts = [rgb[y : y + WINDOW, x : x + WINDOW] for x, y in WINDOWS.values()]
+        return psnr(np.stack(parts), np.stack(truths))
+
     renderer.set_atoms(atoms)
-    figures = {}
+    figures, pieces = {}, (Piece(planes),)
     for mode, options in MODES.items():
-        if mode != "classic":
-            renderer.render(camera, (Piece(planes),), **options)
-            figures[mode] = psnr(renderer.read().rgb, truth)
+        for _ in range(3):
+            renderer.render(camera, pieces, **options)
+        figures[mode] = compared(renderer.read().rgb)
+    for mode, (part, level) in COARSER.items():
+        for _ in range(3):
+            renderer.render(smaller(camera, part), pieces, exact=False, level=level)
+        small = torch.as_tensor(renderer.read().rgb).permute(2, 0, 1)[None]
+        large = torch.nn.functional.interpolate(small, (camera.height, camera.width), mode="bilinear")
+        figures[mode] = compared(large[0].permute(1, 2, 0).numpy())
+    if shaders is not renderer:
+        shaders.set_atoms(atoms)
+        shaders.render(camera, pieces, exact=False)
+        figures[SHADERS] = compared(shaders.read().rgb)
     capture = as_capture(melon(1500))
     renderer.set_capture(capture)
-    camera = replace(view(0, 80, 60))
+    camera = view(0, 80, 60)
     values = (capture.means, capture.scales, capture.quats, capture.opacities, capture.sh)
     exact = classic_reference(*(torch.as_tensor(v, dtype=torch.float64) for v in values), camera, (1.0, 1.0, 1.0))[0]
     renderer.render(camera, mode="classic")
@@ -216,34 +264,65 @@ def accuracy(renderer: Renderer) -> dict[str, float]:
     return figures
 
 
+def true_window(atoms: Atoms, camera: Camera, planes: Sequence[Plane], x: int, y: int) -> np.ndarray:
+    """RGB (WINDOW, WINDOW, 3) of the float64 reference in the window with this corner, of the atoms that reach it."""
+    part = replace(camera, cx=camera.cx - x, cy=camera.cy - y, width=WINDOW, height=WINDOW)
+
+    def near(means: np.ndarray, reach: float) -> np.ndarray:
+        c = means @ part.viewmat[:3, :3].T + part.viewmat[:3, 3]
+        at = c[:, :2] / c[:, 2:] * [part.fx, part.fy] + [part.cx, part.cy]
+        inside: np.ndarray = (np.abs(at - WINDOW / 2) < WINDOW / 2 + reach * part.fx / c[:, 2:]).all(1)
+        return inside
+
+    s, i = atoms.surface, atoms.interior
+    a, b = near(s.means, 4 * float(s.scales.max())), near(i.means, 4 * float(i.sigmas.max()))
+    b &= np.min([np.abs(p.distance(i.means)) for p in planes], axis=0) < 3.1 * i.sigmas.max()
+    skin = SurfaceAtoms(s.means[a], s.scales[a], s.quats[a], s.sh[a])
+    return reference(Atoms(skin, InteriorAtoms(i.means[b], i.sigmas[b], i.rgb[b]), atoms.pitch), part, planes)[0]
+
+
 def psnr(a: np.ndarray, b: np.ndarray) -> float:
     return round(float(-10 * np.log10(np.mean((a.astype(np.float64) - b) ** 2) + 1e-20)), 1)
 
 
 def chart(rows: list[dict], figures: dict[str, float], who: str, path: Path) -> None:
-    """Milliseconds against atoms for one cut, and accuracy against milliseconds at the largest common count."""
+    """Milliseconds against atoms for one cut, and accuracy against milliseconds for a million atoms."""
     key = "ms" if is_gpu(who) else "busy ms"
-    figure, (left, right) = plt.subplots(1, 2, figsize=(13, 4.6), constrained_layout=True)
     counts = sorted({row["atoms"] for row in rows})
-    palette = ["#FF6B4A", "#B8432A", "#F2A38F", "#F7C9BC", "#8F949C", "#303337"]
-    for mode, colour in zip(MODES, palette, strict=True):
-        cut = "uncut" if mode == "classic" else "one cut"
-        times = [
-            next((r[key] for r in rows if (r["atoms"], r["mode"], r["cut"]) == (n, mode, cut)), None) for n in counts
-        ]
-        left.plot(counts, times, "o-", color=colour, label=mode)
-        most = next(
-            r[key] for r in rows if (r["atoms"], r["mode"], r["cut"]) == (min(counts[-1], 1_000_000), mode, cut)
-        )
-        right.plot([most], [figures[mode]], "o", color=colour)
-        right.annotate(mode, (most, figures[mode]), textcoords="offset points", xytext=(6, 4), fontsize=8)
-    floor = [next(r[key] for r in rows if (r["atoms"], r["mode"]) == (n, "points")) for n in counts]
-    left.plot(counts, floor, "k:", label="one-pixel points")
-    left.set(xscale="log", yscale="log", xlabel="atoms", ylabel=f"{key} a frame, one cut")
-    left.legend(fontsize=8)
+    most = min(counts[-1], 1_000_000)
+    figure, (left, right) = plt.subplots(1, 2, figsize=(16, 5.6), constrained_layout=True)
+
+    def of(mode: str, count: int) -> float | None:
+        cut = "uncut" if mode in ("classic", "points") else "one cut"
+        return next((r[key] for r in rows if (r["atoms"], r["mode"], r["cut"]) == (count, mode, cut)), None)
+
+    shades = plt.get_cmap("Greens")(np.linspace(0.75, 0.4, len(COARSER)))
+    colours = {"opaque": "#FF6B4A", "opaque, exact faces": "#B8432A", "opaque, no culling": "#F2A38F"}
+    colours |= {SHADERS: "#3C78D8", "classic": "#303337", **dict(zip(COARSER, shades, strict=True))}
+    for mode, colour in colours.items():
+        if mode in figures:
+            left.plot(counts, [of(mode, n) for n in counts], "o-", ms=4, color=colour, label=mode)
+            right.plot([of(mode, most)], [figures[mode]], "o", ms=8, color=colour, label=mode)
+    left.plot(counts, [of("points", n) for n in counts], "k:")
+    front: list[tuple[float, float]] = []
+    for time_taken, decibel in sorted((of(mode, most) or math.inf, figures[mode]) for mode in figures):
+        if not front or decibel > front[-1][1]:
+            front.append((time_taken, decibel))
+    right.step(*zip(*front, strict=True), where="post", color="#8F949C", lw=1.2, label="Pareto front", zorder=0)
+    floor = of("points", most)
+    assert floor is not None
+    right.axvline(floor, color="k", ls=":", label="one-pixel GL_POINTS (the floor)")
+    right.axvline(floor / 5, color="k", ls="--", lw=0.8, label="a fifth of that: the target")
+    left.set(xscale="log", yscale="log", xlabel="atoms", ylabel=f"{key} a frame", title="One cut (classic: uncut)")
     right.set(
-        xscale="log", xlabel=f"{key} a frame, {min(counts[-1], 1_000_000):,} atoms", ylabel="PSNR, dB, against float64"
+        xscale="log", xlabel=f"{key} a frame", ylabel="PSNR against float64, dB", title=f"{most:,} atoms, one cut"
     )
+    ticks = [t for t in (2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000) if 0.4 < t / front[0][0] < 1000]
+    right.set_xticks(ticks, [str(t) for t in ticks])
+    right.minorticks_off()
+    left.set_xticks(counts, [f"{n / 1e6:g} M" for n in counts])
+    left.minorticks_off()
+    figure.legend(*right.get_legend_handles_labels(), fontsize=9, loc="outside right center")
     for panel in (left, right):
         panel.grid(alpha=0.3)
     figure.suptitle(f"GL frames, 1280 x 720, {who}, {cores()} cores")
@@ -252,7 +331,7 @@ def chart(rows: list[dict], figures: dict[str, float], who: str, path: Path) -> 
 
 def is_gpu(who: str) -> bool:
     """Whether the frames are drawn by something else than the processor."""
-    return not any(name in who.lower() for name in ("llvmpipe", "softpipe", "swr"))
+    return not is_software(who)
 
 
 def main() -> None:
@@ -260,12 +339,15 @@ def main() -> None:
     quick = "--quick" in sys.argv[1:]
     with Renderer() as renderer:
         who = str(renderer.ctx.info["GL_RENDERER"])
-        figures = accuracy(renderer)
-        print(json.dumps(figures), flush=True)
+        shaders = renderer if is_gpu(who) else Renderer(renderer.ctx, shaders=True)
         counts = [100_000, 300_000] if quick else [100_000, 300_000, 1_000_000, 3_000_000]
         if is_gpu(who) and not quick:
             counts.append(10_000_000)
-        rows = [row for count in counts for row in speed(renderer, count, 4 if quick else 9)]
+        rows = [row for count in counts for row in speed(renderer, shaders, count, 4 if quick else 9)]
+        figures = accuracy(renderer, shaders)
+        print(json.dumps(figures), flush=True)
+        if shaders is not renderer:
+            shaders.release()
     FOLDER.mkdir(exist_ok=True)
     numbers = {"renderer": who, "cores": cores(), "PSNR": figures, "frames": rows}
     (FOLDER / "gl_frames.json").write_text(json.dumps(numbers, indent=1) + "\n")
