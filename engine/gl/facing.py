@@ -5,6 +5,9 @@ behind a cut face. That is only so where the skin is flat discs, has the solid u
 turns within the reach of an atom; everywhere else an atom has no cone and is always drawn. Where the solid shows
 anywhere without a skin over it, no atom has one: through a hole the far side would be seen from within. And where the
 line of sight enters through a cut face near the skin, the face may have a gap: then the atom is drawn, too.
+
+Holes finer than the grid are not known here: what is hidden is only put last. A graphics card holds it against the
+depth of what was drawn, the processor's kernels do so tile by tile (engine.gl.software_holes).
 """
 
 from __future__ import annotations

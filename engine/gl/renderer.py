@@ -1,6 +1,7 @@
 """The real-time renderer: a solid of atoms, cut into pieces, or a capture, drawn with OpenGL 3.3 into a texture.
 
-Standalone (offscreen) or inside a window's context.
+Standalone (offscreen) or inside a window's context. Where OpenGL is software the processor's own kernels draw the
+solid.
 """
 
 from __future__ import annotations
@@ -147,8 +148,9 @@ class Renderer:
         mode: classic shows the capture, whole; the others show the pieces of the solid. background: RGB. light: shade
         the cut faces a little.
 
-        While the camera moves: exact=False reads a face from a grid that is kept as long as its plane stays, many times
-        faster, 55 dB at the least. level=0 is the full quality, each further one draws half as many atoms, enlarged.
+        While the camera moves: exact=False reads a face from a grid that is kept as long as its plane stays, faster and
+        50 dB at the least. level=0 is the full quality, each further one draws half as many atoms, enlarged; where the
+        processor draws, pixels cost more than atoms, and a smaller picture saves more.
         wait=False lets classic mode draw in the order of an earlier camera while a thread sorts, see `sorting`.
         cull=False draws every atom, to measure what culling saves.
 
