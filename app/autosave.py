@@ -91,7 +91,7 @@ def rescued(folder: Path | None = None) -> list[Rescued]:
                 continue
             project = None if note["project"] is None else Path(str(note["project"]))
             found.append(Rescued(file, project, float(note["when"]), str(note["name"])))
-        except (OSError, ValueError, KeyError, TypeError, InputError):
+        except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError):
             continue
     return sorted(found, key=lambda item: -item.when)
 

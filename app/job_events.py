@@ -122,6 +122,6 @@ def _losses(progress: Progress, event: dict[str, Any]) -> None:
 
 def _number(value: Any, fallback: float) -> float:
     """The value if it is a finite number."""
-    if isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value):
+    if isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e300:  # false for NaN
         return float(value)
     return fallback

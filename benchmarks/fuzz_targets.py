@@ -384,7 +384,9 @@ FAMILY = st.one_of(
     st.builds(lambda k, n: f"{k}:{n}", st.sampled_from(("horizontal", "radial", "parallel", "custom")), WORD),
     st.text(max_size=12),
 )
-ARGUMENTS = st.tuples(st.lists(FAMILY, max_size=3), st.lists(FAMILY, max_size=2), st.one_of(WORD, st.text(max_size=8)))
+ARGUMENTS = st.tuples(
+    st.lists(FAMILY, max_size=3), st.just([]) | st.lists(FAMILY, max_size=2), st.one_of(WORD, st.text(max_size=8))
+)
 BALL = Body(np.full(3, -1.0), 0.25, (1 - np.linalg.norm(np.stack(np.meshgrid(*[np.linspace(-0.875, 0.875, 8)] * 3), -1),
                                                         axis=-1)).astype(np.float32))  # fmt: skip
 
@@ -449,7 +451,7 @@ def manifest(changes: list[tuple[float, int, int]], junk: list[tuple[float, int,
         for table in tables:
             if isinstance(table, dict):
                 lines += [f"[[{key}]]" if key == "scene" else f"[{json.dumps(key)}]"]
-                lines += [f"{json.dumps(name)} = {toml(item)}" for name, item in table.items()]
+                lines += [f"{json.dumps(name)} = {toml(item)}" for name, item in table.items() if item is not None]
             else:
                 lines.insert(0, f"{json.dumps(key)} = {toml(table)}")
     return broken("\n".join(lines).encode("utf-8", "surrogatepass"), junk)

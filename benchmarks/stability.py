@@ -1,16 +1,20 @@
 """How far the method holds: a hole of growing size, a wrong axis, coarse labels, long steps, other seeds.
 
-    python -m benchmarks.stability
+    python -m benchmarks.stability [--large]
 
 Small solids of known inside, so that the whole takes about a minute of processor time; the curves show where a thing
 breaks and how, not how good it can be. Writes docs/charts/stability.png and, with the numbers, stability.json.
+With --large only what two million Gaussians cost, from the file to a picture, is measured and added to the numbers.
 """
 
 from __future__ import annotations
 
 import json
 import os
+import resource
+import sys
 import tempfile
+import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -23,18 +27,24 @@ import torch
 from PIL import Image
 
 from benchmarks.interior import body_of, cut_planes, points_on
+from engine import opaque
+from engine.atomise import atomise
 from engine.atoms import Atoms, SurfaceAtoms
-from engine.camera import section
+from engine.camera import around, section
 from engine.errors import InputError
 from engine.files import atomic
 from engine.fill import fill, find_body
 from engine.gaussians import Gaussians
+from engine.load import load
+from engine.plane import Plane
+from engine.ply import write_ply
 from sample_scenes.exemplars import photograph, planes
 from sample_scenes.solids import SOLIDS, Solid
 from training import trainer
 from training.exemplar import ExemplarPrior
 from training.families import Family
 from training.metrics import face_psnr
+from training.settings import DETAILS
 from training.views import sections, slices
 
 mpl.use("Agg")
@@ -151,8 +161,44 @@ def fitted(size: int = 96, rate: float = 1.0) -> dict[str, float]:
             "largest": float(np.abs(rgb).max())}  # fmt: skip
 
 
+def large(count: int = 2_000_000) -> dict[str, float]:
+    """Seconds of processor time of each step from a .ply to a picture, and the peak of memory in GB."""
+    row: dict[str, float] = {"gaussians": count}
+    begun = time.process_time()
+
+    def step(name: str) -> None:
+        nonlocal begun
+        row[f"{name}_cpu_seconds"] = round(time.process_time() - begun, 1)
+        row[f"{name}_peak_gb"] = round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20, 2)
+        begun = time.process_time()
+
+    with tempfile.TemporaryDirectory() as folder:
+        write_ply(Path(folder) / "large.ply", sphere(0, count))
+        step("write")
+        scene = load(Path(folder) / "large.ply").gaussians
+    step("load")
+    body = find_body(scene).body
+    step("body")
+    pitch = float(np.ptp(body.bounds(), axis=0).max()) / DETAILS["standard"].cells
+    surface = atomise(scene, pitch, body).atoms
+    atoms = Atoms(surface, fill(body, pitch, 0, surface), pitch)
+    step("atomise")
+    row["atoms"] = len(atoms)
+    camera = around(np.zeros(3), 1.0, np.array([0.0, 0.0, 1.0]), 1, 512)[0]
+    shown = opaque.render(atoms, camera, [Plane.of((1, 0, 0), 0.1)])
+    step("draw")
+    assert np.isfinite(shown.rgb).all()
+    row["covered"] = round(float(shown.alpha.mean()), 4)
+    return row
+
+
 def main() -> None:
     """Runs all sweeps, and draws them."""
+    target = FOLDER / "stability.json"
+    known = json.loads(target.read_text()) if target.exists() else {}
+    if "--large" in sys.argv:
+        keep(known | {"two_million": large()})
+        return
     cake = SOLIDS["cake"](0)
     figures: dict[str, Any] = {"cores": os.cpu_count(), "voxels": VOXELS, "holes": holes()}
     figures["labels"] = [{"pixels": size, **fitted(size=size)} for size in LABELS]
@@ -162,9 +208,14 @@ def main() -> None:
     figures["seeds"] = [{"seed": seed, "psnr_db": solved(cake, seed=seed)} for seed in SEEDS]
     spread = [row["psnr_db"] for row in figures["seeds"]]
     figures["seeds_mean_db"], figures["seeds_sd_db"] = (round(float(f(spread)), 3) for f in (np.mean, np.std))
+    keep(known | figures)
+    draw(figures)
+
+
+def keep(figures: dict[str, Any]) -> None:
+    """Writes the numbers."""
     with atomic(FOLDER / "stability.json") as path:
         path.write_text(json.dumps(figures, indent=1, allow_nan=False) + "\n")
-    draw(figures)
 
 
 def draw(figures: dict[str, Any]) -> None:
