@@ -12,7 +12,6 @@ import psutil
 
 from app.project import SUFFIX, Project, load_project, save_project
 from app.settings import state_folder
-from engine.errors import InputError
 from engine.files import atomic
 
 __all__ = ["Autosave", "Rescued", "rescued"]
