@@ -16,7 +16,9 @@ import training.evaluate.cuts
 import training.families
 import training.outcome
 import training.settings
+from benchmarks.presets import front
 from engine.errors import InputError
+from sample_scenes.solids import directions
 from training.batch.grid import Outcome
 from training.evaluate import cli, grid
 from training.evaluate.cuts import Cut, Truth, cuts_of, meeting_points, truth_of
@@ -24,7 +26,7 @@ from training.evaluate.features import Clip, Network
 from training.evaluate.grid import cells, perform, perform_on
 from training.evaluate.measure import agreement, read
 from training.evaluate.report import write_report
-from training.evaluate.scenes import subject
+from training.evaluate.scenes import THIGH_AT, subject, thigh
 from training.evaluate.tables import table
 from training.metrics import frechet_distance, kernel_distance, mean_cosine
 from training.settings import DETAILS
@@ -88,6 +90,32 @@ def test_a_world_point_is_read_where_its_pixel_is(bread, cuts: list[Cut]):
     for a, b, points in meeting_points(bread.solid, cuts):
         for cut in (cuts[a], cuts[b]):
             assert np.allclose(read(cut.points.astype(np.float64), cut.place(points)), points, atol=1e-5)
+
+
+@pytest.mark.skipif(not THIGH_AT.is_file(), reason="the slices of the thigh are not at hand")
+def test_the_thigh_is_a_solid_like_the_others():
+    solid = thigh(THIGH_AT)
+    low, high = solid.bounds
+    assert (high - low).max() == pytest.approx(2, abs=0.06)
+    with np.load(THIGH_AT, allow_pickle=False) as data:
+        shape = tuple(data["mask_shape"])
+        mask = np.unpackbits(data["mask"])[: int(np.prod(shape))].reshape(shape)
+        sides = [(np.ptp(at) + 1) * step for at, step in zip(np.nonzero(mask), data["spacing_mm"], strict=True)]
+        volume = mask.sum() * np.prod(data["spacing_mm"]) * (2 / max(sides)) ** 3
+    points = np.random.default_rng(0).uniform(low, high, (40000, 3))
+    inside = solid.depth(points) > 0
+    assert inside.mean() * np.prod(high - low) == pytest.approx(volume, rel=0.03)
+    # Skin and flesh are red rather than blue; the ground that they were photographed on is blue.
+    red, _, blue = solid.colour(solid.skin(directions(500))).T
+    assert (red > blue).mean() > 0.99
+    flesh = solid.colour(points[inside])
+    assert flesh.min() >= 0
+    assert flesh.max() <= 1
+    assert flesh[:, 0].mean() > 1.3 * flesh[:, 2].mean()
+
+
+def test_the_front_leaves_out_what_is_dearer_and_no_better():
+    assert front([3.0, 1.0, 2.0, 2.0], [2.0, 1.0, 3.0, 0.0]) == [1, 2]
 
 
 def test_tables_compare_on_common_scenes_and_mark_the_best():

@@ -15,6 +15,7 @@ from PIL import Image
 from scipy import ndimage
 
 from engine.body import Body
+from engine.distance import nearest
 from engine.errors import InputError
 from engine.files import atomic
 from engine.plane import Plane
@@ -132,16 +133,17 @@ def thigh(path: Path) -> Solid:
     rgb, mask = rgb[tuple(box)], mask[tuple(box)]
     colour = np.stack([_cubes((rgb[..., c] / 255).astype(np.float32), spacing / cell) for c in range(3)], axis=-1)
     inside = _cubes(mask.astype(np.float32), spacing / cell) > 0.5
-    # The outermost ring of the photographs is half the blue they were taken on.
-    core = ndimage.binary_erosion(inside, iterations=2)
-    nearest = ndimage.distance_transform_edt(~core, return_distances=False, return_indices=True)
     margin = 8
-    colour = np.pad(colour[tuple(nearest)], [(margin, margin)] * 3 + [(0, 0)], mode="edge")
     inside = np.pad(inside, margin)
-    size = 2 * cell / float(max(np.ptp(at) + 1 for at in np.nonzero(inside)) * cell)
-    centre = np.array([(at.min() + at.max() + 1) / 2 for at in np.nonzero(inside)])
-    inner, outer = (ndimage.distance_transform_edt(m) for m in (inside, ~inside))
-    depth = ndimage.gaussian_filter((inner - outer).astype(np.float32), 1.0) * np.float32(size)
+    colour = np.pad(colour, [(margin, margin)] * 3 + [(0, 0)], mode="edge")
+    # The outermost ring of the photographs is half the blue they were taken on.
+    index = nearest(ndimage.binary_erosion(inside, iterations=2))[1]
+    colour = colour.reshape(-1, 3)[index]
+    sides = [np.flatnonzero(inside.any(axis=other)) for other in ((1, 2), (0, 2), (0, 1))]
+    size = 2.0 / max(np.ptp(side) + 1 for side in sides)
+    centre = np.array([(side.min() + side.max() + 1) / 2 for side in sides])
+    deep = nearest(~inside)[0] - nearest(inside)[0]
+    depth = ndimage.gaussian_filter(deep, 1.0) * np.float32(size)
     body = Body(-centre * size, size, depth)
     volume = Volume(body, np.ascontiguousarray(colour))
 
