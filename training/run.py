@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from engine.fill import fill
 from engine.gaussians import Gaussians
 from engine.load import load
 from engine.orient import detect_up
+from engine.reshape import reshape
 from engine.solidify import enclosed, solidify
 from engine.surface_fit import SurfaceView, refit, surface_views
 from training.checkpoint import Checkpoint
@@ -34,6 +36,10 @@ from training.trainer import Trainer
 from training.views import ENTRIES, sections, slices, surface_cameras
 
 __all__ = ["Parts", "prepare", "refitted", "run"]
+
+
+SHAPE_VIEWS, SHAPE_SIZE = 24, 256
+"""Views in which sizes are fitted: coarser pixels would not tell them apart."""
 
 
 @dataclass(frozen=True)
@@ -86,14 +92,17 @@ def run(
         labels, atoms = label(request, geometry, cuts, prior, checkpoint, watch, parts.fill)
         geometry = replace(geometry, atoms=atoms)
         facts |= {"interior_atoms": len(atoms.interior), "exposed_atoms": atoms.interior.exposed}
-    with reporter.stage("views") as stage:
-        cameras = surface_cameras(geometry.body, geometry.up, fineness.surface_views, fineness.surface)
-        watch = watched(stage, check, 0.0, 0.5)
-        surfaces = surface_views(geometry.atoms, geometry.gaussians, cameras, ENTRIES, watch)
-        faces = sections(geometry.atoms, cuts, watched(stage, check, 0.5, 1.0))
     with reporter.stage("refit") as stage:
-        atoms, held_out = refitted(geometry.atoms, surfaces, checkpoint, watched(stage, check, 0.0, 1.0))
+        watches = [watched(stage, check, *part) for part in pairwise((0.0, 0.3, 0.6, 0.8, 1.0))]
+        cameras = surface_cameras(geometry.body, geometry.up, fineness.surface_views, fineness.surface)
+        surfaces = surface_views(geometry.atoms, geometry.gaussians, cameras, ENTRIES, watches[0])
+        atoms, held_out = refitted(geometry.atoms, surfaces, checkpoint, watches[1])
+        if fineness.reshape:
+            atoms = reshaped(replace(geometry, atoms=atoms), request, checkpoint, watches[2])
+            surfaces = surface_views(atoms, geometry.gaussians, cameras, ENTRIES, watches[3])
         facts |= {"sh_degree": atoms.surface.sh_degree, "refit_held_out_psnr_db": held_out}
+    with reporter.stage("views") as stage:
+        faces = sections(atoms, cuts, watched(stage, check, 0.0, 1.0))
     geometry = replace(geometry, atoms=atoms)
     trainer = parts.trainer(atoms, faces, surfaces, request.seed)
     history = train(request, trainer, prior if parts.refines else None, labels, out, reporter, checkpoint, stopped)
@@ -160,3 +169,15 @@ def refitted(
         return result.atoms, facts["held_out"]
     arrays, facts = kept
     return replace(atoms, surface=replace(atoms.surface, sh=arrays["sh"])), facts["held_out"]
+
+
+def reshaped(geometry: Geometry, request: Request, checkpoint: Checkpoint, progress: Callable[[float], None]) -> Atoms:
+    """The atoms with sizes and colours of the skin fitted once more, through the full picture."""
+    atoms, steps = geometry.atoms, request.fineness.reshape
+    kept = checkpoint.load("shape")
+    if kept is None:
+        cameras = surface_cameras(geometry.body, geometry.up, SHAPE_VIEWS, SHAPE_SIZE)
+        atoms = reshape(atoms, geometry.gaussians, cameras, steps, request.seed, progress)
+        checkpoint.save("shape", {"sh": atoms.surface.sh, "scales": atoms.surface.scales}, {})
+        return atoms
+    return replace(atoms, surface=replace(atoms.surface, **kept[0]))
