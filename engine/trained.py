@@ -157,6 +157,14 @@ def _crc(path: Path) -> int:
     return crc
 
 
+def _finite_number(text: str) -> float:
+    """The number, or ValueError for NaN, infinities, and what is one as a float: JSON cannot say them again."""
+    number = float(text)
+    if not math.isfinite(number):
+        raise ValueError(text)
+    return number
+
+
 class _Record:
     """The fields of a sidecar, each with its type, or an InputError that names the file."""
 
@@ -170,7 +178,7 @@ class _Record:
             text = file.read(SIDECAR_LIMIT + 1)
         self.require(len(text) <= SIDECAR_LIMIT, "it is far too large")
         try:
-            self.fields = json.loads(text)
+            self.fields = json.loads(text, parse_constant=_finite_number, parse_float=_finite_number)
         except (ValueError, RecursionError) as error:  # bad UTF-8 is a ValueError, too
             raise InputError(f"{path}: not a sidecar of a trained object: it is no JSON") from error
         self.require(isinstance(self.fields, dict) and "format" in self.fields, "it has no 'format'")
