@@ -40,7 +40,7 @@ def scatter(facts: Facts, across: str, up: str, scenes: list[str]) -> bytes:
 
 
 def bars(facts: Facts, key: str, scenes: list[str]) -> bytes:
-    """One figure of every method, a group of bars for each scene, on a logarithmic scale."""
+    """One figure of every method, a bar for each scene; figures that span decades on a logarithmic scale."""
     methods = list(facts)
     figure, panel = plt.subplots(figsize=(2.2 + 0.95 * len(methods), 3.2))
     width = 0.8 / max(len(scenes), 1)
@@ -49,7 +49,9 @@ def bars(facts: Facts, key: str, scenes: list[str]) -> bytes:
         heights = [facts[m].get(scene, {}).get(key) or np.nan for m in methods]
         places = np.arange(len(methods)) + (number - (len(scenes) - 1) / 2) * width
         panel.bar(places, heights, width, color=[colour(m) for m in methods], alpha=shades[number], label=scene)
-    panel.set_yscale("log")
+    known = [row[key] for of in facts.values() for row in of.values() if row.get(key)]
+    if known and max(known) > 10 * min(known):
+        panel.set_yscale("log")
     panel.set_xticks(np.arange(len(methods)), [METHODS[m].title for m in methods], rotation=25, ha="right", fontsize=8)
     panel.set_ylabel(COLUMNS[key].title + COLUMNS[key].arrow)
     panel.set_title("from light to dark: " + ", ".join(scenes), fontsize=8)

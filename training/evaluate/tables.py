@@ -50,7 +50,7 @@ COLUMNS = columns(
     Column("patch", "Patch distance", "low", 3, what="sliced Wasserstein distance of 7x7 patches, times 100"),
     Column("patch_ratio", "÷ another's", "low", 2, what="the same over that of another true solid of the kind"),
     Column("sharpness", "Sharpness", "one", 2, what="RMS Laplacian inside the silhouette over the truth's"),
-    Column("disagreement", "Disagreement", "low", 4, what="RMS colour difference of points that two cuts both show"),
+    Column("disagreement", "Disagreement", "", 4, what="RMS colour difference of points that two cuts both show"),
     Column("fid_random", "FID", "low", 1, what="of random cuts against the true ones, EfficientNet-Lite0 features"),
     Column("kid_random", "KID, thousandths", "low", 1, 1e3, "of random cuts, likewise"),
     Column("cosine_random", "Cosine", "", 3, what="mean between features of every two random cuts"),
