@@ -1,10 +1,11 @@
 """Scenes per hour against workers of `fruitninja-batch`, and what bounds them.
 
-    python -m benchmarks.batch_scaling [--scenes 4] [--most 2]
+    python -m benchmarks.batch_scaling [--scenes 4] [--most 2] [--preload tests/batch_worker.py]
 
 Trains the same small scenes (the sample orange with several seeds, one iteration at draft detail) with one worker, two,
 and so on, each time from nothing. Start-up of the cluster is told apart from the training, as are the seconds that
-scenes wait with none at work. Writes docs/charts/batch_scaling.png and, with the numbers, batch_scaling.json.
+scenes wait with none at work. With --preload every worker runs a file first: the tests' own makes runs of a second or
+two, which show what the workers themselves cost. Writes docs/charts/batch_scaling.png and, with the numbers, batch_scaling.json.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+import dask
 import matplotlib as mpl
 import psutil
 
@@ -80,12 +82,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--scenes", type=int, default=4)
     parser.add_argument("--most", type=int, default=2)
+    parser.add_argument("--preload")
     arguments = parser.parse_args()
+    if arguments.preload:
+        dask.config.set({"distributed.worker.preload": [arguments.preload]})
     rows = [measure(workers, arguments.scenes) for workers in range(1, arguments.most + 1)]
     cores = os.cpu_count() or 1
     bound = 3600 * cores / min(row["processor_seconds_per_scene"] for row in rows)
     figures = {
         "cores": cores,
+        "preload": arguments.preload,
         "memory_gb": round(psutil.virtual_memory().total / 2**30),
         "bound_scenes_per_hour_of_all_cores": round(bound, 1),
         "rows": rows,

@@ -170,6 +170,7 @@ def large(count: int = 2_000_000) -> dict[str, float]:
         nonlocal begun
         row[f"{name}_cpu_seconds"] = round(time.process_time() - begun, 1)
         row[f"{name}_peak_gb"] = round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20, 2)
+        print(f"{name}: {row[f'{name}_cpu_seconds']} s, {row[f'{name}_peak_gb']} GB", flush=True)
         begun = time.process_time()
 
     with tempfile.TemporaryDirectory() as folder:
@@ -250,7 +251,9 @@ def draw(figures: dict[str, Any]) -> None:
     axis = line(4, "Long steps", of("rates", "times"), of("rates", "psnr_db"), "times the learning rate", atoms)
     axis.set_xscale("log")
     mean, sd = figures["seeds_mean_db"], figures["seeds_sd_db"]
-    axis = line(5, f"Seeds: {mean:.2f} ± {sd:.2f} dB", of("seeds", "seed"), of("seeds", "psnr_db"), "seed", psnr)
+    axis = line(
+        5, f"Seeds (layer cake): {mean:.2f} ± {sd:.2f} dB", of("seeds", "seed"), of("seeds", "psnr_db"), "seed", psnr
+    )
     axis.axhspan(mean - sd, mean + sd, color=QUIET, alpha=0.2, linewidth=0)
     axis.set_ylim(mean - 2, mean + 2)
     with atomic(FOLDER / "stability.png") as path:
