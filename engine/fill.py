@@ -182,8 +182,8 @@ UNDER_SKIN = 0.75
 JITTER = 0.2
 """Pitches. Hides the lattice from cuts along it, and leaves the sum of the weights above half everywhere inside."""
 
-COVERED = 0.5
-"""Weight sum of the surface atoms at the skin above an interior atom, from which it cannot be seen."""
+COVERED = 0.25
+"""Greatest weight of a surface atom at the skin above an interior atom, from which it cannot be seen."""
 
 
 Colours = Callable[[NDArray[np.floating]], Float]

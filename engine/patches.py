@@ -31,7 +31,9 @@ PATCH_THICKNESS = 0.2
 """Pitches. Flat, as the skin is."""
 
 COVERED = 0.7
-"""Weight sum of the atoms at a point of the skin from which it shows no hole; half of it is the edge of one."""
+"""Greatest weight of an atom at a point of the skin from which it shows no hole: a pixel has its depth from atoms that
+are half their height there (engine.formula.CORE_Q), and the points asked stand apart. Several faint ones may add up to
+a colour, but what stands behind them would show through."""
 
 
 def inwards(body: Body, points: NDArray[np.floating]) -> NDArray[np.float64]:
@@ -59,7 +61,7 @@ def skin_points(body: Body, spacing: float) -> NDArray[np.float64]:
 def coverage_at(
     surface: SurfaceAtoms, points: NDArray[np.floating], normals: NDArray[np.floating], pitch: float
 ) -> Float:
-    """(N,). Sum of the atoms' weights at points of the skin (N, 3) with normals (N, 3), seen along the normals.
+    """(N,). Greatest weight of an atom at points of the skin (N, 3) with normals (N, 3), seen along the normals.
 
     Across the skin an atom counts as BEHIND thicker than it is; along it as large as it is, so that gaps show.
     """
@@ -68,14 +70,14 @@ def coverage_at(
     count = min(NEIGHBOURS, len(surface))
     rows = KDTree(surface.means).query(points, k=count)[1].reshape(-1, count)
     axes = rotations(surface.quats)
-    total = np.zeros(len(points), np.float32)
+    most = np.zeros(len(points), np.float32)
     for neighbour in rows.T:
         frame = axes[neighbour]
         across = np.einsum("nij,ni->nj", frame, normals)
         local = np.einsum("nij,ni->nj", frame, points - surface.means[neighbour])
         variance = surface.scales[neighbour] ** 2 + (BEHIND * pitch * across) ** 2
-        total += np.exp(-0.5 * (local**2 / variance).sum(1)).astype(np.float32)
-    return total
+        most = np.maximum(most, np.exp(-0.5 * (local**2 / variance).sum(1)).astype(np.float32))
+    return most
 
 
 def patches(
