@@ -35,11 +35,11 @@ class Detail:
 # The paper takes 120 to 200 iterations, 10 to 20 surface views in each, and labels of the diffusion model's size.
 # Colours fitted to 60 views of the sample watermelon show others 2 dB better than those fitted to 24.
 DETAILS: dict[DetailName, Detail] = {
-    "draft": Detail(cells=64, fine=96, voxels=80, label=128, surface=128, surface_views=24, iterations=40),
+    "draft": Detail(cells=64, fine=112, voxels=80, label=128, surface=128, surface_views=24, iterations=40),
     "standard": Detail(
-        cells=104, fine=160, voxels=128, label=224, surface=192, surface_views=60, iterations=120, reshape=20
+        cells=104, fine=176, voxels=192, label=256, surface=192, surface_views=60, iterations=120, reshape=20
     ),
     "high": Detail(
-        cells=160, fine=224, voxels=192, label=352, surface=256, surface_views=60, iterations=200, reshape=60
+        cells=160, fine=256, voxels=256, label=384, surface=256, surface_views=60, iterations=200, reshape=60
     ),
 }
