@@ -27,8 +27,12 @@ test: $(READY)
 
 bench: $(READY)
 	@tools/ensure_gl.sh
+	$(BIN)/fruitninja-evaluate --cuts 24 -o out/evaluation
 	$(BIN)/python -m benchmarks.oblique_cuts
 	$(BIN)/python -m benchmarks.interior
+	$(BIN)/python -m benchmarks.presets
+	$(BIN)/python -m benchmarks.stability
+	$(BIN)/python -m benchmarks.batch_scaling
 	$(BIN)/python -m benchmarks.frozen_geometry
 	$(BIN)/python -m benchmarks.cpu_renderer
 	$(BIN)/python -m benchmarks.gl_frames

@@ -12,14 +12,14 @@ __all__ = ["Progress", "read_line"]
 
 # Parts of the whole time that the stages take, for one bar over all of them; measured at standard detail.
 WEIGHTS = {
-    "load": 0.02,
-    "body": 0.05,
+    "load": 0.01,
+    "body": 0.03,
     "atomise": 0.03,
-    "views": 0.13,
-    "refit": 0.07,
-    "labels": 0.42,
-    "train": 0.22,
-    "save": 0.06,
+    "labels": 0.36,
+    "refit": 0.3,
+    "views": 0.07,
+    "train": 0.12,
+    "save": 0.08,
 }
 
 

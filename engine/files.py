@@ -13,8 +13,8 @@ from engine.errors import InputError
 
 __all__ = ["atomic", "sweep"]
 
-LEFTOVER = re.compile(r"\..+\.[a-z0-9_]{8}(\.\w+)?")
-"""Names that `atomic` gives its temporary files; the eight letters are tempfile's."""
+LEFTOVER = re.compile(r"\..+\.[a-z0-9_]{8}(\.\w+)?|\.tmp[A-Za-z0-9]{6}")
+"""Names that `atomic` gives its temporary files, the eight letters being tempfile's, and safetensors its own."""
 
 
 @contextmanager

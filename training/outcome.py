@@ -40,7 +40,13 @@ def save(
     path = out / f"{request.scene.stem}.ply"
     with reporter.stage("save") as stage:
         families = tuple(
-            {"kind": family.kind, "count": family.count, "prompt": family.prompt, "axis": family.axis}
+            {
+                "kind": family.kind,
+                "count": family.count,
+                "prompt": family.prompt,
+                "axis": family.axis,
+                "span": family.span,
+            }
             for family in request.families
         )
         up = (float(geometry.up[0]), float(geometry.up[1]), float(geometry.up[2]))

@@ -141,7 +141,8 @@ class Trainer:
 
         rgb_gradient, sh_gradient = rgb.grad, sh.grad
         assert rgb_gradient is not None
-        assert sh_gradient is not None
+        if sh_gradient is None:  # no surface views, nothing to learn of the skin
+            sh_gradient = torch.zeros_like(sh)
         self.rgb, self.sh = rgb.detach(), sh.detach()
         self.rgb.grad = self.sh.grad = None
         self.iteration += 1
