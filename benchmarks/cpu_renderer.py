@@ -33,6 +33,10 @@ from engine.threads import cores, use_cores
 CHARTS = Path(__file__).parents[1] / "docs" / "charts"
 COUNTS = (20_000, 100_000, 500_000)
 SIZES = (256, 512)
+REST = 0.05
+"""Seconds between turns: OpenMP's threads keep spinning for a while after torch's work."""
+REPEATS = 20
+"""Runs of the faster one in each turn; together they still take less time than the other's one."""
 CELLS = 64
 """Cells along an edge for the order in memory: one holds a few Gaussians of the largest scene."""
 
@@ -111,7 +115,8 @@ def measure(count: int, size: int, rounds: int) -> dict[str, object]:
     for _ in range(rounds):
         for name, run in RENDERERS.items():
             for mode, g in (("forward", None), ("forward+backward", gradient)):
-                for _ in range(5 if name == "classic" else 1):
+                time.sleep(REST)
+                for _ in range(REPEATS if name == "classic" else 1):
                     wall, busy = timed(run, parameters, camera, g)
                     least = best.get(f"{name} {mode}", (np.inf, np.inf))
                     best[f"{name} {mode}"] = min(least[0], wall), min(least[1], busy)
