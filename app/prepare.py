@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from safetensors.numpy import save_file
 from scipy.spatial import cKDTree
 
+from app.rehearsal import rehearse
 from engine.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from engine.body import Body
 from engine.camera import around
@@ -117,6 +118,7 @@ def _send_trained(path: Path, folder: Path, capture: bool) -> None:
 
 
 def _send_atoms(folder: Path, atoms: Atoms, facts: dict[str, Any]) -> None:
+    rehearse()
     s, i = atoms.surface, atoms.interior
     arrays = {"means": s.means, "scales": s.scales, "quats": s.quats, "sh": s.sh}
     arrays |= {"inside": i.means, "sigmas": i.sigmas, "rgb": i.rgb}
