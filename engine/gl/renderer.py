@@ -199,6 +199,7 @@ class Renderer:
         self._overlaid.colour_fbo.use()
         centre = np.zeros(3) if self._solid is None else self._solid.centre
         pitch = 0.0 if self._solid is None else self._solid.pitch
+        self._tell()
         self._overlays.draw(View(camera, centre, 1.0), items, frame.info, pitch)
         return self._overlaid.colour
 
@@ -210,6 +211,7 @@ class Renderer:
         assert self._camera is not None, "nothing rendered yet"
         width, height = self._camera.width, self._camera.height
         frame = self._frames[0]
+        self._tell()
         colour = np.frombuffer(frame.fbo.read(components=4, dtype="f4"), np.float32).reshape(height, width, 4)
         info = np.frombuffer(frame.fbo.read(components=2, attachment=1, dtype="f4"), np.float32)
         info = info.reshape(height, width, 2)
@@ -225,6 +227,7 @@ class Renderer:
         camera = self._camera
         if camera is None or not (0 <= x < camera.width and 0 <= y < camera.height):
             return None, None
+        self._tell()
         data = self._frames[0].fbo.read((int(x), int(y), 1, 1), components=2, attachment=1, dtype="f4")
         z, code = np.frombuffer(data, np.float32).astype(np.float64)
         if z > 0.5 * NOTHING:
@@ -243,6 +246,10 @@ class Renderer:
         return members[int(np.argmin(outside))], point
 
     # Housekeeping
+
+    def _tell(self) -> None:
+        if self._software is not None:
+            self._software.tell(self._frames[0])
 
     def _resize(self, width: int, height: int) -> None:
         assert width > 0 and height > 0, (width, height)

@@ -60,10 +60,12 @@ class SoftwareMode:
         self._drawn: Rect | None = None
         """What of the frame is not background; None: unknown."""
         self._background = np.zeros(3, np.float32)
+        self._info: NDArray[np.float32] | None = None
+        """(H, W, 2). What GL has not been told of the last frame; None: nothing."""
 
     def forget(self) -> None:
         """Something else has drawn into the frame, or it is a new one."""
-        self._drawn = None
+        self._drawn = self._info = None
 
     def draw(
         self,
@@ -104,7 +106,8 @@ class SoftwareMode:
         for k, (view, planes, rect, number) in enumerate(jobs):
             self._group(view, planes, solid, rect, look, ground, number, k > 0, rgb, info)
         self._drawn = drawn
-        self._upload(target, union(stale, drawn), rgb, info)
+        self._upload(target, union(stale, drawn), rgb)
+        self._info = info
 
     def _group(
         self,
@@ -282,15 +285,19 @@ class SoftwareMode:
         )  # fmt: skip
         return True
 
-    def _upload(self, target: Frame, rect: Rect, rgb: NDArray[np.float32], info: NDArray[np.float32]) -> None:
+    def tell(self, target: Frame) -> None:
+        """Hands over depths and pieces of the last frame, which few frames are asked for."""
+        if self._info is not None:
+            target.info.write(self._info)
+            self._info = None
+
+    def _upload(self, target: Frame, rect: Rect, rgb: NDArray[np.float32]) -> None:
         x, y, width, height = rect
         if not width or not height:
             return
         halves = self._room("halves", (height, width, 4), np.uint16)
-        infos = self._room("infos", (height, width, 2), np.float32)
-        for_each(pack, -(-height // BAND), x, y, info, rgb.view(np.int32), halves, infos)
+        for_each(pack, -(-height // BAND), x, y, rgb.view(np.int32), halves)
         target.colour.write(halves, viewport=rect)
-        target.info.write(infos, viewport=rect)
 
     def _room(self, name: str, shape: tuple[int, ...], kind: type) -> Any:
         """An array of this shape that is used again from frame to frame; it holds what it held."""

@@ -139,8 +139,8 @@ def compose(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def pack(band, x0, y0, info, bits, halves, infos):  # type: ignore[no-untyped-def]
-    """A band of a rectangle of the frame as half floats RGBA (h, w, 4), and its info (h, w, 2).
+def pack(band, x0, y0, bits, halves):  # type: ignore[no-untyped-def]
+    """A band of a rectangle of the frame as half floats RGBA (h, w, 4).
 
     `bits` (H, W, 3) is the frame's RGB seen as int32. What is below 2^-14 becomes 0; the largest half float stays one.
     """
@@ -155,4 +155,3 @@ def pack(band, x0, y0, info, bits, halves, infos):  # type: ignore[no-untyped-de
                     value = np.int32(0x7BFF)
                 halves[row, k, c] = np.uint16(value)
             halves[row, k, 3] = np.uint16(0x3C00)
-            infos[row, k, 0], infos[row, k, 1] = info[y0 + row, x0 + k, 0], info[y0 + row, x0 + k, 1]
