@@ -116,7 +116,14 @@ def hiding(atoms: Atoms) -> Hiding:
 
     at = cells_of(inside.means)
     solid = np.zeros(shape, np.float32)
-    np.add.at(solid, tuple(at.T), (2 * inside.sigmas / cell) ** 3)
+    spacing = 2 * inside.sigmas / cell
+    parts = np.ceil(spacing).astype(np.int64)
+    for count in np.unique(parts):  # an atom wider than a cell fills all that its cube covers
+        own = parts == count
+        steps = ((np.arange(count) + 0.5) / count - 0.5).astype(np.float32)
+        for step in np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), -1).reshape(-1, 3):
+            places = cells_of(inside.means[own] + step * 2 * inside.sigmas[own, None])
+            np.add.at(solid, tuple(places.T), (spacing[own] / count) ** 3)
     for axis in range(3):  # evens out how many lattice points happen to fall into a cell
         solid = (np.roll(solid, 1, axis) + 2 * solid + np.roll(solid, -1, axis)) / 4
     filled = solid >= FILLED
