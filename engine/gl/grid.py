@@ -24,7 +24,7 @@ from engine.gl.polygon import section_of_box
 from engine.gl.store import Spheres
 from engine.plane import frame
 
-__all__ = ["Grid", "Grids"]
+__all__ = ["Grid", "Grids", "met_by"]
 
 Double = NDArray[np.float64]
 
@@ -97,14 +97,8 @@ class Grids:
                 grid.texture.release()
 
     def _make(self, plane: Double, spheres: Spheres, look: Look) -> Grid | None:
-        chunks = spheres.chunks
         enlarge = look.ball_scale
-        reach = 3 * chunks.sigma * enlarge
-        distances = chunks.distances(plane[:3], plane[3])
-        met = (distances[:, 0] <= reach) & (distances[:, 1] >= -reach)
-        count = -(-chunks.count[met] // 2**look.level)
-        felt = (spheres.reach * enlarge).astype(np.float32)
-        rows = near_plane(spheres.means, felt, chunks.first[met], count, plane[None].astype(np.float32), 0)
+        rows, felt = met_by(plane, spheres, look)
         if not len(rows):
             return None
         widest, least = float(felt[rows].max()) / 3, float(felt[rows].min()) / 3
@@ -147,3 +141,13 @@ class Grids:
         to_grid[0, :3], to_grid[1, :3] = e1 / (width * cell), e2 / (height * cell)
         to_grid[0, 3], to_grid[1, 3] = -low[0] / (width * cell), -low[1] / (height * cell)
         return Grid(texture, to_grid)
+
+
+def met_by(plane: Double, spheres: Spheres, look: Look) -> tuple[NDArray[np.uint32], NDArray[np.float32]]:
+    """Rows of the atoms that a plane (4,) in centred object space meets, and the reach of all atoms (N,)."""
+    chunks, enlarge = spheres.chunks, look.ball_scale
+    distances, reach = chunks.distances(plane[:3], plane[3]), 3 * chunks.sigma * enlarge
+    met = (distances[:, 0] <= reach) & (distances[:, 1] >= -reach)
+    count = -(-chunks.count[met] // 2**look.level)
+    felt = (spheres.reach * enlarge).astype(np.float32)
+    return near_plane(spheres.means, felt, chunks.first[met], count, plane[None].astype(np.float32), 0), felt

@@ -8,7 +8,7 @@ anti-aliased against the piece behind, not against the background.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import moderngl
@@ -30,7 +30,7 @@ from engine.gl.view import View
 from engine.piece import Piece
 from engine.plane import stack
 
-__all__ = ["Group", "OpaqueMode", "grouped"]
+__all__ = ["Group", "OpaqueMode", "grouped", "seen_groups"]
 
 Double = NDArray[np.float64]
 Group = tuple[Double, list[int]]
@@ -59,15 +59,8 @@ class OpaqueMode:
         """Puts the pieces into the first of two frames, which shows the background; the second is scratch."""
         self.section.grids.begin()
         frame, scratch = frames
-        depth = [float((camera.viewmat @ transform @ np.append(solid.centre, 1))[2]) for transform, _ in groups]
         empty = True
-        for number in np.argsort(depth)[::-1]:
-            transform, members = groups[number]
-            view = View(Piece((), transform).camera(camera), solid.centre, solid.radius)
-            planes = [left for m in members if (left := bounding_planes(pieces[m], solid)) is not None]
-            rect = bounds_on_screen(view, planes, solid) if planes else None
-            if rect is None:
-                continue
+        for number, view, planes, rect in seen_groups(solid, camera, pieces, groups):
             faces = self._add_up(view, planes, solid, sums, rect, look)
             values: dict[str, Any] = {
                 **view.uniforms,
@@ -133,6 +126,20 @@ def grouped(pieces: Sequence[Piece]) -> list[Group]:
         else:
             groups.append((piece.transform, [i]))
     return groups
+
+
+def seen_groups(
+    solid: Solid, camera: Camera, pieces: Sequence[Piece], groups: Sequence[Group]
+) -> Iterator[tuple[int, View, list[Double], Rect]]:
+    """The groups that show, farthest first: number, view, each piece's planes (P, 4), and where on the screen."""
+    depth = [float((camera.viewmat @ transform @ np.append(solid.centre, 1))[2]) for transform, _ in groups]
+    for number in np.argsort(depth)[::-1].tolist():
+        transform, members = groups[number]
+        view = View(Piece((), transform).camera(camera), solid.centre, solid.radius)
+        planes = [left for m in members if (left := bounding_planes(pieces[m], solid)) is not None]
+        rect = bounds_on_screen(view, planes, solid) if planes else None
+        if rect is not None:
+            yield number, view, planes, rect
 
 
 def bounding_planes(piece: Piece, solid: Solid) -> Double | None:

@@ -20,7 +20,7 @@ from engine.cpu.opaque_tiles import Frame as Tiled
 from engine.cpu.tiles import place_pairs
 from engine.formula import EPSILON_PITCHES
 from engine.gl.look import Look
-from engine.gl.opaque import Group, bounding_planes, bounds_on_screen
+from engine.gl.opaque import Group, seen_groups
 from engine.gl.screen import Rect
 from engine.gl.section import Face, near_face, scale_of, visible_faces
 from engine.gl.software_faces import BAND, SECTION, add_faces, bin_bands, sections
@@ -87,23 +87,15 @@ class SoftwareMode:
             self._drawn = None
         self._size, self._background = (camera.width, camera.height), ground
         stale = whole if self._drawn is None else self._drawn
-        depth = [float((camera.viewmat @ transform @ np.append(solid.centre, 1))[2]) for transform, _ in groups]
         drawn: Rect = (0, 0, 0, 0)
-        jobs = []
-        for number in np.argsort(depth)[::-1]:
-            transform, members = groups[number]
-            view = View(Piece((), transform).camera(camera), solid.centre, solid.radius)
-            planes = [left for m in members if (left := bounding_planes(pieces[m], solid)) is not None]
-            rect = bounds_on_screen(view, planes, solid) if planes else None
-            if rect is None:
-                continue
-            jobs.append((view, planes, rect, int(number)))
+        jobs = list(seen_groups(solid, camera, pieces, groups))
+        for *_, rect in jobs:
             drawn = union(drawn, rect)
         # The first group writes all pixels of its rectangle.
         for x, y, width, height in [stale, drawn] if len(jobs) > 1 else around(stale, drawn):
             rgb[y : y + height, x : x + width] = ground
             info[y : y + height, x : x + width] = NOTHING, -2.0
-        for k, (view, planes, rect, number) in enumerate(jobs):
+        for k, (number, view, planes, rect) in enumerate(jobs):
             self._group(view, planes, solid, rect, look, ground, number, k > 0, rgb, info)
         self._drawn = drawn
         self._upload(target, union(stale, drawn), rgb)

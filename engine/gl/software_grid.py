@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from engine.gl.chunks import near_plane
-from engine.gl.grid import CELLS_PER_SIGMA, KEPT_BYTES, MOST_CELLS, WIDEST
+from engine.gl.grid import CELLS_PER_SIGMA, KEPT_BYTES, MOST_CELLS, WIDEST, met_by
 from engine.gl.look import Look
 from engine.gl.polygon import section_of_box
 from engine.gl.software_faces import BAND, GRID, SECTION, bin_bands, fill_grid, sections
@@ -86,12 +85,8 @@ class KeptGrids:
 
 def make(plane: Double, spheres: Spheres, look: Look) -> Grid | None:
     """The grid of a plane (4,) in centred object space; None where the atoms' sizes do not allow one."""
-    chunks, enlarge = spheres.chunks, look.ball_scale
-    felt = (spheres.reach * enlarge).astype(np.float32)
-    distances, reach = chunks.distances(plane[:3], plane[3]), 3 * chunks.sigma * enlarge
-    met = (distances[:, 0] <= reach) & (distances[:, 1] >= -reach)
-    count = -(-chunks.count[met] // 2**look.level)
-    rows = near_plane(spheres.means, felt, chunks.first[met], count, plane[None].astype(np.float32), 0)
+    enlarge = look.ball_scale
+    rows, felt = met_by(plane, spheres, look)
     if not len(rows):
         return None
     widest, least = float(felt[rows].max()) / 3, float(felt[rows].min()) / 3
