@@ -20,6 +20,7 @@ from engine.formula import CORE_Q, CUTOFF_Q, MIN_WEIGHT
 
 __all__ = [
     "AREA",
+    "FUSED",
     "TILES_PER_TASK",
     "Frame",
     "accumulate",
@@ -40,6 +41,10 @@ TILES_PER_TASK = 32
 
 FAR = 1e30
 """A depth limit behind everything where no front is known, yet before the infinite depth of what is clipped."""
+
+
+FUSED = {"contract"}
+"""A product and a sum may be one step, rounded once: as exact, a tenth faster, and always the same on one machine."""
 
 
 class Frame(NamedTuple):
@@ -68,7 +73,7 @@ def falloff(h: float) -> float:
     return math.exp(-h)
 
 
-@overload(falloff)
+@overload(falloff, jit_options={"fastmath": FUSED})
 def _falloff(h):  # type: ignore[no-untyped-def]
     if h != types.float32:
         return lambda h: math.exp(-h)
@@ -140,7 +145,7 @@ def rows_of(r, extent, left, top):  # type: ignore[no-untyped-def]
     return TILE * int(low), TILE * (int(high) + 1)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", fastmath=FUSED)
 def fragments(r, span, near, px, py, base, slope, start, end, h, z):  # type: ignore[no-untyped-def]
     """Fills h = q / 2 and depth z of a splat's fragments in pixels start..end; z is infinite where it is clipped."""
     zero, infinite = z.dtype.type(0), z.dtype.type(np.inf)
@@ -157,7 +162,7 @@ def fragments(r, span, near, px, py, base, slope, start, end, h, z):  # type: ig
             z[k] = infinite if base[p, k] + z[k] * slope[p, k] > zero else z[k]
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@njit(cache=True, error_model="numpy", nogil=True, fastmath=FUSED)
 def accumulate(task, frame, colours, front, sums):  # type: ignore[no-untyped-def]
     """Both passes over some tiles: fills front (H, W), the depth of the nearest core, and sums (H, W, 5): weight,
     weight times sharpness, weight times RGB of the fragments no more than the layer's depth behind it."""

@@ -43,6 +43,7 @@ Double = NDArray[np.float64]
 
 
 NO_FACE = np.zeros((0, 0, 4), np.float32)
+NO_HALVES = np.zeros((0, 0, 4), np.uint16)
 
 
 def is_software(renderer: str) -> bool:
@@ -95,10 +96,17 @@ class SoftwareMode:
         for x, y, width, height in [stale, drawn] if len(jobs) > 1 else around(stale, drawn):
             rgb[y : y + height, x : x + width] = ground
             info[y : y + height, x : x + width] = NOTHING, -2.0
+        changed = union(stale, drawn)
+        halves = self._room("halves", (changed[3], changed[2], 4), np.uint16)
         for k, (number, view, planes, rect) in enumerate(jobs):
-            self._group(view, planes, solid, rect, look, ground, number, k > 0, rgb, info)
+            ready = changed, halves if k == len(jobs) - 1 else None
+            self._group(view, planes, solid, rect, look, ground, number, k > 0, rgb, info, *ready)
         self._drawn = drawn
-        self._upload(target, union(stale, drawn), rgb)
+        for x, y, width, height in around(changed, jobs[-1][-1]) if jobs else [changed]:
+            part = rgb[y : y + height, x : x + width]
+            for_each(pack, -(-height // BAND), x, y, part, *changed[:2], halves)
+        if changed[2] and changed[3]:
+            target.colour.write(halves, viewport=changed)
         self._info = info
 
     def _group(
@@ -113,8 +121,10 @@ class SoftwareMode:
         below: bool,
         rgb: NDArray[np.float32],
         info: NDArray[np.float32],
+        changed: Rect,
+        halves: NDArray[np.uint16] | None,
     ) -> None:
-        """Adds up pieces that lie together and puts them into the frame."""
+        """Adds up pieces that lie together and puts them into the frame, the last ones into `halves` of `changed`."""
         x, y, width, height = rect
         cam = pack_camera(view.camera)
         cam[9:12] = view.matrix[:3, 3]
@@ -130,6 +140,7 @@ class SoftwareMode:
         for_each(
             compose, -(-height // BAND), x, y, sums, front, has_faces, face, depths,
             np.float32(1e-3 * solid.pitch), ground, np.float32(number), below, rgb, info, np.float32(NOTHING),
+            halves is not None, *changed[:2], NO_HALVES if halves is None else halves,
         )  # fmt: skip
 
     def _splats(
@@ -162,10 +173,14 @@ class SoftwareMode:
         left_open, right_open = rect[0] > 0, rect[0] + rect[2] < view.camera.width
         if any(len(rows) for _, _, rows in hidden):
             for_each(tile_depths, lines, front, len(face) > 0, face, depths, left_open, right_open, ends, limits)
-            jobs = [
-                (splats, k, seen_through(rows, splats.kept[0], look.disc_scale, cam, limits, tiled.layer))
-                for splats, k, rows in hidden
-            ]
+            jobs = []
+            for splats, k, rows in hidden:
+                seen = self._room("seen", (len(rows),), np.bool_)
+                for_each(
+                    seen_through, CHUNKS, -(-len(rows) // CHUNKS), rows, splats.kept[0], look.disc_scale, cam, limits,
+                    tiled.layer, seen,
+                )  # fmt: skip
+                jobs.append((splats, k, rows[seen]))
             if any(len(rows) for _, _, rows in jobs):
                 behind_tiled, behind_colours = self._tiled("behind ", view, cam, planes, jobs, solid, look, shape)
                 for_each(fill_holes, lines, tiled, colours, behind_tiled, behind_colours, ends, front, sums)
@@ -282,14 +297,6 @@ class SoftwareMode:
         if self._info is not None:
             target.info.write(self._info)
             self._info = None
-
-    def _upload(self, target: Frame, rect: Rect, rgb: NDArray[np.float32]) -> None:
-        x, y, width, height = rect
-        if not width or not height:
-            return
-        halves = self._room("halves", (height, width, 4), np.uint16)
-        for_each(pack, -(-height // BAND), x, y, rgb.view(np.int32), halves)
-        target.colour.write(halves, viewport=rect)
 
     def _room(self, name: str, shape: tuple[int, ...], kind: type) -> Any:
         """An array of this shape that is used again from frame to frame; it holds what it held."""

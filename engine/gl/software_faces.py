@@ -11,7 +11,7 @@ import math
 import numpy as np
 from numba import njit
 
-from engine.cpu.opaque_tiles import falloff
+from engine.cpu.opaque_tiles import FUSED, falloff
 from engine.formula import CUTOFF_Q, EDGE_SLOPE, SOLID_DENSITY
 from engine.projection import rotation
 
@@ -27,9 +27,9 @@ SECTION = 10
 GRID = 6
 """Numbers that describe a grid: 0 its first cell (-1: none), 1 2 height and width, 3 4 low s and t, 5 1 / cell."""
 
-LANES = 8
+LANES = 9
 """Numbers of a pixel while its band is worked on: 0 plane (-1 none), 1 2 s and t, 3 depth, 4 weight, 5 6 7 RGB by
-weight. All in one array: with several the compiler would have to suspect that they overlap."""
+weight, 8 light. All in one array: with several the compiler would have to suspect that they overlap."""
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -138,7 +138,7 @@ def bin_bands(boxes, bands):  # type: ignore[no-untyped-def]
     return first, listed
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@njit(cache=True, error_model="numpy", nogil=True, fastmath=FUSED)
 def enter(y, cam, planes, mates, first_mate, tolerance, entry, through, slope, left):  # type: ignore[no-untyped-def]
     """Fills depth `entry` (W,) and plane `through` (W,) of the entry of row y's rays, -1 where there is none.
 
@@ -183,7 +183,7 @@ def enter(y, cam, planes, mates, first_mate, tolerance, entry, through, slope, l
             through[k] = -1 if left[k] > 0.0 else through[k]
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@njit(cache=True, error_model="numpy", nogil=True, fastmath=FUSED)
 def add_faces(  # type: ignore[no-untyped-def]
     band,
     cam,
@@ -228,7 +228,10 @@ def add_faces(  # type: ignore[no-untyped-def]
         for k in range(width):
             lane[0, row, k] = own[k]
             lane[3, row, k] = entry[k]
+            lane[8, row, k] = 1
         for p in range(len(planes)):
+            if light:
+                shine(lane[:, row], down, planes, p, cam)
             f = frames[p]
             for k in range(width):
                 across = (k + 0.5 - cam[14]) / cam[12]
@@ -240,7 +243,7 @@ def add_faces(  # type: ignore[no-untyped-def]
         for k in range(width):
             found |= own[k] >= 0
     if found:
-        lane[4:] = 0
+        lane[4:8] = 0
         if len(cells) > 0:
             read_grids(lane, bottom - top, cells, grids)
         flat = lane.reshape(-1)
@@ -251,37 +254,47 @@ def add_faces(  # type: ignore[no-untyped-def]
             for y in range(max(boxes[i, 2], top), min(boxes[i, 3], bottom)):
                 at = (y - top) * width
                 add_row(r, plane, np.uintp(at + boxes[i, 0]), np.uintp(at + boxes[i, 1]), np.uintp(area), flat)
-    per_pixel = 1.0 / math.sqrt(cam[12] * cam[13])
+    else:
+        lane[0] = -1
+    per_pixel = np.float32(1.0 / math.sqrt(cam[12] * cam[13]))
     for y in range(top, bottom):
-        row = y - top
-        down = (y + 0.5 - cam[15]) / cam[13]
-        for k in range(width):
-            cover = 0.0
-            density = float(lane[4, row, k]) if found and lane[0, row, k] >= 0 else 0.0
-            deep = float(lane[3, row, k])
-            if density > 0.0:
-                footprint = per_pixel if ortho else per_pixel * deep
-                edge = max(1.0, edge_sigma / (EDGE_SLOPE * footprint)) / (2.0 * SOLID_DENSITY)
-                cover = min(max(0.5 + (density - SOLID_DENSITY) * edge, 0.0), 1.0)
-            if cover > 0.0 and (fresh or face[y, k, 3] <= 0.0 or deep <= depths[y, k]):
-                shade, p = 1.0, int(lane[0, row, k])
-                if light:
-                    across = (k + 0.5 - cam[14]) / cam[12]
-                    if ortho:
-                        facing = -planes[p, 2]
-                    else:
-                        facing = -(planes[p, 0] * across + planes[p, 1] * down + planes[p, 2])
-                        facing /= math.sqrt(across * across + down * down + 1.0)
-                    shade = 0.85 + 0.15 * max(facing, 0.0)
-                for c in range(3):
-                    face[y, k, c] = shade * lane[5 + c, row, k] / density
-                face[y, k, 3] = cover
-                depths[y, k] = deep
-            elif fresh:
-                face[y, k, 3] = 0.0
+        finish_row(lane[:, y - top], per_pixel, ortho, np.float32(edge_sigma), fresh, face[y], depths[y])
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@njit(cache=True, error_model="numpy", nogil=True, fastmath=FUSED)
+def shine(lane, down, planes, p, cam):  # type: ignore[no-untyped-def]
+    """Fills the light of the pixels of a row that show plane p: a lamp at the eye."""
+    for k in range(np.uintp(lane.shape[1])):
+        across = (k + 0.5 - cam[14]) / cam[12]
+        facing = -planes[p, 2]
+        if cam[20] == 0.0:
+            facing = -(planes[p, 0] * across + planes[p, 1] * down + planes[p, 2])
+            facing /= math.sqrt(across * across + down * down + 1.0)
+        lane[8, k] = 0.85 + 0.15 * max(facing, 0.0) if lane[0, k] == p else lane[8, k]
+
+
+@njit(cache=True, error_model="numpy", nogil=True, fastmath=FUSED)
+def finish_row(lane, per_pixel, ortho, edge_sigma, fresh, face, depths):  # type: ignore[no-untyped-def]
+    """Puts a row of lanes (LANES, W) over a row of the face layer (W, 4) and its depths (W,). No branch."""
+    one, half, zero, tiny = np.float32(1), np.float32(0.5), np.float32(0), np.float32(1e-20)
+    slope, solid, unit = np.float32(EDGE_SLOPE), np.float32(SOLID_DENSITY), np.float32(0.5 / SOLID_DENSITY)
+    for k in range(np.uintp(len(depths))):
+        deep = lane[3, k]
+        density = lane[4, k] if lane[0, k] >= zero else zero
+        footprint = per_pixel if ortho else per_pixel * deep
+        edge = max(one, edge_sigma / (slope * footprint)) * unit
+        cover = min(max(half + (density - solid) * edge, zero), one)
+        cover = cover if density > zero else zero
+        kept = (cover > zero) & (fresh | (face[k, 3] <= zero) | (deep <= depths[k]))
+        each = lane[8, k] / max(density, tiny)
+        face[k, 0] = each * lane[5, k] if kept else face[k, 0]
+        face[k, 1] = each * lane[6, k] if kept else face[k, 1]
+        face[k, 2] = each * lane[7, k] if kept else face[k, 2]
+        face[k, 3] = cover if kept else (zero if fresh else face[k, 3])
+        depths[k] = deep if kept else depths[k]
+
+
+@njit(cache=True, error_model="numpy", nogil=True, fastmath=FUSED)
 def add_row(r, owner, start, end, area, lane):  # type: ignore[no-untyped-def]
     """Adds one section to pixels start..end of the band's lanes, which stand `area` apart."""
     s0, t0, aa, ab, bb, limit = r[0], r[1], r[2], r[3], r[4], r[5]
@@ -300,7 +313,7 @@ def add_row(r, owner, start, end, area, lane):  # type: ignore[no-untyped-def]
         lane[seven + k] += g * blue
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@njit(cache=True, error_model="numpy", nogil=True, fastmath=FUSED)
 def read_grids(lane, rows, cells, grids):  # type: ignore[no-untyped-def]
     """Starts the sums of a band with what the grids of its planes hold, read with linear interpolation."""
     half, one, zero = np.float32(0.5), np.float32(1), np.float32(0)
@@ -325,11 +338,14 @@ def read_grids(lane, rows, cells, grids):  # type: ignore[no-untyped-def]
             b, d = u - np.float32(x), v - np.float32(y)
             a, c = one - b, one - d
             p, q, r, s = a * c, b * c, a * d, b * d
-            at = begin + y * width + x
-            for m in range(4):
-                lane[4 + m, row, k] = (
-                    p * cells[at, m] + q * cells[at + 1, m] + r * cells[at + width, m] + s * cells[at + width + 1, m]
-                )
+            at = np.uintp(begin + y * width + x)
+            under = at + np.uintp(width)
+            next_at, next_under = at + np.uintp(1), under + np.uintp(1)
+            w = p * cells[at, 0] + q * cells[next_at, 0] + r * cells[under, 0] + s * cells[next_under, 0]
+            red = p * cells[at, 1] + q * cells[next_at, 1] + r * cells[under, 1] + s * cells[next_under, 1]
+            green = p * cells[at, 2] + q * cells[next_at, 2] + r * cells[under, 2] + s * cells[next_under, 2]
+            blue = p * cells[at, 3] + q * cells[next_at, 3] + r * cells[under, 3] + s * cells[next_under, 3]
+            lane[4, row, k], lane[5, row, k], lane[6, row, k], lane[7, row, k] = w, red, green, blue
 
 
 @njit(cache=True, error_model="numpy", nogil=True)

@@ -8,6 +8,7 @@ import numpy as np
 from numba import njit
 
 from engine.cpu.opaque_splats import project
+from engine.cpu.opaque_tiles import FUSED
 from engine.formula import MIN_WEIGHT
 from engine.gl.software_faces import BAND
 from engine.sh import C0
@@ -91,67 +92,95 @@ def compose(  # type: ignore[no-untyped-def]
     frame,  # in and out [H, W, 3]
     info,  # in and out [H, W, 2] as in shaders/resolve.frag.glsl
     nothing,
+    last,  # whether nothing follows: then the pixels go to `halves`, not to the frame
+    x1,  # where the corner of `halves` is
+    y1,
+    halves,  # out [h', w', 4]
 ):
     """Resolves a band of one group and puts it into the frame: shaders/resolve.frag.glsl, line by line."""
-    for at in range(band * BAND * sums.shape[1], min((band + 1) * BAND, len(sums)) * sums.shape[1]):
-        row, k = at // sums.shape[1], at % sums.shape[1]
-        y, x = y0 + row, x0 + k
-        weight = sums[row, k, 0]
-        z = front[row, k] if front[row, k] < nothing else nothing
-        alpha, red, green, blue = np.float32(0), np.float32(0), np.float32(0), np.float32(0)
-        one, half = np.float32(1), np.float32(0.5)
-        if weight > MIN_WEIGHT:
-            alpha = min(max(half + (weight - half) * sums[row, k, 1] / weight, np.float32(0)), one)
-            each = alpha / weight
-            red, green, blue = each * sums[row, k, 2], each * sums[row, k, 3], each * sums[row, k, 4]
-        if faces and face[row, k, 3] > 0:
-            cover = face[row, k, 3]
-            first = depths[row, k] <= z + tolerance
-            over, under = (cover, one - cover) if first else ((one - alpha) * cover, one)
-            red = over * face[row, k, 0] + under * red
-            green = over * face[row, k, 1] + under * green
-            blue = over * face[row, k, 2] + under * blue
-            if cover >= half and (first or alpha < half):
-                z = depths[row, k]
-            alpha = one - (one - cover) * (one - alpha)
-        if below:
-            before_z = info[y, x, 0]
-            before_group = np.floor(info[y, x, 1] * half)
-            before = info[y, x, 1] - 2 * before_group
-            if z <= before_z:
-                frame[y, x, 0] = red + (one - alpha) * frame[y, x, 0]
-                frame[y, x, 1] = green + (one - alpha) * frame[y, x, 1]
-                frame[y, x, 2] = blue + (one - alpha) * frame[y, x, 2]
+    width = front.shape[1]
+    one, two, half = np.float32(1), np.float32(2), np.float32(0.5)
+    lane, pixels = np.empty((5, width), np.float32), np.empty((width, 3), np.float32)
+    for row in range(band * BAND, min((band + 1) * BAND, len(front))):
+        layers(sums[row], front[row], faces, face[row], depths[row], tolerance, nothing, lane)
+        before, told = frame[y0 + row, x0 : x0 + width], info[y0 + row, x0 : x0 + width]
+        for k in range(np.uintp(width)):
+            z, alpha, red, green, blue = lane[0, k], lane[1, k], lane[2, k], lane[3, k], lane[4, k]
+            left = one - alpha
+            if below:
+                before_z = told[k, 0]
+                before_group = np.floor(told[k, 1] * half)
+                rest = one - (told[k, 1] - two * before_group)
+                if z <= before_z:
+                    pixels[k, 0] = red + left * before[k, 0]
+                    pixels[k, 1] = green + left * before[k, 1]
+                    pixels[k, 2] = blue + left * before[k, 2]
+                else:
+                    pixels[k, 0] = before[k, 0] + rest * (red - alpha * background[0])
+                    pixels[k, 1] = before[k, 1] + rest * (green - alpha * background[1])
+                    pixels[k, 2] = before[k, 2] + rest * (blue - alpha * background[2])
+                nearer = z < before_z or (before_group < 0 and alpha > 0)
+                told[k, 0] = min(z, before_z)
+                told[k, 1] = two * (group if nearer else before_group) + one - left * rest
             else:
-                frame[y, x, 0] += (one - before) * (red - alpha * background[0])
-                frame[y, x, 1] += (one - before) * (green - alpha * background[1])
-                frame[y, x, 2] += (one - before) * (blue - alpha * background[2])
-            nearer = z < before_z or (before_group < 0 and alpha > 0)
-            both = one - (one - alpha) * (one - before)
-            info[y, x, 0] = min(z, before_z)
-            info[y, x, 1] = 2 * (group if nearer else before_group) + both
+                pixels[k, 0] = red + left * background[0]
+                pixels[k, 1] = green + left * background[1]
+                pixels[k, 2] = blue + left * background[2]
+                told[k, 0] = z
+                told[k, 1] = two * group + alpha if alpha > 0 else -two
+        if last:
+            to_halves(pixels.view(np.int32), halves[y0 - y1 + row, x0 - x1 : x0 - x1 + width])
         else:
-            frame[y, x, 0] = red + (one - alpha) * background[0]
-            frame[y, x, 1] = green + (one - alpha) * background[1]
-            frame[y, x, 2] = blue + (one - alpha) * background[2]
-            info[y, x, 0] = z
-            info[y, x, 1] = 2 * group + alpha if alpha > 0 else np.float32(-2)
+            before[:] = pixels
+
+
+@njit(cache=True, error_model="numpy", nogil=True, fastmath=FUSED)
+def layers(sums, front, faces, face, depths, tolerance, nothing, lane):  # type: ignore[no-untyped-def]
+    """Depth, coverage and RGB by coverage (5, W) of a row of one group: its splats under or over its faces.
+
+    No branch, so that a row is a run of vectors.
+    """
+    one, half, zero = np.float32(1), np.float32(0.5), np.float32(0)
+    for k in range(np.uintp(len(front))):
+        weight = sums[k, 0]
+        z = min(front[k], nothing)
+        each = one / max(weight, np.float32(MIN_WEIGHT))
+        alpha = min(max(half + (weight - half) * sums[k, 1] * each, zero), one)
+        alpha = alpha if weight > np.float32(MIN_WEIGHT) else zero
+        each *= alpha
+        red, green, blue = each * sums[k, 2], each * sums[k, 3], each * sums[k, 4]
+        cover = face[k, 3] if faces else zero
+        first = depths[k] <= z + tolerance
+        # A face without coverage may hold anything.
+        shows = cover > zero
+        over = cover if first else (one - alpha) * cover
+        under = one - cover if first else one
+        red = over * face[k, 0] + under * red if shows else red
+        green = over * face[k, 1] + under * green if shows else green
+        blue = over * face[k, 2] + under * blue if shows else blue
+        lane[0, k] = depths[k] if shows & (cover >= half) & (first | (alpha < half)) else z
+        lane[1, k] = one - (one - cover) * (one - alpha)
+        lane[2, k], lane[3, k], lane[4, k] = red, green, blue
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def pack(band, x0, y0, bits, halves):  # type: ignore[no-untyped-def]
-    """A band of a rectangle of the frame as half floats RGBA (h, w, 4).
+def pack(band, x0, y0, frame, x1, y1, halves):  # type: ignore[no-untyped-def]
+    """A band of a part (h, w, 3) of the frame, whose corner is x0, y0, as half floats into those with corner x1, y1."""
+    width = frame.shape[1]
+    for row in range(band * BAND, min((band + 1) * BAND, len(frame))):
+        to_halves(frame[row].view(np.int32), halves[y0 - y1 + row, x0 - x1 : x0 - x1 + width])
 
-    `bits` (H, W, 3) is the frame's RGB seen as int32. What is below 2^-14 becomes 0; the largest half float stays one.
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def to_halves(bits, halves):  # type: ignore[no-untyped-def]
+    """RGB (W, 3), float32 seen as int32, as half floats RGBA (W, 4).
+
+    What is below 2^-14 becomes 0; the largest half float stays one.
     """
-    for row in range(band * BAND, min((band + 1) * BAND, len(halves))):
-        for k in range(halves.shape[1]):
-            for c in range(3):
-                b = np.int32(bits[y0 + row, x0 + k, c])
-                value = ((b + np.int32(0x0FFF) + ((b >> 13) & 1)) >> 13) - np.int32(112 << 10)
-                if b < np.int32(113 << 23):
-                    value = np.int32(0)
-                elif value > np.int32(0x7BFF):
-                    value = np.int32(0x7BFF)
-                halves[row, k, c] = np.uint16(value)
-            halves[row, k, 3] = np.uint16(0x3C00)
+    for k in range(np.uintp(len(bits))):
+        for c in range(np.uintp(3)):
+            b = np.int32(bits[k, c])
+            value = ((b + np.int32(0x0FFF) + ((b >> 13) & 1)) >> 13) - np.int32(112 << 10)
+            value = min(value, np.int32(0x7BFF)) if b >= np.int32(113 << 23) else np.int32(0)
+            halves[k, c] = np.uint16(value)
+        halves[k, 3] = np.uint16(0x3C00)

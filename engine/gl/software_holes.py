@@ -40,43 +40,45 @@ def tile_depths(line, front, faces, face, depths, left_open, right_open, ends, l
         while right_open and end > start and front[y, end - 1] == infinite and not (faces and face[y, end - 1, 3] > 0):
             end -= 1
             ends[y, end] = -infinite
-        for x in range(start, end):
-            limit = front[y, x]
-            if faces and face[y, x, 3] >= OPAQUE:
-                limit = min(limit, depths[y, x])
-            ends[y, x] = limit
-            limits[line, x // TILE] = max(limits[line, x // TILE], limit)
+        opaque = np.float32(OPAQUE)
+        for x in range(np.uintp(start), np.uintp(end)):
+            ends[y, x] = front[y, x]
+        if faces:
+            for x in range(np.uintp(start), np.uintp(end)):
+                ends[y, x] = min(ends[y, x], depths[y, x] if face[y, x, 3] >= opaque else infinite)
+        for column in range(start // TILE, -(-end // TILE)):
+            most = limits[line, column]
+            for x in range(np.uintp(column * TILE), np.uintp(min((column + 1) * TILE, width))):
+                most = max(most, ends[y, x])
+            limits[line, column] = most
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def seen_through(rows, geometry, enlarge, cam, limits, layer):  # type: ignore[no-untyped-def]
-    """Those of some atoms that begin before the limit of a tile that they touch, or within the layer behind it."""
-    kept = np.empty(len(rows), np.uint32)
-    count = 0
+def seen_through(chunk, chunk_size, rows, geometry, enlarge, cam, limits, layer, seen):  # type: ignore[no-untyped-def]
+    """Marks in `seen` (N,) which of a chunk of atoms begin before the limit of a tile that they touch, or within the
+    layer behind it."""
     lines, columns = limits.shape
     ortho = cam[20] != 0.0
     tilt = 1.0
     if not ortho:  # a splat's affine extent is 3 sigma f / z sqrt(1 + slope^2), the slope held
         across, down = max(-cam[16], cam[17]), max(-cam[18], cam[19])
         tilt = math.sqrt(1.0 + across * across + down * down)
-    for i in range(len(rows)):
+    for i in range(chunk * chunk_size, min((chunk + 1) * chunk_size, len(rows))):
+        seen[i] = False
         g = geometry[rows[i]]
-        x = cam[0] * g[0] + cam[1] * g[1] + cam[2] * g[2] + cam[9]
-        y = cam[3] * g[0] + cam[4] * g[1] + cam[5] * g[2] + cam[10]
         z = cam[6] * g[0] + cam[7] * g[1] + cam[8] * g[2] + cam[11]
         if not z > cam[21]:
             continue
+        x = cam[0] * g[0] + cam[1] * g[1] + cam[2] * g[2] + cam[9]
+        y = cam[3] * g[0] + cam[4] * g[1] + cam[5] * g[2] + cam[10]
         over = 1.0 if ortho else z
         u, v = cam[12] * x / over + cam[14], cam[13] * y / over + cam[15]
         size = 3.0 * enlarge * max(g[3], g[4], g[5])
         reach = size * max(cam[12], cam[13]) / over * tilt + 3.0
         x0, x1 = max(math.floor((u - reach) / TILE), 0.0), min(math.floor((u + reach) / TILE) + 1.0, columns)
         y0, y1 = max(math.floor((v - reach) / TILE), 0.0), min(math.floor((v + reach) / TILE) + 1.0, lines)
-        begin = z - size - layer
-        if x0 < x1 and y0 < y1 and deepest(limits, int(x0), int(x1), int(y0), int(y1)) >= begin:
-            kept[count] = rows[i]
-            count += 1
-    return kept[:count]
+        if x0 < x1 and y0 < y1:
+            seen[i] = deepest(limits, int(x0), int(x1), int(y0), int(y1)) >= z - size - layer
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
