@@ -44,7 +44,8 @@ CHUNKS = 16
 LEAST_CHUNK = 2048
 """Gaussians: a tenth of a millisecond's work, against some microseconds to call a kernel."""
 
-TILES_PER_TASK = 64
+TILES_PER_TASK = 24
+"""Few enough that the last task of a small picture keeps nobody waiting."""
 
 ROWS_PER_TASK = 4
 """Rows of tiles that are filled or read out in one task."""
@@ -165,17 +166,14 @@ def _backward(
     kind = scene.means.dtype
     tiles_y, tiles_x = -(-outer[1].shape[0] // SIDE), -(-outer[1].shape[1] // SIDE)
     adjoints = _empty((tiles_y * tiles_x, BLOCKS, ADJOINT * BLOCK), kind)
-    for_each(
-        start_backward,
-        -(-tiles_y // ROWS_PER_TASK),
-        ROWS_PER_TASK,
-        frame.states,
-        np.array(background, kind),
-        *outer,
-        adjoints,
-    )
     parameters = scene.means, scene.scales, scene.quats, scene.opacities, scene.colours
-    gradients = [np.zeros(array.shape, kind) for array in parameters]
+    ends = np.cumsum([array.size for array in parameters])
+    flat = np.empty(ends[-1], kind)
+    for_each(
+        start_backward, -(-tiles_y // ROWS_PER_TASK), ROWS_PER_TASK, frame.states, np.array(background, kind), *outer,
+        adjoints, flat,
+    )  # fmt: skip
+    gradients = [part.reshape(a.shape) for part, a in zip(np.split(flat, ends[:-1]), parameters, strict=True)]
     tile_lasts = frame.lasts.max(axis=(1, 2))
     buffer = _empty((max((len(part.pair_tiles) for part in frame.slices), default=0), ROW), kind)
     for part in reversed(frame.slices):

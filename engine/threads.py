@@ -1,38 +1,130 @@
 """How many cores are used, and one way to use them.
 
 numba's own parallel loops and torch both keep a pool of threads; each would take all the cores. Here numba kernels run
-without the interpreter lock on this module's pool, which sleeps when it has nothing to do: no spinning beside torch's
-threads, no trouble after a fork, and any number of threads of the app may render at once.
+without the interpreter lock on this module's threads. A frame is a dozen short loops, and to wake a sleeping thread
+takes as long as one of them: a thread that has had work looks out for more a fifth of a millisecond long, then sleeps.
 """
 
 from __future__ import annotations
 
 import itertools
 import os
+import platform
+import threading
+import time
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numba
+import numpy as np
 import torch
+from llvmlite import ir  # type: ignore[import-untyped]
+from numba import njit, types
+from numba.extending import intrinsic
 
 __all__ = ["cores", "for_each", "use_cores"]
 
+PATIENCE = 10_000
+"""Looks before a thread goes to sleep, some 20 ns each: longer than the caller takes from one loop to the next."""
+
+SETTLE = 500
+"""Pauses after work was seen: by then the caller has left the interpreter for its own part, and its lock is free."""
+
+NEWEST, JOINED = 0, 8
+"""Places on the board, on cache lines of their own: number of the newest loop; how many threads are at work on it."""
+
+NAP = 2e-4
+"""Seconds between looks at a thread that takes longer than PATIENCE for its last part."""
+
+IS_X86 = platform.machine().lower() in ("x86_64", "amd64")
+
+
+class _Loop:
+    """One call of for_each."""
+
+    def __init__(self, kernel: Callable[..., Any], count: int, args: tuple[Any, ...]) -> None:
+        self.kernel, self.count, self.args = kernel, count, args
+        self.counter = itertools.count()  # next() on it is one step under the interpreter lock
+        self.error: BaseException | None = None
+
+    def work(self) -> None:
+        """Does what nobody else has begun."""
+        try:
+            while self.error is None and (i := next(self.counter)) < self.count:
+                self.kernel(i, *self.args)
+        except BaseException as error:
+            self.error = self.error or error
+
+
+class _Team:
+    """Threads beside the calling one that take part in its loops, one loop at a time."""
+
+    def __init__(self, helpers: int) -> None:
+        self.busy = threading.Lock()
+        self.board = np.zeros(16, np.int64)
+        self.gate = threading.Condition()
+        self.loop: _Loop | None = None
+        self.closed = False
+        for k in range(helpers):
+            threading.Thread(target=self._serve, name=f"render-{k}", daemon=True).start()
+
+    def run(self, loop: _Loop) -> None:
+        """Returns when all of it is done; `busy` must be held."""
+        with self.gate:
+            self.loop = loop
+            self.board[NEWEST] += 1
+            self.gate.notify_all()
+        loop.work()
+        with self.gate:
+            self.loop = None  # whoever has not begun has nothing left to do
+        while not becomes(self.board, JOINED, 0, True, PATIENCE, 0):
+            time.sleep(NAP)
+
+    def close(self) -> None:
+        with self.gate:
+            self.closed = True
+            self.board[NEWEST] += 1
+            self.gate.notify_all()
+
+    def _serve(self) -> None:
+        seen = 0
+        while True:
+            if not becomes(self.board, NEWEST, seen, False, PATIENCE, SETTLE):
+                with self.gate:
+                    self.gate.wait_for(lambda last=seen: self.board[NEWEST] != last)  # type: ignore[misc]
+            with self.gate:
+                seen, loop = int(self.board[NEWEST]), self.loop
+                self.board[JOINED] += loop is not None
+            if self.closed:
+                return
+            if loop is not None:
+                loop.work()
+                with self.gate:
+                    self.board[JOINED] -= 1
+
 
 class _Pool:
-    """The threads beside the calling one; made on first use, made anew in a forked child."""
+    """The team, made on first use, made anew in a forked child."""
 
     def __init__(self) -> None:
         self.count = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-        self.executor: ThreadPoolExecutor | None = None
+        self.lock = threading.Lock()
+        self._team: _Team | None = None
 
-    def helpers(self) -> ThreadPoolExecutor:
-        if self.executor is None:
-            self.executor = ThreadPoolExecutor(max(1, self.count - 1), thread_name_prefix="render")
-        return self.executor
+    def team(self) -> _Team:
+        with self.lock:
+            if self._team is None:
+                self._team = _Team(self.count - 1)
+            return self._team
+
+    def resize(self, count: int) -> None:
+        with self.lock:
+            if self._team is not None:
+                self._team.close()
+            self.count, self._team = count, None
 
     def forget(self) -> None:
-        self.executor = None
+        self.lock, self._team = threading.Lock(), None
 
 
 _pool = _Pool()
@@ -46,7 +138,7 @@ def cores() -> int:
 
 
 def use_cores(count: int) -> None:
-    """Sets the number of threads of this pool, of numba's parallel loops and of torch, at least 1.
+    """Sets the number of threads of this module, of numba's parallel loops and of torch, at least 1.
 
     They never run at the same time, so each may have them all.
     """
@@ -54,29 +146,49 @@ def use_cores(count: int) -> None:
     numba.set_num_threads(min(count, vars(numba.config)["NUMBA_NUM_THREADS"]))
     torch.set_num_threads(count)
     if count != _pool.count:
-        _pool.count = count
-        _pool.forget()
+        _pool.resize(count)
 
 
 def for_each(kernel: Callable[..., Any], count: int, *args: Any) -> None:
     """Runs kernel(i, *args) for every i in 0..count-1, spread over the cores; returns when all are done.
 
     The kernel must release the interpreter lock (`nogil=True`) to gain from it, and its calls must not depend on each
-    other. The first error is raised.
+    other. An error is raised once all have ended. Where another thread has the cores, the calling one does all alone.
     """
-    threads = min(_pool.count, count)
-    if threads <= 1:
-        for i in range(count):
-            kernel(i, *args)
-        return
-    counter = itertools.count()  # next() on it is one step under the interpreter lock
+    loop = _Loop(kernel, count, args)
+    if min(_pool.count, count) > 1 and (team := _pool.team()).busy.acquire(blocking=False):
+        try:
+            team.run(loop)
+        finally:
+            team.busy.release()
+    else:
+        loop.work()
+    if loop.error is not None:
+        raise loop.error
 
-    def work() -> None:
-        while (i := next(counter)) < count:
-            kernel(i, *args)
 
-    helpers = [_pool.helpers().submit(work) for _ in range(threads - 1)]
-    work()
-    for helper in helpers:
-        if not helper.cancel():  # one that has not begun has nothing left to do
-            helper.result()
+def _read(typingctx, board, place):  # type: ignore[no-untyped-def]
+    """A number of an int64 array as it is in memory now, after a pause that lets the core's other thread go on."""
+
+    def codegen(context, builder, sig, values):  # type: ignore[no-untyped-def]
+        array = context.make_array(sig.args[0])(context, builder, values[0])
+        if IS_X86:
+            pause = builder.module.declare_intrinsic("llvm.x86.sse2.pause", (), ir.FunctionType(ir.VoidType(), ()))
+            builder.call(pause, ())
+        return builder.load_atomic(builder.gep(array.data, [values[1]]), ordering="acquire", align=8)
+
+    return types.int64(board, place), codegen
+
+
+_look: Any = intrinsic(_read)
+
+
+@njit(cache=True, nogil=True)
+def becomes(board, place, value, equal, looks, settle):  # type: ignore[no-untyped-def]
+    """Whether board[place] comes to equal `value` (or to differ from it) within so many looks; then some pauses."""
+    for _ in range(looks):
+        if (_look(board, place) == value) == equal:
+            for _ in range(settle):
+                _look(board, place)
+            return True
+    return False

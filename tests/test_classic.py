@@ -20,7 +20,7 @@ from engine.cpu.depth_order import depth_order
 from engine.cpu.splats import project
 from engine.gaussians import Gaussians
 from engine.projection import pack_camera
-from engine.threads import cores, for_each, use_cores
+from engine.threads import cores, use_cores
 
 REFERENCE = Path(__file__).parents[1].parent / "shared/data/reference"
 BACKGROUND = (0.2, 0.5, 0.9)
@@ -370,18 +370,3 @@ def test_depth_order_is_a_stable_sort(camera: Camera, kind: type) -> None:
     steps = np.diff(depths[order])
     assert steps.min() > -5e-8  # float32 depths would be wrong by 1e-6
     assert (np.diff(order)[steps == 0] > 0).all()
-
-
-def test_for_each_runs_all_and_raises() -> None:
-    done = np.zeros(100, int)
-
-    def mark(i: int, array: np.ndarray) -> None:
-        array[i] += 1
-
-    def fail(_: int) -> None:
-        raise ValueError("task 0")
-
-    for_each(mark, 100, done)
-    assert (done == 1).all()
-    with pytest.raises(ValueError, match="0"):
-        for_each(fail, 5)

@@ -262,26 +262,41 @@ def start_backward(  # type: ignore[no-untyped-def]
     g_alpha,  # [H, W]
     g_depth,  # [H, W]
     adjoints,  # out [all tiles, BLOCKS, ADJOINT * BLOCK]
+    gradients,  # out [.] of all parameters, one after the other
 ):
-    """The picture's gradient for the rows of tiles of one task, in the order of the tiles."""
+    """The picture's gradient for the rows of tiles of one task, in the order of the tiles; its share of the parameters'
+    gradients becomes 0."""
     height, width = g_alpha.shape
     tiles_x = (width + SIDE - 1) // SIDE
+    tasks = -(-((height + SIDE - 1) // SIDE) // rows_per_task)
+    gradients[len(gradients) * task // tasks : len(gradients) * (task + 1) // tasks] = 0
     first = task * rows_per_task * tiles_x
     for tile in range(first, min(first + rows_per_task * tiles_x, len(adjoints))):
         top, left = tile // tiles_x * SIDE, tile % tiles_x * SIDE
-        adjoints[tile] = 0
+        if top + SIDE > height or left + SIDE > width:
+            adjoints[tile] = 0
         for y in range(top, min(top + SIDE, height)):
-            block, shift = (y - top) // 2, (y - top) % 2 * SIDE - left
-            for x in range(left, min(left + SIDE, width)):
-                i = shift + x
-                red, green, blue = g_rgb[y, x, 0], g_rgb[y, x, 1], g_rgb[y, x, 2]
-                behind = background[0] * red + background[1] * green + background[2] * blue - g_alpha[y, x]
-                adjoints[tile, block, i] = abs(states[tile, block, i])
-                adjoints[tile, block, BLOCK + i] = behind
-                adjoints[tile, block, 2 * BLOCK + i] = red
-                adjoints[tile, block, 3 * BLOCK + i] = green
-                adjoints[tile, block, 4 * BLOCK + i] = blue
-                adjoints[tile, block, 5 * BLOCK + i] = g_depth[y, x]
+            block, shift = (y - top) // 2, np.uintp((y - top) % 2 * SIDE)
+            _start_backward_row(
+                states[tile, block], background, g_rgb[y, left:], g_alpha[y, left:], g_depth[y, left:], shift,
+                adjoints[tile, block],
+            )  # fmt: skip
+
+
+@njit(cache=True, error_model="numpy")
+def _start_backward_row(states, background, g_rgb, g_alpha, g_depth, shift, out):  # type: ignore[no-untyped-def]
+    """Fills the ADJOINT runs of a tile's row of pixels, which begins at `shift` in each."""
+    for x in range(np.uintp(min(SIDE, len(g_alpha)))):
+        i = shift + x
+        red, green, blue = g_rgb[x, 0], g_rgb[x, 1], g_rgb[x, 2]
+        behind = background[0] * red + background[1] * green + background[2] * blue - g_alpha[x]
+        left = abs(states[i])
+        out[i] = left
+        out[np.uintp(BLOCK) + i] = behind
+        out[np.uintp(2 * BLOCK) + i] = red
+        out[np.uintp(3 * BLOCK) + i] = green
+        out[np.uintp(4 * BLOCK) + i] = blue
+        out[np.uintp(5 * BLOCK) + i] = g_depth[x]
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -313,12 +328,13 @@ def resolve(task, rows_per_task, states, background, rgb, alpha, depth):  # type
     for tile in range(first, min(first + rows_per_task * tiles_x, len(states))):
         top, corner = tile // tiles_x * SIDE, tile % tiles_x * SIDE
         for y in range(top, min(top + SIDE, height)):
-            block, shift = (y - top) // 2, (y - top) % 2 * SIDE - corner
-            for x in range(corner, min(corner + SIDE, width)):
+            part, shift = states[tile, (y - top) // 2], np.uintp((y - top) % 2 * SIDE)
+            row_rgb, row_alpha, row_depth = rgb[y, corner:], alpha[y, corner:], depth[y, corner:]
+            for x in range(np.uintp(min(SIDE, len(row_alpha)))):
                 i = shift + x
-                left = abs(states[tile, block, i])
-                rgb[y, x, 0] = states[tile, block, BLOCK + i] + left * background[0]
-                rgb[y, x, 1] = states[tile, block, 2 * BLOCK + i] + left * background[1]
-                rgb[y, x, 2] = states[tile, block, 3 * BLOCK + i] + left * background[2]
-                alpha[y, x] = one - left
-                depth[y, x] = states[tile, block, 4 * BLOCK + i]
+                left = abs(part[i])
+                row_rgb[x, 0] = part[np.uintp(BLOCK) + i] + left * background[0]
+                row_rgb[x, 1] = part[np.uintp(2 * BLOCK) + i] + left * background[1]
+                row_rgb[x, 2] = part[np.uintp(3 * BLOCK) + i] + left * background[2]
+                row_alpha[x] = one - left
+                row_depth[x] = part[np.uintp(4 * BLOCK) + i]

@@ -1,0 +1,114 @@
+"""Loops over cores: everything is done once, whoever calls, whatever fails, however many threads there are."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from engine.threads import cores, for_each, use_cores
+
+
+@pytest.fixture(autouse=True)
+def same_cores() -> Iterator[None]:
+    before = cores()
+    yield
+    use_cores(before)
+
+
+def mark(i: int, array: np.ndarray) -> None:
+    array[i] += 1
+
+
+def slow_mark(i: int, array: np.ndarray) -> None:
+    time.sleep(1e-4)
+    array[i] += 1
+
+
+@pytest.mark.parametrize("threads", [1, 2, 3, 8])
+def test_everything_is_done_once(threads: int) -> None:
+    use_cores(threads)
+    for count in (0, 1, 2, 7, 100):
+        for kernel in (mark, slow_mark):
+            done = np.zeros(count, int)
+            for_each(kernel, count, done)
+            assert (done == 1).all()
+
+
+def test_a_helper_takes_part_and_sleeps_when_there_is_nothing_to_do() -> None:
+    use_cores(2)
+    who = set()
+
+    def note(_: int) -> None:
+        time.sleep(1e-3)
+        who.add(threading.get_ident())
+
+    for_each(note, 20)
+    assert len(who) == 2
+    time.sleep(0.05)
+    before = time.process_time()
+    time.sleep(0.2)
+    assert time.process_time() - before < 0.1
+    who.clear()
+    for_each(note, 20)  # and wakes up again
+    assert len(who) == 2
+
+
+def test_an_error_is_raised_once_all_have_ended() -> None:
+    use_cores(3)
+    running = []
+
+    def fail(i: int) -> None:
+        running.append(i)
+        time.sleep(0.01 * i)
+        running.remove(i)
+        if i == 0:
+            raise ValueError("task 0")
+
+    with pytest.raises(ValueError, match="task 0"):
+        for_each(fail, 3)
+    assert not running
+    done = np.zeros(50, int)
+    for_each(slow_mark, 50, done)
+    assert (done == 1).all()
+
+
+def test_many_threads_call_at_once() -> None:
+    use_cores(3)
+    arrays = [np.zeros(40, int) for _ in range(6)]
+
+    def call(array: np.ndarray) -> None:
+        for _ in range(25):
+            for_each(mark, 40, array)
+
+    callers = [threading.Thread(target=call, args=(array,)) for array in arrays]
+    for caller in callers:
+        caller.start()
+    for caller in callers:
+        caller.join(20)
+    assert all((array == 25).all() for array in arrays)
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system has no fork")
+@pytest.mark.filterwarnings("ignore:This process:DeprecationWarning")
+def test_a_forked_child_has_threads_of_its_own() -> None:
+    use_cores(2)
+    for_each(slow_mark, 10, np.zeros(10, int))
+    child = os.fork()
+    if child == 0:
+        done = np.zeros(10, int)
+        for_each(slow_mark, 10, done)
+        os._exit(int(done.sum()))
+    for _ in range(200):
+        gone, status = os.waitpid(child, os.WNOHANG)
+        if gone:
+            break
+        time.sleep(0.05)
+    else:
+        os.kill(child, 9)
+        pytest.fail("the child hangs")
+    assert os.waitstatus_to_exitcode(status) == 10
