@@ -72,11 +72,11 @@ def label(
 def solved(
     request: Request, geometry: Geometry, cuts: Sequence[Slice], prior: Solves, progress: Progress
 ) -> tuple[list[NDArray[np.float32]], Colours]:
-    """Labels that agree in space, because they are cuts through one volume; and its colours."""
+    """Labels that agree in space, because they are cuts through one volume; and its colours, for atoms."""
     voxels = request.fineness.voxels
     volume = prior.solve(geometry.body, geometry.up, request.families, voxels, request.seed, progress)
     pictures = [np.where(cut.condition.inside[..., None], volume.at(cut.points), np.float32(1.0)) for cut in cuts]
-    return pictures, volume.at
+    return pictures, volume.crisp
 
 
 def distilled(

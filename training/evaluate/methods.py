@@ -176,6 +176,8 @@ class TrueVolume(Volume):
         """(..., 3). True colours at world points (..., 3)."""
         return self.solid.colour(points)
 
+    crisp = at
+
 
 @dataclass(frozen=True)
 class Oracle:

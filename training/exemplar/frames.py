@@ -18,7 +18,9 @@ from training.exemplar.patches import OVER, POLAR, RADIAL
 from training.exemplar.pictures import Picture, fill_outside
 
 __all__ = [
+    "ANGLES",
     "HEIGHT_CELLS",
+    "INSET_STEP",
     "RADIUS_CELLS",
     "Frame",
     "Sheet",
@@ -43,6 +45,9 @@ MARGIN = 6
 
 ANGLES = 180
 """Directions around the axis in which the rim of a slice is known."""
+
+INSET_STEP = 0.5
+"""Cells: as the picture's pixels."""
 
 ROUND = 0.09
 """Relative variation of the rim up to which a body counts as round: an ellipse of 1 to 1.3."""
@@ -201,6 +206,8 @@ class Sheet:
     """Half width and half height of the cut face in cells."""
     rims: NDArray[np.float32]
     """(ANGLES,). Distance of the edge from the centre, counter-clockwise from the right, in cells."""
+    insets: NDArray[np.float32]
+    """(ANGLES, L). How far inward of the edge, towards the centre, the depth reaches l INSET_STEPs, in cells."""
 
     def read(self, x: NDArray[np.floating], y: NDArray[np.floating]) -> NDArray[np.float32]:
         """(..., 3). Bilinear colours at (x, y) in cells."""
@@ -217,6 +224,16 @@ class Sheet:
         """(...). Distance of the edge from the centre at angles in radians."""
         turn = np.asarray(angle) / (2 * np.pi) * ANGLES - 0.5
         return ndimage.map_coordinates(self.rims, turn[None], order=1, mode="grid-wrap", output=np.float32)
+
+    def inset(self, angle: NDArray[np.floating], depth: NDArray[np.floating]) -> NDArray[np.float32]:
+        """(...). How far inward of the edge, at angles in radians, lies what is `depth` cells under it.
+
+        At a corner of a loaf that is farther than the depth itself.
+        """
+        turn = np.asarray(angle) / (2 * np.pi) * ANGLES - 0.5
+        at = np.stack([turn % ANGLES, np.asarray(depth) / INSET_STEP])
+        closed = np.concatenate([self.insets, self.insets[:1]])
+        return ndimage.map_coordinates(closed, at, order=1, mode="nearest", output=np.float32)
 
 
 @dataclass(frozen=True)
@@ -242,7 +259,8 @@ def scaled_sheet(picture: Picture, inradius: float, kind: Frame, cells: float) -
     mask = np.pad(mask, pad)
     rgb = np.pad(rgb, ((pad, pad), (pad, pad), (0, 0)), mode="edge")
     rgb = np.clip(np.where(mask[..., None], rgb, fill_outside(rgb, mask)), 0, 1)
-    depth = ndimage.distance_transform_edt(mask).astype(np.float32) / np.float32(OVER * inradius)
+    # The edge lies half a pixel before the centre of the outermost one.
+    depth = np.maximum(ndimage.distance_transform_edt(mask) - 0.5, 0).astype(np.float32) / np.float32(OVER * inradius)
     rows, columns = np.nonzero(mask)
     if kind == POLAR:
         middle = (columns.mean() / OVER, rows.mean() / OVER)
@@ -250,6 +268,7 @@ def scaled_sheet(picture: Picture, inradius: float, kind: Frame, cells: float) -
         middle = ((columns.min() + columns.max()) / 2 / OVER, (rows.min() + rows.max()) / 2 / OVER)
     half = (float(np.ptp(columns)) / 2 / OVER, float(np.ptp(rows)) / 2 / OVER)
     rims = _rims(mask, middle)
+    insets = _insets(depth * np.float32(inradius), middle, rims)
     grid = np.zeros_like(mask)
     grid[::OVER, ::OVER] = True
     rows, columns = np.nonzero(mask & grid)
@@ -270,7 +289,7 @@ def scaled_sheet(picture: Picture, inradius: float, kind: Frame, cells: float) -
     else:
         ab = np.stack([one, zero, zero, -one], -1)
         gate = np.stack([d, zero, zero], -1)
-    return Sheet(rgb, xy, ab.astype(np.float32), gate.astype(np.float32), depth, middle, half, rims)
+    return Sheet(rgb, xy, ab.astype(np.float32), gate.astype(np.float32), depth, middle, half, rims, insets)
 
 
 def voxel_gate(space: Space, kind: Frame) -> NDArray[np.float32]:
@@ -302,6 +321,23 @@ def _rims(mask: NDArray[np.bool_], middle: tuple[float, float]) -> NDArray[np.fl
     last = len(reach) - 1 - np.argmax(hit[:, ::-1], axis=1)
     rims = np.where(hit.any(1), reach[last], 1.0) / OVER
     return np.maximum(ndimage.gaussian_filter1d(rims, 1.0, mode="wrap"), 1.0).astype(np.float32)
+
+
+def _insets(depth: NDArray[np.float32], middle: tuple[float, float], rims: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(ANGLES, L). See Sheet.insets; `depth` (H, W) in cells, OVER pixels to a cell. Places beyond the centre count as
+    the centre."""
+    angles = (np.arange(ANGLES) + 0.5) / ANGLES * 2 * np.pi
+    inward = np.arange(0, float(rims.max()), INSET_STEP, dtype=np.float32)
+    r = np.maximum(rims[:, None] - inward, 0)
+    x = (middle[0] + np.cos(angles)[:, None] * r) * OVER
+    y = (middle[1] - np.sin(angles)[:, None] * r) * OVER
+    found = ndimage.map_coordinates(depth, np.stack([y, x]), order=1, mode="constant")
+    # Depth grows inward until the ridge of the shape; a dip behind it is not what lies under the skin there.
+    found = np.maximum.accumulate(found, axis=1)
+    levels = np.arange(0, float(depth.max()) + INSET_STEP, INSET_STEP)
+    steep = found + 1e-4 * inward  # so that each depth is reached at one place
+    insets = np.stack([np.interp(levels, row, inward) for row in steep])
+    return np.minimum(insets, rims[:, None]).astype(np.float32)
 
 
 def _resize(a: NDArray[np.float32], scale: float) -> NDArray[np.float32]:

@@ -15,7 +15,7 @@ from scipy import ndimage
 
 from training.exemplar.carve import Carving
 from training.exemplar.decompose import Layers
-from training.exemplar.frames import Space, rim_of
+from training.exemplar.frames import ANGLES, INSET_STEP, Space, rim_of
 from training.exemplar.morph import Slices
 from training.exemplar.patches import OVER
 from training.prior import Progress
@@ -180,9 +180,9 @@ def _place(
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """(M,), (M,). Where in a picture, cells, a voxel at this angle, share of the rim and depth in inradii is found."""
     rim = layers.sheet.rim(angle)
-    by_depth = np.clip(1 - depth * space.inradius / rim, 0, 1)
+    by_depth = np.maximum(rim - layers.sheet.inset(angle, depth * space.inradius), 0)
     near = _near_skin(depth, layers.rind)
-    r = (near * by_depth + (1 - near) * share) * rim
+    r = near * by_depth + (1 - near) * share * rim
     return layers.sheet.middle[0] + r * np.cos(angle), layers.sheet.middle[1] - r * np.sin(angle)
 
 
@@ -236,17 +236,15 @@ def heights(space: Space, axis: Axis, colours: NDArray[np.float32], carrier: Lay
     thing than the carried picture's ring at that place (a layer, the end of a core, thick pith at a pole), theirs is
     taken; where they agree on a gentler difference, it is added. Seeds and other chance are in one of them at a time.
     """
-    ring = _ring(carrier)
+    ring, under = _ring(carrier), _under(carrier, space.inradius)
     looks = [(p, side) for p in radial for side in (1, -1)]
     for start in range(0, len(colours), CHUNK):
         part = slice(start, start + CHUNK)
         share = np.minimum(axis.radius[part] / axis.rim[part], 1)
         # The rings of the carried picture, by depth and share like the picture itself.
-        whole = float(carrier.sheet.rims.mean())
-        by_depth = np.clip(1 - space.depth[part] * space.inradius / whole, 0, 1)
-        near = _near_skin(space.depth[part], carrier.rind)
-        at = (near * by_depth + (1 - near) * share) * (len(ring) - 1)
-        base = np.stack([np.interp(at, np.arange(len(ring)), ring[:, c]) for c in range(3)], -1)
+        near = _near_skin(space.depth[part], carrier.rind)[:, None]
+        base = near * _along(under, space.depth[part] * space.inradius / INSET_STEP)
+        base += (1 - near) * _along(ring, share * (len(ring) - 1))
         seen = np.empty((len(looks), len(base), 3), np.float32)
         for n, (parts, side) in enumerate(looks):
             x, y = _radial_place(space, parts, part)
@@ -272,6 +270,20 @@ def _ring(parts: Layers) -> NDArray[np.float32]:
     angles = np.linspace(0, 2 * np.pi, 180, endpoint=False)
     r = np.linspace(0, 1, 64)[:, None] * sheet.rim(angles)
     return np.median(sheet.read(sheet.middle[0] + r * np.cos(angles), sheet.middle[1] - r * np.sin(angles)), axis=1)
+
+
+def _under(parts: Layers, inradius: float) -> NDArray[np.float32]:
+    """(L, 3). Median colour of a picture at each INSET_STEP of depth under its edge."""
+    sheet = parts.sheet
+    angles = (np.arange(ANGLES) + 0.5) / ANGLES * 2 * np.pi
+    levels = np.arange(0, float(sheet.depth.max()) * inradius, INSET_STEP)[:, None]
+    r = np.maximum(sheet.rim(angles) - sheet.inset(*np.broadcast_arrays(angles, levels)), 0)
+    return np.median(sheet.read(sheet.middle[0] + r * np.cos(angles), sheet.middle[1] - r * np.sin(angles)), axis=1)
+
+
+def _along(colours: NDArray[np.float32], at: NDArray[np.floating]) -> NDArray[np.float64]:
+    """(M, 3). A row of colours (L, 3) read at places (M,) along it."""
+    return np.stack([np.interp(at, np.arange(len(colours)), colours[:, c]) for c in range(3)], -1)
 
 
 def _radial_place(space: Space, layers: Layers, part: slice) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
