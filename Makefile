@@ -29,6 +29,7 @@ bench: $(READY)
 	@tools/ensure_gl.sh
 	$(BIN)/fruitninja-evaluate --cuts 24 -o out/evaluation
 	$(BIN)/python -m benchmarks.oblique_cuts
+	$(BIN)/python -m benchmarks.label_makers
 	$(BIN)/python -m benchmarks.interior
 	$(BIN)/python -m benchmarks.presets
 	$(BIN)/python -m benchmarks.stability

@@ -18,7 +18,7 @@ from training.exemplar.frames import make_sheet, make_space
 from training.exemplar.light import gain_between
 from training.exemplar.patches import POLAR, posterior
 from training.families import Family
-from training.prior import Condition
+from training.prior import Condition, Volume
 
 UP = np.array([0.0, 0.0, 1.0])
 RIND, FLESH, SEED = np.array([0.1, 0.5, 0.1]), np.array([0.85, 0.15, 0.15]), np.array([0.05, 0.03, 0.02])
@@ -196,6 +196,41 @@ def test_colours_by_depth_are_the_pictures(tmp_path: Path) -> None:
     theirs = np.sort(sheet.rgb[sheet.depth > 0.25].mean(-1))
     quantiles = np.linspace(0.02, 0.98, 49)
     assert np.abs(np.quantile(ours, quantiles) - np.quantile(theirs, quantiles)).max() < 0.06
+
+
+def loaf(n: int = 48) -> Body:
+    """A box of half sizes 1, 0.6 and 0.8, rounded where depth is."""
+    cell = 2 / n
+    shape = np.array([n, round(0.6 * n), round(0.8 * n)]) + 8
+    grid = Body(-shape * cell / 2, cell, np.zeros(tuple(shape), np.float32))
+    return Body(grid.origin, cell, (np.array([1, 0.6, 0.8]) - np.abs(grid.centres())).min(-1).astype(np.float32))
+
+
+def test_a_crust_is_as_thick_in_the_corners_of_a_loaf(tmp_path: Path) -> None:
+    y, x = (np.mgrid[:200, :240] + 0.5) / 100 - [[[1.0]], [[1.2]]]
+    under = np.minimum(1 - np.abs(x), 0.6 - np.abs(y))
+    face = np.where((under < 0.15)[..., None], RIND, FLESH)
+    face = np.where((under > 0)[..., None], face, 1.0)
+    family = Family("horizontal", 40, (save(tmp_path / "loaf.png", face),))
+    volume = ExemplarPrior().solve(loaf(), UP, [family], 80, 0, quiet)
+    places = np.stack(np.meshgrid(np.linspace(-1, 1, 101), np.linspace(-0.6, 0.6, 61), [-0.1, 0.2]), -1).reshape(-1, 3)
+    under = np.minimum(1 - np.abs(places[:, 0]), 0.6 - np.abs(places[:, 1]))
+    green = volume.at(places)
+    green = green[:, 1] > green[:, 0]
+    assert green[(under > 0.02) & (under < 0.12)].mean() > 0.97
+    assert green[(under > 0.18) & (under < 0.3)].mean() < 0.03
+
+
+def test_a_spline_is_crisper_and_goes_through_the_cells() -> None:
+    rng = np.random.default_rng(5)
+    body = ball(16)
+    values = (0.5 + 0.1 * ndimage.gaussian_filter(rng.normal(size=(*body.depth.shape, 3)), (1, 1, 1, 0))).astype(
+        np.float32
+    )
+    volume = Volume(body, values)
+    np.testing.assert_allclose(volume.crisp(body.centres()), values, atol=1e-5)
+    between = body.centres()[4:-4, 4:-4, 4:-4] + body.cell / 2
+    assert 1.1 < volume.crisp(between).std() / volume.at(between).std() < 2
 
 
 def test_same_seed_same_bits(tmp_path: Path) -> None:

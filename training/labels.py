@@ -19,7 +19,7 @@ from training.deblur import deblurred
 from training.exemplar import ExemplarPrior
 from training.prior import Denoises, Progress, Solves
 from training.request import Geometry, Request
-from training.sds import distill
+from training.sds import Form, distill
 from training.smoothing import smooth
 from training.trainer import Trainer
 from training.views import Section, Slice, sections
@@ -46,17 +46,18 @@ def label(
     checkpoint: Checkpoint,
     progress: Progress,
     filler: Callable[..., InteriorAtoms] = fill,
+    form: Form = "x0",
 ) -> tuple[list[Tensor], Atoms]:
     """A label for every cut, and atoms as fine as the labels need, with colours to start from.
 
-    `filler` makes them, as engine.fill.fill does.
+    `filler` makes them, as engine.fill.fill does; `form` is how a prior that only denoises is followed.
     """
     kept = checkpoint.load("labels")
     if kept is None:
         if isinstance(prior, Solves):
             pictures, colours = solved(request, geometry, cuts, prior, progress)
         else:
-            pictures, colours = distilled(request, geometry, cuts, prior, progress)
+            pictures, colours = distilled(request, geometry, cuts, prior, progress, form)
         finest = geometry.atoms.pitch * request.fineness.cells / request.fineness.fine
         interior = filler(geometry.body, finest, request.seed, geometry.atoms.surface, colours)
         rgb = deblurred(replace(geometry.atoms, interior=interior), interior.rgb)
@@ -80,7 +81,7 @@ def solved(
 
 
 def distilled(
-    request: Request, geometry: Geometry, cuts: Sequence[Slice], prior: Denoises, progress: Progress
+    request: Request, geometry: Geometry, cuts: Sequence[Slice], prior: Denoises, progress: Progress, form: Form
 ) -> tuple[list[NDArray[np.float32]], Colours]:
     """Labels made plane by plane by score distillation, from an even grey (paper, stage one); and their colours.
 
@@ -90,7 +91,7 @@ def distilled(
     for index, cut in enumerate(cuts):
         start = np.where(cut.condition.inside[..., None], cut.condition.render, np.float32(1.0))
         rng = np.random.default_rng([request.seed, index])
-        pictures.append(distill(start, prior, cut.condition, rng))
+        pictures.append(distill(start, prior, cut.condition, rng, form))
         progress((index + 1) / len(cuts))
     rgb = written_back(geometry.atoms, sections(geometry.atoms, cuts, lambda _: None), pictures)
     tree = cKDTree(geometry.atoms.interior.means)

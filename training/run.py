@@ -32,6 +32,7 @@ from training.labels import label, make_prior
 from training.outcome import save
 from training.prior import Denoises, Solves
 from training.request import Geometry, Interrupted, Request
+from training.sds import Form
 from training.trainer import Trainer
 from training.views import ENTRIES, sections, slices, surface_cameras
 
@@ -53,6 +54,8 @@ class Parts:
     """Whether sections that disagree with their labels get new ones."""
     fill: Callable[..., InteriorAtoms] = fill
     """Makes the interior atoms from the labels' colours, as engine.fill.fill does."""
+    form: Form = "x0"
+    """How the labels follow a prior that only denoises (training.sds)."""
 
 
 def run(
@@ -89,7 +92,7 @@ def run(
             raise InputError(f"{request.scene.name}: none of the {asked} planes meets the object; give others")
         if len(cuts) < asked:
             reporter.warn(f"{request.scene.name}: {asked - len(cuts)} of {asked} planes miss the object, left out")
-        labels, atoms = label(request, geometry, cuts, prior, checkpoint, watch, parts.fill)
+        labels, atoms = label(request, geometry, cuts, prior, checkpoint, watch, parts.fill, parts.form)
         geometry = replace(geometry, atoms=atoms)
         facts |= {"interior_atoms": len(atoms.interior), "exposed_atoms": atoms.interior.exposed}
     with reporter.stage("refit") as stage:

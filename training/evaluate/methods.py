@@ -156,6 +156,11 @@ def independent(subject: Subject, request: Tuned, out: Path) -> Made:
     return trained(subject, request, out, Parts(plane_by_plane, refines=False))
 
 
+def independent_by_noise(subject: Subject, request: Tuned, out: Path) -> Made:
+    """A label for each plane by itself, down the gradient of the paper's eq. 5."""
+    return trained(subject, request, out, Parts(plane_by_plane, refines=False, form="noise"))
+
+
 def looped(subject: Subject, request: Tuned, out: Path) -> Made:
     """A label for each plane by itself, refined from what the atoms show: the paper's own loop."""
     return trained(subject, request, out, Parts(plane_by_plane))
@@ -343,6 +348,7 @@ METHODS: dict[str, Method] = {
     "physgaussian": Method("PhysGaussian", "Every interior atom takes the nearest surface colour.", physgaussian),
     "inpainting": Method("2D inpainting", "The prior draws each cut by itself when it is made.", inpainting),
     "independent": Method("Independent labels", "A label per plane, no volume, no loop.", independent),
+    "independent_sds": Method("Independent, SDS", "A label per plane by the paper's eq. 5.", independent_by_noise),
     "looped": Method("Labels in a loop", "A label per plane, refined from the render: the paper's loop.", looped),
     "no_clipping": Method("No atomic clipping", f"A scale cap {WIDER} times wider.", without_clipping),
     "no_opacity": Method("No opacification", "Opacities drawn evenly from 0 to 1.", without_opacification),

@@ -1,0 +1,92 @@
+"""Where labels come from: per-plane SDS, per-plane x0, the paper's loop, and one volume solved for all planes.
+
+    python -m benchmarks.label_makers [--scenes orange,bread] [--detail draft] [--out docs/charts]
+
+The same exemplars, fill, training and cuts, which nobody trained; one prior, asked in four ways. Writes
+label_makers.json, label_makers.png (figures against seconds) and, for each scene, three cuts as a sheet: truth, SDS,
+x0, loop, volume. Started again after an interruption it goes on; delete out/label_makers to measure anew.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from PIL import Image
+
+from engine.files import atomic
+from training.evaluate.grid import cells, perform_all
+
+mpl.use("Agg")
+from matplotlib import pyplot as plt
+
+ROOT = Path(__file__).parents[1]
+METHODS = {
+    "independent_sds": "per plane, SDS (eq. 5)",
+    "independent": "per plane, x0",
+    "looped": "per plane, x0, loop",
+    "ours": "one volume (solve)",
+}
+FIGURES = {
+    "psnr_db": "PSNR dB",
+    "patch": "patch distance (truth 0)",
+    "sharpness": "sharpness (truth 1)",
+    "fid_random": "FID (truth 0)",
+}
+COLOURS = ("#5B7A99", "#8FA9C2", "#303337", "#FF6B4A")
+MARKERS = "osD^"
+CUTS, SHOWN = 12, 3
+
+
+def draw(found: dict[str, dict[str, Any]], path: Path) -> None:
+    """A panel for each figure."""
+    figure, panels = plt.subplots(1, len(FIGURES), figsize=(16, 4.2), constrained_layout=True)
+    for panel, (figure_name, title) in zip(panels, FIGURES.items(), strict=True):
+        for marker, (scene, methods) in zip(MARKERS, found.items(), strict=False):
+            for colour, (method, label) in zip(COLOURS, METHODS.items(), strict=True):
+                if facts := methods.get(method):
+                    panel.plot(facts["seconds"], facts[figure_name], marker, color=colour, ms=9, label=label)
+            panel.plot([], [], marker, color="#B0B5BA", label=scene)
+        panel.set(xscale="log", xlabel="seconds, whole run", title=title)
+        panel.grid(alpha=0.25, which="both")
+    handles, labels = panels[0].get_legend_handles_labels()
+    once = dict(zip(labels, handles, strict=True))
+    figure.legend(once.values(), once.keys(), loc="outside right center", fontsize=9)
+    with atomic(path) as temporary:
+        figure.savefig(temporary, format="png", dpi=110)
+    plt.close(figure)
+
+
+def main() -> int:
+    """Runs the scenes asked for and writes what was measured; 1 where a part failed."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--scenes", default="orange,bread")
+    parser.add_argument("--detail", default="draft", choices=["draft", "standard", "high"])
+    parser.add_argument("--out", type=Path, default=ROOT / "docs/charts")
+    options = parser.parse_args()
+    scenes = options.scenes.split(",")
+    work = ROOT / "out/label_makers" / options.detail
+    grid = cells(scenes, tuple(METHODS), [0], options.detail, CUTS, None, work)
+    failed = perform_all(grid, lambda cell, what: print(f"{cell.name}: {what}", file=sys.stderr, flush=True))
+    found = {scene: {cell.method: cell.kept() for cell in grid if cell.scene == scene} for scene in scenes}
+    for scene in scenes:
+        strips = [work / "results" / scene / f"{name}.png" for name in ("truth", *(f"{m}-0" for m in METHODS))]
+        if all(path.is_file() for path in strips):
+            rows = [np.asarray(Image.open(path).convert("RGB")) for path in strips]
+            sheet = np.concatenate([row[:, : SHOWN * row.shape[0]] for row in rows])
+            with atomic(options.out / f"label_makers_{scene}.png") as temporary:
+                Image.fromarray(sheet).save(temporary, format="PNG", optimize=True)
+    record = {"detail": options.detail, "cuts": CUTS, "scenes": found}
+    with atomic(options.out / "label_makers.json") as temporary:
+        temporary.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+    draw(found, options.out / "label_makers.png")
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
