@@ -13,7 +13,6 @@ from pathlib import Path
 
 import pytest
 from batch_worker import SMALL
-from distributed import LocalCluster
 
 from engine.errors import InputError
 from training.batch import Outcome, Stopped, Task, run_grid, say, stopped
@@ -126,9 +125,32 @@ def test_a_killed_worker_a_stop_and_a_broken_scene_cost_no_bit(tmp_path: Path, m
 
 
 @pytest.fixture(scope="module")
-def address() -> Iterator[str]:
-    with LocalCluster(n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None) as cluster:
-        yield cluster.scheduler_address
+def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """A scheduler and a worker that somebody else has started, each a process of its own."""
+    folder = tmp_path_factory.mktemp("cluster")
+    told = folder / "scheduler.json"
+    scheduler = ["dask_scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard"]
+    worker = ["dask_worker", "--nthreads", "1", "--no-nanny", "--no-dashboard", "--death-timeout", "60"]
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(WORKER.parent), str(SCENES.parent)])}
+    processes = [
+        subprocess.Popen(
+            [sys.executable, "-m", f"distributed.cli.{first}", *more, "--scheduler-file", str(told)],
+            env=environment,
+            cwd=folder,
+            stderr=subprocess.DEVNULL,
+        )
+        for first, *more in (scheduler, worker)
+    ]
+    try:
+        until = time.monotonic() + 60
+        while not (told.exists() and told.read_text().endswith("}")):
+            assert time.monotonic() < until and processes[0].poll() is None
+            time.sleep(0.05)
+        yield json.loads(told.read_text())["address"]
+    finally:
+        for process in reversed(processes):
+            process.terminate()
+            process.wait(20)
 
 
 def double(value: int) -> dict[str, int]:
