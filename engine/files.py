@@ -6,12 +6,14 @@ import os
 import re
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
+
+from filelock import FileLock, Timeout
 
 from engine.errors import InputError
 
-__all__ = ["atomic", "sweep"]
+__all__ = ["atomic", "claimed", "sweep"]
 
 LEFTOVER = re.compile(r"\..+\.[a-z0-9_]{8}(\.\w+)?|\.tmp[A-Za-z0-9]{6}")
 """Names that `atomic` gives its temporary files, the eight letters being tempfile's, and safetensors its own."""
@@ -42,6 +44,31 @@ def atomic(path: str | Path) -> Iterator[Path]:
         temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+@contextmanager
+def claimed(folder: Path) -> Iterator[None]:
+    """Until the block ends, or its process dies, nobody else gets into such a block with this folder; it is made if
+    need be.
+
+    Raises InputError where somebody is in one, or where the folder cannot be written.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        lock = FileLock(folder / ".lock", timeout=0)
+        lock.acquire()
+    except Timeout as error:
+        raise InputError(
+            f"{folder}: another run is writing there; wait until it has ended, or give another folder"
+        ) from error
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be written here ({error.strerror})") from error
+    try:
+        yield
+    finally:
+        with suppress(OSError):  # some systems keep open files
+            Path(lock.lock_file).unlink(missing_ok=True)
+        lock.release()
 
 
 def sweep(folder: Path) -> None:

@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import io
 import json
+import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from engine.errors import InputError
-from engine.files import atomic, sweep
+from engine.files import atomic, claimed, sweep
 from training.checkpoint import Checkpoint
 from training.events import Reporter
+
+ROOT = Path(__file__).parents[1]
 
 
 def test_round_trip_is_bit_exact(tmp_path):
@@ -71,3 +76,18 @@ def test_events_are_json_lines_whatever_the_numbers():
     assert lines[1]["losses"]["section"] is None
     assert lines[1]["eta"] >= 0
     assert "train" in reporter.timings
+
+
+def test_a_folder_is_written_by_one_run_at_a_time(tmp_path: Path) -> None:
+    out = tmp_path / "new/out"
+    ask = f"from pathlib import Path; from engine.files import claimed\nwith claimed(Path({str(out)!r})): pass"
+
+    def another() -> subprocess.CompletedProcess[str]:
+        return subprocess.run([sys.executable, "-c", ask], capture_output=True, text=True, check=False, cwd=ROOT)
+
+    with claimed(out):
+        assert "another run is writing there" in another().stderr
+    assert another().returncode == 0
+    assert not list(out.iterdir())
+    with pytest.raises(InputError, match="cannot be written here"), claimed(Path("/proc/none")):
+        pass

@@ -13,6 +13,7 @@ import numpy as np
 import typer
 
 from engine.errors import InputError
+from engine.files import claimed
 from engine.plane import Plane
 from training.events import Reporter
 from training.families import COUNTS, Family, Kind
@@ -90,7 +91,7 @@ def train(
     )
     reporter = Reporter.open(events)
     stop.listen()
-    with reporter:
+    with reporter, claimed(out):
         result = run(request, out, reporter, resume, stop.asked)
     if events != "-":
         print(f"{result}\n{out / 'cuts.png'}\n{out / 'report.json'}")

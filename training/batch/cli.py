@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
 from engine.errors import InputError
-from engine.files import atomic
+from engine.files import atomic, claimed
 from training.batch.grid import Outcome, run_grid
 from training.batch.manifest import Mistakes, read_manifest
 from training.batch.scene import scene_task
@@ -53,7 +53,7 @@ def batch(
     summary = Summary(out / "batch.json", manifest)
     summary.write(())  # whether it can be written at all is better known now
     stop.listen()
-    with Board(tasks) as board:
+    with claimed(out), Board(tasks) as board:
         known = {task.name: Outcome(task) for task in tasks}
 
         def told(outcome: Outcome, line: dict[str, Any]) -> None:

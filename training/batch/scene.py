@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from engine.errors import InputError
+from engine.files import claimed
 from training.batch.task import Stopped, Task, say, stopped
 from training.checkpoint import Checkpoint
 from training.events import Reporter
@@ -31,9 +32,8 @@ def train_scene(request: Request, out: Path, fingerprint: str) -> dict[str, Any]
     """One run, from its checkpoint where that is whole. Returns the warnings it gave; its events are kept beside it."""
     if request.fingerprint() != fingerprint:
         raise InputError(f"{request.scene}: this worker sees other files under these paths; share one folder with all")
-    out.mkdir(parents=True, exist_ok=True)
     checkpoint = Checkpoint(out / "checkpoint", fingerprint)
-    with (out / "events.jsonl").open("a", encoding="utf-8", buffering=1) as file:
+    with claimed(out), (out / "events.jsonl").open("a", encoding="utf-8", buffering=1) as file:
         events = _Events(file)
         with Reporter(events) as reporter:
             reporter.emit("started", host=platform.node(), pid=os.getpid())

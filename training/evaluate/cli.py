@@ -9,6 +9,7 @@ from typing import Annotated, cast, get_args
 import typer
 
 from engine.errors import InputError
+from engine.files import claimed
 from training.evaluate.grid import Cell, cells, perform_all, perform_on
 from training.evaluate.methods import METHODS
 from training.evaluate.report import write_report
@@ -44,8 +45,9 @@ def evaluate(
         clip,
         out.absolute(),
     )
-    failed = perform_all(grid, told) if scheduler is None else perform_on(scheduler, grid, told)
-    page = write_report(grid, failed, out)
+    with claimed(out):
+        failed = perform_all(grid, told) if scheduler is None else perform_on(scheduler, grid, told)
+        page = write_report(grid, failed, out)
     print(page)
     if failed:
         sys.exit(1)
