@@ -2,7 +2,7 @@
 
 At its own height the horizontal picture is right. Where radial pictures show the same colour there, at that radius,
 they can see such things, and carve them away at the heights where they do not show them: an apple's carpels end. Where
-they do not, they are blind to them and silent: an orange's membranes, which no radial picture meets, run through. That
+they do not, or meet them by mere chance, they are blind to them and silent: an orange's membranes run through. That
 is the answer here to who may speak (DESIGN section 5.1, step 6).
 """
 
@@ -34,6 +34,10 @@ OWN_HEIGHT = 0.15
 
 KNOWN = 0.5
 """Share of the radial pictures' halves that must show a colour at the own height to be heard on it: less is chance."""
+
+
+DOUBT = 0.2
+"""Chance that every half misses a thing which is there, under which they are believed that it is not."""
 
 
 @dataclass(frozen=True)
@@ -74,9 +78,21 @@ def carving(carrier: Layers, radial: Sequence[Layers], rng: np.random.Generator)
             halves.append(ndimage.binary_dilation(shown, np.ones((1, 5, 9))))
     seen = np.stack(halves)  # [halves, colours, radii, heights]
     known = seen[..., np.abs(h[0]) < OWN_HEIGHT].any(-1).mean(0) >= KNOWN
+    # What covers few directions is met by chance: that it is not met elsewhere says nothing.
+    known &= (1 - _coverage(carrier, palette)) ** len(halves) < DOUBT
     near = ndimage.gaussian_filter(seen.any(0).astype(np.float32), (0, 0.7, 1))
     # What is nearly flesh is the edge of something; it goes with the thing and not by itself.
     flesh = np.median(sheet.rgb[(carrier.structure < 0.1) & (carrier.detail < 0.1) & (sheet.depth > 0)], axis=0)
     known &= (np.linalg.norm(palette - flesh, axis=1) > 1.5 * ALIKE)[:, None]
     left = np.where(known[..., None], near, 1.0)
     return Carving(palette.astype(np.float32), left.astype(np.float32))
+
+
+def _coverage(carrier: Layers, palette: NDArray[np.floating]) -> NDArray[np.floating]:
+    """(K, RADII). Share of the directions in which a horizontal picture shows each colour near each radius."""
+    sheet = carrier.sheet
+    angle = np.linspace(0, 2 * np.pi, 360, endpoint=False)[:, None]
+    radius = (np.arange(RADII) + 0.5) / RADII * sheet.rim(angle)
+    seen = sheet.read(sheet.middle[0] + radius * np.cos(angle), sheet.middle[1] - radius * np.sin(angle))
+    shown = np.linalg.norm(seen - palette[:, None, None], axis=-1) < ALIKE
+    return ndimage.binary_dilation(shown, np.ones((1, 1, 5))).mean(axis=1)
