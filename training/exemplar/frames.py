@@ -49,6 +49,9 @@ ANGLES = 180
 INSET_STEP = 0.5
 """Cells: as the picture's pixels."""
 
+SPECK = 0.02
+"""Of the largest slice: a smaller one at an end is a stalk or a crumb, from which no height is measured."""
+
 ROUND = 0.09
 """Relative variation of the rim up to which a body counts as round: an ellipse of 1 to 1.3."""
 
@@ -91,9 +94,9 @@ class Space:
         return self.body.inradius / self.body.cell
 
     @property
-    def half_height(self) -> float:
-        """In cells."""
-        return float(np.ptp(self.planar[:, 2])) / 2
+    def widest(self) -> float:
+        """Distance of the skin from the axis where it is widest, in cells; crumbs that stand out do not count."""
+        return float(np.percentile(self.rim[self.depth < 0.1], 95)) if (self.depth < 0.1).any() else 1.0
 
     def fill(self, rgb: NDArray[np.float32]) -> None:
         """Voxels just outside of the body take the colour of the nearest inside, in place."""
@@ -142,10 +145,12 @@ def make_space(body: Body, up: NDArray[np.float64], voxels: int) -> Space:
     inside = np.argwhere(depth > 0)
     centre = inside.mean(0)
     along = (inside - centre) @ up
-    centre = centre + up * (along.max() + along.min()) / 2
+    areas = np.bincount(np.round(along - along.min()).astype(int))
+    levels = np.flatnonzero(areas > SPECK * areas.max())
+    half = max((levels[-1] - levels[0] + 1) / 2, 1.0)
+    centre = centre + up * (along.min() + (levels[0] + levels[-1]) / 2)
     planar = ((cells - centre) @ basis.T).astype(np.float32)
     radius = np.hypot(planar[:, 0], planar[:, 1])
-    half = max(np.ptp(planar[:, 2]) / 2, 1.0)
     slopes = np.stack(np.gradient(ndimage.gaussian_filter(depth, 1.0)), -1)[wanted]
     slopes = -(slopes / np.maximum(np.linalg.norm(slopes, axis=1, keepdims=True), 1e-12)) @ basis.T
     distance, nearest = ndimage.distance_transform_edt(~wanted, return_indices=True)
@@ -299,7 +304,7 @@ def voxel_gate(space: Space, kind: Frame) -> NDArray[np.float32]:
     if kind == POLAR:
         return np.stack([d, np.minimum(space.radius / space.rim, 1) * np.float32(RADIUS_CELLS), zero], -1)
     if kind == RADIAL:
-        widest = float(space.rim[space.depth < 0.1].max(initial=1.0))
+        widest = space.widest
         return np.stack(
             [
                 d,

@@ -86,7 +86,7 @@ def carried(
     grain = float(np.clip(np.pi * of / slope_b, 2, 0.3 * inradius))
     stranded = slope_b > 1.8 * slope_a
     swing = 0.12 * inradius
-    widest = float(space.rim.max())
+    widest = space.widest
     for start in range(0, len(out), CHUNK):
         progress(start / len(out))
         part = slice(start, start + CHUNK)
@@ -289,7 +289,7 @@ def _along(colours: NDArray[np.float32], at: NDArray[np.floating]) -> NDArray[np
 def _radial_place(space: Space, layers: Layers, part: slice) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """(M,), (M,). Where voxels lie in the right half of a radial picture, cells."""
     sheet = layers.sheet
-    across = space.radius[part] / float(space.rim.max()) * sheet.half[0]
+    across = space.radius[part] / space.widest * sheet.half[0]
     up = space.height[part] * sheet.half[1]
     angle = np.arctan2(up, across)
     share = np.minimum(np.hypot(across, up) / sheet.rim(angle), 1)
