@@ -21,8 +21,9 @@ from engine.files import atomic
 from training.evaluate.grid import cells, perform_all
 
 ROOT = Path(__file__).parents[1]
-METHODS = ("ours", "physgaussian", "oracle")
-CUTS = 20
+METHODS = ("ours", "physgaussian", "uniform", "oracle")
+SHEET = ("ours", "physgaussian", "oracle")
+CUTS = 24
 
 
 def main() -> int:
@@ -38,7 +39,7 @@ def main() -> int:
     failed = perform_all(grid, lambda cell, what: print(f"{cell.name}: {what}", file=sys.stderr, flush=True))
     found = {scene: {cell.method: cell.kept() for cell in grid if cell.scene == scene} for scene in scenes}
     for scene in scenes:
-        strips = [work / "results" / scene / f"{name}.png" for name in ("truth", *(f"{m}-0" for m in METHODS))]
+        strips = [work / "results" / scene / f"{name}.png" for name in ("truth", *(f"{m}-0" for m in SHEET))]
         if all(path.is_file() for path in strips):
             sheet = np.concatenate([np.asarray(Image.open(path).convert("RGB")) for path in strips])
             with atomic(options.out / f"oblique_cuts_{scene}.png") as temporary:

@@ -269,6 +269,28 @@ def test_layers_come_from_the_radial_pictures(tmp_path: Path, alone: bool) -> No
     assert volume.at(ring + np.array([0, 0, 0.4]))[:, 1].max() < 0.3
 
 
+def test_layers_stay_level_up_to_the_skin_of_a_cake_with_crumbs(tmp_path: Path) -> None:
+    shape = np.array([54, 54, 36])
+    grid = Body(-shape / 40, 1 / 20, np.zeros(tuple(shape), np.float32))
+    p = grid.centres()
+    cake = np.minimum(1 - np.hypot(p[..., 0], p[..., 1]), 0.6 - np.abs(p[..., 2]))
+    crumbs = [0.15 - np.linalg.norm(p - at, axis=-1) for at in ([1.05, 0, -0.5], [0.3, 0.4, 0.65])]
+    body = Body(grid.origin, grid.cell, np.maximum.reduce([cake, *crumbs]).astype(np.float32))
+    y, x = (np.mgrid[:150, :240] + 0.5) / 100 - [[[0.75]], [[1.2]]]
+    frosted = (np.abs(np.abs(y) - 0.25) < 0.05) | (np.minimum(1 - np.abs(x), 0.6 - np.abs(y)) < 0.07)
+    face = np.where(frosted[..., None], [0.95, 0.9, 0.6], FLESH)
+    face = np.where(((np.abs(x) < 1) & (np.abs(y) < 0.6))[..., None], face, 1.0)
+    family = Family("radial", 30, (save(tmp_path / "cake.png", face),))
+    volume = ExemplarPrior().solve(body, UP, [family], 96, 0, quiet)
+    for angle in np.linspace(0.5, 6, 8):
+        for radius in (0.4, 0.8, 0.88):
+            heights = np.linspace(-0.5, 0.5, 101)
+            place = [np.full(101, radius * np.cos(angle)), np.full(101, radius * np.sin(angle)), heights]
+            white = volume.at(np.stack(place, -1))[:, 1] > 0.5
+            assert ndimage.label(white)[1] == 2
+            assert np.abs(np.abs(heights[white]).mean() - 0.25) < 0.025
+
+
 def test_slices_of_one_thing_are_turned_into_one_another(tmp_path: Path) -> None:
     """A bone that wanders from slice to slice stands half way between two slices, once."""
     y, x = (np.mgrid[:160, :160] + 0.5) / 80 - 1
