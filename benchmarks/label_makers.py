@@ -1,6 +1,6 @@
 """Where labels come from: per-plane SDS, per-plane x0, the paper's loop, and one volume solved for all planes.
 
-    python -m benchmarks.label_makers [--scenes orange,bread] [--detail draft] [--out docs/charts]
+    python -m benchmarks.label_makers [--scenes bread,orange] [--detail draft] [--out docs/charts]
 
 The same exemplars, fill, training and cuts, which nobody trained; one prior, asked in four ways. Writes
 label_makers.json, label_makers.png (figures against seconds) and, for each scene, three cuts as a sheet: truth, SDS,
@@ -65,7 +65,7 @@ def draw(found: dict[str, dict[str, Any]], path: Path) -> None:
 def main() -> int:
     """Runs the scenes asked for and writes what was measured; 1 where a part failed."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--scenes", default="orange,bread")
+    parser.add_argument("--scenes", default="bread")
     parser.add_argument("--detail", default="draft", choices=["draft", "standard", "high"])
     parser.add_argument("--out", type=Path, default=ROOT / "docs/charts")
     options = parser.parse_args()

@@ -21,15 +21,14 @@ from engine.files import atomic
 from training.evaluate.grid import cells, perform_all
 
 ROOT = Path(__file__).parents[1]
-METHODS = ("ours", "physgaussian", "uniform", "oracle")
-SHEET = ("ours", "physgaussian", "oracle")
+METHODS = ("ours", "physgaussian", "oracle")
 CUTS = 24
 
 
 def main() -> int:
     """Runs the scenes asked for and writes what was measured; 1 where a part failed."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--scenes", default="watermelon,orange,bread")
+    parser.add_argument("--scenes", default="watermelon,orange,bread,thigh")
     parser.add_argument("--detail", default="standard", choices=["draft", "standard", "high"])
     parser.add_argument("--out", type=Path, default=ROOT / "docs/charts")
     options = parser.parse_args()
@@ -39,7 +38,7 @@ def main() -> int:
     failed = perform_all(grid, lambda cell, what: print(f"{cell.name}: {what}", file=sys.stderr, flush=True))
     found = {scene: {cell.method: cell.kept() for cell in grid if cell.scene == scene} for scene in scenes}
     for scene in scenes:
-        strips = [work / "results" / scene / f"{name}.png" for name in ("truth", *(f"{m}-0" for m in SHEET))]
+        strips = [work / "results" / scene / f"{name}.png" for name in ("truth", *(f"{m}-0" for m in METHODS))]
         if all(path.is_file() for path in strips):
             sheet = np.concatenate([np.asarray(Image.open(path).convert("RGB")) for path in strips])
             with atomic(options.out / f"oblique_cuts_{scene}.png") as temporary:
