@@ -304,6 +304,9 @@ def test_slices_of_one_thing_are_turned_into_one_another(tmp_path: Path) -> None
     grid = Body(np.array([-1.25, -1.25, -1.75]), cell, np.zeros((30, 30, 42), np.float32))
     p = grid.centres()
     limb = np.minimum(1 - np.hypot(p[..., 0], p[..., 1]), 1.5 - np.abs(p[..., 2]))
+    # Crumbs on its flat ends do not make them grown ones, with skin.
+    crumbs = np.stack([p[..., 0] - 0.5, p[..., 1] - 0.2, np.abs(p[..., 2]) - 1.55], -1)
+    limb = np.maximum(limb, 0.12 - np.linalg.norm(crumbs, axis=-1))
     body = Body(grid.origin, cell, limb.astype(np.float32))
     volume = ExemplarPrior().solve(body, UP, [Family("horizontal", 40, tuple(paths))], 60, 0, quiet)
     across = np.linspace(-0.7, 0.7, 57)
@@ -312,6 +315,8 @@ def test_slices_of_one_thing_are_turned_into_one_another(tmp_path: Path) -> None
     assert ndimage.label(bright)[1] == 1
     assert abs(across[bright].mean() + 0.08) < 0.05
     assert abs(np.ptp(across[bright]) - 0.34) < 0.12
+    ends = volume.at(np.array([[0.5, -0.4, 1.42], [-0.5, -0.4, -1.42]]))
+    assert (ends[:, 0] > 2 * ends[:, 1]).all()
 
 
 def test_decompose_tells_seeds_from_walls(tmp_path: Path) -> None:

@@ -22,6 +22,7 @@ __all__ = [
     "HEIGHT_CELLS",
     "INSET_STEP",
     "RADIUS_CELLS",
+    "SPECK",
     "Frame",
     "Sheet",
     "Space",

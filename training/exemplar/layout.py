@@ -15,7 +15,7 @@ from scipy import ndimage
 
 from training.exemplar.carve import Carving
 from training.exemplar.decompose import Layers
-from training.exemplar.frames import ANGLES, INSET_STEP, Space, rim_of
+from training.exemplar.frames import ANGLES, INSET_STEP, SPECK, Space, rim_of
 from training.exemplar.morph import Slices
 from training.exemplar.patches import OVER
 from training.prior import Progress
@@ -137,7 +137,9 @@ def between(space: Space, axis: Axis, stack: Slices) -> NDArray[np.float32]:
     out = np.empty((len(space.cells), 3), np.float32)
     levels = np.round(axis.level).astype(int)
     areas = np.bincount(levels)
-    flat = min(areas[2], areas[-3]) > FLAT_END * areas.max() if len(areas) > 8 else False
+    ends = np.flatnonzero(areas > SPECK * areas.max())
+    inward = 1 + len(ends) // 50  # past an edge that the grid rounds off
+    flat = min(areas[ends[inward]], areas[ends[-1 - inward]]) > FLAT_END * areas.max() if len(ends) > 8 else False
     for start in range(0, len(out), CHUNK):
         part = slice(start, start + CHUNK)
         share = np.minimum(axis.radius[part] / axis.rim[part], 1)
