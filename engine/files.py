@@ -18,6 +18,9 @@ __all__ = ["atomic", "claimed", "sweep"]
 LEFTOVER = re.compile(r"\..+\.[a-z0-9_]{8}(\.\w+)?|\.tmp[A-Za-z0-9]{6}")
 """Names that `atomic` gives its temporary files, the eight letters being tempfile's, and safetensors its own."""
 
+PATIENCE = 5.0
+"""Seconds to wait for a folder: a process that was killed may hold it until its memory is gone."""
+
 
 @contextmanager
 def atomic(path: str | Path) -> Iterator[Path]:
@@ -55,7 +58,7 @@ def claimed(folder: Path) -> Iterator[None]:
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        lock = FileLock(folder / ".lock", timeout=0)
+        lock = FileLock(folder / ".lock", timeout=PATIENCE)
         lock.acquire()
     except Timeout as error:
         raise InputError(

@@ -11,6 +11,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 from batch_worker import SMALL
 
@@ -18,6 +19,8 @@ from engine.errors import InputError
 from training.batch import Outcome, Stopped, Task, run_grid, say, stopped
 from training.batch.cli import main
 from training.batch.manifest import Mistakes, read_manifest
+from training.batch.scene import whole
+from training.checkpoint import Checkpoint
 from training.events import Reporter
 from training.run import run
 
@@ -119,6 +122,15 @@ def test_a_killed_worker_a_stop_and_a_broken_scene_cost_no_bit(tmp_path: Path, m
     assert left.value.code == 0
     assert ended(out) == {"killed": ("kept", 0), "bread": ("kept", 0)}
     assert (out / "killed/orange.ply").stat().st_mtime_ns == when
+
+
+def test_what_a_killed_writer_left_breaks_no_checkpoint(tmp_path: Path) -> None:
+    checkpoint = Checkpoint(tmp_path, "run")
+    checkpoint.save("training", {"rgb": np.zeros((2, 3), np.float32)}, {})
+    (tmp_path / ".training.abcd1234.safetensors").write_bytes(b"half of")
+    assert whole(checkpoint)
+    (tmp_path / "labels.safetensors").write_bytes(b"half of")
+    assert not whole(checkpoint)
 
 
 # any grid of plain functions, through a running cluster's address

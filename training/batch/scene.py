@@ -51,7 +51,7 @@ def train_scene(request: Request, out: Path, fingerprint: str) -> dict[str, Any]
 def whole(checkpoint: Checkpoint) -> bool:
     """Whether every stage that is kept can be gone on with: none is broken, none is another run's."""
     try:
-        for path in checkpoint.folder.glob("*.safetensors"):
+        for path in checkpoint.folder.glob("[!.]*.safetensors"):  # a killed writer's part of a file has a dot in front
             checkpoint.load(path.stem)
     except InputError:
         return False
