@@ -6,6 +6,9 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 SHELL := /bin/bash
 
+# The Visible Human's thigh, where its data lie beside the project.
+THIGH := $(if $(wildcard ../shared/data/volumes/vhm_thigh_rgba.npz),$(shell echo ,thigh))
+
 .PHONY: demo test bench screenshots clean
 
 demo: $(READY)
@@ -27,8 +30,10 @@ test: $(READY)
 
 bench: $(READY)
 	@tools/ensure_gl.sh
-	$(BIN)/fruitninja-evaluate --cuts 24 -o out/evaluation
-	$(BIN)/python -m benchmarks.oblique_cuts
+	$(BIN)/fruitninja-evaluate --cuts 24 -o out/evaluation --methods ours,physgaussian,oracle \
+		--scenes watermelon,orange,bread,apple,pomegranate,cake$(THIGH)
+	cp out/evaluation/report.json docs/charts/evaluation.json
+	$(BIN)/python -m benchmarks.oblique_cuts --scenes watermelon,orange,bread$(THIGH)
 	$(BIN)/python -m benchmarks.label_makers
 	$(BIN)/python -m benchmarks.interior
 	$(BIN)/python -m benchmarks.presets

@@ -4,7 +4,7 @@
 
 Writes oblique_cuts.json and, for each scene, six cuts as a sheet: truth, ours, nearest surface colour (the PhysGaussian
 rule), and ours given the true slices as labels. Started again after an interruption it goes on; delete
-out/oblique_cuts to measure anew.
+out/oblique_cuts to measure anew. `another` is another true solid of the kind on the same cuts.
 """
 
 from __future__ import annotations
@@ -16,13 +16,26 @@ from pathlib import Path
 
 import numpy as np
 from PIL import Image
+from safetensors.numpy import load_file
 
 from engine.files import atomic
 from training.evaluate.grid import cells, perform_all
+from training.metrics import face_psnr
 
 ROOT = Path(__file__).parents[1]
 METHODS = ("ours", "physgaussian", "oracle")
 CUTS = 24
+
+
+def another(truth: Path, scene: str) -> dict[str, float] | None:
+    """What a second true solid of the kind would reach; None where there is no second one."""
+    second = truth / f"{scene}_another.safetensors"
+    if not second.is_file():
+        return None
+    theirs, true = load_file(second), load_file(truth / f"{scene}.safetensors")
+    both = theirs["inside"] & true["inside"][: len(theirs["inside"])]
+    rows = zip(theirs["pictures"], true["pictures"], both, strict=False)
+    return {"psnr_db": round(float(np.mean([face_psnr(a, b, inside) for a, b, inside in rows])), 3)}
 
 
 def main() -> int:
@@ -43,6 +56,8 @@ def main() -> int:
             sheet = np.concatenate([np.asarray(Image.open(path).convert("RGB")) for path in strips])
             with atomic(options.out / f"oblique_cuts_{scene}.png") as temporary:
                 Image.fromarray(sheet).save(temporary, format="PNG", optimize=True)
+    for scene in scenes:
+        found[scene]["another"] = another(work / "truth", scene)
     record = {"detail": options.detail, "cuts": CUTS, "scenes": found}
     with atomic(options.out / "oblique_cuts.json") as temporary:
         temporary.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")

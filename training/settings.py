@@ -33,8 +33,8 @@ class Detail:
 
 
 # The paper takes 120 to 200 iterations, 10 to 20 surface views in each, and labels of the diffusion model's size.
-# Volume and lattice are equally fine: in draft a volume of 80 cells under a lattice of 112 would save 6 of 26 s on the
-# sample orange and take its patches half as far again from true ones (benchmarks/presets).
+# Volume and lattice are equally fine: in draft a volume of 80 cells under a lattice of 112 takes the orange's patches
+# half as far again from true ones, and saves no time that can be measured (benchmarks/presets).
 # Colours fitted to 60 views of the sample watermelon show others 2 dB better than those fitted to 24.
 DETAILS: dict[DetailName, Detail] = {
     "draft": Detail(cells=64, fine=112, voxels=112, label=128, surface=128, surface_views=24, iterations=40),
