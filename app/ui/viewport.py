@@ -373,4 +373,4 @@ class Viewport:
         if not text or session.atoms is None or (session.tool == "knife" and session.settings.seen_hint):
             return
         mouse = imgui.get_mouse_pos()
-        label(imgui.get_window_draw_list(), ImVec2(mouse.x + px(16), mouse.y + px(12)), text)
+        label(imgui.get_window_draw_list(), ImVec2(mouse.x + px(24), mouse.y + px(12)), text)
