@@ -148,13 +148,19 @@ class _Rasterize(torch.autograd.Function):
         frame = _composite(scene, camera)
         ctx.save_for_backward(*tensors)  # notices if one is written to before the way back
         ctx.scene, ctx.frame, ctx.camera, ctx.background = scene, frame, camera, background
+        # torch would fill a missing gradient with its own threads, which then keep a core busy looking for more work.
+        ctx.set_materialize_grads(False)
         return tuple(torch.from_numpy(array) for array in _picture(frame, camera, background))
 
     @staticmethod
     @torch.autograd.function.once_differentiable
     def backward(ctx, g_rgb, g_alpha, g_depth):  # type: ignore[no-untyped-def]
         tensors = ctx.saved_tensors
-        outer = [gradient.contiguous().numpy() for gradient in (g_rgb, g_alpha, g_depth)]
+        size, kind = (ctx.camera.height, ctx.camera.width), ctx.scene.means.dtype
+        outer = [
+            np.zeros(shape, kind) if gradient is None else gradient.contiguous().numpy()
+            for gradient, shape in ((g_rgb, (*size, 3)), (g_alpha, size), (g_depth, size))
+        ]
         gradients = _backward(ctx.scene, ctx.frame, ctx.background, outer)
         return (*(torch.from_numpy(g).view(t.shape) for g, t in zip(gradients, tensors, strict=True)), None, None)
 
