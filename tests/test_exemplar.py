@@ -166,6 +166,40 @@ def test_straight_walls_run_through(tmp_path: Path) -> None:
     assert off[:, 1].max() < 0.3
 
 
+def test_carpels_stay_carpels_and_end(tmp_path: Path) -> None:
+    """Radial pictures that all pass through a carpel say how high it is, not that it goes all around."""
+    flesh, brown = np.array([0.95, 0.92, 0.8]), np.array([0.6, 0.4, 0.2])
+
+    def bend(angle: NDArray[np.floating]) -> NDArray[np.floating]:
+        """From the middle of the nearest of five carpels."""
+        return (angle + np.pi / 5) % (2 * np.pi / 5) - np.pi / 5
+
+    y, x = (np.mgrid[:240, :240] + 0.5) / 120 - 1
+    r, angle = np.hypot(x, y) / 0.8, bend(np.arctan2(y, x))
+    out, off = r * np.cos(angle), r * np.sin(angle)
+    across = disc(240)[0]
+    across[r < 0.88] = flesh
+    across[((out - 0.19) / 0.155) ** 2 + (off / 0.085) ** 2 < 1] = brown
+    across[((out - 0.22) / 0.05) ** 2 + (off / 0.03) ** 2 < 1] = SEED
+    along = disc(240)[0]
+    along[r < 0.88] = flesh
+    along[((np.abs(x) / 0.8 - 0.18) / 0.15) ** 2 + (y / 0.2) ** 2 < 1] = brown
+    along[((np.abs(x) / 0.8 - 0.22) / 0.04) ** 2 + (y / 0.056) ** 2 < 1] = SEED
+    families = [
+        Family("horizontal", 40, (save(tmp_path / "across.png", across),)),
+        Family("radial", 30, (save(tmp_path / "along.png", along),)),
+    ]
+    volume = ExemplarPrior().solve(ball(32), UP, families, 64, 0, quiet)
+    turns = np.linspace(0, 2 * np.pi, 200)
+    for radius in (0.2, 0.28, 0.33):
+        out, off = radius * np.cos(bend(turns)), radius * np.sin(bend(turns))
+        for height in (-0.4, -0.3, 0.0, 0.1, 0.2, 0.3, 0.4):
+            ring = np.stack([radius * np.cos(turns), radius * np.sin(turns), np.full_like(turns, height)], -1)
+            dark = (volume.at(ring)[:, 2] < 0.5).mean()
+            true = (((out - 0.19) / 0.155) ** 2 + (off / 0.085) ** 2 + (height / 0.25) ** 2 < 1).mean()
+            assert abs(dark - true) < 0.2, (radius, height)
+
+
 def test_seeds_end_and_are_as_many_as_shown(tmp_path: Path) -> None:
     face, _ = disc(seeds=8)
     family = Family("horizontal", 40, (save(tmp_path / "melon.png", face),))

@@ -35,6 +35,14 @@ OWN_HEIGHT = 0.15
 KNOWN = 0.5
 """Share of the radial pictures' halves that must show a colour at the own height to be heard on it: less is chance."""
 
+REACH = 0.12
+"""Radii, over the body's greatest, between which a thing's height is taken to be the same."""
+
+CLOSED = 0.8
+"""Height under which a structure has ended; what goes on to the poles runs through, and its ends are the rind's."""
+
+SOFT = 0.15
+"""Width of the edge of what is left, of the way from a structure's edge to its middle."""
 
 DOUBT = 0.2
 """Chance that every half misses a thing which is there, under which they are believed that it is not."""
@@ -47,28 +55,63 @@ class Carving:
     palette: NDArray[np.float32]
     """(K, 3)."""
     left: NDArray[np.float32]
-    """(K, RADII, HEIGHTS). Range [0, 1]."""
+    """(K, RADII, HEIGHTS). Opacity left to structures of a colour that run from pole to pole, range [0, 1]."""
+    shown: NDArray[np.float32]
+    """(K, RADII, HEIGHTS). Where a colour stands in a structure that ends, range [0, 1]."""
+    ends: NDArray[np.float32]
+    """(RADII, 2). Least and greatest height of the structures as a whole; 0 and 0 where nothing is known."""
+    main: NDArray[np.intp]
+    """(RADII,). The colour of which they mostly are."""
+    middle: NDArray[np.float32]
+    """(H, W). How far a pixel of the horizontal picture is from a structure's edge (0) to its middle (1)."""
+    carried: NDArray[np.bool_]
+    """(RADII, HEIGHTS). Where what the radial pictures show is a section of a carried structure."""
 
     def at(
-        self, colours: NDArray[np.float32], radius: NDArray[np.floating], height: NDArray[np.floating]
-    ) -> NDArray[np.float32]:
-        """(M,). For colours (M, 3) at radii over the body's greatest (M,) and heights in [-1, 1] (M,)."""
-        gaps = ((colours[:, None] - self.palette) ** 2).sum(-1)
-        i = np.clip(radius * RADII, 0, RADII - 1).astype(int)
-        j = np.clip((height + 1) / 2 * HEIGHTS, 0, HEIGHTS - 1).astype(int)
-        return self.left[gaps.argmin(1), i, j]
+        self,
+        colours: NDArray[np.float32],
+        middle: NDArray[np.float32],
+        radius: NDArray[np.floating],
+        height: NDArray[np.floating],
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """(M,), (M, 3). The opacity left to structures, and their colours.
+
+        For colours (M, 3) as far in the middle (M,) at radii over the body's greatest (M,) and heights in [-1, 1] (M,).
+        A structure closes towards its ends like an ellipsoid. A seed in it that ends before gives way to what it is in.
+        """
+        i, j = _cells(radius, height)
+        low, high = self.ends[i].T
+        # At the ends only the middle is left, half way all of it: with u the share of the way, 1 - sqrt(1 - u^2).
+        known = high > low
+        share = np.where(known, np.abs(2 * height - low - high) / np.where(known, high - low, 1), 0)
+        edge = 1 - np.sqrt(np.maximum(1 - share * share, 0))
+        kind = ((colours[:, None] - self.palette) ** 2).sum(-1).argmin(1)
+        left = self.left[kind, i, j] * np.clip((middle - edge) / SOFT + 1, 0, 1) * (share < 1)
+        own = np.where(known, self.shown[kind, i, j], 1)[:, None]
+        mixed = own * colours + (1 - own) * self.palette[self.main[i]]
+        return left.astype(np.float32), mixed.astype(np.float32)
+
+    def explains(self, radius: NDArray[np.floating], height: NDArray[np.floating]) -> NDArray[np.bool_]:
+        """(M,). Whether what the radial pictures show there is a structure that is carried already."""
+        return self.carried[_cells(radius, height)]
+
+
+def _cells(radius: NDArray[np.floating], height: NDArray[np.floating]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    i = np.clip(radius * RADII, 0, RADII - 1).astype(int)
+    j = np.clip((height + 1) / 2 * HEIGHTS, 0, HEIGHTS - 1).astype(int)
+    return i, j
 
 
 def carving(carrier: Layers, radial: Sequence[Layers], rng: np.random.Generator) -> Carving | None:
-    """What radial pictures leave of the structures of a horizontal one; None where it has no structures."""
+    """What radial pictures leave of the structures of a horizontal one; None where it has none."""
     sheet = carrier.sheet
     pixels = sheet.rgb[(carrier.structure > 0.5) & (sheet.depth > 1.2 * carrier.rind)]
     if len(pixels) < 50:
         return None
     few = pixels[rng.integers(len(pixels), size=4000)].astype(np.float64)
-    palette, _ = kmeans2(few, COLOURS, minit="++", seed=rng)
+    palette = kmeans2(few, COLOURS, minit="++", seed=rng)[0].astype(np.float32)
     t, h = np.meshgrid((np.arange(RADII) + 0.5) / RADII, (np.arange(HEIGHTS) + 0.5) / HEIGHTS * 2 - 1, indexing="ij")
-    halves = []
+    halves, tight = [], []
     for parts in radial:
         middle, half = parts.sheet.middle, parts.sheet.half
         for side in (1, -1):
@@ -76,16 +119,52 @@ def carving(carrier: Layers, radial: Sequence[Layers], rng: np.random.Generator)
             shown = np.linalg.norm(seen - palette[:, None, None], axis=-1) < ALIKE
             # Things need not stand where the picture happens to have them to the pixel.
             halves.append(ndimage.binary_dilation(shown, np.ones((1, 5, 9))))
+            tight.append(ndimage.binary_dilation(shown, np.ones((1, 3, 3))))
     seen = np.stack(halves)  # [halves, colours, radii, heights]
     known = seen[..., np.abs(h[0]) < OWN_HEIGHT].any(-1).mean(0) >= KNOWN
     # What covers few directions is met by chance: that it is not met elsewhere says nothing.
     known &= (1 - _coverage(carrier, palette)) ** len(halves) < DOUBT
-    near = ndimage.gaussian_filter(seen.any(0).astype(np.float32), (0, 0.7, 1))
     # What is nearly flesh is the edge of something; it goes with the thing and not by itself.
     flesh = np.median(sheet.rgb[(carrier.structure < 0.1) & (carrier.detail < 0.1) & (sheet.depth > 0)], axis=0)
-    known &= (np.linalg.norm(palette - flesh, axis=1) > 1.5 * ALIKE)[:, None]
-    left = np.where(known[..., None], near, 1.0)
-    return Carving(palette.astype(np.float32), left.astype(np.float32))
+    flesh_like = np.linalg.norm(palette - flesh, axis=1) <= 1.5 * ALIKE
+    known &= ~flesh_like[:, None]
+    near, exact = (ndimage.gaussian_filter(np.any(a, axis=0).astype(np.float32), (0, 0.7, 1)) for a in (seen, tight))
+    whole = np.where(known[..., None], exact, 0).max(0) > 0.5
+    ends = np.array([_run(row, h[0]) for row in whole], np.float32)
+    heard = ends[:, 1] > ends[:, 0]
+    left = np.ones_like(near)
+    if (np.abs(ends).max(1) >= CLOSED).any():
+        # What goes to the poles does not close; it is only left out where it is not seen.
+        left = np.where(known[..., None], near, 1)
+        heard[:] = False
+    # A thing that reaches a little farther out or in than the radial pictures meet it ends as it does there; so do
+    # those of its colours that are too rare to be heard on.
+    own, within = np.arange(RADII), heard
+    if heard.any():
+        distance, nearest = ndimage.distance_transform_edt(~heard, return_indices=True)
+        own, within = nearest[0], distance <= REACH * RADII
+    blind = flesh_like | ~seen.any((0, 2, 3))
+    shown = np.where(blind[:, None, None], 1, exact)[:, own]
+    inside = ndimage.distance_transform_edt(carrier.structure > 0.5)
+    widest = ndimage.maximum_filter(inside, size=2 * int(inside[sheet.depth > 1.2 * carrier.rind].max()) + 1)
+    return Carving(
+        palette,
+        left,
+        shown,
+        np.where(within[:, None], ends[own], 0),
+        np.where(known, _coverage(carrier, palette), 0).argmax(0)[own],
+        (inside / np.maximum(widest, 1)).astype(np.float32),
+        ndimage.binary_closing(whole[own] & within[:, None], np.ones((5, 9))),
+    )
+
+
+def _run(row: NDArray[np.bool_], heights: NDArray[np.floating]) -> tuple[float, float]:
+    """Least and greatest height of the run nearest to the middle; 0 and 0 where there is none."""
+    runs, count = ndimage.label(row)
+    if count == 0:
+        return 0.0, 0.0
+    levels = heights[runs == runs[row][np.abs(heights[row]).argmin()]]
+    return float(levels.min()), float(levels.max())
 
 
 def _coverage(carrier: Layers, palette: NDArray[np.floating]) -> NDArray[np.floating]:

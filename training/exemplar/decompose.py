@@ -19,6 +19,9 @@ __all__ = ["Detail", "Layers", "decompose", "rind_depth"]
 WINDOW = 0.13
 """Half side of the median window that defines the ground, in inradii: wider than half of any seed or membrane."""
 
+BROAD = 0.3
+"""The same of a window that sees past an apple's carpels, which fill more than half of the other one."""
+
 LEAST_CONTRAST = 0.08
 """Least colour distance from the ground that makes a detail or a structure and not texture."""
 
@@ -97,12 +100,21 @@ def decompose(sheet: Sheet, kind: Frame) -> Layers:
     picture = sheet.rgb[nearest[0], nearest[1]]
     median = _wide_median(picture, WINDOW * inradius)
     contrast = np.linalg.norm(picture - median, axis=-1) * core
-    contrast = contrast.astype(np.float32)
     high = max(LEAST_CONTRAST, 3.5 * float(np.median(contrast[core]))) if core.any() else 1.0
+    swallowed = np.zeros_like(core)
+    if kind == POLAR:
+        median, swallowed = _without_middling(picture, median, core, inradius, high)
+        contrast = np.linalg.norm(picture - median, axis=-1) * core
+    contrast = contrast.astype(np.float32)
     # A pixel is as opaque as its contrast to the ground is a share of the strongest one nearby; so a black seed and the
     # pale strand that it lies on come apart.
     peak = ndimage.maximum_filter(contrast, size=2 * max(2, round(0.03 * inradius)) + 1)
     opacity = _smoothstep(0.25, 0.65, contrast / np.maximum(peak, 0.5 * high))
+    if swallowed.any():
+        # Here all that differs from the ground is one thing, the seeds in it included.
+        typical = float(np.median(contrast[swallowed & (contrast > high)]))
+        near = ndimage.binary_dilation(swallowed, iterations=round(WINDOW * inradius))
+        opacity = np.where(near, _smoothstep(0.25, 0.65, contrast / typical), opacity)
     parts, count = ndimage.label((contrast > 0.5 * high) & (opacity > 0.4))
     numbers = np.arange(count + 1)
     strong = ndimage.maximum(contrast, parts, numbers) > high
@@ -116,7 +128,8 @@ def decompose(sheet: Sheet, kind: Frame) -> Layers:
         middle = (round(sheet.middle[1] * OVER), round(sheet.middle[0] * OVER))
         reach = round(0.06 * inradius)
         box = parts[middle[0] - reach : middle[0] + reach + 1, middle[1] - reach : middle[1] + reach + 1]
-        edges[np.unique(box)] |= strong[np.unique(box)]
+        for held in (np.unique(box), np.unique(parts[swallowed])):
+            edges[held] |= strong[held]
         compact &= ~edges
     runs = long | edges
     structure = opacity * ndimage.binary_dilation(runs[parts], iterations=1) if count else np.zeros_like(contrast)
@@ -149,6 +162,20 @@ def decompose(sheet: Sheet, kind: Frame) -> Layers:
         _thickness(long[parts]),
         _spread(sheet, picture - ground, clean),
     )
+
+
+def _without_middling(
+    picture: NDArray[np.float32], median: NDArray[np.float32], core: NDArray[np.bool_], inradius: float, high: float
+) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """(H, W, 3), (H, W). The ground with the things of middling size taken out that it had swallowed, and where.
+
+    Those are runs of the median that stand out from one over a wider window. Along the axis they run through.
+    """
+    broad = _wide_median(picture, BROAD * inradius)
+    swallowed = (np.linalg.norm(median - broad, axis=-1) > high) & core
+    near = ndimage.distance_transform_edt(~swallowed) / (WINDOW * inradius) if swallowed.any() else np.inf
+    weight = 1 - _smoothstep(0.5, 1, np.broadcast_to(near, core.shape))[..., None]
+    return (median + weight * (broad - median)).astype(np.float32), swallowed
 
 
 def _wide_median(picture: NDArray[np.float32], half: float) -> NDArray[np.float32]:

@@ -123,7 +123,12 @@ def carried(
         if carve is not None:
             # The rind is the skin's, not the axis's.
             inner = np.flatnonzero((opacity[:, 0] > 0) & (depth > 1.2 * main.rind))
-            opacity[inner, 0] *= carve.at(theirs[inner], space.radius[part][inner] / widest, space.height[part][inner])
+            middle = _read(carve.middle[..., None], x[inner], y[inner])[:, 0]
+            left, colours = carve.at(
+                theirs[inner], middle, space.radius[part][inner] / widest, space.height[part][inner]
+            )
+            opacity[inner, 0] *= left
+            theirs[inner] = colours
         out[part] = colour + opacity * (theirs - colour)
     return np.clip(out, 0, 1)
 
@@ -231,12 +236,20 @@ def revolved(space: Space, layers: Layers, rng: np.random.Generator) -> NDArray[
     return np.clip(out, 0, 1)
 
 
-def heights(space: Space, axis: Axis, colours: NDArray[np.float32], carrier: Layers, radial: Sequence[Layers]) -> None:
+def heights(
+    space: Space,
+    axis: Axis,
+    colours: NDArray[np.float32],
+    carrier: Layers,
+    radial: Sequence[Layers],
+    carve: Carving | None,
+) -> None:
     """Corrects a carried picture (N, 3), in place, by what radial pictures know of height.
 
     Each half of each radial picture is a look at the same map of (direction, depth). Where most of them show another
     thing than the carried picture's ring at that place (a layer, the end of a core, thick pith at a pole), theirs is
-    taken; where they agree on a gentler difference, it is added. Seeds and other chance are in one of them at a time.
+    taken; where they agree on a gentler difference, it is added. Seeds and other chance are in one of them at a time;
+    where all of them meet a carpel of an apple, it is one that the carried picture has already, and no ring.
     """
     ring, under = _ring(carrier), _under(carrier, space.inradius)
     looks = [(p, side) for p in radial for side in (1, -1)]
@@ -254,6 +267,9 @@ def heights(space: Space, axis: Axis, colours: NDArray[np.float32], carrier: Lay
             bare = _read(parts.ground, x, y) + _read(parts.texture, x, y)
             opacity = _read(parts.structure[..., None], x, y)
             seen[n] = bare + opacity * (_read(parts.through, x, y) - bare)
+        if carve is not None:
+            met = carve.explains(space.radius[part] / space.widest, space.height[part])
+            seen[:, met] = base[met]
         gap = seen - base
         other = _smooth_step(DIFFERENT, 1.6 * DIFFERENT, np.linalg.norm(gap, axis=-1))
         votes = other.mean(0)

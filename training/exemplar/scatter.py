@@ -9,7 +9,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from training.exemplar.decompose import Layers
+from training.exemplar.carve import Carving
+from training.exemplar.decompose import Detail, Layers
 from training.exemplar.frames import Space, View, voxel_gate
 from training.exemplar.patches import OVER, POLAR, RADIAL, frame_at
 from training.prior import Progress
@@ -84,6 +85,7 @@ def strew(
     space: Space,
     views: Sequence[View],
     layers: Sequence[Sequence[Layers]],
+    carve: Carving | None,
     rng: np.random.Generator,
     progress: Progress,
 ) -> int:
@@ -93,7 +95,7 @@ def strew(
     of their own, or, where there are none, as it is wide. A plane meets a thing of length L on a share L/H of its
     places, so a face with n of them stands for n H / L in the body: short things are more.
     """
-    kinds = _kinds(space, views, layers)
+    kinds = _kinds(space, views, layers, carve)
     if not kinds:
         return 0
     order = np.argsort([-k.across for k in kinds], kind="stable")
@@ -162,8 +164,13 @@ class _Buckets:
         return at
 
 
-def _kinds(space: Space, views: Sequence[View], layers: Sequence[Sequence[Layers]]) -> list[_Kind]:
-    """What to strew: each detail of each picture, its length across, its number and its places."""
+def _kinds(
+    space: Space, views: Sequence[View], layers: Sequence[Sequence[Layers]], carve: Carving | None
+) -> list[_Kind]:
+    """What to strew: each detail of each picture, its length across, its number and its places.
+
+    Not what lies in a structure that is carried with all it holds, as an apple's seeds lie in its carpels.
+    """
     speaking = [v for v in range(len(views)) if any(p.details for p in layers[v])]
     # Where a radial or parallel family knows at which height and depth things are, the others' things go there too.
     aspects = [_aspect(layers[v]) for v in range(len(views))]
@@ -181,6 +188,8 @@ def _kinds(space: Space, views: Sequence[View], layers: Sequence[Sequence[Layers
         for n, parts in enumerate(layers[v]):
             for d, detail in enumerate(parts.details):
                 gate = parts.sheet.gate[detail.pixel]
+                if carve is not None and views[v].kind == RADIAL and _held(carve, parts, detail):
+                    continue
                 voxels, area = everywhere.number(gate), shown.number(gate)
                 if voxels == 0 or area == 0:
                     continue
@@ -192,6 +201,13 @@ def _kinds(space: Space, views: Sequence[View], layers: Sequence[Sequence[Layers
                     _Kind(v, n, d, across, voxels / area / (2 * SECTION * across) / len(speaking), places, gate)
                 )
     return kinds
+
+
+def _held(carve: Carving, parts: Layers, detail: Detail) -> bool:
+    """Whether a carried structure holds this detail of a radial picture."""
+    (across, up), (half_across, half_up) = parts.sheet.middle, parts.sheet.half
+    radius = np.array([abs(detail.x - across) / half_across])
+    return bool(carve.explains(radius, np.array([(up - detail.y) / half_up]))[0])
 
 
 def _aspect(layers: Sequence[Layers]) -> float:

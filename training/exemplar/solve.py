@@ -18,7 +18,7 @@ from scipy import ndimage
 
 from engine.body import Body
 from engine.errors import InputError
-from training.exemplar.carve import carving
+from training.exemplar.carve import Carving, carving
 from training.exemplar.decompose import Layers, decompose
 from training.exemplar.frames import Space, View, make_sheet, make_space
 from training.exemplar.layout import SIDEWAYS, along, between, carried, heights, revolved
@@ -59,8 +59,9 @@ def solve(
         return _volume(space, rgb, progress)
     layers = [[decompose(sheet, view.kind) for sheet in view.sheets] for view in views]
     progress(0.2)
-    rgb = space.scatter(_carry(space, views, layers, rng, lambda part: progress(0.2 + 0.5 * part)))
-    count = strew(rgb, space, views, layers, rng, lambda part: progress(0.7 + 0.1 * part))
+    colours, carve = _carry(space, views, layers, rng, lambda part: progress(0.2 + 0.5 * part))
+    rgb = space.scatter(colours)
+    count = strew(rgb, space, views, layers, carve, rng, lambda part: progress(0.7 + 0.1 * part))
     space.fill(rgb)
     gain = sharpen(space, rgb, views)
     log.info("%d details strewn, edges sharpened by %.2f", count, gain)
@@ -106,14 +107,17 @@ def _view(space: Space, family: Family, pictures: list[Picture]) -> View:
 
 def _carry(
     space: Space, views: list[View], layers: list[list[Layers]], rng: np.random.Generator, progress: Progress
-) -> NDArray[np.float32]:
-    """(N, 3). One family's pictures carried through the body, corrected by what radial ones know of height."""
+) -> tuple[NDArray[np.float32], Carving | None]:
+    """(N, 3). One family's pictures carried through the body, corrected by what radial ones know of height.
+
+    And what those know of the height of its structures, if anything.
+    """
     kinds = [v.kind for v in views]
     carrier = next((kinds.index(kind) for kind in (POLAR, FIXED) if kind in kinds), None)
     radial = kinds.index(RADIAL) if RADIAL in kinds else None
     if carrier is None:
         log.info("radial pictures alone: turned about the axis")
-        return revolved(space, layers[0][0], rng)
+        return revolved(space, layers[0][0], rng), None
     view = views[carrier]
     axis = along(space, view.basis, view.kind == POLAR)
     rate = _drift(layers[carrier], layers[radial] if radial is not None else [])
@@ -123,8 +127,8 @@ def _carry(
     carve = carving(layers[carrier][0], layers[radial], rng) if radial is not None else None
     colours = carried(space, axis, layers[carrier], rate, carve, rng, progress)
     if radial is not None:
-        heights(space, axis, colours, layers[carrier][0], layers[radial])
-    return np.clip(colours, 0, 1)
+        heights(space, axis, colours, layers[carrier][0], layers[radial], carve)
+    return np.clip(colours, 0, 1), carve
 
 
 def _drift(carrier: list[Layers], radial: list[Layers]) -> float:
