@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from scipy import ndimage
 
 from engine.body import Body
 from engine.errors import InputError
+from engine.plane import Plane
 from training.exemplar import ExemplarPrior, read_picture
 from training.exemplar.decompose import decompose
 from training.exemplar.frames import make_sheet, make_space
@@ -265,6 +267,25 @@ def test_a_spline_is_crisper_and_goes_through_the_cells() -> None:
     np.testing.assert_allclose(volume.crisp(body.centres()), values, atol=1e-5)
     between = body.centres()[4:-4, 4:-4, 4:-4] + body.cell / 2
     assert 1.1 < volume.crisp(between).std() / volume.at(between).std() < 2
+
+
+@pytest.mark.parametrize(
+    ("plane", "like"),
+    [
+        (Plane.of((0.1, 0, 1), -0.2), Family("horizontal", 1)),
+        (Plane.of((1, 1, 0.1), 0.02), Family("radial", 1)),
+        (Plane.of((1, 0, 0), -0.4), Family("parallel", 1, axis=(1.0, 0.0, 0.0))),
+        (Plane.of((1, 0, 1), 0.0), Family("parallel", 1, axis=(0.5**0.5, 0.0, 0.5**0.5))),
+    ],
+)
+def test_pictures_of_a_chosen_plane_are_read_by_how_it_lies(tmp_path: Path, plane: Plane, like: Family) -> None:
+    pictures = (save(tmp_path / "face.png", disc(seeds=6)[0]),)
+    chosen = Family("custom", 1, pictures, custom=(plane,))
+    volumes = [
+        ExemplarPrior().solve(ball(), UP, [family], 24, 3, quiet)
+        for family in (chosen, replace(like, exemplars=pictures))
+    ]
+    assert np.array_equal(volumes[0].rgb, volumes[1].rgb)
 
 
 def test_same_seed_same_bits(tmp_path: Path) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal, get_args
 
@@ -23,6 +23,13 @@ COUNTS: dict[Kind, int] = {"horizontal": 40, "radial": 30, "parallel": 60, "cust
 
 MOST = 10_000
 """Planes of a family. At 10,000 they stand closer than any atom is small, and each costs a label picture."""
+
+
+LEAN = np.radians(15)
+"""Angle up to which a plane counts as level or upright: people do not cut straighter."""
+
+NEAR_AXIS = 0.05
+"""Distance from the axis, over the body's least extent, up to which an upright cut is one through it."""
 
 
 @dataclass(frozen=True)
@@ -64,6 +71,27 @@ class Family:
         low, high = body.bounds()
         e1, e2 = equator(up)
         return e1 if abs((high - low) @ e1) >= abs((high - low) @ e2) else e2
+
+    def plain(self, body: Body, up: NDArray[np.float64]) -> Family:
+        """A custom family as the horizontal, radial or parallel one whose planes are like its first; others unchanged.
+
+        That tells how its pictures are to be read: of a plane along the axis and near it, as a radial cut.
+        """
+        if self.kind != "custom":
+            return self
+        plane = self.custom[0]
+        steep = abs(float(plane.normal @ up))
+        low, high = body.bounds()
+        aside = abs(float(plane.normal @ (low + high) / 2 + plane.offset))
+        kind: Kind = "parallel"
+        if steep > np.cos(LEAN):
+            kind = "horizontal"
+        elif steep < np.sin(LEAN) and aside < NEAR_AXIS * float((high - low).min()):
+            kind = "radial"
+        x, y, z = map(float, plane.normal)
+        return replace(
+            self, kind=kind, count=len(self.custom), custom=(), axis=(x, y, z) if kind == "parallel" else None
+        )
 
     def planes(self, body: Body, up: NDArray[np.float64]) -> list[Plane]:
         """The planes to train. Stacks are spaced evenly through the body, radial ones evenly over 180 degrees, or over

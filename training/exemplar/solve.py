@@ -43,7 +43,7 @@ def solve(
 
     Raises InputError where no family has an exemplar, or a picture cannot be used.
     """
-    families = [f for f in families if f.exemplars]
+    families = [f.plain(body, up) for f in families if f.exemplars]
     if not families:
         raise InputError("no exemplar pictures: give at least one family a photograph of a cut face")
     rng = np.random.default_rng(seed)
