@@ -14,14 +14,15 @@ from scipy import ndimage
 from engine.body import Body
 from engine.errors import InputError
 from engine.plane import Plane
-from training.exemplar import ExemplarPrior, read_picture
+from training.exemplar import ExemplarPrior, denoise, read_picture
 from training.exemplar.decompose import decompose
 from training.exemplar.frames import make_sheet, make_space
 from training.exemplar.light import gain_between
-from training.exemplar.patches import POLAR, posterior
+from training.exemplar.patches import PATCH, POLAR, posterior
 from training.families import Family
 from training.prior import Condition, Volume
 
+SAMPLES = Path(__file__).parents[1] / "sample_scenes"
 UP = np.array([0.0, 0.0, 1.0])
 RIND, FLESH, SEED = np.array([0.1, 0.5, 0.1]), np.array([0.85, 0.15, 0.15]), np.array([0.05, 0.03, 0.02])
 
@@ -402,23 +403,27 @@ def test_posterior_is_the_softmax_over_candidates() -> None:
         np.testing.assert_allclose(out[m], weight @ colours[own] / weight.sum(), atol=1e-5)
 
 
-def test_denoiser_finds_the_noise(tmp_path: Path) -> None:
-    face, mask = disc(96, seeds=8)
-    family = Family("horizontal", 40, (save(tmp_path / "face.png", disc(192, seeds=8)[0]),))
-    y, x = (np.mgrid[:96, :96] + 0.5) / 48 - 1
+def level_cut(family: Family, size: int, mask: NDArray[np.bool_]) -> Condition:
+    """A horizontal cut through the middle of a ball of 0.8 of the picture."""
+    y, x = (np.mgrid[:size, :size] + 0.5) / (size / 2) - 1
     r = (np.hypot(x, y) / 0.8).astype(np.float32)
-    flat = np.zeros((96, 96), np.float32)
-    condition = Condition(
+    return Condition(
         family,
         "",
         mask,
         np.where(mask, 1 - r, 0).astype(np.float32),
         r,
         np.arctan2(-y, x).astype(np.float32),
-        flat,
+        np.zeros((size, size), np.float32),
         np.where(mask, 1, np.inf).astype(np.float32),
-        np.ones((96, 96, 3), np.float32),
+        np.ones((size, size, 3), np.float32),
     )
+
+
+def test_denoiser_finds_the_noise(tmp_path: Path) -> None:
+    face, mask = disc(96, seeds=8)
+    family = Family("horizontal", 40, (save(tmp_path / "face.png", disc(192, seeds=8)[0]),))
+    condition = level_cut(family, 96, mask)
     rng = np.random.default_rng(0)
     prior = ExemplarPrior()
     for sigma in (0.15, 0.5):
@@ -429,3 +434,27 @@ def test_denoiser_finds_the_noise(tmp_path: Path) -> None:
         left = np.sqrt(((noisy - sigma * found - face)[mask] ** 2).mean())
         assert left < 0.5 * sigma
         np.testing.assert_allclose(found[~mask], noise[~mask], atol=1e-5)
+
+
+def test_search_is_nearly_exact(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Within 30 dB of a search through every patch that lies like the pixel, by all of its numbers."""
+    family = Family("horizontal", 40, (SAMPLES / "orange" / "horizontal_1.png",))
+    noise = np.random.default_rng(0).normal(size=(96, 96, 3)).astype(np.float32)
+    face, mask = disc(96)
+    other = read_picture(SAMPLES / "orange" / "horizontal_2.png", "horizontal")
+    rows, columns = np.nonzero(other.mask)
+    box = other.rgb[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1]
+    r, c = np.nonzero(mask)
+    height, width = np.ptp(r) + 1, np.ptp(c) + 1
+    scale = height / box.shape[0], width / box.shape[1], 1
+    face[r.min() : r.max() + 1, c.min() : c.max() + 1] = ndimage.zoom(box, scale, order=1)
+    condition = level_cut(family, 96, mask)
+    for sigma in (0.15, 0.5):
+        noisy = face + sigma * noise
+        quick = ExemplarPrior().denoise(noisy, sigma, condition, np.random.default_rng(0))
+        with monkeypatch.context() as exact:
+            exact.setattr(denoise, "MOST", 10**9)
+            exact.setattr(denoise, "COEFFICIENTS", PATCH)
+            true = ExemplarPrior().denoise(noisy, sigma, condition, np.random.default_rng(0))
+        error = sigma * (quick - true)[mask]
+        assert (error**2).mean() < 1e-3
