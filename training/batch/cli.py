@@ -25,7 +25,8 @@ from training.settings import DetailName
 __all__ = ["main"]
 
 GIGABYTES: dict[DetailName, float] = {"draft": 1.2, "standard": 2.3, "high": 3.2}
-"""Memory of one run with room to spare: scans peak at 0.9 in draft, 1.9 in standard and 2.4 in high. It decides how many run on this machine at once."""
+"""Memory of one run with room to spare: scans peak at 0.9 in draft, 1.9 in standard and 2.4 in high. It decides
+how many run on this machine at once."""
 
 FAILED, STOPPED = 1, 130
 """Exit status where a scene failed, and where the user stopped."""
