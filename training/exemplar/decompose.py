@@ -112,7 +112,7 @@ def decompose(sheet: Sheet, kind: Frame) -> Layers:
     opacity = _smoothstep(0.25, 0.65, contrast / np.maximum(peak, 0.5 * high))
     if swallowed.any():
         # Here all that differs from the ground is one thing, the seeds in it included.
-        typical = float(np.median(contrast[swallowed & (contrast > high)]))
+        typical = max(high, float(np.median(contrast[swallowed])))
         near = ndimage.binary_dilation(swallowed, iterations=round(WINDOW * inradius))
         opacity = np.where(near, _smoothstep(0.25, 0.65, contrast / typical), opacity)
     parts, count = ndimage.label((contrast > 0.5 * high) & (opacity > 0.4))
