@@ -32,6 +32,8 @@ bench: $(READY)
 	@tools/ensure_gl.sh
 	$(BIN)/fruitninja-evaluate --cuts 24 -o out/evaluation --methods ours,physgaussian,oracle \
 		--scenes watermelon,orange,bread,apple,pomegranate,cake$(THIGH)
+	cp out/evaluation/report.json docs/charts/evaluation_scenes.json
+	$(BIN)/fruitninja-evaluate --cuts 24 -o out/evaluation
 	cp out/evaluation/report.json docs/charts/evaluation.json
 	$(BIN)/python -m benchmarks.oblique_cuts --scenes watermelon,orange,bread$(THIGH)
 	$(BIN)/python -m benchmarks.label_makers
