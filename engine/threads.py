@@ -17,7 +17,6 @@ from typing import Any
 
 import numba
 import numpy as np
-import torch
 from llvmlite import ir  # type: ignore[import-untyped]
 from numba import njit, types
 from numba.extending import intrinsic
@@ -142,6 +141,8 @@ def use_cores(count: int) -> None:
 
     They never run at the same time, so each may have them all.
     """
+    import torch  # takes longer than all else that the window needs to open, and only training needs it
+
     count = max(1, count)
     numba.set_num_threads(min(count, vars(numba.config)["NUMBA_NUM_THREADS"]))
     torch.set_num_threads(count)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -112,3 +114,9 @@ def test_a_forked_child_has_threads_of_its_own() -> None:
         os.kill(child, 9)
         pytest.fail("the child hangs")
     assert os.waitstatus_to_exitcode(status) == 10
+
+
+def test_the_window_opens_without_torch() -> None:
+    """It takes as long to import as all the rest together."""
+    code = "import sys, app.ui.window; sys.exit('torch' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
