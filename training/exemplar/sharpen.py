@@ -16,11 +16,12 @@ __all__ = ["sharpen"]
 SIGMA = 0.8
 """Blur in cells against which edges are measured: about that of trilinear reading."""
 
-MOST = 2.0
-"""Greatest gain; more would show the grid."""
+MOST = 2.5
+"""Greatest gain; of more, nothing is left once voxels are held to their neighbours' range."""
 
-TARGET = 1.05
-"""Share of the pictures' sharpness to aim at: holding voxels to their neighbours' range takes the excess away again."""
+TARGET = 1.25
+"""Share of the pictures' sharpness to aim at. Holding voxels to their neighbours' range takes half of the gain away:
+cuts of atoms then come out 0.9 to 1.0 times as sharp as the truth."""
 
 CORE = 0.15
 """Depth in inradii from which sharpness is compared: the rind would decide it alone."""
