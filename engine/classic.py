@@ -21,7 +21,7 @@ import torch
 from numpy.typing import NDArray
 
 from engine.camera import Camera
-from engine.cpu.blend import ADJOINT, BLOCK, ROW, STATE, blend, blend_backward, resolve, start, start_backward
+from engine.cpu.blend import ADJOINT, BLOCK, ROW, STATE, UNTOUCHED, blend, blend_backward, resolve
 from engine.cpu.depth_order import depth_order
 from engine.cpu.splats import RECORD, project, project_backward
 from engine.cpu.tiles import BLOCKS, SIDE, list_pairs, place_pairs, sort_pairs, sum_open
@@ -93,6 +93,8 @@ class _Frame:
     pair_counts: NDArray[np.int32]  # [V]
     states: NDArray[np.floating]  # [tiles, BLOCKS, STATE * BLOCK]
     lasts: NDArray[np.int32]  # [tiles, BLOCKS, BLOCK]
+    tile_lasts: NDArray[np.int32]  # [tiles]
+    size: tuple[int, int]  # width and height of the picture
     slices: list[_Slice] = field(default_factory=list)
 
 
@@ -174,23 +176,22 @@ def _backward(
     adjoints = _empty((tiles_y * tiles_x, BLOCKS, ADJOINT * BLOCK), kind)
     parameters = scene.means, scene.scales, scene.quats, scene.opacities, scene.colours
     ends = np.cumsum([array.size for array in parameters])
-    flat = np.empty(ends[-1], kind)
-    for_each(
-        start_backward, -(-tiles_y // ROWS_PER_TASK), ROWS_PER_TASK, frame.states, np.array(background, kind), *outer,
-        adjoints, flat,
-    )  # fmt: skip
+    flat = np.zeros(ends[-1], kind)
     gradients = [part.reshape(a.shape) for part, a in zip(np.split(flat, ends[:-1]), parameters, strict=True)]
-    tile_lasts = frame.lasts.max(axis=(1, 2))
+    begun = np.zeros(tiles_y * tiles_x, np.uint8)
+    behind = np.array(background, kind)
+    deep = bool(outer[2].any())
     buffer = _empty((max((len(part.pair_tiles) for part in frame.slices), default=0), ROW), kind)
     for part in reversed(frame.slices):
         for_each(
             blend_backward, -(-len(part.tiles) // TILES_PER_TASK), TILES_PER_TASK, part.tiles, tiles_x,
-            part.tile_starts, part.pair_codes, part.pair_rows, frame.records, frame.lasts, tile_lasts, adjoints, buffer,
+            part.tile_starts, part.pair_codes, part.pair_rows, frame.records, frame.states, frame.lasts,
+            frame.tile_lasts, behind, *outer, deep, begun, adjoints, buffer,
         )  # fmt: skip
         for_each(
             project_backward, len(part.record_counts), part.chunk_size, part.first, part.record_counts,
             frame.cam, frame.eye, *parameters, scene.plain, frame.records, frame.owners, frame.pair_counts,
-            part.first_places, part.pair_tiles, tile_lasts, buffer, *gradients,
+            part.first_places, part.pair_tiles, frame.tile_lasts, buffer, *gradients,
         )  # fmt: skip
     return gradients
 
@@ -217,8 +218,9 @@ def _composite(scene: _Scene, camera: Camera) -> _Frame:
         np.empty(visible, np.int32),
         _empty((tiles_y * tiles_x, BLOCKS, STATE * BLOCK), kind),
         _empty((tiles_y * tiles_x, BLOCKS, BLOCK), np.dtype(np.int32)),
+        np.full(tiles_y * tiles_x, UNTOUCHED, np.int32),
+        (camera.width, camera.height),
     )
-    for_each(start, -(-tiles_y // ROWS_PER_TASK), ROWS_PER_TASK, frame.states, frame.lasts, camera.width, camera.height)
     open_tiles = np.ones((tiles_y, tiles_x), np.uint8)
     size = max(LEAST_SLICE, -(-visible // SLICES))
     for first in range(0, visible, size):
@@ -260,7 +262,7 @@ def _composite_slice(
     tasks = -(-len(tiles) // TILES_PER_TASK)
     for_each(
         blend, tasks, TILES_PER_TASK, tiles, tile_starts, pair_codes, frame.records, frame.states, frame.lasts,
-        open_tiles,
+        frame.tile_lasts, open_tiles, *frame.size,
     )  # fmt: skip
     frame.slices.append(
         _Slice(first, chunk_size, record_counts, first_places, tiles, tile_starts, pair_codes, pair_tiles, pair_rows)
@@ -275,5 +277,7 @@ def _picture(
     shape = camera.height, camera.width
     rgb, alpha, depth = np.empty((*shape, 3), kind), np.empty(shape, kind), np.empty(shape, kind)
     tasks = -(-camera.height // (SIDE * ROWS_PER_TASK))
-    for_each(resolve, tasks, ROWS_PER_TASK, frame.states, np.array(background, kind), rgb, alpha, depth)
+    for_each(
+        resolve, tasks, ROWS_PER_TASK, frame.states, frame.tile_lasts, np.array(background, kind), rgb, alpha, depth
+    )
     return rgb, alpha, depth

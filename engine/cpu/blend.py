@@ -20,11 +20,10 @@ __all__ = [
     "MIN_TRANSMITTANCE",
     "ROW",
     "STATE",
+    "UNTOUCHED",
     "blend",
     "blend_backward",
     "resolve",
-    "start",
-    "start_backward",
 ]
 
 BLOCK = 2 * SIDE
@@ -50,6 +49,13 @@ ROW = BLOCK
 
 With p = dL/dalpha * alpha, w the pixel's weight and m, n as in a record: 0 p, 1 p m, 2 p m^2, 3 p n, 4 p n m, 5 p n^2,
 then w times the picture's gradient in 6 7 8 colour, 9 depth. The rest is 0."""
+
+UNTOUCHED = -2
+"""Last record of a tile that no pair has come to: it shows the background. -1 where none of its pairs was drawn."""
+
+FIRST = np.array([0] + [(blocks & -blocks).bit_length() - 1 for blocks in range(1, 1 << BLOCKS)])
+END = np.array([blocks.bit_length() for blocks in range(1 << BLOCKS)])
+"""First and one past last of the blocks of a pair, which lie side by side, by its bits."""
 
 BATCH = 64
 """Pairs that go through the blocks of a tile together: a block's pixels stay in registers meanwhile, and those that
@@ -96,7 +102,10 @@ def blend(  # type: ignore[no-untyped-def]
     records,  # [V, RECORD]
     states,  # in out [all tiles, BLOCKS, STATE * BLOCK]
     lasts,  # in out [all tiles, BLOCKS, BLOCK] place of the last record drawn
+    tile_lasts,  # in out [all tiles] greatest of them
     open_tiles,  # in out [tiles_y, tiles_x]
+    width,
+    height,
 ):
     """Goes on compositing the tiles of one task with the pairs of a slice; closes tiles that have become opaque."""
     number = states.dtype.type
@@ -107,6 +116,8 @@ def blend(  # type: ignore[no-untyped-def]
         tile = tiles[index]
         ty = tile // tiles_x
         tx = tile - ty * tiles_x
+        if tile_lasts[tile] == UNTOUCHED:
+            _start(states[tile], lasts[tile], tx * SIDE, ty * SIDE, width, height)
         left, top = number(tx * SIDE), number(ty * SIDE)
         open_blocks = (1 << BLOCKS) - 1
         end = tile_starts[tile + 1]
@@ -127,6 +138,18 @@ def blend(  # type: ignore[no-untyped-def]
             if open_blocks == 0:
                 open_tiles[ty, tx] = 0
                 break
+        tile_lasts[tile] = lasts[tile].max()
+
+
+@njit(cache=True, error_model="numpy")
+def _start(states, lasts, left, top, width, height):  # type: ignore[no-untyped-def]
+    """The empty pixels of a tile; those outside of the picture count as finished."""
+    states[:] = 0
+    lasts[:] = -1
+    for block in range(BLOCKS):
+        for i in range(BLOCK):
+            x, y = left + i % SIDE, top + 2 * block + i // SIDE
+            states[block, i] = 1 if x < width and y < height else -1
 
 
 @njit(cache=True, error_model="numpy")
@@ -185,8 +208,15 @@ def blend_backward(  # type: ignore[no-untyped-def]
     pair_codes,  # [pairs]
     pair_rows,  # [pairs] row of each
     records,  # [V, RECORD]
+    states,  # [all tiles, BLOCKS, STATE * BLOCK]
     lasts,  # [all tiles, BLOCKS, BLOCK]
     tile_lasts,  # [all tiles] greatest of them
+    background,  # [3]
+    g_rgb,  # [H, W, 3]
+    g_alpha,  # [H, W]
+    g_depth,  # [H, W]
+    deep,  # there is something in g_depth
+    begun,  # in out [all tiles]
     adjoints,  # in out [all tiles, BLOCKS, ADJOINT * BLOCK]
     rows,  # out [most pairs, ROW], left alone where the tile was closed before the pair
 ):
@@ -204,7 +234,11 @@ def blend_backward(  # type: ignore[no-untyped-def]
     for index in range(task * tiles_per_task, min((task + 1) * tiles_per_task, len(tiles))):
         tile = tiles[index]
         ty = tile // tiles_x
-        left, top = number((tile - ty * tiles_x) * SIDE), number(ty * SIDE)
+        tx = tile - ty * tiles_x
+        if not begun[tile]:
+            begun[tile] = 1
+            _start_backward(states[tile], background, g_rgb, g_alpha, g_depth, tx * SIDE, ty * SIDE, adjoints[tile])
+        left, top = number(tx * SIDE), number(ty * SIDE)
         for block in range(BLOCKS):
             block_last[block] = lasts[tile, block].max()
         for at in range(tile_starts[tile + 1] - 1, tile_starts[tile] - 1, -1):
@@ -224,18 +258,22 @@ def blend_backward(  # type: ignore[no-untyped-def]
                 nothing,
                 nothing,
             )
-            for block in range(BLOCKS):
-                if not (blocks >> block) & 1 or slot > block_last[block]:
+            for block in range(FIRST[blocks & (len(FIRST) - 1)], END[blocks & (len(END) - 1)]):
+                if slot > block_last[block]:
                     continue
                 s = adjoints[tile, block]
                 alpha, n = _rows(load16(centres, (2 + block) * BLOCK), v, q[6], n_part, power)
                 alpha = where(load16(lasts[tile, block], 0) >= slot, alpha, 0.0)
                 g_red, g_green, g_blue = load16(s, 2 * BLOCK), load16(s, 3 * BLOCK), load16(s, 4 * BLOCK)
-                g_depth = load16(s, 5 * BLOCK)
                 before = load16(s, 0) / (1.0 - alpha)
                 behind = load16(s, BLOCK)
-                more = fma(g_red, q[8], fma(g_green, q[9], fma(g_blue, q[10], g_depth * q[11]))) - behind
                 w = alpha * before
+                shade = fma(g_red, q[8], fma(g_green, q[9], g_blue * q[10]))
+                if deep:
+                    g_far = load16(s, 5 * BLOCK)
+                    shade = fma(g_far, q[11], shade)
+                    depth = fma(w, g_far, depth)
+                more = shade - behind
                 store(s, 0, before)
                 store(s, BLOCK, fma(alpha, more, behind))
                 p = where(alpha < MAX_ALPHA, w * more, 0.0)
@@ -246,41 +284,22 @@ def blend_backward(  # type: ignore[no-untyped-def]
                 red = fma(w, g_red, red)
                 green = fma(w, g_green, green)
                 blue = fma(w, g_blue, blue)
-                depth = fma(w, g_depth, depth)
             pm_sum = p_sum * m
             sums = row_sums((p_sum, pm_sum, pm_sum * m, pn_sum, pn_sum * m, pnn_sum, red, green, blue, depth))
             store(rows[pair_rows[at]], 0, sums)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def start_backward(  # type: ignore[no-untyped-def]
-    task,
-    rows_per_task,  # rows of tiles
-    states,  # [all tiles, BLOCKS, STATE * BLOCK]
-    background,  # [3]
-    g_rgb,  # [H, W, 3]
-    g_alpha,  # [H, W]
-    g_depth,  # [H, W]
-    adjoints,  # out [all tiles, BLOCKS, ADJOINT * BLOCK]
-    gradients,  # out [.] of all parameters, one after the other
-):
-    """The picture's gradient for the rows of tiles of one task, in the order of the tiles; its share of the parameters'
-    gradients becomes 0."""
+@njit(cache=True, error_model="numpy")
+def _start_backward(states, background, g_rgb, g_alpha, g_depth, left, top, out):  # type: ignore[no-untyped-def]
+    """The picture's gradient for a tile: states (BLOCKS, STATE * BLOCK), out (BLOCKS, ADJOINT * BLOCK)."""
     height, width = g_alpha.shape
-    tiles_x = (width + SIDE - 1) // SIDE
-    tasks = -(-((height + SIDE - 1) // SIDE) // rows_per_task)
-    gradients[len(gradients) * task // tasks : len(gradients) * (task + 1) // tasks] = 0
-    first = task * rows_per_task * tiles_x
-    for tile in range(first, min(first + rows_per_task * tiles_x, len(adjoints))):
-        top, left = tile // tiles_x * SIDE, tile % tiles_x * SIDE
-        if top + SIDE > height or left + SIDE > width:
-            adjoints[tile] = 0
-        for y in range(top, min(top + SIDE, height)):
-            block, shift = (y - top) // 2, np.uintp((y - top) % 2 * SIDE)
-            _start_backward_row(
-                states[tile, block], background, g_rgb[y, left:], g_alpha[y, left:], g_depth[y, left:], shift,
-                adjoints[tile, block],
-            )  # fmt: skip
+    if top + SIDE > height or left + SIDE > width:
+        out[:] = 0
+    for y in range(top, min(top + SIDE, height)):
+        block, shift = (y - top) // 2, np.uintp((y - top) % 2 * SIDE)
+        _start_backward_row(
+            states[block], background, g_rgb[y, left:], g_alpha[y, left:], g_depth[y, left:], shift, out[block]
+        )
 
 
 @njit(cache=True, error_model="numpy")
@@ -300,26 +319,7 @@ def _start_backward_row(states, background, g_rgb, g_alpha, g_depth, shift, out)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def start(task, rows_per_task, states, lasts, width, height):  # type: ignore[no-untyped-def]
-    """Empty pixels for the rows of tiles of one task; those outside of the picture count as finished."""
-    number = states.dtype.type
-    tiles_x = (width + SIDE - 1) // SIDE
-    first = task * rows_per_task * tiles_x
-    for tile in range(first, min(first + rows_per_task * tiles_x, len(states))):
-        ty = tile // tiles_x
-        tx = tile - ty * tiles_x
-        for block in range(BLOCKS):
-            s = states[tile, block]
-            s[:] = number(0)
-            for i in range(BLOCK):
-                x = tx * SIDE + i % SIDE
-                y = ty * SIDE + 2 * block + i // SIDE
-                s[i] = number(1) if x < width and y < height else number(-1)
-                lasts[tile, block, i] = -1
-
-
-@njit(cache=True, error_model="numpy", nogil=True)
-def resolve(task, rows_per_task, states, background, rgb, alpha, depth):  # type: ignore[no-untyped-def]
+def resolve(task, rows_per_task, states, tile_lasts, background, rgb, alpha, depth):  # type: ignore[no-untyped-def]
     """Writes the rows of tiles of one task to rgb (H, W, 3), over the background (3,), alpha and depth (H, W)."""
     height, width = alpha.shape
     tiles_x = (width + SIDE - 1) // SIDE
@@ -327,6 +327,11 @@ def resolve(task, rows_per_task, states, background, rgb, alpha, depth):  # type
     first = task * rows_per_task * tiles_x
     for tile in range(first, min(first + rows_per_task * tiles_x, len(states))):
         top, corner = tile // tiles_x * SIDE, tile % tiles_x * SIDE
+        if tile_lasts[tile] == UNTOUCHED:
+            rgb[top : top + SIDE, corner : corner + SIDE] = background
+            alpha[top : top + SIDE, corner : corner + SIDE] = 0
+            depth[top : top + SIDE, corner : corner + SIDE] = 0
+            continue
         for y in range(top, min(top + SIDE, height)):
             part, shift = states[tile, (y - top) // 2], np.uintp((y - top) % 2 * SIDE)
             row_rgb, row_alpha, row_depth = rgb[y, corner:], alpha[y, corner:], depth[y, corner:]
