@@ -177,14 +177,18 @@ def make_space(body: Body, up: NDArray[np.float64], voxels: int) -> Space:
 def rim_of(planar: NDArray[np.float32], radius: NDArray[np.float32]) -> NDArray[np.float32]:
     """(N,). The greatest radius among the voxels of the same height and angle."""
     level = np.round(planar[:, 2] - planar[:, 2].min()).astype(int)
-    turn = (np.arctan2(planar[:, 1], planar[:, 0]) / (2 * np.pi) * ANGLES).astype(int) % ANGLES
+    angle = np.arctan2(planar[:, 1], planar[:, 0]) / (2 * np.pi) % 1
+    turn = (angle * ANGLES).astype(int) % ANGLES
     rims = np.zeros((level.max() + 1, ANGLES), np.float32)
     np.maximum.at(rims, (level, turn), radius)
     # Narrow slices have fewer voxels than angles: look around, then smooth away the steps of the grid.
     wide = ndimage.grey_dilation(rims, size=(1, 9), mode="wrap")
     rims = np.where(rims > 0.8 * wide, rims, wide)
     rims = ndimage.gaussian_filter(rims, (0.7, 2.0), mode=("nearest", "wrap"))
-    return np.maximum(rims[level, turn], np.maximum(radius, 0.5))
+    # Read between angles: taken by steps, an outline that runs aslant would show teeth under the skin.
+    at = np.stack([level, angle * ANGLES - 0.5])
+    rim = ndimage.map_coordinates(np.pad(rims, ((0, 0), (1, 1)), mode="wrap"), at + [[0], [1]], order=1, mode="nearest")
+    return np.maximum(rim, np.maximum(radius, 0.5))
 
 
 def depth_gate(depth: NDArray[np.floating]) -> NDArray[np.float32]:
