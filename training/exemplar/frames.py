@@ -186,8 +186,8 @@ def rim_of(planar: NDArray[np.float32], radius: NDArray[np.float32]) -> NDArray[
     rims = np.where(rims > 0.8 * wide, rims, wide)
     rims = ndimage.gaussian_filter(rims, (0.7, 2.0), mode=("nearest", "wrap"))
     # Read between angles: taken by steps, an outline that runs aslant would show teeth under the skin.
-    at = np.stack([level, angle * ANGLES - 0.5])
-    rim = ndimage.map_coordinates(np.pad(rims, ((0, 0), (1, 1)), mode="wrap"), at + [[0], [1]], order=1, mode="nearest")
+    closed = np.pad(rims, ((0, 0), (1, 1)), mode="wrap")
+    rim = ndimage.map_coordinates(closed, np.stack([level, angle * ANGLES + 0.5]), order=1, mode="nearest")
     return np.maximum(rim, np.maximum(radius, 0.5))
 
 
