@@ -16,7 +16,7 @@ from engine.errors import InputError
 from engine.plane import Plane
 from training.exemplar import ExemplarPrior, denoise, read_picture
 from training.exemplar.decompose import decompose
-from training.exemplar.frames import make_sheet, make_space
+from training.exemplar.frames import make_sheet, make_space, rim_of
 from training.exemplar.light import gain_between
 from training.exemplar.patches import PATCH, POLAR, posterior
 from training.families import Family
@@ -256,6 +256,22 @@ def test_a_crust_is_as_thick_in_the_corners_of_a_loaf(tmp_path: Path) -> None:
     green = green[:, 1] > green[:, 0]
     assert green[(under > 0.02) & (under < 0.12)].mean() > 0.97
     assert green[(under > 0.18) & (under < 0.3)].mean() < 0.03
+
+
+def test_the_rim_of_an_ellipse_runs_smoothly() -> None:
+    """From voxel to voxel it goes as the ellipse does; a step is a tooth in every thin layer under the skin."""
+    x, y, z = np.meshgrid(np.arange(-64, 65), np.arange(-34, 35), np.arange(4), indexing="ij")
+    a, b = 60.3, 30.1
+    inside = (x / a) ** 2 + (y / b) ** 2 <= 1
+    planar = np.stack([x[inside], y[inside], z[inside]], -1).astype(np.float32)
+    radius = np.hypot(planar[:, 0], planar[:, 1])
+    angle = np.arctan2(planar[:, 1], planar[:, 0])
+    true = a * b / np.hypot(b * np.cos(angle), a * np.sin(angle))
+    error = np.full(x.shape, np.nan)
+    error[inside] = np.where(radius > 0.5 * true, rim_of(planar, radius) - true, np.nan)
+    assert np.nanmax(np.abs(error)) < 1
+    for axis in (0, 1):
+        assert np.nanquantile(np.abs(np.diff(error, axis=axis)), 0.99) < 0.3
 
 
 def test_a_spline_is_crisper_and_goes_through_the_cells() -> None:
