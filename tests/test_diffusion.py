@@ -1,4 +1,4 @@
-"""Stable Diffusion behind the prior's door, on a tiny model of random weights; score distillation on codes."""
+"""Stable Diffusion behind the prior's door, on a tiny model of random weights."""
 
 from __future__ import annotations
 
@@ -428,50 +428,3 @@ def test_a_missing_package_is_said_in_one_line():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip().endswith("pip install fruitninja[diffusion]")
-
-
-class GaussianCodes:
-    """Codes are the pictures themselves less grey; each number is N(mean, spread^2)."""
-
-    def __init__(self, mean, spread):
-        self.mean, self.spread = np.float32(mean), spread
-
-    def encode(self, label):
-        return label - np.float32(0.5)
-
-    def decode(self, code, shape):
-        return code + np.float32(0.5)
-
-    def denoise(self, noisy, sigma, condition, rng):
-        self.seen = noisy, sigma
-        return (sigma * (noisy - self.mean) / (sigma**2 + self.spread**2)).astype(np.float32)
-
-
-@pytest.mark.parametrize(("form", "error"), [("x0", 0.02), ("noise", 0.1)])
-def test_distillation_of_codes_finds_the_mode(form, error):
-    condition = asked()
-    mean = np.random.default_rng(1).uniform(-0.3, 0.3, (48, 48, 3)).astype(np.float32)
-    start = np.full_like(mean, 0.9)
-    label = distill(start, GaussianCodes(mean, 0.05), condition, np.random.default_rng(0), form=form)
-    assert np.sqrt(np.mean((label - 0.5 - mean)[condition.inside] ** 2)) < error
-
-
-def test_a_first_label_forgets_the_grey_it_started_from():
-    """Two starts end apart by their difference times the product of spread^2 / (spread^2 + sigma^2)."""
-    condition = asked()
-    ends = [
-        distill(np.full((48, 48, 3), start, np.float32), GaussianCodes(0.0, 8.0), condition, np.random.default_rng(0))
-        for start in (0.4, 0.6)
-    ]
-    apart = (ends[1] - ends[0])[condition.inside]
-    assert np.abs(apart).max() < 0.05 * 0.2
-
-
-def test_a_prior_of_codes_sees_the_surroundings_as_they_are():
-    condition = asked()
-    start = blank(condition)
-    codes = GaussianCodes(-0.3, 0.05)
-    distill(start, codes, condition, np.random.default_rng(0))
-    noisy, sigma = codes.seen
-    outside = ((noisy - 0.5) / sigma)[~condition.inside]
-    assert abs(outside.mean()) < 0.1 and abs(outside.std() - 1) < 0.1

@@ -81,6 +81,53 @@ def test_distillation_finds_the_mode(form, error):
     assert (again == label).all()
 
 
+class GaussianCodes:
+    """Codes are the pictures themselves less grey; each number is N(mean, spread^2)."""
+
+    def __init__(self, mean, spread):
+        self.mean, self.spread = np.float32(mean), spread
+
+    def encode(self, label):
+        return label - np.float32(0.5)
+
+    def decode(self, code, shape):
+        return code + np.float32(0.5)
+
+    def denoise(self, noisy, sigma, condition, rng):
+        self.seen = noisy, sigma
+        return (sigma * (noisy - self.mean) / (sigma**2 + self.spread**2)).astype(np.float32)
+
+
+@pytest.mark.parametrize(("form", "error"), [("x0", 0.02), ("noise", 0.1)])
+def test_distillation_of_codes_finds_the_mode(form, error):
+    asked = condition((48, 48))
+    mean = np.random.default_rng(1).uniform(-0.3, 0.3, (48, 48, 3)).astype(np.float32)
+    start = np.full_like(mean, 0.9)
+    label = distill(start, GaussianCodes(mean, 0.05), asked, np.random.default_rng(0), form=form)
+    assert np.sqrt(np.mean((label - 0.5 - mean)[asked.inside] ** 2)) < error
+
+
+def test_a_first_label_forgets_the_grey_it_started_from():
+    """Two starts end apart by their difference times the product of spread^2 / (spread^2 + sigma^2)."""
+    asked = condition((48, 48))
+    ends = [
+        distill(np.full((48, 48, 3), start, np.float32), GaussianCodes(0.0, 8.0), asked, np.random.default_rng(0))
+        for start in (0.4, 0.6)
+    ]
+    apart = (ends[1] - ends[0])[asked.inside]
+    assert np.abs(apart).max() < 0.05 * 0.2
+
+
+def test_a_prior_of_codes_sees_the_surroundings_as_they_are():
+    asked = condition((48, 48))
+    start = np.where(asked.inside[..., None], asked.render, np.float32(1))
+    codes = GaussianCodes(-0.3, 0.05)
+    distill(start, codes, asked, np.random.default_rng(0))
+    noisy, sigma = codes.seen
+    outside = ((noisy - 0.5) / sigma)[~asked.inside]
+    assert abs(outside.mean()) < 0.1 and abs(outside.std() - 1) < 0.1
+
+
 def test_smoothing_is_the_papers_weighted_mean():
     means = np.array([[0, 0, 0], [1, 0, 0], [3, 0, 0]], np.float32)
     initial = np.full((3, 3), 0.5, np.float32)

@@ -1,4 +1,4 @@
-"""The exemplar prior: pictures as people have them, and invariants of the insides made from them."""
+"""The exemplar prior: invariants of the insides made from pictures."""
 
 from __future__ import annotations
 
@@ -7,137 +7,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from exemplar_faces import FLESH, RIND, SEED, UP, ball, disc, quiet, save
 from numpy.typing import NDArray
-from PIL import Image
 from scipy import ndimage
 
 from engine.body import Body
-from engine.errors import InputError
 from engine.plane import Plane
-from training.exemplar import ExemplarPrior, denoise, read_picture
+from training.exemplar import ExemplarPrior, read_picture
 from training.exemplar.decompose import decompose
 from training.exemplar.frames import make_sheet, make_space, rim_of
-from training.exemplar.light import gain_between
-from training.exemplar.patches import PATCH, POLAR, posterior
+from training.exemplar.patches import POLAR
 from training.families import Family
-from training.prior import Condition, Volume
-
-SAMPLES = Path(__file__).parents[1] / "sample_scenes"
-UP = np.array([0.0, 0.0, 1.0])
-RIND, FLESH, SEED = np.array([0.1, 0.5, 0.1]), np.array([0.85, 0.15, 0.15]), np.array([0.05, 0.03, 0.02])
-
-
-def quiet(_: float) -> None:
-    """Progress that nobody watches."""
-
-
-def ball(n: int = 24) -> Body:
-    """A ball of radius 1."""
-    cell = 2 / n
-    body = Body(np.full(3, -1 - 3 * cell), cell, np.zeros((n + 6,) * 3, np.float32))
-    return Body(body.origin, cell, (1 - np.linalg.norm(body.centres(), axis=-1)).astype(np.float32))
-
-
-def disc(size: int = 160, seeds: int = 0, radius: float = 0.8) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """A melon's face on white: rind a tenth thick, flesh, a ring of round seeds; and its mask."""
-    y, x = (np.mgrid[:size, :size] + 0.5) / size * 2 - 1
-    r = np.hypot(x, y) / radius
-    face = np.where((r > 0.88)[..., None], RIND, FLESH)
-    for angle in np.arange(seeds) / max(seeds, 1) * 2 * np.pi:
-        at = 0.55 * radius * np.array([np.cos(angle), np.sin(angle)])
-        face[np.hypot(x - at[0], y - at[1]) < 0.06 * radius] = SEED
-    return np.where((r < 1)[..., None], face, 1.0).astype(np.float32), r < 1
-
-
-def save(path: Path, picture: NDArray[np.floating]) -> Path:
-    """Writes a picture in [0, 1] as a PNG."""
-    Image.fromarray((np.clip(picture, 0, 1) * 255 + 0.5).astype(np.uint8)).save(path)
-    return path
-
-
-def overlap(a: NDArray[np.bool_], b: NDArray[np.bool_]) -> float:
-    """Intersection over union of two masks, each in its own bounding box."""
-    boxes = []
-    for mask in (a, b):
-        rows, columns = np.nonzero(mask)
-        box = mask[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1].astype(np.float32)
-        boxes.append(ndimage.zoom(box, (100 / box.shape[0], 100 / box.shape[1]), order=1) > 0.5)
-    return float((boxes[0] & boxes[1]).sum() / (boxes[0] | boxes[1]).sum())
-
-
-@pytest.mark.parametrize("background", ["white", "black", "blue", "table", "uneven", "transparent"])
-def test_background_is_found(tmp_path: Path, background: str) -> None:
-    face, mask = disc(200, seeds=6, radius=0.6)
-    face, mask = (np.roll(a, (20, -25), (0, 1)) for a in (face, mask))
-    rng = np.random.default_rng(0)
-    y, x = np.mgrid[:200, :200] / 200
-    behind = {
-        "white": np.ones((200, 200, 3)),
-        "black": np.full((200, 200, 3), 0.03),
-        "blue": np.broadcast_to([0.1, 0.2, 0.6], (200, 200, 3)),
-        "table": 0.75 + 0.04 * ndimage.gaussian_filter(rng.normal(size=(200, 200, 1)), (2, 8, 0)) * [5, 4, 3],
-        "uneven": np.broadcast_to(0.55 + 0.35 * (x + y)[..., None] / 2, (200, 200, 3)),
-        "transparent": np.ones((200, 200, 3)),
-    }[background]
-    picture = np.where(mask[..., None], face, behind)
-    if background == "transparent":
-        picture = np.concatenate([picture, mask[..., None]], -1)
-    found = read_picture(save(tmp_path / "face.png", picture), "horizontal")
-    assert overlap(found.mask, mask) > 0.96
-    found.save_overlay(tmp_path / "overlay.png")
-    assert Image.open(tmp_path / "overlay.png").size == found.mask.shape[::-1]
-
-
-def test_uneven_light_is_taken_out(tmp_path: Path) -> None:
-    face, mask = disc(160)
-    slope = np.linspace(0.8, 1.2, 160)[None, :, None]
-    lit = read_picture(save(tmp_path / "lit.png", np.where(mask[..., None], 0.8 * face * slope, 1)), "radial")
-    half = lit.mask.shape[1] // 2
-    row = lit.rgb[lit.mask.shape[0] // 2, :, 0]
-    assert abs(row[half - 30] / row[half + 30] - 1) < 0.03
-
-
-def test_two_pictures_are_brought_to_one_light() -> None:
-    face, mask = disc(120)
-    other, other_mask = disc(160, seeds=9)
-    tint = np.array([0.8, 0.95, 1.1], np.float32)
-    gain = gain_between(other * tint, other_mask, face, mask)
-    np.testing.assert_allclose(gain * tint, 1, atol=0.04)
-    np.testing.assert_array_equal(gain_between(other, other_mask, face, mask), 1)
-
-
-def test_modes_and_orientation(tmp_path: Path) -> None:
-    face, mask = disc(120)
-    face[20:50][mask[20:50]] = 0.0  # darker at the top
-    grey = (face.mean(-1) * 65535).astype(np.uint16)
-    Image.fromarray(grey).save(tmp_path / "deep.png")
-    assert read_picture(tmp_path / "deep.png", "radial").rgb.shape[2] == 3
-    exif = Image.Exif()
-    exif[0x0112] = 3  # upside down
-    Image.fromarray((face[::-1, ::-1] * 255).astype(np.uint8)).save(tmp_path / "turned.jpg", exif=exif, quality=95)
-    read = read_picture(tmp_path / "turned.jpg", "radial")
-    third = len(read.rgb) // 3
-    assert read.rgb[:third].mean() < read.rgb[-third:].mean()
-
-
-def test_refusals_are_one_clear_line(tmp_path: Path) -> None:
-    (tmp_path / "text.png").write_text("no picture")
-    save(tmp_path / "blank.png", np.full((100, 100, 3), 0.5))
-    save(tmp_path / "tiny.png", np.zeros((8, 8, 3)))
-    save(tmp_path / "noise.png", np.random.default_rng(0).random((100, 100, 3)))
-    for name in ("text", "blank", "tiny", "noise", "missing"):
-        with pytest.raises(InputError, match=name) as caught:
-            read_picture(tmp_path / f"{name}.png", "horizontal")
-        assert "\n" not in str(caught.value)
-    with pytest.raises(InputError, match="no exemplar"):
-        ExemplarPrior().solve(ball(), UP, [Family("horizontal", 40)], 16, 0, quiet)
-
-
-def test_photograph_of_an_orange() -> None:
-    photo = Path(__file__).parents[1].parent / "shared/data/photos/sliced_orange.png"
-    if not photo.exists():
-        pytest.skip("the photographs are not beside the repository")
-    assert read_picture(photo, "horizontal").mask.mean() > 0.6
+from training.prior import Volume
 
 
 def test_rings_stay_rings_and_rind_stays_out_of_the_core(tmp_path: Path) -> None:
@@ -401,76 +282,3 @@ def test_decompose_tells_seeds_from_walls(tmp_path: Path) -> None:
     assert 5 <= len(layers.details) <= 7  # one or two touch the wall
     column, row = round(2 * (layers.sheet.middle[0] - 8)), round(2 * (layers.sheet.middle[1] - 1.2))
     assert layers.structure[row - 2 : row + 3, column].max() > 0.7
-
-
-def test_posterior_is_the_softmax_over_candidates() -> None:
-    rng = np.random.default_rng(0)
-    features, queries = rng.normal(size=(200, 24)), rng.normal(size=(9, 24))
-    colours = rng.random((200, 3))
-    members, starts = rng.permutation(200), np.array([0, 80, 200])
-    lists = rng.integers(0, 2, 9)
-    out = np.empty((9, 3), np.float32)
-    single = [a.astype(np.float32) for a in (queries, features, colours)]
-    posterior(single[0], lists, starts, members.astype(np.int32), single[1], single[2], 0.7, out)
-    for m in range(9):
-        own = members[starts[lists[m]] : starts[lists[m] + 1]]
-        logs = -((queries[m] - features[own]) ** 2).sum(1) / (2 * 0.7**2)
-        weight = np.exp(logs - logs.max())
-        np.testing.assert_allclose(out[m], weight @ colours[own] / weight.sum(), atol=1e-5)
-
-
-def level_cut(family: Family, size: int, mask: NDArray[np.bool_]) -> Condition:
-    """A horizontal cut through the middle of a ball of 0.8 of the picture."""
-    y, x = (np.mgrid[:size, :size] + 0.5) / (size / 2) - 1
-    r = (np.hypot(x, y) / 0.8).astype(np.float32)
-    return Condition(
-        family,
-        "",
-        mask,
-        np.where(mask, 1 - r, 0).astype(np.float32),
-        r,
-        np.arctan2(-y, x).astype(np.float32),
-        np.zeros((size, size), np.float32),
-        np.where(mask, 1, np.inf).astype(np.float32),
-        np.ones((size, size, 3), np.float32),
-    )
-
-
-def test_denoiser_finds_the_noise(tmp_path: Path) -> None:
-    face, mask = disc(96, seeds=8)
-    family = Family("horizontal", 40, (save(tmp_path / "face.png", disc(192, seeds=8)[0]),))
-    condition = level_cut(family, 96, mask)
-    rng = np.random.default_rng(0)
-    prior = ExemplarPrior()
-    for sigma in (0.15, 0.5):
-        noise = rng.normal(size=face.shape).astype(np.float32)
-        noisy = face + sigma * noise
-        found = prior.denoise(noisy, sigma, condition, rng)
-        np.testing.assert_array_equal(found, prior.denoise(noisy, sigma, condition, rng))
-        left = np.sqrt(((noisy - sigma * found - face)[mask] ** 2).mean())
-        assert left < 0.5 * sigma
-        np.testing.assert_allclose(found[~mask], noise[~mask], atol=1e-5)
-
-
-def test_search_is_nearly_exact(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Within 30 dB of a search through every patch that lies like the pixel, by all of its numbers."""
-    family = Family("horizontal", 40, (SAMPLES / "orange" / "horizontal_1.png",))
-    noise = np.random.default_rng(0).normal(size=(96, 96, 3)).astype(np.float32)
-    face, mask = disc(96)
-    other = read_picture(SAMPLES / "orange" / "horizontal_2.png", "horizontal")
-    rows, columns = np.nonzero(other.mask)
-    box = other.rgb[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1]
-    r, c = np.nonzero(mask)
-    height, width = np.ptp(r) + 1, np.ptp(c) + 1
-    scale = height / box.shape[0], width / box.shape[1], 1
-    face[r.min() : r.max() + 1, c.min() : c.max() + 1] = ndimage.zoom(box, scale, order=1)
-    condition = level_cut(family, 96, mask)
-    for sigma in (0.15, 0.5):
-        noisy = face + sigma * noise
-        quick = ExemplarPrior().denoise(noisy, sigma, condition, np.random.default_rng(0))
-        with monkeypatch.context() as exact:
-            exact.setattr(denoise, "MOST", 10**9)
-            exact.setattr(denoise, "COEFFICIENTS", PATCH)
-            true = ExemplarPrior().denoise(noisy, sigma, condition, np.random.default_rng(0))
-        error = sigma * (quick - true)[mask]
-        assert (error**2).mean() < 1e-3

@@ -1,0 +1,102 @@
+"""The exemplar prior: pictures as people have them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from exemplar_faces import UP, ball, disc, quiet, save
+from numpy.typing import NDArray
+from PIL import Image
+from scipy import ndimage
+
+from engine.errors import InputError
+from training.exemplar import ExemplarPrior, read_picture
+from training.exemplar.light import gain_between
+from training.families import Family
+
+
+def overlap(a: NDArray[np.bool_], b: NDArray[np.bool_]) -> float:
+    """Intersection over union of two masks, each in its own bounding box."""
+    boxes = []
+    for mask in (a, b):
+        rows, columns = np.nonzero(mask)
+        box = mask[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1].astype(np.float32)
+        boxes.append(ndimage.zoom(box, (100 / box.shape[0], 100 / box.shape[1]), order=1) > 0.5)
+    return float((boxes[0] & boxes[1]).sum() / (boxes[0] | boxes[1]).sum())
+
+
+@pytest.mark.parametrize("background", ["white", "black", "blue", "table", "uneven", "transparent"])
+def test_background_is_found(tmp_path: Path, background: str) -> None:
+    face, mask = disc(200, seeds=6, radius=0.6)
+    face, mask = (np.roll(a, (20, -25), (0, 1)) for a in (face, mask))
+    rng = np.random.default_rng(0)
+    y, x = np.mgrid[:200, :200] / 200
+    behind = {
+        "white": np.ones((200, 200, 3)),
+        "black": np.full((200, 200, 3), 0.03),
+        "blue": np.broadcast_to([0.1, 0.2, 0.6], (200, 200, 3)),
+        "table": 0.75 + 0.04 * ndimage.gaussian_filter(rng.normal(size=(200, 200, 1)), (2, 8, 0)) * [5, 4, 3],
+        "uneven": np.broadcast_to(0.55 + 0.35 * (x + y)[..., None] / 2, (200, 200, 3)),
+        "transparent": np.ones((200, 200, 3)),
+    }[background]
+    picture = np.where(mask[..., None], face, behind)
+    if background == "transparent":
+        picture = np.concatenate([picture, mask[..., None]], -1)
+    found = read_picture(save(tmp_path / "face.png", picture), "horizontal")
+    assert overlap(found.mask, mask) > 0.96
+    found.save_overlay(tmp_path / "overlay.png")
+    assert Image.open(tmp_path / "overlay.png").size == found.mask.shape[::-1]
+
+
+def test_uneven_light_is_taken_out(tmp_path: Path) -> None:
+    face, mask = disc(160)
+    slope = np.linspace(0.8, 1.2, 160)[None, :, None]
+    lit = read_picture(save(tmp_path / "lit.png", np.where(mask[..., None], 0.8 * face * slope, 1)), "radial")
+    half = lit.mask.shape[1] // 2
+    row = lit.rgb[lit.mask.shape[0] // 2, :, 0]
+    assert abs(row[half - 30] / row[half + 30] - 1) < 0.03
+
+
+def test_two_pictures_are_brought_to_one_light() -> None:
+    face, mask = disc(120)
+    other, other_mask = disc(160, seeds=9)
+    tint = np.array([0.8, 0.95, 1.1], np.float32)
+    gain = gain_between(other * tint, other_mask, face, mask)
+    np.testing.assert_allclose(gain * tint, 1, atol=0.04)
+    np.testing.assert_array_equal(gain_between(other, other_mask, face, mask), 1)
+
+
+def test_modes_and_orientation(tmp_path: Path) -> None:
+    face, mask = disc(120)
+    face[20:50][mask[20:50]] = 0.0  # darker at the top
+    grey = (face.mean(-1) * 65535).astype(np.uint16)
+    Image.fromarray(grey).save(tmp_path / "deep.png")
+    assert read_picture(tmp_path / "deep.png", "radial").rgb.shape[2] == 3
+    exif = Image.Exif()
+    exif[0x0112] = 3  # upside down
+    Image.fromarray((face[::-1, ::-1] * 255).astype(np.uint8)).save(tmp_path / "turned.jpg", exif=exif, quality=95)
+    read = read_picture(tmp_path / "turned.jpg", "radial")
+    third = len(read.rgb) // 3
+    assert read.rgb[:third].mean() < read.rgb[-third:].mean()
+
+
+def test_refusals_are_one_clear_line(tmp_path: Path) -> None:
+    (tmp_path / "text.png").write_text("no picture")
+    save(tmp_path / "blank.png", np.full((100, 100, 3), 0.5))
+    save(tmp_path / "tiny.png", np.zeros((8, 8, 3)))
+    save(tmp_path / "noise.png", np.random.default_rng(0).random((100, 100, 3)))
+    for name in ("text", "blank", "tiny", "noise", "missing"):
+        with pytest.raises(InputError, match=name) as caught:
+            read_picture(tmp_path / f"{name}.png", "horizontal")
+        assert "\n" not in str(caught.value)
+    with pytest.raises(InputError, match="no exemplar"):
+        ExemplarPrior().solve(ball(), UP, [Family("horizontal", 40)], 16, 0, quiet)
+
+
+def test_photograph_of_an_orange() -> None:
+    photo = Path(__file__).parents[1].parent / "shared/data/photos/sliced_orange.png"
+    if not photo.exists():
+        pytest.skip("the photographs are not beside the repository")
+    assert read_picture(photo, "horizontal").mask.mean() > 0.6
