@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
+import numpy as np
 
 from engine.files import atomic
 from engine.threads import cores
@@ -106,6 +107,32 @@ def best(runs: dict[str, dict[str, Any]], across: str, up: str) -> list[int]:
     return front([run[across] for run in runs.values()], [FIGURES[up][1](run[up]) for run in runs.values()])
 
 
+def label(panel: Any, names: Sequence[str], x: Sequence[float], y: Sequence[float]) -> None:
+    """Names beside their points; those that a preset has beside it share its label."""
+    at = panel.transAxes.inverted().transform(panel.transData.transform(np.column_stack([x, y])))
+    left = sorted(range(len(names)), key=lambda i: names[i] not in DETAILS)
+    while left:
+        first = left[0]
+        group = (
+            [i for i in left if (np.abs(at[i] - at[first]) < (0.12, 0.06)).all()]
+            if names[first] in DETAILS
+            else [first]
+        )
+        left = [i for i in left if i not in group]
+        corner = max(group, key=lambda i: at[i, 0])
+        inside = [names[i] for i in group]
+        lines = [inside[0], *(" · ".join(inside[k : k + 2]) for k in range(1, len(inside), 2))]
+        panel.annotate(
+            "\n".join(lines),
+            (x[corner], y[corner]),
+            (7, 0),
+            textcoords="offset points",
+            fontsize=7,
+            fontweight="bold" if inside[0] in DETAILS else "normal",
+            va="center",
+        )
+
+
 def draw(runs: dict[str, dict[str, Any]], path: Path) -> None:
     """A panel for each figure and cost."""
     figure, panels = plt.subplots(len(FIGURES), len(COSTS), figsize=(12.5, 13.5))
@@ -116,13 +143,15 @@ def draw(runs: dict[str, dict[str, Any]], path: Path) -> None:
         for name, a, b in zip(runs, x, y, strict=True):
             preset = name in DETAILS
             panel.plot(a, b, "D" if preset else "o", color=ACCENT if preset else OTHER, markersize=9 if preset else 6)
-            weight = "bold" if preset else "normal"
-            panel.annotate(name, (a, b), (5, 4), textcoords="offset points", fontsize=8, fontweight=weight)
         panel.set_xscale("log")
         panel.set_xlabel(COSTS[across])
         panel.set_ylabel(FIGURES[up][0])
         panel.margins(0.12)
         panel.grid(alpha=0.25, which="both")
+        if across == "busy":
+            panel.set_xticks((15, 30, 60, 120), ("15", "30", "60", "120"))
+            panel.minorticks_off()
+        label(panel, list(runs), x, y)
     figure.suptitle(f"Interior of the {SCENE} on {CUTS} random cuts; knobs are turned alone, from draft if not said")
     figure.tight_layout()
     with atomic(path) as temporary:
