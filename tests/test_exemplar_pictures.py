@@ -68,6 +68,14 @@ def test_two_pictures_are_brought_to_one_light() -> None:
     np.testing.assert_array_equal(gain_between(other, other_mask, face, mask), 1)
 
 
+def test_shades_of_dark_colours_are_not_taken_for_light() -> None:
+    """Two faces of a melon in one light, one a little redder: nothing happens to its white rind."""
+    mask = disc(160)[1]
+    rind = ndimage.distance_transform_edt(mask)[..., None] < 12
+    one, other = (np.where(rind, 0.9, flesh).astype(np.float32) for flesh in ([0.85, 0.16, 0.16], [0.86, 0.19, 0.18]))
+    np.testing.assert_array_equal(gain_between(one, mask, other, mask), 1)
+
+
 def test_modes_and_orientation(tmp_path: Path) -> None:
     face, mask = disc(120)
     face[20:50][mask[20:50]] = 0.0  # darker at the top

@@ -96,8 +96,7 @@ def decompose(sheet: Sheet, kind: Frame) -> Layers:
     rind = rind_depth(sheet)
     core = sheet.depth > rind
     inradius = float(ndimage.distance_transform_edt(sheet.depth > 0).max())  # pixels
-    nearest = ndimage.distance_transform_edt(~core, return_distances=False, return_indices=True)
-    picture = sheet.rgb[nearest[0], nearest[1]]
+    picture = _mirrored(sheet.rgb, core)
     median = _wide_median(picture, WINDOW * inradius)
     contrast = np.linalg.norm(picture - median, axis=-1) * core
     high = max(LEAST_CONTRAST, 3.5 * float(np.median(contrast[core]))) if core.any() else 1.0

@@ -28,14 +28,16 @@ def gain_between(
     """(3,). Factors on the colours of a picture (H, W, 3) that bring it to the light of another, channel by channel.
 
     The median over depths under the edge of the ratio of median colours: what one picture shows at some depth and the
-    other does not leaves it alone.
+    other does not leaves it alone. A depth counts by the square of its brightness, as the variance of a ratio of colours
+    falls: red flesh has so little green in it that its shades would pass for light.
     """
     ours, theirs = _medians(rgb, mask), _medians(to, to_mask)
     gain = np.zeros(3)
     for c in range(3):
         bright = (ours[:, c] > DARK) & (theirs[:, c] > DARK)  # False where either is NaN
         if bright.any():
-            gain[c] = np.median(np.log(theirs[bright, c] / ours[bright, c]))
+            a, b = ours[bright, c], theirs[bright, c]
+            gain[c] = np.quantile(np.log(b / a), 0.5, weights=np.minimum(a, b) ** 2, method="inverted_cdf")
     if np.abs(gain).max() < LEAST_GAIN:
         return np.ones(3, np.float32)
     return np.exp(np.clip(gain, -MOST_GAIN, MOST_GAIN)).astype(np.float32)
