@@ -129,7 +129,12 @@ def carving(carrier: Layers, radial: Sequence[Layers], rng: np.random.Generator)
     flesh_like = np.linalg.norm(palette - flesh, axis=1) <= 1.5 * ALIKE
     known &= ~flesh_like[:, None]
     near, exact = (ndimage.gaussian_filter(np.any(a, axis=0).astype(np.float32), (0, 0.7, 1)) for a in (seen, tight))
-    whole = np.where(known[..., None], exact, 0).max(0) > 0.5
+    sure = np.where(known[..., None], exact, 0).max(0) > 0.5
+    # What is met at some of its radii by every half, and so is heard on, is all of it that these heights hold.
+    tall = np.array([_run(row, h[0]) for row in sure])
+    level = (h >= tall[:, 0].min()) & (h <= tall[:, 1].max())
+    things, _ = ndimage.label(level & (exact[known.any(1)].max(0, initial=0) > 0.5))
+    whole = sure | np.isin(things, np.unique(things[sure & (things > 0)]))
     ends = np.array([_run(row, h[0]) for row in whole], np.float32)
     heard = ends[:, 1] > ends[:, 0]
     left = np.ones_like(near)
