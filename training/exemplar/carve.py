@@ -62,38 +62,54 @@ class Carving:
     """(RADII, 2). Least and greatest height of the structures as a whole; 0 and 0 where nothing is known."""
     main: NDArray[np.intp]
     """(RADII,). The colour of which they mostly are."""
+    held: NDArray[np.bool_]
+    """(K, RADII). Colours of things that lie in a structure, as seeds in a carpel: they stand out from it as it does."""
+    spans: NDArray[np.float32]
+    """(K, RADII, 2). Least and greatest height of each colour; 0 and 0 where it is not shown."""
     middle: NDArray[np.float32]
-    """(H, W). How far a pixel of the horizontal picture is from a structure's edge (0) to its middle (1)."""
+    """(H, W, 2). How far a pixel of the horizontal picture is from the edge (0) to the middle (1) of its structure, and
+    of what is held there."""
     carried: NDArray[np.bool_]
     """(RADII, HEIGHTS). Where what the radial pictures show is a section of a carried structure."""
 
     def at(
         self,
         colours: NDArray[np.float32],
-        middle: NDArray[np.float32],
+        middle: NDArray[np.float32],  # [M, 2]
         radius: NDArray[np.floating],
         height: NDArray[np.floating],
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """(M,), (M, 3). The opacity left to structures, and their colours.
 
-        For colours (M, 3) as far in the middle (M,) at radii over the body's greatest (M,) and heights in [-1, 1] (M,).
-        A structure closes towards its ends like an ellipsoid. A seed in it that ends before gives way to what it is in.
+        For colours (M, 3) as far in the middle (M, 2) at radii over the body's greatest (M,) and heights in [-1, 1] (M,).
+        A structure closes towards its ends like an ellipsoid. So does a seed in it, and gives way to what it is in.
         """
         i, j = _cells(radius, height)
-        low, high = self.ends[i].T
-        # At the ends only the middle is left, half way all of it: with u the share of the way, 1 - sqrt(1 - u^2).
-        known = high > low
-        share = np.where(known, np.abs(2 * height - low - high) / np.where(known, high - low, 1), 0)
-        edge = 1 - np.sqrt(np.maximum(1 - share * share, 0))
         kind = ((colours[:, None] - self.palette) ** 2).sum(-1).argmin(1)
-        left = self.left[kind, i, j] * np.clip((middle - edge) / SOFT + 1, 0, 1) * (share < 1)
-        own = np.where(known, self.shown[kind, i, j], 1)[:, None]
+        left = self.left[kind, i, j] * _closing(self.ends[i], height, middle[:, 0])
+        own = np.where(self.ends[i, 1] > self.ends[i, 0], self.shown[kind, i, j], 1)
+        own = np.where(self.held[kind, i], _closing(self.spans[kind, i], height, middle[:, 1]), own)[:, None]
         mixed = own * colours + (1 - own) * self.palette[self.main[i]]
         return left.astype(np.float32), mixed.astype(np.float32)
 
     def explains(self, radius: NDArray[np.floating], height: NDArray[np.floating]) -> NDArray[np.bool_]:
         """(M,). Whether what the radial pictures show there is a structure that is carried already."""
         return self.carried[_cells(radius, height)]
+
+
+def _closing(
+    ends: NDArray[np.float32], height: NDArray[np.floating], middle: NDArray[np.floating]
+) -> NDArray[np.floating]:
+    """(M,). What heights (M,) leave of ellipsoids between ends (M, 2), at places so far in their middle (M,).
+
+    At the ends only the middle is left, half way all of it: with u the share of the way, 1 - sqrt(1 - u^2). All is left
+    of what has no ends.
+    """
+    low, high = ends.T
+    known = high > low
+    share = np.where(known, np.abs(2 * height - low - high) / np.where(known, high - low, 1), 0)
+    edge = 1 - np.sqrt(np.maximum(1 - share * share, 0))
+    return np.asarray(np.clip((middle - edge) / SOFT + 1, 0, 1) * (share < 1))
 
 
 def _cells(radius: NDArray[np.floating], height: NDArray[np.floating]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -150,17 +166,33 @@ def carving(carrier: Layers, radial: Sequence[Layers], rng: np.random.Generator)
         own, within = nearest[0], distance <= REACH * RADII
     blind = flesh_like | ~seen.any((0, 2, 3))
     shown = np.where(blind[:, None, None], 1, exact)[:, own]
-    inside = ndimage.distance_transform_edt(carrier.structure > 0.5)
-    widest = ndimage.maximum_filter(inside, size=2 * int(inside[sheet.depth > 1.2 * carrier.rind].max()) + 1)
+    main = np.where(known, _coverage(carrier, palette), 0).argmax(0)[own]
+    apart = np.linalg.norm(palette[:, None] - palette[main], axis=-1) > np.linalg.norm(palette[main] - flesh, axis=-1)
+    spans = np.array([[_run(row, h[0]) for row in kind] for kind in shown > 0.5], np.float32)
+    held = apart & (spans[..., 1] > spans[..., 0]) & ~blind[:, None] & within
+    structure = carrier.structure > 0.5
+    kinds = ((sheet.rgb[structure][:, None] - palette) ** 2).sum(-1).argmin(1)
+    seeds = structure.copy()
+    seeds[structure] = held.any(1)[kinds]
+    inner = sheet.depth > 1.2 * carrier.rind
     return Carving(
         palette,
         left,
         shown,
         np.where(within[:, None], ends[own], 0),
-        np.where(known, _coverage(carrier, palette), 0).argmax(0)[own],
-        (inside / np.maximum(widest, 1)).astype(np.float32),
+        main,
+        held,
+        spans,
+        np.stack([_middle(structure, inner), _middle(seeds, inner)], -1),
         ndimage.binary_closing(whole[own] & within[:, None], np.ones((5, 9))),
     )
+
+
+def _middle(things: NDArray[np.bool_], inner: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """(H, W). How far each pixel is from the edge (0) of things to the middle (1), of the widest within that width."""
+    inside = ndimage.distance_transform_edt(things)
+    widest = ndimage.maximum_filter(inside, size=2 * int(inside[inner].max(initial=0)) + 1)
+    return (inside / np.maximum(widest, 1)).astype(np.float32)
 
 
 def _run(row: NDArray[np.bool_], heights: NDArray[np.floating]) -> tuple[float, float]:

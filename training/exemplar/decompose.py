@@ -100,7 +100,7 @@ def decompose(sheet: Sheet, kind: Frame) -> Layers:
     median = _wide_median(picture, WINDOW * inradius)
     contrast = np.linalg.norm(picture - median, axis=-1) * core
     high = max(LEAST_CONTRAST, 3.5 * float(np.median(contrast[core]))) if core.any() else 1.0
-    swallowed = np.zeros_like(core)
+    swallowed = beside = np.zeros_like(core)
     if kind == POLAR:
         median, swallowed = _without_middling(picture, median, core, inradius, high)
         contrast = np.linalg.norm(picture - median, axis=-1) * core
@@ -112,8 +112,8 @@ def decompose(sheet: Sheet, kind: Frame) -> Layers:
     if swallowed.any():
         # Here all that differs from the ground is one thing, the seeds in it included.
         typical = max(high, float(np.median(contrast[swallowed])))
-        near = ndimage.binary_dilation(swallowed, iterations=round(WINDOW * inradius))
-        opacity = np.where(near, _smoothstep(0.25, 0.65, contrast / typical), opacity)
+        beside = ndimage.binary_dilation(swallowed, iterations=round(WINDOW * inradius))
+        opacity = np.where(beside, _smoothstep(0.25, 0.65, contrast / typical), opacity)
     parts, count = ndimage.label((contrast > 0.5 * high) & (opacity > 0.4))
     numbers = np.arange(count + 1)
     strong = ndimage.maximum(contrast, parts, numbers) > high
@@ -138,7 +138,7 @@ def decompose(sheet: Sheet, kind: Frame) -> Layers:
     rim = 1 - _smoothstep(0.85 * rind, rind, sheet.depth)
     structure = np.maximum(structure, rim).astype(np.float32)
     clean = core & (structure < 0.05) & ~ndimage.binary_dilation(labels > 0, iterations=1)
-    clean &= ~ndimage.binary_dilation(strong[parts], iterations=2)
+    clean &= ~ndimage.binary_dilation(strong[parts] | (contrast > high), iterations=2) & ~beside
     if not clean.any():
         clean = core if core.any() else sheet.depth > 0
     # The median keeps the edges of wide things where a mean would spread them; details and structures are not in it.

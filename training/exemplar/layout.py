@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from training.exemplar.carve import Carving
+from training.exemplar.core import Core
 from training.exemplar.decompose import Layers
 from training.exemplar.frames import ANGLES, INSET_STEP, SPECK, Space, rim_of
 from training.exemplar.morph import Slices
@@ -21,6 +22,9 @@ from training.exemplar.patches import OVER
 from training.prior import Progress
 
 __all__ = ["Axis", "along", "between", "carried", "heights", "revolved"]
+
+RINGS, RING_SAMPLES = 64, 1_500_000
+"""Rings of a slice, and voxels that are looked at for them: some hundreds for each."""
 
 CHUNK = 400_000
 """Voxels laid out at once: bounds the memory of the look-ups."""
@@ -70,6 +74,7 @@ def carried(
     layers: Sequence[Layers],
     rate: float,
     carve: Carving | None,
+    core: Core | None,
     rng: np.random.Generator,
     progress: Progress,
 ) -> NDArray[np.float32]:
@@ -97,7 +102,8 @@ def carried(
             wave = level / (0.55 * inradius)
             angle = angle + WAVES * (np.sin(wave + turn[4]) + np.sin(1.7 * wave + 5 * share + turn[5]))
         x, y = _place(space, main, angle, share, depth)
-        colour = _read(main.ground, x, y)
+        bent = _bent(space, main, core, part, angle, share)
+        colour = _read(main.ground, *_place(space, main, angle, bent, depth))
         # The texture's own way.
         phase = 0.3 * inradius * np.sin(angle + turn[0])
         to_and_fro = swing * _triangle((level + phase) * SIDEWAYS * rate / (4 * swing))
@@ -123,14 +129,38 @@ def carried(
         if carve is not None:
             # The rind is the skin's, not the axis's.
             inner = np.flatnonzero((opacity[:, 0] > 0) & (depth > 1.2 * main.rind))
-            middle = _read(carve.middle[..., None], x[inner], y[inner])[:, 0]
+            middle = _read(carve.middle, x[inner], y[inner])
             left, colours = carve.at(
                 theirs[inner], middle, space.radius[part][inner] / widest, space.height[part][inner]
             )
             opacity[inner, 0] *= left
             theirs[inner] = colours
-        out[part] = colour + opacity * (theirs - colour)
+        colour += opacity * (theirs - colour)
+        if core is not None:
+            away, _, ring = core.shell(space, part, angle)
+            r = (ring + away).astype(np.float32)
+            x, y = main.sheet.middle[0] + r * np.cos(angle), main.sheet.middle[1] - r * np.sin(angle)
+            colour += _read(core.line[..., None], x, y) * (main.sheet.read(x, y) - colour)
+        out[part] = colour
     return np.clip(out, 0, 1)
+
+
+def _bent(
+    space: Space,
+    layers: Layers,
+    core: Core | None,
+    part: slice,
+    angle: NDArray[np.floating],
+    share: NDArray[np.floating],
+) -> NDArray[np.floating]:
+    """(M,). The share of the rim at which the ground of a horizontal picture shows what is as far in or out of a core."""
+    if core is None:
+        return share
+    away, shell, ring = core.shell(space, part, angle)
+    at = ring / layers.sheet.rim(angle)
+    out = np.maximum(away, 0)
+    outside = out / (out + space.depth[part] * space.inradius + 1e-6)
+    return np.where(away < 0, at * (1 + away / shell), at + (1 - at) * outside)
 
 
 def between(space: Space, axis: Axis, stack: Slices) -> NDArray[np.float32]:
@@ -193,9 +223,11 @@ def _place(
     return layers.sheet.middle[0] + r * np.cos(angle), layers.sheet.middle[1] - r * np.sin(angle)
 
 
-def _read(picture: NDArray[np.float32], x: NDArray[np.floating], y: NDArray[np.floating]) -> NDArray[np.float32]:
-    """(M, C). Bilinear values of a picture (H, W, C) at places in cells."""
-    at = np.stack([y, x]) * OVER
+def _read(
+    picture: NDArray[np.float32], x: NDArray[np.floating], y: NDArray[np.floating], over: int = OVER
+) -> NDArray[np.float32]:
+    """(M, C). Bilinear values of a picture (H, W, C) at places in cells, with `over` pixels to a cell."""
+    at = np.stack([y, x]) * over
     return np.stack(
         [
             ndimage.map_coordinates(picture[..., c], at, order=1, mode="nearest", output=np.float32)
@@ -251,15 +283,15 @@ def heights(
     taken; where they agree on a gentler difference, it is added. Seeds and other chance are in one of them at a time;
     where all of them meet a carpel of an apple, it is one that the carried picture has already, and no ring.
     """
-    ring, under = _ring(carrier), _under(carrier, space.inradius)
+    rings, under = _rings(axis, colours), _under(carrier, space.inradius)
     looks = [(p, side) for p in radial for side in (1, -1)]
     for start in range(0, len(colours), CHUNK):
         part = slice(start, start + CHUNK)
         share = np.minimum(axis.radius[part] / axis.rim[part], 1)
-        # The rings of the carried picture, by depth and share like the picture itself.
+        # The rings of what was carried, by depth and share like the picture itself.
         near = _near_skin(space.depth[part], carrier.rind)[:, None]
         base = near * _along(under, space.depth[part] * space.inradius / INSET_STEP)
-        base += (1 - near) * _along(ring, share * (len(ring) - 1))
+        base += (1 - near) * _read(rings, share * RINGS - 0.5, axis.level[part] - 0.5, 1)
         seen = np.empty((len(looks), len(base), 3), np.float32)
         for n, (parts, side) in enumerate(looks):
             x, y = _radial_place(space, parts, part)
@@ -282,12 +314,19 @@ def heights(
         colours[part] += weight * (theirs - colours[part])
 
 
-def _ring(parts: Layers) -> NDArray[np.float32]:
-    """(64, 3). Median colour of a picture from its centre to its edge."""
-    sheet = parts.sheet
-    angles = np.linspace(0, 2 * np.pi, 180, endpoint=False)
-    r = np.linspace(0, 1, 64)[:, None] * sheet.rim(angles)
-    return np.median(sheet.read(sheet.middle[0] + r * np.cos(angles), sheet.middle[1] - r * np.sin(angles)), axis=1)
+def _rings(axis: Axis, colours: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(L, RINGS, 3). Median colour of carried voxels at each level and share of the rim."""
+    few = slice(None, None, max(1, len(colours) // RING_SAMPLES))
+    level = axis.level[few].astype(np.int64)
+    share = np.minimum(axis.radius[few] / axis.rim[few] * RINGS, RINGS - 1).astype(np.int64)
+    shape = int(axis.level.max()) + 1, RINGS
+    ring = level * RINGS + share
+    count = np.bincount(ring, minlength=shape[0] * RINGS)
+    middle = np.cumsum(count) - count + count // 2
+    middle = np.minimum(middle, len(ring) - 1)
+    found = np.stack([colours[few, c][np.lexsort((colours[few, c], ring))][middle] for c in range(3)], -1)
+    nearest = ndimage.distance_transform_edt(count.reshape(shape) == 0, return_distances=False, return_indices=True)
+    return found.reshape(*shape, 3)[nearest[0], nearest[1]]
 
 
 def _under(parts: Layers, inradius: float) -> NDArray[np.float32]:

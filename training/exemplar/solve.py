@@ -19,6 +19,7 @@ from scipy import ndimage
 from engine.body import Body
 from engine.errors import InputError
 from training.exemplar.carve import Carving, carving
+from training.exemplar.core import take_core
 from training.exemplar.decompose import Layers, decompose
 from training.exemplar.frames import Space, View, make_sheet, make_space
 from training.exemplar.layout import SIDEWAYS, along, between, carried, heights, revolved
@@ -124,8 +125,12 @@ def _carry(
     log.info(
         "carried along the %s axis, texture drifting %.2f cells a cell", "up" if view.kind == POLAR else "fixed", rate
     )
-    carve = carving(layers[carrier][0], layers[radial], rng) if radial is not None else None
-    colours = carried(space, axis, layers[carrier], rate, carve, rng, progress)
+    core, carve = None, None
+    if radial is not None:
+        if view.kind == POLAR:
+            core, layers[carrier][0], layers[radial] = take_core(layers[carrier][0], layers[radial])
+        carve = carving(layers[carrier][0], layers[radial], rng)
+    colours = carried(space, axis, layers[carrier], rate, carve, core, rng, progress)
     if radial is not None:
         heights(space, axis, colours, layers[carrier][0], layers[radial], carve)
     return np.clip(colours, 0, 1), carve
