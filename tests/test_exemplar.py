@@ -84,6 +84,32 @@ def test_carpels_stay_carpels_and_end(tmp_path: Path) -> None:
             assert abs(dark - true) < 0.2, (radius, height)
 
 
+def test_a_line_around_a_core_is_one_closed_shell(tmp_path: Path) -> None:
+    """An apple's: a ring in horizontal pictures, an outline in radial ones, an ellipsoid in the body."""
+    wide, tall, flesh, green = 0.45, 0.55, np.array([0.95, 0.92, 0.8]), np.array([0.6, 0.7, 0.35])
+    y, x = ((np.mgrid[:320, :320] + 0.5) / 160 - 1) / 0.8
+    pictures = []
+    for name, high in (("across", wide), ("along", tall)):
+        face = disc(320)[0]
+        face[np.hypot(x, y) < 0.88] = flesh
+        away = np.hypot(x, y) * (1 - 1 / np.hypot(x / wide, y / high))  # from the line, along the ray
+        face[np.abs(away) < 0.016] = green
+        pictures.append(save(tmp_path / f"{name}.png", face))
+    families = [Family("horizontal", 40, (pictures[0],)), Family("radial", 30, (pictures[1],))]
+    volume = ExemplarPrior().solve(ball(32), UP, families, 112, 0, quiet)
+    directions = np.random.default_rng(0).standard_normal((4000, 3))
+    shell = directions / np.linalg.norm(directions / [wide, wide, tall], axis=1, keepdims=True)
+
+    def shown(points: NDArray[np.floating]) -> float:
+        """Share of places that are more green than flesh."""
+        colours = volume.at(points)
+        return float((np.linalg.norm(colours - green, axis=1) < np.linalg.norm(colours - flesh, axis=1)).mean())
+
+    assert shown(shell) > 0.9
+    for far in (0.4, 0.6, 0.85, 1.15, 1.4):
+        assert shown(far * shell) < 0.02, far
+
+
 def test_seeds_end_and_are_as_many_as_shown(tmp_path: Path) -> None:
     face, _ = disc(seeds=8)
     family = Family("horizontal", 40, (save(tmp_path / "melon.png", face),))

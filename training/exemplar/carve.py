@@ -63,9 +63,9 @@ class Carving:
     main: NDArray[np.intp]
     """(RADII,). The colour of which they mostly are."""
     held: NDArray[np.bool_]
-    """(K, RADII). Colours of things that lie in a structure, as seeds in a carpel: they stand out from it as it does."""
+    """(K, RADII). Colours of what lies in a structure, as seeds in a carpel: they stand out from it as it does."""
     spans: NDArray[np.float32]
-    """(K, RADII, 2). Least and greatest height of each colour; 0 and 0 where it is not shown."""
+    """(RADII, 2). Least and greatest height of those; 0 and 0 where there are none."""
     middle: NDArray[np.float32]
     """(H, W, 2). How far a pixel of the horizontal picture is from the edge (0) to the middle (1) of its structure, and
     of what is held there."""
@@ -81,14 +81,15 @@ class Carving:
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """(M,), (M, 3). The opacity left to structures, and their colours.
 
-        For colours (M, 3) as far in the middle (M, 2) at radii over the body's greatest (M,) and heights in [-1, 1] (M,).
-        A structure closes towards its ends like an ellipsoid. So does a seed in it, and gives way to what it is in.
+        For colours (M, 3) as far in the middle (M, 2), at radii over the body's greatest (M,) and heights in [-1, 1]
+        (M,). A structure closes towards its ends like an ellipsoid. So does a seed in it, and gives way to what it is
+        in.
         """
         i, j = _cells(radius, height)
         kind = ((colours[:, None] - self.palette) ** 2).sum(-1).argmin(1)
         left = self.left[kind, i, j] * _closing(self.ends[i], height, middle[:, 0])
         own = np.where(self.ends[i, 1] > self.ends[i, 0], self.shown[kind, i, j], 1)
-        own = np.where(self.held[kind, i], _closing(self.spans[kind, i], height, middle[:, 1]), own)[:, None]
+        own = np.where(self.held[kind, i], _closing(self.spans[i], height, middle[:, 1]), own)[:, None]
         mixed = own * colours + (1 - own) * self.palette[self.main[i]]
         return left.astype(np.float32), mixed.astype(np.float32)
 
@@ -166,10 +167,12 @@ def carving(carrier: Layers, radial: Sequence[Layers], rng: np.random.Generator)
         own, within = nearest[0], distance <= REACH * RADII
     blind = flesh_like | ~seen.any((0, 2, 3))
     shown = np.where(blind[:, None, None], 1, exact)[:, own]
-    main = np.where(known, _coverage(carrier, palette), 0).argmax(0)[own]
+    nearest = ndimage.distance_transform_edt(~known.any(0), return_distances=False, return_indices=True)[0]
+    main = np.where(known, _coverage(carrier, palette), 0).argmax(0)[nearest[own]]
     apart = np.linalg.norm(palette[:, None] - palette[main], axis=-1) > np.linalg.norm(palette[main] - flesh, axis=-1)
-    spans = np.array([[_run(row, h[0]) for row in kind] for kind in shown > 0.5], np.float32)
-    held = apart & (spans[..., 1] > spans[..., 0]) & ~blind[:, None] & within
+    held = apart & ~blind[:, None] & within
+    spans = np.array([_run(row, h[0]) for row in ((shown > 0.5) & held[..., None]).any(0)], np.float32)
+    held &= spans[:, 1] > spans[:, 0]
     structure = carrier.structure > 0.5
     kinds = ((sheet.rgb[structure][:, None] - palette) ** 2).sum(-1).argmin(1)
     seeds = structure.copy()

@@ -84,9 +84,9 @@ def take_core(carrier: Layers, radial: Sequence[Layers]) -> tuple[Core | None, L
         (across, up), scale = parts.sheet.middle, np.divide(parts.sheet.half, half)
         lines = _lines(parts)
         for side in (1, -1):
-            seen = _at(
-                lines, across + side * scale[0] * reach * np.cos(turn)[:, None], up - scale[1] * reach * np.sin(turn)[:, None]
-            )
+            x = across + side * scale[0] * reach * np.cos(turn)[:, None]
+            y = up - scale[1] * reach * np.sin(turn)[:, None]
+            seen = _at(lines, x, y)
             rim = parts.sheet.rim(turn if side == 1 else np.pi - turn)[:, None] / scale.mean()
             seen[(reach < INNER * rim) | (reach > OUTER * rim)] = 0
             path = _path(seen)
@@ -113,14 +113,15 @@ def take_core(carrier: Layers, radial: Sequence[Layers]) -> tuple[Core | None, L
     dots = ndimage.maximum(band, carrier.labels, [d.label for d in carrier.details])
     details = [d for d, inside in zip(carrier.details, dots, strict=True) if not inside]
     keep = np.isin(carrier.labels, [d.label for d in details])
-    bare = replace(
+    plain = replace(
         carrier,
         structure=carrier.structure * ~band,
         detail=carrier.detail * keep,
         labels=carrier.labels * keep,
         details=details,
     )
-    return Core(ring, outline, half, line.astype(np.float32)), bare, [_without(parts, turn, outline) for parts in radial]
+    core = Core(ring, outline, half, line.astype(np.float32))
+    return core, plain, [_without(parts, turn, outline) for parts in radial]
 
 
 def _without(parts: Layers, turn: NDArray[np.float64], outline: NDArray[np.float32]) -> Layers:
@@ -150,7 +151,7 @@ def _at(picture: NDArray[np.float32], x: NDArray[np.floating], y: NDArray[np.flo
 
 
 def _path(seen: NDArray[np.float32]) -> NDArray[np.intp]:
-    """(R,). The column in each row of (R, C) that make the path of greatest sum, two columns sideways in a row at most."""
+    """(R,). The path of greatest sum down the rows of (R, C), from row to row two columns sideways at most."""
     total, came = seen[0], []
     for row in seen[1:]:
         padded = np.pad(total, 2, constant_values=-np.inf)

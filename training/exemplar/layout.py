@@ -21,7 +21,7 @@ from training.exemplar.morph import Slices
 from training.exemplar.patches import OVER
 from training.prior import Progress
 
-__all__ = ["Axis", "along", "between", "carried", "heights", "revolved"]
+__all__ = ["Axis", "along", "between", "carried", "heights", "lined", "revolved"]
 
 RINGS, RING_SAMPLES = 64, 1_500_000
 """Rings of a slice, and voxels that are looked at for them: some hundreds for each."""
@@ -135,14 +135,19 @@ def carried(
             )
             opacity[inner, 0] *= left
             theirs[inner] = colours
-        colour += opacity * (theirs - colour)
-        if core is not None:
-            away, _, ring = core.shell(space, part, angle)
-            r = (ring + away).astype(np.float32)
-            x, y = main.sheet.middle[0] + r * np.cos(angle), main.sheet.middle[1] - r * np.sin(angle)
-            colour += _read(core.line[..., None], x, y) * (main.sheet.read(x, y) - colour)
-        out[part] = colour
+        out[part] = colour + opacity * (theirs - colour)
     return np.clip(out, 0, 1)
+
+
+def lined(space: Space, axis: Axis, colours: NDArray[np.float32], carrier: Layers, core: Core) -> None:
+    """Draws the line around a core into a carried picture (N, 3), in place."""
+    for start in range(0, len(colours), CHUNK):
+        part = slice(start, start + CHUNK)
+        angle = np.arctan2(axis.place[part, 1], axis.place[part, 0])
+        away, _, ring = core.shell(space, part, angle)
+        r = ring + away
+        x, y = carrier.sheet.middle[0] + r * np.cos(angle), carrier.sheet.middle[1] - r * np.sin(angle)
+        colours[part] += _read(core.line[..., None], x, y) * (carrier.sheet.read(x, y) - colours[part])
 
 
 def _bent(
@@ -153,7 +158,7 @@ def _bent(
     angle: NDArray[np.floating],
     share: NDArray[np.floating],
 ) -> NDArray[np.floating]:
-    """(M,). The share of the rim at which the ground of a horizontal picture shows what is as far in or out of a core."""
+    """(M,). The share of the rim at which a horizontal picture shows the ground as far in or out of a core."""
     if core is None:
         return share
     away, shell, ring = core.shell(space, part, angle)

@@ -28,8 +28,8 @@ def gain_between(
     """(3,). Factors on the colours of a picture (H, W, 3) that bring it to the light of another, channel by channel.
 
     The median over depths under the edge of the ratio of median colours: what one picture shows at some depth and the
-    other does not leaves it alone. A depth counts by the square of its brightness, as the variance of a ratio of colours
-    falls: red flesh has so little green in it that its shades would pass for light.
+    other does not leaves it alone. A depth counts by the square of its brightness, as the variance of a ratio falls
+    with it: red flesh has so little green in it that its shades would pass for light.
     """
     ours, theirs = _medians(rgb, mask), _medians(to, to_mask)
     gain = np.zeros(3)

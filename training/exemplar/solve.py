@@ -22,7 +22,7 @@ from training.exemplar.carve import Carving, carving
 from training.exemplar.core import take_core
 from training.exemplar.decompose import Layers, decompose
 from training.exemplar.frames import Space, View, make_sheet, make_space
-from training.exemplar.layout import SIDEWAYS, along, between, carried, heights, revolved
+from training.exemplar.layout import SIDEWAYS, along, between, carried, heights, lined, revolved
 from training.exemplar.light import gain_between
 from training.exemplar.morph import slices
 from training.exemplar.patches import FIXED, POLAR, RADIAL
@@ -133,6 +133,9 @@ def _carry(
     colours = carried(space, axis, layers[carrier], rate, carve, core, rng, progress)
     if radial is not None:
         heights(space, axis, colours, layers[carrier][0], layers[radial], carve)
+    if core is not None:
+        # Last, or it would be taken for what radial pictures without it do not show.
+        lined(space, axis, colours, layers[carrier][0], core)
     return np.clip(colours, 0, 1), carve
 
 
