@@ -26,6 +26,9 @@ SECTION = np.pi / 4
 ALIKE = 0.25
 """Colour distance up to which a place is like the one where the picture shows a thing: no crumbs in the cream."""
 
+MIXED = 0.5
+"""Colour distance from what a thing lies in at which a voxel is something else: a crumb is cut off at the cream."""
+
 TRIES = 20
 """Places tried for a thing before it may touch another."""
 
@@ -132,6 +135,7 @@ def strew(
                 np.float32(detail.reach),
                 parts.sheet.ab[detail.pixel],
                 np.float32(kind.across),
+                detail.ground,
             )
             total += 1
     return total
@@ -235,9 +239,9 @@ def _known_to(
 
 @njit(cache=True)
 def _paint(  # type: ignore[no-untyped-def]
-    rgb, number, point, kind, basis, centre, picture, opacity, labels, label, x, y, reach, ab, across
+    rgb, number, point, kind, basis, centre, picture, opacity, labels, label, x, y, reach, ab, across, ground
 ):
-    """One thing: its picture in its own plane, shrunk like an ellipsoid towards its two ends."""
+    """One thing: its picture in its own plane, shrunk like an ellipsoid towards its ends, where its own ground is."""
     ax, ay, az, bx, by, bz = frame_at(kind, basis, centre, point[0], point[1], point[2])
     nx, ny, nz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
     grow = np.float32(1.15)  # sections are smaller than what they cut
@@ -250,6 +254,12 @@ def _paint(  # type: ignore[no-untyped-def]
         for j in range(low1, high1):
             for k in range(low2, high2):
                 if number[i, j, k] < 0:
+                    continue
+                if (
+                    (rgb[i, j, k, 0] - ground[0]) ** 2
+                    + (rgb[i, j, k, 1] - ground[1]) ** 2
+                    + (rgb[i, j, k, 2] - ground[2]) ** 2
+                ) > MIXED * MIXED:
                     continue
                 dx, dy, dz = np.float32(i) - point[0], np.float32(j) - point[1], np.float32(k) - point[2]
                 w = (dx * nx + dy * ny + dz * nz) / across
