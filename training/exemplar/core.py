@@ -78,11 +78,12 @@ def take_core(carrier: Layers, radial: Sequence[Layers]) -> tuple[Core | None, L
     nothing = (None, carrier, list(radial))
     half = radial[0].sheet.half
     turn = np.linspace(-np.pi / 2, np.pi / 2, TURNS)
-    reach = np.arange(int(min(half) * OVER)) / OVER
-    outlines = []
+    reach = np.arange(max(1, int(min(half) * OVER))) / OVER
+    outlines, without = [], []
     for parts in radial:
         (across, up), scale = parts.sheet.middle, np.divide(parts.sheet.half, half)
-        lines = _lines(parts)
+        lines, structure = _lines(parts), parts.structure
+        away, at = _polar(parts)
         for side in (1, -1):
             x = across + side * scale[0] * reach * np.cos(turn)[:, None]
             y = up - scale[1] * reach * np.sin(turn)[:, None]
@@ -93,11 +94,14 @@ def take_core(carrier: Layers, radial: Sequence[Layers]) -> tuple[Core | None, L
             if seen[np.arange(TURNS), path].mean() < CLOSED:
                 return nothing
             outlines.append(reach[path])
+            there = np.interp(np.arctan2(np.sin(at), side * np.cos(at)), turn, scale.mean() * reach[path])
+            structure = structure * ((np.abs(away - there) > WIDTH) | (side * np.cos(at) < 0))
+        without.append(replace(parts, structure=structure))
     outline = ndimage.gaussian_filter1d(np.mean(outlines, axis=0), 1.5, mode="nearest").astype(np.float32)
     expected = float(outline[TURNS // 2])
     sheet = carrier.sheet
     angle = (np.arange(ANGLES) + 0.5) / ANGLES * 2 * np.pi
-    near = (1 - AROUND) * expected + np.arange(int(2 * AROUND * expected * OVER)) / OVER
+    near = (1 - AROUND) * expected + np.arange(max(1, int(2 * AROUND * expected * OVER))) / OVER
     x = sheet.middle[0] + near * np.cos(angle)[:, None]
     y = sheet.middle[1] - near * np.sin(angle)[:, None]
     shown = _at(_lines(carrier), x, y)
@@ -121,14 +125,7 @@ def take_core(carrier: Layers, radial: Sequence[Layers]) -> tuple[Core | None, L
         details=details,
     )
     core = Core(ring, outline, half, line.astype(np.float32))
-    return core, plain, [_without(parts, turn, outline) for parts in radial]
-
-
-def _without(parts: Layers, turn: NDArray[np.float64], outline: NDArray[np.float32]) -> Layers:
-    """A radial picture without the line."""
-    away, at = _polar(parts)
-    band = np.abs(away - np.interp(np.arctan2(np.sin(at), np.abs(np.cos(at))), turn, outline)) < WIDTH
-    return replace(parts, structure=parts.structure * ~band)
+    return core, plain, without
 
 
 def _lines(parts: Layers) -> NDArray[np.float32]:
