@@ -321,7 +321,8 @@ def heights(
 
 def _rings(axis: Axis, colours: NDArray[np.float32]) -> NDArray[np.float32]:
     """(L, RINGS, 3). Median colour of carried voxels at each level and share of the rim."""
-    few = slice(None, None, max(1, len(colours) // RING_SAMPLES))
+    # Not every other one: in a straight body whole levels would be passed over.
+    few = np.random.default_rng(0).integers(len(colours), size=min(len(colours), RING_SAMPLES))
     level = axis.level[few].astype(np.int64)
     share = np.minimum(axis.radius[few] / axis.rim[few] * RINGS, RINGS - 1).astype(np.int64)
     shape = int(axis.level.max()) + 1, RINGS
