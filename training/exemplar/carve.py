@@ -17,6 +17,7 @@ from scipy import ndimage
 from scipy.cluster.vq import kmeans2
 
 from training.exemplar.decompose import Layers
+from training.exemplar.patches import OVER
 
 __all__ = ["Carving", "carving"]
 
@@ -153,7 +154,8 @@ def carving(carrier: Layers, radial: Sequence[Layers], rng: np.random.Generator)
     things, _ = ndimage.label(level & (exact[known.any(1)].max(0, initial=0) > 0.5))
     whole = sure | np.isin(things, np.unique(things[sure & (things > 0)]))
     ends = np.array([_run(row, h[0]) for row in whole], np.float32)
-    heard = ends[:, 1] > ends[:, 0]
+    # What is not met at the own height is another thing.
+    heard = (ends[:, 1] > ends[:, 0]) & (ends[:, 0] < OWN_HEIGHT) & (ends[:, 1] > -OWN_HEIGHT)
     left = np.ones_like(near)
     if (np.abs(ends).max(1) >= CLOSED).any():
         # What goes to the poles does not close; it is only left out where it is not seen.
@@ -208,10 +210,11 @@ def _run(row: NDArray[np.bool_], heights: NDArray[np.floating]) -> tuple[float, 
 
 
 def _coverage(carrier: Layers, palette: NDArray[np.floating]) -> NDArray[np.floating]:
-    """(K, RADII). Share of the directions in which a horizontal picture shows each colour near each radius."""
+    """(K, RADII). Share of the directions in which a horizontal picture shows structures of each colour at a radius."""
     sheet = carrier.sheet
     angle = np.linspace(0, 2 * np.pi, 360, endpoint=False)[:, None]
     radius = (np.arange(RADII) + 0.5) / RADII * sheet.rim(angle)
-    seen = sheet.read(sheet.middle[0] + radius * np.cos(angle), sheet.middle[1] - radius * np.sin(angle))
-    shown = np.linalg.norm(seen - palette[:, None, None], axis=-1) < ALIKE
+    x, y = sheet.middle[0] + radius * np.cos(angle), sheet.middle[1] - radius * np.sin(angle)
+    runs = ndimage.map_coordinates(carrier.structure, np.stack([y, x]) * OVER, order=1) > 0.5
+    shown = runs & (np.linalg.norm(sheet.read(x, y) - palette[:, None, None], axis=-1) < ALIKE)
     return ndimage.binary_dilation(shown, np.ones((1, 1, 5))).mean(axis=1)
