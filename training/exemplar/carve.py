@@ -154,10 +154,9 @@ def carving(carrier: Layers, radial: Sequence[Layers], rng: np.random.Generator)
     things, _ = ndimage.label(level & (exact[known.any(1)].max(0, initial=0) > 0.5))
     whole = sure | np.isin(things, np.unique(things[sure & (things > 0)]))
     ends = np.array([_run(row, h[0]) for row in whole], np.float32)
-    # What is not met at the own height is another thing.
-    heard = (ends[:, 1] > ends[:, 0]) & (ends[:, 0] < OWN_HEIGHT) & (ends[:, 1] > -OWN_HEIGHT)
+    heard = _at_own_height(ends)
     left = np.ones_like(near)
-    if (np.abs(ends).max(1) >= CLOSED).any():
+    if (np.abs(ends[heard]) >= CLOSED).any():
         # What goes to the poles does not close; it is only left out where it is not seen.
         left = np.where(known[..., None], near, 1)
         heard[:] = False
@@ -169,12 +168,14 @@ def carving(carrier: Layers, radial: Sequence[Layers], rng: np.random.Generator)
         own, within = nearest[0], distance <= REACH * RADII
     blind = flesh_like | ~seen.any((0, 2, 3))
     shown = np.where(blind[:, None, None], 1, exact)[:, own]
+    # Over some radii, for at some of them seeds are more than what they lie in.
+    most = ndimage.uniform_filter1d(np.where(known, _coverage(carrier, palette), 0), round(2 * REACH * RADII), axis=1)
     nearest = ndimage.distance_transform_edt(~known.any(0), return_distances=False, return_indices=True)[0]
-    main = np.where(known, _coverage(carrier, palette), 0).argmax(0)[nearest[own]]
+    main = most.argmax(0)[nearest[own]]
     apart = np.linalg.norm(palette[:, None] - palette[main], axis=-1) > np.linalg.norm(palette[main] - flesh, axis=-1)
     held = apart & ~blind[:, None] & within
     spans = np.array([_run(row, h[0]) for row in ((shown > 0.5) & held[..., None]).any(0)], np.float32)
-    held &= spans[:, 1] > spans[:, 0]
+    held &= _at_own_height(spans)
     structure = carrier.structure > 0.5
     kinds = ((sheet.rgb[structure][:, None] - palette) ** 2).sum(-1).argmin(1)
     seeds = structure.copy()
@@ -198,6 +199,11 @@ def _middle(things: NDArray[np.bool_], inner: NDArray[np.bool_]) -> NDArray[np.f
     inside = ndimage.distance_transform_edt(things)
     widest = ndimage.maximum_filter(inside, size=2 * int(inside[inner].max(initial=0)) + 1)
     return (inside / np.maximum(widest, 1)).astype(np.float32)
+
+
+def _at_own_height(ends: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """(R,). Which runs of heights (R, 2) the horizontal picture meets; others are of other things."""
+    return (ends[:, 1] > ends[:, 0]) & (ends[:, 0] < OWN_HEIGHT) & (ends[:, 1] > -OWN_HEIGHT)
 
 
 def _run(row: NDArray[np.bool_], heights: NDArray[np.floating]) -> tuple[float, float]:

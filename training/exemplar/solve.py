@@ -128,7 +128,9 @@ def _carry(
     core, carve = None, None
     if radial is not None:
         if view.kind == POLAR:
-            core, layers[carrier][0], layers[radial] = take_core(layers[carrier][0], layers[radial])
+            others = [take_core(parts, layers[radial])[1] for parts in layers[carrier][1:]]
+            core, first, layers[radial] = take_core(layers[carrier][0], layers[radial])
+            layers[carrier] = [first, *others]
         carve = carving(layers[carrier][0], layers[radial], rng)
     colours = carried(space, axis, layers[carrier], rate, carve, core, rng, progress)
     if radial is not None:
