@@ -30,7 +30,7 @@ test: $(READY)
 
 bench: $(READY)
 	@tools/ensure_gl.sh
-	$(BIN)/fruitninja-evaluate --cuts 24 -o out/evaluation --methods ours,physgaussian,oracle \
+	$(BIN)/fruitninja-evaluate --cuts 24 -o out/evaluation --methods ours,uniform,physgaussian,oracle \
 		--scenes watermelon,orange,bread,apple,pomegranate,cake$(THIGH)
 	cp out/evaluation/report.json docs/charts/evaluation_scenes.json
 	$(BIN)/fruitninja-evaluate --cuts 24 -o out/evaluation
