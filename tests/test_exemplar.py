@@ -270,6 +270,23 @@ def test_layers_stay_level_up_to_the_skin_of_a_cake_with_crumbs(tmp_path: Path) 
             assert np.abs(np.abs(heights[white]).mean() - 0.25) < 0.025
 
 
+def test_crumbs_are_cut_off_at_the_cream(tmp_path: Path) -> None:
+    y, x = ((np.mgrid[:240, :240] + 0.5) / 120 - 1) / 0.8
+    face = disc(240)[0]
+    face[(np.abs(y) < 0.1) & (np.hypot(x, y) < 0.85)] = [0.95, 0.9, 0.6]
+    for across in np.linspace(-0.6, 0.6, 9):
+        for up in (-0.19, 0.19, 0.4, -0.4):
+            face[np.hypot(x - across, y - up) < 0.07] = SEED
+    family = Family("radial", 30, (save(tmp_path / "cake.png", face),))
+    volume = ExemplarPrior().solve(ball(32), UP, [family], 80, 0, quiet)
+    places = np.random.default_rng(0).uniform(-0.7, 0.7, (40_000, 3))
+    places = places[np.hypot(places[:, 0], places[:, 1]) < 0.7]
+    dark = volume.at(places)[:, 0] < 0.3
+    height = np.abs(places[:, 2])
+    assert dark[(height > 0.12) & (height < 0.5)].mean() > 0.02
+    assert dark[height < 0.07].mean() < 0.001
+
+
 def test_slices_of_one_thing_are_turned_into_one_another(tmp_path: Path) -> None:
     """A bone that wanders from slice to slice stands half way between two slices, once."""
     y, x = (np.mgrid[:160, :160] + 0.5) / 80 - 1

@@ -148,7 +148,7 @@ def carving(carrier: Layers, radial: Sequence[Layers], rng: np.random.Generator)
     known &= ~flesh_like[:, None]
     near, exact = (ndimage.gaussian_filter(np.any(a, axis=0).astype(np.float32), (0, 0.7, 1)) for a in (seen, tight))
     sure = np.where(known[..., None], exact, 0).max(0) > 0.5
-    # What is met at some of its radii by every half, and so is heard on, is all of it that these heights hold.
+    # A thing that is heard on at some of its radii goes on to the others, as far as it is tall at those.
     tall = np.array([_run(row, h[0]) for row in sure])
     level = (h >= tall[:, 0].min()) & (h <= tall[:, 1].max())
     things, _ = ndimage.label(level & (exact[known.any(1)].max(0, initial=0) > 0.5))

@@ -102,8 +102,8 @@ def carried(
             wave = level / (0.55 * inradius)
             angle = angle + WAVES * (np.sin(wave + turn[4]) + np.sin(1.7 * wave + 5 * share + turn[5]))
         x, y = _place(space, main, angle, share, depth)
-        bent = _bent(space, main, core, part, angle, share)
-        colour = _read(main.ground, *_place(space, main, angle, bent, depth))
+        bent = (x, y) if core is None else _place(space, main, angle, _bent(space, main, core, part, angle), depth)
+        colour = _read(main.ground, *bent)
         # The texture's own way.
         phase = 0.3 * inradius * np.sin(angle + turn[0])
         to_and_fro = swing * _triangle((level + phase) * SIDEWAYS * rate / (4 * swing))
@@ -150,17 +150,8 @@ def lined(space: Space, axis: Axis, colours: NDArray[np.float32], carrier: Layer
         colours[part] += _read(core.line[..., None], x, y) * (carrier.sheet.read(x, y) - colours[part])
 
 
-def _bent(
-    space: Space,
-    layers: Layers,
-    core: Core | None,
-    part: slice,
-    angle: NDArray[np.floating],
-    share: NDArray[np.floating],
-) -> NDArray[np.floating]:
+def _bent(space: Space, layers: Layers, core: Core, part: slice, angle: NDArray[np.floating]) -> NDArray[np.floating]:
     """(M,). The share of the rim at which a horizontal picture shows the ground as far in or out of a core."""
-    if core is None:
-        return share
     away, shell, ring = core.shell(space, part, angle)
     at = ring / layers.sheet.rim(angle)
     out = np.maximum(away, 0)
