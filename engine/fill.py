@@ -203,7 +203,7 @@ def fill(
     """
     assert pitch > 0, pitch
     low, high = body.bounds()
-    whole = 2**COARSEST if colours is not None else 1
+    whole = 2**COARSEST  # with colours or without: an adaptive inside then stands on the uniform one's cells
     counts = -(-(np.ceil((high - low) / pitch).astype(int) + 2) // whole) * whole
     start = (low + high) / 2 - counts * pitch / 2
     solid = np.empty(tuple(counts), bool)
