@@ -14,6 +14,7 @@ from scipy import ndimage
 from engine.errors import InputError
 from training.exemplar import ExemplarPrior, read_picture
 from training.exemplar.light import gain_between
+from training.exemplar.pictures import resolved
 from training.families import Family
 
 
@@ -108,3 +109,24 @@ def test_photograph_of_an_orange() -> None:
     if not photo.exists():
         pytest.skip("the photographs are not beside the repository")
     assert read_picture(photo, "horizontal").mask.mean() > 0.6
+
+
+def test_an_enlarged_picture_resolves_what_it_did_before(tmp_path: Path) -> None:
+    face, mask = disc(100, seeds=12)
+    lens = ndimage.gaussian_filter(np.where(mask[..., None], face, 1), (0.7, 0.7, 0))
+    sharp = Image.fromarray((255 * lens).astype(np.uint8))
+    shares = []
+    for times in (1, 4):
+        sharp.resize((100 * times,) * 2, Image.Resampling.BICUBIC).save(tmp_path / f"{times}.png")
+        shares.append(resolved(read_picture(tmp_path / f"{times}.png", "horizontal")))
+    assert shares[0] == 1
+    assert 1 / 4 < shares[1] < 0.6
+
+
+def test_the_volume_is_no_finer_than_the_pictures_need(tmp_path: Path) -> None:
+    families = (Family("horizontal", 4, (save(tmp_path / "small.png", disc(40, seeds=6)[0]),)),)
+    body, prior = ball(), ExemplarPrior()
+    asked, coarse = (prior.solve(body, UP, families, voxels, 0, quiet) for voxels in (48, 192))
+    side = np.ptp(body.bounds(), axis=0).max()
+    assert asked.body.cell == pytest.approx(side / 48)
+    assert 32 < side / coarse.body.cell <= 2 * 40

@@ -23,6 +23,7 @@ from test_fill import joined, shell, sphere
 from test_surface_fit import sphere as patches
 from test_surface_fit import views_of
 
+import training.request
 import training.trainer
 from engine.atoms import Atoms
 from engine.body import Body
@@ -178,6 +179,16 @@ def test_odd_families_give_colours_all_over(case: str, tmp_path: Path, pictures:
     assert np.abs(np.median(rgb, axis=0) - wanted).max() < 0.15
     if case == "grey":
         assert np.ptp(rgb, axis=1).max() < 0.05
+
+
+def test_atoms_are_no_finer_than_the_pictures(tmp_path: Path, pictures: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    fine = {name: replace(detail, voxels=128, fine=128) for name, detail in training.request.DETAILS.items()}
+    monkeypatch.setattr("training.request.DETAILS", fine)
+    with Image.open(pictures / "a.png") as picture:
+        picture.resize((36, 36)).save(tmp_path / "small.png")
+    atoms, _ = trained(tmp_path, ball(), (Family("horizontal", 2, (tmp_path / "small.png",)),))
+    finest = 2 * float(atoms.interior.sigmas.min()) / float(np.ptp(atoms.interior.means, axis=0).max())
+    assert 1 / 80 < finest < 1 / 40
 
 
 @pytest.mark.parametrize(

@@ -54,11 +54,12 @@ def label(
     """
     kept = checkpoint.load("labels")
     if kept is None:
+        finest = geometry.atoms.pitch * request.fineness.cells / request.fineness.fine
         if isinstance(prior, Solves):
-            pictures, colours = solved(request, geometry, cuts, prior, progress)
+            pictures, colours, coarser = solved(request, geometry, cuts, prior, progress)
+            finest *= coarser
         else:
             pictures, colours = distilled(request, geometry, cuts, prior, progress, form)
-        finest = geometry.atoms.pitch * request.fineness.cells / request.fineness.fine
         interior = filler(geometry.body, finest, request.seed, geometry.atoms.surface, colours)
         rgb = deblurred(replace(geometry.atoms, interior=interior), interior.rgb)
         arrays = {"labels": np.stack(pictures), "means": interior.means, "sigmas": interior.sigmas, "rgb": rgb}
@@ -72,12 +73,16 @@ def label(
 
 def solved(
     request: Request, geometry: Geometry, cuts: Sequence[Slice], prior: Solves, progress: Progress
-) -> tuple[list[NDArray[np.float32]], Colours]:
-    """Labels that agree in space, because they are cuts through one volume; and its colours, for atoms."""
-    voxels = request.fineness.voxels
-    volume = prior.solve(geometry.body, geometry.up, request.families, voxels, request.seed, progress)
+) -> tuple[list[NDArray[np.float32]], Colours, float]:
+    """Labels that agree in space, because they are cuts through one volume; and its colours, for atoms.
+
+    And how many times coarser it is than was asked, because the prior knows no more: so may the atoms be.
+    """
+    detail = request.fineness
+    volume = prior.solve(geometry.body, geometry.up, request.families, detail.voxels, request.seed, progress)
     pictures = [np.where(cut.condition.inside[..., None], volume.at(cut.points), np.float32(1.0)) for cut in cuts]
-    return pictures, volume.crisp
+    asked = geometry.atoms.pitch * detail.cells / detail.voxels
+    return pictures, volume.crisp, 1.0 if np.isclose(volume.body.cell, asked) else volume.body.cell / asked
 
 
 def distilled(

@@ -124,5 +124,8 @@ class Solves(Protocol):
         seed: int,
         progress: Progress,
     ) -> Volume:
-        """The interior on a grid of `voxels` cells along the body's longest side. Bit-equal for a seed."""
+        """The interior on a grid of `voxels` cells along the body's longest side. Bit-equal for a seed.
+
+        On fewer where it knows no more.
+        """
         ...

@@ -34,7 +34,7 @@ class ExemplarPrior:
         seed: int,
         progress: Progress,
     ) -> Volume:
-        """The interior on a grid of `voxels` cells along the body's longest side. Bit-equal for a seed.
+        """The interior on a grid of `voxels` cells along the body's longest side, or fewer. Bit-equal for a seed.
 
         Raises InputError where no family has a picture, or one shows no cut face.
         """

@@ -16,13 +16,19 @@ from engine.files import atomic
 from training.exemplar.light import even_light
 from training.families import Kind
 
-__all__ = ["Picture", "read_picture"]
+__all__ = ["Picture", "read_picture", "resolved"]
 
 WORKING_SIDE = 768
 """Longer side in pixels to which larger pictures are brought: a solve on 256 voxels uses no more."""
 
 SMALLEST_SIDE = 24
 """A cut face narrower than this many pixels holds no 7x7 patches worth copying."""
+
+SHADE = 1 / 255
+"""RMS of a colour difference that no screen shows."""
+
+PLACES = 16
+"""Across a picture: parts small enough that a seed counts, of which the worst is asked."""
 
 BACKGROUND_FLOOR = 0.05
 """Least colour distance that counts as different from the background: noise and JPEG blocks stay under it."""
@@ -66,6 +72,34 @@ def read_picture(path: str | Path, kind: Kind) -> Picture:
     margin = 2 + round(0.03 * max(np.ptp(rows), np.ptp(columns)))
     mask, plain = (_crop(a, rows, columns, margin) for a in (mask, rgb))
     return Picture(path, fill_outside(even_light(plain, mask, kind), mask), mask, plain)
+
+
+def resolved(picture: Picture) -> float:
+    """The share of its pixels along an edge that a cut face needs: with fewer, some part changes by more than SHADE.
+
+    1 for a sharp picture, less for one that was enlarged, is out of focus or shows little. Range (0, 1].
+    """
+    rows, columns = np.nonzero(picture.mask)
+    longer = max(np.ptp(rows), np.ptp(columns)) + 1
+    # Beside the edge the background shows through, in any size.
+    core = ndimage.binary_erosion(picture.mask, iterations=2, border_value=0)
+    share = 1.0
+    while share * longer > SMALLEST_SIDE:
+        coarser = share / 2**0.25
+        wrong = np.where(core, np.square(_coarsened(picture.rgb, coarser) - picture.rgb).mean(axis=-1), 0)
+        if ndimage.uniform_filter(wrong, max(round(longer / PLACES), 1)).max() > SHADE**2:
+            break
+        share = coarser
+    return share
+
+
+def _coarsened(rgb: NDArray[np.float32], share: float) -> NDArray[np.float32]:
+    """(H, W, 3). The picture with this share of its pixels along each edge, enlarged again."""
+    height, width = rgb.shape[:2]
+    size = max(round(width * share), 1), max(round(height * share), 1)
+    channels = (Image.fromarray(np.ascontiguousarray(rgb[..., c])) for c in range(3))
+    sharp = Image.Resampling.LANCZOS  # others take off what the smaller picture could hold
+    return np.stack([np.asarray(c.resize(size, sharp).resize((width, height), sharp)) for c in channels], axis=-1)
 
 
 def fill_outside(rgb: NDArray[np.float32], mask: NDArray[np.bool_]) -> NDArray[np.float32]:
