@@ -12,11 +12,13 @@ import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
 from batch_worker import SMALL
+from exemplar_faces import disc, save
 from PIL import Image
 from solids import ball as solid
 from test_fill import joined, shell, sphere
@@ -25,10 +27,10 @@ from test_surface_fit import views_of
 
 import training.request
 import training.trainer
-from engine.atoms import Atoms
+from engine.atoms import Atoms, InteriorAtoms
 from engine.body import Body
 from engine.errors import InputError
-from engine.fill import find_body
+from engine.fill import fill, find_body
 from engine.gaussians import Gaussians
 from engine.plane import Plane
 from engine.ply import write_ply
@@ -37,7 +39,7 @@ from engine.trained import load_trained
 from training.events import Reporter
 from training.families import Family
 from training.request import Request
-from training.run import run
+from training.run import Parts, run
 from training.trainer import Trainer
 from training.views import Section, sections, slices
 
@@ -181,12 +183,20 @@ def test_odd_families_give_colours_all_over(case: str, tmp_path: Path, pictures:
         assert np.ptp(rgb, axis=1).max() < 0.05
 
 
-def test_atoms_are_no_finer_than_the_pictures(tmp_path: Path, pictures: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_atoms_are_no_finer_than_the_pictures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     fine = {name: replace(detail, voxels=128, fine=128) for name, detail in training.request.DETAILS.items()}
     monkeypatch.setattr("training.request.DETAILS", fine)
-    atoms, _ = trained(tmp_path, ball(), (Family("horizontal", 2, (pictures / "a.png",)),))  # 46 pixels across
-    finest = 2 * float(atoms.interior.sigmas.min()) / float(np.ptp(atoms.interior.means, axis=0).max())
-    assert 1 / 100 < finest < 1 / 80
+    write_ply(tmp_path / "ball.ply", ball())
+    across = []
+
+    def filler(body: Body, pitch: float, *rest: Any) -> InteriorAtoms:
+        across.append(float(np.ptp(body.bounds(), axis=0).max()) / pitch)
+        return fill(body, pitch, *rest)
+
+    picture = save(tmp_path / "small.png", disc(60, seeds=6)[0])  # the cut face is 48 pixels across
+    request = Request(tmp_path / "ball.ply", (Family("horizontal", 2, (picture,)),), "draft", (0.0, 0.0, 1.0))
+    run(request, tmp_path / "out", Reporter(), False, lambda: False, Parts(fill=filler))
+    assert across == [pytest.approx(2 * 48, rel=0.05)]
 
 
 @pytest.mark.parametrize(
