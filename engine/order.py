@@ -22,7 +22,9 @@ def morton_order(points: NDArray[np.floating]) -> NDArray[np.intp]:
     side = max(float((points.max(0) - low).max()), float(np.finfo(np.float32).tiny))
     cells = ((points - low) * ((2**BITS - 1) / side)).astype(np.uint32)
     code = np.zeros(len(points), np.uint32)
-    for bit in range(BITS):
-        for axis in range(3):
-            code |= (cells[:, axis] >> np.uint32(bit) & np.uint32(1)) << np.uint32(3 * bit + axis)
+    for axis in range(3):
+        spread = cells[:, axis]
+        for shift, mask in ((16, 0x030000FF), (8, 0x0300F00F), (4, 0x030C30C3), (2, 0x09249249)):
+            spread = (spread | (spread << np.uint32(shift))) & np.uint32(mask)  # bits two apart in the end
+        code |= spread << np.uint32(axis)
     return np.argsort(code, kind="stable")

@@ -13,14 +13,12 @@ from numba import njit
 from numpy.typing import NDArray
 
 from engine.gl.facing import RIND
+from engine.order import morton_order
 
 __all__ = ["CHUNK", "Chunks", "build", "near_plane", "pick"]
 
 CHUNK = 256
 """Atoms of a chunk: smaller ones cull better but cost more per frame; from 128 to 512 frames take the same time."""
-
-MORTON_BITS = 10
-"""Bits of an axis in the Morton code: cells of a thousandth of the object, finer than any chunk."""
 
 
 @dataclass(frozen=True)
@@ -56,10 +54,7 @@ def build(means: NDArray[np.float32], sigmas: NDArray[np.float32], chunk: int = 
     if n == 0:
         empty = np.zeros(0, np.int64)
         return Chunks(empty.astype(np.intp), empty, empty, np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
-    low = means.min(0).astype(np.float64)
-    span = max(float((means.max(0) - low).max()), 1e-30)
-    cells = ((means - low) * ((2**MORTON_BITS - 1) / span)).astype(np.uint32)
-    order = np.argsort(morton(cells), kind="stable")
+    order = morton_order(means)
     first = np.arange(0, n, chunk)
     count = np.minimum(chunk, n - first)
     tail = n % chunk
@@ -80,17 +75,6 @@ def reversal(n: int) -> NDArray[np.intp]:
     for bit in range(bits):
         reverse |= ((numbers >> bit) & 1) << (bits - 1 - bit)
     return reverse[reverse < n]
-
-
-def morton(cells: NDArray[np.uint32]) -> NDArray[np.uint32]:
-    """(N,). Interleaved bits of cells (N, 3), each below 2^MORTON_BITS."""
-    code = np.zeros(len(cells), np.uint32)
-    for axis in range(3):
-        spread = cells[:, axis]
-        for shift, mask in ((16, 0x030000FF), (8, 0x0300F00F), (4, 0x030C30C3), (2, 0x09249249)):
-            spread = (spread | (spread << np.uint32(shift))) & np.uint32(mask)  # bits two apart in the end
-        code |= spread << np.uint32(axis)
-    return code
 
 
 @njit(cache=True)
