@@ -21,6 +21,7 @@ import matplotlib as mpl
 import numpy as np
 import torch
 
+from benchmarks.fronts import front
 from engine import sh
 from engine.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from engine.camera import Camera, orbit, section
@@ -30,12 +31,15 @@ from engine.opaque_gradient import AtomTensors, opaque_image
 from engine.plane import Plane
 from engine.threads import cores
 from engine.view_weights import ViewWeights
+from training.views import ENTRIES
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt
 
 FOLDER = Path(__file__).parents[1] / "docs/charts"
 KEPT = (4, 8, 16, 32, 64)
+EXACT = 130.0
+"""PSNR in dB of float32 rounding, for what leaves nothing out."""
 CUT = Plane.of((0.3, 0.2, 1.0), -0.05)
 UP = (0.0, 0.0, 1.0)
 
@@ -150,25 +154,38 @@ def measure(atoms: Atoms, camera: Camera, kind: str, times: int) -> dict[str, ob
 
 
 def chart(rows: list[dict], path: Path) -> None:
-    """Seconds an iteration against the error of the picture."""
+    """Accuracy of the picture against the time of an iteration, with what training keeps marked."""
     kinds = ("outside", "cut", "section")
     most = max((row["atoms"], row["pixels"]) for row in rows)
-    figure, panels = plt.subplots(1, len(kinds), figsize=(13, 4), sharey=True, constrained_layout=True)
+    figure, panels = plt.subplots(1, len(kinds), figsize=(13, 4.4), sharey=True, constrained_layout=True)
     for kind, panel in zip(kinds, panels, strict=True):
         row = next(r for r in rows if r["kind"] == kind and (r["atoms"], r["pixels"]) == most)
-        errors = [row[f"keep {k}"]["error dB"] for k in KEPT]
-        times = [1e3 * row[f"keep {k}"]["busy"] for k in KEPT]
-        panel.plot(errors, times, "o-", color="#FF6B4A", label="truncated W, K largest")
-        for k, e, t in zip(KEPT, errors, times, strict=True):
-            panel.annotate(str(k), (e, t), textcoords="offset points", xytext=(5, 5))
-        panel.axhline(1e3 * row["exact busy"], color="#303337", label="exact W")
-        panel.axhline(1e3 * row["full busy"], color="#8F949C", linestyle="--", label="full renderer")
-        panel.set(title=kind, xlabel="error of the picture, dB", yscale="log")
+        names = [*(f"{k}" for k in KEPT), "all", "full renderer"]
+        times = [1e3 * t for t in (*(row[f"keep {k}"]["busy"] for k in KEPT), row["exact busy"], row["full busy"])]
+        decibels = [*(-row[f"keep {k}"]["error dB"] for k in KEPT), EXACT, EXACT]
+        line = front(times, decibels)
+        panel.step([times[i] for i in line], [decibels[i] for i in line], where="post", color="#B0B5BA", zorder=1)
+        for name, time_taken, decibel in zip(names, times, decibels, strict=True):
+            used = name == str(ENTRIES)
+            panel.plot(
+                time_taken, decibel, "D" if used else "o", color="#FF6B4A" if used else "#5B7A99", ms=9 - 3 * (not used)
+            )
+            last = name == names[-1]
+            panel.annotate(
+                f"{name}, as training" if used else name, (time_taken, decibel), (-6, 8) if used else (6, -11),
+                textcoords="offset points", fontsize=8, fontweight="bold" if used else "normal",
+                ha="right" if used or last else "left",
+            )  # fmt: skip
+        panel.set(title=kind, xlabel="picture and gradient, ms (busy)", xscale="log")
+        panel.margins(0.22, 0.08)
         panel.grid(alpha=0.3)
-    panels[0].set_ylabel("picture and gradient, ms (busy)")
-    panels[0].legend(fontsize=8)
-    figure.suptitle(f"Frozen geometry, {most[0]:,} atoms, {most[1]} x {most[1]} pixels, {cores()} cores")
+    panels[0].set_ylabel("PSNR against the full renderer, dB")
+    figure.suptitle(
+        f"Frozen geometry, {most[0]:,} atoms, {most[1]} x {most[1]} pixels, {cores()} cores: "
+        "the K largest entries of a pixel, all of them, and the full renderer"
+    )
     figure.savefig(path, dpi=130)
+    plt.close(figure)
 
 
 def main() -> None:

@@ -37,6 +37,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from reference_classic import picture as classic_reference
 from reference_opaque import reference
 
+from benchmarks.fronts import front
 from engine import sh
 from engine.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from engine.camera import Camera, fit_distance, orbit
@@ -304,11 +305,12 @@ def chart(rows: list[dict], figures: dict[str, float], who: str, path: Path) -> 
             left.plot(counts, [of(mode, n) for n in counts], "o-", ms=4, color=colour, label=mode)
             right.plot([of(mode, most)], [figures[mode]], "o", ms=8, color=colour, label=mode)
     left.plot(counts, [of("points", n) for n in counts], "k:")
-    front: list[tuple[float, float]] = []
-    for time_taken, decibel in sorted((of(mode, most) or math.inf, figures[mode]) for mode in figures):
-        if not front or decibel > front[-1][1]:
-            front.append((time_taken, decibel))
-    right.step(*zip(*front, strict=True), where="post", color="#8F949C", lw=1.2, label="Pareto front", zorder=0)
+    times, decibels = [of(mode, most) or math.inf for mode in figures], list(figures.values())
+    line = front(times, decibels)
+    right.step(
+        [times[i] for i in line], [decibels[i] for i in line],
+        where="post", color="#8F949C", lw=1.2, label="Pareto front", zorder=0,
+    )  # fmt: skip
     floor = of("points", most)
     assert floor is not None
     right.axvline(floor, color="k", ls=":", label="one-pixel GL_POINTS (the floor)")
@@ -317,7 +319,7 @@ def chart(rows: list[dict], figures: dict[str, float], who: str, path: Path) -> 
     right.set(
         xscale="log", xlabel=f"{key} a frame", ylabel="PSNR against float64, dB", title=f"{most:,} atoms, one cut"
     )
-    ticks = [t for t in (2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000) if 0.4 < t / front[0][0] < 1000]
+    ticks = [t for t in (2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000) if 0.4 < t / min(times) < 1000]
     right.set_xticks(ticks, [str(t) for t in ticks])
     right.minorticks_off()
     left.set_xticks(counts, [f"{n / 1e6:g} M" for n in counts])

@@ -24,6 +24,7 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 
+from benchmarks.fronts import front
 from engine.files import atomic
 from engine.threads import cores
 from training.evaluate.cuts import cuts_of, truth_of
@@ -100,16 +101,6 @@ def mean(runs: Sequence[dict[str, Any]]) -> dict[str, Any]:
     figures = {key: round(float(np.mean([run[key] for run in runs])), 4) for key in (*FIGURES, "ssim")}
     spread = {f"{key}_sd": round(float(np.std([run[key] for run in runs])), 4) for key in FIGURES}
     return runs[0] | least | figures | spread
-
-
-def front(cost: Sequence[float], value: Sequence[float]) -> list[int]:
-    """Indices of the points than which no other is both cheaper and better, by rising cost."""
-    order = sorted(range(len(cost)), key=lambda i: (cost[i], -value[i]))
-    kept: list[int] = []
-    for i in order:
-        if not kept or value[i] > value[kept[-1]]:
-            kept.append(i)
-    return kept
 
 
 def best(runs: dict[str, dict[str, Any]], across: str, up: str) -> list[int]:

@@ -20,7 +20,7 @@ from training.exemplar import ExemplarPrior
 from training.prior import Denoises, Progress, Solves
 from training.request import Geometry, Request
 from training.sds import Form, distill
-from training.smoothing import smooth
+from training.smoothing import Smoothing, smooth
 from training.trainer import Trainer
 from training.views import Section, Slice, sections
 
@@ -47,10 +47,12 @@ def label(
     progress: Progress,
     filler: Callable[..., InteriorAtoms] = fill,
     form: Form = "x0",
+    smoothing: Smoothing = smooth,
 ) -> tuple[list[Tensor], Atoms]:
     """A label for every cut, and atoms as fine as the labels need, with colours to start from.
 
-    `filler` makes them, as engine.fill.fill does; `form` is how a prior that only denoises is followed.
+    `filler` makes them, as engine.fill.fill does; `form` is how a prior that only denoises is followed, and `smoothing`
+    colours what none of its labels shows.
     """
     kept = checkpoint.load("labels")
     if kept is None:
@@ -59,7 +61,7 @@ def label(
             pictures, colours, coarser = solved(request, geometry, cuts, prior, progress)
             finest *= coarser
         else:
-            pictures, colours = distilled(request, geometry, cuts, prior, progress, form)
+            pictures, colours = distilled(request, geometry, cuts, prior, progress, form, smoothing)
         interior = filler(geometry.body, finest, request.seed, geometry.atoms.surface, colours)
         rgb = deblurred(replace(geometry.atoms, interior=interior), interior.rgb)
         arrays = {"labels": np.stack(pictures), "means": interior.means, "sigmas": interior.sigmas, "rgb": rgb}
@@ -86,7 +88,13 @@ def solved(
 
 
 def distilled(
-    request: Request, geometry: Geometry, cuts: Sequence[Slice], prior: Denoises, progress: Progress, form: Form
+    request: Request,
+    geometry: Geometry,
+    cuts: Sequence[Slice],
+    prior: Denoises,
+    progress: Progress,
+    form: Form,
+    smoothing: Smoothing,
 ) -> tuple[list[NDArray[np.float32]], Colours]:
     """Labels made plane by plane by score distillation, from an even grey (paper, stage one); and their colours.
 
@@ -98,7 +106,7 @@ def distilled(
         rng = np.random.default_rng([request.seed, index])
         pictures.append(distill(start, prior, cut.condition, rng, form))
         progress((index + 1) / len(cuts))
-    rgb = written_back(geometry.atoms, sections(geometry.atoms, cuts, lambda _: None), pictures)
+    rgb = written_back(geometry.atoms, sections(geometry.atoms, cuts, lambda _: None), pictures, smoothing)
     tree = cKDTree(geometry.atoms.interior.means)
 
     def colours(points: NDArray[np.floating]) -> NDArray[np.float32]:
@@ -107,7 +115,9 @@ def distilled(
     return pictures, colours
 
 
-def written_back(atoms: Atoms, cuts: Sequence[Section], pictures: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
+def written_back(
+    atoms: Atoms, cuts: Sequence[Section], pictures: Sequence[NDArray[np.float32]], smoothing: Smoothing
+) -> NDArray[np.float32]:
     """(I, 3). Each interior atom's mean over the label pixels that show it; the others take their neighbours'."""
     start = len(atoms.surface)
     total = np.zeros((len(atoms.interior), 4), np.float64)
@@ -119,7 +129,7 @@ def written_back(atoms: Atoms, cuts: Sequence[Section], pictures: Sequence[NDArr
     shown = total[:, 3] > 0
     rgb = atoms.interior.rgb.copy()
     rgb[shown] = total[shown, :3] / total[shown, 3:]
-    return smooth(atoms.interior.means, atoms.interior.rgb, rgb, shown)
+    return smoothing(atoms.interior.means, atoms.interior.rgb, rgb, shown)
 
 
 def refine(

@@ -33,6 +33,7 @@ from training.outcome import save
 from training.prior import Denoises, Solves
 from training.request import Geometry, Interrupted, Request
 from training.sds import Form
+from training.smoothing import Smoothing, smooth
 from training.trainer import Trainer
 from training.views import ENTRIES, sections, slices, surface_cameras
 
@@ -56,6 +57,8 @@ class Parts:
     """Makes the interior atoms from the labels' colours, as engine.fill.fill does."""
     form: Form = "x0"
     """How the labels follow a prior that only denoises (training.sds)."""
+    smoothing: Smoothing = smooth
+    """Colours the atoms that no label shows."""
 
 
 def run(
@@ -92,7 +95,9 @@ def run(
             raise InputError(f"{request.scene.name}: none of the {asked} planes meets the object; give others")
         if len(cuts) < asked:
             reporter.warn(f"{request.scene.name}: {asked - len(cuts)} of {asked} planes miss the object, left out")
-        labels, atoms = label(request, geometry, cuts, prior, checkpoint, watch, parts.fill, parts.form)
+        labels, atoms = label(
+            request, geometry, cuts, prior, checkpoint, watch, parts.fill, parts.form, parts.smoothing
+        )
         geometry = replace(geometry, atoms=atoms)
         facts |= {"interior_atoms": len(atoms.interior), "exposed_atoms": atoms.interior.exposed}
     with reporter.stage("refit") as stage:
@@ -107,7 +112,7 @@ def run(
     with reporter.stage("views") as stage:
         faces = sections(atoms, cuts, watched(stage, check, 0.0, 1.0))
     geometry = replace(geometry, atoms=atoms)
-    trainer = parts.trainer(atoms, faces, surfaces, request.seed)
+    trainer = parts.trainer(atoms, faces, surfaces, request.seed, parts.smoothing)
     history = train(request, trainer, prior if parts.refines else None, labels, out, reporter, checkpoint, stopped)
     return save(request, geometry, trainer, facts, history, out, reporter)
 

@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-__all__ = ["smooth"]
+__all__ = ["Smoothing", "smooth"]
+
+Float = NDArray[np.float32]
+
+Smoothing = Callable[[Float, Float, Float, NDArray[np.bool_]], Float]
+"""What `smooth` does, or an evaluation in its place."""
 
 # Trained neighbours that are averaged. The paper averages a voxel's; the nearest few are the same thing without
 # voxel borders, across which neighbours would not see each other.
@@ -14,11 +21,11 @@ NEIGHBOURS = 8
 
 
 def smooth(
-    means: NDArray[np.float32],  # [I, 3]
-    initial: NDArray[np.float32],  # [I, 3]
-    current: NDArray[np.float32],  # [I, 3]
+    means: Float,  # [I, 3]
+    initial: Float,  # [I, 3]
+    current: Float,  # [I, 3]
     trained: NDArray[np.bool_],  # [I]
-) -> NDArray[np.float32]:
+) -> Float:
     """(I, 3). Trained atoms as they are; each other takes its neighbours' change, weighted by inverse distance.
 
     C = C0 + sum w_i (C_i - C0_i) / sum w_i. From a uniform start C0 this is the paper's weighted mean of the trained

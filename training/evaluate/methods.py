@@ -42,6 +42,7 @@ from training.prior import Condition, Denoises, Progress, Volume
 from training.request import Geometry, Request
 from training.run import Parts, prepare, refitted, run
 from training.sds import distill
+from training.smoothing import Smoothing, smooth
 from training.trainer import Trainer
 from training.views import BACKGROUND, ENTRIES, Extent, Section, conditioned, surface_cameras
 
@@ -121,16 +122,14 @@ def uniform(subject: Subject, request: Tuned, out: Path) -> Made:
     return trained(subject, request, out, Parts(fill=evenly))
 
 
-class Unsmoothed(Trainer):
-    """Atoms that no view shows keep the colours that they started with."""
-
-    def smooth(self) -> None:
-        """Does nothing."""
+def unsmoothed(means: Float, initial: Float, current: Float, trained: NDArray[np.bool_]) -> Float:
+    """What no view shows keeps the colours that it started with."""
+    return current
 
 
 def without_smoothing(subject: Subject, request: Tuned, out: Path) -> Made:
     """No voxel smoothing."""
-    return trained(subject, request, out, Parts(trainer=Unsmoothed))
+    return trained(subject, request, out, Parts(smoothing=unsmoothed))
 
 
 class PlaneByPlane:
@@ -168,7 +167,7 @@ def looped(subject: Subject, request: Tuned, out: Path) -> Made:
 
 def looped_without_smoothing(subject: Subject, request: Tuned, out: Path) -> Made:
     """The paper's loop without voxel smoothing."""
-    return trained(subject, request, out, Parts(plane_by_plane, Unsmoothed))
+    return trained(subject, request, out, Parts(plane_by_plane, smoothing=unsmoothed))
 
 
 @dataclass(frozen=True)
@@ -253,8 +252,15 @@ def composited(atoms: Atoms, section: ViewWeights, plane: Plane, camera: Camera)
 class Translucent(Trainer):
     """Trains on cut faces that 3DGS blends."""
 
-    def __init__(self, atoms: Atoms, sections: Sequence[Section], surfaces: Sequence[SurfaceView], seed: int) -> None:
-        super().__init__(atoms, sections, surfaces, seed)
+    def __init__(
+        self,
+        atoms: Atoms,
+        sections: Sequence[Section],
+        surfaces: Sequence[SurfaceView],
+        seed: int,
+        smoothing: Smoothing = smooth,
+    ) -> None:
+        super().__init__(atoms, sections, surfaces, seed, smoothing)
         self.sections = [
             replace(cut, weights=composited(atoms, cut.weights, cut.plane, cut.camera)) for cut in sections
         ]
