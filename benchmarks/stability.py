@@ -1,4 +1,4 @@
-"""How far the method holds: a hole of growing size, a wrong axis, coarse labels, long steps, other seeds.
+"""How far the method holds: a hole of growing size, a wrong axis, small pictures, few planes, long steps, other seeds.
 
     python -m benchmarks.stability [--large]
 
@@ -41,10 +41,12 @@ from engine.ply import write_ply
 from sample_scenes.exemplars import photograph, planes
 from sample_scenes.solids import SOLIDS, Solid
 from training import trainer
+from training.evaluate.methods import unsmoothed
 from training.exemplar import ExemplarPrior
 from training.families import Family
 from training.metrics import face_psnr
 from training.settings import DETAILS
+from training.smoothing import Smoothing, smooth
 from training.views import sections, slices
 
 mpl.use("Agg")
@@ -61,6 +63,10 @@ HOLES = (0, 20, 40, 60, 70, 80, 90, 100, 110, 120, 135)
 TILTS = (0, 5, 10, 20, 45, 90)
 OFFSETS = (0.0, 0.1, 0.2, 0.4, 0.6)
 LABELS = (12, 16, 24, 48, 96, 160)
+PLANES = (2, 4, 8, 16, 32)
+PIXELS = (32, 48, 64, 96, 160, 320)
+FINE = 96
+"""Cells of the volume that pictures of few pixels are to fill."""
 RATES = (0.01, 0.1, 1.0, 10.0, 100.0, 1e4, 1e8)
 
 ACCENT, QUIET = "#FF6B4A", "#8F949C"
@@ -114,9 +120,12 @@ def core(offset: float) -> Solid:
     return Solid.of(f"core {offset}", ("horizontal", "radial"), depth, colour)
 
 
-def solved(solid: Solid, tilt: float = 0.0, seed: int = 0) -> float:
-    """Mean PSNR in dB of untrained cuts, with the up axis turned away by `tilt` degrees."""
-    body = body_of(solid, VOXELS)
+def solved(solid: Solid, tilt: float = 0.0, seed: int = 0, pixels: int = 96, voxels: int = VOXELS) -> dict[str, float]:
+    """Mean PSNR in dB of untrained cuts, with the up axis turned away by `tilt` degrees; cells along the longest side.
+
+    From pictures this many pixels wide.
+    """
+    body = body_of(solid, voxels)
     up = np.array([np.sin(np.radians(tilt)), 0.0, np.cos(np.radians(tilt))])
     with tempfile.TemporaryDirectory() as folder:
         families = []
@@ -124,27 +133,31 @@ def solved(solid: Solid, tilt: float = 0.0, seed: int = 0) -> float:
             paths = []
             for number, plane in enumerate(planes(solid, kind)):
                 paths.append(Path(folder) / f"{kind}_{number}.png")
-                Image.fromarray(photograph(solid, plane, 96)).save(paths[-1])
+                Image.fromarray(photograph(solid, plane, pixels)).save(paths[-1])
             families.append(Family(kind, 10, tuple(paths)))
-        volume = ExemplarPrior().solve(body, up, families, VOXELS, seed, lambda part: None)
+        volume = ExemplarPrior().solve(body, up, families, voxels, seed, lambda part: None)
     figures = []
     for plane in cut_planes(solid):
         camera = section(plane, solid.up, solid.bounds, CUT_SIZE)
         true, inside = solid.slice(plane, camera)
         made = np.where(inside[..., None], volume.at(points_on(plane, camera)), np.float32(1))
         figures.append(face_psnr(made, true, inside))
-    return round(float(np.mean(figures)), 3)
+    side = float(np.ptp(body.bounds(), axis=0).max())
+    return {"psnr_db": round(float(np.mean(figures)), 3), "cells": round(side / volume.body.cell)}
 
 
 def seeded(name: str) -> dict[str, Any]:
     """The PSNR of one solid with each seed, and its spread."""
-    spread = [solved(SOLIDS[name](0), seed=seed) for seed in SEEDS]
+    spread = [solved(SOLIDS[name](0), seed=seed)["psnr_db"] for seed in SEEDS]
     return {"solid": name, "psnr_db": spread, "mean_db": round(float(np.mean(spread)), 3),
             "sd_db": round(float(np.std(spread)), 3)}  # fmt: skip
 
 
-def fitted(size: int = 96, rate: float = 1.0) -> dict[str, float]:
-    """PSNR in dB of the atoms' colours after training on true labels of this size, at this multiple of the rates."""
+def fitted(size: int = 96, rate: float = 1.0, planes: int = 24, smoothing: Smoothing = smooth) -> dict[str, float]:
+    """PSNR in dB of the atoms' colours after training on true labels of this size, at this multiple of the rates.
+
+    Of those that a label shows, and of all.
+    """
     solid = SOLIDS["watermelon"](0)
     body = body_of(solid, 32)
     pitch = float(np.ptp(body.bounds(), axis=0).max()) / 26
@@ -152,7 +165,9 @@ def fitted(size: int = 96, rate: float = 1.0) -> dict[str, float]:
     none = SurfaceAtoms(*(np.zeros(shape, np.float32) for shape in ((0, 3), (0, 3), (0, 4), (0, 1, 3))))
     atoms = Atoms(none, replace(interior, rgb=np.full_like(interior.rgb, 0.5)), pitch)
     up = np.array([0.0, 0.0, 1.0])
-    cuts = sections(atoms, slices(body, up, [Family("horizontal", 14), Family("radial", 10)], size), lambda part: None)
+    across = round(planes * 14 / 24)
+    families = [Family("horizontal", across), Family("radial", planes - across)]
+    cuts = sections(atoms, slices(body, up, families, size), lambda part: None)
     labels = [
         torch.from_numpy(np.where(cut.condition.inside[..., None], solid.colour(cut.points), np.float32(1)))
         for cut in cuts
@@ -161,13 +176,18 @@ def fitted(size: int = 96, rate: float = 1.0) -> dict[str, float]:
         mock.patch.object(trainer, "INTERIOR_RATE", 10 * trainer.INTERIOR_RATE * rate),  # from even grey, so ten times
         mock.patch.object(trainer, "HALVED_IN_TURNS", 20),
     ):
-        training = trainer.Trainer(atoms, cuts, [], 0)
+        training = trainer.Trainer(atoms, cuts, [], 0, smoothing)
         losses = [training.step(labels).section for _ in range(60)]
-    rgb = training.result().interior.rgb[training.trained]
-    truth = solid.colour(interior.means[training.trained])
-    error = float(np.mean((rgb - truth) ** 2))
-    return {"psnr_db": round(-10 * float(np.log10(error)), 3), "loss": round(losses[-1], 5),
-            "largest": float(np.abs(rgb).max())}  # fmt: skip
+        training.smooth()
+    rgb, truth = training.result().interior.rgb, solid.colour(interior.means)
+    error = ((rgb - truth) ** 2).mean(axis=1)
+    return {
+        "psnr_db": round(-10 * float(np.log10(error[training.trained].mean())), 3),
+        "psnr_all_db": round(-10 * float(np.log10(error.mean())), 3),
+        "shown": round(float(training.trained.mean()), 4),
+        "loss": round(losses[-1], 5),
+        "largest": float(np.abs(rgb).max()),
+    }
 
 
 def large(count: int = 2_000_000) -> dict[str, float]:
@@ -213,8 +233,15 @@ def main() -> None:
     figures: dict[str, Any] = {"cores": os.cpu_count(), "voxels": VOXELS, "holes": holes()}
     figures["labels"] = [{"pixels": size, **fitted(size=size)} for size in LABELS]
     figures["rates"] = [{"times": rate, **fitted(rate=rate)} for rate in RATES]
-    figures["tilts"] = [{"degrees": tilt, "psnr_db": solved(cake, tilt)} for tilt in TILTS]
-    figures["offsets"] = [{"radii": offset, "psnr_db": solved(core(offset))} for offset in OFFSETS]
+    figures["planes"] = [
+        {"planes": count, "smoothed": name, **fitted(planes=count, smoothing=of)}
+        for name, of in ((True, smooth), (False, unsmoothed))
+        for count in PLANES
+    ]
+    orange = SOLIDS["orange"](0)
+    figures["pictures"] = [{"pixels": size, **solved(orange, pixels=size, voxels=FINE)} for size in PIXELS]
+    figures["tilts"] = [{"degrees": tilt, **solved(cake, tilt)} for tilt in TILTS]
+    figures["offsets"] = [{"radii": offset, **solved(core(offset))} for offset in OFFSETS]
     figures["seeds"] = [seeded(name) for name in SEEDED]
     keep(known | figures)
     draw(figures)
@@ -229,7 +256,7 @@ def keep(figures: dict[str, Any]) -> None:
 def draw(figures: dict[str, Any]) -> None:
     """Small multiples, one for each thing that goes wrong."""
     plt.rcParams.update({"font.size": 9, "axes.spines.top": False, "axes.spines.right": False, "axes.titlesize": 10})
-    figure, axes = plt.subplots(2, 3, figsize=(11, 6), layout="constrained")
+    figure, axes = plt.subplots(2, 4, figsize=(14, 6), layout="constrained")
 
     def line(at: int, title: str, x: Sequence[float], y: Sequence[Any], xlabel: str, ylabel: str) -> Any:
         axis = axes.flat[at]
@@ -258,6 +285,20 @@ def draw(figures: dict[str, Any]) -> None:
     axis = line(4, "Long steps", of("rates", "times"), of("rates", "psnr_db"), "times the learning rate", atoms)
     axis.set_xscale("log")
     axis = axes.flat[5]
+    for smoothed, colour in ((True, ACCENT), (False, "#5B6270")):
+        rows = [row for row in figures["planes"] if row["smoothed"] == smoothed]
+        axis.plot([row["planes"] for row in rows], [row["psnr_all_db"] for row in rows], "o-", color=colour,
+                  markersize=4, label="smoothed" if smoothed else "not smoothed")  # fmt: skip
+    axis.set(title="Few planes", xlabel="planes with true labels", ylabel="PSNR of all atoms, dB", xscale="log")
+    axis.set_xticks(PLANES, [str(count) for count in PLANES])
+    axis.minorticks_off()
+    axis.legend(frameon=False, fontsize=8)
+    axis = line(6, "Small pictures (orange)", of("pictures", "pixels"), of("pictures", "psnr_db"),
+                f"pixels of a picture; cells beside it, of {FINE}", psnr)  # fmt: skip
+    for row in figures["pictures"]:
+        axis.annotate(str(row["cells"]), (row["pixels"], row["psnr_db"]), (4, -11), textcoords="offset points",
+                      fontsize=8, color=QUIET)  # fmt: skip
+    axis = axes.flat[7]
     for row, colour in zip(figures["seeds"], (ACCENT, "#4C9F70", "#5B6270"), strict=True):
         label = f"{row['solid']}: {row['mean_db']:.2f} ± {row['sd_db']:.3f} dB"
         axis.plot(SEEDS, row["psnr_db"], "o-", color=colour, markersize=4, label=label)

@@ -48,29 +48,33 @@ def label(
     filler: Callable[..., InteriorAtoms] = fill,
     form: Form = "x0",
     smoothing: Smoothing = smooth,
-) -> tuple[list[Tensor], Atoms]:
+) -> tuple[list[Tensor], Atoms, int]:
     """A label for every cut, and atoms as fine as the labels need, with colours to start from.
+
+    And how many of the finest atoms the longest side would take: fewer than asked where the prior knows no more.
 
     `filler` makes them, as engine.fill.fill does; `form` is how a prior that only denoises is followed, and `smoothing`
     colours what none of its labels shows.
     """
     kept = checkpoint.load("labels")
     if kept is None:
-        finest = geometry.atoms.pitch * request.fineness.cells / request.fineness.fine
+        side = geometry.atoms.pitch * request.fineness.cells
+        cells: float = request.fineness.fine
         if isinstance(prior, Solves):
             pictures, colours, coarser = solved(request, geometry, cuts, prior, progress)
-            finest *= coarser
+            cells /= coarser
         else:
             pictures, colours = distilled(request, geometry, cuts, prior, progress, form, smoothing)
-        interior = filler(geometry.body, finest, request.seed, geometry.atoms.surface, colours)
+        interior = filler(geometry.body, side / cells, request.seed, geometry.atoms.surface, colours)
         rgb = deblurred(replace(geometry.atoms, interior=interior), interior.rgb)
         arrays = {"labels": np.stack(pictures), "means": interior.means, "sigmas": interior.sigmas, "rgb": rgb}
-        checkpoint.save("labels", arrays, {"exposed": interior.exposed})
+        checkpoint.save("labels", arrays, {"exposed": interior.exposed, "cells": round(cells)})
     else:
         arrays, facts = kept
+        cells = facts["cells"]
         interior = InteriorAtoms(arrays["means"], arrays["sigmas"], arrays["rgb"], facts["exposed"])
     labels = [torch.from_numpy(picture.copy()) for picture in arrays["labels"]]
-    return labels, replace(geometry.atoms, interior=replace(interior, rgb=arrays["rgb"]))
+    return labels, replace(geometry.atoms, interior=replace(interior, rgb=arrays["rgb"])), round(cells)
 
 
 def solved(

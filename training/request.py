@@ -21,6 +21,9 @@ __all__ = ["Geometry", "Interrupted", "PriorName", "Request"]
 
 PriorName = Literal["exemplar", "stable-diffusion"]
 
+FORMAT = 2
+"""Of what a run keeps to go on from; grows with every change of it, so that no run goes on from another version's."""
+
 
 class Interrupted(Exception):
     """The user stopped the run; what was done is kept."""
@@ -53,7 +56,7 @@ class Request:
 
     def fingerprint(self) -> str:
         """A name for input and settings: the same for the same result."""
-        digest = hashlib.sha256()
+        digest = hashlib.sha256(f"{FORMAT}".encode())
         for path in [self.scene, *(p for family in self.families for p in family.exemplars)]:
             digest.update(path.read_bytes())
         for folder in filter(None, (self.model, self.midas)):

@@ -95,11 +95,16 @@ def run(
             raise InputError(f"{request.scene.name}: none of the {asked} planes meets the object; give others")
         if len(cuts) < asked:
             reporter.warn(f"{request.scene.name}: {asked - len(cuts)} of {asked} planes miss the object, left out")
-        labels, atoms = label(
+        labels, atoms, cells = label(
             request, geometry, cuts, prior, checkpoint, watch, parts.fill, parts.form, parts.smoothing
         )
+        if cells < fineness.fine:
+            reporter.warn(
+                f"{request.scene.name}: the pictures are good for an inside {cells} atoms across, not {fineness.fine}; "
+                "larger or sharper ones would make it finer"
+            )
         geometry = replace(geometry, atoms=atoms)
-        facts |= {"interior_atoms": len(atoms.interior), "exposed_atoms": atoms.interior.exposed}
+        facts |= {"interior_atoms": len(atoms.interior), "exposed_atoms": atoms.interior.exposed, "cells": cells}
     with reporter.stage("refit") as stage:
         watches = [watched(stage, check, *part) for part in pairwise((0.0, 0.3, 0.6, 0.8, 1.0))]
         cameras = surface_cameras(geometry.body, geometry.up, fineness.surface_views, fineness.surface)
