@@ -9,8 +9,8 @@ SHELL := /bin/bash
 # The Visible Human's thigh, where its data lie beside the project.
 THIGH := $(if $(wildcard ../shared/data/volumes/vhm_thigh_rgba.npz),$(shell echo ,thigh))
 
-# All methods but two of those that draw plane by plane, which take minutes a scene: the samples have these too.
-METHODS := ours,physgaussian,inpainting,independent,looped,no_clipping,no_opacity,no_smoothing,no_refinement,uniform,oracle
+# All methods but those that draw label by label, which take minutes a scene: the three samples have these too.
+METHODS := ours,physgaussian,inpainting,no_clipping,no_opacity,no_smoothing,no_refinement,uniform,oracle
 
 .PHONY: demo test bench screenshots clean
 
