@@ -4,8 +4,8 @@
 
 Each knob is turned alone, from draft or from standard; accuracy is the mean over the three sample scenes and random
 cuts of each that nobody trained: PSNR, which rewards blur where texture cannot be known, patch distance over that of
-another true one of the kind, and sharpness, which do not. One scene misleads: by patches ten iterations look better than
-draft on the orange, and are worse over three. Writes docs/charts/interior_presets.json and .png, with the Pareto
+another true one of the kind, and sharpness, which do not. One scene misleads: by patches ten iterations look better
+than draft on the orange, and are worse over three. Writes docs/charts/interior_presets.json and .png, with the Pareto
 fronts (nothing is both cheaper and better) drawn and the presets marked. The chart has processor time over cores, two
 thirds of the seconds on two cores, because a loaded machine disturbs it less.
 """
