@@ -9,10 +9,10 @@ With --large only what two million Gaussians cost, from the file to a picture, i
 
 from __future__ import annotations
 
+import argparse
 import json
 import os
 import resource
-import sys
 import tempfile
 import time
 from collections.abc import Sequence
@@ -224,9 +224,12 @@ def large(count: int = 2_000_000) -> dict[str, float]:
 
 def main() -> None:
     """Runs all sweeps, and draws them."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--large", action="store_true", help="only what two million Gaussians cost")
+    arguments = parser.parse_args()
     target = FOLDER / "stability.json"
     known = json.loads(target.read_text()) if target.exists() else {}
-    if "--large" in sys.argv:
+    if arguments.large:
         keep(known | {"two_million": large()})
         return
     cake = SOLIDS["cake"](0)
@@ -275,7 +278,7 @@ def draw(figures: dict[str, Any]) -> None:
     axis.set_ylim(0.4, 1.2)
     if gone:
         axis.annotate(
-            "refused in one line", (gone[0], 0.5), (0, 8), textcoords="offset points", ha="center", color=QUIET
+            "refused in one line", (gone[-1], 0.5), (6, 8), textcoords="offset points", ha="right", color=QUIET
         )
     psnr = "PSNR of untrained cuts, dB"
     line(1, "A wrong up axis (layer cake)", of("tilts", "degrees"), of("tilts", "psnr_db"), "tilt, degrees", psnr)
@@ -295,6 +298,7 @@ def draw(figures: dict[str, Any]) -> None:
     axis.legend(frameon=False, fontsize=8)
     axis = line(6, "Small pictures (orange)", of("pictures", "pixels"), of("pictures", "psnr_db"),
                 f"pixels of a picture; cells beside it, of {FINE}", psnr)  # fmt: skip
+    axis.margins(0.12)
     for row in figures["pictures"]:
         axis.annotate(str(row["cells"]), (row["pixels"], row["psnr_db"]), (4, -11), textcoords="offset points",
                       fontsize=8, color=QUIET)  # fmt: skip
