@@ -42,7 +42,6 @@ from training.prior import Condition, Denoises, Progress, Volume
 from training.request import Geometry, Request
 from training.run import Parts, prepare, refitted, run
 from training.sds import distill
-from training.smoothing import Smoothing, smooth
 from training.trainer import Trainer
 from training.views import BACKGROUND, ENTRIES, Extent, Section, conditioned, surface_cameras
 
@@ -252,17 +251,10 @@ def composited(atoms: Atoms, section: ViewWeights, plane: Plane, camera: Camera)
 class Translucent(Trainer):
     """Trains on cut faces that 3DGS blends."""
 
-    def __init__(
-        self,
-        atoms: Atoms,
-        sections: Sequence[Section],
-        surfaces: Sequence[SurfaceView],
-        seed: int,
-        smoothing: Smoothing = smooth,
-    ) -> None:
-        super().__init__(atoms, sections, surfaces, seed, smoothing)
+    def __init__(self, *of: Any) -> None:
+        super().__init__(*of)
         self.sections = [
-            replace(cut, weights=composited(atoms, cut.weights, cut.plane, cut.camera)) for cut in sections
+            replace(cut, weights=composited(self.atoms, cut.weights, cut.plane, cut.camera)) for cut in self.sections
         ]
 
 
