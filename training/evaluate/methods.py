@@ -27,7 +27,7 @@ from engine.fill import fill
 from engine.kernel_field import KernelField
 from engine.opaque import render
 from engine.plane import Plane
-from engine.surface_fit import SurfaceView, surface_views
+from engine.surface_fit import surface_views
 from engine.trained import Meta, load_trained, save_trained
 from engine.view_weights import ViewWeights
 from sample_scenes.solids import Solid
@@ -43,7 +43,7 @@ from training.request import Geometry, Request
 from training.run import Parts, prepare, refitted, run
 from training.sds import distill
 from training.trainer import Trainer
-from training.views import BACKGROUND, ENTRIES, Extent, Section, conditioned, surface_cameras
+from training.views import BACKGROUND, ENTRIES, Extent, conditioned, surface_cameras
 
 __all__ = ["METHODS", "Made", "Method"]
 
