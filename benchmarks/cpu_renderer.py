@@ -150,7 +150,7 @@ def chart(rows: list[dict[str, object]], path: Path) -> None:
     colours = {"classic": "#FF6B4A", "torch": "#5B6270"}
     names = {"classic": "this renderer", "torch": "plain torch"}
     markers, sizes = {20_000: "o", 100_000: "s", 500_000: "D"}, {256: 36, 512: 90}
-    for row in rows:  # of each scene, what lies to the lower left is the front
+    for row in rows:
         pair = [
             [float(str(row[f"{name} {key}"])) for name in names] for key in ("forward+backward seconds", "rms error")
         ]
@@ -176,7 +176,7 @@ def chart(rows: list[dict[str, object]], path: Path) -> None:
     left.set_xlabel("seconds, forward+backward")
     left.set_ylabel("RMS error against float64, colours in 0..1")
     left.legend(frameon=False, fontsize=8)
-    left.set_title("Error and time: of each scene, this renderer is the front", loc="left", fontsize=11)
+    left.set_title("Error and time; lines join the two on one scene", loc="left", fontsize=11)
     right.set_xticks(COUNTS, [f"{count // 1000} k" for count in COUNTS])
     right.minorticks_off()
     right.set_xlabel("Gaussians")

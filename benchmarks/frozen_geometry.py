@@ -38,8 +38,6 @@ from matplotlib import pyplot as plt
 
 FOLDER = Path(__file__).parents[1] / "docs/charts"
 KEPT = (4, 8, 16, 32, 64)
-EXACT = 130.0
-"""PSNR in dB of float32 rounding, for what leaves nothing out."""
 CUT = Plane.of((0.3, 0.2, 1.0), -0.05)
 UP = (0.0, 0.0, 1.0)
 
@@ -158,11 +156,13 @@ def chart(rows: list[dict], path: Path) -> None:
     kinds = ("outside", "cut", "section")
     most = max((row["atoms"], row["pixels"]) for row in rows)
     figure, panels = plt.subplots(1, len(kinds), figsize=(13, 4.4), sharey=True, constrained_layout=True)
-    for kind, panel in zip(kinds, panels, strict=True):
-        row = next(r for r in rows if r["kind"] == kind and (r["atoms"], r["pixels"]) == most)
+    shown = [next(r for r in rows if r["kind"] == kind and (r["atoms"], r["pixels"]) == most) for kind in kinds]
+    # What leaves nothing out has no error: it stands above the rest, on a line that says so.
+    top = 10 * np.ceil(max(-row[f"keep {k}"]["error dB"] for row in shown for k in KEPT) / 10) + 10
+    for kind, row, panel in zip(kinds, shown, panels, strict=True):
         names = [*(f"{k}" for k in KEPT), "all", "full renderer"]
         times = [1e3 * t for t in (*(row[f"keep {k}"]["busy"] for k in KEPT), row["exact busy"], row["full busy"])]
-        decibels = [*(-row[f"keep {k}"]["error dB"] for k in KEPT), EXACT, EXACT]
+        decibels = [-row[f"keep {k}"]["error dB"] for k in KEPT] + [top, top]
         line = front(times, decibels)
         panel.step([times[i] for i in line], [decibels[i] for i in line], where="post", color="#B0B5BA", zorder=1)
         for name, time_taken, decibel in zip(names, times, decibels, strict=True):
@@ -180,6 +180,8 @@ def chart(rows: list[dict], path: Path) -> None:
         panel.margins(0.22, 0.08)
         panel.grid(alpha=0.3)
     panels[0].set_ylabel("PSNR against the full renderer, dB")
+    ticks = range(30, int(top), 10)
+    panels[0].set_yticks([*ticks, top], [*(str(tick) for tick in ticks), "exact"])
     figure.suptitle(
         f"Frozen geometry, {most[0]:,} atoms, {most[1]} x {most[1]} pixels, {cores()} cores: "
         "the K largest entries of a pixel, all of them, and the full renderer"

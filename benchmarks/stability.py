@@ -2,7 +2,7 @@
 
     python -m benchmarks.stability [--large]
 
-Small solids of known inside, so that the whole takes about a minute of processor time; the curves show where a thing
+Small solids of known inside, so that the whole takes a few minutes; the curves show where a thing
 breaks and how, not how good it can be. Writes docs/charts/stability.png and, with the numbers, stability.json.
 With --large only what two million Gaussians cost, from the file to a picture, is measured and added to the numbers.
 """

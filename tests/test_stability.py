@@ -36,10 +36,13 @@ from engine.plane import Plane
 from engine.ply import write_ply
 from engine.surface_fit import refit
 from engine.trained import load_trained
+from training.evaluate.methods import unsmoothed
 from training.events import Reporter
 from training.families import Family
+from training.labels import written_back
 from training.request import Request
 from training.run import Parts, run
+from training.smoothing import smooth
 from training.trainer import Trainer
 from training.views import Section, sections, slices
 
@@ -195,8 +198,12 @@ def test_atoms_are_no_finer_than_the_pictures(tmp_path: Path, monkeypatch: pytes
 
     picture = save(tmp_path / "small.png", disc(60, seeds=6)[0])  # the cut face is 48 pixels across
     request = Request(tmp_path / "ball.ply", (Family("horizontal", 2, (picture,)),), "draft", (0.0, 0.0, 1.0))
-    run(request, tmp_path / "out", Reporter(), False, lambda: False, Parts(fill=filler))
+    events = io.StringIO()
+    run(request, tmp_path / "out", Reporter(events), False, lambda: False, Parts(fill=filler))
     assert across == [pytest.approx(2 * 48, rel=0.05)]
+    report = json.loads((tmp_path / "out/report.json").read_text())
+    assert report["cells"] == round(across[0])
+    assert f"an inside {report['cells']} atoms across, not 128" in events.getvalue()
 
 
 @pytest.mark.parametrize(
@@ -261,6 +268,16 @@ def test_labels_that_contradict_each_other_meet_in_between(atoms: Atoms) -> None
     dark, between, light = (rgb[rows].mean() for rows in (first & ~second, first & second, second & ~first))
     assert dark < between < light
     assert dark < 0.49 and light > 0.51
+
+
+def test_what_no_label_shows_is_smoothed_unless_smoothing_is_left_out(atoms: Atoms) -> None:
+    atoms = replace(atoms, interior=replace(atoms.interior, rgb=np.full_like(atoms.interior.rgb, 0.5)))
+    cuts = crossed(atoms)
+    white = [np.ones((48, 48, 3), np.float32)] * len(cuts)
+    assert np.allclose(written_back(atoms, cuts, white, smooth), 1, atol=1e-5)
+    kept = written_back(atoms, cuts, white, unsmoothed)
+    assert 0.1 < (kept == 0.5).all(axis=1).mean() < 0.9
+    assert np.isin(np.round(kept, 5), np.float32([0.5, 1])).all()
 
 
 @pytest.mark.parametrize("rate", [1.0, 1e6, 1e30])

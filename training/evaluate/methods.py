@@ -45,7 +45,7 @@ from training.sds import distill
 from training.trainer import Trainer
 from training.views import BACKGROUND, ENTRIES, Extent, conditioned, surface_cameras
 
-__all__ = ["METHODS", "Made", "Method"]
+__all__ = ["METHODS", "Made", "Method", "unsmoothed"]
 
 Float = NDArray[np.float32]
 

@@ -59,7 +59,6 @@ def solve(
     space = make_space(body, up, voxels)
     needed = _needed(space, families, pictures, voxels)
     if needed < voxels:
-        log.info("the pictures show no more than %d cells of the %d along the longest side", needed, voxels)
         space = make_space(body, up, needed)
     progress(0.1)
     views = [_view(space, family, own) for family, own in zip(families, pictures, strict=True)]
