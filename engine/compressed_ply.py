@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from engine.errors import InputError
+from engine.files import open_file
 from engine.gaussians import Gaussians
-from engine.ply_header import Element, Header, open_file
+from engine.ply_header import Element, Header
 from engine.sh import rgb_to_sh
 from engine.splat_rows import COLOUR, GEOMETRY, gaussians_of, logits
 

@@ -8,10 +8,11 @@ from functools import partial
 from pathlib import Path
 
 from engine.errors import InputError
+from engine.files import open_file
 from engine.gaussians import Gaussians
 from engine.mesh import read_mesh
 from engine.ply import read_ply
-from engine.ply_header import open_file, read_header
+from engine.ply_header import read_header
 from engine.splat import read_splat
 from engine.spz import GZIP, read_spz
 from engine.suffixes import MESH_SUFFIXES, SCENE_SUFFIXES

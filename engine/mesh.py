@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from engine.errors import InputError
+from engine.files import open_file
 from engine.gaussians import Gaussians
-from engine.ply_header import open_file, read_header
+from engine.ply_header import read_header
 from engine.scatter import scatter
 from engine.sh import rgb_to_sh
 from engine.suffixes import MESH_SUFFIXES

@@ -17,9 +17,9 @@ from plyfile import PlyData, PlyElement
 
 from engine.compressed_ply import is_compressed, read_compressed_ply
 from engine.errors import InputError
-from engine.files import atomic
+from engine.files import atomic, open_file
 from engine.gaussians import Gaussians
-from engine.ply_header import Element, Header, open_file, read_header
+from engine.ply_header import Element, Header, read_header
 from engine.splat_rows import COLOUR, GEOMETRY, gaussians_of, logits
 
 __all__ = ["read_ply", "write_ply"]

@@ -7,18 +7,18 @@ from __future__ import annotations
 
 import os
 import re
-import stat
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 from plyfile import PlyData, PlyElement, PlyListProperty, PlyParseError
 
 from engine.errors import InputError
+from engine.files import open_file
 
-__all__ = ["Element", "Header", "open_file", "read_header"]
+__all__ = ["Element", "Header", "read_header"]
 
 HEADER_LIMIT = 1 << 20
 """Bytes within which a header must end: a 3DGS header has 2 KB, so this leaves room for any comment."""
@@ -64,21 +64,6 @@ class Header:
         vertex = self.element("vertex")
         names = set(vertex.properties) if vertex else set()
         return not names.isdisjoint({"scale_0", "rot_0", "f_dc_0", "packed_position"})
-
-
-def open_file(path: Path) -> BinaryIO:
-    """The file, open for reading bytes. Raises InputError for what is not there, no file, or not ours to read."""
-    try:
-        mode = path.stat().st_mode
-        if stat.S_ISDIR(mode):
-            raise InputError(f"{path}: this is a folder; give the file in it")
-        if not stat.S_ISREG(mode):  # a pipe or a device would make us wait, or never end
-            raise InputError(f"{path}: this is not a regular file")
-        return path.open("rb")
-    except FileNotFoundError as error:
-        raise InputError(f"{path}: there is no such file") from error
-    except OSError as error:
-        raise InputError(f"{path}: cannot be opened ({error.strerror})") from error
 
 
 def read_header(path: str | Path) -> Header:

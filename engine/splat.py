@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from engine.errors import InputError
+from engine.files import open_file
 from engine.gaussians import Gaussians
-from engine.ply_header import open_file
 from engine.sh import rgb_to_sh
 from engine.splat_rows import gaussians_of, logits
 

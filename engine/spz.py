@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from engine.compressed_ply import with_largest
 from engine.errors import InputError
+from engine.files import open_file
 from engine.gaussians import Gaussians
-from engine.ply_header import open_file
 from engine.sh import basis
 from engine.splat_rows import gaussians_of, logits
 

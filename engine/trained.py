@@ -18,10 +18,9 @@ import numpy as np
 
 from engine.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from engine.errors import InputError
-from engine.files import atomic
+from engine.files import atomic, open_file
 from engine.gaussians import Gaussians
 from engine.ply import read_ply, write_ply
-from engine.ply_header import open_file
 from engine.sh import rgb_to_sh, sh_to_rgb
 
 __all__ = ["FORMAT", "Meta", "load_trained", "save_trained", "sidecar_path"]

@@ -25,7 +25,7 @@ from typing import Any, cast, get_args
 from PIL import Image
 
 from engine.errors import InputError, one_line
-from engine.ply_header import open_file
+from engine.files import open_file
 from training.cli import parse_axis, parse_families
 from training.request import PriorName, Request
 from training.settings import DetailName
