@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from engine.plane import Plane
+from engine.rotations import of_unit
 
 __all__ = ["STILL", "Motion", "Vec3", "vec3"]
 
@@ -33,14 +34,7 @@ class Motion:
     @property
     def rotation(self) -> NDArray[np.float64]:
         """(3, 3)."""
-        w, x, y, z = self.turn
-        return np.array(
-            [
-                [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-                [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-                [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-            ]
-        )
+        return np.array(of_unit(*self.turn)).reshape(3, 3)
 
     @property
     def matrix(self) -> NDArray[np.float64]:

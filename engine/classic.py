@@ -27,7 +27,7 @@ from engine.cpu.splats import RECORD, project, project_backward
 from engine.cpu.tiles import BLOCKS, SIDE, list_pairs, place_pairs, sort_pairs, sum_open
 from engine.gaussians import Gaussians
 from engine.picture import Picture
-from engine.projection import pack_camera
+from engine.projection import CameraRecord, camera_record
 from engine.threads import for_each
 
 __all__ = ["rasterize", "render"]
@@ -86,7 +86,7 @@ class _Slice:
 class _Frame:
     """A composited picture, still in tiles, and how it came about."""
 
-    cam: NDArray[np.float64]
+    cam: CameraRecord
     eye: NDArray[np.float64]
     records: NDArray[np.floating]  # [V, RECORD]
     owners: NDArray[np.int32]  # [V]
@@ -206,7 +206,7 @@ def _empty(shape: tuple[int, ...], kind: np.dtype[Any]) -> NDArray[Any]:
 
 def _composite(scene: _Scene, camera: Camera) -> _Frame:
     kind = scene.means.dtype
-    cam = pack_camera(camera)
+    cam = camera_record(camera)
     tiles_x, tiles_y = -(-camera.width // SIDE), -(-camera.height // SIDE)
     order = depth_order(cam, scene.means)
     visible = len(order)

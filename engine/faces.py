@@ -9,14 +9,12 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from engine.formula import EDGE_SLOPE, SOLID_DENSITY
+from engine.formula import EDGE_SLOPE, FACE_AMBIENT, FACE_LAMP, SOLID_DENSITY
 from engine.plane import Plane
+from engine.projection import CameraRecord
 from engine.threads import for_each
 
 __all__ = ["Hits", "coverage", "enter", "shade"]
-
-AMBIENT = 0.85
-"""Light on a face seen edge-on, as a share of straight on: enough to read the slant, too little to hide colours."""
 
 
 @dataclass(frozen=True)
@@ -45,23 +43,25 @@ class Hits:
         return self if free.all() else Hits(*(getattr(self, name.name)[free] for name in fields(self)))
 
 
-def enter(cam: NDArray[np.float64], planes: NDArray[np.float64]) -> Hits:
-    """Rays of a packed camera into the piece that camera-space planes (P, 4) bound.
+def enter(cam: CameraRecord, planes: NDArray[np.float64]) -> Hits:
+    """Rays of a camera into the piece that camera-space planes (P, 4) bound.
 
     Of the planes whose outside the ray comes from, the last one it passes is where it enters, if that lies before the
     eye and within all other planes.
     """
-    width, height = int(cam[22]), int(cam[23])
+    width, height = int(cam.width), int(cam.height)
     depth, facing = np.empty((height, width)), np.empty((height, width), np.float32)
     for_each(_enter, height, cam, planes, depth, facing)
     pixels = np.flatnonzero(np.isfinite(depth))
     z = depth.reshape(-1)[pixels]
-    x = (pixels % width + 0.5 - cam[14]) / cam[12]
-    y = (pixels // width + 0.5 - cam[15]) / cam[13]
-    perspective = np.ones_like(z) if cam[20] else z
-    seen = np.stack([x * perspective, y * perspective, z], 1) - cam[9:12]
-    footprint = (perspective / np.sqrt(cam[12] * cam[13])).astype(np.float32)
-    return Hits(pixels, seen @ cam[:9].reshape(3, 3), z.astype(np.float32), footprint, facing.reshape(-1)[pixels])
+    x = (pixels % width + 0.5 - cam.cx) / cam.fx
+    y = (pixels // width + 0.5 - cam.cy) / cam.fy
+    perspective = np.ones_like(z) if cam.orthographic else z
+    seen = np.stack([x * perspective, y * perspective, z], 1) - np.array(cam.translation)
+    footprint = (perspective / np.sqrt(cam.fx * cam.fy)).astype(np.float32)
+    return Hits(
+        pixels, seen @ np.array(cam.rotation).reshape(3, 3), z.astype(np.float32), footprint, facing.reshape(-1)[pixels]
+    )
 
 
 def coverage(density: NDArray[np.floating], footprint: NDArray[np.floating], pitch: float) -> NDArray[np.floating]:
@@ -72,22 +72,22 @@ def coverage(density: NDArray[np.floating], footprint: NDArray[np.floating], pit
 
 def shade(hits: Hits) -> NDArray[np.float32]:
     """(K,). Factor of a lamp at the eye."""
-    return AMBIENT + np.float32(1 - AMBIENT) * hits.facing
+    return FACE_AMBIENT + np.float32(FACE_LAMP) * hits.facing
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _enter(row, cam, planes, depth, facing):  # type: ignore[no-untyped-def]
     """Fills a row of depth (H, W) of the entry, inf where there is none, and of the cosine (H, W) at the plane."""
-    orthographic = cam[20] != 0.0
+    orthographic = cam.orthographic != 0.0
     for column in range(depth.shape[1]):
-        x, y = (column + 0.5 - cam[14]) / cam[12], (row + 0.5 - cam[15]) / cam[13]
+        x, y = (column + 0.5 - cam.cx) / cam.fx, (row + 0.5 - cam.cy) / cam.fy
         entry, through, steep = -np.inf, -1, 0.0
         for p in range(len(planes)):
             a, b, c, d = planes[p, 0], planes[p, 1], planes[p, 2], planes[p, 3]
             base, along = (a * x + b * y + d, c) if orthographic else (d, a * x + b * y + c)
             if along < 0.0 and -base / along > entry:
                 entry, through, steep = -base / along, p, -along
-        found = through >= 0 and entry > cam[21] and entry < np.inf
+        found = through >= 0 and entry > cam.near and entry < np.inf
         for p in range(len(planes)):
             a, b, c, d = planes[p, 0], planes[p, 1], planes[p, 2], planes[p, 3]
             base, along = (a * x + b * y + d, c) if orthographic else (d, a * x + b * y + c)

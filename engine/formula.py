@@ -1,17 +1,27 @@
-"""The numbers of the opaque image. The CPU renderers use them, and the GL engine writes them into its shaders."""
+"""The numbers of the opaque and of the classic image. Kernels read them here; shaders get them as defines."""
 
 from __future__ import annotations
 
 import math
 
+import numpy as np
+
 __all__ = [
+    "ALPHA_STEPS",
+    "CLAMP_MARGIN",
     "CORE_Q",
     "CUTOFF_Q",
     "EDGE_SLOPE",
     "EPSILON_PITCHES",
+    "FACE_AMBIENT",
+    "FACE_LAMP",
+    "FACE_OPAQUE",
+    "JOINT_PITCHES",
     "LATTICE_DENSITY",
     "LOW_PASS",
+    "MAX_ALPHA",
     "MIN_WEIGHT",
+    "NOTHING",
     "SOLID_DENSITY",
 ]
 
@@ -40,3 +50,29 @@ holes, at a quarter 0.2 %, and 0.04 % of those 0.4 to 1 pitch above it are solid
 
 MIN_WEIGHT = 1e-6
 """Weight sum under which a pixel has no colour of its own."""
+
+FACE_AMBIENT = 0.85
+FACE_LAMP = 1.0 - FACE_AMBIENT
+"""Light on a cut face: seen edge-on, and what a lamp at the eye adds to it straight on. Enough to read the slant, too
+little to hide colours."""
+
+FACE_OPAQUE = 0.999
+"""Coverage of a cut face from which nothing behind it counts."""
+
+JOINT_PITCHES = 1e-3
+"""Pieces that did not move apart have no face between them; a point this near the other's plane touches it."""
+
+CLAMP_MARGIN = 0.3
+"""How far outside the picture, in half widths, the Jacobian still follows a mean; beyond it is held, because the affine
+approximation explodes there (INRIA and gsplat use the same number)."""
+
+MAX_ALPHA = float(np.float32(0.99))
+"""Classic: no Gaussian covers more, so that its derivative, which divides by 1 - alpha, stays finite. The float32
+number in all precisions: two such layers leave (1 - 0.99)^2, a hair under the transmittance that ends a pixel, and all
+must agree that they end it."""
+
+ALPHA_STEPS = 255.0
+"""Classic: alpha under one of so many steps, those of an 8-bit picture, is left out."""
+
+NOTHING = 3.0e38
+"""The depth of a pixel that shows nothing. A shader's compiler may do away with infinities."""

@@ -21,6 +21,7 @@ from engine import sh
 from engine.atoms import Atoms
 from engine.cpu.face_rows import ROWS, near_plane
 from engine.formula import CUTOFF_Q
+from engine.rotations import matrices, unit_quats
 from engine.threads import for_each
 
 __all__ = ["KernelField", "axes_of"]
@@ -168,16 +169,7 @@ def octaves(sizes: NDArray[np.floating]) -> list[NDArray[np.intp]]:
 
 def axes_of(quats: NDArray[np.floating]) -> Float:
     """(N, 3, 3). Rows are the principal axes of quaternions (N, 4), wxyz; the world's where one has no length."""
-    q = quats.astype(np.float64)
-    length = np.linalg.norm(q, axis=1, keepdims=True)
-    q = np.where(length > 1e-12, q / np.maximum(length, 1e-12), np.array([1.0, 0, 0, 0]))
-    w, x, y, z = q.T
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)],
-        [2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)],
-        [2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.stack([np.stack(row, -1) for row in rows], -2).astype(np.float32)
+    return np.ascontiguousarray(matrices(unit_quats(quats)).transpose(0, 2, 1), np.float32)
 
 
 def level(atom: NDArray[np.intp], means: Float, scales: Float, axes: Float, rgb: Float) -> Level:

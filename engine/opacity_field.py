@@ -10,8 +10,9 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from engine.gaussians import Gaussians
+from engine.rotations import matrices
 
-__all__ = ["Grid", "moments", "opacity_field", "rotations"]
+__all__ = ["Grid", "moments", "opacity_field"]
 
 Float = NDArray[np.float32]
 
@@ -45,17 +46,6 @@ class Grid:
         return self.origin + (cells + 0.5) * self.cell
 
 
-def rotations(quats: Float) -> Float:
-    """(N, 3, 3). Rotation matrices of unit quaternions (N, 4) wxyz; the columns are the principal axes."""
-    w, x, y, z = quats.T
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.moveaxis(np.array(rows, np.float32), 2, 0)
-
-
 def opacity_field(gaussians: Gaussians, grid: Grid, widen: float = 0.0) -> Float:
     """Grid shape. d(x) = sum_p opacity_p exp(-1/2 (x - x_p)^T Sigma_p^-1 (x - x_p)), cut off at 3 sigma.
 
@@ -78,7 +68,7 @@ def moments(
     """
     assert normals.shape == (len(gaussians), 3), normals.shape
     sigma = np.maximum(gaussians.scales / np.float32(grid.cell), np.float32(max(widen / grid.cell, MIN_SIGMA)))
-    axes = rotations(gaussians.quats)
+    axes = matrices(gaussians.quats)
     inverse = np.einsum("nij,nj,nkj->nik", axes, sigma**-2, axes)
     centres = grid.index(gaussians.means).astype(np.float32)
     reach = CUTOFF * np.sqrt(np.einsum("nij,nj->ni", axes**2, sigma**2))

@@ -15,19 +15,17 @@ from numpy.typing import NDArray
 from engine.atoms import Atoms
 from engine.camera import Camera
 from engine.faces import Hits, coverage, enter, shade
+from engine.formula import JOINT_PITCHES
 from engine.kernel_field import KernelField
 from engine.outside import camera_planes, draw, splats_of, view_colours
 from engine.picture import Picture
 from engine.piece import Piece
 from engine.plane import Plane
-from engine.projection import pack_camera
+from engine.projection import camera_record
 
 __all__ = ["render", "render_pieces"]
 
 Float = NDArray[np.float32]
-
-JOINT_PITCHES = 1e-3
-"""Pieces that did not move apart have no face between them; a point this near the other's plane touches it."""
 
 
 def render(
@@ -96,7 +94,7 @@ def group_layer(atoms: Atoms, camera: Camera, pieces: Sequence[Piece], light: bo
     for piece in pieces:
         if piece.planes and field is not None:
             view = piece.camera(camera)
-            hits = enter(pack_camera(view), camera_planes(view, piece.planes))
+            hits = enter(camera_record(view), camera_planes(view, piece.planes))
             others = [other.planes for other in pieces if other is not piece]
             hits = hits.outside(others, JOINT_PITCHES * atoms.pitch)
             # In front of the list: nothing of a piece lies before its own cut, so equal depths are the face's.

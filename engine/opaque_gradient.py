@@ -26,8 +26,8 @@ from engine.kernel_field import KernelField
 from engine.outside import CHUNKS, Outside, Splats, camera_planes, draw
 from engine.piece import Piece
 from engine.plane import Plane
-from engine.projection import pack_camera
-from engine.sh import C0, C1, C2, C3
+from engine.projection import camera_record
+from engine.sh import BANDS, C0
 from engine.threads import for_each
 
 __all__ = ["AtomTensors", "opaque_image", "sh_basis"]
@@ -120,21 +120,8 @@ def sh_basis(directions: torch.Tensor, degree: int) -> torch.Tensor:
     """(N, (degree+1)^2). `engine.sh.basis` of unit directions (N, 3), differentiable."""
     x, y, z = directions.unbind(1)
     rows = [torch.full_like(x, C0)]
-    if degree >= 1:
-        rows += [-C1 * y, C1 * z, -C1 * x]
-    if degree >= 2:
-        xx, yy, zz = x * x, y * y, z * z
-        rows += [C2[0] * x * y, C2[1] * y * z, C2[2] * (2 * zz - xx - yy), C2[3] * x * z, C2[4] * (xx - yy)]
-        if degree >= 3:
-            rows += [
-                C3[0] * y * (3 * xx - yy),
-                C3[1] * x * y * z,
-                C3[2] * y * (4 * zz - xx - yy),
-                C3[3] * z * (2 * zz - 3 * xx - 3 * yy),
-                C3[4] * x * (4 * zz - xx - yy),
-                C3[5] * z * (xx - yy),
-                C3[6] * x * (xx - 3 * yy),
-            ]
+    for band in BANDS[:degree]:
+        rows += band(x, y, z)
     return torch.stack(rows, dim=1)
 
 
@@ -149,7 +136,7 @@ def _face(
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """RGB (H, W, 3) of the cut faces, weighted by alpha, and alpha (H, W)."""
     kind = means.dtype
-    hits = enter(pack_camera(camera), camera_planes(camera, planes))
+    hits = enter(camera_record(camera), camera_planes(camera, planes))
     offsets, listed, _ = KernelField(atoms.atoms()).entries(hits.points, hits.footprint)
     footprint = torch.from_numpy(hits.footprint).to(kind)
     points = hits.points.astype(means.detach().numpy().dtype)

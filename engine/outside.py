@@ -17,7 +17,7 @@ from engine.cpu.tiles import place_pairs
 from engine.formula import EPSILON_PITCHES
 from engine.piece import Piece
 from engine.plane import Plane, stack
-from engine.projection import pack_camera
+from engine.projection import camera_record
 from engine.threads import for_each
 
 __all__ = ["CHUNKS", "Outside", "Splats", "camera_planes", "directions", "draw", "splats_of", "view_colours"]
@@ -118,7 +118,7 @@ def draw(
     for k, view in enumerate(views):
         own = slice(k * count, (k + 1) * count)
         for_each(
-            project, CHUNKS, size, pack_camera(view), planes, end[k : k + 2],
+            project, CHUNKS, size, camera_record(view), planes, end[k : k + 2],
             splats.means, splats.scales, splats.quats, records[own], spans[own],
         )  # fmt: skip
 
@@ -130,7 +130,7 @@ def draw(
     listed = np.empty(first[-1], np.int32)
     for_each(fill_tiles, CHUNKS, size, spans, columns, places, listed)
 
-    cam = pack_camera(camera)
+    cam = camera_record(camera)
     frame = Frame(cam, planes, records, spans, first, listed, columns, EPSILON_PITCHES * pitch)
     front = np.empty((camera.height, camera.width), kind)
     outside = Outside(frame, front, np.empty((*front.shape, 5), kind))

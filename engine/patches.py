@@ -9,7 +9,7 @@ from scipy.spatial import KDTree
 from engine.atoms import SurfaceAtoms
 from engine.body import Body
 from engine.gaussians import Gaussians
-from engine.opacity_field import rotations
+from engine.rotations import matrices
 
 __all__ = ["coverage_at", "inwards", "patches", "skin_points"]
 
@@ -69,7 +69,7 @@ def coverage_at(
         return np.zeros(len(points), np.float32)
     count = min(NEIGHBOURS, len(surface))
     rows = KDTree(surface.means).query(points, k=count)[1].reshape(-1, count)
-    axes = rotations(surface.quats)
+    axes = matrices(surface.quats)
     most = np.zeros(len(points), np.float32)
     for neighbour in rows.T:
         frame = axes[neighbour]

@@ -13,24 +13,28 @@ Every forward function that training needs has its `_backward`: given dL/d(outpu
 
 from __future__ import annotations
 
+import math
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from engine.camera import Camera
 from engine.cpu.lanes import maximum, minimum, root, where
+from engine.formula import CLAMP_MARGIN
+from engine.rotations import of_unit
 
 __all__ = [
-    "CAMERA_SIZE",
+    "CameraRecord",
     "camera_point",
     "camera_point_backward",
+    "camera_record",
     "conic",
     "conic_backward",
     "half_axes",
     "half_axes_backward",
     "jacobian",
     "jacobian_backward",
-    "pack_camera",
     "project_point",
     "project_point_backward",
     "rotation",
@@ -41,47 +45,63 @@ __all__ = [
     "screen_covariance_backward",
 ]
 
-CAMERA_SIZE = 24
-"""Numbers in a packed camera."""
 
-CLAMP_MARGIN = 0.3
-"""How far outside the picture, in half widths, the Jacobian still follows a mean; beyond it is held, because the affine
-approximation explodes there (INRIA and gsplat use the same number)."""
+class CameraRecord(NamedTuple):
+    """A camera as the kernels read it, all float64. A named tuple, which numba can read."""
 
-# Indices into a packed camera: 0..8 the rotation by rows, then
-_T, _FX, _FY, _CX, _CY, _X_LOW, _X_HIGH, _Y_LOW, _Y_HIGH, _ORTHO, _NEAR = 9, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21
+    rotation: tuple[float, ...]
+    """(9,). World to camera, by rows."""
+    translation: tuple[float, ...]
+    """(3,). World to camera."""
+    fx: float
+    """Pixels; of an orthographic camera, pixels per world unit."""
+    fy: float
+    cx: float
+    """Pixels from the left edge."""
+    cy: float
+    x_low: float
+    """x / z and y / z are held between these where the Jacobian is taken."""
+    x_high: float
+    y_low: float
+    y_high: float
+    orthographic: float
+    """1 or 0, so that formulas need no branch."""
+    near: float
+    """Least depth, world units; -inf if orthographic."""
+    width: float
+    """Pixels."""
+    height: float
 
 
-def pack_camera(camera: Camera) -> NDArray[np.float64]:
-    """(CAMERA_SIZE,) float64. The camera as the kernels read it.
-
-    0..8 rotation world to camera by rows, 9..11 translation, 12..15 fx fy cx cy, 16..19 bounds of x/z and y/z that the
-    Jacobian is held within (x low, x high, y low, y high), 20 one if orthographic, 21 near depth (-inf if
-    orthographic), 22..23 width and height in pixels.
-    """
-    packed = np.zeros(CAMERA_SIZE)
-    packed[:9] = camera.viewmat[:3, :3].ravel()
-    packed[_T : _T + 3] = camera.viewmat[:3, 3]
-    packed[_FX : _CY + 1] = camera.fx, camera.fy, camera.cx, camera.cy
+def camera_record(camera: Camera) -> CameraRecord:
+    """The camera for kernels."""
     margin_x = CLAMP_MARGIN * 0.5 * camera.width / camera.fx
     margin_y = CLAMP_MARGIN * 0.5 * camera.height / camera.fy
-    packed[_X_LOW] = -camera.cx / camera.fx - margin_x
-    packed[_X_HIGH] = (camera.width - camera.cx) / camera.fx + margin_x
-    packed[_Y_LOW] = -camera.cy / camera.fy - margin_y
-    packed[_Y_HIGH] = (camera.height - camera.cy) / camera.fy + margin_y
-    packed[_ORTHO] = float(camera.orthographic)
-    packed[_NEAR] = -np.inf if camera.orthographic else camera.near
-    packed[22:] = camera.width, camera.height
-    return packed
+    return CameraRecord(
+        rotation=tuple(camera.viewmat[:3, :3].astype(np.float64).ravel().tolist()),
+        translation=tuple(camera.viewmat[:3, 3].astype(np.float64).tolist()),
+        fx=float(camera.fx),
+        fy=float(camera.fy),
+        cx=float(camera.cx),
+        cy=float(camera.cy),
+        x_low=-camera.cx / camera.fx - margin_x,
+        x_high=(camera.width - camera.cx) / camera.fx + margin_x,
+        y_low=-camera.cy / camera.fy - margin_y,
+        y_high=(camera.height - camera.cy) / camera.fy + margin_y,
+        orthographic=float(camera.orthographic),
+        near=-math.inf if camera.orthographic else float(camera.near),
+        width=float(camera.width),
+        height=float(camera.height),
+    )
 
 
 @njit(cache=True, error_model="numpy")
 def camera_point(cam, x, y, z):  # type: ignore[no-untyped-def]
     """(x, y, z) in camera space of a world point."""
     return (
-        cam[0] * x + cam[1] * y + cam[2] * z + cam[9],
-        cam[3] * x + cam[4] * y + cam[5] * z + cam[10],
-        cam[6] * x + cam[7] * y + cam[8] * z + cam[11],
+        cam.rotation[0] * x + cam.rotation[1] * y + cam.rotation[2] * z + cam.translation[0],
+        cam.rotation[3] * x + cam.rotation[4] * y + cam.rotation[5] * z + cam.translation[1],
+        cam.rotation[6] * x + cam.rotation[7] * y + cam.rotation[8] * z + cam.translation[2],
     )
 
 
@@ -89,32 +109,32 @@ def camera_point(cam, x, y, z):  # type: ignore[no-untyped-def]
 def camera_point_backward(cam, gx, gy, gz):  # type: ignore[no-untyped-def]
     """dL/d(world point) of `camera_point`: the transposed rotation."""
     return (
-        cam[0] * gx + cam[3] * gy + cam[6] * gz,
-        cam[1] * gx + cam[4] * gy + cam[7] * gz,
-        cam[2] * gx + cam[5] * gy + cam[8] * gz,
+        cam.rotation[0] * gx + cam.rotation[3] * gy + cam.rotation[6] * gz,
+        cam.rotation[1] * gx + cam.rotation[4] * gy + cam.rotation[7] * gz,
+        cam.rotation[2] * gx + cam.rotation[5] * gy + cam.rotation[8] * gz,
     )
 
 
 @njit(cache=True, error_model="numpy")
 def _per_depth(cam, z):  # type: ignore[no-untyped-def]
     """What a picture shrinks by with depth: 1 / z; 1 if orthographic."""
-    return 1.0 / (z * (1.0 - cam[_ORTHO]) + cam[_ORTHO])
+    return 1.0 / (z * (1.0 - cam.orthographic) + cam.orthographic)
 
 
 @njit(cache=True, error_model="numpy")
 def project_point(cam, x, y, z):  # type: ignore[no-untyped-def]
     """(u, v) in pixels of a camera-space point; z must not be 0 unless orthographic."""
     per_depth = _per_depth(cam, z)
-    return cam[_FX] * x * per_depth + cam[_CX], cam[_FY] * y * per_depth + cam[_CY]
+    return cam.fx * x * per_depth + cam.cx, cam.fy * y * per_depth + cam.cy
 
 
 @njit(cache=True, error_model="numpy")
 def project_point_backward(cam, x, y, z, gu, gv):  # type: ignore[no-untyped-def]
     """dL/d(camera-space point) of `project_point`."""
     per_depth = _per_depth(cam, z)
-    gx = cam[_FX] * gu * per_depth
-    gy = cam[_FY] * gv * per_depth
-    return gx, gy, -(gx * x + gy * y) * per_depth * (1.0 - cam[_ORTHO])
+    gx = cam.fx * gu * per_depth
+    gy = cam.fy * gv * per_depth
+    return gx, gy, -(gx * x + gy * y) * per_depth * (1.0 - cam.orthographic)
 
 
 @njit(cache=True, error_model="numpy")
@@ -123,21 +143,21 @@ def jacobian(cam, x, y, z):  # type: ignore[no-untyped-def]
 
     Pinhole: d(u, v)/d(x, y, z) with x/z and y/z held within the picture and a margin. Orthographic: diag(fx, fy).
     """
-    per_depth, pinhole = _per_depth(cam, z), 1.0 - cam[_ORTHO]
-    slope_x = minimum(maximum(x * per_depth, cam[_X_LOW]), cam[_X_HIGH])
-    slope_y = minimum(maximum(y * per_depth, cam[_Y_LOW]), cam[_Y_HIGH])
-    j00, j11 = cam[_FX] * per_depth, cam[_FY] * per_depth
+    per_depth, pinhole = _per_depth(cam, z), 1.0 - cam.orthographic
+    slope_x = minimum(maximum(x * per_depth, cam.x_low), cam.x_high)
+    slope_y = minimum(maximum(y * per_depth, cam.y_low), cam.y_high)
+    j00, j11 = cam.fx * per_depth, cam.fy * per_depth
     return j00, -j00 * slope_x * pinhole, j11, -j11 * slope_y * pinhole
 
 
 @njit(cache=True, error_model="numpy")
 def jacobian_backward(cam, x, y, z, g00, g02, g11, g12):  # type: ignore[no-untyped-def]
     """dL/d(camera-space point) of `jacobian`; a slope that is held passes nothing on to x or y."""
-    per_depth, pinhole = _per_depth(cam, z), 1.0 - cam[_ORTHO]
-    fx2, fy2 = cam[_FX] * per_depth * per_depth * pinhole, cam[_FY] * per_depth * per_depth * pinhole
+    per_depth, pinhole = _per_depth(cam, z), 1.0 - cam.orthographic
+    fx2, fy2 = cam.fx * per_depth * per_depth * pinhole, cam.fy * per_depth * per_depth * pinhole
     slope_x, slope_y = x * per_depth, y * per_depth
-    held_x = minimum(maximum(slope_x, cam[_X_LOW]), cam[_X_HIGH])
-    held_y = minimum(maximum(slope_y, cam[_Y_LOW]), cam[_Y_HIGH])
+    held_x = minimum(maximum(slope_x, cam.x_low), cam.x_high)
+    held_y = minimum(maximum(slope_y, cam.y_low), cam.y_high)
     free_x, free_y = where(held_x == slope_x, 1.0, 0.0), where(held_y == slope_y, 1.0, 0.0)
     gz = -(g00 * fx2 + g11 * fy2) + g02 * fx2 * held_x * (1.0 + free_x) + g12 * fy2 * held_y * (1.0 + free_y)
     return -g02 * fx2 * free_x, -g12 * fy2 * free_y, gz
@@ -150,22 +170,14 @@ def _per_length(qw, qx, qy, qz):  # type: ignore[no-untyped-def]
     return where(length > 0.0, 1.0 / length, 0.0)
 
 
+_of_unit = njit(cache=True, error_model="numpy")(of_unit)
+
+
 @njit(cache=True, error_model="numpy")
 def rotation(qw, qx, qy, qz):  # type: ignore[no-untyped-def]
     """Rotation matrix (9, by rows) of a quaternion wxyz of any length; one of length 0 turns nothing."""
     unit = _per_length(qw, qx, qy, qz)
-    w, x, y, z = qw * unit, qx * unit, qy * unit, qz * unit
-    return (
-        1.0 - 2.0 * (y * y + z * z),
-        2.0 * (x * y - w * z),
-        2.0 * (x * z + w * y),
-        2.0 * (x * y + w * z),
-        1.0 - 2.0 * (x * x + z * z),
-        2.0 * (y * z - w * x),
-        2.0 * (x * z - w * y),
-        2.0 * (y * z + w * x),
-        1.0 - 2.0 * (x * x + y * y),
-    )
+    return _of_unit(qw * unit, qx * unit, qy * unit, qz * unit)
 
 
 @njit(cache=True, error_model="numpy")
@@ -187,15 +199,15 @@ def half_axes(cam, qw, qx, qy, qz, sx, sy, sz):  # type: ignore[no-untyped-def]
     """A = R_view R(q) diag(s) (9, by rows): column k is the k-th principal half axis in camera space."""
     r00, r01, r02, r10, r11, r12, r20, r21, r22 = rotation(qw, qx, qy, qz)
     return (
-        (cam[0] * r00 + cam[1] * r10 + cam[2] * r20) * sx,
-        (cam[0] * r01 + cam[1] * r11 + cam[2] * r21) * sy,
-        (cam[0] * r02 + cam[1] * r12 + cam[2] * r22) * sz,
-        (cam[3] * r00 + cam[4] * r10 + cam[5] * r20) * sx,
-        (cam[3] * r01 + cam[4] * r11 + cam[5] * r21) * sy,
-        (cam[3] * r02 + cam[4] * r12 + cam[5] * r22) * sz,
-        (cam[6] * r00 + cam[7] * r10 + cam[8] * r20) * sx,
-        (cam[6] * r01 + cam[7] * r11 + cam[8] * r21) * sy,
-        (cam[6] * r02 + cam[7] * r12 + cam[8] * r22) * sz,
+        (cam.rotation[0] * r00 + cam.rotation[1] * r10 + cam.rotation[2] * r20) * sx,
+        (cam.rotation[0] * r01 + cam.rotation[1] * r11 + cam.rotation[2] * r21) * sy,
+        (cam.rotation[0] * r02 + cam.rotation[1] * r12 + cam.rotation[2] * r22) * sz,
+        (cam.rotation[3] * r00 + cam.rotation[4] * r10 + cam.rotation[5] * r20) * sx,
+        (cam.rotation[3] * r01 + cam.rotation[4] * r11 + cam.rotation[5] * r21) * sy,
+        (cam.rotation[3] * r02 + cam.rotation[4] * r12 + cam.rotation[5] * r22) * sz,
+        (cam.rotation[6] * r00 + cam.rotation[7] * r10 + cam.rotation[8] * r20) * sx,
+        (cam.rotation[6] * r01 + cam.rotation[7] * r11 + cam.rotation[8] * r21) * sy,
+        (cam.rotation[6] * r02 + cam.rotation[7] * r12 + cam.rotation[8] * r22) * sz,
     )
 
 
@@ -204,15 +216,15 @@ def half_axes_backward(cam, qw, qx, qy, qz, sx, sy, sz, g):  # type: ignore[no-u
     """((dL/dq, 4), (dL/ds, 3)) of `half_axes`, given dL/dA (9, by rows)."""
     g00, g01, g02, g10, g11, g12, g20, g21, g22 = g
     # B = R_view^T dL/dA: the gradient in world axes.
-    b00 = cam[0] * g00 + cam[3] * g10 + cam[6] * g20
-    b01 = cam[0] * g01 + cam[3] * g11 + cam[6] * g21
-    b02 = cam[0] * g02 + cam[3] * g12 + cam[6] * g22
-    b10 = cam[1] * g00 + cam[4] * g10 + cam[7] * g20
-    b11 = cam[1] * g01 + cam[4] * g11 + cam[7] * g21
-    b12 = cam[1] * g02 + cam[4] * g12 + cam[7] * g22
-    b20 = cam[2] * g00 + cam[5] * g10 + cam[8] * g20
-    b21 = cam[2] * g01 + cam[5] * g11 + cam[8] * g21
-    b22 = cam[2] * g02 + cam[5] * g12 + cam[8] * g22
+    b00 = cam.rotation[0] * g00 + cam.rotation[3] * g10 + cam.rotation[6] * g20
+    b01 = cam.rotation[0] * g01 + cam.rotation[3] * g11 + cam.rotation[6] * g21
+    b02 = cam.rotation[0] * g02 + cam.rotation[3] * g12 + cam.rotation[6] * g22
+    b10 = cam.rotation[1] * g00 + cam.rotation[4] * g10 + cam.rotation[7] * g20
+    b11 = cam.rotation[1] * g01 + cam.rotation[4] * g11 + cam.rotation[7] * g21
+    b12 = cam.rotation[1] * g02 + cam.rotation[4] * g12 + cam.rotation[7] * g22
+    b20 = cam.rotation[2] * g00 + cam.rotation[5] * g10 + cam.rotation[8] * g20
+    b21 = cam.rotation[2] * g01 + cam.rotation[5] * g11 + cam.rotation[8] * g21
+    b22 = cam.rotation[2] * g02 + cam.rotation[5] * g12 + cam.rotation[8] * g22
     r00, r01, r02, r10, r11, r12, r20, r21, r22 = rotation(qw, qx, qy, qz)
     scale_gradient = (
         r00 * b00 + r10 * b10 + r20 * b20,

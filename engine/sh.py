@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
-__all__ = ["C0", "basis", "colours", "rgb_to_sh", "sh_to_rgb"]
+__all__ = ["BANDS", "C0", "C1", "C2", "C3", "basis", "colours", "fill_basis", "rgb_to_sh", "sh_to_rgb"]
 
 C0 = 0.28209479177387814  # 1 / (2 sqrt(pi)), the constant function's normalisation
 C1 = 0.4886025119029199  # sqrt(3 / (4 pi))
@@ -21,33 +24,60 @@ C3 = (
 )
 
 
+def band_1(x: Any, y: Any, z: Any) -> tuple[Any, Any, Any]:
+    """The basis functions of degree 1 in a unit direction, eye to Gaussian; in INRIA's order and signs, as all here.
+
+    Numbers, arrays or tensors; numba compiles it, as the other two.
+    """
+    return -C1 * y, C1 * z, -C1 * x
+
+
+def band_2(x: Any, y: Any, z: Any) -> tuple[Any, Any, Any, Any, Any]:
+    """Those of degree 2."""
+    xx, yy, zz = x * x, y * y, z * z
+    return C2[0] * x * y, C2[1] * y * z, C2[2] * (2.0 * zz - xx - yy), C2[3] * x * z, C2[4] * (xx - yy)
+
+
+def band_3(x: Any, y: Any, z: Any) -> tuple[Any, Any, Any, Any, Any, Any, Any]:
+    """Those of degree 3."""
+    xx, yy, zz = x * x, y * y, z * z
+    return (
+        C3[0] * y * (3.0 * xx - yy),
+        C3[1] * x * y * z,
+        C3[2] * y * (4.0 * zz - xx - yy),
+        C3[3] * z * (2.0 * zz - 3.0 * xx - 3.0 * yy),
+        C3[4] * x * (4.0 * zz - xx - yy),
+        C3[5] * z * (xx - yy),
+        C3[6] * x * (xx - 3.0 * yy),
+    )
+
+
+BANDS = (band_1, band_2, band_3)
+
+
 def basis(directions: NDArray[np.floating], degree: int) -> NDArray[np.floating]:
-    """(N, (degree+1)^2). The basis functions in unit directions (N, 3), eye to Gaussian, in INRIA's order and signs."""
+    """(N, (degree+1)^2). The basis functions in unit directions (N, 3)."""
     assert directions.ndim == 2 and directions.shape[1] == 3, directions.shape
     x, y, z = directions.T
     rows = [np.full_like(x, C0)]
-    if degree >= 1:
-        rows += [-C1 * y, C1 * z, -C1 * x]
-    if degree >= 2:
-        xx, yy, zz = x * x, y * y, z * z
-        rows += [
-            C2[0] * x * y,
-            C2[1] * y * z,
-            C2[2] * (2 * zz - xx - yy),
-            C2[3] * x * z,
-            C2[4] * (xx - yy),
-        ]
-    if degree >= 3:
-        rows += [
-            C3[0] * y * (3 * xx - yy),
-            C3[1] * x * y * z,
-            C3[2] * y * (4 * zz - xx - yy),
-            C3[3] * z * (2 * zz - 3 * xx - 3 * yy),
-            C3[4] * x * (4 * zz - xx - yy),
-            C3[5] * z * (xx - yy),
-            C3[6] * x * (xx - 3 * yy),
-        ]
+    for band in BANDS[:degree]:
+        rows += band(x, y, z)
     return np.stack(rows, axis=1)
+
+
+_band_1, _band_2, _band_3 = (njit(cache=True, error_model="numpy")(band) for band in BANDS)
+
+
+@njit(cache=True, error_model="numpy")
+def fill_basis(x, y, z, bands, out):  # type: ignore[no-untyped-def]
+    """`basis` of one direction into out (16,), its first `bands` functions."""
+    out[0] = C0
+    if bands > 1:
+        out[1], out[2], out[3] = _band_1(x, y, z)
+    if bands > 4:
+        out[4], out[5], out[6], out[7], out[8] = _band_2(x, y, z)
+    if bands > 9:
+        out[9], out[10], out[11], out[12], out[13], out[14], out[15] = _band_3(x, y, z)
 
 
 def colours(

@@ -16,9 +16,9 @@ from engine.formula import LOW_PASS
 from engine.gaussians import Gaussians
 from engine.projection import (
     camera_point,
+    camera_record,
     half_axes,
     jacobian,
-    pack_camera,
     screen_axes,
     screen_covariance,
 )
@@ -42,7 +42,7 @@ def shown(gaussians: Gaussians, cameras: Sequence[Camera]) -> NDArray[np.float32
         colours = torch.zeros(len(gaussians), 3, requires_grad=True)
         rasterize(means, scales, quats, opacities, colours, camera)[0][..., 0].sum().backward()
         assert colours.grad is not None
-        area = _areas(pack_camera(camera), means.numpy(), scales.numpy(), quats.numpy())
+        area = _areas(camera_record(camera), means.numpy(), scales.numpy(), quats.numpy())
         best = np.maximum(best, colours.grad.numpy()[:, 0] / area)
     return np.minimum(best, 1)
 
@@ -57,5 +57,5 @@ def _areas(cam, means, scales, quats):  # type: ignore[no-untyped-def]
             cam, quats[i, 0], quats[i, 1], quats[i, 2], quats[i, 3], scales[i, 0], scales[i, 1], scales[i, 2]
         )
         det = screen_covariance(screen_axes(jacobian(cam, x, y, z), axes), LOW_PASS)[3]
-        out[i] = 2.0 * math.pi * math.sqrt(det) if z > cam[21] and det > 0.0 and det < 1e60 else np.inf
+        out[i] = 2.0 * math.pi * math.sqrt(det) if z > cam.near and det > 0.0 and det < 1e60 else np.inf
     return out

@@ -11,7 +11,8 @@ from scipy import ndimage
 
 from engine.distance import nearest
 from engine.gaussians import Gaussians
-from engine.opacity_field import Grid, moments, rotations
+from engine.opacity_field import Grid, moments
+from engine.rotations import matrices
 
 __all__ = ["signed_depth"]
 
@@ -81,7 +82,7 @@ def _oriented(inside: NDArray[np.bool_], gaussians: Gaussians, grid: Grid) -> tu
     size = np.linalg.norm(slope, axis=1)
     keep = size >= MIN_SLOPE
     skin, outward = gaussians[keep], -slope[keep] / size[keep, None]
-    axes = rotations(skin.quats)
+    axes = matrices(skin.quats)
     order = np.argsort(skin.scales, axis=1)
     rows = np.arange(len(skin))
     thin = axes[rows, :, order[:, 0]]

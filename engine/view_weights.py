@@ -41,7 +41,7 @@ from engine.kernel_field import KernelField
 from engine.outside import camera_planes, directions, draw, splats_of, view_colours
 from engine.piece import Piece
 from engine.plane import Plane
-from engine.projection import pack_camera
+from engine.projection import camera_record
 from engine.threads import for_each
 
 __all__ = ["TruncatedViewWeights", "ViewWeights", "load"]
@@ -271,7 +271,7 @@ class _Faces:
 def _faces(atoms: Atoms, camera: Camera, planes: Sequence[Plane], field: KernelField | None) -> _Faces:
     """The terms of the kernel field on cut faces; a surface atom's column is that of its colour on faces."""
     field = field or KernelField(atoms)
-    hits = enter(pack_camera(camera), camera_planes(camera, planes))
+    hits = enter(camera_record(camera), camera_planes(camera, planes))
     if camera.orthographic and len(planes) == 1 and len(hits.pixels) == camera.height * camera.width:
         grid = hits.points.reshape(camera.height, camera.width, 3)
         offsets, columns, weights = field.entries_on(grid, float(hits.footprint[0]))

@@ -10,6 +10,7 @@ from scipy.spatial import cKDTree
 
 from engine import sh
 from engine.gaussians import Gaussians
+from engine.rotations import matrices
 from sample_scenes.solids import Solid, directions
 
 __all__ = ["LOOKS", "Look", "closed_within", "shell"]
@@ -146,22 +147,11 @@ def _quaternions(axes: Array) -> Array:
     return quats * np.where(quats[:, :1] < 0, -1.0, 1.0)
 
 
-def _axes(quats: Array) -> Array:
-    """(N, 3, 3). Rotation matrices of unit quaternions (N, 4) wxyz; columns are the principal axes."""
-    w, x, y, z = quats.T
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.moveaxis(np.array(rows), -1, 0)
-
-
 def _distance(samples: Array, centres: Array, quats: Array, scales: Array) -> tuple[Array, NDArray[np.intp]]:
     """In-plane standard deviations (M,) from each sample to the best of its 16 nearest Gaussians, and which it is."""
     near = cKDTree(centres).query(samples, 16)[1]
     best, which = np.full(len(samples), np.inf), np.zeros(len(samples), np.intp)
-    axes = _axes(quats)
+    axes = matrices(quats)
     for column in near.T:
         local = np.einsum("ni,nij->nj", samples - centres[column], axes[column])
         d = np.hypot(local[:, 0] / scales[column, 0], local[:, 1] / scales[column, 1])
@@ -186,7 +176,7 @@ def _closed(samples: Array, centres: Array, quats: Array, scales: Array) -> Arra
 
 def _footprint_colour(solid: Solid, centres: Array, quats: Array, scales: Array) -> Array:
     """(N, 3). The skin's colour over each disc: five points of it, brought onto the skin."""
-    axes = _axes(quats)
+    axes = matrices(quats)
     total = 2.0 * solid.colour(centres)
     for axis in (0, 1):
         for side in (-0.5, 0.5):

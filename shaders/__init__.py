@@ -1,4 +1,4 @@
-"""GLSL 3.30 core sources, loaded by the GL engine as package data."""
+"""GLSL 3.30 core sources, loaded by the GL engine as package data. Knows nothing of the engine."""
 
 from __future__ import annotations
 
@@ -6,22 +6,19 @@ import re
 from collections.abc import Mapping
 from importlib.resources import files
 
-from engine import formula
-
 __all__ = ["source"]
 
 INCLUDE = re.compile(r'^#include "([\w.]+)"$', re.MULTILINE)
 
 
-def source(name: str, defines: Mapping[str, int] | None = None) -> str:
+def source(name: str, defines: Mapping[str, int | float]) -> str:
     """The GLSL of a file of this package, ready to compile.
 
-    In front stand the version, the numbers of the opaque formula under their own names, and `defines`. `#include "x"`
+    In front stand the version and the defines: whole numbers as switches and sizes, floats as constants. `#include "x"`
     pulls in another file of the package.
     """
-    constants = [f"#define {key} {float(getattr(formula, key))!r}" for key in formula.__all__]
-    given = [f"#define {key} {value}" for key, value in (defines or {}).items()]
-    return "\n".join(["#version 330 core", *constants, *given, _text(name)])
+    given = [f"#define {key} {value!r}" for key, value in defines.items()]
+    return "\n".join(["#version 330 core", *given, _text(name)])
 
 
 def _text(name: str) -> str:

@@ -9,8 +9,8 @@ layout(location = 1) out vec4 distance; // depth, opacity in alpha
 void main() {
     vec2 u = gl_FragCoord.xy - centre.xy;
     float q = conic.x * u.x * u.x + 2.0 * conic.y * u.x * u.y + conic.z * u.y * u.y;
-    float alpha = min(0.99, centre.w * exp(-0.5 * q));
-    if (!(alpha >= 1.0 / 255.0)) discard;
+    float alpha = min(MAX_ALPHA, centre.w * exp(-0.5 * q));
+    if (!(alpha >= 1.0 / ALPHA_STEPS)) discard;
     light = vec4(alpha * colour, alpha);
     distance = vec4(alpha * centre.z, 0.0, 0.0, alpha);
 }

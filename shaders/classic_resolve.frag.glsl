@@ -11,5 +11,5 @@ void main() {
     vec4 sum = texelFetch(lights, at, 0);
     frame = vec4(sum.rgb + (1.0 - sum.a) * background, 1.0);
     bool seen = sum.a > 0.0;
-    info = vec2(seen ? texelFetch(distances, at, 0).r / sum.a : 3.0e38, seen ? min(sum.a, 1.0) : -2.0);
+    info = vec2(seen ? texelFetch(distances, at, 0).r / sum.a : NOTHING, seen ? min(sum.a, 1.0) : -2.0);
 }

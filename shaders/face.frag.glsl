@@ -27,8 +27,8 @@ void main() {
 #else
     vec3 towards = -normalize(p);
 #endif
-    float shade = mix(1.0, 0.85 + 0.15 * max(dot(cut_in_camera.xyz, towards), 0.0), light);
+    float shade = mix(1.0, FACE_AMBIENT + FACE_LAMP * max(dot(cut_in_camera.xyz, towards), 0.0), light);
     face = vec4(shade * sum.rgb / sum.a, coverage);
     face_depth = p.z;
-    gl_FragDepth = coverage >= 0.999 ? linear_depth(p.z) : 1.0;
+    gl_FragDepth = coverage >= FACE_OPAQUE ? linear_depth(p.z) : 1.0;
 }

@@ -51,10 +51,10 @@ void main() {
     float largest = middle + length(vec2(0.5 * (xx - yy), xy));
     float least = det / largest;
 #ifdef CLASSIC
-    float reach = sqrt(max(0.0, 2.0 * log(255.0 * opacity)) * largest);
+    float reach = sqrt(max(0.0, 2.0 * log(ALPHA_STEPS * opacity)) * largest);
     if (!(reach > 0.0)) return;
 #else
-    float reach = 3.0 * sqrt(largest);
+    float reach = sqrt(CUTOFF_Q * largest);
 #endif
     if (!(reach < 1e9)) return; // not finite, or so near that it has no shape
     if (any(lessThan(centre, vec2(-reach))) || any(greaterThan(centre, size + reach))) return;

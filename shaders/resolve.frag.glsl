@@ -19,8 +19,6 @@ uniform float group;
 layout(location = 0) out vec4 frame;
 layout(location = 1) out vec2 info; // depth; 2 * group + coverage, group -1 where there is none
 
-const float NOTHING = 3.0e38;
-
 void main() {
     ivec2 at = ivec2(gl_FragCoord.xy);
     vec4 sum = texelFetch(splats, at, 0);

@@ -39,7 +39,7 @@ void main() {
     vec3 own = scale * enlarge;
     vec3 used = max(own, vec3(0.5 * footprint_at(max(z, near))));
     vec3 ratio = own / used;
-    colour = vec4(max(0.5 + 0.28209479177387814 * dc, 0.0), ratio.x * ratio.y * ratio.z);
+    colour = vec4(max(0.5 + SH_C0 * dc, 0.0), ratio.x * ratio.y * ratio.z);
     mat3 axes = rotation_of(quat);
     mat3 inverse_axes = transpose(mat3(axes[0] / used.x, axes[1] / used.y, axes[2] / used.z));
     whiten = inverse_axes * transpose(mat3(view));

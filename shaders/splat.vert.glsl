@@ -36,7 +36,7 @@ void main() {
     gl_Position = vec4(to_ndc(centre.xy), 0.0, 1.0);
 #else
 #ifdef CLASSIC
-    float reach = sqrt(max(0.0, 2.0 * log(255.0 * centre.w))); // where opacity falls to 1/255
+    float reach = sqrt(max(0.0, 2.0 * log(ALPHA_STEPS * centre.w))); // where opacity falls to 1 / ALPHA_STEPS
 #endif
     vec2 major = vec2(cos(record_shape.w), sin(record_shape.w));
     vec2 half_axes = reach * vec2(record_shape.z, record_colour.w) + 0.1;

@@ -14,9 +14,9 @@ from engine.body import Body
 from engine.camera import around
 from engine.gaussians import Gaussians
 from engine.load import load
-from engine.opacity_field import rotations
 from engine.patches import coverage_at, skin_points
 from engine.reshape import reshape
+from engine.rotations import matrices
 from engine.shown import shown
 
 DATA = Path(__file__).parents[1].parent / "shared/data"
@@ -73,7 +73,7 @@ def test_parts_have_the_mean_and_the_covariance_of_the_whole() -> None:
     scene = skin(1, 0.02, 0.99)
     scales = np.float32([[0.09, 0.05, 0.004]])
     source, means, sizes = split(scene, scales, 0.02)
-    axes = rotations(scene.quats)[0].astype(np.float64)
+    axes = matrices(scene.quats)[0].astype(np.float64)
     local = (means - scene.means[0]).astype(np.float64) @ axes
     assert np.abs(local.mean(0)).max() < 1e-6
     spread = np.sqrt(local.var(0) + sizes[0].astype(np.float64) ** 2)

@@ -19,7 +19,7 @@ from engine.classic import rasterize, render
 from engine.cpu.depth_order import depth_order
 from engine.cpu.splats import project
 from engine.gaussians import Gaussians
-from engine.projection import pack_camera
+from engine.projection import camera_record
 from engine.threads import cores, use_cores
 
 REFERENCE = Path(__file__).parents[1].parent / "shared/data/reference"
@@ -365,7 +365,7 @@ def test_depth_order_is_a_stable_sort(camera: Camera, kind: type) -> None:
     rotation, shift = camera.viewmat[2, :3], camera.viewmat[2, 3]
     depths = rotation[0] * means[:, 0] + rotation[1] * means[:, 1] + rotation[2] * means[:, 2] + shift
     seen = np.flatnonzero(depths > camera.near) if not camera.orthographic else np.arange(len(means))
-    order = depth_order(pack_camera(camera), means)
+    order = depth_order(camera_record(camera), means)
     assert np.array_equal(np.sort(order), seen)
     steps = np.diff(depths[order])
     assert steps.min() > -5e-8  # float32 depths would be wrong by 1e-6

@@ -17,7 +17,8 @@ from engine.distance import nearest
 from engine.errors import InputError
 from engine.fill import fill, find_body
 from engine.gaussians import Gaussians
-from engine.opacity_field import Grid, opacity_field, rotations
+from engine.opacity_field import Grid, opacity_field
+from engine.rotations import matrices
 
 MESHES = Path(__file__).parents[1].parent / "shared/data/meshes"
 
@@ -99,7 +100,7 @@ def test_opacity_field_is_equation_2() -> None:
     grid = Grid(np.array([-0.1, 0.0, 0.1]), 0.05, (23, 18, 20))
     centres = Body(grid.origin, grid.cell, np.zeros(grid.shape, np.float32)).centres().astype(np.float64)
     truth = np.zeros(grid.shape)
-    axes, sigma = rotations(scene.quats).astype(np.float64), np.maximum(scene.scales.astype(np.float64), 0.02)
+    axes, sigma = matrices(scene.quats).astype(np.float64), np.maximum(scene.scales.astype(np.float64), 0.02)
     for p in range(n):
         q = ((((centres - scene.means[p]) @ axes[p]) / sigma[p]) ** 2).sum(-1)
         truth += scene.opacities[p] * np.exp(-q / 2) * (q <= 9)

@@ -12,11 +12,11 @@ from numba import njit
 
 from engine.cpu.lanes import absolute, any_of, exp2, fma, load16, minimum, row_sums, store, where
 from engine.cpu.tiles import BLOCKS, SIDE, TAIL_BITS
+from engine.formula import MAX_ALPHA
 
 __all__ = [
     "ADJOINT",
     "BLOCK",
-    "MAX_ALPHA",
     "MIN_TRANSMITTANCE",
     "ROW",
     "STATE",
@@ -28,10 +28,6 @@ __all__ = [
 
 BLOCK = 2 * SIDE
 """Pixels in a block."""
-
-MAX_ALPHA = float(np.float32(0.99))
-"""No Gaussian covers more: its derivative, which divides by 1 - alpha, stays finite. The float32 number in all
-precisions: two such layers leave (1 - 0.99)^2, a hair under MIN_TRANSMITTANCE, and all must agree that they end it."""
 
 MIN_TRANSMITTANCE = 1e-4
 """A layer that would leave less light than this is not drawn and ends the pixel, as in INRIA's renderer."""

@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from engine.projection import camera_point
+from engine.projection import CameraRecord, camera_point
 from engine.threads import for_each
 
 __all__ = ["depth_order"]
@@ -23,7 +23,7 @@ wrong one of two Gaussians would hide the other."""
 
 
 def depth_order(
-    cam: NDArray[np.float64],  # [CAMERA_SIZE]
+    cam: CameraRecord,
     means: NDArray[np.floating],  # [N, 3]
 ) -> NDArray[np.int64]:
     """(V,) int64. Indices of the Gaussians beyond the near plane, nearest first, equal depths in index order.
@@ -41,15 +41,15 @@ def depth_order(
     if visible == 0:
         return np.empty(0, np.int64)
     nearest, farthest = low.min(), high.max()
-    if cam[20]:
+    if cam.orthographic:
         shift, bits = 0, KEY if farthest > nearest else 0
     else:
         spread = int(farthest.view(np.uint64) - nearest.view(np.uint64)).bit_length()
         shift, bits = max(0, spread - KEY), min(spread, KEY)
-    scale = (2.0**KEY - 1.0) / (farthest - nearest) if cam[20] and farthest > nearest else 0.0
+    scale = (2.0**KEY - 1.0) / (farthest - nearest) if cam.orthographic and farthest > nearest else 0.0
     starts = np.concatenate([[0], np.cumsum(counts)])
     items = np.empty(visible, np.uint64)
-    for_each(_pack, chunks, depths, rows, starts, nearest, bool(cam[20]), scale, shift, items)
+    for_each(_pack, chunks, depths, rows, starts, nearest, bool(cam.orthographic), scale, shift, items)
     spare = depths.view(np.uint64)[:visible]
     chunks = -(-visible // CHUNK)
     histogram = np.empty((chunks, 1 << DIGIT), np.int64)
@@ -70,7 +70,7 @@ def _depths(chunk, cam, means, depths, rows, counts, low, high):  # type: ignore
     at = start
     for i in range(start, min(start + CHUNK, len(means))):
         x, y, z = camera_point(cam, means[i, 0], means[i, 1], means[i, 2])
-        if not (z > cam[21] and abs(x) + abs(y) + abs(z) < 1e30):  # also drops what is not a number
+        if not (z > cam.near and abs(x) + abs(y) + abs(z) < 1e30):  # also drops what is not a number
             continue
         depths[at] = z
         rows[at] = i

@@ -40,8 +40,6 @@ GRADIENT = 10
 """Sums over pixels that a (tile, splat) pair hands back, with p = dL/d(q/2): p dx, p dy, p dx^2, p dx dy, p dy^2; then
 the gradients of r12, r13 and of the colour."""
 
-_FX, _FY, _CX, _CY, _ORTHO, _NEAR = 12, 13, 14, 15, 20, 21  # places in a packed camera
-
 
 @njit(cache=True, error_model="numpy")
 def plane_range(cam, plane, u0, u1, v0, v1, z0, z1):  # type: ignore[no-untyped-def]
@@ -52,8 +50,8 @@ def plane_range(cam, plane, u0, u1, v0, v1, z0, z1):  # type: ignore[no-untyped-
         u = u1 if k & 1 else u0
         v = v1 if k & 2 else v0
         z = z1 if k & 4 else z0
-        x, y = (u - cam[_CX]) / cam[_FX], (v - cam[_CY]) / cam[_FY]
-        if cam[_ORTHO] == 0.0:
+        x, y = (u - cam.cx) / cam.fx, (v - cam.cy) / cam.fy
+        if cam.orthographic == 0.0:
             x, y = x * z, y * z
         distance = plane[0] * x + plane[1] * y + plane[2] * z + plane[3]
         low, high = min(low, distance), max(high, distance)
@@ -82,12 +80,12 @@ def project(  # type: ignore[no-untyped-def]
     spans,  # out [N, 6] first and end tile in x and in y; first and end of the planes that may cut it
 ):
     """Projects one chunk of splats. One that cannot be seen gets an empty span of tiles."""
-    width, height = cam[22], cam[23]
+    width, height = cam.width, cam.height
     extent = math.sqrt(CUTOFF_Q)
     for i in range(chunk * chunk_size, min((chunk + 1) * chunk_size, len(means))):
         spans[i, :] = 0
         x, y, z = camera_point(cam, means[i, 0], means[i, 1], means[i, 2])
-        if not z > cam[_NEAR]:
+        if not z > cam.near:
             continue
         u, v = project_point(cam, x, y, z)
         axes = half_axes(

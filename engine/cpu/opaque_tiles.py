@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from engine.cpu.opaque_splats import GRADIENT, TILE
 from engine.formula import CORE_Q, CUTOFF_Q, MIN_WEIGHT
+from engine.projection import CameraRecord
 
 __all__ = [
     "AREA",
@@ -50,8 +51,7 @@ FUSED = {"contract"}
 class Frame(NamedTuple):
     """Projected splats and their lists. A named tuple, which numba can read."""
 
-    cam: NDArray[np.float64]
-    """Packed camera."""
+    cam: CameraRecord
     planes: NDArray[np.float64]
     """(P, 4). Planes of all pieces, camera space."""
     records: NDArray[np.floating]
@@ -121,10 +121,10 @@ def tile_points(frame, tile, px, py, base, slope):  # type: ignore[no-untyped-de
     for k in range(AREA):
         u, v = left + k % TILE + 0.5, top + k // TILE + 0.5
         px[k], py[k] = u, v
-        x, y = (u - cam[14]) / cam[12], (v - cam[15]) / cam[13]
+        x, y = (u - cam.cx) / cam.fx, (v - cam.cy) / cam.fy
         for p in range(len(planes)):
             across = planes[p, 0] * x + planes[p, 1] * y
-            if cam[20] != 0.0:
+            if cam.orthographic != 0.0:
                 base[p, k], slope[p, k] = across + planes[p, 3], planes[p, 2]
             else:
                 base[p, k], slope[p, k] = planes[p, 3], across + planes[p, 2]
@@ -173,7 +173,7 @@ def accumulate(task, frame, colours, front, sums):  # type: ignore[no-untyped-de
     base, slope = np.empty((len(frame.planes), AREA), kind), np.empty((len(frame.planes), AREA), kind)
     total = np.empty((5, AREA), kind)
     s0, s1, s2, s3, s4 = total[0], total[1], total[2], total[3], total[4]
-    infinite, near, zero, layer = kind(np.inf), kind(frame.cam[21]), kind(0.0), kind(frame.layer)
+    infinite, near, zero, layer = kind(np.inf), kind(frame.cam.near), kind(0.0), kind(frame.layer)
     core, cutoff = kind(0.5 * CORE_Q), kind(0.5 * CUTOFF_Q)
     for tile in range(task * TILES_PER_TASK, min((task + 1) * TILES_PER_TASK, len(frame.first) - 1)):
         left, top = tile % frame.columns * TILE, tile // frame.columns * TILE
@@ -260,7 +260,7 @@ def accumulate_backward(task, frame, colours, front, d_sums, first_rows, rows): 
     base, slope = np.empty((len(frame.planes), AREA), kind), np.empty((len(frame.planes), AREA), kind)
     # One flat array, for one base pointer: with twenty the compiler would have to suspect that they overlap.
     part = np.empty(GRADIENT * TILE + 5 * AREA, kind)
-    near, zero, layer, cutoff = kind(frame.cam[21]), kind(0.0), kind(frame.layer), kind(0.5 * CUTOFF_Q)
+    near, zero, layer, cutoff = kind(frame.cam.near), kind(0.0), kind(frame.layer), kind(0.5 * CUTOFF_Q)
     for tile in range(task * TILES_PER_TASK, min((task + 1) * TILES_PER_TASK, len(frame.first) - 1)):
         column, line = tile % frame.columns, tile // frame.columns
         left, top = column * TILE, line * TILE

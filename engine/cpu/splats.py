@@ -10,7 +10,7 @@ from numba import njit
 from engine.cpu.blend import ROW
 from engine.cpu.lanes import absolute, floor, load8, load16, maximum, minimum, root, store, widen
 from engine.cpu.tiles import BLOCKS, SIDE, TAIL_BITS, box_size
-from engine.formula import LOW_PASS
+from engine.formula import ALPHA_STEPS, LOW_PASS
 from engine.projection import (
     camera_point,
     camera_point_backward,
@@ -25,7 +25,7 @@ from engine.projection import (
     screen_covariance,
     screen_covariance_backward,
 )
-from engine.sh import C0, C1, C2, C3
+from engine.sh import C1, C2, C3, fill_basis
 
 __all__ = ["RECORD", "project", "project_backward"]
 
@@ -54,8 +54,8 @@ TWO_LN2 = 2.0 * math.log(2.0)
 @njit(cache=True, error_model="numpy")
 def _direction(cam, eye, x, y, z):  # type: ignore[no-untyped-def]
     """(unit direction eye to Gaussian, distance); an orthographic camera looks forward everywhere, distance 0."""
-    if cam[20] != 0.0:
-        return cam[6], cam[7], cam[8], 0.0
+    if cam.orthographic != 0.0:
+        return cam.rotation[6], cam.rotation[7], cam.rotation[8], 0.0
     dx, dy, dz = x - eye[0], y - eye[1], z - eye[2]
     length = math.sqrt(dx * dx + dy * dy + dz * dz)
     unit = 1.0 / length
@@ -63,24 +63,8 @@ def _direction(cam, eye, x, y, z):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _sh_basis(x, y, z, bands, out):  # type: ignore[no-untyped-def]
-    """`engine.sh.basis` of one direction into out (16,)."""
-    out[0] = C0
-    if bands > 1:
-        out[1], out[2], out[3] = -C1 * y, C1 * z, -C1 * x
-    if bands > 4:
-        xx, yy, zz = x * x, y * y, z * z
-        out[4], out[5], out[6] = C2[0] * x * y, C2[1] * y * z, C2[2] * (2.0 * zz - xx - yy)
-        out[7], out[8] = C2[3] * x * z, C2[4] * (xx - yy)
-        if bands > 9:
-            out[9], out[10], out[11] = C3[0] * y * (3.0 * xx - yy), C3[1] * x * y * z, C3[2] * y * (4.0 * zz - xx - yy)
-            out[12], out[13] = C3[3] * z * (2.0 * zz - 3.0 * xx - 3.0 * yy), C3[4] * x * (4.0 * zz - xx - yy)
-            out[14], out[15] = C3[5] * z * (xx - yy), C3[6] * x * (xx - 3.0 * yy)
-
-
-@njit(cache=True, error_model="numpy")
 def _sh_direction_gradient(x, y, z, bands, g):  # type: ignore[no-untyped-def]
-    """dL/d(x, y, z) of `_sh_basis`, given dL/d(basis) g (16,)."""
+    """dL/d(x, y, z) of `sh.fill_basis`, given dL/d(basis) g (16,)."""
     gx = -C1 * g[3]
     gy = -C1 * g[1]
     gz = C1 * g[2]
@@ -137,7 +121,7 @@ def _box_group(cam, near, tiles_y, tiles_x, box):  # type: ignore[no-untyped-def
     store(box, 3 * GROUP, minimum(maximum((v + reach_y) * per_side + 1.0, 0.0), tiles_y))
 
 
-REACH = math.sqrt(2.0 * math.log(255.0)) * 1.001
+REACH = math.sqrt(2.0 * math.log(ALPHA_STEPS)) * 1.001
 """Standard deviations beyond which an opaque Gaussian is under 1/255, and a little."""
 
 FRINGE = REACH * math.sqrt(LOW_PASS) + 1.0
@@ -250,7 +234,7 @@ def project(  # type: ignore[no-untyped-def]
             for other in range(GROUP):
                 log_opacity[other] = math.log2(g[10, other])
             _project_group(cam, g, log_opacity, out)
-        if not g[10, lane] * 255.0 >= 1.0:
+        if not g[10, lane] * ALPHA_STEPS >= 1.0:
             continue
         det = out[16, lane]
         if not (det > 0.0 and det < 1e60 and abs(out[17, lane]) + abs(out[18, lane]) < 1e15):
@@ -266,7 +250,7 @@ def project(  # type: ignore[no-untyped-def]
             record[8], record[9], record[10] = colours[i, 0, 0], colours[i, 0, 1], colours[i, 0, 2]
         else:
             dx, dy, dz, _ = _direction(cam, eye, g[0, lane], g[1, lane], g[2, lane])
-            _sh_basis(dx, dy, dz, bands, basis)
+            fill_basis(dx, dy, dz, bands, basis)
             for channel in range(3):
                 value = 0.5
                 for band in range(bands):
@@ -389,7 +373,7 @@ def project_backward(  # type: ignore[no-untyped-def]
             g_colours[i, 0, 0], g_colours[i, 0, 1], g_colours[i, 0, 2] = red, green, blue
         else:
             dx, dy, dz, length = _direction(cam, eye, given[0, lane], given[1, lane], given[2, lane])
-            _sh_basis(dx, dy, dz, bands, basis)
+            fill_basis(dx, dy, dz, bands, basis)
             g_basis[:] = 0.0
             for channel in range(3):
                 value = 0.5

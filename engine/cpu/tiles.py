@@ -7,6 +7,8 @@ import math
 import numpy as np
 from numba import njit
 
+from engine.formula import ALPHA_STEPS
+
 __all__ = ["BLOCKS", "SIDE", "TAIL_BITS", "box_size", "list_pairs", "place_pairs", "sort_pairs", "sum_open"]
 
 SIDE = 8
@@ -15,7 +17,7 @@ SIDE = 8
 BLOCKS = SIDE // 2
 """Blocks in a tile: the pixel loops take two rows at a time."""
 
-TAIL_BITS = math.log2(255.0)
+TAIL_BITS = math.log2(ALPHA_STEPS)
 """alpha = 2^-TAIL_BITS is one step of an 8-bit picture; what is fainter is left out."""
 
 SLACK = 1e-3

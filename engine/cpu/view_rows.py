@@ -56,7 +56,7 @@ def _walk(task, frame, limit, share, count, fill, cursor, atoms, weights):  # ty
     lane = np.empty((5, AREA), kind)
     px, py, h, z, reach = lane[0], lane[1], lane[2], lane[3], lane[4]
     base, slope = np.empty((len(frame.planes), AREA), kind), np.empty((len(frame.planes), AREA), kind)
-    cutoff, near = kind(0.5 * CUTOFF_Q), kind(frame.cam[21])
+    cutoff, near = kind(0.5 * CUTOFF_Q), kind(frame.cam.near)
     for tile in range(task * TILES_PER_TASK, min((task + 1) * TILES_PER_TASK, len(frame.first) - 1)):
         left, top = tile % frame.columns * TILE, tile // frame.columns * TILE
         last = -kind(np.inf)

@@ -20,7 +20,7 @@ from engine.gl.context import Programs, write_uniforms
 from engine.gl.surface import RECORD
 from engine.gl.targets import Accumulators
 from engine.gl.view import View
-from engine.projection import pack_camera
+from engine.projection import CameraRecord, camera_record
 
 __all__ = ["Capture"]
 
@@ -47,8 +47,8 @@ class Capture:
         self.coefficients = ctx.buffer(packed) if self.count else ctx.buffer(reserve=16 * self.vectors)
         self._thread = ThreadPoolExecutor(1, "depth-order")
         self._order = np.zeros(0, np.uint32)
-        self._order_key: bytes | None = None
-        self._coming: tuple[bytes, Future[NDArray[np.uint32]]] | None = None
+        self._order_key: tuple[object, ...] | None = None
+        self._coming: tuple[tuple[object, ...], Future[NDArray[np.uint32]]] | None = None
 
     @property
     def sorting(self) -> bool:
@@ -81,9 +81,9 @@ class Capture:
 
     def _ordered(self, view: View, wait: bool) -> NDArray[np.uint32]:
         """Rows nearest first: for this camera if `wait` or nothing else is there yet, else the newest there is."""
-        cam = pack_camera(view.camera)
-        cam[9:12] = view.matrix[:3, 3]
-        key = np.concatenate([cam[:12], cam[20:22]]).tobytes()
+        cam = camera_record(view.camera)
+        cam = cam._replace(translation=tuple(view.matrix[:3, 3].tolist()))
+        key = cam.rotation, cam.translation, cam.orthographic, cam.near
         if self._coming is not None and (self._coming[1].done() or wait):
             self._order_key, self._order = self._coming[0], self._coming[1].result()
             self._coming = None
@@ -94,7 +94,7 @@ class Capture:
                 self._coming = None
         return self._order
 
-    def _sort(self, cam: NDArray[np.float64]) -> NDArray[np.uint32]:
+    def _sort(self, cam: CameraRecord) -> NDArray[np.uint32]:
         return depth_order(cam, self.means).astype(np.uint32)
 
     def release(self) -> None:

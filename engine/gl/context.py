@@ -9,10 +9,21 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
+from engine import formula, sh
 from engine.errors import InputError
 from shaders import source
 
 __all__ = ["GLMissing", "Growing", "Programs", "layout", "offscreen_context", "write_uniforms"]
+
+
+CONSTANTS: dict[str, int | float] = {
+    **{name: float(getattr(formula, name)) for name in formula.__all__},
+    "SH_C0": sh.C0,
+    "SH_C1": sh.C1,
+    **{f"SH_C2_{k}": value for k, value in enumerate(sh.C2)},
+    **{f"SH_C3_{k}": value for k, value in enumerate(sh.C3)},
+}
+"""What every shader may read by name: the numbers that the kernels use."""
 
 
 class GLMissing(InputError):
@@ -48,8 +59,8 @@ class Programs:
         key = (vertex, fragment, names, tuple(sorted(given.items())))
         if key not in self._compiled:
             self._compiled[key] = self.ctx.program(
-                vertex_shader=source(vertex, given),
-                fragment_shader=source(fragment, given) if fragment else None,
+                vertex_shader=source(vertex, CONSTANTS | given),
+                fragment_shader=source(fragment, CONSTANTS | given) if fragment else None,
                 varyings=names,
             )
         return self._compiled[key]

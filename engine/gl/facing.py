@@ -20,6 +20,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from engine.atoms import Atoms
+from engine.rotations import matrices, unit_quats
 
 __all__ = ["DEEP", "NO_CONE", "RIND", "Hiding", "hiding", "nothing_hides"]
 
@@ -157,17 +158,7 @@ def spread(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
 def discs(scales: Float, quats: Float) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Shortest axes (S, 3), of either sign, and which atoms are flat enough to have a side."""
     order = np.sort(scales, axis=1)
-    q = quats.astype(np.float64)
-    q /= np.maximum(np.linalg.norm(q, axis=1, keepdims=True), 1e-12)
-    w, x, y, z = q.T
-    columns = np.stack(
-        [
-            np.stack([1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)], 1),
-            np.stack([2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)], 1),
-            np.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], 1),
-        ],
-        1,
-    )
+    columns = matrices(unit_quats(quats)).transpose(0, 2, 1)
     return columns[np.arange(len(scales)), scales.argmin(1)], order[:, 0] < FLAT * order[:, 1]
 
 

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from engine.camera import Camera
 from engine.errors import InputError
+from engine.formula import JOINT_PITCHES
 from engine.gl.batches import Pool
 from engine.gl.context import Programs
 from engine.gl.look import Look
@@ -70,7 +71,7 @@ class OpaqueMode:
                 "faces@3": sums.faces,
                 "face_depths@4": sums.face_depths,
                 "background": tuple(background),
-                "tolerance": 1e-3 * solid.pitch,
+                "tolerance": JOINT_PITCHES * solid.pitch,
                 "group": float(number),
             }
             defines = {"FACES": int(faces), "BELOW": int(not empty)}

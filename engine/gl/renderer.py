@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from engine.atoms import Atoms
 from engine.camera import Camera
+from engine.formula import NOTHING
 from engine.gaussians import Gaussians
 from engine.gl.batches import Pool
 from engine.gl.classic import Capture, resolve_values
@@ -27,7 +28,7 @@ from engine.gl.overlay import Lines, OverlayPass, Sheet
 from engine.gl.screen import Screen
 from engine.gl.software import SoftwareMode, is_software
 from engine.gl.solid import Solid
-from engine.gl.targets import NOTHING, Accumulators, Frame
+from engine.gl.targets import Accumulators, Frame
 from engine.gl.view import View
 from engine.picture import Picture
 from engine.piece import Piece

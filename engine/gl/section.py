@@ -14,6 +14,7 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
+from engine.formula import JOINT_PITCHES
 from engine.gl.batches import Pool
 from engine.gl.chunks import Chunks, near_plane
 from engine.gl.context import Growing, Programs, layout, write_uniforms
@@ -88,7 +89,7 @@ class SectionPass:
         look: Look,
     ) -> bool:
         """Adds the piece's faces to the face layer, nearest first in depth; False where it shows none."""
-        faces = visible_faces(view, planes, mates, box, 1e-3 * pitch)
+        faces = visible_faces(view, planes, mates, box, JOINT_PITCHES * pitch)
         if not faces:
             return False
         if self.vertices.write(np.concatenate([f.corners for f in faces]).astype(np.float32)):

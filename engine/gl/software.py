@@ -18,7 +18,7 @@ from engine.cpu.opaque_splats import RECORD, TILE
 from engine.cpu.opaque_tiles import TILES_PER_TASK, accumulate, count_tiles, fill_tiles
 from engine.cpu.opaque_tiles import Frame as Tiled
 from engine.cpu.tiles import place_pairs
-from engine.formula import EPSILON_PITCHES
+from engine.formula import EPSILON_PITCHES, JOINT_PITCHES, NOTHING
 from engine.gl.look import Look
 from engine.gl.opaque import Group, seen_groups
 from engine.gl.screen import Rect
@@ -30,11 +30,11 @@ from engine.gl.software_holes import fill_holes, seen_through, tile_depths
 from engine.gl.solid import Solid
 from engine.gl.store import Ellipsoids, Spheres
 from engine.gl.surface import shown
-from engine.gl.targets import NOTHING, Frame
+from engine.gl.targets import Frame
 from engine.gl.view import View
 from engine.piece import Piece
 from engine.plane import frame as frame_of
-from engine.projection import pack_camera
+from engine.projection import CameraRecord, camera_record
 from engine.threads import for_each
 
 __all__ = ["SoftwareMode", "is_software"]
@@ -126,10 +126,14 @@ class SoftwareMode:
     ) -> None:
         """Adds up pieces that lie together and puts them into the frame, the last ones into `halves` of `changed`."""
         x, y, width, height = rect
-        cam = pack_camera(view.camera)
-        cam[9:12] = view.matrix[:3, 3]
-        cam[14:16] -= x, y
-        cam[22:24] = width, height
+        whole = camera_record(view.camera)
+        cam = whole._replace(
+            translation=tuple(view.matrix[:3, 3].tolist()),
+            cx=whole.cx - x,
+            cy=whole.cy - y,
+            width=float(width),
+            height=float(height),
+        )
         face = self._room("face", (height, width, 4), np.float32)
         depths = self._room("depths", (height, width), np.float32)
         has_faces = False
@@ -139,14 +143,14 @@ class SoftwareMode:
         front, sums = self._splats(view, cam, rect, planes, solid, look, face if has_faces else NO_FACE, depths)
         for_each(
             compose, -(-height // BAND), x, y, sums, front, has_faces, face, depths,
-            np.float32(1e-3 * solid.pitch), ground, np.float32(number), below, rgb, info, np.float32(NOTHING),
+            np.float32(JOINT_PITCHES * solid.pitch), ground, np.float32(number), below, rgb, info, np.float32(NOTHING),
             halves is not None, *changed[:2], NO_HALVES if halves is None else halves,
         )  # fmt: skip
 
     def _splats(
         self,
         view: View,
-        cam: Double,
+        cam: CameraRecord,
         rect: Rect,
         planes: list[Double],
         solid: Solid,
@@ -190,7 +194,7 @@ class SoftwareMode:
         self,
         name: str,
         view: View,
-        cam: Double,
+        cam: CameraRecord,
         planes: list[Double],
         jobs: Sequence[tuple[Ellipsoids, int, NDArray[np.uint32]]],  # each: atoms of a piece
         solid: Solid,
@@ -231,7 +235,7 @@ class SoftwareMode:
     def _faces(
         self,
         view: View,
-        cam: Double,
+        cam: CameraRecord,
         planes: Double,
         mates: list[Double],
         solid: Solid,
@@ -241,7 +245,7 @@ class SoftwareMode:
         fresh: bool,
     ) -> bool:
         """Adds the faces of one piece to the layer; False where it shows none."""
-        visible = visible_faces(view, planes, mates, solid.box, 1e-3 * solid.pitch)
+        visible = visible_faces(view, planes, mates, solid.box, JOINT_PITCHES * solid.pitch)
         if not visible:
             return False
         jobs: list[tuple[Face, Spheres | Ellipsoids, NDArray[np.uint32]]] = []
@@ -279,7 +283,7 @@ class SoftwareMode:
         corners = np.concatenate([f.corners for f in visible])
         low, high = view.extent(corners, np.zeros(len(corners)))
         height = len(depths)
-        shift = view.camera.cy - cam[15]
+        shift = view.camera.cy - cam.cy
         lines = np.clip([low[1] - shift - 1, high[1] - shift + 1], 0, height)
         cells, table = self.grids.together(keys, len(planes))
         first, listed = bin_bands(boxes, -(-height // BAND))
@@ -287,7 +291,7 @@ class SoftwareMode:
         first_mate = np.cumsum([0] + [len(m) for m in mates])
         for_each(
             add_faces, -(-height // BAND), cam, view.planes_in_camera(planes), frames, beside, first_mate,
-            1e-3 * solid.pitch, first, listed, boxes, records, owner, cells, table, solid.pitch / 2,
+            JOINT_PITCHES * solid.pitch, first, listed, boxes, records, owner, cells, table, solid.pitch / 2,
             look.light, lines, fresh, face, depths,
         )  # fmt: skip
         return True

@@ -12,8 +12,9 @@ import numpy as np
 from numba import njit
 
 from engine.cpu.opaque_tiles import FUSED, falloff
-from engine.formula import CUTOFF_Q, EDGE_SLOPE, SOLID_DENSITY
+from engine.formula import CUTOFF_Q, EDGE_SLOPE, FACE_AMBIENT, FACE_LAMP, SOLID_DENSITY
 from engine.projection import rotation
+from engine.sh import C0
 
 __all__ = ["BAND", "GRID", "SECTION", "add_faces", "bin_bands", "fill_grid", "sections"]
 
@@ -49,8 +50,8 @@ def sections(  # type: ignore[no-untyped-def]
     boxes,  # out [N, 4] first and end pixel in x and in y
 ):
     """The sections of some atoms with a plane, and the pixels that they can touch; an empty box where none."""
-    ortho, near, width, height = cam[20] != 0.0, cam[21], int(cam[22]), int(cam[23])
-    per_pixel = 1.0 / math.sqrt(cam[12] * cam[13])
+    ortho, near, width, height = cam.orthographic != 0.0, cam.near, int(cam.width), int(cam.height)
+    per_pixel = 1.0 / math.sqrt(cam.fx * cam.fy)
     coefficient, ball = colours.shape[1] > 3, geometry.shape[1] == 4
     upright = rotation(1.0, 0.0, 0.0, 0.0)
     for i in range(chunk * chunk_size, min((chunk + 1) * chunk_size, len(rows))):
@@ -101,7 +102,7 @@ def sections(  # type: ignore[no-untyped-def]
             if not over > 1e-9:
                 whole = True  # beside or behind the eye: somewhere in the picture
                 continue
-            u, v = cam[12] * cx / over + cam[14], cam[13] * cy / over + cam[15]
+            u, v = cam.fx * cx / over + cam.cx, cam.fy * cy / over + cam.cy
             x0, x1, y0, y1 = min(x0, u), max(x1, u), min(y0, v), max(y1, v)
         if whole:
             x0, x1, y0, y1 = 0.0, float(width), 0.0, float(height)
@@ -115,7 +116,7 @@ def sections(  # type: ignore[no-untyped-def]
         r[0], r[1], r[2], r[3], r[4], r[5], r[6] = s, t, 0.5 * aa, ab, 0.5 * bb, 0.5 * left, weight
         for c in range(3):
             value = float(colours[rows[i], c])
-            r[7 + c] = weight * (max(0.5 + 0.28209479177387814 * value, 0.0) if coefficient else value)
+            r[7 + c] = weight * (max(0.5 + C0 * value, 0.0) if coefficient else value)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -146,26 +147,26 @@ def enter(y, cam, planes, mates, first_mate, tolerance, entry, through, slope, l
     beside this one: where it touches, the matter runs on. `slope` and `left` (W,) are scratch.
     """
     n = len(entry)
-    ortho = cam[20] != 0.0
-    down = (y + 0.5 - cam[15]) / cam[13]
+    ortho = cam.orthographic != 0.0
+    down = (y + 0.5 - cam.cy) / cam.fy
     entry[:] = -np.inf
     through[:] = -1
     for p in range(len(planes)):
         a, b, c, d = planes[p, 0], planes[p, 1], planes[p, 2], planes[p, 3]
         for k in range(n):
-            across = a * ((k + 0.5 - cam[14]) / cam[12]) + b * down
+            across = a * ((k + 0.5 - cam.cx) / cam.fx) + b * down
             base = across + d if ortho else d
             along = c if ortho else across + c
             s = -base / along if along < 0.0 else -np.inf
             through[k] = p if s > entry[k] else through[k]
             entry[k] = max(s, entry[k])
     for k in range(n):
-        through[k] = through[k] if entry[k] > cam[21] and entry[k] < np.inf else -1
+        through[k] = through[k] if entry[k] > cam.near and entry[k] < np.inf else -1
     if len(planes) > 1:
         for p in range(len(planes)):
             a, b, c, d = planes[p, 0], planes[p, 1], planes[p, 2], planes[p, 3]
             for k in range(n):
-                across = a * ((k + 0.5 - cam[14]) / cam[12]) + b * down
+                across = a * ((k + 0.5 - cam.cx) / cam.fx) + b * down
                 base = across + d if ortho else d
                 along = c if ortho else across + c
                 # Planes that the ray enters through lie before the last of them; testing them again would crack edges.
@@ -176,7 +177,7 @@ def enter(y, cam, planes, mates, first_mate, tolerance, entry, through, slope, l
         for p in range(first_mate[m], first_mate[m + 1]):
             a, b, c, d = mates[p, 0], mates[p, 1], mates[p, 2], mates[p, 3]
             for k in range(n):
-                across = a * ((k + 0.5 - cam[14]) / cam[12]) + b * down
+                across = a * ((k + 0.5 - cam.cx) / cam.fx) + b * down
                 slope[k] = across + d + entry[k] * c if ortho else d + entry[k] * (across + c)
                 left[k] = left[k] if slope[k] <= tolerance else 0.0
         for k in range(n):
@@ -219,12 +220,12 @@ def add_faces(  # type: ignore[no-untyped-def]
     entry, slope, left = np.empty(width), np.empty(width), np.empty(width)
     own = np.empty(width, np.int32)
     lane = np.empty((LANES, BAND, width), np.float32)
-    ortho = cam[20] != 0.0
+    ortho = cam.orthographic != 0.0
     found = False
     for y in range(top, bottom):
         row = y - top
         enter(y, cam, planes, mates, first_mate, tolerance, entry, own, slope, left)
-        down = (y + 0.5 - cam[15]) / cam[13]
+        down = (y + 0.5 - cam.cy) / cam.fy
         for k in range(width):
             lane[0, row, k] = own[k]
             lane[3, row, k] = entry[k]
@@ -234,7 +235,7 @@ def add_faces(  # type: ignore[no-untyped-def]
                 shine(lane[:, row], down, planes, p, cam)
             f = frames[p]
             for k in range(width):
-                across = (k + 0.5 - cam[14]) / cam[12]
+                across = (k + 0.5 - cam.cx) / cam.fx
                 ray_s, ray_t = f[0] * across + f[1] * down, f[4] * across + f[5] * down
                 here_s = ray_s + f[2] * entry[k] + f[3] if ortho else entry[k] * (ray_s + f[2]) + f[3]
                 here_t = ray_t + f[6] * entry[k] + f[7] if ortho else entry[k] * (ray_t + f[6]) + f[7]
@@ -256,7 +257,7 @@ def add_faces(  # type: ignore[no-untyped-def]
                 add_row(r, plane, np.uintp(at + boxes[i, 0]), np.uintp(at + boxes[i, 1]), np.uintp(area), flat)
     else:
         lane[0] = -1
-    per_pixel = np.float32(1.0 / math.sqrt(cam[12] * cam[13]))
+    per_pixel = np.float32(1.0 / math.sqrt(cam.fx * cam.fy))
     for y in range(top, bottom):
         finish_row(lane[:, y - top], per_pixel, ortho, np.float32(edge_sigma), fresh, face[y], depths[y])
 
@@ -265,12 +266,12 @@ def add_faces(  # type: ignore[no-untyped-def]
 def shine(lane, down, planes, p, cam):  # type: ignore[no-untyped-def]
     """Fills the light of the pixels of a row that show plane p: a lamp at the eye."""
     for k in range(np.uintp(lane.shape[1])):
-        across = (k + 0.5 - cam[14]) / cam[12]
+        across = (k + 0.5 - cam.cx) / cam.fx
         facing = -planes[p, 2]
-        if cam[20] == 0.0:
+        if cam.orthographic == 0.0:
             facing = -(planes[p, 0] * across + planes[p, 1] * down + planes[p, 2])
             facing /= math.sqrt(across * across + down * down + 1.0)
-        lane[8, k] = 0.85 + 0.15 * max(facing, 0.0) if lane[0, k] == p else lane[8, k]
+        lane[8, k] = FACE_AMBIENT + FACE_LAMP * max(facing, 0.0) if lane[0, k] == p else lane[8, k]
 
 
 @njit(cache=True, error_model="numpy", nogil=True, fastmath=FUSED)

@@ -11,7 +11,7 @@ from engine.cpu.opaque_splats import project
 from engine.cpu.opaque_tiles import FUSED
 from engine.formula import MIN_WEIGHT
 from engine.gl.software_faces import BAND
-from engine.sh import C0
+from engine.sh import fill_basis
 
 __all__ = ["compose", "gather", "pack"]
 
@@ -46,21 +46,7 @@ def gather(  # type: ignore[no-untyped-def]
             x, y, z = g[0] - x, g[1] - y, g[2] - z
             length = max(math.sqrt(x * x + y * y + z * z), 1e-30)
             x, y, z = x / length, y / length, z / length
-        basis[0] = C0
-        if degree >= 1:
-            basis[1], basis[2], basis[3] = -0.4886025119029199 * y, 0.4886025119029199 * z, -0.4886025119029199 * x
-        if degree >= 2:
-            basis[4], basis[5] = 1.0925484305920792 * x * y, -1.0925484305920792 * y * z
-            basis[6] = 0.31539156525252005 * (2.0 * z * z - x * x - y * y)
-            basis[7], basis[8] = -1.0925484305920792 * x * z, 0.5462742152960396 * (x * x - y * y)
-        if degree >= 3:
-            basis[9] = -0.5900435899266435 * y * (3.0 * x * x - y * y)
-            basis[10] = 2.890611442640554 * x * y * z
-            basis[11] = -0.4570457994644658 * y * (4.0 * z * z - x * x - y * y)
-            basis[12] = 0.3731763325901154 * z * (2.0 * z * z - 3.0 * x * x - 3.0 * y * y)
-            basis[13] = -0.4570457994644658 * x * (4.0 * z * z - x * x - y * y)
-            basis[14] = 1.445305721320277 * z * (x * x - y * y)
-            basis[15] = -0.5900435899266435 * x * (x * x - 3.0 * y * y)
+        fill_basis(x, y, z, (degree + 1) * (degree + 1), basis)
         red, green, blue = 0.5, 0.5, 0.5
         for k in range((degree + 1) * (degree + 1)):
             red += basis[k] * f[3 * k]

@@ -12,12 +12,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from engine.camera import Camera
 from engine.gl.grid import CELLS_PER_SIGMA, KEPT_BYTES, MOST_CELLS, WIDEST, met_by
 from engine.gl.look import Look
 from engine.gl.polygon import section_of_box
 from engine.gl.software_faces import BAND, GRID, SECTION, bin_bands, fill_grid, sections
 from engine.gl.store import Spheres
 from engine.plane import frame as frame_of
+from engine.projection import camera_record
 from engine.threads import for_each
 
 __all__ = ["CHUNKS", "KeptGrids"]
@@ -103,13 +105,12 @@ def make(plane: Double, spheres: Spheres, look: Look) -> Grid | None:
     # A camera that looks straight at the plane, a cell to a pixel.
     matrix = np.eye(4)
     matrix[:3, :3] = e1, e2, normal
-    cam = np.zeros(24)
-    cam[12:16] = 1 / cell, 1 / cell, -low[0] / cell, -low[1] / cell
-    cam[20:24] = 1, -np.inf, width, height
+    across, down = float(-low[0] / cell), float(-low[1] / cell)
+    straight = Camera(np.eye(4), 1 / cell, 1 / cell, across, down, width, height, orthographic=True)
     records, boxes = np.empty((len(rows), SECTION), np.float32), np.empty((len(rows), 4), np.int32)
     for_each(
-        sections, CHUNKS, -(-len(rows) // CHUNKS), rows, *spheres.kept, enlarge, plane, e1, e2, matrix, cam,
-        records, boxes,
+        sections, CHUNKS, -(-len(rows) // CHUNKS), rows, *spheres.kept, enlarge, plane, e1, e2, matrix,
+        camera_record(straight), records, boxes,
     )  # fmt: skip
     # Narrowed by the variance of the hat that linear interpolation is, with the same reach and the same sum.
     widened = 1 / (1 - 2 * records[:, 2:3] * cell * cell / 6)

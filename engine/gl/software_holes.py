@@ -14,12 +14,9 @@ from numba import njit
 
 from engine.cpu.opaque_splats import TILE
 from engine.cpu.opaque_tiles import AREA, FAR, fragments, tile_points
-from engine.formula import CORE_Q, CUTOFF_Q
+from engine.formula import CORE_Q, CUTOFF_Q, FACE_OPAQUE
 
 __all__ = ["fill_holes", "seen_through", "tile_depths"]
-
-OPAQUE = 0.999
-"""Coverage of a face from which nothing behind it counts."""
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -40,7 +37,7 @@ def tile_depths(line, front, faces, face, depths, left_open, right_open, ends, l
         while right_open and end > start and front[y, end - 1] == infinite and not (faces and face[y, end - 1, 3] > 0):
             end -= 1
             ends[y, end] = -infinite
-        opaque = np.float32(OPAQUE)
+        opaque = np.float32(FACE_OPAQUE)
         for x in range(np.uintp(start), np.uintp(end)):
             ends[y, x] = front[y, x]
         if faces:
@@ -58,23 +55,23 @@ def seen_through(chunk, chunk_size, rows, geometry, enlarge, cam, limits, layer,
     """Marks in `seen` (N,) which of a chunk of atoms begin before the limit of a tile that they touch, or within the
     layer behind it."""
     lines, columns = limits.shape
-    ortho = cam[20] != 0.0
+    ortho = cam.orthographic != 0.0
     tilt = 1.0
     if not ortho:  # a splat's affine extent is 3 sigma f / z sqrt(1 + slope^2), the slope held
-        across, down = max(-cam[16], cam[17]), max(-cam[18], cam[19])
+        across, down = max(-cam.x_low, cam.x_high), max(-cam.y_low, cam.y_high)
         tilt = math.sqrt(1.0 + across * across + down * down)
     for i in range(chunk * chunk_size, min((chunk + 1) * chunk_size, len(rows))):
         seen[i] = False
         g = geometry[rows[i]]
-        z = cam[6] * g[0] + cam[7] * g[1] + cam[8] * g[2] + cam[11]
-        if not z > cam[21]:
+        z = cam.rotation[6] * g[0] + cam.rotation[7] * g[1] + cam.rotation[8] * g[2] + cam.translation[2]
+        if not z > cam.near:
             continue
-        x = cam[0] * g[0] + cam[1] * g[1] + cam[2] * g[2] + cam[9]
-        y = cam[3] * g[0] + cam[4] * g[1] + cam[5] * g[2] + cam[10]
+        x = cam.rotation[0] * g[0] + cam.rotation[1] * g[1] + cam.rotation[2] * g[2] + cam.translation[0]
+        y = cam.rotation[3] * g[0] + cam.rotation[4] * g[1] + cam.rotation[5] * g[2] + cam.translation[1]
         over = 1.0 if ortho else z
-        u, v = cam[12] * x / over + cam[14], cam[13] * y / over + cam[15]
+        u, v = cam.fx * x / over + cam.cx, cam.fy * y / over + cam.cy
         size = 3.0 * enlarge * max(g[3], g[4], g[5])
-        reach = size * max(cam[12], cam[13]) / over * tilt + 3.0
+        reach = size * max(cam.fx, cam.fy) / over * tilt + 3.0
         x0, x1 = max(math.floor((u - reach) / TILE), 0.0), min(math.floor((u + reach) / TILE) + 1.0, columns)
         y0, y1 = max(math.floor((v - reach) / TILE), 0.0), min(math.floor((v + reach) / TILE) + 1.0, lines)
         if x0 < x1 and y0 < y1:
@@ -103,7 +100,7 @@ def fill_holes(line, frame, colours, behind, behind_colours, ends, front, sums):
     px, py, h, z = lane[0], lane[1], lane[2], lane[3]
     base, slope = np.empty((len(frame.planes), AREA), kind), np.empty((len(frame.planes), AREA), kind)
     limit, nearest, shows = np.empty(AREA, kind), np.empty(AREA, kind), np.empty(AREA, np.bool_)
-    near, layer, infinite = kind(frame.cam[21]), kind(frame.layer), kind(np.inf)
+    near, layer, infinite = kind(frame.cam.near), kind(frame.layer), kind(np.inf)
     core, cutoff = kind(0.5 * CORE_Q), kind(0.5 * CUTOFF_Q)
     for column in range(frame.columns):
         tile = line * frame.columns + column

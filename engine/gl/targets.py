@@ -6,10 +6,9 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["NOTHING", "Accumulators", "Frame"]
+from engine.formula import NOTHING
 
-NOTHING = 3.0e38
-"""The depth of a pixel that shows nothing, as the shaders have it."""
+__all__ = ["Accumulators", "Frame"]
 
 
 class Frame:

@@ -10,18 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from engine.camera import Camera
-from engine.formula import LOW_PASS
+from engine.formula import CLAMP_MARGIN, LOW_PASS, NOTHING
 from engine.gl.chunks import Chunks
 
 __all__ = ["FAR_BELOW", "View"]
 
 Double = NDArray[np.float64]
 
-FAR_BELOW = -3.0e38
+FAR_BELOW = -NOTHING
 """Stands for minus infinity in a shader, whose compiler may do away with infinities."""
-
-HELD = 0.3
-"""Half widths outside of the picture within which the Jacobian follows a mean (INRIA, gsplat; engine.projection)."""
 
 BLUR_REACH = 3 * LOW_PASS**0.5 + 1
 """Pixels that the low-pass adds to a splat's reach, and one for rounding."""
@@ -66,7 +63,7 @@ class View:
     def uniforms(self) -> dict[str, Any]:
         """What shaders/camera.glsl and project.vert.glsl ask for."""
         c = self.camera
-        side_x, side_y = HELD * 0.5 * c.width / c.fx, HELD * 0.5 * c.height / c.fy
+        side_x, side_y = CLAMP_MARGIN * 0.5 * c.width / c.fx, CLAMP_MARGIN * 0.5 * c.height / c.fy
         return {
             "view": self.matrix.T,
             "lens": (c.fx, c.fy, c.cx, c.cy),
@@ -113,8 +110,8 @@ class View:
             tilt_x = tilt_y = 0.0
         else:
             zoom = max(c.fx, c.fy) / np.maximum(z - box, 1e-6 * box + 1e-30)
-            tilt_x = (1 + 2 * HELD) * max(c.cx, c.width - c.cx) / c.fx
-            tilt_y = (1 + 2 * HELD) * max(c.cy, c.height - c.cy) / c.fy
+            tilt_x = (1 + 2 * CLAMP_MARGIN) * max(c.cx, c.width - c.cx) / c.fx
+            tilt_y = (1 + 2 * CLAMP_MARGIN) * max(c.cy, c.height - c.cy) / c.fy
         # A splat's affine extent is 3 sigma f / z * sqrt(1 + slope^2), the slope held; and the low-pass in pixels.
         stretch = (1 + tilt_x**2 + tilt_y**2) ** 0.5
         reach = 3 * sigma * stretch

@@ -1,0 +1,40 @@
+"""Quaternions (wxyz) as rotation matrices: one formula for arrays, kernels and tensors."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["matrices", "of_unit", "unit_quats"]
+
+
+def of_unit(w: Any, x: Any, y: Any, z: Any) -> tuple[Any, ...]:
+    """The rotation matrix (9, by rows) of a unit quaternion, its columns the turned axes.
+
+    Numbers, arrays or tensors; numba compiles it for numbers and lanes.
+    """
+    return (
+        1.0 - 2.0 * (y * y + z * z),
+        2.0 * (x * y - w * z),
+        2.0 * (x * z + w * y),
+        2.0 * (x * y + w * z),
+        1.0 - 2.0 * (x * x + z * z),
+        2.0 * (y * z - w * x),
+        2.0 * (x * z - w * y),
+        2.0 * (y * z + w * x),
+        1.0 - 2.0 * (x * x + y * y),
+    )
+
+
+def matrices(quats: NDArray[np.floating]) -> NDArray[np.floating]:
+    """(N, 3, 3). Rotation matrices of unit quaternions (N, 4), of the same float type."""
+    return np.stack(of_unit(*quats.T), axis=-1).reshape(len(quats), 3, 3)
+
+
+def unit_quats(quats: NDArray[np.floating]) -> NDArray[np.float64]:
+    """(N, 4) float64. The quaternions (N, 4) at length 1; one without a length turns nothing."""
+    q = quats.astype(np.float64)
+    length = np.linalg.norm(q, axis=1, keepdims=True)
+    return np.where(length > 1e-12, q / np.maximum(length, 1e-12), np.array([1.0, 0, 0, 0]))
