@@ -19,11 +19,11 @@ from engine.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from engine.camera import Camera
 from engine.cpu.opaque_faces import POINTS, field_backward, field_sums, transpose
 from engine.cpu.opaque_splats import GRADIENT, project_backward
-from engine.cpu.opaque_tiles import accumulate_backward, resolve_backward
-from engine.faces import enter
-from engine.formula import EDGE_SLOPE, SOLID_DENSITY
+from engine.cpu.opaque_tiles import CHUNKS, accumulate_backward, resolve_backward
+from engine.faces import enter, face_edge
+from engine.formula import SOLID_DENSITY
 from engine.kernel_field import KernelField
-from engine.outside import CHUNKS, Outside, Splats, camera_planes, draw
+from engine.outside import Outside, Splats, camera_planes, draw
 from engine.piece import Piece
 from engine.plane import Plane
 from engine.projection import camera_record
@@ -141,7 +141,7 @@ def _face(
     footprint = torch.from_numpy(hits.footprint).to(kind)
     points = hits.points.astype(means.detach().numpy().dtype)
     total, density = _Field.apply(means, scales, quats, colours, points, (0.5 * footprint).numpy(), offsets, listed)
-    edge = (atoms.pitch / 2 / (EDGE_SLOPE * footprint)).clamp(min=1) / (2 * SOLID_DENSITY)
+    edge = torch.from_numpy(face_edge(footprint.numpy(), atoms.pitch))
     covered = (0.5 + (density - SOLID_DENSITY) * edge).clamp(0, 1)
     rgb = total * (covered / torch.where(density > 0, density, torch.ones_like(density)))[:, None]
     pixels = torch.from_numpy(hits.pixels)

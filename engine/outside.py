@@ -12,18 +12,14 @@ from engine import sh
 from engine.atoms import Atoms
 from engine.camera import Camera
 from engine.cpu.opaque_splats import RECORD, TILE, project
-from engine.cpu.opaque_tiles import TILES_PER_TASK, Frame, accumulate, count_tiles, fill_tiles, resolve
-from engine.cpu.tiles import place_pairs
+from engine.cpu.opaque_tiles import CHUNKS, TILES_PER_TASK, Frame, accumulate, resolve, tile_lists
 from engine.formula import EPSILON_PITCHES
 from engine.piece import Piece
 from engine.plane import Plane, stack
 from engine.projection import camera_record
 from engine.threads import for_each
 
-__all__ = ["CHUNKS", "Outside", "Splats", "camera_planes", "directions", "draw", "splats_of", "view_colours"]
-
-CHUNKS = 16
-"""Tasks into which the splats are cut. Fixed, so that the lists do not depend on the cores."""
+__all__ = ["Outside", "Splats", "camera_planes", "directions", "draw", "splats_of", "view_colours"]
 
 
 @dataclass(frozen=True)
@@ -123,13 +119,7 @@ def draw(
         )  # fmt: skip
 
     columns, lines = -(-camera.width // TILE), -(-camera.height // TILE)
-    size = -(-len(spans) // CHUNKS)
-    places, first = np.zeros((CHUNKS, columns * lines), np.int64), np.empty(columns * lines + 1, np.int64)
-    for_each(count_tiles, CHUNKS, size, spans, columns, places)
-    place_pairs(places, first)
-    listed = np.empty(first[-1], np.int32)
-    for_each(fill_tiles, CHUNKS, size, spans, columns, places, listed)
-
+    first, listed = tile_lists(spans, columns, lines)
     cam = camera_record(camera)
     frame = Frame(cam, planes, records, spans, first, listed, columns, EPSILON_PITCHES * pitch)
     front = np.empty((camera.height, camera.width), kind)

@@ -7,7 +7,8 @@ widen them, and run over whole rows of a tile without a branch, so that a row is
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -16,29 +17,34 @@ from numba.extending import overload
 from numpy.typing import NDArray
 
 from engine.cpu.opaque_splats import GRADIENT, TILE
+from engine.cpu.tiles import place_pairs
 from engine.formula import CORE_Q, CUTOFF_Q, MIN_WEIGHT
 from engine.projection import CameraRecord
+from engine.threads import for_each
 
 __all__ = [
     "AREA",
+    "CHUNKS",
     "FUSED",
     "TILES_PER_TASK",
     "Frame",
     "accumulate",
     "accumulate_backward",
-    "count_tiles",
     "falloff",
-    "fill_tiles",
     "fragments",
     "resolve",
     "resolve_backward",
     "rows_of",
+    "tile_lists",
     "tile_points",
 ]
 
 AREA = TILE * TILE
 
 TILES_PER_TASK = 32
+
+CHUNKS = 16
+"""Tasks into which the splats are cut. Fixed, so that the lists do not depend on the cores."""
 
 FAR = 1e30
 """A depth limit behind everything where no front is known, yet before the infinite depth of what is clipped."""
@@ -111,6 +117,26 @@ def fill_tiles(chunk, chunk_size, spans, columns, places, listed):  # type: igno
                 tile = y * columns + x
                 listed[places[chunk, tile]] = i
                 places[chunk, tile] += 1
+
+
+def tile_lists(
+    spans: NDArray[np.int32],  # [N, 6] as opaque_splats.project fills them
+    columns: int,
+    lines: int,
+    room: Callable[[str, tuple[int, ...], type], NDArray[Any]] = lambda name, shape, kind: np.empty(shape, kind),
+) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
+    """first (tiles + 1,) and listed (pairs,): the splats of each of columns x lines tiles, in their order.
+
+    `room` gives the arrays by name, for callers that use theirs again.
+    """
+    size = -(-len(spans) // CHUNKS)
+    places, first = room("places", (CHUNKS, columns * lines), np.int64), room("first", (columns * lines + 1,), np.int64)
+    places[:] = 0
+    for_each(count_tiles, CHUNKS, size, spans, columns, places)
+    place_pairs(places, first)
+    listed = room("listed", (int(first[-1]),), np.int32)
+    for_each(fill_tiles, CHUNKS, size, spans, columns, places, listed)
+    return first, listed
 
 
 @njit(cache=True, error_model="numpy")

@@ -17,28 +17,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from engine.gl.batches import Pool
-from engine.gl.chunks import near_plane
 from engine.gl.context import Programs, write_uniforms
+from engine.gl.face_grid import KEPT_BYTES, plan_grid
 from engine.gl.look import Look
-from engine.gl.polygon import section_of_box
 from engine.gl.store import Spheres
-from engine.plane import frame
 
-__all__ = ["Grid", "Grids", "met_by"]
+__all__ = ["Grid", "Grids"]
 
 Double = NDArray[np.float64]
 
-CELLS_PER_SIGMA = 2.5
-"""Grid points to a standard deviation; with 4 a grid takes 2.5 times as long to make for 3 dB more."""
-
-WIDEST = 12.0
-"""Largest standard deviation over the smallest on one grid: a point is at most 255 cells wide."""
-
-MOST_CELLS = 1 << 22
-"""Cells of a grid; beyond it (64 MB) the face is drawn pixel by pixel."""
-
-KEPT_BYTES = 256 << 20
-"""GPU memory for grids that are not in the frame; what was used longest ago goes first."""
+LARGEST = 8192
+"""Cells along an edge: the least limit on a texture that drivers of OpenGL 3.3 have by now."""
 
 
 @dataclass(frozen=True)
@@ -97,23 +86,10 @@ class Grids:
                 grid.texture.release()
 
     def _make(self, plane: Double, spheres: Spheres, look: Look) -> Grid | None:
-        enlarge = look.ball_scale
-        rows, felt = met_by(plane, spheres, look)
-        if not len(rows):
+        plan = plan_grid(plane, spheres, look)
+        if plan is None or max(plan.width, plan.height) > LARGEST:
             return None
-        widest, least = float(felt[rows].max()) / 3, float(felt[rows].min()) / 3
-        e1, e2, _ = frame(plane[:3])
-        polygon = section_of_box(plane, spheres.low - 3 * widest, spheres.high + 3 * widest)
-        if widest > WIDEST * least or not len(polygon):
-            return None
-        flat = polygon @ np.stack([e1, e2], 1)
-        cell = least / CELLS_PER_SIGMA
-        # An atom at a corner may have its foot outside of the box's section.
-        low = flat.min(0) - 3 * widest
-        cells = np.ceil((flat.max(0) + 3 * widest - low) / cell).astype(int)
-        if cells.prod() > MOST_CELLS or cells.max() > 8192:
-            return None
-        width, height = cells.tolist()
+        (e1, e2, _), low, cell, width, height = plan.axes, plan.low, plan.cell, plan.width, plan.height
         texture = self.ctx.texture((width, height), 4, dtype="f4")
         texture.repeat_x = texture.repeat_y = False
         target = self.ctx.framebuffer([texture])
@@ -130,24 +106,14 @@ class Grids:
             "low": tuple(low),
             "cell": cell,
             "cells": (float(width), float(height)),
-            "enlarge": enlarge,
+            "enlarge": look.ball_scale,
         }
         write_uniforms(program, values)
-        self.pool.write_indices(rows)
-        self.pool.source(program, *spheres.streams).render(moderngl.POINTS, vertices=len(rows))
+        self.pool.write_indices(plan.rows)
+        self.pool.source(program, *spheres.streams).render(moderngl.POINTS, vertices=len(plan.rows))
         previous.use()  # a framebuffer that is gone must not stay bound
         target.release()
         to_grid = np.zeros((4, 4))
         to_grid[0, :3], to_grid[1, :3] = e1 / (width * cell), e2 / (height * cell)
         to_grid[0, 3], to_grid[1, 3] = -low[0] / (width * cell), -low[1] / (height * cell)
         return Grid(texture, to_grid)
-
-
-def met_by(plane: Double, spheres: Spheres, look: Look) -> tuple[NDArray[np.uint32], NDArray[np.float32]]:
-    """Rows of the atoms that a plane (4,) in centred object space meets, and the reach of all atoms (N,)."""
-    chunks, enlarge = spheres.chunks, look.ball_scale
-    distances, reach = chunks.distances(plane[:3], plane[3]), 3 * chunks.sigma * enlarge
-    met = (distances[:, 0] <= reach) & (distances[:, 1] >= -reach)
-    count = -(-chunks.count[met] // 2**look.level)
-    felt = (spheres.reach * enlarge).astype(np.float32)
-    return near_plane(spheres.means, felt, chunks.first[met], count, plane[None].astype(np.float32), 0), felt

@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 
 from engine.camera import Camera
 from engine.cpu.opaque_splats import RECORD, TILE
-from engine.cpu.opaque_tiles import TILES_PER_TASK, accumulate, count_tiles, fill_tiles
+from engine.cpu.opaque_tiles import CHUNKS, TILES_PER_TASK, accumulate, tile_lists
 from engine.cpu.opaque_tiles import Frame as Tiled
-from engine.cpu.tiles import place_pairs
 from engine.formula import EPSILON_PITCHES, JOINT_PITCHES, NOTHING
 from engine.gl.look import Look
 from engine.gl.opaque import Group, seen_groups
@@ -25,7 +24,7 @@ from engine.gl.screen import Rect
 from engine.gl.section import Face, near_face, scale_of, visible_faces
 from engine.gl.software_faces import BAND, SECTION, add_faces, bin_bands, sections
 from engine.gl.software_frame import compose, gather, pack
-from engine.gl.software_grid import CHUNKS, KeptGrids
+from engine.gl.software_grid import KeptGrids
 from engine.gl.software_holes import fill_holes, seen_through, tile_depths
 from engine.gl.solid import Solid
 from engine.gl.store import Ellipsoids, Spheres
@@ -221,14 +220,7 @@ class SoftwareMode:
                 cam, stacked, end[k : k + 2], records[own], spans[own],
             )  # fmt: skip
         columns, lines = -(-shape[1] // TILE), -(-shape[0] // TILE)
-        size = -(-count // CHUNKS)
-        places = self._room(name + "places", (CHUNKS, columns * lines), np.int64)
-        places[:] = 0
-        first = self._room(name + "first", (columns * lines + 1,), np.int64)
-        for_each(count_tiles, CHUNKS, size, spans, columns, places)
-        place_pairs(places, first)
-        listed = self._room(name + "listed", (int(first[-1]),), np.int32)
-        for_each(fill_tiles, CHUNKS, size, spans, columns, places, listed)
+        first, listed = tile_lists(spans, columns, lines, lambda part, *of: self._room(name + part, *of))
         layer = EPSILON_PITCHES * solid.pitch * look.disc_scale
         return Tiled(cam, stacked, records, spans, first, listed, columns, layer), colours
 

@@ -12,7 +12,8 @@ import numpy as np
 from numba import njit
 
 from engine.cpu.opaque_tiles import FUSED, falloff
-from engine.formula import CUTOFF_Q, EDGE_SLOPE, FACE_AMBIENT, FACE_LAMP, SOLID_DENSITY
+from engine.faces import coverage_of, enter_row, facing_of
+from engine.formula import CUTOFF_Q, FACE_AMBIENT, FACE_LAMP
 from engine.projection import rotation
 from engine.sh import C0
 
@@ -140,58 +141,13 @@ def bin_bands(boxes, bands):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy", nogil=True, fastmath=FUSED)
-def enter(y, cam, planes, mates, first_mate, tolerance, entry, through, slope, left):  # type: ignore[no-untyped-def]
-    """Fills depth `entry` (W,) and plane `through` (W,) of the entry of row y's rays, -1 where there is none.
-
-    Planes (P, 4) and mates (M, 4) in camera space; mates first_mate[m]..first_mate[m + 1] bound one piece that lies
-    beside this one: where it touches, the matter runs on. `slope` and `left` (W,) are scratch.
-    """
-    n = len(entry)
-    ortho = cam.orthographic != 0.0
-    down = (y + 0.5 - cam.cy) / cam.fy
-    entry[:] = -np.inf
-    through[:] = -1
-    for p in range(len(planes)):
-        a, b, c, d = planes[p, 0], planes[p, 1], planes[p, 2], planes[p, 3]
-        for k in range(n):
-            across = a * ((k + 0.5 - cam.cx) / cam.fx) + b * down
-            base = across + d if ortho else d
-            along = c if ortho else across + c
-            s = -base / along if along < 0.0 else -np.inf
-            through[k] = p if s > entry[k] else through[k]
-            entry[k] = max(s, entry[k])
-    for k in range(n):
-        through[k] = through[k] if entry[k] > cam.near and entry[k] < np.inf else -1
-    if len(planes) > 1:
-        for p in range(len(planes)):
-            a, b, c, d = planes[p, 0], planes[p, 1], planes[p, 2], planes[p, 3]
-            for k in range(n):
-                across = a * ((k + 0.5 - cam.cx) / cam.fx) + b * down
-                base = across + d if ortho else d
-                along = c if ortho else across + c
-                # Planes that the ray enters through lie before the last of them; testing them again would crack edges.
-                out = along >= 0.0 and base + entry[k] * along > 0.0
-                through[k] = -1 if out else through[k]
-    for m in range(len(first_mate) - 1):
-        left[:] = 1.0
-        for p in range(first_mate[m], first_mate[m + 1]):
-            a, b, c, d = mates[p, 0], mates[p, 1], mates[p, 2], mates[p, 3]
-            for k in range(n):
-                across = a * ((k + 0.5 - cam.cx) / cam.fx) + b * down
-                slope[k] = across + d + entry[k] * c if ortho else d + entry[k] * (across + c)
-                left[k] = left[k] if slope[k] <= tolerance else 0.0
-        for k in range(n):
-            through[k] = -1 if left[k] > 0.0 else through[k]
-
-
-@njit(cache=True, error_model="numpy", nogil=True, fastmath=FUSED)
 def add_faces(  # type: ignore[no-untyped-def]
     band,
     cam,
     planes,  # [P, 4] camera space
     frames,  # [P, 8] e1 and e2 of each plane in camera space, each with its offset: s = e . p + offset
-    mates,
-    first_mate,
+    joined,  # [M, 4] planes of the pieces beside this one, camera space
+    first_joined,  # [pieces + 1] where those of each begin
     tolerance,
     first,
     listed,
@@ -224,7 +180,7 @@ def add_faces(  # type: ignore[no-untyped-def]
     found = False
     for y in range(top, bottom):
         row = y - top
-        enter(y, cam, planes, mates, first_mate, tolerance, entry, own, slope, left)
+        enter_row(y, cam, planes, joined, first_joined, tolerance, entry, own, slope, left)
         down = (y + 0.5 - cam.cy) / cam.fy
         for k in range(width):
             lane[0, row, k] = own[k]
@@ -267,24 +223,19 @@ def shine(lane, down, planes, p, cam):  # type: ignore[no-untyped-def]
     """Fills the light of the pixels of a row that show plane p: a lamp at the eye."""
     for k in range(np.uintp(lane.shape[1])):
         across = (k + 0.5 - cam.cx) / cam.fx
-        facing = -planes[p, 2]
-        if cam.orthographic == 0.0:
-            facing = -(planes[p, 0] * across + planes[p, 1] * down + planes[p, 2])
-            facing /= math.sqrt(across * across + down * down + 1.0)
+        facing = facing_of(planes[p], across, down, cam.orthographic != 0.0)
         lane[8, k] = FACE_AMBIENT + FACE_LAMP * max(facing, 0.0) if lane[0, k] == p else lane[8, k]
 
 
 @njit(cache=True, error_model="numpy", nogil=True, fastmath=FUSED)
 def finish_row(lane, per_pixel, ortho, edge_sigma, fresh, face, depths):  # type: ignore[no-untyped-def]
     """Puts a row of lanes (LANES, W) over a row of the face layer (W, 4) and its depths (W,). No branch."""
-    one, half, zero, tiny = np.float32(1), np.float32(0.5), np.float32(0), np.float32(1e-20)
-    slope, solid, unit = np.float32(EDGE_SLOPE), np.float32(SOLID_DENSITY), np.float32(0.5 / SOLID_DENSITY)
+    zero, tiny = np.float32(0), np.float32(1e-20)
     for k in range(np.uintp(len(depths))):
         deep = lane[3, k]
         density = lane[4, k] if lane[0, k] >= zero else zero
         footprint = per_pixel if ortho else per_pixel * deep
-        edge = max(one, edge_sigma / (slope * footprint)) * unit
-        cover = min(max(half + (density - solid) * edge, zero), one)
+        cover = coverage_of(density, footprint, edge_sigma)
         cover = cover if density > zero else zero
         kept = (cover > zero) & (fresh | (face[k, 3] <= zero) | (deep <= depths[k]))
         each = lane[8, k] / max(density, tiny)

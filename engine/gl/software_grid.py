@@ -13,23 +13,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from engine.camera import Camera
-from engine.gl.grid import CELLS_PER_SIGMA, KEPT_BYTES, MOST_CELLS, WIDEST, met_by
+from engine.cpu.opaque_tiles import CHUNKS
+from engine.gl.face_grid import KEPT_BYTES, plan_grid
 from engine.gl.look import Look
-from engine.gl.polygon import section_of_box
 from engine.gl.software_faces import BAND, GRID, SECTION, bin_bands, fill_grid, sections
 from engine.gl.store import Spheres
-from engine.plane import frame as frame_of
 from engine.projection import camera_record
 from engine.threads import for_each
 
-__all__ = ["CHUNKS", "KeptGrids"]
+__all__ = ["KeptGrids"]
 
 Double = NDArray[np.float64]
 Grid = tuple[NDArray[np.float32], Double]
 """Weight and RGB by weight (cells, 4), and what it is (GRID,)."""
-
-CHUNKS = 16
-"""Tasks into which atoms are cut."""
 
 
 class KeptGrids:
@@ -87,30 +83,19 @@ class KeptGrids:
 
 def make(plane: Double, spheres: Spheres, look: Look) -> Grid | None:
     """The grid of a plane (4,) in centred object space; None where the atoms' sizes do not allow one."""
-    enlarge = look.ball_scale
-    rows, felt = met_by(plane, spheres, look)
-    if not len(rows):
+    plan = plan_grid(plane, spheres, look)
+    if plan is None:
         return None
-    widest, least = float(felt[rows].max()) / 3, float(felt[rows].min()) / 3
-    e1, e2, normal = frame_of(plane[:3])
-    polygon = section_of_box(plane, spheres.low - 3 * widest, spheres.high + 3 * widest)
-    if widest > WIDEST * least or not len(polygon):
-        return None
-    flat = polygon @ np.stack([e1, e2], 1)
-    cell = least / CELLS_PER_SIGMA
-    low = flat.min(0) - 3 * widest
-    width, height = np.ceil((flat.max(0) + 3 * widest - low) / cell).astype(int).tolist()
-    if width * height > MOST_CELLS:
-        return None
+    (e1, e2, _), low, cell, width, height = plan.axes, plan.low, plan.cell, plan.width, plan.height
     # A camera that looks straight at the plane, a cell to a pixel.
     matrix = np.eye(4)
-    matrix[:3, :3] = e1, e2, normal
+    matrix[:3, :3] = plan.axes
     across, down = float(-low[0] / cell), float(-low[1] / cell)
     straight = Camera(np.eye(4), 1 / cell, 1 / cell, across, down, width, height, orthographic=True)
-    records, boxes = np.empty((len(rows), SECTION), np.float32), np.empty((len(rows), 4), np.int32)
+    records, boxes = np.empty((len(plan.rows), SECTION), np.float32), np.empty((len(plan.rows), 4), np.int32)
     for_each(
-        sections, CHUNKS, -(-len(rows) // CHUNKS), rows, *spheres.kept, enlarge, plane, e1, e2, matrix,
-        camera_record(straight), records, boxes,
+        sections, CHUNKS, -(-len(plan.rows) // CHUNKS), plan.rows, *spheres.kept, look.ball_scale, plane, e1, e2,
+        matrix, camera_record(straight), records, boxes,
     )  # fmt: skip
     # Narrowed by the variance of the hat that linear interpolation is, with the same reach and the same sum.
     widened = 1 / (1 - 2 * records[:, 2:3] * cell * cell / 6)
