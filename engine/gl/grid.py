@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from engine.gl.batches import Pool
+from engine.gl.buffers import Buffers
 from engine.gl.context import Programs, write_uniforms
 from engine.gl.face_grid import KEPT_BYTES, plan_grid
 from engine.gl.look import Look
@@ -48,8 +49,8 @@ class Grid:
 class Grids:
     """The grids of one set of interior atoms."""
 
-    def __init__(self, ctx: moderngl.Context, programs: Programs, pool: Pool) -> None:
-        self.ctx, self.programs, self.pool = ctx, programs, pool
+    def __init__(self, ctx: moderngl.Context, programs: Programs, pool: Pool, buffers: Buffers) -> None:
+        self.ctx, self.programs, self.pool, self.buffers = ctx, programs, pool, buffers
         self._kept: OrderedDict[tuple[Any, ...], Grid | None] = OrderedDict()
         self._used: set[tuple[Any, ...]] = set()
 
@@ -110,7 +111,7 @@ class Grids:
         }
         write_uniforms(program, values)
         self.pool.write_indices(plan.rows)
-        self.pool.source(program, *spheres.streams).render(moderngl.POINTS, vertices=len(plan.rows))
+        self.pool.source(program, *self.buffers.streams(spheres)).render(moderngl.POINTS, vertices=len(plan.rows))
         previous.use()  # a framebuffer that is gone must not stay bound
         target.release()
         to_grid = np.zeros((4, 4))

@@ -22,8 +22,9 @@ from engine.gaussians import Gaussians
 from engine.gl.batches import Pool
 from engine.gl.classic import Capture, resolve_values
 from engine.gl.context import Programs, offscreen_context
+from engine.gl.groups import Group, grouped
 from engine.gl.look import Look, Mode
-from engine.gl.opaque import Group, OpaqueMode, grouped
+from engine.gl.opaque import OpaqueMode
 from engine.gl.overlay import Lines, OverlayPass, Sheet
 from engine.gl.screen import Screen
 from engine.gl.software import SoftwareMode, is_software
@@ -109,7 +110,7 @@ class Renderer:
     def set_atoms(self, atoms: Atoms) -> None:
         """The solid to draw. Replaces the one before."""
         self._drop_solid()
-        self._solid = Solid(self.ctx, atoms)
+        self._solid = Solid(atoms)
 
     @current
     def set_capture(self, gaussians: Gaussians) -> None:
@@ -167,7 +168,9 @@ class Renderer:
         assert sums is not None
         if self._software is not None and mode != "classic" and self._solid is not None:
             look = Look(mode == "interior", light, exact, level, cull)
-            self._software.draw(self._solid, camera, self._pieces, self._groups, frame, ground, look)
+            changed, halves = self._software.draw(self._solid, camera, self._pieces, self._groups, ground, look)
+            if changed[2] and changed[3]:
+                frame.colour.write(halves, viewport=changed)
             return frame.colour
         if self._software is not None:
             self._software.forget()
@@ -249,8 +252,10 @@ class Renderer:
     # Housekeeping
 
     def _tell(self) -> None:
-        if self._software is not None:
-            self._software.tell(self._frames[0])
+        """Depths and pieces that the processor has drawn go to the GPU only when somebody asks."""
+        info = None if self._software is None else self._software.news()
+        if info is not None:
+            self._frames[0].info.write(info)
 
     def _resize(self, width: int, height: int) -> None:
         assert width > 0 and height > 0, (width, height)
@@ -277,9 +282,8 @@ class Renderer:
     def _drop_solid(self) -> None:
         self._pool.clear()
         self._forget_grids()
-        if self._solid is not None:
-            self._solid.release()
-            self._solid = None
+        self._opaque.forget()
+        self._solid = None
 
     def _forget_grids(self) -> None:
         self._opaque.section.grids.clear()

@@ -7,11 +7,9 @@ from typing import Any
 import moderngl
 
 from engine.gl.context import Programs, write_uniforms
+from engine.gl.groups import Rect
 
-__all__ = ["Rect", "Screen"]
-
-Rect = tuple[int, int, int, int]
-"""x, y, width, height in pixels, from the top left."""
+__all__ = ["Screen"]
 
 
 class Screen:

@@ -18,19 +18,17 @@ from engine.cpu.opaque_splats import RECORD, TILE
 from engine.cpu.opaque_tiles import CHUNKS, TILES_PER_TASK, accumulate, tile_lists
 from engine.cpu.opaque_tiles import Frame as Tiled
 from engine.formula import EPSILON_PITCHES, JOINT_PITCHES, NOTHING
+from engine.gl.groups import Group, Rect, seen_groups
 from engine.gl.look import Look
-from engine.gl.opaque import Group, seen_groups
-from engine.gl.screen import Rect
-from engine.gl.section import Face, near_face, scale_of, visible_faces
+from engine.gl.piece_faces import Face, near_face, scale_of, visible_faces
 from engine.gl.software_faces import BAND, SECTION, add_faces, bin_bands, sections
 from engine.gl.software_frame import compose, gather, pack
 from engine.gl.software_grid import KeptGrids
 from engine.gl.software_holes import fill_holes, seen_through, tile_depths
 from engine.gl.solid import Solid
 from engine.gl.store import Ellipsoids, Spheres
-from engine.gl.surface import shown
-from engine.gl.targets import Frame
 from engine.gl.view import View
+from engine.gl.visible import visible_atoms
 from engine.piece import Piece
 from engine.plane import frame as frame_of
 from engine.projection import CameraRecord, camera_record
@@ -61,7 +59,7 @@ class SoftwareMode:
         """What of the frame is not background; None: unknown."""
         self._background = np.zeros(3, np.float32)
         self._info: NDArray[np.float32] | None = None
-        """(H, W, 2). What GL has not been told of the last frame; None: nothing."""
+        """(H, W, 2). Of the last frame, until it is asked for."""
 
     def forget(self) -> None:
         """Something else has drawn into the frame, or it is a new one."""
@@ -73,11 +71,11 @@ class SoftwareMode:
         camera: Camera,
         pieces: Sequence[Piece],
         groups: Sequence[Group],
-        target: Frame,
         background: Double,
         look: Look,
-    ) -> None:
-        """Puts the pieces over the background into a frame."""
+    ) -> tuple[Rect, NDArray[np.uint16]]:
+        """Puts the pieces over the background. Returns which part of the frame has changed, and its pixels (height,
+        width, 4) as half floats, which last until the next frame."""
         self.grids.begin()
         ground = background.astype(np.float32)
         rgb = self._room("rgb", (camera.height, camera.width, 3), np.float32)
@@ -104,9 +102,8 @@ class SoftwareMode:
         for x, y, width, height in around(changed, jobs[-1][-1]) if jobs else [changed]:
             part = rgb[y : y + height, x : x + width]
             for_each(pack, -(-height // BAND), x, y, part, *changed[:2], halves)
-        if changed[2] and changed[3]:
-            target.colour.write(halves, viewport=changed)
         self._info = info
+        return changed, halves
 
     def _group(
         self,
@@ -164,7 +161,7 @@ class SoftwareMode:
         jobs, hidden = [], []
         for splats in solid.splats(look.interior_only):
             every = [np.ones(len(splats.chunks), bool)]
-            for k, ((free, clipped, behind),) in enumerate(shown(view, planes, splats, look, every)):
+            for k, ((free, clipped, behind),) in enumerate(visible_atoms(view, planes, splats, look, every)):
                 jobs.append((splats, k, np.concatenate([free, clipped])))
                 hidden.append((splats, k, behind))
         tiled, colours = self._tiled("", view, cam, planes, jobs, solid, look, shape)
@@ -288,11 +285,10 @@ class SoftwareMode:
         )  # fmt: skip
         return True
 
-    def tell(self, target: Frame) -> None:
-        """Hands over depths and pieces of the last frame, which few frames are asked for."""
-        if self._info is not None:
-            target.info.write(self._info)
-            self._info = None
+    def news(self) -> NDArray[np.float32] | None:
+        """(H, W, 2). Depths and pieces of the last frame as shaders/resolve.frag.glsl writes them, once; then None."""
+        info, self._info = self._info, None
+        return info
 
     def _room(self, name: str, shape: tuple[int, ...], kind: type) -> Any:
         """An array of this shape that is used again from frame to frame; it holds what it held."""

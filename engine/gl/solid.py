@@ -1,10 +1,9 @@
-"""An object of atoms on the GPU, and what each mode draws of it."""
+"""An object of atoms as renderers draw it: in chunks about its centre, with what each mode shows of it."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
-import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
@@ -25,15 +24,14 @@ sigma) then reaches the middle of a lattice's cell, 1.41 sigma away; the layers 
 
 
 class Solid:
-    """Surface and interior atoms, in buffers of their own."""
+    """Surface and interior atoms, each in a store of their own."""
 
-    def __init__(self, ctx: moderngl.Context, atoms: Atoms) -> None:
-        self.ctx = ctx
+    def __init__(self, atoms: Atoms) -> None:
         bounds = atoms.bounds.astype(np.float64)
         skin, inside = atoms.surface, atoms.interior
         widest = max(float(skin.scales.max(initial=0)), float(inside.sigmas.max(initial=0)))
         self.centre = bounds.mean(0)
-        """(3,). What the GPU holds is relative to it."""
+        """(3,). All that is drawn is relative to it, so that far-off scenes keep their digits."""
         far = [np.linalg.norm(means - self.centre, axis=1).max(initial=0) for means in (skin.means, inside.means)]
         self.reach = float(max(far)) + 3 * widest
         """About the centre, world units: all of the object, splats included."""
@@ -46,8 +44,8 @@ class Solid:
         self.pitch = float(atoms.pitch)
         hidden = hiding(atoms)
         hidden = replace(hidden, low=hidden.low - self.centre)
-        self.skin = Ellipsoids(ctx, self._shifted(skin.means), skin.scales, skin.quats, skin.sh, hidden)
-        self.inside = Spheres(ctx, self._shifted(inside.means), inside.sigmas, inside.rgb)
+        self.skin = Ellipsoids(self._shifted(skin.means), skin.scales, skin.quats, skin.sh, hidden)
+        self.inside = Spheres(self._shifted(inside.means), inside.sigmas, inside.rgb)
         self._atoms = atoms
         self._exposed = self._as_splats(np.arange(inside.exposed)) if inside.exposed else None
         self._core: Ellipsoids | None = None
@@ -62,9 +60,7 @@ class Solid:
         inside = self._atoms.interior
         unit = np.tile(np.array([1, 0, 0, 0], np.float32), (len(rows), 1))
         scales = np.repeat(np.float32(scale) * inside.sigmas[rows, None], 3, 1)
-        return Ellipsoids(
-            self.ctx, self._shifted(inside.means[rows]), scales, unit, sh.rgb_to_sh(inside.rgb[rows, None])
-        )
+        return Ellipsoids(self._shifted(inside.means[rows]), scales, unit, sh.rgb_to_sh(inside.rgb[rows, None]))
 
     def splats(self, interior_only: bool) -> list[Ellipsoids]:
         """What the outside shows: skin and exposed atoms, or the outermost of the interior ones."""
@@ -88,9 +84,3 @@ class Solid:
                 self._exposed.update(sh.rgb_to_sh(rgb[: len(self._exposed), None]))
             if self._core is not None:
                 self._core.update(sh.rgb_to_sh(rgb[self._core_rows, None]))
-
-    def release(self) -> None:
-        """Frees the buffers."""
-        for store in (self.skin, self.inside, self._exposed, self._core):
-            if store is not None:
-                store.release()

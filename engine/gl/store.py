@@ -1,10 +1,9 @@
-"""Atoms and Gaussians on the GPU, in the order of their chunks."""
+"""Atoms in the order of their chunks, as renderers read them."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
-import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,11 +16,10 @@ Float = NDArray[np.float32]
 
 
 class Ellipsoids:
-    """N splats with spherical harmonics: geometry once, colours replaced in place."""
+    """N splats with spherical harmonics; colours are replaced in place."""
 
     def __init__(
         self,
-        ctx: moderngl.Context,
         means: Float,  # [N, 3] relative to the object's centre
         scales: Float,  # [N, 3]
         quats: Float,  # [N, 4]
@@ -38,32 +36,28 @@ class Ellipsoids:
         self.degree = round(sh.shape[1] ** 0.5) - 1
         self.vectors = -(-3 * sh.shape[1] // 4)
         """vec4 attributes that hold an atom's coefficients."""
-        geometry = np.concatenate([self.means, scales[order], quats[order]], 1).astype(np.float32)
-        self._packed = np.zeros((len(means), 4 * self.vectors), np.float32)
-        self.kept = geometry, self._packed
-        """The same in memory: (N, 10) and coefficients (N, 4 vectors)."""
-        self.geometry = ctx.buffer(geometry) if len(means) else ctx.buffer(reserve=40)
-        self.coefficients = ctx.buffer(reserve=max(len(means), 1) * 16 * self.vectors)
-        shape = {"mean": 3, "scale": 3, "quat": 4}
-        self.streams = ((self.geometry, shape), (self.coefficients, {"sh": 4 * self.vectors}))
-        self.flat_streams = ((self.geometry, shape), (self.coefficients, {"dc": 3, "rest": 4 * self.vectors - 3}))
-        """The same without what depends on the view."""
+        self.geometry = np.concatenate([self.means, scales[order], quats[order]], 1).astype(np.float32)
+        """(N, 10). Mean, scales, quaternion."""
+        self.coefficients = np.zeros((len(means), 4 * self.vectors), np.float32)
+        """(N, 4 vectors). Spherical harmonics one after the other, three channels each."""
+        self.version = 0
+        """Grows with every change of the colours."""
         self.update(sh)
 
     def __len__(self) -> int:
         return len(self.means)
 
+    @property
+    def kept(self) -> tuple[Float, Float]:
+        """Geometry and colours, as the kernels take them."""
+        return self.geometry, self.coefficients
+
     def update(self, sh: Float) -> None:
         """Other colours, (N, (d+1)^2, 3) in the caller's order, for the same atoms."""
         assert sh.shape == (len(self), (self.degree + 1) ** 2, 3), sh.shape
         if len(self):
-            self._packed[:, : 3 * sh.shape[1]] = sh.reshape(len(self), 3 * sh.shape[1])[self.chunks.order]
-            self.coefficients.write(self._packed)
-
-    def release(self) -> None:
-        """Frees the buffers."""
-        self.geometry.release()
-        self.coefficients.release()
+            self.coefficients[:, : 3 * sh.shape[1]] = sh.reshape(len(self), 3 * sh.shape[1])[self.chunks.order]
+        self.version += 1
 
 
 class Spheres:
@@ -71,7 +65,6 @@ class Spheres:
 
     def __init__(
         self,
-        ctx: moderngl.Context,
         means: Float,  # [N, 3] relative to the object's centre
         sigmas: Float,  # [N]
         rgb: Float,  # [N, 3]
@@ -82,26 +75,25 @@ class Spheres:
         order = self.chunks.order
         self.means = np.ascontiguousarray(means[order])
         self.reach = 3 * sigmas[order]
-        geometry = np.concatenate([self.means, sigmas[order, None]], 1).astype(np.float32)
-        self._rgb = np.zeros((len(means), 3), np.float32)
-        self.kept = geometry, self._rgb
-        """The same in memory: (N, 4) and RGB (N, 3)."""
-        self.geometry = ctx.buffer(geometry) if len(means) else ctx.buffer(reserve=16)
-        self.colours = ctx.buffer(reserve=max(len(means), 1) * 12)
-        self.streams = ((self.geometry, {"mean": 3, "sigma": 1}), (self.colours, {"rgb": 3}))
+        self.geometry = np.concatenate([self.means, sigmas[order, None]], 1).astype(np.float32)
+        """(N, 4). Mean, standard deviation."""
+        self.rgb = np.zeros((len(means), 3), np.float32)
+        """(N, 3)."""
+        self.version = 0
+        """Grows with every change of the colours."""
         self.update(rgb)
 
     def __len__(self) -> int:
         return len(self.means)
 
+    @property
+    def kept(self) -> tuple[Float, Float]:
+        """Geometry and colours, as the kernels take them."""
+        return self.geometry, self.rgb
+
     def update(self, rgb: Float) -> None:
         """Other colours, (N, 3) in the caller's order, for the same atoms."""
         assert rgb.shape == (len(self), 3), rgb.shape
         if len(self):
-            self._rgb[:] = rgb[self.chunks.order]
-            self.colours.write(self._rgb)
-
-    def release(self) -> None:
-        """Frees the buffers."""
-        self.geometry.release()
-        self.colours.release()
+            self.rgb[:] = rgb[self.chunks.order]
+        self.version += 1

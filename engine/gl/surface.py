@@ -1,4 +1,4 @@
-"""The outside of the opaque image (DESIGN, section 3): who is drawn, front depth, weighted sums."""
+"""The outside of the opaque image (DESIGN, section 3): front depth, then weighted sums."""
 
 from __future__ import annotations
 
@@ -11,18 +11,16 @@ from numpy.typing import NDArray
 
 from engine.formula import CORE_Q, CUTOFF_Q, EPSILON_PITCHES
 from engine.gl.batches import Batch, Pool
-from engine.gl.chunks import pick
+from engine.gl.buffers import Buffers
 from engine.gl.context import Programs, write_uniforms
-from engine.gl.facing import nothing_hides
+from engine.gl.groups import MAX_PLANES
 from engine.gl.look import Look
 from engine.gl.store import Ellipsoids
 from engine.gl.targets import Accumulators
 from engine.gl.view import View
+from engine.gl.visible import visible_atoms
 
-__all__ = ["MAX_PLANES", "RECORD", "SurfacePass", "shown"]
-
-MAX_PLANES = 64
-"""Planes that can bound one piece, after those that cut nothing off it are dropped."""
+__all__ = ["RECORD", "SurfacePass"]
 
 POINT_LIMIT = 40.0
 """Pixels across up to which a splat is drawn as a square point: a point is set up in half the time of a quad, but a
@@ -50,8 +48,8 @@ class Run:
 class SurfacePass:
     """Projects, then draws twice."""
 
-    def __init__(self, ctx: moderngl.Context, programs: Programs, pool: Pool) -> None:
-        self.ctx, self.programs, self.pool = ctx, programs, pool
+    def __init__(self, ctx: moderngl.Context, programs: Programs, pool: Pool, buffers: Buffers) -> None:
+        self.ctx, self.programs, self.pool, self.buffers = ctx, programs, pool, buffers
 
     def project(
         self,
@@ -69,7 +67,7 @@ class SurfacePass:
         points = np.select([inside & (diameter * r / 3 <= POINT_LIMIT) for r in REACHES[:-1]], REACHES[:-1], 0.0)
         lists, runs = [], []
         sizes = [points == size for size in REACHES]
-        for planes, found in zip(pieces, shown(view, pieces, splats, look, sizes), strict=True):
+        for planes, found in zip(pieces, visible_atoms(view, pieces, splats, look, sizes), strict=True):
             for size, (free, clipped, hidden) in zip(REACHES, found, strict=True):
                 # Hidden ones last: the depth test is quick to dismiss them.
                 for rows, near in (
@@ -93,7 +91,7 @@ class SurfacePass:
             varyings=RECORD,
         )
         write_uniforms(program, {**view.uniforms, "enlarge": look.disc_scale})
-        array = self.pool.source(program, *splats.streams)
+        array = self.pool.source(program, *self.buffers.streams(splats))
         first = 0
         for rows, run in zip(lists, runs, strict=True):
             run.batch.fill(array, RECORD, first, len(rows))
@@ -134,43 +132,3 @@ class SurfacePass:
                 values["planes"] = padded
             write_uniforms(program, values)
             run.batch.draw(program, RECORD, points)
-
-
-def shown(
-    view: View,
-    pieces: Sequence[NDArray[np.float64]],
-    splats: Ellipsoids,
-    look: Look,
-    classes: Sequence[NDArray[np.bool_]],  # [K] each
-) -> list[list[tuple[NDArray[np.uint32], NDArray[np.uint32], NDArray[np.uint32]]]]:
-    """For each piece and each class of chunks: indices of the atoms that no plane touches, that one clips, and that
-    show only where the skin before them has a hole (no plane touches these, either)."""
-    chunks, enlarge = splats.chunks, look.disc_scale
-    seen, _, _ = view.chunks_seen(chunks, enlarge)
-    if not look.cull:
-        seen = np.ones_like(seen)
-    # A splat is felt three sigma away, and what the low-pass adds, which grows with depth.
-    deepest = chunks.middle @ view.matrix[2, :3] + view.matrix[2, 3] + np.linalg.norm(chunks.half, axis=1)
-    widened = 4 * view.footprint(deepest)
-    count = -(-chunks.count // 2**look.level)
-    reach = splats.reach * np.float32(enlarge) + np.repeat(widened.astype(np.float32), chunks.count)
-    hide = splats.hiding if look.cull else nothing_hides(len(splats))
-    farthest = view.footprint(np.array([view.matrix[2, 3] + view.radius]))
-    least = hide.least_at(None if view.camera.orthographic else view.eye, float(farthest[0]))
-    eye, low = view.eye.astype(np.float32), hide.low.astype(np.float32)
-    found = []
-    for planes in pieces:
-        kept = seen.copy()
-        for plane in planes:
-            kept &= chunks.distances(plane[:3], plane[3])[:, 0] <= 3 * chunks.sigma * enlarge + widened
-        flat = planes.astype(np.float32)
-        found.append(
-            [
-                pick(
-                    splats.means, reach, hide.axes, least, hide.zone, low, np.float32(hide.cell),
-                    chunks.first[kept & chosen], count[kept & chosen], flat, eye, view.camera.orthographic,
-                )
-                for chosen in classes
-            ]
-        )  # fmt: skip
-    return found
