@@ -79,7 +79,7 @@ def _solid(path: Path, gaussians: Gaussians, up: NDArray[np.float64], cells: int
     _say(stage="Finding the body", part=0.15)
     found = enclosed(gaussians, cells, path.name)
     _say(stage="Making it solid", part=0.4)
-    atoms = solidify(gaussians, found.body, cells, seed).atoms
+    atoms = solidify(gaussians, found, cells, seed)
     plain = plain_inside(atoms.surface, atoms.interior, found.body, atoms.pitch)
     atoms = replace(atoms, interior=replace(atoms.interior, rgb=plain))
     facts = {"notes": list(found.notes), "trained": False}

@@ -33,7 +33,8 @@ from engine.atoms import Atoms, SurfaceAtoms
 from engine.camera import around, section
 from engine.errors import InputError
 from engine.files import atomic
-from engine.fill import fill, find_body
+from engine.fill import fill
+from engine.find_body import find_body
 from engine.gaussians import Gaussians
 from engine.load import load
 from engine.plane import Plane
@@ -41,12 +42,12 @@ from engine.ply import write_ply
 from sample_scenes.exemplars import photograph, planes
 from sample_scenes.solids import SOLIDS, Solid
 from training import trainer
-from training.evaluate.methods import unsmoothed
+from training.evaluate.methods import UnsmoothedTrainer
 from training.exemplar import ExemplarPrior
 from training.families import Family
 from training.metrics import face_psnr
 from training.settings import DETAILS
-from training.smoothing import Smoothing, smooth
+from training.trainer import Trainer
 from training.views import sections, slices
 
 mpl.use("Agg")
@@ -153,7 +154,7 @@ def seeded(name: str) -> dict[str, Any]:
             "sd_db": round(float(np.std(spread)), 3)}  # fmt: skip
 
 
-def fitted(size: int = 96, rate: float = 1.0, planes: int = 24, smoothing: Smoothing = smooth) -> dict[str, float]:
+def fitted(size: int = 96, rate: float = 1.0, planes: int = 24, kind: type[Trainer] = Trainer) -> dict[str, float]:
     """PSNR in dB of the atoms' colours after training on true labels of this size, at this multiple of the rates.
 
     Of those that a label shows, and of all.
@@ -176,7 +177,7 @@ def fitted(size: int = 96, rate: float = 1.0, planes: int = 24, smoothing: Smoot
         mock.patch.object(trainer, "INTERIOR_RATE", 10 * trainer.INTERIOR_RATE * rate),  # from even grey, so ten times
         mock.patch.object(trainer, "HALVED_IN_TURNS", 20),
     ):
-        training = trainer.Trainer(atoms, cuts, [], 0, smoothing)
+        training = kind(atoms, cuts, [], 0)
         losses = [training.step(labels).section for _ in range(60)]
         training.smooth()
     rgb, truth = training.result().interior.rgb, solid.colour(interior.means)
@@ -207,10 +208,11 @@ def large(count: int = 2_000_000) -> dict[str, float]:
         step("write")
         scene = load(Path(folder) / "large.ply").gaussians
     step("load")
-    body = find_body(scene).body
+    enclosure = find_body(scene)
+    body = enclosure.body
     step("body")
     pitch = float(np.ptp(body.bounds(), axis=0).max()) / DETAILS["standard"].cells
-    surface = atomise(scene, pitch, body).atoms
+    surface = atomise(scene, pitch, enclosure).atoms
     atoms = Atoms(surface, fill(body, pitch, 0, surface), pitch)
     step("atomise")
     row["atoms"] = len(atoms)
@@ -237,8 +239,8 @@ def main() -> None:
     figures["labels"] = [{"pixels": size, **fitted(size=size)} for size in LABELS]
     figures["rates"] = [{"times": rate, **fitted(rate=rate)} for rate in RATES]
     figures["planes"] = [
-        {"planes": count, "smoothed": name, **fitted(planes=count, smoothing=of)}
-        for name, of in ((True, smooth), (False, unsmoothed))
+        {"planes": count, "smoothed": name, **fitted(planes=count, kind=of)}
+        for name, of in ((True, Trainer), (False, UnsmoothedTrainer))
         for count in PLANES
     ]
     orange = SOLIDS["orange"](0)

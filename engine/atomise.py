@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from engine.atoms import SurfaceAtoms
 from engine.body import Body
 from engine.camera import around
-from engine.fill import WALL_OPACITY, without_haze
+from engine.denoise_capture import WALL_OPACITY
+from engine.find_body import Enclosure
 from engine.gaussians import Gaussians
 from engine.kernel_field import axes_of
-from engine.opacity_field import Grid, opacity_field
 from engine.order import morton_order
 from engine.patches import patches
 from engine.shown import shown
@@ -68,16 +68,17 @@ class Atomised:
     """Atoms that were added where the others leave a hole in the skin."""
 
 
-def atomise(gaussians: Gaussians, pitch: float, body: Body | None = None) -> Atomised:
+def atomise(gaussians: Gaussians, pitch: float, enclosure: Enclosure | None = None) -> Atomised:
     """Atoms no larger than the pitch (the paper's atomic clipping) and opaque (its uniform opacification).
 
     A Gaussian of opacity a becomes an atom of at least a times its area across its thin axis, and of more where the
     skin is thin (COVERAGE): what it hides stays about the same. Larger ones are split along their principal axes into
-    parts with the same mean and variance. With a body, what lies under its skin is dropped, and so is what floats off
-    it without hiding anything, and what has no weight in any view of the capture; holes that this or the capture leaves
-    in the skin are patched. The atoms stand in Morton order. Bit-equal for the same input.
+    parts with the same mean and variance. With an enclosure, what lies under its skin is dropped, and so is what floats
+    off it without hiding anything, and what has no weight in any view of the capture; holes that this or the capture
+    leaves in the skin are patched. The atoms stand in Morton order. Bit-equal for the same input.
     """
     assert pitch > 0, pitch
+    body = None if enclosure is None else enclosure.body
     haze = (gaussians.opacities < HAZE_OPACITY) & (gaussians.scales.max(axis=1, initial=0) > pitch)
     keep = (gaussians.opacities >= FAINT) & ~haze
     if body is not None:  # the end of a fat Gaussian that reaches the skin from within is no part of the skin
@@ -87,10 +88,8 @@ def atomise(gaussians: Gaussians, pitch: float, body: Body | None = None) -> Ato
     keep = np.flatnonzero(keep)
     kept = gaussians[keep]
     area = kept.opacities.copy()
-    if body is not None:
-        grid = Grid(body.origin, body.cell, body.depth.shape)
-        shell = without_haze(gaussians)[0]
-        opacity = Body(body.origin, body.cell, opacity_field(shell, grid, body.cell / 2))
+    if enclosure is not None and body is not None:
+        opacity = Body(body.origin, body.cell, enclosure.opacity)
         area = np.clip(COVERAGE * area / np.maximum(opacity.at(kept.means), 1e-6), area, 1)
     scales = kept.scales.copy()
     thin = scales.argmin(axis=1)
@@ -114,8 +113,8 @@ def atomise(gaussians: Gaussians, pitch: float, body: Body | None = None) -> Ato
         gaussians.sh[origin],
     )
     dropped, patched = len(gaussians) - len(np.unique(origin)), 0
-    if body is not None:
-        more = patches(atoms, shell, body, pitch, opacity.depth, WALL_OPACITY)
+    if enclosure is not None:
+        more = patches(atoms, enclosure.shell, enclosure.body, pitch, enclosure.opacity, WALL_OPACITY)
         patched = len(more)
         atoms = SurfaceAtoms(*(np.concatenate([getattr(a, f.name) for a in (atoms, more)]) for f in fields(atoms)))
     order = morton_order(atoms.means)

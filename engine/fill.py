@@ -1,180 +1,20 @@
-"""From a shell of Gaussians to a solid: where the body is, and atoms to fill it (paper, section 3.1)."""
+"""Interior atoms that fill a body (paper, section 3.1)."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from engine.atoms import InteriorAtoms, SurfaceAtoms
 from engine.body import Body
-from engine.distance import nearest
-from engine.enclosed import enclosed
-from engine.errors import InputError
-from engine.gaussians import Gaussians
 from engine.octree import COARSEST, leaf_levels
-from engine.opacity_field import Grid, opacity_field
 from engine.patches import coverage_at, inwards
-from engine.skin import signed_depth
 
 Float = NDArray[np.float32]
 
-__all__ = ["WALL_OPACITY", "Colours", "Found", "fill", "find_body", "without_haze"]
-
-WALL_OPACITY = 0.2
-"""The paper's sigma_th: d on a sheet is the sum of the alphas that a ray meets there, and here it loses a quarter
-(1 - exp(-0.3)). Captures have skins as thin as that, seen against what lies behind them."""
-
-CORE_OPACITY = float(np.log(2))
-"""A wall needs a cell where a ray is half stopped, prod(1 - alpha) <= 1/2 at sum(alpha) = ln 2: mist has none."""
-
-WIDEN = 0.5
-"""Cells. Least sigma in the opacity field: a sheet of opacity 1 is then a wall for 0.8 cells on both sides, and walls
-of two cells are tight for steps across faces."""
-
-WALL_HALF = 1.2
-"""Cells. Half the thickness of the wall that a well covered sheet makes: half a cell times sqrt(2 ln(d / sigma_th)),
-0.8 where d = 1, 1.3 where d = 8. The skin is the outside's border, shifted by this."""
-
-HAZE_SIZE = 0.05
-"""Of the longest side. A Gaussian longer than this is haze if it is also faint."""
-HAZE_OPACITY = 0.1
-
-HUGE = 0.25
-"""Of the longest side. Longer than this a Gaussian is background, whatever its opacity."""
-
-OUTLIER = 1.0
-"""Of the longest span between the 5th and 95th percentiles of the centres: a stem is not farther than this outside."""
-
-FLOATER = 0.003
-"""Of all Gaussians. A separate cluster with fewer of them is a floater: it may not widen the grid."""
-
-COARSE = 64
-"""Cells along the longest side of the grid on which clusters are told apart."""
-
-MARGIN = 4
-"""Cells around the outermost centres: a wall's own thickness, and a way around it for the flood."""
-
-SMALLEST = 0.01
-"""Of the largest hollow. Smaller ones are gaps between leaves or debris, not bodies."""
-
-
-@dataclass(frozen=True)
-class Found:
-    """A body, and how it was found."""
-
-    body: Body
-    notes: tuple[str, ...] = field(default=())
-    """What the user should know: holes that were closed, what was left out. One sentence each."""
-
-
-def find_body(gaussians: Gaussians, cells: int = 128, name: str = "scene") -> Found:
-    """The solid that a shell of Gaussians encloses, on a grid of `cells` cells along the longest side.
-
-    Everything inside of the outermost shell is solid, whatever debris or inner shells the capture holds there: they
-    cannot be seen, so they say nothing. A shell that leaks is closed where rays and caps hold a hollow for the inside
-    (engine.enclosed). A single sheet (a mat, a leaf) encloses nothing.
-    Memory: about 60 bytes a cell, so 0.2 GB for 128 and 1.1 GB for 256, however many Gaussians there are.
-    Raises InputError if nothing is enclosed.
-    """
-    assert cells >= 8, cells
-    shell, notes = without_haze(gaussians)
-    if len(shell) < 4:
-        raise InputError(
-            f"{name}: no closed body found; {len(gaussians)} Gaussians are too few, too large or too faint for a skin"
-        )
-    grid = _grid(shell, cells)
-    if grid is None:
-        raise InputError(f"{name}: no closed body found; all Gaussians stand at one point")
-    cell = grid.cell
-    wall = _walls(opacity_field(shell, grid, WIDEN * cell))
-    closed, cap_faces = enclosed(wall)
-    inside = _bodies(_inner(closed, wall))
-    if not inside.any():
-        raise InputError(
-            f"{name}: no closed body found; the {len(shell)} Gaussians enclose nothing (flat, too open or too thin)"
-        )
-    depth = signed_depth(inside, shell, grid)
-    depth = np.where(_bodies(depth > 0) | (depth <= 0), depth, -np.abs(depth))
-    if cap_faces >= 1e-3 * np.count_nonzero(inside ^ ndimage.binary_erosion(inside)):
-        skin_faces = np.count_nonzero(inside) - np.count_nonzero(ndimage.binary_erosion(inside))
-        notes.append(f"the shell is open: holes, {cap_faces / (cap_faces + skin_faces):.1%} of its skin, were closed")
-    return Found(Body(grid.origin, cell, np.ascontiguousarray(depth, np.float32)), tuple(notes))
-
-
-def _grid(gaussians: Gaussians, cells: int) -> Grid | None:
-    """A grid around the centres with this many cells along their longest side; None if they all coincide."""
-    low, high = gaussians.means.min(0).astype(np.float64), gaussians.means.max(0).astype(np.float64)
-    cell = float((high - low).max()) / cells
-    if not cell > 0:
-        return None
-    shape = np.ceil((high - low) / cell).astype(int) + 2 * MARGIN
-    return Grid((low + high) / 2 - shape * cell / 2, cell, (int(shape[0]), int(shape[1]), int(shape[2])))
-
-
-def without_haze(gaussians: Gaussians) -> tuple[Gaussians, list[str]]:
-    """The Gaussians that may be part of a skin, and what was left out."""
-    finite = np.isfinite(gaussians.means).all(1) & np.isfinite(gaussians.scales).all(1) & (gaussians.opacities > 0)
-    gaussians = gaussians[finite]
-    if not len(gaussians):
-        return gaussians, []
-    low, high = np.percentile(gaussians.means, [5, 95], axis=0)
-    side = float((high - low).max())
-    near = ((gaussians.means >= low - OUTLIER * side) & (gaussians.means <= high + OUTLIER * side)).all(1)
-    longest = gaussians.scales.max(1)
-    haze = (longest > HUGE * side) | ((longest > HAZE_SIZE * side) & (gaussians.opacities < HAZE_OPACITY))
-    shell = gaussians[near & ~haze]
-    floaters = _floaters(shell)
-    notes = []
-    if (near & haze).any():
-        notes.append(f"{int((near & haze).sum())} large faint Gaussians (haze) were left out")
-    if (~near).any() or floaters.any():
-        notes.append(f"{int((~near).sum() + floaters.sum())} Gaussians apart from the object were left out")
-    return shell[~floaters], notes
-
-
-def _floaters(gaussians: Gaussians) -> NDArray[np.bool_]:
-    """(N,). Gaussians in clusters that are too small to be a part of the object."""
-    grid = _grid(gaussians, COARSE) if len(gaussians) else None
-    if grid is None:
-        return np.zeros(len(gaussians), bool)
-    regions, count = ndimage.label(opacity_field(gaussians, grid, grid.cell) >= WALL_OPACITY)
-    cells = np.clip(np.round(grid.index(gaussians.means)).astype(int), 0, np.array(grid.shape) - 1)
-    own = regions[tuple(cells.T)]
-    sizes = np.bincount(own, minlength=count + 1)
-    sizes[0] = 0
-    return sizes[own] < min(FLOATER * len(gaussians), sizes.max())
-
-
-def _walls(opacity: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Cells that are opaque, or a little so and joined to some that are."""
-    regions, count = ndimage.label(opacity >= WALL_OPACITY)
-    cores = np.zeros(count + 1, bool)
-    cores[regions[opacity >= CORE_OPACITY]] = True
-    return cores[regions]
-
-
-def _inner(closed: NDArray[np.bool_], wall: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """The closed cells without the outer half of the wall; a cap has no wall and is left where it is."""
-    touching = ~closed & ndimage.binary_dilation(wall)
-    return closed & (nearest(touching)[0] > WALL_HALF + 0.5)
-
-
-def _bodies(inside: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """The inside without what is thinner than three cells, and without crumbs."""
-    core = nearest(~inside)[0] > 1.5
-    regions, count = ndimage.label(inside)
-    if not count:
-        return inside
-    sizes = np.bincount(regions[core], minlength=count + 1)
-    sizes[0] = 0
-    keep = (sizes >= max(8, SMALLEST * sizes.max())) & (sizes > 0)
-    opened = nearest(core & keep[regions])[0] <= 2.0
-    return inside & opened & keep[regions]
-
+__all__ = ["Colours", "fill"]
 
 UNDER_SKIN = 0.75
 """Sigmas. Least depth of an interior atom: its half height, 1.18 sigmas, then stays behind the skin's own atoms."""

@@ -5,29 +5,19 @@ They must agree atom by atom, or the window could not show the colours that a tr
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from engine.atomise import Atomised, atomise
 from engine.atoms import Atoms
-from engine.body import Body
-from engine.fill import Found, fill, find_body
+from engine.fill import fill
+from engine.find_body import Enclosure, find_body
 from engine.gaussians import Gaussians
 
-__all__ = ["Solid", "enclosed", "solidify"]
+__all__ = ["enclosed", "skin_of", "solidify"]
 
 BODY_CELLS = 128
 """Cells along the longest side of the grid on which the body is found; its depth is exact to a part of a cell."""
 
 
-@dataclass(frozen=True)
-class Solid:
-    """Atoms of a whole object, and what became of its Gaussians."""
-
-    atoms: Atoms
-    skin: Atomised
-
-
-def enclosed(gaussians: Gaussians, cells: int, name: str) -> Found:
+def enclosed(gaussians: Gaussians, cells: int, name: str) -> Enclosure:
     """The body that a capture encloses, for atoms of which `cells` lie along its longest side.
 
     Raises InputError, which begins with `name`, where it encloses nothing.
@@ -35,9 +25,14 @@ def enclosed(gaussians: Gaussians, cells: int, name: str) -> Found:
     return find_body(gaussians, max(BODY_CELLS, cells), name)
 
 
-def solidify(gaussians: Gaussians, body: Body, cells: int, seed: int) -> Solid:
-    """The body's skin and inside in atoms, `cells` of them along its longest side. Bit-equal for the same input."""
-    low, high = body.bounds()
+def skin_of(gaussians: Gaussians, enclosure: Enclosure, cells: int) -> tuple[Atomised, float]:
+    """The body's skin in atoms, and their pitch: `cells` of them lie along the body's longest side."""
+    low, high = enclosure.body.bounds()
     pitch = float((high - low).max()) / cells
-    skin = atomise(gaussians, pitch, body)
-    return Solid(Atoms(skin.atoms, fill(body, pitch, seed, skin.atoms), pitch), skin)
+    return atomise(gaussians, pitch, enclosure), pitch
+
+
+def solidify(gaussians: Gaussians, enclosure: Enclosure, cells: int, seed: int) -> Atoms:
+    """The body's skin and an even grey inside. Bit-equal for the same input."""
+    skin, pitch = skin_of(gaussians, enclosure, cells)
+    return Atoms(skin.atoms, fill(enclosure.body, pitch, seed, skin.atoms), pitch)

@@ -12,6 +12,7 @@ from engine.atomise import Atomised, atomise, split
 from engine.atoms import Atoms, InteriorAtoms
 from engine.body import Body
 from engine.camera import around
+from engine.find_body import Enclosure
 from engine.gaussians import Gaussians
 from engine.load import load
 from engine.patches import coverage_at, skin_points
@@ -20,6 +21,10 @@ from engine.rotations import matrices
 from engine.shown import shown
 
 DATA = Path(__file__).parents[1].parent / "shared/data"
+
+
+def on_body(scene: Gaussians, pitch: float, body: Body) -> Atomised:
+    return atomise(scene, pitch, Enclosure.of(scene, body))
 
 
 def ball(cell: float = 0.05) -> Body:
@@ -88,7 +93,7 @@ def test_what_cannot_be_seen_is_dropped() -> None:
         skin(50, 0.01, 0.2, radius=1.25),  # specks around it
         skin(50, 0.4, 0.05, radius=1.1),  # haze
     )
-    made = atomise(scene, 0.05, ball())
+    made = on_body(scene, 0.05, ball())
     radius = np.linalg.norm(made.atoms.means, axis=1)
     assert 0.94 < radius.min() < radius.max() < 1.05
     assert made.dropped == 300
@@ -103,7 +108,7 @@ def test_weight_in_views_decides_not_opacity_alone() -> None:
     weight = shown(scene, cameras)
     assert abs(weight[-1] - 0.99) < 0.03
     assert np.median(weight[:12000]) > 0.1 > 0.02 > np.median(weight[12000:15000])
-    made = atomise(scene, 0.05, ball())
+    made = on_body(scene, 0.05, ball())
     radius = np.linalg.norm(made.atoms.means, axis=1)
     assert radius.max() < 1.05
     assert (radius < 0.98).sum() < 0.3 * len(lining)
@@ -115,7 +120,7 @@ def test_a_leaf_off_the_skin_stays() -> None:
     leaf = skin(400, 0.03, 0.95, radius=0.0)
     leaf = Gaussians((np.array([1.15, 0, 0]) + rng.uniform(-0.1, 0.1, (400, 3)) * [0.0, 1, 1]).astype(np.float32),
                      leaf.scales, leaf.quats, leaf.opacities, leaf.sh)  # fmt: skip
-    made = atomise(joined(skin(4000, 0.03, 0.99), leaf), 0.05, ball())
+    made = on_body(joined(skin(4000, 0.03, 0.99), leaf), 0.05, ball())
     assert (made.atoms.means[:, 0] > 1.1).sum() > 0.98 * 400
 
 
@@ -124,7 +129,7 @@ def test_holes_are_patched_where_the_capture_has_a_skin() -> None:
     fine, faint = skin(6000, 0.03, 0.99), skin(3000, 0.15, 0.1, seed=1)
     scene = joined(fine[fine.means[:, 0] > 0], faint[(faint.means[:, 0] < 0) & (faint.means[:, 2] > -0.5)])
     body, pitch = ball(), 0.05
-    made = atomise(scene, pitch, body)
+    made = on_body(scene, pitch, body)
     assert made.patched > 0
     points = skin_points(body, 0.05)
     assert np.abs(np.linalg.norm(points, axis=1) - 1).max() < 0.01
@@ -138,7 +143,7 @@ def test_holes_are_patched_where_the_capture_has_a_skin() -> None:
 
 def test_the_opaque_object_looks_like_the_capture() -> None:
     scene, pitch = skin(3000, 0.06, 0.5), 0.05
-    made = atomise(scene, pitch, ball())
+    made = on_body(scene, pitch, ball())
     for camera in around(np.zeros(3), 1.1, np.array([0.0, 0, 1]), 3, 96):
         wanted, shown = classic.render(scene, camera, (1, 1, 1)), opaque.render(solid(made, pitch), camera)
         centre = np.hypot(*np.indices((96, 96)) - 47.5) < 30
@@ -148,7 +153,7 @@ def test_the_opaque_object_looks_like_the_capture() -> None:
 
 def test_reshaping_makes_no_unseen_view_worse() -> None:
     scene, pitch = skin(1500, 0.09, 0.6), 0.06
-    atoms = solid(atomise(scene, pitch, ball()), pitch)
+    atoms = solid(on_body(scene, pitch, ball()), pitch)
     cameras = around(np.zeros(3), 1.1, np.array([0.0, 0, 1]), 12, 48)
     better = reshape(atoms, scene, cameras, steps=24)
 
@@ -166,11 +171,12 @@ def test_captures_keep_their_skin_whole(name: str) -> None:
     path = DATA / f"splats/{name}.ply"
     if not path.exists():
         pytest.skip("shared data is not beside the project")
-    from engine.fill import fill, find_body
+    from engine.fill import fill
+    from engine.find_body import find_body
 
     scene = load(path).gaussians
     body = find_body(scene, 96).body
     pitch = float(np.ptp(body.bounds(), axis=0).max()) / 64
-    made = atomise(scene, pitch, body)
+    made = on_body(scene, pitch, body)
     interior = fill(body, pitch, surface=made.atoms)
     assert interior.exposed < 0.002 * len(interior)

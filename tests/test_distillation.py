@@ -69,15 +69,15 @@ def condition(shape):
     return Condition(Family("horizontal", 1), "", inside, flat, flat, flat, flat, flat, grey)
 
 
-@pytest.mark.parametrize(("form", "error"), [("x0", 0.03), ("noise", 0.06)])
-def test_distillation_finds_the_mode(form, error):
+@pytest.mark.parametrize(("step", "error"), [(1.0, 0.03), (0.5, 0.06)])
+def test_distillation_finds_the_mode(step, error):
     asked = condition((24, 24))
     mean = np.random.default_rng(1).uniform(0.2, 0.8, (24, 24, 3)).astype(np.float32)
     start = np.full_like(mean, 0.5)
-    label = distill(start, GaussianPrior(mean, 0.02), asked, np.random.default_rng(0), form=form)
+    label = distill(start, GaussianPrior(mean, 0.02), asked, np.random.default_rng(0), step=step)
     assert np.sqrt(np.mean((label - mean)[asked.inside] ** 2)) < error
     assert (label[~asked.inside] == 0.5).all()
-    again = distill(start, GaussianPrior(mean, 0.02), asked, np.random.default_rng(0), form=form)
+    again = distill(start, GaussianPrior(mean, 0.02), asked, np.random.default_rng(0), step=step)
     assert (again == label).all()
 
 
@@ -98,12 +98,12 @@ class GaussianCodes:
         return (sigma * (noisy - self.mean) / (sigma**2 + self.spread**2)).astype(np.float32)
 
 
-@pytest.mark.parametrize(("form", "error"), [("x0", 0.02), ("noise", 0.1)])
-def test_distillation_of_codes_finds_the_mode(form, error):
+@pytest.mark.parametrize(("step", "error"), [(1.0, 0.02), (0.5, 0.1)])
+def test_distillation_of_codes_finds_the_mode(step, error):
     asked = condition((48, 48))
     mean = np.random.default_rng(1).uniform(-0.3, 0.3, (48, 48, 3)).astype(np.float32)
     start = np.full_like(mean, 0.9)
-    label = distill(start, GaussianCodes(mean, 0.05), asked, np.random.default_rng(0), form=form)
+    label = distill(start, GaussianCodes(mean, 0.05), asked, np.random.default_rng(0), step=step)
     assert np.sqrt(np.mean((label - 0.5 - mean)[asked.inside] ** 2)) < error
 
 

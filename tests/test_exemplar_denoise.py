@@ -10,7 +10,9 @@ from exemplar_faces import SAMPLES, disc, save
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from training.exemplar import ExemplarPrior, denoise, read_picture
+from training.evaluate import patch_denoiser
+from training.evaluate.patch_denoiser import PatchDenoiser
+from training.exemplar import read_picture
 from training.exemplar.patches import PATCH, posterior
 from training.families import Family
 from training.prior import Condition
@@ -54,7 +56,7 @@ def test_denoiser_finds_the_noise(tmp_path: Path) -> None:
     family = Family("horizontal", 40, (save(tmp_path / "face.png", disc(192, seeds=8)[0]),))
     condition = level_cut(family, 96, mask)
     rng = np.random.default_rng(0)
-    prior = ExemplarPrior()
+    prior = PatchDenoiser()
     for sigma in (0.15, 0.5):
         noise = rng.normal(size=face.shape).astype(np.float32)
         noisy = face + sigma * noise
@@ -80,10 +82,10 @@ def test_search_is_nearly_exact(monkeypatch: pytest.MonkeyPatch) -> None:
     condition = level_cut(family, 96, mask)
     for sigma in (0.15, 0.5):
         noisy = face + sigma * noise
-        quick = ExemplarPrior().denoise(noisy, sigma, condition, np.random.default_rng(0))
+        quick = PatchDenoiser().denoise(noisy, sigma, condition, np.random.default_rng(0))
         with monkeypatch.context() as exact:
-            exact.setattr(denoise, "MOST", 10**9)
-            exact.setattr(denoise, "COEFFICIENTS", PATCH)
-            true = ExemplarPrior().denoise(noisy, sigma, condition, np.random.default_rng(0))
+            exact.setattr(patch_denoiser, "MOST", 10**9)
+            exact.setattr(patch_denoiser, "COEFFICIENTS", PATCH)
+            true = PatchDenoiser().denoise(noisy, sigma, condition, np.random.default_rng(0))
         error = sigma * (quick - true)[mask]
         assert (error**2).mean() < 1e-3

@@ -15,7 +15,8 @@ from engine.atoms import SurfaceAtoms
 from engine.body import Body
 from engine.distance import nearest
 from engine.errors import InputError
-from engine.fill import fill, find_body
+from engine.fill import fill
+from engine.find_body import find_body
 from engine.gaussians import Gaussians
 from engine.opacity_field import Grid, opacity_field
 from engine.rotations import matrices

@@ -12,7 +12,6 @@ import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -30,18 +29,18 @@ import training.trainer
 from engine.atoms import Atoms, InteriorAtoms
 from engine.body import Body
 from engine.errors import InputError
-from engine.fill import fill, find_body
+from engine.fill import Colours
+from engine.find_body import find_body
 from engine.gaussians import Gaussians
 from engine.plane import Plane
 from engine.ply import write_ply
 from engine.surface_fit import refit
 from engine.trained import load_trained
-from training.evaluate.methods import unsmoothed
 from training.events import Reporter
 from training.families import Family
 from training.labels import written_back
-from training.request import Request
-from training.run import Parts, run
+from training.request import Geometry, Request
+from training.run import Pipeline, run
 from training.smoothing import smooth
 from training.trainer import Trainer
 from training.views import Section, sections, slices
@@ -192,14 +191,15 @@ def test_atoms_are_no_finer_than_the_pictures(tmp_path: Path, monkeypatch: pytes
     write_ply(tmp_path / "ball.ply", ball())
     across = []
 
-    def filler(body: Body, pitch: float, *rest: Any) -> InteriorAtoms:
-        across.append(float(np.ptp(body.bounds(), axis=0).max()) / pitch)
-        return fill(body, pitch, *rest)
+    class Measured(Pipeline):
+        def fill(self, geometry: Geometry, pitch: float, colours: Colours) -> InteriorAtoms:
+            across.append(float(np.ptp(geometry.body.bounds(), axis=0).max()) / pitch)
+            return super().fill(geometry, pitch, colours)
 
     picture = save(tmp_path / "small.png", disc(60, seeds=6)[0])  # the cut face is 48 pixels across
     request = Request(tmp_path / "ball.ply", (Family("horizontal", 2, (picture,)),), "draft", (0.0, 0.0, 1.0))
     events = io.StringIO()
-    run(request, tmp_path / "out", Reporter(events), False, lambda: False, Parts(fill=filler))
+    Measured(request, tmp_path / "out", Reporter(events), lambda: False).run(resume=False)
     assert across == [pytest.approx(2 * 48, rel=0.05)]
     report = json.loads((tmp_path / "out/report.json").read_text())
     assert report["cells"] == round(across[0])
@@ -274,8 +274,9 @@ def test_what_no_label_shows_is_smoothed_unless_smoothing_is_left_out(atoms: Ato
     atoms = replace(atoms, interior=replace(atoms.interior, rgb=np.full_like(atoms.interior.rgb, 0.5)))
     cuts = crossed(atoms)
     white = [np.ones((48, 48, 3), np.float32)] * len(cuts)
-    assert np.allclose(written_back(atoms, cuts, white, smooth), 1, atol=1e-5)
-    kept = written_back(atoms, cuts, white, unsmoothed)
+    kept, shown = written_back(atoms, cuts, white)
+    smoothed = smooth(atoms.interior.means, atoms.interior.rgb, kept, shown)
+    assert np.allclose(smoothed, 1, atol=1e-5)
     assert 0.1 < (kept == 0.5).all(axis=1).mean() < 0.9
     assert np.isin(np.round(kept, 5), np.float32([0.5, 1])).all()
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import zlib
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -63,6 +64,16 @@ class Checkpoint:
         if metadata.get("run") != self.run:
             raise InputError(f"{path}: made from another input or with other settings; start again without --resume")
         return arrays, facts
+
+    def made(
+        self, stage: str, make: Callable[[], tuple[dict[str, Array], dict[str, Any]]]
+    ) -> tuple[dict[str, Array], dict[str, Any]]:
+        """Arrays and facts of a stage: as they were kept, else made now and kept. Raises InputError as both."""
+        kept = self.load(stage)
+        if kept is None:
+            kept = make()
+            self.save(stage, *kept)
+        return kept
 
     def clear(self) -> None:
         """Forgets every stage."""

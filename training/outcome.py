@@ -29,13 +29,14 @@ HELD_OUT_VIEWS = 8
 def save(
     request: Request,
     geometry: Geometry,
+    start: Atoms,
     trainer: Trainer,
     facts: dict[str, Any],
     history: dict[str, Any],
     out: Path,
     reporter: Reporter,
 ) -> Path:
-    """Writes the solid, the sheet of untrained cuts and the report."""
+    """Writes the solid, the sheet of untrained cuts and the report; `start` is what training began with."""
     atoms = trainer.result()
     path = out / f"{request.scene.stem}.ply"
     with reporter.stage("save") as stage:
@@ -54,7 +55,7 @@ def save(
         stage.progress(0.3)
         save_sheet(out / "cuts.png", atoms, geometry.body, geometry.up)
         stage.progress(0.7)
-        before, after = surface_psnr(geometry, atoms)
+        before, after = (surface_psnr(geometry, each) for each in (start, atoms))
     report = {
         **facts,
         "views": {
@@ -75,17 +76,14 @@ def save(
     return path
 
 
-def surface_psnr(geometry: Geometry, atoms: Atoms) -> tuple[float, float]:
-    """PSNR in dB of the opaque object against the input 3DGS, before and after training, on views never trained.
+def surface_psnr(geometry: Geometry, atoms: Atoms) -> float:
+    """PSNR in dB of the opaque object against the input 3DGS, on views never trained.
 
     Both pictures stand on white and are whole: haze that was dropped and edges that are crisper count as errors.
     """
     size = DETAILS["standard"].surface
-    before: list[float] = []
-    after: list[float] = []
+    figures = []
     for camera in surface_cameras(geometry.body, geometry.up, HELD_OUT_VIEWS, size, turn=61.0):
         target = np.clip(classic.render(geometry.gaussians, camera, BACKGROUND).rgb, 0, 1)
-        for solid, figures in ((geometry.atoms, before), (atoms, after)):
-            picture = opaque.render(solid, camera, background=BACKGROUND).rgb
-            figures.append(psnr(np.clip(picture, 0, 1), target))
-    return float(np.mean(before)), float(np.mean(after))
+        figures.append(psnr(np.clip(opaque.render(atoms, camera, background=BACKGROUND).rgb, 0, 1), target))
+    return float(np.mean(figures))

@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from engine.atoms import Atoms
+from engine.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from engine.body import Body
 from engine.gaussians import Gaussians
 from training.families import Family
@@ -68,9 +68,18 @@ class Request:
 
 @dataclass(frozen=True)
 class Geometry:
-    """What is fixed once the atoms stand."""
+    """What is fixed before anybody paints the inside."""
 
     gaussians: Gaussians
-    atoms: Atoms
+    """The capture."""
+    skin: SurfaceAtoms
+    """With the capture's own colours."""
+    pitch: float
+    """Of the skin, world units."""
     body: Body
     up: NDArray[np.float64]
+    """(3,). Unit vector."""
+
+    def filled(self, interior: InteriorAtoms) -> Atoms:
+        """The whole object with such an inside."""
+        return Atoms(self.skin, interior, self.pitch)

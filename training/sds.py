@@ -5,14 +5,12 @@ Schedules, the weighting w(t) and the loss live here, once, for every prior.
 
 from __future__ import annotations
 
-from typing import Literal
-
 import numpy as np
 from numpy.typing import NDArray
 
 from training.prior import Condition, Denoises, Encodes
 
-__all__ = ["FIRST_STEPS", "REFINE_STEPS", "Form", "distill"]
+__all__ = ["FIRST_STEPS", "REFINE_STEPS", "distill"]
 
 FIRST_STEPS = 20
 """Steps for the first label of a plane (paper, section 4.1)."""
@@ -31,33 +29,26 @@ FIRST_CODE_SIGMAS = (10.0, 0.16)
 COLOUR_SPREAD = 0.25
 """Standard deviation of the colours of cut faces, roughly; codes of a latent space have 1."""
 
-# Step of the noise-prediction form in units of sigma^2: the gradient of eq. 5 with w(t) = sigma_t is
-# sigma (eps_theta - eps), and a full step of it lands on the denoised picture.
-NOISE_STEP = 0.5
-
-Form = Literal["noise", "x0"]
-
 
 def distill(
     label: NDArray[np.float32],  # [H, W, 3]
     prior: Denoises,
     condition: Condition,
     rng: np.random.Generator,
-    form: Form = "x0",
     refine: bool = False,
+    step: float = 1.0,
 ) -> NDArray[np.float32]:
     """(H, W, 3). The label moved to where the prior finds it likely; range [0, 1], unchanged outside the silhouette.
 
-    `noise` walks down the gradient of eq. 5, w(t) (eps_theta(I + sigma_t eps) - eps), the denoiser's Jacobian left
-    out as usual. `x0` takes the denoised picture I + sigma_t (eps - eps_theta) itself as the next label, which is
-    the same walk with the longest stable step.
+    Each step walks down the gradient of eq. 5 with w(t) = sigma_t, sigma_t (eps_theta(I + sigma_t eps) - eps), the
+    denoiser's Jacobian left out as usual. `step` is in units of sigma^2: with 1, the longest stable one, it lands on
+    the denoised picture I + sigma_t (eps - eps_theta) itself.
     """
     assert label.ndim == 3 and label.shape[2] == 3, label.shape
     steps = REFINE_STEPS if refine else FIRST_STEPS
     latent = isinstance(prior, Encodes)
     first = FIRST_CODE_SIGMAS if latent else FIRST_SIGMAS
     sigmas = np.geomspace(*(REFINE_SIGMAS if refine else first), steps) * (1.0 if latent else COLOUR_SPREAD)
-    step = 1.0 if form == "x0" else NOISE_STEP
     inside = condition.inside[..., None]
     current = prior.encode(label) if isinstance(prior, Encodes) else label.astype(np.float32)
     known, free = current, touched(condition.inside, current.shape[:2])[..., None] if latent else inside

@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-__all__ = ["Smoothing", "smooth"]
+__all__ = ["smooth"]
 
 Float = NDArray[np.float32]
-
-Smoothing = Callable[[Float, Float, Float, NDArray[np.bool_]], Float]
-"""What `smooth` does, or an evaluation in its place."""
 
 # Trained neighbours that are averaged. The paper averages a voxel's; the nearest few are the same thing without
 # voxel borders, across which neighbours would not see each other.

@@ -17,7 +17,7 @@ from engine.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from engine.sh import C0
 from engine.surface_fit import SurfaceView
 from training.losses import reconstruction
-from training.smoothing import Smoothing, smooth
+from training.smoothing import smooth
 from training.views import BACKGROUND, Section
 
 __all__ = ["Losses", "Trainer"]
@@ -71,9 +71,7 @@ class Trainer:
         sections: Sequence[Section],
         surfaces: Sequence[SurfaceView],
         seed: int,
-        smoothing: Smoothing = smooth,
     ) -> None:
-        self.smoothing = smoothing
         self.atoms = atoms
         self.sections = sections
         self.surfaces = surfaces
@@ -167,7 +165,7 @@ class Trainer:
 
     def smooth(self) -> None:
         """Voxel smoothing of the atoms that no section shows; trained ones stay as they are."""
-        smoothed = self.smoothing(self.atoms.interior.means, self.initial, self.rgb.numpy(), self.trained)
+        smoothed = smooth(self.atoms.interior.means, self.initial, self.rgb.numpy(), self.trained)
         self.rgb = torch.from_numpy(np.clip(smoothed, 0, 1))
 
     def render(self, section: Section) -> NDArray[np.float32]:

@@ -23,31 +23,35 @@ from engine import classic, sh
 from engine.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from engine.body import Body
 from engine.camera import Camera, on_plane
-from engine.fill import fill
+from engine.fill import Colours, fill
 from engine.kernel_field import KernelField
 from engine.opaque import render
 from engine.plane import Plane
-from engine.surface_fit import surface_views
+from engine.surface_fit import SurfaceView, surface_views
 from engine.trained import Meta, load_trained, save_trained
 from engine.view_weights import ViewWeights
 from sample_scenes.solids import Solid
 from training.checkpoint import Checkpoint
 from training.evaluate.cuts import Cut
+from training.evaluate.patch_denoiser import PatchDenoiser
 from training.evaluate.scenes import Subject, Tuned
 from training.events import Reporter
 from training.families import Family
 from training.labels import make_prior
 from training.outcome import surface_psnr
-from training.prior import Condition, Denoises, Progress, Volume
+from training.prior import Denoises, Progress, Volume
 from training.request import Geometry, Request
-from training.run import Parts, prepare, refitted, run
+from training.run import Pipeline, prepare, refitted
 from training.sds import distill
 from training.trainer import Trainer
-from training.views import BACKGROUND, ENTRIES, Extent, conditioned, surface_cameras
+from training.views import BACKGROUND, ENTRIES, Extent, Section, Slice, conditioned, surface_cameras
 
-__all__ = ["METHODS", "Made", "Method", "unsmoothed"]
+__all__ = ["METHODS", "Made", "Method", "UnsmoothedTrainer"]
 
 Float = NDArray[np.float32]
+
+NOISE_STEP = 0.5
+"""Step of the noise-prediction form in units of sigma^2: a full one lands on the denoised picture."""
 
 WIDER = 4
 """Times the scale cap, where there is none to speak of: then the least atom is larger than a seed."""
@@ -77,9 +81,9 @@ class Method:
     """Whether it may be best; not the bounds."""
 
 
-def trained(subject: Subject, request: Tuned, out: Path, parts: Parts) -> Made:
-    """A run of the main job with some of its parts swapped."""
-    path = run(request, out, Reporter(), True, lambda: False, parts)
+def trained(request: Tuned, out: Path, pipeline: type[Pipeline] = Pipeline) -> Made:
+    """A run of the main job, some of its steps swapped."""
+    path = pipeline(request, out, Reporter(), lambda: False).run(resume=True)
     atoms, _ = load_trained(path)
     report = json.loads((out / "report.json").read_text(encoding="utf-8"))
     facts = {key: report[key] for key in ("surface_psnr_db", "iterations", "refinement_rounds", "ended")}
@@ -100,73 +104,81 @@ def faces(atoms: Atoms) -> Callable[[int, Cut], Float]:
 
 def ours(subject: Subject, request: Tuned, out: Path) -> Made:
     """The main job."""
-    return trained(subject, request, out, Parts())
+    return trained(request, out)
 
 
-def without_refinement(subject: Subject, request: Tuned, out: Path) -> Made:
+class WithoutRefinement(Pipeline):
     """Labels stay what they were."""
-    return trained(subject, request, out, Parts(refines=False))
+
+    refines = False
 
 
-def evenly(
-    body: Body, pitch: float, seed: int, surface: SurfaceAtoms, colours: Callable[[NDArray[np.floating]], Float]
-) -> InteriorAtoms:
-    """One atom for every cell of the finest lattice, whatever the colours."""
-    interior = fill(body, pitch, seed, surface)
-    return replace(interior, rgb=colours(interior.means).astype(np.float32))
-
-
-def uniform(subject: Subject, request: Tuned, out: Path) -> Made:
+class Uniform(Pipeline):
     """Atoms as fine everywhere as ours are where the colours vary."""
-    return trained(subject, request, out, Parts(fill=evenly))
+
+    def fill(self, geometry: Geometry, pitch: float, colours: Colours) -> InteriorAtoms:
+        """One atom for every cell of the finest lattice, whatever the colours."""
+        interior = fill(geometry.body, pitch, self.request.seed, geometry.skin)
+        return replace(interior, rgb=colours(interior.means).astype(np.float32))
 
 
-def unsmoothed(means: Float, initial: Float, current: Float, trained: NDArray[np.bool_]) -> Float:
+class UnsmoothedTrainer(Trainer):
     """What no view shows keeps the colours that it started with."""
-    return current
+
+    def smooth(self) -> None:
+        """Nothing."""
 
 
-def without_smoothing(subject: Subject, request: Tuned, out: Path) -> Made:
+class WithoutSmoothing(Pipeline):
     """No voxel smoothing."""
-    return trained(subject, request, out, Parts(smoothing=unsmoothed))
+
+    def smooth(self, geometry: Geometry, interior: InteriorAtoms, rgb: Float, shown: NDArray[np.bool_]) -> Float:
+        """Nothing."""
+        return rgb
+
+    def trainer(self, atoms: Atoms, faces: Sequence[Section], surfaces: Sequence[SurfaceView]) -> Trainer:
+        """One that does not smooth."""
+        return UnsmoothedTrainer(atoms, faces, surfaces, self.request.seed)
 
 
 class PlaneByPlane:
     """The same prior where it may look at one plane at a time only."""
 
     def __init__(self, prior: Denoises) -> None:
-        self.prior = prior
-
-    def denoise(self, noisy: Float, sigma: float, condition: Condition, rng: np.random.Generator) -> Float:
-        """As the prior."""
-        return self.prior.denoise(noisy, sigma, condition, rng)
+        self.denoise = prior.denoise
 
 
-def plane_by_plane(request: Request) -> PlaneByPlane:
-    """The request's own prior, plane by plane."""
-    prior = make_prior(request)
+def denoiser(request: Request) -> Denoises:
+    """The request's own prior, or the patches of its pictures, as one that draws plane by plane."""
+    prior = PatchDenoiser() if request.prior == "exemplar" else make_prior(request)
     assert isinstance(prior, Denoises), prior
-    return PlaneByPlane(prior)
+    return prior
 
 
-def independent(subject: Subject, request: Tuned, out: Path) -> Made:
-    """A label for each plane by itself, once."""
-    return trained(subject, request, out, Parts(plane_by_plane, refines=False))
-
-
-def independent_by_noise(subject: Subject, request: Tuned, out: Path) -> Made:
-    """A label for each plane by itself, down the gradient of the paper's eq. 5."""
-    return trained(subject, request, out, Parts(plane_by_plane, refines=False, form="noise"))
-
-
-def looped(subject: Subject, request: Tuned, out: Path) -> Made:
+class Looped(Pipeline):
     """A label for each plane by itself, refined from what the atoms show: the paper's own loop."""
-    return trained(subject, request, out, Parts(plane_by_plane))
+
+    def prior(self) -> Denoises:
+        """The request's own, plane by plane."""
+        return denoiser(self.request)
 
 
-def looped_without_smoothing(subject: Subject, request: Tuned, out: Path) -> Made:
+class LoopedWithoutSmoothing(Looped, WithoutSmoothing):
     """The paper's loop without voxel smoothing."""
-    return trained(subject, request, out, Parts(plane_by_plane, smoothing=unsmoothed))
+
+
+class Independent(Looped):
+    """A label for each plane by itself, once."""
+
+    refines = False
+
+
+class IndependentByNoise(Independent):
+    """A label for each plane by itself, down the gradient of the paper's eq. 5."""
+
+    def first_label(self, start: Float, prior: Denoises, cut: Slice, rng: np.random.Generator) -> Float:
+        """In steps of half the length."""
+        return distill(start, prior, cut.condition, rng, step=NOISE_STEP)
 
 
 @dataclass(frozen=True)
@@ -204,14 +216,19 @@ class Oracle:
 
 def oracle(subject: Subject, request: Tuned, out: Path) -> Made:
     """True slices as labels."""
-    return trained(subject, request, out, Parts(lambda _: Oracle(subject.solid)))
+
+    class Told(Pipeline):
+        def prior(self) -> Oracle:
+            return Oracle(subject.solid)
+
+    return trained(request, out, Told)
 
 
 def without_clipping(subject: Subject, request: Tuned, out: Path) -> Made:
     """Everything alike on atoms with a cap so wide that nothing of the capture reaches it."""
     numbers = request.numbers
     wide = replace(numbers, cells=max(8, numbers.cells // WIDER), fine=max(8, numbers.fine // WIDER))
-    return trained(subject, replace(request, numbers=wide), out, Parts())
+    return trained(replace(request, numbers=wide), out)
 
 
 @dataclass(frozen=True)
@@ -258,9 +275,17 @@ class Translucent(Trainer):
         ]
 
 
+class WithoutOpacification(Pipeline):
+    """Atoms that let light through in training."""
+
+    def trainer(self, atoms: Atoms, faces: Sequence[Section], surfaces: Sequence[SurfaceView]) -> Trainer:
+        """One whose cut faces 3DGS blends."""
+        return Translucent(atoms, faces, surfaces, self.request.seed)
+
+
 def without_opacification(subject: Subject, request: Tuned, out: Path) -> Made:
     """Atoms that let light through, in training and in the pictures."""
-    made = trained(subject, request, out, Parts(trainer=Translucent))
+    made = trained(request, out, WithoutOpacification)
     field = KernelField(made.atoms)
     sh_, rgb = (torch.from_numpy(a) for a in (made.atoms.surface.sh, made.atoms.interior.rgb))
 
@@ -273,26 +298,24 @@ def without_opacification(subject: Subject, request: Tuned, out: Path) -> Made:
     return replace(made, show=show)
 
 
-def hollow(request: Tuned, out: Path) -> tuple[Geometry, dict[str, Any]]:
+def hollow(request: Tuned, out: Path) -> tuple[Geometry, Atoms, dict[str, Any]]:
     """The filled solid with its skin fitted, before anybody paints the inside."""
-    reporter, fineness = Reporter(), request.fineness
-    geometry, _ = prepare(request, reporter, lambda: None)
+    fineness = request.fineness
+    geometry, _ = prepare(request, Reporter(), lambda: None)
+    atoms = geometry.filled(fill(geometry.body, geometry.pitch, request.seed, geometry.skin))
     cameras = surface_cameras(geometry.body, geometry.up, fineness.surface_views, fineness.surface)
-    views = surface_views(geometry.atoms, geometry.gaussians, cameras, ENTRIES)
-    atoms, _ = refitted(geometry.atoms, views, Checkpoint(out / "checkpoint", request.fingerprint()), lambda _: None)
-    geometry = replace(geometry, atoms=atoms)
-    facts = {"surface_psnr_db": surface_psnr(geometry, atoms)[1], "iterations": 0, "refinement_rounds": 0}
-    return geometry, facts
+    views = surface_views(atoms, geometry.gaussians, cameras, ENTRIES)
+    atoms, _ = refitted(atoms, views, Checkpoint(out / "checkpoint", request.fingerprint()), lambda _: None)
+    return geometry, atoms, {"surface_psnr_db": surface_psnr(geometry, atoms), "iterations": 0, "refinement_rounds": 0}
 
 
-def nearest_surface(geometry: Geometry, request: Tuned) -> Atoms:
+def nearest_surface(geometry: Geometry, surface: SurfaceAtoms, request: Tuned) -> Atoms:
     """The PhysGaussian rule: every interior atom takes the colour of the nearest surface atom; filled as ours is."""
-    surface = geometry.atoms.surface
     rgb = np.clip(sh.sh_to_rgb(surface.sh[:, 0]), 0, 1).astype(np.float32)
     tree = cKDTree(surface.means)
-    finest = geometry.atoms.pitch * request.numbers.cells / request.numbers.fine
+    finest = geometry.pitch * request.numbers.cells / request.numbers.fine
     interior = fill(geometry.body, finest, request.seed, surface, lambda points: rgb[tree.query(points)[1]])
-    return replace(geometry.atoms, interior=interior)
+    return Atoms(surface, interior, geometry.pitch)
 
 
 def saved(geometry: Geometry, atoms: Atoms, request: Tuned, out: Path) -> Path:
@@ -305,16 +328,15 @@ def saved(geometry: Geometry, atoms: Atoms, request: Tuned, out: Path) -> Path:
 
 def physgaussian(subject: Subject, request: Tuned, out: Path) -> Made:
     """The nearest surface colour."""
-    geometry, facts = hollow(request, out)
-    atoms = nearest_surface(geometry, request)
+    geometry, bare, facts = hollow(request, out)
+    atoms = nearest_surface(geometry, bare.surface, request)
     return Made(atoms, saved(geometry, atoms, request, out), facts, faces(atoms))
 
 
 def inpainting(subject: Subject, request: Tuned, out: Path) -> Made:
     """Every cut drawn when it is made, by the prior, from nothing."""
-    geometry, facts = hollow(request, out)
-    prior = make_prior(request)
-    assert isinstance(prior, Denoises), prior
+    geometry, atoms, facts = hollow(request, out)
+    prior = denoiser(request)
     size, extent = request.fineness.label, Extent.of(geometry.body, geometry.up)
 
     def show(number: int, cut: Cut) -> Float:
@@ -326,7 +348,7 @@ def inpainting(subject: Subject, request: Tuned, out: Path) -> Made:
         zoom = cut.camera.width / size
         return np.clip(ndimage.zoom(label, (zoom, zoom, 1), order=1, mode="nearest", grid_mode=True), 0, 1)
 
-    return Made(geometry.atoms, saved(geometry, geometry.atoms, request, out), facts, show)
+    return Made(atoms, saved(geometry, atoms, request, out), facts, show)
 
 
 def nearest_family(plane: Plane, families: Sequence[Family], geometry: Geometry) -> Family:
@@ -341,18 +363,27 @@ def nearest_family(plane: Plane, families: Sequence[Family], geometry: Geometry)
     return max(families, key=likeness)
 
 
+def swapped(pipeline: type[Pipeline]) -> Callable[[Subject, Tuned, Path], Made]:
+    """A method that is the main job with some of its steps swapped."""
+    return lambda subject, request, out: trained(request, out, pipeline)
+
+
 METHODS: dict[str, Method] = {
     "ours": Method("Ours", "The product, as fruitninja-train runs it.", ours),
     "physgaussian": Method("PhysGaussian", "Every interior atom takes the nearest surface colour.", physgaussian),
     "inpainting": Method("2D inpainting", "The prior draws each cut by itself when it is made.", inpainting),
-    "independent": Method("Independent labels", "A label per plane, no volume, no loop.", independent),
-    "independent_sds": Method("Independent, SDS", "A label per plane by the paper's eq. 5.", independent_by_noise),
-    "looped": Method("Labels in a loop", "A label per plane, refined from the render: the paper's loop.", looped),
+    "independent": Method("Independent labels", "A label per plane, no volume, no loop.", swapped(Independent)),
+    "independent_sds": Method(
+        "Independent, SDS", "A label per plane by the paper's eq. 5.", swapped(IndependentByNoise)
+    ),
+    "looped": Method(
+        "Labels in a loop", "A label per plane, refined from the render: the paper's loop.", swapped(Looped)
+    ),
     "no_clipping": Method("No atomic clipping", f"A scale cap {WIDER} times wider.", without_clipping),
     "no_opacity": Method("No opacification", "Opacities drawn evenly from 0 to 1.", without_opacification),
-    "no_smoothing": Method("No smoothing", "Atoms that no view shows keep their start.", without_smoothing),
-    "looped_no_smoothing": Method("Loop, no smoothing", "The loop without smoothing.", looped_without_smoothing),
-    "no_refinement": Method("No refinement", "Labels stay what they were.", without_refinement),
-    "uniform": Method("Uniform fill", "The finest atoms everywhere.", uniform, rival=False),
+    "no_smoothing": Method("No smoothing", "Atoms that no view shows keep their start.", swapped(WithoutSmoothing)),
+    "looped_no_smoothing": Method("Loop, no smoothing", "The loop without smoothing.", swapped(LoopedWithoutSmoothing)),
+    "no_refinement": Method("No refinement", "Labels stay what they were.", swapped(WithoutRefinement)),
+    "uniform": Method("Uniform fill", "The finest atoms everywhere.", swapped(Uniform), rival=False),
     "oracle": Method("Oracle labels", "True slices as labels: the 3-D part alone.", oracle, rival=False),
 }

@@ -1,4 +1,4 @@
-"""The closed-form patch denoiser: what a picture made of the exemplars' patches most likely was under its noise.
+"""A prior for comparisons, plane by plane: what a picture made of the exemplars' patches most likely was under noise.
 
 Kamb and Ganguli's observation turned round: a denoiser that sees 7x7 pixels and knows only the exemplars is a softmax
 over their patches. Gated by where in the body a pixel lies (DESIGN section 5.1, step 2).
@@ -12,12 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from engine.errors import InputError
 from training.exemplar.frames import HEIGHT_CELLS, RADIUS_CELLS, Frame, depth_gate, scaled_sheet
 from training.exemplar.patches import FIXED, OVER, PATCH, POLAR, RADIAL, posterior, read_patches
-from training.exemplar.pictures import Picture
+from training.exemplar.pictures import Picture, read_picture
+from training.families import Family
 from training.prior import Condition
 
-__all__ = ["Patches", "denoised", "pixels_per_radius", "prepare"]
+__all__ = ["PatchDenoiser"]
 
 COEFFICIENTS = 24
 """PCA coefficients that are compared; over 95 % of the variance of photographs' patches."""
@@ -30,6 +32,37 @@ FEWEST = 100
 
 SHARPEST = 0.04
 """Least noise assumed, in colour units: the exemplars are samples of the fruit and not all of it."""
+
+
+class PatchDenoiser:
+    """Knows the pictures of a family by their patches."""
+
+    def __init__(self) -> None:
+        self._patches: dict[tuple[Family, int], Patches] = {}
+
+    def denoise(
+        self,
+        noisy: NDArray[np.float32],  # [H, W, 3]
+        sigma: float,
+        condition: Condition,
+        rng: np.random.Generator,
+    ) -> NDArray[np.float32]:
+        """(H, W, 3). The noise in `noisy` in units of one: what its posterior mean over the exemplar patches leaves.
+
+        Draws nothing from `rng`. Raises InputError where the family has no picture, or one shows no cut face.
+        """
+        family = condition.family
+        if not family.exemplars:
+            raise InputError(f"family '{family.kind}': no exemplar pictures; give it a photograph of a cut face")
+        radius = pixels_per_radius(condition)
+        # Pictures of one size share their patches: two per cent of scale is less than a photograph is sure of.
+        step = round(np.log(radius) / 0.02)
+        key = (family, step)
+        if key not in self._patches:
+            kind = {"horizontal": POLAR, "radial": RADIAL}.get(family.kind, FIXED)
+            pictures = [read_picture(p, family.kind) for p in family.exemplars]
+            self._patches[key] = prepare(pictures, kind, float(np.exp(0.02 * step)), _inradius(condition))
+        return (noisy - denoised(noisy, sigma, condition, self._patches[key])) / max(sigma, 1e-6)
 
 
 @dataclass(frozen=True)
@@ -157,3 +190,11 @@ def _directions(condition: Condition, kind: Frame) -> NDArray[np.float32]:
     sign = np.sign(np.median((-gy * tx + gx * ty)[condition.inside])) or 1.0
     out[..., 0], out[..., 1], out[..., 2], out[..., 3] = gx, gy, -gy * sign, gx * sign
     return out
+
+
+def _inradius(condition: Condition) -> float:
+    """Inradius of the body in pixels of the condition's pictures, by how fast the depth grows away from the edge."""
+    gy, gx = np.gradient(condition.under_skin)
+    slope = np.hypot(gx, gy)[condition.inside]
+    steepest = float(np.quantile(slope, 0.9)) if len(slope) else 0.0
+    return 1 / max(steepest, 1e-3)
