@@ -24,6 +24,7 @@ __all__ = [
     "blend",
     "blend_backward",
     "resolve",
+    "start_tile",
 ]
 
 BLOCK = 2 * SIDE
@@ -113,7 +114,7 @@ def blend(  # type: ignore[no-untyped-def]
         ty = tile // tiles_x
         tx = tile - ty * tiles_x
         if tile_lasts[tile] == UNTOUCHED:
-            _start(states[tile], lasts[tile], tx * SIDE, ty * SIDE, width, height)
+            start_tile(states[tile], lasts[tile], tx * SIDE, ty * SIDE, width, height)
         left, top = number(tx * SIDE), number(ty * SIDE)
         open_blocks = (1 << BLOCKS) - 1
         end = tile_starts[tile + 1]
@@ -138,7 +139,7 @@ def blend(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _start(states, lasts, left, top, width, height):  # type: ignore[no-untyped-def]
+def start_tile(states, lasts, left, top, width, height):  # type: ignore[no-untyped-def]
     """The empty pixels of a tile; those outside of the picture count as finished."""
     states[:] = 0
     lasts[:] = -1

@@ -1,0 +1,197 @@
+"""What is written by hand against the plain form or the library: it keeps its place only while this says so.
+
+Three rows: the distance transform against SciPy's, the threads against the standard library's pool on the short loops
+of a frame, and the vector lanes of the classic renderer against plain loops. Both sides of a row run in turns; figures
+are medians of processor time over cores, which a loaded machine disturbs least, and of the wall's. Writes
+docs/charts/by_hand.json and .png.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+import matplotlib as mpl
+import numpy as np
+from numba import njit
+from scipy import ndimage
+
+from benchmarks.cpu_renderer import scene, view
+from engine import classic
+from engine.cpu.blend import BLOCK, MIN_TRANSMITTANCE, UNTOUCHED, start_tile
+from engine.cpu.tiles import BLOCKS, SIDE, TAIL_BITS
+from engine.distance import nearest
+from engine.files import atomic
+from engine.formula import MAX_ALPHA
+from engine.threads import cores, for_each
+
+mpl.use("Agg")
+from matplotlib import pyplot as plt
+
+FOLDER = Path(__file__).parents[1] / "docs/charts"
+
+LOOPS, TASKS = 12, 16
+"""Loops of a frame, and the tasks of each."""
+
+WORK = 4000
+"""Steps of a task: some twenty microseconds."""
+
+
+@njit(cache=True, nogil=True)
+def spend(task: int, out: np.ndarray) -> None:
+    """A short task."""
+    total = 0.0
+    for k in range(WORK):
+        total += (k * 7919 + task) % 13
+    out[task] = total
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def plain_blend(  # type: ignore[no-untyped-def]
+    task, tiles_per_task, tiles, tile_starts, pair_codes, records, states, lasts, tile_lasts, open_tiles, width, height
+):
+    """`engine.cpu.blend.blend` pixel by pixel, as one would write it first."""
+    tiles_x = open_tiles.shape[1]
+    for index in range(task * tiles_per_task, min((task + 1) * tiles_per_task, len(tiles))):
+        tile = tiles[index]
+        ty, tx = tile // tiles_x, tile % tiles_x
+        if tile_lasts[tile] == UNTOUCHED:
+            start_tile(states[tile], lasts[tile], tx * SIDE, ty * SIDE, width, height)
+        alive = 0
+        for block in range(BLOCKS):
+            s = states[tile, block]
+            for i in range(BLOCK):
+                x, y = tx * SIDE + i % SIDE + 0.5, ty * SIDE + 2 * block + i // SIDE + 0.5
+                left = s[i]
+                for at in range(tile_starts[tile], tile_starts[tile + 1]):
+                    if left <= 0:
+                        break
+                    if not (pair_codes[at] >> block) & 1:
+                        continue
+                    slot = pair_codes[at] >> BLOCKS
+                    r = records[slot]
+                    m = r[4] * ((x - r[0]) - r[1])
+                    n = r[5] * ((x - r[0]) - r[1]) + r[6] * ((y - r[2]) - r[3])
+                    power = r[7] - m * m - n * n
+                    if power < -TAIL_BITS:
+                        continue
+                    alpha = min(2.0**power, MAX_ALPHA)
+                    after = left * (1 - alpha)
+                    if after < MIN_TRANSMITTANCE:
+                        left = -left
+                        break
+                    w = alpha * left
+                    for c in range(3):
+                        s[(1 + c) * BLOCK + i] += w * r[8 + c]
+                    s[4 * BLOCK + i] += w * r[11]
+                    lasts[tile, block, i] = slot
+                    left = after
+                s[i] = left
+                alive += left > 0
+        if not alive:
+            open_tiles[ty, tx] = 0
+        tile_lasts[tile] = lasts[tile].max()
+
+
+def in_turns(ours: Callable[[], Any], other: Callable[[], Any], rounds: int) -> dict[str, dict[str, float]]:
+    """Milliseconds of both, medians of wall and busy time."""
+    spent: dict[str, list[tuple[float, float]]] = {"ours": [], "other": []}
+    for run in (ours, other):
+        run()  # compiled, and the data in the cache
+    for _ in range(rounds):
+        for name, run in (("ours", ours), ("other", other)):
+            wall, busy = time.perf_counter(), time.process_time()
+            run()
+            spent[name].append((time.perf_counter() - wall, (time.process_time() - busy) / cores()))
+    medians = {name: np.median(np.array(times), axis=0) * 1e3 for name, times in spent.items()}
+    return {name: {"wall_ms": round(float(w), 3), "busy_ms": round(float(b), 3)} for name, (w, b) in medians.items()}
+
+
+def distance_row(cells: int, rounds: int) -> dict[str, Any]:
+    """Distance and nearest cell to a shell, as the body is found with."""
+    axis = np.linspace(-1.1, 1.1, cells)
+    radius = np.linalg.norm(np.stack(np.meshgrid(axis, axis, axis, indexing="ij")), axis=0)
+    shell = np.abs(radius - 0.9) < 1.5 * 2.2 / cells
+
+    def scipy() -> None:
+        ndimage.distance_transform_edt(~shell, return_distances=True, return_indices=True)
+
+    return in_turns(lambda: nearest(shell), scipy, rounds)
+
+
+def thread_row(rounds: int) -> dict[str, Any]:
+    """A frame's worth of short loops."""
+    out = np.zeros(TASKS)
+    with ThreadPoolExecutor(cores()) as pool:
+
+        def library() -> None:
+            for _ in range(LOOPS):
+                list(pool.map(spend, range(TASKS), [out] * TASKS))
+
+        def ours() -> None:
+            for _ in range(LOOPS):
+                for_each(spend, TASKS, out)
+
+        return in_turns(ours, library, rounds)
+
+
+def lane_row(count: int, size: int, rounds: int) -> dict[str, Any]:
+    """Compositing of one picture, all else the same."""
+    means, scales, quats, opacities, colours = scene(count)
+    camera = view(size)
+
+    def draw() -> None:
+        classic.rasterize(means, scales, quats, opacities, colours, camera)
+
+    def plain() -> None:
+        with mock.patch.object(classic, "blend", plain_blend):
+            draw()
+
+    return in_turns(draw, plain, rounds)
+
+
+def chart(rows: dict[str, dict[str, Any]], path: Path) -> None:
+    """A bar for each row: how many times longer the other way takes."""
+    names = list(rows)
+    ratios = [rows[name]["other"]["wall_ms"] / rows[name]["ours"]["wall_ms"] for name in names]
+    figure, axes = plt.subplots(figsize=(8, 0.7 * len(names) + 1.2), layout="constrained")
+    axes.barh(names[::-1], ratios[::-1], color="#FF6B4A", height=0.55)
+    axes.axvline(1.0, color="#303337", linewidth=1)
+    for place, (name, ratio) in enumerate(zip(names[::-1], ratios[::-1], strict=True)):
+        ours, other = rows[name]["ours"]["wall_ms"], rows[name]["other"]["wall_ms"]
+        axes.text(ratio, place, f"  {ratio:.1f}x  ({ours:.2f} against {other:.2f} ms)", va="center", fontsize=9)
+    axes.set(xlim=(0, 1.6 * max(ratios)), xlabel="times longer by the plain form or the library")
+    axes.spines[["top", "right"]].set_visible(False)
+    with atomic(path) as temporary:
+        figure.savefig(temporary, format="png", dpi=110)
+    plt.close(figure)
+
+
+def main() -> None:
+    """Measures all rows and writes them."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help="few rounds on small inputs; nothing is written")
+    quick = parser.parse_args().quick
+    rounds = 3 if quick else 15
+    rows = {
+        "distance transform, 128^3 (SciPy)": distance_row(64 if quick else 128, rounds),
+        "distance transform, 192^3 (SciPy)": distance_row(64 if quick else 192, rounds),
+        f"{LOOPS} short loops (ThreadPoolExecutor)": thread_row(20 * rounds),
+        "classic, 20 k, 512^2 (plain loops)": lane_row(20_000, 256 if quick else 512, rounds),
+    }
+    for name, row in rows.items():
+        print(f"{name}: {row}")
+    if not quick:
+        with atomic(FOLDER / "by_hand.json") as temporary:
+            temporary.write_text(json.dumps({"cores": cores(), "rows": rows}, indent=1) + "\n", encoding="utf-8")
+        chart(rows, FOLDER / "by_hand.png")
+
+
+if __name__ == "__main__":
+    main()
