@@ -85,7 +85,7 @@ def run_command(
             sys.stdout.flush()
     except OSError as error:  # what was printed did not get there
         _let_go(sys.stdout)
-        if not status:
+        if status in (0, FAILED):
             status, line = FAILED, f"standard output: cannot be written ({reason(error)})"
     if line and sys.stderr is not None:
         try:
