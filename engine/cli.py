@@ -13,7 +13,7 @@ from PIL import Image
 
 from engine.atoms import Atoms
 from engine.camera import Camera, equator, fit_distance, orbit
-from engine.command import run_command
+from engine.command import run_command, tell
 from engine.errors import InputError
 from engine.files import atomic
 from engine.gl import GLMissing, Renderer
@@ -60,7 +60,7 @@ def render_command(
     image = Image.fromarray((np.clip(picture.rgb, 0, 1) * 255 + 0.5).astype(np.uint8))
     with atomic(out) as temporary:
         image.save(temporary, format="PNG")
-    print(f"{out} ({width}x{height}, drawn by {who})")
+    tell(f"{out} ({width}x{height}, drawn by {who})")
 
 
 def draw(atoms: Atoms, camera: Camera, planes: tuple[Plane, ...]) -> tuple[Picture, str]:

@@ -14,7 +14,7 @@ import typer
 from engine.errors import InputError, one_line
 from engine.files import reason
 
-__all__ = ["FAILED", "REFUSED", "Stop", "Stopped", "run_command"]
+__all__ = ["FAILED", "REFUSED", "Stop", "Stopped", "run_command", "tell"]
 
 FAILED, REFUSED, SIGNALLED = 1, 2, 128
 """Exit status where a part of the work or the machine failed, where the input is bad or its result cannot be written,
@@ -52,6 +52,14 @@ class Stop:
         self.number = number
 
 
+def tell(text: str) -> None:
+    """Prints what a command has to say when all went well. Raises InputError where that cannot be written."""
+    try:
+        print(text, flush=True)
+    except OSError as error:
+        raise InputError(f"standard output: cannot be written ({reason(error)})") from error
+
+
 def run_command(
     name: str,
     command: Callable[..., None],
@@ -85,8 +93,8 @@ def run_command(
             sys.stdout.flush()
     except OSError as error:  # what was printed did not get there
         _let_go(sys.stdout)
-        if status in (0, FAILED):
-            status, line = FAILED, f"standard output: cannot be written ({reason(error)})"
+        if not status:
+            status, line = REFUSED, f"standard output: cannot be written ({reason(error)})"
     if line and sys.stderr is not None:
         try:
             print(f"{name}: {one_line(line)}", file=sys.stderr, flush=True)

@@ -11,7 +11,7 @@ from typing import Annotated, cast, get_args
 import numpy as np
 import typer
 
-from engine.command import Stop, Stopped, run_command
+from engine.command import Stop, Stopped, run_command, tell
 from engine.errors import InputError
 from engine.files import claimed
 from engine.plane import Plane
@@ -98,7 +98,7 @@ def train(
             said = f"stopped; go on with the same command and --resume ({interrupted})"
             raise Stopped(stop.number, said) from interrupted
     if events != "-":
-        print(f"{result}\n{out / 'cuts.png'}\n{out / 'report.json'}")
+        tell(f"{result}\n{out / 'cuts.png'}\n{out / 'report.json'}")
 
 
 def finetune(
@@ -138,7 +138,7 @@ def finetune(
             )
         reporter.emit("done", model=out)
     if events != "-":
-        print(out)
+        tell(str(out))
 
 
 def parse_axis(text: str, option: str) -> tuple[float, float, float]:

@@ -13,7 +13,7 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
-from engine.command import FAILED, REFUSED, Stop, Stopped, run_command
+from engine.command import FAILED, REFUSED, Stop, Stopped, run_command, tell
 from engine.errors import InputError
 from engine.files import atomic, claimed
 from training.batch.grid import Outcome, run_grid
@@ -67,7 +67,7 @@ def batch(
     for outcome in outcomes:
         if outcome.status == "failed":
             print(f"fruitninja-batch: {outcome.task.name}: {outcome.error}", file=sys.stderr)
-    print(out / "batch.json")
+    tell(str(out / "batch.json"))
     if any(outcome.status == "stopped" for outcome in outcomes):
         raise Stopped(stop.number, "stopped; the same command goes on")
     if any(outcome.status == "failed" for outcome in outcomes):

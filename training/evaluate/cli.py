@@ -8,7 +8,7 @@ from typing import Annotated, cast, get_args
 
 import typer
 
-from engine.command import FAILED, run_command
+from engine.command import FAILED, run_command, tell
 from engine.errors import InputError
 from engine.files import claimed, sweep
 from training.evaluate.grid import Cell, cells, perform_all, perform_on
@@ -50,7 +50,7 @@ def evaluate(
         sweep(out)
         failed = perform_all(grid, told) if scheduler is None else perform_on(scheduler, grid, told)
         page = write_report(grid, failed, out)
-    print(page)
+    tell(str(page))
     if failed:
         raise typer.Exit(FAILED)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import multiprocessing
+import signal
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -97,7 +98,7 @@ def perform_all(grid: Sequence[Cell], told: Callable[[Cell, str], None]) -> dict
         told(cell, "begins")
         with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
             try:
-                with deaf_children():
+                with deaf_children(signal.SIGINT, signal.SIGTERM):
                     done = pool.submit(perform, cell, DETAILS[cell.detail])
                 done.result()
             except InputError as error:
@@ -106,7 +107,7 @@ def perform_all(grid: Sequence[Cell], told: Callable[[Cell, str], None]) -> dict
                 failed[cell] = "its process died (out of memory, or killed)"
             except BaseException:  # the user stops: the cell goes on from its checkpoint another time
                 for child in multiprocessing.active_children():
-                    child.terminate()
+                    child.kill()
                 raise
         told(cell, f"failed: {failed[cell]}" if cell in failed else "done")
     return failed
