@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import time
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,7 +13,8 @@ import psutil
 
 from app.project import SUFFIX, Project, load_project, save_project
 from app.settings import state_folder
-from engine.files import atomic
+from engine.errors import InputError
+from engine.files import atomic, remove
 
 __all__ = ["Autosave", "Rescued", "rescued"]
 
@@ -38,8 +40,7 @@ class Rescued:
 
     def discard(self) -> None:
         """Forgets it."""
-        self.file.unlink(missing_ok=True)
-        _note(self.file).unlink(missing_ok=True)
+        _forget(self.file)
 
 
 class Autosave:
@@ -67,16 +68,16 @@ class Autosave:
         named = target or project.document.scene
         note = {"project": None if target is None else str(target), "when": time.time(), **_me()}
         note["name"] = named.stem if named else ""
+        text = json.dumps(note)
         with atomic(_note(self.file)) as temporary:
-            temporary.write_text(json.dumps(note), encoding="utf-8")
+            temporary.write_text(text, encoding="utf-8")
         self.last = project
         return True
 
     def clear(self) -> None:
         """Nothing is unsaved."""
         if self.last is not None:
-            self.file.unlink(missing_ok=True)
-            _note(self.file).unlink(missing_ok=True)
+            _forget(self.file)
             self.last = None
 
 
@@ -93,6 +94,13 @@ def rescued(folder: Path | None = None) -> list[Rescued]:
         except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError):
             continue
     return sorted(found, key=lambda item: -item.when)
+
+
+def _forget(file: Path) -> None:
+    """Removes an autosave; one that the disk keeps is offered once more, which is not worth stopping for."""
+    with suppress(InputError):
+        remove(file)
+        remove(_note(file))
 
 
 def _note(file: Path) -> Path:

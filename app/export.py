@@ -194,8 +194,7 @@ def save_pieces(path: Path, atoms: Atoms, pieces: Sequence[Lying]) -> int:
     joined = Gaussians(
         *(np.concatenate([getattr(p, name) for p in parts]) for name in ("means", "scales", "quats", "opacities", "sh"))
     )
-    with atomic(path) as temporary:
-        write_ply(temporary, joined, ["FruitNinja"])
+    write_ply(path, joined, ["FruitNinja"])
     return len(joined)
 
 

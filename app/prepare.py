@@ -22,6 +22,7 @@ from engine.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from engine.body import Body
 from engine.camera import around
 from engine.errors import InputError
+from engine.files import WRITING, reason
 from engine.gaussians import Gaussians
 from engine.sh import sh_to_rgb
 from engine.trained import load_trained, sidecar_path
@@ -133,7 +134,13 @@ def _arrays(gaussians: Gaussians) -> dict[str, NDArray[Any]]:
 def _send(folder: Path, what: str, arrays: dict[str, NDArray[Any]], facts: dict[str, Any]) -> None:
     # A name of its own each time: the window may still be reading the last one.
     file = folder / f"{what}_{len(list(folder.iterdir()))}.safetensors"
-    save_file({name: np.ascontiguousarray(array) for name, array in arrays.items()}, file)
+    whole = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
+    try:
+        save_file(whole, file)
+    except WRITING as error:
+        raise InputError(
+            f"{folder.parent}: no room in the temporary folder ({reason(error)}); make some, or name another in TMPDIR"
+        ) from error
     _say(ready=what, file=str(file), facts=facts)
 
 

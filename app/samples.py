@@ -10,7 +10,6 @@ import numpy as np
 import app
 from app.document import Document
 from app.settings import state_folder
-from engine.files import atomic
 from engine.gaussians import Gaussians
 from engine.ply import write_ply
 from engine.sh import rgb_to_sh
@@ -66,6 +65,5 @@ def _small_melon(count: int = 16_000) -> Path:
         np.full(count, 0.98, np.float32),
         rgb_to_sh(rgb).astype(np.float32)[:, None],
     )
-    with atomic(path) as temporary:
-        write_ply(temporary, gaussians, ["FruitNinja"])
+    write_ply(path, gaussians, ["FruitNinja"])
     return path

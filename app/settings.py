@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import sys
+from contextlib import suppress
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -93,11 +94,9 @@ def load_settings(path: Path | None = None) -> Settings:
 
 def save_settings(settings: Settings, path: Path | None = None) -> None:
     """Writes them; a disk that is full or read-only is not worth stopping for."""
-    try:
-        with atomic(path or settings_folder() / "settings.json") as temporary:
-            temporary.write_text(json.dumps(asdict(settings), indent=1) + "\n", encoding="utf-8")
-    except (InputError, OSError):
-        pass
+    text = json.dumps(asdict(settings), indent=1) + "\n"
+    with suppress(InputError), atomic(path or settings_folder() / "settings.json") as temporary:
+        temporary.write_text(text, encoding="utf-8")
 
 
 def _like(value: Any, default: Any) -> Any:

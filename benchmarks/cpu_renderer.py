@@ -215,7 +215,6 @@ def main() -> None:
         "peak memory at 500000 Gaussians and 512 pixels, MB": memory,
         "rows": rows,
     }
-    CHARTS.mkdir(parents=True, exist_ok=True)
     with atomic(CHARTS / "cpu_renderer.json") as part:
         part.write_text(json.dumps(report, indent=1) + "\n")
     chart(rows, CHARTS / "cpu_renderer.png")

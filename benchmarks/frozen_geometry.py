@@ -25,6 +25,7 @@ from benchmarks.fronts import front
 from engine import sh
 from engine.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from engine.camera import Camera, orbit, section
+from engine.files import atomic
 from engine.kernel_field import KernelField
 from engine.opaque import render
 from engine.opaque_gradient import AtomTensors, opaque_image
@@ -186,7 +187,8 @@ def chart(rows: list[dict], path: Path) -> None:
         f"Frozen geometry, {most[0]:,} atoms, {most[1]} x {most[1]} pixels, {cores()} cores: "
         "the K largest entries of a pixel, all of them, and the full renderer"
     )
-    figure.savefig(path, dpi=130)
+    with atomic(path) as temporary:
+        figure.savefig(temporary, format="png", dpi=130)
     plt.close(figure)
 
 
@@ -204,8 +206,9 @@ def main() -> None:
             camera = section(CUT, UP, atoms.bounds, size) if kind == "section" else around
             rows.append(measure(atoms, camera, kind, 3 if quick else 7))
             print(json.dumps(rows[-1]), flush=True)
-    FOLDER.mkdir(exist_ok=True)
-    (FOLDER / "frozen_geometry.json").write_text(json.dumps(rows, indent=1) + "\n")
+    text = json.dumps(rows, indent=1) + "\n"
+    with atomic(FOLDER / "frozen_geometry.json") as temporary:
+        temporary.write_text(text)
     chart(rows, FOLDER / "frozen_geometry.png")
 
 

@@ -41,6 +41,7 @@ from benchmarks.fronts import front
 from engine import sh
 from engine.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from engine.camera import Camera, fit_distance, orbit
+from engine.files import atomic
 from engine.gaussians import Gaussians
 from engine.gl import Renderer
 from engine.gl.software import is_software
@@ -328,7 +329,8 @@ def chart(rows: list[dict], figures: dict[str, float], who: str, path: Path) -> 
     for panel in (left, right):
         panel.grid(alpha=0.3)
     figure.suptitle(f"GL frames, 1280 x 720, {who}, {cores()} cores")
-    figure.savefig(path, dpi=130)
+    with atomic(path) as temporary:
+        figure.savefig(temporary, format="png", dpi=130)
 
 
 def is_gpu(who: str) -> bool:
@@ -350,9 +352,10 @@ def main() -> None:
         print(json.dumps(figures), flush=True)
         if shaders is not renderer:
             shaders.release()
-    FOLDER.mkdir(exist_ok=True)
     numbers = {"renderer": who, "cores": cores(), "PSNR": figures, "frames": rows}
-    (FOLDER / "gl_frames.json").write_text(json.dumps(numbers, indent=1) + "\n")
+    text = json.dumps(numbers, indent=1) + "\n"
+    with atomic(FOLDER / "gl_frames.json") as temporary:
+        temporary.write_text(text)
     chart(rows, figures, who, FOLDER / "gl_frames.png")
 
 

@@ -1,1 +1,5 @@
 """Seeing inside captured 3D objects: Gaussians, atoms, cuts, filling and the renderers."""
+
+from engine.kernel_cache import forgive
+
+forgive()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -14,6 +13,7 @@ from PIL import Image
 
 from engine.atoms import Atoms
 from engine.camera import Camera, equator, fit_distance, orbit
+from engine.command import run_command, tell
 from engine.errors import InputError
 from engine.files import atomic
 from engine.gl import GLMissing, Renderer
@@ -57,10 +57,10 @@ def render_command(
     atoms, meta = load_trained(trained)
     view = camera_for(atoms, meta.up, planes, angles, width, height)
     picture, who = draw(atoms, view, planes)
-    pixels = (np.clip(picture.rgb, 0, 1) * 255 + 0.5).astype(np.uint8)
+    image = Image.fromarray((np.clip(picture.rgb, 0, 1) * 255 + 0.5).astype(np.uint8))
     with atomic(out) as temporary:
-        Image.fromarray(pixels).save(temporary, format="PNG")
-    print(f"{out} ({width}x{height}, drawn by {who})")
+        image.save(temporary, format="PNG")
+    tell(f"{out} ({width}x{height}, drawn by {who})")
 
 
 def draw(atoms: Atoms, camera: Camera, planes: tuple[Plane, ...]) -> tuple[Picture, str]:
@@ -140,13 +140,7 @@ def parse_numbers(text: str, count: int, complaint: str) -> list[float]:
 
 def main() -> None:
     """Entry point: one clear line and status 2 for bad input."""
-    app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
-    app.command(epilog=EPILOG)(render_command)
-    try:
-        app()
-    except InputError as error:
-        print(f"fruitninja-render: {error}", file=sys.stderr)
-        sys.exit(2)
+    run_command("fruitninja-render", render_command, epilog=EPILOG)
 
 
 if __name__ == "__main__":

@@ -22,7 +22,7 @@ from engine.gaussians import Gaussians
 from engine.ply_header import Element, Header, read_header
 from engine.splat_rows import COLOUR, GEOMETRY, gaussians_of, logits
 
-__all__ = ["read_ply", "write_ply"]
+__all__ = ["ply_data", "read_ply", "write_ply"]
 
 BLOCK_ROWS = 1 << 14
 """Rows read at once: 4 MB of SH-3 rows, small enough to stay in the cache while the columns are picked out."""
@@ -65,6 +65,13 @@ def write_ply(path: str | Path, gaussians: Gaussians, comments: Sequence[str] = 
     f_rest is channel-major: all red coefficients, then green, then blue. Opacities are kept to [6e-8, 1 - 6e-8], so
     that their logits are finite. Comments become single ASCII lines. Raises InputError where writing fails.
     """
+    data = ply_data(gaussians, comments)
+    with atomic(path) as temporary:
+        data.write(str(temporary))
+
+
+def ply_data(gaussians: Gaussians, comments: Sequence[str] = ()) -> PlyData:
+    """What `write_ply` writes."""
     n, rest = len(gaussians), gaussians.sh[:, 1:].shape[1]
     names = ["x", "y", "z", "nx", "ny", "nz", *COLOUR, *(f"f_rest_{i}" for i in range(3 * rest)), *GEOMETRY[3:]]
     table = np.empty((n, len(names)), np.float32)
@@ -77,12 +84,7 @@ def write_ply(path: str | Path, gaussians: Gaussians, comments: Sequence[str] = 
     table[:, -4:] = gaussians.quats
     rows = table.view(np.dtype([(name, "<f4") for name in names])).reshape(n)
     lines = [" ".join(c.split()).encode("ascii", "backslashreplace").decode("ascii") for c in comments]
-    data = PlyData([PlyElement.describe(rows, "vertex")], text=False, byte_order="<", comments=lines)
-    with atomic(path) as temporary:
-        try:
-            data.write(str(temporary))
-        except OSError as error:
-            raise InputError(f"{path}: cannot be written ({error.strerror})") from error
+    return PlyData([PlyElement.describe(rows, "vertex")], text=False, byte_order="<", comments=lines)
 
 
 def _scene_element(path: Path, header: Header) -> Element:

@@ -18,9 +18,9 @@ import numpy as np
 
 from engine.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from engine.errors import InputError
-from engine.files import atomic, open_file
+from engine.files import atomic_together, open_file
 from engine.gaussians import Gaussians
-from engine.ply import read_ply, write_ply
+from engine.ply import ply_data, read_ply
 from engine.sh import rgb_to_sh, sh_to_rgb
 
 __all__ = ["FORMAT", "Meta", "load_trained", "save_trained", "sidecar_path"]
@@ -56,7 +56,7 @@ def sidecar_path(path: str | Path) -> Path:
 
 
 def save_trained(path: str | Path, atoms: Atoms, meta: Meta) -> None:
-    """Writes `path` and its sidecar. Both are complete on disk before the first takes its place.
+    """Writes `path` and its sidecar, both or neither. Both are complete on disk before the first takes its place.
 
     Surface atoms come first; interior ones are spheres whose SH above degree 0 are zero. Raises InputError where
     writing fails.
@@ -66,8 +66,9 @@ def save_trained(path: str | Path, atoms: Atoms, meta: Meta) -> None:
     broken = [name for name, values in vars(gaussians).items() if not np.isfinite(values).all()]
     assert not broken, f"NaN or Inf in the atoms' {broken}"
     assert (gaussians.scales > 0).all(), "scales that are not above 0"
-    with atomic(sidecar_path(path)) as sidecar, atomic(path) as ply:
-        write_ply(ply, gaussians, [f"FruitNinja: made from {meta.source}"] if meta.source else [])
+    data = ply_data(gaussians, [f"FruitNinja: made from {meta.source}"] if meta.source else [])
+    with atomic_together(path, sidecar_path(path)) as (ply, sidecar):
+        data.write(str(ply))
         record = {
             "format": FORMAT,
             "ply_bytes": ply.stat().st_size,

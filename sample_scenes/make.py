@@ -38,8 +38,9 @@ def make(name: str, folder: Path, seed: int = 0) -> list[Path]:
     for kind in solid.families:
         for number, plane in enumerate(planes(solid, kind), start=1):
             path = folder / name / f"{kind}_{number}.png"
+            image = Image.fromarray(photograph(solid, plane, SIZE))
             with atomic(path) as temporary:
-                Image.fromarray(photograph(solid, plane, SIZE)).save(temporary, optimize=True)
+                image.save(temporary, optimize=True)
             paths.append(path)
     return paths
 

@@ -48,8 +48,8 @@ seed = 3
 """
 
 
-def command(manifest: Path, out: Path, *more: str) -> subprocess.Popen[str]:
-    environment = os.environ | {"DASK_DISTRIBUTED__WORKER__PRELOAD": json.dumps([str(WORKER)])}
+def command(manifest: Path, out: Path, *more: str, preload: tuple[Path, ...] = (WORKER,)) -> subprocess.Popen[str]:
+    environment = os.environ | {"DASK_DISTRIBUTED__WORKER__PRELOAD": json.dumps([str(path) for path in preload])}
     arguments = ["-m", "training.batch.cli", str(manifest), "-o", str(out), *more]
     return subprocess.Popen(
         [sys.executable, *arguments],
@@ -122,6 +122,22 @@ def test_a_killed_worker_a_stop_and_a_broken_scene_cost_no_bit(tmp_path: Path, m
     assert left.value.code == 0
     assert ended(out) == {"killed": ("kept", 0), "bread": ("kept", 0)}
     assert (out / "killed/orange.ply").stat().st_mtime_ns == when
+
+
+def test_a_disk_that_was_full_costs_no_bit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    manifest, out = tmp_path / "all.toml", tmp_path / "out"
+    manifest.write_text(MANIFEST.partition("[[scene]]")[0] + f'[[scene]]\nscene = "{SCENES}/orange/orange.ply"\n')
+    said = command(manifest, out, preload=(WORKER, WORKER.with_name("full_disk_worker.py"))).communicate()[1]
+    lines = said.splitlines()
+    assert len(lines) == 2 and "Traceback" not in said
+    file = out / "orange/checkpoint/training.safetensors"
+    assert lines[0].startswith(f"orange: {file}: cannot be written (I/O error: No space left")
+    assert ended(out) == {"orange": ("done", 2)}
+    for name, value in SMALL.items():
+        monkeypatch.setattr(name, value)
+    run(read_manifest(manifest)[0].request, tmp_path / "single", Reporter(), False, lambda: False)
+    assert (out / "orange/orange.ply").read_bytes() == (tmp_path / "single/orange.ply").read_bytes()
+    assert not list(out.rglob(".*")), "something temporary was left"
 
 
 def test_what_a_killed_writer_left_breaks_no_checkpoint(tmp_path: Path) -> None:

@@ -114,7 +114,7 @@ def test_a_kill_breaks_nothing_and_a_signal_ends_cleanly(whole, tmp_path):
     wait_for(tmp_path / "2.jsonl", '"stage": "views"')
     process.send_signal(signal.SIGTERM)
     _, said = process.communicate()
-    assert process.returncode == 130
+    assert process.returncode == 143
     assert b"--resume" in said
     process = start(out, tmp_path / "3.jsonl", "--resume")
     process.communicate()

@@ -7,6 +7,8 @@ from pathlib import Path
 
 from PIL import Image
 
+from engine.files import atomic
+
 ROOT = Path(__file__).parents[1]
 WIDTH = 1440
 
@@ -18,7 +20,9 @@ def main() -> None:
         subprocess.run(["make", "demo"], cwd=ROOT, check=True)
     picture = Image.open(sheet)
     size = (WIDTH, WIDTH * picture.height // picture.width)
-    picture.resize(size, Image.Resampling.LANCZOS).save(ROOT / "docs/pictures/watermelon_cuts.png", optimize=True)
+    smaller = picture.resize(size, Image.Resampling.LANCZOS)
+    with atomic(ROOT / "docs/pictures/watermelon_cuts.png") as temporary:
+        smaller.save(temporary, optimize=True)
 
 
 if __name__ == "__main__":

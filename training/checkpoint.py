@@ -14,7 +14,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save_file
 
 from engine.errors import InputError
-from engine.files import atomic
+from engine.files import atomic, remove
 
 __all__ = ["Checkpoint"]
 
@@ -36,12 +36,10 @@ class Checkpoint:
     def save(self, stage: str, arrays: dict[str, Array], facts: dict[str, Any]) -> Path:
         """Writes arrays and JSON facts; the file appears whole or not at all. Returns where."""
         text = json.dumps(facts)
+        whole = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
+        metadata = {"run": self.run, "facts": text, "crc32": str(_crc(arrays, text))}
         with atomic(self.path(stage)) as temporary:
-            save_file(
-                {name: np.ascontiguousarray(array) for name, array in arrays.items()},
-                temporary,
-                metadata={"run": self.run, "facts": text, "crc32": str(_crc(arrays, text))},
-            )
+            save_file(whole, temporary, metadata)
         return self.path(stage)
 
     def load(self, stage: str) -> tuple[dict[str, Array], dict[str, Any]] | None:
@@ -78,7 +76,7 @@ class Checkpoint:
     def clear(self) -> None:
         """Forgets every stage."""
         for path in self.folder.glob("*.safetensors"):
-            path.unlink()
+            remove(path)
 
 
 def _crc(arrays: dict[str, Array], facts: str) -> int:

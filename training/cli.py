@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 import re
-import signal
 import sys
 from pathlib import Path
-from typing import Annotated, Any, cast, get_args
+from typing import Annotated, cast, get_args
 
 import numpy as np
 import typer
 
+from engine.command import Stop, Stopped, run_command, tell
 from engine.errors import InputError
 from engine.files import claimed
 from engine.plane import Plane
@@ -92,9 +92,13 @@ def train(
     reporter = Reporter.open(events)
     stop.listen()
     with reporter, claimed(out):
-        result = run(request, out, reporter, resume, stop.asked)
+        try:
+            result = run(request, out, reporter, resume, stop.asked)
+        except Interrupted as interrupted:
+            said = f"stopped; go on with the same command and --resume ({interrupted})"
+            raise Stopped(stop.number, said) from interrupted
     if events != "-":
-        print(f"{result}\n{out / 'cuts.png'}\n{out / 'report.json'}")
+        tell(f"{result}\n{out / 'cuts.png'}\n{out / 'report.json'}")
 
 
 def finetune(
@@ -112,7 +116,6 @@ def finetune(
     """Teach a Stable Diffusion depth model the look of one object; the result is a --model for training."""
     from training import diffusion  # an extra, and slow to import
 
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # so that a half-written folder is cleared away
     steps = diffusion.STEPS if steps is None else steps
     with Reporter.open(events) as reporter:
         with reporter.stage("finetune") as stage:
@@ -135,28 +138,7 @@ def finetune(
             )
         reporter.emit("done", model=out)
     if events != "-":
-        print(out)
-
-
-class Stop:
-    """Remembers that the user asked to stop, by Ctrl-C or SIGTERM; a second Ctrl-C stops at once."""
-
-    def __init__(self) -> None:
-        self.signal = 0
-
-    def asked(self) -> bool:
-        """Whether to stop."""
-        return self.signal != 0
-
-    def listen(self) -> None:
-        """From now on signals are remembered instead of ending the process between two lines."""
-        signal.signal(signal.SIGINT, self._notice)
-        signal.signal(signal.SIGTERM, self._notice)
-
-    def _notice(self, number: int, _: Any) -> None:
-        if self.signal == signal.SIGINT == number:
-            raise KeyboardInterrupt
-        self.signal = number
+        tell(str(out))
 
 
 def parse_axis(text: str, option: str) -> tuple[float, float, float]:
@@ -286,22 +268,9 @@ def main() -> None:
     `finetune` as the first word asks for that; anything else is a scene to train.
     """
     name, arguments = "fruitninja-train", sys.argv[1:]
-    app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
     if arguments[:1] == ["finetune"]:
-        name, arguments = f"{name} finetune", arguments[1:]
-        app.command()(finetune)
-    else:
-        app.command(epilog="To teach a Stable Diffusion model an object: fruitninja-train finetune --help")(train)
-    try:
-        app(arguments, prog_name=name)
-    except InputError as error:
-        print(f"fruitninja-train: {error}", file=sys.stderr)
-        sys.exit(2)
-    except Interrupted as interrupted:
-        print(f"fruitninja-train: stopped; go on with the same command and --resume ({interrupted})", file=sys.stderr)
-        sys.exit(130)
-    except KeyboardInterrupt:
-        sys.exit(130)
+        run_command(f"{name} finetune", finetune, arguments[1:])
+    run_command(name, train, epilog="To teach a Stable Diffusion model an object: fruitninja-train finetune --help")
 
 
 if __name__ == "__main__":

@@ -68,8 +68,9 @@ def save_sheet(path: Path, atoms: Atoms, body: Body, up: NDArray[np.float64]) ->
 
 def save_picture(path: Path, rgb: NDArray[np.float32]) -> None:
     """One picture (H, W, 3) of range [0, 1] as PNG."""
+    image = to_image(rgb)
     with atomic(path) as temporary:
-        to_image(rgb).save(temporary)
+        image.save(temporary)
 
 
 def to_image(rgb: NDArray[np.float32]) -> Image.Image:

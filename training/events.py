@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from engine.errors import InputError
+from engine.files import Lines, reason
 
 __all__ = ["Reporter", "plain"]
 
@@ -35,7 +36,7 @@ STAGES = {
 class Reporter:
     """Carries what happens to a file of JSON lines, to the terminal, or to both."""
 
-    events: TextIO | None = None
+    events: TextIO | Lines | None = None
     """Where JSON lines go; None: nowhere."""
     display: Progress | None = None
     started: float = field(default_factory=time.perf_counter)
@@ -44,15 +45,17 @@ class Reporter:
 
     @staticmethod
     def open(events: str | None, quiet: bool = False) -> Reporter:
-        """Events to a path, or to standard output for '-'; the display goes to standard error, to a terminal only."""
-        stream: TextIO | None = None
+        """Events to a path, or to standard output for '-'; the display goes to standard error, to a terminal only.
+
+        Raises InputError where the events cannot be written.
+        """
+        stream: TextIO | Lines | None = None
         if events == "-":
             stream = sys.stdout
+            if stream is None:  # as Python has it where the caller closed it
+                raise InputError("--events -: standard output is closed; give a file")
         elif events is not None:
-            try:
-                stream = Path(events).open("a", encoding="utf-8", buffering=1)  # noqa: SIM115 (open for the whole run)
-            except OSError as error:
-                raise InputError(f"{events}: cannot be written here ({error.strerror})") from error
+            stream = Lines(events)
         console = Console(stderr=True)
         display = Progress(
             TextColumn("{task.description:<20}"),
@@ -77,14 +80,24 @@ class Reporter:
             self.events.close()
 
     def emit(self, event: str, **facts: Any) -> None:
-        """Writes one line: the event's name, seconds since the start, and its facts; numbers JSON lacks become null."""
+        """Writes one line: the event's name, seconds since the start, and its facts; numbers JSON lacks become null.
+
+        Where nobody reads them any more the work goes on without; where they cannot be written, as on a full disk, it
+        ends with an InputError: to whoever follows them it would look as if it stood still.
+        """
         if self.events is None:
             return
         line = {"event": event, "seconds": round(time.perf_counter() - self.started, 3), **facts}
+        text = json.dumps(plain(line), allow_nan=False) + "\n"
         try:
-            print(json.dumps(plain(line), allow_nan=False), file=self.events, flush=True)
+            self.events.write(text)
+            if not isinstance(self.events, Lines):
+                self.events.flush()
         except BrokenPipeError:
-            self.events = None  # nobody listens any more; the work goes on
+            self.events = None
+        except OSError as error:
+            self.events = None
+            raise InputError(f"standard output: cannot be written ({reason(error)})") from error
 
     def stage(self, name: str) -> Stage:
         """A stage as a context: announces itself, shows a bar, and keeps its time."""

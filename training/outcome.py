@@ -70,8 +70,9 @@ def save(
         "losses": {"section": history["section"], "surface": history["surface"]},
         "seconds": {name: round(spent, 2) for name, spent in reporter.timings.items()},
     }
+    text = json.dumps(plain(report), indent=1, allow_nan=False) + "\n"
     with atomic(out / "report.json") as temporary:
-        temporary.write_text(json.dumps(plain(report), indent=1, allow_nan=False) + "\n", encoding="utf-8")
+        temporary.write_text(text, encoding="utf-8")
     reporter.emit("done", scene=path, sheet=out / "cuts.png", report=out / "report.json")
     return path
 

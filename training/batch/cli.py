@@ -13,13 +13,13 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
+from engine.command import FAILED, REFUSED, Stop, Stopped, run_command, tell
 from engine.errors import InputError
 from engine.files import atomic, claimed
 from training.batch.grid import Outcome, run_grid
 from training.batch.manifest import Mistakes, read_manifest
 from training.batch.scene import scene_task
 from training.batch.task import Task
-from training.cli import Stop
 from training.settings import DetailName
 
 __all__ = ["main"]
@@ -27,9 +27,6 @@ __all__ = ["main"]
 GIGABYTES: dict[DetailName, float] = {"draft": 1.2, "standard": 2.3, "high": 3.2}
 """Memory of one run with room to spare: scans peak at 0.9 in draft, 1.9 in standard and 2.4 in high. It decides
 how many run on this machine at once."""
-
-FAILED, STOPPED = 1, 130
-"""Exit status where a scene failed, and where the user stopped."""
 
 
 def batch(
@@ -46,7 +43,11 @@ def batch(
     stop = Stop()
     if scheduler is not None and workers is not None:
         raise InputError("--workers is for this machine; a cluster at --scheduler has its own, leave one of them out")
-    scenes = read_manifest(manifest)
+    try:
+        scenes = read_manifest(manifest)
+    except Mistakes as mistakes:
+        print(mistakes, file=sys.stderr)
+        raise typer.Exit(REFUSED) from mistakes
     out = out.absolute()
     tasks = [scene_task(scene.name, scene.request, out / scene.name) for scene in scenes]
     need = max(GIGABYTES[scene.request.detail] for scene in scenes)
@@ -66,10 +67,9 @@ def batch(
     for outcome in outcomes:
         if outcome.status == "failed":
             print(f"fruitninja-batch: {outcome.task.name}: {outcome.error}", file=sys.stderr)
-    print(out / "batch.json")
+    tell(str(out / "batch.json"))
     if any(outcome.status == "stopped" for outcome in outcomes):
-        print("fruitninja-batch: stopped; the same command goes on", file=sys.stderr)
-        raise typer.Exit(STOPPED)
+        raise Stopped(stop.number, "stopped; the same command goes on")
     if any(outcome.status == "failed" for outcome in outcomes):
         raise typer.Exit(FAILED)
 
@@ -103,8 +103,9 @@ class Summary:
                 for outcome in outcomes
             ],
         }
+        text = json.dumps(record, indent=1) + "\n"
         with atomic(self.path) as temporary:
-            temporary.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+            temporary.write_text(text, encoding="utf-8")
 
 
 class Board:
@@ -162,19 +163,9 @@ class Board:
 
 
 def main() -> None:
-    """Entry point: status 2 and one clear line for each mistake in the manifest, 1 where a scene failed."""
-    app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
-    app.command()(batch)
-    try:
-        app(prog_name="fruitninja-batch")
-    except Mistakes as mistakes:
-        print(mistakes, file=sys.stderr)
-        sys.exit(2)
-    except InputError as error:
-        print(f"fruitninja-batch: {error}", file=sys.stderr)
-        sys.exit(2)
-    except KeyboardInterrupt:
-        sys.exit(130)
+    """Entry point: status 2 and one clear line for each mistake in the manifest, 1 where a scene failed, 130 or 143
+    where the user stopped."""
+    run_command("fruitninja-batch", batch)
 
 
 if __name__ == "__main__":

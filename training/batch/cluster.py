@@ -16,7 +16,7 @@ from distributed import Client, LocalCluster
 
 from engine.errors import InputError
 
-__all__ = ["workers"]
+__all__ = ["deaf_children", "workers"]
 
 WAIT_SECONDS = 30
 """For a scheduler to answer and for its first worker."""
@@ -42,7 +42,7 @@ def workers(scheduler: str | None, count: int | None, tasks: int, gigabytes: flo
         "distributed.comm.timeouts.connect": f"{WAIT_SECONDS}s",
     }
     with dask.config.set(settings):
-        with _deaf_children():
+        with deaf_children(signal.SIGINT):
             cluster = LocalCluster(
                 n_workers=count,
                 threads_per_worker=1,
@@ -56,20 +56,21 @@ def workers(scheduler: str | None, count: int | None, tasks: int, gigabytes: flo
 
 
 @contextmanager
-def _deaf_children() -> Iterator[None]:
-    """Threads that begin in this block, and the processes they start whenever they do, do not hear Ctrl-C.
+def deaf_children(*signals: signal.Signals) -> Iterator[None]:
+    """Threads that begin in this block, and the processes they start whenever they do, do not hear these signals.
 
-    It is for the command, which then tells its workers. A signal mask reaches a process before its first line does.
+    They are for the command, which then tells its workers, and which hears them once the block has ended. A signal
+    mask reaches a process before its first line does.
     """
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
     resource_tracker.ensure_running()  # its start would lift the mask again
-    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    signal.pthread_sigmask(signal.SIG_BLOCK, signals)
     try:
         yield
     finally:
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, signals)
 
 
 def fitting(tasks: int, gigabytes: float) -> int:

@@ -6,11 +6,12 @@ import io
 import json
 import os
 import platform
+from contextlib import closing, suppress
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any
 
 from engine.errors import InputError
-from engine.files import claimed
+from engine.files import Lines, claimed
 from training.batch.task import Stopped, Task, say, stopped
 from training.checkpoint import Checkpoint
 from training.events import Reporter
@@ -33,7 +34,7 @@ def train_scene(request: Request, out: Path, fingerprint: str) -> dict[str, Any]
     if request.fingerprint() != fingerprint:
         raise InputError(f"{request.scene}: this worker sees other files under these paths; share one folder with all")
     checkpoint = Checkpoint(out / "checkpoint", fingerprint)
-    with claimed(out), (out / "events.jsonl").open("a", encoding="utf-8", buffering=1) as file:
+    with claimed(out), closing(Lines(out / "events.jsonl")) as file:
         events = _Events(file)
         with Reporter(events) as reporter:
             reporter.emit("started", host=platform.node(), pid=os.getpid())
@@ -42,7 +43,8 @@ def train_scene(request: Request, out: Path, fingerprint: str) -> dict[str, Any]
             except Interrupted as interrupted:
                 raise Stopped(str(interrupted)) from interrupted
             except Exception as error:
-                reporter.emit("failed", message=str(error))
+                with suppress(InputError):  # what failed first is what must be known
+                    reporter.emit("failed", message=str(error))
                 raise
     checkpoint.clear()  # a hundred megabytes a scene; the result is what is wanted
     return {"warnings": events.warnings}
@@ -61,7 +63,7 @@ def whole(checkpoint: Checkpoint) -> bool:
 class _Events(io.StringIO):
     """Where a run's lines go: to a file that stays, and to whoever runs the grid."""
 
-    def __init__(self, file: TextIO) -> None:
+    def __init__(self, file: Lines) -> None:
         super().__init__()
         self.file = file
         self.warnings: list[str] = []

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
 import tempfile
 from collections.abc import Iterable
@@ -13,6 +12,7 @@ import torch
 from safetensors import safe_open
 
 from engine.errors import InputError
+from engine.files import atomic_folder, reason
 from training.diffusion.loading import NOTE, Model
 from training.diffusion.words import TOKEN, tuned_prompts
 
@@ -32,7 +32,7 @@ def check_free(out: Path) -> None:
         out.parent.mkdir(parents=True, exist_ok=True)
         tempfile.TemporaryFile(dir=out.parent).close()
     except OSError as error:
-        raise InputError(f"{out}: cannot be written here ({error.strerror})") from error
+        raise InputError(f"{out}: cannot be written here ({reason(error)})") from error
 
 
 def save_model(model: Model, out: Path, thing: str) -> None:
@@ -42,30 +42,17 @@ def save_model(model: Model, out: Path, thing: str) -> None:
     written; then nothing is left of it.
     """
     precision = stored_type(model.folder / "unet")
-    temporary = Path(tempfile.mkdtemp(prefix=f".{out.name}.", dir=out.parent))
-    try:
+    note = {"object": thing, "token": TOKEN, "prompts": tuned_prompts(thing)}
+    text = json.dumps(note, indent=1) + "\n"
+    unet = model.unet.to(precision)
+    with atomic_folder(out) as temporary:
         for name in PARTS:
             if (model.folder / name).is_dir():
                 shutil.copytree(model.folder / name, temporary / name, ignore=unwanted)
         if (model.folder / INDEX).is_file():
             shutil.copy2(model.folder / INDEX, temporary)
-        model.unet.to(precision).save_pretrained(temporary / "unet", safe_serialization=True)
-        note = {"object": thing, "token": TOKEN, "prompts": tuned_prompts(thing)}
-        (temporary / NOTE).write_text(json.dumps(note, indent=1) + "\n", encoding="utf-8")
-        for path in temporary.rglob("*"):
-            if path.is_file():
-                with path.open("rb+") as file:
-                    os.fsync(file.fileno())
-        umask = os.umask(0)
-        os.umask(umask)
-        temporary.chmod(0o777 & ~umask)  # mkdtemp makes private folders; this one is the user's
-        if out.is_dir():
-            out.rmdir()  # empty; not every system replaces one
-        temporary.replace(out)
-    except OSError as error:
-        raise InputError(f"{out}: cannot be written ({error.strerror or error})") from error
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
+        unet.save_pretrained(temporary / "unet", safe_serialization=True)
+        (temporary / NOTE).write_text(text, encoding="utf-8")
 
 
 def unwanted(_: str, names: Iterable[str]) -> list[str]:

@@ -8,8 +8,9 @@ from typing import Annotated, cast, get_args
 
 import typer
 
+from engine.command import FAILED, run_command, tell
 from engine.errors import InputError
-from engine.files import claimed
+from engine.files import claimed, sweep
 from training.evaluate.grid import Cell, cells, perform_all, perform_on
 from training.evaluate.methods import METHODS
 from training.evaluate.report import write_report
@@ -46,11 +47,12 @@ def evaluate(
         out.absolute(),
     )
     with claimed(out):
+        sweep(out)
         failed = perform_all(grid, told) if scheduler is None else perform_on(scheduler, grid, told)
         page = write_report(grid, failed, out)
-    print(page)
+    tell(str(page))
     if failed:
-        sys.exit(1)
+        raise typer.Exit(FAILED)
 
 
 def chosen(text: str, known: tuple[str, ...], option: str) -> list[str]:
@@ -70,17 +72,9 @@ def told(cell: Cell, what: str) -> None:
 
 
 def main() -> None:
-    """Entry point: one clear line and status 2 for bad input, 1 where a part of the grid failed."""
-    app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
-    app.command()(evaluate)
-    try:
-        app(prog_name="fruitninja-evaluate")
-    except InputError as error:
-        print(f"fruitninja-evaluate: {error}", file=sys.stderr)
-        sys.exit(2)
-    except KeyboardInterrupt:
-        print("fruitninja-evaluate: stopped; the same command goes on from here", file=sys.stderr)
-        sys.exit(130)
+    """Entry point: one clear line and status 2 for bad input, 1 where a part of the grid failed, 130 or 143 where
+    the user stopped."""
+    run_command("fruitninja-evaluate", evaluate, stopped="stopped; the same command goes on from here")
 
 
 if __name__ == "__main__":

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import multiprocessing
+import signal
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -13,6 +14,7 @@ from typing import Any
 
 from engine.errors import InputError
 from engine.files import atomic
+from training.batch.cluster import deaf_children
 from training.batch.grid import Outcome, run_grid
 from training.batch.task import Task
 from training.evaluate.measure import fingerprint, measure
@@ -96,11 +98,17 @@ def perform_all(grid: Sequence[Cell], told: Callable[[Cell, str], None]) -> dict
         told(cell, "begins")
         with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
             try:
-                pool.submit(perform, cell, DETAILS[cell.detail]).result()
+                with deaf_children(signal.SIGINT, signal.SIGTERM):
+                    done = pool.submit(perform, cell, DETAILS[cell.detail])
+                done.result()
             except InputError as error:
                 failed[cell] = str(error)
             except BrokenProcessPool:
                 failed[cell] = "its process died (out of memory, or killed)"
+            except BaseException:  # the user stops: the cell goes on from its checkpoint another time
+                for child in multiprocessing.active_children():
+                    child.kill()
+                raise
         told(cell, f"failed: {failed[cell]}" if cell in failed else "done")
     return failed
 

@@ -199,5 +199,6 @@ def truth_features(truth: Truth, of: Callable[[Sequence[Float]], Features], path
 
 def save_strip(path: Path, pictures: Float) -> None:
     """Pictures (N, H, W, 3) side by side."""
+    strip = to_image(np.concatenate(list(pictures), axis=1))
     with atomic(path) as temporary:
-        to_image(np.concatenate(list(pictures), axis=1)).save(temporary, optimize=True)
+        strip.save(temporary, optimize=True)

@@ -78,8 +78,9 @@ def write_report(grid: Sequence[Cell], failed: dict[Cell, str], out: Path) -> Pa
         "tables": {name: plain(of) for name, of in tables.items()},
         "failed": {cell.name: why for cell, why in failed.items()},
     }
+    text = json.dumps(record, indent=1, allow_nan=False) + "\n"
     with atomic(out / "report.json") as temporary:
-        temporary.write_text(json.dumps(record, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+        temporary.write_text(text, encoding="utf-8")
     page = render(facts, tables, settings, scenes, failed, out)
     with atomic(out / "report.html") as temporary:
         temporary.write_text(page, encoding="utf-8")

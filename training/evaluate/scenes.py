@@ -110,8 +110,9 @@ def _thigh_subject(folder: Path) -> Subject:
     for place, path in zip(THIGH_SLICES, pictures, strict=True):
         if not path.is_file():
             plane = Plane.through((low + high) / 2 + place * (high - low) / 2 * [0, 0, 1], (0.0, 0.0, 1.0))
+            image = Image.fromarray(photograph(solid, plane, PICTURE))
             with atomic(path) as temporary:
-                Image.fromarray(photograph(solid, plane, PICTURE)).save(temporary, optimize=True)
+                image.save(temporary, optimize=True)
     if not scene.is_file():
         write_ply(scene, shell(solid, THIGH_LOOK, np.random.default_rng(100)), comments=("thigh, up +z",))
     return Subject(THIGH, solid, None, scene, (Family("horizontal", COUNTS["horizontal"], pictures),))

@@ -50,8 +50,9 @@ class Picture:
         """Writes the picture with everything that was taken for background in a dim violet."""
         tint = np.array([0.45, 0.2, 0.6], np.float32)
         shown = np.where(self.mask[..., None], self.plain, 0.25 * self.plain + 0.75 * tint)
+        image = Image.fromarray((shown * 255 + 0.5).astype(np.uint8))
         with atomic(path) as temporary:
-            Image.fromarray((shown * 255 + 0.5).astype(np.uint8)).save(temporary, format="PNG")
+            image.save(temporary, format="PNG")
 
 
 def read_picture(path: str | Path, kind: Kind) -> Picture:
