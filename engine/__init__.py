@@ -1,1 +1,3 @@
 """Seeing inside captured 3D objects: Gaussians, atoms, cuts, filling and the renderers."""
+
+from engine import compiler as compiler  # before anything of it is compiled
