@@ -13,6 +13,7 @@ import torch
 from safetensors import safe_open
 
 from engine.errors import InputError
+from engine.scratch import Scratch
 from training.diffusion.loading import NOTE, Model
 from training.diffusion.words import TOKEN, tuned_prompts
 
@@ -42,8 +43,10 @@ def save_model(model: Model, out: Path, thing: str) -> None:
     written; then nothing is left of it.
     """
     precision = stored_type(model.folder / "unet")
-    temporary = Path(tempfile.mkdtemp(prefix=f".{out.name}.", dir=out.parent))
+    scratch = Scratch(f".{out.name}.", out.parent)
+    temporary = scratch.path / out.name
     try:
+        temporary.mkdir()
         for name in PARTS:
             if (model.folder / name).is_dir():
                 shutil.copytree(model.folder / name, temporary / name, ignore=unwanted)
@@ -56,16 +59,13 @@ def save_model(model: Model, out: Path, thing: str) -> None:
             if path.is_file():
                 with path.open("rb+") as file:
                     os.fsync(file.fileno())
-        umask = os.umask(0)
-        os.umask(umask)
-        temporary.chmod(0o777 & ~umask)  # mkdtemp makes private folders; this one is the user's
         if out.is_dir():
             out.rmdir()  # empty; not every system replaces one
         temporary.replace(out)
     except OSError as error:
         raise InputError(f"{out}: cannot be written ({error.strerror or error})") from error
     finally:
-        shutil.rmtree(temporary, ignore_errors=True)
+        scratch.close()
 
 
 def unwanted(_: str, names: Iterable[str]) -> list[str]:
