@@ -72,7 +72,8 @@ def _folder(variable: str, fallback: str, mac: str) -> Path:
         return Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData/Local") / "FruitNinja"
     if sys.platform == "darwin":
         return Path.home() / "Library" / mac / "FruitNinja"
-    return Path(os.environ.get(variable) or Path.home() / fallback) / "fruitninja"
+    given = os.environ.get(variable, "")
+    return (Path(given) if os.path.isabs(given) else Path.home() / fallback) / "fruitninja"  # as the standard has it
 
 
 def load_settings(path: Path | None = None) -> Settings:

@@ -13,6 +13,7 @@ from typing import Any
 
 from engine.errors import InputError
 from engine.files import atomic
+from engine.processes import safe_imports
 from training.batch.grid import Outcome, run_grid
 from training.batch.task import Task
 from training.evaluate.measure import fingerprint, measure
@@ -94,7 +95,7 @@ def perform_all(grid: Sequence[Cell], told: Callable[[Cell, str], None]) -> dict
             told(cell, "kept")
             continue
         told(cell, "begins")
-        with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
+        with safe_imports(), ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
             try:
                 pool.submit(perform, cell, DETAILS[cell.detail]).result()
             except InputError as error:
