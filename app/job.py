@@ -148,7 +148,7 @@ class Job:
             started = psutil.Process(child.pid).create_time()
         except psutil.Error:  # it has died already; its log says why
             started = 0.0
-        job = Job(asked, child.pid, started, child=child)
+        job = Job(asked, child.pid, started, progress=Progress(out), child=child)
         try:
             job._note()
         except InputError:
@@ -163,12 +163,13 @@ class Job:
         try:
             note = json.loads(read_file(path, NOTE_LIMIT))
             asked = load_project(path.with_suffix(SUFFIX), outside=True).document  # the app wrote it itself
-            job = Job(asked, int(note["pid"]), float(note["started"]), bool(note["stopped"]))
+            out = asked.training.out or out
+            job = Job(asked, int(note["pid"]), float(note["started"]), bool(note["stopped"]), Progress(out))
         except (InputError, ValueError, KeyError, TypeError, OverflowError, RecursionError):
             return None
         if asked.scene is None or asked.training.out is None:
             return None
-        job.ended = job._process() is None
+        job.ended = not job._is_trainer()
         return job
 
     @property
@@ -242,7 +243,7 @@ class Job:
         try:
             with open_file(self.out / "events.jsonl") as file:
                 if file.seek(0, os.SEEK_END) < self.offset:  # begun anew
-                    self.offset, self.progress = 0, Progress()
+                    self.offset, self.progress = 0, Progress(self.out)
                 file.seek(self.offset)
                 block = file.read(READ_AT_ONCE)
         except (OSError, InputError):
@@ -261,8 +262,16 @@ class Job:
             process = psutil.Process(self.pid)
             same = abs(process.create_time() - self.started) < 1.0
             return process if same and process.status() != psutil.STATUS_ZOMBIE else None
-        except psutil.Error:
+        except (psutil.Error, ValueError, OverflowError):  # the last two for what is no process's number
             return None
+
+    def _is_trainer(self) -> bool:
+        """Whether the process lives and was started to write this job's events: a note may have been tampered with."""
+        process = self._process()
+        try:
+            return process is not None and str(self.out / "events.jsonl") in process.cmdline()
+        except psutil.Error:
+            return False
 
     def _is_paused(self) -> bool:
         process = self._process()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import subprocess
 import sys
 import time
 from collections.abc import Callable
@@ -11,6 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import psutil
 import pytest
 from app_objects import atoms, full
 from PIL import Image
@@ -248,3 +250,59 @@ def test_a_job_that_was_left_running_is_found_at_the_next_start(
     assert job.ended and words_of(job) == "Training of melon ended early."
     forget_job(third, job)
     assert left_jobs(Session()) == []
+
+
+def test_what_lies_in_a_result_folder_starts_and_ends_no_process(tmp_path: Path) -> None:
+    document = Document(tmp_path / "melon.ply", families=(Family("horizontal", 2, (tmp_path / "cut.png",)),))
+    (tmp_path / "cut.png").touch()
+    out = default_out(tmp_path / "melon.ply")
+    out.mkdir()
+    mark, secret = tmp_path / "mark", tmp_path / "secret"
+    secret.write_text("kept")
+    with subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"]) as other:
+        started = psutil.Process(other.pid).create_time()
+        run = [sys.executable, "-c", f"open({str(mark)!r}, 'w')", str(document.scene), "-o", str(out)]
+        note = {"pid": other.pid, "started": started, "stopped": False, "command": run}
+        (out / "job.json").write_text(json.dumps(note))
+        for name in ("events.jsonl", "job.log"):
+            (out / name).symlink_to(secret)
+        assert Job.find(out) is None
+        session = Session(autosave=Autosave(tmp_path))
+        session.prepare = lambda trained=True: None  # type: ignore[method-assign]
+        session.show(document, Viewing(), None)
+        assert session.desk.job is None
+        session.desk.resume()
+        session.desk.stop()
+        job = Job.start(document, (0.0, 0.0, 1.0), out, program=STUB)
+        follow(job, lambda job: job.ended)
+        assert other.poll() is None and not mark.exists() and secret.read_text() == "kept"
+        other.kill()
+
+
+def test_a_note_that_names_another_process_is_a_job_that_has_ended(tmp_path: Path, home: Path) -> None:
+    job = start(tmp_path)
+    follow(job, lambda job: job.ended)
+    (note,) = (home / "jobs").glob("*.json")
+    me = psutil.Process()
+    myself = {"pid": me.pid, "started": me.create_time()}
+    for change in (myself, {"pid": -1}, {"pid": 10**30}, {"started": "x"}):
+        note.write_text(json.dumps({"pid": 1, "started": 0.0, "stopped": False} | change))
+        found = Job.find(tmp_path)
+        assert found is None or found.ended
+    note.with_suffix(".fruitninja").write_text("{}")
+    assert Job.find(tmp_path) is None
+
+
+def test_events_name_no_file_elsewhere_and_say_plain_words(tmp_path: Path) -> None:
+    progress = Progress(tmp_path)
+    for event in (
+        {"event": "previews", "paths": ["/etc/passwd", "../x.png", 3, str(tmp_path / "a.png")]},
+        {"event": "done", "scene": "/etc/passwd"},
+        {"event": "warning", "message": "a\x1b[2Jb"},
+    ):
+        read_line(progress, json.dumps(event).encode())
+    assert progress.previews == (tmp_path / "a.png",) and progress.result is None
+    assert progress.warnings == ["a?[2Jb"]
+    os.mkfifo(tmp_path / "events.jsonl")
+    job = Job(Document(tmp_path / "x.ply", training=Training(out=tmp_path)), pid=1 << 30, started=0.0)
+    job.poll()  # does not wait
