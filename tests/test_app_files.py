@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -46,6 +47,26 @@ def test_a_project_does_not_reach_out_of_its_folder_unasked(tmp_path: Path) -> N
             load_project(path)
 
 
+def test_a_path_outside_is_not_even_looked_at_before_the_user_allows_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "in" / "p.fruitninja"
+    save_project(path, Project(Document(scene=tmp_path / "server" / "share.ply"), Viewing()))
+    looked: list[str] = []
+    resolve = Path.resolve
+    monkeypatch.setattr(Path, "resolve", lambda self, strict=False: looked.append(str(self)) or resolve(self))
+    with pytest.raises(Outside):
+        load_project(path)
+    assert not any("server" in name for name in looked)  # on Windows \\\\server would be sent a password
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no pipes among its files")
+def test_a_pipe_that_is_called_a_project_does_not_hold_up_the_window(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "p.fruitninja")
+    with pytest.raises(InputError, match="not a regular file"):
+        load_project(tmp_path / "p.fruitninja")
+
+
 BREAK: dict[str, Callable[[dict], object]] = {
     "version": lambda r: r.update(fruitninja=2),
     "no version": lambda r: r.pop("fruitninja"),
@@ -64,6 +85,9 @@ BREAK: dict[str, Callable[[dict], object]] = {
     "range of one": lambda r: r["families"][0].update(range=[0.5]),
     "family twice": lambda r: r["families"].append(r["families"][0]),
     "picture": lambda r: r["families"][0].update(exemplars=[3]),
+    "nul in a text": lambda r: r["training"].update(thing="a\0b"),
+    "half a character": lambda r: r["cuts"][0].update(name="\ud800"),
+    "half a character in a path": lambda r: r.update(scene="\ud800"),
     "nul": lambda r: r.update(scene="a\0b"),
     "elevation": lambda r: r["view"].update(elevation=91),
     "distance": lambda r: r["view"].update(distance=0),
