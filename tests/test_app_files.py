@@ -14,6 +14,7 @@ from app_objects import full
 from app.autosave import Autosave, rescued
 from app.document import Document
 from app.project import Outside, Project, Viewing, load_project, save_project
+from app.session import Session
 from app.settings import Settings, load_settings, save_settings
 from app.ui.dialogs import Dialogs
 from engine.errors import InputError
@@ -65,6 +66,26 @@ def test_a_pipe_that_is_called_a_project_does_not_hold_up_the_window(tmp_path: P
     os.mkfifo(tmp_path / "p.fruitninja")
     with pytest.raises(InputError, match="not a regular file"):
         load_project(tmp_path / "p.fruitninja")
+
+
+def test_another_project_in_the_place_of_a_trusted_one_is_asked_about_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("FRUITNINJA_HOME", str(tmp_path / "home"))
+    path = tmp_path / "in" / "p.fruitninja"
+    session = Session(autosave=Autosave(tmp_path))
+    monkeypatch.setattr(session, "prepare", lambda trained=True: None)
+    session.show(Document(scene=tmp_path / "melon.ply"), Viewing(), None)
+    session.files.save(path)
+    session.files.open(path)
+    assert session.question is None and not session.error and len(session.settings.trusted) == 1
+    save_project(path, Project(Document(scene=tmp_path / "secret.ply"), Viewing()))
+    session.files.open(path)
+    assert session.question is not None and "secret.ply" in session.question.text
+    session.answer(session.question.choices[0])
+    assert session.document.scene == tmp_path / "secret.ply"
+    session.files.open(path)
+    assert session.question is None and len(session.settings.trusted) == 1
 
 
 BREAK: dict[str, Callable[[dict], object]] = {
