@@ -48,7 +48,7 @@ class Watch:
         exposed = atoms.interior.exposed
         for stage, _ in written:
             with (
-                contextlib.suppress(SafetensorError, OSError, ValueError),
+                contextlib.suppress(SafetensorError, OSError, ValueError, TypeError, AttributeError),
                 safe_open(self.folder / f"{stage}.safetensors", framework="np") as file,
             ):
                 names = {"means", "sigmas", "rgb", "sh"} & set(file.keys())
@@ -58,6 +58,8 @@ class Watch:
         surface, interior = atoms.surface, atoms.interior
         means, sigmas = found.get("means", interior.means), found.get("sigmas", interior.sigmas)
         rgb, sh = found.get("rgb", interior.rgb), found.get("sh", surface.sh)
+        if any(array.dtype != np.float32 for array in found.values()):
+            return None
         fits = rgb.shape == means.shape == (len(sigmas), 3) and 0 <= exposed <= len(means)
         if not found or not fits or sh.ndim != 3 or len(sh) != len(surface):
             return None

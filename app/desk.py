@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from app.colours import Watch
 from app.document import Document
-from app.job import Job, command_for, default_out
+from app.job import Job, default_out
 from engine.errors import InputError
 from engine.trained import sidecar_path
 
@@ -80,8 +80,7 @@ class Desk:
             session.say("Open an object first.")
             return
         try:
-            arguments = command_for(document, session.up, out)
-            job = Job.start(arguments, out, program=self.program)
+            job = Job.start(document, session.up, out, program=self.program)
         except InputError as error:
             session.fail(error)
             return
@@ -101,7 +100,7 @@ class Desk:
         if self.job is None:
             return
         try:
-            self._follow(self.job.resume())
+            self._follow(self.job.resume(self.program))
         except InputError as error:
             self.session.fail(error)
             return

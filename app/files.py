@@ -60,9 +60,11 @@ class Files:
         self.session.remember(self.session.settings.with_recent(path))
 
     def _open_project(self, path: Path, outside: bool = False) -> None:
-        trusted = outside or str(path.resolve()) in self.session.settings.trusted
+        settings = self.session.settings
         try:
-            project = load_project(path, outside=trusted)
+            project = load_project(path, outside=outside or settings.trusts(path))
+            settings = settings.with_recent(path)
+            settings = settings.with_trusted(path) if outside else settings
         except Outside as error:
             names = "\n".join(str(p) for p in error.paths[:6]) + ("\n..." if len(error.paths) > 6 else "")
             self.session.ask(
@@ -75,8 +77,7 @@ class Files:
         except InputError as error:
             self.session.fail(error)
             return
-        settings = self.session.settings.with_recent(path)
-        self.session.remember(settings.with_trusted(path) if outside else settings)
+        self.session.remember(settings)
         self.session.show(project.document, project.viewing, path)
 
     def recover(self, rescued: Rescued) -> None:
@@ -101,13 +102,14 @@ class Files:
         path = path if path.suffix == SUFFIX else path.with_name(path.name + SUFFIX)
         try:
             save_project(path, Project(self.session.document, self.session.viewing))
+            # What the user saved from here may be opened again without a question.
+            settings = self.session.settings.with_recent(path).with_trusted(path)
         except InputError as error:
             self.session.fail(error)
             return
         self.session.path, self.session.history.saved = path, self.session.document
         self.session.autosave.clear()
-        # What the user saved from here may be opened again without a question.
-        self.session.remember(self.session.settings.with_recent(path).with_trusted(path))
+        self.session.remember(settings)
         self.session.say(f"Saved {path.name}.")
         then()
 

@@ -1,29 +1,33 @@
 """A training job: `fruitninja-train` in a process of its own, followed through the events it writes to a file.
 
-The job outlives the window. Its folder holds all there is to know: `job.json` (which process, which command),
-`events.jsonl` (what it tells) and `job.log` (what it prints), so the next window finds it and follows on.
+The job outlives the window, and the next one finds it and follows on. What it tells and prints stands in its folder
+(`events.jsonl`, `job.log`). Which process it is and what it was asked for stands where the app keeps its own state, not
+there: a folder may come from a stranger, and nothing that is read from it may start, hold or end a process.
 """
 
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import json
 import os
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any
 
 import psutil
 
 from app.document import Document
 from app.job_events import Progress, read_line
 from app.motion import Vec3
+from app.project import SUFFIX, Project, Viewing, load_project, save_project
 from app.settings import state_folder
-from engine.errors import InputError
-from engine.files import atomic
+from engine.errors import InputError, one_line
+from engine.files import atomic, open_file, read_file, reason
+from engine.processes import start_python
 from training.families import Family
 
 __all__ = ["Job", "command_for", "default_out", "missing_for_training"]
@@ -32,7 +36,11 @@ LOG_TAIL = 6
 """Last lines of what a job printed that are shown when it died."""
 
 READ_AT_ONCE = 1 << 20
-"""Bytes of events taken in one poll, so that finding a long job again does not hold up a frame."""
+"""Bytes of events taken in one poll, so that finding a long job again does not hold up a frame; the trainer's lines
+have a few hundred."""
+
+NOTE_LIMIT = 1 << 16
+"""Bytes of the largest note that is read; a real one has a hundred."""
 
 
 def missing_for_training(document: Document) -> str:
@@ -96,9 +104,8 @@ def _family(family: Family) -> list[str]:
 class Job:
     """One run of the trainer, this session's or an earlier one's."""
 
-    out: Path
-    command: tuple[str, ...]
-    """The whole command line."""
+    document: Document
+    """What it was asked for: the scene, its up axis, the families and how to train them. No cuts."""
     pid: int
     started: float
     """When the process began, as the system says; a number is used again, a number and a start are not."""
@@ -113,44 +120,56 @@ class Job:
     """Bytes of the events already read."""
 
     @staticmethod
-    def start(arguments: Sequence[str], out: Path, resume: bool = False, program: Sequence[str] = ()) -> Job:
+    def start(document: Document, up: Vec3, out: Path, resume: bool = False, program: Sequence[str] = ()) -> Job:
         """Starts the trainer with a folder for its result. `program`: something else that speaks the same events.
 
-        Raises InputError where the folder cannot be written, or a job already works in it.
+        Raises InputError where something is missing, the folder cannot be written, or a job already works in it.
         """
+        out = out.absolute()
         other = Job.find(out)
         if other is not None and not other.ended:
             raise InputError(f"{out}: a job already works here; stop it first, or choose another folder")
-        command = [*(program or (sys.executable, "-m", "training.cli")), *arguments]
-        if resume and "--resume" not in command:
-            command.append("--resume")
+        arguments = [*command_for(document, up, out), *(["--resume"] if resume else [])]
+        training = replace(document.training, out=out)
+        asked = Document(scene=document.scene, up=up, families=document.families, training=training)
+        save_project(_note_path(out).with_suffix(SUFFIX), Project(asked, Viewing()))
         try:
             out.mkdir(parents=True, exist_ok=True)
+            # New files, never what a link of that name leads to.
             if not resume:
-                (out / "events.jsonl").write_bytes(b"")
-            (out / "events.jsonl").touch()
-            with (out / "job.log").open("wb") as log:
-                child = _spawn(command, log)
-        except OSError as error:
-            raise InputError(f"{out}: training cannot start here ({error.strerror})") from error
+                (out / "events.jsonl").unlink(missing_ok=True)
+                (out / "events.jsonl").touch(exist_ok=False)
+            (out / "job.log").unlink(missing_ok=True)
+            with (out / "job.log").open("xb") as log:
+                child = _spawn(arguments, program, log)
+        except (OSError, ValueError) as error:  # a ValueError for words that no command line holds
+            raise InputError(f"{out}: training cannot start here ({reason(error)})") from error
         try:
             started = psutil.Process(child.pid).create_time()
         except psutil.Error:  # it has died already; its log says why
             started = 0.0
-        job = Job(out, tuple(command), child.pid, started, child=child)
-        job._note()
+        job = Job(asked, child.pid, started, progress=Progress(out), child=child)
+        try:
+            job._note()
+        except InputError:
+            child.kill()  # nobody would find it again
+            raise
         return job
 
     @staticmethod
     def find(out: Path) -> Job | None:
-        """The job of a folder, running or not; None where there was none."""
+        """The job that this app started in a folder, running or not; None where there was none."""
+        path = _note_path(out)
         try:
-            note = json.loads((out / "job.json").read_text(encoding="utf-8"))
-            command = tuple(str(part) for part in note["command"])
-            job = Job(out, command, int(note["pid"]), float(note["started"]), bool(note["stopped"]))
-        except (OSError, ValueError, KeyError, TypeError):
+            note = json.loads(read_file(path, NOTE_LIMIT))
+            asked = load_project(path.with_suffix(SUFFIX), outside=True).document  # the app wrote it itself
+            out = asked.training.out or out
+            job = Job(asked, int(note["pid"]), float(note["started"]), bool(note["stopped"]), Progress(out))
+        except (InputError, ValueError, KeyError, TypeError, OverflowError, RecursionError):
             return None
-        job.ended = job._process() is None
+        if asked.scene is None or asked.training.out is None:
+            return None
+        job.ended = not job._is_trainer()
         return job
 
     @property
@@ -165,7 +184,14 @@ class Job:
     @property
     def scene(self) -> Path:
         """The capture it works on."""
-        return Path(self.command[self.command.index("-o") - 1])
+        assert self.document.scene is not None
+        return self.document.scene
+
+    @property
+    def out(self) -> Path:
+        """The folder of its result."""
+        assert self.document.training.out is not None
+        return self.document.training.out
 
     def poll(self) -> bool:
         """Reads what is new; True where something is."""
@@ -195,11 +221,9 @@ class Job:
         self._note()
         self._signal(lambda process: process.kill())
 
-    def resume(self) -> Job:
+    def resume(self, program: Sequence[str] = ()) -> Job:
         """The same job once more, from its last checkpoint. Raises InputError where it cannot start."""
-        words = list(self.command)
-        start = next((i for i, word in enumerate(words) if word == str(self.scene)), 0)
-        job = Job.start(words[start:], self.out, resume=True, program=words[:start])
+        job = Job.start(self.document, self.document.up or (0.0, 0.0, 1.0), self.out, resume=True, program=program)
         job.progress = self.progress.again()
         job.offset = self.offset
         return job
@@ -207,24 +231,26 @@ class Job:
     def last_words(self) -> list[str]:
         """The last lines that the process printed."""
         try:
-            with (self.out / "job.log").open("rb") as file:
+            with open_file(self.out / "job.log") as file:
                 file.seek(max(0, file.seek(0, os.SEEK_END) - 8192))
-                text = file.read().decode("utf-8", "replace")
-        except OSError:
+                text = file.read(8192).decode("utf-8", "replace")
+        except (OSError, InputError):
             return []
-        return [line.rstrip() for line in text.splitlines() if line.strip()][-LOG_TAIL:]
+        return [one_line(line.rstrip()) for line in text.splitlines() if line.strip()][-LOG_TAIL:]
 
     def _read(self) -> bool:
         """Takes the complete lines that were written since the last time."""
         try:
-            with (self.out / "events.jsonl").open("rb") as file:
+            with open_file(self.out / "events.jsonl") as file:
                 if file.seek(0, os.SEEK_END) < self.offset:  # begun anew
-                    self.offset, self.progress = 0, Progress()
+                    self.offset, self.progress = 0, Progress(self.out)
                 file.seek(self.offset)
                 block = file.read(READ_AT_ONCE)
-        except OSError:
+        except (OSError, InputError):
             return False
         end = block.rfind(b"\n") + 1
+        if not end and len(block) == READ_AT_ONCE:  # no line of the trainer's
+            end = len(block)
         for line in block[:end].splitlines():
             read_line(self.progress, line)
         self.offset += end
@@ -236,8 +262,16 @@ class Job:
             process = psutil.Process(self.pid)
             same = abs(process.create_time() - self.started) < 1.0
             return process if same and process.status() != psutil.STATUS_ZOMBIE else None
-        except psutil.Error:
+        except (psutil.Error, ValueError, OverflowError):  # the last two for what is no process's number
             return None
+
+    def _is_trainer(self) -> bool:
+        """Whether the process lives and was started to write this job's events: a note may have been tampered with."""
+        process = self._process()
+        try:
+            return process is not None and str(self.out / "events.jsonl") in process.cmdline()
+        except psutil.Error:
+            return False
 
     def _is_paused(self) -> bool:
         process = self._process()
@@ -257,18 +291,24 @@ class Job:
 
     def _note(self) -> None:
         """Writes who works here."""
-        note = {"pid": self.pid, "started": self.started, "stopped": self.stopped, "command": list(self.command)}
-        with atomic(self.out / "job.json") as temporary:
-            temporary.write_text(json.dumps(note, indent=1) + "\n", encoding="utf-8")
+        note = {"pid": self.pid, "started": self.started, "stopped": self.stopped}
+        with atomic(_note_path(self.out)) as temporary:
+            temporary.write_text(json.dumps(note) + "\n", encoding="utf-8")
 
 
-def _spawn(command: list[str], log: BinaryIO) -> subprocess.Popen[bytes]:
+def _note_path(out: Path) -> Path:
+    """Where the app keeps who works in a result folder; what was asked for stands beside it, as a project."""
+    name = hashlib.sha256(os.fsencode(out.resolve())).hexdigest()[:32]
+    return state_folder() / "jobs" / f"{name}.json"
+
+
+def _spawn(arguments: Sequence[str], program: Sequence[str], log: Any) -> subprocess.Popen[bytes]:
     """A process apart from this one, so that closing the window or its terminal does not end it."""
+    options: dict[str, Any] = {"stdin": subprocess.DEVNULL, "stdout": log, "stderr": subprocess.STDOUT}
     if sys.platform == "win32":
-        flags = subprocess.CREATE_NEW_PROCESS_GROUP | subprocess.CREATE_NO_WINDOW
-        return subprocess.Popen(
-            command, stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT, creationflags=flags
-        )
-    return subprocess.Popen(
-        command, stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT, start_new_session=True
-    )
+        options["creationflags"] = subprocess.CREATE_NEW_PROCESS_GROUP | subprocess.CREATE_NO_WINDOW
+    else:
+        options["start_new_session"] = True
+    if program:
+        return subprocess.Popen([*program, *arguments], **options)
+    return start_python("training.cli", arguments, **options)

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import json
 import math
+import os
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+
+from engine.errors import one_line
 
 __all__ = ["Progress", "read_line"]
 
@@ -23,10 +26,17 @@ WEIGHTS = {
 }
 
 
+MOST = 1000
+"""Warnings, and pictures of one line, that are kept; a real job has a few."""
+
+
 @dataclass
 class Progress:
-    """Grows with each line."""
+    """Grows with each line. Lines come from a file in a folder, so they may be anybody's: texts are made plain, and
+    only files of that folder are named."""
 
+    folder: Path = Path()
+    """Where the job's results are."""
     stage: str = ""
     title: str = "Starting"
     """Name of the stage for people."""
@@ -55,7 +65,12 @@ class Progress:
     def again(self) -> Progress:
         """For a run that goes on from a checkpoint: curves and pictures stay, the rest begins anew."""
         return Progress(
-            section=self.section, surface=self.surface, previews=self.previews, whole=self.whole, lines=self.lines
+            folder=self.folder,
+            section=self.section,
+            surface=self.surface,
+            previews=self.previews,
+            whole=self.whole,
+            lines=self.lines,
         )
 
 
@@ -72,7 +87,7 @@ def read_line(progress: Progress, line: bytes) -> None:
     kind = event.get("event")
     if kind == "stage" and isinstance(event.get("stage"), str):
         progress.stage = event["stage"]
-        progress.title = str(event.get("title") or progress.stage)
+        progress.title = one_line(str(event.get("title") or progress.stage))
         progress.part = 0.0
         _advance(progress, None)
     elif kind == "progress":
@@ -80,12 +95,12 @@ def read_line(progress: Progress, line: bytes) -> None:
         _advance(progress, event.get("eta"))
         _losses(progress, event)
     elif kind == "previews" and isinstance(event.get("paths"), list):
-        progress.previews = tuple(Path(str(path)) for path in event["paths"])
-    elif kind == "warning":
-        progress.warnings.append(str(event.get("message", "")))
-    elif kind == "done" and isinstance(event.get("scene"), str):
-        progress.result = Path(event["scene"])
-        progress.report = Path(event["report"]) if isinstance(event.get("report"), str) else None
+        paths = [_own(progress, path) for path in event["paths"][:MOST]]
+        progress.previews = tuple(path for path in paths if path is not None)
+    elif kind == "warning" and len(progress.warnings) < MOST:
+        progress.warnings.append(one_line(str(event.get("message", ""))))
+    elif kind == "done" and (result := _own(progress, event.get("scene"))) is not None:
+        progress.result, progress.report = result, _own(progress, event.get("report"))
         progress.whole, progress.left = 1.0, 0.0
 
 
@@ -118,6 +133,14 @@ def _losses(progress: Progress, event: dict[str, Any]) -> None:
             return
         curve.extend([math.nan] * (iteration - 1 - len(curve)))
         curve.append(_number(losses.get(name), math.nan))
+
+
+def _own(progress: Progress, name: Any) -> Path | None:
+    """The file of this name, if it stands in the job's folder."""
+    if not isinstance(name, str) or "\0" in name:
+        return None
+    path = Path(os.path.normpath(progress.folder / name))
+    return path if path.is_relative_to(progress.folder) else None
 
 
 def _number(value: Any, fallback: float) -> float:

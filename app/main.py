@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 import warnings
 from pathlib import Path
@@ -22,8 +23,10 @@ def main() -> None:
         print(f"fruitninja: {path}: no such file", file=sys.stderr)
         sys.exit(2)
     # Not before: the window's libraries take a second to load, and a wrong path should be said at once.
+    path = None if path is None else path.absolute()
+    here = leave_current_folder()
     from app.project import Viewing
-    from app.returning import document_of, left_jobs
+    from app.returning import left_jobs
     from app.samples import sample_document
     from app.session import Session
     from app.ui.window import Window
@@ -33,7 +36,7 @@ def main() -> None:
         if path is not None:
             session.files.open(path)
         else:
-            document = document_of(left[0]) if left else sample_document()
+            document = left[0].document if left else sample_document()
             session.show(document, Viewing(mode="capture"), None)
 
     if not can_show():
@@ -42,7 +45,25 @@ def main() -> None:
             file=sys.stderr,
         )
         sys.exit(2)
-    Window(Session(), start).run()
+    Window(Session(folder=here), start).run()
+
+
+def leave_current_folder() -> Path:
+    """From here on the program works in its own folder. Returns where the user stands.
+
+    The window's libraries look in the current folder for settings, pictures, shared libraries and programs, and that
+    may be wherever a stranger's archive was unpacked.
+    """
+    from engine.processes import HOME
+
+    try:
+        here = Path.cwd()
+    except FileNotFoundError:  # removed meanwhile
+        here = Path.home()
+    if own := os.environ.get("FRUITNINJA_HOME"):
+        os.environ["FRUITNINJA_HOME"] = str(here / own)
+    os.chdir(HOME)
+    return here
 
 
 def can_show() -> bool:

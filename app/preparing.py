@@ -6,10 +6,7 @@ import atexit
 import contextlib
 import json
 import queue
-import shutil
 import subprocess
-import sys
-import tempfile
 import threading
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -23,6 +20,8 @@ from app.motion import Vec3
 from app.pieces import Solid
 from engine.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from engine.gaussians import Gaussians
+from engine.processes import start_python
+from engine.scratch import Scratch
 from training.settings import DetailName
 
 __all__ = ["Object", "Preparing", "Request"]
@@ -70,10 +69,9 @@ class Preparing:
         """The user has been told that it can be cut."""
         self.object = Object(request)
         self._queue: queue.SimpleQueue[tuple[dict[str, Any], dict[str, NDArray[Any]]]] = queue.SimpleQueue()
-        self._folder = Path(tempfile.mkdtemp(prefix="fruitninja-"))
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", "app.prepare"], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE
-        )
+        self._scratch = Scratch("fruitninja-")
+        pipe = subprocess.PIPE
+        self._process = start_python("app.prepare", stdin=pipe, stdout=pipe, stderr=pipe)
         self._threads = [
             threading.Thread(target=self._listen, daemon=True),
             threading.Thread(target=self._keep_errors, daemon=True),
@@ -82,8 +80,9 @@ class Preparing:
         atexit.register(self._clear)
         for thread in self._threads:
             thread.start()
-        asked: dict[str, Any] = {"scene": str(request.scene), "folder": str(self._folder), "detail": request.detail}
-        asked |= {"seed": request.seed, "trained": None if request.trained is None else str(request.trained)}
+        trained = None if request.trained is None else str(request.trained.absolute())
+        asked: dict[str, Any] = {"scene": str(request.scene.absolute()), "folder": str(self._scratch.path)}
+        asked |= {"detail": request.detail, "seed": request.seed, "trained": trained}
         assert self._process.stdin is not None
         with contextlib.suppress(BrokenPipeError):
             self._process.stdin.write((json.dumps(asked) + "\n").encode())
@@ -159,7 +158,7 @@ class Preparing:
     def _clear(self) -> None:
         """Leaves neither a process nor files behind, even when the app ends in the middle."""
         self._process.kill()
-        shutil.rmtree(self._folder, ignore_errors=True)
+        self._scratch.close()
 
     def _keep_errors(self) -> None:
         assert self._process.stderr is not None

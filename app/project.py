@@ -18,7 +18,7 @@ from app.camera_control import Eye
 from app.document import PRIORS, Cut, CutKind, Document, Key, Part, Placement, Training
 from app.motion import Motion, Vec3
 from engine.errors import InputError
-from engine.files import atomic
+from engine.files import atomic, read_file
 from engine.plane import Plane
 from training.families import Family, Kind
 from training.settings import DetailName
@@ -80,13 +80,7 @@ def load_project(path: Path, outside: bool = False) -> Project:
 
     Raises Outside where it does so without, and InputError for anything that is not exactly a project of this version.
     """
-    try:
-        with path.open("rb") as file:
-            raw = file.read(LIMIT + 1)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
-    if len(raw) > LIMIT:
-        raise InputError(f"{path}: not a project: it is far too large")
+    raw = read_file(path, LIMIT)
     try:
         record = json.loads(raw, parse_constant=_refuse)
     except (ValueError, RecursionError) as error:
@@ -316,8 +310,11 @@ class _Reader:
 
     def text(self, fields: dict[str, Any], key: str) -> str:
         value = fields.get(key)
-        self.require(isinstance(value, str) and len(value) <= 10_000, f"no text '{key}'")
-        return str(value)
+        text = value if isinstance(value, str) else "\0"
+        # Neither a null nor half a character, which JSON can say, can be shown or handed to another program.
+        whole = not any(c == "\0" or "\ud800" <= c <= "\udfff" for c in text)
+        self.require(whole and len(text) <= 10_000, f"no text '{key}'")
+        return text
 
     def choice(self, fields: dict[str, Any], key: str, allowed: tuple[Any, ...]) -> Any:
         value = fields.get(key)
@@ -375,10 +372,13 @@ class _Reader:
         """The path, noted where it leads out of the project's folder, by dots, as absolute, or through a link."""
         self.require(isinstance(value, str) and 0 < len(value) < 4096 and "\0" not in value, f"{what} is no path")
         path = Path(os.path.normpath(self.folder / value))
+        if not path.is_relative_to(self.folder):
+            self.outside.append(path)  # and not looked at: on Windows a look may greet a server, with a password
+            return path
         try:
             real = path.resolve()
-        except (OSError, RuntimeError) as error:
+        except (OSError, RuntimeError, ValueError) as error:  # a ValueError for what no file can be called
             raise InputError(f"{self.path}: not a project: {what} is no path") from error
-        if not (real.is_relative_to(self.folder) and path.is_relative_to(self.folder)):
+        if not real.is_relative_to(self.folder):
             self.outside.append(path)
         return path

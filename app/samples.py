@@ -19,7 +19,7 @@ __all__ = ["sample_document", "sample_folder"]
 
 
 def sample_folder() -> Path:
-    """Where the project's sample scenes stand in a checkout; an installed package has none."""
+    """Where the project's sample scenes stand."""
     return Path(app.__file__).parents[1] / "sample_scenes"
 
 

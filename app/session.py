@@ -66,6 +66,8 @@ class Session:
     colours: int = 0
     """Grows when the same atoms have other colours."""
     autosave: Autosave = field(default_factory=Autosave)
+    folder: Path = field(default_factory=Path.home)
+    """Where the user stands: dialogs begin here."""
 
     def __post_init__(self) -> None:
         self.desk = Desk(self)
@@ -154,7 +156,11 @@ class Session:
         scene, training = self.document.scene, self.document.training
         assert scene is not None
         result = self.desk.result_for(self.document) if trained else None
-        self.preparing = Preparing(Request(scene, training.detail, training.seed, result))
+        try:
+            self.preparing = Preparing(Request(scene, training.detail, training.seed, result))
+        except InputError as error:  # no room for temporary files
+            self.preparing = None
+            self.fail(error)
 
     def remember(self, settings: Settings) -> None:
         """Keeps settings, on disk too."""

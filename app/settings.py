@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import sys
@@ -10,8 +11,9 @@ from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Literal
 
+from app.project import LIMIT
 from engine.errors import InputError
-from engine.files import atomic
+from engine.files import atomic, read_file
 
 __all__ = ["Settings", "load_settings", "save_settings", "settings_folder", "state_folder"]
 
@@ -29,7 +31,8 @@ class Settings:
     jobs: tuple[str, ...] = ()
     """Result folders of training jobs that may still run."""
     trusted: tuple[str, ...] = ()
-    """Projects outside of whose folder the user allowed to read."""
+    """Projects outside of whose folder the user allowed to read: SHA-256 of the file, a space, and its path. Another
+    file that takes the place of one (the next download of the same name) is not trusted for it."""
     face_light: bool = True
     """A plain light on cut faces."""
     window: tuple[int, int] = (1440, 900)
@@ -51,9 +54,19 @@ class Settings:
         return replace(self, jobs=tuple(name for name in self.jobs if name != str(out.resolve())))
 
     def with_trusted(self, project: Path) -> Settings:
-        """With a project that may read outside of its folder."""
-        name = str(project.resolve())
-        return replace(self, trusted=(name, *(other for other in self.trusted if other != name)))
+        """With a project that may read outside of its folder, for as long as it is as it is now."""
+        mark = _mark(project)
+        others = (other for other in self.trusted if other.partition(" ")[2] != mark.partition(" ")[2])
+        return replace(self, trusted=(mark, *others))
+
+    def trusts(self, project: Path) -> bool:
+        """Whether the user allowed this very file to read outside of its folder."""
+        return _mark(project) in self.trusted
+
+
+def _mark(project: Path) -> str:
+    """A project as it is now. Raises InputError where it cannot be read."""
+    return f"{hashlib.sha256(read_file(project, LIMIT)).hexdigest()} {project.resolve()}"
 
 
 def settings_folder() -> Path:
@@ -73,7 +86,8 @@ def _folder(variable: str, fallback: str, mac: str) -> Path:
         return Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData/Local") / "FruitNinja"
     if sys.platform == "darwin":
         return Path.home() / "Library" / mac / "FruitNinja"
-    return Path(os.environ.get(variable) or Path.home() / fallback) / "fruitninja"
+    given = os.environ.get(variable, "")
+    return (Path(given) if os.path.isabs(given) else Path.home() / fallback) / "fruitninja"  # as the standard has it
 
 
 def load_settings(path: Path | None = None) -> Settings:

@@ -1,5 +1,3 @@
 """Seeing inside captured 3D objects: Gaussians, atoms, cuts, filling and the renderers."""
 
-from engine.kernel_cache import forgive
-
-forgive()
+from engine import compiler as compiler  # before anything is compiled

@@ -21,7 +21,6 @@ __all__ = [
     "WRITING",
     "Lines",
     "atomic",
-    "atomic_folder",
     "atomic_together",
     "claimed",
     "open_file",
@@ -154,30 +153,6 @@ def _beside(path: Path) -> Path:
 def _remove(path: Path) -> None:
     with suppress(OSError):
         path.unlink(missing_ok=True)
-
-
-@contextmanager
-def atomic_folder(path: Path) -> Iterator[Path]:
-    """As `atomic`, for a folder that is new or empty: yields a temporary one beside it, to be filled."""
-    with ExitStack() as cleared:
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            temporary = _beside(path)
-            temporary.mkdir()
-        except (OSError, ValueError) as error:
-            raise InputError(f"{path}: cannot be written here ({reason(error)})") from error
-        cleared.callback(shutil.rmtree, temporary, ignore_errors=True)
-        try:
-            yield temporary
-            for part in temporary.rglob("*"):
-                if part.is_file():
-                    with part.open("rb+") as file:
-                        os.fsync(file.fileno())
-            if path.is_dir():
-                path.rmdir()  # empty; not every system replaces one
-            temporary.replace(path)
-        except WRITING as error:
-            raise InputError(f"{path}: cannot be written ({reason(error)})") from error
 
 
 class Lines:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -13,6 +14,7 @@ from app_objects import full
 from app.autosave import Autosave, rescued
 from app.document import Document
 from app.project import Outside, Project, Viewing, load_project, save_project
+from app.session import Session
 from app.settings import Settings, load_settings, save_settings
 from app.ui.dialogs import Dialogs
 from engine.errors import InputError
@@ -46,6 +48,46 @@ def test_a_project_does_not_reach_out_of_its_folder_unasked(tmp_path: Path) -> N
             load_project(path)
 
 
+def test_a_path_outside_is_not_even_looked_at_before_the_user_allows_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "in" / "p.fruitninja"
+    save_project(path, Project(Document(scene=tmp_path / "server" / "share.ply"), Viewing()))
+    looked: list[str] = []
+    resolve = Path.resolve
+    monkeypatch.setattr(Path, "resolve", lambda self, strict=False: looked.append(str(self)) or resolve(self))
+    with pytest.raises(Outside):
+        load_project(path)
+    assert not any("server" in name for name in looked)  # on Windows \\\\server would be sent a password
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no pipes among its files")
+def test_a_pipe_that_is_called_a_project_does_not_hold_up_the_window(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "p.fruitninja")
+    with pytest.raises(InputError, match="not a regular file"):
+        load_project(tmp_path / "p.fruitninja")
+
+
+def test_another_project_in_the_place_of_a_trusted_one_is_asked_about_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("FRUITNINJA_HOME", str(tmp_path / "home"))
+    path = tmp_path / "in" / "p.fruitninja"
+    session = Session(autosave=Autosave(tmp_path))
+    monkeypatch.setattr(session, "prepare", lambda trained=True: None)
+    session.show(Document(scene=tmp_path / "melon.ply"), Viewing(), None)
+    session.files.save(path)
+    session.files.open(path)
+    assert session.question is None and not session.error and len(session.settings.trusted) == 1
+    save_project(path, Project(Document(scene=tmp_path / "secret.ply"), Viewing()))
+    session.files.open(path)
+    assert session.question is not None and "secret.ply" in session.question.text
+    session.answer(session.question.choices[0])
+    assert session.document.scene == tmp_path / "secret.ply"
+    session.files.open(path)
+    assert session.question is None and len(session.settings.trusted) == 1
+
+
 BREAK: dict[str, Callable[[dict], object]] = {
     "version": lambda r: r.update(fruitninja=2),
     "no version": lambda r: r.pop("fruitninja"),
@@ -64,6 +106,9 @@ BREAK: dict[str, Callable[[dict], object]] = {
     "range of one": lambda r: r["families"][0].update(range=[0.5]),
     "family twice": lambda r: r["families"].append(r["families"][0]),
     "picture": lambda r: r["families"][0].update(exemplars=[3]),
+    "nul in a text": lambda r: r["training"].update(thing="a\0b"),
+    "half a character": lambda r: r["cuts"][0].update(name="\ud800"),
+    "half a character in a path": lambda r: r.update(scene="\ud800"),
     "nul": lambda r: r.update(scene="a\0b"),
     "elevation": lambda r: r["view"].update(elevation=91),
     "distance": lambda r: r["view"].update(distance=0),
@@ -94,7 +139,7 @@ def test_what_is_no_project_is_refused(tmp_path: Path, text: str) -> None:
     path.write_bytes(text.encode("latin-1"))
     with pytest.raises(InputError, match="not a project"):
         load_project(path)
-    with pytest.raises(InputError, match="cannot be read"):
+    with pytest.raises(InputError, match="no such file"):
         load_project(tmp_path / "none.fruitninja")
 
 
@@ -143,7 +188,7 @@ def test_dialogs_of_the_system_open_and_are_cancelled(tmp_path: Path, monkeypatc
 
     for kind in ("open_file", "save_file", "select_folder"):
         monkeypatch.setattr(f"app.ui.dialogs.pfd.{kind}", Fake)
-    dialogs, got = Dialogs(), []
+    dialogs, got = Dialogs(tmp_path), []
     dialogs.native = True
     for _ in range(2):
         dialogs.open_scene(got.append)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import subprocess
 import sys
 import time
 from collections.abc import Callable
@@ -11,6 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import psutil
 import pytest
 from app_objects import atoms, full
 from PIL import Image
@@ -18,16 +20,17 @@ from safetensors.numpy import save_file
 
 from app.autosave import Autosave
 from app.colours import Watch
-from app.document import Training
+from app.document import Document, Training
 from app.job import Job, command_for, default_out
 from app.job_events import Progress, read_line
 from app.project import Viewing
-from app.returning import document_of, forget_job, left_jobs, words_of
+from app.returning import forget_job, left_jobs, words_of
 from app.samples import sample_document
 from app.session import Session
 from engine.atoms import Atoms
 from engine.errors import InputError
 from engine.trained import load_trained
+from training.cli import parse_axis, parse_families
 from training.families import Family
 
 STUB = (sys.executable, str(Path(__file__).with_name("app_stub_trainer.py")))
@@ -42,10 +45,17 @@ def follow(job: Job, until: Callable[[Job], bool], seconds: float = 15.0) -> Non
         time.sleep(0.01)
 
 
+@pytest.fixture(autouse=True)
+def home(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> Path:
+    folder = tmp_path_factory.mktemp("home")
+    monkeypatch.setenv("FRUITNINJA_HOME", str(folder))
+    return folder
+
+
 def start(out: Path, *words: str) -> Job:
-    return Job.start(
-        [str(out / "melon.ply"), "-o", str(out), "--events", str(out / "events.jsonl"), *words], out, program=STUB
-    )
+    (out / "cut.png").touch()
+    document = Document(out / "melon.ply", families=(Family("horizontal", 2, (out / "cut.png",)),))
+    return Job.start(document, (0.0, 0.0, 1.0), out, program=(*STUB, *words))
 
 
 def test_a_job_runs_to_its_end(tmp_path: Path) -> None:
@@ -83,7 +93,7 @@ def test_a_job_is_found_again_paused_and_stopped_and_goes_on(tmp_path: Path) -> 
     assert again is not None and again.phase == "stopped"
     again.poll()
     before = again.progress.iteration
-    resumed = again.resume()
+    resumed = again.resume((*STUB, "--steps", "400"))
     follow(resumed, lambda job: job.progress.iteration > before)
     resumed.kill()
     follow(resumed, lambda job: job.ended)
@@ -95,7 +105,7 @@ def test_a_job_that_dies_says_its_last_words_and_resumes(tmp_path: Path) -> None
     job = start(tmp_path, "--die")
     follow(job, lambda job: job.ended)
     assert job.phase == "failed" and "no memory left" in job.last_words()[-1]
-    resumed = job.resume()
+    resumed = job.resume(STUB)
     follow(resumed, lambda job: job.ended)
     resumed.poll()
     assert resumed.phase == "done" and resumed.progress.section[2] == 1 / 3
@@ -110,8 +120,7 @@ def test_a_killed_job_is_a_failed_one(tmp_path: Path) -> None:
     assert job.phase == "failed"
 
 
-def test_a_real_training_speaks_as_the_window_listens(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("FRUITNINJA_HOME", str(tmp_path))
+def test_a_real_training_speaks_as_the_window_listens(tmp_path: Path) -> None:
     y, x = np.mgrid[:64, :64] - 31.5
     disc = (x**2 + y**2 < 28**2)[..., None]
     picture = np.where(disc, np.random.default_rng(0).integers(150, 250, (64, 64, 1)) * (1, 0.2, 0.2), 255)
@@ -120,7 +129,7 @@ def test_a_real_training_speaks_as_the_window_listens(tmp_path: Path, monkeypatc
     training = Training("draft", iterations=2, out=tmp_path / "result")
     document = replace(sample_document("none"), families=(family,), training=training)
     out = tmp_path / "result"
-    job = Job.start(command_for(document, (0.0, 0.0, 1.0), out), out)
+    job = Job.start(document, (0.0, 0.0, 1.0), out)
     follow(job, lambda job: job.ended, 300)
     while job.poll():
         pass
@@ -166,7 +175,7 @@ def test_the_window_takes_on_what_a_training_has_reached(tmp_path: Path) -> None
 
 
 def test_half_a_line_is_read_when_it_is_whole(tmp_path: Path) -> None:
-    job = Job(tmp_path, ("train", "x.ply", "-o", str(tmp_path)), pid=1 << 30, started=0.0)
+    job = Job(Document(tmp_path / "x.ply", training=Training(out=tmp_path)), pid=1 << 30, started=0.0)
     events = tmp_path / "events.jsonl"
     events.write_bytes(b'{"event": "stage", "stage": "train"')
     job.poll()
@@ -182,8 +191,6 @@ def test_half_a_line_is_read_when_it_is_whole(tmp_path: Path) -> None:
 
 
 def test_the_command_is_the_documents(tmp_path: Path) -> None:
-    from training.cli import parse_axis, parse_families
-
     project = full(tmp_path)
     with pytest.raises(InputError, match="no longer there"):
         command_for(project.document, (0.0, -1.0, 0.0), tmp_path)
@@ -210,7 +217,6 @@ def test_the_command_is_the_documents(tmp_path: Path) -> None:
 def test_a_job_that_was_left_running_is_found_at_the_next_start(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv("FRUITNINJA_HOME", str(tmp_path / "home"))
     project = full(tmp_path)
     for name in ("a.png", "b.png", "c.png", "scenes/melon.ply"):
         (tmp_path / name).parent.mkdir(exist_ok=True)
@@ -231,14 +237,9 @@ def test_a_job_that_was_left_running_is_found_at_the_next_start(
     try:
         (job,) = left_jobs(second)
         assert job.phase == "running"
-        document = document_of(job)
-        asked, true = document.training, project.document.training
-        assert (document.scene, document.up, asked) == (project.document.scene, project.document.up, true)
-        assert [f.kind for f in document.families] == [f.kind for f in project.document.families]
-        assert all(
-            a.exemplars == b.exemplars for a, b in zip(document.families, project.document.families, strict=True)
-        )
-        second.show(document, Viewing(), None)
+        asked = project.document
+        assert job.document == Document(asked.scene, asked.up, families=asked.families, training=asked.training)
+        second.show(job.document, Viewing(), None)
         assert second.desk.job is not None and second.desk.busy and "went on" in second.message
         assert left_jobs(second) == []  # it is the one that is shown
     finally:
@@ -249,3 +250,59 @@ def test_a_job_that_was_left_running_is_found_at_the_next_start(
     assert job.ended and words_of(job) == "Training of melon ended early."
     forget_job(third, job)
     assert left_jobs(Session()) == []
+
+
+def test_what_lies_in_a_result_folder_starts_and_ends_no_process(tmp_path: Path) -> None:
+    document = Document(tmp_path / "melon.ply", families=(Family("horizontal", 2, (tmp_path / "cut.png",)),))
+    (tmp_path / "cut.png").touch()
+    out = default_out(tmp_path / "melon.ply")
+    out.mkdir()
+    mark, secret = tmp_path / "mark", tmp_path / "secret"
+    secret.write_text("kept")
+    with subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"]) as other:
+        started = psutil.Process(other.pid).create_time()
+        run = [sys.executable, "-c", f"open({str(mark)!r}, 'w')", str(document.scene), "-o", str(out)]
+        note = {"pid": other.pid, "started": started, "stopped": False, "command": run}
+        (out / "job.json").write_text(json.dumps(note))
+        for name in ("events.jsonl", "job.log"):
+            (out / name).symlink_to(secret)
+        assert Job.find(out) is None
+        session = Session(autosave=Autosave(tmp_path))
+        session.prepare = lambda trained=True: None  # type: ignore[method-assign]
+        session.show(document, Viewing(), None)
+        assert session.desk.job is None
+        session.desk.resume()
+        session.desk.stop()
+        job = Job.start(document, (0.0, 0.0, 1.0), out, program=STUB)
+        follow(job, lambda job: job.ended)
+        assert other.poll() is None and not mark.exists() and secret.read_text() == "kept"
+        other.kill()
+
+
+def test_a_note_that_names_another_process_is_a_job_that_has_ended(tmp_path: Path, home: Path) -> None:
+    job = start(tmp_path)
+    follow(job, lambda job: job.ended)
+    (note,) = (home / "jobs").glob("*.json")
+    me = psutil.Process()
+    myself = {"pid": me.pid, "started": me.create_time()}
+    for change in (myself, {"pid": -1}, {"pid": 10**30}, {"started": "x"}):
+        note.write_text(json.dumps({"pid": 1, "started": 0.0, "stopped": False} | change))
+        found = Job.find(tmp_path)
+        assert found is None or found.ended
+    note.with_suffix(".fruitninja").write_text("{}")
+    assert Job.find(tmp_path) is None
+
+
+def test_events_name_no_file_elsewhere_and_say_plain_words(tmp_path: Path) -> None:
+    progress = Progress(tmp_path)
+    for event in (
+        {"event": "previews", "paths": ["/etc/passwd", "../x.png", 3, str(tmp_path / "a.png")]},
+        {"event": "done", "scene": "/etc/passwd"},
+        {"event": "warning", "message": "a\x1b[2Jb"},
+    ):
+        read_line(progress, json.dumps(event).encode())
+    assert progress.previews == (tmp_path / "a.png",) and progress.result is None
+    assert progress.warnings == ["a?[2Jb"]
+    os.mkfifo(tmp_path / "events.jsonl")
+    job = Job(Document(tmp_path / "x.ply", training=Training(out=tmp_path)), pid=1 << 30, started=0.0)
+    job.poll()  # does not wait

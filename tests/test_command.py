@@ -18,7 +18,8 @@ SCENE = ROOT / "sample_scenes/bread"
 BEGIN = """
 import os, sys, time
 from pathlib import Path
-from engine.files import atomic, atomic_folder
+from engine.files import atomic
+from engine.scratch import atomic_folder
 
 def work(path, *_, folder=False, **__):
     with (atomic_folder if folder else atomic)(Path(path)) as temporary:

@@ -26,8 +26,9 @@ from app.project import save_project
 from engine import cli
 from engine.command import REFUSED
 from engine.errors import InputError
-from engine.files import Lines, atomic_folder
+from engine.files import Lines
 from engine.picture import Picture
+from engine.scratch import atomic_folder
 from engine.trained import Meta, save_trained
 from training.batch.cli import Summary
 from training.batch.grid import Outcome

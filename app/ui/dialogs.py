@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import sys
 from collections.abc import Callable
@@ -45,7 +46,9 @@ class Typed:
 class Dialogs:
     """At most one at a time."""
 
-    def __init__(self) -> None:
+    def __init__(self, here: Path) -> None:
+        self.here = here
+        """Where the next one for opening begins, and what a path that is typed is relative to."""
         self.asked: Asked | None = None
         self.typed: Typed | None = None
         native = sys.platform in ("win32", "darwin") or any(map(shutil.which, ("zenity", "kdialog", "matedialog")))
@@ -77,9 +80,9 @@ class Dialogs:
     def _open(self, title: str, kinds: list[str], then: Then, several: bool = False) -> None:
         if self.native:
             options = pfd.opt.multiselect if several else pfd.opt.none
-            self.asked = Asked(pfd.open_file(title, "", kinds, options), then)
+            self.asked = Asked(pfd.open_file(title, str(self.here), kinds, options), then)
         else:
-            self.typed = Typed(title, str(Path.cwd()) + "/", then)
+            self.typed = Typed(title, os.path.join(self.here, ""), then)
 
     def show(self) -> None:
         """Once a frame: looks whether an answer has come."""
@@ -115,4 +118,4 @@ class Dialogs:
             imgui.close_current_popup()
         imgui.end_popup()
         if done and typed.text.strip():
-            typed.then((Path(typed.text.strip()).expanduser(),))
+            typed.then((self.here / Path(typed.text.strip()).expanduser(),))

@@ -17,7 +17,7 @@ from app.autosave import Rescued, rescued
 from app.files import PICTURES
 from app.job import Job
 from app.project import Viewing
-from app.returning import document_of, forget_job, left_jobs, words_of
+from app.returning import forget_job, left_jobs, words_of
 from app.session import Session
 from app.settings import settings_folder
 from app.ui.commands import press_shortcuts
@@ -117,7 +117,7 @@ class Window:
         self.ctx = moderngl.create_context(require=330)
         self.painter = Painter(self.ctx)
         self.thumbs = Thumbs(self.ctx)
-        self.dialogs = Dialogs()
+        self.dialogs = Dialogs(self.session.folder)
         self.viewport = Viewport(self.session, self.painter)
         self.exporter = Exporter(self.session, self.painter)
         self.export = ExportWindow(self.exporter, self.dialogs)
@@ -296,7 +296,7 @@ class Window:
         session, job = self.session, self.left[0]
 
         def show() -> None:
-            session.show(document_of(job), Viewing(mode="capture"), None)
+            session.show(job.document, Viewing(mode="capture"), None)
             self._pass_over()
 
         session.files.unless_unsaved(show)

@@ -6,7 +6,7 @@ import logging
 import os
 import signal
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from multiprocessing import resource_tracker
 from typing import Any
 
@@ -15,6 +15,8 @@ import psutil
 from distributed import Client, LocalCluster
 
 from engine.errors import InputError
+from engine.processes import safe_imports
+from engine.scratch import Scratch
 
 __all__ = ["deaf_children", "workers"]
 
@@ -41,13 +43,15 @@ def workers(scheduler: str | None, count: int | None, tasks: int, gigabytes: flo
         "distributed.scheduler.allowed-failures": 0,
         "distributed.comm.timeouts.connect": f"{WAIT_SECONDS}s",
     }
-    with dask.config.set(settings):
+    # Workers import from their folder: it is a private one, not the one in the temporary folder that all users share.
+    with dask.config.set(settings), safe_imports(), closing(Scratch("fruitninja-")) as scratch:
         with deaf_children(signal.SIGINT):
             cluster = LocalCluster(
                 n_workers=count,
                 threads_per_worker=1,
                 host="127.0.0.1",
                 dashboard_address=None,
+                local_directory=str(scratch.path),
                 memory_limit=0,  # no spilling to disk, and no nanny that kills a worker whose scene is large
                 silence_logs=logging.CRITICAL,
             )

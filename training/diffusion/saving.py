@@ -12,7 +12,8 @@ import torch
 from safetensors import safe_open
 
 from engine.errors import InputError
-from engine.files import atomic_folder, reason
+from engine.files import reason
+from engine.scratch import atomic_folder
 from training.diffusion.loading import NOTE, Model
 from training.diffusion.words import TOKEN, tuned_prompts
 

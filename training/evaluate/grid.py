@@ -14,6 +14,7 @@ from typing import Any
 
 from engine.errors import InputError
 from engine.files import atomic
+from engine.processes import safe_imports
 from training.batch.cluster import deaf_children
 from training.batch.grid import Outcome, run_grid
 from training.batch.task import Task
@@ -96,7 +97,7 @@ def perform_all(grid: Sequence[Cell], told: Callable[[Cell, str], None]) -> dict
             told(cell, "kept")
             continue
         told(cell, "begins")
-        with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
+        with safe_imports(), ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
             try:
                 with deaf_children(signal.SIGINT, signal.SIGTERM):
                     done = pool.submit(perform, cell, DETAILS[cell.detail])
