@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import math
 import zlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -48,6 +48,8 @@ class Meta:
     """Name of the prior that made the labels."""
     source: str = ""
     """Name of the file that the object was made from."""
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Where the object's zero lies in that file's coordinates (engine.origin). Sidecars of before have none."""
 
 
 def sidecar_path(path: str | Path) -> Path:
@@ -67,7 +69,7 @@ def save_trained(path: str | Path, atoms: Atoms, meta: Meta) -> None:
     assert not broken, f"NaN or Inf in the atoms' {broken}"
     assert (gaussians.scales > 0).all(), "scales that are not above 0"
     with atomic(sidecar_path(path)) as sidecar, atomic(path) as ply:
-        write_ply(ply, gaussians, [f"FruitNinja: made from {meta.source}"] if meta.source else [])
+        write_ply(ply, gaussians, _comments(meta))
         record = {
             "format": FORMAT,
             "ply_bytes": ply.stat().st_size,
@@ -82,6 +84,8 @@ def save_trained(path: str | Path, atoms: Atoms, meta: Meta) -> None:
             "prior": meta.prior,
             "source": meta.source,
         }
+        if any(meta.origin):
+            record["origin"] = [float(v) for v in meta.origin]
         sidecar.write_text(json.dumps(record, indent=1, allow_nan=False) + "\n", encoding="utf-8")
 
 
@@ -103,6 +107,7 @@ def load_trained(path: str | Path) -> tuple[Atoms, Meta]:
         record.count("seed"),
         record.of("prior", str),
         record.of("source", str),
+        record.vector("origin") if "origin" in record.fields else (0.0, 0.0, 0.0),
     )
     record.require(pitch > 0, "'pitch' is not above 0")
     record.require(exposed <= interior, "'exposed' is more than 'interior'")
@@ -112,6 +117,9 @@ def load_trained(path: str | Path) -> tuple[Atoms, Meta]:
         raise InputError(f"{path}: its sidecar {record.path.name} belongs to another file; train the object again")
     gaussians, _ = read_ply(path)
     record.require(len(gaussians) == surface + interior, "its counts are not those of the .ply")
+    if any(gaussians.origin):  # an object of before, trained where its capture lay
+        x, y, z = (a + b for a, b in zip(meta.origin, gaussians.origin, strict=True))
+        meta = replace(meta, origin=(x, y, z))
     outer, inner = gaussians[:surface], gaussians[surface:]
     return (
         Atoms(
@@ -126,6 +134,14 @@ def load_trained(path: str | Path) -> tuple[Atoms, Meta]:
         ),
         meta,
     )
+
+
+def _comments(meta: Meta) -> list[str]:
+    """What another viewer's user may read in the .ply."""
+    comments = [f"FruitNinja: made from {meta.source}"] if meta.source else []
+    if any(meta.origin):
+        comments.append("FruitNinja: add {:.12g} {:.12g} {:.12g} to be back in its coordinates".format(*meta.origin))
+    return comments
 
 
 def _as_gaussians(atoms: Atoms) -> Gaussians:
