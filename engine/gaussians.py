@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +26,7 @@ class Gaussians:
     """(N,). Range [0, 1]."""
     sh: Float
     """(N, (d+1)^2, 3). Spherical harmonics of degree d = 0..3, coefficient-major, RGB last."""
-    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    origin: tuple[float, float, float] = field(default=(0.0, 0.0, 0.0), kw_only=True)
     """Where the zero of `means` lies in the file's own coordinates (engine.origin)."""
 
     def __post_init__(self) -> None:
@@ -49,4 +49,4 @@ class Gaussians:
     def __getitem__(self, rows: NDArray[np.bool_] | NDArray[np.integer] | slice) -> Gaussians:
         """The Gaussians of these rows: a mask (N,), indices (M,) or a slice."""
         means, scales, quats = self.means[rows], self.scales[rows], self.quats[rows]
-        return Gaussians(means, scales, quats, self.opacities[rows], self.sh[rows], self.origin)
+        return Gaussians(means, scales, quats, self.opacities[rows], self.sh[rows], origin=self.origin)

@@ -90,7 +90,7 @@ def read_mesh(
         _towards(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])),
         np.full(count, OPACITY, np.float32),
         rgb_to_sh(rgb).astype(np.float32)[:, None],
-        origin,
+        origin=origin,
     )
 
 

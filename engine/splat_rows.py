@@ -143,4 +143,4 @@ def _activate(table: Float, origin: Vector) -> Gaussians:
     sh[:, 1:] = table[:, 14:].reshape(n, 3, rest // 3).transpose(0, 2, 1)
     scales = np.exp(table[:, 4:7].astype(np.float64))
     means = np.ascontiguousarray(table[:, :3])
-    return Gaussians(means, scales.astype(np.float32), quats.astype(np.float32), opacities, sh, origin)
+    return Gaussians(means, scales.astype(np.float32), quats.astype(np.float32), opacities, sh, origin=origin)

@@ -22,6 +22,7 @@ from engine.files import atomic, open_file
 from engine.gaussians import Gaussians
 from engine.ply import read_ply, write_ply
 from engine.sh import rgb_to_sh, sh_to_rgb
+from engine.strict_json import parse
 
 __all__ = ["FORMAT", "Meta", "load_trained", "save_trained", "sidecar_path"]
 
@@ -172,14 +173,6 @@ def _crc(path: Path) -> int:
     return crc
 
 
-def _finite_number(text: str) -> float:
-    """The number, or ValueError for NaN, infinities, and what is one as a float: JSON cannot say them again."""
-    number = float(text)
-    if not math.isfinite(number):
-        raise ValueError(text)
-    return number
-
-
 class _Record:
     """The fields of a sidecar, each with its type, or an InputError that names the file."""
 
@@ -193,8 +186,8 @@ class _Record:
             text = file.read(SIDECAR_LIMIT + 1)
         self.require(len(text) <= SIDECAR_LIMIT, "it is far too large")
         try:
-            self.fields = json.loads(text, parse_constant=_finite_number, parse_float=_finite_number)
-        except (ValueError, RecursionError) as error:  # bad UTF-8 is a ValueError, too
+            self.fields = parse(text)
+        except ValueError as error:
             raise InputError(f"{path}: not a sidecar of a trained object: it is no JSON") from error
         self.require(isinstance(self.fields, dict) and "format" in self.fields, "it has no 'format'")
         if self.fields["format"] != FORMAT:
