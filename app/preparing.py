@@ -113,7 +113,7 @@ class Preparing:
     def _take(self, what: str, arrays: dict[str, NDArray[Any]], facts: dict[str, Any]) -> None:
         if what == "capture":
             x, y, z = facts["up"]
-            capture = Gaussians(**arrays)
+            capture = Gaussians(*(arrays[name] for name in ("means", "scales", "quats", "opacities", "sh")))
             # Most captures have a few stray Gaussians far away; they must not decide what fits the window.
             low, high = np.percentile(capture.means, [2, 98], axis=0) if len(capture) else np.zeros((2, 3))
             near = capture.means[((capture.means >= low) & (capture.means <= high)).all(1)]

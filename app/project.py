@@ -20,6 +20,7 @@ from app.motion import Motion, Vec3
 from engine.errors import InputError
 from engine.files import atomic, read_file
 from engine.plane import Plane
+from engine.strict_json import parse
 from training.families import Family, Kind
 from training.settings import DetailName
 
@@ -82,8 +83,8 @@ def load_project(path: Path, outside: bool = False) -> Project:
     """
     raw = read_file(path, LIMIT)
     try:
-        record = json.loads(raw, parse_constant=_refuse)
-    except (ValueError, RecursionError) as error:
+        record = parse(raw)
+    except ValueError as error:
         raise InputError(f"{path}: not a project: it is no JSON") from error
     reader = _Reader(path, outside)
     project = reader.project(record)
@@ -176,10 +177,6 @@ def _relative(path: Path | None, folder: Path) -> str | None:
 
 
 # reading
-
-
-def _refuse(name: str) -> float:
-    raise ValueError(name)  # NaN and Infinity are no JSON
 
 
 class _Reader:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ Float = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class Gaussians:
-    """What a 3DGS .ply holds, N Gaussians, all float32."""
+    """What a 3DGS .ply holds, N Gaussians, all arrays float32."""
 
     means: Float
     """(N, 3). Centres, world units."""
@@ -26,6 +26,8 @@ class Gaussians:
     """(N,). Range [0, 1]."""
     sh: Float
     """(N, (d+1)^2, 3). Spherical harmonics of degree d = 0..3, coefficient-major, RGB last."""
+    origin: tuple[float, float, float] = field(default=(0.0, 0.0, 0.0), kw_only=True)
+    """Where the zero of `means` lies in the file's own coordinates (engine.origin)."""
 
     def __post_init__(self) -> None:
         n = len(self.means)
@@ -46,4 +48,5 @@ class Gaussians:
 
     def __getitem__(self, rows: NDArray[np.bool_] | NDArray[np.integer] | slice) -> Gaussians:
         """The Gaussians of these rows: a mask (N,), indices (M,) or a slice."""
-        return Gaussians(self.means[rows], self.scales[rows], self.quats[rows], self.opacities[rows], self.sh[rows])
+        means, scales, quats = self.means[rows], self.scales[rows], self.quats[rows]
+        return Gaussians(means, scales, quats, self.opacities[rows], self.sh[rows], origin=self.origin)

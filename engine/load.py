@@ -10,6 +10,7 @@ from pathlib import Path
 from engine.errors import InputError
 from engine.files import open_file
 from engine.gaussians import Gaussians
+from engine.impostors import LONGEST, impostor
 from engine.mesh import read_mesh
 from engine.ply import read_ply
 from engine.ply_header import read_header
@@ -43,11 +44,15 @@ def load(path: str | Path, seed: int = 0) -> Loaded:
     read: Callable[[Path], tuple[Gaussians, list[str]]]
     suffix = path.suffix.lower()
     with open_file(path) as file:
-        start = file.read(4)
-    if start[:3] == b"ply" and start[3:] in (b"\n", b"\r", b" ", b"\t"):
+        start = file.read(LONGEST)
+    if not start:
+        raise InputError(f"{path}: the file is empty; copy or download it again")
+    if other := impostor(start):
+        raise InputError(f"{path}: this is {other}")
+    if start[:3] == b"ply" and start[3:4] in (b"\n", b"\r", b" ", b"\t"):
         header = read_header(path)
         read = mesh if header.faces > 0 and not header.is_splats else read_ply
-    elif start == b"glTF" or (suffix in MESH_SUFFIXES and suffix != ".ply"):
+    elif start[:4] == b"glTF" or (suffix in MESH_SUFFIXES and suffix != ".ply"):
         read = mesh
     elif start[:2] == GZIP:
         read = read_spz
@@ -56,7 +61,7 @@ def load(path: str | Path, seed: int = 0) -> Loaded:
     elif suffix == ".ply":
         read = read_ply  # it is no .ply, and the reader says so
     elif suffix == ".spz":
-        raise InputError(f"{path}: not an .spz scene of version 2 or 3, which are gzipped; export it as one, or a .ply")
+        raise InputError(f"{path}: not an .spz scene, which would be gzipped; export the capture again")
     elif suffix in TO_CONVERT:
         raise InputError(f"{path}: {suffix} files cannot be opened; export the capture as a .ply, .splat or .spz")
     else:

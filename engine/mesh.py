@@ -17,6 +17,7 @@ from PIL import Image
 from engine.errors import InputError
 from engine.files import open_file
 from engine.gaussians import Gaussians
+from engine.origin import origin_for
 from engine.ply_header import read_header
 from engine.scatter import scatter
 from engine.sh import rgb_to_sh
@@ -70,6 +71,10 @@ def read_mesh(
     area = float(areas.sum())
     if not area > 0:
         raise InputError(f"{path}: none of the {len(triangles):,} faces has an area")
+    origin, moved = origin_for(path, triangles.reshape(-1, 3), float(np.sqrt(area / count)))
+    for line in moved:
+        warn(line)
+    triangles -= np.asarray(origin)
     face, weights = scatter(triangles, count, np.random.default_rng(seed))
     corners = triangles[face]
     rgb = np.empty((count, 3))
@@ -85,6 +90,7 @@ def read_mesh(
         _towards(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])),
         np.full(count, OPACITY, np.float32),
         rgb_to_sh(rgb).astype(np.float32)[:, None],
+        origin=origin,
     )
 
 

@@ -49,14 +49,19 @@ def read_ply(path: str | Path) -> tuple[Gaussians, list[str]]:
     rest = _rest_count(path, vertex)
     names = [*GEOMETRY, *COLOUR, *(f"f_rest_{i}" for i in range(rest))]
     table = np.empty((vertex.count, len(names)), np.float32)
+    # Map coordinates have more digits than float32: they stay as wide as they are until the scene is where it fits.
+    places = table[:, :3]
+    if header.ascii or _wide(vertex, names[:3]):
+        places = np.empty((vertex.count, 3), np.float64)
     filled = 0
     with open_file(path) as file, np.errstate(over="ignore", invalid="ignore"):  # what does not fit becomes Inf
         for block in _blocks(path, file, header, vertex, names):
+            places[filled : filled + len(block)] = block[:, :3]
             table[filled : filled + len(block)] = block
             filled += len(block)
     if filled < vertex.count:
         raise InputError(f"{path}: truncated: the header promises {vertex.count:,} Gaussians, {filled:,} are there")
-    return gaussians_of(path, table)
+    return gaussians_of(path, table, places)
 
 
 def write_ply(path: str | Path, gaussians: Gaussians, comments: Sequence[str] = ()) -> None:
@@ -107,8 +112,16 @@ def _scene_element(path: Path, header: Header) -> Element:
 def _rest_count(path: Path, vertex: Element) -> int:
     """How many f_rest properties there are. Raises InputError where they make no SH degree."""
     found = {name for name in vertex.properties if name.startswith("f_rest_")}
-    if len(found) not in REST_COUNTS or found != {f"f_rest_{i}" for i in range(len(found))}:
-        raise InputError(f"{path}: {len(found)} 'f_rest' properties; SH of degree 0 to 3 has 0, 9, 24 or 45")
+    missing = next((i for i in range(len(found)) if f"f_rest_{i}" not in found), None)
+    if missing is not None:
+        raise InputError(f"{path}: {len(found)} 'f_rest' properties, but no 'f_rest_{missing}'; export the scene again")
+    if len(found) == 72:
+        raise InputError(f"{path}: spherical harmonics of degree 4; export the scene with degree 3 or less")
+    if len(found) not in REST_COUNTS:
+        raise InputError(
+            f"{path}: {len(found)} 'f_rest' properties, where SH of degree 0 to 3 has 0, 9, 24 or 45; "
+            "export the scene again"
+        )
     return len(found)
 
 
@@ -134,10 +147,15 @@ def _blocks(
         yield _columns(np.frombuffer(data, vertex.dtype, len(data) // vertex.dtype.itemsize), names)
 
 
+def _wide(vertex: Element, names: Sequence[str]) -> bool:
+    """Whether one of these properties of a binary file needs more than float32."""
+    assert vertex.dtype is not None
+    return np.result_type(np.float32, *(vertex.dtype[name] for name in names)) != np.float32
+
+
 def _columns(rows: NDArray[np.void], names: list[str]) -> NDArray[np.floating]:
     """(R, len(names)). These fields of structured rows, float64 where one of them is."""
-    wide = any(rows.dtype[name].itemsize > 4 for name in names)
-    block = np.empty((len(rows), len(names)), np.float64 if wide else np.float32)
+    block = np.empty((len(rows), len(names)), np.result_type(np.float32, *(rows.dtype[name] for name in names)))
     for i, name in enumerate(names):
         block[:, i] = rows[name]
     return block

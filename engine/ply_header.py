@@ -80,11 +80,13 @@ def read_header(path: str | Path) -> Header:
     start = re.match(rb"ply[ \t]*(\r\n|\n|\r)", text)
     if not start:
         raise InputError(f"{path}: not a .ply file")
-    newline = start[1]
-    end = re.search(newline + rb"end_header[ \t]*" + newline, text)
+    # Lines may end in either of two ways in one header: tools that add a line to it do not ask. Only behind a lone
+    # carriage return a newline would be data.
+    mac = start[1] == b"\r"
+    end = re.search(rb"\rend_header[ \t]*\r" if mac else rb"\nend_header[ \t]*\r?\n", text)
     if not end:
         raise InputError(f"{path}: broken .ply header: it does not end")
-    lines = text[: end.start()].decode("latin-1").split(newline.decode())
+    lines = text[: end.start()].decode("latin-1").split("\r" if mac else "\n")
     header = _parse(path, lines, end.end())
     room = size - header.data + header.ascii  # the last row of an ascii file may lack its newline
     for element in header.elements:

@@ -40,6 +40,9 @@ EXTENDED = 2
 BLOCK = 1 << 20
 """Compressed bytes read at once."""
 
+ATTRIBUTES = ("places", "opacities", "colours", "sizes", "rotations", "spherical harmonics")
+"""What comes one after another, each for all Gaussians."""
+
 DEGREES = (0, 9, 24, 45, 72)
 """Bytes of SH above degree 0 of a Gaussian."""
 
@@ -60,8 +63,11 @@ def read_spz(path: str | Path) -> tuple[Gaussians, list[str]]:
     with open_file(path) as file:
         stream = _inflated(path, file)
         start = next(stream, b"")
-        if len(start) < HEADER.size or start[:4] != MAGIC:
-            raise InputError(f"{path}: not an .spz scene; it is gzipped, but something else is in it")
+        if start[:4] != MAGIC:
+            other = "a .ply" if start[:3] == b"ply" else "something else"
+            raise InputError(f"{path}: not an .spz scene; it is gzipped, but {other} is in it; unpack it with gunzip")
+        if len(start) < HEADER.size:
+            raise InputError(f"{path}: truncated: it ends within its header; copy or export it again")
         _, version, count, degree, bits, flags, zero = HEADER.unpack_from(start)
         if version not in VERSIONS:
             raise InputError(
@@ -78,7 +84,11 @@ def read_spz(path: str | Path) -> tuple[Gaussians, list[str]]:
             if len(data) > count * sum(sizes) and not flags & EXTENDED:
                 raise InputError(f"{path}: damaged: there is more in it than the {count:,} Gaussians it promises")
     if len(data) < count * sum(sizes):
-        raise InputError(f"{path}: truncated: {count:,} Gaussians are promised, {len(data) // sum(sizes):,} fit in it")
+        within = int(np.searchsorted(np.cumsum(sizes) * count, len(data), side="right"))
+        raise InputError(
+            f"{path}: truncated: {count:,} Gaussians are promised, it ends within their {ATTRIBUTES[within]}; "
+            "copy or export it again"
+        )
     attributes = np.split(np.frombuffer(data, np.uint8, count * sum(sizes)), np.cumsum(sizes)[:-1] * count)
     kept = min(degree, 3)
     gaussians, warnings = gaussians_of(path, _table([a.reshape(count, -1) for a in attributes], version, bits, kept))
@@ -94,11 +104,11 @@ def _inflated(path: Path, file: BinaryIO) -> Iterator[bytes]:
         while not inflate.eof:
             packed = inflate.unconsumed_tail or file.read(BLOCK)
             if not packed:
-                raise InputError(f"{path}: truncated: it ends in the middle")
+                raise InputError(f"{path}: truncated: it ends in the middle; copy or export it again")
             if piece := inflate.decompress(packed, 8 * BLOCK):
                 yield piece
     except zlib.error as error:
-        raise InputError(f"{path}: damaged: it cannot be unpacked") from error
+        raise InputError(f"{path}: damaged: it cannot be unpacked; copy or export it again") from error
 
 
 def _table(attributes: list[NDArray[np.uint8]], version: int, bits: int, degree: int) -> NDArray[np.float32]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import math
 import zlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,7 @@ from engine.files import atomic_together, open_file
 from engine.gaussians import Gaussians
 from engine.ply import ply_data, read_ply
 from engine.sh import rgb_to_sh, sh_to_rgb
+from engine.strict_json import parse
 
 __all__ = ["FORMAT", "Meta", "load_trained", "save_trained", "sidecar_path"]
 
@@ -48,6 +49,8 @@ class Meta:
     """Name of the prior that made the labels."""
     source: str = ""
     """Name of the file that the object was made from."""
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Where the object's zero lies in that file's coordinates (engine.origin). Sidecars of before have none."""
 
 
 def sidecar_path(path: str | Path) -> Path:
@@ -66,7 +69,7 @@ def save_trained(path: str | Path, atoms: Atoms, meta: Meta) -> None:
     broken = [name for name, values in vars(gaussians).items() if not np.isfinite(values).all()]
     assert not broken, f"NaN or Inf in the atoms' {broken}"
     assert (gaussians.scales > 0).all(), "scales that are not above 0"
-    data = ply_data(gaussians, [f"FruitNinja: made from {meta.source}"] if meta.source else [])
+    data = ply_data(gaussians, _comments(meta))
     with atomic_together(path, sidecar_path(path)) as (ply, sidecar):
         data.write(str(ply))
         record = {
@@ -83,6 +86,8 @@ def save_trained(path: str | Path, atoms: Atoms, meta: Meta) -> None:
             "prior": meta.prior,
             "source": meta.source,
         }
+        if any(meta.origin):
+            record["origin"] = [float(v) for v in meta.origin]
         sidecar.write_text(json.dumps(record, indent=1, allow_nan=False) + "\n", encoding="utf-8")
 
 
@@ -104,6 +109,7 @@ def load_trained(path: str | Path) -> tuple[Atoms, Meta]:
         record.count("seed"),
         record.of("prior", str),
         record.of("source", str),
+        record.vector("origin") if "origin" in record.fields else (0.0, 0.0, 0.0),
     )
     record.require(pitch > 0, "'pitch' is not above 0")
     record.require(exposed <= interior, "'exposed' is more than 'interior'")
@@ -113,6 +119,9 @@ def load_trained(path: str | Path) -> tuple[Atoms, Meta]:
         raise InputError(f"{path}: its sidecar {record.path.name} belongs to another file; train the object again")
     gaussians, _ = read_ply(path)
     record.require(len(gaussians) == surface + interior, "its counts are not those of the .ply")
+    if any(gaussians.origin):  # an object of before, trained where its capture lay
+        x, y, z = (a + b for a, b in zip(meta.origin, gaussians.origin, strict=True))
+        meta = replace(meta, origin=(x, y, z))
     outer, inner = gaussians[:surface], gaussians[surface:]
     return (
         Atoms(
@@ -127,6 +136,14 @@ def load_trained(path: str | Path) -> tuple[Atoms, Meta]:
         ),
         meta,
     )
+
+
+def _comments(meta: Meta) -> list[str]:
+    """What another viewer's user may read in the .ply."""
+    comments = [f"FruitNinja: made from {meta.source}"] if meta.source else []
+    if any(meta.origin):
+        comments.append("FruitNinja: add {:.12g} {:.12g} {:.12g} to be back in its coordinates".format(*meta.origin))
+    return comments
 
 
 def _as_gaussians(atoms: Atoms) -> Gaussians:
@@ -157,14 +174,6 @@ def _crc(path: Path) -> int:
     return crc
 
 
-def _finite_number(text: str) -> float:
-    """The number, or ValueError for NaN, infinities, and what is one as a float: JSON cannot say them again."""
-    number = float(text)
-    if not math.isfinite(number):
-        raise ValueError(text)
-    return number
-
-
 class _Record:
     """The fields of a sidecar, each with its type, or an InputError that names the file."""
 
@@ -178,8 +187,8 @@ class _Record:
             text = file.read(SIDECAR_LIMIT + 1)
         self.require(len(text) <= SIDECAR_LIMIT, "it is far too large")
         try:
-            self.fields = json.loads(text, parse_constant=_finite_number, parse_float=_finite_number)
-        except (ValueError, RecursionError) as error:  # bad UTF-8 is a ValueError, too
+            self.fields = parse(text)
+        except ValueError as error:
             raise InputError(f"{path}: not a sidecar of a trained object: it is no JSON") from error
         self.require(isinstance(self.fields, dict) and "format" in self.fields, "it has no 'format'")
         if self.fields["format"] != FORMAT:

@@ -12,12 +12,14 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+import psutil
 import pytest
 from batch_worker import SMALL
 
 from engine.errors import InputError
 from training.batch import Outcome, Stopped, Task, run_grid, say, stopped
 from training.batch.cli import main
+from training.batch.cluster import workers
 from training.batch.manifest import Mistakes, read_manifest
 from training.batch.scene import whole
 from training.checkpoint import Checkpoint
@@ -250,6 +252,17 @@ def test_nobody_at_the_address(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
             run_grid([task], lambda *_: None, lambda: False, scheduler=wrong)
 
 
+def test_a_cluster_of_its_own_listens_to_this_machine_alone() -> None:
+    """One port each for the scheduler, two workers and their two guards; no web pages."""
+    with workers(None, 2, 2, 0.1) as client:
+        client.submit(double, 1).result()
+        here = psutil.Process()
+        processes = [here, *here.children(recursive=True)]
+        open_ports = [c.laddr for p in processes for c in p.net_connections("inet") if c.status == psutil.CONN_LISTEN]
+        assert {port.ip for port in open_ports} == {"127.0.0.1"}
+        assert len(open_ports) == 5
+
+
 # manifests
 
 
@@ -313,10 +326,51 @@ def test_a_manifest_is_checked_as_a_whole(tmp_path: Path) -> None:
     for line, start in zip(lines, wanted, strict=True):
         assert line.startswith(f"{manifest}: {start}")
 
-    for text, said in (("= 1", "no TOML"), ("", "no scenes"), ("scene = 3", "no scenes"), ("\xff", "no TOML")):
+    deep = "a." * 50_000
+    refused = {"= 1": "no TOML", "": "no scenes", "scene = 3": "no scenes", "\xff": "no TOML"}
+    refused |= {f"{deep}a = 1": "line 1: over 40 dots", f'x = """\n#"""\n[{deep}': "line 3: over 40 dots"}
+    for text, said in refused.items():
         manifest.write_bytes(text.encode("latin-1"))
         with pytest.raises(InputError, match=said):
             read_manifest(manifest)
+
+
+@pytest.mark.parametrize(
+    ("names", "said"),
+    [
+        (["batch.json"], "the batch writes a file of this name itself"),
+        (["Batch.JSON"], "the batch writes"),
+        (["x.lock"], "the batch writes"),
+        (["CON"], "a device on Windows"),
+        (["lpt1.ply"], "a device on Windows"),
+        (["Com¹ .tar.gz"], "a device on Windows"),
+        (["melon."], "cannot be a folder"),
+        (["melon "], "cannot be a folder"),
+        (["\N{CJK UNIFIED IDEOGRAPH-4E00}" * 90], "cannot be a folder"),
+        (["Melon", "mELON"], "its result would be 'mELON', as that of scene 1"),
+        (["caf\u00e9", "cafe\u0301"], "as that of scene 1"),
+        (["Stra\u00dfe", "STRASSE"], "as that of scene 1"),
+    ],
+)
+def test_names_are_folders_everywhere_and_of_one_scene(tmp_path: Path, names: list[str], said: str) -> None:
+    (tmp_path / "a.ply").touch()
+    manifest = tmp_path / "all.toml"
+    picture = f"{SCENES}/orange/horizontal_1.png"
+    text = "".join(f'[[scene]]\nscene = "a.ply"\nname = "{name}"\n' for name in names)
+    manifest.write_text(f'[defaults]\nexemplar = {{ horizontal = "{picture}" }}\n{text}', encoding="utf-8")
+    with pytest.raises(Mistakes) as caught:
+        read_manifest(manifest)
+    assert said in str(caught.value) and len(str(caught.value).splitlines()) == 1
+
+
+def test_names_that_only_look_like_devices_are_folders(tmp_path: Path) -> None:
+    (tmp_path / "a.ply").touch()
+    manifest = tmp_path / "all.toml"
+    names = ["console", "com10", "aux_1", "batch.json.old", "a.b.c", "cafe\u0301"]
+    text = "".join(f'[[scene]]\nscene = "a.ply"\nname = "{name}"\n' for name in names)
+    picture = f"{SCENES}/orange/horizontal_1.png"
+    manifest.write_text(f'[defaults]\nexemplar = {{ horizontal = "{picture}" }}\n{text}', encoding="utf-8")
+    assert [scene.name for scene in read_manifest(manifest)] == [*names[:-1], "caf\u00e9"]
 
 
 def test_defaults_give_way_to_a_scenes_own(tmp_path: Path) -> None:

@@ -130,3 +130,63 @@ def test_the_volume_is_no_finer_than_the_pictures_need(tmp_path: Path) -> None:
     side = np.ptp(body.bounds(), axis=0).max()
     assert asked.body.cell == pytest.approx(side / 48)
     assert 32 < side / coarse.body.cell <= 2 * 40
+
+
+SIDES = ("L", "T", "R", "B", "LR", "LT", "LTRB")
+"""Sides from which a picture is cropped: left, top, right, bottom."""
+
+
+def cropped(picture: NDArray, mask: NDArray[np.bool_], sides: str, share: float) -> NDArray:
+    """The picture without this share of the face's width on these sides."""
+    rows, columns = np.nonzero(mask)
+    top, left = (round(v.min() + share * np.ptp(v)) for v in (rows, columns))
+    bottom, right = (round(v.max() - share * np.ptp(v)) for v in (rows, columns))
+    return picture[
+        top if "T" in sides else 0 : bottom if "B" in sides else None,
+        left if "L" in sides else 0 : right if "R" in sides else None,
+    ]
+
+
+@pytest.mark.parametrize("flesh", ["red", "pale", "two backgrounds"])
+def test_a_face_that_the_border_cuts_off_is_refused(tmp_path: Path, flesh: str) -> None:
+    """Of a pale one only the rind stands out, once the border has taught that flesh is background."""
+    face, mask = disc(200, seeds=6, radius=0.7)
+    if flesh == "pale":
+        y, x = np.mgrid[:200, :200] / 100 - 1
+        face[(np.hypot(x, y) < 0.62) & (face[..., 0] > 0.5)] = [0.95, 0.93, 0.86]
+    behind = np.ones((200, 200, 3))
+    if flesh == "two backgrounds":
+        behind[:90] = [0.35, 0.4, 0.5]
+    picture = np.where(mask[..., None], face, behind)
+    whole = read_picture(save(tmp_path / "whole.png", picture), "horizontal")
+    assert overlap(whole.mask, mask) > 0.96
+    for sides in SIDES:
+        for share in (0.05, 0.15, 0.3):
+            path = save(tmp_path / f"{sides}_{share}.png", cropped(picture, mask, sides, share))
+            with pytest.raises(InputError, match=r"border|stands out"):
+                read_picture(path, "horizontal")
+
+
+def test_a_cut_out_face_may_fill_its_picture(tmp_path: Path) -> None:
+    face, mask = disc(160)
+    tight = cropped(np.concatenate([face, mask[..., None]], -1), mask, "LTRB", 0.0)
+    assert read_picture(save(tmp_path / "tight.png", tight), "horizontal").mask.mean() > 0.6
+    picture = np.concatenate([face, mask[..., None]], -1)
+    half = read_picture(save(tmp_path / "half.png", cropped(picture, mask, "L", 0.3)), "horizontal")
+    assert 0.5 < half.mask.mean() < 0.9
+
+
+def test_photographs_that_are_cut_off_are_refused(tmp_path: Path) -> None:
+    folder = Path(__file__).parents[1].parent / "shared/data/photos/fruit"
+    if not folder.exists():
+        pytest.skip("the photographs are not beside the repository")
+    with pytest.raises(InputError, match="border"):
+        read_picture(folder / "orange_h4.png", "horizontal")
+    for name in ("apple_h1", "apple_v1", "orange_h1", "bread_1"):
+        picture = np.asarray(Image.open(folder / f"{name}.png").convert("RGB")) / 255
+        with Image.open(folder / f"masks/{name}.png") as opened:
+            truth = np.asarray(opened.convert("L")) > 127
+        assert overlap(read_picture(folder / f"{name}.png", "horizontal").mask, truth) > 0.9
+        for sides, share in (("L", 0.15), ("LR", 0.15), ("LT", 0.3), ("LTRB", 0.05)):
+            with pytest.raises(InputError, match=r"border|stands out"):
+                read_picture(save(tmp_path / "crop.png", cropped(picture, truth, sides, share)), "horizontal")

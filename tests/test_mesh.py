@@ -248,7 +248,7 @@ BAD: dict[str, tuple[Callable[[Path], Path], str]] = {
     "10^12 faces": (content("a.ply", HUGE), "1,000,000,000,000 rows of 'face'"),
     "cloud": (content("a.ply", b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n1\n"), "cloud"),
     "splat": (content("a.splat", b"\0" * 64), "none of the 2"),
-    "picture": (content("a.png", b"\x89PNG"), "not a scene; .ply, .splat"),
+    "picture": (content("a.png", b"\x89PNG"), "a picture, not a capture"),
     "nothing": (content("a.ply", b""), ""),
 }
 

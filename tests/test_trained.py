@@ -114,6 +114,20 @@ def test_foreign_and_missing_halves(tmp_path: Path) -> None:
     assert "no such file" in refusal(tmp_path / "a.ply")
 
 
+def test_an_object_remembers_where_its_capture_lay(tmp_path: Path) -> None:
+    path = tmp_path / "a.ply"
+    save_trained(path, some(3, 3, 0), META)
+    assert "origin" not in json.loads(sidecar_path(path).read_text())  # as before, byte by byte
+    far = dataclasses.replace(META, origin=(450000.0, 5400000.0, 0.0))
+    save_trained(path, some(3, 3, 0), far)
+    assert load_trained(path)[1] == far
+    assert b"comment FruitNinja: add 450000 5400000 0 to be back" in path.read_bytes()
+    good = json.loads(sidecar_path(path).read_text())
+    for value in (None, [1, 2], [1, 2, float("nan")], "x"):
+        sidecar_path(path).write_text(json.dumps({**good, "origin": value}))
+        refusal(path)
+
+
 def test_damaged_scene(tmp_path: Path) -> None:
     path = tmp_path / "a.ply"
     save_trained(path, some(3, 3, 0), META)
@@ -184,7 +198,19 @@ def test_malformed_fields(tmp_path: Path, key: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "text", [b"", b"{", b"[]", b"3", b"\xff\xfe", b"[" * 100_000, b'{"format": 1' + b" " * (1 << 25)]
+    "text",
+    [
+        b"",
+        b"{",
+        b"[]",
+        b"3",
+        b"\xff\xfe",
+        b"[" * 100_000,
+        b'{"format": 1' + b" " * (1 << 25),
+        b'{"format": 1, "format": 1}',
+        b'{"format": ' + b"1" * 5000 + b"}",
+        b'{"a":' * 50_000,
+    ],
 )
 def test_malformed_json(tmp_path: Path, text: bytes) -> None:
     path = tmp_path / "a.ply"

@@ -51,7 +51,8 @@ def save(
             for family in request.families
         )
         up = (float(geometry.up[0]), float(geometry.up[1]), float(geometry.up[2]))
-        save_trained(path, atoms, Meta(up, families, request.seed, request.prior, request.scene.name))
+        origin = geometry.gaussians.origin
+        save_trained(path, atoms, Meta(up, families, request.seed, request.prior, request.scene.name, origin))
         stage.progress(0.3)
         save_sheet(out / "cuts.png", atoms, geometry.body, geometry.up)
         stage.progress(0.7)

@@ -12,7 +12,7 @@ from typing import Any
 
 import dask
 import psutil
-from distributed import Client, LocalCluster
+from distributed import Client, LocalCluster, Worker, WorkerPlugin
 
 from engine.errors import InputError
 from engine.processes import safe_imports
@@ -42,6 +42,9 @@ def workers(scheduler: str | None, count: int | None, tasks: int, gigabytes: flo
         # Dask's own retries know nothing of checkpoints; the grid counts for itself.
         "distributed.scheduler.allowed-failures": 0,
         "distributed.comm.timeouts.connect": f"{WAIT_SECONDS}s",
+        # No pages about the cluster, whatever the user's own settings of Dask say; `_Closed` does the rest.
+        "distributed.scheduler.http.routes": [],
+        "distributed.worker.http.routes": [],
     }
     # Workers import from their folder: it is a private one, not the one in the temporary folder that all users share.
     with dask.config.set(settings), safe_imports(), closing(Scratch("fruitninja-")) as scratch:
@@ -56,7 +59,21 @@ def workers(scheduler: str | None, count: int | None, tasks: int, gigabytes: flo
                 silence_logs=logging.CRITICAL,
             )
         with cluster, Client(cluster) as client:
+            client.run_on_scheduler(_close_pages)
+            client.register_plugin(_Closed())
             yield client
+
+
+def _close_pages(dask_scheduler: Any) -> None:
+    """Dask opens a port for web pages even where it is told to have none."""
+    dask_scheduler.http_server.stop()
+
+
+class _Closed(WorkerPlugin):
+    """Closes such a port of every worker, also of one that takes the place of another."""
+
+    def setup(self, worker: Worker) -> None:
+        worker.http_server.stop()
 
 
 @contextmanager

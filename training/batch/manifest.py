@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import re
 import tomllib
+import unicodedata
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,18 +26,37 @@ from typing import Any, cast, get_args
 from PIL import Image
 
 from engine.errors import InputError, one_line
-from engine.files import open_file
+from engine.files import read_file
 from training.cli import parse_axis, parse_families
 from training.request import PriorName, Request
 from training.settings import DetailName
 
 __all__ = ["Mistakes", "Scene", "read_manifest"]
 
-LIMIT = 1 << 24
-"""Bytes of the largest manifest that is read: a hundred thousand scenes."""
+LIMIT = 1 << 21
+"""Bytes of the largest manifest that is read: ten thousand scenes, whatever they look like in a few seconds."""
+
+MOST_DOTS = 40
+"""In a line, outside of quotes. tomllib takes the cube of a dotted key's parts, minutes for a hundred kilobytes; no key
+here has more than three, and what numbers a line holds have fewer dots than this."""
+
+TOKEN = re.compile(
+    r"""\"{3}(?:[^"\\]|\\[\s\S]|"(?!""))*+(?:"{3,5}|\Z)|'{3}(?:[^']|'(?!''))*+(?:'{3,5}|\Z)"""
+    r"""|"(?:\\.|[^"\\\n])*+"?|'[^'\n]*+'?|\#[^\n]*+|[^."'#\n]++|[\s\S]"""
+)
+"""Pieces of TOML as far as it takes to find dots. Every piece is taken once, whatever is left open."""
 
 NAME = re.compile(r"\w[\w .+-]{0,99}")
 """Names of results: folders on any system, inside of the output folder."""
+
+LONGEST_NAME = 200
+"""Bytes of a name; file systems stop at 255, and temporary files have longer ones."""
+
+DEVICE = re.compile(r"(con|prn|aux|nul|com[0-9¹²³]|lpt[0-9¹²³]) *(\..*)?", re.IGNORECASE)
+"""What Windows takes for a device, whatever its extension."""
+
+TAKEN = re.compile(r"batch\.json|.*\.lock", re.IGNORECASE)
+"""Files that a batch itself writes beside the folders."""
 
 KEYS = ("scene", "name", "exemplar", "family", "prompt", "up", "detail", "prior", "model", "midas", "object",
         "iterations", "seed")  # fmt: skip
@@ -63,15 +83,28 @@ class Scene:
 
 def read_manifest(path: Path) -> list[Scene]:
     """The scenes of a manifest, in order. Raises Mistakes with one line for each thing to mend."""
-    with open_file(path) as file:
-        raw = file.read(LIMIT + 1)
-    if len(raw) > LIMIT:
-        raise InputError(f"{path}: not a manifest: it is far too large")
+    raw = read_file(path, LIMIT)
     try:
-        fields = tomllib.loads(raw.decode("utf-8"))
+        text = raw.decode("utf-8")
+        _bounded(path, text)
+        fields = tomllib.loads(text)
+    except InputError:
+        raise
     except (ValueError, RecursionError) as error:  # bad UTF-8 and bad TOML are both ValueErrors
         raise InputError(f"{path}: no TOML: {' '.join(str(error).split())[:200]}") from error
     return _Reader(path).scenes(fields)
+
+
+def _bounded(path: Path, text: str) -> None:
+    """Raises InputError where a line has more dots than TOML could be parsed with in good time."""
+    line, dots = 1, 0
+    for token in TOKEN.finditer(text):
+        if token[0] == ".":
+            dots += 1
+            if dots > MOST_DOTS:
+                raise InputError(f"{path}: line {line}: over {MOST_DOTS} dots outside of quotes; no key has so many")
+        elif lines := token[0].count("\n"):
+            line, dots = line + lines, 0
 
 
 class _Reader:
@@ -108,7 +141,7 @@ class _Reader:
                 # The words are those of fruitninja-train, whose options have dashes.
                 self.wrong(where, re.sub(r"(?<!\S)--(?=[a-z])", "", " ".join(str(error).split())))
                 continue
-            first = seen.setdefault(scene.name.casefold(), where)  # one folder on systems that ignore case
+            first = seen.setdefault(_folder(scene.name), where)
             if first != where:
                 self.wrong(where, f"its result would be '{scene.name}', as that of {first}; give one of them a name")
             scenes.append(scene)
@@ -121,9 +154,13 @@ class _Reader:
         path = self.file(fields, "scene")
         if path is None:
             raise InputError("no 'scene'; give the capture as scene = 'capture.ply'")
-        name = _text(fields, "name", path.stem)
-        if not NAME.fullmatch(name) or name.endswith((".", " ")):
+        name = unicodedata.normalize("NFC", _text(fields, "name", path.stem))  # one folder on systems that do so
+        if not NAME.fullmatch(name) or name.endswith((".", " ")) or len(name.encode()) > LONGEST_NAME:
             raise InputError(f"name '{_short(name)}': cannot be a folder; use letters, digits, blanks and . + - _")
+        if DEVICE.fullmatch(name):
+            raise InputError(f"name '{name}': a device on Windows, so it cannot be a folder; give another name")
+        if TAKEN.fullmatch(name):
+            raise InputError(f"name '{name}': the batch writes a file of this name itself; give another name")
         detail, prior = _text(fields, "detail", "standard"), _text(fields, "prior", "exemplar")
         for key, value, allowed in (("detail", detail, DetailName), ("prior", prior, PriorName)):
             if value not in get_args(allowed):
@@ -194,6 +231,11 @@ class _Reader:
 
     def wrong(self, where: str, what: str) -> None:
         self.lines.append(f"{self.path}: {where}: {what}")
+
+
+def _folder(name: str) -> str:
+    """The same for two names that are one folder on systems that ignore case or how accents are written."""
+    return unicodedata.normalize("NFC", unicodedata.normalize("NFD", name).casefold())
 
 
 def _short(text: str) -> str:

@@ -1,0 +1,36 @@
+"""What a file is that was taken for a capture: archives, web pages and the like show it in their first bytes."""
+
+from __future__ import annotations
+
+__all__ = ["LONGEST", "impostor"]
+
+LONGEST = 64
+"""Bytes that are enough to tell."""
+
+STARTS: tuple[tuple[bytes, str], ...] = (
+    (b"version https://git-lfs", "a Git LFS pointer, not the file it stands for; fetch that with: git lfs pull"),
+    (b"NGSP", "an .spz scene of version 4 or unpacked; version 2 and 3, gzipped, can be opened, export it as one"),
+    (b"PK\x03\x04", "a zip archive or an .sog capture; unpack it, or export the capture as a .ply"),
+    (b"7z\xbc\xaf\x27\x1c", "a 7z archive; unpack it first"),
+    (b"Rar!", "a RAR archive; unpack it first"),
+    (b"BZh", "packed by bzip2; unpack it first"),
+    (b"\xfd7zXZ", "packed by xz; unpack it first"),
+    (b"\x28\xb5\x2f\xfd", "packed by zstd; unpack it first"),
+    (b"LASF", "a LAS point cloud, which has no Gaussians; train a 3DGS scene or export a mesh"),
+    (b"\x89PNG", "a picture, not a capture"),
+    (b"\xff\xd8\xff", "a picture, not a capture"),
+    (b"%PDF", "a PDF, not a capture"),
+    (b"\x93NUMPY", "a NumPy array, not a capture; export it as a .ply"),
+)
+PAGES = (b"<!doctype", b"<html", b"<head", b"<?xml", b"<error")
+
+
+def impostor(start: bytes) -> str | None:
+    """What a file that begins like this is instead of a capture, and what to do; None where that cannot be told."""
+    for magic, words in STARTS:
+        if start.startswith(magic):
+            return words
+    text = start.removeprefix(b"\xef\xbb\xbf").lstrip().lower()
+    if text.startswith(PAGES):
+        return "a web page, not the file itself, as failed downloads leave; download it again"
+    return None
