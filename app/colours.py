@@ -48,20 +48,21 @@ class Watch:
         exposed = atoms.interior.exposed
         for stage, _ in written:
             with (
-                contextlib.suppress(SafetensorError, OSError, ValueError, TypeError, AttributeError),
+                contextlib.suppress(SafetensorError, OSError, ValueError, TypeError, RecursionError),
                 safe_open(self.folder / f"{stage}.safetensors", framework="np") as file,
             ):
                 names = {"means", "sigmas", "rgb", "sh"} & set(file.keys())
                 found |= {name: file.get_tensor(name) for name in names}
                 facts = json.loads((file.metadata() or {}).get("facts", "{}"))
-                exposed = int(facts.get("exposed", exposed))
+                exposed = facts["exposed"] if isinstance(facts, dict) and "exposed" in facts else exposed
         surface, interior = atoms.surface, atoms.interior
         means, sigmas = found.get("means", interior.means), found.get("sigmas", interior.sigmas)
         rgb, sh = found.get("rgb", interior.rgb), found.get("sh", surface.sh)
-        if any(array.dtype != np.float32 for array in found.values()):
-            return None
-        fits = rgb.shape == means.shape == (len(sigmas), 3) and 0 <= exposed <= len(means)
-        if not found or not fits or sh.ndim != 3 or len(sh) != len(surface):
+        # The folder may be anybody's: what does not fit, or cannot be drawn, is left alone.
+        sound = all(values.dtype == np.float32 and np.isfinite(values).all() for values in (means, sigmas, rgb, sh))
+        fits = sigmas.ndim == 1 and rgb.shape == means.shape == (len(sigmas), 3) and bool((sigmas > 0).all())
+        fits = fits and sh.shape in {(len(surface), (degree + 1) ** 2, 3) for degree in range(4)}
+        if not (found and sound and fits and type(exposed) is int and 0 <= exposed <= len(means)):
             return None
         if not np.array_equal(means, interior.means):
             interior = InteriorAtoms(means, sigmas, rgb, exposed)

@@ -6,8 +6,10 @@ can be moved, switched off and taken away later, and the pieces keep how they we
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from itertools import count
 from pathlib import Path
 from typing import Literal
 
@@ -39,6 +41,9 @@ WHOLE: Key = ()
 
 CutKind = Literal["slice", "section"]
 """A slice divides pieces; a section only hides what lies on its removed side."""
+
+LARGEST_ID = 1 << 53
+"""Of a cut, and of every whole number that a project file may hold: JSON readers elsewhere keep no larger one exact."""
 
 DEFAULT_GAP = 0.16
 """Of the object's radius: wide enough to see that there are two pieces, and the rim of both faces."""
@@ -136,16 +141,15 @@ class Document:
     def next_id(self) -> int:
         """An id that no cut has, and none had that a placement remembers."""
         used = [cut.id for cut in self.cuts] + [i for key, _ in self.placements for i, _ in key]
-        return max(used, default=0) + 1
+        last = max(used, default=0)
+        # A project file may count from anywhere; one more than the largest that it may hold could not be saved.
+        return last + 1 if last < LARGEST_ID else next(i for i in count(1) if i not in used)
 
     def next_name(self, stem: str) -> str:
         """'Knife 3' after 'Knife 2'."""
-        numbers = [
-            int(cut.name.rsplit(" ", 1)[1])
-            for cut in self.cuts
-            if cut.name.startswith(stem + " ") and cut.name.rsplit(" ", 1)[1].isdigit()
-        ]
-        return f"{stem} {max(numbers, default=0) + 1}"
+        # The names may be a stranger's: other scripts' digits are none here, and a number may be too long for one.
+        numbers = [re.fullmatch(re.escape(stem) + r" ([0-9]{1,9})", cut.name) for cut in self.cuts]
+        return f"{stem} {max((int(match[1]) for match in numbers if match), default=0) + 1}"
 
     def with_cut(self, parts: tuple[Part, ...], stem: str = "Knife", kind: CutKind = "slice") -> Document:
         """One more cut, after all others."""

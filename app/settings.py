@@ -122,7 +122,9 @@ def _like(value: Any, default: Any) -> Any:
         return float(value) if ok else None
     if isinstance(default, tuple) and isinstance(value, list):
         kind = int if default and isinstance(default[0], int) else str
-        if not all(type(item) is kind for item in value) or (kind is int and (len(value) != 2 or min(value) < 200)):
+        if not all(type(item) is kind for item in value):
+            return None
+        if kind is int and (len(value) != 2 or not all(200 <= side < 1 << 15 for side in value)):  # pixels of a window
             return None
         return tuple(value)
     return None

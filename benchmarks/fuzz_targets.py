@@ -12,7 +12,6 @@ import math
 import tempfile
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -26,52 +25,37 @@ from app.job_events import Progress, read_line
 from app.motion import Motion
 from app.project import Project, Viewing, load_project, save_project
 from benchmarks.fuzz_inputs import CAPTURES, CHANGES, JUNK, NUMBERS, POISON, broken, documents, plys, poisoned
+from benchmarks.fuzz_pictures import FOREIGN, PICTURES, TEXTURES, check_foreign, check_picture, check_texture
+from benchmarks.fuzz_records import (
+    COLOURS,
+    JOBS,
+    MOVES,
+    SETTINGS,
+    check_colours,
+    check_job,
+    check_meant_project,
+    check_settings,
+    meant,
+)
+from benchmarks.fuzz_rules import Target, refused
 from engine.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from engine.body import Body
-from engine.errors import InputError
 from engine.load import load
 from engine.plane import Plane
 from engine.ply import read_ply, write_ply
 from engine.trained import Meta, load_trained, save_trained, sidecar_path
-from training.batch.manifest import Mistakes, read_manifest
+from training.batch.manifest import read_manifest
 from training.checkpoint import Checkpoint
 from training.cli import parse_axis, parse_families
 from training.families import Family
 
 __all__ = ["TARGETS", "Target"]
 
-LONGEST = 1000
-"""Characters of the longest line that a user is shown: a path, what is wrong with it, what to do."""
-
-
-@dataclass(frozen=True)
-class Target:
-    """Something that reads what a user may give it."""
-
-    inputs: st.SearchStrategy[Any]
-    check: Callable[[Any, Path], bool]
-    """Whether the input was accepted; raises where the promise is broken. The path is a folder to write in."""
-    share: float
-    """Of all inputs."""
-
-
-def refused(read: Callable[[], Any]) -> Any:
-    """What `read` gives, None where it refuses as it should: an InputError of printable lines."""
-    try:
-        return read()
-    except InputError as error:
-        text = str(error)
-        assert text.strip(), "an empty message"
-        for line in text.split("\n") if isinstance(error, Mistakes) else [text]:
-            assert len(line) <= LONGEST and line.isprintable(), f"no readable line: {line[:LONGEST]!r}"
-        assert not any(word in text for word in ("Traceback", "dtype")), text
-        return None
-
 
 def check_scene(data: bytes, folder: Path, name: str = "a.ply") -> bool:
     path = folder / name
     path.write_bytes(data)
-    loaded = refused(lambda: load(path))
+    loaded = refused(lambda: load(path), folder)
     if loaded is None:
         return False
     g = loaded.gaussians
@@ -117,8 +101,8 @@ def project_record() -> Any:
 def check_project(data: bytes, folder: Path) -> bool:
     path = folder / "a.fruitninja"
     path.write_bytes(data)
-    refused(lambda: load_project(path))
-    project = refused(lambda: load_project(path, outside=True))
+    refused(lambda: load_project(path), folder)
+    project = refused(lambda: load_project(path, outside=True), folder)
     if project is None:
         return False
     save_project(folder / "b.fruitninja", project)
@@ -127,6 +111,11 @@ def check_project(data: bytes, folder: Path) -> bool:
         for part in cut.parts:
             assert np.isfinite([*cut.plane(part).normal, cut.plane(part).offset]).all()
     return True
+
+
+def json_bytes(record: Any) -> bytes:
+    """A document, whatever letters are in it."""
+    return json.dumps(record).encode("utf-8", "surrogatepass")
 
 
 # checkpoints
@@ -146,7 +135,7 @@ def foreign_checkpoint(facts: Any, run: str) -> bytes:
 
 def check_checkpoint(data: bytes, folder: Path) -> bool:
     (folder / "training.safetensors").write_bytes(data)
-    kept = refused(lambda: Checkpoint(folder, "run").load("training"))
+    kept = refused(lambda: Checkpoint(folder, "run").load("training"), folder)
     if kept is None:
         return False
     arrays, facts = kept
@@ -179,7 +168,7 @@ def check_trained(value: tuple[bytes, bytes], folder: Path) -> bool:
     path = folder / "t.ply"
     sidecar_path(path).write_bytes(value[0])
     path.write_bytes(value[1])
-    loaded = refused(lambda: load_trained(path))
+    loaded = refused(lambda: load_trained(path), folder)
     if loaded is None:
         return False
     assert value[1] == TRAINED, "another file's atoms"
@@ -261,8 +250,11 @@ def toml(value: Any) -> str:
     return json.dumps(value)
 
 
-def manifest(changes: list[tuple[float, int, int]], junk: list[tuple[float, int, int]]) -> bytes:
-    value = poisoned({"defaults": {"up": "z", "seed": 2}, "scene": [ENTRY, ENTRY | {"name": "two"}]}, changes)
+SCENES = {"defaults": {"up": "z", "seed": 2}, "scene": [ENTRY, ENTRY | {"name": "two"}]}
+
+
+def manifest(value: Any, junk: list[tuple[float, int, int]]) -> bytes:
+    """A manifest in TOML, with broken bytes."""
     lines = []
     for key, part in value.items():
         tables = part if isinstance(part, list) and key == "scene" else [part]
@@ -285,7 +277,7 @@ def check_manifest(data: bytes, folder: Path) -> bool:
         (folder / "a.ply").write_bytes(b"")
     path = folder / "all.toml"
     path.write_bytes(data)
-    scenes = refused(lambda: read_manifest(path))
+    scenes = refused(lambda: read_manifest(path), folder)
     if scenes is None:
         return False
     assert scenes
@@ -334,12 +326,27 @@ TARGETS: dict[str, Target] = {
         0.1,
     ),
     "trained": Target(
-        st.tuples(documents(SIDECAR), st.just(TRAINED) | st.builds(broken, st.just(TRAINED), JUNK)),
+        st.tuples(
+            documents(SIDECAR) | st.builds(lambda moves: json_bytes(meant(SIDECAR, moves)), MOVES),
+            st.just(TRAINED) | st.builds(broken, st.just(TRAINED), JUNK),
+        ),
         quiet(check_trained),
         0.1,
     ),
     "arguments": Target(ARGUMENTS, quiet(check_arguments), 0.1),
     "plane": Target(planes(), quiet(check_plane), 0.05),
-    "manifest": Target(st.builds(manifest, CHANGES, st.just([]) | JUNK), quiet(check_manifest), 0.05),
+    "manifest": Target(
+        st.builds(manifest, st.builds(poisoned, st.just(SCENES), CHANGES), st.just([]) | JUNK)
+        | st.builds(manifest, st.builds(meant, st.just(SCENES), MOVES), st.just([])),
+        quiet(check_manifest),
+        0.05,
+    ),
     "events": Target(documents(EVENT), quiet(check_event), 0.05),
+    "meaning": Target(st.builds(meant, st.just(project_record()), MOVES), quiet(check_meant_project), 0.05),
+    "job": Target(JOBS, quiet(check_job), 0.05),
+    "colours": Target(COLOURS, quiet(check_colours), 0.05),
+    "settings": Target(SETTINGS, quiet(check_settings), 0.03),
+    "pictures": Target(PICTURES, quiet(check_picture), 0.05),
+    "textures": Target(TEXTURES, quiet(check_texture), 0.05),
+    "foreign": Target(FOREIGN, quiet(check_foreign), 0.03),
 }

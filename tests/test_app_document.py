@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from app.history import History
 from app.knife import Stroke, plane_of, slice_object
 from app.motion import STILL, Motion
 from app.pieces import Solid, pieces, sections, shown
+from app.project import Project, Viewing, load_project, save_project
 from engine.plane import Plane
 
 UP = (0.0, 0.0, 1.0)
@@ -264,3 +266,17 @@ def test_pan_follows_the_hand_and_fit_fits() -> None:
 def test_a_hidden_placement_is_the_childs_too() -> None:
     document = Document().placed(WHOLE, lambda p: Placement(visible=False))
     assert not shown(document.with_cut((Part(Plane((1.0, 0.0, 0.0), 0.0)),)), BALL)
+
+
+@pytest.mark.parametrize("name", ["Knife ²", "Knife ٣", "Knife " + "9" * 5000, "Knife "])
+def test_a_stranger_s_names_of_cuts_are_counted_on_only_where_they_are_numbers(name: str) -> None:
+    document = Document().with_cut((Part(Plane.of((0, 0, 1), 0.0)),))
+    document = document.changed_cut(1, lambda cut: replace(cut, name=name))
+    assert document.with_cut((Part(Plane.of((0, 0, 1), 0.1)),)).cuts[-1].name == "Knife 1"
+
+
+def test_a_cut_after_the_largest_id_can_be_saved(tmp_path: Path) -> None:
+    document = Document().with_cut((Part(Plane.of((0, 0, 1), 0.0)),))
+    document = document.changed_cut(1, lambda cut: replace(cut, id=1 << 53)).with_cut((Part(Plane.of((1, 0, 0), 0.0)),))
+    save_project(tmp_path / "a.fruitninja", Project(document, Viewing()))
+    assert load_project(tmp_path / "a.fruitninja").document == document

@@ -1,0 +1,238 @@
+"""Every reader there is, each given any file: what `benchmarks.corpus` runs in processes of its own.
+
+A process reads requests, one JSON line each, from standard input and answers on standard output. What readers print
+goes to standard error, which the other side keeps. A request is a reader and a file; the answer says what came of it.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import sys
+import time
+import traceback
+import warnings
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import psutil
+
+from app.autosave import rescued
+from app.colours import Watch
+from app.job import Job
+from app.project import load_project
+from app.settings import load_settings
+from benchmarks.fuzz_rules import words_wrong
+from benchmarks.guard import guarded
+from engine.errors import InputError
+from engine.gaussians import Gaussians
+from engine.load import load
+from engine.mesh import read_mesh
+from engine.ply import read_ply
+from engine.splat import read_splat
+from engine.spz import read_spz
+from engine.trained import load_trained, sidecar_path
+from engine.view_weights import load as load_weights
+from training.batch.manifest import Mistakes, read_manifest
+from training.batch.task import Task
+from training.checkpoint import Checkpoint
+from training.exemplar.pictures import read_picture
+from training.families import COUNTS
+
+__all__ = ["READERS", "SOLID", "Verdict", "perform"]
+
+ROOT = Path(__file__).parents[1]
+SAMPLES = ROOT / "sample_scenes/orange"
+
+SOLID = "solid.ply"
+"""A trained object that is sound, for readers that need one beside the file."""
+SOLID_FILES = (".ply", ".fruitninja.json")
+
+MEMORY = 4 << 30
+"""Bytes that may be allocated beyond what the imports took."""
+
+Verdict = dict[str, Any]
+"""`what`: loaded, refused or failed; `words`: of the refusal or the failure; `seconds`."""
+
+
+@dataclass(frozen=True)
+class Reader:
+    """A way into the program."""
+
+    read: Callable[[Path, Path], Any]
+    """Takes the file and a folder of its own; raises what the product's reader raises."""
+    links: tuple[str, ...] = ()
+    """Names under which the folder shows the file, where a reader looks for a name. Then `SOLID` lies there, too."""
+
+
+def read_scene(path: Path, work: Path) -> None:
+    loaded = load(path)
+    check_gaussians(loaded.gaussians)
+    for line in loaded.warnings:
+        wrong = refusal_wrong(line, path)
+        assert not wrong, f"a warning that is {wrong}: {line}"
+
+
+def check_gaussians(gaussians: Gaussians) -> None:
+    """Numbers that no renderer can draw are lies, however well they were read."""
+    assert len(gaussians), "loaded, with nothing in it"
+    for name, values in vars(gaussians).items():
+        assert np.isfinite(values).all(), f"loaded, with NaN or Inf in {name}"
+    assert (gaussians.scales > 0).all(), "loaded, with scales that are not above 0"
+    assert ((gaussians.opacities >= 0) & (gaussians.opacities <= 1)).all(), "loaded, with opacities outside [0, 1]"
+    assert np.allclose(np.linalg.norm(gaussians.quats, axis=1), 1, atol=1e-4), "loaded, with rotations of no length 1"
+
+
+def read_object(path: Path, work: Path) -> None:
+    atoms, _ = load_trained(path)
+    for part in (atoms.surface, atoms.interior):
+        for name, values in vars(part).items():
+            assert np.isfinite(values).all(), f"loaded, with NaN or Inf in {name}"
+
+
+def read_exemplar(path: Path, work: Path) -> None:
+    for kind in COUNTS:
+        picture = read_picture(path, kind)
+        for rgb in (picture.rgb, picture.plain):
+            assert np.isfinite(rgb).all() and rgb.min() >= 0 and rgb.max() <= 1, f"{kind}: colours outside [0, 1]"
+        assert picture.mask.any() and picture.rgb.shape[:2] == picture.mask.shape, f"{kind}: no cut face"
+
+
+def read_project(path: Path, work: Path) -> None:
+    """As the app opens it first, and as it does once the user has allowed what lies outside."""
+    with suppress(InputError):
+        load_project(path)
+    load_project(path, outside=True)
+
+
+def read_checkpoint(path: Path, work: Path) -> None:
+    """As the window takes colours from it while training goes on, and as the trainer does."""
+    atoms, _ = load_trained(work / SOLID)
+    watch = Watch(work)
+    watch.folder = work
+    watch.newer(atoms)
+    Checkpoint(work, "run").load("training")
+
+
+def read_job(path: Path, work: Path) -> None:
+    """A result folder in which every file of a job is this one. What makes no sense there counts as not there."""
+    job = Job.find(work) or Job(work, ("train", "-o", str(work)), 0, 0.0, ended=True)
+    for _ in range(1000):
+        if not job.poll():
+            break
+    job.last_words()
+    assert 0 <= job.progress.whole <= 1, "progress outside [0, 1]"
+
+
+READERS = {
+    "scene": Reader(read_scene),
+    "mesh": Reader(lambda path, work: check_gaussians(read_mesh(path, count=2000))),
+    "ply": Reader(lambda path, work: check_gaussians(read_ply(path)[0])),
+    "splat": Reader(lambda path, work: check_gaussians(read_splat(path)[0])),
+    "spz": Reader(lambda path, work: check_gaussians(read_spz(path)[0])),
+    "trained object": Reader(read_object),
+    "sidecar": Reader(lambda path, work: load_trained(work / SOLID), (sidecar_path(SOLID).name,)),
+    "picture": Reader(read_exemplar),
+    "project": Reader(read_project),
+    "manifest": Reader(lambda path, work: read_manifest(path)),
+    "checkpoint": Reader(read_checkpoint, ("training.safetensors",)),
+    "view weights": Reader(lambda path, work: load_weights(path)),
+    "settings": Reader(lambda path, work: load_settings(path)),
+    "job": Reader(read_job, ("job.json", "events.jsonl", "job.log")),
+    "autosave": Reader(lambda path, work: rescued(work), ("a.fruitninja", "a.json")),
+    "batch result": Reader(lambda path, work: Task("t", dict, {}, path, "f").kept()),
+}
+"""The last four refuse nothing: what they cannot read they take for not there."""
+
+
+def refusal_wrong(line: str, *paths: Path) -> str:
+    """What is wrong with a line that should begin with one of these paths; empty: nothing."""
+    begins = line.startswith(tuple(map(str, paths)))
+    return words_wrong(line, *map(str, paths)) or ("" if begins else "silent about the file")
+
+
+def perform(name: str, path: Path, work: Path, solid: Path) -> Verdict:
+    """Gives the file to a reader. `work`: an empty folder, as it is again afterwards; `solid`: a trained object.
+
+    Nothing but the end of the process gets out of this.
+    """
+    reader = READERS[name]
+    links = [(work / link, path) for link in reader.links]
+    links += [(work / Path(SOLID).with_suffix(end), solid.with_suffix(end)) for end in SOLID_FILES if reader.links]
+    for link, target in links:
+        if not link.is_symlink():
+            link.symlink_to(target)
+    begun = time.perf_counter()
+    what, words = "loaded", ""
+    with guarded(path.parent, work, solid.parent) as tried:
+        try:
+            reader.read(path, work)
+        except InputError as error:
+            what, words = "refused", str(error)
+            for line in words.split("\n") if isinstance(error, Mistakes) else [words]:
+                if wrong := refusal_wrong(line, path, path.parent, work):
+                    what, words = "failed", f"a refusal that is {wrong}: {line[:300]}"
+        except MemoryError:
+            what, words = "failed", f"out of memory: over {MEMORY >> 30} GB"
+        except AssertionError as error:
+            what, words = "failed", f"{error or 'an assertion'} ({place(error)})"
+        except BaseException as error:  # whatever it is, it is what this looks for
+            what, words = "failed", f"{type(error).__name__}: {str(error)[:300]} ({place(error)})"
+    seconds = time.perf_counter() - begun
+    left = sorted(set(os.listdir(work)) - {link.name for link, _ in links})
+    for name in os.listdir(work):
+        (work / name).unlink()
+    deeds = [*tried, *(f"left {name} behind" for name in left), *(f"left {p} running" for p in children())]
+    if said := printed():
+        deeds.append(f"printed {said!r}")
+    if deeds:
+        what, words = "failed", "; ".join(deeds[:3])
+    return {"what": what, "words": words, "seconds": round(seconds, 3)}
+
+
+def place(error: BaseException) -> str:
+    """Where it was raised."""
+    frame = traceback.extract_tb(error.__traceback__)[-1]
+    return f"{Path(frame.filename).name}:{frame.lineno}"
+
+
+def children() -> list[str]:
+    """Processes that native code started, which no audit hook sees."""
+    return [f"process {child.pid}" for child in psutil.Process().children()]
+
+
+def printed() -> str:
+    """What went to standard error, which is an empty file before each request; it is empty again."""
+    sys.stdout.flush()
+    sys.stderr.flush()
+    said = os.pread(2, 300, 0).decode("utf-8", "replace")
+    os.ftruncate(2, 0)
+    os.lseek(2, 0, os.SEEK_SET)  # the next writer would leave zeros before its words
+    return said
+
+
+def main() -> None:
+    """Answers requests until there are no more. Arguments: the folder to work in, and a trained object."""
+    work, solid = (Path(argument) for argument in sys.argv[1:3])
+    answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
+    os.dup2(2, 1)  # whatever prints, natively or not
+    warnings.simplefilter("always")  # each time, not once for each line of code
+    for name in READERS:  # what is compiled or imported late is so now, where nothing is held against it
+        for sample in (solid, SAMPLES / "horizontal_1.png"):
+            perform(name, sample, work, solid)
+    used = psutil.Process().memory_info().vms
+    resource.setrlimit(resource.RLIMIT_AS, (used + MEMORY, resource.getrlimit(resource.RLIMIT_AS)[1]))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    print("ready", file=answers, flush=True)
+    for line in sys.stdin:
+        request = json.loads(line)
+        print(json.dumps(perform(request["reader"], Path(request["file"]), work, solid)), file=answers, flush=True)
+
+
+if __name__ == "__main__":
+    main()
