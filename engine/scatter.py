@@ -22,7 +22,7 @@ LEAST = 1e-3
 """Part of the first distance at which points that still find no place coincide, and get one all the same."""
 
 REBUILD = 2.0
-"""Cells over the distance at which the grid is made anew with smaller ones: more points to a cell cost more than that."""
+"""Cells over the distance at which the grid is made anew with smaller ones; fuller cells cost more than that."""
 
 MULTIPLIER = 0x9E3779B97F4A7C15
 """2^64 over the golden ratio, odd: a product with it spreads neighbours over the high bits (Knuth 6.4)."""
@@ -83,10 +83,11 @@ def _thin(points: NDArray[np.float64], normals: NDArray[np.float64], count: int,
         if cell > REBUILD * distance and not last_pass:
             cell = distance
             heads[:] = -1
-            for j in chosen[:found]:
-                _enter(j, points, cell, heads, following)
+            for k in range(found):
+                _enter(int(chosen[k]), points, cell, heads, following)
         waiting = 0
-        for i in left:
+        for k in range(len(left)):
+            i = int(left[k])
             if not last_pass and not _is_free(i, points, normals, distance, cell, heads, following):
                 left[waiting] = i
                 waiting += 1
@@ -148,6 +149,7 @@ def _bucket(x: float, y: float, z: float, buckets: int) -> int:
     """
     mixed = np.uint64(0)
     for value in (x, y, z):
-        mixed = (mixed ^ np.float64(value + 0.0).view(np.uint64)) * np.uint64(MULTIPLIER)  # + 0.0: -0.0 is no other cell
+        bits = np.float64(value + 0.0).view(np.uint64)  # + 0.0: -0.0 is no other cell
+        mixed = (mixed ^ bits) * np.uint64(MULTIPLIER)
         mixed ^= mixed >> np.uint64(32)
-    return np.int64(mixed & np.uint64(buckets - 1))
+    return int(np.int64(mixed & np.uint64(buckets - 1)))

@@ -7,6 +7,8 @@ from pathlib import Path
 
 from PIL import Image
 
+from engine.picture_file import open_picture
+
 ROOT = Path(__file__).parents[1]
 WIDTH = 1440
 
@@ -16,9 +18,10 @@ def main() -> None:
     sheet = ROOT / "out/watermelon/cuts.png"
     if not sheet.exists():
         subprocess.run(["make", "demo"], cwd=ROOT, check=True)
-    picture = Image.open(sheet)
-    size = (WIDTH, WIDTH * picture.height // picture.width)
-    picture.resize(size, Image.Resampling.LANCZOS).save(ROOT / "docs/pictures/watermelon_cuts.png", optimize=True)
+    with open_picture(sheet) as picture:
+        size = (WIDTH, WIDTH * picture.height // picture.width)
+        small = picture.resize(size, Image.Resampling.LANCZOS)
+    small.save(ROOT / "docs/pictures/watermelon_cuts.png", optimize=True)
 
 
 if __name__ == "__main__":
