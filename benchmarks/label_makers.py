@@ -21,6 +21,7 @@ import numpy as np
 from PIL import Image
 
 from engine.files import atomic
+from engine.picture_file import read_pixels
 from training.evaluate.grid import cells, perform_all
 
 mpl.use("Agg")
@@ -80,7 +81,7 @@ def main() -> int:
     for scene in scenes:
         strips = [work / "results" / scene / f"{name}.png" for name in ("truth", *(f"{m}-0" for m in METHODS))]
         if all(path.is_file() for path in strips):
-            rows = [np.asarray(Image.open(path).convert("RGB")) for path in strips]
+            rows = [read_pixels(path) for path in strips]
             sheet = np.concatenate([row[:, : SHOWN * row.shape[0]] for row in rows])
             with atomic(options.out / f"label_makers_{scene}.png") as temporary:
                 Image.fromarray(sheet).save(temporary, format="PNG", optimize=True)

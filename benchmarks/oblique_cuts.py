@@ -19,6 +19,7 @@ from PIL import Image
 from safetensors.numpy import load_file
 
 from engine.files import atomic
+from engine.picture_file import read_pixels
 from training.evaluate.grid import cells, perform_all
 from training.metrics import face_psnr
 
@@ -53,7 +54,7 @@ def main() -> int:
     for scene in scenes:
         strips = [work / "results" / scene / f"{name}.png" for name in ("truth", *(f"{m}-0" for m in METHODS))]
         if all(path.is_file() for path in strips):
-            sheet = np.concatenate([np.asarray(Image.open(path).convert("RGB")) for path in strips])
+            sheet = np.concatenate([read_pixels(path) for path in strips])
             with atomic(options.out / f"oblique_cuts_{scene}.png") as temporary:
                 Image.fromarray(sheet).save(temporary, format="PNG", optimize=True)
     for scene in scenes:

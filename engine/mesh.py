@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 from dataclasses import dataclass
-from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,10 @@ from PIL import Image
 from engine.errors import InputError
 from engine.files import open_file
 from engine.gaussians import Gaussians
+from engine.gltf import buffer_files
+from engine.mesh_files import MeshFiles
 from engine.origin import origin_for
+from engine.picture_file import PICTURES, bounded, decoding, known_decoders
 from engine.ply_header import read_header
 from engine.scatter import scatter
 from engine.sh import rgb_to_sh
@@ -40,6 +42,9 @@ OPACITY = 0.99
 
 GREY = 0.6
 
+MOST_FACES = 20_000_000
+"""Twenty times a fine scan: two gigabytes as they are placed. A short file may place one part any number of times."""
+
 Colours = Callable[[NDArray[np.int64], NDArray[np.float64]], NDArray[np.float64]]
 """RGB (K, 3) in [0, 1] at K points, given by face (K,) and barycentric coordinates (K, 3)."""
 
@@ -60,15 +65,14 @@ def read_mesh(
 
     Their third axis is the face's normal; along the surface they reach as far as closes the shell. The colour is the
     texture's (bilinear), else the vertices', the faces' or the material's, else grey, and then `warn` is told in one
-    line. Colours are taken as they stand, without conversion. Raises InputError where there is no surface, or a
-    texture is missing.
+    line. Colours are taken as they stand, without conversion. Faces that are given twice count once, which
+    `warn` is told too. Raises InputError where there is no surface, or a texture is missing or no picture.
     """
     assert count > 0, count
     path = Path(path)
     parts = _parts(path, warn)
     triangles = np.concatenate([part.triangles for part in parts])
-    areas = np.linalg.norm(np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]), axis=1) / 2
-    area = float(areas.sum())
+    area = float((_doubled_areas(triangles) / 2).sum())
     if not area > 0:
         raise InputError(f"{path}: none of the {len(triangles):,} faces has an area")
     origin, moved = origin_for(path, triangles.reshape(-1, 3), float(np.sqrt(area / count)))
@@ -106,40 +110,68 @@ def _towards(normals: NDArray[np.float64]) -> NDArray[np.float32]:
 def _parts(path: Path, warn: Callable[[str], None]) -> list[Part]:
     """The triangles of all geometries of a file, where its scene graph puts them."""
     kind = _kind(path)
-    files = _Neighbours(str(path))
+    files = MeshFiles(path, buffer_files(path, warn) if kind in ("glb", "gltf") else frozenset())
     try:
-        with open_file(path) as file:
+        # A picture inside the file, or under the name of a buffer, is seen by nobody before trimesh opens it.
+        with open_file(path) as file, known_decoders():
             scene = trimesh.load_scene(file, file_type=kind, resolver=files, process=False)
         placed = [(scene.geometry[name], matrix) for matrix, name in map(scene.graph.get, scene.graph.nodes_geometry)]
         meshes = [(mesh, matrix) for mesh, matrix in placed if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces)]
+        many = sum(len(mesh.faces) for mesh, _ in meshes)
+        if many > MOST_FACES:
+            raise InputError(f"{path}: {many:,} faces; the most is {MOST_FACES:,}: simplify the mesh")
         soups = [trimesh.transform_points(mesh.vertices, matrix)[mesh.faces] for mesh, matrix in meshes]
     except InputError:
         raise
     except Exception as error:  # trimesh lets through whatever its many parsers stumble over
+        files.check(warn)
         raise InputError(f"{path}: cannot be read as a mesh; the file is damaged or not what its name says") from error
     if not soups:
         raise InputError(f"{path}: there is no face in it; a mesh with faces is needed")
-    if files.missing:
-        name = files.missing[0]
-        if not name.lower().endswith(".mtl"):
-            raise InputError(f"{path}: its file '{name}' is missing; put it into the same folder")
-        warn(f"{path}: its material file '{name}' is missing")
-    if files.broken:
-        raise InputError(f"{path}: its texture '{files.broken[0]}' is no picture that can be read")
+    files.check(warn)
+    whole = np.concatenate(soups).astype(np.float64)
+    sound = np.logical_and.reduce(np.abs(whole) <= np.finfo(np.float32).max, axis=(1, 2))  # NaN is not
+    again = _repeated(whole, sound)
     parts = []
     notes: set[str] = set()
-    dropped = 0
-    for (mesh, _), soup in zip(meshes, soups, strict=True):
-        sound = np.isfinite(soup).all((1, 2))
-        dropped += int((~sound).sum())
-        colours, note = _colours(path, mesh, np.flatnonzero(sound))
+    first = 0
+    for mesh, _ in meshes:
+        mine = slice(first, first + len(mesh.faces))
+        kept = np.flatnonzero((sound & ~again)[mine])
+        colours, note = _colours(path, mesh, kept)
         notes.add(note)
-        parts.append(Part(soup[sound].astype(np.float64), colours))
-    if dropped:
-        warn(f"{path}: {dropped:,} faces dropped: NaN or Inf")
+        parts.append(Part(whole[mine][kept], colours))
+        first = mine.stop
+    if not sound.all():
+        warn(f"{path}: {(~sound).sum():,} faces dropped: NaN or Inf")
+    if again.any():
+        warn(f"{path}: {again.sum():,} faces dropped: each lies on another that is the same")
     for note in sorted(notes - {""}):
         warn(f"{path}: {note}{' in a part of it' if len(notes) > 1 else ''}; it gets one plain colour")
     return parts
+
+
+def _repeated(triangles: NDArray[np.float64], among: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """(F,). Faces with an area that have the corners of an earlier one and its side; some exporters write all twice.
+
+    They would share its points, which then look torn where their colours differ, and count as area that is not there.
+    """
+    index = np.flatnonzero(among)
+    corners = triangles[index]
+    has_area = _doubled_areas(corners) > 0
+    index, corners = index[has_area], corners[has_area]
+    # Each begins with its least corner; which way round, and so its side, stays.
+    order = np.lexsort(corners.transpose(2, 0, 1)[::-1], axis=1)[:, :1] + np.arange(3)
+    rows = np.take_along_axis(corners, order[..., None] % 3, axis=1).reshape(-1, 9)
+    sorted_rows = np.lexsort(rows.T)  # stable: of the same, the earliest comes first
+    result = np.zeros(len(triangles), np.bool_)
+    result[index[sorted_rows[1:][(rows[sorted_rows[1:]] == rows[sorted_rows[:-1]]).all(1)]]] = True
+    return result
+
+
+def _doubled_areas(triangles: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(F,)."""
+    return np.linalg.norm(np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]), axis=1)
 
 
 def _kind(path: Path) -> str:
@@ -154,42 +186,6 @@ def _kind(path: Path) -> str:
     if suffix == ".ply" and not read_header(path).faces:
         raise InputError(f"{path}: there is no face in it; a mesh with faces is needed")
     return suffix[1:]
-
-
-class _Neighbours(trimesh.resolvers.FilePathResolver):
-    """Files that a mesh refers to, from its own folder only. Remembers what is wrong with them; trimesh is silent."""
-
-    def __init__(self, source: str) -> None:
-        super().__init__(source)
-        self.missing: list[str] = []
-        self.broken: list[str] = []
-
-    def get(self, name: str) -> bytes:
-        # Exporters write other systems' paths; then the file usually lies right beside the mesh.
-        for candidate in (name, name.replace("\\", "/").rsplit("/", 1)[-1]):
-            try:
-                data = super().get(candidate)
-            except (OSError, ValueError):
-                continue
-            if not name.lower().endswith((".mtl", ".bin")) and not _is_picture(data):
-                self.broken.append(_short(name))
-            return data
-        self.missing.append(_short(name))
-        raise FileNotFoundError(name)
-
-
-def _is_picture(data: bytes) -> bool:
-    """Whether Pillow knows these bytes for a picture, from their header."""
-    try:
-        Image.open(BytesIO(data)).close()
-    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError):
-        return False
-    return True
-
-
-def _short(name: str) -> str:
-    """A file's name as a mesh gives it, fit for one line."""
-    return " ".join(name.split())[:80]
 
 
 def _colours(path: Path, mesh: Any, faces: NDArray[np.int64]) -> tuple[Colours, str]:
@@ -217,16 +213,14 @@ def _colours(path: Path, mesh: Any, faces: NDArray[np.int64]) -> tuple[Colours, 
         )
     flat = np.asarray(trimesh.visual.to_rgba(material.main_color), np.float64)[:3] / 255
     # Texture coordinates without a texture: its format may be one that cannot be read.
-    note = "" if visual.uv is None or not np.ptp(visual.uv) else "no texture that can be read"
+    note = "" if visual.uv is None or not np.ptp(visual.uv) else f"no texture that can be read ({PICTURES})"
     return lambda face, weights: np.tile(flat, (len(face), 1)), note
 
 
 def _pixels(path: Path, image: Image.Image) -> NDArray[np.uint8]:
-    """(H, W, 3). Raises InputError where the picture is damaged."""
-    try:
-        return np.asarray(image.convert("RGB"))
-    except (OSError, ValueError, SyntaxError, MemoryError) as error:  # what Pillow raises for broken pictures
-        raise InputError(f"{path}: its texture is damaged; export it again") from error
+    """(H, W, 3). Raises InputError where the picture is damaged or too large."""
+    with decoding(f"{path}: its texture"):
+        return np.asarray(bounded(image).convert("RGB"))
 
 
 def _bilinear(texture: NDArray[np.uint8], uv: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -18,6 +18,15 @@ the plane fills 0.547), so hardly a point is lost by starting here."""
 SHRINK = 0.93
 """Factor on that distance after each pass, until enough points have found a place."""
 
+LEAST = 1e-3
+"""Part of the first distance at which points that still find no place coincide, and get one all the same."""
+
+REBUILD = 2.0
+"""Cells over the distance at which the grid is made anew with smaller ones; fuller cells cost more than that."""
+
+MULTIPLIER = 0x9E3779B97F4A7C15
+"""2^64 over the golden ratio, odd: a product with it spreads neighbours over the high bits (Knuth 6.4)."""
+
 SAME_SIDE = -0.5
 """Cosine between normals above which points keep their distance: across the edge of a box, not across a leaf."""
 
@@ -54,56 +63,93 @@ def scatter(
 def _thin(points: NDArray[np.float64], normals: NDArray[np.float64], count: int, distance: float) -> NDArray[np.int64]:
     """Indices (count,) of points (N, 3) that keep as far from each other as they can, first come, first served.
 
-    N >= count. Coordinates are not negative, so that cells are small integers whatever the mesh's place.
+    N >= count. Points that were taken are found again by the cell of a grid that they lie in. The cells shrink with
+    the distance, so few points share one however many faces lie on each other: near a place no more than three of
+    them have sides so different that they need not keep it.
     """
     n = len(points)
+    least = LEAST * distance
     cell = distance
     buckets = 1
     while buckets < 2 * count:
         buckets *= 2
     heads = np.full(buckets, -1, np.int64)  # cells hash into buckets; a bucket is a linked list of points
     following = np.full(n, -1, np.int64)
-    taken = np.zeros(n, np.bool_)
+    left = np.arange(n)  # those without a place, in order
     chosen = np.empty(count, np.int64)
     found = 0
     while found < count:
-        last_pass = distance < 1e-3 * cell  # all candidates coincide, so nothing is left to keep apart
-        for i in range(n):
-            if taken[i]:
+        last_pass = distance < least  # all candidates coincide, so nothing is left to keep apart
+        if cell > REBUILD * distance and not last_pass:
+            cell = distance
+            heads[:] = -1
+            for k in range(found):
+                _enter(int(chosen[k]), points, cell, heads, following)
+        waiting = 0
+        for k in range(len(left)):
+            i = int(left[k])
+            if not last_pass and not _is_free(i, points, normals, distance, cell, heads, following):
+                left[waiting] = i
+                waiting += 1
                 continue
-            x = int(np.floor(points[i, 0] / cell))
-            y = int(np.floor(points[i, 1] / cell))
-            z = int(np.floor(points[i, 2] / cell))
-            free = True
-            for offset in range(27):
-                if last_pass or not free:
-                    break
-                a, b, c = x + offset // 9 - 1, y + offset // 3 % 3 - 1, z + offset % 3 - 1
-                j = heads[_bucket(a, b, c, buckets)]
-                while j >= 0:
-                    gap = 0.0
-                    facing = 0.0
-                    for k in range(3):
-                        gap += (points[i, k] - points[j, k]) ** 2
-                        facing += normals[i, k] * normals[j, k]
-                    if gap < distance * distance and facing > SAME_SIDE:
-                        free = False
-                        break
-                    j = following[j]
-            if free:
-                taken[i] = True
-                chosen[found] = i
-                found += 1
-                if found == count:
-                    break
-                home = _bucket(x, y, z, buckets)
-                following[i] = heads[home]
-                heads[home] = i
+            chosen[found] = i
+            found += 1
+            if found == count:
+                break
+            if not last_pass:
+                _enter(i, points, cell, heads, following)
+        left = left[:waiting]
         distance *= SHRINK
     return chosen
 
 
 @njit(cache=True, fastmath=False)
-def _bucket(x: int, y: int, z: int, buckets: int) -> int:
-    """Hash of a cell; buckets is a power of two."""
-    return ((x * 73856093) ^ (y * 19349663) ^ (z * 83492791)) & (buckets - 1)
+def _is_free(
+    i: int,
+    points: NDArray[np.float64],
+    normals: NDArray[np.float64],
+    distance: float,
+    cell: float,
+    heads: NDArray[np.int64],
+    following: NDArray[np.int64],
+) -> bool:
+    """Whether a point keeps its distance, which is at most a cell, from all on its side that have their place."""
+    x, y, z = np.floor(points[i, 0] / cell), np.floor(points[i, 1] / cell), np.floor(points[i, 2] / cell)
+    for offset in range(27):
+        turned = (offset + 13) % 27  # its own cell first: that is where most are refused
+        j = heads[_bucket(x + turned // 9 - 1, y + turned // 3 % 3 - 1, z + turned % 3 - 1, len(heads))]
+        while j >= 0:
+            gap = 0.0
+            facing = 0.0
+            for k in range(3):
+                gap += (points[i, k] - points[j, k]) ** 2
+                facing += normals[i, k] * normals[j, k]
+            if gap < distance * distance and facing > SAME_SIDE:
+                return False
+            j = following[j]
+    return True
+
+
+@njit(cache=True, fastmath=False)
+def _enter(
+    i: int, points: NDArray[np.float64], cell: float, heads: NDArray[np.int64], following: NDArray[np.int64]
+) -> None:
+    """Puts a point into the list of its cell."""
+    x, y, z = np.floor(points[i, 0] / cell), np.floor(points[i, 1] / cell), np.floor(points[i, 2] / cell)
+    home = _bucket(x, y, z, len(heads))
+    following[i] = heads[home]
+    heads[home] = i
+
+
+@njit(cache=True, fastmath=False)
+def _bucket(x: float, y: float, z: float, buckets: int) -> int:
+    """Hash of a cell; buckets is a power of two.
+
+    The bits of floats, not integers: on a needle more cells than integers can count lie in a row.
+    """
+    mixed = np.uint64(0)
+    for value in (x, y, z):
+        bits = np.float64(value + 0.0).view(np.uint64)  # + 0.0: -0.0 is no other cell
+        mixed = (mixed ^ bits) * np.uint64(MULTIPLIER)
+        mixed ^= mixed >> np.uint64(32)
+    return int(np.int64(mixed & np.uint64(buckets - 1)))

@@ -317,7 +317,7 @@ def test_a_manifest_is_checked_as_a_whole(tmp_path: Path) -> None:
         "scene 4 (../b): name '../b': cannot be a folder",
         "scene 5 (b.ply): detail 'extreme': unknown; choose draft, standard, high",
         "scene 6 (b.ply): horizontal: pictures or words but no planes; add family horizontal:40",
-        f"scene 7 (b.ply): {tmp_path / 'text.png'}: not a picture",
+        f"scene 7 (b.ply): {tmp_path / 'text.png'}: this is no picture",
         "scene 8 (b.ply): seed: give a whole number",
         "scene 9 (b.ply): up 0,0,nan: give x, y, z",
         "scene 10 (b.ply): model and midas belong to",

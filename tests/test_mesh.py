@@ -17,6 +17,7 @@ from engine.errors import InputError
 from engine.gaussians import Gaussians
 from engine.load import load
 from engine.mesh import read_mesh
+from engine.picture_file import PICTURES
 from engine.sh import sh_to_rgb
 
 DATA = Path(__file__).parents[1].parent / "shared/data"
@@ -171,7 +172,7 @@ def test_a_texture_that_cannot_be_read_is_told(tmp_path: Path) -> None:
     (tmp_path / "s.glb").write_bytes(data.replace(b"\x89PNG", b"\0PNG"))
     warnings: list[str] = []
     read_mesh(tmp_path / "s.glb", 10, warn=warnings.append)
-    assert warnings == [f"{tmp_path / 's.glb'}: no texture that can be read; it gets one plain colour"]
+    assert warnings == [f"{tmp_path / 's.glb'}: no texture that can be read ({PICTURES}); it gets one plain colour"]
 
 
 def test_faces_without_area_take_no_points(tmp_path: Path) -> None:
@@ -182,6 +183,48 @@ def test_faces_without_area_take_no_points(tmp_path: Path) -> None:
     assert all(np.isfinite(a).all() for a in vars(g).values())
     assert np.abs(g.means[:, :2]).max() <= 1
     assert warnings == [f"{path}: 1 faces dropped: NaN or Inf"]
+
+
+def test_faces_that_are_given_twice_count_once(tmp_path: Path) -> None:
+    """In any order of their corners that turns the same way; a face and its back are two."""
+    once = read_mesh(square(tmp_path, ramp()), 300)
+    path = square(tmp_path)
+    path.write_text(SQUARE + FACES + "f 2/2 3/3 1/1\nf 4/4 1/1 3/3\nf 1/1 2/2 3/3\n")
+    warnings: list[str] = []
+    g = read_mesh(path, 300, warn=warnings.append)
+    assert all(np.array_equal(a, b) for a, b in zip(vars(g).values(), vars(once).values(), strict=True))
+    assert warnings == [f"{path}: 3 faces dropped: each lies on another that is the same"]
+    warnings.clear()
+    path.write_text(SQUARE + FACES + "f 3/3 2/2 1/1\nf 4/4 3/3 1/1\n" + "f 1/1 1/1 2/2\n" * 3)
+    assert 0.4 < (axes(read_mesh(path, 300, warn=warnings.append))[:, 2, 2] > 0).mean() < 0.6
+    assert warnings == []
+
+
+def test_a_mesh_reads_only_its_own_folder(tmp_path: Path) -> None:
+    """Whatever way a name leads out of it: a missing texture, though there is a picture."""
+    (tmp_path / "in").mkdir()
+    path = square(tmp_path / "in")
+    Image.fromarray(ramp()).save(tmp_path / "secret.png")
+    (tmp_path / "in/link.png").symlink_to(tmp_path / "secret.png")
+    (tmp_path / "in/loop.png").symlink_to(tmp_path / "in/loop.png")
+    (tmp_path / "in/up").symlink_to(tmp_path)
+    outside = ("../secret.png", "..\\secret.png", f"{tmp_path}/secret.png", "link.png", "up/secret.png", "loop.png")
+    for name in (*outside, "~/secret.png", "http://127.0.0.1/secret.png", "x" * 5000, "a\0.png"):
+        (tmp_path / "in/s.mtl").write_text(f"newmtl m\nmap_Kd {name}\n")
+        assert "is missing" in refusal(lambda: read_mesh(path, 10), path), name
+    (tmp_path / "in/my textures").mkdir()
+    Image.fromarray(ramp()).save(tmp_path / "in/my textures/s.png")
+    (tmp_path / "in/s.mtl").write_text("newmtl m\nmap_Kd my textures/s.png\n")
+    assert len(read_mesh(path, 10)) == 10
+
+
+def test_a_texture_that_is_named_often_is_read_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = square(tmp_path, ramp())
+    (tmp_path / "s.mtl").write_text("".join(f"newmtl m{i}\nmap_Kd s.png\n" for i in range(50)) + "newmtl m\n")
+    read: list[Path] = []
+    monkeypatch.setattr("engine.mesh_files.read_file", lambda path, limit: [read.append(path), path.read_bytes()][1])
+    read_mesh(path, 10)
+    assert sorted(p.name for p in read) == ["s.mtl", "s.png"]
 
 
 def test_textures_with_foreign_paths_are_found(tmp_path: Path) -> None:
@@ -230,7 +273,7 @@ HUGE = (PLY % ("", "")).replace("face 1", f"face {10**12}").encode() + b"0 0 0\n
 BAD: dict[str, tuple[Callable[[Path], Path], str]] = {
     "no texture": (no_texture, "its file 's.png' is missing"),
     "broken texture": (broken_texture, "texture"),
-    "no picture": (no_picture, "its texture 's.png' is no picture"),
+    "no picture": (no_picture, "its texture 's.png': this is no picture"),
     "empty obj": (content("a.obj", b""), ""),
     "only points": (content("a.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\n"), "no face"),
     "no area": (content("a.obj", b"v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n"), "none of the 1 faces has an area"),

@@ -8,6 +8,7 @@ from pathlib import Path
 from PIL import Image
 
 from engine.files import atomic
+from engine.picture_file import open_picture
 
 ROOT = Path(__file__).parents[1]
 WIDTH = 1440
@@ -18,9 +19,9 @@ def main() -> None:
     sheet = ROOT / "out/watermelon/cuts.png"
     if not sheet.exists():
         subprocess.run(["make", "demo"], cwd=ROOT, check=True)
-    picture = Image.open(sheet)
-    size = (WIDTH, WIDTH * picture.height // picture.width)
-    smaller = picture.resize(size, Image.Resampling.LANCZOS)
+    with open_picture(sheet) as picture:
+        size = (WIDTH, WIDTH * picture.height // picture.width)
+        smaller = picture.resize(size, Image.Resampling.LANCZOS)
     with atomic(ROOT / "docs/pictures/watermelon_cuts.png") as temporary:
         smaller.save(temporary, optimize=True)
 

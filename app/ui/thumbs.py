@@ -7,6 +7,9 @@ from pathlib import Path
 import moderngl
 from PIL import Image, ImageOps
 
+from engine.errors import InputError
+from engine.picture_file import open_picture
+
 __all__ = ["Thumbs"]
 
 SIDE = 192
@@ -42,11 +45,11 @@ class Thumbs:
 
     def _load(self, path: Path) -> moderngl.Texture | None:
         try:
-            with Image.open(path) as image:
+            with open_picture(path) as image:
                 image.draft("RGB", (SIDE, SIDE))
                 small = ImageOps.exif_transpose(image).convert("RGBA")
                 small.thumbnail((SIDE, SIDE), Image.Resampling.LANCZOS)
-        except (OSError, ValueError, Image.DecompressionBombError):
+        except InputError:
             return None
         return self.ctx.texture(small.size, 4, small.tobytes())
 

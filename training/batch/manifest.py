@@ -23,10 +23,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast, get_args
 
-from PIL import Image
-
 from engine.errors import InputError, one_line
 from engine.files import read_file
+from engine.picture_file import open_picture
 from training.cli import parse_axis, parse_families
 from training.request import PriorName, Request
 from training.settings import DetailName
@@ -198,13 +197,8 @@ class _Reader:
                 if not isinstance(name, str) or not name:
                     raise InputError(f"exemplar of {_short(kind)}: give a picture or a list of pictures")
                 path = self.resolved(name)
-                if not path.is_file():
-                    raise InputError(f"{path}: no such file (exemplar of the {_short(kind)} family)")
-                try:
-                    with Image.open(path):
-                        pass
-                except (OSError, ValueError, Image.DecompressionBombError) as error:
-                    raise InputError(f"{path}: not a picture that can be opened; save it as .png or .jpg") from error
+                with open_picture(path):
+                    pass
                 result.append(f"{kind}={path}")
         return result
 

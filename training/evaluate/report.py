@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from PIL import Image
 
 from engine.errors import InputError
 from engine.files import atomic
+from engine.picture_file import open_picture
 from training.evaluate.cuts import CANONICAL
 from training.evaluate.grid import Cell
 from training.evaluate.methods import METHODS
@@ -162,7 +162,7 @@ def strip(out: Path, scene: str, name: str) -> str:
     if not path.is_file():
         return ""
     target = io.BytesIO()
-    with Image.open(path) as image:
+    with open_picture(path) as image:
         image.convert("RGB").save(target, format="JPEG", quality=QUALITY)
     return url(target.getvalue(), "jpeg")
 

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageOps, UnidentifiedImageError
+from PIL import Image, ImageOps
 from scipy import ndimage
 
 from engine.errors import InputError
 from engine.files import atomic
+from engine.picture_file import open_picture
 from training.exemplar.light import even_light
 from training.families import Kind
 
@@ -130,18 +130,9 @@ def _crop(a: NDArray, rows: NDArray, columns: NDArray, margin: int) -> NDArray:
 
 def _read(path: Path) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
     """(H, W, 3) colours and, where the picture has real transparency, (H, W) opacity; both in [0, 1]."""
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error", Image.DecompressionBombWarning)
-            with Image.open(path) as opened:
-                image = ImageOps.exif_transpose(opened)
-                image.load()
-    except FileNotFoundError as error:
-        raise InputError(f"{path}: no such picture") from error
-    except (UnidentifiedImageError, OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
-        raise InputError(f"{path}: not a picture that can be read; give a PNG or JPEG file") from error
-    except Image.DecompressionBombWarning as error:
-        raise InputError(f"{path}: larger than 89 megapixels; scale it down") from error
+    with open_picture(path) as opened:
+        image = ImageOps.exif_transpose(opened)
+        image.load()
     alpha: NDArray[np.float32] | None = None
     if image.mode[:1] in "IF":  # 16 and 32 bits of grey
         values = np.asarray(image, np.float64)
