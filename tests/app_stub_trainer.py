@@ -32,7 +32,7 @@ def main() -> None:
         if asked:
             state.write_text(str(index))
             print("stopped", file=sys.stderr)
-            sys.exit(130)
+            sys.exit(143)
         losses = {"section": 1 / (index + 1), "surface": 0.5}
         emit(
             "progress", stage="train", part=(index + 1) / steps, eta=0.1, iteration=index + 1, iterations=steps,
