@@ -377,7 +377,7 @@ class _Reader:
         path = Path(os.path.normpath(self.folder / value))
         try:
             real = path.resolve()
-        except (OSError, RuntimeError) as error:
+        except (OSError, RuntimeError, ValueError) as error:  # ValueError: letters that no name has
             raise InputError(f"{self.path}: not a project: {what} is no path") from error
         if not (real.is_relative_to(self.folder) and path.is_relative_to(self.folder)):
             self.outside.append(path)
