@@ -17,6 +17,7 @@ from app.knife import Stroke, plane_of, slice_object
 from app.motion import STILL, Motion
 from app.pieces import Solid, pieces, sections, shown
 from app.project import Project, Viewing, load_project, save_project
+from engine.errors import InputError
 from engine.plane import Plane
 
 UP = (0.0, 0.0, 1.0)
@@ -280,3 +281,11 @@ def test_a_cut_after_the_largest_id_can_be_saved(tmp_path: Path) -> None:
     document = document.changed_cut(1, lambda cut: replace(cut, id=1 << 53)).with_cut((Part(Plane.of((1, 0, 0), 0.0)),))
     save_project(tmp_path / "a.fruitninja", Project(document, Viewing()))
     assert load_project(tmp_path / "a.fruitninja").document == document
+
+
+def test_a_name_that_no_file_can_have_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.fruitninja"
+    save_project(path, Project(Document(scene=tmp_path / "melon.ply"), Viewing()))
+    path.write_text(path.read_text(encoding="utf-8").replace("melon", "\\ud800"), encoding="utf-8")
+    with pytest.raises(InputError, match="'scene' is no path"):
+        load_project(path)
