@@ -25,10 +25,10 @@ def main() -> None:
     # Not before: the window's libraries take a second to load, and a wrong path should be said at once.
     path = None if path is None else path.absolute()
     here = leave_current_folder()
-    from app.project import Viewing
-    from app.returning import left_jobs
-    from app.samples import sample_document
-    from app.session import Session
+    from app.jobs.recovered_jobs import left_jobs
+    from app.model.project import Viewing
+    from app.model.samples import sample_document
+    from app.session.session import Session
     from app.ui.window import Window
 
     def start(session: Session) -> None:

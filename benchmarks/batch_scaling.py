@@ -23,7 +23,7 @@ import dask
 import matplotlib as mpl
 import psutil
 
-from engine.files import atomic
+from engine.io.files import atomic
 from training.batch import Outcome, run_grid
 from training.batch.scene import scene_task
 from training.families import Family

@@ -23,12 +23,12 @@ from numba import njit
 from scipy import ndimage
 
 from benchmarks.cpu_renderer import scene, view
-from engine import classic
-from engine.cpu.blend import BLOCK, MIN_TRANSMITTANCE, UNTOUCHED, start_tile
-from engine.cpu.tiles import BLOCKS, SIDE, TAIL_BITS
-from engine.distance import nearest
-from engine.files import atomic
-from engine.formula import MAX_ALPHA
+from engine.io.files import atomic
+from engine.render.classic import rasterizer as classic
+from engine.render.classic.blend import BLOCK, MIN_TRANSMITTANCE, UNTOUCHED, start_tile
+from engine.render.classic.tiles import BLOCKS, SIDE, TAIL_BITS
+from engine.scene.constants import MAX_ALPHA
+from engine.solid.distance_transform import nearest
 from engine.threads import cores, for_each
 
 mpl.use("Agg")
@@ -56,7 +56,7 @@ def spend(task: int, out: np.ndarray) -> None:
 def plain_blend(  # type: ignore[no-untyped-def]
     task, tiles_per_task, tiles, tile_starts, pair_codes, records, states, lasts, tile_lasts, open_tiles, width, height
 ):
-    """`engine.cpu.blend.blend` pixel by pixel, as one would write it first."""
+    """`engine.render.classic.blend.blend` pixel by pixel, as one would write it first."""
     tiles_x = open_tiles.shape[1]
     for index in range(task * tiles_per_task, min((task + 1) * tiles_per_task, len(tiles))):
         tile = tiles[index]

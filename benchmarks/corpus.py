@@ -30,9 +30,9 @@ import numpy as np
 from rich.progress import Progress
 
 from benchmarks.corpus_readers import READERS, SOLID, Verdict
-from engine.atoms import Atoms, InteriorAtoms, SurfaceAtoms
-from engine.files import atomic
-from engine.trained import Meta, save_trained, sidecar_path
+from engine.io.files import atomic
+from engine.io.trained import Meta, save_trained, sidecar_path
+from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 
 ROOT = Path(__file__).parents[1]
 

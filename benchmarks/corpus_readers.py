@@ -22,27 +22,27 @@ from typing import Any
 import numpy as np
 import psutil
 
-from app.autosave import rescued
-from app.colours import Watch
-from app.job import Job
-from app.project import load_project
-from app.settings import load_settings
+from app.jobs.live_colours import Watch
+from app.jobs.training_job import Job
+from app.model.autosave import rescued
+from app.model.project import load_project
+from app.model.settings import load_settings
 from benchmarks.fuzz_rules import words_wrong
 from benchmarks.guard import guarded
 from engine.errors import InputError
-from engine.gaussians import Gaussians
-from engine.load import load
-from engine.mesh import read_mesh
-from engine.ply import read_ply
-from engine.splat import read_splat
-from engine.spz import read_spz
-from engine.trained import load_trained, sidecar_path
-from engine.view_weights import load as load_weights
+from engine.fit.view_weights import load as load_weights
+from engine.io.load import load
+from engine.io.meshes.mesh import read_mesh
+from engine.io.splats.ply import read_ply
+from engine.io.splats.splat import read_splat
+from engine.io.splats.spz import read_spz
+from engine.io.trained import load_trained, sidecar_path
+from engine.scene.gaussians import Gaussians
 from training.batch.manifest import Mistakes, read_manifest
 from training.batch.task import Task
 from training.checkpoint import Checkpoint
-from training.exemplar.pictures import read_picture
 from training.families import COUNTS
+from training.priors.exemplar.pictures import read_picture
 
 __all__ = ["READERS", "SOLID", "Verdict", "perform"]
 

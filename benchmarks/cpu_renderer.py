@@ -25,9 +25,9 @@ import torch
 from torch import Tensor
 
 from benchmarks import torch_baseline
-from engine.camera import Camera, orbit
-from engine.classic import rasterize
-from engine.files import atomic
+from engine.io.files import atomic
+from engine.render.classic.rasterizer import rasterize
+from engine.scene.camera import Camera, orbit
 from engine.threads import cores, use_cores
 
 CHARTS = Path(__file__).parents[1] / "docs" / "charts"

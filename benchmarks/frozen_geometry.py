@@ -22,16 +22,16 @@ import numpy as np
 import torch
 
 from benchmarks.fronts import front
-from engine import sh
-from engine.atoms import Atoms, InteriorAtoms, SurfaceAtoms
-from engine.camera import Camera, orbit, section
-from engine.files import atomic
-from engine.kernel_field import KernelField
-from engine.opaque import render
-from engine.opaque_gradient import AtomTensors, opaque_image
-from engine.plane import Plane
+from engine.fit.differentiable import AtomTensors, opaque_image
+from engine.fit.view_weights import ViewWeights
+from engine.io.files import atomic
+from engine.render.cpu.kernel_field import KernelField
+from engine.render.cpu.opaque import render
+from engine.scene import sh
+from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
+from engine.scene.camera import Camera, orbit, section
+from engine.scene.plane import Plane
 from engine.threads import cores
-from engine.view_weights import ViewWeights
 from training.views import ENTRIES
 
 mpl.use("Agg")

@@ -16,8 +16,8 @@ from PIL import Image, ImageCms, PngImagePlugin, features
 
 from benchmarks.fuzz_inputs import JUNK, broken
 from benchmarks.fuzz_rules import refused
-from engine.mesh import read_mesh
-from training.exemplar.pictures import read_picture
+from engine.io.meshes.mesh import read_mesh
+from training.priors.exemplar.pictures import read_picture
 
 __all__ = ["FOREIGN", "PICTURES", "TEXTURES", "check_foreign", "check_picture", "check_texture"]
 

@@ -16,16 +16,16 @@ import numpy as np
 from hypothesis import strategies as st
 from safetensors.numpy import save as safetensors_bytes
 
-from app.colours import Watch
-from app.document import Part
-from app.job import Job
-from app.pieces import Solid, pieces
-from app.project import Outside, load_project, save_project
-from app.settings import load_settings
+from app.jobs.live_colours import Watch
+from app.jobs.training_job import Job
+from app.model.document import Part
+from app.model.pieces import Solid, pieces
+from app.model.project import Outside, load_project, save_project
+from app.model.settings import load_settings
 from benchmarks.fuzz_inputs import CHANGES, documents, places, poisoned
 from benchmarks.fuzz_rules import refused
-from engine.atoms import Atoms, InteriorAtoms, SurfaceAtoms
-from engine.plane import Plane
+from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
+from engine.scene.plane import Plane
 
 __all__ = ["COLOURS", "JOBS", "MOVES", "SETTINGS", "check_colours", "check_job", "check_meant_project",
            "check_settings", "meant"]  # fmt: skip

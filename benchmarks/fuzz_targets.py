@@ -19,11 +19,11 @@ import numpy as np
 from hypothesis import strategies as st
 from safetensors.numpy import save as safetensors_bytes
 
-from app.camera_control import Eye
-from app.document import Document, Part, Training
-from app.job_events import Progress, read_line
-from app.motion import Motion
-from app.project import Project, Viewing, load_project, save_project
+from app.jobs.job_events import Progress, read_line
+from app.model.camera_control import Eye
+from app.model.document import Document, Part, Training
+from app.model.project import Project, Viewing, load_project, save_project
+from app.model.rigid_transform import Motion
 from benchmarks.fuzz_inputs import CAPTURES, CHANGES, JUNK, NUMBERS, POISON, broken, documents, plys, poisoned
 from benchmarks.fuzz_pictures import FOREIGN, PICTURES, TEXTURES, check_foreign, check_picture, check_texture
 from benchmarks.fuzz_records import (
@@ -38,12 +38,12 @@ from benchmarks.fuzz_records import (
     meant,
 )
 from benchmarks.fuzz_rules import Target, refused
-from engine.atoms import Atoms, InteriorAtoms, SurfaceAtoms
-from engine.body import Body
-from engine.load import load
-from engine.plane import Plane
-from engine.ply import read_ply, write_ply
-from engine.trained import Meta, load_trained, save_trained, sidecar_path
+from engine.io.load import load
+from engine.io.splats.ply import read_ply, write_ply
+from engine.io.trained import Meta, load_trained, save_trained, sidecar_path
+from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
+from engine.scene.grid import Body
+from engine.scene.plane import Plane
 from training.batch.manifest import read_manifest
 from training.checkpoint import Checkpoint
 from training.cli import parse_axis, parse_families

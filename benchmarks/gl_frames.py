@@ -38,15 +38,15 @@ from reference_classic import picture as classic_reference
 from reference_opaque import reference
 
 from benchmarks.fronts import front
-from engine import sh
-from engine.atoms import Atoms, InteriorAtoms, SurfaceAtoms
-from engine.camera import Camera, fit_distance, orbit
-from engine.files import atomic
-from engine.gaussians import Gaussians
-from engine.gl import Renderer
-from engine.gl.software import is_software
-from engine.piece import Piece
-from engine.plane import Plane
+from engine.io.files import atomic
+from engine.render.cpu.window import is_software
+from engine.render.gl import Renderer
+from engine.scene import sh
+from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
+from engine.scene.camera import Camera, fit_distance, orbit
+from engine.scene.gaussians import Gaussians
+from engine.scene.piece import Piece
+from engine.scene.plane import Plane
 from engine.threads import cores
 
 mpl.use("Agg")

@@ -21,16 +21,16 @@ import numpy as np
 from PIL import Image
 from scipy import ndimage
 
-from engine.body import Body
-from engine.camera import Camera, section
-from engine.files import atomic
-from engine.plane import Plane
+from engine.io.files import atomic
+from engine.scene.camera import Camera, section
+from engine.scene.grid import Body
+from engine.scene.plane import Plane
 from sample_scenes.exemplars import photograph, planes
 from sample_scenes.solids import SOLIDS, Solid
-from training.exemplar import ExemplarPrior
+from training.evaluate.metrics import face_psnr, face_ssim, patch_distance, sharpness
 from training.families import COUNTS, Family
-from training.metrics import face_psnr, face_ssim, patch_distance, sharpness
-from training.prior import Volume
+from training.priors.exemplar import ExemplarPrior
+from training.priors.prior import Volume
 
 FOLDER = Path(__file__).parents[1] / "docs/charts"
 CUTS = (

@@ -20,8 +20,8 @@ import matplotlib as mpl
 import numpy as np
 from PIL import Image
 
-from engine.files import atomic
-from engine.picture_file import read_pixels
+from engine.io.files import atomic
+from engine.io.picture_file import read_pixels
 from training.evaluate.grid import cells, perform_all
 
 mpl.use("Agg")

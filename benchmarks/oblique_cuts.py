@@ -18,10 +18,10 @@ import numpy as np
 from PIL import Image
 from safetensors.numpy import load_file
 
-from engine.files import atomic
-from engine.picture_file import read_pixels
+from engine.io.files import atomic
+from engine.io.picture_file import read_pixels
 from training.evaluate.grid import cells, perform_all
-from training.metrics import face_psnr
+from training.evaluate.metrics import face_psnr
 
 ROOT = Path(__file__).parents[1]
 METHODS = ("ours", "physgaussian", "oracle")

@@ -26,7 +26,7 @@ import matplotlib as mpl
 import numpy as np
 
 from benchmarks.fronts import front
-from engine.files import atomic
+from engine.io.files import atomic
 from engine.threads import cores
 from training.evaluate.cuts import cuts_of, truth_of
 from training.evaluate.measure import accuracy, shown, yardstick

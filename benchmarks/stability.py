@@ -27,27 +27,27 @@ import torch
 from PIL import Image
 
 from benchmarks.interior import body_of, cut_planes, points_on
-from engine import opaque
-from engine.atomise import atomise
-from engine.atoms import Atoms, SurfaceAtoms
-from engine.camera import around, section
 from engine.errors import InputError
-from engine.files import atomic
-from engine.fill import fill
-from engine.find_body import find_body
-from engine.gaussians import Gaussians
-from engine.load import load
-from engine.plane import Plane
-from engine.ply import write_ply
+from engine.io.files import atomic
+from engine.io.load import load
+from engine.io.splats.ply import write_ply
+from engine.render.cpu import opaque
+from engine.scene.atoms import Atoms, SurfaceAtoms
+from engine.scene.camera import around, section
+from engine.scene.gaussians import Gaussians
+from engine.scene.plane import Plane
+from engine.solid.atomise import atomise
+from engine.solid.fill import fill
+from engine.solid.find_body import find_body
 from sample_scenes.exemplars import photograph, planes
 from sample_scenes.solids import SOLIDS, Solid
-from training import trainer
 from training.evaluate.methods import UnsmoothedTrainer
-from training.exemplar import ExemplarPrior
+from training.evaluate.metrics import face_psnr
 from training.families import Family
-from training.metrics import face_psnr
+from training.optimise import trainer
+from training.optimise.trainer import Trainer
+from training.priors.exemplar import ExemplarPrior
 from training.settings import DETAILS
-from training.trainer import Trainer
 from training.views import sections, slices
 
 mpl.use("Agg")

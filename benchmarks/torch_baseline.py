@@ -2,8 +2,8 @@
 
 It is the yardstick of the CPU renderers' speed, so it is written as well as its style allows: vectorised over Gaussians
 and over (pixel, Gaussian) pairs, one sort, no Python loop but the one over tiles, and gradients taken tile by tile, so
-that 500,000 Gaussians fit in memory at all. Same formula as `engine.classic`, but for a pixel's early end, which dense
-algebra can only mask.
+that 500,000 Gaussians fit in memory at all. Same formula as `engine.render.classic`, but for a pixel's early end, which
+dense algebra can only mask.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from engine.camera import Camera
+from engine.scene.camera import Camera
 
 __all__ = ["forward", "forward_backward"]
 

@@ -12,7 +12,7 @@ from typing import Any, NoReturn, TextIO
 import typer
 
 from engine.errors import InputError, one_line
-from engine.files import reason
+from engine.io.files import reason
 
 __all__ = ["FAILED", "REFUSED", "Stop", "Stopped", "run_command", "tell"]
 

@@ -7,8 +7,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from engine.camera import Camera, equator, section
-from engine.plane import Plane
+from engine.scene.camera import Camera, equator, section
+from engine.scene.plane import Plane
 from sample_scenes.solids import Solid
 from training.families import Kind
 

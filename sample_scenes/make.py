@@ -14,8 +14,8 @@ import numpy as np
 from PIL import Image
 
 from engine.errors import InputError
-from engine.files import atomic
-from engine.ply import write_ply
+from engine.io.files import atomic
+from engine.io.splats.ply import write_ply
 from sample_scenes.exemplars import photograph, planes
 from sample_scenes.shell import LOOKS, shell
 from sample_scenes.solids import SOLIDS

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from engine import sh
-from engine.gaussians import Gaussians
-from engine.rotations import matrices
+from engine.scene import sh
+from engine.scene.gaussians import Gaussians
+from engine.scene.rotations import matrices
 from sample_scenes.solids import Solid, directions
 
 __all__ = ["LOOKS", "Look", "closed_within", "shell"]

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from engine.gl import GLMissing, Renderer
+from engine.render.gl import GLMissing, Renderer
 
 
 @pytest.fixture(scope="session")

@@ -22,13 +22,13 @@ sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
 
 from app_driver import Driver, drive  # noqa: E402 (tests is no package)
 
-from app.document import Part, Training  # noqa: E402
-from app.motion import Motion  # noqa: E402
-from app.project import Viewing  # noqa: E402
-from app.samples import sample_document  # noqa: E402
-from app.session import Session  # noqa: E402
-from app.settings import Settings  # noqa: E402
-from engine.plane import Plane  # noqa: E402
+from app.model.document import Part, Training  # noqa: E402
+from app.model.project import Viewing  # noqa: E402
+from app.model.rigid_transform import Motion  # noqa: E402
+from app.model.samples import sample_document  # noqa: E402
+from app.model.settings import Settings  # noqa: E402
+from app.session.session import Session  # noqa: E402
+from engine.scene.plane import Plane  # noqa: E402
 
 Key = imgui.Key
 PICTURES = ROOT / "docs" / "pictures"

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from PIL import Image
 
-from engine.files import atomic
-from engine.picture_file import open_picture
+from engine.io.files import atomic
+from engine.io.picture_file import open_picture
 
 ROOT = Path(__file__).parents[1]
 WIDTH = 1440

@@ -14,7 +14,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save_file
 
 from engine.errors import InputError
-from engine.files import atomic, remove
+from engine.io.files import atomic, remove
 
 __all__ = ["Checkpoint"]
 

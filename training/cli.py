@@ -13,12 +13,12 @@ import typer
 
 from engine.command import Stop, Stopped, run_command, tell
 from engine.errors import InputError
-from engine.files import claimed
-from engine.plane import Plane
+from engine.io.files import claimed
+from engine.scene.plane import Plane
 from training.events import Reporter
 from training.families import COUNTS, Family, Kind
+from training.pipeline import run
 from training.request import Interrupted, PriorName, Request
-from training.run import run
 from training.settings import DetailName
 
 __all__ = ["main", "parse_families"]
@@ -114,7 +114,7 @@ def finetune(
     ] = None,
 ) -> None:
     """Teach a Stable Diffusion depth model the look of one object; the result is a --model for training."""
-    from training import diffusion  # an extra, and slow to import
+    from training.priors import diffusion  # an extra, and slow to import
 
     steps = diffusion.STEPS if steps is None else steps
     with Reporter.open(events) as reporter:

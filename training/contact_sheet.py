@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from engine import opaque
-from engine.atoms import Atoms
-from engine.body import Body
-from engine.camera import equator, fit_distance, orbit, section
-from engine.files import atomic
-from engine.kernel_field import KernelField
-from engine.plane import Plane
+from engine.io.files import atomic
+from engine.render.cpu import opaque
+from engine.render.cpu.kernel_field import KernelField
+from engine.scene.atoms import Atoms
+from engine.scene.camera import equator, fit_distance, orbit, section
+from engine.scene.grid import Body
+from engine.scene.plane import Plane
 
 __all__ = ["save_picture", "save_sheet", "untrained_planes"]
 

@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from engine.errors import InputError
-from engine.files import Lines, reason
+from engine.io.files import Lines, reason
 
 __all__ = ["Reporter", "plain"]
 

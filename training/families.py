@@ -9,10 +9,10 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from engine.body import Body
-from engine.camera import equator
 from engine.errors import InputError
-from engine.plane import Plane
+from engine.scene.camera import equator
+from engine.scene.grid import Body
+from engine.scene.plane import Plane
 
 __all__ = ["COUNTS", "Family", "Kind"]
 

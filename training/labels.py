@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from engine.atoms import Atoms
 from engine.errors import InputError
-from engine.fill import Colours
-from training.exemplar import ExemplarPrior
-from training.prior import Denoises, Progress, Solves
+from engine.scene.atoms import Atoms
+from engine.solid.fill import Colours
+from training.optimise.trainer import Trainer
+from training.priors.exemplar import ExemplarPrior
+from training.priors.prior import Denoises, Progress, Solves
+from training.priors.sds import distill
 from training.request import Geometry, Request
-from training.sds import distill
-from training.trainer import Trainer
 from training.views import Section, Slice
 
 __all__ = ["draw_each", "make_prior", "nearest_colours", "refine", "solved", "written_back"]
@@ -32,7 +32,7 @@ def make_prior(request: Request) -> Denoises | Solves:
         return ExemplarPrior()
     if request.model is None:
         raise InputError("--prior stable-diffusion needs a model; give its local folder with --model")
-    from training.diffusion import StableDiffusionPrior  # an extra, and slow to import
+    from training.priors.diffusion import StableDiffusionPrior  # an extra, and slow to import
 
     return StableDiffusionPrior(request.model, request.thing or request.scene.stem, midas=request.midas)
 

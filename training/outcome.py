@@ -8,16 +8,17 @@ from typing import Any
 
 import numpy as np
 
-from engine import classic, opaque
-from engine.atoms import Atoms
-from engine.files import atomic
-from engine.trained import Meta, save_trained
+from engine.io.files import atomic
+from engine.io.trained import Meta, save_trained
+from engine.render.classic import rasterizer as classic
+from engine.render.cpu import opaque
+from engine.scene.atoms import Atoms
 from training.contact_sheet import save_sheet
 from training.events import Reporter, plain
-from training.losses import psnr
+from training.optimise.losses import psnr
+from training.optimise.trainer import Trainer
 from training.request import Geometry, Request
 from training.settings import DETAILS
-from training.trainer import Trainer
 from training.views import BACKGROUND, surface_cameras
 
 __all__ = ["save"]

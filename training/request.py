@@ -11,9 +11,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from engine.atoms import Atoms, InteriorAtoms, SurfaceAtoms
-from engine.body import Body
-from engine.gaussians import Gaussians
+from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
+from engine.scene.gaussians import Gaussians
+from engine.scene.grid import Body
 from training.families import Family
 from training.settings import DETAILS, Detail, DetailName
 

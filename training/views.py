@@ -8,14 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from engine.atoms import Atoms
-from engine.body import Body
-from engine.camera import Camera, around, equator, on_plane, section
-from engine.kernel_field import KernelField
-from engine.plane import Plane
-from engine.view_weights import ViewWeights
+from engine.fit.view_weights import ViewWeights
+from engine.render.cpu.kernel_field import KernelField
+from engine.scene.atoms import Atoms
+from engine.scene.camera import Camera, around, equator, on_plane, section
+from engine.scene.grid import Body
+from engine.scene.plane import Plane
 from training.families import Family
-from training.prior import Condition
+from training.priors.prior import Condition
 
 __all__ = [
     "BACKGROUND",

@@ -11,15 +11,15 @@ from pathlib import Path
 from imgui_bundle import ImVec2, imgui
 from imgui_bundle import icons_fontawesome_6 as icon
 
-from app.camera_control import AXIS_VIEWS
-from app.project import SUFFIX
-from app.samples import sample_document
-from app.session import TOOLS, Session, Tool
+from app.model.camera_control import AXIS_VIEWS
+from app.model.project import SUFFIX
+from app.model.samples import sample_document
+from app.session.session import TOOLS, Session, Tool
 from app.ui.commands import Command, Ctrl, Key, Shift
-from app.ui.dialogs import Dialogs
-from app.ui.export_window import ExportWindow
+from app.ui.dialogs.export import ExportWindow
+from app.ui.dialogs.files import Dialogs
 from app.ui.theme import Fonts, apply, palette, px, rgba
-from app.ui.viewport import Viewport
+from app.ui.view.viewport import Viewport
 from app.ui.widgets import font, icon_button, secondary, tip
 
 __all__ = ["Menus"]

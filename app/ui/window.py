@@ -13,24 +13,24 @@ from imgui_bundle import ImVec2, ImVec4, hello_imgui, imgui, imguizmo, implot
 from imgui_bundle import icons_fontawesome_6 as icon
 from imgui_bundle.glfw_utils import glfw_window_hello_imgui
 
-from app.autosave import Rescued, rescued
-from app.files import PICTURES
-from app.job import Job
-from app.project import Viewing
-from app.returning import forget_job, left_jobs, words_of
-from app.session import Session
-from app.settings import settings_folder
+from app.jobs.recovered_jobs import forget_job, left_jobs, words_of
+from app.jobs.training_job import Job
+from app.model.autosave import Rescued, rescued
+from app.model.project import Viewing
+from app.model.settings import settings_folder
+from app.session.project_files import PICTURES
+from app.session.session import Session
 from app.ui.commands import press_shortcuts
-from app.ui.dialogs import Dialogs
-from app.ui.export_window import ExportWindow
-from app.ui.exporting import Exporter
-from app.ui.inspector import Inspector
-from app.ui.interior import InteriorPanel
+from app.ui.dialogs.export import ExportWindow
+from app.ui.dialogs.exporting import Exporter
+from app.ui.dialogs.files import Dialogs
 from app.ui.menus import Menus
-from app.ui.painter import Painter
+from app.ui.panels.inspector import Inspector
+from app.ui.panels.interior import InteriorPanel
+from app.ui.panels.thumbs import Thumbs
 from app.ui.theme import Fonts, apply, load_fonts, palette, px, rgba, u32
-from app.ui.thumbs import Thumbs
-from app.ui.viewport import Viewport
+from app.ui.view.painter import Painter
+from app.ui.view.viewport import Viewport
 from app.ui.widgets import font, main_button, secondary
 
 __all__ = ["Window"]

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from engine.camera import Camera, section
-from engine.plane import Plane
+from engine.scene.camera import Camera, section
+from engine.scene.plane import Plane
 from training.families import Kind
 
 __all__ = ["Solid", "directions"]
@@ -90,7 +90,7 @@ class Solid:
     ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
         """The cut face itself: RGB (H, W, 3) over the background grey, and the silhouette (H, W) at pixel centres.
 
-        Seen by a camera, or straight on in a square picture of this many pixels (`engine.camera.section`).
+        Seen by a camera, or straight on in a square picture of this many pixels (`engine.scene.camera.section`).
         supersample s averages s x s points a pixel; at 1 the colours are those of the pixel centres, exactly.
         """
         camera = section(plane, self.up, self.bounds, view) if isinstance(view, int) else view

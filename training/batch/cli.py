@@ -15,7 +15,7 @@ from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedCo
 
 from engine.command import FAILED, REFUSED, Stop, Stopped, run_command, tell
 from engine.errors import InputError
-from engine.files import atomic, claimed
+from engine.io.files import atomic, claimed
 from training.batch.grid import Outcome, run_grid
 from training.batch.manifest import Mistakes, read_manifest
 from training.batch.scene import scene_task

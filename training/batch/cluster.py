@@ -15,8 +15,8 @@ import psutil
 from distributed import Client, LocalCluster, Worker, WorkerPlugin
 
 from engine.errors import InputError
+from engine.io.scratch import Scratch
 from engine.processes import safe_imports
-from engine.scratch import Scratch
 
 __all__ = ["deaf_children", "workers"]
 

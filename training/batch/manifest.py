@@ -24,8 +24,8 @@ from pathlib import Path
 from typing import Any, cast, get_args
 
 from engine.errors import InputError, one_line
-from engine.files import read_file
-from engine.picture_file import open_picture
+from engine.io.files import read_file
+from engine.io.picture_file import open_picture
 from training.cli import parse_axis, parse_families
 from training.request import PriorName, Request
 from training.settings import DetailName

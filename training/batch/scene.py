@@ -11,12 +11,12 @@ from pathlib import Path
 from typing import Any
 
 from engine.errors import InputError
-from engine.files import Lines, claimed
+from engine.io.files import Lines, claimed
 from training.batch.task import Stopped, Task, say, stopped
 from training.checkpoint import Checkpoint
 from training.events import Reporter
+from training.pipeline import run
 from training.request import Interrupted, Request
-from training.run import run
 
 __all__ = ["scene_task", "train_scene"]
 

@@ -15,7 +15,7 @@ from urllib.parse import urlsplit
 from distributed import Event, get_client, get_worker
 
 from engine.errors import InputError
-from engine.files import atomic
+from engine.io.files import atomic
 from engine.threads import use_cores
 
 __all__ = ["Stopped", "Task", "perform", "say", "stopped"]

@@ -10,7 +10,7 @@ import typer
 
 from engine.command import FAILED, run_command, tell
 from engine.errors import InputError
-from engine.files import claimed, sweep
+from engine.io.files import claimed, sweep
 from training.evaluate.grid import Cell, cells, perform_all, perform_on
 from training.evaluate.methods import METHODS
 from training.evaluate.report import write_report

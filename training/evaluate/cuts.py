@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from safetensors.numpy import load_file, save_file
 
-from engine.camera import Camera, equator, on_plane, section
-from engine.files import atomic
-from engine.plane import Plane
+from engine.io.files import atomic
+from engine.scene.camera import Camera, equator, on_plane, section
+from engine.scene.plane import Plane
 from sample_scenes.solids import Solid, directions
 from training.families import Family
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from engine.errors import InputError
-from engine.files import atomic
+from engine.io.files import atomic
 from engine.processes import safe_imports
 from training.batch.cluster import deaf_children
 from training.batch.grid import Outcome, run_grid

@@ -17,15 +17,14 @@ from numpy.typing import NDArray
 from safetensors.numpy import load_file, save_file
 from scipy import ndimage
 
-from engine.files import atomic
+from engine.io.files import atomic
+from engine.io.trained import sidecar_path
 from engine.threads import cores
-from engine.trained import sidecar_path
 from training.contact_sheet import to_image
 from training.evaluate.cuts import Cut, Truth, cuts_of, meeting_points, truth_of
 from training.evaluate.features import Clip, Features, network
 from training.evaluate.methods import METHODS, Made
-from training.evaluate.scenes import Subject, subject
-from training.metrics import (
+from training.evaluate.metrics import (
     face_psnr,
     face_ssim,
     frechet_distance,
@@ -34,6 +33,7 @@ from training.metrics import (
     patch_distance,
     sharpness,
 )
+from training.evaluate.scenes import Subject, subject
 from training.settings import DETAILS, DetailName
 
 __all__ = ["SHOWN", "fingerprint", "measure"]

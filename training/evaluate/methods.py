@@ -19,17 +19,18 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from engine import classic, sh
-from engine.atoms import Atoms, InteriorAtoms, SurfaceAtoms
-from engine.body import Body
-from engine.camera import Camera, on_plane
-from engine.fill import Colours, fill
-from engine.kernel_field import KernelField
-from engine.opaque import render
-from engine.plane import Plane
-from engine.surface_fit import SurfaceView, surface_views
-from engine.trained import Meta, load_trained, save_trained
-from engine.view_weights import ViewWeights
+from engine.fit.sh_fit import SurfaceView, surface_views
+from engine.fit.view_weights import ViewWeights
+from engine.io.trained import Meta, load_trained, save_trained
+from engine.render.classic import rasterizer as classic
+from engine.render.cpu.kernel_field import KernelField
+from engine.render.cpu.opaque import render
+from engine.scene import sh
+from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
+from engine.scene.camera import Camera, on_plane
+from engine.scene.grid import Body
+from engine.scene.plane import Plane
+from engine.solid.fill import Colours, fill
 from sample_scenes.solids import Solid
 from training.checkpoint import Checkpoint
 from training.evaluate.cuts import Cut
@@ -38,12 +39,12 @@ from training.evaluate.scenes import Subject, Tuned
 from training.events import Reporter
 from training.families import Family
 from training.labels import make_prior
+from training.optimise.trainer import Trainer
 from training.outcome import surface_psnr
-from training.prior import Denoises, Progress, Volume
+from training.pipeline import Pipeline, prepare, refitted
+from training.priors.prior import Denoises, Progress, Volume
+from training.priors.sds import distill
 from training.request import Geometry, Request
-from training.run import Pipeline, prepare, refitted
-from training.sds import distill
-from training.trainer import Trainer
 from training.views import BACKGROUND, ENTRIES, Extent, Section, Slice, conditioned, surface_cameras
 
 __all__ = ["METHODS", "Made", "Method", "UnsmoothedTrainer"]

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from engine.errors import InputError
-from training.exemplar.frames import HEIGHT_CELLS, RADIUS_CELLS, Frame, depth_gate, scaled_sheet
-from training.exemplar.patches import FIXED, OVER, PATCH, POLAR, RADIAL, posterior, read_patches
-from training.exemplar.pictures import Picture, read_picture
 from training.families import Family
-from training.prior import Condition
+from training.priors.exemplar.frames import HEIGHT_CELLS, RADIUS_CELLS, Frame, depth_gate, scaled_sheet
+from training.priors.exemplar.patches import FIXED, OVER, PATCH, POLAR, RADIAL, posterior, read_patches
+from training.priors.exemplar.pictures import Picture, read_picture
+from training.priors.prior import Condition
 
 __all__ = ["PatchDenoiser"]
 

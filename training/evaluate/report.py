@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from engine.errors import InputError
-from engine.files import atomic
-from engine.picture_file import open_picture
+from engine.io.files import atomic
+from engine.io.picture_file import open_picture
 from training.evaluate.cuts import CANONICAL
 from training.evaluate.grid import Cell
 from training.evaluate.methods import METHODS

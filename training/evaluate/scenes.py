@@ -14,18 +14,18 @@ from numpy.typing import NDArray
 from PIL import Image
 from scipy import ndimage
 
-from engine.body import Body
-from engine.distance import nearest
 from engine.errors import InputError
-from engine.files import atomic
-from engine.plane import Plane
-from engine.ply import write_ply
+from engine.io.files import atomic
+from engine.io.splats.ply import write_ply
+from engine.scene.grid import Body
+from engine.scene.plane import Plane
+from engine.solid.distance_transform import nearest
 from sample_scenes.exemplars import photograph
 from sample_scenes.make import SHIPPED, make
 from sample_scenes.shell import Look, shell
 from sample_scenes.solids import SOLIDS, Solid
 from training.families import COUNTS, Family
-from training.prior import Volume
+from training.priors.prior import Volume
 from training.request import Request
 from training.settings import DETAILS, Detail
 

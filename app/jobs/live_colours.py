@@ -1,0 +1,69 @@
+"""The colours that a running training has reached, from its checkpoints."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from safetensors import SafetensorError, safe_open
+
+from engine.scene.atoms import Atoms, InteriorAtoms
+
+__all__ = ["Watch"]
+
+STAGES = ("surface", "labels", "training")
+"""Checkpoints that hold colours, in the order in which they appear; the later one counts."""
+
+
+class Watch:
+    """Looks into a result folder for colours newer than the last ones."""
+
+    def __init__(self, out: Path) -> None:
+        self.folder = out / "checkpoint"
+        self._seen: tuple[tuple[str, int], ...] = ()
+
+    def forget(self) -> None:
+        """Everything is new again: for atoms that have none of the colours yet."""
+        self._seen = ()
+
+    def newer(self, atoms: Atoms) -> Atoms | None:
+        """The object in the latest colours; None where there is nothing new, or nothing that fits.
+
+        The trainer makes its skin from the same scene by the same steps, so its atoms come in the same order; where
+        their counts differ (another detail, another version) nothing fits. The inside may come with atoms of its own,
+        as fine as its colours need them, and the skin with spherical harmonics of another degree.
+        """
+        written = []
+        for stage in STAGES:
+            with contextlib.suppress(OSError):
+                written.append((stage, (self.folder / f"{stage}.safetensors").stat().st_mtime_ns))
+        if not written or tuple(written) == self._seen:
+            return None
+        self._seen = tuple(written)
+        found: dict[str, NDArray[np.float32]] = {}
+        exposed = atoms.interior.exposed
+        for stage, _ in written:
+            with (
+                contextlib.suppress(SafetensorError, OSError, ValueError, TypeError, RecursionError),
+                safe_open(self.folder / f"{stage}.safetensors", framework="np") as file,
+            ):
+                names = {"means", "sigmas", "rgb", "sh"} & set(file.keys())
+                found |= {name: file.get_tensor(name) for name in names}
+                facts = json.loads((file.metadata() or {}).get("facts", "{}"))
+                exposed = facts["exposed"] if isinstance(facts, dict) and "exposed" in facts else exposed
+        surface, interior = atoms.surface, atoms.interior
+        means, sigmas = found.get("means", interior.means), found.get("sigmas", interior.sigmas)
+        rgb, sh = found.get("rgb", interior.rgb), found.get("sh", surface.sh)
+        # The folder may be anybody's: what does not fit, or cannot be drawn, is left alone.
+        sound = all(values.dtype == np.float32 and np.isfinite(values).all() for values in (means, sigmas, rgb, sh))
+        fits = sigmas.ndim == 1 and rgb.shape == means.shape == (len(sigmas), 3) and bool((sigmas > 0).all())
+        fits = fits and sh.shape in {(len(surface), (degree + 1) ** 2, 3) for degree in range(4)}
+        if not (found and sound and fits and type(exposed) is int and 0 <= exposed <= len(means)):
+            return None
+        if not np.array_equal(means, interior.means):
+            interior = InteriorAtoms(means, sigmas, rgb, exposed)
+        return Atoms(replace(surface, sh=sh), replace(interior, rgb=rgb.clip(0, 1)), atoms.pitch)

@@ -1,0 +1,145 @@
+"""The viewer's eye: orbit, pan, zoom to the cursor, fit, axis views. Frozen numbers in, frozen numbers out."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from app.model.rigid_transform import Vec3, vec3
+from engine.scene.camera import Camera, equator, fit_distance, orbit
+
+__all__ = ["AXIS_VIEWS", "Eye", "project_points", "ray"]
+
+DEGREES_PER_PIXEL = 0.35
+"""A drag across a window of 1000 pixels turns the object once around."""
+
+FIT_AIR = 1.12
+"""Radii that fit the picture: an object that touches the edges looks cramped."""
+
+# Azimuth and elevation in degrees. Azimuth 0 looks from the first vector of the equator towards the middle.
+AXIS_VIEWS: dict[str, tuple[float, float]] = {
+    "front": (-90.0, 0.0),
+    "back": (90.0, 0.0),
+    "right": (0.0, 0.0),
+    "left": (180.0, 0.0),
+    "top": (-90.0, 90.0),
+    "bottom": (-90.0, -90.0),
+}
+
+
+@dataclass(frozen=True)
+class Eye:
+    """A camera on a sphere around a target. Which way is up belongs to the object, so it is given to each method."""
+
+    target: Vec3 = (0.0, 0.0, 0.0)
+    azimuth: float = -60.0
+    """Degrees, see `engine.scene.camera.orbit`."""
+    elevation: float = 22.0
+    """Degrees. Range [-90, 90]."""
+    distance: float = 4.0
+    """From eye to target, world units. Range (0, inf)."""
+    fov: float = 35.0
+    """Degrees from bottom to top. Range [5, 120]."""
+    orthographic: bool = False
+
+    def camera(self, width: int, height: int, up: Vec3) -> Camera:
+        """As the renderers take it. An orthographic picture shows what lies at the target in the same size."""
+        made = orbit(
+            self.target, up, self.azimuth, self.elevation, self.distance, width, height, math.radians(self.fov)
+        )
+        if not self.orthographic:
+            return made
+        scale = made.fx / self.distance
+        return replace(made, fx=scale, fy=scale, orthographic=True)
+
+    def turned(self, dx: float, dy: float) -> Eye:
+        """After a drag of (dx, dy) pixels: the object follows the hand."""
+        elevation = min(90.0, max(-90.0, self.elevation + dy * DEGREES_PER_PIXEL))
+        return replace(self, azimuth=_wrapped(self.azimuth - dx * DEGREES_PER_PIXEL), elevation=elevation)
+
+    def panned(self, dx: float, dy: float, height: int, up: Vec3) -> Eye:
+        """After a drag of (dx, dy) pixels in a picture of this height: what lies at the target stays at the hand."""
+        rotation = self.camera(16, 16, up).viewmat[:3, :3]
+        unit = 2 * self.distance * math.tan(math.radians(self.fov) / 2) / max(height, 1)
+        return replace(self, target=vec3(np.asarray(self.target) - unit * (dx * rotation[0] + dy * rotation[1])))
+
+    def zoomed(self, steps: float, at: tuple[float, float], size: tuple[int, int], up: Vec3, radius: float) -> Eye:
+        """Nearer by `steps` notches of the wheel, towards what lies under the cursor at the target's depth.
+
+        `at` is the cursor in pixels of a picture of `size`; the object's `radius` bounds how near and far it goes.
+        """
+        distance = min(200 * radius, max(0.01 * radius, self.distance * 0.88**steps))
+        camera = self.camera(*size, up)
+        start, direction = ray(camera, at)
+        forward = camera.forward
+        point = start + direction * (((np.asarray(self.target) - start) @ forward) / (direction @ forward))
+        part = 1 - distance / self.distance
+        target = np.asarray(self.target) + part * (point - np.asarray(self.target))
+        return replace(self, target=vec3(target), distance=distance)
+
+    def fitted(self, centre: Sequence[float] | NDArray[np.floating], radius: float, aspect: float = 1.0) -> Eye:
+        """Looking at a sphere that just fits, from the same side."""
+        distance = fit_distance(radius * FIT_AIR, math.radians(self.fov), aspect)
+        return replace(self, target=vec3(centre), distance=distance)
+
+    def seen_from(self, view: str) -> Eye:
+        """One of AXIS_VIEWS."""
+        azimuth, elevation = AXIS_VIEWS[view]
+        return replace(self, azimuth=azimuth, elevation=elevation)
+
+    def along(self, axis: Sequence[float], up: Vec3) -> Eye:
+        """With the eye standing in the direction of this axis (3,) from the target."""
+        u = np.asarray(up, np.float64)
+        e1, e2 = equator(u)
+        a = np.asarray(axis, np.float64) / np.linalg.norm(axis)
+        elevation = math.degrees(math.asin(float(np.clip(a @ u, -1, 1))))
+        if abs(elevation) > 89.9:
+            return replace(self, elevation=math.copysign(90.0, elevation))
+        return replace(self, azimuth=math.degrees(math.atan2(float(a @ e2), float(a @ e1))), elevation=elevation)
+
+    def toward(self, goal: Eye, part: float) -> Eye:
+        """Part of the way to another eye, for a short glide; 1 is the goal itself."""
+        if part >= 1:
+            return goal
+
+        def mix(a: float, b: float) -> float:
+            return a + part * (b - a)
+
+        turn = (goal.azimuth - self.azimuth + 180.0) % 360.0 - 180.0
+        x, y, z = (mix(a, b) for a, b in zip(self.target, goal.target, strict=True))
+        return replace(
+            goal,
+            target=(x, y, z),
+            azimuth=_wrapped(self.azimuth + part * turn),
+            elevation=mix(self.elevation, goal.elevation),
+            distance=self.distance * (goal.distance / self.distance) ** part,
+        )
+
+
+def ray(camera: Camera, at: tuple[float, float]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Start (3,) and unit direction (3,) of the line of sight through a point of the picture, in pixels."""
+    u, v = (at[0] - camera.cx) / camera.fx, (at[1] - camera.cy) / camera.fy
+    rotation, translation = camera.viewmat[:3, :3], camera.viewmat[:3, 3]
+    if camera.orthographic:
+        return (np.array([u, v, 0.0]) - translation) @ rotation, camera.forward
+    direction = np.array([u, v, 1.0]) @ rotation
+    return camera.position, direction / np.linalg.norm(direction)
+
+
+def project_points(camera: Camera, points: NDArray[np.floating]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Pixels (N, 2) and depths (N,) of points (N, 3). Pixels mean nothing where the depth is not above 0."""
+    local = np.asarray(points, np.float64) @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]
+    depth = local[:, 2]
+    scale = np.ones_like(depth) if camera.orthographic else np.where(depth > 1e-12, depth, 1.0)
+    x = camera.fx * local[:, 0] / scale + camera.cx
+    y = camera.fy * local[:, 1] / scale + camera.cy
+    return np.stack([x, y], 1), depth
+
+
+def _wrapped(degrees: float) -> float:
+    """The same angle in [-180, 180)."""
+    return (degrees + 180.0) % 360.0 - 180.0

@@ -1,0 +1,220 @@
+"""Pictures, animations and pieces for other programs. Pictures come from a function, so this needs no window."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from app.model.camera_control import Eye
+from app.model.pieces import Lying, Solid
+from app.model.rigid_transform import Motion, Vec3
+from engine.errors import InputError
+from engine.io.files import atomic
+from engine.io.splats.ply import write_ply
+from engine.scene.atoms import Atoms
+from engine.scene.camera import Camera, section
+from engine.scene.gaussians import Gaussians
+from engine.scene.piece import Piece
+from engine.scene.plane import Plane
+from engine.scene.sh import basis, rgb_to_sh
+
+__all__ = [
+    "ANIMATIONS",
+    "Draw",
+    "ffmpeg",
+    "piece_gaussians",
+    "save_animation",
+    "save_pieces",
+    "save_still",
+    "section_picture",
+    "sweep",
+    "turntable",
+]
+
+Draw = Callable[[Camera, Sequence[Piece]], NDArray[np.uint8]]
+"""A view of pieces as (H, W, 4) RGBA, straight alpha."""
+
+ANIMATIONS = (".webp", ".gif", ".mp4")
+
+OPACITY = 0.999
+"""Of an exported atom: 1 has no logit."""
+
+Frames = Iterable[NDArray[np.uint8]]
+
+
+def save_still(path: Path, rgba: NDArray[np.uint8], transparent: bool = True) -> None:
+    """A picture (H, W, 4) as PNG, WebP or JPEG, by its name. Raises InputError for another kind."""
+    suffix = path.suffix.lower()
+    if suffix not in (".png", ".webp", ".jpg", ".jpeg"):
+        raise InputError(f"{path}: pictures are saved as .png, .webp or .jpg")
+    image = Image.fromarray(rgba, "RGBA")
+    if not transparent or suffix in (".jpg", ".jpeg"):
+        image = image.convert("RGB")
+    with atomic(path) as temporary:
+        image.save(temporary)
+
+
+def turntable(eye: Eye, up: Vec3, size: tuple[int, int], count: int) -> Iterator[Camera]:
+    """Cameras once around the object, starting where the user looks from."""
+    for index in range(count):
+        turned = replace(eye, azimuth=eye.azimuth + 360.0 * index / count)
+        yield turned.camera(*size, up)
+
+
+def sweep(plane: Plane, solid: Solid, count: int) -> Iterator[Plane]:
+    """A plane on its way through the whole object, there and back, so that the animation closes."""
+    normal = np.asarray(plane.normal)
+    along = solid.points @ normal if len(solid.points) else np.zeros(1)
+    low, high = float(along.min()), float(along.max())
+    for index in range(count):
+        part = 0.5 + 0.49 * np.cos(2 * np.pi * index / count)
+        yield Plane(plane.normal, -(low + (high - low) * float(part)))
+
+
+def section_picture(draw: Draw, plane: Plane, planes: Sequence[Plane], up: Vec3, solid: Solid, size: int) -> NDArray:
+    """(size, size, 4). The cut face of a piece looked at straight on, nothing around it, to scale."""
+    bounds = np.stack([solid.points.min(0), solid.points.max(0)]) if len(solid.points) else np.zeros((2, 3))
+    return draw(section(plane, np.asarray(up), bounds, size), [Piece((*planes, plane))])
+
+
+def ffmpeg() -> str | None:
+    """The program that writes MP4, where there is one."""
+    return shutil.which("ffmpeg")
+
+
+def save_animation(path: Path, frames: Frames, rate: int = 25, background: Vec3 = (1.0, 1.0, 1.0)) -> int:
+    """Frames (H, W, 4) as WebP, GIF or MP4 by the file's name; returns how many.
+
+    GIF and MP4 know no soft edges, so they stand on the background. Raises InputError for another kind of file, for
+    MP4 without ffmpeg, and where there is no frame.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in ANIMATIONS:
+        raise InputError(f"{path}: animations are saved as {', '.join(ANIMATIONS)}")
+    if suffix == ".mp4":
+        return _save_mp4(path, frames, rate, background)
+    images = [Image.fromarray(f if suffix == ".webp" else _on(f, background)) for f in frames]
+    if not images:
+        raise InputError(f"{path}: nothing to animate")
+    if suffix == ".gif":
+        # One palette for all frames, so that still parts do not flicker.
+        palette = images[0].quantize(255, dither=Image.Dither.NONE)
+        images = [image.quantize(palette=palette, dither=Image.Dither.FLOYDSTEINBERG) for image in images]
+    with atomic(path) as temporary:
+        images[0].save(
+            temporary,
+            format=suffix[1:].upper(),
+            save_all=True,
+            append_images=images[1:],
+            duration=round(1000 / rate),
+            loop=0,
+            quality=85,
+        )
+    return len(images)
+
+
+def _save_mp4(path: Path, frames: Frames, rate: int, background: Vec3) -> int:
+    program = ffmpeg()
+    if program is None:
+        raise InputError(f"{path}: MP4 needs ffmpeg, which is not installed; choose .webp or .gif")
+    count = 0
+    writer: subprocess.Popen[bytes] | None = None
+    with atomic(path) as temporary, tempfile.TemporaryFile() as errors:
+        try:
+            for frame in frames:
+                rgb = _on(frame, background)
+                rgb = rgb[: len(rgb) // 2 * 2, : rgb.shape[1] // 2 * 2]  # the codec's chroma needs even sides
+                if writer is None:
+                    size = f"{rgb.shape[1]}x{rgb.shape[0]}"
+                    command = [program, "-y", "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", size]
+                    command += ["-r", str(rate), "-i", "-", "-pix_fmt", "yuv420p", "-crf", "18", str(temporary)]
+                    writer = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=errors)
+                assert writer.stdin is not None
+                writer.stdin.write(np.ascontiguousarray(rgb).tobytes())
+                count += 1
+            if writer is None:
+                raise InputError(f"{path}: nothing to animate")
+            writer.communicate()
+        except BrokenPipeError:  # it has given up; its last words say why
+            assert writer is not None
+            writer.wait()
+        finally:
+            if writer is not None and writer.poll() is None:
+                writer.kill()  # the user has stopped it
+                writer.wait()
+        if writer.returncode:
+            errors.seek(0)
+            last = errors.read().decode("utf-8", "replace").strip().splitlines()[-1:]
+            raise InputError(f"{path}: ffmpeg could not write it ({' '.join(last) or 'it gave no reason'})")
+    return count
+
+
+def _on(rgba: NDArray[np.uint8], background: Vec3) -> NDArray[np.uint8]:
+    """(H, W, 3). A picture with straight alpha laid on a colour."""
+    alpha = rgba[..., 3:].astype(np.float32) / 255
+    return (rgba[..., :3] * alpha + 255 * np.asarray(background, np.float32) * (1 - alpha) + 0.5).astype(np.uint8)
+
+
+def piece_gaussians(atoms: Atoms, piece: Lying) -> Gaussians:
+    """What a piece is in a 3DGS file: its atoms by their centres, where the piece lies now, turned with it.
+
+    Other viewers cannot cut an atom in two, so a cut face there is as rough as the atoms are large.
+    """
+    surface, interior = atoms.surface, atoms.interior
+    n = len(surface)
+    means = np.concatenate([surface.means, interior.means]).astype(np.float64)
+    kept = np.ones(len(means), bool)
+    for plane in piece.planes:
+        kept &= plane.distance(means) <= 0
+    sh = np.zeros((len(means), surface.sh.shape[1], 3), np.float32)
+    sh[:n] = turned_sh(surface.sh, piece.motion)
+    sh[n:, 0] = rgb_to_sh(interior.rgb)
+    quats = np.zeros((len(means), 4), np.float32)
+    quats[:n] = _turned(surface.quats, piece.motion)
+    quats[n:, 0] = 1
+    scales = np.concatenate([surface.scales, np.repeat(interior.sigmas[:, None], 3, axis=1)])
+    opacities = np.full(len(means), OPACITY, np.float32)
+    whole = Gaussians(piece.motion.apply(means).astype(np.float32), scales, quats, opacities, sh)
+    return whole[kept]
+
+
+def save_pieces(path: Path, atoms: Atoms, pieces: Sequence[Lying]) -> int:
+    """Some pieces in one 3DGS .ply; returns the number of Gaussians. Raises InputError where there is none."""
+    parts = [piece_gaussians(atoms, piece) for piece in pieces]
+    if not sum(len(part) for part in parts):
+        raise InputError(f"{path}: nothing to save; no piece is shown")
+    joined = Gaussians(
+        *(np.concatenate([getattr(p, name) for p in parts]) for name in ("means", "scales", "quats", "opacities", "sh"))
+    )
+    write_ply(path, joined, ["FruitNinja"])
+    return len(joined)
+
+
+def turned_sh(sh: NDArray[np.float32], motion: Motion) -> NDArray[np.float32]:
+    """(N, K, 3). Spherical harmonics turned with their object: seen from R d it shows what it showed from d.
+
+    The bands turn linearly among themselves, B(R^T d) = B(d) M; M is found from more directions than unknowns, which
+    is exact because such an M exists.
+    """
+    degree = round(sh.shape[1] ** 0.5) - 1
+    if degree == 0 or motion.turn == (1.0, 0.0, 0.0, 0.0):
+        return sh
+    directions = np.random.default_rng(0).normal(size=(200, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    matrix = np.linalg.lstsq(basis(directions, degree), basis(directions @ motion.rotation, degree), rcond=None)[0]
+    return np.einsum("jk,nkc->njc", matrix, sh).astype(np.float32)
+
+
+def _turned(quats: NDArray[np.float32], motion: Motion) -> NDArray[np.float32]:
+    """(N, 4). Quaternions wxyz after a turn."""
+    w, x, y, z = motion.turn
+    left = np.array([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])
+    return (quats @ left.T).astype(np.float32)

@@ -1,0 +1,164 @@
+"""From a stroke on the screen to a cut through the object."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from app.model.camera_control import project_points, ray
+from app.model.document import Document, Key, Part
+from app.model.pieces import Lying, Solid, shown
+from app.model.rigid_transform import Vec3
+from engine.scene.camera import Camera
+from engine.scene.plane import Plane
+
+__all__ = ["Outcome", "Stroke", "plane_of", "slice_object", "snapped_plane"]
+
+SHORTEST = 6.0
+"""Pixels. A shorter drag is a click, and its direction is noise."""
+
+SNAP_ANGLE = 15.0
+"""Degrees between the upright planes that a stroke snaps to when the object is seen from above."""
+
+STEEP = math.cos(math.radians(20.0))
+"""Cosine between view and up axis from which the object counts as seen from above or below."""
+
+
+@dataclass(frozen=True)
+class Stroke:
+    """A straight drag across the picture, in its pixels."""
+
+    start: tuple[float, float]
+    end: tuple[float, float]
+    snap: bool = False
+    """To the horizontal and vertical planes of the object."""
+
+    @property
+    def length(self) -> float:
+        """Pixels."""
+        return math.dist(self.start, self.end)
+
+    @property
+    def middle(self) -> tuple[float, float]:
+        """Halfway, in pixels."""
+        return (self.start[0] + self.end[0]) / 2, (self.start[1] + self.end[1]) / 2
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a stroke did."""
+
+    document: Document | None
+    """None: nothing was cut."""
+    message: str
+    """One line for the user."""
+
+
+def plane_of(camera: Camera, stroke: Stroke, up: Vec3, centre: NDArray[np.floating]) -> Plane | None:
+    """The plane that a stroke cuts along: through the eye and the stroke, or the snapped one.
+
+    `centre` (3,) is the middle of the object, which gives a snapped horizontal plane its depth. None for a stroke
+    that is too short to have a direction. The kept side is the one at the right of the stroke.
+    """
+    if stroke.length < SHORTEST:
+        return None
+    start, first = ray(camera, stroke.start)
+    end, last = ray(camera, stroke.end)
+    normal = np.cross(first, end - start) if camera.orthographic else np.cross(first, last)
+    if not np.linalg.norm(normal) > 1e-12:
+        return None
+    free = Plane.through(start, -normal)
+    return snapped_plane(camera, stroke, free, np.asarray(up), centre) if stroke.snap else free
+
+
+def snapped_plane(
+    camera: Camera, stroke: Stroke, free: Plane, up: NDArray[np.float64], centre: NDArray[np.floating]
+) -> Plane:
+    """The horizontal or vertical plane of the object nearest to a stroke, through the stroke's middle.
+
+    A stroke that runs more along the up axis (as it is seen) gives the upright plane seen edge-on; one that runs more
+    across gives the horizontal plane, at the height where the stroke's middle meets the depth of the object's centre.
+    Seen from above, every stroke gives an upright plane, turned to the nearest multiple of 15 degrees.
+    """
+    start, direction = ray(camera, stroke.middle)
+    point = start + direction * max(0.0, float((centre - start) @ direction))
+    normal = np.asarray(free.normal)
+    if abs(camera.forward @ up) > STEEP:
+        flat = normal - up * (normal @ up)
+        if np.linalg.norm(flat) < 1e-6:
+            return free
+        right, forward = camera.viewmat[0, :3], np.cross(up, camera.viewmat[0, :3])
+        angle = math.degrees(math.atan2(float(flat @ forward), float(flat @ right)))
+        step = math.radians(round(angle / SNAP_ANGLE) * SNAP_ANGLE)
+        e1 = right - up * (right @ up)
+        e1 = e1 / np.linalg.norm(e1)
+        return Plane.through(point, math.cos(step) * e1 + math.sin(step) * np.cross(up, e1))
+    seen, _ = project_points(
+        camera, np.stack([point, point + up * 1e-3 * max(1e-9, float(np.linalg.norm(point - start)))])
+    )
+    axis = seen[1] - seen[0]
+    run = np.subtract(stroke.end, stroke.start)
+    if abs(run @ axis) >= math.cos(math.radians(45.0)) * np.linalg.norm(run) * np.linalg.norm(axis):
+        upright = np.cross(up, direction)
+        return Plane.through(point, upright if upright @ normal > 0 else -upright)
+    return Plane.through(point, up if up @ normal > 0 else -up)
+
+
+def slice_object(
+    document: Document,
+    solid: Solid,
+    camera: Camera,
+    stroke: Stroke,
+    up: Vec3,
+    selected: Iterable[Key] = (),
+) -> Outcome:
+    """Cuts every visible piece that the stroke crosses, or only the selected ones among them."""
+    plane = plane_of(camera, stroke, up, solid.centre)
+    if plane is None:
+        return Outcome(None, "That was too short to cut. Drag across the object.")
+    chosen = set(selected)
+    visible = shown(document, solid)
+    candidates = [piece for piece in visible if not chosen or piece.key in chosen] or visible
+    parts = [
+        Part(piece.motion.inverse().carried(plane), piece.key)
+        for piece in candidates
+        if _crossed(piece, solid, camera, stroke, plane)
+    ]
+    if not parts:
+        whose = "the selected piece" if chosen else "the object"
+        return Outcome(None, f"The knife missed {whose}. Drag across it from side to side.")
+    cut = document.with_cut(_joined(parts))
+    count = len(parts)
+    return Outcome(cut, "Cut into two." if count == 1 and len(visible) == 1 else f"Cut {_pieces(count)}.")
+
+
+def _crossed(piece: Lying, solid: Solid, camera: Camera, stroke: Stroke, plane: Plane) -> bool:
+    """Whether solid lies on both sides of the plane, and the stroke passes where the plane meets the piece."""
+    if not len(piece.rows):
+        return False
+    points = piece.motion.apply(solid.points[piece.rows])
+    distance = plane.distance(points)
+    if (distance > 0).all() or not (distance > 0).any():
+        return False
+    near = points[np.abs(distance) <= max(solid.spacing, float(np.abs(distance).min()))]
+    pixels, depth = project_points(camera, near)
+    pixels = pixels[depth > 0]
+    run = np.subtract(stroke.end, stroke.start)
+    along = (pixels - np.asarray(stroke.start)) @ run / (run @ run)
+    return bool(len(along)) and float(along.max()) >= 0 and float(along.min()) <= 1
+
+
+def _joined(parts: list[Part]) -> tuple[Part, ...]:
+    """One part for everything where all pieces are met at the same place, so that later cuts need no scopes."""
+    first = parts[0]
+    if len(parts) > 1 or first.scope:
+        return tuple(parts)
+    return (Part(first.plane),)
+
+
+def _pieces(count: int) -> str:
+    return "one piece" if count == 1 else f"{count} pieces"

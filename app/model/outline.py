@@ -1,0 +1,122 @@
+"""Where planes meet the object, as lines to draw: contours of the body on each plane, hollows and all."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from engine.scene.atoms import Atoms
+from engine.scene.grid import Body
+from engine.scene.plane import Plane, frame
+
+__all__ = ["body_of_atoms", "body_of_shell", "contours"]
+
+Float = NDArray[np.float64]
+
+CELLS = 72
+"""Along the longest side of the grid that lines are read from: finer than they are wide, where the object fills a
+window, and coarse enough to be made in a blink. Never finer than the atoms' own lattice."""
+
+BLUR = 0.8
+"""Standard deviation, cells, that turns counts of jittered atoms into an even inside with a smooth edge."""
+
+SHELL_CELLS = 48
+"""The same for a capture, of which there is only the skin, with gaps of up to four cells."""
+
+# Segments of each pattern of corners that lie inside (bits 1, 2, 4, 8 around a cell), from one edge to another. An edge
+# goes from the corner of its number to the next. Two opposite corners are taken as apart: nobody sees the difference.
+ONE = [(-1, -1), (3, 0), (0, 1), (3, 1), (1, 2), (3, 0), (0, 2), (3, 2)]
+ONE += [(2, 3), (2, 0), (0, 1), (2, 1), (1, 3), (1, 0), (0, 3), (-1, -1)]
+TWO = [(1, 2) if code == 5 else (2, 3) if code == 10 else (-1, -1) for code in range(16)]
+EDGES = np.array([ONE, TWO]).transpose(1, 0, 2)
+
+
+def body_of_atoms(atoms: Atoms) -> Body:
+    """The solid that atoms fill, on a grid coarse enough to be made while somebody waits. Exact to a part of a cell."""
+    means = atoms.interior.means.astype(np.float64) if len(atoms.interior) else atoms.surface.means.astype(np.float64)
+    cell = max(float(np.ptp(means, axis=0).max()) / CELLS, atoms.pitch) if len(means) else 1.0
+    counts, origin = _counted(means, cell)
+    filled = ndimage.gaussian_filter(counts, BLUR, mode="constant") * (atoms.pitch / cell) ** 3
+    # Halfway down the edge is the skin. Depths only need to be right near it.
+    return Body(origin, cell, ((filled - 0.5) * 2.5 * BLUR * cell).astype(np.float32))
+
+
+def body_of_shell(points: NDArray[np.floating]) -> Body:
+    """What points (N, 3) on a skin enclose: all there is to go by before a capture has been made solid."""
+    cell = float(np.ptp(points, axis=0).max()) / SHELL_CELLS if len(points) > 1 else 1.0
+    origin, shape = _around(points, cell)
+    skin = np.zeros(shape, bool)
+    skin[tuple(((points - origin) / cell).astype(int).T)] = True
+    thick = ndimage.binary_fill_holes(ndimage.binary_dilation(skin, iterations=2))
+    edge = ndimage.gaussian_filter(
+        ndimage.binary_erosion(thick, iterations=2).astype(np.float32), BLUR, mode="constant"
+    )
+    return Body(origin, cell, ((edge - 0.5) * 2.5 * BLUR * cell).astype(np.float32))
+
+
+def _around(points: NDArray[np.floating], cell: float) -> tuple[Float, tuple[int, int, int]]:
+    """Outer corner (3,) and shape of a grid around points, with four cells of margin."""
+    if not len(points):
+        return np.zeros(3), (1, 1, 1)
+    origin = points.min(0).astype(np.float64) - 4 * cell
+    x, y, z = np.ceil((points.max(0) - origin) / cell).astype(int) + 4
+    return origin, (x, y, z)
+
+
+def _counted(points: Float, cell: float) -> tuple[NDArray[np.float32], Float]:
+    """How many points fall into each cell, each spread over the nearest eight; and the outer corner of the grid."""
+    origin, shape = _around(points, cell)
+    place = (points - origin) / cell - 0.5
+    first = np.floor(place).astype(np.int64)
+    part = place - first
+    counts = np.zeros(int(np.prod(shape)))
+    for corner in np.ndindex(2, 2, 2):
+        weight = np.where(corner, part, 1 - part).prod(1)
+        counts += np.bincount(np.ravel_multi_index(tuple((first + corner).T), shape), weight, len(counts))
+    return counts.reshape(shape).astype(np.float32), origin
+
+
+def contours(body: Body, planes: Sequence[Plane], within: Sequence[Plane] = (), outset: float = 0.0) -> Float:
+    """(S, 2, 3). Ends of the straight pieces of line where planes meet a body, or what the half-spaces leave of it.
+
+    In no order. A line is as fine as the body's cells, and runs `outset` cells outside of the skin.
+    """
+    low, high = body.bounds()
+    centre, radius = (low + high) / 2, float(np.linalg.norm(high - low)) / 2 + body.cell
+    steps = np.arange(-radius, radius + body.cell, body.cell)
+    found = [np.zeros((0, 2, 3))]
+    for plane in planes:
+        e1, e2, n = frame(plane.normal)
+        distance = float(plane.distance(centre))
+        if abs(distance) > radius:
+            continue
+        axes, foot = np.stack([e1, e2]), centre - distance * n
+        flat = np.stack(np.meshgrid(steps, steps, indexing="ij"), 2)
+        points = foot + flat @ axes
+        depth = body.at(points).astype(np.float64) + outset * body.cell
+        for half in within:
+            depth = np.minimum(depth, -half.distance(points))
+        found.append(foot + (_marched(depth) * body.cell + steps[0]) @ axes)
+    return np.concatenate(found)
+
+
+def _marched(values: Float) -> Float:
+    """(S, 2, 2). Segments of the zero contour of values (H, W), in steps of the grid: marching squares."""
+    corners = np.array([[0, 0], [0, 1], [1, 1], [1, 0]])
+    height, width = values.shape
+    inside = values > 0
+    windows = [inside[i : height - 1 + i, j : width - 1 + j] for i, j in corners]
+    mixed = np.logical_or.reduce(windows) & ~np.logical_and.reduce(windows)
+    cells = np.argwhere(mixed)
+    codes = sum(window[mixed] * np.int64(1 << bit) for bit, window in enumerate(windows))
+    value = np.stack([values[cells[:, 0] + i, cells[:, 1] + j] for i, j in corners], 1)
+    other = np.roll(value, -1, axis=1)
+    with np.errstate(divide="ignore", invalid="ignore"):  # edges without a crossing are not asked for theirs
+        part = (value / (value - other))[..., None]
+        crossings = cells[:, None] + corners + part * (np.roll(corners, -1, axis=0) - corners)
+    first, second = EDGES[codes].transpose(1, 0, 2)
+    rows = np.arange(len(cells))[:, None]
+    return np.concatenate([crossings[rows, first], crossings[rows, second][second[:, 0] >= 0]])

@@ -1,0 +1,138 @@
+"""Asks how a picture, an animation or pieces are to be saved, and shows how far it is."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from imgui_bundle import ImVec2, imgui
+
+from app.model.export import ffmpeg
+from app.ui.dialogs.exporting import Exporter, Options
+from app.ui.dialogs.files import Dialogs
+from app.ui.theme import Fonts, px
+from app.ui.widgets import font, main_button, secondary, thin_bar
+
+__all__ = ["ExportWindow"]
+
+TITLES = {
+    "picture": "Save picture",
+    "turntable": "Save turntable",
+    "sweep": "Save plane sweep",
+    "section": "Save cut face",
+    "pieces": "Save pieces",
+}
+HINTS = {
+    "picture": "What the window shows, in any size.",
+    "turntable": "Once around the object.",
+    "sweep": "The active plane on its way through the object and back.",
+    "section": "The active cut looked at straight on, nothing around it.",
+    "pieces": "Opens in every 3DGS viewer. Cut faces there are as fine as the atoms.",
+}
+SUFFIXES = {"picture": ".png", "section": ".png", "pieces": ".ply"}
+LARGEST = 8192
+"""Pixels of a side: more than most GL targets hold."""
+
+
+class ExportWindow:
+    """A small modal."""
+
+    def __init__(self, exporter: Exporter, dialogs: Dialogs) -> None:
+        self.exporter, self.dialogs = exporter, dialogs
+        self.options = Options()
+        self.asked = False
+
+    def ask(self, kind: str) -> None:
+        """Opens it."""
+        self.options.kind = kind
+        self.asked = True
+
+    def show(self) -> None:
+        """One frame."""
+        self.exporter.step()
+        if self.exporter.busy:
+            self._show_progress()
+            return
+        if self.asked:
+            imgui.open_popup("Export")
+        imgui.set_next_window_pos(imgui.get_main_viewport().get_center(), imgui.Cond_.always, ImVec2(0.5, 0.5))
+        imgui.set_next_window_size(ImVec2(px(380), 0))
+        imgui.push_style_var(imgui.StyleVar_.window_padding, ImVec2(px(18), px(16)))
+        flags = imgui.WindowFlags_.no_title_bar | imgui.WindowFlags_.no_resize
+        if imgui.begin_popup_modal("Export", None, flags)[0]:
+            self._body()
+            imgui.end_popup()
+        imgui.pop_style_var()
+
+    def _body(self) -> None:
+        o = self.options
+        with font(Fonts.bold):
+            imgui.text_unformatted(TITLES[o.kind])
+        secondary(HINTS[o.kind], wrap=True)
+        imgui.dummy(ImVec2(0, px(4)))
+        label = px(110)
+
+        def row(text: str) -> None:
+            imgui.align_text_to_frame_padding()
+            secondary(text)
+            imgui.same_line(label)
+            imgui.set_next_item_width(-1)
+
+        if o.kind == "section":
+            row("Size")
+            o.width = bounded(imgui.input_int("##side", o.width, 100)[1])
+        elif o.kind != "pieces":
+            row("Width")
+            o.width = bounded(imgui.input_int("##width", o.width, 100)[1])
+            row("Height")
+            o.height = bounded(imgui.input_int("##height", o.height, 100)[1])
+        if o.kind in ("picture", "section"):
+            row("Background")
+            o.transparent = not imgui.checkbox("white##ground", not o.transparent)[1]
+        if o.kind in ("turntable", "sweep"):
+            row("Frames")
+            o.frames = min(max(2, imgui.input_int("##frames", o.frames, 10)[1]), 1000)
+            row("Format")
+            forms = [".webp", ".gif", *([".mp4"] if ffmpeg() else [])]
+            current = forms.index(o.form) if o.form in forms else 0
+            o.form = forms[imgui.combo("##form", current, [f[1:].upper() for f in forms])[1]]
+        if o.kind == "pieces":
+            row("Files")
+            o.separate = imgui.checkbox("one for each piece", o.separate)[1]
+        imgui.dummy(ImVec2(0, px(6)))
+        if main_button("Choose where...", px(150)):
+            self._choose()
+        imgui.same_line()
+        if imgui.button("Cancel", ImVec2(px(90), px(32))) or imgui.is_key_pressed(imgui.Key.escape):
+            self.asked = False
+        if not self.asked:
+            imgui.close_current_popup()
+
+    def _choose(self) -> None:
+        o = self.options
+        suffix = SUFFIXES.get(o.kind, o.form)
+        scene = self.exporter.session.document.scene
+        stem = scene.stem if scene else "object"
+        folder = scene.parent if scene else Path.home()
+        name = folder / f"{stem}_{o.kind}{suffix}"
+        self.asked = False
+
+        def then(path: Path) -> None:
+            self.exporter.run(o, path if path.suffix else path.with_suffix(suffix))
+
+        self.dialogs.save(TITLES[o.kind], name, [suffix[1:].upper(), f"*{suffix}"], then)
+
+    def _show_progress(self) -> None:
+        imgui.set_next_window_pos(imgui.get_main_viewport().get_center(), imgui.Cond_.always, ImVec2(0.5, 0.5))
+        imgui.set_next_window_size(ImVec2(px(320), 0))
+        flags = imgui.WindowFlags_.no_decoration | imgui.WindowFlags_.no_docking | imgui.WindowFlags_.no_saved_settings
+        imgui.begin("##exporting", None, flags)
+        secondary(f"Saving {self.exporter.path.name if self.exporter.path else ''}")
+        thin_bar(self.exporter.part)
+        if imgui.button("Cancel"):
+            self.exporter.cancel()
+        imgui.end()
+
+
+def bounded(pixels: int) -> int:
+    """A side that can be drawn."""
+    return min(max(16, pixels), LARGEST)

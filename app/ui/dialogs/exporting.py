@@ -1,0 +1,172 @@
+"""Pictures and animations for files: drawn one a frame, written beside, so that the window keeps moving."""
+
+from __future__ import annotations
+
+import queue
+import threading
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from app.model.export import save_animation, save_pieces, save_still, section_picture, sweep, turntable
+from app.model.pieces import sections
+from app.session.session import Session
+from app.ui.view.painter import Painter
+from engine.errors import InputError
+from engine.scene.camera import Camera
+from engine.scene.piece import Piece
+
+__all__ = ["Exporter", "Options"]
+
+Frame = NDArray[np.uint8]
+
+
+@dataclass
+class Options:
+    """What the export window asks for."""
+
+    kind: str = "picture"
+    """'picture', 'turntable', 'sweep', 'section', 'pieces'."""
+    width: int = 1600
+    height: int = 1000
+    transparent: bool = True
+    frames: int = 90
+    form: str = ".webp"
+    separate: bool = False
+    """Each piece into a file of its own."""
+
+
+class Exporter:
+    """One export at a time."""
+
+    def __init__(self, session: Session, painter: Painter) -> None:
+        self.session, self.painter = session, painter
+        self.part = 0.0
+        self.path: Path | None = None
+        """What is being written."""
+        self._frames: Iterator[Frame] | None = None
+        self._sink: queue.Queue[Frame | None] = queue.Queue(maxsize=8)
+        self._thread: threading.Thread | None = None
+        self._error = ""
+        self._count = 1
+        self._done = 0
+        self._cancelled = False
+
+    @property
+    def busy(self) -> bool:
+        """Whether an animation is being made."""
+        return self._thread is not None
+
+    def run(self, options: Options, path: Path) -> None:
+        """Starts, or does at once what is quick. Errors go to the session."""
+        try:
+            if options.kind == "pieces":
+                self._pieces(options, path)
+            elif options.kind == "section":
+                self._section(options, path)
+            elif options.kind == "picture":
+                camera = self._camera(options)
+                save_still(path, self._draw(camera, self._shown()), options.transparent)
+                self.session.say(f"Saved {path.name}.")
+            else:
+                self._animate(options, path)
+        except InputError as error:
+            self.session.fail(error)
+
+    def step(self) -> None:
+        """Draws the next frame of an animation. Called once a frame."""
+        if self._thread is None:
+            return
+        if self._frames is not None and not self._sink.full():
+            frame = None if self._cancelled else next(self._frames, None)
+            self._sink.put(frame)
+            self._done += 1
+            self.part = self._done / self._count
+            if frame is None:
+                self._frames = None
+        if not self._thread.is_alive():
+            name = self.path.name if self.path else ""
+            self._thread = None
+            if self._error:
+                self.session.fail(self._error)
+            else:
+                self.session.say(f"Saved {name}." if not self._cancelled else "Stopped.")
+
+    def cancel(self) -> None:
+        """Stops after this frame; nothing is left behind."""
+        self._cancelled = True
+
+    def _animate(self, options: Options, path: Path) -> None:
+        session = self.session
+        size = (options.width, options.height)
+        eye = session.viewing.eye
+        if options.kind == "turntable":
+            shown = self._shown()
+            frames = (self._draw(camera, shown) for camera in turntable(eye, session.up, size, options.frames))
+        else:
+            cut = next((c for c in session.document.cuts if c.id == session.active_cut), None)
+            cut = cut or (session.document.cuts[-1] if session.document.cuts else None)
+            if cut is None:
+                raise InputError("The sweep needs a plane. Add one first.")
+            plane, camera = cut.plane(cut.parts[0]), eye.camera(*size, session.up)
+            if np.asarray(plane.normal) @ camera.forward > 0:
+                plane = plane.flipped()  # the open side towards the eye
+            frames = (self._draw(camera, [Piece((step,))]) for step in sweep(plane, session.solid, options.frames))
+        self._frames, self._count, self._done, self.path = iter(frames), options.frames, 0, path
+        self._error, self._cancelled, self._sink = "", False, queue.Queue(maxsize=8)
+        self._thread = threading.Thread(target=self._write, args=(path,), daemon=True)
+        self._thread.start()
+
+    def _write(self, path: Path) -> None:
+        def frames() -> Iterator[Frame]:
+            while (frame := self._sink.get()) is not None:
+                yield frame
+            if self._cancelled:
+                raise InputError("cancelled")
+
+        try:
+            save_animation(path, frames())
+        except InputError as error:
+            self._error = "" if self._cancelled else str(error)
+        except Exception as error:  # a thread that dies would leave the window waiting
+            self._error = f"{path}: could not be written ({error})"
+        while self._error and self._frames is not None:
+            self._sink.get()
+
+    def _section(self, options: Options, path: Path) -> None:
+        session = self.session
+        cut = next((c for c in session.document.cuts if c.id == session.active_cut), None)
+        cut = cut or (session.document.cuts[-1] if session.document.cuts else None)
+        if cut is None:
+            raise InputError("A section needs a cut. Cut the object or add a plane first.")
+        picture = section_picture(
+            self._draw, cut.plane(cut.parts[0]), (), session.up, session.solid, max(options.width, 64)
+        )
+        save_still(path, picture, options.transparent)
+        session.say(f"Saved {path.name}.")
+
+    def _pieces(self, options: Options, path: Path) -> None:
+        session = self.session
+        if session.atoms is None:
+            raise InputError("There is no solid to save yet.")
+        pieces = [piece for piece in session.pieces if piece.visible]
+        if not options.separate:
+            count = save_pieces(path, session.atoms, pieces)
+            session.say(f"Saved {count:,} Gaussians in {path.name}.")
+            return
+        for number, piece in enumerate(pieces, 1):
+            save_pieces(path.with_name(f"{path.stem}_{number}{path.suffix}"), session.atoms, [piece])
+        session.say(f"Saved {len(pieces)} pieces beside {path.stem}_1{path.suffix}.")
+
+    def _camera(self, options: Options) -> Camera:
+        return self.session.viewing.eye.camera(options.width, options.height, self.session.up)
+
+    def _shown(self) -> list[Piece]:
+        hide = sections(self.session.document)
+        return [piece.piece(hide) for piece in self.session.pieces if piece.visible]
+
+    def _draw(self, camera: Camera, pieces: Sequence[Piece]) -> Frame:
+        return self.painter.picture(self.session, camera, pieces)

@@ -1,0 +1,121 @@
+"""Asking for files, in the system's own dialog where there is one, in the window where there is none."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from imgui_bundle import ImVec2, imgui
+from imgui_bundle import portable_file_dialogs as pfd
+
+from app.model.project import SUFFIX
+from app.session.project_files import PICTURES
+from app.ui.theme import px
+from app.ui.widgets import main_button, secondary
+from engine.io.formats import SCENE_SUFFIXES
+
+__all__ = ["Dialogs"]
+
+SCENES = ["Scenes", " ".join(f"*{suffix}" for suffix in (*SCENE_SUFFIXES, SUFFIX)), "All files", "*"]
+IMAGES = ["Pictures", " ".join(f"*{suffix}" for suffix in PICTURES), "All files", "*"]
+
+Then = Callable[[tuple[Path, ...]], None]
+
+
+@dataclass
+class Asked:
+    """A dialog of the system that is open."""
+
+    dialog: pfd.open_file | pfd.save_file | pfd.select_folder
+    then: Then
+
+
+@dataclass
+class Typed:
+    """A path that is typed into the window."""
+
+    title: str
+    text: str
+    then: Then
+
+
+class Dialogs:
+    """At most one at a time."""
+
+    def __init__(self, here: Path) -> None:
+        self.here = here
+        """Where the next one for opening begins, and what a path that is typed is relative to."""
+        self.asked: Asked | None = None
+        self.typed: Typed | None = None
+        native = sys.platform in ("win32", "darwin") or any(map(shutil.which, ("zenity", "kdialog", "matedialog")))
+        self.native = native
+
+    def open_scene(self, then: Callable[[Path], None]) -> None:
+        """A scene or a project."""
+        self._open("Open a capture, a mesh or a project", SCENES, lambda paths: then(paths[0]))
+
+    def open_pictures(self, then: Then) -> None:
+        """One or several pictures."""
+        self._open("Choose pictures of a cut face", IMAGES, then, several=True)
+
+    def save(self, title: str, suggestion: Path, kinds: list[str], then: Callable[[Path], None]) -> None:
+        """A place for a new file."""
+        if self.native:
+            dialog = pfd.save_file(title, str(suggestion), kinds)
+            self.asked = Asked(dialog, lambda paths: then(paths[0]))
+        else:
+            self.typed = Typed(title, str(suggestion), lambda paths: then(paths[0]))
+
+    def folder(self, title: str, start: Path, then: Callable[[Path], None]) -> None:
+        """A folder."""
+        if self.native:
+            self.asked = Asked(pfd.select_folder(title, str(start)), lambda paths: then(paths[0]))
+        else:
+            self.typed = Typed(title, str(start), lambda paths: then(paths[0]))
+
+    def _open(self, title: str, kinds: list[str], then: Then, several: bool = False) -> None:
+        if self.native:
+            options = pfd.opt.multiselect if several else pfd.opt.none
+            self.asked = Asked(pfd.open_file(title, str(self.here), kinds, options), then)
+        else:
+            self.typed = Typed(title, os.path.join(self.here, ""), then)
+
+    def show(self) -> None:
+        """Once a frame: looks whether an answer has come."""
+        asked = self.asked
+        if asked is not None and asked.dialog.ready(0):
+            self.asked = None
+            result = asked.dialog.result()
+            paths = [result] if isinstance(result, str) else result
+            if paths and paths[0]:
+                asked.then(tuple(Path(path) for path in paths))
+        if self.typed is not None:
+            self._show_typed(self.typed)
+
+    def _show_typed(self, typed: Typed) -> None:
+        imgui.open_popup("Path")
+        imgui.set_next_window_pos(imgui.get_main_viewport().get_center(), imgui.Cond_.always, ImVec2(0.5, 0.5))
+        imgui.set_next_window_size(ImVec2(px(520), 0))
+        if not imgui.begin_popup_modal("Path", None, imgui.WindowFlags_.no_title_bar | imgui.WindowFlags_.no_resize)[0]:
+            return
+        imgui.text_unformatted(typed.title)
+        imgui.set_next_item_width(-1)
+        if imgui.is_window_appearing():
+            imgui.set_keyboard_focus_here()
+        entered, typed.text = imgui.input_text("##path", typed.text, imgui.InputTextFlags_.enter_returns_true)
+        secondary("Type a path. Installing zenity or kdialog brings the system's file dialog.", wrap=True)
+        done = False
+        if main_button("OK", px(110)) or entered:
+            self.typed, done = None, True
+        imgui.same_line()
+        if imgui.button("Cancel", ImVec2(px(90), px(32))) or imgui.is_key_pressed(imgui.Key.escape):
+            self.typed = None
+        if self.typed is None:
+            imgui.close_current_popup()
+        imgui.end_popup()
+        if done and typed.text.strip():
+            typed.then((self.here / Path(typed.text.strip()).expanduser(),))

@@ -1,0 +1,378 @@
+"""Families of planes with their pictures, and the training that gives the object its inside."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import get_args
+
+from imgui_bundle import ImVec2, imgui
+from imgui_bundle import icons_fontawesome_6 as icon
+
+from app.jobs.training_job import Job, missing_for_training
+from app.model.document import Training
+from app.model.question import Choice
+from app.session.session import Session
+from app.ui.dialogs.files import Dialogs
+from app.ui.panels.progress import curves, previews
+from app.ui.panels.thumbs import Thumbs
+from app.ui.theme import palette, px, u32
+from app.ui.view.viewport import Viewport
+from app.ui.widgets import (
+    disabled,
+    eye_icon,
+    heading,
+    icon_button,
+    main_button,
+    minutes,
+    range_slider,
+    right_text,
+    secondary,
+    segmented,
+    thin_bar,
+    tip,
+    whole_slider,
+)
+from training.families import COUNTS, Family, Kind
+from training.settings import DETAILS, DetailName
+
+__all__ = ["InteriorPanel"]
+
+TITLES: dict[Kind, str] = {
+    "horizontal": "Horizontal",
+    "radial": "Radial",
+    "parallel": "Parallel",
+    "custom": "Single planes",
+}
+WHAT: dict[Kind, str] = {
+    "horizontal": "Level cuts, as slices of an orange",
+    "radial": "Cuts through the upright axis, as halves and wedges",
+    "parallel": "Slices along one direction, as bread",
+    "custom": "Planes that you chose one by one",
+}
+RANGE_HINTS: dict[Kind, str] = {
+    "horizontal": "From which part of the height to which its planes stand. Double click: all of it",
+    "radial": "From which part of a half turn to which its planes stand. Double click: all of it",
+    "parallel": "From which part of the length to which its planes stand. Double click: all of it",
+}
+AXIS_CHOICES = {"longest side": None, "x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+DETAIL_HINTS = ("A first look, in a minute", "For most objects", "Fine structures; takes longest")
+PRIORS = {"exemplar": "From the pictures", "stable-diffusion": "From words, by diffusion"}
+
+
+class InteriorPanel:
+    """The last and longest part of the inspector."""
+
+    def __init__(self, session: Session, viewport: Viewport, thumbs: Thumbs, dialogs: Dialogs) -> None:
+        self.session, self.viewport, self.thumbs, self.dialogs = session, viewport, thumbs, dialogs
+        self.open: Kind | None = None
+        """The family whose settings are shown."""
+        self.rows: dict[Kind, tuple[float, float]] = {}
+        """From where to where on the screen each family stands, for pictures that are dropped."""
+
+    def dropped(self, paths: tuple[Path, ...], y: float) -> None:
+        """Pictures let go over the window, at this height of the screen."""
+        kind = next((kind for kind, (low, high) in self.rows.items() if low <= y <= high), None)
+        self.session.add_pictures(kind or self.open, paths)
+
+    def show(self) -> None:
+        """One frame."""
+        session = self.session
+        heading("Interior")
+        self.rows.clear()
+        for family in session.document.families:
+            self._family(family)
+        self._add()
+        if session.document.families:
+            self._settings()
+            self._run()
+
+    # Families
+
+    def _family(self, family: Family) -> None:
+        kind = family.kind
+        imgui.push_id(kind)
+        top = imgui.get_cursor_screen_pos().y
+        start = imgui.get_cursor_screen_pos()
+        width = imgui.get_content_region_avail().x
+        side = px(54)
+        self._thumb(family.exemplars[0] if family.exemplars else None, side)
+        imgui.same_line(0, px(10))
+        imgui.begin_group()
+        imgui.dummy(ImVec2(0, px(1)))
+        imgui.text_unformatted(TITLES[kind])
+        count = len(family.custom) if kind == "custom" else family.count
+        pictures = len(family.exemplars)
+        shown = f"{pictures} picture{'s' if pictures != 1 else ''}" if pictures else "no picture yet"
+        secondary(f"{count} plane{'s' if count != 1 else ''}, {shown}")
+        imgui.end_group()
+        after = imgui.get_cursor_screen_pos()
+        imgui.set_cursor_screen_pos(ImVec2(start.x, start.y))
+        imgui.set_next_item_allow_overlap()
+        if imgui.invisible_button("row", ImVec2(width - px(34), side)):
+            self.open = None if self.open == kind else kind
+        tip(f"{WHAT[kind]}. Click to change it.")
+        imgui.set_cursor_screen_pos(ImVec2(start.x + width - px(26), start.y + (side - px(26)) / 2))
+        on = kind in self.viewport.show_families
+        if icon_button(f"{eye_icon(on)}##planes", 26, quiet=True):
+            self.viewport.show_families = self.viewport.show_families ^ {kind}
+        tip("Show its planes on the object")
+        imgui.set_cursor_screen_pos(after)
+        if self.open == kind:
+            self._edit(family)
+        self.rows[kind] = (top, imgui.get_cursor_screen_pos().y)
+        imgui.pop_id()
+
+    def _thumb(self, path: Path | None, side: float) -> None:
+        p, draw = palette(), imgui.get_window_draw_list()
+        low = imgui.get_cursor_screen_pos()
+        high = ImVec2(low.x + side, low.y + side)
+        texture = None if path is None else self.thumbs.get(path)
+        if texture is not None:
+            draw.add_image_rounded(
+                imgui.ImTextureRef(texture.glo), low, high, ImVec2(0, 0), ImVec2(1, 1), u32("#FFFFFF"), px(4)
+            )
+        else:
+            draw.add_rect_filled(low, high, u32(p.field), px(4))
+            mark = icon.ICON_FA_IMAGE if path is None else icon.ICON_FA_TRIANGLE_EXCLAMATION
+            size = imgui.calc_text_size(mark)
+            at = ImVec2(low.x + (side - size.x) / 2, low.y + (side - size.y) / 2)
+            draw.add_text(at, u32(p.second if path is None else p.trouble), mark)
+        imgui.dummy(ImVec2(side, side))
+
+    def _edit(self, family: Family) -> None:
+        """Count, axis, words and pictures of one family."""
+        session, kind = self.session, family.kind
+        imgui.indent(px(4))
+
+        def change(name: str, new: Family, merge: str = "") -> None:
+            session.change(name, session.document.with_family(new), merge)
+
+        label = px(80)
+        if kind != "custom":
+            imgui.align_text_to_frame_padding()
+            secondary("Planes")
+            imgui.same_line(label)
+            changed, count = whole_slider("##count", family.count, 1, 2 * COUNTS[kind])
+            if changed:
+                change("Planes", replace(family, count=max(1, count)), merge=f"count {kind}")
+            imgui.align_text_to_frame_padding()
+            secondary("Range")
+            imgui.same_line(label)
+            changed, span = range_slider("##range", family.span, RANGE_HINTS[kind])
+            if changed:
+                change("Range", replace(family, span=span), merge=f"range {kind}")
+        if kind == "parallel":
+            imgui.align_text_to_frame_padding()
+            secondary("Along")
+            imgui.same_line(label)
+            names = list(AXIS_CHOICES)
+            axes = list(AXIS_CHOICES.values())
+            current = axes.index(family.axis) if family.axis in axes else 0
+            imgui.set_next_item_width(-1)
+            changed, index = imgui.combo("##axis", current, names)
+            if changed:
+                change("Axis", replace(family, axis=axes[index]))
+        imgui.align_text_to_frame_padding()
+        secondary("In words")
+        imgui.same_line(label)
+        imgui.set_next_item_width(-1)
+        changed, text = imgui.input_text_with_hint("##prompt", "optional, for priors that read", family.prompt)
+        if changed:
+            change("Words", replace(family, prompt=text), merge=f"prompt {kind}")
+        self._pictures(family)
+        if imgui.button("Remove family"):
+            session.change(f"Remove {kind}", session.document.without_family(kind))
+            self.open = None
+        imgui.unindent(px(4))
+
+    def _pictures(self, family: Family) -> None:
+        session, side = self.session, px(46)
+        for index, path in enumerate(family.exemplars):
+            if index and imgui.get_content_region_avail().x > side:
+                imgui.same_line()
+            imgui.push_id(index)
+            imgui.begin_group()
+            at = imgui.get_cursor_screen_pos()
+            self._thumb(path, side)
+            imgui.set_cursor_screen_pos(at)
+            imgui.set_next_item_allow_overlap()
+            imgui.invisible_button("picture", ImVec2(side, side))
+            hovered = imgui.is_item_hovered(imgui.HoveredFlags_.allow_when_overlapped_by_item)
+            tip(f"{path.name}\nClick the cross to remove it; right click to move it to another family.")
+            self._move_menu(family, path)
+            imgui.set_cursor_screen_pos(ImVec2(at.x + side - px(18), at.y + px(2)))
+            pressed = hovered and imgui.small_button(f"{icon.ICON_FA_XMARK}")
+            imgui.set_cursor_screen_pos(ImVec2(at.x, at.y + side))
+            imgui.end_group()
+            imgui.pop_id()
+            if pressed:
+                kept = tuple(p for p in family.exemplars if p != path)
+                session.change("Remove picture", session.document.with_family(replace(family, exemplars=kept)))
+                return
+            imgui.same_line()
+        if icon_button(f"{icon.ICON_FA_PLUS}##add", 46):
+            self.dialogs.open_pictures(lambda paths: session.add_pictures(family.kind, paths))
+        tip("Add a picture of a cut face")
+
+    def _move_menu(self, family: Family, path: Path) -> None:
+        session = self.session
+        if not imgui.begin_popup_context_item("move"):
+            return
+        for kind in get_args(Kind):
+            if kind not in (family.kind, "custom") and imgui.menu_item_simple(f"It shows a {kind} cut"):
+                kept = tuple(p for p in family.exemplars if p != path)
+                document = session.document.with_family(replace(family, exemplars=kept))
+                session.change("Move picture", document.with_exemplars(kind, (path,)))
+        imgui.end_popup()
+
+    def _add(self) -> None:
+        session = self.session
+        stacks: tuple[Kind, ...] = ("horizontal", "radial", "parallel")
+        missing = [kind for kind in stacks if session.document.family(kind) is None]
+        if imgui.button(f"{icon.ICON_FA_IMAGE}  Drop or choose pictures", ImVec2(-px(42) if missing else -1, 0)):
+            self.dialogs.open_pictures(lambda paths: session.add_pictures(self.open, paths))
+        tip("Photographs of cut faces: 1 to 6 for each family")
+        if not missing:
+            return
+        imgui.same_line()
+        if imgui.button(icon.ICON_FA_PLUS, ImVec2(px(34), 0)):
+            imgui.open_popup("families")
+        tip("Add a family of cuts")
+        if imgui.begin_popup("families"):
+            for kind in missing:
+                if imgui.menu_item_simple(f"{TITLES[kind]}##new"):
+                    session.change(f"Add {kind}", session.document.with_family(Family(kind, COUNTS[kind])))
+                    self.open = kind
+                tip(WHAT[kind])
+            imgui.end_popup()
+
+    # Training
+
+    def _settings(self) -> None:
+        session = self.session
+        training, names = session.document.training, list(DETAILS)
+        with disabled(session.desk.busy):
+            width = imgui.get_content_region_avail().x
+            current = names.index(training.detail)
+            chosen = segmented("detail", [name.title() for name in names], current, width, DETAIL_HINTS)
+            if chosen != current:
+                detail: DetailName = names[chosen]
+                self._change_training("Detail", replace(training, detail=detail))
+            if imgui.tree_node_ex("More", imgui.TreeNodeFlags_.span_avail_width):
+                self._more(training)
+                imgui.tree_pop()
+
+    def _more(self, training: Training) -> None:
+        session, label = self.session, px(84)
+
+        def row(text: str) -> None:
+            imgui.align_text_to_frame_padding()
+            secondary(text)
+            imgui.same_line(label)
+            imgui.set_next_item_width(-1)
+
+        row("Drawn")
+        names = list(PRIORS)
+        current = names.index(training.prior) if training.prior in names else 0
+        changed, index = imgui.combo("##prior", current, list(PRIORS.values()))
+        if changed:
+            self._change_training("Prior", replace(training, prior=names[index]))
+        if training.prior == "stable-diffusion":
+            row("Model")
+            if imgui.button(training.model.name if training.model else "Choose a folder...", ImVec2(-1, 0)):
+                self.dialogs.folder(
+                    "Folder of a Stable Diffusion depth model",
+                    Path.home(),
+                    lambda path: self._change_training("Model", replace(training, model=path)),
+                )
+            row("Object")
+            changed, thing = imgui.input_text_with_hint("##thing", "watermelon", training.thing)
+            if changed:
+                self._change_training("Object", replace(training, thing=thing), merge="thing")
+            tip("What it is, in a word or two")
+        row("Seed")
+        changed, seed = imgui.input_int("##seed", training.seed)
+        if changed:
+            self._change_training("Seed", replace(training, seed=min(max(0, seed), 2**31 - 1)), merge="seed")
+        tip("The same seed gives the same inside")
+        row("Iterations")
+        most = training.iterations if training.iterations is not None else DETAILS[training.detail].iterations
+        changed, most = imgui.input_int("##iterations", most, 10)
+        if changed:
+            self._change_training("Iterations", replace(training, iterations=min(max(0, most), 100_000)), merge="most")
+        tip("At most; training ends sooner where it has settled")
+        row("Result")
+        out = session.desk.out(session.document)
+        if imgui.button(out.name if out else "-", ImVec2(-1, 0)) and out is not None:
+            self.dialogs.folder(
+                "Folder for the result",
+                out.parent,
+                lambda path: self._change_training("Result", replace(training, out=path)),
+            )
+        tip(f"{out}\nClick to choose another folder." if out else "")
+
+    def _change_training(self, name: str, training: Training, merge: str = "") -> None:
+        self.session.change(name, replace(self.session.document, training=training), merge)
+
+    def _run(self) -> None:
+        """The main action, and how far it is."""
+        session, desk = self.session, self.session.desk
+        job = desk.job
+        missing = missing_for_training(session.document)
+        if job is None:
+            trained = session.object is not None and session.object.trained
+            with disabled(bool(missing)):
+                if trained and imgui.button(f"{icon.ICON_FA_ARROWS_ROTATE}  Train again", ImVec2(-1, px(32))):
+                    self._again()
+                elif not trained and main_button(f"{icon.ICON_FA_PLAY}  Give it an inside"):
+                    desk.start()
+            if missing:
+                secondary(missing, wrap=True)
+            return
+        phase = job.phase
+        square = px(32)
+        full = imgui.get_content_region_avail().x
+        if phase in ("running", "paused"):
+            label = f"{icon.ICON_FA_PAUSE}  Pause" if phase == "running" else f"{icon.ICON_FA_PLAY}  Go on"
+            if main_button(label, full - square - px(8)):
+                desk.toggle_pause()
+            imgui.same_line()
+            if imgui.button(f"{icon.ICON_FA_STOP}##stop", ImVec2(square, square)):
+                desk.stop()
+            tip("Stop. What was done is kept and can be resumed.")
+        else:
+            if main_button(f"{icon.ICON_FA_PLAY}  Resume", full - px(108)):
+                desk.resume()
+            imgui.same_line()
+            if imgui.button("Start again", ImVec2(px(100), square)):
+                desk.dismiss()
+                desk.start()
+        self._progress(job, phase)
+
+    def _again(self) -> None:
+        """A second run takes the place of the first, so it is asked for twice."""
+        session = self.session
+        session.ask(
+            "Train again",
+            "The new inside takes the place of the one that is shown.",
+            Choice("Train again", session.desk.start, main=True),
+        )
+
+    def _progress(self, job: Job, phase: str) -> None:
+        progress = job.progress
+        thin_bar(progress.whole, paused=phase != "running")
+        if phase == "running":
+            detail = f" {progress.iteration} of {progress.iterations}" if progress.stage == "train" else ""
+            secondary(f"{progress.title}{detail}")
+            if progress.left is not None:
+                right_text(f"{minutes(progress.left)} left")
+        else:
+            secondary({"paused": "Paused", "stopped": "Stopped", "failed": "Ended early"}.get(phase, "Done"))
+        if phase == "failed":
+            for line in job.last_words()[-3:]:
+                secondary(line, wrap=True)
+        if len(progress.section) > 1:
+            curves(progress)
+        if progress.previews:
+            previews(progress, self.thumbs)

@@ -1,0 +1,376 @@
+"""The object, and what the hand does to it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from imgui_bundle import ImVec2, imgui
+from numpy.typing import NDArray
+
+from app.model.camera_control import Eye, project_points
+from app.model.document import Cut, Key
+from app.model.knife import SHORTEST, Stroke, plane_of
+from app.model.pieces import Lying, sections
+from app.model.project import VIEW_MODES
+from app.model.rigid_transform import Motion
+from app.session.session import Session
+from app.ui.theme import palette, px, rgb, u32
+from app.ui.view.axis_cube import axis_cube
+from app.ui.view.gizmo import handles
+from app.ui.view.glide import CameraGlide, PieceGlide
+from app.ui.view.guides import Guides
+from app.ui.view.marks import brackets, label
+from app.ui.view.painter import Painter
+from app.ui.widgets import segmented
+from engine.render.gl.overlay import Lines, Sheet
+from engine.scene.camera import Camera
+from engine.scene.piece import Piece
+from engine.scene.plane import frame
+
+__all__ = ["Viewport"]
+
+ANY_BUTTON = (
+    imgui.ButtonFlags_.mouse_button_left
+    | imgui.ButtonFlags_.mouse_button_right
+    | imgui.ButtonFlags_.mouse_button_middle
+)
+
+HINTS = {
+    "select": "",
+    "knife": "Drag across the object to cut it",
+    "plane": "Drag to place a plane",
+    "move": "Drag a piece to move it",
+    "turn": "Drag a piece to turn it",
+}
+
+REST = 0.2
+"""Seconds after which a view that no longer changes is drawn in full."""
+
+MODE_LABELS = ("Capture", "Solid", "Interior")
+MODE_HINTS = (
+    "The capture as it came, hollow",
+    "The object as a solid that can be cut",
+    "The inside alone, without its skin",
+)
+
+
+@dataclass
+class Drag:
+    """What a pressed button is doing."""
+
+    kind: str
+    """'stroke', 'plane', 'orbit', 'pan', 'move' or 'turn'."""
+    start: tuple[float, float]
+    last: tuple[float, float]
+    keys: frozenset[Key] = frozenset()
+    depth: float = 1.0
+    """Of what was grabbed, along the view."""
+    cancelled: bool = False
+
+
+class Viewport:
+    """The middle of the window."""
+
+    def __init__(self, session: Session, painter: Painter) -> None:
+        self.session, self.painter = session, painter
+        self.pieces_glide, self.eye_glide = PieceGlide(), CameraGlide()
+        self.drag: Drag | None = None
+        self.show_families: frozenset[str] = frozenset()
+        self.menu_asked = False
+        self.size = (640, 480)
+        """Of the picture, in the window's units."""
+        self.origin = ImVec2(0, 0)
+        self.guides = Guides(session)
+        self._eye = Eye()
+        self._laid: tuple[object, ...] = ()
+        self._moved = -10.0
+
+    @property
+    def moving(self) -> bool:
+        """Whether the next frame must come without an event."""
+        return self.pieces_glide.moving or self.eye_glide.now() is not None
+
+    def camera(self, scale: float = 1.0) -> Camera:
+        """The camera of the picture, in window units times `scale`."""
+        eye = self.eye_glide.now() or self.session.viewing.eye
+        width, height = (max(1, round(side * scale)) for side in self.size)
+        return eye.camera(width, height, self.session.up)
+
+    def go(self, eye: Eye) -> None:
+        """Moves the eye there, gently."""
+        self.eye_glide.go(self.session.viewing.eye, eye)
+        self.session.look(replace(self.session.viewing, eye=eye))
+
+    def fit(self) -> None:
+        """Everything in the picture."""
+        before = self.session.viewing.eye
+        self.session.fit(self.size[0] / max(self.size[1], 1))
+        self.eye_glide.go(before, self.session.viewing.eye)
+
+    def show(self) -> None:
+        """One frame."""
+        session = self.session
+        available = imgui.get_content_region_avail()
+        self.origin = imgui.get_cursor_screen_pos()
+        self.size = (max(16, round(available.x)), max(16, round(available.y)))
+        size = ImVec2(*self.size)
+        scale = float(imgui.get_io().display_framebuffer_scale.x) or 1.0
+        pieces = self.pieces_glide.placed(session.pieces)
+        hide = sections(session.document)
+        shown = [piece.piece(hide) for piece in pieces if piece.visible]
+        background = session.viewing.background or rgb(palette().view)
+        draw = imgui.get_window_draw_list()
+        corner = ImVec2(self.origin.x + size.x, self.origin.y + size.y)
+        moving = self._notice(shown)
+        over: list[Lines | Sheet] = [
+            *self._sheets(),
+            *self.guides.families(self.show_families, pieces, scale),
+            *self._knife_lines(pieces, scale),
+        ]
+        texture = self.painter.frame(session, self.camera(scale), shown, background, over, moving)
+        if texture is None:
+            draw.add_rect_filled(self.origin, corner, u32(palette().view))
+        else:
+            draw.add_image(imgui.ImTextureRef(texture.glo), self.origin, corner)
+        imgui.push_clip_rect(self.origin, corner, True)
+        camera = self.camera()
+        imgui.set_next_item_allow_overlap()
+        imgui.invisible_button("##canvas", size, ANY_BUTTON)
+        hovered, active = imgui.is_item_hovered(), imgui.is_item_active()
+        self._draw_selection(camera, pieces)
+        busy = self.drag is None and handles(session, camera, self.origin, size)
+        if not busy:
+            self._mouse(camera, hovered, active, pieces)
+        if self.drag is not None and self.drag.kind in ("stroke", "plane"):
+            self._draw_stroke()
+        self._overlays(camera)
+        if hovered and self.drag is None and not busy:
+            self._hint()
+        imgui.pop_clip_rect()
+
+    def _notice(self, shown: Sequence[Piece]) -> bool:
+        """Whether the view is in motion: the eye, or pieces and planes while they are pulled."""
+        eye = self.eye_glide.now() or self.session.viewing.eye
+        laid = tuple((piece.planes, piece.transform.tobytes()) for piece in shown)
+        pulled = imgui.is_mouse_down(imgui.MouseButton_.left) and laid != self._laid
+        now = time.monotonic()
+        if eye != self._eye or pulled:
+            self._moved = now
+        self._eye, self._laid = eye, laid
+        return self.moving or now - self._moved < REST
+
+    # The hand
+
+    def _at(self) -> tuple[float, float]:
+        """The pointer, in pixels of the picture."""
+        mouse = imgui.get_mouse_pos()
+        return mouse.x - self.origin.x, mouse.y - self.origin.y
+
+    def _mouse(self, camera: Camera, hovered: bool, active: bool, pieces: list[Lying]) -> None:
+        session, io, at = self.session, imgui.get_io(), self._at()
+        if hovered and io.mouse_wheel and self.drag is None:
+            eye = session.viewing.eye.zoomed(io.mouse_wheel, at, self.size, session.up, session.solid.radius)
+            session.look(replace(session.viewing, eye=eye))
+        if active and self.drag is None:
+            self._begin(camera, at, pieces)
+        drag = self.drag
+        if drag is None:
+            return
+        dx, dy = at[0] - drag.last[0], at[1] - drag.last[1]
+        drag.last = at
+        eye = session.viewing.eye
+        if drag.kind == "orbit":
+            if dx or dy:
+                session.look(replace(session.viewing, eye=eye.turned(dx, dy)))
+        elif drag.kind == "pan":
+            if dx or dy:
+                session.look(replace(session.viewing, eye=eye.panned(dx, dy, self.size[1], session.up)))
+        elif drag.kind in ("move", "turn") and (dx or dy):
+            self._lay(camera, drag, dx, dy)
+        if imgui.is_key_pressed(imgui.Key.escape) and drag.kind in ("stroke", "plane"):
+            drag.cancelled = True
+            session.say("Not cut.")
+        if not active:
+            self._end(camera, drag, at, pieces)
+            self.drag = None
+
+    def _begin(self, camera: Camera, at: tuple[float, float], pieces: list[Lying]) -> None:
+        session, io = self.session, imgui.get_io()
+        left = imgui.is_mouse_down(imgui.MouseButton_.left)
+        kind = "orbit"
+        if imgui.is_mouse_down(imgui.MouseButton_.middle) or (not left and io.key_shift):
+            kind = "pan"
+        keys: frozenset[Key] = frozenset()
+        depth = session.viewing.eye.distance
+        if left and not io.key_alt:
+            if session.tool in ("knife", "plane"):
+                kind = "stroke" if session.tool == "knife" else "plane"
+            elif session.tool in ("move", "turn"):
+                found, point = self._pick(at, pieces)
+                if found is not None and point is not None:
+                    kind, depth = session.tool, float((point - camera.position) @ camera.forward)
+                    keys = session.selection if found in session.selection else frozenset([found])
+                    session.selection = keys
+        self.drag = Drag(kind, at, at, keys, depth)
+
+    def _end(self, camera: Camera, drag: Drag, at: tuple[float, float], pieces: list[Lying]) -> None:
+        session, io = self.session, imgui.get_io()
+        moved = float(np.hypot(at[0] - drag.start[0], at[1] - drag.start[1]))
+        if drag.kind == "stroke" and not drag.cancelled:
+            session.slice(camera, Stroke(drag.start, at, io.key_shift))
+            session.remember(replace(session.settings, seen_hint=True))
+        elif drag.kind == "plane" and not drag.cancelled:
+            plane = plane_of(camera, Stroke(drag.start, at, io.key_shift), session.up, session.solid.centre)
+            if plane is not None:
+                towards = plane if np.asarray(plane.normal) @ camera.forward <= 0 else plane.flipped()
+                session.add_plane(towards)
+        elif drag.kind in ("move", "turn"):
+            session.history.settle()
+        elif drag.kind == "orbit" and moved < SHORTEST:
+            self._click(camera, at, pieces)
+
+    def _click(self, camera: Camera, at: tuple[float, float], pieces: list[Lying]) -> None:
+        session = self.session
+        key, _ = self._pick(at, pieces)
+        if imgui.is_mouse_released(imgui.MouseButton_.right):
+            if key is not None and key not in session.selection:
+                session.selection = frozenset([key])
+            self.menu_asked = True
+        elif imgui.get_io().key_ctrl and key is not None:
+            session.selection = session.selection ^ {key}
+        else:
+            session.selection = frozenset() if key is None or len(pieces) < 2 else frozenset([key])
+
+    def _pick(self, at: tuple[float, float], pieces: list[Lying]) -> tuple[Key | None, NDArray[np.float64] | None]:
+        """The piece under a point of the picture, and the world point (3,) seen there."""
+        if self.session.mode == "capture":
+            return None, None
+        scale = float(imgui.get_io().display_framebuffer_scale.x) or 1.0
+        number, point = self.painter.pick(at[0] * scale, at[1] * scale)
+        shown = [piece.key for piece in pieces if piece.visible]
+        return (shown[number], point) if number is not None and number < len(shown) else (None, None)
+
+    def _lay(self, camera: Camera, drag: Drag, dx: float, dy: float) -> None:
+        """Moves or turns what was grabbed, along the picture."""
+        session = self.session
+        rotation = camera.viewmat[:3, :3]
+        if drag.kind == "move":
+            unit = 1 / camera.fx if camera.orthographic else drag.depth / camera.fx
+            motion = Motion.by(unit * (dx * rotation[0] + dy * rotation[1]))
+        else:
+            rows = [p.motion.apply(session.solid.points[p.rows]) for p in session.pieces if p.key in drag.keys]
+            middle = np.concatenate(rows).mean(0)
+            motion = Motion.about(middle, rotation[1], -0.4 * dx).after(Motion.about(middle, rotation[0], 0.4 * dy))
+        session.place("Move" if drag.kind == "move" else "Turn", drag.keys, motion, merge="drag")
+
+    # What is drawn over the picture
+
+    def _sheets(self) -> list[Sheet]:
+        """The active section plane, as a sheet that the object hides where it is in front."""
+        session, cut = self.session, self._active_section()
+        if cut is None:
+            return []
+        plane = cut.plane(cut.parts[0])
+        e1, e2, n = frame(plane.normal)
+        foot = session.solid.centre - n * float(plane.distance(session.solid.centre))
+        side = 1.1 * session.solid.radius
+        corners = np.stack([foot + side * (a * e1 + b * e2) for a, b in ((1, 1), (-1, 1), (-1, -1), (1, -1))])
+        return [Sheet(corners, (*rgb(palette().text), 0.05), hidden=0.0)]
+
+    def _active_section(self) -> Cut | None:
+        session = self.session
+        if session.active_cut is None or session.tool == "knife" or session.atoms is None or session.mode == "capture":
+            return None
+        cut = session.document.cut(session.active_cut)
+        return cut if cut.kind == "section" and cut.on else None
+
+    def _draw_selection(self, camera: Camera, pieces: list[Lying]) -> None:
+        """A quiet mark at the corner of each selected piece."""
+        session = self.session
+        if len(pieces) < 2:
+            return
+        draw = imgui.get_window_draw_list()
+        for piece in pieces:
+            if piece.key not in session.selection or not piece.visible or not len(piece.rows):
+                continue
+            pixels, _ = project_points(camera, piece.motion.apply(session.solid.points[piece.rows]))
+            pixels = pixels + np.array([self.origin.x, self.origin.y])
+            brackets(draw, pixels.min(0) - px(10), pixels.max(0) + px(10))
+
+    def _knife_lines(self, pieces: Sequence[Lying], scale: float) -> list[Lines]:
+        """Where the plane of the stroke would go through each piece."""
+        session, drag = self.session, self.drag
+        if drag is None or drag.kind not in ("stroke", "plane") or drag.cancelled or session.atoms is None:
+            return []
+        stroke = Stroke(drag.start, self._at(), imgui.get_io().key_shift)
+        plane = plane_of(self.camera(), stroke, session.up, session.solid.centre)
+        met = [piece for piece in pieces if not session.selection or piece.key in session.selection]
+        return [] if plane is None else self.guides.cut(plane, [piece for piece in met if piece.visible], scale)
+
+    def _draw_stroke(self) -> None:
+        """The line of the hand."""
+        drag, p = self.drag, palette()
+        assert drag is not None
+        if drag.cancelled:
+            return
+        draw = imgui.get_window_draw_list()
+        ends = [ImVec2(x + self.origin.x, y + self.origin.y) for x, y in (drag.start, self._at())]
+        draw.add_line(ends[0], ends[1], u32("#000000", 0.35), px(4))
+        draw.add_line(ends[0], ends[1], u32("#FFFFFF"), px(1.8))
+        for end in ends:
+            draw.add_circle_filled(end, px(4.5), u32(p.accent))
+        words = "release to cut" if drag.kind == "stroke" else "release to place"
+        low = ends[1].y + px(40) > self.origin.y + self.size[1]  # at the foot of the view the words stand above
+        below = ImVec2(ends[1].x + px(14), ends[1].y + (-px(40) if low else px(6)))
+        label(draw, below, f"{words}    Shift: snap    Esc: cancel")
+
+    def _overlays(self, camera: Camera) -> None:
+        session, p = self.session, palette()
+        inset = px(14)
+        imgui.set_cursor_screen_pos(ImVec2(self.origin.x + inset, self.origin.y + inset))
+        width = min(px(252), self.size[0] - 2 * inset)
+        current = VIEW_MODES.index(session.mode)
+        chosen = segmented("view", MODE_LABELS, current, width, MODE_HINTS)
+        if chosen != current:
+            if session.atoms is None:
+                session.say("The object is not solid yet.")
+            else:
+                session.look(replace(session.viewing, mode=VIEW_MODES[chosen]))
+        if self.size[0] > px(420):
+            middle = ImVec2(self.origin.x + self.size[0] - px(62), self.origin.y + px(62))
+            axis = axis_cube(camera, session.up, middle, px(92))
+            if axis is not None:
+                self.go(session.viewing.eye.along(axis, session.up))
+        lines = self.counts()
+        draw = imgui.get_window_draw_list()
+        height = imgui.get_text_line_height()
+        at = ImVec2(self.origin.x + inset, self.origin.y + self.size[1] - inset - height)
+        draw.add_text(at, u32(p.second), lines)
+
+    def counts(self) -> str:
+        """How much is shown and how long it took."""
+        shown = self.session.object
+        if shown is None:
+            return ""
+        if self.session.mode == "capture":
+            what = f"{len(shown.capture):,} Gaussians" if shown.capture is not None else ""
+        else:
+            assert shown.atoms is not None
+            count = sum(piece.visible for piece in self.session.pieces)
+            pieces = f"    {count} pieces" if count != 1 else ""
+            total = len(shown.atoms) if self.session.mode == "solid" else len(shown.atoms.interior)
+            what = f"{total:,} atoms{pieces}"
+        taken = self.painter.milliseconds
+        return f"{what}    {taken:.0f} ms" if taken else what
+
+    def _hint(self) -> None:
+        """What the tool waits for, at the pointer, until it has been used once."""
+        session = self.session
+        text = HINTS[session.tool]
+        if not text or session.atoms is None or (session.tool == "knife" and session.settings.seen_hint):
+            return
+        mouse = imgui.get_mouse_pos()
+        label(imgui.get_window_draw_list(), ImVec2(mouse.x + px(24), mouse.y + px(12)), text)

@@ -1,0 +1,226 @@
+"""The opaque image as a torch function: differentiable in the colours, places, sizes and turns of the atoms it shows.
+
+What a picture is made of is a choice, and choices have no derivative: the front depth, who lies within the layer
+behind it, what planes clip and which atoms a face point reaches are constants on the way back. Away from these jumps
+the gradient is exact (DESIGN, section 6). Float32, or float64 for checking.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from engine.fit.face_kernels import POINTS, field_backward, field_sums, transpose
+from engine.render.cpu.kernel_field import KernelField
+from engine.render.cpu.outside import Outside, Splats, camera_planes, draw
+from engine.render.cpu.ray_entry import enter, face_edge
+from engine.render.cpu.splats import GRADIENT, project_backward
+from engine.render.cpu.tiles import CHUNKS, accumulate_backward, resolve_backward
+from engine.render.projection import camera_record
+from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
+from engine.scene.camera import Camera
+from engine.scene.constants import SOLID_DENSITY
+from engine.scene.piece import Piece
+from engine.scene.plane import Plane
+from engine.scene.sh import BANDS, C0
+from engine.threads import for_each
+
+__all__ = ["AtomTensors", "opaque_image", "sh_basis"]
+
+
+@dataclass(frozen=True)
+class AtomTensors:
+    """Atoms as torch tensors of one float type; what shall be trained requires a gradient."""
+
+    means: torch.Tensor
+    """(S, 3). Surface atoms, world units."""
+    scales: torch.Tensor
+    """(S, 3). Standard deviations, world units. Range (0, inf)."""
+    quats: torch.Tensor
+    """(S, 4). wxyz, of any length, which is divided out."""
+    sh: torch.Tensor
+    """(S, (d+1)^2, 3). Degree d = 0..3."""
+    inner_means: torch.Tensor
+    """(I, 3). Interior atoms."""
+    sigmas: torch.Tensor
+    """(I,). Standard deviations, world units."""
+    rgb: torch.Tensor
+    """(I, 3). Range [0, 1]."""
+    exposed: int
+    """Interior atoms that the outside shows, the first rows."""
+    pitch: float
+    """World units."""
+
+    @staticmethod
+    def of(atoms: Atoms, kind: torch.dtype = torch.float32) -> AtomTensors:
+        """Copies of the arrays, without gradients."""
+        s, i = atoms.surface, atoms.interior
+
+        def tensor(array: NDArray[np.float32]) -> torch.Tensor:
+            return torch.tensor(array, dtype=kind)
+
+        inner = tensor(i.means), tensor(i.sigmas), tensor(i.rgb)
+        return AtomTensors(
+            tensor(s.means), tensor(s.scales), tensor(s.quats), tensor(s.sh), *inner, i.exposed, atoms.pitch
+        )
+
+    def atoms(self) -> Atoms:
+        """The same as arrays, float32."""
+        means, scales, quats, sh, inner, sigmas, rgb = (
+            t.detach().float().numpy()
+            for t in (self.means, self.scales, self.quats, self.sh, self.inner_means, self.sigmas, self.rgb)
+        )
+        return Atoms(
+            SurfaceAtoms(means, scales, quats, sh), InteriorAtoms(inner, sigmas, rgb, self.exposed), self.pitch
+        )
+
+
+def opaque_image(
+    atoms: AtomTensors,
+    camera: Camera,
+    planes: Sequence[Plane] = (),
+    background: Sequence[float] = (1.0, 1.0, 1.0),
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """RGB (H, W, 3) and alpha (H, W) of what the planes leave, as `opaque.render` draws it, differentiable."""
+    kind = atoms.means.dtype
+    upright = torch.tensor([1.0, 0.0, 0.0, 0.0], dtype=kind).repeat(len(atoms.sigmas), 1)
+    means = torch.cat([atoms.means, atoms.inner_means])
+    scales = torch.cat([atoms.scales, atoms.sigmas[:, None].expand(-1, 3)])
+    quats = torch.cat([atoms.quats, upright])
+    shown = len(atoms.means) + atoms.exposed
+    seen = (0.5 + torch.einsum("nk,nkc->nc", _basis(atoms, camera), atoms.sh)).clamp(min=0)
+    colours = torch.cat([seen, atoms.rgb[: atoms.exposed]])
+    outside, cover = _Outside.apply(
+        means[:shown], scales[:shown], quats[:shown], colours, camera, tuple(planes), atoms.pitch
+    )
+    over = outside + (1 - cover)[..., None] * torch.tensor(background, dtype=kind)
+    if not planes:
+        return over, cover
+    skin = (0.5 + C0 * atoms.sh[:, 0]).clamp(min=0)
+    face, alpha = _face(means, scales, quats, torch.cat([skin, atoms.rgb]), atoms, camera, planes)
+    return face + (1 - alpha)[..., None] * over, 1 - (1 - alpha) * (1 - cover)
+
+
+def _basis(atoms: AtomTensors, camera: Camera) -> torch.Tensor:
+    """(S, K). Spherical harmonics towards each surface atom."""
+    degree = round(atoms.sh.shape[1] ** 0.5) - 1
+    if camera.orthographic:
+        way = torch.tensor(camera.forward, dtype=atoms.means.dtype).expand(len(atoms.means), 3)
+    else:
+        way = torch.nn.functional.normalize(atoms.means - torch.tensor(camera.position, dtype=atoms.means.dtype), dim=1)
+    return sh_basis(way, degree)
+
+
+def sh_basis(directions: torch.Tensor, degree: int) -> torch.Tensor:
+    """(N, (degree+1)^2). `engine.scene.sh.basis` of unit directions (N, 3), differentiable."""
+    x, y, z = directions.unbind(1)
+    rows = [torch.full_like(x, C0)]
+    for band in BANDS[:degree]:
+        rows += band(x, y, z)
+    return torch.stack(rows, dim=1)
+
+
+def _face(
+    means: torch.Tensor,
+    scales: torch.Tensor,
+    quats: torch.Tensor,
+    colours: torch.Tensor,
+    atoms: AtomTensors,
+    camera: Camera,
+    planes: Sequence[Plane],
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """RGB (H, W, 3) of the cut faces, weighted by alpha, and alpha (H, W)."""
+    kind = means.dtype
+    hits = enter(camera_record(camera), camera_planes(camera, planes))
+    offsets, listed, _ = KernelField(atoms.atoms()).entries(hits.points, hits.footprint)
+    footprint = torch.from_numpy(hits.footprint).to(kind)
+    points = hits.points.astype(means.detach().numpy().dtype)
+    total, density = _Field.apply(means, scales, quats, colours, points, (0.5 * footprint).numpy(), offsets, listed)
+    edge = torch.from_numpy(face_edge(footprint.numpy(), atoms.pitch))
+    covered = (0.5 + (density - SOLID_DENSITY) * edge).clamp(0, 1)
+    rgb = total * (covered / torch.where(density > 0, density, torch.ones_like(density)))[:, None]
+    pixels = torch.from_numpy(hits.pixels)
+    size = camera.height * camera.width
+    face = torch.zeros(size, 3, dtype=kind).index_copy(0, pixels, rgb)
+    alpha = torch.zeros(size, dtype=kind).index_copy(0, pixels, covered)
+    return face.view(camera.height, camera.width, 3), alpha.view(camera.height, camera.width)
+
+
+class _Outside(torch.autograd.Function):
+    """Surface splatting: RGB weighted by alpha, and alpha."""
+
+    @staticmethod
+    def forward(
+        context: Any,
+        means: torch.Tensor,
+        scales: torch.Tensor,
+        quats: torch.Tensor,
+        colours: torch.Tensor,
+        camera: Camera,
+        planes: tuple[Plane, ...],
+        pitch: float,
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        m, s, q, c = (t.detach().contiguous().numpy() for t in (means, scales, quats, colours))
+        context.splats, context.colours, context.camera = Splats(m, s, q), c, camera
+        context.outside = draw(context.splats, [c], camera, [Piece(planes)], pitch)
+        rgb, alpha = context.outside.resolved()
+        return torch.from_numpy(rgb), torch.from_numpy(alpha)
+
+    @staticmethod
+    def backward(context: Any, *gradients: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
+        outside: Outside = context.outside
+        splats: Splats = context.splats
+        d_rgb, d_alpha = (g.contiguous().numpy() for g in gradients)
+        d_sums = np.empty_like(outside.sums)
+        for_each(resolve_backward, len(d_alpha), outside.sums, d_rgb, d_alpha, d_sums)
+        spans, count = outside.frame.spans, len(splats.means)
+        tiles = (spans[:, 1] - spans[:, 0]).astype(np.int64) * (spans[:, 3] - spans[:, 2])
+        first = np.concatenate([np.zeros(1, np.int64), np.cumsum(tiles)])
+        rows = np.zeros((first[-1], GRADIENT), outside.sums.dtype)
+        for_each(accumulate_backward, outside.tasks, outside.frame, context.colours, outside.front, d_sums, first, rows)
+        out = [np.empty((count, n), outside.sums.dtype) for n in (3, 3, 4, 3)]
+        for_each(
+            project_backward, CHUNKS, -(-count // CHUNKS), outside.frame.cam, splats.means, splats.scales,
+            splats.quats, spans, first, rows, *out,
+        )  # fmt: skip
+        return (*(torch.from_numpy(o) for o in out), None, None, None)
+
+
+class _Field(torch.autograd.Function):
+    """The sums of the kernel field at fixed points, over a fixed list: sum w c (K, 3) and sum w (K,)."""
+
+    @staticmethod
+    def forward(
+        context: Any,
+        means: torch.Tensor,
+        scales: torch.Tensor,
+        quats: torch.Tensor,
+        colours: torch.Tensor,
+        points: NDArray[np.floating],
+        least: NDArray[np.floating],
+        offsets: NDArray[np.int64],
+        listed: NDArray[np.int32],
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        arrays = tuple(t.detach().contiguous().numpy() for t in (means, scales, quats, colours))
+        context.arrays, context.points, context.least = arrays, points, least
+        context.offsets, context.listed = offsets, listed
+        total, density = np.empty_like(points), np.empty(len(points), points.dtype)
+        for_each(field_sums, -(-len(points) // POINTS), points, least, offsets, listed, *arrays, total, density)
+        return torch.from_numpy(total), torch.from_numpy(density)
+
+    @staticmethod
+    def backward(context: Any, *gradients: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
+        d_total, d_density = (g.contiguous().numpy() for g in gradients)
+        count = len(context.arrays[0])
+        first, entries = transpose(context.offsets, context.listed, count)
+        out = [np.empty_like(a) for a in context.arrays]
+        for_each(
+            field_backward, -(-count // POINTS), context.points, context.least, first, entries, *context.arrays,
+            d_total, d_density, *out,
+        )  # fmt: skip
+        return (*(torch.from_numpy(o) for o in out), None, None, None, None)

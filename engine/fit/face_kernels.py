@@ -1,0 +1,110 @@
+"""The kernel field at fixed points and its gradient in the atoms, over a fixed list of who contributes where."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from engine.render.projection import rotation, rotation_backward
+
+__all__ = ["POINTS", "field_backward", "field_sums", "transpose"]
+
+POINTS = 2048
+"""Points, or atoms, in a task."""
+
+
+@njit(cache=True, error_model="numpy")
+def _place(point, least, mean, scale, turn):  # type: ignore[no-untyped-def]
+    """Offset d (3) from the mean, d along the axes in standard deviations u (3), those (3), and the weight w."""
+    d = point[0] - mean[0], point[1] - mean[1], point[2] - mean[2]
+    s0, s1, s2 = max(scale[0], least), max(scale[1], least), max(scale[2], least)
+    u0 = (turn[0] * d[0] + turn[3] * d[1] + turn[6] * d[2]) / s0
+    u1 = (turn[1] * d[0] + turn[4] * d[1] + turn[7] * d[2]) / s1
+    u2 = (turn[2] * d[0] + turn[5] * d[1] + turn[8] * d[2]) / s2
+    gain = (scale[0] / s0) * (scale[1] / s1) * (scale[2] / s2)
+    return d, (u0, u1, u2), (s0, s1, s2), math.exp(-0.5 * (u0 * u0 + u1 * u1 + u2 * u2)) * gain
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def field_sums(  # type: ignore[no-untyped-def]
+    task, points, least, offsets, atoms, means, scales, quats, colours, total, density
+):
+    """Fills total (K, 3) = sum w c and density (K,) = sum w of some points (K, 3) with least deviations (K,)."""
+    for p in range(task * POINTS, min((task + 1) * POINTS, len(points))):
+        red, green, blue, weight = 0.0, 0.0, 0.0, 0.0
+        for e in range(offsets[p], offsets[p + 1]):
+            i = atoms[e]
+            turn = rotation(quats[i, 0], quats[i, 1], quats[i, 2], quats[i, 3])
+            _, _, _, w = _place(points[p], least[p], means[i], scales[i], turn)
+            weight += w
+            red += w * colours[i, 0]
+            green += w * colours[i, 1]
+            blue += w * colours[i, 2]
+        density[p] = weight
+        total[p, 0], total[p, 1], total[p, 2] = red, green, blue
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def field_backward(  # type: ignore[no-untyped-def]
+    task, points, least, first, entries, means, scales, quats, colours, d_total, d_density,
+    d_means, d_scales, d_quats, d_colours,
+):  # fmt: skip
+    """Fills the gradients of some atoms, given those of `field_sums`; entries of atom i: points first[i]..first[i+1].
+
+    A deviation that the footprint holds passes its gradient on through the weight's volume only.
+    """
+    g_scale, turned = np.empty(3), np.empty(9)
+    for i in range(task * POINTS, min((task + 1) * POINTS, len(means))):
+        turn = rotation(quats[i, 0], quats[i, 1], quats[i, 2], quats[i, 3])
+        gx, gy, gz, red, green, blue = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        g_scale[:] = 0.0
+        turned[:] = 0.0
+        for e in range(first[i], first[i + 1]):
+            p = entries[e]
+            d, u, s, w = _place(points[p], least[p], means[i], scales[i], turn)
+            g = d_density[p]
+            for c in range(3):
+                g += d_total[p, c] * colours[i, c]
+            red += w * d_total[p, 0]
+            green += w * d_total[p, 1]
+            blue += w * d_total[p, 2]
+            for k in range(3):
+                pull = g * w * u[k] / s[k]  # -dL/d(d along axis k)
+                gx += pull * turn[k]
+                gy += pull * turn[3 + k]
+                gz += pull * turn[6 + k]
+                if scales[i, k] > least[p]:
+                    g_scale[k] += g * w * u[k] * u[k] / s[k]
+                elif w > 0.0:  # without extent an atom weighs nothing, and its slope is left at nothing too
+                    g_scale[k] += g * w / scales[i, k]
+                for row in range(3):
+                    turned[3 * row + k] -= pull * d[row]
+        d_means[i, 0], d_means[i, 1], d_means[i, 2] = gx, gy, gz
+        for k in range(3):
+            d_scales[i, k] = g_scale[k]
+        matrix = (
+            turned[0], turned[1], turned[2], turned[3], turned[4], turned[5], turned[6], turned[7], turned[8],
+        )  # fmt: skip
+        quat = rotation_backward(quats[i, 0], quats[i, 1], quats[i, 2], quats[i, 3], matrix)
+        for k in range(4):
+            d_quats[i, k] = quat[k]
+        d_colours[i, 0], d_colours[i, 1], d_colours[i, 2] = red, green, blue
+
+
+@njit(cache=True, nogil=True)
+def transpose(offsets, atoms, count):  # type: ignore[no-untyped-def]
+    """first (count + 1,) and rows (E,): for each column the rows, ascending, that have it."""
+    first = np.zeros(count + 1, np.int64)
+    for atom in atoms:
+        first[atom + 1] += 1
+    for i in range(count):
+        first[i + 1] += first[i]
+    cursor = first[:-1].copy()
+    rows = np.empty(len(atoms), np.int32)
+    for row in range(len(offsets) - 1):
+        for e in range(offsets[row], offsets[row + 1]):
+            rows[cursor[atoms[e]]] = row
+            cursor[atoms[e]] += 1
+    return first, rows

@@ -1,0 +1,190 @@
+"""Numba kernels of frozen geometry: filling the sparse matrix of a view, and its products with colours."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from engine.render.cpu.splats import TILE
+from engine.render.cpu.tiles import AREA, FAR, TILES_PER_TASK, falloff, fragments, rows_of, tile_points
+from engine.scene.constants import CUTOFF_Q, MIN_WEIGHT
+
+__all__ = [
+    "ROWS",
+    "apply",
+    "apply_transposed",
+    "count_splats",
+    "fill_faces",
+    "fill_splats",
+    "layer_limit",
+    "mark",
+    "rename",
+    "row_sums",
+    "truncate",
+]
+
+ROWS = 4096
+"""Rows of the matrix in a task."""
+
+
+def layer_limit(front: NDArray[np.floating], layer: float) -> NDArray[np.floating]:
+    """(H, W). Depth behind which a fragment has no part in its pixel, from the front depth (H, W)."""
+    return np.where(np.isfinite(front), front + front.dtype.type(layer), front.dtype.type(FAR))
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def count_splats(task, frame, limit, share, count):  # type: ignore[no-untyped-def]
+    """Adds to count (H, W) the fragments of every pixel whose share (H, W) of the picture is not zero."""
+    atoms, weights, cursor = np.empty(0, np.int32), np.empty(0, np.float32), np.empty((0, 0), np.int64)
+    _walk(task, frame, limit, share, count, False, cursor, atoms, weights)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def fill_splats(task, frame, limit, share, cursor, atoms, weights):  # type: ignore[no-untyped-def]
+    """Writes the fragments that `count_splats` counts at cursor (H, W), which moves on; weights times share."""
+    _walk(task, frame, limit, share, np.empty((0, 0), np.int64), True, cursor, atoms, weights)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _walk(task, frame, limit, share, count, fill, cursor, atoms, weights):  # type: ignore[no-untyped-def]
+    """The second pass of `opaque_tiles.accumulate` over some tiles, fragment by fragment."""
+    height, width = limit.shape
+    kind = frame.records.dtype.type
+    lane = np.empty((5, AREA), kind)
+    px, py, h, z, reach = lane[0], lane[1], lane[2], lane[3], lane[4]
+    base, slope = np.empty((len(frame.planes), AREA), kind), np.empty((len(frame.planes), AREA), kind)
+    cutoff, near = kind(0.5 * CUTOFF_Q), kind(frame.cam.near)
+    for tile in range(task * TILES_PER_TASK, min((task + 1) * TILES_PER_TASK, len(frame.first) - 1)):
+        left, top = tile % frame.columns * TILE, tile // frame.columns * TILE
+        last = -kind(np.inf)
+        for k in range(AREA):
+            x, y = left + k % TILE, top + k // TILE
+            seen = x < width and y < height and share[y, x] > 0.0
+            reach[k] = limit[y, x] if seen else -kind(np.inf)
+            last = max(last, reach[k])
+        if last < 0.0 and last == -kind(np.inf):
+            continue
+        tile_points(frame, tile, px, py, base, slope)
+        for pair in range(frame.first[tile], frame.first[tile + 1]):
+            i = frame.listed[pair]
+            r = frame.records[i]
+            if r[7] - r[11] > last:
+                continue
+            start, end = rows_of(r, math.sqrt(CUTOFF_Q), left, top)
+            if start == end:
+                continue
+            fragments(r, frame.spans[i], near, px, py, base, slope, start, end, h, z)
+            for k in range(start, end):
+                if h[k] <= cutoff and z[k] <= reach[k]:
+                    x, y = left + k % TILE, top + k // TILE
+                    if fill:
+                        atoms[cursor[y, x]] = i
+                        weights[cursor[y, x]] = falloff(h[k]) * r[12] * share[y, x]
+                        cursor[y, x] += 1
+                    else:
+                        count[y, x] += 1
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def fill_faces(task, pixels, offsets, columns, entries, share, cursor, atoms, weights):  # type: ignore[no-untyped-def]
+    """Writes the terms of the kernel field, offsets (K + 1,), for face pixels (K,), times share (K,)."""
+    for k in range(task * ROWS, min((task + 1) * ROWS, len(pixels))):
+        place = cursor[pixels[k]]
+        if share[k] > 0.0:
+            for e in range(offsets[k], offsets[k + 1]):
+                atoms[place] = columns[e]
+                weights[place] = entries[e] * share[k]
+                place += 1
+            cursor[pixels[k]] = place
+
+
+@njit(cache=True, nogil=True)
+def mark(task, offsets, atoms, occurs):  # type: ignore[no-untyped-def]
+    """Sets occurs (C,) where some rows have an entry; tasks may set one place together, to the same value."""
+    for e in range(offsets[task * ROWS], offsets[min((task + 1) * ROWS, len(offsets) - 1)]):
+        occurs[atoms[e]] = True
+
+
+@njit(cache=True, nogil=True)
+def rename(task, offsets, atoms, names):  # type: ignore[no-untyped-def]
+    """Replaces the atoms of some rows by names (C,)."""
+    for e in range(offsets[task * ROWS], offsets[min((task + 1) * ROWS, len(offsets) - 1)]):
+        atoms[e] = names[atoms[e]]
+
+
+@njit(cache=True, nogil=True)
+def row_sums(task, offsets, weights, sums):  # type: ignore[no-untyped-def]
+    """Fills some of sums (P,) with the sum of each row."""
+    for row in range(task * ROWS, min((task + 1) * ROWS, len(offsets) - 1)):
+        total = np.float32(0)
+        for e in range(offsets[row], offsets[row + 1]):
+            total += weights[e]
+        sums[row] = total
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def truncate(task, offsets, atoms, weights, keep, new_offsets, new_atoms, new_weights):  # type: ignore[no-untyped-def]
+    """The `keep` largest entries of each row in their old order, scaled so that the row's sum stays."""
+    largest = np.empty(keep, np.int64)  # places of the largest so far, largest first
+    for row in range(task * ROWS, min((task + 1) * ROWS, len(offsets) - 1)):
+        begin, end, place = offsets[row], offsets[row + 1], new_offsets[row]
+        if end - begin <= keep:
+            for e in range(begin, end):
+                new_atoms[place + e - begin] = atoms[e]
+                new_weights[place + e - begin] = weights[e]
+            continue
+        count, total = 0, 0.0
+        for e in range(begin, end):
+            total += weights[e]
+            if count == keep and weights[e] <= weights[largest[keep - 1]]:
+                continue
+            k = count if count < keep else keep - 1
+            while k > 0 and weights[largest[k - 1]] < weights[e]:
+                largest[k] = largest[k - 1]
+                k -= 1
+            largest[k] = e
+            count = min(count + 1, keep)
+        kept = 0.0
+        for k in range(keep):
+            e = largest[k]
+            kept += weights[e]
+            at = k
+            while at > 0 and largest[at - 1] > e:
+                largest[at] = largest[at - 1]
+                at -= 1
+            largest[at] = e
+        scale = total / kept if kept > MIN_WEIGHT * total else 0.0
+        for k in range(keep):
+            new_atoms[place + k] = atoms[largest[k]]
+            new_weights[place + k] = weights[largest[k]] * scale
+
+
+@njit(cache=True, nogil=True)
+def apply(task, offsets, atoms, weights, colours, picture):  # type: ignore[no-untyped-def]
+    """Some rows of picture (P, 3) = W colours (V, 3)."""
+    for row in range(task * ROWS, min((task + 1) * ROWS, len(offsets) - 1)):
+        red, green, blue = np.float32(0), np.float32(0), np.float32(0)
+        for e in range(offsets[row], offsets[row + 1]):
+            w, i = weights[e], atoms[e]
+            red += w * colours[i, 0]
+            green += w * colours[i, 1]
+            blue += w * colours[i, 2]
+        picture[row, 0], picture[row, 1], picture[row, 2] = red, green, blue
+
+
+@njit(cache=True, nogil=True)
+def apply_transposed(band, offsets, atoms, weights, picture, parts):  # type: ignore[no-untyped-def]
+    """Fills one of parts (bands, V, 3), whose sum is W^T picture (P, 3): what a band of the rows adds."""
+    bands, rows = len(parts), len(offsets) - 1
+    part = parts[band]
+    part[:] = np.float32(0)
+    for row in range(rows * band // bands, rows * (band + 1) // bands):
+        red, green, blue = picture[row, 0], picture[row, 1], picture[row, 2]
+        for e in range(offsets[row], offsets[row + 1]):
+            w, i = weights[e], atoms[e]
+            part[i, 0] += w * red
+            part[i, 1] += w * green
+            part[i, 2] += w * blue

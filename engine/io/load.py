@@ -1,0 +1,76 @@
+"""Opens whatever a user may have: a capture or a scan."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+from engine.errors import InputError
+from engine.io.files import open_file
+from engine.io.formats import MESH_SUFFIXES, SCENE_SUFFIXES
+from engine.io.impostors import LONGEST, impostor
+from engine.io.meshes.mesh import read_mesh
+from engine.io.ply_header import read_header
+from engine.io.splats.ply import read_ply
+from engine.io.splats.splat import read_splat
+from engine.io.splats.spz import GZIP, read_spz
+from engine.scene.gaussians import Gaussians
+
+__all__ = ["Loaded", "load"]
+
+TO_CONVERT = (".ksplat", ".sog", ".sogs")
+"""Captures that only their own programs read."""
+
+
+@dataclass(frozen=True)
+class Loaded:
+    """A scene, and what the user should know about how it was read."""
+
+    gaussians: Gaussians
+    warnings: tuple[str, ...]
+    """One line each, with the file's name."""
+
+
+def load(path: str | Path, seed: int = 0) -> Loaded:
+    """The scene in a capture (.ply, SuperSplat's compressed .ply, .splat, .spz) or in a mesh (.obj, .glb, .gltf, .ply,
+    .stl), whose surface is sampled with `seed`.
+
+    What a .ply, .spz or .glb is shows its content, not its name. Raises InputError for anything else.
+    """
+    path = Path(path)
+    mesh = partial(_mesh, seed)
+    read: Callable[[Path], tuple[Gaussians, list[str]]]
+    suffix = path.suffix.lower()
+    with open_file(path) as file:
+        start = file.read(LONGEST)
+    if not start:
+        raise InputError(f"{path}: the file is empty; copy or download it again")
+    if other := impostor(start):
+        raise InputError(f"{path}: this is {other}")
+    if start[:3] == b"ply" and start[3:4] in (b"\n", b"\r", b" ", b"\t"):
+        header = read_header(path)
+        read = mesh if header.faces > 0 and not header.is_splats else read_ply
+    elif start[:4] == b"glTF" or (suffix in MESH_SUFFIXES and suffix != ".ply"):
+        read = mesh
+    elif start[:2] == GZIP:
+        read = read_spz
+    elif suffix == ".splat":
+        read = read_splat
+    elif suffix == ".ply":
+        read = read_ply  # it is no .ply, and the reader says so
+    elif suffix == ".spz":
+        raise InputError(f"{path}: not an .spz scene, which would be gzipped; export the capture again")
+    elif suffix in TO_CONVERT:
+        raise InputError(f"{path}: {suffix} files cannot be opened; export the capture as a .ply, .splat or .spz")
+    else:
+        raise InputError(f"{path}: not a scene; {', '.join(SCENE_SUFFIXES)} can be opened")
+    gaussians, warnings = read(path)
+    return Loaded(gaussians, tuple(warnings))
+
+
+def _mesh(seed: int, path: Path) -> tuple[Gaussians, list[str]]:
+    """A mesh, its surface sampled, and what was amiss with it."""
+    warnings: list[str] = []
+    return read_mesh(path, seed=seed, warn=warnings.append), warnings

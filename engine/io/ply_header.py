@@ -1,0 +1,156 @@
+"""The header of a .ply file, read with suspicion: bounded, checked, and held against the size of the file.
+
+plyfile judges the types; nothing is allocated for what a header merely promises.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from plyfile import PlyData, PlyElement, PlyListProperty, PlyParseError
+
+from engine.errors import InputError
+from engine.io.files import open_file
+
+__all__ = ["Element", "Header", "read_header"]
+
+HEADER_LIMIT = 1 << 20
+"""Bytes within which a header must end: a 3DGS header has 2 KB, so this leaves room for any comment."""
+
+
+@dataclass(frozen=True)
+class Element:
+    """One element of a .ply header."""
+
+    name: str
+    count: int
+    properties: tuple[str, ...]
+    dtype: np.dtype[np.void] | None
+    """A row of a binary file; None where rows hold lists and so have no fixed size."""
+    layout: tuple[tuple[np.dtype[Any] | None, np.dtype[Any]], ...]
+    """For each property of a binary row the type of a list's length, None for a plain number, and of the values."""
+    min_row: int
+    """Bytes that a row takes at the least, in this file's format."""
+
+
+@dataclass(frozen=True)
+class Header:
+    """What a .ply says about itself. Its counts have been checked against the size of the file."""
+
+    ascii: bool
+    elements: tuple[Element, ...]
+    data: int
+    """Offset of the first row, bytes."""
+
+    def element(self, name: str) -> Element | None:
+        """The element of this name, None where there is none."""
+        return next((e for e in self.elements if e.name == name), None)
+
+    @property
+    def faces(self) -> int:
+        """How many faces a mesh has; 0 for everything else."""
+        face = self.element("face")
+        return face.count if face else 0
+
+    @property
+    def is_splats(self) -> bool:
+        """Whether the vertices are meant as Gaussians, in whatever state or packing."""
+        vertex = self.element("vertex")
+        names = set(vertex.properties) if vertex else set()
+        return not names.isdisjoint({"scale_0", "rot_0", "f_dc_0", "packed_position"})
+
+
+def read_header(path: str | Path) -> Header:
+    """The header of any .ply, mesh or splats, checked: no more than the file can hold is promised.
+
+    Reads at most 1 MB. Raises InputError where this is no .ply or its header is broken.
+    """
+    path = Path(path)
+    with open_file(path) as file:
+        text = file.read(HEADER_LIMIT)
+        size = os.fstat(file.fileno()).st_size
+    if not size:
+        raise InputError(f"{path}: the file is empty")
+    start = re.match(rb"ply[ \t]*(\r\n|\n|\r)", text)
+    if not start:
+        raise InputError(f"{path}: not a .ply file")
+    # Lines may end in either of two ways in one header: tools that add a line to it do not ask. Only behind a lone
+    # carriage return a newline would be data.
+    mac = start[1] == b"\r"
+    end = re.search(rb"\rend_header[ \t]*\r" if mac else rb"\nend_header[ \t]*\r?\n", text)
+    if not end:
+        raise InputError(f"{path}: broken .ply header: it does not end")
+    lines = text[: end.start()].decode("latin-1").split("\r" if mac else "\n")
+    header = _parse(path, lines, end.end())
+    room = size - header.data + header.ascii  # the last row of an ascii file may lack its newline
+    for element in header.elements:
+        room -= element.count * element.min_row
+        if room < 0:
+            fits = max(0, room // max(1, element.min_row) + element.count)
+            raise InputError(
+                f"{path}: truncated or damaged: the header promises {element.count:,} rows of '{element.name}', "
+                f"the file has room for {fits:,} at most"
+            )
+    return header
+
+
+def _parse(path: Path, lines: list[str], data: int) -> Header:
+    """The header from its lines, the last one 'end_header' left out.
+
+    plyfile gets a twin of the header in which every element is empty, so it judges the types and allocates nothing.
+    """
+    counts: list[int] = []
+    names: set[str] = set()  # of the element at hand
+    twin = ["ply"]
+    for number, line in enumerate(lines[1:], start=2):
+        words = line.split()
+        if words and words[0] in ("comment", "obj_info"):
+            twin.append("comment")  # as written they may not be ASCII, or stand where plyfile wants none
+            continue
+        if words and words[0] == "element":
+            if len(words) != 3 or not re.fullmatch(r"[0-9]{1,18}", words[2]):
+                raise InputError(f"{path}: broken .ply header: line {number} is no 'element NAME COUNT'")
+            counts.append(int(words[2]))
+            words[2] = "0"
+            names = set()
+        if words and words[0] == "property":
+            if words[-1] in names:
+                raise InputError(f"{path}: broken .ply header: property {words[-1][:40]!r} appears twice")
+            names.add(words[-1])
+        twin.append(" ".join(words))
+    try:
+        parsed = PlyData.read(BytesIO("\n".join([*twin, "end_header", ""]).encode("ascii")))
+    except UnicodeEncodeError as error:
+        raise InputError(f"{path}: broken .ply header: it holds characters that are not ASCII") from error
+    except (PlyParseError, ValueError) as error:
+        raise InputError(f"{path}: broken .ply header: {' '.join(str(error).split())[:120]}") from error
+    elements = tuple(_element(e, n, parsed) for e, n in zip(parsed.elements, counts, strict=True))
+    return Header(parsed.text, elements, data)
+
+
+def _element(element: PlyElement, count: int, parsed: PlyData) -> Element:
+    """An element as plyfile read it, with its true count."""
+    order = parsed.byte_order
+    layout = tuple(
+        (np.dtype(p.list_dtype(order)[0]), np.dtype(p.list_dtype(order)[1]))
+        if isinstance(p, PlyListProperty)
+        else (None, np.dtype(p.dtype(order)))
+        for p in element.properties
+    )
+    return Element(
+        element.name,
+        count,
+        tuple(p.name for p in element.properties),
+        None if any(length is not None for length, _ in layout) else np.dtype(element.dtype(order)),
+        layout,
+        # A digit and a space or newline for each number; or a number or a list's length, with an empty list behind it.
+        max(1, 2 * len(layout))
+        if parsed.text
+        else sum((value if length is None else length).itemsize for length, value in layout),
+    )

@@ -1,0 +1,193 @@
+"""3DGS scenes in .ply files: any dialect in, INRIA's layout out.
+
+In the file opacity is a logit and scales are logs; in memory they are activated (`Gaussians`).
+"""
+
+from __future__ import annotations
+
+import itertools
+import os
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+from plyfile import PlyData, PlyElement
+
+from engine.errors import InputError
+from engine.io.files import atomic, open_file
+from engine.io.ply_header import Element, Header, read_header
+from engine.io.splats.compressed_ply import is_compressed, read_compressed_ply
+from engine.io.splats.rows import COLOUR, GEOMETRY, gaussians_of, logits
+from engine.scene.gaussians import Gaussians
+
+__all__ = ["ply_data", "read_ply", "write_ply"]
+
+BLOCK_ROWS = 1 << 14
+"""Rows read at once: 4 MB of SH-3 rows, small enough to stay in the cache while the columns are picked out."""
+
+REST_COUNTS = {0: 0, 9: 1, 24: 2, 45: 3}
+"""SH degree of each possible number of f_rest properties, 3 ((d+1)^2 - 1)."""
+
+MAX_LOGIT = 16.6
+"""Logit of the largest opacity under 1 that float32 has, 1 - 2^-24. Infinite logits break other viewers."""
+
+
+def read_ply(path: str | Path) -> tuple[Gaussians, list[str]]:
+    """The Gaussians of any 3DGS .ply, and one line about each kind of row that had to be dropped.
+
+    SH degree 0..3, with or without normals and other properties and elements; ascii or binary of either endianness;
+    SuperSplat's compressed form too. `gaussians_of` says what is dropped. Raises InputError where the file is no 3DGS
+    scene or holds no usable row.
+    """
+    path = Path(path)
+    header = read_header(path)
+    if is_compressed(header):
+        return read_compressed_ply(path, header)
+    vertex = _scene_element(path, header)
+    rest = _rest_count(path, vertex)
+    names = [*GEOMETRY, *COLOUR, *(f"f_rest_{i}" for i in range(rest))]
+    table = np.empty((vertex.count, len(names)), np.float32)
+    # Map coordinates have more digits than float32: they stay as wide as they are until the scene is where it fits.
+    places = table[:, :3]
+    if header.ascii or _wide(vertex, names[:3]):
+        places = np.empty((vertex.count, 3), np.float64)
+    filled = 0
+    with open_file(path) as file, np.errstate(over="ignore", invalid="ignore"):  # what does not fit becomes Inf
+        for block in _blocks(path, file, header, vertex, names):
+            places[filled : filled + len(block)] = block[:, :3]
+            table[filled : filled + len(block)] = block
+            filled += len(block)
+    if filled < vertex.count:
+        raise InputError(f"{path}: truncated: the header promises {vertex.count:,} Gaussians, {filled:,} are there")
+    return gaussians_of(path, table, places)
+
+
+def write_ply(path: str | Path, gaussians: Gaussians, comments: Sequence[str] = ()) -> None:
+    """Writes INRIA's layout (binary little endian, with zero normals), which every 3DGS viewer opens.
+
+    f_rest is channel-major: all red coefficients, then green, then blue. Opacities are kept to [6e-8, 1 - 6e-8], so
+    that their logits are finite. Comments become single ASCII lines. Raises InputError where writing fails.
+    """
+    data = ply_data(gaussians, comments)
+    with atomic(path) as temporary:
+        data.write(str(temporary))
+
+
+def ply_data(gaussians: Gaussians, comments: Sequence[str] = ()) -> PlyData:
+    """What `write_ply` writes."""
+    n, rest = len(gaussians), gaussians.sh[:, 1:].shape[1]
+    names = ["x", "y", "z", "nx", "ny", "nz", *COLOUR, *(f"f_rest_{i}" for i in range(3 * rest)), *GEOMETRY[3:]]
+    table = np.empty((n, len(names)), np.float32)
+    table[:, 0:3] = gaussians.means
+    table[:, 3:6] = 0
+    table[:, 6:9] = gaussians.sh[:, 0]
+    table[:, 9 : 9 + 3 * rest] = gaussians.sh[:, 1:].transpose(0, 2, 1).reshape(n, 3 * rest)
+    table[:, -8] = np.clip(logits(gaussians.opacities.astype(np.float64)), -MAX_LOGIT, MAX_LOGIT)
+    table[:, -7:-4] = np.log(gaussians.scales.astype(np.float64))
+    table[:, -4:] = gaussians.quats
+    rows = table.view(np.dtype([(name, "<f4") for name in names])).reshape(n)
+    lines = [" ".join(c.split()).encode("ascii", "backslashreplace").decode("ascii") for c in comments]
+    return PlyData([PlyElement.describe(rows, "vertex")], text=False, byte_order="<", comments=lines)
+
+
+def _scene_element(path: Path, header: Header) -> Element:
+    """The element that holds the Gaussians. Raises InputError where the file holds something else."""
+    vertex = header.element("vertex")
+    if vertex is None:
+        raise InputError(f"{path}: no 'vertex' element; this is not a 3DGS scene")
+    # The properties that only 3DGS has are asked for first: they tell what the file is instead.
+    missing = next((name for name in (*GEOMETRY[4:], *COLOUR, *GEOMETRY[:4]) if name not in vertex.properties), None)
+    if missing:
+        kind = "an incomplete" if header.is_splats else "a mesh, not a" if header.faces else "a point cloud, not a"
+        raise InputError(f"{path}: no '{missing}' property; this is {kind} 3DGS scene")
+    if vertex.dtype is None:
+        raise InputError(f"{path}: a vertex property is a list, which no 3DGS scene has; export the scene again")
+    if not vertex.count:
+        raise InputError(f"{path}: the scene is empty, it has 0 Gaussians")
+    return vertex
+
+
+def _rest_count(path: Path, vertex: Element) -> int:
+    """How many f_rest properties there are. Raises InputError where they make no SH degree."""
+    found = {name for name in vertex.properties if name.startswith("f_rest_")}
+    missing = next((i for i in range(len(found)) if f"f_rest_{i}" not in found), None)
+    if missing is not None:
+        raise InputError(f"{path}: {len(found)} 'f_rest' properties, but no 'f_rest_{missing}'; export the scene again")
+    if len(found) == 72:
+        raise InputError(f"{path}: spherical harmonics of degree 4; export the scene with degree 3 or less")
+    if len(found) not in REST_COUNTS:
+        raise InputError(
+            f"{path}: {len(found)} 'f_rest' properties, where SH of degree 0 to 3 has 0, 9, 24 or 45; "
+            "export the scene again"
+        )
+    return len(found)
+
+
+def _blocks(
+    path: Path, file: BinaryIO, header: Header, vertex: Element, names: list[str]
+) -> Iterator[NDArray[np.floating]]:
+    """The named columns of the vertex element, a block (R, len(names)) at a time; fewer rows where the file ends."""
+    before = header.elements[: header.elements.index(vertex)]
+    if header.ascii:
+        file.seek(header.data)
+        columns = [vertex.properties.index(name) for name in names]
+        yield from _ascii_blocks(path, file, sum(e.count for e in before), vertex.count, columns)
+        return
+    assert vertex.dtype is not None
+    file.seek(header.data)
+    for element in before:
+        if element.dtype is None:
+            _skip_lists(path, file, element)
+        else:
+            file.seek(element.count * element.dtype.itemsize, os.SEEK_CUR)
+    for first in range(0, vertex.count, BLOCK_ROWS):
+        data = file.read(min(BLOCK_ROWS, vertex.count - first) * vertex.dtype.itemsize)
+        yield _columns(np.frombuffer(data, vertex.dtype, len(data) // vertex.dtype.itemsize), names)
+
+
+def _wide(vertex: Element, names: Sequence[str]) -> bool:
+    """Whether one of these properties of a binary file needs more than float32."""
+    assert vertex.dtype is not None
+    return np.result_type(np.float32, *(vertex.dtype[name] for name in names)) != np.float32
+
+
+def _columns(rows: NDArray[np.void], names: list[str]) -> NDArray[np.floating]:
+    """(R, len(names)). These fields of structured rows, float64 where one of them is."""
+    block = np.empty((len(rows), len(names)), np.result_type(np.float32, *(rows.dtype[name] for name in names)))
+    for i, name in enumerate(names):
+        block[:, i] = rows[name]
+    return block
+
+
+def _skip_lists(path: Path, file: BinaryIO, element: Element) -> None:
+    """Moves behind the binary rows of an element that has lists. A list's length is never trusted with memory."""
+    for _ in range(element.count):
+        for length, value in element.layout:
+            items = 1
+            if length is not None:
+                data = file.read(length.itemsize)
+                if len(data) < length.itemsize:
+                    raise InputError(f"{path}: truncated or damaged: it ends within the rows of '{element.name}'")
+                items = int(np.frombuffer(data, length)[0])
+                if items < 0:
+                    raise InputError(f"{path}: damaged: a list in '{element.name}' has a negative length")
+            file.seek(items * value.itemsize, os.SEEK_CUR)
+
+
+def _ascii_blocks(
+    path: Path, file: BinaryIO, skip: int, count: int, columns: list[int]
+) -> Iterator[NDArray[np.floating]]:
+    """These columns of `count` lines after `skip` others; blank lines do not count."""
+    lines = (line for line in file if not line.isspace())
+    next(itertools.islice(lines, skip, skip), None)
+    while count:
+        block = list(itertools.islice(lines, min(count, BLOCK_ROWS)))
+        if not block:
+            return
+        try:
+            yield np.loadtxt(block, np.float64, comments=None, usecols=columns, ndmin=2, encoding="latin-1")
+        except ValueError as error:
+            raise InputError(f"{path}: truncated or damaged: a row does not hold the numbers it should") from error
+        count -= len(block)

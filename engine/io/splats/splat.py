@@ -1,0 +1,44 @@
+"""antimatter15's .splat files: 32 bytes a Gaussian, no header, no spherical harmonics above degree 0."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+
+from engine.errors import InputError
+from engine.io.files import open_file
+from engine.io.splats.rows import gaussians_of, logits
+from engine.scene.gaussians import Gaussians
+from engine.scene.sh import rgb_to_sh
+
+__all__ = ["read_splat"]
+
+ROW = np.dtype([("means", "<f4", 3), ("scales", "<f4", 3), ("rgba", "u1", 4), ("quat", "u1", 4)])
+"""Scales are plain standard deviations; a quaternion's parts, wxyz, are bytes about 128."""
+
+
+def read_splat(path: str | Path) -> tuple[Gaussians, list[str]]:
+    """The Gaussians of a .splat, and one line about each kind of row that had to be dropped.
+
+    Raises InputError where the size is no whole number of rows, or no row can be used: the format has no other mark.
+    """
+    path = Path(path)
+    with open_file(path) as file:
+        size = os.fstat(file.fileno()).st_size
+        if not size:
+            raise InputError(f"{path}: the file is empty")
+        if size % ROW.itemsize:
+            raise InputError(
+                f"{path}: truncated, or no .splat: {size:,} bytes are no whole number of 32-byte Gaussians"
+            )
+        rows = np.frombuffer(file.read(size), ROW)
+    table = np.empty((len(rows), 14), np.float32)
+    table[:, :3] = rows["means"]
+    table[:, 3] = logits(rows["rgba"][:, 3] / 255)
+    with np.errstate(divide="ignore", invalid="ignore"):  # scales that are not above 0 are dropped as not finite
+        table[:, 4:7] = np.log(rows["scales"])
+    table[:, 7:11] = (rows["quat"].astype(np.float32) - 128) / 128
+    table[:, 11:] = rgb_to_sh(rows["rgba"][:, :3] / 255)
+    return gaussians_of(path, table)

@@ -1,0 +1,227 @@
+"""A trained object on disk: a .ply that every 3DGS viewer opens, and beside it what a .ply cannot say.
+
+`apple.ply` holds the surface atoms, then the interior ones; `apple.fruitninja.json` says where the one ends and the
+other begins, and how the object was made. The sidecar names its .ply by size and checksum, so that no crash between the
+two files and no mix-up of names ever joins halves of different objects.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import zlib
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from engine.errors import InputError
+from engine.io.files import atomic_together, open_file
+from engine.io.splats.ply import ply_data, read_ply
+from engine.io.strict_json import parse
+from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
+from engine.scene.gaussians import Gaussians
+from engine.scene.sh import rgb_to_sh, sh_to_rgb
+
+__all__ = ["FORMAT", "Meta", "load_trained", "save_trained", "sidecar_path"]
+
+FORMAT = 1
+"""Version of the sidecar. A reader refuses any other, so it must grow with every change of meaning."""
+
+OPAQUE = 0.999
+"""Opacity of an atom in the file. 1 has no logit; at 0.999 two atoms in a row let 1e-6 through."""
+
+SIDECAR_LIMIT = 1 << 24
+"""Bytes of the largest sidecar that is read; a real one has a few KB."""
+
+
+@dataclass(frozen=True)
+class Meta:
+    """How an object was made. Everything here is plain data, so that `engine` knows nothing of training."""
+
+    up: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    """Unit vector, world axes."""
+    families: tuple[dict[str, Any], ...] = ()
+    """The families of cut planes that were trained, each as a JSON object."""
+    seed: int = 0
+    prior: str = ""
+    """Name of the prior that made the labels."""
+    source: str = ""
+    """Name of the file that the object was made from."""
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Where the object's zero lies in that file's coordinates (engine.io.origin). Sidecars of before have none."""
+
+
+def sidecar_path(path: str | Path) -> Path:
+    """Where the sidecar of a trained .ply stands: `apple.ply` has `apple.fruitninja.json`."""
+    return Path(path).with_suffix(".fruitninja.json")
+
+
+def save_trained(path: str | Path, atoms: Atoms, meta: Meta) -> None:
+    """Writes `path` and its sidecar, both or neither. Both are complete on disk before the first takes its place.
+
+    Surface atoms come first; interior ones are spheres whose SH above degree 0 are zero. Raises InputError where
+    writing fails.
+    """
+    path = Path(path)
+    gaussians = _as_gaussians(atoms)
+    broken = [name for name, values in vars(gaussians).items() if not np.isfinite(values).all()]
+    assert not broken, f"NaN or Inf in the atoms' {broken}"
+    assert (gaussians.scales > 0).all(), "scales that are not above 0"
+    data = ply_data(gaussians, _comments(meta))
+    with atomic_together(path, sidecar_path(path)) as (ply, sidecar):
+        data.write(str(ply))
+        record = {
+            "format": FORMAT,
+            "ply_bytes": ply.stat().st_size,
+            "ply_crc32": _crc(ply),
+            "surface": len(atoms.surface),
+            "interior": len(atoms.interior),
+            "exposed": atoms.interior.exposed,
+            "pitch": float(atoms.pitch),
+            "up": [float(v) for v in meta.up],
+            "families": list(meta.families),
+            "seed": meta.seed,
+            "prior": meta.prior,
+            "source": meta.source,
+        }
+        if any(meta.origin):
+            record["origin"] = [float(v) for v in meta.origin]
+        sidecar.write_text(json.dumps(record, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def load_trained(path: str | Path) -> tuple[Atoms, Meta]:
+    """The object that `save_trained` wrote.
+
+    Raises InputError where the .ply is unreadable, or its sidecar is missing, malformed or another file's.
+    """
+    path = Path(path)
+    with open_file(path):  # a missing scene is the first thing to say, not its missing sidecar
+        pass
+    record = _Record(sidecar_path(path), path)
+    surface, interior, exposed = (record.count(key) for key in ("surface", "interior", "exposed"))
+    pitch = record.number("pitch")
+    up = record.vector("up")
+    meta = Meta(
+        up,
+        tuple(record.of("families", list)),
+        record.count("seed"),
+        record.of("prior", str),
+        record.of("source", str),
+        record.vector("origin") if "origin" in record.fields else (0.0, 0.0, 0.0),
+    )
+    record.require(pitch > 0, "'pitch' is not above 0")
+    record.require(exposed <= interior, "'exposed' is more than 'interior'")
+    record.require(abs(math.hypot(*up) - 1) < 1e-3, "'up' has not length 1")
+    record.require(all(isinstance(f, dict) for f in meta.families), "'families' holds something else than families")
+    if path.stat().st_size != record.count("ply_bytes") or _crc(path) != record.count("ply_crc32"):
+        raise InputError(f"{path}: its sidecar {record.path.name} belongs to another file; train the object again")
+    gaussians, _ = read_ply(path)
+    record.require(len(gaussians) == surface + interior, "its counts are not those of the .ply")
+    if any(gaussians.origin):  # an object of before, trained where its capture lay
+        x, y, z = (a + b for a, b in zip(meta.origin, gaussians.origin, strict=True))
+        meta = replace(meta, origin=(x, y, z))
+    outer, inner = gaussians[:surface], gaussians[surface:]
+    return (
+        Atoms(
+            SurfaceAtoms(outer.means, outer.scales, outer.quats, outer.sh),
+            InteriorAtoms(
+                inner.means,
+                np.ascontiguousarray(inner.scales[:, 0]),
+                np.minimum(sh_to_rgb(inner.sh[:, 0]), 1).astype(np.float32),
+                exposed,
+            ),
+            pitch,
+        ),
+        meta,
+    )
+
+
+def _comments(meta: Meta) -> list[str]:
+    """What another viewer's user may read in the .ply."""
+    comments = [f"FruitNinja: made from {meta.source}"] if meta.source else []
+    if any(meta.origin):
+        comments.append("FruitNinja: add {:.12g} {:.12g} {:.12g} to be back in its coordinates".format(*meta.origin))
+    return comments
+
+
+def _as_gaussians(atoms: Atoms) -> Gaussians:
+    """Surface atoms, then interior ones, as almost opaque Gaussians of the surface's SH degree."""
+    surface, interior = atoms.surface, atoms.interior
+    n, s = len(atoms), len(surface)
+    sh = np.zeros((n, surface.sh.shape[1], 3), np.float32)
+    sh[:s] = surface.sh
+    sh[s:, 0] = rgb_to_sh(interior.rgb)
+    quats = np.zeros((n, 4), np.float32)
+    quats[:s] = surface.quats
+    quats[s:, 0] = 1
+    return Gaussians(
+        np.concatenate([surface.means, interior.means]),
+        np.concatenate([surface.scales, np.repeat(interior.sigmas[:, None], 3, axis=1)]),
+        quats,
+        np.full(n, OPAQUE, np.float32),
+        sh,
+    )
+
+
+def _crc(path: Path) -> int:
+    """CRC-32 of a file, read a megabyte at a time."""
+    crc = 0
+    with path.open("rb") as file:
+        while block := file.read(1 << 20):
+            crc = zlib.crc32(block, crc)
+    return crc
+
+
+class _Record:
+    """The fields of a sidecar, each with its type, or an InputError that names the file."""
+
+    def __init__(self, path: Path, ply: Path) -> None:
+        self.path = path
+        if not path.exists():
+            raise InputError(
+                f"{ply}: no {path.name} beside it; this is no trained object, or its sidecar was left behind"
+            )
+        with open_file(path) as file:
+            text = file.read(SIDECAR_LIMIT + 1)
+        self.require(len(text) <= SIDECAR_LIMIT, "it is far too large")
+        try:
+            self.fields = parse(text)
+        except ValueError as error:
+            raise InputError(f"{path}: not a sidecar of a trained object: it is no JSON") from error
+        self.require(isinstance(self.fields, dict) and "format" in self.fields, "it has no 'format'")
+        if self.fields["format"] != FORMAT:
+            raise InputError(f"{path}: format {str(self.fields['format'])[:20]!r}, this version reads {FORMAT}")
+
+    def require(self, condition: bool, wrong: str) -> None:
+        """Raises InputError where the condition does not hold."""
+        if not condition:
+            raise InputError(f"{self.path}: not a sidecar of a trained object: {wrong}")
+
+    def of(self, key: str, kind: type) -> Any:
+        """The field, which must be exactly of this type."""
+        self.require(type(self.fields.get(key)) is kind, f"no '{key}' of type {kind.__name__}")
+        return self.fields[key]
+
+    def count(self, key: str) -> int:
+        """The field, an integer of at least 0."""
+        value = self.of(key, int)
+        self.require(value >= 0, f"'{key}' is negative")
+        return value
+
+    def number(self, key: str) -> float:
+        """The field, a finite number."""
+        return self._finite(key, self.fields.get(key))
+
+    def vector(self, key: str) -> tuple[float, float, float]:
+        """The field, three finite numbers."""
+        values = self.of(key, list)
+        self.require(len(values) == 3, f"'{key}' has not three numbers")
+        x, y, z = (self._finite(key, value) for value in values)
+        return x, y, z
+
+    def _finite(self, key: str, value: Any) -> float:
+        number = type(value) in (int, float) and abs(value) < 1e300  # false for NaN, and for integers beyond floats
+        self.require(number, f"'{key}' is not a finite number")
+        return float(value)

@@ -1,0 +1,397 @@
+"""From Gaussians to records that the pixel loops read, and from their gradients back."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from engine.render.classic.blend import ROW
+from engine.render.classic.tiles import BLOCKS, SIDE, TAIL_BITS, box_size
+from engine.render.lanes import absolute, floor, load8, load16, maximum, minimum, root, store, widen
+from engine.render.projection import (
+    camera_point,
+    camera_point_backward,
+    half_axes,
+    half_axes_backward,
+    jacobian,
+    jacobian_backward,
+    project_point,
+    project_point_backward,
+    screen_axes,
+    screen_axes_backward,
+    screen_covariance,
+    screen_covariance_backward,
+)
+from engine.scene.constants import ALPHA_STEPS, LOW_PASS
+from engine.scene.sh import C1, C2, C3, fill_basis
+
+__all__ = ["RECORD", "project", "project_backward"]
+
+RECORD = 16
+"""Numbers in a record, 64 bytes in float32: one cache line.
+
+0 1 whole and broken part of u, 2 3 of v; 4 5 6 whitening and 7 logarithm of the opacity, so that alpha =
+2^(r7 - m^2 - n^2) with m = r4 dx, n = r5 dx + r6 dy: squares lose no digits on long needles, as a dx^2 + 2 b dx dy +
+c dy^2 does; 8 9 10 colour, 11 depth; 12 13 half width and height of the ellipse outside which alpha is under 1/255,
+14 dx per dy along the middles of its horizontal chords, 15 half its middle chord, pixels."""
+
+GRADIENT = 10
+"""Numbers of a row of `engine.render.classic.blend.ROW` that mean something."""
+
+GROUP = 8
+"""Gaussians that are computed side by side: as many float64 as the widest vector registers hold."""
+
+GIVEN = 11
+"""Numbers of a Gaussian without its colours."""
+
+LOG2_E = 1.0 / math.log(2.0)
+ROOT_HALF_LOG2_E = math.sqrt(0.5 * LOG2_E)
+TWO_LN2 = 2.0 * math.log(2.0)
+
+
+@njit(cache=True, error_model="numpy")
+def _direction(cam, eye, x, y, z):  # type: ignore[no-untyped-def]
+    """(unit direction eye to Gaussian, distance); an orthographic camera looks forward everywhere, distance 0."""
+    if cam.orthographic != 0.0:
+        return cam.rotation[6], cam.rotation[7], cam.rotation[8], 0.0
+    dx, dy, dz = x - eye[0], y - eye[1], z - eye[2]
+    length = math.sqrt(dx * dx + dy * dy + dz * dz)
+    unit = 1.0 / length
+    return dx * unit, dy * unit, dz * unit, length
+
+
+@njit(cache=True, error_model="numpy")
+def _sh_direction_gradient(x, y, z, bands, g):  # type: ignore[no-untyped-def]
+    """dL/d(x, y, z) of `sh.fill_basis`, given dL/d(basis) g (16,)."""
+    gx = -C1 * g[3]
+    gy = -C1 * g[1]
+    gz = C1 * g[2]
+    if bands > 4:
+        gx += C2[0] * y * g[4] - 2.0 * C2[2] * x * g[6] + C2[3] * z * g[7] + 2.0 * C2[4] * x * g[8]
+        gy += C2[0] * x * g[4] + C2[1] * z * g[5] - 2.0 * C2[2] * y * g[6] - 2.0 * C2[4] * y * g[8]
+        gz += C2[1] * y * g[5] + 4.0 * C2[2] * z * g[6] + C2[3] * x * g[7]
+    if bands > 9:
+        xx, yy, zz = x * x, y * y, z * z
+        gx += (
+            C3[0] * 6.0 * x * y * g[9]
+            + C3[1] * y * z * g[10]
+            - C3[2] * 2.0 * x * y * g[11]
+            - C3[3] * 6.0 * x * z * g[12]
+            + C3[4] * (4.0 * zz - 3.0 * xx - yy) * g[13]
+            + C3[5] * 2.0 * x * z * g[14]
+            + C3[6] * 3.0 * (xx - yy) * g[15]
+        )
+        gy += (
+            C3[0] * 3.0 * (xx - yy) * g[9]
+            + C3[1] * x * z * g[10]
+            + C3[2] * (4.0 * zz - xx - 3.0 * yy) * g[11]
+            - C3[3] * 6.0 * y * z * g[12]
+            - C3[4] * 2.0 * x * y * g[13]
+            - C3[5] * 2.0 * y * z * g[14]
+            - C3[6] * 6.0 * x * y * g[15]
+        )
+        gz += (
+            C3[1] * x * y * g[10]
+            + C3[2] * 8.0 * y * z * g[11]
+            + C3[3] * (6.0 * zz - 3.0 * xx - 3.0 * yy) * g[12]
+            + C3[4] * 8.0 * x * z * g[13]
+            + C3[5] * (xx - yy) * g[14]
+        )
+    return gx, gy, gz
+
+
+@njit(cache=True, error_model="numpy")
+def _box_group(cam, near, tiles_y, tiles_x, box):  # type: ignore[no-untyped-def]
+    """Fills box (4, GROUP), tiles x0, x1, y0, y1: it surely holds the Gaussian, its largest scale in all directions.
+
+    near (4, GROUP) is mean and largest scale.
+    """
+    x, y, z = camera_point(cam, load8(near, 0), load8(near, GROUP), load8(near, 2 * GROUP))
+    scale = load8(near, 3 * GROUP)
+    u, v = project_point(cam, x, y, z)
+    j00, j02, j11, j12 = jacobian(cam, x, y, z)
+    reach_x = REACH * (scale * (absolute(j00) + absolute(j02))) + FRINGE
+    reach_y = REACH * (scale * (absolute(j11) + absolute(j12))) + FRINGE
+    per_side = 1.0 / SIDE
+    store(box, 0, minimum(maximum((u - reach_x) * per_side, 0.0), tiles_x))
+    store(box, GROUP, minimum(maximum((u + reach_x) * per_side + 1.0, 0.0), tiles_x))
+    store(box, 2 * GROUP, minimum(maximum((v - reach_y) * per_side, 0.0), tiles_y))
+    store(box, 3 * GROUP, minimum(maximum((v + reach_y) * per_side + 1.0, 0.0), tiles_y))
+
+
+REACH = math.sqrt(2.0 * math.log(ALPHA_STEPS)) * 1.001
+"""Standard deviations beyond which an opaque Gaussian is under 1/255, and a little."""
+
+FRINGE = REACH * math.sqrt(LOW_PASS) + 1.0
+"""What the low-pass adds to that, pixels, and a little."""
+
+
+@njit(cache=True, error_model="numpy")
+def _gather(rows, means, scales, quats, opacities):  # type: ignore[no-untyped-def]
+    """(groups, GIVEN, GROUP) float64: mean, scales, quaternion, opacity of these Gaussians, group after group.
+
+    They lie all over memory: a loop that only loads has many on their way at once, one that also computes has few.
+    """
+    out = np.zeros((-(-len(rows) // GROUP), GIVEN, GROUP), np.float64)
+    for k in range(len(rows)):
+        i, lane = rows[k], k % GROUP
+        g = out[k // GROUP]
+        g[0, lane], g[1, lane], g[2, lane] = means[i, 0], means[i, 1], means[i, 2]
+        g[3, lane], g[4, lane], g[5, lane] = scales[i, 0], scales[i, 1], scales[i, 2]
+        g[6, lane], g[7, lane], g[8, lane], g[9, lane] = quats[i, 0], quats[i, 1], quats[i, 2], quats[i, 3]
+        g[10, lane] = opacities[i]
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def _project_group(cam, given, log_opacity, out):  # type: ignore[no-untyped-def]
+    """Fills out (RECORD + 3, GROUP), colours apart: the records of one group, then det, u and v."""
+    px, py, pz = load8(given, 0), load8(given, GROUP), load8(given, 2 * GROUP)
+    sx, sy, sz = load8(given, 3 * GROUP), load8(given, 4 * GROUP), load8(given, 5 * GROUP)
+    qw, qx = load8(given, 6 * GROUP), load8(given, 7 * GROUP)
+    qy, qz = load8(given, 8 * GROUP), load8(given, 9 * GROUP)
+    x, y, z = camera_point(cam, px, py, pz)
+    u, v = project_point(cam, x, y, z)
+    axes = half_axes(cam, qw, qx, qy, qz, sx, sy, sz)
+    xx, xy, yy, det, _ = screen_covariance(screen_axes(jacobian(cam, x, y, z), axes), LOW_PASS)
+    power = load8(log_opacity, 0)
+    reach = (power + TAIL_BITS) * (2.0 / LOG2_E)  # squared, in standard deviations
+    whole_u, whole_v = floor(u), floor(v)
+    store(out, 0, whole_u)
+    store(out, GROUP, u - whole_u)
+    store(out, 2 * GROUP, whole_v)
+    store(out, 3 * GROUP, v - whole_v)
+    store(out, 4 * GROUP, ROOT_HALF_LOG2_E / root(xx))
+    store(out, 5 * GROUP, -ROOT_HALF_LOG2_E * xy / root(xx * det))
+    store(out, 6 * GROUP, ROOT_HALF_LOG2_E * root(xx / det))
+    store(out, 7 * GROUP, power)
+    store(out, 11 * GROUP, z)
+    store(out, 12 * GROUP, root(reach * xx))
+    store(out, 13 * GROUP, root(reach * yy))
+    store(out, 14 * GROUP, xy / yy)
+    store(out, 15 * GROUP, root(reach * det / yy))
+    store(out, 16 * GROUP, det)
+    store(out, 17 * GROUP, u)
+    store(out, 18 * GROUP, v)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def project(  # type: ignore[no-untyped-def]
+    chunk,
+    chunk_size,
+    order,  # [V] the Gaussians, nearest first
+    first,  # of this slice of the order,
+    last,  # one past its last
+    cam,
+    eye,  # [3]
+    means,  # [N, 3]
+    scales,  # [N, 3]
+    quats,  # [N, 4]
+    opacities,  # [N]
+    colours,  # [N, K, 3]
+    plain,  # colours are RGB (K = 1), not SH
+    open_sums,  # [tiles_y + 1, tiles_x + 1] summed-area table of the open tiles
+    records,  # out [V, RECORD]
+    owners,  # out [V] index of the Gaussian
+    record_counts,  # out [chunks of this slice]
+    pair_bounds,  # out [chunks of this slice] at most so many tiles are touched
+):
+    """Writes the records of one chunk of a slice, packed from the chunk's first place on.
+
+    A record's place grows with depth: comparing places compares depths.
+    """
+    start = first + chunk * chunk_size
+    stop = min(start + chunk_size, last)
+    tiles_y, tiles_x = open_sums.shape[0] - 1, open_sums.shape[1] - 1
+    bands = colours.shape[1]
+    basis = np.empty(16, np.float64)
+    near, box = np.zeros((-(-(stop - start) // GROUP), 4, GROUP), np.float64), np.empty((4, GROUP), np.float64)
+    for k in range(stop - start):
+        i = order[start + k]
+        group, lane = near[k // GROUP], k % GROUP
+        group[0, lane], group[1, lane], group[2, lane] = means[i, 0], means[i, 1], means[i, 2]
+        group[3, lane] = max(scales[i, 0], scales[i, 1], scales[i, 2])
+    rows = np.empty(stop - start, np.int64)
+    count = 0
+    for k in range(stop - start):
+        lane = k % GROUP
+        if lane == 0:
+            _box_group(cam, near[k // GROUP], tiles_y, tiles_x, box)
+        x0, x1, y0, y1 = int(box[0, lane]), int(box[1, lane]), int(box[2, lane]), int(box[3, lane])
+        rows[count] = order[start + k]
+        count += open_sums[y1, x1] - open_sums[y0, x1] - open_sums[y1, x0] + open_sums[y0, x0] > 0
+    gathered = _gather(rows[:count], means, scales, quats, opacities)
+
+    most_pairs = 0
+    slot = start
+    log_opacity, out = np.zeros(GROUP, np.float64), np.empty((RECORD + 3, GROUP), np.float64)
+    for k in range(count):
+        i, lane = rows[k], k % GROUP
+        g = gathered[k // GROUP]
+        if lane == 0:
+            for other in range(GROUP):
+                log_opacity[other] = math.log2(g[10, other])
+            _project_group(cam, g, log_opacity, out)
+        if not g[10, lane] * ALPHA_STEPS >= 1.0:
+            continue
+        det = out[16, lane]
+        if not (det > 0.0 and det < 1e60 and abs(out[17, lane]) + abs(out[18, lane]) < 1e15):
+            continue  # not a number, or past all measure
+        record = records[slot]
+        for n in range(RECORD):
+            record[n] = out[n, lane]
+        size = box_size(record, tiles_y, tiles_x)
+        if size == 0:
+            continue
+        most_pairs += size
+        if plain:
+            record[8], record[9], record[10] = colours[i, 0, 0], colours[i, 0, 1], colours[i, 0, 2]
+        else:
+            dx, dy, dz, _ = _direction(cam, eye, g[0, lane], g[1, lane], g[2, lane])
+            fill_basis(dx, dy, dz, bands, basis)
+            for channel in range(3):
+                value = 0.5
+                for band in range(bands):
+                    value += basis[band] * colours[i, band, channel]
+                record[8 + channel] = max(value, 0.0)
+        owners[slot] = i
+        slot += 1
+    record_counts[chunk] = slot - start
+    pair_bounds[chunk] = most_pairs
+
+
+@njit(cache=True, error_model="numpy")
+def _project_group_backward(cam, given, sums, out):  # type: ignore[no-untyped-def]
+    """Fills out (GIVEN, GROUP): dL/d(given), from the Gaussians of one group (GIVEN, GROUP) and sums (GRADIENT + 3,
+    GROUP) of their rows, followed by the whitening of their records. The way over the direction of view is left out."""
+    px, py, pz = load8(given, 0), load8(given, GROUP), load8(given, 2 * GROUP)
+    sx, sy, sz = load8(given, 3 * GROUP), load8(given, 4 * GROUP), load8(given, 5 * GROUP)
+    qw, qx = load8(given, 6 * GROUP), load8(given, 7 * GROUP)
+    qy, qz = load8(given, 8 * GROUP), load8(given, 9 * GROUP)
+    sm, smm, sn = load8(sums, GROUP), load8(sums, 2 * GROUP), load8(sums, 3 * GROUP)
+    smn, snn = load8(sums, 4 * GROUP), load8(sums, 5 * GROUP)
+    a, b, c = load8(sums, 10 * GROUP), load8(sums, 11 * GROUP), load8(sums, 12 * GROUP)
+    x, y, z = camera_point(cam, px, py, pz)
+    affine = jacobian(cam, x, y, z)
+    axes = half_axes(cam, qw, qx, qy, qz, sx, sy, sz)
+    screen = screen_axes(affine, axes)
+    # With W = [[a, 0], [b, c]] the inverse covariance is 2 ln2 W^T W: so dL/d(mean) = 2 ln2 W^T (p m, p n)
+    # and dL/dC = 2 ln2^2 W^T [[p m^2, p m n], [p m n, p n^2]] W.
+    gu = TWO_LN2 * (a * sm + b * sn)
+    gv = TWO_LN2 * c * sn
+    h0, h1 = smm * a + smn * b, smn * a + snn * b
+    gxx = 0.5 * TWO_LN2 * TWO_LN2 * (a * h0 + b * h1)
+    gxy = TWO_LN2 * TWO_LN2 * c * h1
+    gyy = 0.5 * TWO_LN2 * TWO_LN2 * c * c * snn
+    g_affine, g_axes = screen_axes_backward(affine, axes, screen_covariance_backward(screen, gxx, gxy, gyy))
+    g_quat, g_scale = half_axes_backward(cam, qw, qx, qy, qz, sx, sy, sz, g_axes)
+    g1 = jacobian_backward(cam, x, y, z, g_affine[0], g_affine[1], g_affine[2], g_affine[3])
+    g2 = project_point_backward(cam, x, y, z, gu, gv)
+    depth = load8(sums, 9 * GROUP)
+    gx, gy, gz = camera_point_backward(cam, g1[0] + g2[0], g1[1] + g2[1], g1[2] + g2[2] + depth)
+    store(out, 0, gx)
+    store(out, GROUP, gy)
+    store(out, 2 * GROUP, gz)
+    store(out, 3 * GROUP, g_scale[0])
+    store(out, 4 * GROUP, g_scale[1])
+    store(out, 5 * GROUP, g_scale[2])
+    store(out, 6 * GROUP, g_quat[0])
+    store(out, 7 * GROUP, g_quat[1])
+    store(out, 8 * GROUP, g_quat[2])
+    store(out, 9 * GROUP, g_quat[3])
+    store(out, 10 * GROUP, load8(sums, 0) / load8(given, 10 * GROUP))
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def project_backward(  # type: ignore[no-untyped-def]
+    chunk,
+    chunk_size,
+    first,
+    record_counts,  # [chunks of this slice]
+    cam,
+    eye,
+    means,
+    scales,
+    quats,
+    opacities,
+    colours,
+    plain,
+    records,  # [V, RECORD]
+    owners,  # [V]
+    pair_counts,  # [V]
+    first_places,  # [chunks of this slice] where the chunk's pairs begin in
+    pair_tiles,  # [most pairs] tile << BLOCKS | blocks of each pair, record by record
+    tile_lasts,  # [tiles] last record that a tile saw before it closed
+    rows,  # [most pairs, ROW] record by record
+    g_means,  # out, like the parameters
+    g_scales,
+    g_quats,
+    g_opacities,
+    g_colours,
+):
+    """Adds up the rows of each record of a chunk, in tile order, and takes the sums back to the parameters."""
+    start = first + chunk * chunk_size
+    bands = colours.shape[1]
+    basis = np.empty(16, np.float64)
+    g_basis = np.empty(16, np.float64)
+    slots = np.empty(record_counts[chunk], np.int64)
+    sums = np.zeros((-(-record_counts[chunk] // GROUP), GRADIENT + 3, GROUP), np.float64)
+    total = np.zeros(2 * ROW, np.float64)
+    nothing = load16(total, ROW)
+    count = 0
+    pair = first_places[chunk]
+    for slot in range(start, start + record_counts[chunk]):
+        lanes = nothing
+        seen = False
+        for _ in range(pair_counts[slot]):
+            if slot <= tile_lasts[pair_tiles[pair] >> BLOCKS]:
+                seen = True
+                lanes = lanes + widen(load16(rows[pair], 0))
+            pair += 1
+        if seen:
+            slots[count] = slot
+            store(total, 0, lanes)
+            group, lane = sums[count // GROUP], count % GROUP
+            for n in range(GRADIENT):
+                group[n, lane] = total[n]
+            for n in range(3):
+                group[GRADIENT + n, lane] = records[slot, 4 + n]
+            count += 1
+    gathered = _gather(owners[slots[:count]], means, scales, quats, opacities)
+
+    out = np.empty((GIVEN, GROUP), np.float64)
+    for k in range(count):
+        i, lane = owners[slots[k]], k % GROUP
+        given, group = gathered[k // GROUP], sums[k // GROUP]
+        if lane == 0:
+            _project_group_backward(cam, given, group, out)
+        gx, gy, gz = out[0, lane], out[1, lane], out[2, lane]
+        red, green, blue = group[6, lane], group[7, lane], group[8, lane]
+        if plain:
+            g_colours[i, 0, 0], g_colours[i, 0, 1], g_colours[i, 0, 2] = red, green, blue
+        else:
+            dx, dy, dz, length = _direction(cam, eye, given[0, lane], given[1, lane], given[2, lane])
+            fill_basis(dx, dy, dz, bands, basis)
+            g_basis[:] = 0.0
+            for channel in range(3):
+                value = 0.5
+                for band in range(bands):
+                    value += basis[band] * colours[i, band, channel]
+                if value > 0.0:  # a colour that is held at 0 hands nothing back
+                    outer = red if channel == 0 else green if channel == 1 else blue
+                    for band in range(bands):
+                        g_colours[i, band, channel] = basis[band] * outer
+                        g_basis[band] += colours[i, band, channel] * outer
+            if bands > 1 and length > 0.0:
+                hx, hy, hz = _sh_direction_gradient(dx, dy, dz, bands, g_basis)
+                along = hx * dx + hy * dy + hz * dz
+                gx += (hx - along * dx) / length
+                gy += (hy - along * dy) / length
+                gz += (hz - along * dz) / length
+        g_means[i, 0], g_means[i, 1], g_means[i, 2] = gx, gy, gz
+        g_scales[i, 0], g_scales[i, 1], g_scales[i, 2] = out[3, lane], out[4, lane], out[5, lane]
+        for n in range(4):
+            g_quats[i, n] = out[6 + n, lane]
+        g_opacities[i] = out[10, lane]

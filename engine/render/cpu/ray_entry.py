@@ -1,0 +1,164 @@
+"""Cut faces: where the rays of a picture enter a convex piece through one of its planes, and how solid it is there."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numba import njit
+from numba.extending import register_jitable
+from numpy.typing import NDArray
+
+from engine.render.projection import CameraRecord
+from engine.scene.constants import EDGE_SLOPE, FACE_AMBIENT, FACE_LAMP, SOLID_DENSITY
+from engine.scene.plane import Plane
+from engine.threads import for_each
+
+__all__ = ["Hits", "coverage", "coverage_of", "enter", "enter_row", "face_edge", "facing_of", "shade"]
+
+
+@dataclass(frozen=True)
+class Hits:
+    """The pixels whose ray enters the piece through a plane, K of them."""
+
+    pixels: NDArray[np.intp]
+    """(K,). Flat indices into the picture, ascending."""
+    points: NDArray[np.float64]
+    """(K, 3). Where, in the piece's own space."""
+    depth: NDArray[np.float32]
+    """(K,). World units along the camera's axis."""
+    footprint: NDArray[np.float32]
+    """(K,). Size of a pixel there, world units."""
+    facing: NDArray[np.float32]
+    """(K,). Cosine between the plane's normal and the way back to the eye. Range (0, 1]."""
+
+    def outside(self, joined: Sequence[Sequence[Plane]], tolerance: float) -> Hits:
+        """Without those that touch one of the pieces that the planes bound: there the matter goes on."""
+        free = np.ones(len(self.pixels), bool)
+        for planes in joined:
+            touching = np.ones(len(free), bool)
+            for plane in planes:
+                touching &= plane.distance(self.points) <= tolerance
+            free &= ~touching
+        return self if free.all() else Hits(*(getattr(self, name.name)[free] for name in fields(self)))
+
+
+def enter(cam: CameraRecord, planes: NDArray[np.float64]) -> Hits:
+    """Rays of a camera into the piece that camera-space planes (P, 4) bound.
+
+    Of the planes whose outside the ray comes from, the last one it passes is where it enters, if that lies before the
+    eye and within all other planes.
+    """
+    width, height = int(cam.width), int(cam.height)
+    depth, facing = np.empty((height, width)), np.empty((height, width), np.float32)
+    for_each(_enter, height, cam, planes, NO_PIECES, depth, facing)
+    pixels = np.flatnonzero(np.isfinite(depth))
+    z = depth.reshape(-1)[pixels]
+    x = (pixels % width + 0.5 - cam.cx) / cam.fx
+    y = (pixels // width + 0.5 - cam.cy) / cam.fy
+    perspective = np.ones_like(z) if cam.orthographic else z
+    seen = np.stack([x * perspective, y * perspective, z], 1) - np.array(cam.translation)
+    footprint = (perspective / np.sqrt(cam.fx * cam.fy)).astype(np.float32)
+    return Hits(
+        pixels, seen @ np.array(cam.rotation).reshape(3, 3), z.astype(np.float32), footprint, facing.reshape(-1)[pixels]
+    )
+
+
+def face_edge(footprint: NDArray[np.floating], pitch: float) -> NDArray[np.floating]:
+    """(K,). By how much the coverage of a pixel grows with the density: an edge is one pixel wide, however near."""
+    return np.maximum(1, pitch / 2 / (EDGE_SLOPE * footprint)) / (2 * SOLID_DENSITY)
+
+
+def coverage(density: NDArray[np.floating], footprint: NDArray[np.floating], pitch: float) -> NDArray[np.floating]:
+    """How much of a pixel (K,) is solid: an edge at the density of solids."""
+    return np.clip(0.5 + (density - SOLID_DENSITY) * face_edge(footprint, pitch), 0, 1)
+
+
+@register_jitable(inline="always")
+def coverage_of(density, footprint, edge_sigma):  # type: ignore[no-untyped-def]
+    """`coverage` of one pixel in float32 for kernels without branches; edge_sigma is half the pitch."""
+    one, half, zero = np.float32(1), np.float32(0.5), np.float32(0)
+    slope, solid, unit = np.float32(EDGE_SLOPE), np.float32(SOLID_DENSITY), np.float32(0.5 / SOLID_DENSITY)
+    edge = max(one, edge_sigma / (slope * footprint)) * unit
+    return min(max(half + (density - solid) * edge, zero), one)
+
+
+def shade(hits: Hits) -> NDArray[np.float32]:
+    """(K,). Factor of a lamp at the eye."""
+    return FACE_AMBIENT + np.float32(FACE_LAMP) * hits.facing
+
+
+@register_jitable(inline="always")
+def facing_of(plane, across, down, orthographic):  # type: ignore[no-untyped-def]
+    """Cosine between the normal of a camera-space plane (4,) and the way back along the ray (across, down, 1)."""
+    facing = -plane[2]
+    if not orthographic:
+        facing = -(plane[0] * across + plane[1] * down + plane[2]) / math.sqrt(across * across + down * down + 1.0)
+    return facing
+
+
+@register_jitable(inline="always")
+def enter_row(y, cam, planes, joined, first_joined, tolerance, entry, through, slope, left):  # type: ignore[no-untyped-def]
+    """Fills depth `entry` (W,) and plane `through` (W,) of the entry of row y's rays, -1 where there is none.
+
+    Planes (P, 4) and joined (M, 4) in camera space; joined first_joined[m]..first_joined[m + 1] bound one piece that
+    lies beside this one: where it touches, the matter runs on. `slope` and `left` (W,) are scratch. Row by row and
+    without branches, so that a row is a run of vectors.
+    """
+    n = len(entry)
+    orthographic = cam.orthographic != 0.0
+    down = (y + 0.5 - cam.cy) / cam.fy
+    entry[:] = -np.inf
+    through[:] = -1
+    for p in range(len(planes)):
+        a, b, c, d = planes[p, 0], planes[p, 1], planes[p, 2], planes[p, 3]
+        for k in range(n):
+            across = a * ((k + 0.5 - cam.cx) / cam.fx) + b * down
+            base = across + d if orthographic else d
+            along = c if orthographic else across + c
+            s = -base / along if along < 0.0 else -np.inf
+            through[k] = p if s > entry[k] else through[k]
+            entry[k] = max(s, entry[k])
+    for k in range(n):
+        through[k] = through[k] if entry[k] > cam.near and entry[k] < np.inf else -1
+    if len(planes) > 1:
+        for p in range(len(planes)):
+            a, b, c, d = planes[p, 0], planes[p, 1], planes[p, 2], planes[p, 3]
+            for k in range(n):
+                across = a * ((k + 0.5 - cam.cx) / cam.fx) + b * down
+                base = across + d if orthographic else d
+                along = c if orthographic else across + c
+                # Planes that the ray enters through lie before the last of them; testing them again would crack edges.
+                out = along >= 0.0 and base + entry[k] * along > 0.0
+                through[k] = -1 if out else through[k]
+    for m in range(len(first_joined) - 1):
+        left[:] = 1.0
+        for p in range(first_joined[m], first_joined[m + 1]):
+            a, b, c, d = joined[p, 0], joined[p, 1], joined[p, 2], joined[p, 3]
+            for k in range(n):
+                across = a * ((k + 0.5 - cam.cx) / cam.fx) + b * down
+                slope[k] = across + d + entry[k] * c if orthographic else d + entry[k] * (across + c)
+                left[k] = left[k] if slope[k] <= tolerance else 0.0
+        for k in range(n):
+            through[k] = -1 if left[k] > 0.0 else through[k]
+
+
+NO_PIECES = np.zeros(1, np.int64)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _enter(row, cam, planes, alone, depth, facing):  # type: ignore[no-untyped-def]
+    """Fills a row of depth (H, W) of the entry, inf where there is none, and of the cosine (H, W) at the plane."""
+    width = depth.shape[1]
+    through, slope, left = np.empty(width, np.int32), np.empty(width), np.empty(width)
+    entry = depth[row]
+    enter_row(row, cam, planes, planes, alone, 0.0, entry, through, slope, left)
+    down = (row + 0.5 - cam.cy) / cam.fy
+    for k in range(width):
+        if through[k] >= 0:
+            across = (k + 0.5 - cam.cx) / cam.fx
+            facing[row, k] = facing_of(planes[through[k]], across, down, cam.orthographic != 0.0)
+        else:
+            entry[k] = np.inf

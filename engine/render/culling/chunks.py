@@ -1,0 +1,173 @@
+"""Atoms in spatial chunks: a run of a few hundred along a Morton curve, with its box.
+
+What a frame draws is decided chunk by chunk, and what is left is one list of indices. Within a chunk the atoms stand in
+bit-reversed order, so that any prefix of them is spread over the chunk: the coarser levels of detail.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from engine.render.culling.backface import RIND
+from engine.scene.morton import morton_order
+
+__all__ = ["CHUNK", "Chunks", "build", "near_plane", "pick"]
+
+CHUNK = 256
+"""Atoms of a chunk: smaller ones cull better but cost more per frame; from 128 to 512 frames take the same time."""
+
+
+@dataclass(frozen=True)
+class Chunks:
+    """K chunks of N atoms, which stand in the order of `order`."""
+
+    order: NDArray[np.intp]
+    """(N,). Row in the caller's arrays of each atom here."""
+    first: NDArray[np.int64]
+    """(K,). Each chunk's first atom."""
+    count: NDArray[np.int64]
+    """(K,). Atoms of each chunk."""
+    middle: NDArray[np.float64]
+    """(K, 3). Centre of each box."""
+    half: NDArray[np.float64]
+    """(K, 3). Half its sides; boxes hold the atoms' centres."""
+    sigma: NDArray[np.float64]
+    """(K,). Largest standard deviation in each chunk."""
+
+    def __len__(self) -> int:
+        return len(self.first)
+
+    def distances(self, normal: NDArray[np.float64], offset: float) -> NDArray[np.float64]:
+        """(K, 2). Least and largest signed distance of each box to a plane."""
+        at = self.middle @ normal + offset
+        reach = self.half @ np.abs(normal)
+        return np.stack([at - reach, at + reach], 1)
+
+
+def build(means: NDArray[np.float32], sigmas: NDArray[np.float32], chunk: int = CHUNK) -> Chunks:
+    """Chunks of atoms with centres (N, 3) and largest standard deviations (N,)."""
+    n = len(means)
+    if n == 0:
+        empty = np.zeros(0, np.int64)
+        return Chunks(empty.astype(np.intp), empty, empty, np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
+    order = morton_order(means)
+    first = np.arange(0, n, chunk)
+    count = np.minimum(chunk, n - first)
+    tail = n % chunk
+    whole = order[: n - tail].reshape(-1, chunk)[:, reversal(chunk)].ravel()
+    order = np.concatenate([whole, order[n - tail :][reversal(tail)]])
+    points = means[order].astype(np.float64)
+    least = np.minimum.reduceat(points, first)
+    most = np.maximum.reduceat(points, first)
+    sigma = np.maximum.reduceat(sigmas[order].astype(np.float64), first)
+    return Chunks(order, first, count, (least + most) / 2, (most - least) / 2, sigma)
+
+
+def reversal(n: int) -> NDArray[np.intp]:
+    """(n,). The numbers below n ordered by their reversed bits: every prefix is spread evenly."""
+    bits = max(n - 1, 0).bit_length()
+    numbers = np.arange(1 << bits)
+    reverse = np.zeros_like(numbers)
+    for bit in range(bits):
+        reverse |= ((numbers >> bit) & 1) << (bits - 1 - bit)
+    return reverse[reverse < n]
+
+
+@njit(cache=True)
+def near_plane(points, reach, first, count, planes, j):  # type: ignore[no-untyped-def]
+    """uint32 indices of atoms that plane j of planes (P, 4) meets and no other plane removes, from runs of atoms.
+
+    points (N, 3) float32, reach (N,) float32: how far an atom is felt.
+    """
+    total = 0
+    for k in range(len(first)):
+        total += count[k]
+    rows = np.empty(total, np.uint32)
+    at = 0
+    for k in range(len(first)):
+        for i in range(first[k], first[k] + count[k]):
+            x, y, z = points[i, 0], points[i, 1], points[i, 2]
+            r = reach[i]
+            kept = abs(planes[j, 0] * x + planes[j, 1] * y + planes[j, 2] * z + planes[j, 3]) <= r
+            if kept:
+                for m in range(len(planes)):
+                    if m != j and planes[m, 0] * x + planes[m, 1] * y + planes[m, 2] * z + planes[m, 3] > r:
+                        kept = False
+                        break
+            if kept:
+                rows[at] = i
+                at += 1
+    return rows[:at]
+
+
+@njit(cache=True)
+def pick(points, reach, axes, least, zone, low, cell, first, count, planes, eye, parallel):  # type: ignore[no-untyped-def]
+    """uint32 indices of the atoms on a piece's outside: those no plane touches, those one clips, those the solid hides.
+
+    points (N, 3), reach (N,): how far an atom is felt. axes (N, 3), least (N,), zone (X, Y, Z), low (3,), cell: see
+    backface.Hiding. planes (P, 4). eye (3,): where it is, or with `parallel` the direction it looks in.
+    Floats are float32.
+    """
+    total = 0
+    for k in range(len(first)):
+        total += count[k]
+    free = np.empty(total, np.uint32)
+    clipped = np.empty(total, np.uint32)
+    hidden = np.empty(total, np.uint32)
+    frees = clips = hides = 0
+    for k in range(len(first)):
+        for i in range(first[k], first[k] + count[k]):
+            x, y, z = points[i, 0], points[i, 1], points[i, 2]
+            r = reach[i]
+            kept, touched, close = True, False, False
+            for j in range(len(planes)):
+                distance = planes[j, 0] * x + planes[j, 1] * y + planes[j, 2] * z + planes[j, 3]
+                if distance > r:
+                    kept = False
+                    break
+                touched = touched or distance > -r
+                # The rim of a face is rounded off by atoms that reach over it.
+                close = close or distance > np.float32(-1.5) * r
+            if not kept:
+                continue
+            if least[i] <= 1 and not close:
+                dx, dy, dz = eye[0], eye[1], eye[2]
+                length = np.float32(1.0)
+                if not parallel:
+                    dx, dy, dz = x - dx, y - dy, z - dz
+                    length = np.sqrt(dx * dx + dy * dy + dz * dz)
+                if dx * axes[i, 0] + dy * axes[i, 1] + dz * axes[i, 2] >= least[i] * length and sound(
+                    x, y, z, dx, dy, dz, parallel, planes, zone, low, cell
+                ):
+                    hidden[hides] = i
+                    hides += 1
+                    continue
+            if touched:
+                clipped[clips] = i
+                clips += 1
+            else:
+                free[frees] = i
+                frees += 1
+    return free[:frees], clipped[:clips], hidden[:hides]
+
+
+@njit(cache=True)
+def sound(x, y, z, dx, dy, dz, parallel, planes, zone, low, cell):  # type: ignore[no-untyped-def]
+    """Whether the line of sight (dx, dy, dz) to a point meets each plane in the air or deep inside, not in the rind."""
+    for j in range(len(planes)):
+        along = planes[j, 0] * dx + planes[j, 1] * dy + planes[j, 2] * dz
+        if along >= 0:
+            continue
+        back = (planes[j, 0] * x + planes[j, 1] * y + planes[j, 2] * z + planes[j, 3]) / along
+        if not parallel and back > 1:  # the plane lies behind the eye
+            continue
+        a = int(np.floor((x - back * dx - low[0]) / cell))
+        b = int(np.floor((y - back * dy - low[1]) / cell))
+        c = int(np.floor((z - back * dz - low[2]) / cell))
+        if 0 <= a < zone.shape[0] and 0 <= b < zone.shape[1] and 0 <= c < zone.shape[2] and zone[a, b, c] == RIND:
+            return False
+    return True

@@ -1,0 +1,94 @@
+"""Pieces that lie together, farthest first, and what of the picture they can touch."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from engine.errors import InputError
+from engine.render.culling.polygon import corners_within, face_polygons
+from engine.render.culling.solid import Solid
+from engine.render.culling.view import View
+from engine.scene.camera import Camera
+from engine.scene.piece import Piece
+from engine.scene.plane import stack
+
+__all__ = ["MAX_PLANES", "Group", "Rect", "grouped", "seen_groups"]
+
+Double = NDArray[np.float64]
+Group = tuple[Double, list[int]]
+"""A transform (4, 4) and the numbers of the pieces that have it."""
+
+Rect = tuple[int, int, int, int]
+"""x, y, width, height in pixels, from the top left."""
+
+MAX_PLANES = 64
+"""Planes that can bound one piece, after those that cut nothing off it are dropped."""
+
+
+def grouped(pieces: Sequence[Piece]) -> list[Group]:
+    """Pieces that lie together."""
+    groups: list[Group] = []
+    for i, piece in enumerate(pieces):
+        for transform, members in groups:
+            if np.array_equal(transform, piece.transform):
+                members.append(i)
+                break
+        else:
+            groups.append((piece.transform, [i]))
+    return groups
+
+
+def seen_groups(
+    solid: Solid, camera: Camera, pieces: Sequence[Piece], groups: Sequence[Group]
+) -> Iterator[tuple[int, View, list[Double], Rect]]:
+    """The groups that show, farthest first: number, view, each piece's planes (P, 4), and where on the screen."""
+    depth = [float((camera.viewmat @ transform @ np.append(solid.centre, 1))[2]) for transform, _ in groups]
+    for number in np.argsort(depth)[::-1].tolist():
+        transform, members = groups[number]
+        view = View(Piece((), transform).camera(camera), solid.centre, solid.radius)
+        planes = [left for m in members if (left := bounding_planes(pieces[m], solid)) is not None]
+        rect = bounds_on_screen(view, planes, solid) if planes else None
+        if rect is not None:
+            yield number, view, planes, rect
+
+
+def bounding_planes(piece: Piece, solid: Solid) -> Double | None:
+    """(P, 4). The planes of a piece that cut the solid, in centred object space; None where nothing is left.
+
+    Raises InputError where they are more than MAX_PLANES.
+    """
+    planes = stack(piece.planes)
+    planes[:, 3] += planes[:, :3] @ solid.centre
+    # Those that miss the object: all of it is kept, or nothing.
+    if (planes[:, 3] > solid.radius).any():
+        return None
+    planes = planes[planes[:, 3] >= -solid.radius]
+    if len(planes) > 1:
+        polygons = face_polygons(planes, *solid.box)
+        showing = np.array([len(p) >= 3 for p in polygons])
+        if not showing.any() and len(planes):
+            return None  # they shut each other out, or would bound the piece somewhere
+        planes = planes[showing]
+    if len(planes) > MAX_PLANES:
+        raise InputError(f"a piece with {len(planes)} planes; at most {MAX_PLANES} can bound one, cut less often")
+    return planes
+
+
+def bounds_on_screen(view: View, pieces: Sequence[Double], solid: Solid) -> Rect | None:
+    """The part of the picture that what the pieces keep of the solid can touch; None where there is none."""
+    least, most = view.extent(np.zeros((1, 3)), np.array([solid.reach]))
+    low, high = np.full(2, np.inf), np.full(2, -np.inf)
+    for planes in pieces:
+        corners = corners_within(planes, *solid.box)
+        if len(corners):
+            first, last = view.extent(corners, np.zeros(len(corners)))
+            low, high = np.minimum(low, first), np.maximum(high, last)
+    size = np.array([view.camera.width, view.camera.height])
+    begin = np.clip(np.floor(np.maximum(low, least)) - 4, 0, size).astype(int)
+    end = np.clip(np.ceil(np.minimum(high, most)) + 4, 0, size).astype(int)
+    if (end <= begin).any():
+        return None
+    return int(begin[0]), int(begin[1]), int(end[0] - begin[0]), int(end[1] - begin[1])

@@ -1,0 +1,86 @@
+"""An object of atoms as renderers draw it: in chunks about its centre, with what each mode shows of it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from engine.render.culling.backface import hiding
+from engine.render.culling.outermost import outermost
+from engine.render.culling.store import Ellipsoids, Spheres
+from engine.scene import sh
+from engine.scene.atoms import Atoms
+from engine.scene.constants import EPSILON_PITCHES
+
+__all__ = ["Solid"]
+
+Float = NDArray[np.float32]
+
+CORE_SCALE = 1.2
+"""How much larger the outermost interior atoms are drawn where there is no skin: the core of a splat (half height, 1.18
+sigma) then reaches the middle of a lattice's cell, 1.41 sigma away; the layers behind fill what jitter opens."""
+
+
+class Solid:
+    """Surface and interior atoms, each in a store of their own."""
+
+    def __init__(self, atoms: Atoms) -> None:
+        bounds = atoms.bounds.astype(np.float64)
+        skin, inside = atoms.surface, atoms.interior
+        widest = max(float(skin.scales.max(initial=0)), float(inside.sigmas.max(initial=0)))
+        self.centre = bounds.mean(0)
+        """(3,). All that is drawn is relative to it, so that far-off scenes keep their digits."""
+        far = [np.linalg.norm(means - self.centre, axis=1).max(initial=0) for means in (skin.means, inside.means)]
+        self.reach = float(max(far)) + 3 * widest
+        """About the centre, world units: all of the object, splats included."""
+        # In depth the corners of a splat's quad count, a factor of sqrt(2) more, and epsilon lies in front.
+        self.radius = float(max(far)) + 4.5 * widest + 2 * EPSILON_PITCHES * atoms.pitch
+        """About the centre, world units: the range of depths."""
+        half = (bounds[1] - bounds[0]) / 2 + 3 * widest
+        self.box = -half, half
+        """All of the object: the box' corners (3,), relative to the centre."""
+        self.pitch = float(atoms.pitch)
+        hidden = hiding(atoms)
+        hidden = replace(hidden, low=hidden.low - self.centre)
+        self.skin = Ellipsoids(self._shifted(skin.means), skin.scales, skin.quats, skin.sh, hidden)
+        self.inside = Spheres(self._shifted(inside.means), inside.sigmas, inside.rgb)
+        self._atoms = atoms
+        self._exposed = self._as_splats(np.arange(inside.exposed)) if inside.exposed else None
+        self._core: Ellipsoids | None = None
+        self._core_rows = np.zeros(0, np.intp)
+        self._rgb = inside.rgb
+
+    def _shifted(self, means: Float) -> Float:
+        return (means.astype(np.float64) - self.centre).astype(np.float32)
+
+    def _as_splats(self, rows: NDArray[np.integer], scale: float = 1.0) -> Ellipsoids:
+        """Interior atoms for the outside view."""
+        inside = self._atoms.interior
+        unit = np.tile(np.array([1, 0, 0, 0], np.float32), (len(rows), 1))
+        scales = np.repeat(np.float32(scale) * inside.sigmas[rows, None], 3, 1)
+        return Ellipsoids(self._shifted(inside.means[rows]), scales, unit, sh.rgb_to_sh(inside.rgb[rows, None]))
+
+    def splats(self, interior_only: bool) -> list[Ellipsoids]:
+        """What the outside shows: skin and exposed atoms, or the outermost of the interior ones."""
+        if not interior_only:
+            return [self.skin] if self._exposed is None else [self.skin, self._exposed]
+        if self._core is None:
+            inside = self._atoms.interior
+            self._core_rows = np.flatnonzero(outermost(inside.means, inside.sigmas))
+            self._core = self._as_splats(self._core_rows, CORE_SCALE)
+            self._core.update(sh.rgb_to_sh(self._rgb[self._core_rows, None]))
+        return [self._core]
+
+    def update(self, sh_coefficients: Float | None, rgb: Float | None) -> None:
+        """Other colours, (S, (d+1)^2, 3) and (I, 3), for the same atoms."""
+        if sh_coefficients is not None:
+            self.skin.update(sh_coefficients)
+        if rgb is not None:
+            self._rgb = rgb
+            self.inside.update(rgb)
+            if self._exposed is not None:
+                self._exposed.update(sh.rgb_to_sh(rgb[: len(self._exposed), None]))
+            if self._core is not None:
+                self._core.update(sh.rgb_to_sh(rgb[self._core_rows, None]))

@@ -1,0 +1,154 @@
+"""A camera as the shaders read it, for one rigid placement of the object; and what of the object it can see."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from engine.render.culling.chunks import Chunks
+from engine.scene.camera import Camera
+from engine.scene.constants import CLAMP_MARGIN, LOW_PASS, NOTHING
+
+__all__ = ["FAR_BELOW", "View"]
+
+Double = NDArray[np.float64]
+
+FAR_BELOW = -NOTHING
+"""Stands for minus infinity in a shader, whose compiler may do away with infinities."""
+
+BLUR_REACH = 3 * LOW_PASS**0.5 + 1
+"""Pixels that the low-pass adds to a splat's reach, and one for rounding."""
+
+
+@dataclass(frozen=True)
+class View:
+    """A camera and the placement of the object under it."""
+
+    camera: Camera
+    """In the object's own space."""
+    centre: Double
+    """(3,). The object's centre: what the GPU holds is relative to it, so that far-off scenes keep their digits."""
+    radius: float
+    """Radius about the centre that holds all of the object, splats included."""
+
+    @cached_property
+    def matrix(self) -> Double:
+        """(4, 4). Centred object space to camera."""
+        matrix = self.camera.viewmat.astype(np.float64).copy()
+        matrix[:3, 3] += matrix[:3, :3] @ self.centre
+        return matrix
+
+    @cached_property
+    def eye(self) -> Double:
+        """(3,). The eye in centred object space; of an orthographic camera its direction."""
+        rotation = self.matrix[:3, :3]
+        return rotation[2].copy() if self.camera.orthographic else -rotation.T @ self.matrix[:3, 3]
+
+    @property
+    def near(self) -> float:
+        """Depth where the picture begins."""
+        return FAR_BELOW if self.camera.orthographic else self.camera.near
+
+    @property
+    def depth_range(self) -> tuple[float, float]:
+        """z0 and 1 / (z1 - z0) of the linear depth buffer."""
+        z = float(self.matrix[2, 3])
+        return z - self.radius, 1 / (2 * self.radius)
+
+    @cached_property
+    def uniforms(self) -> dict[str, Any]:
+        """What shaders/camera.glsl and project.vert.glsl ask for."""
+        c = self.camera
+        side_x, side_y = CLAMP_MARGIN * 0.5 * c.width / c.fx, CLAMP_MARGIN * 0.5 * c.height / c.fy
+        return {
+            "view": self.matrix.T,
+            "lens": (c.fx, c.fy, c.cx, c.cy),
+            "size": (float(c.width), float(c.height)),
+            "eye": tuple(self.eye),
+            "near": self.near,
+            "depth_range": self.depth_range,
+            "held": (
+                -c.cx / c.fx - side_x,
+                (c.width - c.cx) / c.fx + side_x,
+                -c.cy / c.fy - side_y,
+                (c.height - c.cy) / c.fy + side_y,
+            ),
+        }
+
+    def planes_in_camera(self, planes: Double) -> Double:
+        """(P, 4). Planes of centred object space in camera space."""
+        normals = planes[:, :3] @ self.matrix[:3, :3].T
+        return np.concatenate([normals, (planes[:, 3] - normals @ self.matrix[:3, 3])[:, None]], 1)
+
+    def sees_removed_side(self, planes: Double) -> NDArray[np.bool_]:
+        """(P,). Which planes of centred object space can show a face: the eye is on their removed side."""
+        if self.camera.orthographic:
+            return planes[:, :3] @ self.eye < 0
+        return planes[:, :3] @ self.eye + planes[:, 3] > 0
+
+    def footprint(self, z: NDArray[np.float64]) -> Double:
+        """World units that a pixel spans at depths z; 0 behind the eye."""
+        scale = (self.camera.fx * self.camera.fy) ** 0.5
+        return np.full_like(z, 1 / scale) if self.camera.orthographic else np.maximum(z, 0) / scale
+
+    def chunks_seen(self, chunks: Chunks, enlarge: float) -> tuple[NDArray[np.bool_], NDArray[np.bool_], Double]:
+        """Which chunks (K,) can be in the picture, which lie wholly inside it, and the diameter of their largest splat.
+
+        The second and third decide what may be drawn as points: a point whose centre is outside is not drawn at all.
+        """
+        c = self.camera
+        centre = chunks.middle @ self.matrix[:3, :3].T + self.matrix[:3, 3]
+        box = np.linalg.norm(chunks.half, axis=1)
+        sigma = chunks.sigma * enlarge
+        z = centre[:, 2]
+        if c.orthographic:
+            zoom = np.full(len(z), max(c.fx, c.fy))
+            tilt_x = tilt_y = 0.0
+        else:
+            zoom = max(c.fx, c.fy) / np.maximum(z - box, 1e-6 * box + 1e-30)
+            tilt_x = (1 + 2 * CLAMP_MARGIN) * max(c.cx, c.width - c.cx) / c.fx
+            tilt_y = (1 + 2 * CLAMP_MARGIN) * max(c.cy, c.height - c.cy) / c.fy
+        # A splat's affine extent is 3 sigma f / z * sqrt(1 + slope^2), the slope held; and the low-pass in pixels.
+        stretch = (1 + tilt_x**2 + tilt_y**2) ** 0.5
+        reach = 3 * sigma * stretch
+        seen = np.ones(len(z), bool) if c.orthographic else z + box > c.near
+        inside = np.ones(len(z), bool) if c.orthographic else z - box > max(c.near, 0.0)
+        deepest = np.ones(len(z)) if c.orthographic else np.maximum(z + box, 0)
+        for f, shift, extent, x in ((c.fx, c.cx, c.width, centre[:, 0]), (c.fy, c.cy, c.height, centre[:, 1])):
+            for sign, edge in ((1, shift), (-1, extent - shift)):
+                # Signed distance to the picture's edge: in pixels, of a pinhole camera times depth.
+                at = sign * f * x + edge * (1 if c.orthographic else z)
+                span = box * (f if c.orthographic else np.hypot(f, edge))
+                seen &= at + span >= -(f * reach + BLUR_REACH * deepest)
+                inside &= at - span >= 0
+        return seen, inside, 2 * (3 * sigma * stretch * zoom + BLUR_REACH)
+
+    def extent(self, middle: Double, radius: Double) -> tuple[Double, Double]:
+        """(2,), (2,). Least and largest pixel x and y that balls (K, 3), (K,) of centred object space can touch.
+
+        Infinite where a ball is beside or about the eye.
+        """
+        c = self.camera
+        centre = middle @ self.matrix[:3, :3].T + self.matrix[:3, 3]
+        z = centre[:, 2]
+        if not c.orthographic:
+            ahead = z + radius > max(c.near, 0.0)
+            if not ahead.any():
+                return np.full(2, np.inf), np.full(2, -np.inf)
+            if not ahead.all() or (z <= 1.05 * radius).any():
+                return np.full(2, -np.inf), np.full(2, np.inf)
+        low, high = np.empty(2), np.empty(2)
+        for axis, (f, shift) in enumerate(((c.fx, c.cx), (c.fy, c.cy))):
+            at = centre[:, axis]
+            if c.orthographic:
+                low[axis], high[axis] = f * (at - radius).min() + shift, f * (at + radius).max() + shift
+                continue
+            # A ball is seen between two tangents; with z > r both are ahead.
+            angle, half = np.arctan2(at, z), np.arcsin(np.minimum(radius / np.hypot(at, z), 1.0))
+            low[axis] = f * np.tan(np.maximum(angle - half, -1.57)).min() + shift
+            high[axis] = f * np.tan(np.minimum(angle + half, 1.57)).max() + shift
+        return low, high

@@ -1,0 +1,8 @@
+"""The GL engine: opaque atoms with exact cuts, and the capture as it came, in OpenGL 3.3 core."""
+
+from engine.render.culling.look import Mode
+from engine.render.gl.context import GLMissing
+from engine.render.gl.overlay import Lines, Sheet
+from engine.render.gl.renderer import Renderer
+
+__all__ = ["GLMissing", "Lines", "Mode", "Renderer", "Sheet"]

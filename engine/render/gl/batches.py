@@ -1,0 +1,118 @@
+"""Runs of records on the GPU, made by transform feedback and drawn once or twice: as points or as quads."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import moderngl
+import numpy as np
+from numpy.typing import NDArray
+
+from engine.render.gl.context import Growing, layout
+
+__all__ = ["Batch", "Pool"]
+
+CORNERS = np.array([[-1, -1], [1, -1], [-1, 1], [1, 1]], np.float32)
+
+
+class Batch:
+    """Records of one kind, and how many there are."""
+
+    def __init__(self, ctx: moderngl.Context, corners: moderngl.Buffer) -> None:
+        self.ctx = ctx
+        self.records = Growing(ctx)
+        self.corners = corners
+        self.count = 0
+        self._arrays: dict[tuple[moderngl.Program, bool], moderngl.VertexArray] = {}
+
+    def fill(self, array: moderngl.VertexArray, fields: dict[str, int], first: int, count: int) -> None:
+        """Runs the array's vertices first..first+count through its program and keeps what comes out."""
+        if self.records.reserve(4 * sum(fields.values()) * count):
+            self._forget()
+        self.count = count
+        if count:
+            array.transform(self.records.buffer, moderngl.POINTS, vertices=count, first=first)
+
+    def draw(self, program: moderngl.Program, fields: dict[str, int], points: bool) -> None:
+        """Draws the records with this program."""
+        if not self.count:
+            return
+        key = (program, points)
+        if key not in self._arrays:
+            content: list[Any] = [layout(program, self.records.buffer, fields, instanced=not points)]
+            if not points:
+                content.append((self.corners, "2f", "corner"))
+            self._arrays[key] = self.ctx.vertex_array(program, content)
+        if points:
+            self._arrays[key].render(moderngl.POINTS, vertices=self.count)
+        else:
+            self._arrays[key].render(moderngl.TRIANGLE_STRIP, vertices=4, instances=self.count)
+
+    def _forget(self) -> None:
+        for array in self._arrays.values():
+            array.release()
+        self._arrays.clear()
+
+    def release(self) -> None:
+        """Frees the buffer and what draws it."""
+        self._forget()
+        self.records.release()
+
+
+class Pool:
+    """Batches that are used again from frame to frame, and one list of indices that fills them."""
+
+    def __init__(self, ctx: moderngl.Context) -> None:
+        self.ctx = ctx
+        self.indices = Growing(ctx)
+        self.corners = ctx.buffer(CORNERS)
+        self._batches: list[Batch] = []
+        self._taken = 0
+        self._sources: dict[Any, moderngl.VertexArray] = {}
+
+    def begin(self) -> None:
+        """A new frame: all batches are free again."""
+        self._taken = 0
+
+    def take(self) -> Batch:
+        """A batch that nobody holds in this frame."""
+        if self._taken == len(self._batches):
+            self._batches.append(Batch(self.ctx, self.corners))
+        self._taken += 1
+        return self._batches[self._taken - 1]
+
+    def write_indices(self, rows: NDArray[np.uint32]) -> None:
+        """The indices that `source` arrays read from now on."""
+        if self.indices.write(rows):
+            self.forget_sources()
+
+    def source(
+        self, program: moderngl.Program, *streams: tuple[moderngl.Buffer, dict[str, int]]
+    ) -> moderngl.VertexArray:
+        """The indexed array of these interleaved buffers under this program."""
+        key = (program, *(buffer for buffer, _ in streams))
+        if key not in self._sources:
+            content = [layout(program, buffer, fields) for buffer, fields in streams]
+            content = [entry for entry in content if len(entry) > 2]
+            self._sources[key] = self.ctx.vertex_array(program, content, self.indices.buffer)
+        return self._sources[key]
+
+    def forget_sources(self) -> None:
+        """Drops the arrays over atoms: their buffers are gone or the indices stand elsewhere."""
+        for array in self._sources.values():
+            array.release()
+        self._sources.clear()
+
+    def clear(self) -> None:
+        """Frees what grew for the atoms that were: another object needs other batches, of other sizes."""
+        self.forget_sources()
+        for batch in self._batches:
+            batch.release()
+        self._batches.clear()
+        self._taken = 0
+
+    def release(self) -> None:
+        """Frees everything."""
+        self.clear()
+        self.indices.release()
+        self.corners.release()

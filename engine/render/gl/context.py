@@ -1,0 +1,134 @@
+"""The OpenGL context and what hangs on it: compiled programs and buffers that grow."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import moderngl
+import numpy as np
+from numpy.typing import NDArray
+
+from engine.errors import InputError
+from engine.scene import constants as formula
+from engine.scene import sh
+from shaders import source
+
+__all__ = ["GLMissing", "Growing", "Programs", "layout", "offscreen_context", "write_uniforms"]
+
+
+CONSTANTS: dict[str, int | float] = {
+    **{name: float(getattr(formula, name)) for name in formula.__all__},
+    "SH_C0": sh.C0,
+    "SH_C1": sh.C1,
+    **{f"SH_C2_{k}": value for k, value in enumerate(sh.C2)},
+    **{f"SH_C3_{k}": value for k, value in enumerate(sh.C3)},
+}
+"""What every shader may read by name: the numbers that the kernels use."""
+
+
+class GLMissing(InputError):
+    """There is no OpenGL 3.3 to be had without a window; the message names what to install."""
+
+
+def offscreen_context() -> moderngl.Context:
+    """A context without a window, through EGL. Raises GLMissing where there is none."""
+    try:
+        options: dict[str, Any] = {"require": 330, "backend": "egl"}
+        return moderngl.create_standalone_context(**options)
+    except Exception as error:  # the loaders raise whatever they find: OSError, RuntimeError, plain Exception
+        raise GLMissing(f"no offscreen OpenGL 3.3 (install libegl1 and libgl1-mesa-dri): {error}") from error
+
+
+class Programs:
+    """Programs by file names and defines, compiled when first asked for."""
+
+    def __init__(self, ctx: moderngl.Context) -> None:
+        self.ctx = ctx
+        self._compiled: dict[tuple[Any, ...], moderngl.Program] = {}
+
+    def get(
+        self,
+        vertex: str,
+        fragment: str | None,
+        defines: Mapping[str, int] | None = None,
+        varyings: Iterable[str] = (),
+    ) -> moderngl.Program:
+        """The program of these files of `shaders`; a define of 0 is left out."""
+        given = {name: value for name, value in (defines or {}).items() if value}
+        names = tuple(varyings)
+        key = (vertex, fragment, names, tuple(sorted(given.items())))
+        if key not in self._compiled:
+            self._compiled[key] = self.ctx.program(
+                vertex_shader=source(vertex, CONSTANTS | given),
+                fragment_shader=source(fragment, CONSTANTS | given) if fragment else None,
+                varyings=names,
+            )
+        return self._compiled[key]
+
+    def release(self) -> None:
+        """Frees the programs."""
+        for program in self._compiled.values():
+            program.release()
+        self._compiled.clear()
+
+
+def write_uniforms(program: moderngl.Program, values: dict[str, Any]) -> None:
+    """Sets the uniforms that the program has; a compiler may have dropped some that a variant does not use.
+
+    Numbers go as they are, arrays as float32; a texture is bound to the unit that the key `name@unit` names.
+    """
+    for key, value in values.items():
+        name, _, unit = key.partition("@")
+        member = program.get(name, None)
+        if not isinstance(member, moderngl.Uniform):
+            continue
+        if unit:
+            value.use(int(unit))
+            member.value = int(unit)
+        elif isinstance(value, np.ndarray):
+            member.write(np.ascontiguousarray(value, np.float32).tobytes())
+        else:
+            member.value = value
+
+
+class Growing:
+    """A GPU buffer that is written anew every frame and only ever grows."""
+
+    def __init__(self, ctx: moderngl.Context) -> None:
+        self.ctx = ctx
+        self.buffer = ctx.buffer(reserve=1 << 12, dynamic=True)
+
+    def reserve(self, size: int) -> bool:
+        """Room for so many bytes; True where the buffer had to be made anew and what refers to it must be, too."""
+        if size <= self.buffer.size:
+            return False
+        room = -(-max(size, 3 * self.buffer.size // 2) // 4096) * 4096  # transform feedback asks for whole words
+        self.buffer.release()
+        self.buffer = self.ctx.buffer(reserve=room, dynamic=True)
+        return True
+
+    def write(self, data: NDArray[Any]) -> bool:
+        """Replaces the content; True as `reserve` says."""
+        fresh = self.reserve(data.nbytes)
+        if not fresh:
+            self.buffer.orphan()  # the driver need not wait for the last frame's draws
+        if data.nbytes:
+            self.buffer.write(np.ascontiguousarray(data))
+        return fresh
+
+    def release(self) -> None:
+        """Frees the buffer."""
+        self.buffer.release()
+
+
+def layout(
+    program: moderngl.Program, buffer: moderngl.Buffer, fields: dict[str, int], instanced: bool = False
+) -> tuple[Any, ...]:
+    """The entry of a vertex array for interleaved floats: `fields` in order, as attribute and how many floats.
+
+    What the program does not use (its compiler may drop attributes) is skipped over.
+    """
+    names = [name for name in fields if program.get(name, None) is not None]
+    parts = [f"{n}f" if name in names else f"{4 * n}x" for name, n in fields.items()]
+    return (buffer, " ".join(parts) + ("/i" if instanced else ""), *names)

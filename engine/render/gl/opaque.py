@@ -1,0 +1,120 @@
+"""Opaque mode: pieces of a solid, drawn group by group and put together by depth.
+
+Pieces with the same transform lie together as they grew: their splats are added up in the same sums, so that pieces put
+back together are the uncut object to the pixel, with no seam that lets the background through. Each such group is
+resolved by itself and put over or under the frame so far, pixel by pixel, because a silhouette in front is to be
+anti-aliased against the piece behind, not against the background.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import moderngl
+import numpy as np
+from numpy.typing import NDArray
+
+from engine.render.culling.groups import Group, Rect, seen_groups
+from engine.render.culling.look import Look
+from engine.render.culling.solid import Solid
+from engine.render.culling.view import View
+from engine.render.gl.batches import Pool
+from engine.render.gl.buffers import Buffers
+from engine.render.gl.context import Programs
+from engine.render.gl.screen import Screen
+from engine.render.gl.section import SectionPass
+from engine.render.gl.surface import SurfacePass
+from engine.render.gl.targets import Accumulators, Frame
+from engine.scene.camera import Camera
+from engine.scene.constants import JOINT_PITCHES
+from engine.scene.piece import Piece
+
+__all__ = ["OpaqueMode"]
+
+Double = NDArray[np.float64]
+
+
+class OpaqueMode:
+    """Draws a solid's pieces into a frame."""
+
+    def __init__(self, ctx: moderngl.Context, programs: Programs, pool: Pool, screen: Screen) -> None:
+        self.ctx, self.screen = ctx, screen
+        self.buffers = Buffers(ctx)
+        self.surface = SurfacePass(ctx, programs, pool, self.buffers)
+        self.section = SectionPass(ctx, programs, pool, self.buffers)
+
+    def draw(
+        self,
+        solid: Solid,
+        camera: Camera,
+        pieces: Sequence[Piece],
+        groups: Sequence[Group],
+        frames: Sequence[Frame],
+        sums: Accumulators,
+        background: Double,
+        look: Look,
+    ) -> None:
+        """Puts the pieces into the first of two frames, which shows the background; the second is scratch."""
+        self.section.grids.begin()
+        frame, scratch = frames
+        empty = True
+        for number, view, planes, rect in seen_groups(solid, camera, pieces, groups):
+            faces = self._add_up(view, planes, solid, sums, rect, look)
+            values: dict[str, Any] = {
+                **view.uniforms,
+                "splats@0": sums.splats,
+                "sharpness@1": sums.sharpness,
+                "front@2": sums.depth,
+                "faces@3": sums.faces,
+                "face_depths@4": sums.face_depths,
+                "background": tuple(background),
+                "tolerance": JOINT_PITCHES * solid.pitch,
+                "group": float(number),
+            }
+            defines = {"FACES": int(faces), "BELOW": int(not empty)}
+            if empty:
+                self.screen.fill(frame.fbo, rect, "resolve.frag.glsl", defines, values)
+            else:
+                values |= {"below@5": frame.colour, "below_info@6": frame.info}
+                self.screen.fill(scratch.fbo, rect, "resolve.frag.glsl", defines, values)
+                values = {"colour@0": scratch.colour, "info@1": scratch.info}
+                self.screen.fill(frame.fbo, rect, "copy.frag.glsl", {}, values)
+            empty = False
+
+    def _add_up(
+        self, view: View, planes: list[Double], solid: Solid, sums: Accumulators, rect: Rect, look: Look
+    ) -> bool:
+        """Fills the accumulators with pieces that lie together; True where a face is seen."""
+        sums.front_fbo.scissor = (0, 0, *sums.front_fbo.size)
+        sums.front_fbo.use()  # transform feedback asks for a whole framebuffer, too, and a window may not have one
+        # Software GL clears a whole texture of bytes, half floats or depth faster than a part of it, one of floats not.
+        sums.front_fbo.clear(depth=1.0)
+        for fbo in (sums.front_fbo, sums.splat_fbo, sums.field_fbo, sums.face_fbo):
+            fbo.scissor = rect
+        skin = None if look.interior_only else solid.skin
+        has_faces = False
+        for i, piece in enumerate(planes):
+            if len(piece) and not has_faces:
+                sums.coverage_fbo.clear()
+            mates = planes[:i] + planes[i + 1 :]
+            has_faces |= self.section.draw(
+                view, piece, mates, solid.box, solid.inside, skin, sums, solid.pitch, rect, look
+            )
+        runs = []
+        for splats in solid.splats(look.interior_only):
+            runs += self.surface.project(view, planes, splats, look)
+        sums.splat_fbo.depth_mask = False
+        sums.splat_fbo.clear(viewport=rect)
+        self.surface.draw(view, runs, sums, solid.pitch * look.disc_scale)
+        return has_faces
+
+    def forget(self) -> None:
+        """Another solid is drawn from now on."""
+        self.section.grids.clear()
+        self.buffers.release()
+
+    def release(self) -> None:
+        """Frees what the passes hold."""
+        self.section.release()
+        self.buffers.release()

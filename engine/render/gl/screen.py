@@ -1,0 +1,39 @@
+"""Passes over all pixels of a rectangle."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import moderngl
+
+from engine.render.culling.groups import Rect
+from engine.render.gl.context import Programs, write_uniforms
+
+__all__ = ["Screen"]
+
+
+class Screen:
+    """One triangle that covers everything."""
+
+    def __init__(self, ctx: moderngl.Context, programs: Programs) -> None:
+        self.ctx, self.programs = ctx, programs
+        self._arrays: dict[moderngl.Program, moderngl.VertexArray] = {}
+
+    def fill(
+        self, fbo: moderngl.Framebuffer, rect: Rect, fragment: str, defines: dict[str, int], values: dict[str, Any]
+    ) -> None:
+        """Runs a fragment shader for each pixel of the rectangle."""
+        fbo.scissor = rect
+        fbo.use()
+        self.ctx.enable_only(moderngl.NOTHING)
+        program = self.programs.get("screen.vert.glsl", fragment, defines)
+        write_uniforms(program, values)
+        if program not in self._arrays:
+            self._arrays[program] = self.ctx.vertex_array(program, [])
+        self._arrays[program].render(moderngl.TRIANGLES, vertices=3)
+
+    def release(self) -> None:
+        """Frees the arrays."""
+        for array in self._arrays.values():
+            array.release()
+        self._arrays.clear()

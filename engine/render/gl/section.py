@@ -1,0 +1,189 @@
+"""The cut faces of the opaque image (DESIGN, section 3): the kernel field where each pixel's ray enters a piece.
+
+Interior atoms come from the plane's grid; what a grid cannot hold (thin atoms of the skin; all, where a pixel is wider
+than they are) is added up pixel by pixel.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import moderngl
+import numpy as np
+from numpy.typing import NDArray
+
+from engine.render.culling.chunks import Chunks
+from engine.render.culling.groups import MAX_PLANES
+from engine.render.culling.look import Look
+from engine.render.culling.piece_faces import Face, near_face, scale_of, visible_faces
+from engine.render.culling.store import Ellipsoids, Spheres
+from engine.render.culling.view import View
+from engine.render.gl.batches import Pool
+from engine.render.gl.buffers import Buffers
+from engine.render.gl.context import Growing, Programs, layout, write_uniforms
+from engine.render.gl.grid import Grids
+from engine.render.gl.targets import Accumulators
+from engine.scene.constants import JOINT_PITCHES
+from engine.scene.plane import frame
+
+__all__ = ["SectionPass"]
+
+Double = NDArray[np.float64]
+
+POINT_LIMIT = 16.0
+"""Pixels across up to which a section of an atom is drawn as a point, not as a quad that lies in the plane."""
+
+OBLIQUE = 0.5
+"""Cosine between view and plane below which quads are used: seen at a slant they hug a disc, points do not."""
+
+GATHERED = {
+    False: {"mean": 3, "sigma": 1, "rgb": 3},
+    True: {"mean": 3, "scale": 3, "quat": 4, "dc": 3},
+}
+
+
+class SectionPass:
+    """Draws what the planes of one piece show."""
+
+    def __init__(self, ctx: moderngl.Context, programs: Programs, pool: Pool, buffers: Buffers) -> None:
+        self.ctx, self.programs, self.pool, self.buffers = ctx, programs, pool, buffers
+        self.grids = Grids(ctx, programs, pool, buffers)
+        self.vertices = Growing(ctx)
+        self._polygons: dict[moderngl.Program, moderngl.VertexArray] = {}
+
+    def draw(
+        self,
+        view: View,
+        planes: Double,  # [P, 4] centred object space
+        mates: list[Double],  # [P, 4] each: the other pieces that lie where they grew beside this one
+        box: tuple[Double, Double],  # corners of the solid's box, centred
+        spheres: Spheres,
+        ellipsoids: Ellipsoids | None,
+        targets: Accumulators,
+        pitch: float,
+        rect: tuple[int, int, int, int],
+        look: Look,
+    ) -> bool:
+        """Adds the piece's faces to the face layer, nearest first in depth; False where it shows none."""
+        faces = visible_faces(view, planes, mates, box, JOINT_PITCHES * pitch)
+        if not faces:
+            return False
+        if self.vertices.write(np.concatenate([f.corners for f in faces]).astype(np.float32)):
+            self._forget_polygons()
+        ctx = self.ctx
+        grids = []
+        for face in faces:
+            widest = 0.5 * face.widest_pixel(view)
+            minified = widest > float(spheres.reach.min(initial=np.inf)) / 3
+            grids.append(None if look.exact or minified else self.grids.get(face.plane, spheres, look))
+
+        targets.field_fbo.clear(viewport=rect)
+        targets.field_fbo.use()
+        ctx.enable_only(moderngl.BLEND | moderngl.PROGRAM_POINT_SIZE)
+        ctx.blend_func = moderngl.ONE, moderngl.ONE
+        for face, grid in zip(faces, grids, strict=True):
+            if ellipsoids is not None:
+                self._add(view, planes, face, ellipsoids, look, pitch)
+            if grid is None:
+                self._add(view, planes, face, spheres, look, pitch)
+
+        targets.face_fbo.use()
+        ctx.enable_only(moderngl.DEPTH_TEST)
+        ctx.depth_func = "<="
+        undo = np.linalg.inv(view.matrix)
+        for face, grid in zip(faces, grids, strict=True):
+            defines = {"ORTHOGRAPHIC": int(view.camera.orthographic), "GRID": int(grid is not None)}
+            program = self.programs.get("polygon.vert.glsl", "face.frag.glsl", defines)
+            values: dict[str, Any] = {
+                **view.uniforms,
+                "field@0": targets.field,
+                "edge_sigma": pitch / 2,
+                "light": float(look.light),
+                "cut_in_camera": view.planes_in_camera(face.plane[None])[0],
+            }
+            if grid is not None:
+                values |= {"grid@1": grid.texture, "to_grid": (grid.to_grid @ undo).T}
+            write_uniforms(program, values)
+            first = face.first
+            for part in face.parts:
+                self._polygon(program).render(moderngl.TRIANGLE_FAN, vertices=len(part), first=first)
+                first += len(part)
+        return True
+
+    def _polygon(self, program: moderngl.Program) -> moderngl.VertexArray:
+        if program not in self._polygons:
+            content = [layout(program, self.vertices.buffer, {"position": 3})]
+            self._polygons[program] = self.ctx.vertex_array(program, content)
+        return self._polygons[program]
+
+    def _add(
+        self, view: View, planes: Double, face: Face, atoms: Spheres | Ellipsoids, look: Look, pitch: float
+    ) -> None:
+        """Adds the atoms of one kind that one plane meets, pixel by pixel."""
+        chunks = atoms.chunks
+        if not len(chunks):
+            return
+        ellipsoid = isinstance(atoms, Ellipsoids)
+        enlarge = scale_of(atoms, look)
+        _, inside, _ = view.chunks_seen(chunks, enlarge)
+        steep = abs(face.plane[:3] @ view.matrix[2, :3]) >= OBLIQUE
+        widened = np.maximum(chunks.sigma * enlarge, 0.5 * face.widest_pixel(view))
+        small = inside & (section_diameter(view, chunks, widened) <= POINT_LIMIT) & (steep and not ellipsoid)
+        lists = [near_face(view, planes, face, atoms, look, small == points) for points in (True, False)]
+        self.pool.write_indices(np.concatenate(lists))
+        e1, e2, _ = frame(face.plane[:3])
+        others = view.planes_in_camera(np.delete(planes, face.index, 0))
+        padded = np.zeros((MAX_PLANES, 4))
+        padded[: len(others)] = others
+        values: dict[str, Any] = {
+            **view.uniforms,
+            "cut": face.plane,
+            "cut_in_camera": view.planes_in_camera(face.plane[None])[0],
+            "cut_x": e1,
+            "cut_y": e2,
+            "enlarge": enlarge,
+            "tolerance": 1e-4 * pitch,
+            "other_count": len(others),
+            "others": padded,
+        }
+        defines = {
+            "ORTHOGRAPHIC": int(view.camera.orthographic),
+            "ELLIPSOID": int(ellipsoid),
+            "MAX_PLANES": MAX_PLANES,
+        }
+        streams = self.buffers.streams(atoms, flat=True)
+        if len(lists[0]):
+            program = self.programs.get("slice.vert.glsl", "slice.frag.glsl", {"POINTS": 1, **defines})
+            write_uniforms(program, values)
+            self.pool.source(program, *streams).render(moderngl.POINTS, vertices=len(lists[0]))
+        if len(lists[1]):
+            fields = GATHERED[ellipsoid]
+            varyings = [f"gathered_{name}" for name in fields]
+            gather = self.programs.get("gather.vert.glsl", None, {"ELLIPSOID": int(ellipsoid)}, varyings)
+            batch = self.pool.take()
+            batch.fill(self.pool.source(gather, *streams), fields, len(lists[0]), len(lists[1]))
+            program = self.programs.get("slice.vert.glsl", "slice.frag.glsl", defines)
+            write_uniforms(program, values)
+            batch.draw(program, fields, points=False)
+
+    def _forget_polygons(self) -> None:
+        for array in self._polygons.values():
+            array.release()
+        self._polygons.clear()
+
+    def release(self) -> None:
+        """Frees the polygons and the grids."""
+        self._forget_polygons()
+        self.grids.clear()
+        self.vertices.release()
+
+
+def section_diameter(view: View, chunks: Chunks, sigma: Double) -> Double:
+    """(K,). Pixels across of the widest section in each chunk, with largest standard deviations (K,)."""
+    c = view.camera
+    focal = max(c.fx, c.fy)
+    if c.orthographic:
+        return 6 * sigma * focal
+    box = np.linalg.norm(chunks.half, axis=1)
+    nearest = chunks.middle @ view.matrix[2, :3] + view.matrix[2, 3] - box - 3 * sigma
+    return np.where(nearest > 0, 6 * sigma * focal / np.maximum(nearest, 1e-30), np.inf)

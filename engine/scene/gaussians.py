@@ -1,0 +1,52 @@
+"""A 3DGS scene in memory: activated values, never logits or logs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Gaussians"]
+
+Float = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Gaussians:
+    """What a 3DGS .ply holds, N Gaussians, all arrays float32."""
+
+    means: Float
+    """(N, 3). Centres, world units."""
+    scales: Float
+    """(N, 3). Standard deviations along the principal axes, world units. Range (0, inf)."""
+    quats: Float
+    """(N, 4). Unit quaternions, wxyz, principal axes to world."""
+    opacities: Float
+    """(N,). Range [0, 1]."""
+    sh: Float
+    """(N, (d+1)^2, 3). Spherical harmonics of degree d = 0..3, coefficient-major, RGB last."""
+    origin: tuple[float, float, float] = field(default=(0.0, 0.0, 0.0), kw_only=True)
+    """Where the zero of `means` lies in the file's own coordinates (engine.io.origin)."""
+
+    def __post_init__(self) -> None:
+        n = len(self.means)
+        bands = self.sh.shape[1] if self.sh.ndim == 3 else 0
+        assert self.means.shape == (n, 3), self.means.shape
+        assert self.scales.shape == (n, 3), self.scales.shape
+        assert self.quats.shape == (n, 4), self.quats.shape
+        assert self.opacities.shape == (n,), self.opacities.shape
+        assert bands in (1, 4, 9, 16) and self.sh.shape == (n, bands, 3), self.sh.shape
+
+    def __len__(self) -> int:
+        return len(self.means)
+
+    @property
+    def sh_degree(self) -> int:
+        """Degree of the spherical harmonics, 0..3."""
+        return round(self.sh.shape[1] ** 0.5) - 1
+
+    def __getitem__(self, rows: NDArray[np.bool_] | NDArray[np.integer] | slice) -> Gaussians:
+        """The Gaussians of these rows: a mask (N,), indices (M,) or a slice."""
+        means, scales, quats = self.means[rows], self.scales[rows], self.quats[rows]
+        return Gaussians(means, scales, quats, self.opacities[rows], self.sh[rows], origin=self.origin)

@@ -1,0 +1,79 @@
+"""What of a capture may be part of a skin: without haze, without what floats apart from the object."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from engine.scene.gaussians import Gaussians
+from engine.solid.opacity_field import Grid, opacity_field
+
+__all__ = ["WALL_OPACITY", "grid_around", "without_haze"]
+
+WALL_OPACITY = 0.2
+"""The paper's sigma_th: d on a sheet is the sum of the alphas that a ray meets there, and here it loses a quarter
+(1 - exp(-0.3)). Captures have skins as thin as that, seen against what lies behind them."""
+
+HAZE_SIZE = 0.05
+"""Of the longest side. A Gaussian longer than this is haze if it is also faint."""
+HAZE_OPACITY = 0.1
+
+HUGE = 0.25
+"""Of the longest side. Longer than this a Gaussian is background, whatever its opacity."""
+
+OUTLIER = 1.0
+"""Of the longest span between the 5th and 95th percentiles of the centres: a stem is not farther than this outside."""
+
+FLOATER = 0.003
+"""Of all Gaussians. A separate cluster with fewer of them is a floater: it may not widen the grid."""
+
+COARSE = 64
+"""Cells along the longest side of the grid on which clusters are told apart."""
+
+MARGIN = 4
+"""Cells around the outermost centres: a wall's own thickness, and a way around it for the flood."""
+
+
+def grid_around(gaussians: Gaussians, cells: int) -> Grid | None:
+    """A grid around the centres with this many cells along their longest side; None if they all coincide."""
+    low, high = gaussians.means.min(0).astype(np.float64), gaussians.means.max(0).astype(np.float64)
+    cell = float((high - low).max()) / cells
+    if not cell > 0:
+        return None
+    shape = np.ceil((high - low) / cell).astype(int) + 2 * MARGIN
+    return Grid((low + high) / 2 - shape * cell / 2, cell, (int(shape[0]), int(shape[1]), int(shape[2])))
+
+
+def without_haze(gaussians: Gaussians) -> tuple[Gaussians, list[str]]:
+    """The Gaussians that may be part of a skin, and what was left out."""
+    finite = np.isfinite(gaussians.means).all(1) & np.isfinite(gaussians.scales).all(1) & (gaussians.opacities > 0)
+    gaussians = gaussians[finite]
+    if not len(gaussians):
+        return gaussians, []
+    low, high = np.percentile(gaussians.means, [5, 95], axis=0)
+    side = float((high - low).max())
+    near = ((gaussians.means >= low - OUTLIER * side) & (gaussians.means <= high + OUTLIER * side)).all(1)
+    longest = gaussians.scales.max(1)
+    haze = (longest > HUGE * side) | ((longest > HAZE_SIZE * side) & (gaussians.opacities < HAZE_OPACITY))
+    shell = gaussians[near & ~haze]
+    floaters = _floaters(shell)
+    notes = []
+    if (near & haze).any():
+        notes.append(f"{int((near & haze).sum())} large faint Gaussians (haze) were left out")
+    if (~near).any() or floaters.any():
+        notes.append(f"{int((~near).sum() + floaters.sum())} Gaussians apart from the object were left out")
+    return shell[~floaters], notes
+
+
+def _floaters(gaussians: Gaussians) -> NDArray[np.bool_]:
+    """(N,). Gaussians in clusters that are too small to be a part of the object."""
+    grid = grid_around(gaussians, COARSE) if len(gaussians) else None
+    if grid is None:
+        return np.zeros(len(gaussians), bool)
+    regions, count = ndimage.label(opacity_field(gaussians, grid, grid.cell) >= WALL_OPACITY)
+    cells = np.clip(np.round(grid.index(gaussians.means)).astype(int), 0, np.array(grid.shape) - 1)
+    own = regions[tuple(cells.T)]
+    sizes = np.bincount(own, minlength=count + 1)
+    sizes[0] = 0
+    return sizes[own] < min(FLOATER * len(gaussians), sizes.max())

@@ -1,0 +1,126 @@
+"""The opacity field of a set of Gaussians on a grid (paper, section 3.1, equation 2)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+
+from engine.scene.gaussians import Gaussians
+from engine.scene.rotations import matrices
+
+__all__ = ["Grid", "moments", "opacity_field"]
+
+Float = NDArray[np.float32]
+
+CUTOFF = 3.0
+"""Standard deviations at which a Gaussian ends."""
+
+MIN_SIGMA = 1e-3
+"""Cells. Shortest axis: keeps the inverse covariance of a vanishing Gaussian finite."""
+
+SLAB = 4
+"""Cell layers that one thread sums at a time: small enough to share the work evenly, and no two threads ever write
+to one cell, so the sums have a fixed order and repeat to the bit."""
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Cubic cells in world space."""
+
+    origin: NDArray[np.float64]
+    """(3,). World position of the outer corner of cell (0, 0, 0)."""
+    cell: float
+    """Edge of a cell, world units."""
+    shape: tuple[int, int, int]
+
+    def index(self, points: NDArray[np.floating]) -> NDArray[np.float64]:
+        """(N, 3). Continuous cell coordinates of world points (N, 3); whole numbers at cell centres."""
+        return (points - self.origin) / self.cell - 0.5
+
+    def points(self, cells: NDArray[np.integer]) -> NDArray[np.float64]:
+        """(N, 3). World positions of the centres of cells (N, 3)."""
+        return self.origin + (cells + 0.5) * self.cell
+
+
+def opacity_field(gaussians: Gaussians, grid: Grid, widen: float = 0.0) -> Float:
+    """Grid shape. d(x) = sum_p opacity_p exp(-1/2 (x - x_p)^T Sigma_p^-1 (x - x_p)), cut off at 3 sigma.
+
+    Axes shorter than `widen` (world units) count as `widen` long at the same opacity: a skin thinner than a cell is
+    then seen from the cell centres beside it instead of slipping between them, and d on the skin is what a ray that
+    crosses it meets.
+    """
+    return moments(gaussians, grid, widen, np.zeros((len(gaussians), 3), np.float32))[0]
+
+
+def moments(
+    gaussians: Gaussians,
+    grid: Grid,
+    widen: float,
+    normals: Float,  # [N, 3]
+) -> tuple[Float, Float]:
+    """The opacity field d(x), and sum_p d_p(x) n_p.(x - x_p) / cell; both in the grid's shape, summed in one pass.
+
+    The second over the first is the mean height of x over the tangent planes of the Gaussians around it, in cells.
+    """
+    assert normals.shape == (len(gaussians), 3), normals.shape
+    sigma = np.maximum(gaussians.scales / np.float32(grid.cell), np.float32(max(widen / grid.cell, MIN_SIGMA)))
+    axes = matrices(gaussians.quats)
+    inverse = np.einsum("nij,nj,nkj->nik", axes, sigma**-2, axes)
+    centres = grid.index(gaussians.means).astype(np.float32)
+    reach = CUTOFF * np.sqrt(np.einsum("nij,nj->ni", axes**2, sigma**2))
+    low = np.clip(np.ceil(centres - reach), 0, grid.shape).astype(np.int32)
+    high = np.clip(np.floor(centres + reach) + 1, 0, grid.shape).astype(np.int32)
+    weight = np.zeros(grid.shape, np.float32)
+    height = np.zeros(grid.shape, np.float32)
+    _add(weight, height, centres, inverse, gaussians.opacities, normals, low, high)
+    return weight, height
+
+
+@njit(cache=True, parallel=True)
+def _add(
+    weight: Float,  # [X, Y, Z], added to
+    height: Float,  # [X, Y, Z], added to
+    centres: Float,  # [N, 3] in cells
+    inverse: Float,  # [N, 3, 3] inverse covariances, cells^-2
+    opacities: Float,  # [N]
+    normals: Float,  # [N, 3]
+    low: NDArray[np.int32],  # [N, 3] first cell of each Gaussian's box
+    high: NDArray[np.int32],  # [N, 3] cell after the last
+) -> None:
+    """Each thread owns slabs of the grid and goes through all Gaussians in their order."""
+    limit = np.float32(CUTOFF * CUTOFF)
+    half = np.float32(-0.5)
+    zero = np.float32(0)
+    slabs = (weight.shape[0] + SLAB - 1) // SLAB
+    for slab in prange(slabs):
+        first, end = slab * SLAB, min((slab + 1) * SLAB, weight.shape[0])
+        for p in range(len(centres)):
+            if low[p, 0] >= end or high[p, 0] <= first:
+                continue
+            a = inverse[p]
+            cx, cy, cz = centres[p, 0], centres[p, 1], centres[p, 2]
+            nx, ny, nz = normals[p, 0], normals[p, 1], normals[p, 2]
+            for i in range(max(low[p, 0], first), min(high[p, 0], end)):
+                dx = np.float32(i) - cx
+                for j in range(low[p, 1], high[p, 1]):
+                    dy = np.float32(j) - cy
+                    # Along z the distance is the parabola a22 dz^2 + 2 b dz + c; only its part under the limit is
+                    # visited, so a large flat Gaussian costs its own cells and not its box.
+                    b = a[0, 2] * dx + a[1, 2] * dy
+                    c = a[0, 0] * dx * dx + a[1, 1] * dy * dy + np.float32(2) * a[0, 1] * dx * dy
+                    root = b * b - a[2, 2] * (c - limit)
+                    if root <= zero:
+                        continue
+                    spread = math.sqrt(root) / a[2, 2]
+                    middle = cz - b / a[2, 2]
+                    start = max(low[p, 2], np.int32(math.ceil(middle - spread)))
+                    stop = min(high[p, 2], np.int32(math.floor(middle + spread)) + 1)
+                    for k in range(start, stop):
+                        dz = np.float32(k) - cz
+                        d = opacities[p] * math.exp(half * (c + dz * (np.float32(2) * b + a[2, 2] * dz)))
+                        weight[i, j, k] += d
+                        height[i, j, k] += d * (nx * dx + ny * dy + nz * dz)

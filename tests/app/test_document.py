@@ -1,0 +1,291 @@
+"""Cuts, pieces and undo, without a window: laws rather than examples."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from app.model.camera_control import Eye, project_points
+from app.model.document import WHOLE, Document, Part, Placement
+from app.model.history import History
+from app.model.knife import Stroke, plane_of, slice_object
+from app.model.pieces import Solid, pieces, sections, shown
+from app.model.project import Project, Viewing, load_project, save_project
+from app.model.rigid_transform import STILL, Motion
+from engine.errors import InputError
+from engine.scene.plane import Plane
+
+UP = (0.0, 0.0, 1.0)
+
+
+def ball(count: int = 3000) -> Solid:
+    points = np.random.default_rng(1).uniform(-1, 1, (2 * count, 3))
+    return Solid.of(points[np.linalg.norm(points, axis=1) < 1])
+
+
+BALL = ball()
+directions = st.tuples(*[st.floats(-1, 1)] * 3).filter(lambda v: np.linalg.norm(v) > 0.1)
+planes = st.builds(Plane.of, directions, st.floats(-1.3, 1.3))
+motions = st.builds(
+    lambda axis, angle, shift: Motion.by(shift).after(Motion.about((0, 0, 0), axis, angle)),
+    directions,
+    st.floats(-180, 180),
+    directions,
+)
+
+
+@st.composite
+def changes(draw: st.DrawFn, document: Document) -> Document:
+    """Any one thing that a user may do."""
+    ids = [cut.id for cut in document.cuts]
+    keys = [piece.key for piece in pieces(document, BALL)]
+    what = draw(
+        st.sampled_from(["cut", "section", *(["move", "toggle", "drop"] if ids else []), *(["lay"] if keys else [])])
+    )
+    if what in ("cut", "section"):
+        scope = draw(st.sampled_from([WHOLE, *keys]))
+        kind = "slice" if what == "cut" else "section"
+        return document.with_cut((Part(draw(planes), scope if what == "cut" else WHOLE),), kind=kind)
+    if what == "move":
+        shift = draw(st.floats(-1, 1))
+        return document.changed_cut(draw(st.sampled_from(ids)), lambda cut: replace(cut, shift=shift))
+    if what == "toggle":
+        return document.changed_cut(draw(st.sampled_from(ids)), lambda cut: replace(cut, on=not cut.on))
+    if what == "drop":
+        return document.without_cut(draw(st.sampled_from(ids)))
+    motion, visible = draw(motions), draw(st.booleans())
+    return document.placed(draw(st.sampled_from(keys)), lambda p: replace(p, motion=motion, visible=visible))
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.data())
+def test_pieces_are_a_partition_whatever_is_done(data: st.DataObject) -> None:
+    document = Document()
+    for _ in range(data.draw(st.integers(1, 8))):
+        document = data.draw(changes(document))
+        found = pieces(document, BALL)
+        rows = np.sort(np.concatenate([piece.rows for piece in found]))
+        assert np.array_equal(rows, np.arange(len(BALL.points)))
+        assert len({piece.key for piece in found}) == len(found)
+        for piece in found:
+            assert len(piece.rows)
+            for plane in piece.planes:  # the half-spaces and the points agree
+                assert (plane.distance(BALL.points[piece.rows]) <= 1e-9).all()
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.data())
+def test_undo_and_redo_are_exact(data: st.DataObject) -> None:
+    history = History(Document())
+    states = [history.state]
+    for step in range(data.draw(st.integers(1, 12))):
+        state = data.draw(changes(history.state))
+        if history.do(f"step {step}", state):
+            states.append(state)
+    for state in reversed(states[:-1]):
+        assert history.undo() and history.state == state
+    assert not history.undo()
+    for state in states[1:]:
+        assert history.redo() and history.state == state
+    assert not history.redo()
+    target = data.draw(st.integers(0, len(states) - 1))
+    history.jump(target)
+    assert history.state == states[target]
+
+
+def test_history_moves_only_after_success() -> None:
+    history = History(1)
+    history.do("two", 2)
+
+    def refuse(_: int) -> None:
+        raise RuntimeError
+
+    for act in (lambda: history.undo(refuse), lambda: history.do("three", 3, apply=refuse)):
+        with pytest.raises(RuntimeError):
+            act()
+        assert history.state == 2 and len(history.entries) == 2
+
+
+def test_a_dragged_slider_is_one_step() -> None:
+    history = History(0)
+    for value in range(1, 9):
+        history.do("Move", value, merge="slider")
+    assert [entry.state for entry in history.entries] == [0, 8]
+    history.settle()
+    history.do("Move", 9, merge="slider")
+    assert [entry.state for entry in history.entries] == [0, 8, 9]
+    history.do("Move", 8, merge="slider")  # back to where the drag began: no step is left
+    assert [entry.state for entry in history.entries] == [0, 8] and history.undo() and history.state == 0
+
+
+def test_new_work_after_undo_forgets_the_redone() -> None:
+    history = History("a")
+    history.do("b", "b")
+    history.undo()
+    history.do("c", "c")
+    assert not history.redo() and [entry.state for entry in history.entries] == ["a", "c"]
+
+
+@settings(max_examples=50, deadline=None)
+@given(motions, motions, planes)
+def test_motions_are_a_group_and_carry_planes(a: Motion, b: Motion, plane: Plane) -> None:
+    points = BALL.points[:50]
+    assert np.allclose(a.after(b).apply(points), a.apply(b.apply(points)))
+    assert np.allclose(a.inverse().apply(a.apply(points)), points)
+    assert np.allclose(Motion.of(a.matrix).matrix, a.matrix)
+    assert np.allclose(a.carried(plane).distance(a.apply(points)), plane.distance(points))
+
+
+def test_a_cut_that_is_taken_back_leaves_the_later_one() -> None:
+    document = Document().with_cut((Part(Plane((1.0, 0.0, 0.0), 0.0)),))
+    left = pieces(document, BALL)[0].key
+    document = document.with_cut((Part(Plane((0.0, 1.0, 0.0), 0.0), left),))
+    assert len(pieces(document, BALL)) == 3
+    assert len(pieces(document.without_cut(1), BALL)) == 2
+    off = document.changed_cut(1, lambda cut: replace(cut, on=False))
+    assert len(pieces(off, BALL)) == 2
+    assert len(pieces(off.changed_cut(1, lambda cut: replace(cut, on=True)), BALL)) == 3
+
+
+def test_halves_part_by_the_gap_and_keep_how_they_were_laid() -> None:
+    document = replace(Document().with_cut((Part(Plane((1.0, 0.0, 0.0), 0.0)),)), gap=0.5)
+    low, high = pieces(document, BALL)
+    assert np.allclose(np.subtract(high.motion.shift, low.motion.shift), (0.5 * BALL.radius, 0, 0))
+    turned = Motion.about((0, 0, 0), UP, 90)
+    document = document.placed(high.key, lambda p: replace(p, motion=turned))
+    document = document.with_cut((Part(Plane((0.0, 1.0, 0.0), 0.0), high.key),))
+    children = [piece for piece in pieces(document, BALL) if piece.key[:1] == high.key]
+    assert len(children) == 2 and all(child.motion.turn == turned.turn for child in children)
+    together = document.together()
+    assert all(piece.motion == STILL for piece in pieces(together, BALL)) and len(pieces(together, BALL)) == 3
+    gone = document.placed(low.key, lambda p: replace(p, removed=True))
+    assert len(pieces(gone, BALL)) == 2 and len(pieces(gone.together(), BALL)) == 3
+
+
+def test_sections_hide_but_do_not_divide() -> None:
+    document = Document().with_cut((Part(Plane((0.0, 0.0, 1.0), 0.0)),), "Plane", "section")
+    assert len(pieces(document, BALL)) == 1
+    moved = document.changed_cut(1, lambda cut: replace(cut, shift=0.25))
+    assert sections(moved) == (Plane((0.0, 0.0, 1.0), -0.25),)
+    assert sections(document.changed_cut(1, lambda cut: replace(cut, on=False))) == ()
+
+
+# The knife
+
+EYE = Eye(distance=5.0, azimuth=-90.0, elevation=0.0)
+
+
+@pytest.mark.parametrize("orthographic", [False, True])
+def test_the_plane_of_a_stroke_is_seen_as_the_stroke(orthographic: bool) -> None:
+    camera = replace(EYE, elevation=33.0, orthographic=orthographic).camera(400, 300, UP)
+    plane = plane_of(camera, Stroke((100, 50), (320, 260)), UP, BALL.centre)
+    assert plane is not None
+    points = np.random.default_rng(0).uniform(-0.5, 0.5, (200, 3))
+    points -= plane.distance(points)[:, None] * np.asarray(plane.normal)
+    pixels, _ = project_points(camera, points)
+    across = np.array([-(260 - 50), 320 - 100]) / np.hypot(220, 210)
+    assert np.abs((pixels - (100, 50)) @ across).max() < 1e-6
+
+
+def test_the_knife_cuts_what_it_crosses_and_says_when_it_missed() -> None:
+    camera = EYE.camera(400, 300, UP)
+    through = Stroke((200, 20), (203, 280))
+    cut = slice_object(Document(), BALL, camera, through, UP)
+    assert cut.document is not None and len(shown(cut.document, BALL)) == 2 and "two" in cut.message
+    for stroke, word in ((Stroke((5, 20), (6, 280)), "missed"), (Stroke((200, 20), (201, 22)), "short")):
+        miss = slice_object(Document(), BALL, camera, stroke, UP)
+        assert miss.document is None and word in miss.message
+    beside = slice_object(
+        Document(), BALL, camera, Stroke((5, 150), (20, 150)), UP
+    )  # the line would cross, not the stroke
+    assert beside.document is None
+
+
+def test_one_stroke_cuts_moved_pieces_where_they_lie() -> None:
+    camera = EYE.camera(400, 300, UP)
+    halves = slice_object(Document(), BALL, camera, Stroke((200, 20), (200, 280)), UP).document
+    assert halves is not None
+    first = pieces(halves, BALL)[0].key
+    lifted = halves.placed(first, lambda p: replace(p, motion=Motion.by((0, 0, 0.3))))
+    stroke = Stroke((40, 150), (360, 150))
+    quarters = slice_object(lifted, BALL, camera, stroke, UP).document
+    assert quarters is not None and len(quarters.cuts) == 2 and len(shown(quarters, BALL)) == 4
+    heights = sorted(abs(part.plane.offset) for part in quarters.cuts[1].parts)
+    assert np.allclose(heights, [0.0, 0.3], atol=1e-9)
+    only = slice_object(lifted, BALL, camera, stroke, UP, [first]).document
+    assert only is not None and len(shown(only, BALL)) == 3
+
+
+def test_snapping_gives_the_objects_own_planes() -> None:
+    camera = replace(EYE, elevation=20.0).camera(400, 300, UP)
+    down = plane_of(camera, Stroke((190, 20), (215, 280), snap=True), UP, BALL.centre)
+    across = plane_of(camera, Stroke((20, 160), (380, 140), snap=True), UP, BALL.centre)
+    assert down is not None and abs(down.normal[2]) < 1e-12
+    assert across is not None and np.allclose(np.abs(across.normal), (0, 0, 1))
+    above = replace(EYE, elevation=90.0).camera(400, 300, UP)
+    top = plane_of(above, Stroke((20, 160), (380, 140), snap=True), UP, BALL.centre)
+    assert top is not None and abs(top.normal[2]) < 1e-9
+
+
+# The eye
+
+
+def test_zooming_keeps_what_lies_under_the_cursor() -> None:
+    at = (310.0, 80.0)
+    for orthographic in (False, True):
+        eye = replace(EYE, elevation=25.0, orthographic=orthographic)
+        nearer = eye.zoomed(3, at, (400, 300), UP, 1.0)
+        points = np.random.default_rng(3).normal(size=(4000, 3)) * 0.8
+        camera = eye.camera(400, 300, UP)
+        depth = points @ camera.forward
+        flat = points - np.outer(depth, camera.forward)  # on the target's plane
+        pixels, _ = project_points(camera, flat)
+        nearest = flat[np.argmin(np.linalg.norm(pixels - at, axis=1))][None]
+        before, _ = project_points(camera, nearest)
+        after, _ = project_points(nearer.camera(400, 300, UP), nearest)
+        scale = eye.distance / nearer.distance
+        assert np.allclose(after - at, (before - at) * scale, atol=1e-6)
+
+
+def test_pan_follows_the_hand_and_fit_fits() -> None:
+    eye = replace(EYE, elevation=25.0)
+    moved = eye.panned(30, -20, 300, UP)
+    pixels, _ = project_points(moved.camera(400, 300, UP), np.zeros((1, 3)))
+    assert np.allclose(pixels, (200 + 30, 150 - 20))
+    fitted = eye.fitted((1, 2, 3), 1.0, 400 / 300)
+    pixels, _ = project_points(fitted.camera(400, 300, UP), np.add(BALL.points, (1, 2, 3)))
+    assert pixels.min() > 0 and (pixels < (400, 300)).all() and np.ptp(pixels[:, 1]) > 230
+    assert fitted.along((0, 0, 1), UP).elevation == 90
+    assert eye.toward(fitted, 1.0) == fitted
+
+
+def test_a_hidden_placement_is_the_childs_too() -> None:
+    document = Document().placed(WHOLE, lambda p: Placement(visible=False))
+    assert not shown(document.with_cut((Part(Plane((1.0, 0.0, 0.0), 0.0)),)), BALL)
+
+
+@pytest.mark.parametrize("name", ["Knife ²", "Knife ٣", "Knife " + "9" * 5000, "Knife "])
+def test_a_stranger_s_names_of_cuts_are_counted_on_only_where_they_are_numbers(name: str) -> None:
+    document = Document().with_cut((Part(Plane.of((0, 0, 1), 0.0)),))
+    document = document.changed_cut(1, lambda cut: replace(cut, name=name))
+    assert document.with_cut((Part(Plane.of((0, 0, 1), 0.1)),)).cuts[-1].name == "Knife 1"
+
+
+def test_a_cut_after_the_largest_id_can_be_saved(tmp_path: Path) -> None:
+    document = Document().with_cut((Part(Plane.of((0, 0, 1), 0.0)),))
+    document = document.changed_cut(1, lambda cut: replace(cut, id=1 << 53)).with_cut((Part(Plane.of((1, 0, 0), 0.0)),))
+    save_project(tmp_path / "a.fruitninja", Project(document, Viewing()))
+    assert load_project(tmp_path / "a.fruitninja").document == document
+
+
+def test_a_name_that_no_file_can_have_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.fruitninja"
+    save_project(path, Project(Document(scene=tmp_path / "melon.ply"), Viewing()))
+    path.write_text(path.read_text(encoding="utf-8").replace("melon", "\\ud800"), encoding="utf-8")
+    with pytest.raises(InputError, match="'scene' is no path"):
+        load_project(path)

@@ -1,0 +1,122 @@
+"""Pieces, pictures and films that leave the window."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from app.model.camera_control import Eye
+from app.model.document import WHOLE, Document, Part
+from app.model.export import (
+    ffmpeg,
+    piece_gaussians,
+    save_animation,
+    save_pieces,
+    save_still,
+    sweep,
+    turned_sh,
+    turntable,
+)
+from app.model.pieces import Lying, Solid, pieces
+from app.model.rigid_transform import Motion
+from engine.errors import InputError
+from engine.io.splats.ply import read_ply
+from engine.scene.plane import Plane
+from engine.scene.sh import colours
+from tests.helpers.app_objects import atoms
+
+
+def test_exported_pieces_add_up_to_the_object_and_open_again(tmp_path: Path) -> None:
+    solid = atoms()
+    document = replace(Document().with_cut((Part(Plane.of((1, 1, 0), 0.1)),)), gap=0.0)
+    parts = pieces(document, Solid.of_atoms(solid))
+    assert sum(len(piece_gaussians(solid, part)) for part in parts) == len(solid)
+    count = save_pieces(tmp_path / "all.ply", solid, parts)
+    again, _ = read_ply(tmp_path / "all.ply")
+    assert len(again) == count == len(solid) and (again.opacities > 0.99).all()
+    with pytest.raises(InputError, match="nothing to save"):
+        save_pieces(tmp_path / "none.ply", solid, [])
+
+
+def test_a_turned_piece_is_seen_as_before_from_the_turned_side() -> None:
+    solid = atoms(3)
+    motion = Motion.about((0, 0, 0), (1, 2, 3), 77)
+    directions = np.random.default_rng(2).normal(size=(300, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    turned = turned_sh(solid.surface.sh, motion)
+    before, after = colours(solid.surface.sh, directions), colours(turned, directions @ motion.rotation.T)
+    assert np.abs(before - after).max() < 1e-4
+    lying = Lying(WHOLE, "", (), motion, True, np.arange(0))
+    exported = piece_gaussians(solid, lying)
+    own = Motion(tuple(solid.surface.quats[0].astype(np.float64).tolist())).rotation
+    assert np.allclose(Motion(tuple(exported.quats[0].tolist())).rotation, motion.rotation @ own, atol=1e-5)
+
+
+def test_stills_and_animations_open_again(tmp_path: Path) -> None:
+    frames = [np.full((20, 31, 4), (index * 20, 100, 200, 255), np.uint8) for index in range(6)]
+    frames[0][:5, :, 3] = 0
+    save_still(tmp_path / "a.png", frames[0])
+    assert np.array_equal(np.asarray(Image.open(tmp_path / "a.png")), frames[0])
+    for name in ("a.webp", "a.gif"):
+        assert save_animation(tmp_path / name, iter(frames)) == 6
+        with Image.open(tmp_path / name) as image:
+            assert image.size == (31, 20) and image.n_frames == 6
+    with pytest.raises(InputError, match="ffmpeg" if ffmpeg() is None else "nothing"):
+        save_animation(tmp_path / "a.mp4", iter(()))
+    for path, call in ((tmp_path / "a.bmp", save_still), (tmp_path / "a.avi", save_animation)):
+        with pytest.raises(InputError, match="saved as"):
+            call(path, frames[0])
+    assert not [name for name in os.listdir(tmp_path) if name.startswith(".")]
+
+
+STAND_IN = """#!{python}
+import sys
+from pathlib import Path
+words = sys.argv[1:]
+if "7x" in words[words.index("-s") + 1] or "6x" in words[words.index("-s") + 1]:
+    sys.exit("width not liked")
+Path(words[-1]).write_bytes(words[words.index("-s") + 1].encode() + b" " + sys.stdin.buffer.read())
+"""
+
+
+def test_mp4_is_written_by_ffmpeg_and_refused_in_words_without(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    frames = [np.full((21, 31, 4), (index * 20, 100, 200, 255), np.uint8) for index in range(6)]
+    if ffmpeg() is not None:
+        assert save_animation(tmp_path / "real.mp4", iter(frames)) == 6
+        assert (tmp_path / "real.mp4").read_bytes()[4:8] == b"ftyp"
+    monkeypatch.setenv("PATH", str(tmp_path / "bin"))
+    with pytest.raises(InputError, match=r"MP4 needs ffmpeg.*choose \.webp or \.gif"):
+        save_animation(tmp_path / "a.mp4", iter(frames))
+    program = tmp_path / "bin" / "ffmpeg"
+    program.parent.mkdir()
+    program.write_text(STAND_IN.format(python=sys.executable))
+    program.chmod(0o755)
+    assert save_animation(tmp_path / "a.mp4", iter(frames)) == 6
+    said, pixels = (tmp_path / "a.mp4").read_bytes().split(b" ", 1)
+    assert said == b"30x20" and len(pixels) == 6 * 30 * 20 * 3 and pixels[-3:] == bytes([100, 100, 200])
+    with pytest.raises(InputError, match="width not liked"):
+        save_animation(tmp_path / "b.mp4", iter([frame[:, :7] for frame in frames]))
+
+    def stopped() -> Iterator[np.ndarray]:
+        yield frames[0]
+        raise InputError("cancelled")
+
+    with pytest.raises(InputError, match="cancelled"):
+        save_animation(tmp_path / "c.mp4", stopped())
+    left = [path.name for path in tmp_path.iterdir() if path.is_file() and path.name != "real.mp4"]
+    assert left == ["a.mp4"]  # nothing of the failed ones
+
+
+def test_a_turntable_closes_and_a_sweep_passes_through_everything() -> None:
+    eyes = [camera.position for camera in turntable(Eye(), (0.0, 0.0, 1.0), (32, 32), 8)]
+    assert np.allclose(np.mean(eyes, axis=0)[:2], 0, atol=1e-9) and np.ptp([e[2] for e in eyes]) < 1e-9
+    solid = Solid.of(np.random.default_rng(0).uniform(-1, 1, (500, 3)))
+    kept = [(plane.distance(solid.points) <= 0).mean() for plane in sweep(Plane.of((0, 1, 1), 0), solid, 12)]
+    assert max(kept) > 0.97 and min(kept) < 0.03 and max(abs(np.diff([*kept, kept[0]]))) < 0.4

@@ -1,0 +1,204 @@
+"""Projects, autosaves, settings and dialogs, without a window."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from app.model.autosave import Autosave, rescued
+from app.model.document import Document
+from app.model.project import Outside, Project, Viewing, load_project, save_project
+from app.model.settings import Settings, load_settings, save_settings
+from app.session.session import Session
+from app.ui.dialogs.files import Dialogs
+from engine.errors import InputError
+from tests.helpers.app_objects import full
+
+
+def test_a_project_comes_back_as_it_was(tmp_path: Path) -> None:
+    project = full(tmp_path)
+    save_project(tmp_path / "melon.fruitninja", project)
+    assert load_project(tmp_path / "melon.fruitninja") == project
+    assert str(tmp_path) not in (tmp_path / "melon.fruitninja").read_text()  # paths are relative
+    moved = tmp_path / "elsewhere"
+    moved.mkdir()
+    (tmp_path / "melon.fruitninja").rename(moved / "melon.fruitninja")
+    assert load_project(moved / "melon.fruitninja").document.scene == moved / "scenes" / "melon.ply"
+
+
+def test_a_project_does_not_reach_out_of_its_folder_unasked(tmp_path: Path) -> None:
+    inside, path = tmp_path / "in", tmp_path / "in" / "p.fruitninja"
+    inside.mkdir()
+    project = Project(Document(scene=tmp_path / "secret.ply"), Viewing())
+    save_project(path, project)
+    with pytest.raises(Outside, match="secret") as caught:
+        load_project(path)
+    assert caught.value.paths == (tmp_path / "secret.ply",)
+    assert load_project(path, outside=True) == project
+    (inside / "link").symlink_to(tmp_path)
+    for name in ("/etc/passwd", "../../x.ply", "link/secret.ply", "a/../../b.ply"):
+        raw = json.loads(path.read_text()) | {"scene": name}
+        path.write_text(json.dumps(raw))
+        with pytest.raises(Outside):
+            load_project(path)
+
+
+def test_a_path_outside_is_not_even_looked_at_before_the_user_allows_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "in" / "p.fruitninja"
+    save_project(path, Project(Document(scene=tmp_path / "server" / "share.ply"), Viewing()))
+    looked: list[str] = []
+    resolve = Path.resolve
+    monkeypatch.setattr(Path, "resolve", lambda self, strict=False: looked.append(str(self)) or resolve(self))
+    with pytest.raises(Outside):
+        load_project(path)
+    assert not any("server" in name for name in looked)  # on Windows \\\\server would be sent a password
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no pipes among its files")
+def test_a_pipe_that_is_called_a_project_does_not_hold_up_the_window(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "p.fruitninja")
+    with pytest.raises(InputError, match="not a regular file"):
+        load_project(tmp_path / "p.fruitninja")
+
+
+def test_another_project_in_the_place_of_a_trusted_one_is_asked_about_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("FRUITNINJA_HOME", str(tmp_path / "home"))
+    path = tmp_path / "in" / "p.fruitninja"
+    session = Session(autosave=Autosave(tmp_path))
+    monkeypatch.setattr(session, "prepare", lambda trained=True: None)
+    session.show(Document(scene=tmp_path / "melon.ply"), Viewing(), None)
+    session.files.save(path)
+    session.files.open(path)
+    assert session.question is None and not session.error and len(session.settings.trusted) == 1
+    save_project(path, Project(Document(scene=tmp_path / "secret.ply"), Viewing()))
+    session.files.open(path)
+    assert session.question is not None and "secret.ply" in session.question.text
+    session.answer(session.question.choices[0])
+    assert session.document.scene == tmp_path / "secret.ply"
+    session.files.open(path)
+    assert session.question is None and len(session.settings.trusted) == 1
+
+
+BREAK: dict[str, Callable[[dict], object]] = {
+    "version": lambda r: r.update(fruitninja=2),
+    "no version": lambda r: r.pop("fruitninja"),
+    "no cuts": lambda r: r.pop("cuts"),
+    "cuts are text": lambda r: r.update(cuts="abc"),
+    "twice": lambda r: r["cuts"].append(r["cuts"][0]),
+    "normal": lambda r: r["cuts"][0]["parts"][0].update(plane=[2, 0, 0, 0]),
+    "big": lambda r: r["cuts"][0].update(shift=1e300),
+    "bool for a number": lambda r: r.update(gap=True),
+    "kind": lambda r: r["cuts"][0].update(kind="os.system"),
+    "unknown cut": lambda r: r["pieces"][0].update(key=[[99, 1]]),
+    "side": lambda r: r["pieces"][0].update(key=[[1, 2]]),
+    "turn": lambda r: r["pieces"][0].update(turn=[0, 0, 0, 0]),
+    "family": lambda r: r["families"][0].update(count=0),
+    "range": lambda r: r["families"][0].update(range=[0.5, 0.1]),
+    "range of one": lambda r: r["families"][0].update(range=[0.5]),
+    "family twice": lambda r: r["families"].append(r["families"][0]),
+    "picture": lambda r: r["families"][0].update(exemplars=[3]),
+    "nul in a text": lambda r: r["training"].update(thing="a\0b"),
+    "half a character": lambda r: r["cuts"][0].update(name="\ud800"),
+    "half a character in a path": lambda r: r.update(scene="\ud800"),
+    "nul": lambda r: r.update(scene="a\0b"),
+    "elevation": lambda r: r["view"].update(elevation=91),
+    "distance": lambda r: r["view"].update(distance=0),
+    "mode": lambda r: r["view"].update(mode="x-ray"),
+    "prior": lambda r: r["training"].update(prior="magic"),
+    "seed": lambda r: r["training"].update(seed=-1),
+    "view": lambda r: r.update(view=None),
+}
+
+
+@pytest.mark.parametrize("name", BREAK)
+def test_a_broken_project_is_refused_in_one_line(tmp_path: Path, name: str) -> None:
+    path = tmp_path / "p.fruitninja"
+    save_project(path, full(tmp_path))
+    raw = json.loads(path.read_text())
+    BREAK[name](raw)
+    path.write_text(json.dumps(raw))
+    with pytest.raises(InputError) as caught:
+        load_project(path)
+    assert str(path) in str(caught.value) and "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "text", ["", "{", "[]", "null", '{"fruitninja": NaN}', "[" * 100_000, "\xff", '{"fruitninja": 1}']
+)
+def test_what_is_no_project_is_refused(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "p.fruitninja"
+    path.write_bytes(text.encode("latin-1"))
+    with pytest.raises(InputError, match="not a project"):
+        load_project(path)
+    with pytest.raises(InputError, match="no such file"):
+        load_project(tmp_path / "none.fruitninja")
+
+
+def test_unsaved_work_survives_a_crash(tmp_path: Path) -> None:
+    project = full(tmp_path)
+    autosave = Autosave(tmp_path)
+    assert not autosave.keep(project, changed=False, target=None, now=0)
+    assert autosave.keep(project, changed=True, target=tmp_path / "p.fruitninja", now=0)
+    assert not autosave.keep(replace(project, viewing=Viewing()), changed=True, target=None, now=1)  # not yet due
+    assert rescued(tmp_path) == []  # this session is alive
+    note = autosave.file.with_suffix(".json")
+    note.write_text(json.dumps(json.loads(note.read_text()) | {"started": 1.0}))  # the number belongs to another now
+    found = rescued(tmp_path)
+    assert len(found) == 1 and found[0].load() == project and found[0].project == tmp_path / "p.fruitninja"
+    found[0].discard()
+    assert rescued(tmp_path) == [] and not list(tmp_path.iterdir())
+
+
+def test_settings_survive_and_a_broken_file_does_no_harm(tmp_path: Path) -> None:
+    path = tmp_path / "settings.json"
+    settings = Settings("light", face_light=False, seen_hint=True).with_recent(tmp_path / "a").with_job(tmp_path / "b")
+    save_settings(settings, path)
+    assert load_settings(path) == settings
+    for text in ("", "[]", '{"theme": 3, "recent": [1], "window": [1, 2, 3], "seen_hint": "x"}'):
+        path.write_text(text)
+        assert load_settings(path) == Settings()
+    many = settings
+    for index in range(20):
+        many = many.with_recent(tmp_path / str(index % 12))
+    assert len(many.recent) == 10 and many.recent[0] == str(tmp_path / "7")
+
+
+def test_dialogs_of_the_system_open_and_are_cancelled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    answers: list[object] = [[], ["a.spz"], "", "b.png", [], ["c.png", "d.png"]]
+    asked: list[tuple[object, ...]] = []
+
+    class Fake:
+        def __init__(self, *words: object) -> None:
+            asked.append(words)
+
+        def ready(self, _: int) -> bool:
+            return True
+
+        def result(self) -> object:
+            return answers.pop(0)
+
+    for kind in ("open_file", "save_file", "select_folder"):
+        monkeypatch.setattr(f"app.ui.dialogs.files.pfd.{kind}", Fake)
+    dialogs, got = Dialogs(tmp_path), []
+    dialogs.native = True
+    for _ in range(2):
+        dialogs.open_scene(got.append)
+        dialogs.show()
+    assert got == [Path("a.spz")] and dialogs.asked is None
+    assert all(f"*{suffix}" in str(asked[0][2]) for suffix in (".ply", ".splat", ".spz", ".obj", ".fruitninja"))
+    for _ in range(2):
+        dialogs.save("Save", tmp_path / "x.png", ["PNG", "*.png"], got.append)
+        dialogs.show()
+    for _ in range(2):
+        dialogs.open_pictures(got.append)
+        dialogs.show()
+    assert got == [Path("a.spz"), Path("b.png"), (Path("c.png"), Path("d.png"))]

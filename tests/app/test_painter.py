@@ -1,0 +1,125 @@
+"""What the viewport is given to show: coarse while it moves, full at rest, and what lies under a pixel in both."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from app.jobs.scene_loader import Object, Request
+from app.model.camera_control import Eye, project_points
+from app.model.pieces import Solid, pieces
+from app.model.project import Viewing
+from app.model.settings import Settings
+from app.session.session import Session
+from app.ui.view.painter import STEPS, Painter, scaled
+from engine.render.gl import GLMissing
+from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
+from engine.scene.gaussians import Gaussians
+
+EYE = Eye(azimuth=30.0, elevation=20.0, distance=5.0)
+
+
+def ball() -> Atoms:
+    axis = np.arange(-1, 1, 0.1) + 0.05
+    inside = np.stack(np.meshgrid(axis, axis, axis), 3).reshape(-1, 3)
+    inside = inside[np.linalg.norm(inside, axis=1) < 0.95].astype(np.float32)
+    n = len(inside)
+    interior = InteriorAtoms(inside, np.full(n, 0.05, np.float32), np.full((n, 3), 0.5, np.float32))
+    index = np.arange(3000) + 0.5
+    z, turn = 1 - 2 * index / 3000, np.pi * (1 + 5**0.5) * index
+    ring = np.sqrt(1 - z * z)
+    means = np.stack([ring * np.cos(turn), ring * np.sin(turn), z], 1).astype(np.float32)
+    quats = np.tile(np.float32([1, 0, 0, 0]), (3000, 1))
+    surface = SurfaceAtoms(means, np.full((3000, 3), 0.05, np.float32), quats, np.zeros((3000, 1, 3), np.float32))
+    return Atoms(surface, interior, 0.1)
+
+
+@pytest.fixture(scope="module")
+def painter() -> Iterator[Painter]:
+    try:
+        made = Painter()
+    except GLMissing as missing:
+        pytest.skip(str(missing))
+    yield made
+    assert made.ctx.error == "GL_NO_ERROR"
+    made.release()
+
+
+@pytest.fixture
+def session(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Session:
+    monkeypatch.setenv("FRUITNINJA_HOME", str(tmp_path))
+    atoms = ball()
+    made = Session(settings=Settings(), viewing=Viewing(EYE, "solid"))
+    made.object = Object(Request(tmp_path / "ball.ply"), None, atoms, Solid.of_atoms(atoms))
+    made.geometry = 1
+    return made
+
+
+@pytest.mark.parametrize("density", [1.0, 2.0])
+@pytest.mark.parametrize("moving", [False, True])
+def test_a_pixel_shows_the_point_that_is_picked_there(
+    painter: Painter, session: Session, density: float, moving: bool
+) -> None:
+    """At any number of pixels to a unit of the window, and however coarse the frame is drawn."""
+    camera = EYE.camera(round(160 * density), round(120 * density), session.up)
+    shown = [piece.piece() for piece in pieces(session.document, session.solid)]
+    painter._step = 3  # as after slow frames
+    texture = painter.frame(session, camera, shown, (0.0, 0.0, 0.0), moving=moving)
+    assert texture is not None
+    part = STEPS[3][0] if moving else 1.0
+    assert texture.size == (round(camera.width * part), round(camera.height * part))
+    assert painter.unfinished == moving
+    towards = camera.position / np.linalg.norm(camera.position)
+    across = camera.viewmat[0, :3]
+    for point in (towards, 0.8 * towards + 0.6 * across, 0.8 * towards - 0.6 * across):
+        (pixel,), _ = project_points(camera, point[None])
+        number, found = painter.pick(*pixel.tolist())
+        assert number == 0 and found is not None and np.linalg.norm(found - point) < 0.12
+    assert painter.pick(2 * density, 2 * density)[0] is None
+
+
+def test_slow_moves_are_drawn_coarser_and_rest_is_drawn_in_full(
+    painter: Painter, session: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shown = [piece.piece() for piece in pieces(session.document, session.solid)]
+    painter._step = 0
+    monkeypatch.setattr("app.ui.view.painter.SLOW", 0.0)
+    sizes = []
+    for turn in range(6):
+        camera = replace(EYE, azimuth=float(turn)).camera(160, 120, session.up)
+        texture = painter.frame(session, camera, shown, (0.0, 0.0, 0.0), moving=True)
+        assert texture is not None and painter.unfinished
+        sizes.append(texture.size[0])
+    assert sizes == [160, 120, 80, 80, 56, 56]
+    texture = painter.frame(session, camera, shown, (0.0, 0.0, 0.0))
+    assert texture is not None and texture.size == (160, 120) and not painter.unfinished
+    monkeypatch.setattr("app.ui.view.painter.SLOW", 1e9)
+    monkeypatch.setattr("app.ui.view.painter.QUICK", 1e9)
+    for turn in range(6):
+        camera = replace(EYE, azimuth=9.0 + turn).camera(160, 120, session.up)
+        texture = painter.frame(session, camera, shown, (0.0, 0.0, 0.0), moving=True)
+    assert texture is not None and texture.size == (160, 120)
+
+
+def test_another_capture_takes_the_place_of_the_one_before(painter: Painter, session: Session) -> None:
+    s = ball().surface
+    session.viewing = Viewing(EYE, "capture")
+    for opacity in (0.5, 0.9):
+        capture = Gaussians(s.means, s.scales, s.quats, np.full(len(s), opacity, np.float32), s.sh)
+        session.object = replace(session.object, capture=capture)  # type: ignore[type-var]
+        for _ in range(2):
+            assert painter.frame(session, EYE.camera(64, 48, session.up), [], (0.0, 0.0, 0.0)) is not None
+
+
+def test_a_camera_of_fewer_pixels_sees_the_same() -> None:
+    points = np.random.default_rng(0).normal(size=(50, 3))
+    for eye in (EYE, replace(EYE, orthographic=True)):
+        camera = eye.camera(301, 203, (0.0, 0.0, 1.0))
+        small = scaled(camera, 0.35)
+        assert (small.width, small.height) == (105, 71)
+        before, after = project_points(camera, points)[0], project_points(small, points)[0]
+        assert np.allclose(before / (301, 203), after / (105, 71))

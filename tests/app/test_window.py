@@ -1,0 +1,60 @@
+"""The real window under an X server, driven by ImGui's test engine; each script in a process of its own."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.paths import HELPERS, ROOT
+
+
+def run(name: str, folder: Path) -> None:
+    """Runs a script of app_steps.py in a window."""
+    command = [sys.executable, str(HELPERS / "app_steps.py"), name, str(folder)]
+    if not os.environ.get("DISPLAY") and sys.platform.startswith("linux"):
+        server = shutil.which("xvfb-run")
+        if server is None:
+            pytest.skip("no display, and no xvfb-run to make one (install xvfb)")
+        command = [server, "-a", "-s", "-screen 0 1680x1200x24", *command]
+    path = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
+    done = subprocess.run(
+        command,
+        cwd=folder,
+        env=os.environ | {"PYTHONPATH": path, "LIBGL_ALWAYS_SOFTWARE": "1"},
+        capture_output=True,
+        text=True,
+        timeout=600,
+    )
+    said = done.stdout + done.stderr
+    if "cannot create context" in said or "Failed to create GLFW window" in said:
+        pytest.skip("no OpenGL 3.3 on this display (install libgl1-mesa-dri)")
+    assert done.returncode == 0 and "well" in done.stdout, said[-3000:]
+
+
+def test_a_user_cuts_trains_saves_and_exports(tmp_path: Path) -> None:
+    run("steps", tmp_path)
+    assert len(list((tmp_path / "shots").glob("*.png"))) == 8
+
+
+def test_a_dense_screen_dropped_files_dialogs_and_leaving(tmp_path: Path) -> None:
+    run("habits", tmp_path)
+
+
+def test_two_thousand_random_actions_leave_nothing_behind(tmp_path: Path) -> None:
+    run("soak", tmp_path)
+
+
+def test_without_a_display_or_a_file_one_line_says_so(tmp_path: Path) -> None:
+    environment = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "WAYLAND_DISPLAY")}
+    environment |= {"PYTHONPATH": str(ROOT), "FRUITNINJA_HOME": str(tmp_path)}
+    for words, said in ((["nowhere.ply"], "no such file"), ([], "no display")):
+        if not words and not sys.platform.startswith("linux"):
+            continue
+        command = [sys.executable, "-m", "app.main", *words]
+        done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120)
+        assert done.returncode == 2 and said in done.stderr and done.stderr.count("\n") == 1, done.stderr

@@ -1,0 +1,129 @@
+"""glTF files that cannot be opened are told what they are; those that can are read with what lies beside them."""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from engine.errors import InputError
+from engine.io.load import load
+from engine.io.meshes.mesh import read_mesh
+from tests.paths import SHARED
+
+DATA = SHARED
+
+
+def refusal(path: Path) -> str:
+    with pytest.raises(InputError) as caught:
+        load(path)
+    line = str(caught.value)
+    assert line.startswith(f"{path}: ")
+    assert "Error" not in line
+    return line
+
+
+def tree_of(**other: object) -> dict[str, object]:
+    """A glTF of one triangle, its array beside it in a.bin."""
+    return {
+        "asset": {"version": "2.0"},
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}],
+        "accessors": [{"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3"}],
+        "bufferViews": [{"buffer": 0, "byteLength": 36}],
+        "buffers": [{"byteLength": 36, "uri": "a%20b.bin"}],
+    } | other
+
+
+def gltf(bin_name: str = "a b.bin", binary: bool = False, version: int = 2, **other: object) -> Callable[[Path], Path]:
+    def make(folder: Path) -> Path:
+        data = json.dumps(tree_of(**other)).encode()
+        (folder / bin_name).write_bytes(np.array([0, 0, 0, 1, 0, 0, 0, 1, 0], "<f4").tobytes())
+        path = folder / ("a.glb" if binary else "a.gltf")
+        head = struct.pack("<4s4I", b"glTF", version, 20 + len(data), len(data), 0x4E4F534A) if binary else b""
+        path.write_bytes(head + data)
+        return path
+
+    return make
+
+
+def text(json_text: str) -> Callable[[Path], Path]:
+    def make(folder: Path) -> Path:
+        (folder / "a.gltf").write_text(json_text)
+        return folder / "a.gltf"
+
+    return make
+
+
+def primitive(**other: object) -> list[dict[str, object]]:
+    return [{"primitives": [{"attributes": {"POSITION": 0}} | other]}]
+
+
+@pytest.mark.parametrize("binary", [False, True])
+def test_a_gltf_with_its_array_beside_it(tmp_path: Path, binary: bool) -> None:
+    """Its name as the format has it, with %20; and an extension that it requires which changes nothing here."""
+    path = gltf(binary=binary, extensionsRequired=["KHR_materials_unlit"])(tmp_path)
+    g = read_mesh(path, 50)
+    assert g.means[:, :2].min() >= 0 and g.means[:, :2].sum(1).max() <= 1 + 1e-6
+
+
+DRACO = "KHR_draco_mesh_compression"
+UNREAD = [{"componentType": 5126, "count": 3, "type": "VEC3"}]
+GLTF: dict[str, tuple[Callable[[Path], Path], str]] = {
+    "its array is missing": (gltf("b.bin"), "its file 'a%20b.bin' is missing; put it into the same folder"),
+    "glTF 1.0": (gltf(asset={"version": "1.0"}, meshes={}), "this is glTF 1.0, which cannot be read"),
+    "glb 1.0": (gltf(binary=True, version=1), "this is glTF 1.0, which cannot be read; export it as glTF 2.0 (.glb)"),
+    "Draco": (gltf(extensionsRequired=[DRACO]), f"its mesh is compressed with Draco ({DRACO})"),
+    "Draco, not said": (
+        gltf(meshes=primitive(extensions={DRACO: {"bufferView": 0}}), accessors=UNREAD),
+        "its mesh is compressed with Draco",
+    ),
+    "meshopt": (gltf(extensionsRequired=["EXT_meshopt_compression"]), "compressed with meshopt"),
+    "meshopt, new": (gltf(extensionsRequired=["KHR_meshopt_compression"]), "cannot be read; export it without"),
+    "quantized": (gltf(extensionsRequired=["KHR_mesh_quantization"]), "its mesh is quantized"),
+    "unknown": (gltf(extensionsRequired=["A_b", "C_d"]), "it needs A_b, C_d, which cannot be read"),
+    "only lines": (gltf(meshes=primitive(mode=1)), "there is no face in it, only lines"),
+    "points and lines": (gltf(meshes=primitive(mode=0) + primitive(mode=3)), "only lines and points"),
+    "Gaussians": (
+        gltf(meshes=primitive(mode=0, extensions={"KHR_gaussian_splatting": {}})),
+        "this holds Gaussians as glTF (KHR_gaussian_splatting), which cannot be opened yet; export the capture as a "
+        ".ply, .splat or .spz",
+    ),
+    "too many values": (gltf(accessors=[{"bufferView": 0, "count": 10**12}]), "1,000,000,000,000 values in its arrays"),
+    "values that are not there": (gltf(accessors=[UNREAD[0] | {"count": 10**8}]), "100,000,000 values that it names"),
+    "one part very often": (
+        gltf(nodes=[{"children": list(range(1, 101))}, *[{"mesh": 0}] * 100]),
+        "100 faces; the most is 99",
+    ),
+    "in a circle": (gltf(nodes=[{"children": [1]}, {"children": [0], "mesh": 0}]), "damaged"),
+    "other types": (gltf(asset=[], meshes=[3], accessors={}, extensionsRequired=7), ""),
+    "a list": (text("[]"), "damaged"),
+    "nested": (text("[" * 100_000), "damaged"),
+}
+
+
+@pytest.mark.parametrize("case", GLTF)
+def test_a_gltf_that_cannot_be_opened_is_told_what_it_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, case: str
+) -> None:
+    monkeypatch.setattr("engine.io.meshes.mesh.MOST_FACES", 99)
+    make, expected = GLTF[case]
+    path = make(tmp_path)
+    assert expected in refusal(path)
+
+
+def test_gaussians_beside_a_mesh_are_left_out(tmp_path: Path) -> None:
+    both = primitive() + primitive(mode=0, extensions={"KHR_gaussian_splatting": {}})
+    loaded = load(gltf(meshes=both)(tmp_path))
+    assert any("the Gaussians in it (KHR_gaussian_splatting) are left out" in line for line in loaded.warnings)
+
+
+@pytest.mark.skipif(not DATA.exists(), reason="the folder of real scans is absent")
+def test_a_real_file_of_gaussians() -> None:
+    assert "this holds Gaussians as glTF" in refusal(DATA / "formats/khr_conformance_matrix.glb")

@@ -1,0 +1,244 @@
+"""Filling against shapes of known volume: closed forms, and meshes whose inside is told by their own solid angles."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.ndimage import distance_transform_edt
+from scipy.spatial import KDTree
+
+from engine.errors import InputError
+from engine.scene.atoms import SurfaceAtoms
+from engine.scene.gaussians import Gaussians
+from engine.scene.grid import Body
+from engine.scene.rotations import matrices
+from engine.solid.distance_transform import nearest
+from engine.solid.fill import fill
+from engine.solid.find_body import find_body
+from engine.solid.opacity_field import Grid, opacity_field
+from tests.paths import SHARED
+
+MESHES = SHARED / "meshes"
+
+needs_meshes = pytest.mark.skipif(not MESHES.exists(), reason="the shared meshes are not here")
+
+
+def shell(points: np.ndarray, normals: np.ndarray, size: float) -> Gaussians:
+    """Flat Gaussians, sigma `size` along the skin and a fifth of it across."""
+    n = len(points)
+    # The rotation that takes z to the normal: half way between the two, turned by 180 degrees.
+    half = normals + np.array([0, 0, 1 + 1e-6])
+    quats = np.column_stack([np.zeros(n), half / np.linalg.norm(half, axis=1, keepdims=True)])
+    return Gaussians(
+        points.astype(np.float32),
+        np.tile(np.float32([size, size, size / 5]), (n, 1)),
+        quats.astype(np.float32),
+        np.full(n, 0.99, np.float32),
+        np.zeros((n, 1, 3), np.float32),
+    )
+
+
+def sphere(n: int = 12000, radius: float = 1.0, hole: float = 0.0, towards: tuple[float, float, float] = (0, 0, -1)):
+    """A sphere's skin without the cap of half angle `hole` degrees."""
+    z = np.linspace(-1, 1, n)
+    angle = np.pi * (1 + 5**0.5) * np.arange(n)
+    normals = np.column_stack([np.sqrt(1 - z**2) * np.cos(angle), np.sqrt(1 - z**2) * np.sin(angle), z])
+    normals = normals[normals @ (np.array(towards) / np.linalg.norm(towards)) <= np.cos(np.radians(hole)) + 1e-9]
+    return shell(radius * normals, normals, radius * (4 * np.pi / n) ** 0.5)
+
+
+def lathe(profile: np.ndarray, n: int, closed: bool = True) -> Gaussians:
+    """The skin of a polygon (r, z) turned about the z axis, evenly covered."""
+    rng = np.random.default_rng(0)
+    ends = np.roll(profile, -1, axis=0) if closed else profile[1:]
+    starts = profile if closed else profile[:-1]
+    edges = ends - starts
+    areas = np.pi * (starts[:, 0] + ends[:, 0]) * np.linalg.norm(edges, axis=1)
+    which = rng.choice(len(edges), n, p=areas / areas.sum())
+    r0, r1 = starts[which, 0], ends[which, 0]
+    u = rng.random(n)  # area grows with the radius along a cone's edge
+    flat = np.abs(r1 - r0) < 1e-9
+    t = np.where(flat, u, (np.sqrt(r0**2 + u * (r1**2 - r0**2)) - r0) / np.where(flat, 1, r1 - r0))
+    rz = starts[which] + t[:, None] * edges[which]
+    across = np.column_stack([edges[:, 1], -edges[:, 0]])[which]
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    a = 2 * np.pi * rng.random(n)
+    points = np.column_stack([rz[:, 0] * np.cos(a), rz[:, 0] * np.sin(a), rz[:, 1]])
+    normals = np.column_stack([across[:, 0] * np.cos(a), across[:, 0] * np.sin(a), across[:, 1]])
+    return shell(points, normals, (areas.sum() / n) ** 0.5)
+
+
+def joined(*parts: Gaussians) -> Gaussians:
+    return Gaussians(*(np.concatenate([getattr(p, k) for p in parts]) for k in Gaussians.__dataclass_fields__))
+
+
+def turns(mesh: trimesh.Trimesh, points: np.ndarray) -> np.ndarray:
+    """How often the mesh winds around each point: the sum of its triangles' solid angles over 4 pi."""
+    total = np.zeros(len(points))
+    for corner in np.array_split(mesh.triangles, max(1, len(mesh.triangles) // 200)):
+        a, b, c = np.moveaxis(corner[None] - points[:, None, None], 2, 0)
+        la, lb, lc = (np.linalg.norm(v, axis=-1) for v in (a, b, c))
+        above = np.einsum("pti,pti->pt", a, np.cross(b, c))
+        ab, bc, ca = ((u * v).sum(-1) for u, v in ((a, b), (b, c), (c, a)))
+        total += 2 * np.arctan2(above, la * lb * lc + ab * lc + bc * la + ca * lb).sum(1)
+    return total / (4 * np.pi)
+
+
+def test_opacity_field_is_equation_2() -> None:
+    rng = np.random.default_rng(1)
+    n = 40
+    quats = rng.normal(size=(n, 4))
+    scene = Gaussians(
+        rng.uniform(0, 1, (n, 3)).astype(np.float32),
+        np.exp(rng.uniform(-5, -1.5, (n, 3))).astype(np.float32),
+        (quats / np.linalg.norm(quats, axis=1, keepdims=True)).astype(np.float32),
+        rng.uniform(0, 1, n).astype(np.float32),
+        np.zeros((n, 1, 3), np.float32),
+    )
+    grid = Grid(np.array([-0.1, 0.0, 0.1]), 0.05, (23, 18, 20))
+    centres = Body(grid.origin, grid.cell, np.zeros(grid.shape, np.float32)).centres().astype(np.float64)
+    truth = np.zeros(grid.shape)
+    axes, sigma = matrices(scene.quats).astype(np.float64), np.maximum(scene.scales.astype(np.float64), 0.02)
+    for p in range(n):
+        q = ((((centres - scene.means[p]) @ axes[p]) / sigma[p]) ** 2).sum(-1)
+        truth += scene.opacities[p] * np.exp(-q / 2) * (q <= 9)
+    found = opacity_field(scene, grid, widen=0.02)
+    # A cell on the rim of the cutoff may fall on either side of it: exp(-4.5) of one Gaussian.
+    assert np.quantile(np.abs(found - truth), 0.999) < 1e-5
+    assert np.abs(found - truth).max() < 0.012
+    assert np.array_equal(found, opacity_field(scene, grid, widen=0.02))
+
+
+def test_nearest_is_the_euclidean_distance() -> None:
+    mask = np.random.default_rng(2).random((17, 30, 23)) < 0.01
+    distance, index = nearest(mask)
+    assert np.abs(distance - distance_transform_edt(~mask)).max() < 1e-5
+    there, here = np.unravel_index(index.ravel(), mask.shape), np.unravel_index(np.arange(mask.size), mask.shape)
+    assert np.allclose(np.linalg.norm(np.subtract(there, here), axis=0), distance.ravel(), atol=1e-5)
+    assert np.isinf(nearest(np.zeros((2, 3, 4), bool))[0]).all()
+
+
+@needs_meshes
+@pytest.mark.parametrize("name", ["unit_sphere", "torus", "angle_block"])
+def test_meshes_fill_to_their_volume_and_no_farther(name: str) -> None:
+    mesh = trimesh.load(MESHES / f"trimesh_{name}.STL", force="mesh")
+    points, faces = trimesh.sample.sample_surface(mesh, 30000, seed=0)
+    body = find_body(shell(points, mesh.face_normals[faces], (mesh.area / 30000) ** 0.5)).body
+    assert abs(body.volume / mesh.volume - 1) < 0.01
+    pitch = max(mesh.extents) / 64
+    atoms = fill(body, pitch)
+    assert abs(len(atoms) * pitch**3 / mesh.volume - 1) < 0.03
+    some = atoms.means[np.random.default_rng(0).choice(len(atoms), 1500, replace=False)].astype(np.float64)
+    outside = some[turns(mesh, some) < 0.5]
+    # Only in the acute grooves of the block's dovetails, two cells deep, do walls touch before the groove ends.
+    assert len(outside) <= (5 if name == "angle_block" else 0)
+    assert len(outside) == 0 or KDTree(points).query(outside)[0].max() < 2.5 * body.cell
+    if name == "torus":
+        assert body.at(np.zeros((1, 3)))[0] < -0.4
+
+
+def test_depth_is_the_distance_to_the_skin() -> None:
+    body = find_body(sphere(), cells=64).body
+    truth = 1 - np.linalg.norm(body.centres(), axis=-1)
+    close = np.abs(truth) < 3 * body.cell
+    assert np.abs(body.depth - truth)[np.abs(truth) < body.cell].max() < 0.05 * body.cell
+    assert np.abs(body.depth - truth)[close].max() < 0.4 * body.cell
+    assert np.abs(body.depth - truth)[truth > 0].max() < 0.6 * body.cell
+    assert abs(body.volume / (4 / 3 * np.pi) - 1) < 0.005
+
+
+@pytest.mark.parametrize("towards", [(0, 0, -1), (1, 1, 1)])
+@pytest.mark.parametrize("hole", [5, 20, 45, 60])
+def test_a_sphere_with_a_hole_is_closed_flat(hole: float, towards: tuple[float, float, float]) -> None:
+    found = find_body(sphere(hole=hole, towards=towards), cells=64)
+    h = 1 - np.cos(np.radians(hole))  # what a flat lid leaves out: a cap of this height
+    truth = 4 / 3 * np.pi - np.pi * h**2 * (3 - h) / 3
+    assert abs(found.body.volume / truth - 1) < 0.03
+    assert hole < 20 or any("open" in note for note in found.notes)
+
+
+def test_a_cup_keeps_its_hollow() -> None:
+    profile = np.array([[0, 0], [0.5, 0], [0.5, 1], [0.4, 1], [0.4, 0.1], [0, 0.1]])
+    body = find_body(lathe(profile, 30000), cells=96).body
+    truth = np.pi * (0.5**2 - 0.4**2 * 0.9)
+    assert body.at(np.array([[0.0, 0, 0.5]]))[0] < 0 < body.at(np.array([[0.45, 0, 0.5]]))[0]
+    assert abs(body.volume / truth - 1) < 0.03
+
+
+def test_a_box_without_a_bottom_on_a_mat_is_filled_to_the_mat() -> None:
+    box = np.array([[0.5, 0], [0.5, 1], [0, 1]])
+    mat = np.array([[0.5, 0], [1.0, 0]])
+    body = find_body(joined(lathe(box, 15000, closed=False), lathe(mat, 8000, closed=False)), cells=96).body
+    assert abs(body.volume / (np.pi / 4) - 1) < 0.04
+    assert body.at(np.array([[0.8, 0, 0.05]]))[0] < 0
+
+
+def test_everything_in_the_outer_shell_is_solid() -> None:
+    body = find_body(joined(sphere(), sphere(6000, radius=0.5)), cells=64).body
+    assert abs(body.volume / (4 / 3 * np.pi) - 1) < 0.01
+
+
+def test_what_flies_around_does_not_coarsen_the_grid() -> None:
+    rng = np.random.default_rng(0)
+    n = 200
+    far = shell(100 * rng.normal(size=(n, 3)), np.tile([0.0, 0, 1], (n, 1)), 0.5)
+    near = shell(rng.uniform(1.3, 1.5, (20, 3)), np.tile([0.0, 0, 1], (20, 1)), 0.02)
+    found = find_body(joined(sphere(), far, near), cells=64)
+    assert abs(found.body.volume / (4 / 3 * np.pi) - 1) < 0.01
+    assert any(note.startswith("220 Gaussians") for note in found.notes)
+
+
+@pytest.mark.parametrize("thickness", [0.05, 0.1])
+def test_a_thin_plate_is_a_solid(thickness: float) -> None:
+    profile = np.array([[0, 0], [0.5, 0], [0.5, thickness], [0, thickness]])
+    body = find_body(lathe(profile, 20000), cells=64).body
+    assert abs(body.volume / (np.pi * 0.25 * thickness) - 1) < 0.05
+
+
+@pytest.mark.parametrize(
+    "scene",
+    [
+        lambda: sphere()[:0],
+        lambda: sphere()[:3],
+        lambda: lathe(np.array([[0, 0], [1.0, 0]]), 5000, closed=False),
+        lambda: shell(np.zeros((50, 3)), np.tile([0.0, 0, 1], (50, 1)), 1e-3),
+    ],
+    ids=["none", "three", "flat", "coincident"],
+)
+def test_what_encloses_nothing_is_said_in_one_line(scene: Callable[[], Gaussians]) -> None:
+    with pytest.raises(InputError, match=r"^thing\.ply: no closed body found[^\n]*$"):
+        find_body(scene(), cells=32, name="thing.ply")
+
+
+def test_atoms_stay_under_the_skin_and_leave_no_gap() -> None:
+    body = find_body(sphere(), cells=64).body
+    pitch = 1 / 12
+    atoms = fill(body, pitch, seed=3)
+    radius = np.linalg.norm(atoms.means, axis=1)
+    assert radius.max() < 1 - 0.6 * pitch / 2
+    assert abs(len(atoms) * pitch**3 / body.volume - 1) < 0.02
+    assert np.array_equal(atoms.means, fill(body, pitch, seed=3).means)
+    # Solid to half a pitch under the skin: the weights add up to more than half a lattice's.
+    probe = np.random.default_rng(0).normal(size=(500, 3))
+    probe *= (
+        (np.random.default_rng(1).random((500, 1)) ** (1 / 3))
+        * (1 - pitch / 2)
+        / np.linalg.norm(probe, axis=1, keepdims=True)
+    )
+    squared = ((probe[:, None] - atoms.means[None]) ** 2).sum(-1) / (pitch / 2) ** 2
+    assert np.exp(-0.5 * squared).sum(1).min() > 0.98
+
+
+def test_atoms_in_an_open_bottom_come_first() -> None:
+    scene = sphere(hole=45)
+    body = find_body(scene, cells=64).body
+    atoms = fill(body, 1 / 12, surface=SurfaceAtoms(scene.means, scene.scales, scene.quats, scene.sh))
+    lid = -np.cos(np.radians(45))
+    seen, rest = atoms.means[: atoms.exposed], atoms.means[atoms.exposed :]
+    assert 0.5 * np.pi * 0.5 * 144 < atoms.exposed < 1.5 * np.pi * 0.5 * 144
+    assert (seen[:, 2] < lid + 1.5 / 12).all()
+    assert ((rest[:, 2] < lid + 1 / 24) & (np.hypot(*rest[:, :2].T) < 0.6)).sum() == 0
+    assert fill(body, 1 / 12).exposed == 0

@@ -1,0 +1,163 @@
+"""How commands end: one line and a status, whatever stops them and wherever their output goes."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import psutil
+import pytest
+
+from tests.paths import ROOT
+
+SCENE = ROOT / "sample_scenes/bread"
+
+# Each command at work in the middle of a write, or of what takes long, where a test can reach it.
+BEGIN = """
+import os, sys, time
+from pathlib import Path
+from engine.io.files import atomic
+from engine.io.scratch import atomic_folder
+
+def work(path, *_, folder=False, **__):
+    with (atomic_folder if folder else atomic)(Path(path)) as temporary:
+        working()
+        time.sleep(60)
+
+def working():
+    print("working", os.getpid(), sep="\\n", flush=True)
+"""
+COMMANDS = {
+    "fruitninja-render": """
+import engine.render.cli as cli
+cli.load_trained = lambda path: work("out/a.png")
+sys.argv[1:] = ["a.ply", "-o", "out/a.png"]
+""",
+    "fruitninja-train": """
+import training.cli as cli
+cli.parse_families = lambda *_, **__: work("out/a.png")
+sys.argv[1:] = [SCENE + "/bread.ply", "-o", "out"]
+""",
+    "fruitninja-train finetune": """
+import types
+import training, training.cli as cli
+training.priors.diffusion = sys.modules["training.priors.diffusion"] = types.SimpleNamespace(
+    STEPS=1, finetune=lambda *_, **__: work("out/model", folder=True))
+sys.argv[1:] = ["finetune", "--model", "x", "-o", "out/model", "--exemplar", f"parallel={SCENE}/parallel_1.png"]
+""",
+    "fruitninja-batch": """
+import training.batch.cli as cli
+from training.batch.grid import Outcome
+def run_grid(tasks, told, stop, **_):
+    working()
+    while not stop():
+        time.sleep(0.01)
+    return [Outcome(task, "stopped") for task in tasks]
+cli.run_grid = run_grid
+Path("all.toml").write_text(f'''[[scene]]
+scene = "{SCENE}/bread.ply"
+exemplar = {{ parallel = "{SCENE}/parallel_1.png" }}
+''')
+sys.argv[1:] = ["all.toml", "-o", "out"]
+""",
+    "fruitninja-evaluate": """
+import training.evaluate.cli as cli
+cli.write_report = lambda *_: work("out/report.html")
+cli.perform_all = lambda *_: {}
+sys.argv[1:] = ["-o", "out"]
+""",
+}
+
+# The commands take seconds to load: each is loaded once.
+TWICE = """
+for _ in range(2):
+    if not (child := os.fork()):
+        cli.main()
+    print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), flush=True)
+"""
+
+
+def start(name: str, folder: Path) -> subprocess.Popen[str]:
+    code = f"{BEGIN}\nSCENE = {str(SCENE)!r}\n{COMMANDS[name]}\n{TWICE}"
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    return subprocess.Popen(
+        [sys.executable, "-c", code], cwd=folder, env=environment, text=True,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+    )  # fmt: skip
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork here")
+@pytest.mark.parametrize("name", COMMANDS)
+def test_each_command_ends_as_it_was_told_to(name: str, tmp_path: Path) -> None:
+    process = start(name, tmp_path)
+    assert process.stdout is not None and process.stderr is not None
+    for number in (signal.SIGINT, signal.SIGTERM):
+        assert process.stdout.readline() == "working\n", process.communicate()[1]
+        at_work = int(process.stdout.readline())
+        os.kill(at_work, number)
+        ended_by = [process.stdout.readline() for _ in range(1 + (name == "fruitninja-batch"))]  # it names its summary
+        assert ended_by[-1] == f"{128 + number}\n"
+        assert process.stderr.readline().startswith(f"{name}: stopped")
+    _, said = process.communicate(timeout=60)
+    assert not said
+    left = {str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*") if path.is_file()}
+    assert left <= {"all.toml", "out/batch.json"}
+
+
+def test_an_evaluation_takes_its_worker_with_it(tmp_path: Path) -> None:
+    process = subprocess.Popen(
+        [sys.executable, "-m", "training.evaluate.cli", "--scenes", "bread", "--methods", "ours", "-o", str(tmp_path)],
+        cwd=ROOT,
+        text=True,
+        stderr=subprocess.PIPE,
+    )
+    assert process.stderr is not None
+    assert process.stderr.readline() == "bread/ours: begins\n"
+    while not (children := psutil.Process(process.pid).children()):
+        assert process.poll() is None
+    process.terminate()
+    _, said = process.communicate(timeout=60)
+    assert (process.returncode, said.count("\n")) == (143, 1)
+    assert "goes on from here" in said
+    assert not psutil.wait_procs(children, 20)[1]
+
+
+ENDS = """
+from engine.command import run_command, tell
+def command() -> None:
+    {}
+run_command("fruitninja-test", command, [])
+"""
+
+
+def ended(body: str, **more: object) -> tuple[int, str]:
+    done = subprocess.run(
+        [sys.executable, "-c", ENDS.format(body)], cwd=ROOT, stderr=subprocess.PIPE, text=True, check=False, **more
+    )  # type: ignore[call-overload]
+    return done.returncode, done.stderr
+
+
+def test_what_slips_through_is_one_line() -> None:
+    assert ended("raise MemoryError") == (
+        1, "fruitninja-test: not enough memory; close other programs, or ask for less detail\n"
+    )  # fmt: skip
+    assert ended("open('nowhere/a')") == (1, "fruitninja-test: nowhere/a: No such file or directory\n")
+    assert ended("raise __import__('engine.errors').errors.InputError('a.ply: bad')") == (
+        2, "fruitninja-test: a.ply: bad\n"
+    )  # fmt: skip
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is full")
+def test_output_that_cannot_be_written_is_said() -> None:
+    full = "fruitninja-test: standard output: cannot be written (No space left on device)\n"
+    with open("/dev/full", "w") as stdout:
+        assert ended("tell('result.ply')", stdout=stdout) == (2, full)
+        events = "from training.events import Reporter; Reporter.open('-').emit('first')"
+        assert ended(events, stdout=stdout) == (2, full)
+    read, write = os.pipe()
+    os.close(read)
+    assert ended("tell('result.ply')", stdout=write) == (2, full.replace("No space left on device", "Broken pipe"))
+    os.close(write)

@@ -1,0 +1,165 @@
+"""Runs the real window with ImGui's test engine: a script moves the pointer and presses keys, and takes pictures."""
+
+from __future__ import annotations
+
+import os
+import time
+import traceback
+from collections.abc import Callable
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+from imgui_bundle import ImVec2, hello_imgui, imgui
+from numpy.typing import NDArray
+from PIL import Image
+
+from app.session.session import Session
+from app.ui.window import Window
+
+__all__ = ["Driver", "drive"]
+
+HOUR = 3600.0
+"""After which the test engine stops hearing a script: longer than any training on a busy machine."""
+
+T = TypeVar("T")
+
+
+class Driver:
+    """What a script can do; it runs in step with the window's frames."""
+
+    def __init__(self, window: Window, context: imgui.test_engine.TestContext) -> None:
+        self.window, self.session, self.context = window, window.session, context
+
+    def frames(self, count: int = 1) -> None:
+        """Lets frames pass."""
+        self.context.yield_(count)
+
+    def until(self, done: Callable[[], bool], seconds: float = 60.0, what: str = "") -> None:
+        """Lets frames pass until something is so."""
+        end = time.monotonic() + seconds
+        while not done():
+            assert time.monotonic() < end, (
+                f"waited {seconds:g} s for {what or done}: {self.session.message} {self.session.error}"
+            )
+            time.sleep(0.02)  # leaves the processor to what is waited for
+            self.context.yield_()
+
+    def still(self) -> None:
+        """Until nothing moves."""
+        self.until(lambda: not (self.window.viewport.moving or self.window.painter.unfinished), 30.0)
+        self.frames(2)
+
+    def point(self, x: float, y: float) -> ImVec2:
+        """A point of the viewport, in parts of its sides."""
+        view = self.window.viewport
+        return ImVec2(view.origin.x + x * view.size[0], view.origin.y + y * view.size[1])
+
+    def drag(
+        self,
+        start: tuple[float, float],
+        end: tuple[float, float],
+        button: int = 0,
+        hold: Callable[[], None] | None = None,
+    ) -> None:
+        """Across the viewport; `hold` is done before the button is let go."""
+        self.context.mouse_move_to_pos(self.point(*start))
+        self.context.mouse_down(button)
+        for part in (0.5, 1.0):
+            at = tuple(a + part * (b - a) for a, b in zip(start, end, strict=True))
+            self.context.mouse_move_to_pos(self.point(*at))
+        if hold is not None:
+            hold()
+        self.context.mouse_up(button)
+        self.frames(2)
+
+    def click(self, reference: str) -> None:
+        """An item, by ImGui's path."""
+        self.context.item_click(reference)
+
+    def press(self, chord: int) -> None:
+        """Keys."""
+        self.context.key_press(chord)
+        self.frames(2)
+
+    def picture(self, path: Path | None = None) -> NDArray[np.uint8]:
+        """(H, W, 3). The whole window as it is now, saved where a path is given."""
+        self.frames(2)
+        picture = self.between_frames(self._read)
+        if path is not None:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            Image.fromarray(picture).save(path)
+        return picture
+
+    def view(self) -> NDArray[np.uint8]:
+        """(H, W, 3). The viewport's part of the picture."""
+        picture, view = self.picture(), self.window.viewport
+        x, y = int(view.origin.x), int(view.origin.y)
+        return picture[y : y + view.size[1], x : x + view.size[0]]
+
+    def between_frames(self, act: Callable[[], T]) -> T:
+        """Does something where the GL context is current: at the end of a frame, in the window's own thread."""
+        done: list[T] = []
+
+        def once() -> None:
+            if not done:
+                done.append(act())
+
+        callbacks = self.window.params.callbacks
+        callbacks.before_swap = once
+        while not done:
+            self.frames(1)
+        return done[0]
+
+    def _read(self) -> NDArray[np.uint8]:
+        screen = self.window.ctx.detect_framebuffer(0)
+        width, height = (int(side) for side in imgui.get_io().display_size)
+        data = screen.read(viewport=(0, 0, width, height), components=3, alignment=1)
+        return np.frombuffer(data, np.uint8).reshape(height, width, 3)[::-1].copy()
+
+
+def drive(
+    session: Session,
+    script: Callable[[Driver], None],
+    start: Callable[[Session], None] | None = None,
+    prepare: Callable[[Window], None] = lambda window: None,
+) -> Window:
+    """Runs the window until the script has ended; an error of the script is raised here.
+
+    `start` is done in the window once it is there, `prepare` before there is one.
+    """
+    os.environ.setdefault("LIBGL_ALWAYS_SOFTWARE", "1")
+    window = Window(session, start)
+    failures: list[BaseException] = []
+    params = window.params
+    params.use_imgui_test_engine = True
+    params.fps_idling.enable_idling = False
+    params.fps_idling.vsync_to_monitor = False
+    params.ini_disable = True
+    prepare(window)
+
+    def register() -> None:
+        engine = hello_imgui.get_imgui_test_engine()
+        io = imgui.test_engine.get_io(engine)
+        io.config_run_speed = imgui.test_engine.TestRunSpeed.fast
+        io.config_log_to_tty = False
+        io.config_watchdog_warning = io.config_watchdog_kill_test = HOUR
+        test = imgui.test_engine.register_test(engine, "app", "script")
+
+        def run(context: imgui.test_engine.TestContext) -> None:
+            try:
+                script(Driver(window, context))
+            except BaseException as error:
+                traceback.print_exc()
+                failures.append(error)
+            session.autosave.clear()
+            session.closing = True
+
+        test.test_func = run
+        imgui.test_engine.queue_test(engine, test)
+
+    params.callbacks.register_tests = register
+    window.run()
+    if failures:
+        raise failures[0]
+    return window

@@ -1,0 +1,48 @@
+"""A project in which nothing is left out, and a small ball of atoms."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from app.model.camera_control import Eye
+from app.model.document import Document, Part, Training
+from app.model.project import Project, Viewing
+from app.model.rigid_transform import Motion
+from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
+from engine.scene.plane import Plane
+from training.families import Family
+
+
+def full(folder: Path) -> Project:
+    """A project in which nothing has its default."""
+    document = Document(scene=folder / "scenes" / "melon.ply", up=(0.0, -1.0, 0.0), gap=0.3, explode=0.1 + 0.2)
+    document = document.with_cut((Part(Plane.of((1, 2, 3), 0.1)),))
+    document = document.with_cut((Part(Plane.of((-1, 1 / 3, 0), 0.7), ((1, -1),)), Part(Plane.of((0, 1, 0), 0.2))))
+    document = document.with_cut((Part(Plane.of((0, 0, 1), 0.0)),), "Plane", "section")
+    document = document.changed_cut(2, lambda cut: replace(cut, shift=1e-17, on=False, name="Käse"))
+    motion = Motion.about((0.1, 0.2, 0.3), (1, 1, 1), 33.3)
+    document = document.placed(((1, 1),), lambda p: replace(p, motion=motion, visible=False, removed=True, name="lid"))
+    document = document.with_exemplars("horizontal", (folder / "a.png", folder / "b.png"))
+    document = document.with_family(
+        Family("parallel", 12, (folder / "c.png",), "rye bread", (0.0, 1.0, 0.0), (), (0.1, 2 / 3))
+    )
+    document = document.with_family(Family("custom", 1, custom=(Plane.of((3, 1, 2), 0.4),)))
+    document = replace(
+        document, training=Training("high", "stable-diffusion", 7, 50, folder / "out", folder / "model", "rye bread")
+    )
+    eye = Eye((0.1, 1e9, -3.0), 12.5, -90.0, 1 / 3, 50.0, True)
+    return Project(document, Viewing(eye, "capture", (0.1, 0.2, 0.3)))
+
+
+def atoms(degree: int = 0) -> Atoms:
+    rng = np.random.default_rng(5)
+    points = rng.uniform(-1, 1, (900, 3)).astype(np.float32)
+    quats = rng.normal(size=(300, 4)).astype(np.float32)
+    quats /= np.linalg.norm(quats, axis=1, keepdims=True)
+    sh = rng.normal(size=(300, (degree + 1) ** 2, 3)).astype(np.float32)
+    surface = SurfaceAtoms(points[:300], rng.uniform(0.01, 0.05, (300, 3)).astype(np.float32), quats, sh)
+    inside = InteriorAtoms(points[300:], np.full(600, 0.03, np.float32), rng.uniform(0, 1, (600, 3)).astype(np.float32))
+    return Atoms(surface, inside, 0.05)

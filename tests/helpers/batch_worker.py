@@ -1,0 +1,30 @@
+"""What each worker of the batch tests loads at its start: runs of a second or two, checkpointed at every iteration."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from importlib import import_module
+
+import numpy as np
+
+from training import settings
+
+SIZES = {"cells": 16, "fine": 20, "voxels": 24, "label": 48, "surface": 48, "surface_views": 4, "iterations": 2}
+SHORT = replace(settings.DETAILS["draft"], **SIZES)
+DETAILS = {"draft": SHORT, "standard": replace(SHORT, iterations=40)}
+
+SMALL = {
+    "training.request.DETAILS": DETAILS,
+    "training.outcome.DETAILS": DETAILS,
+    "engine.solid.solidify.BODY_CELLS": 32,
+    "training.outcome.HELD_OUT_VIEWS": 1,
+    "training.contact_sheet.TILE": 48,
+    "training.optimise.rounds.CHECKPOINT_SECONDS": 0.0,
+    "training.optimise.rounds.SETTLED": -np.inf,  # all iterations, however soon it settles
+}
+
+
+def dask_setup(_: object) -> None:
+    for name, value in SMALL.items():
+        module, _, constant = name.rpartition(".")
+        setattr(import_module(module), constant, value)

@@ -1,0 +1,42 @@
+"""Bodies and pictures of cut faces whose inside is known."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from engine.scene.grid import Body
+
+UP = np.array([0.0, 0.0, 1.0])
+RIND, FLESH, SEED = np.array([0.1, 0.5, 0.1]), np.array([0.85, 0.15, 0.15]), np.array([0.05, 0.03, 0.02])
+
+
+def quiet(_: float) -> None:
+    """Progress that nobody watches."""
+
+
+def ball(n: int = 24) -> Body:
+    """A ball of radius 1."""
+    cell = 2 / n
+    body = Body(np.full(3, -1 - 3 * cell), cell, np.zeros((n + 6,) * 3, np.float32))
+    return Body(body.origin, cell, (1 - np.linalg.norm(body.centres(), axis=-1)).astype(np.float32))
+
+
+def disc(size: int = 160, seeds: int = 0, radius: float = 0.8) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """A melon's face on white: rind a tenth thick, flesh, a ring of round seeds; and its mask."""
+    y, x = (np.mgrid[:size, :size] + 0.5) / size * 2 - 1
+    r = np.hypot(x, y) / radius
+    face = np.where((r > 0.88)[..., None], RIND, FLESH)
+    for angle in np.arange(seeds) / max(seeds, 1) * 2 * np.pi:
+        at = 0.55 * radius * np.array([np.cos(angle), np.sin(angle)])
+        face[np.hypot(x - at[0], y - at[1]) < 0.06 * radius] = SEED
+    return np.where((r < 1)[..., None], face, 1.0).astype(np.float32), r < 1
+
+
+def save(path: Path, picture: NDArray[np.floating]) -> Path:
+    """Writes a picture in [0, 1] as a PNG."""
+    Image.fromarray((np.clip(picture, 0, 1) * 255 + 0.5).astype(np.uint8)).save(path)
+    return path

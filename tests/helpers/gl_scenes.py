@@ -1,0 +1,43 @@
+"""What the tests of the GL engine draw, and how."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from engine.render.gl import Renderer
+from engine.scene.atoms import Atoms, InteriorAtoms
+from engine.scene.camera import Camera, fit_distance, orbit
+from engine.scene.image import Picture
+from engine.scene.piece import Piece
+from tests.helpers.solids import ball
+
+FOV = math.radians(35)
+
+
+def psnr(a: np.ndarray, b: np.ndarray) -> float:
+    return float(-10 * np.log10(np.mean((a.astype(np.float64) - b) ** 2) + 1e-20))
+
+
+def around(azimuth: float, elevation: float, distance: float = 1.0, width: int = 120, height: int = 90) -> Camera:
+    """A camera that fits the ball of radius 0.5 at distance 1."""
+    away = distance * fit_distance(0.5, FOV, width / height)
+    return orbit((0, 0, 0), (0, 0, 1), azimuth, elevation, away, width, height, FOV)
+
+
+def draw(renderer: Renderer, camera: Camera, *pieces: Piece, **options: object) -> Picture:
+    renderer.render(camera, pieces or (Piece(),), **options)  # type: ignore[arg-type]
+    return renderer.read()
+
+
+def tight_ball(pitch: float) -> Atoms:
+    """A ball whose interior reaches its skin: a plain lattice, and a layer half a pitch under the skin."""
+    atoms = ball(pitch, degree=0)
+    side = np.arange(-int(0.5 / pitch) - 1, int(0.5 / pitch) + 2) * pitch
+    lattice = np.stack(np.meshgrid(side, side, side, indexing="ij"), -1).reshape(-1, 3)
+    lattice = lattice[np.linalg.norm(lattice, axis=1) < 0.5 - 0.6 * pitch]
+    layer = atoms.surface.means * (1 - pitch)
+    means = np.concatenate([lattice, layer]).astype(np.float32)
+    rgb = 0.5 + 0.4 * np.sin(20 * means)
+    return Atoms(atoms.surface, InteriorAtoms(means, np.full(len(means), pitch / 2, np.float32), rgb), pitch)

@@ -1,0 +1,61 @@
+"""Small solids of atoms for the tests."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from engine.scene import sh
+from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
+
+
+def ball(pitch: float, seed: int = 0, exposed: int = 0, degree: int = 1, radius: float = 0.5) -> Atoms:
+    """A striped skin of flat discs on a sphere around a jittered lattice with a rind, red flesh and dark seeds."""
+    rng = np.random.default_rng(seed)
+    count = int(4 * np.pi * radius**2 / (0.6 * pitch) ** 2)
+    rank = np.arange(count) + 0.5
+    polar, turn = np.arccos(1 - 2 * rank / count), np.pi * (1 + 5**0.5) * rank
+    normal = np.stack([np.cos(turn) * np.sin(polar), np.sin(turn) * np.sin(polar), np.cos(polar)], 1)
+    quats = np.stack([1 + normal[:, 2], -normal[:, 1], normal[:, 0], 0 * turn], 1)
+    quats /= np.linalg.norm(quats, axis=1, keepdims=True)
+    stripe = np.sin(10 * np.arctan2(normal[:, 1], normal[:, 0]) + 2 * np.sin(5 * normal[:, 2])) > 0
+    coefficients = 0.1 * rng.normal(size=(count, (degree + 1) ** 2, 3))
+    coefficients[:, 0] = sh.rgb_to_sh(np.where(stripe[:, None], [0.2, 0.6, 0.2], [0.05, 0.3, 0.1]))
+    scales = np.tile(np.array([0.6, 0.6, 0.12]) * pitch, (count, 1))
+    skin = SurfaceAtoms(*(a.astype(np.float32) for a in (radius * normal, scales, quats, coefficients)))
+
+    side = np.arange(-int(radius / pitch) - 1, int(radius / pitch) + 2) * pitch
+    points = np.stack(np.meshgrid(side, side, side, indexing="ij"), -1).reshape(-1, 3)
+    points = points + rng.uniform(-0.25, 0.25, points.shape) * pitch
+    points = points[np.linalg.norm(points, axis=1) < radius - 0.25 * pitch]
+    depth = 1 - np.linalg.norm(points, axis=1, keepdims=True) / radius
+    rgb = np.where(depth > 0.14, [0.85, 0.15, 0.2], np.where(depth > 0.08, [0.9, 0.95, 0.75], [0.6, 0.85, 0.4]))
+    seeds = rng.normal(size=(60, 3))
+    seeds *= rng.uniform(0.4, 0.76, (60, 1)) * radius / np.linalg.norm(seeds, axis=1, keepdims=True)
+    for seed_point in seeds:
+        rgb[np.linalg.norm(points - seed_point, axis=1) < 0.04 * radius] = [0.08, 0.05, 0.03]
+    sigmas = np.full(len(points), pitch / 2)
+    return Atoms(skin, InteriorAtoms(*(a.astype(np.float32) for a in (points, sigmas, rgb)), exposed), pitch)
+
+
+def scatter(surface: int, interior: int, seed: int = 0, exposed: int = 0, degree: int = 2) -> Atoms:
+    """A few soft ellipsoids and spheres of all sizes thrown into the unit cube around the origin."""
+    rng = np.random.default_rng(seed)
+    quats = rng.normal(size=(surface, 4))
+    skin = SurfaceAtoms(
+        *(
+            a.astype(np.float32)
+            for a in (
+                rng.uniform(-0.4, 0.4, (surface, 3)),
+                np.exp(rng.uniform(-4.5, -2.0, (surface, 3))),
+                quats / np.linalg.norm(quats, axis=1, keepdims=True),
+                0.4 * rng.normal(size=(surface, (degree + 1) ** 2, 3)),
+            )
+        )
+    )
+    inside = InteriorAtoms(
+        rng.uniform(-0.4, 0.4, (interior, 3)).astype(np.float32),
+        np.exp(rng.uniform(-3.5, -2.0, interior)).astype(np.float32),
+        rng.uniform(0, 1, (interior, 3)).astype(np.float32),
+        exposed,
+    )
+    return Atoms(skin, inside, 0.1)

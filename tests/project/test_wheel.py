@@ -1,0 +1,97 @@
+"""The wheel: what it carries, and that it works away from the checkout, in a folder full of traps."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import sysconfig
+import venv
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from engine.io.trained import Meta, save_trained
+from tests.helpers.hostile import hostile_folder, marks
+from tests.helpers.solids import ball
+from tests.paths import ROOT
+
+COMMANDS = ("fruitninja", "fruitninja-batch", "fruitninja-evaluate", "fruitninja-render", "fruitninja-train")
+PACKAGES = ("app", "engine", "sample_scenes", "shaders", "training")
+
+OPEN = """
+import time
+from pathlib import Path
+import app, engine
+from app.jobs.scene_loader import Preparing, Request
+from app.model.samples import sample_document
+
+document = sample_document()
+scene = document.scene
+assert scene.name == "watermelon.ply" and scene.is_relative_to(Path(engine.__file__).parents[1]), scene
+assert [family.kind for family in document.families] == ["horizontal", "radial"]
+preparing = Preparing(Request(scene))
+while preparing.object.capture is None and not preparing.ended:
+    preparing.poll()
+    time.sleep(0.02)
+assert preparing.object.capture is not None, preparing.error
+preparing.cancel()
+print(app.__file__)
+"""
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    pytest.importorskip("setuptools", reason="no setuptools here to build a wheel with")
+    folder = tmp_path_factory.mktemp("wheel")
+    source = folder / "source"  # building leaves files, and takes up those that an earlier build left
+    for name in PACKAGES:
+        shutil.copytree(ROOT / name, source / name, ignore=shutil.ignore_patterns("__pycache__"))
+    for name in ("pyproject.toml", "README.md", "LICENSE"):
+        shutil.copy(ROOT / name, source)
+    command = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--no-build-isolation", "--no-index"]
+    subprocess.run([*command, "--wheel-dir", str(folder), str(source)], check=True)
+    (path,) = folder.glob("fruitninja-*.whl")
+    return path
+
+
+@pytest.mark.slow
+def test_the_wheel_carries_what_runs_and_nothing_else(wheel: Path) -> None:
+    carried = {name for name in zipfile.ZipFile(wheel).namelist() if ".dist-info/" not in name}
+    tracked = subprocess.run(["git", "ls-files", *PACKAGES], cwd=ROOT, capture_output=True, text=True, check=False)
+    if tracked.returncode:
+        pytest.skip("no checkout by git, so nobody knows what belongs to the project")
+    assert carried == set(tracked.stdout.split())
+    assert {"sample_scenes/watermelon/watermelon.ply", "shaders/cut.glsl"} <= carried
+
+
+@pytest.mark.slow
+def test_the_wheel_works_where_nothing_else_of_the_project_is(wheel: Path, tmp_path: Path) -> None:
+    home = tmp_path / "venv"
+    venv.create(home, with_pip=False, symlinks=os.name != "nt")
+    binaries = home / ("Scripts" if os.name == "nt" else "bin")
+    pip = [sys.executable, "-m", "pip", "--python", str(binaries / "python"), "install", "--quiet"]
+    subprocess.run([*pip, "--no-deps", "--no-index", "--no-compile", str(wheel)], check=True)
+    packages = Path(sysconfig.get_path("purelib", vars={"base": str(home), "platbase": str(home)}))
+    # The libraries of this environment. A folder named so is searched, its own .pth files are not read: the editable
+    # install of the checkout, which is one, stays unknown.
+    (packages / "libraries.pth").write_text(sysconfig.get_path("purelib") + "\n")
+    folder = hostile_folder(tmp_path / "downloads")
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
+    environment |= {"FRUITNINJA_HOME": str(tmp_path / "home")}
+
+    def run(*command: str) -> str:
+        done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=200)
+        assert marks(folder) == []
+        assert done.returncode == 0, done.stdout + done.stderr
+        return done.stdout
+
+    for name in COMMANDS:
+        assert name in run(str(binaries / name), "--help")
+    save_trained(folder / "melon.ply", ball(1 / 6, degree=0), Meta())
+    size = ("--size", "64x64", "--plane", "0,0,1,0")
+    assert "cut.png (64x64" in run(str(binaries / "fruitninja-render"), "melon.ply", "-o", "cut.png", *size)
+    (tmp_path / "open.py").write_text(OPEN)
+    assert run(str(binaries / "python"), str(tmp_path / "open.py")).startswith(str(packages))

@@ -1,0 +1,193 @@
+"""The exemplar prior: pictures as people have them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from PIL import Image
+from scipy import ndimage
+
+from engine.errors import InputError
+from tests.helpers.exemplar_faces import UP, ball, disc, quiet, save
+from tests.paths import SHARED
+from training.families import Family
+from training.priors.exemplar import ExemplarPrior, read_picture
+from training.priors.exemplar.light import gain_between
+from training.priors.exemplar.pictures import resolved
+
+
+def overlap(a: NDArray[np.bool_], b: NDArray[np.bool_]) -> float:
+    """Intersection over union of two masks, each in its own bounding box."""
+    boxes = []
+    for mask in (a, b):
+        rows, columns = np.nonzero(mask)
+        box = mask[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1].astype(np.float32)
+        boxes.append(ndimage.zoom(box, (100 / box.shape[0], 100 / box.shape[1]), order=1) > 0.5)
+    return float((boxes[0] & boxes[1]).sum() / (boxes[0] | boxes[1]).sum())
+
+
+@pytest.mark.parametrize("background", ["white", "black", "blue", "table", "uneven", "transparent"])
+def test_background_is_found(tmp_path: Path, background: str) -> None:
+    face, mask = disc(200, seeds=6, radius=0.6)
+    face, mask = (np.roll(a, (20, -25), (0, 1)) for a in (face, mask))
+    rng = np.random.default_rng(0)
+    y, x = np.mgrid[:200, :200] / 200
+    behind = {
+        "white": np.ones((200, 200, 3)),
+        "black": np.full((200, 200, 3), 0.03),
+        "blue": np.broadcast_to([0.1, 0.2, 0.6], (200, 200, 3)),
+        "table": 0.75 + 0.04 * ndimage.gaussian_filter(rng.normal(size=(200, 200, 1)), (2, 8, 0)) * [5, 4, 3],
+        "uneven": np.broadcast_to(0.55 + 0.35 * (x + y)[..., None] / 2, (200, 200, 3)),
+        "transparent": np.ones((200, 200, 3)),
+    }[background]
+    picture = np.where(mask[..., None], face, behind)
+    if background == "transparent":
+        picture = np.concatenate([picture, mask[..., None]], -1)
+    found = read_picture(save(tmp_path / "face.png", picture), "horizontal")
+    assert overlap(found.mask, mask) > 0.96
+    found.save_overlay(tmp_path / "overlay.png")
+    assert Image.open(tmp_path / "overlay.png").size == found.mask.shape[::-1]
+
+
+def test_uneven_light_is_taken_out(tmp_path: Path) -> None:
+    face, mask = disc(160)
+    slope = np.linspace(0.8, 1.2, 160)[None, :, None]
+    lit = read_picture(save(tmp_path / "lit.png", np.where(mask[..., None], 0.8 * face * slope, 1)), "radial")
+    half = lit.mask.shape[1] // 2
+    row = lit.rgb[lit.mask.shape[0] // 2, :, 0]
+    assert abs(row[half - 30] / row[half + 30] - 1) < 0.03
+
+
+def test_two_pictures_are_brought_to_one_light() -> None:
+    face, mask = disc(120)
+    other, other_mask = disc(160, seeds=9)
+    tint = np.array([0.8, 0.95, 1.1], np.float32)
+    gain = gain_between(other * tint, other_mask, face, mask)
+    np.testing.assert_allclose(gain * tint, 1, atol=0.04)
+    np.testing.assert_array_equal(gain_between(other, other_mask, face, mask), 1)
+
+
+def test_shades_of_dark_colours_are_not_taken_for_light() -> None:
+    """Two faces of a melon in one light, one a little redder: nothing happens to its white rind."""
+    mask = disc(160)[1]
+    rind = ndimage.distance_transform_edt(mask)[..., None] < 12
+    one, other = (np.where(rind, 0.9, flesh).astype(np.float32) for flesh in ([0.85, 0.16, 0.16], [0.86, 0.19, 0.18]))
+    np.testing.assert_array_equal(gain_between(one, mask, other, mask), 1)
+
+
+def test_modes_and_orientation(tmp_path: Path) -> None:
+    face, mask = disc(120)
+    face[20:50][mask[20:50]] = 0.0  # darker at the top
+    grey = (face.mean(-1) * 65535).astype(np.uint16)
+    Image.fromarray(grey).save(tmp_path / "deep.png")
+    assert read_picture(tmp_path / "deep.png", "radial").rgb.shape[2] == 3
+    exif = Image.Exif()
+    exif[0x0112] = 3  # upside down
+    Image.fromarray((face[::-1, ::-1] * 255).astype(np.uint8)).save(tmp_path / "turned.jpg", exif=exif, quality=95)
+    read = read_picture(tmp_path / "turned.jpg", "radial")
+    third = len(read.rgb) // 3
+    assert read.rgb[:third].mean() < read.rgb[-third:].mean()
+
+
+def test_refusals_are_one_clear_line(tmp_path: Path) -> None:
+    (tmp_path / "text.png").write_text("no picture")
+    save(tmp_path / "blank.png", np.full((100, 100, 3), 0.5))
+    save(tmp_path / "tiny.png", np.zeros((8, 8, 3)))
+    save(tmp_path / "noise.png", np.random.default_rng(0).random((100, 100, 3)))
+    for name in ("text", "blank", "tiny", "noise", "missing"):
+        with pytest.raises(InputError, match=name) as caught:
+            read_picture(tmp_path / f"{name}.png", "horizontal")
+        assert "\n" not in str(caught.value)
+    with pytest.raises(InputError, match="no exemplar"):
+        ExemplarPrior().solve(ball(), UP, [Family("horizontal", 40)], 16, 0, quiet)
+
+
+def test_photograph_of_an_orange() -> None:
+    photo = SHARED / "photos/sliced_orange.png"
+    if not photo.exists():
+        pytest.skip("the photographs are not beside the repository")
+    assert read_picture(photo, "horizontal").mask.mean() > 0.6
+
+
+def test_an_enlarged_picture_resolves_what_it_did_before(tmp_path: Path) -> None:
+    face, mask = disc(100, seeds=12)
+    lens = ndimage.gaussian_filter(np.where(mask[..., None], face, 1), (0.7, 0.7, 0))
+    sharp = Image.fromarray((255 * lens).astype(np.uint8))
+    shares = []
+    for times in (1, 4):
+        sharp.resize((100 * times,) * 2, Image.Resampling.BICUBIC).save(tmp_path / f"{times}.png")
+        shares.append(resolved(read_picture(tmp_path / f"{times}.png", "horizontal")))
+    assert shares[0] == 1
+    assert 1 / 4 < shares[1] < 0.6
+
+
+def test_the_volume_is_no_finer_than_the_pictures_need(tmp_path: Path) -> None:
+    families = (Family("horizontal", 4, (save(tmp_path / "small.png", disc(40, seeds=6)[0]),)),)
+    body, prior = ball(), ExemplarPrior()
+    asked, coarse = (prior.solve(body, UP, families, voxels, 0, quiet) for voxels in (48, 192))
+    side = np.ptp(body.bounds(), axis=0).max()
+    assert asked.body.cell == pytest.approx(side / 48)
+    assert 32 < side / coarse.body.cell <= 2 * 40
+
+
+SIDES = ("L", "T", "R", "B", "LR", "LT", "LTRB")
+"""Sides from which a picture is cropped: left, top, right, bottom."""
+
+
+def cropped(picture: NDArray, mask: NDArray[np.bool_], sides: str, share: float) -> NDArray:
+    """The picture without this share of the face's width on these sides."""
+    rows, columns = np.nonzero(mask)
+    top, left = (round(v.min() + share * np.ptp(v)) for v in (rows, columns))
+    bottom, right = (round(v.max() - share * np.ptp(v)) for v in (rows, columns))
+    return picture[
+        top if "T" in sides else 0 : bottom if "B" in sides else None,
+        left if "L" in sides else 0 : right if "R" in sides else None,
+    ]
+
+
+@pytest.mark.parametrize("flesh", ["red", "pale", "two backgrounds"])
+def test_a_face_that_the_border_cuts_off_is_refused(tmp_path: Path, flesh: str) -> None:
+    """Of a pale one only the rind stands out, once the border has taught that flesh is background."""
+    face, mask = disc(200, seeds=6, radius=0.7)
+    if flesh == "pale":
+        y, x = np.mgrid[:200, :200] / 100 - 1
+        face[(np.hypot(x, y) < 0.62) & (face[..., 0] > 0.5)] = [0.95, 0.93, 0.86]
+    behind = np.ones((200, 200, 3))
+    if flesh == "two backgrounds":
+        behind[:90] = [0.35, 0.4, 0.5]
+    picture = np.where(mask[..., None], face, behind)
+    whole = read_picture(save(tmp_path / "whole.png", picture), "horizontal")
+    assert overlap(whole.mask, mask) > 0.96
+    for sides in SIDES:
+        for share in (0.05, 0.15, 0.3):
+            path = save(tmp_path / f"{sides}_{share}.png", cropped(picture, mask, sides, share))
+            with pytest.raises(InputError, match=r"border|stands out"):
+                read_picture(path, "horizontal")
+
+
+def test_a_cut_out_face_may_fill_its_picture(tmp_path: Path) -> None:
+    face, mask = disc(160)
+    tight = cropped(np.concatenate([face, mask[..., None]], -1), mask, "LTRB", 0.0)
+    assert read_picture(save(tmp_path / "tight.png", tight), "horizontal").mask.mean() > 0.6
+    picture = np.concatenate([face, mask[..., None]], -1)
+    half = read_picture(save(tmp_path / "half.png", cropped(picture, mask, "L", 0.3)), "horizontal")
+    assert 0.5 < half.mask.mean() < 0.9
+
+
+def test_photographs_that_are_cut_off_are_refused(tmp_path: Path) -> None:
+    folder = SHARED / "photos/fruit"
+    if not folder.exists():
+        pytest.skip("the photographs are not beside the repository")
+    with pytest.raises(InputError, match="border"):
+        read_picture(folder / "orange_h4.png", "horizontal")
+    for name in ("apple_h1", "apple_v1", "orange_h1", "bread_1"):
+        picture = np.asarray(Image.open(folder / f"{name}.png").convert("RGB")) / 255
+        with Image.open(folder / f"masks/{name}.png") as opened:
+            truth = np.asarray(opened.convert("L")) > 127
+        assert overlap(read_picture(folder / f"{name}.png", "horizontal").mask, truth) > 0.9
+        for sides, share in (("L", 0.15), ("LR", 0.15), ("LT", 0.3), ("LTRB", 0.05)):
+            with pytest.raises(InputError, match=r"border|stands out"):
+                read_picture(save(tmp_path / "crop.png", cropped(picture, truth, sides, share)), "horizontal")

@@ -1,0 +1,390 @@
+"""Many scenes: the bits of single runs, whatever dies on the way, and nothing done twice."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import psutil
+import pytest
+
+from engine.errors import InputError
+from tests.helpers.batch_worker import SMALL
+from tests.paths import HELPERS, SAMPLES
+from training.batch import Outcome, Stopped, Task, run_grid, say, stopped
+from training.batch.cli import main
+from training.batch.cluster import workers
+from training.batch.manifest import Mistakes, read_manifest
+from training.batch.scene import whole
+from training.checkpoint import Checkpoint
+from training.events import Reporter
+from training.pipeline import run
+
+SCENES = SAMPLES
+WORKER = HELPERS.joinpath("batch_worker.py")
+
+MANIFEST = f"""
+[defaults]
+detail = "draft"
+up = "z"
+family = ["horizontal:4", "radial:3"]
+exemplar = {{ horizontal = "{SCENES}/orange/horizontal_1.png", radial = ["{SCENES}/orange/radial_1.png"] }}
+
+[[scene]]
+name = "killed"
+scene = "{SCENES}/orange/orange.ply"
+detail = "standard"
+
+[[scene]]
+scene = "broken.ply"
+
+[[scene]]
+scene = "{SCENES}/bread/bread.ply"
+seed = 3
+"""
+
+
+def command(manifest: Path, out: Path, *more: str, preload: tuple[Path, ...] = (WORKER,)) -> subprocess.Popen[str]:
+    environment = os.environ | {"DASK_DISTRIBUTED__WORKER__PRELOAD": json.dumps([str(path) for path in preload])}
+    arguments = ["-m", "training.batch.cli", str(manifest), "-o", str(out), *more]
+    return subprocess.Popen(
+        [sys.executable, *arguments],
+        env=environment,
+        cwd=SCENES.parent,
+        text=True,
+        stderr=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        start_new_session=True,  # its workers are in one group with it, as in a terminal
+    )
+
+
+def wait_for(process: subprocess.Popen[str], events: Path, text: str) -> str:
+    while process.poll() is None:
+        if events.exists() and text in (found := events.read_text()):
+            return found
+        time.sleep(0.05)
+    raise AssertionError(f"no {text} in {events}: {process.communicate()[1]}")
+
+
+def ended(out: Path) -> dict[str, tuple[str, int]]:
+    scenes = json.loads((out / "batch.json").read_text())["scenes"]
+    return {scene["name"]: (scene["status"], scene["attempts"]) for scene in scenes}
+
+
+def test_a_killed_worker_a_stop_and_a_broken_scene_cost_no_bit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    manifest, out = tmp_path / "all.toml", tmp_path / "out"
+    manifest.write_text(MANIFEST)
+    (tmp_path / "broken.ply").write_bytes(b"ply\nnothing")
+
+    process = command(manifest, out, "--workers", "2")
+    try:
+        said = wait_for(process, out / "killed/events.jsonl", '"iteration": 3')
+        os.kill(json.loads(said.splitlines()[0])["pid"], signal.SIGKILL)
+        wait_for(process, out / "killed/events.jsonl", '"iteration": 6')
+    finally:
+        if process.poll() is None:
+            os.killpg(process.pid, signal.SIGINT)  # Ctrl-C
+    said = process.communicate()[1]
+    assert "the same command goes on" in said
+    assert "Traceback" not in said
+    assert process.returncode == 130
+    assert ended(out)["killed"] == ("stopped", 2)
+
+    process = command(manifest, out, "--workers", "2")
+    said = process.communicate()[1]
+    assert process.returncode == 1
+    assert f"fruitninja-batch: broken: {tmp_path / 'broken.ply'}: broken .ply header" in said
+    assert "Traceback" not in said
+    assert ended(out)["broken"] == ("failed", 2)
+    assert {ended(out)[name][0] for name in ("killed", "bread")} <= {"done", "kept"}
+
+    for name, value in SMALL.items():
+        monkeypatch.setattr(name, value)
+    single = tmp_path / "single"
+    for scene in read_manifest(manifest):
+        if scene.name != "broken":
+            run(scene.request, single / scene.name, Reporter(), False, lambda: False)
+    for file in ("killed/orange.ply", "killed/cuts.png", "bread/bread.ply", "bread/cuts.png"):
+        assert (out / file).read_bytes() == (single / file).read_bytes(), file
+    iterations = [json.loads(line).get("iteration") for line in (out / "killed/events.jsonl").open()]
+    assert iterations.count(1) == 1, "it began anew instead of at its checkpoint"
+    assert not list(out.glob("*/checkpoint/*.safetensors"))
+
+    manifest.write_text(MANIFEST.replace('[[scene]]\nscene = "broken.ply"', ""))
+    when = (out / "killed/orange.ply").stat().st_mtime_ns
+    monkeypatch.setattr(sys, "argv", ["fruitninja-batch", str(manifest), "-o", str(out)])
+    with pytest.raises(SystemExit) as left:
+        main()
+    assert left.value.code == 0
+    assert ended(out) == {"killed": ("kept", 0), "bread": ("kept", 0)}
+    assert (out / "killed/orange.ply").stat().st_mtime_ns == when
+
+
+def test_a_disk_that_was_full_costs_no_bit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    manifest, out = tmp_path / "all.toml", tmp_path / "out"
+    manifest.write_text(MANIFEST.partition("[[scene]]")[0] + f'[[scene]]\nscene = "{SCENES}/orange/orange.ply"\n')
+    said = command(manifest, out, preload=(WORKER, WORKER.with_name("full_disk_worker.py"))).communicate()[1]
+    lines = said.splitlines()
+    assert len(lines) == 2 and "Traceback" not in said
+    file = out / "orange/checkpoint/training.safetensors"
+    assert lines[0].startswith(f"orange: {file}: cannot be written (I/O error: No space left")
+    assert ended(out) == {"orange": ("done", 2)}
+    for name, value in SMALL.items():
+        monkeypatch.setattr(name, value)
+    run(read_manifest(manifest)[0].request, tmp_path / "single", Reporter(), False, lambda: False)
+    assert (out / "orange/orange.ply").read_bytes() == (tmp_path / "single/orange.ply").read_bytes()
+    assert not list(out.rglob(".*")), "something temporary was left"
+
+
+def test_what_a_killed_writer_left_breaks_no_checkpoint(tmp_path: Path) -> None:
+    checkpoint = Checkpoint(tmp_path, "run")
+    checkpoint.save("training", {"rgb": np.zeros((2, 3), np.float32)}, {})
+    (tmp_path / ".training.abcd1234.safetensors").write_bytes(b"half of")
+    assert whole(checkpoint)
+    (tmp_path / "labels.safetensors").write_bytes(b"half of")
+    assert not whole(checkpoint)
+
+
+# any grid of plain functions, through a running cluster's address
+
+
+@pytest.fixture(scope="module")
+def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """A scheduler and a worker that somebody else has started, each a process of its own."""
+    folder = tmp_path_factory.mktemp("cluster")
+    told = folder / "scheduler.json"
+    scheduler = ["dask_scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard"]
+    worker = ["dask_worker", "--nthreads", "1", "--no-nanny", "--no-dashboard", "--death-timeout", "60"]
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(WORKER.parent), str(SCENES.parent)])}
+    processes = [
+        subprocess.Popen(
+            [sys.executable, "-m", f"distributed.cli.{first}", *more, "--scheduler-file", str(told)],
+            env=environment,
+            cwd=folder,
+            stderr=subprocess.DEVNULL,
+        )
+        for first, *more in (scheduler, worker)
+    ]
+    try:
+        until = time.monotonic() + 60
+        while not (told.exists() and told.read_text().endswith("}")):
+            assert time.monotonic() < until and processes[0].poll() is None
+            time.sleep(0.05)
+        yield json.loads(told.read_text())["address"]
+    finally:
+        for process in reversed(processes):
+            process.terminate()
+            process.wait(20)
+
+
+def double(value: int) -> dict[str, int]:
+    say({"event": "progress", "part": 0.5})
+    return {"twice": 2 * value}
+
+
+def fail_at_first(mark: Path) -> dict[str, int]:
+    if not mark.exists():
+        mark.touch()
+        raise KeyError("first")
+    return {}
+
+
+def fail() -> dict[str, int]:
+    raise ZeroDivisionError("always\nso")
+
+
+def wait_until_stopped() -> dict[str, int]:
+    for _ in range(600):
+        if stopped():
+            raise Stopped
+        time.sleep(0.05)
+    return {}
+
+
+def test_a_grid_of_plain_functions(tmp_path: Path, address: str) -> None:
+    def task(name: str, function, **arguments) -> Task:  # type: ignore[no-untyped-def]
+        return Task(name, function, arguments, tmp_path / f"{name}.json", name)
+
+    tasks = [
+        task("double", double, value=4),
+        task("again", fail_at_first, mark=tmp_path / "mark"),
+        task("fail", fail),
+        task("last", double, value=5),
+    ]
+    lines: list[dict[str, object]] = []
+    outcomes = run_grid(tasks, lambda _, line: lines.append(line), lambda: False, scheduler=address)
+    assert [(o.status, o.attempts) for o in outcomes] == [("done", 1), ("done", 2), ("failed", 2), ("done", 1)]
+    assert outcomes[0].facts == {"twice": 8}
+    assert outcomes[2].error.startswith("ZeroDivisionError: always so (test_batch.py:")
+    assert json.loads((tmp_path / "double.json").read_text())["facts"] == {"twice": 8}
+    assert not (tmp_path / "fail.json").exists()
+    # A second time only what is not done; another fingerprint or a broken file is not done.
+    (tmp_path / "last.json").write_text("{")
+    tasks[0] = Task("double", double, {"value": 6}, tmp_path / "double.json", "other")
+    outcomes = run_grid(tasks, lambda *_: None, lambda: False, scheduler=address)
+    assert [o.status for o in outcomes] == ["done", "kept", "failed", "done"]
+    assert outcomes[0].facts == {"twice": 12}
+    assert stopped() is False
+
+
+def test_a_grid_stops_when_asked(tmp_path: Path, address: str) -> None:
+    tasks = [Task(name, wait_until_stopped, {}, tmp_path / name, name) for name in ("running", "waiting")]
+    running = []
+
+    def told(outcome: Outcome, _: object) -> None:
+        running.append(outcome.status == "running")
+
+    outcomes = run_grid(tasks, told, lambda: any(running), scheduler=address)
+    assert [(o.status, o.attempts) for o in outcomes] == [("stopped", 1), ("stopped", 0)]
+
+
+def test_nobody_at_the_address(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("training.batch.cluster.WAIT_SECONDS", 0.2)
+    task = Task("a", double, {"value": 1}, tmp_path / "a.json", "a")
+    for wrong in ("tcp://127.0.0.1:1", "nonsense://x", "tcp://127.0.0.1:99999999"):
+        with pytest.raises(InputError, match="no Dask scheduler answers"):
+            run_grid([task], lambda *_: None, lambda: False, scheduler=wrong)
+
+
+def test_a_cluster_of_its_own_listens_to_this_machine_alone() -> None:
+    """One port each for the scheduler, two workers and their two guards; no web pages."""
+    with workers(None, 2, 2, 0.1) as client:
+        client.submit(double, 1).result()
+        here = psutil.Process()
+        processes = [here, *here.children(recursive=True)]
+        open_ports = [c.laddr for p in processes for c in p.net_connections("inet") if c.status == psutil.CONN_LISTEN]
+        assert {port.ip for port in open_ports} == {"127.0.0.1"}
+        assert len(open_ports) == 5
+
+
+# manifests
+
+
+def test_a_manifest_is_checked_as_a_whole(tmp_path: Path) -> None:
+    for name in ("a.ply", "b.ply"):
+        (tmp_path / name).touch()
+    (tmp_path / "text.png").write_text("no picture")
+    picture = f"{SCENES}/orange/horizontal_1.png"
+    manifest = tmp_path / "all.toml"
+    manifest.write_text(f"""
+        colour = "red"
+        [defaults]
+        exemplar = {{ horizontal = "{picture}" }}
+        sede = 1
+        [[scene]]
+        scene = "a.ply"
+        [[scene]]
+        scene = "A.ply"
+        [[scene]]
+        scene = "b.ply"
+        name = "A"
+        [[scene]]
+        scene = "b.ply"
+        name = "../b"
+        [[scene]]
+        scene = "b.ply"
+        detail = "extreme"
+        [[scene]]
+        scene = "b.ply"
+        family = ["parallel:3"]
+        [[scene]]
+        scene = "b.ply"
+        exemplar = {{ radial = "text.png" }}
+        [[scene]]
+        scene = "b.ply"
+        seed = -1
+        [[scene]]
+        scene = "b.ply"
+        up = [0, 0, nan]
+        [[scene]]
+        scene = "b.ply"
+        prior = "stable-diffusion"
+    """)
+    with pytest.raises(Mistakes) as caught:
+        read_manifest(manifest)
+    lines = str(caught.value).splitlines()
+    wanted = [
+        "the file: unknown key 'colour'",
+        "defaults: unknown key 'sede'",
+        "scene 2 (A.ply): ",
+        "scene 3 (A): its result would be 'A', as that of scene 1 (a.ply); give one of them a name",
+        "scene 4 (../b): name '../b': cannot be a folder",
+        "scene 5 (b.ply): detail 'extreme': unknown; choose draft, standard, high",
+        "scene 6 (b.ply): horizontal: pictures or words but no planes; add family horizontal:40",
+        f"scene 7 (b.ply): {tmp_path / 'text.png'}: this is no picture",
+        "scene 8 (b.ply): seed: give a whole number",
+        "scene 9 (b.ply): up 0,0,nan: give x, y, z",
+        "scene 10 (b.ply): model and midas belong to",
+    ]
+    assert len(lines) == len(wanted)
+    for line, start in zip(lines, wanted, strict=True):
+        assert line.startswith(f"{manifest}: {start}")
+
+    deep = "a." * 50_000
+    refused = {"= 1": "no TOML", "": "no scenes", "scene = 3": "no scenes", "\xff": "no TOML"}
+    refused |= {f"{deep}a = 1": "line 1: over 40 dots", f'x = """\n#"""\n[{deep}': "line 3: over 40 dots"}
+    for text, said in refused.items():
+        manifest.write_bytes(text.encode("latin-1"))
+        with pytest.raises(InputError, match=said):
+            read_manifest(manifest)
+
+
+@pytest.mark.parametrize(
+    ("names", "said"),
+    [
+        (["batch.json"], "the batch writes a file of this name itself"),
+        (["Batch.JSON"], "the batch writes"),
+        (["x.lock"], "the batch writes"),
+        (["CON"], "a device on Windows"),
+        (["lpt1.ply"], "a device on Windows"),
+        (["Com¹ .tar.gz"], "a device on Windows"),
+        (["melon."], "cannot be a folder"),
+        (["melon "], "cannot be a folder"),
+        (["\N{CJK UNIFIED IDEOGRAPH-4E00}" * 90], "cannot be a folder"),
+        (["Melon", "mELON"], "its result would be 'mELON', as that of scene 1"),
+        (["caf\u00e9", "cafe\u0301"], "as that of scene 1"),
+        (["Stra\u00dfe", "STRASSE"], "as that of scene 1"),
+    ],
+)
+def test_names_are_folders_everywhere_and_of_one_scene(tmp_path: Path, names: list[str], said: str) -> None:
+    (tmp_path / "a.ply").touch()
+    manifest = tmp_path / "all.toml"
+    picture = f"{SCENES}/orange/horizontal_1.png"
+    text = "".join(f'[[scene]]\nscene = "a.ply"\nname = "{name}"\n' for name in names)
+    manifest.write_text(f'[defaults]\nexemplar = {{ horizontal = "{picture}" }}\n{text}', encoding="utf-8")
+    with pytest.raises(Mistakes) as caught:
+        read_manifest(manifest)
+    assert said in str(caught.value) and len(str(caught.value).splitlines()) == 1
+
+
+def test_names_that_only_look_like_devices_are_folders(tmp_path: Path) -> None:
+    (tmp_path / "a.ply").touch()
+    manifest = tmp_path / "all.toml"
+    names = ["console", "com10", "aux_1", "batch.json.old", "a.b.c", "cafe\u0301"]
+    text = "".join(f'[[scene]]\nscene = "a.ply"\nname = "{name}"\n' for name in names)
+    picture = f"{SCENES}/orange/horizontal_1.png"
+    manifest.write_text(f'[defaults]\nexemplar = {{ horizontal = "{picture}" }}\n{text}', encoding="utf-8")
+    assert [scene.name for scene in read_manifest(manifest)] == [*names[:-1], "caf\u00e9"]
+
+
+def test_defaults_give_way_to_a_scenes_own(tmp_path: Path) -> None:
+    manifest = tmp_path / "all.toml"
+    manifest.write_text(MANIFEST)
+    (tmp_path / "broken.ply").touch()
+    killed, broken, melon = read_manifest(manifest)
+    assert (killed.name, broken.name, melon.name) == ("killed", "broken", "bread")
+    assert (killed.request.detail, melon.request.detail) == ("standard", "draft")
+    assert (killed.request.seed, melon.request.seed) == (0, 3)
+    assert [(f.kind, f.count, len(f.exemplars)) for f in melon.request.families] == [
+        ("horizontal", 4, 1),
+        ("radial", 3, 1),
+    ]
+    assert broken.request.scene == tmp_path / "broken.ply"
+    assert melon.request.up == (0.0, 0.0, 1.0)

@@ -1,0 +1,92 @@
+"""Checkpoints: whole or absent, of this run or refused; and the event stream."""
+
+from __future__ import annotations
+
+import io
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from engine.errors import InputError
+from engine.io.files import atomic, claimed, sweep
+from tests.paths import ROOT
+from training.checkpoint import Checkpoint
+from training.events import Reporter
+
+
+def test_round_trip_is_bit_exact(tmp_path):
+    checkpoint = Checkpoint(tmp_path, "run")
+    array = np.random.default_rng(0).standard_normal((7, 3)).astype(np.float32)
+    checkpoint.save("training", {"rgb": array}, {"losses": [0.1, 1e-17]})
+    arrays, facts = checkpoint.load("training")
+    assert (arrays["rgb"] == array).all()
+    assert facts == {"losses": [0.1, 1e-17]}
+    assert checkpoint.load("labels") is None
+
+
+def test_another_run_or_a_broken_file_is_refused(tmp_path):
+    Checkpoint(tmp_path, "run").save("training", {"rgb": np.zeros(3, np.float32)}, {})
+    with pytest.raises(InputError, match="start again without --resume"):
+        Checkpoint(tmp_path, "other").load("training")
+    path = tmp_path / "training.safetensors"
+    for content in (b"", path.read_bytes()[:-2], b"\xff" * 64):
+        path.write_bytes(content)
+        with pytest.raises(InputError, match="not a readable checkpoint"):
+            Checkpoint(tmp_path, "run").load("training")
+
+
+def test_a_failed_write_leaves_the_old_file(tmp_path):
+    path = tmp_path / "a.txt"
+    path.write_text("old")
+
+    def write():
+        with atomic(path) as temporary:
+            temporary.write_text("half")
+            raise KeyError
+
+    with pytest.raises(KeyError):
+        write()
+    assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_killed_writer_leaves_nothing_after_the_next_start(tmp_path):
+    keep = tmp_path / ".settings.json"
+    keep.touch()
+    writer = atomic(tmp_path / "previews/radial_001.png")
+    left = writer.__enter__()
+    assert left.exists()
+    sweep(tmp_path)
+    assert not left.exists()
+    assert keep.exists()
+
+
+def test_events_are_json_lines_whatever_the_numbers():
+    stream = io.StringIO()
+    reporter = Reporter(stream)
+    with reporter.stage("train") as stage:
+        stage.progress(0.5, losses={"section": float("nan")})
+    lines = [json.loads(line) for line in stream.getvalue().splitlines()]
+    assert [line["event"] for line in lines] == ["stage", "progress"]
+    assert lines[1]["losses"]["section"] is None
+    assert lines[1]["eta"] >= 0
+    assert "train" in reporter.timings
+
+
+def test_a_folder_is_written_by_one_run_at_a_time(tmp_path: Path) -> None:
+    out = tmp_path / "new/out"
+    ask = f"from pathlib import Path; from engine.io.files import claimed\nwith claimed(Path({str(out)!r})): pass"
+
+    def another() -> subprocess.CompletedProcess[str]:
+        return subprocess.run([sys.executable, "-c", ask], capture_output=True, text=True, check=False, cwd=ROOT)
+
+    with claimed(out):
+        assert "another run is writing there" in another().stderr
+    assert another().returncode == 0
+    assert not list(out.iterdir())
+    with pytest.raises(InputError, match="cannot be written here"), claimed(Path("/proc/none")):
+        pass

@@ -1,0 +1,148 @@
+"""The main job from the outside: results, the same bits after any interruption, and bad input in one line."""
+
+from __future__ import annotations
+
+import io
+import json
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import training.optimise.rounds
+import training.settings
+from engine.io.load import load
+from engine.io.trained import load_trained
+from tests.paths import SAMPLES
+from training import cli
+from training.events import Reporter
+from training.families import Family
+from training.pipeline import run
+from training.request import Interrupted, Request
+from training.settings import Detail
+
+SCENE = SAMPLES / "watermelon"
+TINY = Detail(cells=20, fine=28, voxels=32, label=48, surface=48, surface_views=6, iterations=9, reshape=2)
+REQUEST = Request(
+    SCENE / "watermelon.ply",
+    (Family("horizontal", 8, (SCENE / "horizontal_1.png",)), Family("radial", 6, (SCENE / "radial_1.png",))),
+    detail="draft",
+    up=(0.0, 0.0, 1.0),
+)
+# The command with its draft made tiny, for tests that have to end it from outside.
+SMALL_COMMAND = f"""
+import sys
+import training.optimise.rounds, training.settings
+from training.settings import Detail
+training.settings.DETAILS["draft"] = {TINY!r}
+training.optimise.rounds.CHECKPOINT_SECONDS = 0.0
+from training.cli import main
+main()
+"""
+ARGUMENTS = [
+    str(SCENE / "watermelon.ply"),
+    *("--exemplar", f"horizontal={SCENE / 'horizontal_1.png'}", "--exemplar", f"radial={SCENE / 'radial_1.png'}"),
+    *("--family", "horizontal:8", "--family", "radial:6", "--detail", "draft", "--up", "z"),
+]
+
+
+@pytest.fixture(autouse=True)
+def tiny(monkeypatch):
+    monkeypatch.setitem(training.settings.DETAILS, "draft", TINY)
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    out = tmp_path_factory.mktemp("whole")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(training.settings.DETAILS, "draft", TINY)
+        run(REQUEST, out, Reporter(), False, lambda: False)
+    return out
+
+
+def test_a_run_leaves_a_solid_a_sheet_and_a_report(whole):
+    atoms, meta = load_trained(whole / "watermelon.ply")
+    assert meta.up == (0.0, 0.0, 1.0)
+    report = json.loads((whole / "report.json").read_text())
+    assert len(atoms.surface) == report["surface_atoms"] > 0
+    assert len(atoms.interior) == report["interior_atoms"] > 1000
+    assert report["surface_psnr_db"] > 18
+    assert len(load(whole / "watermelon.ply").gaussians) == len(atoms)
+    assert np.asarray(Image.open(whole / "cuts.png")).std() > 10
+    # The inside of a watermelon is red, the outside is not: an interior like the skin would fail here.
+    deep = np.linalg.norm(atoms.interior.means, axis=1) < 0.4
+    red, green, _ = atoms.interior.rgb[deep].mean(0)
+    assert red > 1.5 * green
+
+
+def test_an_interrupted_run_ends_with_the_same_bits(whole, tmp_path):
+    for reached in ('"stage": "labels", "part": 0.', '"stage": "views"', '"iteration": 2'):
+        said = io.StringIO()
+        with pytest.raises(Interrupted):
+            run(REQUEST, tmp_path, Reporter(said), True, lambda said=said, reached=reached: reached in said.getvalue())
+    assert (tmp_path / "checkpoint/training.safetensors").exists()
+    run(REQUEST, tmp_path, Reporter(), True, lambda: False)
+    assert (tmp_path / "watermelon.ply").read_bytes() == (whole / "watermelon.ply").read_bytes()
+
+
+def start(out: Path, events: Path, *more: str) -> subprocess.Popen[bytes]:
+    return subprocess.Popen(
+        [sys.executable, "-c", SMALL_COMMAND, *ARGUMENTS, "-o", str(out), "--events", str(events), *more],
+        stderr=subprocess.PIPE,
+    )
+
+
+def wait_for(events: Path, text: str) -> None:
+    for _ in range(2400):
+        if events.exists() and text in events.read_text():
+            return
+        time.sleep(0.05)
+    raise AssertionError(f"no {text} in {events}")
+
+
+def test_a_kill_breaks_nothing_and_a_signal_ends_cleanly(whole, tmp_path):
+    out = tmp_path / "out"
+    process = start(out, tmp_path / "1.jsonl")
+    wait_for(tmp_path / "1.jsonl", '"iteration": 2')
+    process.kill()
+    process.communicate()
+    process = start(out, tmp_path / "2.jsonl", "--resume")
+    wait_for(tmp_path / "2.jsonl", '"stage": "views"')
+    process.send_signal(signal.SIGTERM)
+    _, said = process.communicate()
+    assert process.returncode == 143
+    assert b"--resume" in said
+    process = start(out, tmp_path / "3.jsonl", "--resume")
+    process.communicate()
+    assert process.returncode == 0
+    assert (out / "watermelon.ply").read_bytes() == (whole / "watermelon.ply").read_bytes()
+    assert not [path for path in out.rglob(".*") if path.is_file()]
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (["missing.ply"], "missing.ply: no such file"),
+        (["--detail", "extreme"], "draft, standard, high"),
+        (["--prior", "oracle"], "choose exemplar"),
+        (["--up", "w"], "give x, y, z"),
+        (["--exemplar", "radial=LICENSE"], "LICENSE"),
+        (["--exemplar", "parallel=README.md"], "add --family parallel:60"),
+    ],
+)
+def test_bad_input_gets_one_line_and_status_2(change, said, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(SCENE.parents[1])
+    arguments = [*change, *ARGUMENTS[1:]] if change[0].endswith(".ply") else [*ARGUMENTS, *change]
+    monkeypatch.setattr(sys, "argv", ["fruitninja-train", *arguments, "-o", str(tmp_path / "out")])
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    assert ended.value.code == 2
+    printed = capsys.readouterr().err.strip().splitlines()
+    assert said in printed[-1]
+    assert not any("Traceback" in line for line in printed)
+    assert not (tmp_path / "out/watermelon.ply").exists()

@@ -1,0 +1,192 @@
+"""Joint training of cut faces and surface (paper, sections 3.2 and 3.3). Geometry is frozen: only colours move.
+
+With geometry frozen a picture is linear in the colours (`engine.fit.view_weights`), so a step is two sparse products.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from engine.fit.sh_fit import SurfaceView
+from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
+from engine.scene.sh import C0
+from training.optimise.losses import reconstruction
+from training.optimise.smoothing import smooth
+from training.views import BACKGROUND, Section
+
+__all__ = ["Losses", "Trainer"]
+
+# The paper's alpha for each kind of view, from DESIGN section 4.6: labels are trusted for structure, the surface is
+# trusted to the pixel.
+SECTION_ALPHA = 0.3
+SURFACE_ALPHA = 0.6
+
+# Views in one iteration. The paper takes all sections and 10-20 surface views; a third of the sections, in turns,
+# reaches the same loss in a third of the time.
+SECTIONS_PER_ITERATION = 24
+SURFACES_PER_ITERATION = 10
+
+# Adam's steps in colour units. The surface starts from the fitted input and must not drift, so it moves less, and its
+# view-dependent bands less again (3DGS: a twentieth).
+INTERIOR_RATE = 0.005
+SURFACE_RATE = 0.001
+BANDS_RATE = SURFACE_RATE / 20
+
+# Every step of Adam is as long as its rate, however small the residual: rates are halved in this many turns of all
+# sections, or the colours would end as noise of that size. A refinement round starts afresh.
+HALVED_IN_TURNS = 3
+
+# The paper smooths every 30 to 40 iterations.
+SMOOTH_EVERY = 30
+
+# Surface colours stay within this, or within what the capture has: far beyond black and white, so it binds only where
+# steps are much too long, and keeps those finite.
+MOST_SH = 10.0
+
+# Adam's moments, Kingma and Ba 2015.
+BETAS = (0.9, 0.99)
+TINY = 1e-8
+
+
+@dataclass(frozen=True)
+class Losses:
+    """Mean reconstruction loss of the views of one iteration."""
+
+    section: float
+    surface: float
+
+
+class Trainer:
+    """Colours on their way from the start to the labels."""
+
+    def __init__(
+        self,
+        atoms: Atoms,
+        sections: Sequence[Section],
+        surfaces: Sequence[SurfaceView],
+        seed: int,
+    ) -> None:
+        self.atoms = atoms
+        self.sections = sections
+        self.surfaces = surfaces
+        self.seed = seed
+        self.iteration = 0
+        self.round_start = 0
+        """Iteration at which the labels last changed."""
+        self.initial = atoms.interior.rgb
+        self.rgb = torch.from_numpy(atoms.interior.rgb.copy())
+        self.sh = torch.from_numpy(atoms.surface.sh.copy())
+        self.most_sh = max(MOST_SH, float(np.abs(atoms.surface.sh).max(initial=0)))
+        self.moments = {name: torch.zeros_like(tensor) for name, tensor in (("rgb1", self.rgb), ("rgb2", self.rgb))} | {
+            name: torch.zeros_like(tensor) for name, tensor in (("sh1", self.sh), ("sh2", self.sh))
+        }
+        # An atom is trained where some cut face shows it.
+        self.trained: NDArray[np.bool_] = np.zeros(len(atoms.interior), bool)
+        for view in sections:
+            columns = view.weights.used - len(atoms.surface)
+            self.trained[columns[(columns >= 0) & (columns < len(self.trained))]] = True
+
+    @property
+    def turns(self) -> int:
+        """Iterations in which every section has its turn once."""
+        return max(1, -(-len(self.sections) // SECTIONS_PER_ITERATION))
+
+    def state(self) -> dict[str, NDArray[np.float32]]:
+        """All that changes while training, for a checkpoint."""
+        return {"rgb": self.rgb.numpy(), "sh": self.sh.numpy()} | {k: v.numpy() for k, v in self.moments.items()}
+
+    def restore(self, state: dict[str, NDArray[np.float32]], iteration: int, round_start: int) -> None:
+        """Goes back to a checkpoint's state."""
+        self.rgb = torch.from_numpy(state["rgb"].copy())
+        self.sh = torch.from_numpy(state["sh"].copy())
+        self.moments = {name: torch.from_numpy(state[name].copy()) for name in self.moments}
+        self.iteration, self.round_start = iteration, round_start
+
+    def result(self) -> Atoms:
+        """The atoms with the colours they have now."""
+        s, i = self.atoms.surface, self.atoms.interior
+        return Atoms(
+            SurfaceAtoms(s.means, s.scales, s.quats, self.sh.numpy().copy()),
+            InteriorAtoms(i.means, i.sigmas, self.rgb.numpy().copy(), i.exposed),
+            self.atoms.pitch,
+        )
+
+    def step(self, labels: Sequence[Tensor]) -> Losses:
+        """One iteration: a turn of the sections against their labels (H, W, 3), some surface views, one Adam step."""
+        rng = np.random.default_rng([self.seed, self.iteration])
+        order = np.random.default_rng([self.seed, 1, self.iteration // self.turns]).permutation(len(self.sections))
+        turn = self.iteration % self.turns
+        chosen = order[turn * SECTIONS_PER_ITERATION : (turn + 1) * SECTIONS_PER_ITERATION]
+        views = rng.choice(len(self.surfaces), min(SURFACES_PER_ITERATION, len(self.surfaces)), replace=False)
+
+        rgb = self.rgb.requires_grad_()
+        sh = self.sh.requires_grad_()
+        # Each kind of view is a mean, so that neither outweighs the other by its number.
+        section_loss = torch.zeros(())
+        for index in chosen.tolist():
+            # Sections teach the inside alone: what labels make of the rim would cost the skin 0.7 dB from outside.
+            shown = self.sections[index].weights.picture(sh.detach(), rgb, BACKGROUND)
+            section_loss = section_loss + reconstruction(shown, labels[index], SECTION_ALPHA)
+        section_loss = section_loss / max(len(chosen), 1)
+        surface_loss = torch.zeros(())
+        for index in views.tolist():
+            view = self.surfaces[index]
+            target = torch.from_numpy(view.target)
+            # Where the input lets its background through it is no evidence of what an opaque atom should show.
+            seen = torch.from_numpy(view.opaque)[..., None]
+            shown = torch.where(seen, view.weights.picture(sh, rgb, BACKGROUND), target)
+            surface_loss = surface_loss + reconstruction(shown, target, SURFACE_ALPHA)
+        surface_loss = surface_loss / max(len(views), 1)
+        (section_loss + surface_loss).backward()
+
+        rgb_gradient, sh_gradient = rgb.grad, sh.grad
+        assert rgb_gradient is not None
+        if sh_gradient is None:  # no surface views, nothing to learn of the skin
+            sh_gradient = torch.zeros_like(sh)
+        self.rgb, self.sh = rgb.detach(), sh.detach()
+        self.rgb.grad = self.sh.grad = None
+        self.iteration += 1
+        pace = 0.5 ** ((self.iteration - self.round_start) / (HALVED_IN_TURNS * self.turns))
+        self.rgb += self._adam("rgb", rgb_gradient) * (-INTERIOR_RATE * pace)
+        self.rgb.clamp_(0, 1)
+        rates = torch.full((self.sh.shape[1], 1), -BANDS_RATE)
+        rates[0] = -SURFACE_RATE / C0
+        self.sh += self._adam("sh", sh_gradient) * (rates * pace)
+        self.sh.clamp_(-self.most_sh, self.most_sh)
+        if self.iteration % SMOOTH_EVERY == 0:
+            self.smooth()
+        return Losses(section_loss.item(), surface_loss.item())
+
+    def smooth(self) -> None:
+        """Voxel smoothing of the atoms that no section shows; trained ones stay as they are."""
+        smoothed = smooth(self.atoms.interior.means, self.initial, self.rgb.numpy(), self.trained)
+        self.rgb = torch.from_numpy(np.clip(smoothed, 0, 1))
+
+    def render(self, section: Section) -> NDArray[np.float32]:
+        """(H, W, 3). A cut face as the atoms show it now, over white."""
+        with torch.no_grad():
+            return section.weights.picture(self.sh, self.rgb, BACKGROUND).numpy()
+
+    def section_losses(self, labels: Sequence[Tensor]) -> NDArray[np.float64]:
+        """(V,). Reconstruction loss of every section; the paper refines until all are under a threshold."""
+        with torch.no_grad():
+            return np.array(
+                [
+                    reconstruction(view.weights.picture(self.sh, self.rgb, BACKGROUND), label, SECTION_ALPHA).item()
+                    for view, label in zip(self.sections, labels, strict=True)
+                ]
+            )
+
+    def _adam(self, name: str, gradient: Tensor) -> Tensor:
+        """Adam's direction, bias-corrected; entries without a gradient so far have none."""
+        first, second = self.moments[f"{name}1"], self.moments[f"{name}2"]
+        first.lerp_(gradient, 1 - BETAS[0])
+        second.lerp_(gradient * gradient, 1 - BETAS[1])
+        corrected = second / (1 - BETAS[1] ** self.iteration)
+        return first / (1 - BETAS[0] ** self.iteration) / (corrected.sqrt() + TINY)

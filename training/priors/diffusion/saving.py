@@ -1,0 +1,71 @@
+"""Writes a fine-tuned model as a whole folder, in the layout of diffusers."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import tempfile
+from collections.abc import Iterable
+from pathlib import Path
+
+import torch
+from safetensors import safe_open
+
+from engine.errors import InputError
+from engine.io.files import reason
+from engine.io.scratch import atomic_folder
+from training.priors.diffusion.loading import NOTE, Model
+from training.priors.diffusion.words import TOKEN, tuned_prompts
+
+__all__ = ["check_free", "save_model"]
+
+PARTS = ("vae", "text_encoder", "tokenizer", "scheduler", "depth_estimator", "feature_extractor")
+"""What a model holds beside its network; the last two are for programs that estimate depth."""
+
+INDEX = "model_index.json"
+
+
+def check_free(out: Path) -> None:
+    """Raises InputError where a model cannot be written: known before hours of work, not after."""
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise InputError(f"{out}: is there already; give a new folder")
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=out.parent).close()
+    except OSError as error:
+        raise InputError(f"{out}: cannot be written here ({reason(error)})") from error
+
+
+def save_model(model: Model, out: Path, thing: str) -> None:
+    """The trained network, everything else as it was in the model's folder, and the prompts that it learned.
+
+    The network keeps the precision of the file that it came from. Raises InputError where the folder cannot be
+    written; then nothing is left of it.
+    """
+    precision = stored_type(model.folder / "unet")
+    note = {"object": thing, "token": TOKEN, "prompts": tuned_prompts(thing)}
+    text = json.dumps(note, indent=1) + "\n"
+    unet = model.unet.to(precision)
+    with atomic_folder(out) as temporary:
+        for name in PARTS:
+            if (model.folder / name).is_dir():
+                shutil.copytree(model.folder / name, temporary / name, ignore=unwanted)
+        if (model.folder / INDEX).is_file():
+            shutil.copy2(model.folder / INDEX, temporary)
+        unet.save_pretrained(temporary / "unet", safe_serialization=True)
+        (temporary / NOTE).write_text(text, encoding="utf-8")
+
+
+def unwanted(_: str, names: Iterable[str]) -> list[str]:
+    """Weights that are not safetensors, and second copies in 16 bits; both would never be read."""
+    names = list(names)
+    full = any(name.endswith(".safetensors") and ".fp16." not in name for name in names)
+    pickled = (".bin", ".ckpt", ".h5", ".msgpack", ".pt", ".pth")
+    return [name for name in names if name.endswith(pickled) or (full and ".fp16." in name)]
+
+
+def stored_type(folder: Path) -> torch.dtype:
+    """The type of the numbers in the weights of a folder."""
+    names = sorted(folder.glob("*.safetensors"), key=lambda path: ".fp16." in path.name)
+    with safe_open(names[0], "pt") as weights:
+        return weights.get_tensor(next(iter(weights.keys()))).dtype

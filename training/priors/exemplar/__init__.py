@@ -1,0 +1,35 @@
+"""The default prior: interiors from photographs of cut faces, offline (DESIGN section 5.1)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from engine.scene.grid import Body
+from training.families import Family
+from training.priors.exemplar.pictures import Picture, read_picture
+from training.priors.exemplar.solve import solve
+from training.priors.prior import Progress, Volume
+
+__all__ = ["ExemplarPrior", "Picture", "read_picture"]
+
+
+class ExemplarPrior:
+    """Copies what the pictures of a family show to where in the body it belongs."""
+
+    def solve(
+        self,
+        body: Body,
+        up: NDArray[np.float64],  # [3]
+        families: Sequence[Family],
+        voxels: int,
+        seed: int,
+        progress: Progress,
+    ) -> Volume:
+        """The interior on a grid of `voxels` cells along the body's longest side, or fewer. Bit-equal for a seed.
+
+        Raises InputError where no family has a picture, or one shows no cut face.
+        """
+        return solve(body, up, families, voxels, seed, progress)

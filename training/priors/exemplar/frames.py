@@ -1,0 +1,369 @@
+"""Where a voxel lies in the body, where a pixel lies in its picture, and the directions each calls its own.
+
+Both get the same gate coordinates, in units of a gate cell: depth under the skin (saturating), relative radius, and
+height or position (DESIGN section 5.1, steps 1 and 2).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from engine.scene.camera import equator
+from engine.scene.grid import Body
+from training.priors.exemplar.patches import OVER, POLAR, RADIAL
+from training.priors.exemplar.pictures import Picture, fill_outside
+
+__all__ = [
+    "ANGLES",
+    "HEIGHT_CELLS",
+    "INSET_STEP",
+    "RADIUS_CELLS",
+    "SPECK",
+    "Frame",
+    "Sheet",
+    "Space",
+    "View",
+    "depth_gate",
+    "make_sheet",
+    "make_space",
+    "rim_of",
+    "scaled_sheet",
+    "voxel_gate",
+]
+
+DEPTH_SCALE = 0.15
+"""Depth in inradii over which the rind's depth stops to matter (DESIGN 5.1, step 2)."""
+
+DEPTH_CELLS, RADIUS_CELLS, HEIGHT_CELLS = 7.0, 7.0, 4.0
+"""Gate cells over the range of each coordinate: narrow enough for rings, loose enough for seeds at any height."""
+
+MARGIN = 6
+"""Cells of air around the body, so that patches at the skin stay on the grid."""
+
+ANGLES = 180
+"""Directions around the axis in which the rim of a slice is known."""
+
+INSET_STEP = 0.5
+"""Cells: as the picture's pixels."""
+
+SPECK = 0.02
+"""Of the largest slice: a smaller one at an end is a stalk or a crumb, from which no height is measured."""
+
+ROUND = 0.09
+"""Relative variation of the rim up to which a body counts as round: an ellipse of 1 to 1.3."""
+
+Frame = int
+"""POLAR, RADIAL or FIXED (see `patches`)."""
+
+
+@dataclass(frozen=True)
+class Space:
+    """The voxels that are solved for, and where each lies."""
+
+    body: Body
+    up: NDArray[np.float64]
+    basis: NDArray[np.float64]
+    """(3, 3). Rows e1, e2, up."""
+    centre: NDArray[np.float32]
+    """(3,). Centre of the body, in cells (cell centres at whole numbers)."""
+    cells: NDArray[np.int16]
+    """(N, 3). Voxels inside, and those that the skin passes through."""
+    number: NDArray[np.int32]
+    """(X, Y, Z). Row of each voxel in `cells`, -1 outside."""
+    depth: NDArray[np.float32]
+    """(N,). Under the skin, over the inradius, from 0."""
+    planar: NDArray[np.float32]
+    """(N, 3). Position along e1, e2, up from the centre, in cells."""
+    radius: NDArray[np.float32]
+    """(N,). Distance from the axis in cells."""
+    rim: NDArray[np.float32]
+    """(N,). Distance of the skin from the axis at the voxel's angle and height, in cells."""
+    height: NDArray[np.float32]
+    """(N,). Range [-1, 1]."""
+    normal: NDArray[np.float32]
+    """(N, 3). Outward direction of the nearest skin, along e1, e2, up."""
+    shell: tuple[NDArray[np.int32], NDArray[np.int32]]
+    """Flat indices of voxels outside within reach of a patch, and of the nearest voxel inside."""
+
+    @property
+    def inradius(self) -> float:
+        """In cells."""
+        return self.body.inradius / self.body.cell
+
+    @property
+    def widest(self) -> float:
+        """Distance of the skin from the axis where it is widest, in cells; crumbs that stand out do not count."""
+        return float(np.percentile(self.rim[self.depth < 0.1], 95)) if (self.depth < 0.1).any() else 1.0
+
+    def fill(self, rgb: NDArray[np.float32]) -> None:
+        """Voxels just outside of the body take the colour of the nearest inside, in place."""
+        flat = rgb.reshape(-1, 3)
+        flat[self.shell[0]] = flat[self.shell[1]]
+
+    def scatter(self, colours: NDArray[np.float32]) -> NDArray[np.float32]:
+        """(X, Y, Z, 3). The grid from one colour per voxel (N, 3)."""
+        rgb = np.zeros((*self.number.shape, 3), np.float32)
+        rgb[self.cells[:, 0], self.cells[:, 1], self.cells[:, 2]] = colours
+        self.fill(rgb)
+        return rgb
+
+    @property
+    def is_round(self) -> bool:
+        """Whether the slices across the axis are round enough for a picture to be turned in them.
+
+        The rim of a round body varies by a few per cent around the axis, that of a loaf or a thigh by a quarter.
+        """
+        middle = np.abs(self.height) < 0.3
+        edge = middle & (self.radius > self.rim - 1.5)
+        return float(self.rim[edge].std() / self.rim[edge].mean()) < ROUND
+
+    def widest_slice(self, along: NDArray[np.floating]) -> float:
+        """Square cells of the largest slice one cell thick across a direction; `along` (N,) are places along it."""
+        return float(np.bincount(np.round(along - along.min()).astype(int)).max())
+
+
+def make_space(body: Body, up: NDArray[np.float64], voxels: int) -> Space:
+    """The body on a grid of `voxels` cells along its longest side, and the place of every voxel in it."""
+    up = np.asarray(up, np.float64) / np.linalg.norm(up)
+    low, high = body.bounds()
+    cell = float((high - low).max()) / voxels
+    shape = tuple((np.ceil((high - low) / cell).astype(int) + 2 * MARGIN).tolist())
+    grid = Body((low + high) / 2 - np.array(shape) * cell / 2, cell, np.zeros(shape, np.float32))
+    # A grid finer than the body's own would show its steps.
+    depth = body.at(grid.centres())
+    if cell < body.cell:
+        depth = ndimage.gaussian_filter(depth, 0.5 * body.cell / cell)
+    body = Body(grid.origin, cell, depth)
+    wanted = depth > -0.9 * cell
+    cells = np.argwhere(wanted).astype(np.int16)
+    number = np.full(shape, -1, np.int32)
+    number[wanted] = np.arange(len(cells), dtype=np.int32)
+    basis = np.stack([*equator(up), up])
+    inside = np.argwhere(depth > 0)
+    centre = inside.mean(0)
+    along = (inside - centre) @ up
+    areas = np.bincount(np.round(along - along.min()).astype(int))
+    levels = np.flatnonzero(areas > SPECK * areas.max())
+    half = max((levels[-1] - levels[0] + 1) / 2, 1.0)
+    centre = centre + up * (along.min() + (levels[0] + levels[-1]) / 2)
+    planar = ((cells - centre) @ basis.T).astype(np.float32)
+    radius = np.hypot(planar[:, 0], planar[:, 1])
+    slopes = np.stack(np.gradient(ndimage.gaussian_filter(depth, 1.0)), -1)[wanted]
+    slopes = -(slopes / np.maximum(np.linalg.norm(slopes, axis=1, keepdims=True), 1e-12)) @ basis.T
+    distance, nearest = ndimage.distance_transform_edt(~wanted, return_indices=True)
+    reach = np.flatnonzero((distance > 0) & (distance < MARGIN))
+    source = np.ravel_multi_index(tuple(n.ravel()[reach] for n in nearest), shape)
+    return Space(
+        body,
+        up,
+        basis,
+        centre.astype(np.float32),
+        cells,
+        number,
+        np.maximum(depth[wanted] / body.inradius, 0).astype(np.float32),
+        planar,
+        radius,
+        rim_of(planar, radius),
+        np.clip(planar[:, 2] / half, -1, 1),
+        slopes.astype(np.float32),
+        (reach.astype(np.int32), source.astype(np.int32)),
+    )
+
+
+def rim_of(planar: NDArray[np.float32], radius: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(N,). The greatest radius among the voxels of the same height and angle."""
+    level = np.round(planar[:, 2] - planar[:, 2].min()).astype(int)
+    angle = np.arctan2(planar[:, 1], planar[:, 0]) / (2 * np.pi) % 1
+    turn = (angle * ANGLES).astype(int) % ANGLES
+    rims = np.zeros((level.max() + 1, ANGLES), np.float32)
+    np.maximum.at(rims, (level, turn), radius)
+    # Narrow slices have fewer voxels than angles: look around, then smooth away the steps of the grid.
+    wide = ndimage.grey_dilation(rims, size=(1, 9), mode="wrap")
+    rims = np.where(rims > 0.8 * wide, rims, wide)
+    rims = ndimage.gaussian_filter(rims, (0.7, 2.0), mode=("nearest", "wrap"))
+    # Read between angles: taken by steps, an outline that runs aslant would show teeth under the skin.
+    closed = np.pad(rims, ((0, 0), (1, 1)), mode="wrap")
+    rim = ndimage.map_coordinates(closed, np.stack([level, angle * ANGLES + 0.5]), order=1, mode="nearest")
+    return np.maximum(rim, np.maximum(radius, 0.5))
+
+
+def depth_gate(depth: NDArray[np.floating]) -> NDArray[np.float32]:
+    """Depth in inradii to a gate coordinate: the rind in detail, the middle as one (DESIGN 5.1, step 2)."""
+    return ((1 - np.exp(-np.asarray(depth, np.float32) / DEPTH_SCALE)) * DEPTH_CELLS).astype(np.float32)
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """A picture brought to the scale of the voxels: `OVER` pixels to a cell."""
+
+    rgb: NDArray[np.float32]
+    """(H, W, 3)."""
+    xy: NDArray[np.float32]
+    """(P, 2). The pixels that are candidates, in cells."""
+    ab: NDArray[np.float32]
+    """(P, 4). Directions a and b of each in the picture, x to the right and y down."""
+    gate: NDArray[np.float32]
+    """(P, 3). Gate coordinates."""
+    depth: NDArray[np.float32]
+    """(H, W). Under the edge, over the body's inradius; 0 outside."""
+    middle: tuple[float, float]
+    """Centre (x, y) in cells."""
+    half: tuple[float, float]
+    """Half width and half height of the cut face in cells."""
+    rims: NDArray[np.float32]
+    """(ANGLES,). Distance of the edge from the centre, counter-clockwise from the right, in cells."""
+    insets: NDArray[np.float32]
+    """(ANGLES, L). How far inward of the edge, towards the centre, the depth reaches l INSET_STEPs, in cells."""
+
+    def read(self, x: NDArray[np.floating], y: NDArray[np.floating]) -> NDArray[np.float32]:
+        """(..., 3). Bilinear colours at (x, y) in cells."""
+        at = np.stack([np.asarray(y) * OVER, np.asarray(x) * OVER])
+        return np.stack(
+            [
+                ndimage.map_coordinates(self.rgb[..., c], at, order=1, mode="nearest", output=np.float32)
+                for c in range(3)
+            ],
+            axis=-1,
+        )
+
+    def rim(self, angle: NDArray[np.floating]) -> NDArray[np.float32]:
+        """(...). Distance of the edge from the centre at angles in radians."""
+        turn = np.asarray(angle) / (2 * np.pi) * ANGLES - 0.5
+        return ndimage.map_coordinates(self.rims, turn[None], order=1, mode="grid-wrap", output=np.float32)
+
+    def inset(self, angle: NDArray[np.floating], depth: NDArray[np.floating]) -> NDArray[np.float32]:
+        """(...). How far inward of the edge, at angles in radians, lies what is `depth` cells under it.
+
+        At a corner of a loaf that is farther than the depth itself.
+        """
+        turn = np.asarray(angle) / (2 * np.pi) * ANGLES - 0.5
+        at = np.stack([turn % ANGLES, np.asarray(depth) / INSET_STEP])
+        closed = np.concatenate([self.insets, self.insets[:1]])
+        return ndimage.map_coordinates(closed, at, order=1, mode="nearest", output=np.float32)
+
+
+@dataclass(frozen=True)
+class View:
+    """How one family looks at the body: its frame, and the direction across its planes."""
+
+    kind: Frame
+    basis: NDArray[np.float64]
+    """(3, 3). World rows: e1, e2, up for round frames; a, b, normal for a fixed one."""
+    sheets: list[Sheet]
+
+
+def make_sheet(picture: Picture, space: Space, kind: Frame, area: float) -> Sheet:
+    """The picture at the scale where its cut face covers `area` square cells, with gate coordinates for a frame."""
+    return scaled_sheet(picture, space.inradius, kind, float(np.sqrt(area / max(picture.mask.sum(), 1))))
+
+
+def scaled_sheet(picture: Picture, inradius: float, kind: Frame, cells: float) -> Sheet:
+    """The picture with `cells` cells to its pixel, for a body of this inradius in cells."""
+    scale = cells * OVER
+    rgb, mask = _resize(picture.rgb, scale), _resize(picture.mask.astype(np.float32), scale) > 0.5
+    pad = 3 * OVER
+    mask = np.pad(mask, pad)
+    rgb = np.pad(rgb, ((pad, pad), (pad, pad), (0, 0)), mode="edge")
+    rgb = np.clip(np.where(mask[..., None], rgb, fill_outside(rgb, mask)), 0, 1)
+    # The edge lies half a pixel before the centre of the outermost one.
+    depth = np.maximum(ndimage.distance_transform_edt(mask) - 0.5, 0).astype(np.float32) / np.float32(OVER * inradius)
+    rows, columns = np.nonzero(mask)
+    if kind == POLAR:
+        middle = (columns.mean() / OVER, rows.mean() / OVER)
+    else:
+        middle = ((columns.min() + columns.max()) / 2 / OVER, (rows.min() + rows.max()) / 2 / OVER)
+    half = (float(np.ptp(columns)) / 2 / OVER, float(np.ptp(rows)) / 2 / OVER)
+    rims = _rims(mask, middle)
+    insets = _insets(depth * np.float32(inradius), middle, rims)
+    grid = np.zeros_like(mask)
+    grid[::OVER, ::OVER] = True
+    rows, columns = np.nonzero(mask & grid)
+    xy = (np.stack([columns, rows], -1) / OVER).astype(np.float32)
+    right, high = xy[:, 0] - middle[0], middle[1] - xy[:, 1]
+    r = np.hypot(right, high)
+    d = depth_gate(depth[rows, columns])
+    zero, one = np.zeros_like(r), np.ones_like(r)
+    if kind == POLAR:
+        c, s = right / np.maximum(r, 1e-3), high / np.maximum(r, 1e-3)
+        ab = np.stack([c, -s, -s, -c], -1)
+        turn = np.arctan2(high, right)
+        rim = ndimage.map_coordinates(rims, (turn / (2 * np.pi) * ANGLES - 0.5)[None], order=1, mode="grid-wrap")
+        gate = np.stack([d, np.minimum(r / rim, 1) * RADIUS_CELLS, zero], -1)
+    elif kind == RADIAL:
+        ab = np.stack([np.where(right < 0, -one, one), zero, zero, -one], -1)
+        gate = np.stack([d, np.abs(right) / half[0] * RADIUS_CELLS, (high / half[1] + 1) / 2 * HEIGHT_CELLS], -1)
+    else:
+        ab = np.stack([one, zero, zero, -one], -1)
+        gate = np.stack([d, zero, zero], -1)
+    return Sheet(rgb, xy, ab.astype(np.float32), gate.astype(np.float32), depth, middle, half, rims, insets)
+
+
+def voxel_gate(space: Space, kind: Frame) -> NDArray[np.float32]:
+    """(N, 3). Gate coordinates of the voxels for a frame; the same units as a sheet's."""
+    d = depth_gate(space.depth)
+    zero = np.zeros_like(d)
+    if kind == POLAR:
+        return np.stack([d, np.minimum(space.radius / space.rim, 1) * np.float32(RADIUS_CELLS), zero], -1)
+    if kind == RADIAL:
+        widest = space.widest
+        return np.stack(
+            [
+                d,
+                np.minimum(space.radius / np.float32(widest), 1) * np.float32(RADIUS_CELLS),
+                (space.height + 1) / 2 * np.float32(HEIGHT_CELLS),
+            ],
+            -1,
+        )
+    return np.stack([d, zero, zero], -1)
+
+
+def _rims(mask: NDArray[np.bool_], middle: tuple[float, float]) -> NDArray[np.float32]:
+    """(ANGLES,). The edge of a mask (OVER pixels to a cell) seen from its centre, in cells."""
+    angles = (np.arange(ANGLES) + 0.5) / ANGLES * 2 * np.pi
+    reach = np.arange(0, np.hypot(*mask.shape), 0.5)
+    x = middle[0] * OVER + np.cos(angles)[:, None] * reach
+    y = middle[1] * OVER - np.sin(angles)[:, None] * reach
+    hit = ndimage.map_coordinates(mask.astype(np.float32), np.stack([y, x]), order=1, mode="constant") > 0.5
+    last = len(reach) - 1 - np.argmax(hit[:, ::-1], axis=1)
+    rims = np.where(hit.any(1), reach[last], 1.0) / OVER
+    return np.maximum(ndimage.gaussian_filter1d(rims, 1.0, mode="wrap"), 1.0).astype(np.float32)
+
+
+def _insets(depth: NDArray[np.float32], middle: tuple[float, float], rims: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(ANGLES, L). See Sheet.insets; `depth` (H, W) in cells, OVER pixels to a cell. Places beyond the centre count as
+    the centre."""
+    angles = (np.arange(ANGLES) + 0.5) / ANGLES * 2 * np.pi
+    inward = np.arange(0, float(rims.max()), INSET_STEP, dtype=np.float32)
+    r = np.maximum(rims[:, None] - inward, 0)
+    x = (middle[0] + np.cos(angles)[:, None] * r) * OVER
+    y = (middle[1] - np.sin(angles)[:, None] * r) * OVER
+    found = ndimage.map_coordinates(depth, np.stack([y, x]), order=1, mode="constant")
+    # Depth grows inward until the ridge of the shape; a dip behind it is not what lies under the skin there.
+    found = np.maximum.accumulate(found, axis=1)
+    levels = np.arange(0, float(depth.max()) + INSET_STEP, INSET_STEP)
+    steep = found + 1e-4 * inward  # so that each depth is reached at one place
+    insets = np.stack([np.interp(levels, row, inward) for row in steep])
+    return np.minimum(insets, rims[:, None]).astype(np.float32)
+
+
+def _resize(a: NDArray[np.float32], scale: float) -> NDArray[np.float32]:
+    """A picture (H, W) or (H, W, C) at another scale; shrunk ones are smoothed first, so that nothing aliases."""
+    if scale < 1:
+        sigma = 0.4 * (1 / scale - 1) ** 0.5 if scale > 0.5 else 0.4 / scale
+        a = ndimage.gaussian_filter(a, (sigma, sigma, *[0] * (a.ndim - 2)))
+    shape = [max(2, round(n * scale)) for n in a.shape[:2]]
+    y = (np.arange(shape[0]) + 0.5) / shape[0] * a.shape[0] - 0.5
+    x = (np.arange(shape[1]) + 0.5) / shape[1] * a.shape[1] - 0.5
+    at = np.stack(np.meshgrid(y, x, indexing="ij"))
+    if a.ndim == 2:
+        return ndimage.map_coordinates(a, at, order=1, mode="nearest", output=np.float32)
+    # Cubic where a small photograph is enlarged: linear leaves its pixels to be seen.
+    order = 3 if scale > 1.5 else 1
+    channels = [
+        ndimage.map_coordinates(a[..., c], at, order=order, mode="nearest", output=np.float32) for c in range(3)
+    ]
+    return np.clip(np.stack(channels, -1), 0, 1)
