@@ -84,6 +84,10 @@ def test_modes_and_orientation(tmp_path: Path) -> None:
     grey = (face.mean(-1) * 65535).astype(np.uint16)
     Image.fromarray(grey).save(tmp_path / "deep.png")
     assert read_picture(tmp_path / "deep.png", "radial").rgb.shape[2] == 3
+    holes = face.mean(-1)
+    holes[:3, :3] = [[np.nan, np.inf, -np.inf]]
+    Image.fromarray(holes.astype(np.float32)).save(tmp_path / "holes.tif")
+    assert abs(read_picture(tmp_path / "holes.tif", "radial").mask.sum() - mask.sum()) < 0.1 * mask.sum()
     exif = Image.Exif()
     exif[0x0112] = 3  # upside down
     Image.fromarray((face[::-1, ::-1] * 255).astype(np.uint8)).save(tmp_path / "turned.jpg", exif=exif, quality=95)

@@ -130,25 +130,24 @@ def _crop(a: NDArray, rows: NDArray, columns: NDArray, margin: int) -> NDArray:
 
 def _read(path: Path) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
     """(H, W, 3) colours and, where the picture has real transparency, (H, W) opacity; both in [0, 1]."""
+    alpha: NDArray[np.float32] | None = None
     with open_picture(path) as opened:
         image = ImageOps.exif_transpose(opened)
-        image.load()
-    alpha: NDArray[np.float32] | None = None
-    if image.mode[:1] in "IF":  # 16 and 32 bits of grey
-        values = np.asarray(image, np.float64)
-        top = 65535.0 if values.max(initial=0) > 255 else max(1.0, float(values.max(initial=0)))
-        image = Image.fromarray((np.clip(values / top, 0, 1) * 255 + 0.5).astype(np.uint8))
-    if "A" in image.mode or "transparency" in image.info:
-        image = image.convert("RGBA")
-    if max(image.size) > WORKING_SIDE:
-        image.thumbnail((WORKING_SIDE, WORKING_SIDE), Image.Resampling.LANCZOS)
-    if min(image.size) < SMALLEST_SIDE:
-        raise InputError(f"{path}: only {image.width}x{image.height} pixels; give a larger picture")
-    if image.mode == "RGBA":
-        alpha = np.asarray(image.getchannel("A"), np.float32) / np.float32(255)
-        if (alpha < 0.5).mean() < 0.005:
-            alpha = None
-    return np.asarray(image.convert("RGB"), np.float32) / np.float32(255), alpha
+        if image.mode[:1] in "IF":  # 16 and 32 bits of grey
+            values = np.nan_to_num(np.asarray(image, np.float64), posinf=0, neginf=0)
+            top = 65535.0 if values.max(initial=0) > 255 else max(1.0, float(values.max(initial=0)))
+            image = Image.fromarray((np.clip(values / top, 0, 1) * 255 + 0.5).astype(np.uint8))
+        if "A" in image.mode or "transparency" in image.info:
+            image = image.convert("RGBA")
+        if max(image.size) > WORKING_SIDE:
+            image.thumbnail((WORKING_SIDE, WORKING_SIDE), Image.Resampling.LANCZOS)
+        if min(image.size) < SMALLEST_SIDE:
+            raise InputError(f"{path}: only {image.width}x{image.height} pixels; give a larger picture")
+        if image.mode == "RGBA":
+            alpha = np.asarray(image.getchannel("A"), np.float32) / np.float32(255)
+            if (alpha < 0.5).mean() < 0.005:
+                alpha = None
+        return np.asarray(image.convert("RGB"), np.float32) / np.float32(255), alpha
 
 
 def _foreground(rgb: NDArray[np.float32], path: Path) -> NDArray[np.bool_]:
