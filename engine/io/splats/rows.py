@@ -63,12 +63,15 @@ def gaussians_of(path: Path, table: Float, places: NDArray[np.floating] | None =
     A scene so far from zero that float32 would round it is moved (engine.io.origin). Raises InputError where most rows
     would be dropped, or the scene is too small or too large for float32.
     """
-    if places is None:
-        places = table[:, :3]
-    origin, lines = _origin(path, table, places)
+    places = table[:, :3] if places is None else places
+    reasons = _flaws(table, places)
+    keep = ~np.logical_or.reduce(list(reasons.values()))
+    _mark_far(path, table, places, keep, reasons)
+    keep = ~np.logical_or.reduce(list(reasons.values()))
+    origin, lines = _placed(path, table, places, keep, reasons)
     if any(origin):
         places = places - np.asarray(origin)
-    keep, dropped = _usable(path, table, places)
+    keep, dropped = _judged(path, reasons)
     with np.errstate(over="ignore"):
         table[:, :3] = places
     return _activate(table if keep.all() else table[keep], origin), [*lines, *dropped]
@@ -80,42 +83,76 @@ def logits(opacities: NDArray[np.floating]) -> NDArray[np.floating]:
         return np.log(opacities) - np.log1p(-opacities)
 
 
-def _origin(path: Path, table: Float, places: NDArray[np.floating]) -> tuple[Vector, list[str]]:
-    """Where the zero of the scene should lie, judged by its sound rows. Their sizes are what counts as a detail."""
-    sizes = table[:, 4:7].max(1)
-    sound = np.isfinite(places).all(1) & (np.abs(sizes) <= MAX_LOG_SCALE)  # false for NaN
-    detail = float(np.exp(np.median(sizes[sound]))) if sound.any() else 0.0
-    return origin_for(path, places[sound], detail)
-
-
-def _usable(path: Path, table: Float, places: NDArray[np.floating]) -> tuple[NDArray[np.bool_], list[str]]:
-    """Mask (N,) of the rows that can be drawn, and a line about each reason why others cannot.
-
-    `places` (N, 3) stand for the table's own. Raises InputError where most cannot.
-    """
-    n = len(table)
+def _flaws(table: Float, places: NDArray[np.floating]) -> dict[str, NDArray[np.bool_]]:
+    """For each reason not to draw a row, mask (N,) of those it holds for, as far as a row shows it by itself."""
     opacity = GEOMETRY.index("opacity")
     finite = np.isfinite(table[:, 3:])
     finite[:, opacity - 3] = ~np.isnan(table[:, opacity])  # the logits of 0 and 1 are infinite, and both are meant
-    reasons = {"NaN or Inf": ~(finite.all(1) & np.isfinite(places).all(1))}
     log_scales, quats, sh = table[:, 4:7], table[:, 7:11], table[:, 11:]
-    reasons["zero quaternions"] = ~quats.any(1)
-    reasons["absurd sizes"] = (np.abs(log_scales) > MAX_LOG_SCALE).any(1)
-    reasons["absurd positions"] = (np.abs(places) > MAX_POSITION).any(1)
-    reasons["absurd colours"] = (np.abs(sh) > MAX_SH).any(1)
-    keep = ~np.logical_or.reduce(list(reasons.values()))
-    if keep.sum() >= SPREAD_ROWS:
-        distances = np.zeros(n)
+    return {
+        "NaN or Inf": ~(finite.all(1) & np.isfinite(places).all(1)),
+        "zero quaternions": ~quats.any(1),
+        "absurd sizes": (np.abs(log_scales) > MAX_LOG_SCALE).any(1),
+        "absurd positions": np.zeros(len(table), bool),
+        "absurd colours": (np.abs(sh) > MAX_SH).any(1),
+    }
+
+
+def _mark_far(
+    path: Path,
+    table: Float,
+    places: NDArray[np.floating],
+    keep: NDArray[np.bool_],
+    reasons: dict[str, NDArray[np.bool_]],
+) -> None:
+    """Adds the rows of `keep` (N,) that the rest of them show to be too far or too large.
+
+    Raises InputError where the rest itself is too small or too large for float32.
+    """
+    if keep.sum() < SPREAD_ROWS:
+        return
+    distances = np.zeros(len(table))
+    with np.errstate(over="ignore"):
         distances[keep] = np.linalg.norm(places[keep] - np.median(places[keep], axis=0), axis=1)
-        reach = float(np.median(distances[keep]))
-        if reach > 0:
-            reasons["absurd positions"] |= distances > MAX_SPREAD * reach
-            reasons["absurd sizes"] |= keep & (log_scales.max(1) > np.log(MAX_SPREAD * reach))
-            if not REACH[0] <= reach <= REACH[1]:
-                raise InputError(
-                    f"{path}: half of its Gaussians lie within {reach:.1g} units of its middle; scale the scene, "
-                    f"from {REACH[0]:g} to {REACH[1]:g} can be used"
-                )
+    reach = float(np.median(distances[keep]))
+    if not reach > 0:
+        return
+    if not REACH[0] <= reach <= REACH[1]:
+        raise InputError(
+            f"{path}: half of its Gaussians lie within {reach:.1g} units of its middle; scale the scene, "
+            f"from {REACH[0]:g} to {REACH[1]:g} can be used"
+        )
+    reasons["absurd positions"] |= distances > MAX_SPREAD * reach
+    reasons["absurd sizes"] |= keep & (table[:, 4:7].max(1) > np.log(MAX_SPREAD * reach))
+
+
+def _placed(
+    path: Path,
+    table: Float,
+    places: NDArray[np.floating],
+    keep: NDArray[np.bool_],
+    reasons: dict[str, NDArray[np.bool_]],
+) -> tuple[Vector, list[str]]:
+    """Where the zero of the rows of `keep` (N,) should lie, as `origin_for`, and what lies too far from it is marked.
+
+    The sizes of what is left count as its details. What is marked has no say in the origin.
+    """
+    while True:
+        detail = float(np.exp(np.median(table[keep, 4:7].max(1)))) if keep.any() else 0.0
+        origin, lines = origin_for(path, places[keep], detail)
+        far = keep & (np.abs(places - np.asarray(origin)) > MAX_POSITION).any(1)
+        if not far.any():
+            return origin, lines
+        reasons["absurd positions"] |= far
+        keep = keep & ~far
+
+
+def _judged(path: Path, reasons: dict[str, NDArray[np.bool_]]) -> tuple[NDArray[np.bool_], list[str]]:
+    """Mask (N,) of the rows that can be drawn, and a line about each reason why others cannot.
+
+    A row counts for the first reason that holds for it. Raises InputError where most rows cannot be drawn.
+    """
+    n = len(next(iter(reasons.values())))
     warnings = []
     keep = np.ones(n, bool)
     for reason, bad in reasons.items():
