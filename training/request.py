@@ -11,6 +11,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from engine.io.files import open_file
 from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from engine.scene.gaussians import Gaussians
 from engine.scene.grid import Body
@@ -58,7 +59,9 @@ class Request:
         """A name for input and settings: the same for the same result."""
         digest = hashlib.sha256(f"{FORMAT}".encode())
         for path in [self.scene, *(p for family in self.families for p in family.exemplars)]:
-            digest.update(path.read_bytes())
+            with open_file(path) as file:
+                while block := file.read(1 << 20):
+                    digest.update(block)
         for folder in filter(None, (self.model, self.midas)):
             for path in sorted(folder.rglob("*.safetensors")):  # gigabytes: size and time must do for their content
                 digest.update(f"{path.name} {path.stat().st_size} {path.stat().st_mtime_ns}".encode())

@@ -14,7 +14,7 @@ import psutil
 from app.model.project import SUFFIX, Project, load_project, save_project
 from app.model.settings import state_folder
 from engine.errors import InputError
-from engine.io.files import atomic, remove
+from engine.io.files import atomic, read_file, remove
 
 __all__ = ["Autosave", "Rescued", "rescued"]
 
@@ -81,12 +81,16 @@ class Autosave:
             self.last = None
 
 
+NOTE_LIMIT = 1 << 16
+"""Bytes of the largest note that is read; a real one has a few hundred."""
+
+
 def rescued(folder: Path | None = None) -> list[Rescued]:
     """Unsaved work whose session no longer runs, the latest first."""
     found = []
     for file in (folder or state_folder() / "unsaved").glob(f"*{SUFFIX}"):
         try:
-            note = json.loads(_note(file).read_text(encoding="utf-8"))
+            note = json.loads(read_file(_note(file), NOTE_LIMIT))
             if _alive(int(note["pid"]), float(note["started"])):
                 continue
             project = None if note["project"] is None else Path(str(note["project"]))

@@ -90,10 +90,14 @@ def _folder(variable: str, fallback: str, mac: str) -> Path:
     return (Path(given) if os.path.isabs(given) else Path.home() / fallback) / "fruitninja"  # as the standard has it
 
 
+LARGEST = 1 << 20
+"""Bytes of the largest settings that are read; real ones have a few KB."""
+
+
 def load_settings(path: Path | None = None) -> Settings:
     """The settings, defaults for whatever cannot be read: a broken settings file never keeps the app from starting."""
     try:
-        raw = json.loads((path or settings_folder() / "settings.json").read_text(encoding="utf-8"))
+        raw = json.loads(read_file(path or settings_folder() / "settings.json", LARGEST))
     except (OSError, ValueError, RecursionError):
         return Settings()
     if not isinstance(raw, dict):

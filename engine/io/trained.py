@@ -168,7 +168,7 @@ def _as_gaussians(atoms: Atoms) -> Gaussians:
 def _crc(path: Path) -> int:
     """CRC-32 of a file, read a megabyte at a time."""
     crc = 0
-    with path.open("rb") as file:
+    with open_file(path) as file:
         while block := file.read(1 << 20):
             crc = zlib.crc32(block, crc)
     return crc

@@ -15,16 +15,20 @@ from urllib.parse import urlsplit
 from distributed import Event, get_client, get_worker
 
 from engine.errors import InputError
-from engine.io.files import atomic
+from engine.io.files import atomic, read_file
 from engine.threads import use_cores
 
-__all__ = ["Stopped", "Task", "perform", "say", "stopped"]
+__all__ = ["RESULT_LIMIT", "Stopped", "Task", "perform", "say", "stopped"]
 
 ASK_SECONDS = 1.0
 """Between two questions to the scheduler whether to stop: each is a message to another process, perhaps machine."""
 
 SAY_SECONDS = 0.25
 """Between two lines of one task, as many as a display can show."""
+
+
+RESULT_LIMIT = 1 << 24
+"""Bytes of the largest result that is read; a real one has a few KB."""
 
 
 class Stopped(Exception):
@@ -50,7 +54,7 @@ class Task:
     def kept(self) -> dict[str, Any] | None:
         """The facts of a task that was done before, None where it is still to be done."""
         try:
-            record = json.loads(self.result.read_bytes())
+            record = json.loads(read_file(self.result, RESULT_LIMIT))
         except (OSError, ValueError, RecursionError):
             return None
         if not isinstance(record, dict) or record.get("fingerprint") != self.fingerprint:

@@ -13,11 +13,11 @@ from pathlib import Path
 from typing import Any
 
 from engine.errors import InputError
-from engine.io.files import atomic
+from engine.io.files import atomic, read_file
 from engine.processes import safe_imports
 from training.batch.cluster import deaf_children
 from training.batch.grid import Outcome, run_grid
-from training.batch.task import Task
+from training.batch.task import RESULT_LIMIT, Task
 from training.evaluate.measure import fingerprint, measure
 from training.settings import DETAILS, Detail, DetailName
 
@@ -54,7 +54,7 @@ class Cell:
     def kept(self) -> dict[str, Any] | None:
         """The facts of an earlier evaluation with the same settings, None where there are none."""
         try:
-            record = json.loads(self.result.read_bytes())
+            record = json.loads(read_file(self.result, RESULT_LIMIT))
         except (OSError, ValueError):
             return None
         whole = isinstance(record, dict) and record.get("fingerprint") == self.fingerprint

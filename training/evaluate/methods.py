@@ -21,6 +21,7 @@ from torch import Tensor
 
 from engine.fit.sh_fit import SurfaceView, surface_views
 from engine.fit.view_weights import ViewWeights
+from engine.io.files import read_file
 from engine.io.trained import Meta, load_trained, save_trained
 from engine.render.classic import rasterizer as classic
 from engine.render.cpu.kernel_field import KernelField
@@ -32,6 +33,7 @@ from engine.scene.grid import Body
 from engine.scene.plane import Plane
 from engine.solid.fill import Colours, fill
 from sample_scenes.solids import Solid
+from training.batch.task import RESULT_LIMIT
 from training.checkpoint import Checkpoint
 from training.evaluate.cuts import Cut
 from training.evaluate.patch_denoiser import PatchDenoiser
@@ -86,7 +88,7 @@ def trained(request: Tuned, out: Path, pipeline: type[Pipeline] = Pipeline) -> M
     """A run of the main job, some of its steps swapped."""
     path = pipeline(request, out, Reporter(), lambda: False).run(resume=True)
     atoms, _ = load_trained(path)
-    report = json.loads((out / "report.json").read_text(encoding="utf-8"))
+    report = json.loads(read_file(out / "report.json", RESULT_LIMIT))
     facts = {key: report[key] for key in ("surface_psnr_db", "iterations", "refinement_rounds", "ended")}
     turns = report["losses"]["section"][-3:]
     facts["section_loss"] = float(np.mean(turns)) if turns else None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +16,8 @@ from torch.nn import functional
 from transformers import CLIPTextModel, CLIPTokenizer
 
 from engine.errors import InputError
+from engine.io.files import read_file
+from engine.io.strict_json import parse
 from training.families import Kind
 
 __all__ = ["NOTE", "Model", "load_model", "load_part", "resized"]
@@ -226,13 +227,19 @@ def read_prompts(path: Path) -> dict[Kind, str]:
     return {kind: str(prompts[kind]) for kind in get_args(Kind) if kind in prompts}
 
 
+JSON_LIMIT = 1 << 24
+"""Bytes of the largest description of a model that is read; real ones have a few KB."""
+
+
 def read_json(path: Path) -> dict[str, Any]:
     """An object from a JSON file."""
+    if not path.exists():
+        raise InputError(f"{path}: missing; give a whole model in the layout of diffusers")
     try:
-        value = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError as error:
-        raise InputError(f"{path}: missing; give a whole model in the layout of diffusers") from error
-    except (OSError, ValueError) as error:
+        value = parse(read_file(path, JSON_LIMIT))
+    except InputError:
+        raise
+    except ValueError as error:
         raise InputError(f"{path}: cannot be read ({one_line(error)})") from error
     if not isinstance(value, dict):
         raise InputError(f"{path}: not a JSON object")
