@@ -213,7 +213,7 @@ def printed() -> str:
     said = os.pread(2, 300, 0).decode("utf-8", "replace")
     os.ftruncate(2, 0)
     os.lseek(2, 0, os.SEEK_SET)  # the next writer would leave zeros before its words
-    return said
+    return "\n".join(said.splitlines()[:1]).replace(sys.prefix, "...")  # no table should tell of this machine
 
 
 def main() -> None:
