@@ -185,7 +185,7 @@ def foreign() -> tuple[bytes, ...]:
     image = disk()
     written = [encoded(image.convert(mode), kind) for kind, mode in (
         ("EPS", "RGB"), ("PDF", "RGB"), ("ICO", "RGBA"), ("PCX", "RGB"), ("PPM", "RGB"), ("TGA", "RGB"), ("SGI", "RGB"),
-        ("IM", "RGB"), ("XBM", "1"), ("DDS", "RGBA"), ("ICNS", "RGBA"), ("SPIDER", "F"), ("MSP", "1"),
+        ("XBM", "1"), ("DDS", "RGBA"), ("ICNS", "RGBA"), ("SPIDER", "F"), ("MSP", "1"),
     )]  # fmt: skip
     script = b"(fuzzed) (w) file dup (x) writestring closefile "
     head = b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 40 30\n"

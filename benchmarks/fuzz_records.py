@@ -11,16 +11,17 @@ import os
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import numpy as np
 from hypothesis import strategies as st
 from safetensors.numpy import save as safetensors_bytes
 
 from app.jobs.live_colours import Watch
-from app.jobs.training_job import Job
-from app.model.document import Part
+from app.jobs.training_job import Job, note_path
+from app.model.document import Document, Part, Training
 from app.model.pieces import Solid, pieces
-from app.model.project import Outside, load_project, save_project
+from app.model.project import SUFFIX, Outside, Project, Viewing, load_project, save_project
 from app.model.settings import load_settings
 from benchmarks.fuzz_inputs import CHANGES, documents, places, poisoned
 from benchmarks.fuzz_rules import refused
@@ -130,8 +131,7 @@ def named(document: Any) -> list[Path]:
 
 # a result folder: what is there may be anything, the window looks at it all the same
 
-NOTE = {"pid": 1, "started": 1.5, "stopped": False, "command": ["python", "-m", "training.cli", "a.ply", "-o", "out",
-        "--seed", "3", "--detail", "draft", "--exemplar", "horizontal=a.png"]}  # fmt: skip
+NOTE = {"pid": 1, "started": 1.5, "stopped": False}
 EVENTS = [
     {"event": "started", "seconds": 0.1, "host": "h", "pid": 1},
     {"event": "stage", "seconds": 0.2, "stage": "train", "title": "Training"},
@@ -156,13 +156,17 @@ JOBS: st.SearchStrategy[tuple[bytes, bytes]] = st.tuples(
 
 
 def check_job(value: tuple[bytes, bytes], folder: Path) -> bool:
-    out = folder / "result"
+    out, home = folder / "result", folder / "home"
     out.mkdir(exist_ok=True)
-    (out / "job.json").write_bytes(value[0])
     (out / "events.jsonl").write_bytes(value[1])
     (out / "job.log").write_bytes(value[1])
-    found = refused(lambda: Job.find(out), out)
-    job = found or Job(out, (), 0, 0.0, ended=True)
+    asked = Document(scene=folder / "a.ply", training=Training(out=out))
+    with mock.patch.dict(os.environ, FRUITNINJA_HOME=str(home)):
+        note = note_path(out)
+        save_project(note.with_suffix(SUFFIX), Project(asked, Viewing()))
+        note.write_bytes(value[0])
+        found = refused(lambda: Job.find(out), out, home)
+    job = found or Job(asked, 0, 0.0, ended=True)
     job.ended = True  # whatever process it names, it is none of ours
     refused(job.poll, out)
     assert job.phase in ("done", "stopped", "failed")

@@ -30,7 +30,7 @@ from engine.io.files import atomic, open_file, read_file, reason
 from engine.processes import start_python
 from training.families import Family
 
-__all__ = ["Job", "command_for", "default_out", "missing_for_training"]
+__all__ = ["Job", "command_for", "default_out", "missing_for_training", "note_path"]
 
 LOG_TAIL = 6
 """Last lines of what a job printed that are shown when it died."""
@@ -132,7 +132,7 @@ class Job:
         arguments = [*command_for(document, up, out), *(["--resume"] if resume else [])]
         training = replace(document.training, out=out)
         asked = Document(scene=document.scene, up=up, families=document.families, training=training)
-        save_project(_note_path(out).with_suffix(SUFFIX), Project(asked, Viewing()))
+        save_project(note_path(out).with_suffix(SUFFIX), Project(asked, Viewing()))
         try:
             out.mkdir(parents=True, exist_ok=True)
             # New files, never what a link of that name leads to.
@@ -159,7 +159,7 @@ class Job:
     @staticmethod
     def find(out: Path) -> Job | None:
         """The job that this app started in a folder, running or not; None where there was none."""
-        path = _note_path(out)
+        path = note_path(out)
         try:
             note = json.loads(read_file(path, NOTE_LIMIT))
             asked = load_project(path.with_suffix(SUFFIX), outside=True).document  # the app wrote it itself
@@ -292,11 +292,11 @@ class Job:
     def _note(self) -> None:
         """Writes who works here."""
         note = {"pid": self.pid, "started": self.started, "stopped": self.stopped}
-        with atomic(_note_path(self.out)) as temporary:
+        with atomic(note_path(self.out)) as temporary:
             temporary.write_text(json.dumps(note) + "\n", encoding="utf-8")
 
 
-def _note_path(out: Path) -> Path:
+def note_path(out: Path) -> Path:
     """Where the app keeps who works in a result folder; what was asked for stands beside it, as a project."""
     name = hashlib.sha256(os.fsencode(out.resolve())).hexdigest()[:32]
     return state_folder() / "jobs" / f"{name}.json"

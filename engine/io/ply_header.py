@@ -129,7 +129,9 @@ def _parse(path: Path, lines: list[str], data: int) -> Header:
     except UnicodeEncodeError as error:
         raise InputError(f"{path}: broken .ply header: it holds characters that are not ASCII") from error
     except (PlyParseError, ValueError) as error:
-        raise InputError(f"{path}: broken .ply header: {' '.join(str(error).split())[:120]}") from error
+        said = " ".join(str(error).split())[:120]
+        plain = said.isprintable() and "\\" not in said  # else plyfile quotes what no line can show
+        raise InputError(f"{path}: broken .ply header: {said if plain else 'export the file again'}") from error
     elements = tuple(_element(e, n, parsed) for e, n in zip(parsed.elements, counts, strict=True))
     return Header(parsed.text, elements, data)
 

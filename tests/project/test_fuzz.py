@@ -16,19 +16,7 @@ from benchmarks.fuzz_targets import TARGETS
 INPUTS = 2000
 
 
-BROKEN = {
-    # TEMPORARY: promises that are not kept yet; each goes with what mends it.
-    "foreign": "Pillow opens PostScript and starts Ghostscript for it, and a dozen other formats",
-    "pictures": "not all that Pillow raises is turned into words",
-    "textures": "not all that Pillow raises is turned into words",
-    "job": "a job's note nested too deep ends the window",
-}
-
-
-@pytest.mark.parametrize(
-    "name",
-    [pytest.param(name, marks=[pytest.mark.xfail(reason=BROKEN.get(name))] * (name in BROKEN)) for name in TARGETS],
-)
+@pytest.mark.parametrize("name", TARGETS)
 def test_no_input_breaks_a_reader(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "fsync", lambda _: None)  # what is written is read at once, no power fails here
     target = TARGETS[name]

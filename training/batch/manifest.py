@@ -85,11 +85,14 @@ def read_manifest(path: Path) -> list[Scene]:
     raw = read_file(path, LIMIT)
     try:
         text = raw.decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: not a manifest: it is no text in UTF-8; write it as TOML") from error
+    try:
         _bounded(path, text)
         fields = tomllib.loads(text)
     except InputError:
         raise
-    except (ValueError, RecursionError) as error:  # bad UTF-8 and bad TOML are both ValueErrors
+    except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: no TOML: {' '.join(str(error).split())[:200]}") from error
     return _Reader(path).scenes(fields)
 
