@@ -70,6 +70,9 @@ class Pipeline:
 
     def run(self, resume: bool) -> Path:
         """All of it, from the last checkpoint if it is to `resume`."""
+        for name in ("checkpoint", "previews"):
+            if (self.out / name).is_symlink():  # files are removed and written there: a stranger may have laid the link
+                raise InputError(f"{self.out / name}: leads out of the result's folder; remove this link")
         sweep(self.out)
         if not resume:
             self.checkpoint.clear()

@@ -13,9 +13,11 @@ import pytest
 
 from engine.errors import InputError
 from engine.io.files import atomic, claimed, sweep
-from tests.paths import ROOT
+from tests.paths import ROOT, SAMPLES
 from training.checkpoint import Checkpoint
 from training.events import Reporter
+from training.pipeline import run
+from training.request import Request
 
 
 def test_round_trip_is_bit_exact(tmp_path):
@@ -75,6 +77,19 @@ def test_events_are_json_lines_whatever_the_numbers():
     assert lines[1]["losses"]["section"] is None
     assert lines[1]["eta"] >= 0
     assert "train" in reporter.timings
+
+
+@pytest.mark.parametrize("name", ["checkpoint", "previews"])
+def test_a_link_in_a_result_folder_leads_nowhere(name: str, tmp_path: Path) -> None:
+    """A result folder may be a stranger's: what a link in it leads to is neither emptied nor written into."""
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "model.safetensors").write_bytes(b"precious")
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / name).symlink_to(tmp_path / "mine")
+    scene = SAMPLES / "watermelon/watermelon.ply"
+    with pytest.raises(InputError, match="remove this link"):
+        run(Request(scene, ()), tmp_path / "out", Reporter(), False, lambda: False)
+    assert [path.name for path in (tmp_path / "mine").iterdir()] == ["model.safetensors"]
 
 
 def test_a_folder_is_written_by_one_run_at_a_time(tmp_path: Path) -> None:
