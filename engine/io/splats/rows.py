@@ -37,7 +37,7 @@ SPREAD_ROWS = 100
 """Rows from which on the middle and the reach of the scene mean something. Both are medians: just under half of the
 rows may lie anywhere."""
 
-REACH = (1e-6, 1e8)
+REACH = (1e-7, 1e8)
 """World units that half of a scene reaches at the least and at the most. Nearer to the limits above these would cut
 through the scene itself."""
 

@@ -197,9 +197,9 @@ def test_a_folder_appears_whole_or_not_at_all(tmp_path: Path, faults: Faults) ->
             message = str(error)
         else:
             break
-        assert message.startswith(f"{out}: cannot be written")
+        assert message.startswith((f"{out}: cannot be written", f"{out.parent}: cannot be written"))
         assert not list(tmp_path.glob("models/*"))
-    assert number > 5 and contents(out) == {"unet/config.json": b"{}"}
+    assert number > 2 and contents(out) == {"unet/config.json": b"{}"}
 
 
 # what grows

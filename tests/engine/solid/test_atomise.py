@@ -50,8 +50,11 @@ def skin(n: int, size: float, opacity: float, radius: float = 1.0, seed: int = 0
     )
 
 
+ARRAYS = ("means", "scales", "quats", "opacities", "sh")
+
+
 def joined(*parts: Gaussians) -> Gaussians:
-    return Gaussians(*(np.concatenate([getattr(p, k) for p in parts]) for k in Gaussians.__dataclass_fields__))
+    return Gaussians(*(np.concatenate([getattr(p, k) for p in parts]) for k in ARRAYS))
 
 
 def solid(made: Atomised, pitch: float) -> Atoms:
@@ -101,7 +104,7 @@ def test_what_cannot_be_seen_is_dropped() -> None:
 
 def test_weight_in_views_decides_not_opacity_alone() -> None:
     lining = skin(3000, 0.03, 0.9, radius=0.97, seed=1)  # opaque, within reach of the skin, and never seen
-    floater = Gaussians(*(getattr(skin(1, 0.03, 0.99), k) for k in Gaussians.__dataclass_fields__))
+    floater = Gaussians(*(getattr(skin(1, 0.03, 0.99), k) for k in ARRAYS))
     floater.means[:] = [0, -1.6, 0.2]  # seen before anything else, and no part of the object
     scene = joined(skin(12000, 0.03, 0.9), lining, floater)
     cameras = around(np.zeros(3), 1.1, np.array([0.0, 0, 1]), 12, 128)

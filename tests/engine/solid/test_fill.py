@@ -71,8 +71,11 @@ def lathe(profile: np.ndarray, n: int, closed: bool = True) -> Gaussians:
     return shell(points, normals, (areas.sum() / n) ** 0.5)
 
 
+ARRAYS = ("means", "scales", "quats", "opacities", "sh")
+
+
 def joined(*parts: Gaussians) -> Gaussians:
-    return Gaussians(*(np.concatenate([getattr(p, k) for p in parts]) for k in Gaussians.__dataclass_fields__))
+    return Gaussians(*(np.concatenate([getattr(p, k) for p in parts]) for k in ARRAYS))
 
 
 def turns(mesh: trimesh.Trimesh, points: np.ndarray) -> np.ndarray:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageOps
 from scipy import ndimage
+from scipy.spatial import ConvexHull
 
 from engine.errors import InputError
 from engine.io.files import atomic
@@ -38,8 +39,16 @@ CORNERS = 2
 border cuts a face off from has none, or the one that it lies in."""
 
 CUT_OFF = 0.25
-"""Of a face's width, how much of the picture's border it may lie on. A round face with such a chord lacks 1.6 % of its
-width, which nobody sees; a stalk or a crumb at the border is narrower still."""
+"""Of a face's width, how much of one side of the picture it may lie on. A round face with such a chord lacks 1.6 % of
+its width, which nobody sees; a stalk or a crumb at the border is narrower still."""
+
+SOLIDITY = 0.7
+"""Of its convex hull, the least that a cut face fills. The 29 photographs with hand-checked masks fill 0.93 and more;
+what is found of a pale face that two sides cut off is its rind, an arc that fills less than half."""
+
+UNSURE = 1.5
+"""Pixels by which a found outline may be off: a face that lacks no more lacks nothing. Of a face W pixels wide that is
+a chord of sqrt(4 UNSURE W), which in small pictures is more than the share above."""
 
 
 @dataclass(frozen=True)
@@ -169,13 +178,15 @@ def _foreground(rgb: NDArray[np.float32], path: Path) -> NDArray[np.bool_]:
     light = smooth.sum(-1, keepdims=True) / 3
     chroma = np.concatenate([0.6 * light, smooth - light], -1)
     distance = np.full((height, width), np.inf)
-    left = border.copy()
+    left, plain = border.copy(), np.zeros(4, bool)
     for _ in range(2):
         if left.sum() < 0.1 * border.sum():
             break
         surface, spread, member = _surface(chroma, basis, left)
-        if _corners(member, band) < CORNERS:
+        corners = _corners(member, band)
+        if corners.sum() < CORNERS:
             break
+        plain |= corners
         distance = np.minimum(distance, np.linalg.norm(chroma - surface, axis=-1) / max(spread, BACKGROUND_FLOOR / 3))
         left &= ~member
     cut_off = InputError(
@@ -192,29 +203,46 @@ def _foreground(rgb: NDArray[np.float32], path: Path) -> NDArray[np.bool_]:
     mask = _largest(eroded)
     if mask.mean() < 0.02:
         raise InputError(f"{path}: no cut face stands out from the background; use a plain background, or cut it out")
-    if _along_border(eroded) > CUT_OFF * max(np.ptp(places) + 1 for places in np.nonzero(mask)):
+    across = max(np.ptp(places) + 1 for places in np.nonzero(mask))
+    if _along_border(eroded, plain) > max(CUT_OFF * across, (4 * UNSURE * across) ** 0.5):
+        raise cut_off
+    if _solidity(mask) < SOLIDITY:
         raise cut_off
     return mask
 
 
-def _corners(member: NDArray[np.bool_], band: int) -> int:
-    """How many corners of the picture, squares with this side, mostly belong to `member` (H, W)."""
-    ends = slice(None, band), slice(-band, None)
-    return sum(bool(member[rows, columns].mean() > 0.5) for rows in ends for columns in ends)
+def _solidity(mask: NDArray[np.bool_]) -> float:
+    """Part of its convex hull that a mask (H, W), not empty, fills. Range (0, 1]."""
+    rims = mask & ~ndimage.binary_erosion(mask)
+    corners = np.argwhere(rims)[:, None] + np.array([[0, 0], [0, 1], [1, 0], [1, 1]])  # of pixels, so none is flat
+    return float(mask.sum() / ConvexHull(corners.reshape(-1, 2)).volume)
 
 
-def _along_border(found: NDArray[np.bool_]) -> int:
-    """Pixels of the shortest piece of the picture's border that holds all of `found` (H, W) that lies on it.
+def _corners(member: NDArray[np.bool_], band: int) -> NDArray[np.bool_]:
+    """(4,). Which corners of the picture, squares with this side, mostly belong to `member` (H, W); clockwise from the
+    top left."""
+    first, last = slice(None, band), slice(-band, None)
+    places = ((first, first), (first, last), (last, last), (last, first))
+    return np.array([member[place].mean() > 0.5 for place in places])
 
-    Of a pale face that the border cuts off only the rind may stand out: it lies on the two ends of this piece.
+
+def _along_border(found: NDArray[np.bool_], plain: NDArray[np.bool_]) -> int:
+    """Pixels of the longest piece of the picture's border between two that are `found` (H, W) and no corner that is
+    background, `plain` (4,), between them.
+
+    Of a pale face that the border cuts off only the rind may stand out: it lies at the two ends of this piece.
     """
     # The outermost ring of all is empty, erosion has taken it.
-    ring = np.concatenate([found[1, 1:-1], found[1:-1, -2], found[-2, -2:0:-1], found[-2:0:-1, 1]])
-    places = np.flatnonzero(ring)
-    if not len(places):
-        return 0
-    gaps = np.diff(places, append=places[0] + len(ring))
-    return int(len(ring) - gaps.max() + 1)
+    sides = [found[1, 1:-1], found[1:-1, -2], found[-2, -2:0:-1], found[-2:0:-1, 1]]  # clockwise from the top left
+    first = int(np.argmax(plain))  # one at least is background
+    pieces: list[NDArray[np.bool_]] = []
+    for k in range(4):
+        side = sides[(first + k) % 4]
+        if plain[(first + k) % 4]:
+            pieces.append(side)
+        else:
+            pieces[-1] = np.concatenate([pieces[-1], side])
+    return max(int(np.ptp(np.flatnonzero(piece))) + 1 if piece.any() else 0 for piece in pieces)
 
 
 def _surface(
