@@ -144,7 +144,7 @@ def solved(solid: Solid, tilt: float = 0.0, seed: int = 0, pixels: int = 96, vox
         made = np.where(inside[..., None], volume.at(points_on(plane, camera)), np.float32(1))
         figures.append(face_psnr(made, true, inside))
     side = float(np.ptp(body.bounds(), axis=0).max())
-    return {"psnr_db": round(float(np.mean(figures)), 3), "cells": round(side / volume.body.cell)}
+    return {"psnr_db": round(float(np.mean(figures)), 3), "cells": round(side / volume.body.grid.cell)}
 
 
 def seeded(name: str) -> dict[str, Any]:

@@ -104,7 +104,7 @@ class Extent:
     def of(body: Body, up: NDArray[np.float64]) -> Extent:
         """Of all cells inside."""
         centre = body.bounds().mean(0)
-        points = body.centres()[body.inside] - centre
+        points = body.grid.centres()[body.inside] - centre
         along = points @ up
         reach = np.linalg.norm(np.cross(points, up), axis=-1).max()
         return Extent(up, centre, float(reach), float(along.min()), float(along.max()), body.inradius)

@@ -11,7 +11,6 @@ from engine.render.cpu.kernel_field import axes_of
 from engine.scene.atoms import SurfaceAtoms
 from engine.scene.camera import around
 from engine.scene.gaussians import Gaussians
-from engine.scene.grid import Body
 from engine.scene.morton import morton_order
 from engine.solid.contribution import shown
 from engine.solid.denoise_capture import WALL_OPACITY
@@ -89,8 +88,8 @@ def atomise(gaussians: Gaussians, pitch: float, enclosure: Enclosure | None = No
     kept = gaussians[keep]
     area = kept.opacities.copy()
     if enclosure is not None and body is not None:
-        opacity = Body(body.origin, body.cell, enclosure.opacity)
-        area = np.clip(COVERAGE * area / np.maximum(opacity.at(kept.means), 1e-6), area, 1)
+        opacity = body.grid.sample(enclosure.opacity, kept.means)
+        area = np.clip(COVERAGE * area / np.maximum(opacity, 1e-6), area, 1)
     scales = kept.scales.copy()
     thin = scales.argmin(axis=1)
     shrink = np.repeat(np.sqrt(area)[:, None], 3, axis=1)
@@ -102,9 +101,9 @@ def atomise(gaussians: Gaussians, pitch: float, enclosure: Enclosure | None = No
     means = np.concatenate([whole.means, means])
     origin = np.concatenate([keep[~large], keep[large][source]])
     on_skin = np.ones(len(means), bool)
-    if body is not None:
-        depth = body.at(means)
-        on_skin = (depth < DEEPEST * pitch) & ((depth > -HIGHEST * pitch) | (opacity.at(means) >= SHEET_OPACITY))
+    if enclosure is not None and body is not None:
+        depth, opacity = body.at(means), body.grid.sample(enclosure.opacity, means)
+        on_skin = (depth < DEEPEST * pitch) & ((depth > -HIGHEST * pitch) | (opacity >= SHEET_OPACITY))
     origin = origin[on_skin]
     atoms = SurfaceAtoms(
         means[on_skin],

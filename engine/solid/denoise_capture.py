@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from engine.scene.gaussians import Gaussians
-from engine.solid.opacity_field import Grid, opacity_field
+from engine.scene.grid import Grid
+from engine.solid.opacity_field import opacity_field
 
 __all__ = ["WALL_OPACITY", "grid_around", "without_haze"]
 
@@ -37,12 +38,9 @@ MARGIN = 4
 
 def grid_around(gaussians: Gaussians, cells: int) -> Grid | None:
     """A grid around the centres with this many cells along their longest side; None if they all coincide."""
-    low, high = gaussians.means.min(0).astype(np.float64), gaussians.means.max(0).astype(np.float64)
-    cell = float((high - low).max()) / cells
-    if not cell > 0:
-        return None
-    shape = np.ceil((high - low) / cell).astype(int) + 2 * MARGIN
-    return Grid((low + high) / 2 - shape * cell / 2, cell, (int(shape[0]), int(shape[1]), int(shape[2])))
+    bounds = np.stack([gaussians.means.min(0), gaussians.means.max(0)]).astype(np.float64)
+    cell = float((bounds[1] - bounds[0]).max()) / cells
+    return Grid.around(bounds, cell, MARGIN) if cell > 0 else None
 
 
 def without_haze(gaussians: Gaussians) -> tuple[Gaussians, list[str]]:

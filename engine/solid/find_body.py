@@ -14,7 +14,7 @@ from engine.scene.grid import Body
 from engine.solid.denoise_capture import WALL_OPACITY, grid_around, without_haze
 from engine.solid.distance_transform import nearest
 from engine.solid.enclosure import enclosed
-from engine.solid.opacity_field import Grid, opacity_field
+from engine.solid.opacity_field import opacity_field
 from engine.solid.signed_distance import signed_depth
 
 __all__ = ["Enclosure", "find_body"]
@@ -46,13 +46,6 @@ class Enclosure:
     notes: tuple[str, ...] = field(default=())
     """What the user should know: holes that were closed, what was left out. One sentence each."""
 
-    @staticmethod
-    def of(gaussians: Gaussians, body: Body) -> Enclosure:
-        """Where the body is known already."""
-        shell, _ = without_haze(gaussians)
-        grid = Grid(body.origin, body.cell, body.depth.shape)
-        return Enclosure(body, shell, opacity_field(shell, grid, WIDEN * body.cell))
-
 
 def find_body(gaussians: Gaussians, cells: int = 128, name: str = "scene") -> Enclosure:
     """The solid that a shell of Gaussians encloses, on a grid of `cells` cells along the longest side.
@@ -72,8 +65,7 @@ def find_body(gaussians: Gaussians, cells: int = 128, name: str = "scene") -> En
     grid = grid_around(shell, cells)
     if grid is None:
         raise InputError(f"{name}: no closed body found; all Gaussians stand at one point")
-    cell = grid.cell
-    opacity = opacity_field(shell, grid, WIDEN * cell)
+    opacity = opacity_field(shell, grid, WIDEN * grid.cell)
     wall = _walls(opacity)
     closed, cap_faces = enclosed(wall)
     inside = _bodies(_inner(closed, wall))
@@ -86,7 +78,7 @@ def find_body(gaussians: Gaussians, cells: int = 128, name: str = "scene") -> En
     if cap_faces >= 1e-3 * np.count_nonzero(inside ^ ndimage.binary_erosion(inside)):
         skin_faces = np.count_nonzero(inside) - np.count_nonzero(ndimage.binary_erosion(inside))
         notes.append(f"the shell is open: holes, {cap_faces / (cap_faces + skin_faces):.1%} of its skin, were closed")
-    body = Body(grid.origin, cell, np.ascontiguousarray(depth, np.float32))
+    body = Body(grid, np.ascontiguousarray(depth, np.float32))
     return Enclosure(body, shell, opacity, tuple(notes))
 
 

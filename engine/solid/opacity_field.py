@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
 from engine.scene.gaussians import Gaussians
+from engine.scene.grid import Grid
 from engine.scene.rotations import matrices
 
-__all__ = ["Grid", "moments", "opacity_field"]
+__all__ = ["moments", "opacity_field"]
 
 Float = NDArray[np.float32]
 
@@ -25,25 +25,6 @@ MIN_SIGMA = 1e-3
 SLAB = 4
 """Cell layers that one thread sums at a time: small enough to share the work evenly, and no two threads ever write
 to one cell, so the sums have a fixed order and repeat to the bit."""
-
-
-@dataclass(frozen=True)
-class Grid:
-    """Cubic cells in world space."""
-
-    origin: NDArray[np.float64]
-    """(3,). World position of the outer corner of cell (0, 0, 0)."""
-    cell: float
-    """Edge of a cell, world units."""
-    shape: tuple[int, int, int]
-
-    def index(self, points: NDArray[np.floating]) -> NDArray[np.float64]:
-        """(N, 3). Continuous cell coordinates of world points (N, 3); whole numbers at cell centres."""
-        return (points - self.origin) / self.cell - 0.5
-
-    def points(self, cells: NDArray[np.integer]) -> NDArray[np.float64]:
-        """(N, 3). World positions of the centres of cells (N, 3)."""
-        return self.origin + (cells + 0.5) * self.cell
 
 
 def opacity_field(gaussians: Gaussians, grid: Grid, widen: float = 0.0) -> Float:

@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from engine.scene.gaussians import Gaussians
+from engine.scene.grid import Grid
 from engine.scene.rotations import matrices
 from engine.solid.distance_transform import nearest
-from engine.solid.opacity_field import Grid, moments
+from engine.solid.opacity_field import moments
 
 __all__ = ["signed_depth"]
 

@@ -38,7 +38,7 @@ a colour, but what stands behind them would show through."""
 
 def inwards(body: Body, points: NDArray[np.floating]) -> NDArray[np.float64]:
     """(N, 3). Unit direction into the body at points (N, 3); zero on its medial axis."""
-    step = np.eye(3) * body.cell
+    step = np.eye(3) * body.grid.cell
     slope = np.stack([body.at(points + s) - body.at(points - s) for s in step], axis=1).astype(np.float64)
     return slope / np.maximum(np.linalg.norm(slope, axis=1, keepdims=True), 1e-12)
 
@@ -94,8 +94,8 @@ def patches(
     """
     points = skin_points(body, pitch / DENSITY**0.5)
     normals = -inwards(body, points)
-    field = Body(body.origin, body.cell, opacity)
-    there = np.max([field.at(points + step * body.cell * normals) for step in (-1, 0, 1)], axis=0) >= least
+    around = [body.grid.sample(opacity, points + step * body.grid.cell * normals) for step in (-1, 0, 1)]
+    there = np.max(around, axis=0) >= least
     points, normals = points[there], normals[there]
     bare = coverage_at(surface, points, normals, pitch) < COVERED
     points, normals = points[bare], normals[bare]

@@ -26,7 +26,7 @@ from engine.io.splats.ply import write_ply
 from engine.io.trained import load_trained
 from engine.scene.atoms import Atoms, InteriorAtoms
 from engine.scene.gaussians import Gaussians
-from engine.scene.grid import Body
+from engine.scene.grid import Body, Grid
 from engine.scene.plane import Plane
 from engine.solid.fill import Colours
 from engine.solid.find_body import find_body
@@ -236,11 +236,11 @@ def crossed(atoms: Atoms) -> list[Section]:
     """A cut face along each of two planes that cross."""
     low, high = atoms.bounds
     cell = float((high - low).max()) / 24
-    shape = tuple(int(n) for n in np.ceil((high - low) / cell) + 4)
-    empty = Body((low - 2 * cell).astype(np.float64), cell, np.zeros(shape, np.float32))
+    x, y, z = (int(n) for n in np.ceil((high - low) / cell) + 4)
+    grid = Grid((low - 2 * cell).astype(np.float64), cell, (x, y, z))
     middle = (low + high) / 2
-    depth = float((high - low).max()) / 2 - np.linalg.norm(empty.centres() - middle, axis=-1)
-    body = Body(empty.origin, cell, depth.astype(np.float32))
+    depth = float((high - low).max()) / 2 - np.linalg.norm(grid.centres() - middle, axis=-1)
+    body = Body(grid, depth.astype(np.float32))
     up = np.array([0.0, 0.0, 1.0])
     families = [Family("horizontal", 1), Family("radial", 1)]
     return sections(atoms, slices(body, up, families, 48), lambda _: None)

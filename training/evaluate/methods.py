@@ -213,8 +213,8 @@ class Oracle:
         progress: Progress,
     ) -> Volume:
         """The truth."""
-        grid = body.resampled(float(np.ptp(body.bounds(), axis=0).max()) / voxels)
-        return TrueVolume(grid, self.solid.colour(grid.centres()), self.solid)
+        fine = body.resampled(float(np.ptp(body.bounds(), axis=0).max()) / voxels)
+        return TrueVolume(fine, self.solid.colour(fine.grid.centres()), self.solid)
 
 
 def oracle(subject: Subject, request: Tuned, out: Path) -> Made:

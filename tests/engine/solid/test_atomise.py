@@ -12,11 +12,13 @@ from engine.render.cpu import opaque
 from engine.scene.atoms import Atoms, InteriorAtoms
 from engine.scene.camera import around
 from engine.scene.gaussians import Gaussians
-from engine.scene.grid import Body
+from engine.scene.grid import Body, Grid
 from engine.scene.rotations import matrices
 from engine.solid.atomise import Atomised, atomise, split
 from engine.solid.contribution import shown
-from engine.solid.find_body import Enclosure
+from engine.solid.denoise_capture import without_haze
+from engine.solid.find_body import WIDEN, Enclosure
+from engine.solid.opacity_field import opacity_field
 from engine.solid.skin_holes import coverage_at, skin_points
 from tests.paths import SHARED
 
@@ -24,14 +26,15 @@ DATA = SHARED
 
 
 def on_body(scene: Gaussians, pitch: float, body: Body) -> Atomised:
-    return atomise(scene, pitch, Enclosure.of(scene, body))
+    shell, _ = without_haze(scene)
+    return atomise(scene, pitch, Enclosure(body, shell, opacity_field(shell, body.grid, WIDEN * body.grid.cell)))
 
 
 def ball(cell: float = 0.05) -> Body:
     """A unit ball by its closed form."""
     n = int(2.6 / cell)
-    empty = Body(np.full(3, -1.3), cell, np.zeros((n, n, n), np.float32))
-    return Body(empty.origin, cell, (1 - np.linalg.norm(empty.centres(), axis=-1)).astype(np.float32))
+    grid = Grid(np.full(3, -1.3), cell, (n, n, n))
+    return Body(grid, (1 - np.linalg.norm(grid.centres(), axis=-1)).astype(np.float32))
 
 
 def skin(n: int, size: float, opacity: float, radius: float = 1.0, seed: int = 0) -> Gaussians:
