@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
 
 from engine.scene import sh
 from engine.scene.gaussians import Gaussians
@@ -132,19 +133,8 @@ def _discs(normals: Array, spacing: Array, rng: np.random.Generator) -> tuple[Ar
     stretch = np.exp(rng.normal(0, 0.22, n))
     size = 0.45 * spacing * np.exp(rng.normal(0, 0.15, n))
     thin = 0.10 * spacing * np.exp(rng.normal(0, 0.35, n))
-    return _quaternions(axes), np.stack([size * stretch, size / stretch, thin], axis=1)
-
-
-def _quaternions(axes: Array) -> Array:
-    """(N, 4) wxyz of rotations (N, 3, 3) whose columns are the axes: the dominant eigenvector of Horn's matrix.
-
-    Horn 1987, closed-form absolute orientation: no case distinction, exact for half turns.
-    """
-    (a, b, c), (d, e, f), (g, h, i) = np.moveaxis(axes, 0, -1)
-    rows = [[a + e + i, h - f, c - g, d - b], [h - f, a - e - i, b + d, c + g]]
-    rows += [[c - g, b + d, e - a - i, f + h], [d - b, c + g, f + h, i - a - e]]
-    quats = np.linalg.eigh(np.moveaxis(np.array(rows), -1, 0))[1][..., -1]
-    return quats * np.where(quats[:, :1] < 0, -1.0, 1.0)
+    quats = Rotation.from_matrix(axes).as_quat(canonical=True, scalar_first=True)
+    return quats, np.stack([size * stretch, size / stretch, thin], axis=1)
 
 
 def _distance(samples: Array, centres: Array, quats: Array, scales: Array) -> tuple[Array, NDArray[np.intp]]:

@@ -1,23 +1,19 @@
 """Frozen geometry: a view as a sparse matrix, picture = W colours (DESIGN, sections 3 and 6).
 
-While only colours are trained a view needs its geometry once. `ViewWeights` is exact: it gives what `opaque.render`
-gives, to float32 rounding. `TruncatedViewWeights` keeps the largest entries of a pixel and is an approximation.
+While only colours are trained, a view needs its geometry once. `ViewWeights` is exact: it gives what `opaque.render`
+gives, up to float32 rounding. `ViewWeights.truncated` keeps the largest entries of each pixel and is an approximation.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from pathlib import Path
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from safetensors import SafetensorError, safe_open
-from safetensors.numpy import save_file
 
-from engine.errors import InputError
 from engine.fit.view_kernels import (
     ROWS,
     apply,
@@ -31,7 +27,6 @@ from engine.fit.view_kernels import (
     row_sums,
     truncate,
 )
-from engine.io.files import atomic
 from engine.render.cpu.kernel_field import KernelField
 from engine.render.cpu.outside import camera_planes, directions, draw, splats_of, view_colours
 from engine.render.cpu.ray_entry import Hits, coverage, enter
@@ -44,7 +39,7 @@ from engine.scene.piece import Piece
 from engine.scene.plane import Plane
 from engine.threads import for_each
 
-__all__ = ["TruncatedViewWeights", "ViewWeights", "load"]
+__all__ = ["ViewWeights"]
 
 Float = NDArray[np.float32]
 
@@ -119,24 +114,19 @@ class ViewWeights:
         return _packed(atoms, camera, offsets, entries, weights, alpha)
 
     @property
-    def exact(self) -> bool:
-        """Whether the pictures are those of the full renderer."""
-        return True
-
-    @property
     def pixels(self) -> NDArray[np.bool_]:
         """(P,). Pixels that show something."""
         return self.alpha > 0
 
-    def truncated(self, keep: int) -> TruncatedViewWeights:
-        """The approximation by the `keep` largest entries of each pixel, which are scaled to the row's sum."""
+    def truncated(self, keep: int) -> ViewWeights:
+        """The `keep` largest entries of each pixel, scaled to the row's sum: an approximation to train with, not to
+        report from."""
         assert keep >= 1, keep
         offsets = np.concatenate([[0], np.cumsum(np.minimum(np.diff(self.offsets), keep))])
         atoms, weights = np.empty(offsets[-1], np.int32), np.empty(offsets[-1], np.float32)
         tasks = -(-len(self.alpha) // ROWS)
         for_each(truncate, tasks, self.offsets, self.atoms, self.weights, keep, offsets, atoms, weights)
-        short = {"offsets": offsets, "atoms": atoms, "weights": weights, "keep": keep}
-        return TruncatedViewWeights(**(vars(self) | short))
+        return replace(self, offsets=offsets, atoms=atoms, weights=weights)
 
     def apply(self, colours: NDArray[np.floating]) -> Float:
         """(H, W, 3) = W colours (C, 3): weighted by alpha, over black."""
@@ -148,11 +138,6 @@ class ViewWeights:
         colours = np.zeros((self.columns, 3), np.float32)
         colours[self.used] = self._backward(np.ascontiguousarray(picture.reshape(-1, 3), np.float32))
         return colours
-
-    def matmul(self, colours: torch.Tensor) -> torch.Tensor:
-        """(P, 3) = W colours (C, 3), differentiable; float32."""
-        assert colours.shape == (self.columns, 3), colours.shape
-        return _Product.apply(_Rows.apply(colours, self.used), self)
 
     def picture(
         self,
@@ -182,13 +167,6 @@ class ViewWeights:
         seen[outside] = harmonics.colours(atoms.surface.sh[outside], self.directions)
         return np.concatenate([seen, atoms.interior.rgb, base]).astype(np.float32)
 
-    def save(self, path: str | Path) -> None:
-        """Writes a .safetensors file. Raises InputError where it cannot."""
-        arrays = {name: getattr(self, name) for name in ARRAYS}
-        sizes = {name: str(getattr(self, name)) for name in SIZES} | {"keep": str(getattr(self, "keep", 0))}
-        with atomic(path) as temporary:
-            save_file(arrays, temporary, sizes)
-
     def _forward(self, colours: Float) -> Float:
         picture = np.empty((len(self.alpha), 3), np.float32)
         tasks = -(-len(self.alpha) // ROWS)
@@ -199,48 +177,6 @@ class ViewWeights:
         parts = np.empty((BANDS, len(self.used), 3), np.float32)
         for_each(apply_transposed, BANDS, self.offsets, self.atoms, self.weights, picture, parts)
         return parts.sum(0)
-
-
-@dataclass(frozen=True)
-class TruncatedViewWeights(ViewWeights):
-    """W with the `keep` largest entries of each pixel only: to train with, never to report from."""
-
-    keep: int
-
-    @property
-    def exact(self) -> bool:
-        return False
-
-
-SIZES = ("height", "width", "columns", "skin")
-ARRAYS = ("offsets", "used", "atoms", "weights", "alpha", "directions")
-
-
-def load(path: str | Path) -> ViewWeights:
-    """What `ViewWeights.save` wrote, exact or truncated. Raises InputError for any other file."""
-    try:
-        with safe_open(path, "numpy") as file:
-            told = file.metadata() or {}
-            sizes = [int(told[name]) for name in SIZES]
-            keep = int(told["keep"])
-            arrays = [file.get_tensor(name) for name in ARRAYS]
-    except (OSError, SafetensorError, KeyError, ValueError) as error:
-        raise InputError(f"{path}: not the weights of a view ({error}); build them again") from error
-    height, width, columns, skin = sizes
-    offsets, used, atoms, weights, alpha, directions = arrays
-    sound = (
-        len(offsets) == height * width + 1 == len(alpha) + 1
-        and offsets[0] == 0
-        and bool((np.diff(offsets) >= 0).all())
-        and offsets[-1] == len(atoms) == len(weights)
-        and directions.shape == (int((used < skin).sum()), 3)
-        and (not len(atoms) or 0 <= atoms.min() <= atoms.max() < len(used))
-        and (not len(used) or 0 <= used.min() <= used.max() < columns)
-    )
-    if not sound:
-        raise InputError(f"{path}: the weights of this view do not fit together; build them again")
-    exact = ViewWeights(height, width, columns, skin, offsets, used, atoms, weights, alpha, directions)
-    return TruncatedViewWeights(**vars(exact), keep=keep) if keep else exact
 
 
 @dataclass(frozen=True)

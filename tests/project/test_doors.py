@@ -63,7 +63,6 @@ ALLOWED = {
     "weights": {
         "app/jobs/live_colours.py",
         "app/jobs/scene_loader.py",
-        "engine/fit/view_weights.py",
         "training/checkpoint.py",
         "training/evaluate/cuts.py",
         "training/evaluate/features.py",

@@ -54,7 +54,8 @@ def skin(n: int, size: float, opacity: float, radius: float = 1.0, seed: int = 0
 
 
 def joined(*parts: Gaussians) -> Gaussians:
-    return Gaussians(*(np.concatenate([getattr(p, k) for p in parts]) for k in Gaussians.__dataclass_fields__))
+    names = ("means", "scales", "quats", "opacities", "sh")
+    return Gaussians(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
 
 def solid(made: Atomised, pitch: float) -> Atoms:

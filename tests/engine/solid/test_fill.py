@@ -72,7 +72,8 @@ def lathe(profile: np.ndarray, n: int, closed: bool = True) -> Gaussians:
 
 
 def joined(*parts: Gaussians) -> Gaussians:
-    return Gaussians(*(np.concatenate([getattr(p, k) for p in parts]) for k in Gaussians.__dataclass_fields__))
+    names = ("means", "scales", "quats", "opacities", "sh")
+    return Gaussians(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
 
 def turns(mesh: trimesh.Trimesh, points: np.ndarray) -> np.ndarray:
