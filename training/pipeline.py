@@ -24,7 +24,7 @@ from engine.io.load import load
 from engine.scene.atoms import Atoms, InteriorAtoms
 from engine.scene.gaussians import Gaussians
 from engine.solid.fill import Colours, fill
-from engine.solid.solidify import enclosed, skin_of
+from engine.solid.solidify import atomise_surface, find_enclosure
 from engine.solid.up_axis import detect_up
 from training.checkpoint import Checkpoint
 from training.events import Reporter, Stage
@@ -212,14 +212,14 @@ def prepare(request: Request, reporter: Reporter, check: Callable[[], None]) -> 
     gaussians = loaded.gaussians
     check()
     with reporter.stage("body") as stage:
-        enclosure = enclosed(gaussians, request.fineness.cells, request.scene.name)
+        enclosure = find_enclosure(gaussians, request.fineness.cells, request.scene.name)
         for note in enclosure.notes:
             reporter.warn(f"{request.scene.name}: {note}")
         up, reason = upward(request, gaussians)
         stage.progress(1.0, reason, up=up.tolist(), reason=reason)
     check()
     with reporter.stage("atomise"):
-        skin, pitch = skin_of(gaussians, enclosure, request.fineness.cells)
+        skin, pitch = atomise_surface(gaussians, enclosure, request.fineness.cells)
     facts = {
         "gaussians": len(gaussians),
         "gaussians_dropped": skin.dropped,

@@ -75,10 +75,10 @@ def _capture(path: Path, folder: Path, seed: int) -> tuple[Gaussians, NDArray[np
 
 def _solid(path: Path, gaussians: Gaussians, up: NDArray[np.float64], cells: int, seed: int, folder: Path) -> None:
     from engine.fit.sh_fit import refit, surface_views
-    from engine.solid.solidify import enclosed, solidify
+    from engine.solid.solidify import find_enclosure, solidify
 
     _say(stage="Finding the body", part=0.15)
-    found = enclosed(gaussians, cells, path.name)
+    found = find_enclosure(gaussians, cells, path.name)
     _say(stage="Making it solid", part=0.4)
     atoms = solidify(gaussians, found, cells, seed)
     plain = plain_inside(atoms.surface, atoms.interior, found.body, atoms.pitch)

@@ -15,11 +15,11 @@ from engine.scene.gaussians import Gaussians
 from engine.scene.grid import Body, Grid
 from engine.scene.rotations import matrices
 from engine.solid.atomise import Atomised, atomise, split
-from engine.solid.contribution import shown
+from engine.solid.contribution import contributions
 from engine.solid.denoise_capture import without_haze
 from engine.solid.find_body import WIDEN, Enclosure
 from engine.solid.opacity_field import opacity_field
-from engine.solid.skin_holes import coverage_at, skin_points
+from engine.solid.skin_holes import coverage_at, sample_skin
 from tests.paths import SHARED
 
 DATA = SHARED
@@ -105,11 +105,11 @@ def test_what_cannot_be_seen_is_dropped() -> None:
 
 def test_weight_in_views_decides_not_opacity_alone() -> None:
     lining = skin(3000, 0.03, 0.9, radius=0.97, seed=1)  # opaque, within reach of the skin, and never seen
-    floater = Gaussians(*(getattr(skin(1, 0.03, 0.99), k) for k in Gaussians.__dataclass_fields__))
+    floater = skin(1, 0.03, 0.99)
     floater.means[:] = [0, -1.6, 0.2]  # seen before anything else, and no part of the object
     scene = joined(skin(12000, 0.03, 0.9), lining, floater)
     cameras = around(np.zeros(3), 1.1, np.array([0.0, 0, 1]), 12, 128)
-    weight = shown(scene, cameras)
+    weight = contributions(scene, cameras)
     assert abs(weight[-1] - 0.99) < 0.03
     assert np.median(weight[:12000]) > 0.1 > 0.02 > np.median(weight[12000:15000])
     made = on_body(scene, 0.05, ball())
@@ -135,7 +135,7 @@ def test_holes_are_patched_where_the_capture_has_a_skin() -> None:
     body, pitch = ball(), 0.05
     made = on_body(scene, pitch, body)
     assert made.patched > 0
-    points = skin_points(body, 0.05)
+    points = sample_skin(body, 0.05)
     assert np.abs(np.linalg.norm(points, axis=1) - 1).max() < 0.01
     assert abs(len(points) * 0.05**2 / (4 * np.pi) - 1) < 0.2
     covered = coverage_at(made.atoms, points, points, pitch)
@@ -149,10 +149,10 @@ def test_the_opaque_object_looks_like_the_capture() -> None:
     scene, pitch = skin(3000, 0.06, 0.5), 0.05
     made = on_body(scene, pitch, ball())
     for camera in around(np.zeros(3), 1.1, np.array([0.0, 0, 1]), 3, 96):
-        wanted, shown = classic.render(scene, camera, (1, 1, 1)), opaque.render(solid(made, pitch), camera)
+        wanted, contributions = classic.render(scene, camera, (1, 1, 1)), opaque.render(solid(made, pitch), camera)
         centre = np.hypot(*np.indices((96, 96)) - 47.5) < 30
-        assert shown.alpha[centre].min() > 0.9
-        assert np.sqrt(((wanted.rgb - shown.rgb)[centre] ** 2).mean()) < 0.12
+        assert contributions.alpha[centre].min() > 0.9
+        assert np.sqrt(((wanted.rgb - contributions.rgb)[centre] ** 2).mean()) < 0.12
 
 
 def test_reshaping_makes_no_unseen_view_worse() -> None:

@@ -12,7 +12,7 @@ from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from engine.scene.constants import LATTICE_DENSITY, SOLID_DENSITY
 from engine.scene.grid import Body, Grid
 from engine.solid.fill import fill
-from engine.solid.octree import SHARE, leaf_levels
+from engine.solid.octree import BUDGET, leaf_levels
 from training.optimise.deblur import deblurred
 
 PITCH = 2 / 80
@@ -61,7 +61,7 @@ def test_an_even_inside_needs_few_atoms_and_stays_solid():
 def test_a_third_of_the_atoms_shows_the_same_inside():
     points = within(0.02)
     fine, coarse = fill(ball(), PITCH), fill(ball(), PITCH, colours=fruit)
-    assert len(coarse) <= SHARE * len(fine)
+    assert len(coarse) <= BUDGET * len(fine)
     error = [np.mean((KernelField(solid(atoms)).at(points)[0] - fruit(points)) ** 2) for atoms in (fine, coarse)]
     assert 10 * np.log10(error[1] / error[0]) < 0.2
     # Fine ones stand at the seeds.
