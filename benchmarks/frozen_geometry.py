@@ -107,7 +107,7 @@ def measure(atoms: Atoms, camera: Camera, kind: str, times: int) -> dict[str, ob
         tensors.scales,
         tensors.quats,
         tensors.sh,
-        tensors.inner_means,
+        tensors.interior_means,
         tensors.sigmas,
         tensors.rgb,
     ]

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from engine.scene import sh
 from engine.scene.gaussians import Gaussians
-from engine.scene.rotations import matrices
+from engine.scene.rotations import rotation_matrices
 from sample_scenes.solids import Solid, directions
 
 __all__ = ["LOOKS", "Look", "closed_within", "shell"]
@@ -141,7 +141,7 @@ def _distance(samples: Array, centres: Array, quats: Array, scales: Array) -> tu
     """In-plane standard deviations (M,) from each sample to the best of its 16 nearest Gaussians, and which it is."""
     near = cKDTree(centres).query(samples, 16)[1]
     best, which = np.full(len(samples), np.inf), np.zeros(len(samples), np.intp)
-    axes = matrices(quats)
+    axes = rotation_matrices(quats)
     for column in near.T:
         local = np.einsum("ni,nij->nj", samples - centres[column], axes[column])
         d = np.hypot(local[:, 0] / scales[column, 0], local[:, 1] / scales[column, 1])
@@ -166,7 +166,7 @@ def _closed(samples: Array, centres: Array, quats: Array, scales: Array) -> Arra
 
 def _footprint_colour(solid: Solid, centres: Array, quats: Array, scales: Array) -> Array:
     """(N, 3). The skin's colour over each disc: five points of it, brought onto the skin."""
-    axes = matrices(quats)
+    axes = rotation_matrices(quats)
     total = 2.0 * solid.colour(centres)
     for axis in (0, 1):
         for side in (-0.5, 0.5):

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from engine.errors import InputError
-from engine.fit.scale_fit import reshape
-from engine.fit.sh_fit import SurfaceView, refit, surface_views
+from engine.fit.scale_fit import fit_scales
+from engine.fit.sh_fit import SurfaceView, fit_sh, surface_views
 from engine.io.files import sweep
 from engine.io.load import load
 from engine.scene.atoms import Atoms, InteriorAtoms
@@ -246,7 +246,7 @@ def refitted(
     """The atoms with surface colours fitted to the input, and PSNR in dB of held-out views before and after."""
 
     def fitted() -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-        result = refit(atoms, views, progress)
+        result = fit_sh(atoms, views, progress)
         return {"sh": result.atoms.surface.sh}, {"held_out": list(result.held_out)}
 
     arrays, facts = checkpoint.made("surface", fitted)
@@ -258,7 +258,9 @@ def reshaped(atoms: Atoms, geometry: Geometry, request: Request, checkpoint: Che
 
     def fitted() -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
         cameras = surface_cameras(geometry.body, geometry.up, SHAPE_VIEWS, SHAPE_SIZE)
-        better = reshape(atoms, geometry.gaussians, cameras, request.fineness.reshape, request.seed, progress).surface
+        better = fit_scales(
+            atoms, geometry.gaussians, cameras, request.fineness.reshape, request.seed, progress
+        ).surface
         return {"sh": better.sh, "scales": better.scales}, {}
 
     arrays, _ = checkpoint.made("shape", fitted)

@@ -22,7 +22,7 @@ from engine.errors import InputError
 from engine.io.files import WRITING, reason
 from engine.io.trained import load_trained, sidecar_path
 from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
-from engine.scene.camera import around
+from engine.scene.camera import cameras_around
 from engine.scene.gaussians import Gaussians
 from engine.scene.grid import Body
 from engine.scene.sh import sh_to_rgb
@@ -74,7 +74,7 @@ def _capture(path: Path, folder: Path, seed: int) -> tuple[Gaussians, NDArray[np
 
 
 def _solid(path: Path, gaussians: Gaussians, up: NDArray[np.float64], cells: int, seed: int, folder: Path) -> None:
-    from engine.fit.sh_fit import refit, surface_views
+    from engine.fit.sh_fit import fit_sh, surface_views
     from engine.solid.solidify import find_enclosure, solidify
 
     _say(stage="Finding the body", part=0.15)
@@ -87,9 +87,9 @@ def _solid(path: Path, gaussians: Gaussians, up: NDArray[np.float64], cells: int
     _send_atoms(folder, atoms, facts)
     # It can be cut from here on; what follows only makes its skin look like the capture's.
     _say(stage="Matching the skin", part=0.9)
-    cameras = around(found.body.bounds().mean(0), found.body.radius, up, FIT_VIEWS, FIT_SIZE)
+    cameras = cameras_around(found.body.bounds().mean(0), found.body.radius, up, FIT_VIEWS, FIT_SIZE)
     views = surface_views(atoms, gaussians, cameras, FIT_ENTRIES)
-    _send_atoms(folder, refit(atoms, views).atoms, facts)
+    _send_atoms(folder, fit_sh(atoms, views).atoms, facts)
 
 
 def plain_inside(surface: SurfaceAtoms, interior: InteriorAtoms, body: Body, pitch: float) -> NDArray[np.float32]:

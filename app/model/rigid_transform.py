@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from engine.scene.plane import Plane
-from engine.scene.rotations import of_unit
+from engine.scene.rotations import rotation_entries
 
 __all__ = ["STILL", "Motion", "Vec3", "vec3"]
 
@@ -35,7 +35,7 @@ class Motion:
     @property
     def rotation(self) -> NDArray[np.float64]:
         """(3, 3)."""
-        return np.array(of_unit(*self.turn)).reshape(3, 3)
+        return np.array(rotation_entries(*self.turn)).reshape(3, 3)
 
     @property
     def matrix(self) -> NDArray[np.float64]:

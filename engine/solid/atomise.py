@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from engine.render.cpu.kernel_field import axes_of
 from engine.scene.atoms import SurfaceAtoms
-from engine.scene.camera import around
+from engine.scene.camera import cameras_around
 from engine.scene.gaussians import Gaussians
 from engine.scene.morton import morton_order
 from engine.solid.contribution import contributions
@@ -82,7 +82,7 @@ def atomise(gaussians: Gaussians, pitch: float, enclosure: Enclosure | None = No
     keep = (gaussians.opacities >= MIN_OPACITY) & ~haze
     if body is not None:  # a thick Gaussian may reach the skin from within without being part of it
         keep &= body.at(gaussians.means) < MAX_DEPTH * pitch
-        cameras = around(body.bounds().mean(0), body.radius, UP, VIEWS, VIEW_SIZE)
+        cameras = cameras_around(body.bounds().mean(0), body.radius, UP, VIEWS, VIEW_SIZE)
         keep &= contributions(gaussians, cameras) >= MIN_CONTRIBUTION
     rows = np.flatnonzero(keep)
     kept = gaussians[rows]

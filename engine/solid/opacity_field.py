@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from engine.scene.gaussians import Gaussians
 from engine.scene.grid import Grid
-from engine.scene.rotations import matrices
+from engine.scene.rotations import rotation_matrices
 
 __all__ = ["moments", "opacity_field"]
 
@@ -49,7 +49,7 @@ def moments(
     """
     assert normals.shape == (len(gaussians), 3), normals.shape
     sigma = np.maximum(gaussians.scales / np.float32(grid.cell), np.float32(max(widen / grid.cell, MIN_SIGMA)))
-    axes = matrices(gaussians.quats)
+    axes = rotation_matrices(gaussians.quats)
     inverse = np.einsum("nij,nj,nkj->nik", axes, sigma**-2, axes)
     centres = grid.index(gaussians.means).astype(np.float32)
     reach = CUTOFF * np.sqrt(np.einsum("nij,nj->ni", axes**2, sigma**2))

@@ -11,7 +11,7 @@ from scipy import ndimage
 
 from engine.scene.gaussians import Gaussians
 from engine.scene.grid import Grid
-from engine.scene.rotations import matrices
+from engine.scene.rotations import rotation_matrices
 from engine.solid.distance_transform import nearest
 from engine.solid.opacity_field import moments
 
@@ -84,7 +84,7 @@ def _oriented_surface(inside: NDArray[np.bool_], gaussians: Gaussians, grid: Gri
     size = np.linalg.norm(slope, axis=1)
     keep = size >= MIN_SLOPE
     skin, outward = gaussians[keep], -slope[keep] / size[keep, None]
-    axes = matrices(skin.quats)
+    axes = rotation_matrices(skin.quats)
     order = np.argsort(skin.scales, axis=1)
     rows = np.arange(len(skin))
     thin = axes[rows, :, order[:, 0]]

@@ -9,7 +9,7 @@ from scipy.spatial import KDTree
 from engine.scene.atoms import SurfaceAtoms
 from engine.scene.gaussians import Gaussians
 from engine.scene.grid import Body
-from engine.scene.rotations import matrices
+from engine.scene.rotations import rotation_matrices
 
 __all__ = ["coverage_at", "inward_normals", "patch_holes", "sample_skin"]
 
@@ -69,7 +69,7 @@ def coverage_at(
         return np.zeros(len(points), np.float32)
     count = min(NEIGHBOURS, len(surface))
     rows = KDTree(surface.means).query(points, k=count)[1].reshape(-1, count)
-    axes = matrices(surface.quats)
+    axes = rotation_matrices(surface.quats)
     most = np.zeros(len(points), np.float32)
     for neighbour in rows.T:
         frame = axes[neighbour]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from engine.errors import InputError
-from engine.scene.camera import on_plane, section
+from engine.scene.camera import plane_points, section
 from engine.scene.grid import Body, Grid
 from engine.scene.plane import Plane
 from training.cli import parse_families
@@ -62,7 +62,7 @@ def test_a_range_takes_a_part_of_the_extent_and_of_the_angles():
 def test_a_section_camera_sees_its_plane_with_up_upwards():
     plane = Plane.through((0.3, -0.2, 0.5), (1.0, 0.4, 0.0))
     camera = section(plane, UP, ball().bounds(), 64)
-    points = on_plane(camera, plane)
+    points = plane_points(camera, plane)
     assert np.abs(plane.distance(points)).max() < 1e-5
     assert (np.diff(points[:, 32, 2]) < 0).all()
     assert np.linalg.det(camera.viewmat[:3, :3]) == pytest.approx(1.0)

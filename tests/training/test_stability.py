@@ -21,7 +21,7 @@ from PIL import Image
 import training.optimise.trainer
 import training.request
 from engine.errors import InputError
-from engine.fit.sh_fit import refit
+from engine.fit.sh_fit import fit_sh
 from engine.io.splats.ply import write_ply
 from engine.io.trained import load_trained
 from engine.scene.atoms import Atoms, InteriorAtoms
@@ -301,5 +301,5 @@ def test_colours_under_black_come_back_to_light(dark: float) -> None:
     """The clamp at 0 has no gradient: a fit that starts under it must not stay there."""
     truth = patches(1, 1)
     start = replace(truth, surface=replace(truth.surface, sh=np.full_like(truth.surface.sh, dark)))
-    result = refit(start, views_of(truth, 12))
+    result = fit_sh(start, views_of(truth, 12))
     assert result.held_out[1] > 20

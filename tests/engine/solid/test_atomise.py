@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from engine.fit.scale_fit import reshape
+from engine.fit.scale_fit import fit_scales
 from engine.io.load import load
 from engine.render.classic import rasterizer as classic
 from engine.render.cpu import opaque
 from engine.scene.atoms import Atoms, InteriorAtoms
-from engine.scene.camera import around
+from engine.scene.camera import cameras_around
 from engine.scene.gaussians import Gaussians
 from engine.scene.grid import Body, Grid
-from engine.scene.rotations import matrices
+from engine.scene.rotations import rotation_matrices
 from engine.solid.atomise import Atomised, atomise, split
 from engine.solid.contribution import contributions
 from engine.solid.denoise_capture import without_haze
@@ -82,7 +82,7 @@ def test_parts_have_the_mean_and_the_covariance_of_the_whole() -> None:
     scene = skin(1, 0.02, 0.99)
     scales = np.float32([[0.09, 0.05, 0.004]])
     source, means, sizes = split(scene, scales, 0.02)
-    axes = matrices(scene.quats)[0].astype(np.float64)
+    axes = rotation_matrices(scene.quats)[0].astype(np.float64)
     local = (means - scene.means[0]).astype(np.float64) @ axes
     assert np.abs(local.mean(0)).max() < 1e-6
     spread = np.sqrt(local.var(0) + sizes[0].astype(np.float64) ** 2)
@@ -108,7 +108,7 @@ def test_weight_in_views_decides_not_opacity_alone() -> None:
     floater = skin(1, 0.03, 0.99)
     floater.means[:] = [0, -1.6, 0.2]  # seen before anything else, and no part of the object
     scene = joined(skin(12000, 0.03, 0.9), lining, floater)
-    cameras = around(np.zeros(3), 1.1, np.array([0.0, 0, 1]), 12, 128)
+    cameras = cameras_around(np.zeros(3), 1.1, np.array([0.0, 0, 1]), 12, 128)
     weight = contributions(scene, cameras)
     assert abs(weight[-1] - 0.99) < 0.03
     assert np.median(weight[:12000]) > 0.1 > 0.02 > np.median(weight[12000:15000])
@@ -148,7 +148,7 @@ def test_holes_are_patched_where_the_capture_has_a_skin() -> None:
 def test_the_opaque_object_looks_like_the_capture() -> None:
     scene, pitch = skin(3000, 0.06, 0.5), 0.05
     made = on_body(scene, pitch, ball())
-    for camera in around(np.zeros(3), 1.1, np.array([0.0, 0, 1]), 3, 96):
+    for camera in cameras_around(np.zeros(3), 1.1, np.array([0.0, 0, 1]), 3, 96):
         wanted, contributions = classic.render(scene, camera, (1, 1, 1)), opaque.render(solid(made, pitch), camera)
         centre = np.hypot(*np.indices((96, 96)) - 47.5) < 30
         assert contributions.alpha[centre].min() > 0.9
@@ -158,8 +158,8 @@ def test_the_opaque_object_looks_like_the_capture() -> None:
 def test_reshaping_makes_no_unseen_view_worse() -> None:
     scene, pitch = skin(1500, 0.09, 0.6), 0.06
     atoms = solid(on_body(scene, pitch, ball()), pitch)
-    cameras = around(np.zeros(3), 1.1, np.array([0.0, 0, 1]), 12, 48)
-    better = reshape(atoms, scene, cameras, steps=24)
+    cameras = cameras_around(np.zeros(3), 1.1, np.array([0.0, 0, 1]), 12, 48)
+    better = fit_scales(atoms, scene, cameras, steps=24)
 
     def error(a: Atoms) -> float:
         wrong = [opaque.render(a, c).rgb - classic.render(scene, c, (1, 1, 1)).rgb for c in cameras[::6]]
@@ -167,7 +167,7 @@ def test_reshaping_makes_no_unseen_view_worse() -> None:
 
     assert error(better) <= error(atoms)
     assert better.surface.scales.max() <= np.float32(pitch)
-    assert np.array_equal(better.surface.scales, reshape(atoms, scene, cameras, steps=24).surface.scales)
+    assert np.array_equal(better.surface.scales, fit_scales(atoms, scene, cameras, steps=24).surface.scales)
 
 
 @pytest.mark.parametrize("name", ["donut_mipsplatting", "meshgs_orange_30k"])

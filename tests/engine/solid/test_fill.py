@@ -14,7 +14,7 @@ from engine.errors import InputError
 from engine.scene.atoms import SurfaceAtoms
 from engine.scene.gaussians import Gaussians
 from engine.scene.grid import Grid
-from engine.scene.rotations import matrices
+from engine.scene.rotations import rotation_matrices
 from engine.solid.distance_transform import nearest
 from engine.solid.fill import fill
 from engine.solid.find_body import find_body
@@ -102,7 +102,7 @@ def test_opacity_field_is_equation_2() -> None:
     grid = Grid(np.array([-0.1, 0.0, 0.1]), 0.05, (23, 18, 20))
     centres = grid.centres().astype(np.float64)
     truth = np.zeros(grid.shape)
-    axes, sigma = matrices(scene.quats).astype(np.float64), np.maximum(scene.scales.astype(np.float64), 0.02)
+    axes, sigma = rotation_matrices(scene.quats).astype(np.float64), np.maximum(scene.scales.astype(np.float64), 0.02)
     for p in range(n):
         q = ((((centres - scene.means[p]) @ axes[p]) / sigma[p]) ** 2).sum(-1)
         truth += scene.opacities[p] * np.exp(-q / 2) * (q <= 9)
