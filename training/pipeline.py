@@ -19,7 +19,7 @@ from torch import Tensor
 from engine.errors import InputError
 from engine.fit.scale_fit import fit_scales
 from engine.fit.sh_fit import SurfaceView, fit_sh, surface_views
-from engine.io.files import sweep
+from engine.io.files import remove_leftovers
 from engine.io.load import load
 from engine.scene.atoms import Atoms, InteriorAtoms
 from engine.scene.gaussians import Gaussians
@@ -70,7 +70,7 @@ class Pipeline:
 
     def run(self, resume: bool) -> Path:
         """All of it, from the last checkpoint if it is to `resume`."""
-        sweep(self.out)
+        remove_leftovers(self.out)
         if not resume:
             self.checkpoint.clear()
         torch.set_num_threads(1)  # the kernels use the cores; torch's own threads would only wait for each other

@@ -19,7 +19,7 @@ from scipy.spatial import cKDTree
 
 from app.jobs.warmup import rehearse
 from engine.errors import InputError
-from engine.io.files import WRITING, reason
+from engine.io.files import WRITE_ERRORS, reason
 from engine.io.trained import load_trained, sidecar_path
 from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from engine.scene.camera import cameras_around
@@ -137,7 +137,7 @@ def _send(folder: Path, what: str, arrays: dict[str, NDArray[Any]], facts: dict[
     whole = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
     try:
         save_file(whole, file)
-    except WRITING as error:
+    except WRITE_ERRORS as error:
         raise InputError(
             f"{folder.parent}: no room in the temporary folder ({reason(error)}); make some, or name another in TMPDIR"
         ) from error
