@@ -31,7 +31,6 @@ from app.model.settings import load_settings
 from benchmarks.fuzz_rules import words_wrong
 from benchmarks.guard import guarded
 from engine.errors import InputError
-from engine.fit.view_weights import load as load_weights
 from engine.io.load import load
 from engine.io.meshes.mesh import read_mesh
 from engine.io.splats.ply import read_ply
@@ -142,7 +141,6 @@ READERS = {
     "project": Reader(read_project),
     "manifest": Reader(lambda path, work: read_manifest(path)),
     "checkpoint": Reader(read_checkpoint, ("training.safetensors",)),
-    "view weights": Reader(lambda path, work: load_weights(path)),
     "settings": Reader(lambda path, work: load_settings(path)),
     "job": Reader(read_job, ("job.json", "events.jsonl", "job.log")),
     "autosave": Reader(lambda path, work: rescued(work), ("a.fruitninja", "a.json")),

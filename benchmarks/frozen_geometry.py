@@ -107,7 +107,7 @@ def measure(atoms: Atoms, camera: Camera, kind: str, times: int) -> dict[str, ob
         tensors.scales,
         tensors.quats,
         tensors.sh,
-        tensors.inner_means,
+        tensors.interior_means,
         tensors.sigmas,
         tensors.rgb,
     ]
@@ -126,7 +126,7 @@ def measure(atoms: Atoms, camera: Camera, kind: str, times: int) -> dict[str, ob
     known = colours[exact.used]
 
     def step(view: ViewWeights) -> Callable[[], object]:
-        return lambda: (view._forward(known), view._backward(grey))
+        return lambda: (view._apply(known), view._apply_transposed(grey))
 
     row: dict[str, object] = {"kind": kind, "atoms": len(atoms), "pixels": camera.width, "entries": len(exact.weights)}
     row["megabytes"] = round((exact.weights.nbytes + exact.atoms.nbytes + exact.offsets.nbytes) / 2**20, 1)

@@ -42,7 +42,7 @@ from engine.io.load import load
 from engine.io.splats.ply import read_ply, write_ply
 from engine.io.trained import Meta, load_trained, save_trained, sidecar_path
 from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
-from engine.scene.grid import Body
+from engine.scene.grid import Body, Grid
 from engine.scene.plane import Plane
 from training.batch.manifest import read_manifest
 from training.checkpoint import Checkpoint
@@ -194,8 +194,8 @@ FAMILY = st.one_of(
 ARGUMENTS = st.tuples(
     st.lists(FAMILY, max_size=3), st.just([]) | st.lists(FAMILY, max_size=2), st.one_of(WORD, st.text(max_size=8))
 )
-BALL = Body(np.full(3, -1.0), 0.25, (1 - np.linalg.norm(np.stack(np.meshgrid(*[np.linspace(-0.875, 0.875, 8)] * 3), -1),
-                                                        axis=-1)).astype(np.float32))  # fmt: skip
+CUBES = Grid(np.full(3, -1.0), 0.25, (8, 8, 8))
+BALL = Body(CUBES, (1 - np.linalg.norm(CUBES.centres(), axis=-1)).astype(np.float32))
 
 
 def check_arguments(value: tuple[list[str], list[str], str], folder: Path) -> bool:

@@ -23,7 +23,7 @@ from scipy import ndimage
 
 from engine.io.files import atomic
 from engine.scene.camera import Camera, section
-from engine.scene.grid import Body
+from engine.scene.grid import Body, Grid
 from engine.scene.plane import Plane
 from sample_scenes.exemplars import photograph, planes
 from sample_scenes.solids import SOLIDS, Solid
@@ -57,12 +57,11 @@ def body_of(solid: Solid, cells: int = BODY_CELLS) -> Body:
     """The solid's depth on a grid: its own near the skin, the distance to the skin deeper."""
     low, high = solid.bounds
     cell = float((high - low).max()) / cells
-    shape = np.ceil((high - low) / cell).astype(int) + 6
-    grid = Body((low + high) / 2 - shape * cell / 2, cell, np.zeros(tuple(shape), np.float32))
+    grid = Grid.around(solid.bounds, cell, 3)
     near = solid.depth(grid.centres())
     inside, outside = (ndimage.distance_transform_edt(m) for m in (near > 0, near <= 0))
     far = (inside - outside - 0.5 * np.sign(inside - outside)) * cell
-    return Body(grid.origin, cell, np.where(np.abs(near) < 1.5 * cell, near, far).astype(np.float32))
+    return Body(grid, np.where(np.abs(near) < 1.5 * cell, near, far).astype(np.float32))
 
 
 def cut_planes(solid: Solid) -> list[Plane]:
@@ -95,7 +94,7 @@ def measure(name: str, voxels: int) -> dict[str, float]:
         start, busy = time.perf_counter(), time.process_time()
         ours = ExemplarPrior().solve(body, np.asarray(solid.up), families, voxels, 0, lambda part: None)
         seconds, busy = time.perf_counter() - start, time.process_time() - busy
-    truth = Volume(ours.body, solid.colour(ours.body.centres()))
+    truth = Volume(ours.body, solid.colour(ours.body.grid.centres()))
     rows: list[dict[str, float]] = []
     sheet = []
     for plane, its in zip(cut_planes(solid), cut_planes(other), strict=True):

@@ -33,7 +33,7 @@ from engine.io.load import load
 from engine.io.splats.ply import write_ply
 from engine.render.cpu import opaque
 from engine.scene.atoms import Atoms, SurfaceAtoms
-from engine.scene.camera import around, section
+from engine.scene.camera import cameras_around, section
 from engine.scene.gaussians import Gaussians
 from engine.scene.plane import Plane
 from engine.solid.atomise import atomise
@@ -144,7 +144,7 @@ def solved(solid: Solid, tilt: float = 0.0, seed: int = 0, pixels: int = 96, vox
         made = np.where(inside[..., None], volume.at(points_on(plane, camera)), np.float32(1))
         figures.append(face_psnr(made, true, inside))
     side = float(np.ptp(body.bounds(), axis=0).max())
-    return {"psnr_db": round(float(np.mean(figures)), 3), "cells": round(side / volume.body.cell)}
+    return {"psnr_db": round(float(np.mean(figures)), 3), "cells": round(side / volume.body.grid.cell)}
 
 
 def seeded(name: str) -> dict[str, Any]:
@@ -216,7 +216,7 @@ def large(count: int = 2_000_000) -> dict[str, float]:
     atoms = Atoms(surface, fill(body, pitch, 0, surface), pitch)
     step("atomise")
     row["atoms"] = len(atoms)
-    camera = around(np.zeros(3), 1.0, np.array([0.0, 0.0, 1.0]), 1, 512)[0]
+    camera = cameras_around(np.zeros(3), 1.0, np.array([0.0, 0.0, 1.0]), 1, 512)[0]
     shown = opaque.render(atoms, camera, [Plane.of((1, 0, 0), 0.1)])
     step("draw")
     assert np.isfinite(shown.rgb).all()

@@ -1,4 +1,4 @@
-"""How every command ends: with its result, or with one line that says why not, and a status."""
+"""Runs the commands: each ends with its result, or with one line that says why not, and an exit status."""
 
 from __future__ import annotations
 
@@ -14,46 +14,46 @@ import typer
 from engine.errors import InputError, one_line
 from engine.io.files import reason
 
-__all__ = ["FAILED", "REFUSED", "Stop", "Stopped", "run_command", "tell"]
+__all__ = ["FAILED", "REFUSED", "Stop", "Stopped", "print_result", "run_command"]
 
 FAILED, REFUSED, SIGNALLED = 1, 2, 128
-"""Exit status where a part of the work or the machine failed, where the input is bad or its result cannot be written,
-and, with the signal's number added as shells do, where the user stopped: 130 for Ctrl-C, 143 for SIGTERM."""
+"""Exit statuses: part of the work or the machine failed; the input is bad or the result cannot be written; the user
+stopped it, plus the signal's number as in shells: 130 for Ctrl-C, 143 for SIGTERM."""
 
 
 class Stopped(BaseException):
-    """The user stops the command. No Exception, as KeyboardInterrupt is none: nothing that mends errors may take it."""
+    """The user stopped the command. Like KeyboardInterrupt no Exception, so that error handlers do not catch it."""
 
     def __init__(self, number: int, message: str = "") -> None:
         super().__init__(message)
         self.number = number
-        """Of the signal."""
+        """Number of the signal."""
 
 
 class Stop:
-    """Remembers that the user asked to stop, by Ctrl-C or SIGTERM; a second Ctrl-C stops at once."""
+    """Records a request to stop, by Ctrl-C or SIGTERM; a second Ctrl-C stops at once."""
 
     def __init__(self) -> None:
         self.number = 0
-        """Of the signal; 0: none came."""
+        """Number of the signal; 0 before any."""
 
-    def asked(self) -> bool:
-        """Whether to stop."""
+    def requested(self) -> bool:
+        """Whether the user wants to stop."""
         return self.number != 0
 
     def listen(self) -> None:
-        """From now on signals are remembered instead of ending the command between two lines."""
-        signal.signal(signal.SIGINT, self._notice)
-        signal.signal(signal.SIGTERM, self._notice)
+        """Installs the handlers: from now on signals are recorded instead of ending the command anywhere."""
+        signal.signal(signal.SIGINT, self._on_signal)
+        signal.signal(signal.SIGTERM, self._on_signal)
 
-    def _notice(self, number: int, _: Any) -> None:
+    def _on_signal(self, number: int, _: Any) -> None:
         if self.number == signal.SIGINT == number:
             raise Stopped(number)
         self.number = number
 
 
-def tell(text: str) -> None:
-    """Prints what a command has to say when all went well. Raises InputError where that cannot be written."""
+def print_result(text: str) -> None:
+    """Prints the result of a successful command. Raises InputError if it cannot be written."""
     try:
         print(text, flush=True)
     except OSError as error:
@@ -67,17 +67,17 @@ def run_command(
     epilog: str | None = None,
     stopped: str = "stopped",
 ) -> NoReturn:
-    """Runs a command with the arguments given to the program, or these, and ends the program.
+    """Runs a command with `arguments`, by default those of the program, and exits.
 
-    `stopped` is what the user reads who stopped it, where the command says nothing better.
+    `stopped` is the message for a stop by the user, unless the command gives one.
     """
     app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
     app.command(epilog=epilog)(command)
     status, line = 0, ""
     try:
-        with _raised():
+        with _signals_raise():
             app(arguments, prog_name=name)
-    except SystemExit as ended:  # as typer ends, whatever comes of it
+    except SystemExit as ended:  # typer always ends with one
         status = ended.code if isinstance(ended.code, int) else 0
     except InputError as error:
         status, line = REFUSED, str(error)
@@ -91,21 +91,21 @@ def run_command(
     try:
         if sys.stdout is not None:
             sys.stdout.flush()
-    except OSError as error:  # what was printed did not get there
-        _let_go(sys.stdout)
+    except OSError as error:  # the output was not written
+        _discard(sys.stdout)
         if not status:
             status, line = REFUSED, f"standard output: cannot be written ({reason(error)})"
     if line and sys.stderr is not None:
         try:
             print(f"{name}: {one_line(line)}", file=sys.stderr, flush=True)
         except OSError:
-            _let_go(sys.stderr)
+            _discard(sys.stderr)
     sys.exit(status)
 
 
 @contextmanager
-def _raised() -> Iterator[None]:
-    """Ctrl-C and SIGTERM raise Stopped in this block, so that whatever is half done is cleared away."""
+def _signals_raise() -> Iterator[None]:
+    """Ctrl-C and SIGTERM raise Stopped in this block, so that unfinished work is cleaned up."""
 
     def stop(number: int, _: Any) -> None:
         raise Stopped(number)
@@ -118,8 +118,8 @@ def _raised() -> Iterator[None]:
             signal.signal(number, handler)
 
 
-def _let_go(stream: TextIO) -> None:
-    """What a stream still holds goes nowhere: Python would try once more at its end, and complain."""
+def _discard(stream: TextIO) -> None:
+    """Discards what a stream still buffers: Python would try to write it again at exit, and complain."""
     with suppress(OSError, ValueError):
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, stream.fileno())

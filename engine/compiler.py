@@ -1,12 +1,12 @@
-"""Loads numba so that the current folder has no say in it, and so that no kernel fails because of its file.
+"""Imports numba so that files in the current folder cannot configure it, and so that no kernel fails due to its cache.
 
-numba takes its settings from a .numba_config.yaml in the current folder, when it is imported and again before each
-function that it compiles. One of them is the folder of compiled functions, and what lies there is unpickled: it runs.
-Settings from the environment (NUMBA_...) are the user's and stay.
+numba reads settings from a .numba_config.yaml in the current folder, on import and again before each compilation. One
+of them is the folder of compiled functions, which numba unpickles: that runs code. Settings from the environment
+(NUMBA_...) are the user's and stay.
 
-It keeps compiled kernels in files, and of itself it raises: where a kernel is defined, if neither the program's folder
-nor the user's own can be written; where one is first called, if the disk is full; and at every start, if a crash has
-left half of a file there. Here such a kernel is compiled anew at each start, and that is all.
+numba caches compiled kernels in files, and raises by default: when a kernel is defined, if neither the program's folder
+nor the user's can be written; when it is first called, if the disk is full; and at every start, if a crash has left an
+incomplete file. Here such a kernel is simply compiled again at each start.
 """
 
 from __future__ import annotations
@@ -24,30 +24,30 @@ __all__: list[str] = []
 
 @contextmanager
 def _without_yaml() -> Iterator[None]:
-    """In this block numba finds no yaml, so it reads no such file; it would warn where there is one."""
-    kept = sys.modules.get("yaml")
-    sys.modules["yaml"] = None  # type: ignore[assignment]  # so that importing it fails
+    """Hides yaml from numba in this block, so that it reads no settings file; its warning about that is suppressed."""
+    before = sys.modules.get("yaml")
+    sys.modules["yaml"] = None  # type: ignore[assignment]  # makes importing it fail
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             yield
     finally:
         del sys.modules["yaml"]
-        if kept is not None:
-            sys.modules["yaml"] = kept
+        if before is not None:
+            sys.modules["yaml"] = before
 
 
 with _without_yaml():
     import numba.core.config as config
 
-config._config_fname = ""  # the file is looked for by this name
-config.reload_config()  # where numba was imported before, what it took from a file ends here
+config._config_fname = ""  # the name of the settings file
+config.reload_config()  # drops settings from a file if numba was imported before
 
 from numba.core import caching  # noqa: E402 (after its settings)
 
 
-class _Nowhere(caching._SourceFileBackedLocatorMixin, caching._CacheLocator):
-    """The last place to look for a folder: one that cannot be, so that nothing is found there and nothing is kept."""
+class _NoCache(caching._SourceFileBackedLocatorMixin, caching._CacheLocator):
+    """The last cache locator: a folder that cannot exist, so that nothing is loaded from it or saved to it."""
 
     def __init__(self, py_func: Callable[..., Any], py_file: str) -> None:
         self._py_file = py_file
@@ -57,16 +57,16 @@ class _Nowhere(caching._SourceFileBackedLocatorMixin, caching._CacheLocator):
         return os.path.join(os.devnull, "kernels")
 
     @classmethod
-    def from_function(cls, py_func: Callable[..., Any], py_file: str) -> _Nowhere:
+    def from_function(cls, py_func: Callable[..., Any], py_file: str) -> _NoCache:
         return cls(py_func, py_file)
 
 
 @contextmanager
-def _forgiven(_: caching.Cache) -> Iterator[None]:
+def _ignore_cache_errors(_: caching.Cache) -> Iterator[None]:
     with suppress(OSError, EOFError, pickle.UnpicklingError):
         yield
 
 
 # numba's own hook, which it fills on Windows only
-caching.Cache._guard_against_spurious_io_errors = _forgiven  # type: ignore[method-assign, assignment]
-caching.CacheImpl._locator_classes.append(_Nowhere)
+caching.Cache._guard_against_spurious_io_errors = _ignore_cache_errors  # type: ignore[method-assign, assignment]
+caching.CacheImpl._locator_classes.append(_NoCache)

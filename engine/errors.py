@@ -1,11 +1,11 @@
-"""The one error a user may see: what is wrong, in which file, and what to do."""
+"""The only error that users see: what is wrong, in which file, and what to do."""
 
 from __future__ import annotations
 
 __all__ = ["InputError", "one_line"]
 
-LONGEST = 1000
-"""Characters of a message. Files and arguments are quoted in it, and they may be of any length."""
+MAX_LENGTH = 1000
+"""Most characters of a message, which quotes files and arguments of any length."""
 
 
 class InputError(ValueError):
@@ -19,6 +19,6 @@ class InputError(ValueError):
 
 
 def one_line(message: str) -> str:
-    """The message without line breaks and other signs that a terminal obeys, the middle left out where it is long."""
+    """The message without line breaks and other control characters, its middle cut out if it is too long."""
     plain = message if message.isprintable() else "".join(c if c.isprintable() else "?" for c in message)
-    return plain if len(plain) <= LONGEST else f"{plain[: LONGEST * 2 // 3]} ... {plain[-LONGEST // 4 :]}"
+    return plain if len(plain) <= MAX_LENGTH else f"{plain[: MAX_LENGTH * 2 // 3]} ... {plain[-MAX_LENGTH // 4 :]}"

@@ -1,7 +1,7 @@
-"""Starting Python processes of this program's own, so that nothing in the folder the user stands in is run.
+"""Starts Python child processes that run no code from the current folder.
 
-A person runs `fruitninja` in the folder where a capture was downloaded to, and with a capture comes whatever else is in
-its archive. `python -m` and the processes that multiprocessing starts look there first for what they import.
+Users run `fruitninja` in the folder of a downloaded capture, together with whatever else its archive contained.
+`python -m` and the processes that multiprocessing starts would import from there first.
 """
 
 from __future__ import annotations
@@ -17,23 +17,23 @@ from typing import Any
 __all__ = ["HOME", "safe_imports", "start_python"]
 
 HOME = Path(__file__).resolve().parents[1]
-"""The folder that this program was imported from: what lies there is trusted as much as the program itself."""
+"""The folder of this program, which is trusted as much as the program itself."""
 
 
 def start_python(module: str, arguments: Sequence[str] = (), **options: Any) -> subprocess.Popen[bytes]:
-    """Starts a module in a process of its own, in `HOME`. Paths among the arguments must be absolute.
+    """Starts a module in a new process that works in `HOME`. Paths among the arguments must be absolute.
 
-    `options` are those of Popen. -P takes the current folder off the import path; working in `HOME` keeps it from what
-    libraries look for in the current folder (settings, shared libraries).
+    `options` are those of Popen. -P removes the current folder from the import path; working in `HOME` keeps libraries
+    from finding settings or shared libraries in the user's folder.
     """
     return subprocess.Popen([sys.executable, "-P", "-m", module, *arguments], cwd=HOME, **options)
 
 
 @contextmanager
 def safe_imports() -> Iterator[None]:
-    """Python processes that libraries start in this block (multiprocessing, Dask) import nothing from where we stand.
+    """Python processes that libraries (multiprocessing, Dask) start in this block ignore the current folder.
 
-    They begin as `python -c`, which has the current folder first on its path, before the standard library.
+    They start as `python -c`, which has the current folder first on its path, before the standard library.
     """
     before = os.environ.get("PYTHONSAFEPATH")
     os.environ["PYTHONSAFEPATH"] = "1"

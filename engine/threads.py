@@ -1,8 +1,11 @@
-"""How many cores are used, and one way to use them.
+"""The number of cores in use, and a thread pool for numba kernels.
 
-numba's own parallel loops and torch both keep a pool of threads; each would take all the cores. Here numba kernels run
-without the interpreter lock on this module's threads. A frame is a dozen short loops, and to wake a sleeping thread
-takes as long as one of them: a thread that has had work looks out for more a fifth of a millisecond long, then sleeps.
+numba's parallel loops and torch both have thread pools; each would take all the cores. Here numba kernels run without
+the interpreter lock on this module's threads. A frame is a dozen short loops, and waking a sleeping thread takes as
+long as one of them, so an idle thread polls for a fifth of a millisecond before it sleeps.
+
+Written by hand because the standard library's pool is slower on such loops; benchmarks/by_hand.py measures both,
+figures in docs/charts/by_hand.json.
 """
 
 from __future__ import annotations
@@ -122,13 +125,13 @@ class _Pool:
                 self._team.close()
             self.count, self._team = count, None
 
-    def forget(self) -> None:
+    def reset(self) -> None:
         self.lock, self._team = threading.Lock(), None
 
 
 _pool = _Pool()
 if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_pool.forget)
+    os.register_at_fork(after_in_child=_pool.reset)
 
 
 def cores() -> int:

@@ -7,10 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
 
 from engine.scene import sh
 from engine.scene.gaussians import Gaussians
-from engine.scene.rotations import matrices
+from engine.scene.rotations import rotation_matrices
 from sample_scenes.solids import Solid, directions
 
 __all__ = ["LOOKS", "Look", "closed_within", "shell"]
@@ -132,26 +133,15 @@ def _discs(normals: Array, spacing: Array, rng: np.random.Generator) -> tuple[Ar
     stretch = np.exp(rng.normal(0, 0.22, n))
     size = 0.45 * spacing * np.exp(rng.normal(0, 0.15, n))
     thin = 0.10 * spacing * np.exp(rng.normal(0, 0.35, n))
-    return _quaternions(axes), np.stack([size * stretch, size / stretch, thin], axis=1)
-
-
-def _quaternions(axes: Array) -> Array:
-    """(N, 4) wxyz of rotations (N, 3, 3) whose columns are the axes: the dominant eigenvector of Horn's matrix.
-
-    Horn 1987, closed-form absolute orientation: no case distinction, exact for half turns.
-    """
-    (a, b, c), (d, e, f), (g, h, i) = np.moveaxis(axes, 0, -1)
-    rows = [[a + e + i, h - f, c - g, d - b], [h - f, a - e - i, b + d, c + g]]
-    rows += [[c - g, b + d, e - a - i, f + h], [d - b, c + g, f + h, i - a - e]]
-    quats = np.linalg.eigh(np.moveaxis(np.array(rows), -1, 0))[1][..., -1]
-    return quats * np.where(quats[:, :1] < 0, -1.0, 1.0)
+    quats = Rotation.from_matrix(axes).as_quat(canonical=True, scalar_first=True)
+    return quats, np.stack([size * stretch, size / stretch, thin], axis=1)
 
 
 def _distance(samples: Array, centres: Array, quats: Array, scales: Array) -> tuple[Array, NDArray[np.intp]]:
     """In-plane standard deviations (M,) from each sample to the best of its 16 nearest Gaussians, and which it is."""
     near = cKDTree(centres).query(samples, 16)[1]
     best, which = np.full(len(samples), np.inf), np.zeros(len(samples), np.intp)
-    axes = matrices(quats)
+    axes = rotation_matrices(quats)
     for column in near.T:
         local = np.einsum("ni,nij->nj", samples - centres[column], axes[column])
         d = np.hypot(local[:, 0] / scales[column, 0], local[:, 1] / scales[column, 1])
@@ -176,7 +166,7 @@ def _closed(samples: Array, centres: Array, quats: Array, scales: Array) -> Arra
 
 def _footprint_colour(solid: Solid, centres: Array, quats: Array, scales: Array) -> Array:
     """(N, 3). The skin's colour over each disc: five points of it, brought onto the skin."""
-    axes = matrices(quats)
+    axes = rotation_matrices(quats)
     total = 2.0 * solid.colour(centres)
     for axis in (0, 1):
         for side in (-0.5, 0.5):

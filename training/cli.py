@@ -11,9 +11,9 @@ from typing import Annotated, cast, get_args
 import numpy as np
 import typer
 
-from engine.command import Stop, Stopped, run_command, tell
+from engine.command import Stop, Stopped, print_result, run_command
 from engine.errors import InputError
-from engine.io.files import claimed
+from engine.io.files import locked_folder
 from engine.scene.plane import Plane
 from training.events import Reporter
 from training.families import COUNTS, Family, Kind
@@ -91,14 +91,14 @@ def train(
     )
     reporter = Reporter.open(events)
     stop.listen()
-    with reporter, claimed(out):
+    with reporter, locked_folder(out):
         try:
-            result = run(request, out, reporter, resume, stop.asked)
+            result = run(request, out, reporter, resume, stop.requested)
         except Interrupted as interrupted:
             said = f"stopped; go on with the same command and --resume ({interrupted})"
             raise Stopped(stop.number, said) from interrupted
     if events != "-":
-        tell(f"{result}\n{out / 'cuts.png'}\n{out / 'report.json'}")
+        print_result(f"{result}\n{out / 'cuts.png'}\n{out / 'report.json'}")
 
 
 def finetune(
@@ -138,7 +138,7 @@ def finetune(
             )
         reporter.emit("done", model=out)
     if events != "-":
-        tell(str(out))
+        print_result(str(out))
 
 
 def parse_axis(text: str, option: str) -> tuple[float, float, float]:

@@ -36,7 +36,7 @@ CUTS = (
 def untrained_planes(body: Body, up: NDArray[np.float64]) -> list[Plane]:
     """Six planes through the body that no family contains; the kept side is the one away from up."""
     e1, e2 = equator(up)
-    points = body.centres()[body.inside]
+    points = body.grid.centres()[body.inside]
     centre = body.bounds().mean(0)
     planes = []
     for tilt, turn, place in CUTS:

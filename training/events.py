@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from engine.errors import InputError
-from engine.io.files import Lines, reason
+from engine.io.files import LineWriter, reason
 
 __all__ = ["Reporter", "plain"]
 
@@ -36,7 +36,7 @@ STAGES = {
 class Reporter:
     """Carries what happens to a file of JSON lines, to the terminal, or to both."""
 
-    events: TextIO | Lines | None = None
+    events: TextIO | LineWriter | None = None
     """Where JSON lines go; None: nowhere."""
     display: Progress | None = None
     started: float = field(default_factory=time.perf_counter)
@@ -49,13 +49,13 @@ class Reporter:
 
         Raises InputError where the events cannot be written.
         """
-        stream: TextIO | Lines | None = None
+        stream: TextIO | LineWriter | None = None
         if events == "-":
             stream = sys.stdout
             if stream is None:  # as Python has it where the caller closed it
                 raise InputError("--events -: standard output is closed; give a file")
         elif events is not None:
-            stream = Lines(events)
+            stream = LineWriter(events)
         console = Console(stderr=True)
         display = Progress(
             TextColumn("{task.description:<20}"),
@@ -91,7 +91,7 @@ class Reporter:
         text = json.dumps(plain(line), allow_nan=False) + "\n"
         try:
             self.events.write(text)
-            if not isinstance(self.events, Lines):
+            if not isinstance(self.events, LineWriter):
                 self.events.flush()
         except BrokenPipeError:
             self.events = None

@@ -108,7 +108,7 @@ class Family:
             angles = np.pi * self._parts(0.0)
             return [Plane.through(centre, np.cross(np.cos(a) * e1 + np.sin(a) * e2, up)) for a in angles]
         normal = self.normal(body, up)
-        along = body.centres()[body.inside] @ normal
+        along = body.grid.centres()[body.inside] @ normal
         low, high = (float(along.min()), float(along.max())) if len(along) else (0.0, 0.0)
         steps = low + (high - low) * self._parts(0.5)
         return [Plane.of(normal, -float(s)) for s in steps]

@@ -48,7 +48,7 @@ def solved(
     volume = prior.solve(geometry.body, geometry.up, request.families, detail.voxels, request.seed, progress)
     pictures = [np.where(cut.condition.inside[..., None], volume.at(cut.points), np.float32(1.0)) for cut in cuts]
     asked = geometry.pitch * detail.cells / detail.voxels
-    return pictures, volume.crisp, 1.0 if np.isclose(volume.body.cell, asked) else volume.body.cell / asked
+    return pictures, volume.crisp, 1.0 if np.isclose(volume.body.grid.cell, asked) else volume.body.grid.cell / asked
 
 
 def draw_each(

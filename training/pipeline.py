@@ -17,14 +17,14 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from engine.errors import InputError
-from engine.fit.scale_fit import reshape
-from engine.fit.sh_fit import SurfaceView, refit, surface_views
-from engine.io.files import sweep
+from engine.fit.scale_fit import fit_scales
+from engine.fit.sh_fit import SurfaceView, fit_sh, surface_views
+from engine.io.files import remove_leftovers
 from engine.io.load import load
 from engine.scene.atoms import Atoms, InteriorAtoms
 from engine.scene.gaussians import Gaussians
 from engine.solid.fill import Colours, fill
-from engine.solid.solidify import enclosed, skin_of
+from engine.solid.solidify import atomise_surface, find_enclosure
 from engine.solid.up_axis import detect_up
 from training.checkpoint import Checkpoint
 from training.events import Reporter, Stage
@@ -73,7 +73,7 @@ class Pipeline:
         for name in ("checkpoint", "previews"):
             if (self.out / name).is_symlink():  # files are removed and written there: a stranger may have laid the link
                 raise InputError(f"{self.out / name}: leads out of the result's folder; remove this link")
-        sweep(self.out)
+        remove_leftovers(self.out)
         if not resume:
             self.checkpoint.clear()
         torch.set_num_threads(1)  # the kernels use the cores; torch's own threads would only wait for each other
@@ -215,14 +215,14 @@ def prepare(request: Request, reporter: Reporter, check: Callable[[], None]) -> 
     gaussians = loaded.gaussians
     check()
     with reporter.stage("body") as stage:
-        enclosure = enclosed(gaussians, request.fineness.cells, request.scene.name)
+        enclosure = find_enclosure(gaussians, request.fineness.cells, request.scene.name)
         for note in enclosure.notes:
             reporter.warn(f"{request.scene.name}: {note}")
         up, reason = upward(request, gaussians)
         stage.progress(1.0, reason, up=up.tolist(), reason=reason)
     check()
     with reporter.stage("atomise"):
-        skin, pitch = skin_of(gaussians, enclosure, request.fineness.cells)
+        skin, pitch = atomise_surface(gaussians, enclosure, request.fineness.cells)
     facts = {
         "gaussians": len(gaussians),
         "gaussians_dropped": skin.dropped,
@@ -249,7 +249,7 @@ def refitted(
     """The atoms with surface colours fitted to the input, and PSNR in dB of held-out views before and after."""
 
     def fitted() -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-        result = refit(atoms, views, progress)
+        result = fit_sh(atoms, views, progress)
         return {"sh": result.atoms.surface.sh}, {"held_out": list(result.held_out)}
 
     arrays, facts = checkpoint.made("surface", fitted)
@@ -261,7 +261,9 @@ def reshaped(atoms: Atoms, geometry: Geometry, request: Request, checkpoint: Che
 
     def fitted() -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
         cameras = surface_cameras(geometry.body, geometry.up, SHAPE_VIEWS, SHAPE_SIZE)
-        better = reshape(atoms, geometry.gaussians, cameras, request.fineness.reshape, request.seed, progress).surface
+        better = fit_scales(
+            atoms, geometry.gaussians, cameras, request.fineness.reshape, request.seed, progress
+        ).surface
         return {"sh": better.sh, "scales": better.scales}, {}
 
     arrays, _ = checkpoint.made("shape", fitted)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from engine.fit.view_weights import ViewWeights
 from engine.render.cpu.kernel_field import KernelField
 from engine.scene.atoms import Atoms
-from engine.scene.camera import Camera, around, equator, on_plane, section
+from engine.scene.camera import Camera, cameras_around, equator, plane_points, section
 from engine.scene.grid import Body
 from engine.scene.plane import Plane
 from training.families import Family
@@ -69,7 +69,7 @@ def slices(
     for family in families:
         for plane in family.planes(body, up):
             camera = section(plane, up, bounds, size, radius)
-            points = on_plane(camera, plane)
+            points = plane_points(camera, plane)
             if (body.at(points) > 0).any():
                 condition = conditioned(family, body, extent, camera, points)
                 result.append(Slice(family, plane, camera, condition, points))
@@ -104,7 +104,7 @@ class Extent:
     def of(body: Body, up: NDArray[np.float64]) -> Extent:
         """Of all cells inside."""
         centre = body.bounds().mean(0)
-        points = body.centres()[body.inside] - centre
+        points = body.grid.centres()[body.inside] - centre
         along = points @ up
         reach = np.linalg.norm(np.cross(points, up), axis=-1).max()
         return Extent(up, centre, float(reach), float(along.min()), float(along.max()), body.inradius)
@@ -140,4 +140,4 @@ def conditioned(
 
 def surface_cameras(body: Body, up: NDArray[np.float64], count: int, size: int, turn: float = 0.0) -> list[Camera]:
     """Cameras from all around the body."""
-    return around(body.bounds().mean(0), body.radius, up, count, size, turn)
+    return cameras_around(body.bounds().mean(0), body.radius, up, count, size, turn)

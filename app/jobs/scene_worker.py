@@ -19,10 +19,10 @@ from scipy.spatial import cKDTree
 
 from app.jobs.warmup import rehearse
 from engine.errors import InputError
-from engine.io.files import WRITING, reason
+from engine.io.files import WRITE_ERRORS, reason
 from engine.io.trained import load_trained, sidecar_path
 from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
-from engine.scene.camera import around
+from engine.scene.camera import cameras_around
 from engine.scene.gaussians import Gaussians
 from engine.scene.grid import Body
 from engine.scene.sh import sh_to_rgb
@@ -74,11 +74,11 @@ def _capture(path: Path, folder: Path, seed: int) -> tuple[Gaussians, NDArray[np
 
 
 def _solid(path: Path, gaussians: Gaussians, up: NDArray[np.float64], cells: int, seed: int, folder: Path) -> None:
-    from engine.fit.sh_fit import refit, surface_views
-    from engine.solid.solidify import enclosed, solidify
+    from engine.fit.sh_fit import fit_sh, surface_views
+    from engine.solid.solidify import find_enclosure, solidify
 
     _say(stage="Finding the body", part=0.15)
-    found = enclosed(gaussians, cells, path.name)
+    found = find_enclosure(gaussians, cells, path.name)
     _say(stage="Making it solid", part=0.4)
     atoms = solidify(gaussians, found, cells, seed)
     plain = plain_inside(atoms.surface, atoms.interior, found.body, atoms.pitch)
@@ -87,9 +87,9 @@ def _solid(path: Path, gaussians: Gaussians, up: NDArray[np.float64], cells: int
     _send_atoms(folder, atoms, facts)
     # It can be cut from here on; what follows only makes its skin look like the capture's.
     _say(stage="Matching the skin", part=0.9)
-    cameras = around(found.body.bounds().mean(0), found.body.radius, up, FIT_VIEWS, FIT_SIZE)
+    cameras = cameras_around(found.body.bounds().mean(0), found.body.radius, up, FIT_VIEWS, FIT_SIZE)
     views = surface_views(atoms, gaussians, cameras, FIT_ENTRIES)
-    _send_atoms(folder, refit(atoms, views).atoms, facts)
+    _send_atoms(folder, fit_sh(atoms, views).atoms, facts)
 
 
 def plain_inside(surface: SurfaceAtoms, interior: InteriorAtoms, body: Body, pitch: float) -> NDArray[np.float32]:
@@ -137,7 +137,7 @@ def _send(folder: Path, what: str, arrays: dict[str, NDArray[Any]], facts: dict[
     whole = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
     try:
         save_file(whole, file)
-    except WRITING as error:
+    except WRITE_ERRORS as error:
         raise InputError(
             f"{folder.parent}: no room in the temporary folder ({reason(error)}); make some, or name another in TMPDIR"
         ) from error

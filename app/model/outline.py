@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from engine.scene.atoms import Atoms
-from engine.scene.grid import Body
+from engine.scene.grid import Body, Grid
 from engine.scene.plane import Plane, frame
 
 __all__ = ["body_of_atoms", "body_of_shell", "contours"]
@@ -41,7 +41,7 @@ def body_of_atoms(atoms: Atoms) -> Body:
     counts, origin = _counted(means, cell)
     filled = ndimage.gaussian_filter(counts, BLUR, mode="constant") * (atoms.pitch / cell) ** 3
     # Halfway down the edge is the skin. Depths only need to be right near it.
-    return Body(origin, cell, ((filled - 0.5) * 2.5 * BLUR * cell).astype(np.float32))
+    return Body(Grid(origin, cell, counts.shape), ((filled - 0.5) * 2.5 * BLUR * cell).astype(np.float32))
 
 
 def body_of_shell(points: NDArray[np.floating]) -> Body:
@@ -54,7 +54,7 @@ def body_of_shell(points: NDArray[np.floating]) -> Body:
     edge = ndimage.gaussian_filter(
         ndimage.binary_erosion(thick, iterations=2).astype(np.float32), BLUR, mode="constant"
     )
-    return Body(origin, cell, ((edge - 0.5) * 2.5 * BLUR * cell).astype(np.float32))
+    return Body(Grid(origin, cell, shape), ((edge - 0.5) * 2.5 * BLUR * cell).astype(np.float32))
 
 
 def _around(points: NDArray[np.floating], cell: float) -> tuple[Float, tuple[int, int, int]]:
@@ -85,8 +85,8 @@ def contours(body: Body, planes: Sequence[Plane], within: Sequence[Plane] = (), 
     In no order. A line is as fine as the body's cells, and runs `outset` cells outside of the skin.
     """
     low, high = body.bounds()
-    centre, radius = (low + high) / 2, float(np.linalg.norm(high - low)) / 2 + body.cell
-    steps = np.arange(-radius, radius + body.cell, body.cell)
+    centre, radius = (low + high) / 2, float(np.linalg.norm(high - low)) / 2 + body.grid.cell
+    steps = np.arange(-radius, radius + body.grid.cell, body.grid.cell)
     found = [np.zeros((0, 2, 3))]
     for plane in planes:
         e1, e2, n = frame(plane.normal)
@@ -96,10 +96,10 @@ def contours(body: Body, planes: Sequence[Plane], within: Sequence[Plane] = (), 
         axes, foot = np.stack([e1, e2]), centre - distance * n
         flat = np.stack(np.meshgrid(steps, steps, indexing="ij"), 2)
         points = foot + flat @ axes
-        depth = body.at(points).astype(np.float64) + outset * body.cell
+        depth = body.at(points).astype(np.float64) + outset * body.grid.cell
         for half in within:
             depth = np.minimum(depth, -half.distance(points))
-        found.append(foot + (_marched(depth) * body.cell + steps[0]) @ axes)
+        found.append(foot + (_marched(depth) * body.grid.cell + steps[0]) @ axes)
     return np.concatenate(found)
 
 

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
 
 from engine.scene.plane import Plane
-from engine.scene.rotations import of_unit
+from engine.scene.rotations import rotation_entries
 
 __all__ = ["STILL", "Motion", "Vec3", "vec3"]
 
@@ -34,7 +35,7 @@ class Motion:
     @property
     def rotation(self) -> NDArray[np.float64]:
         """(3, 3)."""
-        return np.array(of_unit(*self.turn)).reshape(3, 3)
+        return np.array(rotation_entries(*self.turn)).reshape(3, 3)
 
     @property
     def matrix(self) -> NDArray[np.float64]:
@@ -49,7 +50,8 @@ class Motion:
         """The motion nearest to a matrix (4, 4): scale and shear are dropped."""
         left, _, right = np.linalg.svd(np.asarray(matrix, np.float64)[:3, :3])
         rotation = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
-        return Motion(_quaternion(rotation), vec3(matrix[:3, 3]))
+        w, x, y, z = Rotation.from_matrix(rotation).as_quat(canonical=True, scalar_first=True).tolist()
+        return Motion((w, x, y, z), vec3(matrix[:3, 3]))
 
     @staticmethod
     def about(point: ArrayLike, axis: ArrayLike, degrees: float) -> Motion:
@@ -69,16 +71,8 @@ class Motion:
 
     def after(self, first: Motion) -> Motion:
         """Both: `first`, then this one."""
-        a, b = self.turn, first.turn
-        turn = np.array(
-            [
-                a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
-                a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],
-                a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1],
-                a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0],
-            ]
-        )
-        w, x, y, z = (turn / np.linalg.norm(turn)).tolist()
+        turn = Rotation.from_quat(self.turn, scalar_first=True) * Rotation.from_quat(first.turn, scalar_first=True)
+        w, x, y, z = turn.as_quat(scalar_first=True).tolist()
         return Motion((w, x, y, z), vec3(self.rotation @ np.asarray(first.shift) + np.asarray(self.shift)))
 
     def inverse(self) -> Motion:
@@ -99,19 +93,3 @@ class Motion:
 
 STILL = Motion()
 """The motion that moves nothing."""
-
-
-def _quaternion(rotation: NDArray[np.float64]) -> tuple[float, float, float, float]:
-    """Unit wxyz of a rotation matrix, w >= 0: the eigenvector of Bar-Itzhack's symmetric matrix, stable everywhere."""
-    r = rotation
-    k = np.array(
-        [
-            [r[0, 0] + r[1, 1] + r[2, 2], r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]],
-            [0, r[0, 0] - r[1, 1] - r[2, 2], r[1, 0] + r[0, 1], r[2, 0] + r[0, 2]],
-            [0, 0, r[1, 1] - r[0, 0] - r[2, 2], r[2, 1] + r[1, 2]],
-            [0, 0, 0, r[2, 2] - r[0, 0] - r[1, 1]],
-        ]
-    )
-    vectors = np.linalg.eigh(k, UPLO="U")[1]
-    w, x, y, z = (vectors[:, 3] * (1.0 if vectors[0, 3] >= 0 else -1.0)).tolist()
-    return w, x, y, z

@@ -1,8 +1,8 @@
-"""The opaque image as a torch function: differentiable in the colours, places, sizes and turns of the atoms it shows.
+"""The opaque image as a torch function, differentiable in the colours, means, scales and quaternions of the atoms.
 
-What a picture is made of is a choice, and choices have no derivative: the front depth, who lies within the layer
-behind it, what planes clip and which atoms a face point reaches are constants on the way back. Away from these jumps
-the gradient is exact (DESIGN, section 6). Float32, or float64 for checking.
+Discrete choices have no derivative: the front depth, which atoms lie in the layer behind it, what planes clip, and
+which atoms reach a face point are constants in the backward pass. Away from these jumps the gradient is exact (DESIGN,
+section 6). Float32, or float64 for checking.
 """
 
 from __future__ import annotations
@@ -35,24 +35,24 @@ __all__ = ["AtomTensors", "opaque_image", "sh_basis"]
 
 @dataclass(frozen=True)
 class AtomTensors:
-    """Atoms as torch tensors of one float type; what shall be trained requires a gradient."""
+    """Atoms as torch tensors of one float type; those to be trained require a gradient."""
 
     means: torch.Tensor
     """(S, 3). Surface atoms, world units."""
     scales: torch.Tensor
     """(S, 3). Standard deviations, world units. Range (0, inf)."""
     quats: torch.Tensor
-    """(S, 4). wxyz, of any length, which is divided out."""
+    """(S, 4). wxyz, of any length; they are normalised."""
     sh: torch.Tensor
     """(S, (d+1)^2, 3). Degree d = 0..3."""
-    inner_means: torch.Tensor
+    interior_means: torch.Tensor
     """(I, 3). Interior atoms."""
     sigmas: torch.Tensor
     """(I,). Standard deviations, world units."""
     rgb: torch.Tensor
     """(I, 3). Range [0, 1]."""
     exposed: int
-    """Interior atoms that the outside shows, the first rows."""
+    """Number of interior atoms visible from outside, the first rows."""
     pitch: float
     """World units."""
 
@@ -64,19 +64,19 @@ class AtomTensors:
         def tensor(array: NDArray[np.float32]) -> torch.Tensor:
             return torch.tensor(array, dtype=kind)
 
-        inner = tensor(i.means), tensor(i.sigmas), tensor(i.rgb)
+        interior = tensor(i.means), tensor(i.sigmas), tensor(i.rgb)
         return AtomTensors(
-            tensor(s.means), tensor(s.scales), tensor(s.quats), tensor(s.sh), *inner, i.exposed, atoms.pitch
+            tensor(s.means), tensor(s.scales), tensor(s.quats), tensor(s.sh), *interior, i.exposed, atoms.pitch
         )
 
     def atoms(self) -> Atoms:
         """The same as arrays, float32."""
-        means, scales, quats, sh, inner, sigmas, rgb = (
+        means, scales, quats, sh, interior_means, sigmas, rgb = (
             t.detach().float().numpy()
-            for t in (self.means, self.scales, self.quats, self.sh, self.inner_means, self.sigmas, self.rgb)
+            for t in (self.means, self.scales, self.quats, self.sh, self.interior_means, self.sigmas, self.rgb)
         )
         return Atoms(
-            SurfaceAtoms(means, scales, quats, sh), InteriorAtoms(inner, sigmas, rgb, self.exposed), self.pitch
+            SurfaceAtoms(means, scales, quats, sh), InteriorAtoms(interior_means, sigmas, rgb, self.exposed), self.pitch
         )
 
 
@@ -86,17 +86,17 @@ def opaque_image(
     planes: Sequence[Plane] = (),
     background: Sequence[float] = (1.0, 1.0, 1.0),
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """RGB (H, W, 3) and alpha (H, W) of what the planes leave, as `opaque.render` draws it, differentiable."""
+    """RGB (H, W, 3) and alpha (H, W) of the atoms cut by the planes: `opaque.render`, differentiable."""
     kind = atoms.means.dtype
-    upright = torch.tensor([1.0, 0.0, 0.0, 0.0], dtype=kind).repeat(len(atoms.sigmas), 1)
-    means = torch.cat([atoms.means, atoms.inner_means])
+    identity = torch.tensor([1.0, 0.0, 0.0, 0.0], dtype=kind).repeat(len(atoms.sigmas), 1)
+    means = torch.cat([atoms.means, atoms.interior_means])
     scales = torch.cat([atoms.scales, atoms.sigmas[:, None].expand(-1, 3)])
-    quats = torch.cat([atoms.quats, upright])
-    shown = len(atoms.means) + atoms.exposed
-    seen = (0.5 + torch.einsum("nk,nkc->nc", _basis(atoms, camera), atoms.sh)).clamp(min=0)
-    colours = torch.cat([seen, atoms.rgb[: atoms.exposed]])
+    quats = torch.cat([atoms.quats, identity])
+    count = len(atoms.means) + atoms.exposed
+    surface = (0.5 + torch.einsum("nk,nkc->nc", _basis(atoms, camera), atoms.sh)).clamp(min=0)
+    colours = torch.cat([surface, atoms.rgb[: atoms.exposed]])
     outside, cover = _Outside.apply(
-        means[:shown], scales[:shown], quats[:shown], colours, camera, tuple(planes), atoms.pitch
+        means[:count], scales[:count], quats[:count], colours, camera, tuple(planes), atoms.pitch
     )
     over = outside + (1 - cover)[..., None] * torch.tensor(background, dtype=kind)
     if not planes:
@@ -107,17 +107,19 @@ def opaque_image(
 
 
 def _basis(atoms: AtomTensors, camera: Camera) -> torch.Tensor:
-    """(S, K). Spherical harmonics towards each surface atom."""
+    """(S, K). Spherical harmonics basis in the viewing direction of each surface atom."""
     degree = round(atoms.sh.shape[1] ** 0.5) - 1
     if camera.orthographic:
-        way = torch.tensor(camera.forward, dtype=atoms.means.dtype).expand(len(atoms.means), 3)
+        directions = torch.tensor(camera.forward, dtype=atoms.means.dtype).expand(len(atoms.means), 3)
     else:
-        way = torch.nn.functional.normalize(atoms.means - torch.tensor(camera.position, dtype=atoms.means.dtype), dim=1)
-    return sh_basis(way, degree)
+        directions = torch.nn.functional.normalize(
+            atoms.means - torch.tensor(camera.position, dtype=atoms.means.dtype), dim=1
+        )
+    return sh_basis(directions, degree)
 
 
 def sh_basis(directions: torch.Tensor, degree: int) -> torch.Tensor:
-    """(N, (degree+1)^2). `engine.scene.sh.basis` of unit directions (N, 3), differentiable."""
+    """(N, (degree+1)^2). `engine.scene.sh.basis` for unit directions (N, 3), differentiable."""
     x, y, z = directions.unbind(1)
     rows = [torch.full_like(x, C0)]
     for band in BANDS[:degree]:
@@ -192,7 +194,7 @@ class _Outside(torch.autograd.Function):
 
 
 class _Field(torch.autograd.Function):
-    """The sums of the kernel field at fixed points, over a fixed list: sum w c (K, 3) and sum w (K,)."""
+    """The sums of the kernel field at fixed points over fixed lists of atoms: sum w c (K, 3) and sum w (K,)."""
 
     @staticmethod
     def forward(

@@ -1,4 +1,4 @@
-"""The kernel field at fixed points and its gradient in the atoms, over a fixed list of who contributes where."""
+"""The kernel field at fixed points, and its gradient in the atoms, over fixed lists of atoms per point."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from engine.render.projection import rotation, rotation_backward
 __all__ = ["POINTS", "field_backward", "field_sums", "transpose"]
 
 POINTS = 2048
-"""Points, or atoms, in a task."""
+"""Points, or atoms, per task."""
 
 
 @njit(cache=True, error_model="numpy")
-def _place(point, least, mean, scale, turn):  # type: ignore[no-untyped-def]
-    """Offset d (3) from the mean, d along the axes in standard deviations u (3), those (3), and the weight w."""
+def _offset(point, least, mean, scale, turn):  # type: ignore[no-untyped-def]
+    """Offset d (3) from the mean, d along the axes in deviations u (3), the deviations (3), and the weight w."""
     d = point[0] - mean[0], point[1] - mean[1], point[2] - mean[2]
     s0, s1, s2 = max(scale[0], least), max(scale[1], least), max(scale[2], least)
     u0 = (turn[0] * d[0] + turn[3] * d[1] + turn[6] * d[2]) / s0
@@ -31,13 +31,13 @@ def _place(point, least, mean, scale, turn):  # type: ignore[no-untyped-def]
 def field_sums(  # type: ignore[no-untyped-def]
     task, points, least, offsets, atoms, means, scales, quats, colours, total, density
 ):
-    """Fills total (K, 3) = sum w c and density (K,) = sum w of some points (K, 3) with least deviations (K,)."""
+    """Fills total (K, 3) = sum w c and density (K,) = sum w of some points (K, 3), deviations at least `least` (K,)."""
     for p in range(task * POINTS, min((task + 1) * POINTS, len(points))):
         red, green, blue, weight = 0.0, 0.0, 0.0, 0.0
         for e in range(offsets[p], offsets[p + 1]):
             i = atoms[e]
             turn = rotation(quats[i, 0], quats[i, 1], quats[i, 2], quats[i, 3])
-            _, _, _, w = _place(points[p], least[p], means[i], scales[i], turn)
+            _, _, _, w = _offset(points[p], least[p], means[i], scales[i], turn)
             weight += w
             red += w * colours[i, 0]
             green += w * colours[i, 1]
@@ -51,9 +51,9 @@ def field_backward(  # type: ignore[no-untyped-def]
     task, points, least, first, entries, means, scales, quats, colours, d_total, d_density,
     d_means, d_scales, d_quats, d_colours,
 ):  # fmt: skip
-    """Fills the gradients of some atoms, given those of `field_sums`; entries of atom i: points first[i]..first[i+1].
+    """Fills the gradients of some atoms from those of `field_sums`; atom i reaches points entries[first[i]:first[i+1]].
 
-    A deviation that the footprint holds passes its gradient on through the weight's volume only.
+    A deviation clamped to `least` has a gradient through the weight's volume only.
     """
     g_scale, turned = np.empty(3), np.empty(9)
     for i in range(task * POINTS, min((task + 1) * POINTS, len(means))):
@@ -63,7 +63,7 @@ def field_backward(  # type: ignore[no-untyped-def]
         turned[:] = 0.0
         for e in range(first[i], first[i + 1]):
             p = entries[e]
-            d, u, s, w = _place(points[p], least[p], means[i], scales[i], turn)
+            d, u, s, w = _offset(points[p], least[p], means[i], scales[i], turn)
             g = d_density[p]
             for c in range(3):
                 g += d_total[p, c] * colours[i, c]
@@ -77,7 +77,7 @@ def field_backward(  # type: ignore[no-untyped-def]
                 gz += pull * turn[6 + k]
                 if scales[i, k] > least[p]:
                     g_scale[k] += g * w * u[k] * u[k] / s[k]
-                elif w > 0.0:  # without extent an atom weighs nothing, and its slope is left at nothing too
+                elif w > 0.0:  # an atom without extent has weight 0, and its gradient stays 0 too
                     g_scale[k] += g * w / scales[i, k]
                 for row in range(3):
                     turned[3 * row + k] -= pull * d[row]
@@ -95,7 +95,7 @@ def field_backward(  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def transpose(offsets, atoms, count):  # type: ignore[no-untyped-def]
-    """first (count + 1,) and rows (E,): for each column the rows, ascending, that have it."""
+    """first (count + 1,) and rows (E,): for each column, the rows that hold it, ascending."""
     first = np.zeros(count + 1, np.int64)
     for atom in atoms:
         first[atom + 1] += 1

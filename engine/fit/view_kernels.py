@@ -1,4 +1,4 @@
-"""Numba kernels of frozen geometry: filling the sparse matrix of a view, and its products with colours."""
+"""Numba kernels of frozen geometry: fill the sparse matrix of a view and multiply it with colours."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ __all__ = [
     "fill_faces",
     "fill_splats",
     "layer_limit",
-    "mark",
-    "rename",
+    "mark_columns",
+    "renumber",
     "row_sums",
     "truncate",
 ]
 
 ROWS = 4096
-"""Rows of the matrix in a task."""
+"""Rows of the matrix per task."""
 
 
 def layer_limit(front: NDArray[np.floating], layer: float) -> NDArray[np.floating]:
-    """(H, W). Depth behind which a fragment has no part in its pixel, from the front depth (H, W)."""
+    """(H, W). Depth behind which a fragment does not contribute to its pixel, from the front depth (H, W)."""
     return np.where(np.isfinite(front), front + front.dtype.type(layer), front.dtype.type(FAR))
 
 
@@ -44,13 +44,13 @@ def count_splats(task, frame, limit, share, count):  # type: ignore[no-untyped-d
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def fill_splats(task, frame, limit, share, cursor, atoms, weights):  # type: ignore[no-untyped-def]
-    """Writes the fragments that `count_splats` counts at cursor (H, W), which moves on; weights times share."""
+    """Writes the fragments that `count_splats` counts at cursor (H, W), which advances; weights times share."""
     _walk(task, frame, limit, share, np.empty((0, 0), np.int64), True, cursor, atoms, weights)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _walk(task, frame, limit, share, count, fill, cursor, atoms, weights):  # type: ignore[no-untyped-def]
-    """The second pass of `opaque_tiles.accumulate` over some tiles, fragment by fragment."""
+    """The second pass of `engine.render.cpu.tiles.accumulate` over some tiles, fragment by fragment."""
     height, width = limit.shape
     kind = frame.records.dtype.type
     lane = np.empty((5, AREA), kind)
@@ -102,17 +102,17 @@ def fill_faces(task, pixels, offsets, columns, entries, share, cursor, atoms, we
 
 
 @njit(cache=True, nogil=True)
-def mark(task, offsets, atoms, occurs):  # type: ignore[no-untyped-def]
-    """Sets occurs (C,) where some rows have an entry; tasks may set one place together, to the same value."""
+def mark_columns(task, offsets, atoms, occurs):  # type: ignore[no-untyped-def]
+    """Sets occurs (C,) for the columns with an entry; several tasks may set the same one, to the same value."""
     for e in range(offsets[task * ROWS], offsets[min((task + 1) * ROWS, len(offsets) - 1)]):
         occurs[atoms[e]] = True
 
 
 @njit(cache=True, nogil=True)
-def rename(task, offsets, atoms, names):  # type: ignore[no-untyped-def]
-    """Replaces the atoms of some rows by names (C,)."""
+def renumber(task, offsets, atoms, numbers):  # type: ignore[no-untyped-def]
+    """Replaces the columns of some rows by numbers (C,)."""
     for e in range(offsets[task * ROWS], offsets[min((task + 1) * ROWS, len(offsets) - 1)]):
-        atoms[e] = names[atoms[e]]
+        atoms[e] = numbers[atoms[e]]
 
 
 @njit(cache=True, nogil=True)
@@ -127,8 +127,8 @@ def row_sums(task, offsets, weights, sums):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def truncate(task, offsets, atoms, weights, keep, new_offsets, new_atoms, new_weights):  # type: ignore[no-untyped-def]
-    """The `keep` largest entries of each row in their old order, scaled so that the row's sum stays."""
-    largest = np.empty(keep, np.int64)  # places of the largest so far, largest first
+    """The `keep` largest entries of each row in their old order, scaled to preserve the row's sum."""
+    largest = np.empty(keep, np.int64)  # indices of the largest so far, largest first
     for row in range(task * ROWS, min((task + 1) * ROWS, len(offsets) - 1)):
         begin, end, place = offsets[row], offsets[row + 1], new_offsets[row]
         if end - begin <= keep:
@@ -164,7 +164,7 @@ def truncate(task, offsets, atoms, weights, keep, new_offsets, new_atoms, new_we
 
 @njit(cache=True, nogil=True)
 def apply(task, offsets, atoms, weights, colours, picture):  # type: ignore[no-untyped-def]
-    """Some rows of picture (P, 3) = W colours (V, 3)."""
+    """Fills some rows of picture (P, 3) = W colours (V, 3)."""
     for row in range(task * ROWS, min((task + 1) * ROWS, len(offsets) - 1)):
         red, green, blue = np.float32(0), np.float32(0), np.float32(0)
         for e in range(offsets[row], offsets[row + 1]):
@@ -177,7 +177,7 @@ def apply(task, offsets, atoms, weights, colours, picture):  # type: ignore[no-u
 
 @njit(cache=True, nogil=True)
 def apply_transposed(band, offsets, atoms, weights, picture, parts):  # type: ignore[no-untyped-def]
-    """Fills one of parts (bands, V, 3), whose sum is W^T picture (P, 3): what a band of the rows adds."""
+    """Fills one of parts (bands, V, 3), whose sum is W^T picture (P, 3), with the share of a band of rows."""
     bands, rows = len(parts), len(offsets) - 1
     part = parts[band]
     part[:] = np.float32(0)

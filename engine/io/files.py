@@ -1,4 +1,4 @@
-"""Every file that is opened or written goes through here: read with suspicion, written whole or not at all."""
+"""Opens and writes every file of the program: checks what it reads, writes all of a file or none of it."""
 
 from __future__ import annotations
 
@@ -18,36 +18,36 @@ from safetensors import SafetensorError
 from engine.errors import InputError
 
 __all__ = [
-    "WRITING",
-    "Lines",
+    "WRITE_ERRORS",
+    "LineWriter",
     "atomic",
     "atomic_together",
-    "claimed",
+    "locked_folder",
     "open_file",
     "read_file",
     "reason",
     "remove",
-    "sweep",
+    "remove_leftovers",
 ]
 
 LEFTOVER = re.compile(r"\..+\.[a-z0-9_]{8}(\.\w+)?|\.tmp[A-Za-z0-9]{6}")
-"""Names that `atomic` gives its temporary files, with eight letters of chance, and safetensors its own."""
+"""Names of temporary files: those of `atomic`, with eight random characters, and those of safetensors."""
 
-WRITING = (OSError, SafetensorError)
-"""What writing fails with: the system's errors, which Pillow, numpy and plyfile pass on, and safetensors' own."""
+WRITE_ERRORS = (OSError, SafetensorError)
+"""Errors of writing: the system's, which Pillow, numpy and plyfile pass on, and those of safetensors."""
 
 PATIENCE = 5.0
-"""Seconds to wait for a folder: a process that was killed may hold it until its memory is gone."""
+"""Seconds to wait for a folder: a killed process may hold it until its memory is freed."""
 
 
 def open_file(path: str | Path) -> BinaryIO:
-    """The file, open for reading bytes. Raises InputError for what is not there, no file, or not ours to read."""
+    """The file, open for reading bytes. Raises InputError if it is missing, not a regular file, or not readable."""
     path = Path(path)
     try:
         mode = path.stat().st_mode
         if stat.S_ISDIR(mode):
             raise InputError(f"{path}: this is a folder; give the file in it")
-        if not stat.S_ISREG(mode):  # a pipe or a device would make us wait, or never end
+        if not stat.S_ISREG(mode):  # reading a pipe or a device might block or never end
             raise InputError(f"{path}: this is not a regular file")
         return path.open("rb")
     except FileNotFoundError as error:
@@ -57,7 +57,7 @@ def open_file(path: str | Path) -> BinaryIO:
 
 
 def read_file(path: str | Path, limit: int) -> bytes:
-    """The content of a file of at most `limit` bytes. Raises InputError as `open_file`, and where it is larger."""
+    """The content of a file of at most `limit` bytes. Raises InputError as `open_file`, or if it is larger."""
     with open_file(path) as file:
         try:
             data = file.read(limit + 1)
@@ -69,19 +69,19 @@ def read_file(path: str | Path, limit: int) -> bytes:
 
 
 def reason(error: Exception) -> str:
-    """Why the system, or a library on its behalf, would not do it, in its own words."""
-    if isinstance(error, shutil.Error):  # of many files
+    """Why an operation failed, in the words of the system or of the library that reports it."""
+    if isinstance(error, shutil.Error):  # one error per file
         return str(error.args[0][0][2])
     return (error.strerror if isinstance(error, OSError) else None) or str(error) or type(error).__name__
 
 
 @contextmanager
 def atomic(path: str | Path) -> Iterator[Path]:
-    """Yields a temporary path beside `path`; it takes the place of `path` when the block ends without an error.
+    """Yields a temporary path beside `path`, which replaces `path` when the block ends without an error.
 
     The content is on disk before the name changes, so a crash at any moment leaves the old file or the new one.
-    Raises InputError where the folder cannot be written, and in place of any error of the system in the block (the
-    disk is full): so the block should write this file and do nothing else. An InputError goes through as it is.
+    Raises InputError if the folder cannot be written, and in place of any system error in the block (disk full, say):
+    the block should write this file and do nothing else. An InputError passes through.
     """
     with atomic_together(path) as (temporary,):
         yield temporary
@@ -89,64 +89,64 @@ def atomic(path: str | Path) -> Iterator[Path]:
 
 @contextmanager
 def atomic_together(*paths: str | Path) -> Iterator[tuple[Path, ...]]:
-    """As `atomic`, for files that are worth something only together: all are on disk before the first takes its place.
+    """Like `atomic`, for files that belong together: all are on disk before the first is replaced.
 
-    Where one cannot take its place, those that had get back what was there.
+    If one cannot be replaced, those already replaced get their old content back.
     """
-    wanted = [Path(path) for path in paths]
-    with ExitStack() as cleared:
-        made = [_temporary(path, cleared) for path in wanted]
-        path = wanted[0]
+    targets = [Path(path) for path in paths]
+    with ExitStack() as cleanup:
+        made = [_temporary(path, cleanup) for path in targets]
+        path = targets[0]
         try:
             yield tuple(temporary for temporary, _ in made)
             for temporary, mode in made:
-                temporary.chmod(mode)  # some libraries write another file over this one
+                temporary.chmod(mode)  # some libraries replace this file by another
                 with temporary.open("rb+") as file:
                     os.fsync(file.fileno())
-            with ExitStack() as undone:
-                for path, (temporary, _) in zip(wanted, made, strict=True):
-                    if path != wanted[-1]:
-                        undone.callback(_put_back, path, _kept(path, cleared))
+            with ExitStack() as rollback:
+                for path, (temporary, _) in zip(targets, made, strict=True):
+                    if path != targets[-1]:
+                        rollback.callback(_restore, path, _backup(path, cleanup))
                     temporary.replace(path)
-                undone.pop_all()
-        except WRITING as error:
+                rollback.pop_all()
+        except WRITE_ERRORS as error:
             raise InputError(f"{path}: cannot be written ({reason(error)})") from error
 
 
-def _temporary(path: Path, cleared: ExitStack) -> tuple[Path, int]:
-    """A new empty file beside `path`, which goes when `cleared` does, and the permissions of the user's new files."""
+def _temporary(path: Path, cleanup: ExitStack) -> tuple[Path, int]:
+    """A new empty file beside `path`, which `cleanup` removes, and the permissions of the user's new files."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        temporary = _beside(path)
+        temporary = _hidden_name(path)
         handle = os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666)
     except (OSError, ValueError) as error:  # a ValueError for a name with a null character
         raise InputError(f"{path}: cannot be written here ({reason(error)})") from error
-    cleared.callback(_remove, temporary)
-    mode = stat.S_IMODE(os.fstat(handle).st_mode)  # 0o666 less the umask, which cannot be asked for but by setting it
+    cleanup.callback(_remove, temporary)
+    mode = stat.S_IMODE(os.fstat(handle).st_mode)  # 0o666 without the umask, which can only be read by setting it
     os.close(handle)
     return temporary, mode
 
 
-def _kept(path: Path, cleared: ExitStack) -> Path | None:
-    """A second name of the file at `path`, which goes when `cleared` does; None where there is no file."""
-    kept = _beside(path)
-    cleared.callback(_remove, kept)
+def _backup(path: Path, cleanup: ExitStack) -> Path | None:
+    """A second name of the file at `path`, which `cleanup` removes; None if there is no file."""
+    backup = _hidden_name(path)
+    cleanup.callback(_remove, backup)
     try:
-        os.link(path, kept)
+        os.link(path, backup)
     except FileNotFoundError:
         return None
-    except OSError:  # not every system knows second names
-        shutil.copy2(path, kept)
-    return kept
+    except OSError:  # not every file system has hard links
+        shutil.copy2(path, backup)
+    return backup
 
 
-def _put_back(path: Path, kept: Path | None) -> None:
+def _restore(path: Path, backup: Path | None) -> None:
     with suppress(OSError):
-        path.unlink(missing_ok=True) if kept is None else kept.replace(path)
+        path.unlink(missing_ok=True) if backup is None else backup.replace(path)
 
 
-def _beside(path: Path) -> Path:
-    """A name that nothing has, hidden, in the same folder."""
+def _hidden_name(path: Path) -> Path:
+    """An unused hidden name in the same folder."""
     return path.with_name(f".{path.stem}.{secrets.token_hex(4)}{path.suffix}")
 
 
@@ -155,29 +155,29 @@ def _remove(path: Path) -> None:
         path.unlink(missing_ok=True)
 
 
-class Lines:
-    """A text file that grows by whole lines: what others follow while it is written.
+class LineWriter:
+    """Appends whole lines to a text file that other processes follow.
 
-    A line that does not get on the disk is taken back, and an InputError says so: whoever follows a file that stands
-    still would wait for nothing, so the work ends there, and goes on from its checkpoint once there is room.
+    A line that cannot be written completely is removed again, with an InputError: a follower would wait for nothing, so
+    the work ends there, and resumes from its checkpoint once there is room.
     """
 
     def __init__(self, path: str | Path) -> None:
-        """Opens it, and ends a line of which a killed writer left a part. Raises InputError where that fails."""
+        """Opens the file and ends an incomplete line of a killed writer. Raises InputError if that fails."""
         self.path = Path(path)
         try:
             self._file = self.path.open("ab", buffering=0)
         except (OSError, ValueError) as error:
             raise InputError(f"{path}: cannot be written here ({reason(error)})") from error
-        self._is_file = stat.S_ISREG(os.fstat(self._file.fileno()).st_mode)  # it may be a pipe to whoever follows
+        self._is_file = stat.S_ISREG(os.fstat(self._file.fileno()).st_mode)  # it may be a pipe to the follower
         if self._is_file and self._file.tell() and not self._ends_a_line():
             self.write("\n")
 
     def write(self, text: str) -> None:
-        """Appends text that ends a line.
+        """Appends text that ends with a line break.
 
-        Raises InputError where it cannot all be written, and then none of it is; BrokenPipeError where nobody is left
-        at the other end of a pipe.
+        Raises InputError if not all of it can be written, and then writes none of it; BrokenPipeError if the
+        reader of a pipe is gone.
         """
         data = text.encode("utf-8", "replace")
         before = os.fstat(self._file.fileno()).st_size
@@ -195,7 +195,7 @@ class Lines:
 
     def close(self) -> None:
         """Ends writing."""
-        with suppress(OSError):  # every line was written, or has been complained about
+        with suppress(OSError):  # every line was written or reported
             self._file.close()
 
     def _ends_a_line(self) -> bool:
@@ -205,7 +205,7 @@ class Lines:
 
 
 def remove(path: Path) -> None:
-    """Removes a file, if it is there. Raises InputError where that is refused."""
+    """Removes a file if it exists. Raises InputError if that fails."""
     try:
         path.unlink(missing_ok=True)
     except OSError as error:
@@ -213,11 +213,10 @@ def remove(path: Path) -> None:
 
 
 @contextmanager
-def claimed(folder: Path) -> Iterator[None]:
-    """Until the block ends, or its process dies, nobody else gets into such a block with this folder; it is made if
-    need be.
+def locked_folder(folder: Path) -> Iterator[None]:
+    """Locks a folder, created if needed, against other processes until the block ends or this process dies.
 
-    Raises InputError where somebody is in one, or where the folder cannot be written.
+    Raises InputError if another process holds the lock, or if the folder cannot be written.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -232,13 +231,13 @@ def claimed(folder: Path) -> Iterator[None]:
     try:
         yield
     finally:
-        with suppress(OSError):  # some systems keep open files
+        with suppress(OSError):  # some systems do not remove open files
             Path(lock.lock_file).unlink(missing_ok=True)
         lock.release()
 
 
-def sweep(folder: Path) -> None:
-    """Removes temporary files that killed writers left in a folder and below. Nobody else may be writing there."""
+def remove_leftovers(folder: Path) -> None:
+    """Removes temporary files of killed writers in a folder and below. No other process may be writing there."""
     for path in folder.rglob(".*"):
         if LEFTOVER.fullmatch(path.name) and path.is_file():
             _remove(path)

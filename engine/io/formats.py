@@ -1,11 +1,11 @@
-"""Names of files that hold scenes, apart from their readers: a dialog that offers them need not load those."""
+"""File name suffixes of scenes, separate from the readers so that a file dialog need not load these."""
 
 from __future__ import annotations
 
 __all__ = ["MESH_SUFFIXES", "SCENE_SUFFIXES", "SPLAT_SUFFIXES"]
 
 SPLAT_SUFFIXES = (".ply", ".splat", ".spz")
-"""Captures. SuperSplat's compressed .ply is one of the first."""
+"""Captures. A .ply may be SuperSplat's compressed form."""
 
 MESH_SUFFIXES = (".obj", ".glb", ".gltf", ".ply", ".stl")
 

@@ -1,4 +1,4 @@
-"""Opens whatever a user may have: a capture or a scan."""
+"""Opens any scene file: a capture or a mesh."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ from pathlib import Path
 from engine.errors import InputError
 from engine.io.files import open_file
 from engine.io.formats import MESH_SUFFIXES, SCENE_SUFFIXES
-from engine.io.impostors import LONGEST, impostor
 from engine.io.meshes.mesh import read_mesh
 from engine.io.ply_header import read_header
 from engine.io.splats.ply import read_ply
 from engine.io.splats.splat import read_splat
 from engine.io.splats.spz import GZIP, read_spz
+from engine.io.unsupported import LONGEST, unsupported_kind
 from engine.scene.gaussians import Gaussians
 
-__all__ = ["Loaded", "load"]
+__all__ = ["LoadedScene", "load"]
 
 TO_CONVERT = (".ksplat", ".sog", ".sogs")
-"""Captures that only their own programs read."""
+"""Captures that only their own programs open."""
 
 
 @dataclass(frozen=True)
-class Loaded:
+class LoadedScene:
     """A scene, and what the user should know about how it was read."""
 
     gaussians: Gaussians
@@ -33,11 +33,11 @@ class Loaded:
     """One line each, with the file's name."""
 
 
-def load(path: str | Path, seed: int = 0) -> Loaded:
+def load(path: str | Path, seed: int = 0) -> LoadedScene:
     """The scene in a capture (.ply, SuperSplat's compressed .ply, .splat, .spz) or in a mesh (.obj, .glb, .gltf, .ply,
     .stl), whose surface is sampled with `seed`.
 
-    What a .ply, .spz or .glb is shows its content, not its name. Raises InputError for anything else.
+    The content decides what a .ply, .spz or .glb is, not the name. Raises InputError for any other file.
     """
     path = Path(path)
     mesh = partial(_mesh, seed)
@@ -47,7 +47,7 @@ def load(path: str | Path, seed: int = 0) -> Loaded:
         start = file.read(LONGEST)
     if not start:
         raise InputError(f"{path}: the file is empty; copy or download it again")
-    if other := impostor(start):
+    if other := unsupported_kind(start):
         raise InputError(f"{path}: this is {other}")
     if start[:3] == b"ply" and start[3:4] in (b"\n", b"\r", b" ", b"\t"):
         header = read_header(path)
@@ -59,7 +59,7 @@ def load(path: str | Path, seed: int = 0) -> Loaded:
     elif suffix == ".splat":
         read = read_splat
     elif suffix == ".ply":
-        read = read_ply  # it is no .ply, and the reader says so
+        read = read_ply  # not a .ply, as the reader will report
     elif suffix == ".spz":
         raise InputError(f"{path}: not an .spz scene, which would be gzipped; export the capture again")
     elif suffix in TO_CONVERT:
@@ -67,10 +67,10 @@ def load(path: str | Path, seed: int = 0) -> Loaded:
     else:
         raise InputError(f"{path}: not a scene; {', '.join(SCENE_SUFFIXES)} can be opened")
     gaussians, warnings = read(path)
-    return Loaded(gaussians, tuple(warnings))
+    return LoadedScene(gaussians, tuple(warnings))
 
 
 def _mesh(seed: int, path: Path) -> tuple[Gaussians, list[str]]:
-    """A mesh, its surface sampled, and what was amiss with it."""
+    """A mesh with its surface sampled, and the warnings about it."""
     warnings: list[str] = []
     return read_mesh(path, seed=seed, warn=warnings.append), warnings

@@ -1,4 +1,4 @@
-"""Scenes far from zero, as in map coordinates, moved to where float32 holds them."""
+"""Moves scenes far from zero, as in map coordinates, to where float32 resolves them."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ __all__ = ["Vector", "origin_for"]
 Vector = tuple[float, float, float]
 
 FINE = 32
-"""Steps of float32 that the size of a detail should have: places are then off by at most 1/64 of it, which moves no
-colour by more than a screen shows. A scene ten times as far from zero as it is wide has thousands."""
+"""Least number of float32 steps in the size of a detail: positions are then off by at most 1/64 of it, which changes no
+colour visibly. A scene ten times as far from zero as it is wide has thousands."""
 
 FAR = 8.0
-"""Widths of the scene from zero at which moving it begins to gain: three bits of each place."""
+"""Distance from zero, in widths of the scene, at which moving it pays: it gains three bits per coordinate."""
 
 FARTHEST = 1e11
-"""World units from zero beyond which places mean nothing: the earth's girth in millimetres is less than half of it."""
+"""World units from zero beyond which positions are meaningless: the earth's girth is 4e10 millimetres."""
 
 
 def origin_for(path: Path, points: NDArray[np.floating], detail: float) -> tuple[Vector, list[str]]:
-    """What to take off all places of a scene before they become float32, and a line for the user where that is not 0.
+    """The offset to subtract from all positions before they become float32, and a line for the user if it is not 0.
 
-    `points` (N, 3) are finite, in the precision they came in; `detail` is the size of the smallest thing that matters,
-    both in world units. The offset is round, so that a person can write it down, and the same for the same points. A
-    second line says where the points' own precision was too coarse before.
+    `points` (N, 3) are finite and in the file's precision; `detail` is the size of the smallest relevant detail, both
+    in world units. The offset is a round number that a person can write down. A second line warns if the file's own
+    precision is too coarse.
     """
     zero = (0.0, 0.0, 0.0)
     if not len(points) or not detail > 0:

@@ -1,7 +1,7 @@
-"""Pictures from files: the one place where they are decoded, by a few decoders that only decode.
+"""The one place where picture files are decoded, by a few safe decoders.
 
-Pillow goes by a file's content and knows some forty kinds of it. PostScript is one: whoever opens such a "picture"
-starts Ghostscript with a stranger's program. So what is none of KINDS is refused before any decoder sees it.
+Pillow recognises some forty formats by content. PostScript is one of them: opening such a "picture" starts Ghostscript
+with a stranger's program. So any format outside KINDS is refused before a decoder sees it.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ from PIL import Image
 from engine.errors import InputError
 from engine.io.files import open_file
 
-__all__ = ["PICTURES", "bounded", "decoding", "known_decoders", "open_picture", "read_pixels"]
+__all__ = ["PICTURES", "check_size", "decoding", "open_picture", "read_pixels", "restricted_decoders"]
 
 KINDS = ("PNG", "JPEG", "WEBP", "BMP", "GIF", "TIFF", "AVIF")
-"""Decoders as Pillow calls them: what cameras, browsers and painting programs write, and nothing that is a program."""
+"""Formats by Pillow's names: those of cameras, browsers and painting programs, none of which can hold a program."""
 
 PICTURES = f"{', '.join(KINDS[:-1])} or {KINDS[-1]}"
 
-MOST_PIXELS = 89_478_485
-"""Pillow's own line: a quarter of a gigabyte at three bytes a pixel."""
+MAX_PIXELS = 89_478_485
+"""Pillow's own limit: a quarter of a gigabyte at three bytes per pixel."""
 
 OTHERS = {
     b"%!PS": "a PostScript file",
@@ -49,70 +49,70 @@ OTHERS = {
     b"\xff\x0a": "a JPEG XL picture",
     b"PK\x03\x04": "a ZIP archive",
 }
-"""What people take for pictures, by how it begins, so that they are told what they have."""
+"""Files that people mistake for pictures, by their first bytes, for the error message."""
 
 HEIF = (b"heic", b"heix", b"heim", b"heis", b"hevc", b"mif1", b"msf1")
-"""Brands of the pictures that telephones take."""
+"""Brands (ISO base media) of phones' pictures."""
 
-_changing = Lock()
+_decoder_lock = Lock()
 
 
 @contextmanager
 def open_picture(source: str | Path | bytes, name: str | Path | None = None) -> Iterator[Image.Image]:
-    """Yields a picture, decoded as far as its header. The rest follows when the block uses it, which should do no more.
+    """Yields a picture of which only the header is decoded. The block decodes the rest on use, and should do no more.
 
-    `source` is a path, or the file's content, which messages then call `name`. Raises InputError as `decoding`, and
-    for a file that is not there or of another kind. Whoever wants it upright applies `ImageOps.exif_transpose`.
+    `source` is a path, or the content of a file that messages call `name`. Raises InputError as `decoding`, and for a
+    missing file or another format. EXIF rotation is not applied; use `ImageOps.exif_transpose`.
     """
     name = source if name is None and not isinstance(source, bytes) else name
     with BytesIO(source) if isinstance(source, bytes) else open_file(source) as file, decoding(name):
         try:
             image = Image.open(file, formats=KINDS)
         except Image.UnidentifiedImageError as error:
-            raise InputError(f"{name}: this is {_kind(file)}; give a {PICTURES} picture") from error
+            raise InputError(f"{name}: this is {_describe(file)}; give a {PICTURES} picture") from error
         with image:
-            yield bounded(image)
+            yield check_size(image)
 
 
 def read_pixels(path: str | Path) -> NDArray[np.uint8]:
-    """(H, W, 3). A picture's colours, whatever it holds besides. Raises InputError as `open_picture`."""
+    """(H, W, 3). A picture's RGB values. Raises InputError as `open_picture`."""
     with open_picture(path) as image:
         return np.asarray(image.convert("RGB"))
 
 
-def bounded(image: Image.Image) -> Image.Image:
-    """The picture. Raises DecompressionBombError where it has more than MOST_PIXELS."""
-    if image.width * image.height > MOST_PIXELS:
+def check_size(image: Image.Image) -> Image.Image:
+    """Returns the picture. Raises DecompressionBombError if it has more than MAX_PIXELS."""
+    if image.width * image.height > MAX_PIXELS:
         raise Image.DecompressionBombError
     return image
 
 
 @contextmanager
 def decoding(name: str | Path | None) -> Iterator[None]:
-    """Turns whatever Pillow raises in the block into an InputError about the picture `name`, and silences it."""
+    """Turns any error that Pillow raises in the block into an InputError about picture `name`; hides its warnings."""
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of sizes, which `bounded` knows, and of oddities that do no harm
+            warnings.simplefilter("ignore")  # about sizes, which `check_size` limits, and harmless oddities
             yield
     except InputError:
         raise
     except Image.DecompressionBombError as error:
-        raise InputError(f"{name}: larger than {MOST_PIXELS // 10**6} megapixels; scale it down") from error
+        raise InputError(f"{name}: larger than {MAX_PIXELS // 10**6} megapixels; scale it down") from error
     except MemoryError as error:
         raise InputError(f"{name}: there is not enough memory for this picture; scale it down") from error
-    except Exception as error:  # decoders let through whatever they stumble over, such as struct.error or KeyError
+    except Exception as error:  # decoders raise anything, such as struct.error or KeyError
         raise InputError(f"{name}: this picture is damaged; save it again as {PICTURES}") from error
 
 
 @contextmanager
-def known_decoders() -> Iterator[None]:
-    """Until the block ends, Pillow has no decoders but KINDS: for a library that opens pictures by itself.
+def restricted_decoders() -> Iterator[None]:
+    """Leaves Pillow only the decoders of KINDS in the block, for a library that opens pictures by itself.
 
-    That holds for the whole process, and other threads wait for the end of such a block before they get into one.
+    This affects the whole process; other threads wait before they enter such a block.
     """
-    with _changing, warnings.catch_warnings():
+    with _decoder_lock, warnings.catch_warnings():
         warnings.simplefilter("ignore", Image.DecompressionBombWarning)
-        Image.init()  # registers all there are, so that none is added while the list is short
+        Image.init()  # registers all decoders, so that none is added inside the block
         every = Image.ID[:]
         Image.ID[:] = KINDS
         try:
@@ -121,8 +121,8 @@ def known_decoders() -> Iterator[None]:
             Image.ID[:] = every
 
 
-def _kind(file: BinaryIO) -> str:
-    """What a file is that is no picture, as far as its beginning tells."""
+def _describe(file: BinaryIO) -> str:
+    """What a file that is no picture is, judging by its first bytes."""
     file.seek(0)
     start = file.read(64).lstrip(b"\xef\xbb\xbf \t\r\n")
     if start[4:8] == b"ftyp" and start[8:12] in HEIF:

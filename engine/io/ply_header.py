@@ -1,6 +1,6 @@
-"""The header of a .ply file, read with suspicion: bounded, checked, and held against the size of the file.
+"""Reads and checks the header of a .ply file, up to a limit and against the size of the file.
 
-plyfile judges the types; nothing is allocated for what a header merely promises.
+plyfile checks the types; nothing is allocated on the header's word alone.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from engine.io.files import open_file
 __all__ = ["Element", "Header", "read_header"]
 
 HEADER_LIMIT = 1 << 20
-"""Bytes within which a header must end: a 3DGS header has 2 KB, so this leaves room for any comment."""
+"""Most bytes of a header: a 3DGS header has 2 KB, so this leaves room for any comment."""
 
 
 @dataclass(frozen=True)
@@ -32,16 +32,16 @@ class Element:
     count: int
     properties: tuple[str, ...]
     dtype: np.dtype[np.void] | None
-    """A row of a binary file; None where rows hold lists and so have no fixed size."""
+    """A row of a binary file; None if rows hold lists and so have no fixed size."""
     layout: tuple[tuple[np.dtype[Any] | None, np.dtype[Any]], ...]
-    """For each property of a binary row the type of a list's length, None for a plain number, and of the values."""
+    """For each property of a binary row, the type of a list's length (None for a plain number) and of the values."""
     min_row: int
-    """Bytes that a row takes at the least, in this file's format."""
+    """Least number of bytes of a row, in this file's format."""
 
 
 @dataclass(frozen=True)
 class Header:
-    """What a .ply says about itself. Its counts have been checked against the size of the file."""
+    """The header of a .ply, its counts checked against the size of the file."""
 
     ascii: bool
     elements: tuple[Element, ...]
@@ -49,27 +49,27 @@ class Header:
     """Offset of the first row, bytes."""
 
     def element(self, name: str) -> Element | None:
-        """The element of this name, None where there is none."""
+        """The element of this name, or None."""
         return next((e for e in self.elements if e.name == name), None)
 
     @property
     def faces(self) -> int:
-        """How many faces a mesh has; 0 for everything else."""
+        """Number of faces; 0 for anything but a mesh."""
         face = self.element("face")
         return face.count if face else 0
 
     @property
     def is_splats(self) -> bool:
-        """Whether the vertices are meant as Gaussians, in whatever state or packing."""
+        """Whether the vertices are Gaussians, even if incomplete or packed."""
         vertex = self.element("vertex")
         names = set(vertex.properties) if vertex else set()
         return not names.isdisjoint({"scale_0", "rot_0", "f_dc_0", "packed_position"})
 
 
 def read_header(path: str | Path) -> Header:
-    """The header of any .ply, mesh or splats, checked: no more than the file can hold is promised.
+    """The header of any .ply, mesh or splats, checked to promise no more than the file can hold.
 
-    Reads at most 1 MB. Raises InputError where this is no .ply or its header is broken.
+    Reads at most 1 MB. Raises InputError if the file is no .ply or its header is broken.
     """
     path = Path(path)
     with open_file(path) as file:
@@ -80,8 +80,8 @@ def read_header(path: str | Path) -> Header:
     start = re.match(rb"ply[ \t]*(\r\n|\n|\r)", text)
     if not start:
         raise InputError(f"{path}: not a .ply file")
-    # Lines may end in either of two ways in one header: tools that add a line to it do not ask. Only behind a lone
-    # carriage return a newline would be data.
+    # A header may mix two line endings, because tools add lines without checking. Only after a lone carriage return is
+    # a newline data.
     mac = start[1] == b"\r"
     end = re.search(rb"\rend_header[ \t]*\r" if mac else rb"\nend_header[ \t]*\r?\n", text)
     if not end:
@@ -101,17 +101,17 @@ def read_header(path: str | Path) -> Header:
 
 
 def _parse(path: Path, lines: list[str], data: int) -> Header:
-    """The header from its lines, the last one 'end_header' left out.
+    """The header from its lines, without the last one, 'end_header'.
 
-    plyfile gets a twin of the header in which every element is empty, so it judges the types and allocates nothing.
+    plyfile gets a copy of the header in which every element is empty, so it checks the types and allocates nothing.
     """
     counts: list[int] = []
-    names: set[str] = set()  # of the element at hand
-    twin = ["ply"]
+    names: set[str] = set()  # of the current element
+    empty_copy = ["ply"]
     for number, line in enumerate(lines[1:], start=2):
         words = line.split()
         if words and words[0] in ("comment", "obj_info"):
-            twin.append("comment")  # as written they may not be ASCII, or stand where plyfile wants none
+            empty_copy.append("comment")  # they may not be ASCII, or be where plyfile accepts none
             continue
         if words and words[0] == "element":
             if len(words) != 3 or not re.fullmatch(r"[0-9]{1,18}", words[2]):
@@ -123,21 +123,21 @@ def _parse(path: Path, lines: list[str], data: int) -> Header:
             if words[-1] in names:
                 raise InputError(f"{path}: broken .ply header: property {words[-1][:40]!r} appears twice")
             names.add(words[-1])
-        twin.append(" ".join(words))
+        empty_copy.append(" ".join(words))
     try:
-        parsed = PlyData.read(BytesIO("\n".join([*twin, "end_header", ""]).encode("ascii")))
+        parsed = PlyData.read(BytesIO("\n".join([*empty_copy, "end_header", ""]).encode("ascii")))
     except UnicodeEncodeError as error:
         raise InputError(f"{path}: broken .ply header: it holds characters that are not ASCII") from error
     except (PlyParseError, ValueError) as error:
         said = " ".join(str(error).split())[:120]
-        plain = said.isprintable() and "\\" not in said  # else plyfile quotes what no line can show
+        plain = said.isprintable() and "\\" not in said  # otherwise plyfile quotes unprintable text
         raise InputError(f"{path}: broken .ply header: {said if plain else 'export the file again'}") from error
     elements = tuple(_element(e, n, parsed) for e, n in zip(parsed.elements, counts, strict=True))
     return Header(parsed.text, elements, data)
 
 
 def _element(element: PlyElement, count: int, parsed: PlyData) -> Element:
-    """An element as plyfile read it, with its true count."""
+    """An element as plyfile read it, with its real count."""
     order = parsed.byte_order
     layout = tuple(
         (np.dtype(p.list_dtype(order)[0]), np.dtype(p.list_dtype(order)[1]))
@@ -151,7 +151,7 @@ def _element(element: PlyElement, count: int, parsed: PlyData) -> Element:
         tuple(p.name for p in element.properties),
         None if any(length is not None for length, _ in layout) else np.dtype(element.dtype(order)),
         layout,
-        # A digit and a space or newline for each number; or a number or a list's length, with an empty list behind it.
+        # Text: a digit and a separator per number. Binary: a number, or the length of an empty list.
         max(1, 2 * len(layout))
         if parsed.text
         else sum((value if length is None else length).itemsize for length, value in layout),

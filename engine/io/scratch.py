@@ -1,4 +1,4 @@
-"""Temporary folders that do not outlive their process for long: what a killed one left is removed by the next."""
+"""Temporary folders of a process; the next process removes those that a killed one left behind."""
 
 from __future__ import annotations
 
@@ -14,28 +14,28 @@ from pathlib import Path
 from filelock import FileLock, Timeout
 
 from engine.errors import InputError
-from engine.io.files import WRITING, reason
+from engine.io.files import WRITE_ERRORS, reason
 
 __all__ = ["Scratch", "atomic_folder"]
 
 LOCK = ".scratch.lock"
-"""In every such folder, and in no other. The owner holds it as long as it lives: the system lets go of it when the
-process dies, however that comes."""
+"""Lock file in every such folder, and in no other. The owner holds it while it lives; the system releases it when the
+process dies, for whatever reason."""
 
 ATTEMPTS = 5
-"""A folder may be swept in the instant between its making and its locking; never so often in a row."""
+"""Another process may remove a folder between its creation and its locking, but never so often in a row."""
 
 
 class Scratch:
-    """A private folder until `close`. Making one removes those of the same prefix whose owners are dead."""
+    """A private folder until `close`. Creating one removes those of the same prefix whose owners are dead."""
 
     def __init__(self, prefix: str, parent: Path | None = None) -> None:
-        """`parent`: where it is made; the system's temporary folder unless given.
+        """`parent` is where it is created; by default the system's temporary folder.
 
-        Raises InputError where it cannot be made.
+        Raises InputError if it cannot be created.
         """
         parent = parent or Path(tempfile.gettempdir())
-        _sweep(prefix, parent)
+        _remove_stale(prefix, parent)
         for _ in range(ATTEMPTS):
             try:
                 self.path = Path(tempfile.mkdtemp(prefix=prefix, dir=parent))
@@ -51,15 +51,15 @@ class Scratch:
         raise InputError(f"{parent}: cannot be written here (no folder stays in it)")
 
     def close(self) -> None:
-        """Removes it and all that is in it; what cannot be removed is left to the next process."""
+        """Removes the folder with its content; the next process removes what is left."""
         shutil.rmtree(self.path, ignore_errors=True)
         self._lock.release()
-        shutil.rmtree(self.path, ignore_errors=True)  # some systems keep the lock's file while it is held
+        shutil.rmtree(self.path, ignore_errors=True)  # some systems keep a lock file while it is held
 
 
 @contextmanager
 def atomic_folder(path: Path) -> Iterator[Path]:
-    """As `engine.io.files.atomic`, for a folder that is new or empty: yields one beside it, to be filled."""
+    """Like `engine.io.files.atomic`, for a new or empty folder: yields a temporary folder to fill."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except (OSError, ValueError) as error:
@@ -74,17 +74,17 @@ def atomic_folder(path: Path) -> Iterator[Path]:
                     with part.open("rb+") as file:
                         os.fsync(file.fileno())
             if path.is_dir():
-                path.rmdir()  # empty; not every system replaces one
+                path.rmdir()  # empty; not every system replaces an existing folder
             temporary.replace(path)
-        except WRITING as error:
+        except WRITE_ERRORS as error:
             raise InputError(f"{path}: cannot be written ({reason(error)})") from error
 
 
-def _sweep(prefix: str, parent: Path) -> None:
-    """Removes folders of dead owners: real folders of this user, made by this class, that nobody holds."""
+def _remove_stale(prefix: str, parent: Path) -> None:
+    """Removes unlocked folders of dead owners, if they are this user's and made by this class."""
     for folder in _folders(prefix, parent):
         with suppress(OSError, Timeout), FileLock(folder / LOCK, timeout=0):
-            shutil.rmtree(folder, ignore_errors=True)  # follows no link
+            shutil.rmtree(folder, ignore_errors=True)  # does not follow links
         with suppress(OSError):
             folder.rmdir()
 
@@ -94,18 +94,18 @@ def _folders(prefix: str, parent: Path) -> list[Path]:
     with suppress(OSError):
         for path in parent.iterdir():
             named = re.fullmatch(re.escape(prefix) + "[a-z0-9_]{8}", path.name)  # as mkdtemp names them
-            if named and _ours(path) and _is_file(path / LOCK):
+            if named and _is_own_folder(path) and _is_file(path / LOCK):
                 found.append(path)
     return found
 
 
-def _ours(path: Path) -> bool:
-    """Whether it is a folder, not a link to one, of this user."""
+def _is_own_folder(path: Path) -> bool:
+    """Whether the path is a folder of this user, not a link to one."""
     try:
-        facts = path.lstat()
+        status = path.lstat()
     except OSError:
         return False
-    return stat.S_ISDIR(facts.st_mode) and (not hasattr(os, "getuid") or facts.st_uid == os.getuid())
+    return stat.S_ISDIR(status.st_mode) and (not hasattr(os, "getuid") or status.st_uid == os.getuid())
 
 
 def _is_file(path: Path) -> bool:

@@ -1,4 +1,4 @@
-"""JSON from somewhere else, read without the liberties that Python's reader takes."""
+"""Parses untrusted JSON more strictly than Python's reader."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ __all__ = ["parse"]
 
 
 def parse(text: bytes) -> Any:
-    """The value. Raises ValueError for anything that is no JSON, also NaN, infinities, numbers that are infinite as
-    floats or have thousands of digits, nesting that Python cannot follow, and keys that appear twice: which of the two
-    is meant depends on the reader."""
+    """The value. Raises ValueError for anything but JSON, including NaN, infinities, numbers that are infinite as
+    floats or have thousands of digits, nesting too deep for Python, and duplicate keys, which readers resolve
+    differently."""
     try:
         return json.loads(text, parse_constant=_finite, parse_float=_finite, object_pairs_hook=_distinct)
     except RecursionError as error:

@@ -1,8 +1,8 @@
-"""A trained object on disk: a .ply that every 3DGS viewer opens, and beside it what a .ply cannot say.
+"""Saves and loads a trained object: a .ply that every 3DGS viewer opens, and a sidecar with what a .ply cannot hold.
 
-`apple.ply` holds the surface atoms, then the interior ones; `apple.fruitninja.json` says where the one ends and the
-other begins, and how the object was made. The sidecar names its .ply by size and checksum, so that no crash between the
-two files and no mix-up of names ever joins halves of different objects.
+`apple.ply` holds the surface atoms, then the interior ones; `apple.fruitninja.json` holds their numbers and how the
+object was made. The sidecar identifies its .ply by size and checksum, so that neither a crash between the two files nor
+a mix-up of names joins parts of different objects.
 """
 
 from __future__ import annotations
@@ -27,18 +27,18 @@ from engine.scene.sh import rgb_to_sh, sh_to_rgb
 __all__ = ["FORMAT", "Meta", "load_trained", "save_trained", "sidecar_path"]
 
 FORMAT = 1
-"""Version of the sidecar. A reader refuses any other, so it must grow with every change of meaning."""
+"""Version of the sidecar. A reader refuses any other, so every change of meaning must increase it."""
 
 OPAQUE = 0.999
-"""Opacity of an atom in the file. 1 has no logit; at 0.999 two atoms in a row let 1e-6 through."""
+"""Opacity of an atom in the file. 1 has no finite logit; at 0.999 two atoms in a row transmit 1e-6."""
 
 SIDECAR_LIMIT = 1 << 24
-"""Bytes of the largest sidecar that is read; a real one has a few KB."""
+"""Most bytes of a sidecar; a real one has a few KB."""
 
 
 @dataclass(frozen=True)
 class Meta:
-    """How an object was made. Everything here is plain data, so that `engine` knows nothing of training."""
+    """How an object was made, as plain data, so that `engine` does not depend on `training`."""
 
     up: tuple[float, float, float] = (0.0, 0.0, 1.0)
     """Unit vector, world axes."""
@@ -50,18 +50,18 @@ class Meta:
     source: str = ""
     """Name of the file that the object was made from."""
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Where the object's zero lies in that file's coordinates (engine.io.origin). Sidecars of before have none."""
+    """Position of the object's zero in that file's coordinates (engine.io.origin). Old sidecars have none."""
 
 
 def sidecar_path(path: str | Path) -> Path:
-    """Where the sidecar of a trained .ply stands: `apple.ply` has `apple.fruitninja.json`."""
+    """The path of a trained .ply's sidecar: `apple.ply` has `apple.fruitninja.json`."""
     return Path(path).with_suffix(".fruitninja.json")
 
 
 def save_trained(path: str | Path, atoms: Atoms, meta: Meta) -> None:
-    """Writes `path` and its sidecar, both or neither. Both are complete on disk before the first takes its place.
+    """Writes `path` and its sidecar, both or neither. Both are complete on disk before the first is replaced.
 
-    Surface atoms come first; interior ones are spheres whose SH above degree 0 are zero. Raises InputError where
+    Surface atoms come first; interior ones are spheres whose SH above degree 0 are zero. Raises InputError if
     writing fails.
     """
     path = Path(path)
@@ -94,10 +94,10 @@ def save_trained(path: str | Path, atoms: Atoms, meta: Meta) -> None:
 def load_trained(path: str | Path) -> tuple[Atoms, Meta]:
     """The object that `save_trained` wrote.
 
-    Raises InputError where the .ply is unreadable, or its sidecar is missing, malformed or another file's.
+    Raises InputError if the .ply is unreadable, or if its sidecar is missing, malformed or belongs to another file.
     """
     path = Path(path)
-    with open_file(path):  # a missing scene is the first thing to say, not its missing sidecar
+    with open_file(path):  # a missing scene is reported before its missing sidecar
         pass
     record = _Record(sidecar_path(path), path)
     surface, interior, exposed = (record.count(key) for key in ("surface", "interior", "exposed"))
@@ -119,7 +119,7 @@ def load_trained(path: str | Path) -> tuple[Atoms, Meta]:
         raise InputError(f"{path}: its sidecar {record.path.name} belongs to another file; train the object again")
     gaussians, _ = read_ply(path)
     record.require(len(gaussians) == surface + interior, "its counts are not those of the .ply")
-    if any(gaussians.origin):  # an object of before, trained where its capture lay
+    if any(gaussians.origin):  # an older object, trained far from zero
         x, y, z = (a + b for a, b in zip(meta.origin, gaussians.origin, strict=True))
         meta = replace(meta, origin=(x, y, z))
     outer, inner = gaussians[:surface], gaussians[surface:]
@@ -139,7 +139,7 @@ def load_trained(path: str | Path) -> tuple[Atoms, Meta]:
 
 
 def _comments(meta: Meta) -> list[str]:
-    """What another viewer's user may read in the .ply."""
+    """Comments in the .ply for users of other viewers."""
     comments = [f"FruitNinja: made from {meta.source}"] if meta.source else []
     if any(meta.origin):
         comments.append("FruitNinja: add {:.12g} {:.12g} {:.12g} to be back in its coordinates".format(*meta.origin))
@@ -175,7 +175,7 @@ def _crc(path: Path) -> int:
 
 
 class _Record:
-    """The fields of a sidecar, each with its type, or an InputError that names the file."""
+    """The typed fields of a sidecar. Raises InputError with the file's name for a missing or wrong one."""
 
     def __init__(self, path: Path, ply: Path) -> None:
         self.path = path
@@ -195,7 +195,7 @@ class _Record:
             raise InputError(f"{path}: format {str(self.fields['format'])[:20]!r}, this version reads {FORMAT}")
 
     def require(self, condition: bool, wrong: str) -> None:
-        """Raises InputError where the condition does not hold."""
+        """Raises InputError if the condition does not hold."""
         if not condition:
             raise InputError(f"{self.path}: not a sidecar of a trained object: {wrong}")
 

@@ -11,7 +11,7 @@ import typer
 from numpy.typing import NDArray
 from PIL import Image
 
-from engine.command import run_command, tell
+from engine.command import print_result, run_command
 from engine.errors import InputError
 from engine.io.files import atomic
 from engine.io.trained import load_trained
@@ -60,7 +60,7 @@ def render_command(
     image = Image.fromarray((np.clip(picture.rgb, 0, 1) * 255 + 0.5).astype(np.uint8))
     with atomic(out) as temporary:
         image.save(temporary, format="PNG")
-    tell(f"{out} ({width}x{height}, drawn by {who})")
+    print_result(f"{out} ({width}x{height}, drawn by {who})")
 
 
 def draw(atoms: Atoms, camera: Camera, planes: tuple[Plane, ...]) -> tuple[Picture, str]:

@@ -22,7 +22,7 @@ from numba import njit
 from engine.render.lanes import maximum, minimum, root, where
 from engine.scene.camera import Camera
 from engine.scene.constants import CLAMP_MARGIN
-from engine.scene.rotations import of_unit
+from engine.scene.rotations import rotation_entries
 
 __all__ = [
     "CameraRecord",
@@ -170,7 +170,7 @@ def _per_length(qw, qx, qy, qz):  # type: ignore[no-untyped-def]
     return where(length > 0.0, 1.0 / length, 0.0)
 
 
-_of_unit = njit(cache=True, error_model="numpy")(of_unit)
+_of_unit = njit(cache=True, error_model="numpy")(rotation_entries)
 
 
 @njit(cache=True, error_model="numpy")

@@ -1,7 +1,7 @@
-"""Opaque particles: what an object is made of once it is solid.
+"""Opaque particles that make up a solid object.
 
 Surface atoms are ellipsoids with spherical harmonics. Interior atoms are spheres with a plain colour, seven floats
-each; no cut can show more of them. Neither has an opacity: an atom is opaque (paper, section 3.4).
+each; a cut shows no more of them. Atoms have no opacity, as all are opaque (paper, section 3.4).
 """
 
 from __future__ import annotations
@@ -48,10 +48,10 @@ class SurfaceAtoms:
 
 @dataclass(frozen=True)
 class InteriorAtoms:
-    """I spheres inside the body, float32. The first `exposed` of them close holes of the shell.
+    """I spheres inside the body, float32. The first `exposed` of them lie behind holes of the shell.
 
-    An exposed atom can be seen from outside (an open bottom, say), so the outside view draws it beside the surface
-    atoms; all others appear on cut faces only.
+    Exposed atoms are visible from outside (through an open bottom, say), so the outside view draws them with the
+    surface atoms; all others appear on cut faces only.
     """
 
     means: Float
@@ -61,7 +61,7 @@ class InteriorAtoms:
     rgb: Float
     """(I, 3). Range [0, 1]."""
     exposed: int = 0
-    """How many of the first rows are seen from outside. Range [0, I]."""
+    """Number of atoms visible from outside, the first rows. Range [0, I]."""
 
     def __post_init__(self) -> None:
         n = len(self.means)
@@ -76,7 +76,7 @@ class InteriorAtoms:
 
 @dataclass(frozen=True)
 class Atoms:
-    """A solid object: its skin and its inside."""
+    """A solid object: its surface and its interior."""
 
     surface: SurfaceAtoms
     interior: InteriorAtoms
@@ -88,7 +88,7 @@ class Atoms:
 
     @property
     def bounds(self) -> Float:
-        """(2, 3). Smallest and largest centre along each axis; zeros where there are no atoms."""
+        """(2, 3). Smallest and largest centre along each axis; zeros if there are no atoms."""
         means = np.concatenate([self.surface.means, self.interior.means])
         if not len(means):
             return np.zeros((2, 3), np.float32)

@@ -1,4 +1,4 @@
-"""Cameras: pinhole, or orthographic where a cut plane is looked at straight on.
+"""Cameras: pinhole, and orthographic for views straight onto a cut plane.
 
 OpenCV axes: x right, y down, z forward.
 
@@ -15,12 +15,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from engine.scene.plane import Plane
 
-__all__ = ["Camera", "around", "equator", "fit_distance", "look_at", "on_plane", "orbit", "section"]
+__all__ = ["Camera", "cameras_around", "equator", "fit_distance", "look_at", "orbit", "plane_points", "section"]
 
 
 @dataclass(frozen=True)
 class Camera:
-    """Where a picture is taken from."""
+    """A camera and the size of its picture."""
 
     viewmat: NDArray[np.float64]
     """(4, 4). World to camera, rigid."""
@@ -34,7 +34,7 @@ class Camera:
     height: int
     orthographic: bool = False
     near: float = 0.01
-    """Depth under which nothing is drawn, world units; not used by an orthographic camera."""
+    """Depth under which nothing is drawn, world units; an orthographic camera ignores it."""
 
     @property
     def position(self) -> NDArray[np.float64]:
@@ -47,7 +47,7 @@ class Camera:
         return self.viewmat[2, :3]
 
     def resized(self, width: int, height: int) -> Camera:
-        """The same view in a picture of another size: what fitted the smaller side still fits it."""
+        """The same view in a picture of another size, scaled with its smaller side."""
         zoom = min(width, height) / min(self.width, self.height)
         return Camera(
             self.viewmat,
@@ -65,7 +65,7 @@ class Camera:
 def look_at(eye: ArrayLike, target: ArrayLike, up: ArrayLike) -> NDArray[np.float64]:
     """(4, 4) world-to-camera matrix at eye (3,), looking at target (3,), with up (3,) upwards in the picture.
 
-    Where up is parallel to the view the nearest other axis takes its place.
+    If up is parallel to the view, the world axis least along the view takes its place.
     """
     eye, target, up = (np.asarray(v, np.float64) for v in (eye, target, up))
     z = target - eye
@@ -85,7 +85,7 @@ def look_at(eye: ArrayLike, target: ArrayLike, up: ArrayLike) -> NDArray[np.floa
 
 
 def fit_distance(radius: float, fov_y: float, aspect: float) -> float:
-    """Distance at which a sphere of this radius just fits the picture; fov_y in radians, aspect width/height."""
+    """Distance at which a sphere of this radius just fits the picture; fov_y in radians, aspect is width / height."""
     half = math.atan(math.tan(fov_y / 2) * min(1.0, aspect))
     return radius / math.sin(half)
 
@@ -102,7 +102,7 @@ def orbit(
 ) -> Camera:
     """A pinhole camera on a sphere around centre; azimuth and elevation in degrees, elevation towards up.
 
-    Azimuth 0 stands on the first vector of `equator(up)` and grows counter-clockwise seen from above.
+    Azimuth 0 is the first vector of `equator(up)`; azimuth grows counter-clockwise seen from above.
     """
     axis = np.asarray(up, np.float64)
     axis = axis / np.linalg.norm(axis)
@@ -117,7 +117,10 @@ def orbit(
 
 
 def equator(up: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Two unit vectors (3,) that span the plane across up, right-handed with it; world x first where it can be."""
+    """Two unit vectors (3,) that span the plane across up and form a right-handed frame with it.
+
+    The first is world x projected into the plane, or world y if up is close to x.
+    """
     reference = np.array([1.0, 0.0, 0.0]) if abs(up[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
     e1 = reference - up * (up @ reference)
     e1 /= np.linalg.norm(e1)
@@ -129,9 +132,9 @@ def section(
 ) -> Camera:
     """The orthographic camera that looks at a cut face straight on, from the removed side; size x size pixels.
 
-    One rule for all planes: up (3,) stands upwards in the picture; where the plane lies across up, the second vector
-    of `equator(up)` does. The picture is centred on the foot of the centre of bounds (2, 3) and twice as wide as radius
-    (world units; None: half the diagonal of the bounds) with a little air, so all sections have one scale.
+    One rule for all planes: up (3,) points upwards in the picture, or the second vector of `equator(up)` if the plane
+    is perpendicular to up. The picture is centred on the projection of the centre of bounds (2, 3) and slightly wider
+    than twice the radius (world units; None: half the diagonal of the bounds), so all sections have the same scale.
     """
     n = np.asarray(plane.normal)
     axis = np.asarray(up, np.float64) / np.linalg.norm(up)
@@ -151,8 +154,8 @@ def section(
     return Camera(matrix, scale, scale, size / 2, size / 2, size, size, orthographic=True)
 
 
-def on_plane(camera: Camera, plane: Plane) -> NDArray[np.float32]:
-    """(H, W, 3). Where the ray of each pixel's centre meets the plane, world units; NaN where it runs along it."""
+def plane_points(camera: Camera, plane: Plane) -> NDArray[np.float32]:
+    """(H, W, 3). Where the ray through each pixel's centre meets the plane, world units; NaN if they are parallel."""
     u = (np.arange(camera.width) + 0.5 - camera.cx) / camera.fx
     v = (np.arange(camera.height) + 0.5 - camera.cy) / camera.fy
     x, y = np.meshgrid(u, v)
@@ -169,7 +172,7 @@ def on_plane(camera: Camera, plane: Plane) -> NDArray[np.float32]:
     return (start + steps[..., None] * direction).astype(np.float32)
 
 
-def around(
+def cameras_around(
     centre: ArrayLike,  # [3]
     radius: float,
     up: ArrayLike,  # [3]
@@ -179,7 +182,7 @@ def around(
 ) -> list[Camera]:
     """`count` cameras spread evenly over a sphere (a Fibonacci spiral); the object fills size x size pixels.
 
-    `turn` in degrees moves the whole spiral, so that two sets of views share no camera.
+    `turn` in degrees rotates the whole spiral, so that two sets of views share no camera.
     """
     fov = math.radians(35.0)
     distance = fit_distance(radius, fov, 1.0)

@@ -1,4 +1,4 @@
-"""The numbers of the opaque and of the classic image. Kernels read them here; shaders get them as defines."""
+"""Constants of the opaque and the classic image. Kernels import them; shaders get them as defines."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ __all__ = [
 ]
 
 LOW_PASS = 0.3
-"""px^2 added to every projected covariance: 3DGS' own low-pass, so that no splat falls between pixel centres."""
+"""px^2 added to every projected covariance: the low-pass of 3DGS, so that no splat falls between pixel centres."""
 
 CUTOFF_Q = 9.0
-"""Squared Mahalanobis distance at which a kernel ends: three standard deviations, 98.9 % of its height gone."""
+"""Squared Mahalanobis distance at which a kernel is cut off: three standard deviations, 1.1 % of its height."""
 
 CORE_Q = 2.0 * math.log(2.0)
-"""Squared Mahalanobis distance of half height: nearer than this an atom hides what lies behind it."""
+"""Squared Mahalanobis distance of half height: closer than this an atom hides what lies behind it."""
 
 EPSILON_PITCHES = 1.5
-"""Depth of the blended layer behind the front, in pitches: a scale cap and a half joins neighbours, not walls."""
+"""Pitches. Depth of the blended layer behind the front: 1.5 scale caps blend neighbours but not opposite walls."""
 
 EDGE_SLOPE = 0.59
 """|slope| of exp(-x^2/2) at half height, sqrt(2 ln 2) / 2: an edge of sigma pixels sharpens by sigma / this."""
@@ -49,30 +49,31 @@ atoms are jittered and end a little under the skin: at half, 6 % of the points 0
 holes, at a quarter 0.2 %, and 0.04 % of those 0.4 to 1 pitch above it are solid."""
 
 MIN_WEIGHT = 1e-6
-"""Weight sum under which a pixel has no colour of its own."""
+"""Weight sum under which a pixel counts as empty."""
 
 FACE_AMBIENT = 0.85
 FACE_LAMP = 1.0 - FACE_AMBIENT
-"""Light on a cut face: seen edge-on, and what a lamp at the eye adds to it straight on. Enough to read the slant, too
-little to hide colours."""
+"""Light on a cut face seen edge-on, and what a lamp at the eye adds when it is seen straight on. Enough to show the
+slant, too little to distort colours."""
 
 FACE_OPAQUE = 0.999
 """Coverage of a cut face from which nothing behind it counts."""
 
 JOINT_PITCHES = 1e-3
-"""Pieces that did not move apart have no face between them; a point this near the other's plane touches it."""
+"""Pitches. A point this close to another piece's plane touches it: pieces that have not moved apart show no face
+between them."""
 
 CLAMP_MARGIN = 0.3
-"""How far outside the picture, in half widths, the Jacobian still follows a mean; beyond it is held, because the affine
-approximation explodes there (INRIA and gsplat use the same number)."""
+"""Half widths. How far outside the picture the Jacobian still follows a mean; beyond it is clamped, because the affine
+approximation diverges there (INRIA and gsplat use the same number)."""
 
 MAX_ALPHA = float(np.float32(0.99))
-"""Classic: no Gaussian covers more, so that its derivative, which divides by 1 - alpha, stays finite. The float32
-number in all precisions: two such layers leave (1 - 0.99)^2, a hair under the transmittance that ends a pixel, and all
-must agree that they end it."""
+"""Classic: cap of alpha, so that the derivative, which divides by 1 - alpha, stays finite. The float32 number in all
+precisions: two such layers leave (1 - 0.99)^2, just under the transmittance that ends a pixel, and all renderers must
+agree that they end it."""
 
 ALPHA_STEPS = 255.0
-"""Classic: alpha under one of so many steps, those of an 8-bit picture, is left out."""
+"""Classic: alpha under 1 / ALPHA_STEPS, one step of an 8-bit picture, is skipped."""
 
 NOTHING = 3.0e38
-"""The depth of a pixel that shows nothing. A shader's compiler may do away with infinities."""
+"""Depth of an empty pixel. A finite number, because shader compilers may optimise infinities away."""

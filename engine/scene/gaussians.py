@@ -1,4 +1,4 @@
-"""A 3DGS scene in memory: activated values, never logits or logs."""
+"""A 3DGS scene in memory, with activated values instead of logits and logs."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Float = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class Gaussians:
-    """What a 3DGS .ply holds, N Gaussians, all arrays float32."""
+    """The N Gaussians of a 3DGS scene, all arrays float32."""
 
     means: Float
     """(N, 3). Centres, world units."""
@@ -27,7 +27,7 @@ class Gaussians:
     sh: Float
     """(N, (d+1)^2, 3). Spherical harmonics of degree d = 0..3, coefficient-major, RGB last."""
     origin: tuple[float, float, float] = field(default=(0.0, 0.0, 0.0), kw_only=True)
-    """Where the zero of `means` lies in the file's own coordinates (engine.io.origin)."""
+    """Position of the zero of `means` in the file's coordinates (engine.io.origin)."""
 
     def __post_init__(self) -> None:
         n = len(self.means)

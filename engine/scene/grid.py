@@ -1,4 +1,4 @@
-"""The solid on a grid: how deep under the skin a point lies."""
+"""Cubic cells in world space, and the solid as a signed distance on them."""
 
 from __future__ import annotations
 
@@ -8,19 +8,53 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-__all__ = ["Body"]
+__all__ = ["Body", "Grid"]
 
 
 @dataclass(frozen=True)
-class Body:
-    """A signed distance to the skin, sampled at cell centres."""
+class Grid:
+    """Cubic cells in world space; values on a grid belong to the cell centres."""
 
     origin: NDArray[np.float64]
     """(3,). World position of the outer corner of cell (0, 0, 0)."""
     cell: float
     """Edge of a cell, world units."""
+    shape: tuple[int, int, int]
+    """X, Y, Z. Number of cells along each axis."""
+
+    @staticmethod
+    def around(bounds: NDArray[np.floating], cell: float, margin: int) -> Grid:
+        """The grid centred on bounds (2, 3), with `margin` cells to spare on every side."""
+        low, high = bounds
+        shape = np.ceil((high - low) / cell).astype(int) + 2 * margin
+        x, y, z = shape.tolist()
+        return Grid((low + high) / 2 - shape * cell / 2, cell, (x, y, z))
+
+    def index(self, points: NDArray[np.floating]) -> NDArray[np.float64]:
+        """(..., 3). Continuous cell coordinates of world points (..., 3); integers at cell centres."""
+        return (np.asarray(points, np.float64) - self.origin) / self.cell - 0.5
+
+    def centres(self) -> NDArray[np.float32]:
+        """(X, Y, Z, 3). World positions of the cell centres."""
+        axes = [self.origin[i] + (np.arange(self.shape[i]) + 0.5) * self.cell for i in range(3)]
+        return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).astype(np.float32)
+
+    def sample(self, values: NDArray[np.float32], points: NDArray[np.floating]) -> NDArray[np.float32]:
+        """(...). Values (X, Y, Z) at world points (..., 3), trilinear; outside the grid those of the nearest cell."""
+        index = np.moveaxis(self.index(points), -1, 0)
+        return ndimage.map_coordinates(values, index, order=1, mode="nearest", output=np.float32)
+
+
+@dataclass(frozen=True)
+class Body:
+    """A solid: the signed distance to its skin on a grid."""
+
+    grid: Grid
     depth: NDArray[np.float32]
     """(X, Y, Z). Distance under the skin at cell centres, world units; positive inside."""
+
+    def __post_init__(self) -> None:
+        assert self.depth.shape == self.grid.shape, (self.depth.shape, self.grid.shape)
 
     @property
     def inside(self) -> NDArray[np.bool_]:
@@ -29,8 +63,8 @@ class Body:
 
     @property
     def volume(self) -> float:
-        """World units cubed; cells at the skin count by how much of them the skin cuts off."""
-        return float(np.clip(self.depth / self.cell + 0.5, 0, 1).sum(dtype=np.float64)) * self.cell**3
+        """World units cubed; a cell that the skin crosses counts for the part of it under the skin."""
+        return float(np.clip(self.depth / self.grid.cell + 0.5, 0, 1).sum(dtype=np.float64)) * self.grid.cell**3
 
     @property
     def inradius(self) -> float:
@@ -39,32 +73,23 @@ class Body:
 
     @property
     def radius(self) -> float:
-        """Distance of the farthest inside point from the middle of the bounds, world units."""
-        points = self.centres()[self.inside] - self.bounds().mean(0)
-        return float(np.linalg.norm(points, axis=1).max()) + self.cell / 2 if len(points) else self.cell
-
-    def centres(self) -> NDArray[np.float32]:
-        """(X, Y, Z, 3). World positions of the cell centres."""
-        axes = [self.origin[i] + (np.arange(self.depth.shape[i]) + 0.5) * self.cell for i in range(3)]
-        return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).astype(np.float32)
+        """Distance from the middle of the bounds to the farthest inside point, world units."""
+        points = self.grid.centres()[self.inside] - self.bounds().mean(0)
+        return float(np.linalg.norm(points, axis=1).max()) + self.grid.cell / 2 if len(points) else self.grid.cell
 
     def at(self, points: NDArray[np.floating]) -> NDArray[np.float32]:
-        """(...). Depth at world points (..., 3), trilinear; outside of the grid the nearest cell's."""
-        index = (np.moveaxis(np.asarray(points, np.float64), -1, 0) - self.origin[:, *[None] * (points.ndim - 1)]) / (
-            self.cell
-        ) - 0.5
-        return ndimage.map_coordinates(self.depth, index, order=1, mode="nearest", output=np.float32)
+        """(...). Depth at world points (..., 3), trilinear; outside the grid that of the nearest cell."""
+        return self.grid.sample(self.depth, points)
 
     def bounds(self) -> NDArray[np.float64]:
-        """(2, 3). Corners of the cells that lie inside; the grid's own where none does."""
+        """(2, 3). Box around the inside cells, world units; that of the whole grid if no cell is inside."""
         cells = np.argwhere(self.inside)
-        low, high = (cells.min(0), cells.max(0) + 1) if len(cells) else (np.zeros(3), np.array(self.depth.shape))
-        return self.origin + np.stack([low, high]) * self.cell
+        low, high = (cells.min(0), cells.max(0) + 1) if len(cells) else (np.zeros(3), np.array(self.grid.shape))
+        return self.grid.origin + np.stack([low, high]) * self.grid.cell
 
     def resampled(self, cell: float) -> Body:
-        """The same solid on cells of another size, two cells of margin around it."""
+        """The same solid on cells of another size, with a margin of two cells."""
         low, high = self.bounds()
-        origin = low - 2 * cell
-        shape = np.ceil((high - low) / cell).astype(int) + 4
-        empty = Body(origin, cell, np.zeros(tuple(shape), np.float32))
-        return Body(origin, cell, self.at(empty.centres()))
+        x, y, z = (np.ceil((high - low) / cell).astype(int) + 4).tolist()
+        grid = Grid(low - 2 * cell, cell, (x, y, z))
+        return Body(grid, self.at(grid.centres()))

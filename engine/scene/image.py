@@ -1,4 +1,4 @@
-"""What a renderer returns."""
+"""The result of a renderer."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ class Picture:
     """One rendered view, H x W pixels, float32."""
 
     rgb: NDArray[np.float32]
-    """(H, W, 3). Colours over the background, as computed: at least 0, above 1 where the scene says so."""
+    """(H, W, 3). Colours over the background, unclamped. Range [0, inf)."""
     alpha: NDArray[np.float32]
-    """(H, W). How much of the pixel is covered. Range [0, 1]."""
+    """(H, W). Coverage of the pixel. Range [0, 1]."""
     depth: NDArray[np.float32]
-    """(H, W). Depth along the camera's axis of what is seen, world units; inf where nothing is."""
+    """(H, W). Depth of the visible surface along the camera's axis, world units; inf for an empty pixel."""
 
     def __post_init__(self) -> None:
         shape = self.alpha.shape

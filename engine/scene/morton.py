@@ -1,4 +1,4 @@
-"""An order of points in which neighbours in space are neighbours in memory."""
+"""Morton order: neighbours in space become neighbours in memory."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from numpy.typing import NDArray
 __all__ = ["morton_order"]
 
 BITS = 10
-"""Bits of an axis: cells of a thousandth of the longest side, finer than the atoms of any object."""
+"""Bits per axis: cells of a thousandth of the longest side, finer than the atoms of any object."""
 
 
 def morton_order(points: NDArray[np.floating]) -> NDArray[np.intp]:
     """(N,). Rows of points (N, 3) along a Morton curve through their bounds; rows of one cell keep their order.
 
-    What a picture takes from memory it then takes in runs: drawing unordered atoms costs up to twice as much.
+    Drawing ordered atoms reads memory in runs; unordered ones take up to twice as long.
     """
     if not len(points):
         return np.zeros(0, np.intp)

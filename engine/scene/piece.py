@@ -1,4 +1,4 @@
-"""A piece of an object: what planes leave of it, moved to where it lies now."""
+"""A piece of an object: the part that planes leave, moved rigidly."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ class Piece:
     """A convex part of the object's space with a rigid motion. All pieces of an object share its atoms."""
 
     planes: tuple[Plane, ...] = ()
-    """Half-spaces of the object's own space; the piece is where all of them keep. Empty: the whole object."""
+    """Half-spaces in object coordinates; the piece is the intersection of their kept sides. Empty: the whole object."""
     transform: NDArray[np.float64] = field(default_factory=lambda: np.eye(4))
     """(4, 4). Rigid. World point = transform @ object point."""
 
     def camera(self, camera: Camera) -> Camera:
-        """The same view with the piece's own space for a world."""
+        """The same view with object coordinates as world coordinates."""
         return replace(camera, viewmat=camera.viewmat @ self.transform)

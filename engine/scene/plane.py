@@ -25,9 +25,9 @@ class Plane:
 
     @staticmethod
     def of(normal: ArrayLike, offset: float) -> Plane:
-        """The plane a x + b y + c z + d = 0 from any (a, b, c) of non-zero length; d is scaled along.
+        """The plane a x + b y + c z + d = 0 from any (a, b, c) of non-zero length; d is scaled with it.
 
-        Raises InputError where the normal has no direction or a number is not finite.
+        Raises InputError if the normal has no direction or a number is not finite.
         """
         n = np.asarray(normal, np.float64)
         size = float(np.abs(n).max()) if n.shape == (3,) else 0.0  # divided by first: squares of 1e200 overflow
@@ -57,9 +57,9 @@ class Plane:
 
 
 def frame(normal: ArrayLike) -> NDArray[np.float64]:
-    """(3, 3). Rows e1, e2, n: a right-handed frame with n the unit normal, chosen the same way every time.
+    """(3, 3). Rows e1, e2, n: a right-handed frame with the unit normal n.
 
-    e1 is the world axis least along n, made orthogonal to it, so that the frame never degenerates.
+    e1 is the world axis least along n, made orthogonal to it, so the frame never degenerates.
     """
     n = np.asarray(normal, np.float64)
     n = n / np.linalg.norm(n)

@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["matrices", "of_unit", "unit_quats"]
+__all__ = ["normalised_quats", "rotation_entries", "rotation_matrices"]
 
 
-def of_unit(w: Any, x: Any, y: Any, z: Any) -> tuple[Any, ...]:
-    """The rotation matrix (9, by rows) of a unit quaternion, its columns the turned axes.
+def rotation_entries(w: Any, x: Any, y: Any, z: Any) -> tuple[Any, ...]:
+    """The nine entries, by rows, of a unit quaternion's rotation matrix, whose columns are the rotated axes.
 
-    Numbers, arrays or tensors; numba compiles it for numbers and lanes.
+    Takes numbers, arrays or tensors; numba compiles it for numbers and lanes.
     """
     return (
         1.0 - 2.0 * (y * y + z * z),
@@ -28,13 +28,13 @@ def of_unit(w: Any, x: Any, y: Any, z: Any) -> tuple[Any, ...]:
     )
 
 
-def matrices(quats: NDArray[np.floating]) -> NDArray[np.floating]:
+def rotation_matrices(quats: NDArray[np.floating]) -> NDArray[np.floating]:
     """(N, 3, 3). Rotation matrices of unit quaternions (N, 4), of the same float type."""
-    return np.stack(of_unit(*quats.T), axis=-1).reshape(len(quats), 3, 3)
+    return np.stack(rotation_entries(*quats.T), axis=-1).reshape(len(quats), 3, 3)
 
 
-def unit_quats(quats: NDArray[np.floating]) -> NDArray[np.float64]:
-    """(N, 4) float64. The quaternions (N, 4) at length 1; one without a length turns nothing."""
+def normalised_quats(quats: NDArray[np.floating]) -> NDArray[np.float64]:
+    """(N, 4). The quaternions (N, 4) normalised; a zero quaternion becomes the identity."""
     q = quats.astype(np.float64)
     length = np.linalg.norm(q, axis=1, keepdims=True)
     return np.where(length > 1e-12, q / np.maximum(length, 1e-12), np.array([1.0, 0, 0, 0]))

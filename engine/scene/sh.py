@@ -25,21 +25,21 @@ C3 = (
 
 
 def band_1(x: Any, y: Any, z: Any) -> tuple[Any, Any, Any]:
-    """The basis functions of degree 1 in a unit direction, eye to Gaussian; in INRIA's order and signs, as all here.
+    """The basis functions of degree 1 in a unit direction, eye to Gaussian, in INRIA's order and signs.
 
-    Numbers, arrays or tensors; numba compiles it, as the other two.
+    Takes numbers, arrays or tensors; numba compiles it, as it does the other two.
     """
     return -C1 * y, C1 * z, -C1 * x
 
 
 def band_2(x: Any, y: Any, z: Any) -> tuple[Any, Any, Any, Any, Any]:
-    """Those of degree 2."""
+    """The basis functions of degree 2."""
     xx, yy, zz = x * x, y * y, z * z
     return C2[0] * x * y, C2[1] * y * z, C2[2] * (2.0 * zz - xx - yy), C2[3] * x * z, C2[4] * (xx - yy)
 
 
 def band_3(x: Any, y: Any, z: Any) -> tuple[Any, Any, Any, Any, Any, Any, Any]:
-    """Those of degree 3."""
+    """The basis functions of degree 3."""
     xx, yy, zz = x * x, y * y, z * z
     return (
         C3[0] * y * (3.0 * xx - yy),
@@ -70,7 +70,7 @@ _band_1, _band_2, _band_3 = (njit(cache=True, error_model="numpy")(band) for ban
 
 @njit(cache=True, error_model="numpy")
 def fill_basis(x, y, z, bands, out):  # type: ignore[no-untyped-def]
-    """`basis` of one direction into out (16,), its first `bands` functions."""
+    """Writes the first `bands` basis functions in one unit direction into out (16,)."""
     out[0] = C0
     if bands > 1:
         out[1], out[2], out[3] = _band_1(x, y, z)
@@ -90,7 +90,7 @@ def colours(
 
 
 def rgb_to_sh(rgb: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Degree-0 coefficients (..., 3) that show RGB (..., 3) from everywhere."""
+    """Degree-0 coefficients (..., 3) of RGB (..., 3)."""
     return (rgb - 0.5) / C0
 
 

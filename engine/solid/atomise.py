@@ -1,4 +1,4 @@
-"""From Gaussians to opaque surface atoms (paper, section 3.4): small, and every one of them solid."""
+"""Turns Gaussians into small opaque surface atoms (paper, section 3.4)."""
 
 from __future__ import annotations
 
@@ -9,102 +9,100 @@ from numpy.typing import NDArray
 
 from engine.render.cpu.kernel_field import axes_of
 from engine.scene.atoms import SurfaceAtoms
-from engine.scene.camera import around
+from engine.scene.camera import cameras_around
 from engine.scene.gaussians import Gaussians
-from engine.scene.grid import Body
 from engine.scene.morton import morton_order
-from engine.solid.contribution import shown
+from engine.solid.contribution import contributions
 from engine.solid.denoise_capture import WALL_OPACITY
 from engine.solid.find_body import Enclosure
-from engine.solid.skin_holes import patches
+from engine.solid.skin_holes import patch_holes
 
 __all__ = ["Atomised", "atomise"]
 
-FAINT = 0.04
-"""Opacity under which a Gaussian is haze whatever its size: sixty of them in a row let half of the light through."""
+MIN_OPACITY = 0.04
+"""Opacity under which a Gaussian is haze whatever its size: seventeen in a row still let half of the light through."""
 
-HIDDEN = 0.02
-"""Opacity that the rest of the capture leaves a Gaussian in its best view, under which it is not part of the picture.
-On a capture of a donut a third of the Gaussians are: drawn opaque, they would only mix their colours into the skin."""
+MIN_CONTRIBUTION = 0.02
+"""Opacity that compositing leaves a Gaussian in its best view, under which it is not part of the picture. On a capture
+of a donut this holds for a third of the Gaussians: drawn opaque, they would only mix their colours into the skin."""
 
 HAZE_OPACITY = 0.15
-"""Opacity under which a Gaussian larger than the pitch is haze: compositing never lets it hide what is behind it."""
+"""Opacity under which a Gaussian larger than the pitch is haze: in compositing it never hides what is behind it."""
 
 UP = np.array([0.0, 0.0, 1.0])
-"""Views from all around need an axis, no matter which."""
+"""Axis of the views from all around; any would do."""
 
 VIEWS, VIEW_SIZE = 24, 192
-"""Views of the capture, and their pixels along an edge, in which it shows what it is made of."""
+"""Views of the capture for the contributions, and their pixels along an edge."""
 
-DEEPEST = 1.0
-"""Pitches under the skin from which an atom can no longer be seen: debris, or the buried part of a fat Gaussian."""
+MAX_DEPTH = 1.0
+"""Pitches under the skin from which an atom is invisible: debris, or the buried part of a thick Gaussian."""
 
-HIGHEST = 0.75
+MAX_HEIGHT = 0.75
 """Pitches above the skin from which an atom is off it: a stem, a leaf, a mat, or a floater."""
 
 SHEET_OPACITY = 0.5
-"""Opacity field from which an atom off the skin stays: a ray loses 2/5 there, so the capture shows something."""
+"""Opacity field from which an atom off the skin stays: a ray loses 2/5 there, so the capture does show it."""
 
 COVERAGE = 2.0
-"""Sum of unit kernels on the skin that is aimed at: where it is less, chance leaves holes between the atoms."""
+"""Target for the sum of unit kernels on the skin: with less, random gaps open between the atoms."""
 
 SPACING = 1.6
-"""Between the parts of a split Gaussian, in their standard deviations: the sum of unit kernels then ripples by 8 %."""
+"""Distance between the parts of a split Gaussian, in their standard deviations: their summed kernels ripple by 8 %."""
 
-MOST_PARTS = 12
-"""Along one axis. A Gaussian that would need more is a background's; it ends where its parts end."""
+MAX_PARTS = 12
+"""Most parts along one axis. A Gaussian that would need more belongs to the background and is cut short."""
 
 
 @dataclass(frozen=True)
 class Atomised:
-    """Surface atoms, and what became of the Gaussians."""
+    """Surface atoms, and counts of how the Gaussians became atoms."""
 
     atoms: SurfaceAtoms
     dropped: int
-    """Gaussians that were haze, floaters or debris inside."""
+    """Gaussians left out as haze, floaters or debris inside."""
     split: int
-    """Gaussians that were larger than the pitch and became several atoms."""
+    """Gaussians larger than the pitch, which became several atoms."""
     patched: int = 0
-    """Atoms that were added where the others leave a hole in the skin."""
+    """Atoms added where the others leave a hole in the skin."""
 
 
 def atomise(gaussians: Gaussians, pitch: float, enclosure: Enclosure | None = None) -> Atomised:
     """Atoms no larger than the pitch (the paper's atomic clipping) and opaque (its uniform opacification).
 
     A Gaussian of opacity a becomes an atom of at least a times its area across its thin axis, and of more where the
-    skin is thin (COVERAGE): what it hides stays about the same. Larger ones are split along their principal axes into
-    parts with the same mean and variance. With an enclosure, what lies under its skin is dropped, and so is what floats
-    off it without hiding anything, and what has no weight in any view of the capture; holes that this or the capture
-    leaves in the skin are patched. The atoms stand in Morton order. Bit-equal for the same input.
+    skin is thin (COVERAGE), so that it hides about as much as before. Gaussians larger than the pitch are split along
+    their principal axes into parts with the same mean and variance. With an enclosure, Gaussians are dropped that lie
+    under its skin, float off it without hiding anything, or contribute to no view of the capture; holes in the skin are
+    patched. The atoms are in Morton order. Bit-equal for the same input.
     """
     assert pitch > 0, pitch
     body = None if enclosure is None else enclosure.body
     haze = (gaussians.opacities < HAZE_OPACITY) & (gaussians.scales.max(axis=1, initial=0) > pitch)
-    keep = (gaussians.opacities >= FAINT) & ~haze
-    if body is not None:  # the end of a fat Gaussian that reaches the skin from within is no part of the skin
-        keep &= body.at(gaussians.means) < DEEPEST * pitch
-        cameras = around(body.bounds().mean(0), body.radius, UP, VIEWS, VIEW_SIZE)
-        keep &= shown(gaussians, cameras) >= HIDDEN
-    keep = np.flatnonzero(keep)
-    kept = gaussians[keep]
+    keep = (gaussians.opacities >= MIN_OPACITY) & ~haze
+    if body is not None:  # a thick Gaussian may reach the skin from within without being part of it
+        keep &= body.at(gaussians.means) < MAX_DEPTH * pitch
+        cameras = cameras_around(body.bounds().mean(0), body.radius, UP, VIEWS, VIEW_SIZE)
+        keep &= contributions(gaussians, cameras) >= MIN_CONTRIBUTION
+    rows = np.flatnonzero(keep)
+    kept = gaussians[rows]
     area = kept.opacities.copy()
     if enclosure is not None and body is not None:
-        opacity = Body(body.origin, body.cell, enclosure.opacity)
-        area = np.clip(COVERAGE * area / np.maximum(opacity.at(kept.means), 1e-6), area, 1)
+        opacity = body.grid.sample(enclosure.opacity, kept.means)
+        area = np.clip(COVERAGE * area / np.maximum(opacity, 1e-6), area, 1)
     scales = kept.scales.copy()
     thin = scales.argmin(axis=1)
     shrink = np.repeat(np.sqrt(area)[:, None], 3, axis=1)
     shrink[np.arange(len(kept)), thin] = 1.0
     scales *= shrink
     large = scales.max(axis=1, initial=0) > pitch
-    whole, parts = kept[~large], kept[large]
-    source, means, part_scales = split(parts, scales[large], pitch)
-    means = np.concatenate([whole.means, means])
-    origin = np.concatenate([keep[~large], keep[large][source]])
+    source, part_means, part_scales = split(kept[large], scales[large], pitch)
+    means = np.concatenate([kept.means[~large], part_means])
+    origin = np.concatenate([rows[~large], rows[large][source]])
     on_skin = np.ones(len(means), bool)
-    if body is not None:
-        depth = body.at(means)
-        on_skin = (depth < DEEPEST * pitch) & ((depth > -HIGHEST * pitch) | (opacity.at(means) >= SHEET_OPACITY))
+    if enclosure is not None and body is not None:
+        depth, opacity = body.at(means), body.grid.sample(enclosure.opacity, means)
+        on_skin = (depth < MAX_DEPTH * pitch) & ((depth > -MAX_HEIGHT * pitch) | (opacity >= SHEET_OPACITY))
     origin = origin[on_skin]
     atoms = SurfaceAtoms(
         means[on_skin],
@@ -114,9 +112,9 @@ def atomise(gaussians: Gaussians, pitch: float, enclosure: Enclosure | None = No
     )
     dropped, patched = len(gaussians) - len(np.unique(origin)), 0
     if enclosure is not None:
-        more = patches(atoms, enclosure.shell, enclosure.body, pitch, enclosure.opacity, WALL_OPACITY)
-        patched = len(more)
-        atoms = SurfaceAtoms(*(np.concatenate([getattr(a, f.name) for a in (atoms, more)]) for f in fields(atoms)))
+        patches = patch_holes(atoms, enclosure.shell, enclosure.body, pitch, enclosure.opacity, WALL_OPACITY)
+        patched = len(patches)
+        atoms = SurfaceAtoms(*(np.concatenate([getattr(a, f.name) for a in (atoms, patches)]) for f in fields(atoms)))
     order = morton_order(atoms.means)
     atoms = SurfaceAtoms(*(getattr(atoms, f.name)[order] for f in fields(atoms)))
     return Atomised(atoms, dropped, int(large.sum()), patched)
@@ -124,17 +122,17 @@ def atomise(gaussians: Gaussians, pitch: float, enclosure: Enclosure | None = No
 
 def split(
     gaussians: Gaussians,
-    scales: NDArray[np.float32],  # [N, 3] to use in place of the Gaussians' own
+    scales: NDArray[np.float32],  # [N, 3] used in place of gaussians.scales
     pitch: float,
 ) -> tuple[NDArray[np.intp], NDArray[np.float32], NDArray[np.float32]]:
     """Rows (P,), means (P, 3) and scales (P, 3) of the parts, no larger than pitch.
 
-    Along an axis of variance s^2 the parts have sigma = pitch and stand evenly on [-L, L]. The variance of k such
-    places, L^2 (k + 1) / (3 (k - 1)), is what remains of the whole's: s^2 - pitch^2.
+    Along an axis of variance s^2 the parts have sigma = pitch and are spaced evenly on [-L, L]. The variance of k such
+    positions, L^2 (k + 1) / (3 (k - 1)), supplies the rest of the Gaussian's: s^2 - pitch^2.
     """
     cap = np.float32(pitch)
     reach = np.sqrt(3 * np.maximum(scales.astype(np.float64) ** 2 - pitch**2, 0))
-    counts = np.minimum(1 + np.ceil(2 * reach / (SPACING * pitch)), MOST_PARTS).astype(np.intp)
+    counts = np.minimum(1 + np.ceil(2 * reach / (SPACING * pitch)), MAX_PARTS).astype(np.intp)
     counts[scales <= cap] = 1
     reach = np.minimum(reach * np.sqrt((counts - 1) / (counts + 1)), (counts - 1) * SPACING * pitch / 2)
     total = counts.prod(axis=1)
@@ -143,9 +141,9 @@ def split(
     local = np.empty((len(source), 3))
     for axis in range(3):
         count = counts[source, axis]
-        place = number % count
+        position = number % count
         number = number // count
-        local[:, axis] = np.where(count > 1, (2 * place / np.maximum(count - 1, 1) - 1) * reach[source, axis], 0)
+        local[:, axis] = np.where(count > 1, (2 * position / np.maximum(count - 1, 1) - 1) * reach[source, axis], 0)
     axes = axes_of(gaussians.quats)[source].astype(np.float64)  # rows are principal axes
     means = gaussians.means[source] + np.einsum("pa,pax->px", local, axes)
     return source, means.astype(np.float32), np.minimum(scales, cap)[source]

@@ -1,4 +1,4 @@
-"""How much of a picture each Gaussian of a capture really decides: what compositing hides or thins is not seen."""
+"""How much each Gaussian of a capture contributes to its pictures: compositing hides some and thins others."""
 
 from __future__ import annotations
 
@@ -23,14 +23,15 @@ from engine.scene.camera import Camera
 from engine.scene.constants import LOW_PASS
 from engine.scene.gaussians import Gaussians
 
-__all__ = ["shown"]
+__all__ = ["contributions"]
 
 
-def shown(gaussians: Gaussians, cameras: Sequence[Camera]) -> NDArray[np.float32]:
-    """(N,). The opacity that each Gaussian is left with in the view that shows it best. Range [0, 1].
+def contributions(gaussians: Gaussians, cameras: Sequence[Camera]) -> NDArray[np.float32]:
+    """(N,). The opacity that compositing leaves each Gaussian in the view that shows it best. Range [0, 1].
 
-    In one view: the sum over pixels of alpha times the light that reaches it (its weight in the classic picture), over
-    the area 2 pi sqrt(det C) of its footprint. Alone in front of the camera that is its own opacity; behind others, 0.
+    In one view this is the Gaussian's weight in the classic picture, summed over the pixels (alpha times the
+    transmittance in front of it), over the area 2 pi sqrt(det C) of its footprint. A Gaussian alone in front of the
+    camera keeps its own opacity; one hidden behind others has 0.
     """
     means, scales, quats, opacities = (
         torch.from_numpy(np.ascontiguousarray(array, np.float32))
@@ -38,18 +39,18 @@ def shown(gaussians: Gaussians, cameras: Sequence[Camera]) -> NDArray[np.float32
     )
     best = np.zeros(len(gaussians), np.float32)
     for camera in cameras:
-        # A picture is linear in the colours: its derivative by one of them is that Gaussian's weight.
+        # A picture is linear in the colours, so its derivative by one of them is that Gaussian's weight.
         colours = torch.zeros(len(gaussians), 3, requires_grad=True)
         rasterize(means, scales, quats, opacities, colours, camera)[0][..., 0].sum().backward()
         assert colours.grad is not None
-        area = _areas(camera_record(camera), means.numpy(), scales.numpy(), quats.numpy())
+        area = _footprint_areas(camera_record(camera), means.numpy(), scales.numpy(), quats.numpy())
         best = np.maximum(best, colours.grad.numpy()[:, 0] / area)
     return np.minimum(best, 1)
 
 
 @njit(cache=True, error_model="numpy")
-def _areas(cam, means, scales, quats):  # type: ignore[no-untyped-def]
-    """(N,) float32. Integral of each unopposed footprint, pixels; infinite where there is none."""
+def _footprint_areas(cam, means, scales, quats):  # type: ignore[no-untyped-def]
+    """(N,) float32. Area of each footprint, pixels; infinite for a Gaussian that the camera does not see."""
     out = np.empty(len(means), np.float32)
     for i in range(len(means)):
         x, y, z = camera_point(cam, means[i, 0], means[i, 1], means[i, 2])

@@ -1,4 +1,4 @@
-"""What of a capture may be part of a skin: without haze, without what floats apart from the object."""
+"""Removes from a capture what cannot be part of a skin: haze, background, and floaters."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from engine.scene.gaussians import Gaussians
-from engine.solid.opacity_field import Grid, opacity_field
+from engine.scene.grid import Grid
+from engine.solid.opacity_field import opacity_field
 
 __all__ = ["WALL_OPACITY", "grid_around", "without_haze"]
 
@@ -16,37 +17,34 @@ WALL_OPACITY = 0.2
 (1 - exp(-0.3)). Captures have skins as thin as that, seen against what lies behind them."""
 
 HAZE_SIZE = 0.05
-"""Of the longest side. A Gaussian longer than this is haze if it is also faint."""
+"""Share of the longest side. A Gaussian longer than this is haze if it is also fainter than HAZE_OPACITY."""
 HAZE_OPACITY = 0.1
 
 HUGE = 0.25
-"""Of the longest side. Longer than this a Gaussian is background, whatever its opacity."""
+"""Share of the longest side. A Gaussian longer than this is background, whatever its opacity."""
 
 OUTLIER = 1.0
-"""Of the longest span between the 5th and 95th percentiles of the centres: a stem is not farther than this outside."""
+"""Share of the longest span between the 5th and 95th percentiles of the centres: no stem reaches farther out."""
 
 FLOATER = 0.003
-"""Of all Gaussians. A separate cluster with fewer of them is a floater: it may not widen the grid."""
+"""Share of all Gaussians. A separate cluster with fewer is a floater, which must not widen the grid."""
 
 COARSE = 64
-"""Cells along the longest side of the grid on which clusters are told apart."""
+"""Cells along the longest side of the grid that separates clusters."""
 
 MARGIN = 4
-"""Cells around the outermost centres: a wall's own thickness, and a way around it for the flood."""
+"""Cells around the outermost centres: room for the wall, and a way around it for the flood."""
 
 
 def grid_around(gaussians: Gaussians, cells: int) -> Grid | None:
-    """A grid around the centres with this many cells along their longest side; None if they all coincide."""
-    low, high = gaussians.means.min(0).astype(np.float64), gaussians.means.max(0).astype(np.float64)
-    cell = float((high - low).max()) / cells
-    if not cell > 0:
-        return None
-    shape = np.ceil((high - low) / cell).astype(int) + 2 * MARGIN
-    return Grid((low + high) / 2 - shape * cell / 2, cell, (int(shape[0]), int(shape[1]), int(shape[2])))
+    """The grid around the centres with `cells` cells along their longest side; None if they all coincide."""
+    bounds = np.stack([gaussians.means.min(0), gaussians.means.max(0)]).astype(np.float64)
+    cell = float((bounds[1] - bounds[0]).max()) / cells
+    return Grid.around(bounds, cell, MARGIN) if cell > 0 else None
 
 
 def without_haze(gaussians: Gaussians) -> tuple[Gaussians, list[str]]:
-    """The Gaussians that may be part of a skin, and what was left out."""
+    """The Gaussians that may be part of a skin, and a sentence on each kind that was left out."""
     finite = np.isfinite(gaussians.means).all(1) & np.isfinite(gaussians.scales).all(1) & (gaussians.opacities > 0)
     gaussians = gaussians[finite]
     if not len(gaussians):
@@ -67,13 +65,13 @@ def without_haze(gaussians: Gaussians) -> tuple[Gaussians, list[str]]:
 
 
 def _floaters(gaussians: Gaussians) -> NDArray[np.bool_]:
-    """(N,). Gaussians in clusters that are too small to be a part of the object."""
+    """(N,). Whether each Gaussian lies in a cluster too small to be part of the object."""
     grid = grid_around(gaussians, COARSE) if len(gaussians) else None
     if grid is None:
         return np.zeros(len(gaussians), bool)
     regions, count = ndimage.label(opacity_field(gaussians, grid, grid.cell) >= WALL_OPACITY)
     cells = np.clip(np.round(grid.index(gaussians.means)).astype(int), 0, np.array(grid.shape) - 1)
-    own = regions[tuple(cells.T)]
-    sizes = np.bincount(own, minlength=count + 1)
+    cluster = regions[tuple(cells.T)]
+    sizes = np.bincount(cluster, minlength=count + 1)
     sizes[0] = 0
-    return sizes[own] < min(FLOATER * len(gaussians), sizes.max())
+    return sizes[cluster] < min(FLOATER * len(gaussians), sizes.max())

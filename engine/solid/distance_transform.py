@@ -1,4 +1,8 @@
-"""The exact Euclidean distance transform of a grid, in parallel (Felzenszwalb and Huttenlocher 2012)."""
+"""The exact Euclidean distance transform of a grid, in parallel (Felzenszwalb and Huttenlocher 2012).
+
+Written by hand because SciPy's runs on one core; benchmarks/by_hand.py measures both, figures in
+docs/charts/by_hand.json.
+"""
 
 from __future__ import annotations
 
@@ -9,19 +13,19 @@ from numpy.typing import NDArray
 __all__ = ["nearest"]
 
 FAR = np.float32(1e12)
-"""Squared distance to a cell that does not exist: above any grid's, and its sums still differ in float32."""
+"""Squared distance where no cell is true: above any in a grid, yet float32 still resolves its sums."""
 
 
 def nearest(mask: NDArray[np.bool_]) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
-    """Distance in cells to the nearest true cell's centre, and that cell's flat index; both in the mask's shape.
+    """(X, Y, Z) twice. Distance in cells to the centre of the nearest true cell, and that cell's flat index.
 
-    The distance is infinite and the index -1 everywhere if no cell is true.
+    If no cell is true, every distance is infinite and every index -1.
     """
     assert mask.ndim == 3 and mask.size < 2**31, mask.shape
     squared = np.where(mask, np.float32(0), FAR)
     index = np.where(mask, np.arange(mask.size, dtype=np.int32).reshape(mask.shape), np.int32(-1))
     for axis in range(3):
-        # Each pass works on lines of the last axis, so the memory it walks through is contiguous.
+        # Each pass works on lines of the last axis, which are contiguous in memory.
         lines = np.ascontiguousarray(np.moveaxis(squared, axis, 2))
         owners = np.ascontiguousarray(np.moveaxis(index, axis, 2))
         _envelopes(lines.reshape(-1, lines.shape[2]), owners.reshape(-1, lines.shape[2]))

@@ -13,54 +13,47 @@ from engine.scene.gaussians import Gaussians
 from engine.scene.grid import Body
 from engine.solid.denoise_capture import WALL_OPACITY, grid_around, without_haze
 from engine.solid.distance_transform import nearest
-from engine.solid.enclosure import enclosed
-from engine.solid.opacity_field import Grid, opacity_field
+from engine.solid.enclosure import enclosed_cells
+from engine.solid.opacity_field import opacity_field
 from engine.solid.signed_distance import signed_depth
 
 __all__ = ["Enclosure", "find_body"]
 
 CORE_OPACITY = float(np.log(2))
-"""A wall needs a cell where a ray is half stopped, prod(1 - alpha) <= 1/2 at sum(alpha) = ln 2: mist has none."""
+"""A wall needs a cell that stops half of a ray, prod(1 - alpha) <= 1/2 at sum(alpha) = ln 2; mist has no such cell."""
 
 WIDEN = 0.5
-"""Cells. Least sigma in the opacity field: a sheet of opacity 1 is then a wall for 0.8 cells on both sides, and walls
-of two cells are tight for steps across faces."""
+"""Cells. Least sigma in the opacity field: a sheet of opacity 1 is then a wall for 0.8 cells on both sides, and a wall
+two cells thick lets no path of face neighbours through."""
 
 WALL_HALF = 1.2
-"""Cells. Half the thickness of the wall that a well covered sheet makes: half a cell times sqrt(2 ln(d / sigma_th)),
-0.8 where d = 1, 1.3 where d = 8. The skin is the outside's border, shifted by this."""
+"""Cells. Half the thickness of the wall of a well covered sheet: half a cell times sqrt(2 ln(d / sigma_th)), 0.8 at
+d = 1, 1.3 at d = 8. The skin is the border of the outside, shifted inwards by this."""
 
-SMALLEST = 0.01
-"""Of the largest hollow. Smaller ones are gaps between leaves or debris, not bodies."""
+MIN_SIZE = 0.01
+"""Share of the largest hollow's cells. Smaller hollows are gaps between leaves or debris, not bodies."""
 
 
 @dataclass(frozen=True)
 class Enclosure:
-    """The body that a capture encloses, and what it was found from."""
+    """The body that a capture encloses, and the shell that encloses it."""
 
     body: Body
     shell: Gaussians
     """The capture without haze."""
     opacity: NDArray[np.float32]
-    """(X, Y, Z). Opacity field of the shell on the body's grid, no axis thinner than WIDEN cells."""
+    """(X, Y, Z). Opacity field of the shell on the body's grid, no Gaussian thinner than WIDEN cells."""
     notes: tuple[str, ...] = field(default=())
-    """What the user should know: holes that were closed, what was left out. One sentence each."""
-
-    @staticmethod
-    def of(gaussians: Gaussians, body: Body) -> Enclosure:
-        """Where the body is known already."""
-        shell, _ = without_haze(gaussians)
-        grid = Grid(body.origin, body.cell, body.depth.shape)
-        return Enclosure(body, shell, opacity_field(shell, grid, WIDEN * body.cell))
+    """What the user should know, one sentence each: holes that were closed, Gaussians that were left out."""
 
 
 def find_body(gaussians: Gaussians, cells: int = 128, name: str = "scene") -> Enclosure:
     """The solid that a shell of Gaussians encloses, on a grid of `cells` cells along the longest side.
 
-    Everything inside of the outermost shell is solid, whatever debris or inner shells the capture holds there: they
-    cannot be seen, so they say nothing. A shell that leaks is closed where rays and caps hold a hollow for the inside
-    (engine.solid.enclosure). A single sheet (a mat, a leaf) encloses nothing.
-    Memory: about 60 bytes a cell, so 0.2 GB for 128 and 1.1 GB for 256, however many Gaussians there are.
+    Everything inside the outermost shell is solid: debris and inner shells were never visible, so they are no evidence.
+    A leaking shell is closed where rays and caps take a hollow for inside (engine.solid.enclosure). A single sheet (a
+    mat, a leaf) encloses nothing.
+    Memory: about 60 bytes per cell, so 0.2 GB for 128 and 1.1 GB for 256, whatever the number of Gaussians.
     Raises InputError if nothing is enclosed.
     """
     assert cells >= 8, cells
@@ -72,46 +65,45 @@ def find_body(gaussians: Gaussians, cells: int = 128, name: str = "scene") -> En
     grid = grid_around(shell, cells)
     if grid is None:
         raise InputError(f"{name}: no closed body found; all Gaussians stand at one point")
-    cell = grid.cell
-    opacity = opacity_field(shell, grid, WIDEN * cell)
+    opacity = opacity_field(shell, grid, WIDEN * grid.cell)
     wall = _walls(opacity)
-    closed, cap_faces = enclosed(wall)
-    inside = _bodies(_inner(closed, wall))
+    closed, cap_faces = enclosed_cells(wall)
+    inside = _drop_fragments(_trim_outer_wall(closed, wall))
     if not inside.any():
         raise InputError(
             f"{name}: no closed body found; the {len(shell)} Gaussians enclose nothing (flat, too open or too thin)"
         )
     depth = signed_depth(inside, shell, grid)
-    depth = np.where(_bodies(depth > 0) | (depth <= 0), depth, -np.abs(depth))
+    depth = np.where(_drop_fragments(depth > 0) | (depth <= 0), depth, -np.abs(depth))
     if cap_faces >= 1e-3 * np.count_nonzero(inside ^ ndimage.binary_erosion(inside)):
         skin_faces = np.count_nonzero(inside) - np.count_nonzero(ndimage.binary_erosion(inside))
         notes.append(f"the shell is open: holes, {cap_faces / (cap_faces + skin_faces):.1%} of its skin, were closed")
-    body = Body(grid.origin, cell, np.ascontiguousarray(depth, np.float32))
+    body = Body(grid, np.ascontiguousarray(depth, np.float32))
     return Enclosure(body, shell, opacity, tuple(notes))
 
 
 def _walls(opacity: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Cells that are opaque, or a little so and joined to some that are."""
+    """(X, Y, Z). Opaque cells, and slightly opaque ones connected to them."""
     regions, count = ndimage.label(opacity >= WALL_OPACITY)
     cores = np.zeros(count + 1, bool)
     cores[regions[opacity >= CORE_OPACITY]] = True
     return cores[regions]
 
 
-def _inner(closed: NDArray[np.bool_], wall: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """The closed cells without the outer half of the wall; a cap has no wall and is left where it is."""
-    touching = ~closed & ndimage.binary_dilation(wall)
-    return closed & (nearest(touching)[0] > WALL_HALF + 0.5)
+def _trim_outer_wall(closed: NDArray[np.bool_], wall: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """(X, Y, Z). The closed cells without the outer half of the wall; caps have no wall and stay."""
+    outer = ~closed & ndimage.binary_dilation(wall)
+    return closed & (nearest(outer)[0] > WALL_HALF + 0.5)
 
 
-def _bodies(inside: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """The inside without what is thinner than three cells, and without crumbs."""
+def _drop_fragments(inside: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """(X, Y, Z). The inside without parts thinner than three cells and without small separate pieces."""
     core = nearest(~inside)[0] > 1.5
     regions, count = ndimage.label(inside)
     if not count:
         return inside
     sizes = np.bincount(regions[core], minlength=count + 1)
     sizes[0] = 0
-    keep = (sizes >= max(8, SMALLEST * sizes.max())) & (sizes > 0)
+    keep = (sizes >= max(8, MIN_SIZE * sizes.max())) & (sizes > 0)
     opened = nearest(core & keep[regions])[0] <= 2.0
     return inside & opened & keep[regions]

@@ -3,55 +3,36 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
 from engine.scene.gaussians import Gaussians
-from engine.scene.rotations import matrices
+from engine.scene.grid import Grid
+from engine.scene.rotations import rotation_matrices
 
-__all__ = ["Grid", "moments", "opacity_field"]
+__all__ = ["moments", "opacity_field"]
 
 Float = NDArray[np.float32]
 
 CUTOFF = 3.0
-"""Standard deviations at which a Gaussian ends."""
+"""Standard deviations at which a Gaussian is cut off."""
 
 MIN_SIGMA = 1e-3
-"""Cells. Shortest axis: keeps the inverse covariance of a vanishing Gaussian finite."""
+"""Cells. Least sigma: keeps the inverse covariance of a degenerate Gaussian finite."""
 
 SLAB = 4
-"""Cell layers that one thread sums at a time: small enough to share the work evenly, and no two threads ever write
-to one cell, so the sums have a fixed order and repeat to the bit."""
-
-
-@dataclass(frozen=True)
-class Grid:
-    """Cubic cells in world space."""
-
-    origin: NDArray[np.float64]
-    """(3,). World position of the outer corner of cell (0, 0, 0)."""
-    cell: float
-    """Edge of a cell, world units."""
-    shape: tuple[int, int, int]
-
-    def index(self, points: NDArray[np.floating]) -> NDArray[np.float64]:
-        """(N, 3). Continuous cell coordinates of world points (N, 3); whole numbers at cell centres."""
-        return (points - self.origin) / self.cell - 0.5
-
-    def points(self, cells: NDArray[np.integer]) -> NDArray[np.float64]:
-        """(N, 3). World positions of the centres of cells (N, 3)."""
-        return self.origin + (cells + 0.5) * self.cell
+"""Cell layers that one thread sums at a time: few enough to balance the work. No two threads write to the same cell, so
+the sums have a fixed order and are bit-equal."""
 
 
 def opacity_field(gaussians: Gaussians, grid: Grid, widen: float = 0.0) -> Float:
-    """Grid shape. d(x) = sum_p opacity_p exp(-1/2 (x - x_p)^T Sigma_p^-1 (x - x_p)), cut off at 3 sigma.
+    """(X, Y, Z). d(x) = sum_p opacity_p exp(-1/2 (x - x_p)^T Sigma_p^-1 (x - x_p)), cut off at 3 sigma.
 
-    Axes shorter than `widen` (world units) count as `widen` long at the same opacity: a skin thinner than a cell is
-    then seen from the cell centres beside it instead of slipping between them, and d on the skin is what a ray that
-    crosses it meets.
+    Axes shorter than `widen` (world units) count as `widen` long at the same opacity. A skin thinner than a cell then
+    reaches the cell centres beside it instead of slipping between them, and d on the skin is the sum of the opacities
+    along a ray that crosses it.
     """
     return moments(gaussians, grid, widen, np.zeros((len(gaussians), 3), np.float32))[0]
 
@@ -62,13 +43,13 @@ def moments(
     widen: float,
     normals: Float,  # [N, 3]
 ) -> tuple[Float, Float]:
-    """The opacity field d(x), and sum_p d_p(x) n_p.(x - x_p) / cell; both in the grid's shape, summed in one pass.
+    """(X, Y, Z) twice. The opacity field d(x), and sum_p d_p(x) n_p.(x - x_p) / cell, in one pass.
 
-    The second over the first is the mean height of x over the tangent planes of the Gaussians around it, in cells.
+    The second over the first is the mean height of x over the tangent planes of the nearby Gaussians, in cells.
     """
     assert normals.shape == (len(gaussians), 3), normals.shape
     sigma = np.maximum(gaussians.scales / np.float32(grid.cell), np.float32(max(widen / grid.cell, MIN_SIGMA)))
-    axes = matrices(gaussians.quats)
+    axes = rotation_matrices(gaussians.quats)
     inverse = np.einsum("nij,nj,nkj->nik", axes, sigma**-2, axes)
     centres = grid.index(gaussians.means).astype(np.float32)
     reach = CUTOFF * np.sqrt(np.einsum("nij,nj->ni", axes**2, sigma**2))
@@ -76,12 +57,12 @@ def moments(
     high = np.clip(np.floor(centres + reach) + 1, 0, grid.shape).astype(np.int32)
     weight = np.zeros(grid.shape, np.float32)
     height = np.zeros(grid.shape, np.float32)
-    _add(weight, height, centres, inverse, gaussians.opacities, normals, low, high)
+    _accumulate(weight, height, centres, inverse, gaussians.opacities, normals, low, high)
     return weight, height
 
 
 @njit(cache=True, parallel=True)
-def _add(
+def _accumulate(
     weight: Float,  # [X, Y, Z], added to
     height: Float,  # [X, Y, Z], added to
     centres: Float,  # [N, 3] in cells
@@ -91,7 +72,7 @@ def _add(
     low: NDArray[np.int32],  # [N, 3] first cell of each Gaussian's box
     high: NDArray[np.int32],  # [N, 3] cell after the last
 ) -> None:
-    """Each thread owns slabs of the grid and goes through all Gaussians in their order."""
+    """Each thread owns slabs of the grid and visits all Gaussians in order."""
     limit = np.float32(CUTOFF * CUTOFF)
     half = np.float32(-0.5)
     zero = np.float32(0)
@@ -109,7 +90,7 @@ def _add(
                 for j in range(low[p, 1], high[p, 1]):
                     dy = np.float32(j) - cy
                     # Along z the distance is the parabola a22 dz^2 + 2 b dz + c; only its part under the limit is
-                    # visited, so a large flat Gaussian costs its own cells and not its box.
+                    # visited, so a large flat Gaussian costs the cells it covers, not its bounding box.
                     b = a[0, 2] * dx + a[1, 2] * dy
                     c = a[0, 0] * dx * dx + a[1, 1] * dy * dy + np.float32(2) * a[0, 1] * dx * dy
                     root = b * b - a[2, 2] * (c - limit)

@@ -1,4 +1,4 @@
-"""Signed depth under the skin: from which cells are inside to where exactly, between the cells, the skin runs."""
+"""Signed depth under the skin to a fraction of a cell, from the inside cells and the Gaussians along their border."""
 
 from __future__ import annotations
 
@@ -10,29 +10,30 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from engine.scene.gaussians import Gaussians
-from engine.scene.rotations import matrices
+from engine.scene.grid import Grid
+from engine.scene.rotations import rotation_matrices
 from engine.solid.distance_transform import nearest
-from engine.solid.opacity_field import Grid, moments
+from engine.solid.opacity_field import moments
 
 __all__ = ["signed_depth"]
 
 Float = NDArray[np.float32]
 
 SMOOTHING = 1.5
-"""Cells. Sigma at which the inside's indicator is smoothed before its gradient orients the skin."""
+"""Cells. Sigma of the smoothing of the inside's indicator, whose gradient orients the skin."""
 
 MIN_SLOPE = 0.08
-"""Per cell. Least gradient of the smoothed indicator at a Gaussian of the skin: a flat skin has 0.27 on it and 0.08
-at 2.3 cells; sheets with the same on both sides (a mat, debris inside) have 0."""
+"""Per cell. Least gradient of the smoothed indicator at a Gaussian of the skin. A flat skin has 0.27 on it and 0.08 at
+2.3 cells from it; a sheet with the same on both sides (a mat, debris inside) has 0."""
 
 WIDEN = 0.75
-"""Cells. Least sigma of a Gaussian in the mean of the tangent planes: reaches the cells on both sides of the skin."""
+"""Cells. Least sigma of a Gaussian in the mean of the tangent planes, so that it reaches cells on both sides."""
 
 SHIFT = 1.5
-"""Cells. Farthest that the tangent planes move the skin."""
+"""Cells. The tangent planes move the skin by at most this."""
 
 BAND = 2.0
-"""Cells. Around the skin the tangent planes decide; farther away the distance to it."""
+"""Cells. Within this distance of the skin the tangent planes decide the depth; beyond it, the distance to the skin."""
 
 
 def signed_depth(
@@ -40,35 +41,36 @@ def signed_depth(
     gaussians: Gaussians,
     grid: Grid,
 ) -> Float:
-    """(X, Y, Z). Distance to the skin in world units, positive inside. Infinite if nothing or all is inside.
+    """(X, Y, Z). Distance to the skin in world units, positive inside. Infinite if no cell or every cell is inside.
 
-    Near the skin it is the mean height over the tangent planes of the Gaussians around (weighted by their density, as
-    implicit moving least squares do, Kolluri 2008); on caps, where there are none, over the smoothed cells.
+    Near the skin it is the mean height over the tangent planes of the nearby Gaussians, weighted by their density
+    (implicit moving least squares, Kolluri 2008). Caps have no Gaussians; there it is the distance to the smoothed
+    cells.
     """
-    rough = _rough(inside)
-    skin, normals = _oriented(inside, gaussians, grid)
+    coarse = _coarse_distance(inside)
+    skin, normals = _oriented_surface(inside, gaussians, grid)
     weight, height = moments(skin, grid, WIDEN * grid.cell, normals)
-    found = weight > 1e-4
-    planes = np.where(found, -height / np.where(found, weight, 1), rough)
-    sure = np.clip(weight / 0.05, 0, 1)  # the faint skirts of the last planes fade into the smoothed cells
-    # Planes of a corner go on behind it: they may move the skin between cells, not make a new one.
-    planes = np.clip(planes, rough - SHIFT, rough + SHIFT)
-    level = np.where(np.abs(rough) <= BAND + 1, sure * planes + (1 - sure) * rough, rough)
-    return _redistanced(level.astype(np.float32)) * np.float32(grid.cell)
+    covered = weight > 1e-4
+    planes = np.where(covered, -height / np.where(covered, weight, 1), coarse)
+    confidence = np.clip(weight / 0.05, 0, 1)  # where the planes fade out, the smoothed cells take over
+    # Tangent planes extend beyond corners: they may shift the skin, but not create another one.
+    planes = np.clip(planes, coarse - SHIFT, coarse + SHIFT)
+    level = np.where(np.abs(coarse) <= BAND + 1, confidence * planes + (1 - confidence) * coarse, coarse)
+    return _redistance(level.astype(np.float32)) * np.float32(grid.cell)
 
 
-def _rough(inside: NDArray[np.bool_]) -> Float:
-    """Signed distance in cells to the faces between inside and outside, smoothed by one cell."""
+def _coarse_distance(inside: NDArray[np.bool_]) -> Float:
+    """(X, Y, Z). Signed distance in cells to the faces between inside and outside, smoothed by one cell."""
     depth = nearest(~inside)[0] - np.float32(0.5)
     height = nearest(inside)[0] - np.float32(0.5)
     return ndimage.gaussian_filter(np.where(inside, depth, -height), 1.0)
 
 
-def _oriented(inside: NDArray[np.bool_], gaussians: Gaussians, grid: Grid) -> tuple[Gaussians, Float]:
-    """The Gaussians that make the skin, and their outward unit normals (N, 3).
+def _oriented_surface(inside: NDArray[np.bool_], gaussians: Gaussians, grid: Grid) -> tuple[Gaussians, Float]:
+    """The Gaussians that make up the skin, and their outward unit normals (N, 3).
 
-    The normal is the thin axis, turned outwards; a blob without one, or a Gaussian that lies across the skin, takes
-    the direction in which the inside ends.
+    The normal is the thinnest axis, turned outwards. A Gaussian without a thin axis, or across the skin, takes the
+    direction in which the smoothed inside falls off.
     """
     smooth = ndimage.gaussian_filter(inside.astype(np.float32), SMOOTHING)
     index = grid.index(gaussians.means).T
@@ -82,7 +84,7 @@ def _oriented(inside: NDArray[np.bool_], gaussians: Gaussians, grid: Grid) -> tu
     size = np.linalg.norm(slope, axis=1)
     keep = size >= MIN_SLOPE
     skin, outward = gaussians[keep], -slope[keep] / size[keep, None]
-    axes = matrices(skin.quats)
+    axes = rotation_matrices(skin.quats)
     order = np.argsort(skin.scales, axis=1)
     rows = np.arange(len(skin))
     thin = axes[rows, :, order[:, 0]]
@@ -90,14 +92,14 @@ def _oriented(inside: NDArray[np.bool_], gaussians: Gaussians, grid: Grid) -> tu
     flat = skin.scales[rows, order[:, 0]] < 0.5 * skin.scales[rows, order[:, 1]]
     use = flat & (np.abs(along) > 0.5)
     normals = np.where(use[:, None], thin * np.sign(along)[:, None], outward).astype(np.float32)
-    # A thick Gaussian says less about where the skin runs than a thin one.
+    # The thicker a Gaussian, the less it says about where the skin lies.
     thickness = np.sqrt(np.einsum("nij,ni,nj->n", axes**2, normals**2, skin.scales**2)) / grid.cell
     opacities = (skin.opacities / (1 + thickness**2)).astype(np.float32)
     return Gaussians(skin.means, skin.scales, skin.quats, opacities, skin.sh), normals
 
 
-def _redistanced(level: Float) -> Float:
-    """The same zero surface with the true distance to it everywhere, in cells."""
+def _redistance(level: Float) -> Float:
+    """(X, Y, Z). The distance in cells to the zero surface of `level`, with its sign (level set redistancing)."""
     inside = level > 0
     if inside.all() or not inside.any():
         return np.where(inside, np.inf, -np.inf).astype(np.float32)
@@ -110,22 +112,24 @@ def _redistanced(level: Float) -> Float:
     _, index = nearest(mask.reshape(level.shape))
     owner = (np.cumsum(mask, dtype=np.int32) - 1)[index]
     for step in (4, 2, 1):
-        owner, far = _nearer(feet, owner, step)
+        owner, far = _jump_flood(feet, owner, step)
     share = np.clip(far - BAND, 0, 1)
-    own = np.minimum(np.abs(level), far + 1)
-    return np.where(inside, 1, -1).astype(np.float32) * (own * (1 - share) + far * share)
+    clamped = np.minimum(np.abs(level), far + 1)
+    return np.where(inside, 1, -1).astype(np.float32) * (clamped * (1 - share) + far * share)
 
 
 STAR = ((0, 0, 0), (1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1))
 
 
 @njit(cache=True, parallel=True)
-def _nearer(
+def _jump_flood(
     feet: Float,  # [F, 3] points of the skin, in cells
     owner: NDArray[np.int32],  # [X, Y, Z] a foot near each cell
     step: int,
 ) -> tuple[NDArray[np.int32], Float]:
-    """The nearest of the feet of a cell and of its six neighbours at `step`, and the distance to it (jump flooding)."""
+    """For each cell the nearest of its foot and those of its six neighbours at `step`, and the distance to it.
+
+    One pass of jump flooding (Rong and Tan 2006)."""
     nx, ny, nz = owner.shape
     best = np.empty_like(owner)
     distance = np.empty(owner.shape, np.float32)

@@ -1,4 +1,4 @@
-"""Where the atoms of a skin leave holes, and patches over them."""
+"""Finds holes between the atoms of a skin and patches them."""
 
 from __future__ import annotations
 
@@ -9,42 +9,42 @@ from scipy.spatial import KDTree
 from engine.scene.atoms import SurfaceAtoms
 from engine.scene.gaussians import Gaussians
 from engine.scene.grid import Body
-from engine.scene.rotations import matrices
+from engine.scene.rotations import rotation_matrices
 
-__all__ = ["coverage_at", "inwards", "patches", "skin_points"]
+__all__ = ["coverage_at", "inward_normals", "patch_holes", "sample_skin"]
 
 Float = NDArray[np.float32]
 
 NEIGHBOURS = 24
-"""Nearest atoms that are asked whether they cover a point: more than overlap anywhere on a usual skin."""
+"""Nearest atoms that may cover a point: more than overlap anywhere on a usual skin."""
 
 BEHIND = 0.5
-"""Pitches. An atom covers a point of the skin from as far before or behind it: the layer that is blended is thicker."""
+"""Pitches. Distance in front of or behind the skin from which an atom still covers it; the blended layer is thicker."""
 
 DENSITY = 2.0
-"""Points of the skin a squared pitch at which holes are looked for, and so the most patches that a hole gets."""
+"""Points per squared pitch of skin that are tested for a hole, and so the most patches that a hole gets."""
 
 PATCH_SIGMA = 0.5
-"""Pitches. Patches DENSITY apart then overlap to a sum of 3."""
+"""Pitches. Kernels of patches at this DENSITY then add up to 3."""
 
 PATCH_THICKNESS = 0.2
-"""Pitches. Flat, as the skin is."""
+"""Pitches. Flat like the skin."""
 
 COVERED = 0.7
-"""Greatest weight of an atom at a point of the skin from which it shows no hole: a pixel has its depth from atoms that
-are half their height there (CORE_Q), and the points asked stand apart. Several faint ones may add up to
-a colour, but what stands behind them would show through."""
+"""Weight of a single atom from which a point of the skin counts as covered. A pixel takes its depth from atoms at half
+their height or more (CORE_Q), and the tested points lie apart. Several faint atoms may add up to a colour, but what
+lies behind them would show through."""
 
 
-def inwards(body: Body, points: NDArray[np.floating]) -> NDArray[np.float64]:
-    """(N, 3). Unit direction into the body at points (N, 3); zero on its medial axis."""
-    step = np.eye(3) * body.cell
+def inward_normals(body: Body, points: NDArray[np.floating]) -> NDArray[np.float64]:
+    """(N, 3). Unit directions into the body at points (N, 3); zero on its medial axis."""
+    step = np.eye(3) * body.grid.cell
     slope = np.stack([body.at(points + s) - body.at(points - s) for s in step], axis=1).astype(np.float64)
     return slope / np.maximum(np.linalg.norm(slope, axis=1, keepdims=True), 1e-12)
 
 
-def skin_points(body: Body, spacing: float) -> NDArray[np.float64]:
-    """(N, 3). Points on the skin, about one on each spacing^2 of it: the feet of a lattice's outer layer."""
+def sample_skin(body: Body, spacing: float) -> NDArray[np.float64]:
+    """(N, 3). Points on the skin, about one per spacing^2: the outer layer of a lattice, projected onto it."""
     low, high = body.bounds()
     axes = [np.arange(a - spacing / 2, b + spacing, spacing) for a, b in zip(low, high, strict=True)]
     parts = [np.zeros((0, 3))]
@@ -54,22 +54,22 @@ def skin_points(body: Body, spacing: float) -> NDArray[np.float64]:
         parts.append(layer[(depth > 0) & (depth <= spacing)])
     points = np.concatenate(parts)
     for _ in range(2):
-        points = points - inwards(body, points) * body.at(points)[:, None]
+        points = points - inward_normals(body, points) * body.at(points)[:, None]
     return points
 
 
 def coverage_at(
     surface: SurfaceAtoms, points: NDArray[np.floating], normals: NDArray[np.floating], pitch: float
 ) -> Float:
-    """(N,). Greatest weight of an atom at points of the skin (N, 3) with normals (N, 3), seen along the normals.
+    """(N,). Greatest weight of any atom at points of the skin (N, 3) with normals (N, 3). Range [0, 1].
 
-    Across the skin an atom counts as BEHIND thicker than it is; along it as large as it is, so that gaps show.
+    Atoms are widened by BEHIND across the skin; along it they keep their size, so that gaps show.
     """
     if not len(surface) or not len(points):
         return np.zeros(len(points), np.float32)
     count = min(NEIGHBOURS, len(surface))
     rows = KDTree(surface.means).query(points, k=count)[1].reshape(-1, count)
-    axes = matrices(surface.quats)
+    axes = rotation_matrices(surface.quats)
     most = np.zeros(len(points), np.float32)
     for neighbour in rows.T:
         frame = axes[neighbour]
@@ -80,7 +80,7 @@ def coverage_at(
     return most
 
 
-def patches(
+def patch_holes(
     surface: SurfaceAtoms,
     gaussians: Gaussians,
     body: Body,
@@ -88,19 +88,20 @@ def patches(
     opacity: Float,  # opacity field of the Gaussians on the body's grid
     least: float,
 ) -> SurfaceAtoms:
-    """Flat atoms over the holes of the skin where the capture itself has one, at least `least` opaque.
+    """Flat atoms over holes between the surface atoms where the capture has a skin of opacity `least` or more.
 
-    Where it has none (an open bottom) nothing is added. A patch has the mean colour of the Gaussians around it.
+    Nothing is added where the capture itself is open (a missing bottom). A patch takes the mean colour of the Gaussians
+    around it.
     """
-    points = skin_points(body, pitch / DENSITY**0.5)
-    normals = -inwards(body, points)
-    field = Body(body.origin, body.cell, opacity)
-    there = np.max([field.at(points + step * body.cell * normals) for step in (-1, 0, 1)], axis=0) >= least
-    points, normals = points[there], normals[there]
-    bare = coverage_at(surface, points, normals, pitch) < COVERED
-    points, normals = points[bare], normals[bare]
+    points = sample_skin(body, pitch / DENSITY**0.5)
+    normals = -inward_normals(body, points)
+    samples = [body.grid.sample(opacity, points + step * body.grid.cell * normals) for step in (-1, 0, 1)]
+    opaque = np.max(samples, axis=0) >= least
+    points, normals = points[opaque], normals[opaque]
+    uncovered = coverage_at(surface, points, normals, pitch) < COVERED
+    points, normals = points[uncovered], normals[uncovered]
     n = len(points)
-    # The half turn about the middle between z and the normal takes one to the other.
+    # A half turn about the bisector of z and the normal takes one to the other.
     half = normals + np.where(normals[:, 2:] < -0.999, [1.0, 0, 1], [0.0, 0, 1])
     quats = np.column_stack([np.zeros(n), half / np.linalg.norm(half, axis=1, keepdims=True)])
     sigma = np.array([PATCH_SIGMA, PATCH_SIGMA, PATCH_THICKNESS]) * pitch

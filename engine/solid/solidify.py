@@ -1,6 +1,7 @@
-"""From a hollow capture to a solid of atoms without colours inside: what the trainer and the window both begin with.
+"""Turns a hollow capture into a solid of atoms, still without interior colours.
 
-They must agree atom by atom, or the window could not show the colours that a training has reached.
+The trainer and the window both begin here and must agree atom by atom, or the window could not
+show the colours of a training in progress.
 """
 
 from __future__ import annotations
@@ -11,28 +12,29 @@ from engine.solid.atomise import Atomised, atomise
 from engine.solid.fill import fill
 from engine.solid.find_body import Enclosure, find_body
 
-__all__ = ["enclosed", "skin_of", "solidify"]
+__all__ = ["atomise_surface", "find_enclosure", "solidify"]
 
 BODY_CELLS = 128
-"""Cells along the longest side of the grid on which the body is found; its depth is exact to a part of a cell."""
+"""Least number of cells along the longest side of the grid on which the body is found; its depth is accurate to a
+fraction of a cell."""
 
 
-def enclosed(gaussians: Gaussians, cells: int, name: str) -> Enclosure:
-    """The body that a capture encloses, for atoms of which `cells` lie along its longest side.
+def find_enclosure(gaussians: Gaussians, cells: int, name: str) -> Enclosure:
+    """The body that a capture encloses, fine enough for `cells` atoms along its longest side.
 
-    Raises InputError, which begins with `name`, where it encloses nothing.
+    Raises InputError, which begins with `name`, if it encloses nothing.
     """
     return find_body(gaussians, max(BODY_CELLS, cells), name)
 
 
-def skin_of(gaussians: Gaussians, enclosure: Enclosure, cells: int) -> tuple[Atomised, float]:
-    """The body's skin in atoms, and their pitch: `cells` of them lie along the body's longest side."""
+def atomise_surface(gaussians: Gaussians, enclosure: Enclosure, cells: int) -> tuple[Atomised, float]:
+    """The body's surface atoms, and their pitch: the body's longest side over `cells`."""
     low, high = enclosure.body.bounds()
     pitch = float((high - low).max()) / cells
     return atomise(gaussians, pitch, enclosure), pitch
 
 
 def solidify(gaussians: Gaussians, enclosure: Enclosure, cells: int, seed: int) -> Atoms:
-    """The body's skin and an even grey inside. Bit-equal for the same input."""
-    skin, pitch = skin_of(gaussians, enclosure, cells)
-    return Atoms(skin.atoms, fill(enclosure.body, pitch, seed, skin.atoms), pitch)
+    """The body's surface atoms and an even grey interior. Bit-equal for the same input."""
+    surface, pitch = atomise_surface(gaussians, enclosure, cells)
+    return Atoms(surface.atoms, fill(enclosure.body, pitch, seed, surface.atoms), pitch)

@@ -44,7 +44,7 @@ def test_a_plane_meets_a_ball_in_a_circle(ball: Body, height: float) -> None:
     assert np.abs(plane.distance(lines)).max() < 1e-9
     radii = np.linalg.norm(lines - (centre + height * normal), axis=2)
     true = (1 - height**2) ** 0.5
-    assert np.abs(radii - true).max() < (0.6 if height < 0.8 else 1.5) * ball.cell
+    assert np.abs(radii - true).max() < (0.6 if height < 0.8 else 1.5) * ball.grid.cell
     assert length(lines) == pytest.approx(2 * np.pi * true, rel=0.03)
     # Each end is the end of exactly two segments: the line is closed.
     _, counts = np.unique(np.round(lines.reshape(-1, 3), 7), axis=0, return_counts=True)

@@ -126,7 +126,7 @@ def test_an_evaluation_takes_its_worker_with_it(tmp_path: Path) -> None:
 
 
 ENDS = """
-from engine.command import run_command, tell
+from engine.command import print_result, run_command
 def command() -> None:
     {}
 run_command("fruitninja-test", command, [])
@@ -154,10 +154,13 @@ def test_what_slips_through_is_one_line() -> None:
 def test_output_that_cannot_be_written_is_said() -> None:
     full = "fruitninja-test: standard output: cannot be written (No space left on device)\n"
     with open("/dev/full", "w") as stdout:
-        assert ended("tell('result.ply')", stdout=stdout) == (2, full)
+        assert ended("print_result('result.ply')", stdout=stdout) == (2, full)
         events = "from training.events import Reporter; Reporter.open('-').emit('first')"
         assert ended(events, stdout=stdout) == (2, full)
     read, write = os.pipe()
     os.close(read)
-    assert ended("tell('result.ply')", stdout=write) == (2, full.replace("No space left on device", "Broken pipe"))
+    assert ended("print_result('result.ply')", stdout=write) == (
+        2,
+        full.replace("No space left on device", "Broken pipe"),
+    )
     os.close(write)

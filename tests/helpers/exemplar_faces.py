@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from engine.scene.grid import Body
+from engine.scene.grid import Body, Grid
 
 UP = np.array([0.0, 0.0, 1.0])
 RIND, FLESH, SEED = np.array([0.1, 0.5, 0.1]), np.array([0.85, 0.15, 0.15]), np.array([0.05, 0.03, 0.02])
@@ -21,8 +21,8 @@ def quiet(_: float) -> None:
 def ball(n: int = 24) -> Body:
     """A ball of radius 1."""
     cell = 2 / n
-    body = Body(np.full(3, -1 - 3 * cell), cell, np.zeros((n + 6,) * 3, np.float32))
-    return Body(body.origin, cell, (1 - np.linalg.norm(body.centres(), axis=-1)).astype(np.float32))
+    grid = Grid(np.full(3, -1 - 3 * cell), cell, (n + 6,) * 3)
+    return Body(grid, (1 - np.linalg.norm(grid.centres(), axis=-1)).astype(np.float32))
 
 
 def disc(size: int = 160, seeds: int = 0, radius: float = 0.8) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:

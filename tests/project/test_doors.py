@@ -31,7 +31,7 @@ DANGEROUS = {
 }
 """What a call or an import is named, in full, that opens a door."""
 
-GUARDS = r"(files\.)?(open_file|read_file|atomic|claimed)|save_file"
+GUARDS = r"(files\.)?(open_file|read_file|atomic|locked_folder)|save_file"
 """What may be anywhere, as long as the document has it."""
 
 MODE = re.compile(r"[rwax][bt+]*")
@@ -63,7 +63,6 @@ ALLOWED = {
     "weights": {
         "app/jobs/live_colours.py",
         "app/jobs/scene_loader.py",
-        "engine/fit/view_weights.py",
         "training/checkpoint.py",
         "training/evaluate/cuts.py",
         "training/evaluate/features.py",

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from engine.errors import InputError
-from engine.io.files import atomic, claimed, sweep
+from engine.io.files import atomic, locked_folder, remove_leftovers
 from tests.paths import ROOT, SAMPLES
 from training.checkpoint import Checkpoint
 from training.events import Reporter
@@ -62,7 +62,7 @@ def test_a_killed_writer_leaves_nothing_after_the_next_start(tmp_path):
     writer = atomic(tmp_path / "previews/radial_001.png")
     left = writer.__enter__()
     assert left.exists()
-    sweep(tmp_path)
+    remove_leftovers(tmp_path)
     assert not left.exists()
     assert keep.exists()
 
@@ -94,14 +94,17 @@ def test_a_link_in_a_result_folder_leads_nowhere(name: str, tmp_path: Path) -> N
 
 def test_a_folder_is_written_by_one_run_at_a_time(tmp_path: Path) -> None:
     out = tmp_path / "new/out"
-    ask = f"from pathlib import Path; from engine.io.files import claimed\nwith claimed(Path({str(out)!r})): pass"
+    ask = (
+        "from pathlib import Path; from engine.io.files import locked_folder\n"
+        f"with locked_folder(Path({str(out)!r})): pass"
+    )
 
     def another() -> subprocess.CompletedProcess[str]:
         return subprocess.run([sys.executable, "-c", ask], capture_output=True, text=True, check=False, cwd=ROOT)
 
-    with claimed(out):
+    with locked_folder(out):
         assert "another run is writing there" in another().stderr
     assert another().returncode == 0
     assert not list(out.iterdir())
-    with pytest.raises(InputError, match="cannot be written here"), claimed(Path("/proc/none")):
+    with pytest.raises(InputError, match="cannot be written here"), locked_folder(Path("/proc/none")):
         pass

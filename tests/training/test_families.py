@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from engine.errors import InputError
-from engine.scene.camera import on_plane, section
-from engine.scene.grid import Body
+from engine.scene.camera import plane_points, section
+from engine.scene.grid import Body, Grid
 from engine.scene.plane import Plane
 from training.cli import parse_families
 from training.families import Family
@@ -18,17 +18,15 @@ UP = np.array([0.0, 0.0, 1.0])
 def ball(radius: float = 0.8, cells: int = 40, centre: tuple[float, float, float] = (0.3, -0.2, 0.5)) -> Body:
     cell = 2.2 * radius / cells
     origin = np.asarray(centre) - 1.1 * radius
-    empty = Body(origin, cell, np.zeros((cells,) * 3, np.float32))
-    return Body(
-        origin, cell, (radius - np.linalg.norm(empty.centres() - np.asarray(centre), axis=-1)).astype(np.float32)
-    )
+    grid = Grid(origin, cell, (cells,) * 3)
+    return Body(grid, (radius - np.linalg.norm(grid.centres() - np.asarray(centre), axis=-1)).astype(np.float32))
 
 
 def test_body_knows_its_volume_and_depth():
     body = ball()
     assert body.volume == pytest.approx(4 / 3 * np.pi * 0.8**3, rel=0.01)
     assert body.at(np.array([[0.3, -0.2, 0.9]]))[0] == pytest.approx(0.4, abs=0.01)
-    assert body.resampled(body.cell / 2).volume == pytest.approx(body.volume, rel=0.01)
+    assert body.resampled(body.grid.cell / 2).volume == pytest.approx(body.volume, rel=0.01)
 
 
 def test_a_stack_is_even_and_covers_the_body():
@@ -64,7 +62,7 @@ def test_a_range_takes_a_part_of_the_extent_and_of_the_angles():
 def test_a_section_camera_sees_its_plane_with_up_upwards():
     plane = Plane.through((0.3, -0.2, 0.5), (1.0, 0.4, 0.0))
     camera = section(plane, UP, ball().bounds(), 64)
-    points = on_plane(camera, plane)
+    points = plane_points(camera, plane)
     assert np.abs(plane.distance(points)).max() < 1e-5
     assert (np.diff(points[:, 32, 2]) < 0).all()
     assert np.linalg.det(camera.viewmat[:3, :3]) == pytest.approx(1.0)

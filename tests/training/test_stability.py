@@ -21,12 +21,12 @@ from PIL import Image
 import training.optimise.trainer
 import training.request
 from engine.errors import InputError
-from engine.fit.sh_fit import refit
+from engine.fit.sh_fit import fit_sh
 from engine.io.splats.ply import write_ply
 from engine.io.trained import load_trained
 from engine.scene.atoms import Atoms, InteriorAtoms
 from engine.scene.gaussians import Gaussians
-from engine.scene.grid import Body
+from engine.scene.grid import Body, Grid
 from engine.scene.plane import Plane
 from engine.solid.fill import Colours
 from engine.solid.find_body import find_body
@@ -236,11 +236,11 @@ def crossed(atoms: Atoms) -> list[Section]:
     """A cut face along each of two planes that cross."""
     low, high = atoms.bounds
     cell = float((high - low).max()) / 24
-    shape = tuple(int(n) for n in np.ceil((high - low) / cell) + 4)
-    empty = Body((low - 2 * cell).astype(np.float64), cell, np.zeros(shape, np.float32))
+    x, y, z = (int(n) for n in np.ceil((high - low) / cell) + 4)
+    grid = Grid((low - 2 * cell).astype(np.float64), cell, (x, y, z))
     middle = (low + high) / 2
-    depth = float((high - low).max()) / 2 - np.linalg.norm(empty.centres() - middle, axis=-1)
-    body = Body(empty.origin, cell, depth.astype(np.float32))
+    depth = float((high - low).max()) / 2 - np.linalg.norm(grid.centres() - middle, axis=-1)
+    body = Body(grid, depth.astype(np.float32))
     up = np.array([0.0, 0.0, 1.0])
     families = [Family("horizontal", 1), Family("radial", 1)]
     return sections(atoms, slices(body, up, families, 48), lambda _: None)
@@ -301,5 +301,5 @@ def test_colours_under_black_come_back_to_light(dark: float) -> None:
     """The clamp at 0 has no gradient: a fit that starts under it must not stay there."""
     truth = patches(1, 1)
     start = replace(truth, surface=replace(truth.surface, sh=np.full_like(truth.surface.sh, dark)))
-    result = refit(start, views_of(truth, 12))
+    result = fit_sh(start, views_of(truth, 12))
     assert result.held_out[1] > 20

@@ -13,9 +13,9 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
-from engine.command import FAILED, REFUSED, Stop, Stopped, run_command, tell
+from engine.command import FAILED, REFUSED, Stop, Stopped, print_result, run_command
 from engine.errors import InputError
-from engine.io.files import atomic, claimed
+from engine.io.files import atomic, locked_folder
 from training.batch.grid import Outcome, run_grid
 from training.batch.manifest import Mistakes, read_manifest
 from training.batch.scene import scene_task
@@ -54,7 +54,7 @@ def batch(
     summary = Summary(out / "batch.json", manifest)
     summary.write(())  # whether it can be written at all is better known now
     stop.listen()
-    with claimed(out), Board(tasks) as board:
+    with locked_folder(out), Board(tasks) as board:
         known = {task.name: Outcome(task) for task in tasks}
 
         def told(outcome: Outcome, line: dict[str, Any]) -> None:
@@ -63,11 +63,11 @@ def batch(
             if not line:
                 summary.write(known.values())
 
-        outcomes = run_grid(tasks, told, stop.asked, scheduler=scheduler, count=workers, gigabytes=need)
+        outcomes = run_grid(tasks, told, stop.requested, scheduler=scheduler, count=workers, gigabytes=need)
     for outcome in outcomes:
         if outcome.status == "failed":
             print(f"fruitninja-batch: {outcome.task.name}: {outcome.error}", file=sys.stderr)
-    tell(str(out / "batch.json"))
+    print_result(str(out / "batch.json"))
     if any(outcome.status == "stopped" for outcome in outcomes):
         raise Stopped(stop.number, "stopped; the same command goes on")
     if any(outcome.status == "failed" for outcome in outcomes):

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from engine.errors import InputError
-from engine.io.files import Lines, claimed
+from engine.io.files import LineWriter, locked_folder
 from training.batch.task import Stopped, Task, say, stopped
 from training.checkpoint import Checkpoint
 from training.events import Reporter
@@ -34,7 +34,7 @@ def train_scene(request: Request, out: Path, fingerprint: str) -> dict[str, Any]
     if request.fingerprint() != fingerprint:
         raise InputError(f"{request.scene}: this worker sees other files under these paths; share one folder with all")
     checkpoint = Checkpoint(out / "checkpoint", fingerprint)
-    with claimed(out), closing(Lines(out / "events.jsonl")) as file:
+    with locked_folder(out), closing(LineWriter(out / "events.jsonl")) as file:
         events = _Events(file)
         with Reporter(events) as reporter:
             reporter.emit("started", host=platform.node(), pid=os.getpid())
@@ -63,7 +63,7 @@ def whole(checkpoint: Checkpoint) -> bool:
 class _Events(io.StringIO):
     """Where a run's lines go: to a file that stays, and to whoever runs the grid."""
 
-    def __init__(self, file: Lines) -> None:
+    def __init__(self, file: LineWriter) -> None:
         super().__init__()
         self.file = file
         self.warnings: list[str] = []

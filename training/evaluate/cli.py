@@ -8,9 +8,9 @@ from typing import Annotated, cast, get_args
 
 import typer
 
-from engine.command import FAILED, run_command, tell
+from engine.command import FAILED, print_result, run_command
 from engine.errors import InputError
-from engine.io.files import claimed, sweep
+from engine.io.files import locked_folder, remove_leftovers
 from training.evaluate.grid import Cell, cells, perform_all, perform_on
 from training.evaluate.methods import METHODS
 from training.evaluate.report import write_report
@@ -46,11 +46,11 @@ def evaluate(
         clip,
         out.absolute(),
     )
-    with claimed(out):
-        sweep(out)
+    with locked_folder(out):
+        remove_leftovers(out)
         failed = perform_all(grid, told) if scheduler is None else perform_on(scheduler, grid, told)
         page = write_report(grid, failed, out)
-    tell(str(page))
+    print_result(str(page))
     if failed:
         raise typer.Exit(FAILED)
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from safetensors.numpy import load_file, save_file
 
 from engine.io.files import atomic
-from engine.scene.camera import Camera, equator, on_plane, section
+from engine.scene.camera import Camera, equator, plane_points, section
 from engine.scene.plane import Plane
 from sample_scenes.solids import Solid, directions
 from training.families import Family
@@ -48,7 +48,7 @@ class Cut:
     @property
     def points(self) -> Float:
         """(H, W, 3). World points of the pixels."""
-        return on_plane(self.camera, self.plane)
+        return plane_points(self.camera, self.plane)
 
     def place(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """(M, 2). Column and row, in array indices, where world points (M, 3) are seen."""

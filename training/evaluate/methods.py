@@ -28,7 +28,7 @@ from engine.render.cpu.kernel_field import KernelField
 from engine.render.cpu.opaque import render
 from engine.scene import sh
 from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
-from engine.scene.camera import Camera, on_plane
+from engine.scene.camera import Camera, plane_points
 from engine.scene.grid import Body
 from engine.scene.plane import Plane
 from engine.solid.fill import Colours, fill
@@ -213,8 +213,8 @@ class Oracle:
         progress: Progress,
     ) -> Volume:
         """The truth."""
-        grid = body.resampled(float(np.ptp(body.bounds(), axis=0).max()) / voxels)
-        return TrueVolume(grid, self.solid.colour(grid.centres()), self.solid)
+        fine = body.resampled(float(np.ptp(body.bounds(), axis=0).max()) / voxels)
+        return TrueVolume(fine, self.solid.colour(fine.grid.centres()), self.solid)
 
 
 def oracle(subject: Subject, request: Tuned, out: Path) -> Made:
@@ -345,7 +345,7 @@ def inpainting(subject: Subject, request: Tuned, out: Path) -> Made:
     def show(number: int, cut: Cut) -> Float:
         family = nearest_family(cut.plane, request.families, geometry)
         small = cut.camera.resized(size, size)
-        condition = conditioned(family, geometry.body, extent, small, on_plane(small, cut.plane))
+        condition = conditioned(family, geometry.body, extent, small, plane_points(small, cut.plane))
         start = np.where(condition.inside[..., None], condition.render, np.float32(1))
         label = distill(start, prior, condition, np.random.default_rng([request.seed, number]))
         zoom = cut.camera.width / size

@@ -17,7 +17,7 @@ from scipy import ndimage
 from engine.errors import InputError
 from engine.io.files import atomic
 from engine.io.splats.ply import write_ply
-from engine.scene.grid import Body
+from engine.scene.grid import Body, Grid
 from engine.scene.plane import Plane
 from engine.solid.distance_transform import nearest
 from sample_scenes.exemplars import photograph
@@ -145,7 +145,7 @@ def thigh(path: Path) -> Solid:
     centre = np.array([(side.min() + side.max() + 1) / 2 for side in sides])
     deep = nearest(~inside)[0] - nearest(inside)[0]
     depth = ndimage.gaussian_filter(deep, 1.0) * np.float32(size)
-    body = Body(-centre * size, size, depth)
+    body = Body(Grid(-centre * size, size, depth.shape), depth)
     volume = Volume(body, np.ascontiguousarray(colour))
 
     def skin_depth(points: NDArray[np.float64]) -> NDArray[np.float32]:

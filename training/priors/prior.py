@@ -53,12 +53,7 @@ class Volume:
 
     def at(self, points: NDArray[np.floating]) -> NDArray[np.float32]:
         """(..., 3). Colours at world points (..., 3), trilinear."""
-        index = self._index(points)
-        channels = [
-            ndimage.map_coordinates(self.rgb[..., c], index, order=1, mode="nearest", output=np.float32)
-            for c in range(3)
-        ]
-        return np.stack(channels, axis=-1)
+        return np.stack([self.body.grid.sample(self.rgb[..., c], points) for c in range(3)], axis=-1)
 
     def crisp(self, points: NDArray[np.floating]) -> NDArray[np.float32]:
         """(..., 3). Colours at world points (..., 3) by a cubic spline, held to [0, 1].
@@ -66,7 +61,7 @@ class Volume:
         For atoms, whose kernels blur once more: their cuts are then 0.93 to 1.1 times as sharp as the truth, with
         trilinear colours 0.75 to 0.9 (orange, watermelon, bread).
         """
-        index = self._index(points)
+        index = np.moveaxis(self.body.grid.index(points), -1, 0)
         channels = [
             ndimage.map_coordinates(spline, index, order=3, mode="nearest", output=np.float32, prefilter=False)
             for spline in self._splines
@@ -77,10 +72,6 @@ class Volume:
     def _splines(self) -> list[NDArray[np.float32]]:
         """Coefficients of each channel."""
         return [ndimage.spline_filter(self.rgb[..., c], order=3, mode="nearest", output=np.float32) for c in range(3)]
-
-    def _index(self, points: NDArray[np.floating]) -> NDArray[np.float64]:
-        shift = self.body.origin.reshape(3, *[1] * (points.ndim - 1))
-        return (np.moveaxis(np.asarray(points, np.float64), -1, 0) - shift) / self.body.cell - 0.5
 
 
 @runtime_checkable

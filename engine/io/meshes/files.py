@@ -1,4 +1,4 @@
-"""Files that a mesh refers to: textures, materials and buffers, from its own folder only."""
+"""The files that a mesh refers to (textures, materials, buffers), from its folder only."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from engine.io.picture_file import open_picture
 
 __all__ = ["MeshFiles"]
 
-LARGEST = 1 << 30
+MAX_BYTES = 1 << 30
 """Bytes of a file beside a mesh: more than any texture, and a buffer of twenty million faces."""
 
 
 class MeshFiles(trimesh.resolvers.FilePathResolver):
-    """Gives trimesh what it asks for, and remembers what is wrong with it; trimesh is silent about most.
+    """Reads files for trimesh and records what is wrong with them; trimesh reports little of it.
 
-    Nothing outside of the mesh's folder, and of those in it, is read, whatever a name or a link says.
+    Nothing outside the mesh's folder and its subfolders is read, whatever a name or a link says.
     """
 
     def __init__(self, source: Path, buffers: frozenset[str] = frozenset()) -> None:
-        """`buffers` are the names of files that are no pictures, besides materials (.mtl)."""
+        """`buffers` names the files, apart from materials (.mtl), that are no pictures."""
         super().__init__(str(source))
         self.source = source
         self.buffers = buffers
@@ -34,11 +34,11 @@ class MeshFiles(trimesh.resolvers.FilePathResolver):
         self._held: dict[Path, bytes] = {}
 
     def get(self, name: str) -> bytes:
-        """The content of a file, read once however often it is asked for."""
-        path = self._found(name)
+        """The content of a file, read only once."""
+        path = self._resolved(name)
         try:
             if path not in self._held:
-                data = read_file(path, LARGEST)
+                data = read_file(path, MAX_BYTES)
                 if name not in self.buffers and not name.lower().endswith(".mtl"):
                     with open_picture(data, f"{self.source}: its texture '{_short(name)}'"):
                         pass
@@ -48,21 +48,21 @@ class MeshFiles(trimesh.resolvers.FilePathResolver):
             raise
         return self._held[path]
 
-    def _found(self, name: str) -> Path:
-        """Where a file is. Exporters write other systems' paths; then it usually lies right beside the mesh."""
+    def _resolved(self, name: str) -> Path:
+        """The path of a file. If an exporter wrote another system's path, the file usually lies beside the mesh."""
         root = Path(self.parent).resolve()
         for candidate in (name, name.lstrip("/"), unquote(name), name.replace("\\", "/").rsplit("/", 1)[-1]):
             try:
                 path = (root / candidate.strip()).resolve()
                 if path.is_relative_to(root) and path.exists() and not path.is_dir():
                     return path
-            except (OSError, ValueError, RuntimeError):  # too long, a null character, links in a circle
+            except (OSError, ValueError, RuntimeError):  # too long, a null character, circular links
                 continue
         self.missing.append(_short(name))
         raise FileNotFoundError(name)
 
     def check(self, warn: Callable[[str], None]) -> None:
-        """Raises InputError where a file was refused or is missing; `warn` is told where it is only the material's."""
+        """Raises InputError if a file was refused or is missing; a missing material file only gives `warn` a line."""
         if self.refused:
             raise self.refused[0]
         for name in self.missing:
@@ -73,5 +73,5 @@ class MeshFiles(trimesh.resolvers.FilePathResolver):
 
 
 def _short(name: str) -> str:
-    """A file's name as a mesh gives it, fit for one line."""
+    """A file's name as the mesh gives it, shortened to one line."""
     return " ".join(name.split())[:80]

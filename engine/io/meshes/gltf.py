@@ -1,4 +1,4 @@
-"""What a glTF file says that it holds, read before its geometry: what cannot be opened is called by its name."""
+"""Checks a glTF file's JSON before its geometry is read, so that errors name what cannot be opened."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ MOST_JSON = 1 << 30
 """Bytes of the JSON that is read: a .gltf may hold its buffers in it, as text."""
 
 MOST_VALUES = 200_000_000
-"""Rows of all arrays together: those of ten times the faces of a fine scan."""
+"""Most rows of all arrays together: those of ten times the faces of a fine scan."""
 
 MOST_ZEROS = 5_000_000
-"""Those of them that the file does not hold: zeros that a few other values replace. A short file may ask for any."""
+"""Most rows that the file does not hold: zeros in a sparse accessor. A short file may claim any number."""
 
 FACES = (4, 5)
 """Modes of primitives that are faces: triangles and strips of them. 4 is the default."""
@@ -38,18 +38,17 @@ PACKED = {
     "KHR_meshopt_compression": "compressed with meshopt",
     "KHR_mesh_quantization": "quantized",
 }
-"""Extensions that pack geometry, as an exporter's window calls what they do."""
+"""Extensions that pack geometry, in the words of exporters' dialogs."""
 
 HARMLESS = ("KHR_materials_", "KHR_lights_", "KHR_xmp", "KHR_animation_", "EXT_texture_webp")
-"""Beginnings of extensions that may be required and still change neither shape nor colours as they stand, but for
-WebP, which is read."""
+"""Prefixes of required extensions that change neither shape nor colours here, except WebP, which is supported."""
 
 
 def buffer_files(path: Path, warn: Callable[[str], None]) -> frozenset[str]:
     """Names of the files with a glTF's geometry, as it gives them; a .glb and data URIs have theirs inside.
 
-    Raises InputError where it needs what cannot be read, has no faces, or is damaged. `warn` is told in one line about
-    Gaussians that are left out.
+    Raises InputError if it requires what cannot be read, has no faces, or is damaged. `warn` takes a line on Gaussians
+    that are left out.
     """
     tree = _tree(path)
     asset = tree.get("asset")
@@ -82,11 +81,11 @@ def buffer_files(path: Path, warn: Callable[[str], None]) -> frozenset[str]:
 
 
 def _check_extensions(path: Path, tree: dict[str, Any], primitives: list[dict[str, Any]]) -> None:
-    """Raises InputError where a file cannot be understood without what is not known here."""
+    """Raises InputError if the file requires an extension that is not supported."""
     names = tree.get("extensionsRequired")
     required = [name for name in names if isinstance(name, str)] if isinstance(names, list) else []
     accessors = _rows(tree, "accessors")
-    for primitive in primitives:  # some exporters forget to say that they require it
+    for primitive in primitives:  # some exporters forget to list it as required
         attributes = primitive.get("attributes")
         index = attributes.get("POSITION") if isinstance(attributes, dict) else None
         there = isinstance(index, int) and 0 <= index < len(accessors) and "bufferView" in accessors[index]
@@ -123,7 +122,7 @@ def _tree(path: Path) -> dict[str, Any]:
 
 
 def _rows(tree: dict[str, Any], key: str) -> list[dict[str, Any]]:
-    """The objects in one of a glTF's lists, whatever a file has there."""
+    """The objects in one of a glTF's lists; an empty one for anything that is no object."""
     rows = tree.get(key)
     return [row if isinstance(row, dict) else {} for row in rows] if isinstance(rows, list) else []
 

@@ -1,4 +1,4 @@
-"""Textured meshes as 3DGS scenes: the surface sampled into flat Gaussians that carry the texture's colours."""
+"""Turns textured meshes into 3DGS scenes: flat Gaussians sampled on the surface, with the colours of the texture."""
 
 from __future__ import annotations
 
@@ -20,30 +20,30 @@ from engine.io.meshes.files import MeshFiles
 from engine.io.meshes.gltf import buffer_files
 from engine.io.meshes.surface_sampling import scatter
 from engine.io.origin import origin_for
-from engine.io.picture_file import PICTURES, bounded, decoding, known_decoders
+from engine.io.picture_file import PICTURES, check_size, decoding, restricted_decoders
 from engine.io.ply_header import read_header
 from engine.scene.gaussians import Gaussians
 from engine.scene.sh import rgb_to_sh
 
 __all__ = ["read_mesh"]
 
-# trimesh reports broken textures to its log; without a handler Python would print them with a traceback.
+# trimesh logs broken textures; without a handler Python would print them with a traceback.
 logging.getLogger("trimesh").addHandler(logging.NullHandler())
 
 IN_PLANE = 0.75
-"""Standard deviation along the surface, in mean spacings sqrt(area / count). At this the kernels add up to 1.3 or more
-in the widest gaps of a smooth body, where 0.5 is opaque; more would only blur the texture."""
+"""Standard deviation along the surface, in mean spacings sqrt(area / count). The kernels then add up to 1.3 or more in
+the widest gaps of a smooth body, where 0.5 is opaque; a larger value would only blur the texture."""
 
 FLATNESS = 0.2
-"""Standard deviation across the surface, as a part of the one along it."""
+"""Ratio of the standard deviation across the surface to that along it."""
 
 OPACITY = 0.99
-"""Opaque as far as 3DGS goes; its renderers cap alpha there."""
+"""The most opaque that 3DGS allows: its renderers cap alpha here."""
 
 GREY = 0.6
 
-MOST_FACES = 20_000_000
-"""Twenty times a fine scan: two gigabytes as they are placed. A short file may place one part any number of times."""
+MAX_FACES = 20_000_000
+"""Twenty times a fine scan, two gigabytes in world space. A short file may instance one part any number of times."""
 
 Colours = Callable[[NDArray[np.int64], NDArray[np.float64]], NDArray[np.float64]]
 """RGB (K, 3) in [0, 1] at K points, given by face (K,) and barycentric coordinates (K, 3)."""
@@ -51,7 +51,7 @@ Colours = Callable[[NDArray[np.int64], NDArray[np.float64]], NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Part:
-    """One piece of a mesh with one way of being coloured."""
+    """One part of a mesh with one kind of colours."""
 
     triangles: NDArray[np.float64]
     """(F, 3, 3). World units."""
@@ -63,10 +63,10 @@ def read_mesh(
 ) -> Gaussians:
     """`count` flat Gaussians, SH degree 0, spread evenly over the surface of an .obj, .glb, .gltf, .ply or .stl.
 
-    Their third axis is the face's normal; along the surface they reach as far as closes the shell. The colour is the
-    texture's (bilinear), else the vertices', the faces' or the material's, else grey, and then `warn` is told in one
-    line. Colours are taken as they stand, without conversion. Faces that are given twice count once, which
-    `warn` is told too. Raises InputError where there is no surface, or a texture is missing or no picture.
+    Their third axis is the face's normal; along the surface they are large enough to close the shell. Colours come from
+    the texture (bilinear), the vertices, the faces or the material, in this order, without conversion; otherwise they
+    are grey, with a warning. Repeated faces count once, also with a warning; `warn` takes one line each. Raises
+    InputError if there is no surface, or if a texture is missing or no picture.
     """
     assert count > 0, count
     path = Path(path)
@@ -84,98 +84,98 @@ def read_mesh(
     rgb = np.empty((count, 3))
     first = 0
     for part in parts:
-        mine = (face >= first) & (face < first + len(part.triangles))
-        rgb[mine] = part.colours(face[mine] - first, weights[mine])
+        in_part = (face >= first) & (face < first + len(part.triangles))
+        rgb[in_part] = part.colours(face[in_part] - first, weights[in_part])
         first += len(part.triangles)
     sigma = IN_PLANE * float(np.sqrt(area / count))
     return Gaussians(
         np.einsum("nk,nkc->nc", weights, corners).astype(np.float32),
         np.tile(np.array([sigma, sigma, FLATNESS * sigma], np.float32), (count, 1)),
-        _towards(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])),
+        _align_z(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])),
         np.full(count, OPACITY, np.float32),
         rgb_to_sh(rgb).astype(np.float32)[:, None],
         origin=origin,
     )
 
 
-def _towards(normals: NDArray[np.float64]) -> NDArray[np.float32]:
+def _align_z(normals: NDArray[np.float64]) -> NDArray[np.float32]:
     """(N, 4). Shortest rotations of the z axis onto normals (N, 3) of any non-zero length, wxyz."""
     n = normals / np.linalg.norm(normals, axis=1, keepdims=True)
-    # The half-way quaternion (1 + z.n, z x n); where n is -z any half turn across z will do.
+    # The half-way quaternion (1 + z.n, z x n); if n is -z, any half turn about an axis across z will do.
     quats = np.stack([1 + n[:, 2], -n[:, 1], n[:, 0], np.zeros(len(n))], axis=1)
     quats[quats[:, 0] < 1e-12] = [0, 1, 0, 0]
     return (quats / np.linalg.norm(quats, axis=1, keepdims=True)).astype(np.float32)
 
 
 def _parts(path: Path, warn: Callable[[str], None]) -> list[Part]:
-    """The triangles of all geometries of a file, where its scene graph puts them."""
+    """The triangles of all geometries of a file, placed by its scene graph."""
     kind = _kind(path)
     files = MeshFiles(path, buffer_files(path, warn) if kind in ("glb", "gltf") else frozenset())
     try:
-        # A picture inside the file, or under the name of a buffer, is seen by nobody before trimesh opens it.
-        with open_file(path) as file, known_decoders():
+        # No check of ours sees a picture inside the file, or one named as a buffer, before trimesh opens it.
+        with open_file(path) as file, restricted_decoders():
             scene = trimesh.load_scene(file, file_type=kind, resolver=files, process=False)
         placed = [(scene.geometry[name], matrix) for matrix, name in map(scene.graph.get, scene.graph.nodes_geometry)]
         meshes = [(mesh, matrix) for mesh, matrix in placed if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces)]
         many = sum(len(mesh.faces) for mesh, _ in meshes)
-        if many > MOST_FACES:
-            raise InputError(f"{path}: {many:,} faces; the most is {MOST_FACES:,}: simplify the mesh")
-        soups = [trimesh.transform_points(mesh.vertices, matrix)[mesh.faces] for mesh, matrix in meshes]
+        if many > MAX_FACES:
+            raise InputError(f"{path}: {many:,} faces; the most is {MAX_FACES:,}: simplify the mesh")
+        triangle_lists = [trimesh.transform_points(mesh.vertices, matrix)[mesh.faces] for mesh, matrix in meshes]
     except InputError:
         raise
-    except Exception as error:  # trimesh lets through whatever its many parsers stumble over
+    except Exception as error:  # trimesh does not catch the errors of its many parsers
         files.check(warn)
         raise InputError(f"{path}: cannot be read as a mesh; the file is damaged or not what its name says") from error
-    if not soups:
+    if not triangle_lists:
         raise InputError(f"{path}: there is no face in it; a mesh with faces is needed")
     files.check(warn)
-    whole = np.concatenate(soups).astype(np.float64)
-    sound = np.logical_and.reduce(np.abs(whole) <= np.finfo(np.float32).max, axis=(1, 2))  # NaN is not
-    again = _repeated(whole, sound)
+    triangles = np.concatenate(triangle_lists).astype(np.float64)
+    finite = np.logical_and.reduce(np.abs(triangles) <= np.finfo(np.float32).max, axis=(1, 2))  # false for NaN
+    repeated = _repeated(triangles, finite)
     parts = []
     notes: set[str] = set()
     first = 0
     for mesh, _ in meshes:
-        mine = slice(first, first + len(mesh.faces))
-        kept = np.flatnonzero((sound & ~again)[mine])
+        part = slice(first, first + len(mesh.faces))
+        kept = np.flatnonzero((finite & ~repeated)[part])
         colours, note = _colours(path, mesh, kept)
         notes.add(note)
-        parts.append(Part(whole[mine][kept], colours))
-        first = mine.stop
-    if not sound.all():
-        warn(f"{path}: {(~sound).sum():,} faces dropped: NaN or Inf")
-    if again.any():
-        warn(f"{path}: {again.sum():,} faces dropped: each lies on another that is the same")
+        parts.append(Part(triangles[part][kept], colours))
+        first = part.stop
+    if not finite.all():
+        warn(f"{path}: {(~finite).sum():,} faces dropped: NaN or Inf")
+    if repeated.any():
+        warn(f"{path}: {repeated.sum():,} faces dropped: each lies on another that is the same")
     for note in sorted(notes - {""}):
         warn(f"{path}: {note}{' in a part of it' if len(notes) > 1 else ''}; it gets one plain colour")
     return parts
 
 
 def _repeated(triangles: NDArray[np.float64], among: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """(F,). Faces with an area that have the corners of an earlier one and its side; some exporters write all twice.
+    """(F,). Faces with an area that repeat an earlier one, facing the same side; some exporters write all faces twice.
 
-    They would share its points, which then look torn where their colours differ, and count as area that is not there.
+    They would count as additional area, and share its points, which look torn if the colours differ.
     """
     index = np.flatnonzero(among)
     corners = triangles[index]
     has_area = _doubled_areas(corners) > 0
     index, corners = index[has_area], corners[has_area]
-    # Each begins with its least corner; which way round, and so its side, stays.
+    # Each face starts at its smallest corner; the winding, and so the side, stays.
     order = np.lexsort(corners.transpose(2, 0, 1)[::-1], axis=1)[:, :1] + np.arange(3)
     rows = np.take_along_axis(corners, order[..., None] % 3, axis=1).reshape(-1, 9)
-    sorted_rows = np.lexsort(rows.T)  # stable: of the same, the earliest comes first
+    sorted_rows = np.lexsort(rows.T)  # stable: the earliest of equal faces comes first
     result = np.zeros(len(triangles), np.bool_)
     result[index[sorted_rows[1:][(rows[sorted_rows[1:]] == rows[sorted_rows[:-1]]).all(1)]]] = True
     return result
 
 
 def _doubled_areas(triangles: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(F,)."""
+    """(F,). Twice the area of each triangle."""
     return np.linalg.norm(np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]), axis=1)
 
 
 def _kind(path: Path) -> str:
-    """The format as trimesh calls it. Raises InputError where it is none of ours."""
+    """The format by trimesh's name. Raises InputError for an unsupported one."""
     with open_file(path) as file:
         start = file.read(4)
     if start == b"glTF":
@@ -189,7 +189,7 @@ def _kind(path: Path) -> str:
 
 
 def _colours(path: Path, mesh: Any, faces: NDArray[np.int64]) -> tuple[Colours, str]:
-    """How these faces (F,) of a trimesh mesh are coloured, and what the user should know about it."""
+    """The colours of these faces (F,) of a trimesh mesh, and a note for the user, empty if there is none."""
     visual = mesh.visual
     corners = np.asarray(mesh.faces)[faces]
     if visual.kind == "vertex":
@@ -212,15 +212,15 @@ def _colours(path: Path, mesh: Any, faces: NDArray[np.int64]) -> tuple[Colours, 
             "",
         )
     flat = np.asarray(trimesh.visual.to_rgba(material.main_color), np.float64)[:3] / 255
-    # Texture coordinates without a texture: its format may be one that cannot be read.
+    # Texture coordinates without a texture: its format may be unsupported.
     note = "" if visual.uv is None or not np.ptp(visual.uv) else f"no texture that can be read ({PICTURES})"
     return lambda face, weights: np.tile(flat, (len(face), 1)), note
 
 
 def _pixels(path: Path, image: Image.Image) -> NDArray[np.uint8]:
-    """(H, W, 3). Raises InputError where the picture is damaged or too large."""
+    """(H, W, 3). Raises InputError if the picture is damaged or too large."""
     with decoding(f"{path}: its texture"):
-        return np.asarray(bounded(image).convert("RGB"))
+        return np.asarray(check_size(image).convert("RGB"))
 
 
 def _bilinear(texture: NDArray[np.uint8], uv: NDArray[np.float64]) -> NDArray[np.float64]:

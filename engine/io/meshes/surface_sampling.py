@@ -1,4 +1,4 @@
-"""Points spread evenly over a triangle soup: no clumps, no gaps."""
+"""Points spread evenly over a triangle soup (blue noise)."""
 
 from __future__ import annotations
 
@@ -9,26 +9,26 @@ from numpy.typing import NDArray
 __all__ = ["scatter"]
 
 CANDIDATES = 5
-"""Candidates per point that is wanted; with more the gaps shrink by less than a tenth."""
+"""Candidates per point; more would shrink the gaps by less than a tenth."""
 
 START = 0.95
-"""First distance that points keep, in spacings sqrt(area / count). No more than 0.83 fits at random (Renyi's packing in
-the plane fills 0.547), so hardly a point is lost by starting here."""
+"""First minimum distance between points, in spacings sqrt(area / count). At most 0.83 fits at random (random sequential
+packing fills 0.547 of the plane), so hardly any point is lost by starting here."""
 
 SHRINK = 0.93
-"""Factor on that distance after each pass, until enough points have found a place."""
+"""Factor on that distance after each pass, until there are enough points."""
 
 LEAST = 1e-3
-"""Part of the first distance at which points that still find no place coincide, and get one all the same."""
+"""Share of the first distance at which the remaining points coincide and are accepted anyway."""
 
 REBUILD = 2.0
-"""Cells over the distance at which the grid is made anew with smaller ones; fuller cells cost more than that."""
+"""Ratio of cell to distance at which the grid is rebuilt with smaller cells; fuller cells would cost more."""
 
 MULTIPLIER = 0x9E3779B97F4A7C15
-"""2^64 over the golden ratio, odd: a product with it spreads neighbours over the high bits (Knuth 6.4)."""
+"""2^64 over the golden ratio, odd: multiplying by it spreads neighbours over the high bits (Knuth 6.4)."""
 
 SAME_SIDE = -0.5
-"""Cosine between normals above which points keep their distance: across the edge of a box, not across a leaf."""
+"""Cosine between normals above which points keep their distance: across an edge of a box, not across a leaf."""
 
 
 def scatter(
@@ -39,7 +39,7 @@ def scatter(
     """Triangle (count,) and barycentric coordinates (count, 3) of points that cover the area evenly.
 
     Stratified candidates are thinned greedily: a point must keep its distance from all before it on the same side of
-    the surface (the two faces of a leaf do not thin each other), and the distance shrinks until `count` have a place.
+    the surface (the two sides of a leaf are independent), and the distance shrinks until `count` are accepted.
     The total area must be above 0.
     """
     normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
@@ -61,11 +61,10 @@ def scatter(
 
 @njit(cache=True, fastmath=False)
 def _thin(points: NDArray[np.float64], normals: NDArray[np.float64], count: int, distance: float) -> NDArray[np.int64]:
-    """Indices (count,) of points (N, 3) that keep as far from each other as they can, first come, first served.
+    """Indices (count,) of points (N, 3), N >= count, that keep the greatest distance, first come, first served.
 
-    N >= count. Points that were taken are found again by the cell of a grid that they lie in. The cells shrink with
-    the distance, so few points share one however many faces lie on each other: near a place no more than three of
-    them have sides so different that they need not keep it.
+    Accepted points are found through the cells of a hash grid. The cells shrink with the distance, so few points share
+    one even if many faces coincide: at most three points nearby have normals that differ enough to be exempt.
     """
     n = len(points)
     least = LEAST * distance
@@ -75,11 +74,11 @@ def _thin(points: NDArray[np.float64], normals: NDArray[np.float64], count: int,
         buckets *= 2
     heads = np.full(buckets, -1, np.int64)  # cells hash into buckets; a bucket is a linked list of points
     following = np.full(n, -1, np.int64)
-    left = np.arange(n)  # those without a place, in order
+    left = np.arange(n)  # those not yet accepted, in order
     chosen = np.empty(count, np.int64)
     found = 0
     while found < count:
-        last_pass = distance < least  # all candidates coincide, so nothing is left to keep apart
+        last_pass = distance < least  # the remaining candidates coincide
         if cell > REBUILD * distance and not last_pass:
             cell = distance
             heads[:] = -1
@@ -113,10 +112,10 @@ def _is_free(
     heads: NDArray[np.int64],
     following: NDArray[np.int64],
 ) -> bool:
-    """Whether a point keeps its distance, which is at most a cell, from all on its side that have their place."""
+    """Whether a point keeps the distance, at most a cell, from all accepted points on its side."""
     x, y, z = np.floor(points[i, 0] / cell), np.floor(points[i, 1] / cell), np.floor(points[i, 2] / cell)
     for offset in range(27):
-        turned = (offset + 13) % 27  # its own cell first: that is where most are refused
+        turned = (offset + 13) % 27  # the point's cell first, where most are rejected
         j = heads[_bucket(x + turned // 9 - 1, y + turned // 3 % 3 - 1, z + turned % 3 - 1, len(heads))]
         while j >= 0:
             gap = 0.0
@@ -145,11 +144,11 @@ def _enter(
 def _bucket(x: float, y: float, z: float, buckets: int) -> int:
     """Hash of a cell; buckets is a power of two.
 
-    The bits of floats, not integers: on a needle more cells than integers can count lie in a row.
+    Hashes the bits of floats, not integers: on a needle the cell index may exceed any integer type.
     """
     mixed = np.uint64(0)
     for value in (x, y, z):
-        bits = np.float64(value + 0.0).view(np.uint64)  # + 0.0: -0.0 is no other cell
+        bits = np.float64(value + 0.0).view(np.uint64)  # + 0.0 turns -0.0 into 0.0
         mixed = (mixed ^ bits) * np.uint64(MULTIPLIER)
         mixed ^= mixed >> np.uint64(32)
     return int(np.int64(mixed & np.uint64(buckets - 1)))

@@ -1,4 +1,4 @@
-"""SuperSplat's compressed .ply: 256 Gaussians share the bounds of their chunk, each is four 32-bit words in them."""
+"""SuperSplat's compressed .ply: four 32-bit words per Gaussian, relative to the bounds of a chunk of 256."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from engine.errors import InputError
 from engine.io.files import open_file
 from engine.io.ply_header import Element, Header
-from engine.io.splats.rows import COLOUR, GEOMETRY, gaussians_of, logits
+from engine.io.splats.rows import COLOUR, GEOMETRY, gaussians_from_rows, logits
 from engine.scene.gaussians import Gaussians
 from engine.scene.sh import rgb_to_sh
 
@@ -37,8 +37,8 @@ def is_compressed(header: Header) -> bool:
 def read_compressed_ply(path: Path, header: Header) -> tuple[Gaussians, list[str]]:
     """The Gaussians of a compressed .ply, and one line about each kind of row that had to be dropped.
 
-    `header` has been held against the size of the file, so what it promises may be allocated. Raises InputError where
-    an element is missing, its type is not the format's, or the counts do not belong together.
+    `header` has been checked against the size of the file, so its counts may be allocated. Raises InputError if an
+    element is missing or of another type, or if the counts do not match.
     """
     tables = _elements(path, header)
     vertex, chunk, rest = tables["vertex"], tables["chunk"], tables.get("sh")
@@ -55,7 +55,7 @@ def read_compressed_ply(path: Path, header: Header) -> tuple[Gaussians, list[str
     colours = _bytes(vertex["packed_color"])
     with np.errstate(
         over="ignore", invalid="ignore"
-    ):  # chunks may hold anything; `gaussians_of` drops what is no scene
+    ):  # chunks may hold anything; `gaussians_from_rows` drops what is no scene
         table[:, :3] = _between(chunk, of, "{}_x {}_y {}_z", _elevens(vertex["packed_position"]))
         table[:, 3] = logits(colours[:, 3])
         table[:, 4:7] = _between(chunk, of, "{}_scale_x {}_scale_y {}_scale_z", _elevens(vertex["packed_scale"]))
@@ -67,11 +67,11 @@ def read_compressed_ply(path: Path, header: Header) -> tuple[Gaussians, list[str
     if rest is not None:
         for i, name in enumerate(names):
             table[:, 14 + i] = _rest(rest[name])
-    return gaussians_of(path, table)
+    return gaussians_from_rows(path, table)
 
 
 def _elements(path: Path, header: Header) -> dict[str, NDArray[np.void]]:
-    """The rows of 'chunk', 'vertex' and, where there are any, 'sh', with the properties the format wants."""
+    """The rows of 'chunk', 'vertex' and, if present, 'sh', with the properties that the format requires."""
     if header.ascii:
         raise InputError(f"{path}: a compressed .ply must be binary; export the scene again")
     corners = [f"{end}_{what}" for end in ("min", "max") for what in ("x", "y", "z", "scale_x", "scale_y", "scale_z")]
@@ -99,7 +99,7 @@ def _elements(path: Path, header: Header) -> dict[str, NDArray[np.void]]:
 
 
 def _rows(path: Path, element: Element, offset: int, names: list[str], kind: str) -> NDArray[np.void]:
-    """An element's rows. Raises InputError where a property is missing or of another type."""
+    """An element's rows. Raises InputError if a property is missing or of another type."""
     assert element.dtype is not None
     for name in names:
         if name not in element.properties:
@@ -115,7 +115,7 @@ def _rows(path: Path, element: Element, offset: int, names: list[str], kind: str
 
 
 def _between(chunk: NDArray[np.void], of: NDArray[np.intp], names: str, parts: Double) -> Double:
-    """(N, 3). Between the two ends of each Gaussian's chunk, `parts` (N, 3) of the way."""
+    """(N, 3). Interpolates by `parts` (N, 3) between the two ends of each Gaussian's chunk."""
     low, high = (
         np.stack([chunk[name] for name in names.format(*[end] * 3).split()], 1)[of].astype(np.float64)
         for end in ("min", "max")
@@ -124,17 +124,17 @@ def _between(chunk: NDArray[np.void], of: NDArray[np.intp], names: str, parts: D
 
 
 def _elevens(words: Words) -> Double:
-    """(N, 3). Range [0, 1]. Three numbers of 11, 10 and 11 bits, the first one highest."""
+    """(N, 3). Range [0, 1]. Three numbers of 11, 10 and 11 bits, the first in the highest bits."""
     return np.stack([(words >> 21) / 2047, ((words >> 11) & 1023) / 1023, (words & 2047) / 2047], 1)
 
 
 def _bytes(words: Words) -> Double:
-    """(N, 4). Range [0, 1]. Four bytes, the first one highest."""
+    """(N, 4). Range [0, 1]. Four bytes, the first in the highest bits."""
     return np.stack([(words >> shift & 255) / 255 for shift in (24, 16, 8, 0)], 1)
 
 
 def _quaternions(words: Words) -> Double:
-    """(N, 4), wxyz. Two bits name the largest component, thrice ten bits are the others, in order, over 1 / sqrt(2)."""
+    """(N, 4), wxyz. Two bits give the largest component; three times ten bits hold the others over 1 / sqrt(2)."""
     largest = (words >> 30).astype(np.intp)
     others = np.stack([((words >> shift & 1023) / 1023 - 0.5) * np.sqrt(2) for shift in (20, 10, 0)], 1)
     return with_largest(largest, others)
@@ -151,7 +151,7 @@ def with_largest(largest: NDArray[np.intp], others: Double) -> Double:
 
 
 def _rest(packed: NDArray[np.uint8]) -> Double:
-    """(N,). Coefficients from bytes: the middles of 256 steps, but the outermost two are the ends themselves."""
+    """(N,). Coefficients from bytes: the middles of 256 steps, but the ends for the first and the last."""
     parts = (packed + 0.5) / 256
     parts[packed == 0], parts[packed == 255] = 0.0, 1.0
     return (parts - 0.5) * REST_RANGE

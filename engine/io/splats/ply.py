@@ -1,4 +1,4 @@
-"""3DGS scenes in .ply files: any dialect in, INRIA's layout out.
+"""3DGS scenes in .ply files: reads any dialect, writes INRIA's layout.
 
 In the file opacity is a logit and scales are logs; in memory they are activated (`Gaussians`).
 """
@@ -19,13 +19,13 @@ from engine.errors import InputError
 from engine.io.files import atomic, open_file
 from engine.io.ply_header import Element, Header, read_header
 from engine.io.splats.compressed_ply import is_compressed, read_compressed_ply
-from engine.io.splats.rows import COLOUR, GEOMETRY, gaussians_of, logits
+from engine.io.splats.rows import COLOUR, GEOMETRY, gaussians_from_rows, logits
 from engine.scene.gaussians import Gaussians
 
 __all__ = ["ply_data", "read_ply", "write_ply"]
 
 BLOCK_ROWS = 1 << 14
-"""Rows read at once: 4 MB of SH-3 rows, small enough to stay in the cache while the columns are picked out."""
+"""Rows read at once: 4 MB of SH-3 rows, which stay in the cache while the columns are extracted."""
 
 REST_COUNTS = {0: 0, 9: 1, 24: 2, 45: 3}
 """SH degree of each possible number of f_rest properties, 3 ((d+1)^2 - 1)."""
@@ -38,8 +38,8 @@ def read_ply(path: str | Path) -> tuple[Gaussians, list[str]]:
     """The Gaussians of any 3DGS .ply, and one line about each kind of row that had to be dropped.
 
     SH degree 0..3, with or without normals and other properties and elements; ascii or binary of either endianness;
-    SuperSplat's compressed form too. `gaussians_of` says what is dropped. Raises InputError where the file is no 3DGS
-    scene or holds no usable row.
+    SuperSplat's compressed form too. `gaussians_from_rows` says what is dropped. Raises InputError if the file is no
+    3DGS scene or has no usable row.
     """
     path = Path(path)
     header = read_header(path)
@@ -49,26 +49,26 @@ def read_ply(path: str | Path) -> tuple[Gaussians, list[str]]:
     rest = _rest_count(path, vertex)
     names = [*GEOMETRY, *COLOUR, *(f"f_rest_{i}" for i in range(rest))]
     table = np.empty((vertex.count, len(names)), np.float32)
-    # Map coordinates have more digits than float32: they stay as wide as they are until the scene is where it fits.
-    places = table[:, :3]
+    # Map coordinates have more digits than float32: they keep their precision until the scene is moved.
+    positions = table[:, :3]
     if header.ascii or _wide(vertex, names[:3]):
-        places = np.empty((vertex.count, 3), np.float64)
+        positions = np.empty((vertex.count, 3), np.float64)
     filled = 0
     with open_file(path) as file, np.errstate(over="ignore", invalid="ignore"):  # what does not fit becomes Inf
         for block in _blocks(path, file, header, vertex, names):
-            places[filled : filled + len(block)] = block[:, :3]
+            positions[filled : filled + len(block)] = block[:, :3]
             table[filled : filled + len(block)] = block
             filled += len(block)
     if filled < vertex.count:
         raise InputError(f"{path}: truncated: the header promises {vertex.count:,} Gaussians, {filled:,} are there")
-    return gaussians_of(path, table, places)
+    return gaussians_from_rows(path, table, positions)
 
 
 def write_ply(path: str | Path, gaussians: Gaussians, comments: Sequence[str] = ()) -> None:
     """Writes INRIA's layout (binary little endian, with zero normals), which every 3DGS viewer opens.
 
-    f_rest is channel-major: all red coefficients, then green, then blue. Opacities are kept to [6e-8, 1 - 6e-8], so
-    that their logits are finite. Comments become single ASCII lines. Raises InputError where writing fails.
+    f_rest is channel-major: all red coefficients, then green, then blue. Opacities are clamped to [6e-8, 1 - 6e-8],
+    so that their logits are finite. Comments become single ASCII lines. Raises InputError if writing fails.
     """
     data = ply_data(gaussians, comments)
     with atomic(path) as temporary:
@@ -76,7 +76,7 @@ def write_ply(path: str | Path, gaussians: Gaussians, comments: Sequence[str] = 
 
 
 def ply_data(gaussians: Gaussians, comments: Sequence[str] = ()) -> PlyData:
-    """What `write_ply` writes."""
+    """The content of the file that `write_ply` writes."""
     n, rest = len(gaussians), gaussians.sh[:, 1:].shape[1]
     names = ["x", "y", "z", "nx", "ny", "nz", *COLOUR, *(f"f_rest_{i}" for i in range(3 * rest)), *GEOMETRY[3:]]
     table = np.empty((n, len(names)), np.float32)
@@ -93,11 +93,11 @@ def ply_data(gaussians: Gaussians, comments: Sequence[str] = ()) -> PlyData:
 
 
 def _scene_element(path: Path, header: Header) -> Element:
-    """The element that holds the Gaussians. Raises InputError where the file holds something else."""
+    """The element that holds the Gaussians. Raises InputError if the file holds something else."""
     vertex = header.element("vertex")
     if vertex is None:
         raise InputError(f"{path}: no 'vertex' element; this is not a 3DGS scene")
-    # The properties that only 3DGS has are asked for first: they tell what the file is instead.
+    # Properties that only 3DGS has come first: if one is missing, it shows what the file is instead.
     missing = next((name for name in (*GEOMETRY[4:], *COLOUR, *GEOMETRY[:4]) if name not in vertex.properties), None)
     if missing:
         kind = "an incomplete" if header.is_splats else "a mesh, not a" if header.faces else "a point cloud, not a"
@@ -110,7 +110,7 @@ def _scene_element(path: Path, header: Header) -> Element:
 
 
 def _rest_count(path: Path, vertex: Element) -> int:
-    """How many f_rest properties there are. Raises InputError where they make no SH degree."""
+    """Number of f_rest properties. Raises InputError if they fit no SH degree."""
     found = {name for name in vertex.properties if name.startswith("f_rest_")}
     missing = next((i for i in range(len(found)) if f"f_rest_{i}" not in found), None)
     if missing is not None:
@@ -128,7 +128,7 @@ def _rest_count(path: Path, vertex: Element) -> int:
 def _blocks(
     path: Path, file: BinaryIO, header: Header, vertex: Element, names: list[str]
 ) -> Iterator[NDArray[np.floating]]:
-    """The named columns of the vertex element, a block (R, len(names)) at a time; fewer rows where the file ends."""
+    """The named columns of the vertex element in blocks (R, len(names)); fewer rows if the file ends early."""
     before = header.elements[: header.elements.index(vertex)]
     if header.ascii:
         file.seek(header.data)
@@ -154,7 +154,7 @@ def _wide(vertex: Element, names: Sequence[str]) -> bool:
 
 
 def _columns(rows: NDArray[np.void], names: list[str]) -> NDArray[np.floating]:
-    """(R, len(names)). These fields of structured rows, float64 where one of them is."""
+    """(R, len(names)). These fields of structured rows, float64 if any of them is."""
     block = np.empty((len(rows), len(names)), np.result_type(np.float32, *(rows.dtype[name] for name in names)))
     for i, name in enumerate(names):
         block[:, i] = rows[name]
@@ -162,7 +162,7 @@ def _columns(rows: NDArray[np.void], names: list[str]) -> NDArray[np.floating]:
 
 
 def _skip_lists(path: Path, file: BinaryIO, element: Element) -> None:
-    """Moves behind the binary rows of an element that has lists. A list's length is never trusted with memory."""
+    """Skips the binary rows of an element that has lists. No memory is allocated for the length of a list."""
     for _ in range(element.count):
         for length, value in element.layout:
             items = 1
@@ -179,7 +179,7 @@ def _skip_lists(path: Path, file: BinaryIO, element: Element) -> None:
 def _ascii_blocks(
     path: Path, file: BinaryIO, skip: int, count: int, columns: list[int]
 ) -> Iterator[NDArray[np.floating]]:
-    """These columns of `count` lines after `skip` others; blank lines do not count."""
+    """These columns of `count` lines after the first `skip`; blank lines do not count."""
     lines = (line for line in file if not line.isspace())
     next(itertools.islice(lines, skip, skip), None)
     while count:

@@ -1,4 +1,4 @@
-"""Rows of a capture as its file gives them, judged and turned into Gaussians: what all readers of splats share."""
+"""Checks the rows of a capture file and turns them into Gaussians, for all splat formats."""
 
 from __future__ import annotations
 
@@ -11,39 +11,39 @@ from engine.errors import InputError
 from engine.io.origin import Vector, origin_for
 from engine.scene.gaussians import Gaussians
 
-__all__ = ["COLOUR", "GEOMETRY", "gaussians_of", "logits"]
+__all__ = ["COLOUR", "GEOMETRY", "gaussians_from_rows", "logits"]
 
 Float = NDArray[np.float32]
 
 GEOMETRY = ("x", "y", "z", "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3")
 COLOUR = ("f_dc_0", "f_dc_1", "f_dc_2")
-"""A row's first columns, in this order; SH of degrees above 0 come behind them, channel-major. All as INRIA's .ply has
-them: opacities are logits, sizes logs."""
+"""The first columns of a row, in this order; SH above degree 0 follow, channel-major. As in INRIA's .ply, opacities are
+logits and scales are logs."""
 
 MAX_LOG_SCALE = 30.0
-"""Absurd beyond: e^-30 is less than float32 resolves beside a scene of size 1, yet flat captures reach e^-25."""
+"""Largest plausible |log scale|: e^-30 is below what float32 resolves in a scene of size 1; flat ones reach e^-25."""
 
 MAX_POSITION = 1e9
-"""Absurd beyond, world units from the scene's origin: squares still fit into float32, and no scene is so wide."""
+"""Largest plausible coordinate, world units from the scene's origin: its square still fits into float32."""
 
 MAX_SH = 1e4
-"""Absurd beyond: a colour thousands of times brighter than white."""
+"""Largest plausible SH coefficient: a colour thousands of times brighter than white."""
 
 MAX_SPREAD = 1e5
-"""A Gaussian this many times farther off, or larger, than half of the scene reaches belongs to no object. Skies reach
+"""A Gaussian this many times farther out, or larger, than the median distance is no part of any object. Skies reach
 1e4."""
 
 SPREAD_ROWS = 100
-"""Rows from which on the middle and the reach of the scene mean something. Both are medians: just under half of the
-rows may lie anywhere."""
+"""Least number of rows for which the median position and distance mean something. Just under half of the rows may lie
+anywhere."""
 
 REACH = (1e-7, 1e8)
-"""World units that half of a scene reaches at the least and at the most. Nearer to the limits above these would cut
+"""World units. Least and greatest median distance of a usable scene. Closer to the limits above, these would cut
 through the scene itself."""
 
-MOST_UNUSABLE = 0.5
-"""Share of the rows that may be unusable. Floaters, dead Gaussians and damage are a few in a hundred; of a file that is
-mostly unusable the rest is no capture."""
+MAX_UNUSABLE = 0.5
+"""Largest share of unusable rows. Floaters, dead Gaussians and damage make up a few per cent; what remains of a mostly
+unusable file is no capture."""
 
 REMEDIES = {
     "NaN or Inf": "the file is damaged, export the capture again",
@@ -52,28 +52,30 @@ REMEDIES = {
     "absurd positions": "export the capture again, nearer to zero or in other units",
     "absurd colours": "the file is damaged, export the capture again",
 }
-"""Each reason to drop a row, and what the user can do about it."""
+"""Each reason for dropping a row, and what the user can do about it."""
 
 
-def gaussians_of(path: Path, table: Float, places: NDArray[np.floating] | None = None) -> tuple[Gaussians, list[str]]:
-    """The Gaussians of rows (N, 14 + 3 ((d+1)^2 - 1)), and one line about each thing that the user should know.
+def gaussians_from_rows(
+    path: Path, table: Float, positions: NDArray[np.floating] | None = None
+) -> tuple[Gaussians, list[str]]:
+    """The Gaussians of rows (N, 14 + 3 ((d+1)^2 - 1)), and a line for the user on each kind of change to them.
 
-    `places` (N, 3) are the positions where the file has them finer than the table. Dropped are rows with NaN or Inf
-    (but an infinite opacity logit is plainly 0 or 1), zero quaternions, and sizes, places or colours that no scene has.
-    A scene so far from zero that float32 would round it is moved (engine.io.origin). Raises InputError where most rows
-    would be dropped, or the scene is too small or too large for float32.
+    `positions` (N, 3) replace those of the table if the file has them in higher precision. Rows are dropped that have
+    NaN or Inf (except an infinite opacity logit, which means 0 or 1), a zero quaternion, or implausible sizes,
+    positions or colours. A scene so far from zero that float32 would round it is moved (engine.io.origin). Raises
+    InputError if most rows would be dropped, or if the scene is too small or too large for float32.
     """
-    places = table[:, :3] if places is None else places
-    reasons = _flaws(table, places)
+    positions = table[:, :3] if positions is None else positions
+    reasons = _flaws(table, positions)
     keep = ~np.logical_or.reduce(list(reasons.values()))
-    _mark_far(path, table, places, keep, reasons)
+    _mark_outliers(path, table, positions, keep, reasons)
     keep = ~np.logical_or.reduce(list(reasons.values()))
-    origin, lines = _placed(path, table, places, keep, reasons)
+    origin, lines = _find_origin(path, table, positions, keep, reasons)
     if any(origin):
-        places = places - np.asarray(origin)
-    keep, dropped = _judged(path, reasons)
+        positions = positions - np.asarray(origin)
+    keep, dropped = _select(path, reasons)
     with np.errstate(over="ignore"):
-        table[:, :3] = places
+        table[:, :3] = positions
     return _activate(table if keep.all() else table[keep], origin), [*lines, *dropped]
 
 
@@ -83,14 +85,14 @@ def logits(opacities: NDArray[np.floating]) -> NDArray[np.floating]:
         return np.log(opacities) - np.log1p(-opacities)
 
 
-def _flaws(table: Float, places: NDArray[np.floating]) -> dict[str, NDArray[np.bool_]]:
-    """For each reason not to draw a row, mask (N,) of those it holds for, as far as a row shows it by itself."""
+def _flaws(table: Float, positions: NDArray[np.floating]) -> dict[str, NDArray[np.bool_]]:
+    """For each reason to drop a row, the mask (N,) of rows that it applies to, judged row by row."""
     opacity = GEOMETRY.index("opacity")
     finite = np.isfinite(table[:, 3:])
-    finite[:, opacity - 3] = ~np.isnan(table[:, opacity])  # the logits of 0 and 1 are infinite, and both are meant
+    finite[:, opacity - 3] = ~np.isnan(table[:, opacity])  # the logits of 0 and 1 are infinite, and both are valid
     log_scales, quats, sh = table[:, 4:7], table[:, 7:11], table[:, 11:]
     return {
-        "NaN or Inf": ~(finite.all(1) & np.isfinite(places).all(1)),
+        "NaN or Inf": ~(finite.all(1) & np.isfinite(positions).all(1)),
         "zero quaternions": ~quats.any(1),
         "absurd sizes": (np.abs(log_scales) > MAX_LOG_SCALE).any(1),
         "absurd positions": np.zeros(len(table), bool),
@@ -98,22 +100,22 @@ def _flaws(table: Float, places: NDArray[np.floating]) -> dict[str, NDArray[np.b
     }
 
 
-def _mark_far(
+def _mark_outliers(
     path: Path,
     table: Float,
-    places: NDArray[np.floating],
+    positions: NDArray[np.floating],
     keep: NDArray[np.bool_],
     reasons: dict[str, NDArray[np.bool_]],
 ) -> None:
-    """Adds the rows of `keep` (N,) that the rest of them show to be too far or too large.
+    """Marks the rows of `keep` (N,) that are too far out or too large compared with the others.
 
-    Raises InputError where the rest itself is too small or too large for float32.
+    Raises InputError if the scene itself is too small or too large for float32.
     """
     if keep.sum() < SPREAD_ROWS:
         return
     distances = np.zeros(len(table))
     with np.errstate(over="ignore"):
-        distances[keep] = np.linalg.norm(places[keep] - np.median(places[keep], axis=0), axis=1)
+        distances[keep] = np.linalg.norm(positions[keep] - np.median(positions[keep], axis=0), axis=1)
     reach = float(np.median(distances[keep]))
     if not reach > 0:
         return
@@ -126,31 +128,31 @@ def _mark_far(
     reasons["absurd sizes"] |= keep & (table[:, 4:7].max(1) > np.log(MAX_SPREAD * reach))
 
 
-def _placed(
+def _find_origin(
     path: Path,
     table: Float,
-    places: NDArray[np.floating],
+    positions: NDArray[np.floating],
     keep: NDArray[np.bool_],
     reasons: dict[str, NDArray[np.bool_]],
 ) -> tuple[Vector, list[str]]:
-    """Where the zero of the rows of `keep` (N,) should lie, as `origin_for`, and what lies too far from it is marked.
+    """The origin of the rows of `keep` (N,), as `origin_for`; rows too far from it are marked.
 
-    The sizes of what is left count as its details. What is marked has no say in the origin.
+    The scales of the remaining rows are the size of a detail. Marked rows do not influence the origin.
     """
     while True:
         detail = float(np.exp(np.median(table[keep, 4:7].max(1)))) if keep.any() else 0.0
-        origin, lines = origin_for(path, places[keep], detail)
-        far = keep & (np.abs(places - np.asarray(origin)) > MAX_POSITION).any(1)
+        origin, lines = origin_for(path, positions[keep], detail)
+        far = keep & (np.abs(positions - np.asarray(origin)) > MAX_POSITION).any(1)
         if not far.any():
             return origin, lines
         reasons["absurd positions"] |= far
         keep = keep & ~far
 
 
-def _judged(path: Path, reasons: dict[str, NDArray[np.bool_]]) -> tuple[NDArray[np.bool_], list[str]]:
-    """Mask (N,) of the rows that can be drawn, and a line about each reason why others cannot.
+def _select(path: Path, reasons: dict[str, NDArray[np.bool_]]) -> tuple[NDArray[np.bool_], list[str]]:
+    """Mask (N,) of the usable rows, and a line on each reason why others are not.
 
-    A row counts for the first reason that holds for it. Raises InputError where most rows cannot be drawn.
+    A row counts for the first reason that applies. Raises InputError if most rows are unusable.
     """
     n = len(next(iter(reasons.values())))
     warnings = []
@@ -161,7 +163,7 @@ def _judged(path: Path, reasons: dict[str, NDArray[np.bool_]]) -> tuple[NDArray[
         if fresh:
             warnings.append(f"{path}: {fresh:,} of {n:,} Gaussians dropped: {reason}")
     unusable = int((~keep).sum())
-    if unusable > MOST_UNUSABLE * n:
+    if unusable > MAX_UNUSABLE * n:
         worst = max(reasons, key=lambda reason: int(reasons[reason].sum()))
         count = "none" if unusable == n else f"only {n - unusable:,}"
         raise InputError(f"{path}: {count} of the {n:,} Gaussians can be used: {worst}; {REMEDIES[worst]}")
@@ -169,7 +171,7 @@ def _judged(path: Path, reasons: dict[str, NDArray[np.bool_]]) -> tuple[NDArray[
 
 
 def _activate(table: Float, origin: Vector) -> Gaussians:
-    """Gaussians from columns in the file's terms: logits, logs, quaternions of any length, channel-major SH."""
+    """Gaussians from columns as in the file: logits, logs, quaternions of any length, channel-major SH."""
     n, rest = len(table), table.shape[1] - len(GEOMETRY) - len(COLOUR)
     with np.errstate(over="ignore"):  # exp(-logit) of a large negative logit is Inf, and the opacity then rightly 0
         opacities = (1 / (1 + np.exp(-table[:, 3]))).astype(np.float32)

@@ -1,4 +1,4 @@
-"""antimatter15's .splat files: 32 bytes a Gaussian, no header, no spherical harmonics above degree 0."""
+"""antimatter15's .splat files: 32 bytes per Gaussian, no header, no spherical harmonics above degree 0."""
 
 from __future__ import annotations
 
@@ -9,20 +9,21 @@ import numpy as np
 
 from engine.errors import InputError
 from engine.io.files import open_file
-from engine.io.splats.rows import gaussians_of, logits
+from engine.io.splats.rows import gaussians_from_rows, logits
 from engine.scene.gaussians import Gaussians
 from engine.scene.sh import rgb_to_sh
 
 __all__ = ["read_splat"]
 
 ROW = np.dtype([("means", "<f4", 3), ("scales", "<f4", 3), ("rgba", "u1", 4), ("quat", "u1", 4)])
-"""Scales are plain standard deviations; a quaternion's parts, wxyz, are bytes about 128."""
+"""Scales are standard deviations; the components of a quaternion, wxyz, are bytes around 128."""
 
 
 def read_splat(path: str | Path) -> tuple[Gaussians, list[str]]:
     """The Gaussians of a .splat, and one line about each kind of row that had to be dropped.
 
-    Raises InputError where the size is no whole number of rows, or no row can be used: the format has no other mark.
+    Raises InputError if the size is not a whole number of rows, the only check the format allows, or if no row can be
+    used.
     """
     path = Path(path)
     with open_file(path) as file:
@@ -41,4 +42,4 @@ def read_splat(path: str | Path) -> tuple[Gaussians, list[str]]:
         table[:, 4:7] = np.log(rows["scales"])
     table[:, 7:11] = (rows["quat"].astype(np.float32) - 128) / 128
     table[:, 11:] = rgb_to_sh(rows["rgba"][:, :3] / 255)
-    return gaussians_of(path, table)
+    return gaussians_from_rows(path, table)

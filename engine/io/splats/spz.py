@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from engine.errors import InputError
 from engine.io.files import open_file
 from engine.io.splats.compressed_ply import with_largest
-from engine.io.splats.rows import gaussians_of, logits
+from engine.io.splats.rows import gaussians_from_rows, logits
 from engine.scene.gaussians import Gaussians
 from engine.scene.sh import basis
 
@@ -32,16 +32,16 @@ VERSIONS = {2: 3, 3: 4}
 """Bytes of a rotation in each version that is read."""
 
 MOST = 10_000_000
-"""Gaussians; Niantic's own reader takes no more. A few kilobytes of gzip could promise any number."""
+"""Most Gaussians, as in Niantic's own reader. A few kilobytes of gzip could claim any number."""
 
 EXTENDED = 2
-"""Flag: more follows behind the Gaussians, which other programs keep for themselves."""
+"""Flag: other programs' private data follow the Gaussians."""
 
 BLOCK = 1 << 20
 """Compressed bytes read at once."""
 
 ATTRIBUTES = ("places", "opacities", "colours", "sizes", "rotations", "spherical harmonics")
-"""What comes one after another, each for all Gaussians."""
+"""The attributes in file order, each for all Gaussians."""
 
 DEGREES = (0, 9, 24, 45, 72)
 """Bytes of SH above degree 0 of a Gaussian."""
@@ -54,10 +54,10 @@ FLIP = np.array([1.0, -1.0, -1.0])
 
 
 def read_spz(path: str | Path) -> tuple[Gaussians, list[str]]:
-    """The Gaussians of an .spz in the axes of a .ply, and a line about each thing that had to be left out.
+    """The Gaussians of an .spz in the axes of a .ply, and a line on each thing left out.
 
-    Raises InputError for other versions, and where the file is damaged or does not hold what its header promises.
-    Memory grows with what is really there, never with what a header says.
+    Raises InputError for other versions, and if the file is damaged or does not hold what its header promises. Memory
+    grows with the data that are there, never with the header's counts.
     """
     path = Path(path)
     with open_file(path) as file:
@@ -91,14 +91,16 @@ def read_spz(path: str | Path) -> tuple[Gaussians, list[str]]:
         )
     attributes = np.split(np.frombuffer(data, np.uint8, count * sum(sizes)), np.cumsum(sizes)[:-1] * count)
     kept = min(degree, 3)
-    gaussians, warnings = gaussians_of(path, _table([a.reshape(count, -1) for a in attributes], version, bits, kept))
+    gaussians, warnings = gaussians_from_rows(
+        path, _table([a.reshape(count, -1) for a in attributes], version, bits, kept)
+    )
     if kept < degree:
         warnings.append(f"{path}: spherical harmonics of degree {degree} cut down to degree {kept}")
     return gaussians, warnings
 
 
 def _inflated(path: Path, file: BinaryIO) -> Iterator[bytes]:
-    """What was gzipped, piece by piece, none of them large however well it was packed."""
+    """The unpacked data in pieces of bounded size, whatever the compression ratio."""
     inflate = zlib.decompressobj(wbits=16 + zlib.MAX_WBITS)
     try:
         while not inflate.eof:
@@ -112,11 +114,11 @@ def _inflated(path: Path, file: BinaryIO) -> Iterator[bytes]:
 
 
 def _table(attributes: list[NDArray[np.uint8]], version: int, bits: int, degree: int) -> NDArray[np.float32]:
-    """(N, 14 + 3 ((d+1)^2 - 1)). Rows in the terms of a .ply."""
-    places, alphas, colours, scales, rotations, rest = attributes
-    n, bands = len(places), (degree + 1) ** 2
+    """(N, 14 + 3 ((d+1)^2 - 1)). Rows as in a .ply."""
+    positions, alphas, colours, scales, rotations, rest = attributes
+    n, bands = len(positions), (degree + 1) ** 2
     table = np.empty((n, 14 + 3 * (bands - 1)), np.float32)
-    parts = places.reshape(n, 3, 3).astype(np.int32)
+    parts = positions.reshape(n, 3, 3).astype(np.int32)
     fixed = parts[..., 0] | parts[..., 1] << 8 | parts[..., 2] << 16
     fixed -= (fixed & 0x800000) << 1  # 24 bits with a sign
     table[:, :3] = fixed / 2.0**bits * FLIP
@@ -131,7 +133,7 @@ def _table(attributes: list[NDArray[np.uint8]], version: int, bits: int, degree:
 
 
 def _signs_first(packed: NDArray[np.uint8]) -> NDArray[np.float64]:
-    """(N, 4), wxyz, of version 2: x, y and z as bytes about 127.5; w is what makes it a unit, and positive."""
+    """(N, 4), wxyz, of version 2: x, y and z as bytes about 127.5; w completes the unit quaternion and is positive."""
     xyz = packed / 127.5 - 1
     return np.concatenate([np.sqrt(np.maximum(1 - (xyz**2).sum(1), 0))[:, None], xyz], 1)
 
@@ -146,6 +148,6 @@ def _smallest_three(packed: NDArray[np.uint8]) -> NDArray[np.float64]:
 
 
 def _flipped_bands(degree: int) -> NDArray[np.float64]:
-    """((d+1)^2,). 1 or -1: what each coefficient of SH is multiplied by when the axes are flipped."""
+    """((d+1)^2,). 1 or -1: the factor of each SH coefficient when the axes are flipped."""
     direction = np.array([[0.36, 0.48, 0.8]])
     return np.sign(basis(direction, degree) * basis(direction * FLIP, degree))[0]

@@ -21,7 +21,7 @@ from engine.render.cpu.face_rows import ROWS, near_plane
 from engine.scene import sh
 from engine.scene.atoms import Atoms
 from engine.scene.constants import CUTOFF_Q
-from engine.scene.rotations import matrices, unit_quats
+from engine.scene.rotations import normalised_quats, rotation_matrices
 from engine.threads import for_each
 
 __all__ = ["KernelField", "axes_of"]
@@ -169,7 +169,7 @@ def octaves(sizes: NDArray[np.floating]) -> list[NDArray[np.intp]]:
 
 def axes_of(quats: NDArray[np.floating]) -> Float:
     """(N, 3, 3). Rows are the principal axes of quaternions (N, 4), wxyz; the world's where one has no length."""
-    return np.ascontiguousarray(matrices(unit_quats(quats)).transpose(0, 2, 1), np.float32)
+    return np.ascontiguousarray(rotation_matrices(normalised_quats(quats)).transpose(0, 2, 1), np.float32)
 
 
 def level(atom: NDArray[np.intp], means: Float, scales: Float, axes: Float, rgb: Float) -> Level:

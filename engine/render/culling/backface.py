@@ -20,7 +20,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from engine.scene.atoms import Atoms
-from engine.scene.rotations import matrices, unit_quats
+from engine.scene.rotations import normalised_quats, rotation_matrices
 
 __all__ = ["DEEP", "NO_CONE", "RIND", "Hiding", "hiding", "nothing_hides"]
 
@@ -158,7 +158,7 @@ def spread(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
 def discs(scales: Float, quats: Float) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Shortest axes (S, 3), of either sign, and which atoms are flat enough to have a side."""
     order = np.sort(scales, axis=1)
-    columns = matrices(unit_quats(quats)).transpose(0, 2, 1)
+    columns = rotation_matrices(normalised_quats(quats)).transpose(0, 2, 1)
     return columns[np.arange(len(scales)), scales.argmin(1)], order[:, 0] < FLAT * order[:, 1]
 
 

@@ -17,7 +17,7 @@ from tests.helpers.solids import ball, scatter
 
 UP = (0.0, 0.0, 1.0)
 CUT = Plane.of((0, 0, 1), -0.1)
-PARAMETERS = ("means", "scales", "quats", "sh", "inner_means", "sigmas", "rgb")
+PARAMETERS = ("means", "scales", "quats", "sh", "interior_means", "sigmas", "rgb")
 FAR = orbit((0, 0, 0), UP, 30, 35, 2.0, 11, 9)
 NEAR = orbit((0, 0, 0), UP, 30, 50, 0.9, 11, 9)
 STRAIGHT = section(CUT, UP, np.array([[-0.4] * 3, [0.4] * 3]), 9)

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from engine.fit.sh_fit import SurfaceView, picture, refit
+from engine.fit.sh_fit import SurfaceView, fit_sh, predict
 from engine.fit.view_weights import ViewWeights
 from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
-from engine.scene.camera import around
+from engine.scene.camera import cameras_around
 
 
 def sphere(bands: int, seed: int) -> Atoms:
@@ -26,11 +26,11 @@ def sphere(bands: int, seed: int) -> Atoms:
 
 def views_of(atoms: Atoms, count: int = 36) -> list[SurfaceView]:
     views = []
-    for camera in around((0, 0, 0), 1.1, (0, 0, 1), count, 72):
+    for camera in cameras_around((0, 0, 0), 1.1, (0, 0, 1), count, 72):
         weights = ViewWeights.surface(atoms, camera)
         blank = np.zeros((72, 72, 3), np.float32)
         view = SurfaceView(camera, weights, blank, weights.alpha.reshape(72, 72) > 0.95)
-        views.append(SurfaceView(camera, weights, picture(view, atoms, atoms.surface.sh), view.opaque))
+        views.append(SurfaceView(camera, weights, predict(view, atoms, atoms.surface.sh), view.opaque))
     return views
 
 
@@ -40,11 +40,11 @@ def test_the_fit_finds_the_colours_and_no_more_bands_than_they_have(bands):
     start = sphere(9, 2)
     s = truth.surface
     blurred = Atoms(SurfaceAtoms(s.means, s.scales, s.quats, start.surface.sh), truth.interior, truth.pitch)
-    result = refit(blurred, views_of(truth))
+    result = fit_sh(blurred, views_of(truth))
     assert result.degree == round(bands**0.5) - 1
     assert result.held_out[1] > result.held_out[0] + 10
 
 
 def test_what_is_right_already_stays_to_the_bit():
     atoms = sphere(1, 1)
-    assert (refit(atoms, views_of(atoms, 8)).atoms.surface.sh == atoms.surface.sh).all()
+    assert (fit_sh(atoms, views_of(atoms, 8)).atoms.surface.sh == atoms.surface.sh).all()

@@ -7,11 +7,11 @@ from typing import Any, cast
 import numpy as np
 import torch
 
-from engine.fit.sh_fit import SurfaceView, refit
+from engine.fit.sh_fit import SurfaceView, fit_sh
 from engine.fit.view_weights import ViewWeights
 from engine.render.cpu import opaque
 from engine.scene.atoms import Atoms, InteriorAtoms
-from engine.scene.camera import around, section
+from engine.scene.camera import cameras_around, section
 from engine.scene.plane import Plane
 from tests.helpers.solids import ball
 from training.families import Family
@@ -23,7 +23,7 @@ UP = np.array([0.0, 0.0, 1.0])
 
 def views_of(truth: Atoms, atoms: Atoms, count: int, turn: float) -> list[SurfaceView]:
     views = []
-    for camera in around(np.zeros(3), 0.55, UP, count, 96, turn):
+    for camera in cameras_around(np.zeros(3), 0.55, UP, count, 96, turn):
         seen = opaque.render(truth, camera)
         weights = ViewWeights.surface(atoms, camera).truncated(ENTRIES)
         views.append(SurfaceView(camera, weights, seen.rgb, seen.alpha > 0.95))
@@ -41,7 +41,7 @@ def test_the_surface_stays_within_a_fifth_of_a_decibel() -> None:
     inner = plain.interior
     grey = InteriorAtoms(inner.means, inner.sigmas, np.full_like(inner.rgb, 0.5))
     views = views_of(truth, Atoms(plain.surface, grey, plain.pitch), 12, 0.0)
-    atoms = refit(Atoms(plain.surface, grey, plain.pitch), views).atoms
+    atoms = fit_sh(Atoms(plain.surface, grey, plain.pitch), views).atoms
     low_high = np.array([[-0.5, -0.5, -0.5], [0.5, 0.5, 0.5]])
     cuts, labels = [], []
     for height in np.linspace(-0.4, 0.4, 9):

@@ -112,7 +112,7 @@ GLTF: dict[str, tuple[Callable[[Path], Path], str]] = {
 def test_a_gltf_that_cannot_be_opened_is_told_what_it_is(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, case: str
 ) -> None:
-    monkeypatch.setattr("engine.io.meshes.mesh.MOST_FACES", 99)
+    monkeypatch.setattr("engine.io.meshes.mesh.MAX_FACES", 99)
     make, expected = GLTF[case]
     path = make(tmp_path)
     assert expected in refusal(path)

@@ -22,7 +22,7 @@ from PIL import EpsImagePlugin, Image, UnidentifiedImageError
 
 from engine.errors import InputError
 from engine.io.meshes.mesh import read_mesh
-from engine.io.picture_file import KINDS, known_decoders, open_picture, read_pixels
+from engine.io.picture_file import KINDS, open_picture, read_pixels, restricted_decoders
 from tests.paths import ROOT
 from training.priors.exemplar.pictures import read_picture
 
@@ -235,11 +235,11 @@ def test_a_library_of_its_own_gets_the_same_decoders() -> None:
     entered = threading.Event()
 
     def enter() -> None:
-        with known_decoders():
+        with restricted_decoders():
             entered.set()
 
     thread = threading.Thread(target=enter)
-    with known_decoders(), Image.open(io.BytesIO(encoded("AVIF"))):
+    with restricted_decoders(), Image.open(io.BytesIO(encoded("AVIF"))):
         for data in (other, POSTSCRIPT):
             with pytest.raises(UnidentifiedImageError):
                 Image.open(io.BytesIO(data))

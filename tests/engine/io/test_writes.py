@@ -22,7 +22,7 @@ from app.model.pieces import Solid, pieces
 from app.model.project import save_project
 from engine.command import REFUSED
 from engine.errors import InputError
-from engine.io.files import Lines
+from engine.io.files import LineWriter
 from engine.io.scratch import atomic_folder
 from engine.io.trained import Meta, save_trained
 from engine.render import cli
@@ -220,7 +220,7 @@ def test_a_line_is_there_whole_or_not_at_all(tmp_path: Path, faults: Faults) -> 
     assert half == '{"half'
     assert [json.loads(line)["event"] for line in lines] == ["first", "third"]
     with pytest.raises(InputError, match="cannot be written here"):
-        Lines(tmp_path)
+        LineWriter(tmp_path)
 
 
 def test_the_work_goes_on_when_nobody_follows_it() -> None:

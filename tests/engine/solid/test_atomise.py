@@ -5,33 +5,36 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from engine.fit.scale_fit import reshape
+from engine.fit.scale_fit import fit_scales
 from engine.io.load import load
 from engine.render.classic import rasterizer as classic
 from engine.render.cpu import opaque
 from engine.scene.atoms import Atoms, InteriorAtoms
-from engine.scene.camera import around
+from engine.scene.camera import cameras_around
 from engine.scene.gaussians import Gaussians
-from engine.scene.grid import Body
-from engine.scene.rotations import matrices
+from engine.scene.grid import Body, Grid
+from engine.scene.rotations import rotation_matrices
 from engine.solid.atomise import Atomised, atomise, split
-from engine.solid.contribution import shown
-from engine.solid.find_body import Enclosure
-from engine.solid.skin_holes import coverage_at, skin_points
+from engine.solid.contribution import contributions
+from engine.solid.denoise_capture import without_haze
+from engine.solid.find_body import WIDEN, Enclosure
+from engine.solid.opacity_field import opacity_field
+from engine.solid.skin_holes import coverage_at, sample_skin
 from tests.paths import SHARED
 
 DATA = SHARED
 
 
 def on_body(scene: Gaussians, pitch: float, body: Body) -> Atomised:
-    return atomise(scene, pitch, Enclosure.of(scene, body))
+    shell, _ = without_haze(scene)
+    return atomise(scene, pitch, Enclosure(body, shell, opacity_field(shell, body.grid, WIDEN * body.grid.cell)))
 
 
 def ball(cell: float = 0.05) -> Body:
     """A unit ball by its closed form."""
     n = int(2.6 / cell)
-    empty = Body(np.full(3, -1.3), cell, np.zeros((n, n, n), np.float32))
-    return Body(empty.origin, cell, (1 - np.linalg.norm(empty.centres(), axis=-1)).astype(np.float32))
+    grid = Grid(np.full(3, -1.3), cell, (n, n, n))
+    return Body(grid, (1 - np.linalg.norm(grid.centres(), axis=-1)).astype(np.float32))
 
 
 def skin(n: int, size: float, opacity: float, radius: float = 1.0, seed: int = 0) -> Gaussians:
@@ -50,11 +53,9 @@ def skin(n: int, size: float, opacity: float, radius: float = 1.0, seed: int = 0
     )
 
 
-ARRAYS = ("means", "scales", "quats", "opacities", "sh")
-
-
 def joined(*parts: Gaussians) -> Gaussians:
-    return Gaussians(*(np.concatenate([getattr(p, k) for p in parts]) for k in ARRAYS))
+    names = ("means", "scales", "quats", "opacities", "sh")
+    return Gaussians(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
 
 def solid(made: Atomised, pitch: float) -> Atoms:
@@ -81,7 +82,7 @@ def test_parts_have_the_mean_and_the_covariance_of_the_whole() -> None:
     scene = skin(1, 0.02, 0.99)
     scales = np.float32([[0.09, 0.05, 0.004]])
     source, means, sizes = split(scene, scales, 0.02)
-    axes = matrices(scene.quats)[0].astype(np.float64)
+    axes = rotation_matrices(scene.quats)[0].astype(np.float64)
     local = (means - scene.means[0]).astype(np.float64) @ axes
     assert np.abs(local.mean(0)).max() < 1e-6
     spread = np.sqrt(local.var(0) + sizes[0].astype(np.float64) ** 2)
@@ -104,11 +105,11 @@ def test_what_cannot_be_seen_is_dropped() -> None:
 
 def test_weight_in_views_decides_not_opacity_alone() -> None:
     lining = skin(3000, 0.03, 0.9, radius=0.97, seed=1)  # opaque, within reach of the skin, and never seen
-    floater = Gaussians(*(getattr(skin(1, 0.03, 0.99), k) for k in ARRAYS))
+    floater = skin(1, 0.03, 0.99)
     floater.means[:] = [0, -1.6, 0.2]  # seen before anything else, and no part of the object
     scene = joined(skin(12000, 0.03, 0.9), lining, floater)
-    cameras = around(np.zeros(3), 1.1, np.array([0.0, 0, 1]), 12, 128)
-    weight = shown(scene, cameras)
+    cameras = cameras_around(np.zeros(3), 1.1, np.array([0.0, 0, 1]), 12, 128)
+    weight = contributions(scene, cameras)
     assert abs(weight[-1] - 0.99) < 0.03
     assert np.median(weight[:12000]) > 0.1 > 0.02 > np.median(weight[12000:15000])
     made = on_body(scene, 0.05, ball())
@@ -134,7 +135,7 @@ def test_holes_are_patched_where_the_capture_has_a_skin() -> None:
     body, pitch = ball(), 0.05
     made = on_body(scene, pitch, body)
     assert made.patched > 0
-    points = skin_points(body, 0.05)
+    points = sample_skin(body, 0.05)
     assert np.abs(np.linalg.norm(points, axis=1) - 1).max() < 0.01
     assert abs(len(points) * 0.05**2 / (4 * np.pi) - 1) < 0.2
     covered = coverage_at(made.atoms, points, points, pitch)
@@ -147,18 +148,18 @@ def test_holes_are_patched_where_the_capture_has_a_skin() -> None:
 def test_the_opaque_object_looks_like_the_capture() -> None:
     scene, pitch = skin(3000, 0.06, 0.5), 0.05
     made = on_body(scene, pitch, ball())
-    for camera in around(np.zeros(3), 1.1, np.array([0.0, 0, 1]), 3, 96):
-        wanted, shown = classic.render(scene, camera, (1, 1, 1)), opaque.render(solid(made, pitch), camera)
+    for camera in cameras_around(np.zeros(3), 1.1, np.array([0.0, 0, 1]), 3, 96):
+        wanted, contributions = classic.render(scene, camera, (1, 1, 1)), opaque.render(solid(made, pitch), camera)
         centre = np.hypot(*np.indices((96, 96)) - 47.5) < 30
-        assert shown.alpha[centre].min() > 0.9
-        assert np.sqrt(((wanted.rgb - shown.rgb)[centre] ** 2).mean()) < 0.12
+        assert contributions.alpha[centre].min() > 0.9
+        assert np.sqrt(((wanted.rgb - contributions.rgb)[centre] ** 2).mean()) < 0.12
 
 
 def test_reshaping_makes_no_unseen_view_worse() -> None:
     scene, pitch = skin(1500, 0.09, 0.6), 0.06
     atoms = solid(on_body(scene, pitch, ball()), pitch)
-    cameras = around(np.zeros(3), 1.1, np.array([0.0, 0, 1]), 12, 48)
-    better = reshape(atoms, scene, cameras, steps=24)
+    cameras = cameras_around(np.zeros(3), 1.1, np.array([0.0, 0, 1]), 12, 48)
+    better = fit_scales(atoms, scene, cameras, steps=24)
 
     def error(a: Atoms) -> float:
         wrong = [opaque.render(a, c).rgb - classic.render(scene, c, (1, 1, 1)).rgb for c in cameras[::6]]
@@ -166,7 +167,7 @@ def test_reshaping_makes_no_unseen_view_worse() -> None:
 
     assert error(better) <= error(atoms)
     assert better.surface.scales.max() <= np.float32(pitch)
-    assert np.array_equal(better.surface.scales, reshape(atoms, scene, cameras, steps=24).surface.scales)
+    assert np.array_equal(better.surface.scales, fit_scales(atoms, scene, cameras, steps=24).surface.scales)
 
 
 @pytest.mark.parametrize("name", ["donut_mipsplatting", "meshgs_orange_30k"])

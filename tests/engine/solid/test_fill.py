@@ -13,12 +13,12 @@ from scipy.spatial import KDTree
 from engine.errors import InputError
 from engine.scene.atoms import SurfaceAtoms
 from engine.scene.gaussians import Gaussians
-from engine.scene.grid import Body
-from engine.scene.rotations import matrices
+from engine.scene.grid import Grid
+from engine.scene.rotations import rotation_matrices
 from engine.solid.distance_transform import nearest
 from engine.solid.fill import fill
 from engine.solid.find_body import find_body
-from engine.solid.opacity_field import Grid, opacity_field
+from engine.solid.opacity_field import opacity_field
 from tests.paths import SHARED
 
 MESHES = SHARED / "meshes"
@@ -71,11 +71,9 @@ def lathe(profile: np.ndarray, n: int, closed: bool = True) -> Gaussians:
     return shell(points, normals, (areas.sum() / n) ** 0.5)
 
 
-ARRAYS = ("means", "scales", "quats", "opacities", "sh")
-
-
 def joined(*parts: Gaussians) -> Gaussians:
-    return Gaussians(*(np.concatenate([getattr(p, k) for p in parts]) for k in ARRAYS))
+    names = ("means", "scales", "quats", "opacities", "sh")
+    return Gaussians(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
 
 def turns(mesh: trimesh.Trimesh, points: np.ndarray) -> np.ndarray:
@@ -102,9 +100,9 @@ def test_opacity_field_is_equation_2() -> None:
         np.zeros((n, 1, 3), np.float32),
     )
     grid = Grid(np.array([-0.1, 0.0, 0.1]), 0.05, (23, 18, 20))
-    centres = Body(grid.origin, grid.cell, np.zeros(grid.shape, np.float32)).centres().astype(np.float64)
+    centres = grid.centres().astype(np.float64)
     truth = np.zeros(grid.shape)
-    axes, sigma = matrices(scene.quats).astype(np.float64), np.maximum(scene.scales.astype(np.float64), 0.02)
+    axes, sigma = rotation_matrices(scene.quats).astype(np.float64), np.maximum(scene.scales.astype(np.float64), 0.02)
     for p in range(n):
         q = ((((centres - scene.means[p]) @ axes[p]) / sigma[p]) ** 2).sum(-1)
         truth += scene.opacities[p] * np.exp(-q / 2) * (q <= 9)
@@ -138,18 +136,18 @@ def test_meshes_fill_to_their_volume_and_no_farther(name: str) -> None:
     outside = some[turns(mesh, some) < 0.5]
     # Only in the acute grooves of the block's dovetails, two cells deep, do walls touch before the groove ends.
     assert len(outside) <= (5 if name == "angle_block" else 0)
-    assert len(outside) == 0 or KDTree(points).query(outside)[0].max() < 2.5 * body.cell
+    assert len(outside) == 0 or KDTree(points).query(outside)[0].max() < 2.5 * body.grid.cell
     if name == "torus":
         assert body.at(np.zeros((1, 3)))[0] < -0.4
 
 
 def test_depth_is_the_distance_to_the_skin() -> None:
     body = find_body(sphere(), cells=64).body
-    truth = 1 - np.linalg.norm(body.centres(), axis=-1)
-    close = np.abs(truth) < 3 * body.cell
-    assert np.abs(body.depth - truth)[np.abs(truth) < body.cell].max() < 0.05 * body.cell
-    assert np.abs(body.depth - truth)[close].max() < 0.4 * body.cell
-    assert np.abs(body.depth - truth)[truth > 0].max() < 0.6 * body.cell
+    truth = 1 - np.linalg.norm(body.grid.centres(), axis=-1)
+    close = np.abs(truth) < 3 * body.grid.cell
+    assert np.abs(body.depth - truth)[np.abs(truth) < body.grid.cell].max() < 0.05 * body.grid.cell
+    assert np.abs(body.depth - truth)[close].max() < 0.4 * body.grid.cell
+    assert np.abs(body.depth - truth)[truth > 0].max() < 0.6 * body.grid.cell
     assert abs(body.volume / (4 / 3 * np.pi) - 1) < 0.005
 
 

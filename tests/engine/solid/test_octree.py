@@ -10,9 +10,9 @@ import pytest
 from engine.render.cpu.kernel_field import KernelField
 from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from engine.scene.constants import LATTICE_DENSITY, SOLID_DENSITY
-from engine.scene.grid import Body
+from engine.scene.grid import Body, Grid
 from engine.solid.fill import fill
-from engine.solid.octree import SHARE, leaf_levels
+from engine.solid.octree import BUDGET, leaf_levels
 from training.optimise.deblur import deblurred
 
 PITCH = 2 / 80
@@ -21,8 +21,8 @@ PITCH = 2 / 80
 def ball(cells: int = 96) -> Body:
     """A ball of radius 1."""
     cell = 2.2 / cells
-    empty = Body(np.full(3, -1.1), cell, np.zeros((cells,) * 3, np.float32))
-    return replace(empty, depth=(1 - np.linalg.norm(empty.centres(), axis=-1)).astype(np.float32))
+    grid = Grid(np.full(3, -1.1), cell, (cells,) * 3)
+    return Body(grid, (1 - np.linalg.norm(grid.centres(), axis=-1)).astype(np.float32))
 
 
 def fruit(points: np.ndarray) -> np.ndarray:
@@ -61,7 +61,7 @@ def test_an_even_inside_needs_few_atoms_and_stays_solid():
 def test_a_third_of_the_atoms_shows_the_same_inside():
     points = within(0.02)
     fine, coarse = fill(ball(), PITCH), fill(ball(), PITCH, colours=fruit)
-    assert len(coarse) <= SHARE * len(fine)
+    assert len(coarse) <= BUDGET * len(fine)
     error = [np.mean((KernelField(solid(atoms)).at(points)[0] - fruit(points)) ** 2) for atoms in (fine, coarse)]
     assert 10 * np.log10(error[1] / error[0]) < 0.2
     # Fine ones stand at the seeds.

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from engine.scene.grid import Body
+from engine.scene.grid import Body, Grid
 from engine.scene.plane import Plane
 from tests.helpers.exemplar_faces import FLESH, RIND, SEED, UP, ball, disc, quiet, save
 from training.families import Family
@@ -30,8 +30,8 @@ def test_rings_stay_rings_and_rind_stays_out_of_the_core(tmp_path: Path) -> None
     assert np.abs(core - FLESH).max() < 0.1
     assert np.abs(np.median(skin, axis=0) - RIND).max() < 0.05
     # What the picture shows the same all around is the same all around.
-    centres = volume.body.centres()
-    level = np.abs(centres[..., 2]) < volume.body.cell
+    centres = volume.body.grid.centres()
+    level = np.abs(centres[..., 2]) < volume.body.grid.cell
     ring = level & (np.abs(np.hypot(centres[..., 0], centres[..., 1]) - 0.5) < 0.03)
     assert volume.rgb[ring].std(axis=0).max() < 0.02
 
@@ -145,9 +145,9 @@ def test_colours_by_depth_are_the_pictures(tmp_path: Path) -> None:
 def loaf(n: int = 48) -> Body:
     """A box of half sizes 1, 0.6 and 0.8, rounded where depth is."""
     cell = 2 / n
-    shape = np.array([n, round(0.6 * n), round(0.8 * n)]) + 8
-    grid = Body(-shape * cell / 2, cell, np.zeros(tuple(shape), np.float32))
-    return Body(grid.origin, cell, (np.array([1, 0.6, 0.8]) - np.abs(grid.centres())).min(-1).astype(np.float32))
+    shape = (n + 8, round(0.6 * n) + 8, round(0.8 * n) + 8)
+    grid = Grid(-np.array(shape) * cell / 2, cell, shape)
+    return Body(grid, (np.array([1, 0.6, 0.8]) - np.abs(grid.centres())).min(-1).astype(np.float32))
 
 
 def test_a_crust_is_as_thick_in_the_corners_of_a_loaf(tmp_path: Path) -> None:
@@ -188,8 +188,8 @@ def test_a_spline_is_crisper_and_goes_through_the_cells() -> None:
         np.float32
     )
     volume = Volume(body, values)
-    np.testing.assert_allclose(volume.crisp(body.centres()), values, atol=1e-5)
-    between = body.centres()[4:-4, 4:-4, 4:-4] + body.cell / 2
+    np.testing.assert_allclose(volume.crisp(body.grid.centres()), values, atol=1e-5)
+    between = body.grid.centres()[4:-4, 4:-4, 4:-4] + body.grid.cell / 2
     assert 1.1 < volume.crisp(between).std() / volume.at(between).std() < 2
 
 
@@ -249,12 +249,11 @@ def test_layers_come_from_the_radial_pictures(tmp_path: Path, alone: bool) -> No
 
 
 def test_layers_stay_level_up_to_the_skin_of_a_cake_with_crumbs(tmp_path: Path) -> None:
-    shape = np.array([54, 54, 36])
-    grid = Body(-shape / 40, 1 / 20, np.zeros(tuple(shape), np.float32))
+    grid = Grid(-np.array([54, 54, 36]) / 40, 1 / 20, (54, 54, 36))
     p = grid.centres()
     cake = np.minimum(1 - np.hypot(p[..., 0], p[..., 1]), 0.6 - np.abs(p[..., 2]))
     crumbs = [0.15 - np.linalg.norm(p - at, axis=-1) for at in ([1.05, 0, -0.5], [0.3, 0.4, 0.65])]
-    body = Body(grid.origin, grid.cell, np.maximum.reduce([cake, *crumbs]).astype(np.float32))
+    body = Body(grid, np.maximum.reduce([cake, *crumbs]).astype(np.float32))
     y, x = (np.mgrid[:150, :240] + 0.5) / 100 - [[[0.75]], [[1.2]]]
     frosted = (np.abs(np.abs(y) - 0.25) < 0.05) | (np.minimum(1 - np.abs(x), 0.6 - np.abs(y)) < 0.07)
     face = np.where(frosted[..., None], [0.95, 0.9, 0.6], FLESH)
@@ -297,13 +296,13 @@ def test_slices_of_one_thing_are_turned_into_one_another(tmp_path: Path) -> None
         face[np.hypot(x, y - 0.35) < 0.2] = [0.3, 0.1, 0.1]
         paths.append(save(tmp_path / f"slice_{n}.png", face))
     cell = 2 / 24
-    grid = Body(np.array([-1.25, -1.25, -1.75]), cell, np.zeros((30, 30, 42), np.float32))
+    grid = Grid(np.array([-1.25, -1.25, -1.75]), cell, (30, 30, 42))
     p = grid.centres()
     limb = np.minimum(1 - np.hypot(p[..., 0], p[..., 1]), 1.5 - np.abs(p[..., 2]))
     # Crumbs on its flat ends do not make them grown ones, with skin.
     crumbs = np.stack([p[..., 0] - 0.5, p[..., 1] - 0.2, np.abs(p[..., 2]) - 1.55], -1)
     limb = np.maximum(limb, 0.12 - np.linalg.norm(crumbs, axis=-1))
-    body = Body(grid.origin, cell, limb.astype(np.float32))
+    body = Body(grid, limb.astype(np.float32))
     volume = ExemplarPrior().solve(body, UP, [Family("horizontal", 40, tuple(paths))], 60, 0, quiet)
     across = np.linspace(-0.7, 0.7, 57)
     row = volume.at(np.stack([across, np.full(57, 0.25), np.full(57, -0.5)], -1))[:, 1]

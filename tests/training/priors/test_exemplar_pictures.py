@@ -133,8 +133,8 @@ def test_the_volume_is_no_finer_than_the_pictures_need(tmp_path: Path) -> None:
     body, prior = ball(), ExemplarPrior()
     asked, coarse = (prior.solve(body, UP, families, voxels, 0, quiet) for voxels in (48, 192))
     side = np.ptp(body.bounds(), axis=0).max()
-    assert asked.body.cell == pytest.approx(side / 48)
-    assert 32 < side / coarse.body.cell <= 2 * 40
+    assert asked.body.grid.cell == pytest.approx(side / 48)
+    assert 32 < side / coarse.body.grid.cell <= 2 * 40
 
 
 SIDES = ("L", "T", "R", "B", "LR", "LT", "LTRB")

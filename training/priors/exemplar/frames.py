@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from engine.scene.camera import equator
-from engine.scene.grid import Body
+from engine.scene.grid import Body, Grid
 from training.priors.exemplar.patches import OVER, POLAR, RADIAL
 from training.priors.exemplar.pictures import Picture, fill_outside
 
@@ -92,7 +92,7 @@ class Space:
     @property
     def inradius(self) -> float:
         """In cells."""
-        return self.body.inradius / self.body.cell
+        return self.body.inradius / self.body.grid.cell
 
     @property
     def widest(self) -> float:
@@ -131,16 +131,15 @@ def make_space(body: Body, up: NDArray[np.float64], voxels: int) -> Space:
     up = np.asarray(up, np.float64) / np.linalg.norm(up)
     low, high = body.bounds()
     cell = float((high - low).max()) / voxels
-    shape = tuple((np.ceil((high - low) / cell).astype(int) + 2 * MARGIN).tolist())
-    grid = Body((low + high) / 2 - np.array(shape) * cell / 2, cell, np.zeros(shape, np.float32))
+    grid = Grid.around(body.bounds(), cell, MARGIN)
     # A grid finer than the body's own would show its steps.
     depth = body.at(grid.centres())
-    if cell < body.cell:
-        depth = ndimage.gaussian_filter(depth, 0.5 * body.cell / cell)
-    body = Body(grid.origin, cell, depth)
+    if cell < body.grid.cell:
+        depth = ndimage.gaussian_filter(depth, 0.5 * body.grid.cell / cell)
+    body = Body(grid, depth)
     wanted = depth > -0.9 * cell
     cells = np.argwhere(wanted).astype(np.int16)
-    number = np.full(shape, -1, np.int32)
+    number = np.full(grid.shape, -1, np.int32)
     number[wanted] = np.arange(len(cells), dtype=np.int32)
     basis = np.stack([*equator(up), up])
     inside = np.argwhere(depth > 0)
@@ -156,7 +155,7 @@ def make_space(body: Body, up: NDArray[np.float64], voxels: int) -> Space:
     slopes = -(slopes / np.maximum(np.linalg.norm(slopes, axis=1, keepdims=True), 1e-12)) @ basis.T
     distance, nearest = ndimage.distance_transform_edt(~wanted, return_indices=True)
     reach = np.flatnonzero((distance > 0) & (distance < MARGIN))
-    source = np.ravel_multi_index(tuple(n.ravel()[reach] for n in nearest), shape)
+    source = np.ravel_multi_index(tuple(n.ravel()[reach] for n in nearest), grid.shape)
     return Space(
         body,
         up,

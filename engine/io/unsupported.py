@@ -1,11 +1,11 @@
-"""What a file is that was taken for a capture: archives, web pages and the like show it in their first bytes."""
+"""Recognises files that people mistake for captures, such as archives and web pages, by their first bytes."""
 
 from __future__ import annotations
 
-__all__ = ["LONGEST", "impostor"]
+__all__ = ["LONGEST", "unsupported_kind"]
 
 LONGEST = 64
-"""Bytes that are enough to tell."""
+"""Bytes that suffice to recognise a file."""
 
 STARTS: tuple[tuple[bytes, str], ...] = (
     (b"version https://git-lfs", "a Git LFS pointer, not the file it stands for; fetch that with: git lfs pull"),
@@ -25,8 +25,8 @@ STARTS: tuple[tuple[bytes, str], ...] = (
 PAGES = (b"<!doctype", b"<html", b"<head", b"<?xml", b"<error")
 
 
-def impostor(start: bytes) -> str | None:
-    """What a file that begins like this is instead of a capture, and what to do; None where that cannot be told."""
+def unsupported_kind(start: bytes) -> str | None:
+    """What a file with these first bytes is instead of a capture, and what to do about it; None if unknown."""
     for magic, words in STARTS:
         if start.startswith(magic):
             return words
