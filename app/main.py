@@ -25,19 +25,19 @@ def main() -> None:
     # Not before: the window's libraries take a second to load, and a wrong path should be said at once.
     path = None if path is None else path.absolute()
     here = leave_current_folder()
-    from app.jobs.recovered_jobs import left_jobs
     from app.model.project import Viewing
     from app.model.samples import sample_document
+    from app.session.recovered_jobs import recovered_jobs
     from app.session.session import Session
     from app.ui.window import Window
 
     def start(session: Session) -> None:
-        left = [job for job in left_jobs(session) if not job.ended]
+        left = [job for job in recovered_jobs(session) if not job.ended]
         if path is not None:
             session.files.open(path)
         else:
             document = left[0].document if left else sample_document()
-            session.show(document, Viewing(mode="capture"), None)
+            session.files.open_document(document, Viewing(mode="capture"), None)
 
     if not can_show():
         print(

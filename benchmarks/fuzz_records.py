@@ -17,7 +17,7 @@ import numpy as np
 from hypothesis import strategies as st
 from safetensors.numpy import save as safetensors_bytes
 
-from app.jobs.live_colours import Watch
+from app.jobs.live_colours import LiveColours
 from app.jobs.training_job import Job, note_path
 from app.model.document import Document, Part, Training
 from app.model.pieces import Solid, pieces
@@ -113,7 +113,7 @@ def check_meant_project(record: Any, folder: Path) -> bool:
     assert all(np.isfinite(piece.motion.matrix).all() for piece in shown), "a piece lies nowhere"
     more = document.with_cut((Part(Plane.of((0, 0, 1), 0.1)),))
     fewer = more.without_cut(more.cuts[0].id)
-    for changed in (more, fewer, document.together()):
+    for changed in (more, fewer, document.reassembled()):
         pieces(changed, BOX)
         again = replace(project, document=changed)
         save_project(folder / "b.fruitninja", again)
@@ -170,8 +170,8 @@ def check_job(value: tuple[bytes, bytes], folder: Path) -> bool:
     job.ended = True  # whatever process it names, it is none of ours
     refused(job.poll, out)
     assert job.phase in ("done", "stopped", "failed")
-    job.last_words()
-    assert 0 <= job.progress.part <= 1 and 0 <= job.progress.whole <= 1, "progress outside [0, 1]"
+    job.log_tail()
+    assert 0 <= job.progress.stage_fraction <= 1 and 0 <= job.progress.fraction <= 1, "progress outside [0, 1]"
     return found is not None
 
 
@@ -214,7 +214,7 @@ def check_colours(data: bytes, folder: Path) -> bool:
     checkpoint = folder / "out/checkpoint"
     checkpoint.mkdir(parents=True, exist_ok=True)
     (checkpoint / "training.safetensors").write_bytes(data)
-    found = refused(lambda: Watch(folder / "out").newer(ATOMS), checkpoint)
+    found = refused(lambda: LiveColours(folder / "out").newer(ATOMS), checkpoint)
     if found is None:
         return False
     for part in (found.surface, found.interior):

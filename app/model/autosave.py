@@ -16,14 +16,14 @@ from app.model.settings import state_folder
 from engine.errors import InputError
 from engine.io.files import atomic, read_file, remove
 
-__all__ = ["Autosave", "Rescued", "rescued"]
+__all__ = ["Autosave", "UnsavedWork", "find_unsaved_work"]
 
 EVERY = 10.0
 """Seconds between two autosaves: what a crash may cost."""
 
 
 @dataclass(frozen=True)
-class Rescued:
+class UnsavedWork:
     """Unsaved work of a session that ended without saying goodbye."""
 
     file: Path
@@ -85,7 +85,7 @@ NOTE_LIMIT = 1 << 16
 """Bytes of the largest note that is read; a real one has a few hundred."""
 
 
-def rescued(folder: Path | None = None) -> list[Rescued]:
+def find_unsaved_work(folder: Path | None = None) -> list[UnsavedWork]:
     """Unsaved work whose session no longer runs, the latest first."""
     found = []
     for file in (folder or state_folder() / "unsaved").glob(f"*{SUFFIX}"):
@@ -94,7 +94,7 @@ def rescued(folder: Path | None = None) -> list[Rescued]:
             if _alive(int(note["pid"]), float(note["started"])):
                 continue
             project = None if note["project"] is None else Path(str(note["project"]))
-            found.append(Rescued(file, project, float(note["when"]), str(note["name"])))
+            found.append(UnsavedWork(file, project, float(note["when"]), str(note["name"])))
         except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError):
             continue
     return sorted(found, key=lambda item: -item.when)

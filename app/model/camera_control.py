@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from app.model.rigid_transform import Vec3, vec3
 from engine.scene.camera import Camera, equator, fit_distance, orbit
 
-__all__ = ["AXIS_VIEWS", "Eye", "project_points", "ray"]
+__all__ = ["AXIS_VIEWS", "OrbitCamera", "project_points", "ray"]
 
 DEGREES_PER_PIXEL = 0.35
 """A drag across a window of 1000 pixels turns the object once around."""
@@ -32,7 +32,7 @@ AXIS_VIEWS: dict[str, tuple[float, float]] = {
 
 
 @dataclass(frozen=True)
-class Eye:
+class OrbitCamera:
     """A camera on a sphere around a target. Which way is up belongs to the object, so it is given to each method."""
 
     target: Vec3 = (0.0, 0.0, 0.0)
@@ -56,18 +56,20 @@ class Eye:
         scale = made.fx / self.distance
         return replace(made, fx=scale, fy=scale, orthographic=True)
 
-    def turned(self, dx: float, dy: float) -> Eye:
+    def turned(self, dx: float, dy: float) -> OrbitCamera:
         """After a drag of (dx, dy) pixels: the object follows the hand."""
         elevation = min(90.0, max(-90.0, self.elevation + dy * DEGREES_PER_PIXEL))
         return replace(self, azimuth=_wrapped(self.azimuth - dx * DEGREES_PER_PIXEL), elevation=elevation)
 
-    def panned(self, dx: float, dy: float, height: int, up: Vec3) -> Eye:
+    def panned(self, dx: float, dy: float, height: int, up: Vec3) -> OrbitCamera:
         """After a drag of (dx, dy) pixels in a picture of this height: what lies at the target stays at the hand."""
         rotation = self.camera(16, 16, up).viewmat[:3, :3]
         unit = 2 * self.distance * math.tan(math.radians(self.fov) / 2) / max(height, 1)
         return replace(self, target=vec3(np.asarray(self.target) - unit * (dx * rotation[0] + dy * rotation[1])))
 
-    def zoomed(self, steps: float, at: tuple[float, float], size: tuple[int, int], up: Vec3, radius: float) -> Eye:
+    def zoomed(
+        self, steps: float, at: tuple[float, float], size: tuple[int, int], up: Vec3, radius: float
+    ) -> OrbitCamera:
         """Nearer by `steps` notches of the wheel, towards what lies under the cursor at the target's depth.
 
         `at` is the cursor in pixels of a picture of `size`; the object's `radius` bounds how near and far it goes.
@@ -81,17 +83,17 @@ class Eye:
         target = np.asarray(self.target) + part * (point - np.asarray(self.target))
         return replace(self, target=vec3(target), distance=distance)
 
-    def fitted(self, centre: Sequence[float] | NDArray[np.floating], radius: float, aspect: float = 1.0) -> Eye:
+    def fitted(self, centre: Sequence[float] | NDArray[np.floating], radius: float, aspect: float = 1.0) -> OrbitCamera:
         """Looking at a sphere that just fits, from the same side."""
         distance = fit_distance(radius * FIT_AIR, math.radians(self.fov), aspect)
         return replace(self, target=vec3(centre), distance=distance)
 
-    def seen_from(self, view: str) -> Eye:
+    def seen_from(self, view: str) -> OrbitCamera:
         """One of AXIS_VIEWS."""
         azimuth, elevation = AXIS_VIEWS[view]
         return replace(self, azimuth=azimuth, elevation=elevation)
 
-    def along(self, axis: Sequence[float], up: Vec3) -> Eye:
+    def along(self, axis: Sequence[float], up: Vec3) -> OrbitCamera:
         """With the eye standing in the direction of this axis (3,) from the target."""
         u = np.asarray(up, np.float64)
         e1, e2 = equator(u)
@@ -101,7 +103,7 @@ class Eye:
             return replace(self, elevation=math.copysign(90.0, elevation))
         return replace(self, azimuth=math.degrees(math.atan2(float(a @ e2), float(a @ e1))), elevation=elevation)
 
-    def toward(self, goal: Eye, part: float) -> Eye:
+    def toward(self, goal: OrbitCamera, part: float) -> OrbitCamera:
         """Part of the way to another eye, for a short glide; 1 is the goal itself."""
         if part >= 1:
             return goal

@@ -14,12 +14,13 @@ from pathlib import Path
 from typing import Literal
 
 from app.model.rigid_transform import STILL, Motion, Vec3
+from engine.io.fields import LARGEST_INTEGER
 from engine.scene.plane import Plane
 from training.families import COUNTS, Family, Kind
+from training.request import PriorName
 from training.settings import DetailName
 
 __all__ = [
-    "PRIORS",
     "WHOLE",
     "Cut",
     "CutKind",
@@ -34,16 +35,10 @@ __all__ = [
 Key = tuple[tuple[int, int], ...]
 """Name of a piece: (id of a cut, side) for each cut that made it, in their order. Side -1 is the kept one."""
 
-PRIORS = ("exemplar", "stable-diffusion")
-"""What draws the inside: the trainer's --prior."""
-
 WHOLE: Key = ()
 
 CutKind = Literal["slice", "section"]
 """A slice divides pieces; a section only hides what lies on its removed side."""
-
-LARGEST_ID = 1 << 53
-"""Of a cut, and of every whole number that a project file may hold: JSON readers elsewhere keep no larger one exact."""
 
 DEFAULT_GAP = 0.16
 """Of the object's radius: wide enough to see that there are two pieces, and the rim of both faces."""
@@ -96,19 +91,19 @@ class Placement:
 
 @dataclass(frozen=True)
 class Training:
-    """What the next training run is asked for."""
+    """The settings of the next training run."""
 
     detail: DetailName = "standard"
-    prior: str = "exemplar"
+    prior: PriorName = "exemplar"
     seed: int = 0
     iterations: int | None = None
-    """None: as the detail says."""
+    """Most iterations; None: the detail's own number."""
     out: Path | None = None
     """Folder of the result; None: beside the scene."""
     model: Path | None = None
-    """Folder of the diffusion model, for the prior that has one."""
+    """Folder of the diffusion model, for `stable-diffusion`."""
     thing: str = ""
-    """What the object is, for priors that read."""
+    """What the object is called in prompts; empty: the name of the scene's file."""
 
 
 @dataclass(frozen=True)
@@ -143,7 +138,7 @@ class Document:
         used = [cut.id for cut in self.cuts] + [i for key, _ in self.placements for i, _ in key]
         last = max(used, default=0)
         # A project file may count from anywhere; one more than the largest that it may hold could not be saved.
-        return last + 1 if last < LARGEST_ID else next(i for i in count(1) if i not in used)
+        return last + 1 if last < LARGEST_INTEGER else next(i for i in count(1) if i not in used)
 
     def next_name(self, stem: str) -> str:
         """'Knife 3' after 'Knife 2'."""
@@ -187,7 +182,7 @@ class Document:
         placements = dict(self.placements) | {key: change(self.placement(key))}
         return replace(self, placements=tuple(sorted(placements.items(), key=lambda item: item[0])))
 
-    def together(self) -> Document:
+    def reassembled(self) -> Document:
         """All pieces back where they were cut, shown, none removed; the cuts stay."""
         names = tuple((key, Placement(name=p.name)) for key, p in self.placements if p.name)
         return replace(self, placements=names, gap=0.0, explode=0.0)

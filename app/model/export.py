@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from app.model.camera_control import Eye
-from app.model.pieces import Lying, Solid
+from app.model.camera_control import OrbitCamera
+from app.model.pieces import PlacedPiece, Solid
 from app.model.rigid_transform import Motion, Vec3
 from engine.errors import InputError
 from engine.io.files import atomic
@@ -62,7 +62,7 @@ def save_still(path: Path, rgba: NDArray[np.uint8], transparent: bool = True) ->
         image.save(temporary)
 
 
-def turntable(eye: Eye, up: Vec3, size: tuple[int, int], count: int) -> Iterator[Camera]:
+def turntable(eye: OrbitCamera, up: Vec3, size: tuple[int, int], count: int) -> Iterator[Camera]:
     """Cameras once around the object, starting where the user looks from."""
     for index in range(count):
         turned = replace(eye, azimuth=eye.azimuth + 360.0 * index / count)
@@ -163,7 +163,7 @@ def _on(rgba: NDArray[np.uint8], background: Vec3) -> NDArray[np.uint8]:
     return (rgba[..., :3] * alpha + 255 * np.asarray(background, np.float32) * (1 - alpha) + 0.5).astype(np.uint8)
 
 
-def piece_gaussians(atoms: Atoms, piece: Lying) -> Gaussians:
+def piece_gaussians(atoms: Atoms, piece: PlacedPiece) -> Gaussians:
     """What a piece is in a 3DGS file: its atoms by their centres, where the piece lies now, turned with it.
 
     Other viewers cannot cut an atom in two, so a cut face there is as rough as the atoms are large.
@@ -186,7 +186,7 @@ def piece_gaussians(atoms: Atoms, piece: Lying) -> Gaussians:
     return whole[kept]
 
 
-def save_pieces(path: Path, atoms: Atoms, pieces: Sequence[Lying]) -> int:
+def save_pieces(path: Path, atoms: Atoms, pieces: Sequence[PlacedPiece]) -> int:
     """Some pieces in one 3DGS .ply; returns the number of Gaussians. Raises InputError where there is none."""
     parts = [piece_gaussians(atoms, piece) for piece in pieces]
     if not sum(len(part) for part in parts):

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from app.model.camera_control import project_points, ray
 from app.model.document import Document, Key, Part
-from app.model.pieces import Lying, Solid, shown
+from app.model.pieces import PlacedPiece, Solid, shown
 from app.model.rigid_transform import Vec3
 from engine.scene.camera import Camera
 from engine.scene.plane import Plane
@@ -136,7 +136,7 @@ def slice_object(
     return Outcome(cut, "Cut into two." if count == 1 and len(visible) == 1 else f"Cut {_pieces(count)}.")
 
 
-def _crossed(piece: Lying, solid: Solid, camera: Camera, stroke: Stroke, plane: Plane) -> bool:
+def _crossed(piece: PlacedPiece, solid: Solid, camera: Camera, stroke: Stroke, plane: Plane) -> bool:
     """Whether solid lies on both sides of the plane, and the stroke passes where the plane meets the piece."""
     if not len(piece.rows):
         return False

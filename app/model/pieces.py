@@ -15,7 +15,7 @@ from engine.scene.atoms import Atoms
 from engine.scene.piece import Piece
 from engine.scene.plane import Plane
 
-__all__ = ["Lying", "Solid", "pieces", "sections", "shown"]
+__all__ = ["PlacedPiece", "Solid", "pieces", "sections", "shown"]
 
 SAMPLE = 20_000
 """Points that stand for the solid when a cut asks what lies on which side: 27 along each axis of a cube."""
@@ -68,7 +68,7 @@ def _sample(points: NDArray[np.floating], limit: int) -> NDArray[np.float64]:
 
 
 @dataclass(frozen=True)
-class Lying:
+class PlacedPiece:
     """A piece as it lies in the window."""
 
     key: Key
@@ -97,7 +97,7 @@ class _Share:
     """(3,). Sum of signed normals of its cuts: the direction in which it parts from the others."""
 
 
-def pieces(document: Document, solid: Solid) -> list[Lying]:
+def pieces(document: Document, solid: Solid) -> list[PlacedPiece]:
     """The pieces of the object, without removed ones.
 
     A cut divides a piece only if some of the solid lies on both sides; otherwise the piece stays as it is.
@@ -122,7 +122,7 @@ def pieces(document: Document, solid: Solid) -> list[Lying]:
         apart = Motion.by(share.parting * (document.gap / 2 * solid.radius) + outwards)
         name = placement.name or (f"Piece {number}" if share.key else "Whole")
         motion = placement.motion.after(apart)
-        result.append(Lying(share.key, name, share.planes, motion, placement.visible, share.rows))
+        result.append(PlacedPiece(share.key, name, share.planes, motion, placement.visible, share.rows))
     return result
 
 
@@ -143,6 +143,6 @@ def sections(document: Document) -> tuple[Plane, ...]:
     return tuple(cut.plane(cut.parts[0]) for cut in document.cuts if cut.kind == "section" and cut.on)
 
 
-def shown(document: Document, solid: Solid) -> list[Lying]:
+def shown(document: Document, solid: Solid) -> list[PlacedPiece]:
     """The pieces that are to be drawn."""
     return [piece for piece in pieces(document, solid) if piece.visible]

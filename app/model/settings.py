@@ -18,7 +18,7 @@ from engine.io.files import atomic, read_file
 __all__ = ["Settings", "load_settings", "save_settings", "settings_folder", "state_folder"]
 
 RECENT = 10
-"""Files that the menu lists."""
+"""ProjectFiles that the menu lists."""
 
 
 @dataclass(frozen=True)

@@ -14,13 +14,14 @@ from imgui_bundle import icons_fontawesome_6 as icon
 from app.model.camera_control import AXIS_VIEWS
 from app.model.project import SUFFIX
 from app.model.samples import sample_document
-from app.session.session import TOOLS, Session, Tool
+from app.session.session import Session
+from app.session.workspace import TOOLS, Tool
 from app.ui.commands import Command, Ctrl, Key, Shift
-from app.ui.dialogs.export import ExportWindow
-from app.ui.dialogs.files import Dialogs
+from app.ui.dialogs.export_window import ExportWindow
+from app.ui.dialogs.file_dialogs import FileDialogs
 from app.ui.theme import Fonts, apply, palette, px, rgba
 from app.ui.view.viewport import Viewport
-from app.ui.widgets import font, icon_button, secondary, tip
+from app.ui.widgets import font, icon_button, secondary, tooltip
 
 __all__ = ["Menus"]
 
@@ -36,11 +37,11 @@ TOOL_ICONS: dict[Tool, tuple[str, str, str]] = {
 class Menus:
     """Draws them."""
 
-    def __init__(self, session: Session, viewport: Viewport, dialogs: Dialogs, export: ExportWindow) -> None:
+    def __init__(self, session: Session, viewport: Viewport, dialogs: FileDialogs, export: ExportWindow) -> None:
         self.session, self.viewport, self.dialogs, self.export = session, viewport, dialogs, export
-        self.sheet = False
+        self.shortcuts_shown = False
         """Whether the shortcut sheet is shown."""
-        session.files.ask_where = lambda then: dialogs.save(
+        session.files.choose_path = lambda then: dialogs.save(
             "Save the project", self.suggestion(), ["FruitNinja project", f"*{SUFFIX}"], then
         )
         self.commands = self._commands()
@@ -52,7 +53,7 @@ class Menus:
 
     def _commands(self) -> list[Command]:
         s, view = self.session, self.viewport
-        desk, ask = s.desk, self.export.ask
+        training, ask = s.training, self.export.ask
 
         def opened() -> bool:
             return s.document.scene is not None
@@ -61,7 +62,7 @@ class Menus:
             return bool(s.selection)
 
         def can_start() -> bool:
-            return opened() and not desk.busy and not (s.object is not None and s.object.trained)
+            return opened() and not training.busy and not (s.object is not None and s.object.trained)
 
         def is_cut() -> bool:
             return bool(s.document.cuts)
@@ -78,7 +79,7 @@ class Menus:
         tools = []
         for tool in TOOLS:
             keys = TOOL_ICONS[tool][2]
-            tools.append(Command("Tools", tool.title(), partial(s.take, tool), keys, getattr(Key, keys.lower())))
+            tools.append(Command("Tools", tool.title(), partial(s.select_tool, tool), keys, getattr(Key, keys.lower())))
         return [
             Command("File", "Open...", self._open, "Ctrl+O", Ctrl | Key.o),
             Command("File", "Save", s.files.save, "Ctrl+S", Ctrl | Key.s, opened, gap=True),
@@ -99,15 +100,15 @@ class Menus:
             Command("Edit", "Delete", s.delete, "Del", Key.delete, chosen),
             *tools,
             Command("Cut", "Add plane", s.add_plane, "", 0, opened),
-            Command("Cut", "Put back together", s.together, "Ctrl+G", Ctrl | Key.g, is_cut),
+            Command("Cut", "Put back together", s.reassemble, "Ctrl+G", Ctrl | Key.g, is_cut),
             Command("Cut", "Remove all cuts", self._no_cuts, can=is_cut),
-            Command("Interior", "Give it an inside", desk.start, can=can_start),
-            Command("Interior", "Pause", desk.toggle_pause, can=lambda: desk.busy),
-            Command("Interior", "Stop", desk.stop, can=lambda: desk.busy),
-            Command("Interior", "Resume", desk.resume, can=lambda: desk.job is not None and not desk.busy),
+            Command("Interior", "Give it an inside", training.start, can=can_start),
+            Command("Interior", "Pause", training.toggle_pause, can=lambda: training.busy),
+            Command("Interior", "Stop", training.stop, can=lambda: training.busy),
+            Command("Interior", "Resume", training.resume, can=lambda: training.job is not None and not training.busy),
             Command("Interior", "Choose pictures...", self._pictures, can=opened, gap=True),
             *look,
-            Command("Help", "Shortcuts", self._toggle_sheet, "?", Shift | Key.slash),
+            Command("Help", "Shortcuts", self._toggle_shortcuts, "?", Shift | Key.slash),
         ]  # fmt: skip
 
     # Menus and rail
@@ -140,7 +141,7 @@ class Menus:
             for name in self.session.settings.recent:
                 if imgui.menu_item(Path(name).name, "", False)[0]:
                     self.session.files.open(Path(name))
-                tip(name)
+                tooltip(name)
             imgui.end_menu()
         if imgui.begin_menu("Samples"):
             for name in ("watermelon", "orange", "bread"):
@@ -164,21 +165,21 @@ class Menus:
         for tool in TOOLS:
             mark, words, keys = TOOL_ICONS[tool]
             if icon_button(f"{mark}##{tool}", 38, active=self.session.tool == tool):
-                self.session.take(tool)
-            tip(words, keys)
+                self.session.select_tool(tool)
+            tooltip(words, keys)
         imgui.dummy(ImVec2(0, px(2)))
         if icon_button(f"{icon.ICON_FA_EXPAND}##fit", 38):
             self.viewport.fit()
-        tip("Fit the object into the picture", "F")
+        tooltip("Fit the object into the picture", "F")
         if icon_button(f"{icon.ICON_FA_CAMERA}##picture", 38):
             self.export.ask("picture")
-        tip("Save a picture", "Ctrl+E")
+        tooltip("Save a picture", "Ctrl+E")
         imgui.pop_style_var()
 
     def context(self) -> None:
         """What a right click on the object offers."""
-        if self.viewport.menu_asked:
-            self.viewport.menu_asked = False
+        if self.viewport.menu_requested:
+            self.viewport.menu_requested = False
             imgui.open_popup("context")
         if not imgui.begin_popup("context"):
             return
@@ -186,12 +187,12 @@ class Menus:
             self._item(next(replace(c, gap=False) for c in self.commands if c.label == label))
         hidden = [p.key for p in self.session.pieces if not p.visible]
         if hidden and imgui.menu_item_simple("Show all"):
-            self.session.mark("Show all", frozenset(hidden), lambda p: replace(p, visible=True))
+            self.session.change_placements("Show all", frozenset(hidden), lambda p: replace(p, visible=True))
         imgui.end_popup()
 
-    def show_sheet(self) -> None:
+    def show_shortcuts(self) -> None:
         """All shortcuts on one page."""
-        if not self.sheet:
+        if not self.shortcuts_shown:
             return
         imgui.set_next_window_pos(imgui.get_main_viewport().get_center(), imgui.Cond_.always, ImVec2(0.5, 0.5))
         imgui.push_style_color(imgui.Col_.window_bg, rgba(palette().panel, 0.98))
@@ -224,7 +225,7 @@ class Menus:
             imgui.end_table()
         outside = imgui.is_mouse_clicked(imgui.MouseButton_.left) and not imgui.is_window_hovered()
         if outside or imgui.is_key_pressed(imgui.Key.escape):
-            self.sheet = False
+            self.shortcuts_shown = False
         imgui.end()
         imgui.pop_style_var()
         imgui.pop_style_color()
@@ -237,13 +238,13 @@ class Menus:
     def open_sample(self, name: str) -> None:
         """A sample scene, ready to be trained."""
         session = self.session
-        session.files.unless_unsaved(
-            lambda: session.show(sample_document(name), replace(session.viewing, mode="capture"), None)
+        session.files.after_saving(
+            lambda: session.files.open_document(sample_document(name), replace(session.viewing, mode="capture"), None)
         )
 
     def _save_as(self) -> None:
-        if self.session.files.ask_where is not None:
-            self.session.files.ask_where(self.session.files.save)
+        if self.session.files.choose_path is not None:
+            self.session.files.choose_path(self.session.files.save)
 
     def _pictures(self) -> None:
         self.dialogs.open_pictures(lambda paths: self.session.add_pictures(None, paths))
@@ -256,7 +257,7 @@ class Menus:
 
     def _perspective(self) -> None:
         eye = self.session.viewing.eye
-        self.session.look(replace(self.session.viewing, eye=replace(eye, orthographic=not eye.orthographic)))
+        self.session.viewing = replace(self.session.viewing, eye=replace(eye, orthographic=not eye.orthographic))
 
     def _in_perspective(self) -> bool:
         return not self.session.viewing.eye.orthographic
@@ -266,13 +267,13 @@ class Menus:
 
     def _light(self) -> None:
         settings = self.session.settings
-        self.session.remember(replace(settings, face_light=not settings.face_light))
+        self.session.change_settings(replace(settings, face_light=not settings.face_light))
 
     def _theme(self) -> None:
         settings = self.session.settings
         new = replace(settings, theme="light" if settings.theme == "dark" else "dark")
-        self.session.remember(new)
+        self.session.change_settings(new)
         apply(new.theme)
 
-    def _toggle_sheet(self) -> None:
-        self.sheet = not self.sheet
+    def _toggle_shortcuts(self) -> None:
+        self.shortcuts_shown = not self.shortcuts_shown

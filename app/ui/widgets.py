@@ -12,21 +12,21 @@ from app.ui.theme import Fonts, palette, px, rgba, u32
 
 __all__ = [
     "disabled",
+    "float_slider",
     "heading",
     "icon_button",
+    "int_slider",
     "main_button",
     "minutes",
-    "number_slider",
     "range_slider",
     "secondary",
     "segmented",
     "thin_bar",
-    "tip",
-    "whole_slider",
+    "tooltip",
 ]
 
 
-def tip(text: str, keys: str = "") -> None:
+def tooltip(text: str, keys: str = "") -> None:
     """What the item under the pointer does, with its shortcut."""
     if imgui.is_item_hovered(imgui.HoveredFlags_.for_tooltip | imgui.HoveredFlags_.allow_when_disabled):
         imgui.push_style_var(imgui.StyleVar_.window_padding, ImVec2(px(9), px(6)))
@@ -135,7 +135,7 @@ def segmented(name: str, labels: Sequence[str], current: int, width: float, hint
             current = index
         hovered = imgui.is_item_hovered()
         if hints:
-            tip(hints[index])
+            tooltip(hints[index])
         high = ImVec2(low.x + each, low.y + height)
         if index == current:
             inset = px(2)
@@ -152,7 +152,7 @@ def segmented(name: str, labels: Sequence[str], current: int, width: float, hint
     return current
 
 
-def number_slider(
+def float_slider(
     name: str, value: float, low: float, high: float, hint: str, width: float = -1.0
 ) -> tuple[bool, float]:
     """A slider with its number at the right, which keeps its place; double click or Ctrl+click to type."""
@@ -160,12 +160,12 @@ def number_slider(
     full = imgui.get_content_region_avail().x if width < 0 else width
     imgui.set_next_item_width(full - room)
     changed, value = imgui.slider_float(name, value, low, high, "")
-    tip(hint)
+    tooltip(hint)
     _number_at_right(f"{value if abs(value) >= 0.005 else 0.0:.2f}", room)
     return changed, value
 
 
-def whole_slider(name: str, value: int, low: int, high: int) -> tuple[bool, int]:
+def int_slider(name: str, value: int, low: int, high: int) -> tuple[bool, int]:
     """The same for whole numbers, as wide as there is room."""
     room = imgui.calc_text_size("0000").x + px(6)
     imgui.set_next_item_width(imgui.get_content_region_avail().x - room)
@@ -203,7 +203,7 @@ def range_slider(name: str, ends: tuple[float, float], hint: str) -> tuple[bool,
     draw.add_rect_filled(ImVec2(low, top), ImVec2(high + grab, bottom), u32(p.pressed), px(4))
     for x in (low, high):
         draw.add_rect_filled(ImVec2(x, top), ImVec2(x + grab, bottom), u32(p.text if active else p.second), px(4))
-    tip(hint)
+    tooltip(hint)
     _number_at_right("all" if new == (0.0, 1.0) else f"{new[1] - new[0]:.0%}", room)
     return new != ends, new
 

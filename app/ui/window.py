@@ -13,21 +13,21 @@ from imgui_bundle import ImVec2, ImVec4, hello_imgui, imgui, imguizmo, implot
 from imgui_bundle import icons_fontawesome_6 as icon
 from imgui_bundle.glfw_utils import glfw_window_hello_imgui
 
-from app.jobs.recovered_jobs import forget_job, left_jobs, words_of
 from app.jobs.training_job import Job
-from app.model.autosave import Rescued, rescued
+from app.model.autosave import UnsavedWork, find_unsaved_work
 from app.model.project import Viewing
 from app.model.settings import settings_folder
-from app.session.project_files import PICTURES
+from app.session.recovered_jobs import describe_job, dismiss_job, recovered_jobs
 from app.session.session import Session
+from app.session.workspace import PICTURE_SUFFIXES
 from app.ui.commands import press_shortcuts
-from app.ui.dialogs.export import ExportWindow
-from app.ui.dialogs.exporting import Exporter
-from app.ui.dialogs.files import Dialogs
+from app.ui.dialogs.export_window import ExportWindow
+from app.ui.dialogs.exporter import Exporter
+from app.ui.dialogs.file_dialogs import FileDialogs
 from app.ui.menus import Menus
 from app.ui.panels.inspector import Inspector
 from app.ui.panels.interior import InteriorPanel
-from app.ui.panels.thumbs import Thumbs
+from app.ui.panels.thumbnails import Thumbnails
 from app.ui.theme import Fonts, apply, load_fonts, palette, px, rgba, u32
 from app.ui.view.painter import Painter
 from app.ui.view.viewport import Viewport
@@ -52,7 +52,7 @@ class Window:
         self.session = session
         self.start = start
         self.dropped: list[Path] = []
-        self.rescues: list[Rescued] = []
+        self.unsaved: list[UnsavedWork] = []
         self.left: list[Job] = []
         """Trainings of earlier sessions."""
         self.params = self._params()
@@ -116,13 +116,13 @@ class Window:
     def _begin(self) -> None:
         self.ctx = moderngl.create_context(require=330)
         self.painter = Painter(self.ctx)
-        self.thumbs = Thumbs(self.ctx)
-        self.dialogs = Dialogs(self.session.folder)
+        self.thumbnails = Thumbnails(self.ctx)
+        self.dialogs = FileDialogs(self.session.folder)
         self.viewport = Viewport(self.session, self.painter)
         self.exporter = Exporter(self.session, self.painter)
         self.export = ExportWindow(self.exporter, self.dialogs)
         self.menus = Menus(self.session, self.viewport, self.dialogs, self.export)
-        self.interior = InteriorPanel(self.session, self.viewport, self.thumbs, self.dialogs)
+        self.interior = InteriorPanel(self.session, self.viewport, self.thumbnails, self.dialogs)
         self.inspector = Inspector(self.session, self.interior)
         if implot.get_current_context() is None:
             implot.create_context()
@@ -130,14 +130,16 @@ class Window:
         glfw.set_drop_callback(self.window, self._note_drop)
         if self.start is not None:
             self.start(self.session)
-        self.rescues = rescued()
-        self.left = left_jobs(self.session)
+        self.unsaved = find_unsaved_work()
+        self.left = recovered_jobs(self.session)
 
     def _end(self) -> None:
         width, height = (max(200, round(side / px(1))) for side in glfw.get_window_size(self.window))
-        self.session.remember(replace(self.session.settings, window=(width, height)))  # as at 96 DPI, like all sizes
+        self.session.change_settings(
+            replace(self.session.settings, window=(width, height))
+        )  # as at 96 DPI, like all sizes
         glfw.set_drop_callback(self.window, None)  # type: ignore[arg-type]
-        self.thumbs.release()
+        self.thumbnails.release()
         self.painter.release()
 
     def _tick(self) -> None:
@@ -145,7 +147,7 @@ class Window:
         session.tick()
         if self.dropped:
             self._take_drop()
-        preparing = session.preparing is not None
+        preparing = session.loader is not None
         busy = preparing or self.exporter.busy or self.viewport.moving or self.painter.unfinished
         self.params.fps_idling.enable_idling = not busy
         glfw.set_window_title(self.window, f"{session.title} - FruitNinja" if session.document.scene else "FruitNinja")
@@ -162,13 +164,13 @@ class Window:
 
     def _take_drop(self) -> None:
         paths, self.dropped = tuple(self.dropped), []
-        pictures = tuple(path for path in paths if path.suffix.lower() in PICTURES)
+        pictures = tuple(path for path in paths if path.suffix.lower() in PICTURE_SUFFIXES)
         if pictures and self.session.document.scene is not None:
             self.interior.dropped(pictures, imgui.get_io().mouse_pos.y)
         elif paths and not pictures:
             self.session.files.open(paths[0])
         else:
-            self.session.say("Open an object first, then drop pictures of its cut faces.")
+            self.session.notify("Open an object first, then drop pictures of its cut faces.")
 
     def _guard(self, draw: Callable[[], None]) -> None:
         """An error in the window is shown in it; ImGui's stack is put right so that the frame can end."""
@@ -182,7 +184,9 @@ class Window:
             if self._failures > GUI_ERRORS:
                 raise
             imgui.internal.error_recovery_try_to_recover_state(state)
-            self.session.fail(f"Something went wrong ({type(error).__name__}: {error}). Your work is kept; save it.")
+            self.session.show_error(
+                f"Something went wrong ({type(error).__name__}: {error}). Your work is kept; save it."
+            )
 
     # Drawing
 
@@ -190,7 +194,7 @@ class Window:
         if not imgui.is_any_item_active() and not imguizmo.im_guizmo.is_using_any():
             self.session.history.settle()  # what was dragged has been let go
         press_shortcuts(self.menus.commands)
-        self.menus.show_sheet()
+        self.menus.show_shortcuts()
         self.export.show()
         self.dialogs.show()
         self._question()
@@ -238,12 +242,12 @@ class Window:
         """Errors, what is being read, and unsaved work of a session that crashed, at the foot of the viewport."""
         view, session = self.viewport, self.session
         texts: list[tuple[str, str, Callable[[], None] | None, Callable[[], None]]] = []
-        if self.rescues:
-            first = self.rescues[0]
+        if self.unsaved:
+            first = self.unsaved[0]
             name = first.name or "a project that was never saved"
             texts.append((f"Unsaved work on {name} was kept.", "Bring it back", self._recover, self._forget))
         if self.left:
-            texts.append((words_of(self.left[0]), "Show it", self._return, self._pass_over))
+            texts.append((describe_job(self.left[0]), "Show it", self._return, self._pass_over))
         if session.error:
             texts.append((session.error, "", None, lambda: setattr(session, "error", "")))
         y = view.origin.y + view.size[1] - px(46)
@@ -285,24 +289,24 @@ class Window:
         return height
 
     def _recover(self) -> None:
-        first = self.rescues.pop(0)
-        self.session.files.unless_unsaved(lambda: self.session.files.recover(first))
+        first = self.unsaved.pop(0)
+        self.session.files.after_saving(lambda: self.session.files.recover(first))
 
     def _forget(self) -> None:
-        self.rescues.pop(0).discard()
+        self.unsaved.pop(0).discard()
 
     def _return(self) -> None:
         """To a training that an earlier session left behind."""
         session, job = self.session, self.left[0]
 
         def show() -> None:
-            session.show(job.document, Viewing(mode="capture"), None)
+            session.files.open_document(job.document, Viewing(mode="capture"), None)
             self._pass_over()
 
-        session.files.unless_unsaved(show)
+        session.files.after_saving(show)
 
     def _pass_over(self) -> None:
-        forget_job(self.session, self.left.pop(0))
+        dismiss_job(self.session, self.left.pop(0))
 
     def _question(self) -> None:
         question = self.session.question

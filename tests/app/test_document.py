@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from app.model.camera_control import Eye, project_points
+from app.model.camera_control import OrbitCamera, project_points
 from app.model.document import WHOLE, Document, Part, Placement
 from app.model.history import History
 from app.model.knife import Stroke, plane_of, slice_object
@@ -161,10 +161,10 @@ def test_halves_part_by_the_gap_and_keep_how_they_were_laid() -> None:
     document = document.with_cut((Part(Plane((0.0, 1.0, 0.0), 0.0), high.key),))
     children = [piece for piece in pieces(document, BALL) if piece.key[:1] == high.key]
     assert len(children) == 2 and all(child.motion.turn == turned.turn for child in children)
-    together = document.together()
+    together = document.reassembled()
     assert all(piece.motion == STILL for piece in pieces(together, BALL)) and len(pieces(together, BALL)) == 3
     gone = document.placed(low.key, lambda p: replace(p, removed=True))
-    assert len(pieces(gone, BALL)) == 2 and len(pieces(gone.together(), BALL)) == 3
+    assert len(pieces(gone, BALL)) == 2 and len(pieces(gone.reassembled(), BALL)) == 3
 
 
 def test_sections_hide_but_do_not_divide() -> None:
@@ -177,7 +177,7 @@ def test_sections_hide_but_do_not_divide() -> None:
 
 # The knife
 
-EYE = Eye(distance=5.0, azimuth=-90.0, elevation=0.0)
+EYE = OrbitCamera(distance=5.0, azimuth=-90.0, elevation=0.0)
 
 
 @pytest.mark.parametrize("orthographic", [False, True])

@@ -6,9 +6,9 @@ import numpy as np
 from imgui_bundle import ImVec2, imgui, implot
 
 from app.jobs.job_events import Progress
-from app.ui.panels.thumbs import Thumbs
+from app.ui.panels.thumbnails import Thumbnails
 from app.ui.theme import palette, px, rgba, u32
-from app.ui.widgets import secondary, tip
+from app.ui.widgets import secondary, tooltip
 
 __all__ = ["curves", "previews"]
 
@@ -45,12 +45,12 @@ def curves(progress: Progress) -> None:
     implot.end_plot()
 
 
-def previews(progress: Progress, thumbs: Thumbs) -> None:
+def previews(progress: Progress, thumbnails: Thumbnails) -> None:
     """The latest labels, each beside what the object shows there."""
     secondary("Wanted and reached")
     width = (imgui.get_content_region_avail().x - px(8)) / 2
     for index, path in enumerate(progress.previews[:4]):
-        texture = thumbs.get(path)
+        texture = thumbnails.get(path)
         if texture is None:
             continue
         if index % 2:
@@ -67,4 +67,4 @@ def previews(progress: Progress, thumbs: Thumbs) -> None:
             px(4),
         )
         imgui.dummy(ImVec2(width, height))
-        tip(f"Left: what the picture wants. Right: what the object shows ({path.stem.split('_')[0]}).")
+        tooltip(f"Left: what the picture wants. Right: what the object shows ({path.stem.split('_')[0]}).")

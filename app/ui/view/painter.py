@@ -152,10 +152,10 @@ class Painter:
                 self._capture, self._key = shown.capture, None
             return True
         assert shown.atoms is not None
-        atoms = (session.geometry, session.colours)
-        if self._atoms is None or self._atoms[0] != session.geometry:
+        atoms = (session.geometry_version, session.colour_version)
+        if self._atoms is None or self._atoms[0] != session.geometry_version:
             self.renderer.set_atoms(shown.atoms)
-        elif self._atoms[1] != session.colours:
+        elif self._atoms[1] != session.colour_version:
             self.renderer.update_colours(shown.atoms.surface.sh, shown.atoms.interior.rgb)
         self._atoms = atoms
         return True

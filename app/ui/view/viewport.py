@@ -10,20 +10,20 @@ import numpy as np
 from imgui_bundle import ImVec2, imgui
 from numpy.typing import NDArray
 
-from app.model.camera_control import Eye, project_points
+from app.model.camera_control import OrbitCamera, project_points
 from app.model.document import Cut, Key
 from app.model.knife import SHORTEST, Stroke, plane_of
-from app.model.pieces import Lying, sections
+from app.model.pieces import PlacedPiece, sections
 from app.model.project import VIEW_MODES
 from app.model.rigid_transform import Motion
 from app.session.session import Session
 from app.ui.theme import palette, px, rgb, u32
+from app.ui.view.animation import CameraAnimation, PieceAnimation
+from app.ui.view.annotations import brackets, label
 from app.ui.view.axis_cube import axis_cube
 from app.ui.view.gizmo import handles
-from app.ui.view.glide import CameraGlide, PieceGlide
-from app.ui.view.guides import Guides
-from app.ui.view.marks import brackets, label
 from app.ui.view.painter import Painter
+from app.ui.view.plane_lines import PlaneLines
 from app.ui.widgets import segmented
 from engine.render.gl.overlay import Lines, Sheet
 from engine.scene.camera import Camera
@@ -76,39 +76,39 @@ class Viewport:
 
     def __init__(self, session: Session, painter: Painter) -> None:
         self.session, self.painter = session, painter
-        self.pieces_glide, self.eye_glide = PieceGlide(), CameraGlide()
+        self.piece_animation, self.camera_animation = PieceAnimation(), CameraAnimation()
         self.drag: Drag | None = None
         self.show_families: frozenset[str] = frozenset()
-        self.menu_asked = False
+        self.menu_requested = False
         self.size = (640, 480)
         """Of the picture, in the window's units."""
         self.origin = ImVec2(0, 0)
-        self.guides = Guides(session)
-        self._eye = Eye()
+        self.plane_lines = PlaneLines(session)
+        self._eye = OrbitCamera()
         self._laid: tuple[object, ...] = ()
         self._moved = -10.0
 
     @property
     def moving(self) -> bool:
         """Whether the next frame must come without an event."""
-        return self.pieces_glide.moving or self.eye_glide.now() is not None
+        return self.piece_animation.moving or self.camera_animation.now() is not None
 
     def camera(self, scale: float = 1.0) -> Camera:
         """The camera of the picture, in window units times `scale`."""
-        eye = self.eye_glide.now() or self.session.viewing.eye
+        eye = self.camera_animation.now() or self.session.viewing.eye
         width, height = (max(1, round(side * scale)) for side in self.size)
         return eye.camera(width, height, self.session.up)
 
-    def go(self, eye: Eye) -> None:
+    def go(self, eye: OrbitCamera) -> None:
         """Moves the eye there, gently."""
-        self.eye_glide.go(self.session.viewing.eye, eye)
-        self.session.look(replace(self.session.viewing, eye=eye))
+        self.camera_animation.go(self.session.viewing.eye, eye)
+        self.session.viewing = replace(self.session.viewing, eye=eye)
 
     def fit(self) -> None:
         """Everything in the picture."""
         before = self.session.viewing.eye
         self.session.fit(self.size[0] / max(self.size[1], 1))
-        self.eye_glide.go(before, self.session.viewing.eye)
+        self.camera_animation.go(before, self.session.viewing.eye)
 
     def show(self) -> None:
         """One frame."""
@@ -118,7 +118,7 @@ class Viewport:
         self.size = (max(16, round(available.x)), max(16, round(available.y)))
         size = ImVec2(*self.size)
         scale = float(imgui.get_io().display_framebuffer_scale.x) or 1.0
-        pieces = self.pieces_glide.placed(session.pieces)
+        pieces = self.piece_animation.placed(session.pieces)
         hide = sections(session.document)
         shown = [piece.piece(hide) for piece in pieces if piece.visible]
         background = session.viewing.background or rgb(palette().view)
@@ -127,7 +127,7 @@ class Viewport:
         moving = self._notice(shown)
         over: list[Lines | Sheet] = [
             *self._sheets(),
-            *self.guides.families(self.show_families, pieces, scale),
+            *self.plane_lines.families(self.show_families, pieces, scale),
             *self._knife_lines(pieces, scale),
         ]
         texture = self.painter.frame(session, self.camera(scale), shown, background, over, moving)
@@ -153,7 +153,7 @@ class Viewport:
 
     def _notice(self, shown: Sequence[Piece]) -> bool:
         """Whether the view is in motion: the eye, or pieces and planes while they are pulled."""
-        eye = self.eye_glide.now() or self.session.viewing.eye
+        eye = self.camera_animation.now() or self.session.viewing.eye
         laid = tuple((piece.planes, piece.transform.tobytes()) for piece in shown)
         pulled = imgui.is_mouse_down(imgui.MouseButton_.left) and laid != self._laid
         now = time.monotonic()
@@ -169,11 +169,11 @@ class Viewport:
         mouse = imgui.get_mouse_pos()
         return mouse.x - self.origin.x, mouse.y - self.origin.y
 
-    def _mouse(self, camera: Camera, hovered: bool, active: bool, pieces: list[Lying]) -> None:
+    def _mouse(self, camera: Camera, hovered: bool, active: bool, pieces: list[PlacedPiece]) -> None:
         session, io, at = self.session, imgui.get_io(), self._at()
         if hovered and io.mouse_wheel and self.drag is None:
             eye = session.viewing.eye.zoomed(io.mouse_wheel, at, self.size, session.up, session.solid.radius)
-            session.look(replace(session.viewing, eye=eye))
+            session.viewing = replace(session.viewing, eye=eye)
         if active and self.drag is None:
             self._begin(camera, at, pieces)
         drag = self.drag
@@ -184,20 +184,20 @@ class Viewport:
         eye = session.viewing.eye
         if drag.kind == "orbit":
             if dx or dy:
-                session.look(replace(session.viewing, eye=eye.turned(dx, dy)))
+                session.viewing = replace(session.viewing, eye=eye.turned(dx, dy))
         elif drag.kind == "pan":
             if dx or dy:
-                session.look(replace(session.viewing, eye=eye.panned(dx, dy, self.size[1], session.up)))
+                session.viewing = replace(session.viewing, eye=eye.panned(dx, dy, self.size[1], session.up))
         elif drag.kind in ("move", "turn") and (dx or dy):
             self._lay(camera, drag, dx, dy)
         if imgui.is_key_pressed(imgui.Key.escape) and drag.kind in ("stroke", "plane"):
             drag.cancelled = True
-            session.say("Not cut.")
+            session.notify("Not cut.")
         if not active:
             self._end(camera, drag, at, pieces)
             self.drag = None
 
-    def _begin(self, camera: Camera, at: tuple[float, float], pieces: list[Lying]) -> None:
+    def _begin(self, camera: Camera, at: tuple[float, float], pieces: list[PlacedPiece]) -> None:
         session, io = self.session, imgui.get_io()
         left = imgui.is_mouse_down(imgui.MouseButton_.left)
         kind = "orbit"
@@ -216,12 +216,12 @@ class Viewport:
                     session.selection = keys
         self.drag = Drag(kind, at, at, keys, depth)
 
-    def _end(self, camera: Camera, drag: Drag, at: tuple[float, float], pieces: list[Lying]) -> None:
+    def _end(self, camera: Camera, drag: Drag, at: tuple[float, float], pieces: list[PlacedPiece]) -> None:
         session, io = self.session, imgui.get_io()
         moved = float(np.hypot(at[0] - drag.start[0], at[1] - drag.start[1]))
         if drag.kind == "stroke" and not drag.cancelled:
             session.slice(camera, Stroke(drag.start, at, io.key_shift))
-            session.remember(replace(session.settings, seen_hint=True))
+            session.change_settings(replace(session.settings, seen_hint=True))
         elif drag.kind == "plane" and not drag.cancelled:
             plane = plane_of(camera, Stroke(drag.start, at, io.key_shift), session.up, session.solid.centre)
             if plane is not None:
@@ -232,19 +232,21 @@ class Viewport:
         elif drag.kind == "orbit" and moved < SHORTEST:
             self._click(camera, at, pieces)
 
-    def _click(self, camera: Camera, at: tuple[float, float], pieces: list[Lying]) -> None:
+    def _click(self, camera: Camera, at: tuple[float, float], pieces: list[PlacedPiece]) -> None:
         session = self.session
         key, _ = self._pick(at, pieces)
         if imgui.is_mouse_released(imgui.MouseButton_.right):
             if key is not None and key not in session.selection:
                 session.selection = frozenset([key])
-            self.menu_asked = True
+            self.menu_requested = True
         elif imgui.get_io().key_ctrl and key is not None:
             session.selection = session.selection ^ {key}
         else:
             session.selection = frozenset() if key is None or len(pieces) < 2 else frozenset([key])
 
-    def _pick(self, at: tuple[float, float], pieces: list[Lying]) -> tuple[Key | None, NDArray[np.float64] | None]:
+    def _pick(
+        self, at: tuple[float, float], pieces: list[PlacedPiece]
+    ) -> tuple[Key | None, NDArray[np.float64] | None]:
         """The piece under a point of the picture, and the world point (3,) seen there."""
         if self.session.mode == "capture":
             return None, None
@@ -287,7 +289,7 @@ class Viewport:
         cut = session.document.cut(session.active_cut)
         return cut if cut.kind == "section" and cut.on else None
 
-    def _draw_selection(self, camera: Camera, pieces: list[Lying]) -> None:
+    def _draw_selection(self, camera: Camera, pieces: list[PlacedPiece]) -> None:
         """A quiet mark at the corner of each selected piece."""
         session = self.session
         if len(pieces) < 2:
@@ -300,7 +302,7 @@ class Viewport:
             pixels = pixels + np.array([self.origin.x, self.origin.y])
             brackets(draw, pixels.min(0) - px(10), pixels.max(0) + px(10))
 
-    def _knife_lines(self, pieces: Sequence[Lying], scale: float) -> list[Lines]:
+    def _knife_lines(self, pieces: Sequence[PlacedPiece], scale: float) -> list[Lines]:
         """Where the plane of the stroke would go through each piece."""
         session, drag = self.session, self.drag
         if drag is None or drag.kind not in ("stroke", "plane") or drag.cancelled or session.atoms is None:
@@ -308,7 +310,7 @@ class Viewport:
         stroke = Stroke(drag.start, self._at(), imgui.get_io().key_shift)
         plane = plane_of(self.camera(), stroke, session.up, session.solid.centre)
         met = [piece for piece in pieces if not session.selection or piece.key in session.selection]
-        return [] if plane is None else self.guides.cut(plane, [piece for piece in met if piece.visible], scale)
+        return [] if plane is None else self.plane_lines.cut(plane, [piece for piece in met if piece.visible], scale)
 
     def _draw_stroke(self) -> None:
         """The line of the hand."""
@@ -336,9 +338,9 @@ class Viewport:
         chosen = segmented("view", MODE_LABELS, current, width, MODE_HINTS)
         if chosen != current:
             if session.atoms is None:
-                session.say("The object is not solid yet.")
+                session.notify("The object is not solid yet.")
             else:
-                session.look(replace(session.viewing, mode=VIEW_MODES[chosen]))
+                session.viewing = replace(session.viewing, mode=VIEW_MODES[chosen])
         if self.size[0] > px(420):
             middle = ImVec2(self.origin.x + self.size[0] - px(62), self.origin.y + px(62))
             axis = axis_cube(camera, session.up, middle, px(92))

@@ -70,11 +70,11 @@ class Exporter:
             elif options.kind == "picture":
                 camera = self._camera(options)
                 save_still(path, self._draw(camera, self._shown()), options.transparent)
-                self.session.say(f"Saved {path.name}.")
+                self.session.notify(f"Saved {path.name}.")
             else:
                 self._animate(options, path)
         except InputError as error:
-            self.session.fail(error)
+            self.session.show_error(error)
 
     def step(self) -> None:
         """Draws the next frame of an animation. Called once a frame."""
@@ -91,9 +91,9 @@ class Exporter:
             name = self.path.name if self.path else ""
             self._thread = None
             if self._error:
-                self.session.fail(self._error)
+                self.session.show_error(self._error)
             else:
-                self.session.say(f"Saved {name}." if not self._cancelled else "Stopped.")
+                self.session.notify(f"Saved {name}." if not self._cancelled else "Stopped.")
 
     def cancel(self) -> None:
         """Stops after this frame; nothing is left behind."""
@@ -146,7 +146,7 @@ class Exporter:
             self._draw, cut.plane(cut.parts[0]), (), session.up, session.solid, max(options.width, 64)
         )
         save_still(path, picture, options.transparent)
-        session.say(f"Saved {path.name}.")
+        session.notify(f"Saved {path.name}.")
 
     def _pieces(self, options: Options, path: Path) -> None:
         session = self.session
@@ -155,11 +155,11 @@ class Exporter:
         pieces = [piece for piece in session.pieces if piece.visible]
         if not options.separate:
             count = save_pieces(path, session.atoms, pieces)
-            session.say(f"Saved {count:,} Gaussians in {path.name}.")
+            session.notify(f"Saved {count:,} Gaussians in {path.name}.")
             return
         for number, piece in enumerate(pieces, 1):
             save_pieces(path.with_name(f"{path.stem}_{number}{path.suffix}"), session.atoms, [piece])
-        session.say(f"Saved {len(pieces)} pieces beside {path.stem}_1{path.suffix}.")
+        session.notify(f"Saved {len(pieces)} pieces beside {path.stem}_1{path.suffix}.")
 
     def _camera(self, options: Options) -> Camera:
         return self.session.viewing.eye.camera(options.width, options.height, self.session.up)

@@ -10,7 +10,7 @@ from PIL import Image, ImageOps
 from engine.errors import InputError
 from engine.io.picture_file import open_picture
 
-__all__ = ["Thumbs"]
+__all__ = ["Thumbnails"]
 
 SIDE = 192
 """Pixels of the longer side: sharp at twice the usual density."""
@@ -18,7 +18,7 @@ SIDE = 192
 KEPT = 64
 
 
-class Thumbs:
+class Thumbnails:
     """Loads when asked, forgets the oldest."""
 
     def __init__(self, ctx: moderngl.Context) -> None:

@@ -6,17 +6,17 @@ import time
 from collections.abc import Sequence
 from dataclasses import replace
 
-from app.model.camera_control import Eye
+from app.model.camera_control import OrbitCamera
 from app.model.document import Key
-from app.model.pieces import Lying
+from app.model.pieces import PlacedPiece
 from app.model.rigid_transform import Motion
 
-__all__ = ["CameraGlide", "PieceGlide"]
+__all__ = ["CameraAnimation", "PieceAnimation"]
 
 SECONDS = 0.25
 
 
-class PieceGlide:
+class PieceAnimation:
     """When cutting, undoing or putting together changes which pieces there are, they slide to their new places."""
 
     def __init__(self) -> None:
@@ -29,7 +29,7 @@ class PieceGlide:
         """Whether frames must be drawn without an event."""
         return time.monotonic() - self.begin < SECONDS
 
-    def placed(self, pieces: Sequence[Lying]) -> list[Lying]:
+    def placed(self, pieces: Sequence[PlacedPiece]) -> list[PlacedPiece]:
         """The pieces where they are to be drawn now."""
         now = time.monotonic()
         keys = {piece.key for piece in pieces}
@@ -44,7 +44,7 @@ class PieceGlide:
         self.last = {piece.key: piece.motion for piece in result}
         return result
 
-    def _from(self, piece: Lying) -> Motion:
+    def _from(self, piece: PlacedPiece) -> Motion:
         """Where its stuff was: its own last place, or that of the piece it came from or that came from it."""
         if piece.key in self.last:
             return self.last[piece.key]
@@ -55,18 +55,18 @@ class PieceGlide:
         return piece.motion
 
 
-class CameraGlide:
+class CameraAnimation:
     """The eye on its way."""
 
     def __init__(self) -> None:
         self.begin = -10.0
-        self.start = self.goal = Eye()
+        self.start = self.goal = OrbitCamera()
 
-    def go(self, start: Eye, goal: Eye) -> None:
+    def go(self, start: OrbitCamera, goal: OrbitCamera) -> None:
         """Sets off."""
         self.begin, self.start, self.goal = time.monotonic(), start, goal
 
-    def now(self) -> Eye | None:
+    def now(self) -> OrbitCamera | None:
         """Where it is; None when it has arrived."""
         part = (time.monotonic() - self.begin) / SECONDS
         if part > 1.2:

@@ -13,21 +13,21 @@ from imgui_bundle import ImVec2, imgui
 from imgui_bundle import portable_file_dialogs as pfd
 
 from app.model.project import SUFFIX
-from app.session.project_files import PICTURES
+from app.session.workspace import PICTURE_SUFFIXES
 from app.ui.theme import px
 from app.ui.widgets import main_button, secondary
 from engine.io.formats import SCENE_SUFFIXES
 
-__all__ = ["Dialogs"]
+__all__ = ["FileDialogs"]
 
 SCENES = ["Scenes", " ".join(f"*{suffix}" for suffix in (*SCENE_SUFFIXES, SUFFIX)), "All files", "*"]
-IMAGES = ["Pictures", " ".join(f"*{suffix}" for suffix in PICTURES), "All files", "*"]
+IMAGES = ["Pictures", " ".join(f"*{suffix}" for suffix in PICTURE_SUFFIXES), "All files", "*"]
 
 Then = Callable[[tuple[Path, ...]], None]
 
 
 @dataclass
-class Asked:
+class NativeDialog:
     """A dialog of the system that is open."""
 
     dialog: pfd.open_file | pfd.save_file | pfd.select_folder
@@ -35,7 +35,7 @@ class Asked:
 
 
 @dataclass
-class Typed:
+class PathPrompt:
     """A path that is typed into the window."""
 
     title: str
@@ -43,14 +43,14 @@ class Typed:
     then: Then
 
 
-class Dialogs:
+class FileDialogs:
     """At most one at a time."""
 
     def __init__(self, here: Path) -> None:
         self.here = here
         """Where the next one for opening begins, and what a path that is typed is relative to."""
-        self.asked: Asked | None = None
-        self.typed: Typed | None = None
+        self.requested: NativeDialog | None = None
+        self.prompt: PathPrompt | None = None
         native = sys.platform in ("win32", "darwin") or any(map(shutil.which, ("zenity", "kdialog", "matedialog")))
         self.native = native
 
@@ -66,37 +66,37 @@ class Dialogs:
         """A place for a new file."""
         if self.native:
             dialog = pfd.save_file(title, str(suggestion), kinds)
-            self.asked = Asked(dialog, lambda paths: then(paths[0]))
+            self.requested = NativeDialog(dialog, lambda paths: then(paths[0]))
         else:
-            self.typed = Typed(title, str(suggestion), lambda paths: then(paths[0]))
+            self.prompt = PathPrompt(title, str(suggestion), lambda paths: then(paths[0]))
 
     def folder(self, title: str, start: Path, then: Callable[[Path], None]) -> None:
         """A folder."""
         if self.native:
-            self.asked = Asked(pfd.select_folder(title, str(start)), lambda paths: then(paths[0]))
+            self.requested = NativeDialog(pfd.select_folder(title, str(start)), lambda paths: then(paths[0]))
         else:
-            self.typed = Typed(title, str(start), lambda paths: then(paths[0]))
+            self.prompt = PathPrompt(title, str(start), lambda paths: then(paths[0]))
 
     def _open(self, title: str, kinds: list[str], then: Then, several: bool = False) -> None:
         if self.native:
             options = pfd.opt.multiselect if several else pfd.opt.none
-            self.asked = Asked(pfd.open_file(title, str(self.here), kinds, options), then)
+            self.requested = NativeDialog(pfd.open_file(title, str(self.here), kinds, options), then)
         else:
-            self.typed = Typed(title, os.path.join(self.here, ""), then)
+            self.prompt = PathPrompt(title, os.path.join(self.here, ""), then)
 
     def show(self) -> None:
         """Once a frame: looks whether an answer has come."""
-        asked = self.asked
+        asked = self.requested
         if asked is not None and asked.dialog.ready(0):
-            self.asked = None
+            self.requested = None
             result = asked.dialog.result()
             paths = [result] if isinstance(result, str) else result
             if paths and paths[0]:
                 asked.then(tuple(Path(path) for path in paths))
-        if self.typed is not None:
-            self._show_typed(self.typed)
+        if self.prompt is not None:
+            self._show_prompt(self.prompt)
 
-    def _show_typed(self, typed: Typed) -> None:
+    def _show_prompt(self, typed: PathPrompt) -> None:
         imgui.open_popup("Path")
         imgui.set_next_window_pos(imgui.get_main_viewport().get_center(), imgui.Cond_.always, ImVec2(0.5, 0.5))
         imgui.set_next_window_size(ImVec2(px(520), 0))
@@ -110,11 +110,11 @@ class Dialogs:
         secondary("Type a path. Installing zenity or kdialog brings the system's file dialog.", wrap=True)
         done = False
         if main_button("OK", px(110)) or entered:
-            self.typed, done = None, True
+            self.prompt, done = None, True
         imgui.same_line()
         if imgui.button("Cancel", ImVec2(px(90), px(32))) or imgui.is_key_pressed(imgui.Key.escape):
-            self.typed = None
-        if self.typed is None:
+            self.prompt = None
+        if self.prompt is None:
             imgui.close_current_popup()
         imgui.end_popup()
         if done and typed.text.strip():

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from app.model.document import Key
 from app.model.outline import body_of_atoms, body_of_shell, contours
-from app.model.pieces import Lying
+from app.model.pieces import PlacedPiece
 from app.session.session import Session
 from app.ui.theme import palette, px, rgba
 from engine.render.gl.overlay import Lines
@@ -18,7 +18,7 @@ from engine.scene.grid import Body
 from engine.scene.plane import Plane
 from training.families import Family
 
-__all__ = ["Guides"]
+__all__ = ["PlaneLines"]
 
 MOST = 40
 """Planes of a family that are drawn: of more, every second or third."""
@@ -27,7 +27,7 @@ OUTSET = 0.6
 """Cells by which lines stand off the skin, which is a little uneven and would swallow parts of them."""
 
 
-class Guides:
+class PlaneLines:
     """Lines of one session's object; they are found anew only where the object or a family has changed."""
 
     def __init__(self, session: Session) -> None:
@@ -35,7 +35,7 @@ class Guides:
         self._body: tuple[object, Body] | None = None
         self._families: dict[tuple[str, Key], tuple[object, NDArray[np.float64]]] = {}
 
-    def families(self, kinds: Collection[str], pieces: Sequence[Lying], scale: float) -> list[Lines]:
+    def families(self, kinds: Collection[str], pieces: Sequence[PlacedPiece], scale: float) -> list[Lines]:
         """The planes of these kinds as they will be trained, on pieces as they lie, on a screen of `scale` pixels a
         unit."""
         p = palette()
@@ -48,7 +48,7 @@ class Guides:
                 result.append(lines(ends, colour, 0.75, px(1.2) * scale, 0.1))
         return result
 
-    def cut(self, plane: Plane, pieces: Sequence[Lying], scale: float) -> list[Lines]:
+    def cut(self, plane: Plane, pieces: Sequence[PlacedPiece], scale: float) -> list[Lines]:
         """Where a plane of the world meets pieces."""
         found = [
             moved(piece, contours(self.body, [piece.motion.inverse().carried(plane)], piece.planes, OUTSET))
@@ -61,14 +61,14 @@ class Guides:
     def body(self) -> Body:
         """Of what is shown: the solid, or what a capture encloses."""
         session = self.session
-        key = (session.geometry, session.atoms is None, id(session.solid))
+        key = (session.geometry_version, session.atoms is None, id(session.solid))
         if self._body is None or self._body[0] != key:
             atoms = session.atoms
             body = body_of_shell(session.solid.points) if atoms is None else body_of_atoms(atoms)
             self._body = (key, body)
         return self._body[1]
 
-    def _of(self, family: Family, piece: Lying) -> NDArray[np.float64]:
+    def _of(self, family: Family, piece: PlacedPiece) -> NDArray[np.float64]:
         """(S, 2, 3). In the object's space."""
         body, place = self.body, (family.kind, piece.key)
         key = (replace(family, exemplars=(), prompt=""), piece.planes, id(body), self.session.up)
@@ -80,7 +80,7 @@ class Guides:
         return kept[1]
 
 
-def moved(piece: Lying, ends: NDArray[np.float64]) -> NDArray[np.float64]:
+def moved(piece: PlacedPiece, ends: NDArray[np.float64]) -> NDArray[np.float64]:
     """(S, 2, 3). Where lines of the object's space lie with a piece."""
     return piece.motion.apply(ends.reshape(-1, 3)).reshape(ends.shape)
 
