@@ -27,9 +27,11 @@ from benchmarks.fuzz_inputs import CHANGES, documents, places, poisoned
 from benchmarks.fuzz_rules import refused
 from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from engine.scene.plane import Plane
+from training.families import Family
+from training.request import Request, read_request
 
-__all__ = ["COLOURS", "JOBS", "MOVES", "SETTINGS", "check_colours", "check_job", "check_meant_project",
-           "check_settings", "meant"]  # fmt: skip
+__all__ = ["COLOURS", "JOBS", "MOVES", "REQUESTS", "SETTINGS", "check_colours", "check_job", "check_meant_project",
+           "check_request", "check_settings", "meant"]  # fmt: skip
 
 NUMBERS: tuple[Any, ...] = (0, -1, 1, 2, 3, 7, 255, 2**31, 2**53, 2**53 + 1, 2**63, 10**18, 1e-9, 0.5, 1e9, 1e12, -1e12)
 TEXTS = ("", " ", "horizontal", "Knife 9", "Knife ²", "Knife " + "9" * 5000, "Piece 1", "../../a.ply", "..", ".", "~",
@@ -127,6 +129,33 @@ def named(document: Any) -> list[Path]:
     training = document.training
     found = [document.scene, training.out, training.model, *(p for f in document.families for p in f.exemplars)]
     return [path for path in found if path is not None]
+
+
+# requests: what is read is written and read again the same
+
+PLANES = (Plane.of((1, 2, 3), 0.1), Plane.of((0, 0, 1), -0.5))
+REQUEST = Request(
+    Path("/a.ply"),
+    (Family("horizontal", 4, (Path("/a.png"), Path("/b.png")), "red", span=(0.1, 0.9)),
+     Family("parallel", 3, (Path("/c.png"),), axis=(0.0, 1.0, 0.0)), Family("custom", 2, custom=PLANES)),
+    "draft", (0.0, 0.0, 1.0), 7, 50, "stable-diffusion", Path("/model"), Path("/midas"), "bread",
+)  # fmt: skip
+REQUESTS: st.SearchStrategy[bytes] = documents(json.loads(REQUEST.to_json())) | st.builds(
+    lambda moves: json.dumps(meant(json.loads(REQUEST.to_json()), moves)).encode("utf-8", "surrogatepass"), MOVES
+)
+
+
+def check_request(data: bytes, folder: Path) -> bool:
+    path = folder / "request.json"
+    path.write_bytes(data)
+    request = refused(lambda: read_request(path), folder)
+    if request is None:
+        return False
+    assert all(file.is_absolute() for file in request.files), "a relative path"
+    again = folder / "again.json"
+    again.write_text(request.to_json(), encoding="utf-8")
+    assert read_request(again) == request, "written and read it is another request"
+    return True
 
 
 # a result folder: what is there may be anything, the window looks at it all the same

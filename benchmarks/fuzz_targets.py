@@ -30,10 +30,12 @@ from benchmarks.fuzz_records import (
     COLOURS,
     JOBS,
     MOVES,
+    REQUESTS,
     SETTINGS,
     check_colours,
     check_job,
     check_meant_project,
+    check_request,
     check_settings,
     meant,
 )
@@ -301,7 +303,7 @@ def check_event(data: bytes, folder: Path) -> bool:
     progress = Progress(section=[0.5], surface=[0.5])
     read_line(progress, data)
     assert 0 <= progress.stage_fraction <= 1 and 0 <= progress.fraction <= 1 and len(progress.section) <= 100_002
-    assert math.isfinite(progress.seconds) and (progress.left is None or math.isfinite(progress.left))
+    assert math.isfinite(progress.seconds) and (progress.remaining is None or math.isfinite(progress.remaining))
     return True
 
 
@@ -345,6 +347,7 @@ TARGETS: dict[str, Target] = {
     "events": Target(documents(EVENT), quiet(check_event), 0.05),
     "meaning": Target(st.builds(meant, st.just(project_record()), MOVES), quiet(check_meant_project), 0.05),
     "job": Target(JOBS, quiet(check_job), 0.05),
+    "request": Target(REQUESTS, quiet(check_request), 0.05),
     "colours": Target(COLOURS, quiet(check_colours), 0.05),
     "settings": Target(SETTINGS, quiet(check_settings), 0.03),
     "pictures": Target(PICTURES, quiet(check_picture), 0.05),
