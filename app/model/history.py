@@ -1,4 +1,4 @@
-"""Undo and redo: states that never change, so going back is exact and costs nothing but memory for the differences."""
+"""Undo and redo over immutable states: going back is exact, and unchanged parts of the states are shared in memory."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Entry(Generic[T]):
-    """A state and what led to it."""
+    """A state, and the name of the change that led to it."""
 
     name: str
     state: T
     merge: str = ""
-    """Changes in a row with the same non-empty tag are one step: a slider that is being dragged."""
+    """Consecutive changes with the same non-empty tag are one step, as while a slider is dragged."""
 
 
 class History(Generic[T]):
-    """A line of states with a cursor. Unlimited."""
+    """A list of states with a cursor, of unlimited length."""
 
     def __init__(self, state: T, name: str = "Open") -> None:
         self.entries: list[Entry[T]] = [Entry(name, state)]
@@ -40,9 +40,9 @@ class History(Generic[T]):
         return self.state != self.saved
 
     def do(self, name: str, state: T, merge: str = "", apply: Callable[[T], None] | None = None) -> bool:
-        """Moves on to a new state; what had been undone is forgotten. A state equal to this one is no step.
+        """Adds a state after the cursor, which drops the undone ones; False if it equals the current state.
 
-        `apply` is told the new state first; where it raises, nothing has changed.
+        `apply` is called with the new state first; if it raises, nothing changes.
         """
         if state == self.state:
             return False
@@ -61,7 +61,7 @@ class History(Generic[T]):
         return True
 
     def settle(self) -> None:
-        """Ends a row of merged changes: the next one is a step of its own."""
+        """Ends a series of merged changes: the next change is a new step."""
         last = self.entries[self.cursor]
         self.entries[self.cursor] = Entry(last.name, last.state)
 
@@ -74,7 +74,7 @@ class History(Generic[T]):
         return self.jump(self.cursor + 1, apply)
 
     def jump(self, index: int, apply: Callable[[T], None] | None = None) -> bool:
-        """To any entry; the cursor moves only after `apply` has taken the state. False where there is none."""
+        """To any entry; the cursor moves after `apply` has accepted the state. False if it cannot move there."""
         if not 0 <= index < len(self.entries) or index == self.cursor:
             return False
         if apply is not None:

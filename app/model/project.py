@@ -1,7 +1,7 @@
-"""The project file: a document and how it was looked at, as JSON that a person can read.
+"""The project file: a document and its view, as readable JSON.
 
-Paths are relative to the file's folder. A project that names files outside of it is refused until the user allows it:
-a file from somewhere else should not make the app read or write anywhere it likes.
+Paths are relative to the file's folder. A project that names files outside of that folder is refused until the user
+allows it: a file from a stranger must not choose what the app reads and writes.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class Outside(InputError):
 
 @dataclass(frozen=True)
 class Viewing:
-    """How the object is looked at. Saved with the project, not part of undo."""
+    """How the object is viewed. Saved with the project, not part of undo."""
 
     eye: OrbitCamera = field(default_factory=OrbitCamera)
     mode: ViewMode = "solid"
@@ -60,14 +60,14 @@ class Viewing:
 
 @dataclass(frozen=True)
 class Project:
-    """What a project file holds."""
+    """The content of a project file."""
 
     document: Document
     viewing: Viewing
 
 
 def save_project(path: Path, project: Project) -> None:
-    """Writes the file whole or not at all. Raises InputError where that fails."""
+    """Writes the file completely or not at all. Raises InputError if that fails."""
     folder = path.parent.resolve()
     text = json.dumps(_record(project, folder), indent=1, allow_nan=False)
     with atomic(path) as temporary:
@@ -75,9 +75,10 @@ def save_project(path: Path, project: Project) -> None:
 
 
 def load_project(path: Path, outside: bool = False) -> Project:
-    """The project in a file. `outside`: the user allows it to name files outside of its folder.
+    """Reads a project. `outside`: the user has allowed it to name files outside of its folder.
 
-    Raises Outside where it does so without, and InputError for anything that is not exactly a project of this version.
+    Raises Outside if it names such files without being allowed to, and InputError for anything that is not exactly a
+    project of this version.
     """
     raw = read_file(path, LIMIT)
     try:
@@ -155,7 +156,7 @@ def _plane(plane: Plane) -> list[float]:
 
 
 def _relative(path: Path | None, folder: Path) -> str | None:
-    """A path as the file has it: with forward slashes, relative where that is possible at all."""
+    """A path as written in the file: with forward slashes, and relative unless it is on another drive."""
     if path is None:
         return None
     path = path.absolute()
@@ -176,7 +177,7 @@ class _Reader(Fields):
         self.folder = path.parent.resolve()
         self.allowed = allowed
         self.outside: list[Path] = []
-        """Files outside of the project's folder that have been read about."""
+        """Paths outside of the project's folder, in the order in which the file names them."""
 
     def project(self, raw: Any) -> Project:
         fields = self.table(raw, "the file")
@@ -286,14 +287,14 @@ class _Reader(Fields):
         return None if value is None else self.inside(value, f"'{key}'")
 
     def inside(self, value: Any, what: str) -> Path:
-        """The path, noted where it leads out of the project's folder, by dots, as absolute, or through a link."""
+        """The path; added to `outside` if it leaves the project's folder by dots, as absolute, or through a link."""
         path = Path(os.path.normpath(self.folder / self.path_text(value, what)))
         if not path.is_relative_to(self.folder):
-            self.outside.append(path)  # and not looked at: on Windows a look may greet a server, with a password
+            self.outside.append(path)  # not looked up: on Windows that may log in to a server
             return path
         try:
             real = path.resolve()
-        except (OSError, RuntimeError, ValueError) as error:  # a ValueError for what no file can be called
+        except (OSError, RuntimeError, ValueError) as error:  # a ValueError for an impossible name
             raise InputError(f"{self.path}: not a project: {what} is no path") from error
         if not real.is_relative_to(self.folder):
             self.outside.append(path)

@@ -36,6 +36,6 @@ class Session(Workspace):
             self.training.recolour()
         self.training.tick()
         try:
-            self.autosave.keep(Project(self.document, self.viewing), self.history.changed, self.path)
+            self.autosave.update(Project(self.document, self.viewing), self.history.changed, self.path)
         except InputError:
             self.autosave.next = time.monotonic() + AUTOSAVE_RETRY

@@ -17,11 +17,11 @@ from app.model.document import WHOLE, Document, Part
 from app.model.export import (
     ffmpeg,
     piece_gaussians,
+    rotated_sh,
     save_animation,
     save_pieces,
     save_still,
     sweep,
-    turned_sh,
     turntable,
 )
 from app.model.pieces import PlacedPiece, Solid, pieces
@@ -50,7 +50,7 @@ def test_a_turned_piece_is_seen_as_before_from_the_turned_side() -> None:
     motion = Motion.about((0, 0, 0), (1, 2, 3), 77)
     directions = np.random.default_rng(2).normal(size=(300, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    turned = turned_sh(solid.surface.sh, motion)
+    turned = rotated_sh(solid.surface.sh, motion)
     before, after = colours(solid.surface.sh, directions), colours(turned, directions @ motion.rotation.T)
     assert np.abs(before - after).max() < 1e-4
     lying = PlacedPiece(WHOLE, "", (), motion, True, np.arange(0))

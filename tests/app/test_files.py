@@ -146,9 +146,9 @@ def test_what_is_no_project_is_refused(tmp_path: Path, text: str) -> None:
 def test_unsaved_work_survives_a_crash(tmp_path: Path) -> None:
     project = full(tmp_path)
     autosave = Autosave(tmp_path)
-    assert not autosave.keep(project, changed=False, target=None, now=0)
-    assert autosave.keep(project, changed=True, target=tmp_path / "p.fruitninja", now=0)
-    assert not autosave.keep(replace(project, viewing=Viewing()), changed=True, target=None, now=1)  # not yet due
+    assert not autosave.update(project, changed=False, target=None, now=0)
+    assert autosave.update(project, changed=True, target=tmp_path / "p.fruitninja", now=0)
+    assert not autosave.update(replace(project, viewing=Viewing()), changed=True, target=None, now=1)  # not yet due
     assert find_unsaved_work(tmp_path) == []  # this session is alive
     note = autosave.file.with_suffix(".json")
     note.write_text(json.dumps(json.loads(note.read_text()) | {"started": 1.0}))  # the number belongs to another now
@@ -193,7 +193,7 @@ def test_dialogs_of_the_system_open_and_are_cancelled(tmp_path: Path, monkeypatc
     for _ in range(2):
         dialogs.open_scene(got.append)
         dialogs.show()
-    assert got == [Path("a.spz")] and dialogs.requested is None
+    assert got == [Path("a.spz")] and dialogs.dialog is None
     assert all(f"*{suffix}" in str(asked[0][2]) for suffix in (".ply", ".splat", ".spz", ".obj", ".fruitninja"))
     for _ in range(2):
         dialogs.save("Save", tmp_path / "x.png", ["PNG", "*.png"], got.append)

@@ -176,7 +176,7 @@ def steps(driver: Driver, folder: Path) -> None:
     driver.until(
         lambda: session.training.job is not None and session.training.job.progress.iteration > 5, 20, "a curve"
     )
-    window.viewport.go(session.viewing.eye.seen_from("top"))
+    window.viewport.go(session.viewing.eye.from_side("top"))
     driver.still()
     session.viewing = replace(session.viewing, mode="interior")
     driver.frames(3)
@@ -372,7 +372,7 @@ def soak(driver: Driver, actions: int = 2000) -> None:
         lambda: session.select_tool(chance.choice(TOOLS)),
         lambda: session.jump(chance.randrange(len(session.history.entries))),
         lambda: session.look(replace(session.viewing, mode=chance.choice(["solid", "solid", "interior"]))),
-        lambda: window.viewport.go(session.viewing.eye.seen_from(chance.choice(list(AXIS_VIEWS)))),
+        lambda: window.viewport.go(session.viewing.eye.from_side(chance.choice(list(AXIS_VIEWS)))),
         lambda: session.change("Gap", replace(session.document, gap=chance.uniform(0, 1)), merge="gap"),
     ]  # fmt: skip
     for index in range(actions):

@@ -1,4 +1,4 @@
-"""Asks how a picture, an animation or pieces are to be saved, and shows how far it is."""
+"""The export window: the options of a picture, an animation or pieces, and the progress of saving."""
 
 from __future__ import annotations
 
@@ -30,19 +30,19 @@ HINTS = {
 }
 SUFFIXES = {"picture": ".png", "section": ".png", "pieces": ".ply"}
 LARGEST = 8192
-"""Pixels of a side: more than most GL targets hold."""
+"""Pixels of a side; OpenGL drivers without a larger limit are common."""
 
 
 class ExportWindow:
-    """A small modal."""
+    """A modal window for the options of one export after another."""
 
     def __init__(self, exporter: Exporter, dialogs: FileDialogs) -> None:
         self.exporter, self.dialogs = exporter, dialogs
         self.options = Options()
         self.requested = False
 
-    def ask(self, kind: str) -> None:
-        """Opens it."""
+    def open(self, kind: str) -> None:
+        """Opens the window for this kind of export."""
         self.options.kind = kind
         self.requested = True
 
@@ -127,12 +127,12 @@ class ExportWindow:
         flags = imgui.WindowFlags_.no_decoration | imgui.WindowFlags_.no_docking | imgui.WindowFlags_.no_saved_settings
         imgui.begin("##exporting", None, flags)
         secondary(f"Saving {self.exporter.path.name if self.exporter.path else ''}")
-        thin_bar(self.exporter.part)
+        thin_bar(self.exporter.fraction)
         if imgui.button("Cancel"):
             self.exporter.cancel()
         imgui.end()
 
 
 def bounded(pixels: int) -> int:
-    """A side that can be drawn."""
+    """The nearest number of pixels that can be drawn."""
     return min(max(16, pixels), LARGEST)

@@ -1,4 +1,4 @@
-"""Asking for files, in the system's own dialog where there is one, in the window where there is none."""
+"""File dialogs: the system's own if it has one, otherwise a prompt for a path in the window."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ Then = Callable[[tuple[Path, ...]], None]
 
 @dataclass
 class NativeDialog:
-    """A dialog of the system that is open."""
+    """An open dialog of the system."""
 
     dialog: pfd.open_file | pfd.save_file | pfd.select_folder
     then: Then
@@ -36,7 +36,7 @@ class NativeDialog:
 
 @dataclass
 class PathPrompt:
-    """A path that is typed into the window."""
+    """A prompt in the window, with the path typed so far."""
 
     title: str
     text: str
@@ -44,51 +44,51 @@ class PathPrompt:
 
 
 class FileDialogs:
-    """At most one at a time."""
+    """Opens one dialog at a time and calls back with the paths chosen."""
 
-    def __init__(self, here: Path) -> None:
-        self.here = here
-        """Where the next one for opening begins, and what a path that is typed is relative to."""
-        self.requested: NativeDialog | None = None
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        """The folder that dialogs for opening start in, and that typed paths are relative to."""
+        self.dialog: NativeDialog | None = None
         self.prompt: PathPrompt | None = None
         native = sys.platform in ("win32", "darwin") or any(map(shutil.which, ("zenity", "kdialog", "matedialog")))
         self.native = native
 
     def open_scene(self, then: Callable[[Path], None]) -> None:
-        """A scene or a project."""
+        """Asks for a scene or a project."""
         self._open("Open a capture, a mesh or a project", SCENES, lambda paths: then(paths[0]))
 
     def open_pictures(self, then: Then) -> None:
-        """One or several pictures."""
+        """Asks for one or several pictures."""
         self._open("Choose pictures of a cut face", IMAGES, then, several=True)
 
     def save(self, title: str, suggestion: Path, kinds: list[str], then: Callable[[Path], None]) -> None:
-        """A place for a new file."""
+        """Asks for the path of a new file."""
         if self.native:
             dialog = pfd.save_file(title, str(suggestion), kinds)
-            self.requested = NativeDialog(dialog, lambda paths: then(paths[0]))
+            self.dialog = NativeDialog(dialog, lambda paths: then(paths[0]))
         else:
             self.prompt = PathPrompt(title, str(suggestion), lambda paths: then(paths[0]))
 
-    def folder(self, title: str, start: Path, then: Callable[[Path], None]) -> None:
-        """A folder."""
+    def choose_folder(self, title: str, start: Path, then: Callable[[Path], None]) -> None:
+        """Asks for a folder."""
         if self.native:
-            self.requested = NativeDialog(pfd.select_folder(title, str(start)), lambda paths: then(paths[0]))
+            self.dialog = NativeDialog(pfd.select_folder(title, str(start)), lambda paths: then(paths[0]))
         else:
             self.prompt = PathPrompt(title, str(start), lambda paths: then(paths[0]))
 
     def _open(self, title: str, kinds: list[str], then: Then, several: bool = False) -> None:
         if self.native:
             options = pfd.opt.multiselect if several else pfd.opt.none
-            self.requested = NativeDialog(pfd.open_file(title, str(self.here), kinds, options), then)
+            self.dialog = NativeDialog(pfd.open_file(title, str(self.folder), kinds, options), then)
         else:
-            self.prompt = PathPrompt(title, os.path.join(self.here, ""), then)
+            self.prompt = PathPrompt(title, os.path.join(self.folder, ""), then)
 
     def show(self) -> None:
-        """Once a frame: looks whether an answer has come."""
-        asked = self.requested
+        """Checks for an answer, and draws the prompt. Called once a frame."""
+        asked = self.dialog
         if asked is not None and asked.dialog.ready(0):
-            self.requested = None
+            self.dialog = None
             result = asked.dialog.result()
             paths = [result] if isinstance(result, str) else result
             if paths and paths[0]:
@@ -118,4 +118,4 @@ class FileDialogs:
             imgui.close_current_popup()
         imgui.end_popup()
         if done and typed.text.strip():
-            typed.then((self.here / Path(typed.text.strip()).expanduser(),))
+            typed.then((self.folder / Path(typed.text.strip()).expanduser(),))

@@ -1,4 +1,4 @@
-"""The panel at the right: object, cuts, interior, in the order of the work."""
+"""The panel at the right: object, cuts and pieces, interior, in the order in which a user works."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ AXES: dict[str, Vec3] = {
 
 
 def axis_name(axis: Vec3) -> str:
-    """'+z', or 'tilted' for an axis that is none of the six."""
+    """'+z' for example, or 'tilted' for an axis that is none of the six."""
     for name, known in AXES.items():
         if np.dot(known, axis) > 0.9999:
             return name
@@ -40,11 +40,12 @@ def axis_name(axis: Vec3) -> str:
 
 
 class Inspector:
-    """Draws it."""
+    """Draws the panel and passes edits on to the session."""
 
     def __init__(self, session: Session, interior: InteriorPanel) -> None:
         self.session, self.interior = session, interior
         self._numbers: tuple[int, list[float]] | None = None
+        """Id of a cut, and a, b, c, d as typed so far."""
 
     def show(self) -> None:
         """One frame."""
@@ -128,11 +129,11 @@ class Inspector:
             return
         tooltip("Remove: what it parted is one again" if cut.kind == "slice" else "Remove")
         if active and session.active_cut == cut.id:
-            self._detail(cut)
+            self._details(cut)
         imgui.pop_id()
 
     def _slider(self, cut: Cut) -> None:
-        """Where the plane stands, in radii from the middle of the object."""
+        """A slider for the plane's distance from the object's centre, in radii."""
         session, solid = self.session, self.session.solid
         plane = cut.plane(cut.parts[0])
         place = -float(plane.distance(solid.centre)) / solid.radius
@@ -142,8 +143,8 @@ class Inspector:
             shift = cut.shift + (new - place) * solid.radius
             session.change_cut(f"Move {cut.name}", cut.id, lambda c: replace(c, shift=shift), merge=f"cut {cut.id}")
 
-    def _detail(self, cut: Cut) -> None:
-        """The numbers of the active cut, and what else can be done with it."""
+    def _details(self, cut: Cut) -> None:
+        """The plane equation of the active cut, and buttons for what can be done with it."""
         session = self.session
         imgui.indent(px(32))
         plane = cut.plane(cut.parts[0])
@@ -237,6 +238,6 @@ class Inspector:
 
 
 def flipped(cut: Cut) -> Cut:
-    """The same cut with its sides swapped."""
+    """The cut with its two sides swapped."""
     parts = tuple(replace(part, plane=cut.plane(part).flipped()) for part in cut.parts)
     return replace(cut, parts=parts, shift=0.0)

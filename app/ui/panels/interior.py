@@ -1,4 +1,4 @@
-"""Families of planes with their pictures, and the training that gives the object its inside."""
+"""The inspector's section for the interior: families of planes with their pictures, and training."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from app.ui.view.viewport import Viewport
 from app.ui.widgets import (
     disabled,
     eye_icon,
+    format_duration,
     heading,
     icon_button,
     int_slider,
     main_button,
-    minutes,
     range_slider,
     right_text,
     secondary,
@@ -45,7 +45,7 @@ TITLES: dict[Kind, str] = {
     "parallel": "Parallel",
     "custom": "Single planes",
 }
-WHAT: dict[Kind, str] = {
+DESCRIPTIONS: dict[Kind, str] = {
     "horizontal": "Level cuts, as slices of an orange",
     "radial": "Cuts through the upright axis, as halves and wedges",
     "parallel": "Slices along one direction, as bread",
@@ -62,17 +62,17 @@ PRIORS: dict[PriorName, str] = {"exemplar": "From the pictures", "stable-diffusi
 
 
 class InteriorPanel:
-    """The last and longest part of the inspector."""
+    """Draws the section and edits the document's families and training settings."""
 
     def __init__(self, session: Session, viewport: Viewport, thumbnails: Thumbnails, dialogs: FileDialogs) -> None:
         self.session, self.viewport, self.thumbnails, self.dialogs = session, viewport, thumbnails, dialogs
         self.open: Kind | None = None
         """The family whose settings are shown."""
         self.rows: dict[Kind, tuple[float, float]] = {}
-        """From where to where on the screen each family stands, for pictures that are dropped."""
+        """Top and bottom of each family on the screen, to find the one that pictures are dropped on."""
 
     def dropped(self, paths: tuple[Path, ...], y: float) -> None:
-        """Pictures let go over the window, at this height of the screen."""
+        """Adds pictures that were dropped at this height of the screen to the family there."""
         kind = next((kind for kind, (low, high) in self.rows.items() if low <= y <= high), None)
         self.session.add_pictures(kind or self.open, paths)
 
@@ -97,7 +97,7 @@ class InteriorPanel:
         start = imgui.get_cursor_screen_pos()
         width = imgui.get_content_region_avail().x
         side = px(54)
-        self._thumb(family.exemplars[0] if family.exemplars else None, side)
+        self._thumbnail(family.exemplars[0] if family.exemplars else None, side)
         imgui.same_line(0, px(10))
         imgui.begin_group()
         imgui.dummy(ImVec2(0, px(1)))
@@ -112,7 +112,7 @@ class InteriorPanel:
         imgui.set_next_item_allow_overlap()
         if imgui.invisible_button("row", ImVec2(width - px(34), side)):
             self.open = None if self.open == kind else kind
-        tooltip(f"{WHAT[kind]}. Click to change it.")
+        tooltip(f"{DESCRIPTIONS[kind]}. Click to change it.")
         imgui.set_cursor_screen_pos(ImVec2(start.x + width - px(26), start.y + (side - px(26)) / 2))
         on = kind in self.viewport.show_families
         if icon_button(f"{eye_icon(on)}##planes", 26, quiet=True):
@@ -124,7 +124,7 @@ class InteriorPanel:
         self.rows[kind] = (top, imgui.get_cursor_screen_pos().y)
         imgui.pop_id()
 
-    def _thumb(self, path: Path | None, side: float) -> None:
+    def _thumbnail(self, path: Path | None, side: float) -> None:
         p, draw = palette(), imgui.get_window_draw_list()
         low = imgui.get_cursor_screen_pos()
         high = ImVec2(low.x + side, low.y + side)
@@ -135,14 +135,14 @@ class InteriorPanel:
             )
         else:
             draw.add_rect_filled(low, high, u32(p.field), px(4))
-            mark = icon.ICON_FA_IMAGE if path is None else icon.ICON_FA_TRIANGLE_EXCLAMATION
-            size = imgui.calc_text_size(mark)
+            symbol = icon.ICON_FA_IMAGE if path is None else icon.ICON_FA_TRIANGLE_EXCLAMATION
+            size = imgui.calc_text_size(symbol)
             at = ImVec2(low.x + (side - size.x) / 2, low.y + (side - size.y) / 2)
-            draw.add_text(at, u32(p.second if path is None else p.trouble), mark)
+            draw.add_text(at, u32(p.second if path is None else p.trouble), symbol)
         imgui.dummy(ImVec2(side, side))
 
     def _edit(self, family: Family) -> None:
-        """Count, axis, words and pictures of one family."""
+        """Number of planes, range, axis, prompt and pictures of one family."""
         session, kind = self.session, family.kind
         imgui.indent(px(4))
 
@@ -195,7 +195,7 @@ class InteriorPanel:
             imgui.push_id(index)
             imgui.begin_group()
             at = imgui.get_cursor_screen_pos()
-            self._thumb(path, side)
+            self._thumbnail(path, side)
             imgui.set_cursor_screen_pos(at)
             imgui.set_next_item_allow_overlap()
             imgui.invisible_button("picture", ImVec2(side, side))
@@ -208,8 +208,8 @@ class InteriorPanel:
             imgui.end_group()
             imgui.pop_id()
             if pressed:
-                kept = tuple(p for p in family.exemplars if p != path)
-                session.change("Remove picture", session.document.with_family(replace(family, exemplars=kept)))
+                others = tuple(p for p in family.exemplars if p != path)
+                session.change("Remove picture", session.document.with_family(replace(family, exemplars=others)))
                 return
             imgui.same_line()
         if icon_button(f"{icon.ICON_FA_PLUS}##add", 46):
@@ -222,8 +222,8 @@ class InteriorPanel:
             return
         for kind in get_args(Kind):
             if kind not in (family.kind, "custom") and imgui.menu_item_simple(f"It shows a {kind} cut"):
-                kept = tuple(p for p in family.exemplars if p != path)
-                document = session.document.with_family(replace(family, exemplars=kept))
+                others = tuple(p for p in family.exemplars if p != path)
+                document = session.document.with_family(replace(family, exemplars=others))
                 session.change("Move picture", document.with_exemplars(kind, (path,)))
         imgui.end_popup()
 
@@ -245,7 +245,7 @@ class InteriorPanel:
                 if imgui.menu_item_simple(f"{TITLES[kind]}##new"):
                     session.change(f"Add {kind}", session.document.with_family(Family(kind, COUNTS[kind])))
                     self.open = kind
-                tooltip(WHAT[kind])
+                tooltip(DESCRIPTIONS[kind])
             imgui.end_popup()
 
     # Training
@@ -282,7 +282,7 @@ class InteriorPanel:
         if training.prior == "stable-diffusion":
             row("Model")
             if imgui.button(training.model.name if training.model else "Choose a folder...", ImVec2(-1, 0)):
-                self.dialogs.folder(
+                self.dialogs.choose_folder(
                     "Folder of a Stable Diffusion depth model",
                     Path.home(),
                     lambda path: self._change_training("Model", replace(training, model=path)),
@@ -306,7 +306,7 @@ class InteriorPanel:
         row("Result")
         out = session.training.out(session.document)
         if imgui.button(out.name if out else "-", ImVec2(-1, 0)) and out is not None:
-            self.dialogs.folder(
+            self.dialogs.choose_folder(
                 "Folder for the result",
                 out.parent,
                 lambda path: self._change_training("Result", replace(training, out=path)),
@@ -317,7 +317,7 @@ class InteriorPanel:
         self.session.change(name, replace(self.session.document, training=training), merge)
 
     def _run(self) -> None:
-        """The main action, and how far it is."""
+        """The button for training, or the progress of the running job."""
         session, training = self.session, self.session.training
         job = training.job
         missing = missing_for_training(session.document)
@@ -325,7 +325,7 @@ class InteriorPanel:
             trained = session.object is not None and session.object.trained
             with disabled(bool(missing)):
                 if trained and imgui.button(f"{icon.ICON_FA_ARROWS_ROTATE}  Train again", ImVec2(-1, px(32))):
-                    self._again()
+                    self._confirm_restart()
                 elif not trained and main_button(f"{icon.ICON_FA_PLAY}  Give it an inside"):
                     training.start()
             if missing:
@@ -351,8 +351,8 @@ class InteriorPanel:
                 training.start()
         self._progress(job, phase)
 
-    def _again(self) -> None:
-        """A second run takes the place of the first, so it is asked for twice."""
+    def _confirm_restart(self) -> None:
+        """Asks for confirmation: the new result replaces the one that is shown."""
         session = self.session
         session.ask(
             "Train again",
@@ -367,7 +367,7 @@ class InteriorPanel:
             detail = f" {progress.iteration} of {progress.iterations}" if progress.stage == "train" else ""
             secondary(f"{progress.title}{detail}")
             if progress.remaining is not None:
-                right_text(f"{minutes(progress.remaining)} left")
+                right_text(f"{format_duration(progress.remaining)} left")
         else:
             secondary({"paused": "Paused", "stopped": "Stopped", "failed": "Ended early"}.get(phase, "Done"))
         if phase == "failed":

@@ -1,4 +1,4 @@
-"""Small pictures from files, as textures."""
+"""Thumbnails of picture files, as textures."""
 
 from __future__ import annotations
 
@@ -13,35 +13,36 @@ from engine.io.picture_file import open_picture
 __all__ = ["Thumbnails"]
 
 SIDE = 192
-"""Pixels of the longer side: sharp at twice the usual density."""
+"""Pixels of the longer side: sharp even on a screen of twice the usual density."""
 
-KEPT = 64
+CAPACITY = 64
+"""Thumbnails in the cache: more than a window shows at once, a few MB of textures."""
 
 
 class Thumbnails:
-    """Loads when asked, forgets the oldest."""
+    """A cache of thumbnails that drops the least recently used one."""
 
     def __init__(self, ctx: moderngl.Context) -> None:
         self.ctx = ctx
-        self._held: dict[Path, tuple[int, moderngl.Texture | None]] = {}
+        self._cache: dict[Path, tuple[int, moderngl.Texture | None]] = {}
 
     def get(self, path: Path) -> moderngl.Texture | None:
-        """The picture, made anew when the file has changed; None where it is no picture."""
+        """The thumbnail of a file, loaded again if the file has changed; None if it is not a picture."""
         try:
             changed = path.stat().st_mtime_ns
         except OSError:
             changed = -1
-        held = self._held.pop(path, None)
-        if held is None or held[0] != changed:
-            if held is not None and held[1] is not None:
-                held[1].release()
-            held = (changed, self._load(path) if changed >= 0 else None)
-        self._held[path] = held
-        while len(self._held) > KEPT:
-            _, old = self._held.pop(next(iter(self._held)))
-            if old is not None:
-                old.release()
-        return held[1]
+        entry = self._cache.pop(path, None)
+        if entry is None or entry[0] != changed:
+            if entry is not None and entry[1] is not None:
+                entry[1].release()
+            entry = (changed, self._load(path) if changed >= 0 else None)
+        self._cache[path] = entry
+        while len(self._cache) > CAPACITY:
+            _, dropped = self._cache.pop(next(iter(self._cache)))
+            if dropped is not None:
+                dropped.release()
+        return entry[1]
 
     def _load(self, path: Path) -> moderngl.Texture | None:
         try:
@@ -54,8 +55,8 @@ class Thumbnails:
         return self.ctx.texture(small.size, 4, small.tobytes())
 
     def release(self) -> None:
-        """Frees all."""
-        for _, texture in self._held.values():
+        """Frees all textures."""
+        for _, texture in self._cache.values():
             if texture is not None:
                 texture.release()
-        self._held.clear()
+        self._cache.clear()

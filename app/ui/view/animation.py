@@ -1,4 +1,4 @@
-"""Short movements of the view: pieces that part, and a camera on its way to an axis."""
+"""Short animations of the view: pieces that move to new places, and the camera on its way to another view."""
 
 from __future__ import annotations
 
@@ -14,10 +14,14 @@ from app.model.rigid_transform import Motion
 __all__ = ["CameraAnimation", "PieceAnimation"]
 
 SECONDS = 0.25
+"""Duration: long enough for the eye to follow, too short to wait for."""
+
+LINGER = 1.2
+"""Duration of the camera's animation, in SECONDS, including a few frames at its goal."""
 
 
 class PieceAnimation:
-    """When cutting, undoing or putting together changes which pieces there are, they slide to their new places."""
+    """Slides pieces to their new places when there are other pieces: after a cut, an undo or reassembling."""
 
     def __init__(self) -> None:
         self.begin = -10.0
@@ -26,26 +30,28 @@ class PieceAnimation:
 
     @property
     def moving(self) -> bool:
-        """Whether frames must be drawn without an event."""
+        """Whether the animation is running, so that frames must be drawn without an event."""
         return time.monotonic() - self.begin < SECONDS
 
     def placed(self, pieces: Sequence[PlacedPiece]) -> list[PlacedPiece]:
-        """The pieces where they are to be drawn now."""
+        """The pieces with the motions to draw them with now."""
         now = time.monotonic()
         keys = {piece.key for piece in pieces}
         if self.last and keys != self.last.keys():
             self.start = {piece.key: self._from(piece) for piece in pieces}
             self.begin = now
         part = min(1.0, (now - self.begin) / SECONDS)
-        part = 1 - (1 - part) ** 3  # fast at first, then calm
+        part = 1 - (1 - part) ** 3  # ease out
         result = list(pieces)
         if part < 1:
-            result = [replace(piece, motion=_mix(self.start.get(piece.key), piece.motion, part)) for piece in pieces]
+            result = [
+                replace(piece, motion=_interpolated(self.start.get(piece.key), piece.motion, part)) for piece in pieces
+            ]
         self.last = {piece.key: piece.motion for piece in result}
         return result
 
     def _from(self, piece: PlacedPiece) -> Motion:
-        """Where its stuff was: its own last place, or that of the piece it came from or that came from it."""
+        """Where a piece starts: at its own last place, or at that of the piece that it was cut from or contains."""
         if piece.key in self.last:
             return self.last[piece.key]
         for key, motion in self.last.items():
@@ -56,25 +62,26 @@ class PieceAnimation:
 
 
 class CameraAnimation:
-    """The eye on its way."""
+    """Moves the orbit camera to another view."""
 
     def __init__(self) -> None:
         self.begin = -10.0
         self.start = self.goal = OrbitCamera()
 
     def go(self, start: OrbitCamera, goal: OrbitCamera) -> None:
-        """Sets off."""
+        """Starts the animation."""
         self.begin, self.start, self.goal = time.monotonic(), start, goal
 
     def now(self) -> OrbitCamera | None:
-        """Where it is; None when it has arrived."""
+        """The camera now; None when the animation has ended."""
         part = (time.monotonic() - self.begin) / SECONDS
-        if part > 1.2:
+        if part > LINGER:
             return None
         return self.start.toward(self.goal, 1 - (1 - min(part, 1.0)) ** 3)
 
 
-def _mix(start: Motion | None, end: Motion, part: float) -> Motion:
+def _interpolated(start: Motion | None, end: Motion, part: float) -> Motion:
+    """Between two motions; the rotation is that of the end already, since only translations change here."""
     if start is None:
         return end
     x, y, z = (a + part * (b - a) for a, b in zip(start.shift, end.shift, strict=True))

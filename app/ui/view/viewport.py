@@ -1,4 +1,4 @@
-"""The object, and what the hand does to it."""
+"""The viewport: draws the object, and turns what the pointer does into edits and views."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ HINTS = {
 }
 
 REST = 0.2
-"""Seconds after which a view that no longer changes is drawn in full."""
+"""Seconds after the last change of the view until it is drawn in full."""
 
 MODE_LABELS = ("Capture", "Solid", "Interior")
 MODE_HINTS = (
@@ -59,7 +59,7 @@ MODE_HINTS = (
 
 @dataclass
 class Drag:
-    """What a pressed button is doing."""
+    """What the pointer does while a button is pressed."""
 
     kind: str
     """'stroke', 'plane', 'orbit', 'pan', 'move' or 'turn'."""
@@ -67,12 +67,12 @@ class Drag:
     last: tuple[float, float]
     keys: frozenset[Key] = frozenset()
     depth: float = 1.0
-    """Of what was grabbed, along the view."""
+    """Distance of the dragged point along the view direction, world units."""
     cancelled: bool = False
 
 
 class Viewport:
-    """The middle of the window."""
+    """Draws the middle of the window and handles the pointer in it."""
 
     def __init__(self, session: Session, painter: Painter) -> None:
         self.session, self.painter = session, painter
@@ -81,16 +81,16 @@ class Viewport:
         self.show_families: frozenset[str] = frozenset()
         self.menu_requested = False
         self.size = (640, 480)
-        """Of the picture, in the window's units."""
+        """Width and height of the picture, in the window's units."""
         self.origin = ImVec2(0, 0)
         self.plane_lines = PlaneLines(session)
         self._eye = OrbitCamera()
-        self._laid: tuple[object, ...] = ()
+        self._placed: tuple[object, ...] = ()
         self._moved = -10.0
 
     @property
     def moving(self) -> bool:
-        """Whether the next frame must come without an event."""
+        """Whether an animation is running, so that frames must be drawn without an event."""
         return self.piece_animation.moving or self.camera_animation.now() is not None
 
     def camera(self, scale: float = 1.0) -> Camera:
@@ -100,12 +100,12 @@ class Viewport:
         return eye.camera(width, height, self.session.up)
 
     def go(self, eye: OrbitCamera) -> None:
-        """Moves the eye there, gently."""
+        """Moves the camera there, animated."""
         self.camera_animation.go(self.session.viewing.eye, eye)
         self.session.viewing = replace(self.session.viewing, eye=eye)
 
     def fit(self) -> None:
-        """Everything in the picture."""
+        """Fits everything into the picture, animated."""
         before = self.session.viewing.eye
         self.session.fit(self.size[0] / max(self.size[1], 1))
         self.camera_animation.go(before, self.session.viewing.eye)
@@ -124,7 +124,7 @@ class Viewport:
         background = session.viewing.background or rgb(palette().view)
         draw = imgui.get_window_draw_list()
         corner = ImVec2(self.origin.x + size.x, self.origin.y + size.y)
-        moving = self._notice(shown)
+        moving = self._is_moving(shown)
         over: list[Lines | Sheet] = [
             *self._sheets(),
             *self.plane_lines.families(self.show_families, pieces, scale),
@@ -151,21 +151,21 @@ class Viewport:
             self._hint()
         imgui.pop_clip_rect()
 
-    def _notice(self, shown: Sequence[Piece]) -> bool:
-        """Whether the view is in motion: the eye, or pieces and planes while they are pulled."""
+    def _is_moving(self, shown: Sequence[Piece]) -> bool:
+        """Whether the view is changing: the camera moves, or pieces or planes are dragged."""
         eye = self.camera_animation.now() or self.session.viewing.eye
-        laid = tuple((piece.planes, piece.transform.tobytes()) for piece in shown)
-        pulled = imgui.is_mouse_down(imgui.MouseButton_.left) and laid != self._laid
+        placed = tuple((piece.planes, piece.transform.tobytes()) for piece in shown)
+        dragged = imgui.is_mouse_down(imgui.MouseButton_.left) and placed != self._placed
         now = time.monotonic()
-        if eye != self._eye or pulled:
+        if eye != self._eye or dragged:
             self._moved = now
-        self._eye, self._laid = eye, laid
+        self._eye, self._placed = eye, placed
         return self.moving or now - self._moved < REST
 
-    # The hand
+    # The pointer
 
     def _at(self) -> tuple[float, float]:
-        """The pointer, in pixels of the picture."""
+        """Position of the pointer in the picture, in the window's units."""
         mouse = imgui.get_mouse_pos()
         return mouse.x - self.origin.x, mouse.y - self.origin.y
 
@@ -189,7 +189,7 @@ class Viewport:
             if dx or dy:
                 session.viewing = replace(session.viewing, eye=eye.panned(dx, dy, self.size[1], session.up))
         elif drag.kind in ("move", "turn") and (dx or dy):
-            self._lay(camera, drag, dx, dy)
+            self._drag_pieces(camera, drag, dx, dy)
         if imgui.is_key_pressed(imgui.Key.escape) and drag.kind in ("stroke", "plane"):
             drag.cancelled = True
             session.notify("Not cut.")
@@ -247,7 +247,7 @@ class Viewport:
     def _pick(
         self, at: tuple[float, float], pieces: list[PlacedPiece]
     ) -> tuple[Key | None, NDArray[np.float64] | None]:
-        """The piece under a point of the picture, and the world point (3,) seen there."""
+        """Key of the piece at a point of the picture, and the world point (3,) there."""
         if self.session.mode == "capture":
             return None, None
         scale = float(imgui.get_io().display_framebuffer_scale.x) or 1.0
@@ -255,8 +255,8 @@ class Viewport:
         shown = [piece.key for piece in pieces if piece.visible]
         return (shown[number], point) if number is not None and number < len(shown) else (None, None)
 
-    def _lay(self, camera: Camera, drag: Drag, dx: float, dy: float) -> None:
-        """Moves or turns what was grabbed, along the picture."""
+    def _drag_pieces(self, camera: Camera, drag: Drag, dx: float, dy: float) -> None:
+        """Moves the dragged pieces parallel to the picture, or rotates them about its axes."""
         session = self.session
         rotation = camera.viewmat[:3, :3]
         if drag.kind == "move":
@@ -268,10 +268,10 @@ class Viewport:
             motion = Motion.about(middle, rotation[1], -0.4 * dx).after(Motion.about(middle, rotation[0], 0.4 * dy))
         session.place("Move" if drag.kind == "move" else "Turn", drag.keys, motion, merge="drag")
 
-    # What is drawn over the picture
+    # The overlay
 
     def _sheets(self) -> list[Sheet]:
-        """The active section plane, as a sheet that the object hides where it is in front."""
+        """The active section plane as a translucent sheet."""
         session, cut = self.session, self._active_section()
         if cut is None:
             return []
@@ -290,7 +290,7 @@ class Viewport:
         return cut if cut.kind == "section" and cut.on else None
 
     def _draw_selection(self, camera: Camera, pieces: list[PlacedPiece]) -> None:
-        """A quiet mark at the corner of each selected piece."""
+        """Brackets around each selected piece."""
         session = self.session
         if len(pieces) < 2:
             return
@@ -303,7 +303,7 @@ class Viewport:
             brackets(draw, pixels.min(0) - px(10), pixels.max(0) + px(10))
 
     def _knife_lines(self, pieces: Sequence[PlacedPiece], scale: float) -> list[Lines]:
-        """Where the plane of the stroke would go through each piece."""
+        """Where the plane of the stroke would cut each piece."""
         session, drag = self.session, self.drag
         if drag is None or drag.kind not in ("stroke", "plane") or drag.cancelled or session.atoms is None:
             return []
@@ -313,7 +313,7 @@ class Viewport:
         return [] if plane is None else self.plane_lines.cut(plane, [piece for piece in met if piece.visible], scale)
 
     def _draw_stroke(self) -> None:
-        """The line of the hand."""
+        """The stroke itself, with a hint on how to end it."""
         drag, p = self.drag, palette()
         assert drag is not None
         if drag.cancelled:
@@ -325,7 +325,7 @@ class Viewport:
         for end in ends:
             draw.add_circle_filled(end, px(4.5), u32(p.accent))
         words = "release to cut" if drag.kind == "stroke" else "release to place"
-        low = ends[1].y + px(40) > self.origin.y + self.size[1]  # at the foot of the view the words stand above
+        low = ends[1].y + px(40) > self.origin.y + self.size[1]  # near the lower edge the hint is above
         below = ImVec2(ends[1].x + px(14), ends[1].y + (-px(40) if low else px(6)))
         label(draw, below, f"{words}    Shift: snap    Esc: cancel")
 
@@ -353,7 +353,7 @@ class Viewport:
         draw.add_text(at, u32(p.second), lines)
 
     def counts(self) -> str:
-        """How much is shown and how long it took."""
+        """What is shown, how many Gaussians or atoms it has, and the time of a frame, in a line."""
         shown = self.session.object
         if shown is None:
             return ""
@@ -369,7 +369,7 @@ class Viewport:
         return f"{what}    {taken:.0f} ms" if taken else what
 
     def _hint(self) -> None:
-        """What the tool waits for, at the pointer, until it has been used once."""
+        """What to do with the tool, beside the pointer; for the knife, until the first cut."""
         session = self.session
         text = HINTS[session.tool]
         if not text or session.atoms is None or (session.tool == "knife" and session.settings.seen_hint):
