@@ -44,7 +44,7 @@ class LiveColours:
         if not written or tuple(written) == self._seen:
             return None
         self._seen = tuple(written)
-        found: dict[str, NDArray[np.float32]] = {}
+        tensors: dict[str, NDArray[np.float32]] = {}
         exposed = atoms.interior.exposed
         for stage, _ in written:
             with (
@@ -52,17 +52,17 @@ class LiveColours:
                 safe_open(self.folder / f"{stage}.safetensors", framework="np") as file,
             ):
                 names = {"means", "sigmas", "rgb", "sh"} & set(file.keys())
-                found |= {name: file.get_tensor(name) for name in names}
+                tensors |= {name: file.get_tensor(name) for name in names}
                 facts = json.loads((file.metadata() or {}).get("facts", "{}"))
                 exposed = facts["exposed"] if isinstance(facts, dict) and "exposed" in facts else exposed
         surface, interior = atoms.surface, atoms.interior
-        means, sigmas = found.get("means", interior.means), found.get("sigmas", interior.sigmas)
-        rgb, sh = found.get("rgb", interior.rgb), found.get("sh", surface.sh)
+        means, sigmas = tensors.get("means", interior.means), tensors.get("sigmas", interior.sigmas)
+        rgb, sh = tensors.get("rgb", interior.rgb), tensors.get("sh", surface.sh)
         # The folder may come from anybody: what does not fit, or cannot be drawn, is ignored.
         finite = all(values.dtype == np.float32 and np.isfinite(values).all() for values in (means, sigmas, rgb, sh))
         fits = sigmas.ndim == 1 and rgb.shape == means.shape == (len(sigmas), 3) and bool((sigmas > 0).all())
         fits = fits and sh.shape in {(len(surface), (degree + 1) ** 2, 3) for degree in range(4)}
-        if not (found and finite and fits and type(exposed) is int and 0 <= exposed <= len(means)):
+        if not (tensors and finite and fits and type(exposed) is int and 0 <= exposed <= len(means)):
             return None
         if not np.array_equal(means, interior.means):
             interior = InteriorAtoms(means, sigmas, rgb, exposed)

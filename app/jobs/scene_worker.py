@@ -79,16 +79,16 @@ def _solidify(path: Path, gaussians: Gaussians, up: NDArray[np.float64], cells: 
     from engine.solid.solidify import enclosed, solidify
 
     _write_line(stage="Finding the body", part=0.15)
-    found = enclosed(gaussians, cells, path.name)
+    enclosure = enclosed(gaussians, cells, path.name)
     _write_line(stage="Making it solid", part=0.4)
-    atoms = solidify(gaussians, found, cells, seed)
-    plain = plain_inside(atoms.surface, atoms.interior, found.body, atoms.pitch)
+    atoms = solidify(gaussians, enclosure, cells, seed)
+    plain = plain_inside(atoms.surface, atoms.interior, enclosure.body, atoms.pitch)
     atoms = replace(atoms, interior=replace(atoms.interior, rgb=plain))
-    facts = {"notes": list(found.notes), "trained": False}
+    facts = {"notes": list(enclosure.notes), "trained": False}
     _send_atoms(folder, atoms, facts)
     # From here on it can be cut; what follows only makes its skin look like the capture.
     _write_line(stage="Matching the skin", part=0.9)
-    cameras = around(found.body.bounds().mean(0), found.body.radius, up, FIT_VIEWS, FIT_SIZE)
+    cameras = around(enclosure.body.bounds().mean(0), enclosure.body.radius, up, FIT_VIEWS, FIT_SIZE)
     views = surface_views(atoms, gaussians, cameras, FIT_ENTRIES)
     _send_atoms(folder, refit(atoms, views).atoms, facts)
 

@@ -217,12 +217,6 @@ class Job:
         self._signal(lambda process: process.resume())
         self._signal(lambda process: process.terminate())
 
-    def kill(self) -> None:
-        """Ends the process at once; work since the last checkpoint is lost."""
-        self.stopped = True
-        self._write_note()
-        self._signal(lambda process: process.kill())
-
     def resume(self, program: Sequence[str] = ()) -> Job:
         """Starts the same job again from its last checkpoint. Raises InputError if it cannot start."""
         job = Job.start(self.document, self.document.up or (0.0, 0.0, 1.0), self.out, resume=True, program=program)

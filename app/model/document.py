@@ -164,8 +164,8 @@ class Document:
             for cut in self.cuts
             if cut.id != cut_id
         )
-        kept = tuple((key, placement) for key, placement in self.placements if cut_id not in dict(key))
-        return replace(self, cuts=cuts, placements=kept)
+        placements = tuple((key, placement) for key, placement in self.placements if cut_id not in dict(key))
+        return replace(self, cuts=cuts, placements=placements)
 
     # pieces
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
@@ -39,15 +38,10 @@ class History(Generic[T]):
         """Whether the state differs from the saved one."""
         return self.state != self.saved
 
-    def do(self, name: str, state: T, merge: str = "", apply: Callable[[T], None] | None = None) -> bool:
-        """Adds a state after the cursor, which drops the undone ones; False if it equals the current state.
-
-        `apply` is called with the new state first; if it raises, nothing changes.
-        """
+    def do(self, name: str, state: T, merge: str = "") -> bool:
+        """Adds a state after the cursor, which drops the undone ones; False if it equals the current state."""
         if state == self.state:
             return False
-        if apply is not None:
-            apply(state)
         del self.entries[self.cursor + 1 :]
         last = self.entries[self.cursor]
         if merge and merge == last.merge:
@@ -65,20 +59,18 @@ class History(Generic[T]):
         last = self.entries[self.cursor]
         self.entries[self.cursor] = Entry(last.name, last.state)
 
-    def undo(self, apply: Callable[[T], None] | None = None) -> bool:
+    def undo(self) -> bool:
         """One step back; False at the beginning."""
-        return self.jump(self.cursor - 1, apply)
+        return self.jump(self.cursor - 1)
 
-    def redo(self, apply: Callable[[T], None] | None = None) -> bool:
+    def redo(self) -> bool:
         """One step forward; False at the end."""
-        return self.jump(self.cursor + 1, apply)
+        return self.jump(self.cursor + 1)
 
-    def jump(self, index: int, apply: Callable[[T], None] | None = None) -> bool:
-        """To any entry; the cursor moves after `apply` has accepted the state. False if it cannot move there."""
+    def jump(self, index: int) -> bool:
+        """Moves the cursor to any entry; False if there is none, or if it is there already."""
         if not 0 <= index < len(self.entries) or index == self.cursor:
             return False
-        if apply is not None:
-            apply(self.entries[index].state)
         self.settle()
         self.cursor = index
         return True

@@ -12,7 +12,7 @@ __all__ = ["describe_job", "dismiss_job", "recovered_jobs"]
 
 def recovered_jobs(session: Session) -> list[Job]:
     """The jobs in the settings, as far as their scene still exists and is not the one that this session trains."""
-    found = []
+    jobs = []
     for name in session.settings.jobs:
         job = Job.find(Path(name))
         if job is None or not job.scene.is_file():
@@ -21,8 +21,8 @@ def recovered_jobs(session: Session) -> list[Job]:
             continue
         while job.poll():
             pass
-        found.append(job)
-    return found
+        jobs.append(job)
+    return jobs
 
 
 def describe_job(job: Job) -> str:

@@ -60,13 +60,11 @@ def font(kind: imgui.ImFont | None) -> Iterator[None]:
     imgui.pop_font()
 
 
-def heading(text: str, right: str = "") -> None:
+def heading(text: str) -> None:
     """The heading of a section of the inspector."""
     imgui.dummy(ImVec2(0, px(2)))
     with font(Fonts.bold):
         imgui.text_unformatted(text)
-    if right:
-        right_text(right)
     imgui.separator()
     imgui.dummy(ImVec2(0, px(1)))
 

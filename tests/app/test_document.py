@@ -98,19 +98,6 @@ def test_undo_and_redo_are_exact(data: st.DataObject) -> None:
     assert history.state == states[target]
 
 
-def test_history_moves_only_after_success() -> None:
-    history = History(1)
-    history.do("two", 2)
-
-    def refuse(_: int) -> None:
-        raise RuntimeError
-
-    for act in (lambda: history.undo(refuse), lambda: history.do("three", 3, apply=refuse)):
-        with pytest.raises(RuntimeError):
-            act()
-        assert history.state == 2 and len(history.entries) == 2
-
-
 def test_a_dragged_slider_is_one_step() -> None:
     history = History(0)
     for value in range(1, 9):

@@ -96,7 +96,8 @@ def test_a_job_is_found_again_paused_and_stopped_and_goes_on(tmp_path: Path) -> 
     before = again.progress.iteration
     resumed = again.resume((*STUB, "--steps", "400"))
     follow(resumed, lambda job: job.progress.iteration > before)
-    resumed.kill()
+    assert resumed.child is not None
+    resumed.child.kill()
     follow(resumed, lambda job: job.ended)
     assert len(resumed.progress.section) == resumed.progress.iteration
     assert not np.isnan(resumed.progress.section).any()
@@ -255,7 +256,8 @@ def test_a_job_that_was_left_running_is_found_at_the_next_start(
         assert second.training.job is not None and second.training.busy and "went on" in second.message
         assert recovered_jobs(second) == []  # it is the one that is shown
     finally:
-        first.training.job.kill()
+        assert first.training.job.child is not None
+        first.training.job.child.kill()
     follow(second.training.job, lambda job: job.ended)
     third = Session(autosave=Autosave(tmp_path))
     (job,) = recovered_jobs(third)

@@ -1,4 +1,4 @@
-"""The real window, driven: run by test_app_window.py in a process of its own, `python app_steps.py NAME FOLDER`."""
+"""The real window, driven: run by tests/app/test_window.py in a process of its own, `python app_steps.py NAME FOLDER`."""
 
 from __future__ import annotations
 
@@ -305,7 +305,8 @@ def habits(driver: Driver, folder: Path) -> None:
     assert session.question is not None and "still running" in session.question.title
     driver.press(Key.escape)
     assert not session.closing and job.phase == "running"
-    job.kill()
+    job.stop()
+    driver.until(lambda: not session.training.busy, 20, "the stop")
 
 
 def soak(driver: Driver, actions: int = 2000) -> None:
@@ -367,11 +368,14 @@ def soak(driver: Driver, actions: int = 2000) -> None:
             motion = Motion.by([chance.uniform(-0.2, 0.2) for _ in range(3)])
             chance.choice([session.hide, session.delete, lambda: session.place("Move", keys_, motion)])()
 
+    def view_as() -> None:
+        session.viewing = replace(session.viewing, mode=chance.choice(["solid", "solid", "interior"]))
+
     acts: list[Callable[[], object]] = [
         stroke, cut, piece, session.undo, session.undo, session.redo, session.reassemble, session.add_plane,
         lambda: session.select_tool(chance.choice(TOOLS)),
         lambda: session.jump(chance.randrange(len(session.history.entries))),
-        lambda: session.look(replace(session.viewing, mode=chance.choice(["solid", "solid", "interior"]))),
+        view_as,
         lambda: window.viewport.go(session.viewing.eye.from_side(chance.choice(list(AXIS_VIEWS)))),
         lambda: session.change("Gap", replace(session.document, gap=chance.uniform(0, 1)), merge="gap"),
     ]  # fmt: skip

@@ -86,13 +86,13 @@ class FileDialogs:
 
     def show(self) -> None:
         """Checks for an answer, and draws the prompt. Called once a frame."""
-        asked = self.dialog
-        if asked is not None and asked.dialog.ready(0):
+        current = self.dialog
+        if current is not None and current.dialog.ready(0):
             self.dialog = None
-            result = asked.dialog.result()
+            result = current.dialog.result()
             paths = [result] if isinstance(result, str) else result
             if paths and paths[0]:
-                asked.then(tuple(Path(path) for path in paths))
+                current.then(tuple(Path(path) for path in paths))
         if self.prompt is not None:
             self._show_prompt(self.prompt)
 

@@ -209,10 +209,10 @@ class Viewport:
             if session.tool in ("knife", "plane"):
                 kind = "stroke" if session.tool == "knife" else "plane"
             elif session.tool in ("move", "turn"):
-                found, point = self._pick(at, pieces)
-                if found is not None and point is not None:
+                key, point = self._pick(at, pieces)
+                if key is not None and point is not None:
                     kind, depth = session.tool, float((point - camera.position) @ camera.forward)
-                    keys = session.selection if found in session.selection else frozenset([found])
+                    keys = session.selection if key in session.selection else frozenset([key])
                     session.selection = keys
         self.drag = Drag(kind, at, at, keys, depth)
 
