@@ -25,6 +25,7 @@ import psutil
 from app.jobs.live_colours import LiveColours
 from app.jobs.training_job import Job
 from app.model.autosave import find_unsaved_work
+from app.model.document import Document, Training
 from app.model.project import load_project
 from app.model.settings import load_settings
 from benchmarks.fuzz_rules import words_wrong
@@ -121,7 +122,7 @@ def read_checkpoint(path: Path, work: Path) -> None:
 
 def read_job(path: Path, work: Path) -> None:
     """A result folder in which every file of a job is this one. What makes no sense there counts as not there."""
-    job = Job.find(work) or Job(work, ("train", "-o", str(work)), 0, 0.0, ended=True)
+    job = Job.find(work) or Job(Document(work / "a.ply", training=Training(out=work)), 0, 0.0, ended=True)
     for _ in range(1000):
         if not job.poll():
             break

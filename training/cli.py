@@ -98,7 +98,7 @@ def train(
 
 
 def refuse_options_beside_request(context: typer.Context) -> None:
-    """Raises InputError where --request is given together with an option that it already holds."""
+    """Raises InputError if an option is given that the --request already decides."""
     for parameter in context.command.params:
         source = context.get_parameter_source(parameter.name or "")
         if source is not None and source.name != "DEFAULT" and parameter.name not in BESIDE_REQUEST:
@@ -120,7 +120,7 @@ def request_from_options(
     iterations: int | None,
     seed: int,
 ) -> Request:
-    """The request of the command line. Raises InputError for options that do not read or do not fit together."""
+    """The request that the options describe. Raises InputError for invalid or contradictory options."""
     if scene is None:
         raise InputError("no scene; give a capture or a mesh, or a --request")
     if not scene.is_file():
@@ -205,13 +205,13 @@ def parse_axis(text: str, option: str) -> tuple[float, float, float]:
 def parse_families(
     exemplars: list[str], families: list[str], prompts: list[str], pictures_needed: bool = True
 ) -> tuple[Family, ...]:
-    """Families of planes from the command line, in the order of `Kind`.
+    """Families of planes from the options of the command line, in the order of `Kind`.
 
-    Families given only by their pictures or words get the paper's number of planes. Raises InputError for anything
-    that does not read, for pictures of a family without planes, and where no family or no needed picture is left.
+    Families without a --family get the paper's number of planes. Raises InputError for an option that cannot be parsed,
+    for pictures of a family without planes, and if there is no family, or no picture although one is needed.
     """
     pictures = parse_pictures(exemplars)
-    words = dict(parse_pair(text, "--prompt") for text in prompts)
+    texts = dict(parse_pair(text, "--prompt") for text in prompts)
     counts: dict[Kind, int] = {}
     spans: dict[Kind, tuple[float, float]] = {}
     axis: tuple[float, float, float] | None = None
@@ -235,8 +235,8 @@ def parse_families(
         if len(parts) == 2:
             axis = parse_axis(parts[1], "--family parallel")
     if not families:
-        counts = {kind: COUNTS[kind] for kind in [*pictures, *words]}
-    for kind in [*pictures, *words]:
+        counts = {kind: COUNTS[kind] for kind in [*pictures, *texts]}
+    for kind in [*pictures, *texts]:
         if not counts.get(kind):
             raise InputError(
                 f"{kind}: pictures or words but no planes; add --family {kind}:{COUNTS[kind] or 'a,b,c,d'}"
@@ -250,7 +250,7 @@ def parse_families(
             kind,
             counts[kind],
             tuple(pictures.get(kind, ())),
-            words.get(kind, ""),
+            texts.get(kind, ""),
             axis if kind == "parallel" else None,
             tuple(custom) if kind == "custom" else (),
             spans.get(kind, (0.0, 1.0)),
@@ -261,7 +261,7 @@ def parse_families(
 
 
 def parse_span(text: str, where: str) -> tuple[float, float]:
-    """The two ends of low..high, parts of the whole."""
+    """The ends of a range low..high. Range [0, 1]."""
     complaint = f"{where}: give the range as parts of the whole, as in 0.2..0.8"
     low, high = parse_numbers(text.replace("..", ",", 1), 2, complaint)
     if not 0 <= low < high <= 1:
@@ -270,7 +270,7 @@ def parse_span(text: str, where: str) -> tuple[float, float]:
 
 
 def parse_pictures(exemplars: list[str]) -> dict[Kind, list[Path]]:
-    """The pictures of each kind of family from the command line."""
+    """The pictures of each family from --exemplar options. Raises InputError if one does not exist."""
     pictures: dict[Kind, list[Path]] = {}
     for text in exemplars:
         kind, path = parse_pair(text, "--exemplar")
@@ -299,7 +299,7 @@ def parse_kind(name: str, where: str) -> Kind:
 def main() -> None:
     """Entry point: one clear line and status 2 for bad input, 130 or 143 for a run that was stopped.
 
-    `finetune` as the first word asks for that; anything else is a scene to train.
+    `finetune` as the first argument selects that command; otherwise a scene is trained.
     """
     name, arguments = "fruitninja-train", sys.argv[1:]
     if arguments[:1] == ["finetune"]:

@@ -1,4 +1,4 @@
-"""The real window, driven: run by tests/app/test_window.py in a process of its own, `python app_steps.py NAME FOLDER`."""
+"""Scripts that drive the real window; tests/app/test_window.py runs each in its own process, with NAME and FOLDER."""
 
 from __future__ import annotations
 
