@@ -29,7 +29,7 @@ def run(window):
 
     session = window.session
     window.start(session)
-    while session.preparing is not None:
+    while session.loader is not None:
         session.tick()
         time.sleep(0.02)
     assert not session.error, session.error
