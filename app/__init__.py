@@ -1,1 +1,1 @@
-"""The desktop window."""
+"""The desktop app, in four rooms, each importing only those before it: model, jobs, session, ui."""

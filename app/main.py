@@ -22,22 +22,22 @@ def main() -> None:
     if path is not None and not path.is_file():
         print(f"fruitninja: {path}: no such file", file=sys.stderr)
         sys.exit(2)
-    # Not before: the window's libraries take a second to load, and a wrong path should be said at once.
+    # Imported only now: the window's libraries take a second to load, and a wrong path should be reported at once.
     path = None if path is None else path.absolute()
-    here = leave_current_folder()
-    from app.jobs.recovered_jobs import left_jobs
+    folder = leave_current_folder()
     from app.model.project import Viewing
     from app.model.samples import sample_document
+    from app.session.recovered_jobs import recovered_jobs
     from app.session.session import Session
     from app.ui.window import Window
 
     def start(session: Session) -> None:
-        left = [job for job in left_jobs(session) if not job.ended]
+        running = [job for job in recovered_jobs(session) if not job.ended]
         if path is not None:
             session.files.open(path)
         else:
-            document = left[0].document if left else sample_document()
-            session.show(document, Viewing(mode="capture"), None)
+            document = running[0].document if running else sample_document()
+            session.files.open_document(document, Viewing(mode="capture"), None)
 
     if not can_show():
         print(
@@ -45,29 +45,29 @@ def main() -> None:
             file=sys.stderr,
         )
         sys.exit(2)
-    Window(Session(folder=here), start).run()
+    Window(Session(folder=folder), start).run()
 
 
 def leave_current_folder() -> Path:
-    """From here on the program works in its own folder. Returns where the user stands.
+    """Makes the program's own folder the current one, and returns the one that was current before.
 
-    The window's libraries look in the current folder for settings, pictures, shared libraries and programs, and that
-    may be wherever a stranger's archive was unpacked.
+    The window's libraries search the current folder for settings, pictures, shared libraries and programs, and that may
+    be where the user has unpacked a stranger's archive.
     """
     from engine.processes import HOME
 
     try:
         here = Path.cwd()
-    except FileNotFoundError:  # removed meanwhile
+    except FileNotFoundError:  # it has been removed
         here = Path.home()
-    if own := os.environ.get("FRUITNINJA_HOME"):
-        os.environ["FRUITNINJA_HOME"] = str(here / own)
+    if home := os.environ.get("FRUITNINJA_HOME"):
+        os.environ["FRUITNINJA_HOME"] = str(here / home)
     os.chdir(HOME)
     return here
 
 
 def can_show() -> bool:
-    """Whether there is a display; asked before, because the window's own answer is an assertion in C++."""
+    """Whether there is a display, checked first because the window itself would fail with an assertion in C++."""
     import glfw
 
     with warnings.catch_warnings():

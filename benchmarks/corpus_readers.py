@@ -22,9 +22,9 @@ from typing import Any
 import numpy as np
 import psutil
 
-from app.jobs.live_colours import Watch
+from app.jobs.live_colours import LiveColours
 from app.jobs.training_job import Job
-from app.model.autosave import rescued
+from app.model.autosave import find_unsaved_work
 from app.model.document import Document, Training
 from app.model.project import load_project
 from app.model.settings import load_settings
@@ -113,7 +113,7 @@ def read_project(path: Path, work: Path) -> None:
 def read_checkpoint(path: Path, work: Path) -> None:
     """As the window takes colours from it while training goes on, and as the trainer does."""
     atoms, _ = load_trained(work / SOLID)
-    watch = Watch(work)
+    watch = LiveColours(work)
     watch.folder = work
     watch.newer(atoms)
     Checkpoint(work, "run").load("training")
@@ -125,8 +125,8 @@ def read_job(path: Path, work: Path) -> None:
     for _ in range(1000):
         if not job.poll():
             break
-    job.last_words()
-    assert 0 <= job.progress.whole <= 1, "progress outside [0, 1]"
+    job.log_tail()
+    assert 0 <= job.progress.fraction <= 1, "progress outside [0, 1]"
 
 
 READERS = {
@@ -143,7 +143,7 @@ READERS = {
     "checkpoint": Reader(read_checkpoint, ("training.safetensors",)),
     "settings": Reader(lambda path, work: load_settings(path)),
     "job": Reader(read_job, ("job.json", "events.jsonl", "job.log")),
-    "autosave": Reader(lambda path, work: rescued(work), ("a.fruitninja", "a.json")),
+    "autosave": Reader(lambda path, work: find_unsaved_work(work), ("a.fruitninja", "a.json")),
     "batch result": Reader(lambda path, work: Task("t", dict, {}, path, "f").kept()),
 }
 """The last four refuse nothing: what they cannot read they take for not there."""

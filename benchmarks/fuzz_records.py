@@ -17,7 +17,7 @@ import numpy as np
 from hypothesis import strategies as st
 from safetensors.numpy import save as safetensors_bytes
 
-from app.jobs.live_colours import Watch
+from app.jobs.live_colours import LiveColours
 from app.jobs.training_job import Job, note_path
 from app.model.document import Document, Part, Training
 from app.model.pieces import Solid, pieces
@@ -27,9 +27,11 @@ from benchmarks.fuzz_inputs import CHANGES, documents, places, poisoned
 from benchmarks.fuzz_rules import refused
 from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from engine.scene.plane import Plane
+from training.families import Family
+from training.request import Request, read_request
 
-__all__ = ["COLOURS", "JOBS", "MOVES", "SETTINGS", "check_colours", "check_job", "check_meant_project",
-           "check_settings", "meant"]  # fmt: skip
+__all__ = ["COLOURS", "JOBS", "MOVES", "REQUESTS", "SETTINGS", "check_colours", "check_job", "check_meant_project",
+           "check_request", "check_settings", "meant"]  # fmt: skip
 
 NUMBERS: tuple[Any, ...] = (0, -1, 1, 2, 3, 7, 255, 2**31, 2**53, 2**53 + 1, 2**63, 10**18, 1e-9, 0.5, 1e9, 1e12, -1e12)
 TEXTS = ("", " ", "horizontal", "Knife 9", "Knife ²", "Knife " + "9" * 5000, "Piece 1", "../../a.ply", "..", ".", "~",
@@ -113,7 +115,7 @@ def check_meant_project(record: Any, folder: Path) -> bool:
     assert all(np.isfinite(piece.motion.matrix).all() for piece in shown), "a piece lies nowhere"
     more = document.with_cut((Part(Plane.of((0, 0, 1), 0.1)),))
     fewer = more.without_cut(more.cuts[0].id)
-    for changed in (more, fewer, document.together()):
+    for changed in (more, fewer, document.reassembled()):
         pieces(changed, BOX)
         again = replace(project, document=changed)
         save_project(folder / "b.fruitninja", again)
@@ -127,6 +129,33 @@ def named(document: Any) -> list[Path]:
     training = document.training
     found = [document.scene, training.out, training.model, *(p for f in document.families for p in f.exemplars)]
     return [path for path in found if path is not None]
+
+
+# requests: what is read is written and read again the same
+
+PLANES = (Plane.of((1, 2, 3), 0.1), Plane.of((0, 0, 1), -0.5))
+REQUEST = Request(
+    Path("/a.ply"),
+    (Family("horizontal", 4, (Path("/a.png"), Path("/b.png")), "red", span=(0.1, 0.9)),
+     Family("parallel", 3, (Path("/c.png"),), axis=(0.0, 1.0, 0.0)), Family("custom", 2, custom=PLANES)),
+    "draft", (0.0, 0.0, 1.0), 7, 50, "stable-diffusion", Path("/model"), Path("/midas"), "bread",
+)  # fmt: skip
+REQUESTS: st.SearchStrategy[bytes] = documents(json.loads(REQUEST.to_json())) | st.builds(
+    lambda moves: json.dumps(meant(json.loads(REQUEST.to_json()), moves)).encode("utf-8", "surrogatepass"), MOVES
+)
+
+
+def check_request(data: bytes, folder: Path) -> bool:
+    path = folder / "request.json"
+    path.write_bytes(data)
+    request = refused(lambda: read_request(path), folder)
+    if request is None:
+        return False
+    assert all(file.is_absolute() for file in request.files), "a relative path"
+    again = folder / "again.json"
+    again.write_text(request.to_json(), encoding="utf-8")
+    assert read_request(again) == request, "written and read it is another request"
+    return True
 
 
 # a result folder: what is there may be anything, the window looks at it all the same
@@ -170,8 +199,8 @@ def check_job(value: tuple[bytes, bytes], folder: Path) -> bool:
     job.ended = True  # whatever process it names, it is none of ours
     refused(job.poll, out)
     assert job.phase in ("done", "stopped", "failed")
-    job.last_words()
-    assert 0 <= job.progress.part <= 1 and 0 <= job.progress.whole <= 1, "progress outside [0, 1]"
+    job.log_tail()
+    assert 0 <= job.progress.stage_fraction <= 1 and 0 <= job.progress.fraction <= 1, "progress outside [0, 1]"
     return found is not None
 
 
@@ -214,7 +243,7 @@ def check_colours(data: bytes, folder: Path) -> bool:
     checkpoint = folder / "out/checkpoint"
     checkpoint.mkdir(parents=True, exist_ok=True)
     (checkpoint / "training.safetensors").write_bytes(data)
-    found = refused(lambda: Watch(folder / "out").newer(ATOMS), checkpoint)
+    found = refused(lambda: LiveColours(folder / "out").newer(ATOMS), checkpoint)
     if found is None:
         return False
     for part in (found.surface, found.interior):

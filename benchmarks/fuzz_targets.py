@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 from safetensors.numpy import save as safetensors_bytes
 
 from app.jobs.job_events import Progress, read_line
-from app.model.camera_control import Eye
+from app.model.camera_control import OrbitCamera
 from app.model.document import Document, Part, Training
 from app.model.project import Project, Viewing, load_project, save_project
 from app.model.rigid_transform import Motion
@@ -30,10 +30,12 @@ from benchmarks.fuzz_records import (
     COLOURS,
     JOBS,
     MOVES,
+    REQUESTS,
     SETTINGS,
     check_colours,
     check_job,
     check_meant_project,
+    check_request,
     check_settings,
     meant,
 )
@@ -87,7 +89,8 @@ def whole_project(folder: Path) -> Project:
     document = document.with_family(Family("custom", 1, custom=(Plane.of((3, 1, 2), 0.4),)))
     training = Training("high", "stable-diffusion", 7, 50, folder / "out", folder / "model", "bread")
     return Project(
-        Document(**vars(document) | {"training": training}), Viewing(Eye((0.1, 1e9, -3.0)), "capture", (0.1, 0.2, 0.3))
+        Document(**vars(document) | {"training": training}),
+        Viewing(OrbitCamera((0.1, 1e9, -3.0)), "capture", (0.1, 0.2, 0.3)),
     )
 
 
@@ -299,8 +302,8 @@ EVENT = {"event": "progress", "seconds": 1.5, "stage": "train", "part": 0.5, "et
 def check_event(data: bytes, folder: Path) -> bool:
     progress = Progress(section=[0.5], surface=[0.5])
     read_line(progress, data)
-    assert 0 <= progress.part <= 1 and 0 <= progress.whole <= 1 and len(progress.section) <= 100_002
-    assert math.isfinite(progress.seconds) and (progress.left is None or math.isfinite(progress.left))
+    assert 0 <= progress.stage_fraction <= 1 and 0 <= progress.fraction <= 1 and len(progress.section) <= 100_002
+    assert math.isfinite(progress.seconds) and (progress.remaining is None or math.isfinite(progress.remaining))
     return True
 
 
@@ -344,6 +347,7 @@ TARGETS: dict[str, Target] = {
     "events": Target(documents(EVENT), quiet(check_event), 0.05),
     "meaning": Target(st.builds(meant, st.just(project_record()), MOVES), quiet(check_meant_project), 0.05),
     "job": Target(JOBS, quiet(check_job), 0.05),
+    "request": Target(REQUESTS, quiet(check_request), 0.05),
     "colours": Target(COLOURS, quiet(check_colours), 0.05),
     "settings": Target(SETTINGS, quiet(check_settings), 0.03),
     "pictures": Target(PICTURES, quiet(check_picture), 0.05),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import signal
 import sys
@@ -14,7 +15,7 @@ import typer
 from engine.errors import InputError, one_line
 from engine.io.files import reason
 
-__all__ = ["FAILED", "REFUSED", "Stop", "Stopped", "print_result", "run_command"]
+__all__ = ["FAILED", "REFUSED", "Stop", "Stopped", "parse_numbers", "print_result", "run_command"]
 
 FAILED, REFUSED, SIGNALLED = 1, 2, 128
 """Exit statuses: part of the work or the machine failed; the input is bad or the result cannot be written; the user
@@ -58,6 +59,17 @@ def print_result(text: str) -> None:
         print(text, flush=True)
     except OSError as error:
         raise InputError(f"standard output: cannot be written ({reason(error)})") from error
+
+
+def parse_numbers(text: str, count: int, complaint: str) -> list[float]:
+    """`count` finite numbers separated by commas. Raises InputError with the complaint for anything else."""
+    try:
+        numbers = [float(part) for part in text.split(",")]
+    except ValueError as error:
+        raise InputError(complaint) from error
+    if len(numbers) != count or not all(map(math.isfinite, numbers)):
+        raise InputError(complaint)
+    return numbers
 
 
 def run_command(

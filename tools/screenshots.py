@@ -31,7 +31,7 @@ from app.session.session import Session  # noqa: E402
 from engine.scene.plane import Plane  # noqa: E402
 
 Key = imgui.Key
-PICTURES = ROOT / "docs" / "pictures"
+PICTURE_SUFFIXES = ROOT / "docs" / "pictures"
 OUT = ROOT / "out" / "screenshots"
 SIZE = (1440, 900)
 
@@ -81,21 +81,21 @@ def take(detail: str, theme: str, only: str) -> None:
             if name[0] in only and name[0] != "2":  # the time of a frame is that of frames in motion: move a little
                 eye = session.viewing.eye
                 for step in range(16):
-                    session.look(replace(session.viewing, eye=replace(eye, azimuth=eye.azimuth + 0.2 * (step % 4))))
+                    session.viewing = replace(session.viewing, eye=replace(eye, azimuth=eye.azimuth + 0.2 * (step % 4)))
                     driver.frames(1)
-                session.look(replace(session.viewing, eye=eye))
+                session.viewing = replace(session.viewing, eye=eye)
                 driver.still()
             if name[0] in only:
-                driver.picture(PICTURES / f"{name}.png")
+                driver.picture(PICTURE_SUFFIXES / f"{name}.png")
                 print(f"{name}.png", flush=True)
 
         # The hollow input.
-        driver.until(lambda: session.atoms is not None and session.preparing is None, 600, "the solid")
+        driver.until(lambda: session.atoms is not None and session.loader is None, 600, "the solid")
         view.fit()
         shot("1_capture")
 
         # The families, with their planes on the object.
-        session.look(replace(session.viewing, mode="solid", eye=replace(session.viewing.eye, elevation=26.0)))
+        session.viewing = replace(session.viewing, mode="solid", eye=replace(session.viewing.eye, elevation=26.0))
         view.show_families = frozenset(["horizontal", "radial"])
         window.interior.open = "horizontal"
         shot("5_families")
@@ -104,13 +104,13 @@ def take(detail: str, theme: str, only: str) -> None:
         # Training, seen through an opened object.
         if kept.exists():
             kept.rename(result)
-            session.prepare()
+            session.scene.load(session.training.result_for(session.document))
             driver.until(lambda: session.object is not None and session.object.trained, 120, "the result")
         else:
             session.add_plane()
             cut = session.document.cuts[0]
             tilt(session, cut.id)
-            session.desk.start()
+            session.training.start()
             driver.until(lambda: busy_training(session), 3600, "training with curves and pictures")
             session.active_cut = None  # its numbers would push the pictures of the training out of the panel
             shot("4_training")
@@ -118,7 +118,7 @@ def take(detail: str, theme: str, only: str) -> None:
             session.remove_cut(cut.id)
 
         # The knife.
-        session.look(replace(session.viewing, mode="solid"))
+        session.viewing = replace(session.viewing, mode="solid")
         view.fit()
         driver.still()
         driver.press(Key.k)
@@ -131,22 +131,22 @@ def take(detail: str, theme: str, only: str) -> None:
         lay_open(session)
         view.fit()
         eye = session.viewing.eye  # both halves together are wide, not tall: the sphere around them leaves much room
-        session.look(replace(session.viewing, eye=replace(eye, distance=0.8 * eye.distance)))
+        session.viewing = replace(session.viewing, eye=replace(eye, distance=0.8 * eye.distance))
         shot("3_halves")
 
     drive(
         Session(settings=Settings(theme=theme, window=SIZE, seen_hint=True)),  # type: ignore[arg-type]
         script,
-        lambda session: session.show(document, Viewing(mode="capture"), None),
+        lambda session: session.files.open_document(document, Viewing(mode="capture"), None),
     )
 
 
 def busy_training(session: Session) -> bool:
     """Whether there is something to see: a curve, label pictures, colours."""
-    job = session.desk.job
+    job = session.training.job
     assert job is not None and job.phase in ("running", "done"), session.error
     progress = job.progress
-    return len(progress.section) >= 6 and bool(progress.previews) and session.colours > 0
+    return len(progress.section) >= 6 and bool(progress.previews) and session.colour_version > 0
 
 
 def tilt(session: Session, cut_id: int) -> None:

@@ -1,4 +1,4 @@
-"""`fruitninja-train`: the main job without a window."""
+"""`fruitninja-train`: gives one capture an inside, or fine-tunes a diffusion model."""
 
 from __future__ import annotations
 
@@ -8,32 +8,35 @@ import sys
 from pathlib import Path
 from typing import Annotated, cast, get_args
 
-import numpy as np
 import typer
 
-from engine.command import Stop, Stopped, print_result, run_command
+from engine.command import Stop, Stopped, parse_numbers, print_result, run_command
 from engine.errors import InputError
 from engine.io.files import locked_folder
 from engine.scene.plane import Plane
 from training.events import Reporter
 from training.families import COUNTS, Family, Kind
 from training.pipeline import run
-from training.request import Interrupted, PriorName, Request
+from training.request import Interrupted, PriorName, Request, read_request
 from training.settings import DetailName
 
 __all__ = ["main", "parse_families"]
 
 CLASS_PART = 0.5
-"""Part of a fine-tuning that goes by before its first step: drawing pictures of the class."""
+"""Fraction of a fine-tuning's time before its first step: drawing pictures of the class."""
+
+BESIDE_REQUEST = ("request", "out", "events", "resume")
+"""Options that --request may be combined with: they do not decide the result."""
 
 AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
 
 def train(
-    scene: Annotated[
-        Path, typer.Argument(help="A capture (.ply, .splat, .spz), or a textured mesh (.obj, .glb, .ply).")
-    ],
+    context: typer.Context,
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the result.")],
+    scene: Annotated[
+        Path | None, typer.Argument(help="A capture (.ply, .splat, .spz), or a textured mesh (.obj, .glb, .ply).")
+    ] = None,
     exemplar: Annotated[
         list[str] | None, typer.Option(help="A picture of a cut face: horizontal=A.png, radial=B.jpg, parallel=C.png.")
     ] = None,
@@ -54,13 +57,17 @@ def train(
     prior: Annotated[str, typer.Option(help="What draws the inside: exemplar or stable-diffusion.")] = "exemplar",
     model: Annotated[Path | None, typer.Option(help="Local folder of a Stable Diffusion depth model.")] = None,
     midas: Annotated[
-        Path | None, typer.Option(help="Local folder of a depth estimator, heard beside the exact depth.")
+        Path | None, typer.Option(help="Local folder of a depth estimator, used in addition to the exact depth.")
     ] = None,
     thing: Annotated[
         str | None, typer.Option("--object", help="What the object is, for priors that read: watermelon.")
     ] = None,
     iterations: Annotated[int | None, typer.Option(min=0, help="Most training iterations.")] = None,
     seed: Annotated[int, typer.Option(min=0, help="The same seed gives the same result.")] = 0,
+    request: Annotated[
+        Path | None,
+        typer.Option(help="A request.json, as the window writes it: the scene and all options above, in their place."),
+    ] = None,
     events: Annotated[
         str | None, typer.Option(help="One JSON object a line, to a file or to standard output (-).")
     ] = None,
@@ -68,6 +75,54 @@ def train(
 ) -> None:
     """Give a hollow capture an inside, from a few pictures of cut faces."""
     stop = Stop()
+    if request is not None:
+        refuse_options_beside_request(context)
+        requested = read_request(request)
+        for path in requested.files:
+            if not path.is_file():
+                raise InputError(f"{path}: no such file (named by {request})")
+    else:
+        requested = request_from_options(
+            scene, exemplar or [], family or [], prompt or [], up, detail, prior, model, midas, thing, iterations, seed
+        )
+    reporter = Reporter.open(events)
+    stop.listen()
+    with reporter, locked_folder(out):
+        try:
+            result = run(requested, out, reporter, resume, stop.requested)
+        except Interrupted as interrupted:
+            message = f"stopped; go on with the same command and --resume ({interrupted})"
+            raise Stopped(stop.number, message) from interrupted
+    if events != "-":
+        print_result(f"{result}\n{out / 'cuts.png'}\n{out / 'report.json'}")
+
+
+def refuse_options_beside_request(context: typer.Context) -> None:
+    """Raises InputError if an option is given that the --request already decides."""
+    for parameter in context.command.params:
+        source = context.get_parameter_source(parameter.name or "")
+        if source is not None and source.name != "DEFAULT" and parameter.name not in BESIDE_REQUEST:
+            name = parameter.opts[0] if parameter.opts[0].startswith("-") else "the scene"
+            raise InputError(f"--request holds everything that decides the result; leave out {name}")
+
+
+def request_from_options(
+    scene: Path | None,
+    exemplars: list[str],
+    families: list[str],
+    prompts: list[str],
+    up: str | None,
+    detail: str,
+    prior: str,
+    model: Path | None,
+    midas: Path | None,
+    thing: str | None,
+    iterations: int | None,
+    seed: int,
+) -> Request:
+    """The request that the options describe. Raises InputError for invalid or contradictory options."""
+    if scene is None:
+        raise InputError("no scene; give a capture or a mesh, or a --request")
     if not scene.is_file():
         raise InputError(f"{scene}: no such file")
     if detail not in get_args(DetailName):
@@ -77,9 +132,9 @@ def train(
     reads = prior == "stable-diffusion"
     if not reads and (model or midas):
         raise InputError("--model and --midas belong to --prior stable-diffusion; add it, or leave them out")
-    request = Request(
+    return Request(
         scene=scene,
-        families=parse_families(exemplar or [], family or [], prompt or [], pictures_needed=not reads),
+        families=parse_families(exemplars, families, prompts, pictures_needed=not reads),
         detail=cast(DetailName, detail),
         up=None if up is None else parse_axis(up, "--up"),
         seed=seed,
@@ -89,16 +144,6 @@ def train(
         midas=midas,
         thing=thing,
     )
-    reporter = Reporter.open(events)
-    stop.listen()
-    with reporter, locked_folder(out):
-        try:
-            result = run(request, out, reporter, resume, stop.requested)
-        except Interrupted as interrupted:
-            said = f"stopped; go on with the same command and --resume ({interrupted})"
-            raise Stopped(stop.number, said) from interrupted
-    if events != "-":
-        print_result(f"{result}\n{out / 'cuts.png'}\n{out / 'report.json'}")
 
 
 def finetune(
@@ -157,27 +202,16 @@ def parse_axis(text: str, option: str) -> tuple[float, float, float]:
     return x, y, z
 
 
-def parse_numbers(text: str, count: int, complaint: str) -> list[float]:
-    """That many finite numbers with commas between, or InputError with the complaint."""
-    try:
-        numbers = [float(part) for part in text.split(",")]
-    except ValueError as error:
-        raise InputError(complaint) from error
-    if len(numbers) != count or not np.isfinite(numbers).all():
-        raise InputError(complaint)
-    return numbers
-
-
 def parse_families(
     exemplars: list[str], families: list[str], prompts: list[str], pictures_needed: bool = True
 ) -> tuple[Family, ...]:
-    """Families of planes from the command line, in the order of `Kind`.
+    """Families of planes from the options of the command line, in the order of `Kind`.
 
-    Families given only by their pictures or words get the paper's number of planes. Raises InputError for anything
-    that does not read, for pictures of a family without planes, and where no family or no needed picture is left.
+    Families without a --family get the paper's number of planes. Raises InputError for an option that cannot be parsed,
+    for pictures of a family without planes, and if there is no family, or no picture although one is needed.
     """
     pictures = parse_pictures(exemplars)
-    words = dict(parse_pair(text, "--prompt") for text in prompts)
+    texts = dict(parse_pair(text, "--prompt") for text in prompts)
     counts: dict[Kind, int] = {}
     spans: dict[Kind, tuple[float, float]] = {}
     axis: tuple[float, float, float] | None = None
@@ -201,8 +235,8 @@ def parse_families(
         if len(parts) == 2:
             axis = parse_axis(parts[1], "--family parallel")
     if not families:
-        counts = {kind: COUNTS[kind] for kind in [*pictures, *words]}
-    for kind in [*pictures, *words]:
+        counts = {kind: COUNTS[kind] for kind in [*pictures, *texts]}
+    for kind in [*pictures, *texts]:
         if not counts.get(kind):
             raise InputError(
                 f"{kind}: pictures or words but no planes; add --family {kind}:{COUNTS[kind] or 'a,b,c,d'}"
@@ -216,7 +250,7 @@ def parse_families(
             kind,
             counts[kind],
             tuple(pictures.get(kind, ())),
-            words.get(kind, ""),
+            texts.get(kind, ""),
             axis if kind == "parallel" else None,
             tuple(custom) if kind == "custom" else (),
             spans.get(kind, (0.0, 1.0)),
@@ -227,7 +261,7 @@ def parse_families(
 
 
 def parse_span(text: str, where: str) -> tuple[float, float]:
-    """The two ends of low..high, parts of the whole."""
+    """The ends of a range low..high. Range [0, 1]."""
     complaint = f"{where}: give the range as parts of the whole, as in 0.2..0.8"
     low, high = parse_numbers(text.replace("..", ",", 1), 2, complaint)
     if not 0 <= low < high <= 1:
@@ -236,7 +270,7 @@ def parse_span(text: str, where: str) -> tuple[float, float]:
 
 
 def parse_pictures(exemplars: list[str]) -> dict[Kind, list[Path]]:
-    """The pictures of each kind of family from the command line."""
+    """The pictures of each family from --exemplar options. Raises InputError if one does not exist."""
     pictures: dict[Kind, list[Path]] = {}
     for text in exemplars:
         kind, path = parse_pair(text, "--exemplar")
@@ -265,7 +299,7 @@ def parse_kind(name: str, where: str) -> Kind:
 def main() -> None:
     """Entry point: one clear line and status 2 for bad input, 130 or 143 for a run that was stopped.
 
-    `finetune` as the first word asks for that; anything else is a scene to train.
+    `finetune` as the first argument selects that command; otherwise a scene is trained.
     """
     name, arguments = "fruitninja-train", sys.argv[1:]
     if arguments[:1] == ["finetune"]:

@@ -1,29 +1,57 @@
-"""What a run is asked for, and what is fixed once its atoms stand."""
+"""The request of a training run, its file, and the geometry that every run fixes first.
+
+A request file is JSON with every field of `Request`, as `Request.to_json` writes it: the desktop app starts the trainer
+with one, and `fruitninja-train --request` runs it. Its paths are absolute.
+"""
 
 from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import asdict, dataclass
+import math
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
-from engine.io.files import open_file
+from engine.errors import InputError
+from engine.io.fields import UNIT_TOLERANCE, Fields
+from engine.io.files import open_file, read_file
+from engine.io.strict_json import parse
 from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from engine.scene.gaussians import Gaussians
 from engine.scene.grid import Body
-from training.families import Family
+from engine.scene.plane import Plane
+from training.families import MOST, Family, Kind
 from training.settings import DETAILS, Detail, DetailName
 
-__all__ = ["Geometry", "Interrupted", "PriorName", "Request"]
+__all__ = [
+    "Geometry",
+    "Interrupted",
+    "PriorName",
+    "Request",
+    "family_record",
+    "read_family",
+    "read_plane",
+    "read_request",
+]
 
 PriorName = Literal["exemplar", "stable-diffusion"]
 
 FORMAT = 2
-"""Of what a run keeps to go on from; grows with every change of it, so that no run goes on from another version's."""
+"""Version of the checkpoints; it grows with every change of them, so that no run resumes one of another version."""
+
+FILE_VERSION = 1
+"""Version of request files. Any other is refused, so it grows with every change of meaning."""
+
+LIMIT = 1 << 20
+"""Bytes of the largest request file that is read; a real one has a few KB."""
+
+MOST_ITERATIONS = 1_000_000
+"""More than a run can do in a year."""
 
 
 class Interrupted(Exception):
@@ -44,11 +72,16 @@ class Request:
     """Most iterations; None: as the detail says."""
     prior: PriorName = "exemplar"
     model: Path | None = None
-    """Folder of the model that `stable-diffusion` asks."""
+    """Folder of the diffusion model, for `stable-diffusion`."""
     midas: Path | None = None
-    """Folder of a depth estimator, to be heard beside the exact depth."""
+    """Folder of a depth estimator whose depth `stable-diffusion` takes in addition to the exact one."""
     thing: str | None = None
-    """What the object is called in prompts; None: as the scene's file."""
+    """What the object is called in prompts; None: the name of the scene's file."""
+
+    @property
+    def files(self) -> list[Path]:
+        """The scene and all pictures."""
+        return [self.scene, *(path for family in self.families for path in family.exemplars)]
 
     @property
     def fineness(self) -> Detail:
@@ -56,9 +89,9 @@ class Request:
         return DETAILS[self.detail]
 
     def fingerprint(self) -> str:
-        """A name for input and settings: the same for the same result."""
+        """Hash of the input's content and all settings: equal requests give the same result."""
         digest = hashlib.sha256(f"{FORMAT}".encode())
-        for path in [self.scene, *(p for family in self.families for p in family.exemplars)]:
+        for path in self.files:
             with open_file(path) as file:
                 while block := file.read(1 << 20):
                     digest.update(block)
@@ -68,10 +101,116 @@ class Request:
         digest.update(json.dumps(asdict(self), sort_keys=True, default=str).encode())
         return digest.hexdigest()[:16]
 
+    def to_json(self) -> str:
+        """The content of a request file, with absolute paths; `read_request` gives an equal request."""
+        record = {
+            "fruitninja_request": FILE_VERSION,
+            "scene": _absolute(self.scene),
+            "families": [family_record(family, _absolute) for family in self.families],
+            "detail": self.detail,
+            "up": self.up,
+            "seed": self.seed,
+            "iterations": self.iterations,
+            "prior": self.prior,
+            "model": _absolute(self.model),
+            "midas": _absolute(self.midas),
+            "thing": self.thing,
+        }
+        return json.dumps(record, indent=1, allow_nan=False) + "\n"
+
+
+def _absolute(path: Path | None) -> str | None:
+    return None if path is None else str(path.absolute())
+
+
+def family_record(family: Family, path_text: Callable[[Path], str | None]) -> dict[str, Any]:
+    """A family as JSON; `path_text` writes the paths of its pictures. Project files have the same form."""
+    return {
+        "kind": family.kind,
+        "count": family.count,
+        "exemplars": [path_text(exemplar) for exemplar in family.exemplars],
+        "prompt": family.prompt,
+        "axis": family.axis,
+        "range": family.span,
+        "planes": [[*plane.normal, plane.offset] for plane in family.custom],
+    }
+
+
+def read_family(reader: Fields, value: Any, read_path: Callable[[Any], Path]) -> Family:
+    """The family of a `family_record`. Raises InputError where it is none."""
+    record = reader.table(value, "a family")
+    kind: Kind = reader.choice(record, "kind", get_args(Kind))
+    planes = reader.each(record, "planes", lambda plane: read_plane(reader, plane))
+    exemplars = reader.each(record, "exemplars", read_path)
+    count = reader.integer(record, "count", 0, MOST)
+    prompt, axis = reader.text(record, "prompt"), reader.unit(record, "axis")
+    low, high = reader.numbers(record.get("range", [0.0, 1.0]), 2, "'range'")  # older projects have none
+    try:
+        return Family(kind, count, exemplars, prompt, axis, planes, (low, high))
+    except InputError as error:
+        raise InputError(f"{reader.path}: not a {reader.kind}: {error}") from error
+
+
+def read_plane(reader: Fields, value: Any) -> Plane:
+    """The plane of a list a, b, c, d whose normal has length 1."""
+    a, b, c, d = reader.numbers(value, 4, "a plane")
+    reader.require(abs(math.hypot(a, b, c) - 1) < UNIT_TOLERANCE, "the normal of a plane has not length 1")
+    return Plane((a, b, c), d)
+
+
+def read_request(path: Path) -> Request:
+    """The request in a file. Raises InputError in one line for anything but exactly what `Request.to_json` writes.
+
+    Whether the files that it names exist is not checked here.
+    """
+    raw = read_file(path, LIMIT)
+    reader = Fields(path, "request")
+    try:
+        value = parse(raw)
+    except ValueError as error:
+        raise InputError(f"{path}: not a request: it is no JSON") from error
+    record = reader.table(value, "the file")
+    version = record.get("fruitninja_request")
+    reader.require(type(version) is int, "it has no 'fruitninja_request' version")
+    if version != FILE_VERSION:
+        raise InputError(f"{path}: version {version}, this trainer reads {FILE_VERSION}; update FruitNinja")
+    known = {"fruitninja_request", *(field.name for field in fields(Request))}
+    reader.require(record.keys() == known, f"its fields are not exactly {', '.join(sorted(known))}")
+
+    def absolute(name: Any, what: str) -> Path:
+        result = Path(reader.path_text(name, what))
+        reader.require(result.is_absolute(), f"{what} is no absolute path")
+        return result
+
+    def optional(key: str) -> Path | None:
+        return None if record[key] is None else absolute(record[key], f"'{key}'")
+
+    families = reader.each(
+        record, "families", lambda entry: read_family(reader, entry, lambda name: absolute(name, "'exemplars'"))
+    )
+    reader.require(len(families) > 0, "it has no family")
+    reader.require(len({family.kind for family in families}) == len(families), "a family is listed twice")
+    request = Request(
+        scene=absolute(record["scene"], "'scene'"),
+        families=families,
+        detail=reader.choice(record, "detail", get_args(DetailName)),
+        up=reader.unit(record, "up"),
+        seed=reader.integer(record, "seed", 0),
+        iterations=None if record["iterations"] is None else reader.integer(record, "iterations", 0, MOST_ITERATIONS),
+        prior=reader.choice(record, "prior", get_args(PriorName)),
+        model=optional("model"),
+        midas=optional("midas"),
+        thing=None if record["thing"] is None else reader.text(record, "thing"),
+    )
+    if request.prior == "exemplar":
+        reader.require(not (request.model or request.midas), "'model' and 'midas' belong to prior stable-diffusion")
+        reader.require(any(family.exemplars for family in families), "no family has a picture")
+    return request
+
 
 @dataclass(frozen=True)
 class Geometry:
-    """What is fixed before anybody paints the inside."""
+    """The part of a run's input that no prior changes."""
 
     gaussians: Gaussians
     """The capture."""

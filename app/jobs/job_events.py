@@ -1,4 +1,4 @@
-"""What the trainer's event lines add up to: where the job is and what it has shown so far."""
+"""The state of a training job, gathered from the event lines that the trainer writes."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from engine.errors import one_line
 
 __all__ = ["Progress", "read_line"]
 
-# Parts of the whole time that the stages take, for one bar over all of them; measured at standard detail.
-WEIGHTS = {
+# Fraction of a run's time that each stage takes, for one bar over all stages; measured at standard detail.
+STAGE_WEIGHTS = {
     "load": 0.01,
     "body": 0.03,
     "atomise": 0.03,
@@ -25,36 +25,46 @@ WEIGHTS = {
     "save": 0.08,
 }
 
-
 MOST = 1000
-"""Warnings, and pictures of one line, that are kept; a real job has a few."""
+"""Warnings, and pictures of one event, that are read; a real job has a few."""
+
+LAST_ITERATION = 10_000_000
+"""Largest iteration that is believed; a real run has hundreds."""
+
+LONGEST_GAP = 100_000
+"""Most iterations without an event that a curve is padded for: a file that skips further would fill the memory."""
 
 
 @dataclass
 class Progress:
-    """Grows with each line. Lines come from a file in a folder, so they may be anybody's: texts are made plain, and
-    only files of that folder are named."""
+    """How far a job has come. `read_line` updates it.
+
+    Event files may come from anybody: control characters are removed from texts, and only files inside of the job's
+    folder are accepted.
+    """
 
     folder: Path = Path()
-    """Where the job's results are."""
+    """The job's result folder."""
     stage: str = ""
+    """Name of the stage in the events."""
     title: str = "Starting"
-    """Name of the stage for people."""
-    part: float = 0.0
-    """Of the stage. Range [0, 1]."""
-    whole: float = 0.0
-    """Of the run. Range [0, 1]; never falls."""
+    """Name of the stage for the user."""
+    stage_fraction: float = 0.0
+    """How much of the stage is done. Range [0, 1]."""
+    fraction: float = 0.0
+    """How much of the run is done. Range [0, 1]; never falls."""
     seconds: float = 0.0
     """Since the run began."""
-    left: float | None = None
-    """Seconds to the end, as far as can be told."""
+    remaining: float | None = None
+    """Estimated seconds to the end; None while there is no estimate."""
     iteration: int = 0
     iterations: int = 0
     section: list[float] = field(default_factory=list)
-    """Loss of the cut faces, one number per iteration; NaN where it was not told."""
+    """Loss of the cut faces, one number per iteration; NaN for iterations without one."""
     surface: list[float] = field(default_factory=list)
+    """Loss of the surface, likewise."""
     previews: tuple[Path, ...] = ()
-    """Pictures of labels, each beside what the object shows there."""
+    """Pictures, each of a label beside the object's cut face at the same plane."""
     warnings: list[str] = field(default_factory=list)
     result: Path | None = None
     """The finished scene."""
@@ -62,20 +72,20 @@ class Progress:
     lines: int = 0
     """Lines read, broken ones included."""
 
-    def again(self) -> Progress:
-        """For a run that goes on from a checkpoint: curves and pictures stay, the rest begins anew."""
+    def resumed(self) -> Progress:
+        """The progress that a run continuing from a checkpoint starts with: curves and pictures stay."""
         return Progress(
             folder=self.folder,
             section=self.section,
             surface=self.surface,
             previews=self.previews,
-            whole=self.whole,
+            fraction=self.fraction,
             lines=self.lines,
         )
 
 
 def read_line(progress: Progress, line: bytes) -> None:
-    """Adds one event. A line that is no event (cut short by a crash, or of a later version) changes nothing."""
+    """Applies one event. A line that is not an event (cut short by a crash, or of a later version) is ignored."""
     progress.lines += 1
     try:
         event = json.loads(line)
@@ -88,55 +98,55 @@ def read_line(progress: Progress, line: bytes) -> None:
     if kind == "stage" and isinstance(event.get("stage"), str):
         progress.stage = event["stage"]
         progress.title = one_line(str(event.get("title") or progress.stage))
-        progress.part = 0.0
+        progress.stage_fraction = 0.0
         _advance(progress, None)
     elif kind == "progress":
-        progress.part = min(1.0, max(0.0, _number(event.get("part"), progress.part)))
+        progress.stage_fraction = min(1.0, max(0.0, _number(event.get("part"), progress.stage_fraction)))
         _advance(progress, event.get("eta"))
         _losses(progress, event)
     elif kind == "previews" and isinstance(event.get("paths"), list):
-        paths = [_own(progress, path) for path in event["paths"][:MOST]]
+        paths = [_file_of(progress, path) for path in event["paths"][:MOST]]
         progress.previews = tuple(path for path in paths if path is not None)
     elif kind == "warning" and len(progress.warnings) < MOST:
         progress.warnings.append(one_line(str(event.get("message", ""))))
-    elif kind == "done" and (result := _own(progress, event.get("scene"))) is not None:
-        progress.result, progress.report = result, _own(progress, event.get("report"))
-        progress.whole, progress.left = 1.0, 0.0
+    elif kind == "done" and (result := _file_of(progress, event.get("scene"))) is not None:
+        progress.result, progress.report = result, _file_of(progress, event.get("report"))
+        progress.fraction, progress.remaining = 1.0, 0.0
 
 
 def _advance(progress: Progress, eta: Any) -> None:
-    """The bar over all stages, and the time that is left by what was done so far."""
-    names = list(WEIGHTS)
-    if progress.stage not in WEIGHTS:
+    """Updates the fraction of the run and the time that remains. `eta`: seconds to the end of the stage."""
+    names = list(STAGE_WEIGHTS)
+    if progress.stage not in STAGE_WEIGHTS:
         return
-    before = sum(WEIGHTS[name] for name in names[: names.index(progress.stage)])
-    progress.whole = max(progress.whole, before + WEIGHTS[progress.stage] * progress.part)
+    before = sum(STAGE_WEIGHTS[name] for name in names[: names.index(progress.stage)])
+    progress.fraction = max(progress.fraction, before + STAGE_WEIGHTS[progress.stage] * progress.stage_fraction)
     stage_left = _number(eta, math.nan)
-    after = 1 - before - WEIGHTS[progress.stage]
+    after = 1 - before - STAGE_WEIGHTS[progress.stage]
     if math.isfinite(stage_left):
-        # The stages to come take their part of the time as this one does.
-        total = stage_left / max(1 - progress.part, 1e-3)
-        progress.left = stage_left + total * after / WEIGHTS[progress.stage]
+        # The later stages are expected to take time in proportion to their weights.
+        total = stage_left / max(1 - progress.stage_fraction, 1e-3)
+        progress.remaining = stage_left + total * after / STAGE_WEIGHTS[progress.stage]
 
 
 def _losses(progress: Progress, event: dict[str, Any]) -> None:
-    """One iteration's losses; after a resume some iterations come again and take the place of the first."""
+    """Adds one iteration's losses; iterations that are repeated after a resume replace the earlier ones."""
     losses, iteration = event.get("losses"), event.get("iteration")
-    if not isinstance(losses, dict) or type(iteration) is not int or not 0 < iteration <= 10_000_000:
+    if not isinstance(losses, dict) or type(iteration) is not int or not 0 < iteration <= LAST_ITERATION:
         return
     progress.iteration = iteration
     if type(event.get("iterations")) is int:
         progress.iterations = event["iterations"]
     for curve, name in ((progress.section, "section"), (progress.surface, "surface")):
         del curve[iteration - 1 :]
-        if iteration - 1 - len(curve) > 100_000:
+        if iteration - 1 - len(curve) > LONGEST_GAP:
             return
         curve.extend([math.nan] * (iteration - 1 - len(curve)))
         curve.append(_number(losses.get(name), math.nan))
 
 
-def _own(progress: Progress, name: Any) -> Path | None:
-    """The file of this name, if it stands in the job's folder."""
+def _file_of(progress: Progress, name: Any) -> Path | None:
+    """The path of this name, None if it leads out of the job's folder."""
     if not isinstance(name, str) or "\0" in name:
         return None
     path = Path(os.path.normpath(progress.folder / name))
@@ -144,7 +154,7 @@ def _own(progress: Progress, name: Any) -> Path | None:
 
 
 def _number(value: Any, fallback: float) -> float:
-    """The value if it is a finite number."""
+    """The value if it is a finite number, else the fallback."""
     if isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e300:  # false for NaN
         return float(value)
     return fallback

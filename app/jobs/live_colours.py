@@ -1,4 +1,4 @@
-"""The colours that a running training has reached, from its checkpoints."""
+"""The colours that a running training has reached so far, read from its checkpoints."""
 
 from __future__ import annotations
 
@@ -13,29 +13,29 @@ from safetensors import SafetensorError, safe_open
 
 from engine.scene.atoms import Atoms, InteriorAtoms
 
-__all__ = ["Watch"]
+__all__ = ["LiveColours"]
 
 STAGES = ("surface", "labels", "training")
-"""Checkpoints that hold colours, in the order in which they appear; the later one counts."""
+"""Checkpoints that hold colours, in the order in which a run writes them; later ones override earlier ones."""
 
 
-class Watch:
-    """Looks into a result folder for colours newer than the last ones."""
+class LiveColours:
+    """Reads colours from a result folder whenever they have changed."""
 
     def __init__(self, out: Path) -> None:
         self.folder = out / "checkpoint"
         self._seen: tuple[tuple[str, int], ...] = ()
 
-    def forget(self) -> None:
-        """Everything is new again: for atoms that have none of the colours yet."""
+    def reset(self) -> None:
+        """Makes `newer` read the checkpoints again, for atoms that do not have their colours yet."""
         self._seen = ()
 
     def newer(self, atoms: Atoms) -> Atoms | None:
-        """The object in the latest colours; None where there is nothing new, or nothing that fits.
+        """The atoms with the latest colours; None if there are no new ones, or if they do not fit.
 
-        The trainer makes its skin from the same scene by the same steps, so its atoms come in the same order; where
-        their counts differ (another detail, another version) nothing fits. The inside may come with atoms of its own,
-        as fine as its colours need them, and the skin with spherical harmonics of another degree.
+        The trainer makes the surface atoms from the same scene by the same steps, so they have the same order; colours
+        of another count (from another detail or version) do not fit. A checkpoint may bring interior atoms of its own,
+        as fine as the colours require, and spherical harmonics of another degree for the surface.
         """
         written = []
         for stage in STAGES:
@@ -44,7 +44,7 @@ class Watch:
         if not written or tuple(written) == self._seen:
             return None
         self._seen = tuple(written)
-        found: dict[str, NDArray[np.float32]] = {}
+        tensors: dict[str, NDArray[np.float32]] = {}
         exposed = atoms.interior.exposed
         for stage, _ in written:
             with (
@@ -52,17 +52,17 @@ class Watch:
                 safe_open(self.folder / f"{stage}.safetensors", framework="np") as file,
             ):
                 names = {"means", "sigmas", "rgb", "sh"} & set(file.keys())
-                found |= {name: file.get_tensor(name) for name in names}
+                tensors |= {name: file.get_tensor(name) for name in names}
                 facts = json.loads((file.metadata() or {}).get("facts", "{}"))
                 exposed = facts["exposed"] if isinstance(facts, dict) and "exposed" in facts else exposed
         surface, interior = atoms.surface, atoms.interior
-        means, sigmas = found.get("means", interior.means), found.get("sigmas", interior.sigmas)
-        rgb, sh = found.get("rgb", interior.rgb), found.get("sh", surface.sh)
-        # The folder may be anybody's: what does not fit, or cannot be drawn, is left alone.
-        sound = all(values.dtype == np.float32 and np.isfinite(values).all() for values in (means, sigmas, rgb, sh))
+        means, sigmas = tensors.get("means", interior.means), tensors.get("sigmas", interior.sigmas)
+        rgb, sh = tensors.get("rgb", interior.rgb), tensors.get("sh", surface.sh)
+        # The folder may come from anybody: what does not fit, or cannot be drawn, is ignored.
+        finite = all(values.dtype == np.float32 and np.isfinite(values).all() for values in (means, sigmas, rgb, sh))
         fits = sigmas.ndim == 1 and rgb.shape == means.shape == (len(sigmas), 3) and bool((sigmas > 0).all())
         fits = fits and sh.shape in {(len(surface), (degree + 1) ** 2, 3) for degree in range(4)}
-        if not (found and sound and fits and type(exposed) is int and 0 <= exposed <= len(means)):
+        if not (tensors and finite and fits and type(exposed) is int and 0 <= exposed <= len(means)):
             return None
         if not np.array_equal(means, interior.means):
             interior = InteriorAtoms(means, sigmas, rgb, exposed)

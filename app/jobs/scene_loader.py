@@ -1,4 +1,4 @@
-"""Follows the process that reads a scene and makes it solid, so that the window never waits for it."""
+"""Loads a scene in another process (`app.jobs.scene_worker`), so that the window never waits for it."""
 
 from __future__ import annotations
 
@@ -24,89 +24,93 @@ from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from engine.scene.gaussians import Gaussians
 from training.settings import DetailName
 
-__all__ = ["Object", "Preparing", "Request"]
+__all__ = ["LoadedScene", "SceneLoader", "SceneRequest"]
 
 
 @dataclass(frozen=True)
-class Request:
-    """What is to be read."""
+class SceneRequest:
+    """The scene to load, and how fine to make it."""
 
     scene: Path
     detail: DetailName = "standard"
     seed: int = 0
     trained: Path | None = None
-    """A finished training result for this scene, shown in place of a plain inside."""
+    """A finished training result of this scene, loaded in place of a plain inside."""
 
 
 @dataclass(frozen=True)
-class Object:
-    """What the window shows, as far as it is there."""
+class LoadedScene:
+    """As much of a scene as has been loaded so far."""
 
-    request: Request
+    request: SceneRequest
     capture: Gaussians | None = None
     atoms: Atoms | None = None
     solid: Solid | None = None
-    """Of the atoms; of the capture while there are none."""
+    """The points of the atoms, or of the capture before there are atoms."""
     up: Vec3 = (0.0, 0.0, 1.0)
-    """As detected."""
+    """Detected up axis, unit vector."""
     up_reason: str = ""
+    """Why this axis, in words."""
     notes: tuple[str, ...] = ()
+    """What the user should know about the scene, one line each."""
     trained: bool = False
-    """The inside was trained."""
+    """Whether the inside has been trained."""
 
 
-class Preparing:
-    """One scene on its way. Poll it; what is ready comes in steps: the capture first, then the atoms."""
+class SceneLoader:
+    """Loads one scene. `poll` brings it step by step: the capture first, then the atoms."""
 
-    def __init__(self, request: Request) -> None:
+    def __init__(self, request: SceneRequest) -> None:
         self.request = request
         self.stage = f"Opening {request.scene.name}"
-        self.part = 0.0
+        """What is being done, in words."""
+        self.fraction = 0.0
+        """How much is done. Range [0, 1]."""
         self.error = ""
-        """One line for the user; what was ready before it stays."""
+        """Why loading ended early, in one line; what was loaded before stays."""
         self.ended = False
-        self.ready = False
-        """The user has been told that it can be cut."""
-        self.object = Object(request)
+        self.announced = False
+        """Whether the user has read that the object can be cut."""
+        self.scene = LoadedScene(request)
         self._queue: queue.SimpleQueue[tuple[dict[str, Any], dict[str, NDArray[Any]]]] = queue.SimpleQueue()
         self._scratch = Scratch("fruitninja-")
         pipe = subprocess.PIPE
         self._process = start_python("app.jobs.scene_worker", stdin=pipe, stdout=pipe, stderr=pipe)
         self._threads = [
             threading.Thread(target=self._listen, daemon=True),
-            threading.Thread(target=self._keep_errors, daemon=True),
+            threading.Thread(target=self._collect_errors, daemon=True),
         ]
         self._errors = b""
         atexit.register(self._clear)
         for thread in self._threads:
             thread.start()
         trained = None if request.trained is None else str(request.trained.absolute())
-        asked: dict[str, Any] = {"scene": str(request.scene.absolute()), "folder": str(self._scratch.path)}
-        asked |= {"detail": request.detail, "seed": request.seed, "trained": trained}
+        message: dict[str, Any] = {"scene": str(request.scene.absolute()), "folder": str(self._scratch.path)}
+        message |= {"detail": request.detail, "seed": request.seed, "trained": trained}
         assert self._process.stdin is not None
         with contextlib.suppress(BrokenPipeError):
-            self._process.stdin.write((json.dumps(asked) + "\n").encode())
+            self._process.stdin.write((json.dumps(message) + "\n").encode())
             self._process.stdin.close()
 
     def poll(self) -> bool:
-        """Takes what has come; True where `object` has grown."""
+        """Takes over what has arrived; True if `scene` has grown."""
         grown = False
         while not self.ended:
             try:
-                said, arrays = self._queue.get_nowait()
+                line, arrays = self._queue.get_nowait()
             except queue.Empty:
                 break
-            self.stage = str(said.get("stage", self.stage))
-            self.part = float(said.get("part", self.part))
-            self.error = str(said.get("error", self.error))
-            if "ready" in said:
-                self._take(said["ready"], arrays, said["facts"])
+            self.stage = str(line.get("stage", self.stage))
+            self.fraction = float(line.get("part", self.fraction))
+            self.error = str(line.get("error", self.error))
+            if "ready" in line:
+                self._take(line["ready"], arrays, line["facts"])
                 grown = True
-            self.ended = bool(said.get("end"))
+            self.ended = bool(line.get("end"))
         return grown
 
     def cancel(self) -> None:
-        """Stops at once; what was ready stays."""
+        """Stops at once; what was loaded stays."""
         self.ended = True
         self._process.kill()
 
@@ -114,11 +118,11 @@ class Preparing:
         if what == "capture":
             x, y, z = facts["up"]
             capture = Gaussians(*(arrays[name] for name in ("means", "scales", "quats", "opacities", "sh")))
-            # Most captures have a few stray Gaussians far away; they must not decide what fits the window.
+            # Most captures have a few stray Gaussians far away; they must not determine what fits the window.
             low, high = np.percentile(capture.means, [2, 98], axis=0) if len(capture) else np.zeros((2, 3))
             near = capture.means[((capture.means >= low) & (capture.means <= high)).all(1)]
-            self.object = replace(
-                self.object,
+            self.scene = replace(
+                self.scene,
                 capture=capture,
                 solid=Solid.of(near),
                 up=(x, y, z),
@@ -129,23 +133,23 @@ class Preparing:
         surface = SurfaceAtoms(arrays["means"], arrays["scales"], arrays["quats"], arrays["sh"])
         interior = InteriorAtoms(arrays["inside"], arrays["sigmas"], arrays["rgb"], facts["exposed"])
         atoms = Atoms(surface, interior, facts["pitch"])
-        notes = tuple(dict.fromkeys((*self.object.notes, *facts["notes"])))
-        self.object = replace(
-            self.object, atoms=atoms, solid=Solid.of_atoms(atoms), notes=notes, trained=facts["trained"]
+        notes = tuple(dict.fromkeys((*self.scene.notes, *facts["notes"])))
+        self.scene = replace(
+            self.scene, atoms=atoms, solid=Solid.of_atoms(atoms), notes=notes, trained=facts["trained"]
         )
 
     def _listen(self) -> None:
-        """Reads lines, and the files they name, away from the window's thread."""
+        """Reads the lines, and the files that they name, in a thread of its own."""
         assert self._process.stdout is not None
         ended = False
-        for line in self._process.stdout:
+        for text in self._process.stdout:
             try:
-                said = json.loads(line)
+                line = json.loads(text)
             except ValueError:
                 continue  # a library that prints
-            arrays = load_file(said["file"]) if "file" in said else {}
-            ended = ended or bool(said.get("end"))
-            self._queue.put((said, arrays))
+            arrays = load_file(line["file"]) if "file" in line else {}
+            ended = ended or bool(line.get("end"))
+            self._queue.put((line, arrays))
         self._process.wait()
         if not ended:
             self._threads[1].join(1.0)
@@ -156,11 +160,12 @@ class Preparing:
         self._clear()
 
     def _clear(self) -> None:
-        """Leaves neither a process nor files behind, even when the app ends in the middle."""
+        """Leaves neither a process nor files behind, even if the app ends while loading."""
         self._process.kill()
         self._scratch.close()
 
-    def _keep_errors(self) -> None:
+    def _collect_errors(self) -> None:
+        """Keeps the end of what the process writes to standard error, to explain a crash."""
         assert self._process.stderr is not None
         for line in self._process.stderr:
             self._errors = (self._errors + line)[-4096:]

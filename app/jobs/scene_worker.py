@@ -1,7 +1,8 @@
-"""Reads a scene and makes it solid, in a process of its own, which `app.jobs.scene_loader` starts.
+"""The process that reads a scene and makes it solid; `app.jobs.scene_loader` starts it.
 
-A process, not a thread, because the geometry's kernels hold the interpreter's lock, and because it can be stopped at
-any moment. One request as JSON on standard input; JSON lines on standard output; arrays in files that the lines name.
+It is a process rather than a thread because the geometry kernels hold the interpreter's lock, and because a process can
+be stopped at any moment. It reads one request as JSON from standard input and writes JSON lines to standard output;
+arrays go into safetensors files that the lines name.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 from safetensors.numpy import save_file
 from scipy.spatial import cKDTree
 
-from app.jobs.warmup import rehearse
+from app.jobs.warmup import warm_up
 from engine.errors import InputError
 from engine.io.files import WRITE_ERRORS, reason
 from engine.io.trained import load_trained, sidecar_path
@@ -29,18 +30,18 @@ from engine.scene.sh import sh_to_rgb
 from training.settings import DETAILS
 
 PLAIN = (0.83, 0.82, 0.80)
-"""Colour of an inside that nobody has trained: it should read as material, not as a picture."""
+"""RGB of an untrained inside: a neutral material that nobody takes for a trained texture."""
 
 SKIN_PITCHES = 2.0
-"""Pitches under the skin over which its colour fades into the plain one: a cut shows a rim, as a shell would."""
+"""Depth under the skin, in pitches, over which its colour fades into the plain one: a cut shows a rim, like a shell."""
 
 FIT_VIEWS, FIT_SIZE, FIT_ENTRIES = 24, 160, 16
-"""Views of the capture that the skin's colours are fitted to, their pixels, and atoms kept for a pixel: as many as a
-draft run takes, for something to look at before training fits them better."""
+"""Views of the capture that the skin's colours are fitted to, pixels of their sides, and atoms stored for each pixel:
+the numbers of a draft run, good enough to look at until training fits the colours better."""
 
 
 def main() -> None:
-    """Answers one request."""
+    """Serves one request."""
     request = json.loads(sys.stdin.readline())
     folder, path = Path(request["folder"]), Path(request["scene"])
     try:
@@ -48,52 +49,52 @@ def main() -> None:
         if sidecar_path(path).exists():
             _send_trained(path, folder, capture=True)
         else:
-            gaussians, up = _capture(path, folder, request["seed"])
+            gaussians, up = _load_capture(path, folder, request["seed"])
             if trained is not None:
                 _send_trained(Path(trained), folder, capture=False)
             else:
-                _solid(path, gaussians, up, DETAILS[request["detail"]].cells, request["seed"], folder)
+                _solidify(path, gaussians, up, DETAILS[request["detail"]].cells, request["seed"], folder)
     except InputError as error:
-        _say(error=str(error))
+        _write_line(error=str(error))
     except MemoryError:
-        _say(error=f"{path}: not enough memory for it; close other programs, or choose a coarser detail")
-    _say(end=True)
+        _write_line(error=f"{path}: not enough memory for it; close other programs, or choose a coarser detail")
+    _write_line(end=True)
 
 
-def _capture(path: Path, folder: Path, seed: int) -> tuple[Gaussians, NDArray[np.float64]]:
+def _load_capture(path: Path, folder: Path, seed: int) -> tuple[Gaussians, NDArray[np.float64]]:
     from engine.io.load import load
     from engine.solid.up_axis import detect_up
 
-    _say(stage=f"Reading {path.name}", part=0.02)
+    _write_line(stage=f"Reading {path.name}", part=0.02)
     loaded = load(path, seed)
     gaussians = loaded.gaussians
     up, reason = detect_up(gaussians)
     facts = {"up": np.asarray(up, np.float64).tolist(), "reason": reason, "warnings": list(loaded.warnings)}
-    _send(folder, "capture", _arrays(gaussians), facts)
+    _send_arrays(folder, "capture", _arrays(gaussians), facts)
     return gaussians, up
 
 
-def _solid(path: Path, gaussians: Gaussians, up: NDArray[np.float64], cells: int, seed: int, folder: Path) -> None:
+def _solidify(path: Path, gaussians: Gaussians, up: NDArray[np.float64], cells: int, seed: int, folder: Path) -> None:
     from engine.fit.sh_fit import fit_sh, surface_views
     from engine.solid.solidify import find_enclosure, solidify
 
-    _say(stage="Finding the body", part=0.15)
-    found = find_enclosure(gaussians, cells, path.name)
-    _say(stage="Making it solid", part=0.4)
-    atoms = solidify(gaussians, found, cells, seed)
-    plain = plain_inside(atoms.surface, atoms.interior, found.body, atoms.pitch)
+    _write_line(stage="Finding the body", part=0.15)
+    enclosure = find_enclosure(gaussians, cells, path.name)
+    _write_line(stage="Making it solid", part=0.4)
+    atoms = solidify(gaussians, enclosure, cells, seed)
+    plain = plain_inside(atoms.surface, atoms.interior, enclosure.body, atoms.pitch)
     atoms = replace(atoms, interior=replace(atoms.interior, rgb=plain))
-    facts = {"notes": list(found.notes), "trained": False}
+    facts = {"notes": list(enclosure.notes), "trained": False}
     _send_atoms(folder, atoms, facts)
-    # It can be cut from here on; what follows only makes its skin look like the capture's.
-    _say(stage="Matching the skin", part=0.9)
-    cameras = cameras_around(found.body.bounds().mean(0), found.body.radius, up, FIT_VIEWS, FIT_SIZE)
+    # From here on it can be cut; what follows only makes its skin look like the capture.
+    _write_line(stage="Matching the skin", part=0.9)
+    cameras = cameras_around(enclosure.body.bounds().mean(0), enclosure.body.radius, up, FIT_VIEWS, FIT_SIZE)
     views = surface_views(atoms, gaussians, cameras, FIT_ENTRIES)
     _send_atoms(folder, fit_sh(atoms, views).atoms, facts)
 
 
 def plain_inside(surface: SurfaceAtoms, interior: InteriorAtoms, body: Body, pitch: float) -> NDArray[np.float32]:
-    """(I, 3). An even inside under the colours of the skin next to it."""
+    """(I, 3). RGB of an untrained inside: one plain colour, blended into the skin's colour close to the skin."""
     rgb = np.tile(np.array(PLAIN, np.float32), (len(interior), 1))
     depth = body.at(interior.means)
     near = depth < 1.5 * SKIN_PITCHES * pitch
@@ -107,23 +108,23 @@ def plain_inside(surface: SurfaceAtoms, interior: InteriorAtoms, body: Body, pit
 
 
 def _send_trained(path: Path, folder: Path, capture: bool) -> None:
-    _say(stage=f"Reading {path.name}", part=0.3)
+    _write_line(stage=f"Reading {path.name}", part=0.3)
     atoms, meta = load_trained(path)
     if capture:
         from engine.io.splats.ply import read_ply
 
         gaussians, _ = read_ply(path)
         facts = {"up": list(meta.up), "reason": "as trained", "warnings": []}
-        _send(folder, "capture", _arrays(gaussians), facts)
+        _send_arrays(folder, "capture", _arrays(gaussians), facts)
     _send_atoms(folder, atoms, {"notes": [], "trained": True})
 
 
 def _send_atoms(folder: Path, atoms: Atoms, facts: dict[str, Any]) -> None:
-    rehearse()
+    warm_up()
     s, i = atoms.surface, atoms.interior
     arrays = {"means": s.means, "scales": s.scales, "quats": s.quats, "sh": s.sh}
     arrays |= {"inside": i.means, "sigmas": i.sigmas, "rgb": i.rgb}
-    _send(folder, "atoms", arrays, {"pitch": float(atoms.pitch), "exposed": int(i.exposed), **facts})
+    _send_arrays(folder, "atoms", arrays, {"pitch": float(atoms.pitch), "exposed": int(i.exposed), **facts})
 
 
 def _arrays(gaussians: Gaussians) -> dict[str, NDArray[Any]]:
@@ -131,20 +132,20 @@ def _arrays(gaussians: Gaussians) -> dict[str, NDArray[Any]]:
     return {"means": g.means, "scales": g.scales, "quats": g.quats, "opacities": g.opacities, "sh": g.sh}
 
 
-def _send(folder: Path, what: str, arrays: dict[str, NDArray[Any]], facts: dict[str, Any]) -> None:
-    # A name of its own each time: the window may still be reading the last one.
+def _send_arrays(folder: Path, what: str, arrays: dict[str, NDArray[Any]], facts: dict[str, Any]) -> None:
+    # A new name each time: the window may still be reading the previous file.
     file = folder / f"{what}_{len(list(folder.iterdir()))}.safetensors"
-    whole = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
+    contiguous = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
     try:
-        save_file(whole, file)
+        save_file(contiguous, file)
     except WRITE_ERRORS as error:
         raise InputError(
             f"{folder.parent}: no room in the temporary folder ({reason(error)}); make some, or name another in TMPDIR"
         ) from error
-    _say(ready=what, file=str(file), facts=facts)
+    _write_line(ready=what, file=str(file), facts=facts)
 
 
-def _say(**facts: Any) -> None:
+def _write_line(**facts: Any) -> None:
     print(json.dumps(facts), flush=True)
 
 

@@ -1,8 +1,8 @@
-"""A training job: `fruitninja-train` in a process of its own, followed through the events it writes to a file.
+"""A training job: `fruitninja-train` in another process, followed through the events that it writes to a file.
 
-The job outlives the window, and the next one finds it and follows on. What it tells and prints stands in its folder
-(`events.jsonl`, `job.log`). Which process it is and what it was asked for stands where the app keeps its own state, not
-there: a folder may come from a stranger, and nothing that is read from it may start, hold or end a process.
+The job outlives the window, and the next window finds and follows it. Its events and output are in the result folder
+(`events.jsonl`, `job.log`). Its request, its document and the process that runs it are recorded in the app's own state
+folder: a result folder may come from a stranger, and nothing read from it may start, pause or end a process.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import psutil
 
@@ -28,23 +28,27 @@ from app.model.settings import state_folder
 from engine.errors import InputError, one_line
 from engine.io.files import atomic, open_file, read_file, reason
 from engine.processes import start_python
-from training.families import Family
+from training.families import Family, Kind
+from training.request import Request
 
-__all__ = ["Job", "command_for", "default_out", "missing_for_training", "note_path"]
+__all__ = ["Job", "default_out", "missing_for_training", "note_path", "request_for", "request_path"]
 
 LOG_TAIL = 6
-"""Last lines of what a job printed that are shown when it died."""
+"""Lines at the end of a job's output that are shown if it fails."""
+
+LOG_TAIL_BYTES = 8192
+"""Bytes at the end of a job's output that these lines are looked for in: more than six lines of a traceback."""
 
 READ_AT_ONCE = 1 << 20
-"""Bytes of events taken in one poll, so that finding a long job again does not hold up a frame; the trainer's lines
-have a few hundred."""
+"""Bytes of events read in one poll, so that catching up with a long job does not delay a frame; a line of the trainer
+has a few hundred."""
 
 NOTE_LIMIT = 1 << 16
 """Bytes of the largest note that is read; a real one has a hundred."""
 
 
 def missing_for_training(document: Document) -> str:
-    """What the user still has to give before training can start; empty: nothing."""
+    """What the user still has to provide before training can start; empty if nothing is missing."""
     if document.scene is None:
         return "Open an object first."
     if document.training.prior == "stable-diffusion":
@@ -54,120 +58,118 @@ def missing_for_training(document: Document) -> str:
             return "Add a family of cuts first."
     elif not any(family.exemplars for family in document.families):
         return "Add a picture of a cut face first: drop one on a family, or choose one."
-    gone = [path for family in document.families for path in family.exemplars if not path.is_file()]
-    return f"The picture {gone[0].name} is no longer there. Remove it or put it back." if gone else ""
+    absent = [path for family in document.families for path in family.exemplars if not path.is_file()]
+    return f"The picture {absent[0].name} is no longer there. Remove it or put it back." if absent else ""
 
 
 def default_out(scene: Path) -> Path:
-    """Beside the scene, or where the app keeps its own files if nothing can be written there."""
+    """The default result folder: beside the scene, or in the app's state folder if the scene's folder is read-only."""
     folder = scene.parent
     if not os.access(folder, os.W_OK):
         folder = state_folder() / "results"
     return folder / f"{scene.stem}-inside"
 
 
-def command_for(document: Document, up: Vec3, out: Path) -> list[str]:
-    """The trainer's arguments for a document. Raises InputError where something is missing."""
+def request_for(document: Document, up: Vec3) -> Request:
+    """The trainer's request for a document with this up axis. Raises InputError if something is missing."""
     if missing := missing_for_training(document):
         raise InputError(missing)
+    assert document.scene is not None
     training = document.training
-    arguments = [str(document.scene), "-o", str(out), "--events", str(out / "events.jsonl")]
-    arguments += ["--up", ",".join(repr(v) for v in up)]
-    arguments += ["--detail", training.detail, "--prior", training.prior, "--seed", str(training.seed)]
-    if training.prior == "stable-diffusion":
-        arguments += ["--model", str(training.model), *(["--object", training.thing] if training.thing else [])]
-    if training.iterations is not None:
-        arguments += ["--iterations", str(training.iterations)]
-    for family in document.families:
-        arguments += _family(family)
-    return arguments
+    families = sorted(document.families, key=lambda family: get_args(Kind).index(family.kind))
+    diffusion = training.prior == "stable-diffusion"
+    return Request(
+        scene=document.scene,
+        families=tuple(_trained_family(family) for family in families),
+        detail=training.detail,
+        up=up,
+        seed=training.seed,
+        iterations=training.iterations,
+        prior=training.prior,
+        model=training.model if diffusion else None,
+        thing=(training.thing or None) if diffusion else None,
+    )
 
 
-def _family(family: Family) -> list[str]:
-    """A family's arguments."""
-    result: list[str] = []
+def _trained_family(family: Family) -> Family:
+    """The family without settings that its kind does not use, so that these do not keep a run from being resumed."""
     if family.kind == "custom":
-        for plane in family.custom:
-            result += ["--family", "custom:" + ",".join(repr(v) for v in (*plane.normal, plane.offset))]
-    else:
-        axis = "" if family.axis is None else ":" + ",".join(repr(v) for v in family.axis)
-        span = "" if family.span == (0.0, 1.0) else f":{family.span[0]!r}..{family.span[1]!r}"
-        result += ["--family", f"{family.kind}:{family.count}{axis}{span}"]
-    for exemplar in family.exemplars:
-        result += ["--exemplar", f"{family.kind}={exemplar}"]
-    if family.prompt:
-        result += ["--prompt", f"{family.kind}={family.prompt}"]
-    return result
+        return replace(family, count=len(family.custom), axis=None, span=(0.0, 1.0))
+    return replace(family, axis=family.axis if family.kind == "parallel" else None, custom=())
 
 
 @dataclass
 class Job:
-    """One run of the trainer, this session's or an earlier one's."""
+    """One run of the trainer, started by this session or an earlier one."""
 
     document: Document
-    """What it was asked for: the scene, its up axis, the families and how to train them. No cuts."""
+    """What is trained: the scene, its up axis, the families and the training settings. It has no cuts."""
     pid: int
     started: float
-    """When the process began, as the system says; a number is used again, a number and a start are not."""
+    """When the process started, seconds since 1970: a pid may be used again, a pid with a start time is unique."""
     stopped: bool = False
-    """The user stopped it."""
+    """Whether the user has stopped it."""
     progress: Progress = field(default_factory=Progress)
     child: subprocess.Popen[bytes] | None = None
     """The process, if this session started it."""
     ended: bool = False
-    """The process is gone."""
+    """Whether the process has ended."""
     offset: int = 0
-    """Bytes of the events already read."""
+    """Bytes of the events that have been read."""
 
     @staticmethod
     def start(document: Document, up: Vec3, out: Path, resume: bool = False, program: Sequence[str] = ()) -> Job:
-        """Starts the trainer with a folder for its result. `program`: something else that speaks the same events.
+        """Starts the trainer, with `out` for its result. `program`: a command to run in its place, for tests.
 
-        Raises InputError where something is missing, the folder cannot be written, or a job already works in it.
+        Raises InputError if something is missing, the folder cannot be written, or a job is already running in it.
         """
         out = out.absolute()
         other = Job.find(out)
         if other is not None and not other.ended:
             raise InputError(f"{out}: a job already works here; stop it first, or choose another folder")
-        arguments = [*command_for(document, up, out), *(["--resume"] if resume else [])]
+        request, path = request_for(document, up), request_path(out)
+        with atomic(path) as temporary:
+            temporary.write_text(request.to_json(), encoding="utf-8")
+        arguments = ["--request", str(path), "-o", str(out), "--events", str(out / "events.jsonl")]
+        arguments += ["--resume"] if resume else []
         training = replace(document.training, out=out)
-        asked = Document(scene=document.scene, up=up, families=document.families, training=training)
-        save_project(note_path(out).with_suffix(SUFFIX), Project(asked, Viewing()))
+        trained = Document(scene=document.scene, up=up, families=document.families, training=training)
+        save_project(note_path(out).with_suffix(SUFFIX), Project(trained, Viewing()))
         try:
             out.mkdir(parents=True, exist_ok=True)
-            # New files, never what a link of that name leads to.
+            # The files are created anew: a link of the same name might lead anywhere.
             if not resume:
                 (out / "events.jsonl").unlink(missing_ok=True)
                 (out / "events.jsonl").touch(exist_ok=False)
             (out / "job.log").unlink(missing_ok=True)
             with (out / "job.log").open("xb") as log:
                 child = _spawn(arguments, program, log)
-        except (OSError, ValueError) as error:  # a ValueError for words that no command line holds
+        except (OSError, ValueError) as error:  # a ValueError for a path with a null character
             raise InputError(f"{out}: training cannot start here ({reason(error)})") from error
         try:
             started = psutil.Process(child.pid).create_time()
-        except psutil.Error:  # it has died already; its log says why
+        except psutil.Error:  # it has ended already; its log says why
             started = 0.0
-        job = Job(asked, child.pid, started, progress=Progress(out), child=child)
+        job = Job(trained, child.pid, started, progress=Progress(out), child=child)
         try:
-            job._note()
+            job._write_note()
         except InputError:
-            child.kill()  # nobody would find it again
+            child.kill()  # no later session could find it
             raise
         return job
 
     @staticmethod
     def find(out: Path) -> Job | None:
-        """The job that this app started in a folder, running or not; None where there was none."""
+        """The job that this app started in a folder, running or not; None if there was none."""
         path = note_path(out)
         try:
             note = json.loads(read_file(path, NOTE_LIMIT))
-            asked = load_project(path.with_suffix(SUFFIX), outside=True).document  # the app wrote it itself
-            out = asked.training.out or out
-            job = Job(asked, int(note["pid"]), float(note["started"]), bool(note["stopped"]), Progress(out))
+            document = load_project(path.with_suffix(SUFFIX), outside=True).document  # the app wrote it itself
+            out = document.training.out or out
+            job = Job(document, int(note["pid"]), float(note["started"]), bool(note["stopped"]), Progress(out))
         except (InputError, ValueError, KeyError, TypeError, OverflowError, RecursionError):
             return None
-        if asked.scene is None or asked.training.out is None:
+        if document.scene is None or document.training.out is None:
             return None
         job.ended = not job._is_trainer()
         return job
@@ -183,73 +185,67 @@ class Job:
 
     @property
     def scene(self) -> Path:
-        """The capture it works on."""
+        """The capture that is trained."""
         assert self.document.scene is not None
         return self.document.scene
 
     @property
     def out(self) -> Path:
-        """The folder of its result."""
+        """The result folder."""
         assert self.document.training.out is not None
         return self.document.training.out
 
     def poll(self) -> bool:
-        """Reads what is new; True where something is."""
+        """Reads new events and checks whether the process has ended; True if anything has changed."""
         was = self.ended
         if not self.ended:
             self.ended = (self.child.poll() is not None) if self.child else self._process() is None
         return self._read() or self.ended != was
 
     def pause(self) -> None:
-        """Holds the process where it is, for as long as the computer runs. It keeps its memory."""
+        """Suspends the process. It stays in memory, so a pause does not survive a restart of the computer."""
         self._signal(lambda process: process.suspend())
 
-    def go_on(self) -> None:
-        """Lets a paused process run again."""
+    def unpause(self) -> None:
+        """Lets a suspended process run again."""
         self._signal(lambda process: process.resume())
 
     def stop(self) -> None:
-        """Asks the trainer to keep what it has and end. A paused one is woken for that."""
+        """Asks the trainer to write a checkpoint and end; a suspended one is woken up for that."""
         self.stopped = True
-        self._note()
+        self._write_note()
         self._signal(lambda process: process.resume())
         self._signal(lambda process: process.terminate())
 
-    def kill(self) -> None:
-        """Ends it at once; what came after the last checkpoint is lost."""
-        self.stopped = True
-        self._note()
-        self._signal(lambda process: process.kill())
-
     def resume(self, program: Sequence[str] = ()) -> Job:
-        """The same job once more, from its last checkpoint. Raises InputError where it cannot start."""
+        """Starts the same job again from its last checkpoint. Raises InputError if it cannot start."""
         job = Job.start(self.document, self.document.up or (0.0, 0.0, 1.0), self.out, resume=True, program=program)
-        job.progress = self.progress.again()
+        job.progress = self.progress.resumed()
         job.offset = self.offset
         return job
 
-    def last_words(self) -> list[str]:
-        """The last lines that the process printed."""
+    def log_tail(self) -> list[str]:
+        """The last lines that the process has printed."""
         try:
             with open_file(self.out / "job.log") as file:
-                file.seek(max(0, file.seek(0, os.SEEK_END) - 8192))
-                text = file.read(8192).decode("utf-8", "replace")
+                file.seek(max(0, file.seek(0, os.SEEK_END) - LOG_TAIL_BYTES))
+                text = file.read(LOG_TAIL_BYTES).decode("utf-8", "replace")
         except (OSError, InputError):
             return []
         return [one_line(line.rstrip()) for line in text.splitlines() if line.strip()][-LOG_TAIL:]
 
     def _read(self) -> bool:
-        """Takes the complete lines that were written since the last time."""
+        """Reads the complete lines that were written since the last call; True if there were any."""
         try:
             with open_file(self.out / "events.jsonl") as file:
-                if file.seek(0, os.SEEK_END) < self.offset:  # begun anew
+                if file.seek(0, os.SEEK_END) < self.offset:  # a new file
                     self.offset, self.progress = 0, Progress(self.out)
                 file.seek(self.offset)
                 block = file.read(READ_AT_ONCE)
         except (OSError, InputError):
             return False
         end = block.rfind(b"\n") + 1
-        if not end and len(block) == READ_AT_ONCE:  # no line of the trainer's
+        if not end and len(block) == READ_AT_ONCE:  # the trainer writes no such line
             end = len(block)
         for line in block[:end].splitlines():
             read_line(self.progress, line)
@@ -257,16 +253,16 @@ class Job:
         return end > 0
 
     def _process(self) -> psutil.Process | None:
-        """The living process, None where it has gone or its number belongs to another one now."""
+        """The running process; None if it has ended, or if its pid now belongs to another process."""
         try:
             process = psutil.Process(self.pid)
             same = abs(process.create_time() - self.started) < 1.0
             return process if same and process.status() != psutil.STATUS_ZOMBIE else None
-        except (psutil.Error, ValueError, OverflowError):  # the last two for what is no process's number
+        except (psutil.Error, ValueError, OverflowError):  # the last two for an impossible pid
             return None
 
     def _is_trainer(self) -> bool:
-        """Whether the process lives and was started to write this job's events: a note may have been tampered with."""
+        """Whether the process runs and was started to write this job's events; the note alone is not trusted."""
         process = self._process()
         try:
             return process is not None and str(self.out / "events.jsonl") in process.cmdline()
@@ -281,7 +277,7 @@ class Job:
             return False
 
     def _signal(self, act: Callable[[psutil.Process], object]) -> None:
-        """Does something to the process, its children first."""
+        """Calls `act` with each child of the process, then with the process itself."""
         process = self._process()
         if process is None:
             return
@@ -289,21 +285,26 @@ class Job:
             for one in [*process.children(recursive=True), process]:
                 act(one)
 
-    def _note(self) -> None:
-        """Writes who works here."""
+    def _write_note(self) -> None:
+        """Records which process runs the job."""
         note = {"pid": self.pid, "started": self.started, "stopped": self.stopped}
         with atomic(note_path(self.out)) as temporary:
             temporary.write_text(json.dumps(note) + "\n", encoding="utf-8")
 
 
 def note_path(out: Path) -> Path:
-    """Where the app keeps who works in a result folder; what was asked for stands beside it, as a project."""
+    """The app's record of the process that trains into a result folder; the document and request are beside it."""
     name = hashlib.sha256(os.fsencode(out.resolve())).hexdigest()[:32]
     return state_folder() / "jobs" / f"{name}.json"
 
 
+def request_path(out: Path) -> Path:
+    """The trainer's request file for a result folder, beside the note."""
+    return note_path(out).with_suffix(".request.json")
+
+
 def _spawn(arguments: Sequence[str], program: Sequence[str], log: Any) -> subprocess.Popen[bytes]:
-    """A process apart from this one, so that closing the window or its terminal does not end it."""
+    """Starts a process that does not end when the window or its terminal is closed."""
     options: dict[str, Any] = {"stdin": subprocess.DEVNULL, "stdout": log, "stderr": subprocess.STDOUT}
     if sys.platform == "win32":
         options["creationflags"] = subprocess.CREATE_NEW_PROCESS_GROUP | subprocess.CREATE_NO_WINDOW

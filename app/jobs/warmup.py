@@ -1,7 +1,7 @@
-"""One small frame before the first large one, so that the window never waits for a compiler.
+"""Compiles the render kernels before the window needs them, by drawing one small frame.
 
-Where OpenGL is software the solid is drawn by kernels that are compiled when first used and kept on disk. Compiled in
-the window they would stop it for half a minute on the first day; here they are ready when the window asks.
+With software OpenGL the solid is drawn by kernels that are compiled at their first use and cached on disk. That would
+stop the window for half a minute on the first day; in the process that loads the scene nobody notices.
 """
 
 from __future__ import annotations
@@ -17,17 +17,18 @@ from engine.scene.camera import orbit
 from engine.scene.piece import Piece
 from engine.scene.plane import Plane
 
-__all__ = ["rehearse"]
+__all__ = ["warm_up"]
 
 SIZE = 256
-"""Pixels: atoms are then wider than pixels, as they mostly are in the window."""
+"""Pixels of a side: enough that atoms are wider than pixels, as they mostly are in the window."""
 
 PITCH = 0.1
+"""Spacing of the ball's atoms, in its radii."""
 
 
 @cache
-def rehearse() -> None:
-    """Draws a ball whole, cut open and inside out, once in a process; nothing where GL cannot do without a window."""
+def warm_up() -> None:
+    """Draws a ball whole, cut open and in interior mode, once per process. Does nothing without windowless OpenGL."""
     axis = np.arange(-1, 1, PITCH) + PITCH / 2
     lattice = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1).reshape(-1, 3).astype(np.float32)
     lattice = lattice[np.linalg.norm(lattice, axis=1) < 0.95]
@@ -50,7 +51,7 @@ def rehearse() -> None:
     with contextlib.suppress(GLMissing), Renderer() as renderer:
         renderer.set_atoms(Atoms(skin, inside, PITCH))
         for pieces in ((Piece(()),), (Piece((plane,)), Piece((plane.flipped(),), apart))):
-            for exact in (True, False, False):  # a plane's grid is made when the plane is seen again
+            for exact in (True, False, False):  # a plane's grid is built when the plane is drawn again
                 renderer.render(orbit([0, 0, 0], [0, 0, 1], 30, 40, 4, SIZE, SIZE), pieces, exact=exact, light=True)
         renderer.render(orbit([0, 0, 0], [0, 0, 1], 30, 40, 4, SIZE, SIZE), (Piece(()),), mode="interior")
         renderer.read()

@@ -1,4 +1,4 @@
-"""Work that has not been saved, kept where a crash cannot reach it."""
+"""Autosaves: copies of unsaved work, which a later session offers after a crash."""
 
 from __future__ import annotations
 
@@ -16,35 +16,35 @@ from app.model.settings import state_folder
 from engine.errors import InputError
 from engine.io.files import atomic, read_file, remove
 
-__all__ = ["Autosave", "Rescued", "rescued"]
+__all__ = ["Autosave", "UnsavedWork", "find_unsaved_work"]
 
 EVERY = 10.0
-"""Seconds between two autosaves: what a crash may cost."""
+"""Seconds between two autosaves: the most work that a crash can cost."""
 
 
 @dataclass(frozen=True)
-class Rescued:
-    """Unsaved work of a session that ended without saying goodbye."""
+class UnsavedWork:
+    """Unsaved work of a session that crashed."""
 
     file: Path
     project: Path | None
-    """Where it was to be saved, if it ever was."""
+    """Its project file; None if it was never saved."""
     when: float
     """Seconds since 1970."""
     name: str = ""
-    """Of the project, or of its scene."""
+    """Name of the project, or of its scene."""
 
     def load(self) -> Project:
-        """The work. Raises InputError where the file is broken."""
+        """The work itself. Raises InputError if the file is broken."""
         return load_project(self.file, outside=True)  # the app wrote it itself
 
     def discard(self) -> None:
-        """Forgets it."""
-        _forget(self.file)
+        """Removes the autosave."""
+        _remove_autosave(self.file)
 
 
 class Autosave:
-    """One session's copy of unsaved work."""
+    """The autosave of one session."""
 
     def __init__(self, folder: Path | None = None) -> None:
         self.folder = folder or state_folder() / "unsaved"
@@ -52,10 +52,11 @@ class Autosave:
         self.last: Project | None = None
         self.next = 0.0
 
-    def keep(self, project: Project, changed: bool, target: Path | None, now: float | None = None) -> bool:
-        """Writes the work if it is due and differs from what was written; True where it did.
+    def update(self, project: Project, changed: bool, target: Path | None, now: float | None = None) -> bool:
+        """Writes the project if that is due and it differs from the last autosave; True if it was written.
 
-        Work without unsaved changes needs no copy: the old one goes. Raises InputError where the disk refuses.
+        Without unsaved changes the autosave is removed. `target`: the project file, None if there is none yet. `now`:
+        seconds of the monotonic clock. Raises InputError if the file cannot be written.
         """
         now = time.monotonic() if now is None else now
         if not changed:
@@ -66,7 +67,7 @@ class Autosave:
         self.next = now + EVERY
         save_project(self.file, project)
         named = target or project.document.scene
-        note = {"project": None if target is None else str(target), "when": time.time(), **_me()}
+        note = {"project": None if target is None else str(target), "when": time.time(), **_this_process()}
         note["name"] = named.stem if named else ""
         text = json.dumps(note)
         with atomic(_note(self.file)) as temporary:
@@ -75,9 +76,9 @@ class Autosave:
         return True
 
     def clear(self) -> None:
-        """Nothing is unsaved."""
+        """Removes the autosave, since nothing is unsaved."""
         if self.last is not None:
-            _forget(self.file)
+            _remove_autosave(self.file)
             self.last = None
 
 
@@ -85,39 +86,39 @@ NOTE_LIMIT = 1 << 16
 """Bytes of the largest note that is read; a real one has a few hundred."""
 
 
-def rescued(folder: Path | None = None) -> list[Rescued]:
-    """Unsaved work whose session no longer runs, the latest first."""
+def find_unsaved_work(folder: Path | None = None) -> list[UnsavedWork]:
+    """The autosaves of sessions that no longer run, the latest first."""
     found = []
     for file in (folder or state_folder() / "unsaved").glob(f"*{SUFFIX}"):
         try:
             note = json.loads(read_file(_note(file), NOTE_LIMIT))
-            if _alive(int(note["pid"]), float(note["started"])):
+            if _is_running(int(note["pid"]), float(note["started"])):
                 continue
             project = None if note["project"] is None else Path(str(note["project"]))
-            found.append(Rescued(file, project, float(note["when"]), str(note["name"])))
+            found.append(UnsavedWork(file, project, float(note["when"]), str(note["name"])))
         except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError):
             continue
     return sorted(found, key=lambda item: -item.when)
 
 
-def _forget(file: Path) -> None:
-    """Removes an autosave; one that the disk keeps is offered once more, which is not worth stopping for."""
+def _remove_autosave(file: Path) -> None:
+    """Removes an autosave. If the disk refuses, it is offered again at the next start, which does no harm."""
     with suppress(InputError):
         remove(file)
         remove(_note(file))
 
 
 def _note(file: Path) -> Path:
-    """Beside an autosave: whose it is."""
+    """The file beside an autosave that says which process wrote it, and of which project."""
     return file.with_suffix(".json")
 
 
-def _me() -> dict[str, float]:
+def _this_process() -> dict[str, float]:
     return {"pid": os.getpid(), "started": psutil.Process().create_time()}
 
 
-def _alive(pid: int, started: float) -> bool:
-    """Whether the process that wrote it runs; a number is used again, a number and a start time are not."""
+def _is_running(pid: int, started: float) -> bool:
+    """Whether this very process still runs: a pid may be used again, a pid with a start time is unique."""
     try:
         return abs(psutil.Process(pid).create_time() - started) < 1.0
     except psutil.Error:

@@ -1,4 +1,4 @@
-"""The viewer's eye: orbit, pan, zoom to the cursor, fit, axis views. Frozen numbers in, frozen numbers out."""
+"""The orbit camera: orbit, pan, zoom to the cursor, fit, axis views, as functions over frozen data."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from numpy.typing import NDArray
 from app.model.rigid_transform import Vec3, vec3
 from engine.scene.camera import Camera, equator, fit_distance, orbit
 
-__all__ = ["AXIS_VIEWS", "Eye", "project_points", "ray"]
+__all__ = ["AXIS_VIEWS", "OrbitCamera", "project_points", "ray"]
 
 DEGREES_PER_PIXEL = 0.35
 """A drag across a window of 1000 pixels turns the object once around."""
 
-FIT_AIR = 1.12
-"""Radii that fit the picture: an object that touches the edges looks cramped."""
+FIT_MARGIN = 1.12
+"""Radius of the sphere that is fitted into the picture, in the object's: one that touches the edges looks cramped."""
 
-# Azimuth and elevation in degrees. Azimuth 0 looks from the first vector of the equator towards the middle.
+# Azimuth and elevation in degrees. Azimuth 0 looks from the first vector of the equator towards the target.
 AXIS_VIEWS: dict[str, tuple[float, float]] = {
     "front": (-90.0, 0.0),
     "back": (90.0, 0.0),
@@ -32,8 +32,8 @@ AXIS_VIEWS: dict[str, tuple[float, float]] = {
 
 
 @dataclass(frozen=True)
-class Eye:
-    """A camera on a sphere around a target. Which way is up belongs to the object, so it is given to each method."""
+class OrbitCamera:
+    """A camera that orbits a target. The up axis belongs to the object, so the methods take it as an argument."""
 
     target: Vec3 = (0.0, 0.0, 0.0)
     azimuth: float = -60.0
@@ -47,7 +47,7 @@ class Eye:
     orthographic: bool = False
 
     def camera(self, width: int, height: int, up: Vec3) -> Camera:
-        """As the renderers take it. An orthographic picture shows what lies at the target in the same size."""
+        """The renderers' camera. An orthographic one shows things at the target's depth at the same size."""
         made = orbit(
             self.target, up, self.azimuth, self.elevation, self.distance, width, height, math.radians(self.fov)
         )
@@ -56,21 +56,23 @@ class Eye:
         scale = made.fx / self.distance
         return replace(made, fx=scale, fy=scale, orthographic=True)
 
-    def turned(self, dx: float, dy: float) -> Eye:
-        """After a drag of (dx, dy) pixels: the object follows the hand."""
+    def turned(self, dx: float, dy: float) -> OrbitCamera:
+        """After an orbiting drag of (dx, dy) pixels: the object follows the pointer."""
         elevation = min(90.0, max(-90.0, self.elevation + dy * DEGREES_PER_PIXEL))
         return replace(self, azimuth=_wrapped(self.azimuth - dx * DEGREES_PER_PIXEL), elevation=elevation)
 
-    def panned(self, dx: float, dy: float, height: int, up: Vec3) -> Eye:
-        """After a drag of (dx, dy) pixels in a picture of this height: what lies at the target stays at the hand."""
+    def panned(self, dx: float, dy: float, height: int, up: Vec3) -> OrbitCamera:
+        """After a panning drag of (dx, dy) pixels in a picture of this height: the target follows the pointer."""
         rotation = self.camera(16, 16, up).viewmat[:3, :3]
         unit = 2 * self.distance * math.tan(math.radians(self.fov) / 2) / max(height, 1)
         return replace(self, target=vec3(np.asarray(self.target) - unit * (dx * rotation[0] + dy * rotation[1])))
 
-    def zoomed(self, steps: float, at: tuple[float, float], size: tuple[int, int], up: Vec3, radius: float) -> Eye:
-        """Nearer by `steps` notches of the wheel, towards what lies under the cursor at the target's depth.
+    def zoomed(
+        self, steps: float, at: tuple[float, float], size: tuple[int, int], up: Vec3, radius: float
+    ) -> OrbitCamera:
+        """Nearer by `steps` notches of the wheel, towards the point under the cursor at the target's depth.
 
-        `at` is the cursor in pixels of a picture of `size`; the object's `radius` bounds how near and far it goes.
+        `at` is the cursor in pixels of a picture of `size` (width, height); the object's `radius` bounds the distance.
         """
         distance = min(200 * radius, max(0.01 * radius, self.distance * 0.88**steps))
         camera = self.camera(*size, up)
@@ -81,18 +83,18 @@ class Eye:
         target = np.asarray(self.target) + part * (point - np.asarray(self.target))
         return replace(self, target=vec3(target), distance=distance)
 
-    def fitted(self, centre: Sequence[float] | NDArray[np.floating], radius: float, aspect: float = 1.0) -> Eye:
-        """Looking at a sphere that just fits, from the same side."""
-        distance = fit_distance(radius * FIT_AIR, math.radians(self.fov), aspect)
+    def fitted(self, centre: Sequence[float] | NDArray[np.floating], radius: float, aspect: float = 1.0) -> OrbitCamera:
+        """From the same side, at a distance where a sphere just fits the picture."""
+        distance = fit_distance(radius * FIT_MARGIN, math.radians(self.fov), aspect)
         return replace(self, target=vec3(centre), distance=distance)
 
-    def seen_from(self, view: str) -> Eye:
-        """One of AXIS_VIEWS."""
+    def from_side(self, view: str) -> OrbitCamera:
+        """From the side that one of AXIS_VIEWS names."""
         azimuth, elevation = AXIS_VIEWS[view]
         return replace(self, azimuth=azimuth, elevation=elevation)
 
-    def along(self, axis: Sequence[float], up: Vec3) -> Eye:
-        """With the eye standing in the direction of this axis (3,) from the target."""
+    def along(self, axis: Sequence[float], up: Vec3) -> OrbitCamera:
+        """Looking at the target from the direction of this axis (3,)."""
         u = np.asarray(up, np.float64)
         e1, e2 = equator(u)
         a = np.asarray(axis, np.float64) / np.linalg.norm(axis)
@@ -101,8 +103,8 @@ class Eye:
             return replace(self, elevation=math.copysign(90.0, elevation))
         return replace(self, azimuth=math.degrees(math.atan2(float(a @ e2), float(a @ e1))), elevation=elevation)
 
-    def toward(self, goal: Eye, part: float) -> Eye:
-        """Part of the way to another eye, for a short glide; 1 is the goal itself."""
+    def toward(self, goal: OrbitCamera, part: float) -> OrbitCamera:
+        """Interpolated towards another camera; 1 is the goal itself."""
         if part >= 1:
             return goal
 
@@ -121,7 +123,7 @@ class Eye:
 
 
 def ray(camera: Camera, at: tuple[float, float]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Start (3,) and unit direction (3,) of the line of sight through a point of the picture, in pixels."""
+    """Origin (3,) and unit direction (3,) of the ray through a point of the picture, in pixels."""
     u, v = (at[0] - camera.cx) / camera.fx, (at[1] - camera.cy) / camera.fy
     rotation, translation = camera.viewmat[:3, :3], camera.viewmat[:3, 3]
     if camera.orthographic:

@@ -1,4 +1,4 @@
-"""Pictures, animations and pieces for other programs. Pictures come from a function, so this needs no window."""
+"""Exports for other programs: pictures, animations and pieces. Pictures are drawn by a function that is passed in."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from app.model.camera_control import Eye
-from app.model.pieces import Lying, Solid
+from app.model.camera_control import OrbitCamera
+from app.model.pieces import PlacedPiece, Solid
 from app.model.rigid_transform import Motion, Vec3
 from engine.errors import InputError
 from engine.io.files import atomic
@@ -40,18 +40,18 @@ __all__ = [
 ]
 
 Draw = Callable[[Camera, Sequence[Piece]], NDArray[np.uint8]]
-"""A view of pieces as (H, W, 4) RGBA, straight alpha."""
+"""Draws pieces as (H, W, 4) RGBA with straight alpha."""
 
 ANIMATIONS = (".webp", ".gif", ".mp4")
 
 OPACITY = 0.999
-"""Of an exported atom: 1 has no logit."""
+"""Opacity of an exported atom: files store its logit, and that of 1 is infinite."""
 
 Frames = Iterable[NDArray[np.uint8]]
 
 
 def save_still(path: Path, rgba: NDArray[np.uint8], transparent: bool = True) -> None:
-    """A picture (H, W, 4) as PNG, WebP or JPEG, by its name. Raises InputError for another kind."""
+    """Saves a picture (H, W, 4) as PNG, WebP or JPEG, by the path's suffix. Raises InputError for any other."""
     suffix = path.suffix.lower()
     if suffix not in (".png", ".webp", ".jpg", ".jpeg"):
         raise InputError(f"{path}: pictures are saved as .png, .webp or .jpg")
@@ -62,15 +62,15 @@ def save_still(path: Path, rgba: NDArray[np.uint8], transparent: bool = True) ->
         image.save(temporary)
 
 
-def turntable(eye: Eye, up: Vec3, size: tuple[int, int], count: int) -> Iterator[Camera]:
-    """Cameras once around the object, starting where the user looks from."""
+def turntable(eye: OrbitCamera, up: Vec3, size: tuple[int, int], count: int) -> Iterator[Camera]:
+    """Cameras on one full turn around the object, starting at the current view."""
     for index in range(count):
         turned = replace(eye, azimuth=eye.azimuth + 360.0 * index / count)
         yield turned.camera(*size, up)
 
 
 def sweep(plane: Plane, solid: Solid, count: int) -> Iterator[Plane]:
-    """A plane on its way through the whole object, there and back, so that the animation closes."""
+    """A plane that moves through the whole object and back, so that the animation loops."""
     normal = np.asarray(plane.normal)
     along = solid.points @ normal if len(solid.points) else np.zeros(1)
     low, high = float(along.min()), float(along.max())
@@ -80,32 +80,32 @@ def sweep(plane: Plane, solid: Solid, count: int) -> Iterator[Plane]:
 
 
 def section_picture(draw: Draw, plane: Plane, planes: Sequence[Plane], up: Vec3, solid: Solid, size: int) -> NDArray:
-    """(size, size, 4). The cut face of a piece looked at straight on, nothing around it, to scale."""
+    """(size, size, 4). A cut face seen straight on, to scale, with nothing around it."""
     bounds = np.stack([solid.points.min(0), solid.points.max(0)]) if len(solid.points) else np.zeros((2, 3))
     return draw(section(plane, np.asarray(up), bounds, size), [Piece((*planes, plane))])
 
 
 def ffmpeg() -> str | None:
-    """The program that writes MP4, where there is one."""
+    """Path of the program that writes MP4; None if it is not installed."""
     return shutil.which("ffmpeg")
 
 
 def save_animation(path: Path, frames: Frames, rate: int = 25, background: Vec3 = (1.0, 1.0, 1.0)) -> int:
-    """Frames (H, W, 4) as WebP, GIF or MP4 by the file's name; returns how many.
+    """Saves frames (H, W, 4) as WebP, GIF or MP4, by the path's suffix; returns their number.
 
-    GIF and MP4 know no soft edges, so they stand on the background. Raises InputError for another kind of file, for
-    MP4 without ffmpeg, and where there is no frame.
+    GIF and MP4 have no partial transparency, so frames are blended onto the background. Raises InputError for any other
+    suffix, for MP4 without ffmpeg, and if there are no frames.
     """
     suffix = path.suffix.lower()
     if suffix not in ANIMATIONS:
         raise InputError(f"{path}: animations are saved as {', '.join(ANIMATIONS)}")
     if suffix == ".mp4":
         return _save_mp4(path, frames, rate, background)
-    images = [Image.fromarray(f if suffix == ".webp" else _on(f, background)) for f in frames]
+    images = [Image.fromarray(f if suffix == ".webp" else _blended(f, background)) for f in frames]
     if not images:
         raise InputError(f"{path}: nothing to animate")
     if suffix == ".gif":
-        # One palette for all frames, so that still parts do not flicker.
+        # One palette for all frames, so that parts that do not move do not flicker.
         palette = images[0].quantize(255, dither=Image.Dither.NONE)
         images = [image.quantize(palette=palette, dither=Image.Dither.FLOYDSTEINBERG) for image in images]
     with atomic(path) as temporary:
@@ -130,7 +130,7 @@ def _save_mp4(path: Path, frames: Frames, rate: int, background: Vec3) -> int:
     with atomic(path) as temporary, tempfile.TemporaryFile() as errors:
         try:
             for frame in frames:
-                rgb = _on(frame, background)
+                rgb = _blended(frame, background)
                 rgb = rgb[: len(rgb) // 2 * 2, : rgb.shape[1] // 2 * 2]  # the codec's chroma needs even sides
                 if writer is None:
                     size = f"{rgb.shape[1]}x{rgb.shape[0]}"
@@ -143,12 +143,12 @@ def _save_mp4(path: Path, frames: Frames, rate: int, background: Vec3) -> int:
             if writer is None:
                 raise InputError(f"{path}: nothing to animate")
             writer.communicate()
-        except BrokenPipeError:  # it has given up; its last words say why
+        except BrokenPipeError:  # ffmpeg has failed; its output says why
             assert writer is not None
             writer.wait()
         finally:
             if writer is not None and writer.poll() is None:
-                writer.kill()  # the user has stopped it
+                writer.kill()  # the user has cancelled
                 writer.wait()
         if writer.returncode:
             errors.seek(0)
@@ -157,37 +157,37 @@ def _save_mp4(path: Path, frames: Frames, rate: int, background: Vec3) -> int:
     return count
 
 
-def _on(rgba: NDArray[np.uint8], background: Vec3) -> NDArray[np.uint8]:
-    """(H, W, 3). A picture with straight alpha laid on a colour."""
+def _blended(rgba: NDArray[np.uint8], background: Vec3) -> NDArray[np.uint8]:
+    """(H, W, 3). A picture with straight alpha, blended onto a colour."""
     alpha = rgba[..., 3:].astype(np.float32) / 255
     return (rgba[..., :3] * alpha + 255 * np.asarray(background, np.float32) * (1 - alpha) + 0.5).astype(np.uint8)
 
 
-def piece_gaussians(atoms: Atoms, piece: Lying) -> Gaussians:
-    """What a piece is in a 3DGS file: its atoms by their centres, where the piece lies now, turned with it.
+def piece_gaussians(atoms: Atoms, piece: PlacedPiece) -> Gaussians:
+    """A piece as Gaussians for a 3DGS file: the atoms whose centres are in it, moved and rotated with it.
 
-    Other viewers cannot cut an atom in two, so a cut face there is as rough as the atoms are large.
+    Other viewers cannot divide an atom, so cut faces are as rough there as the atoms are large.
     """
     surface, interior = atoms.surface, atoms.interior
     n = len(surface)
     means = np.concatenate([surface.means, interior.means]).astype(np.float64)
-    kept = np.ones(len(means), bool)
+    inside = np.ones(len(means), bool)
     for plane in piece.planes:
-        kept &= plane.distance(means) <= 0
+        inside &= plane.distance(means) <= 0
     sh = np.zeros((len(means), surface.sh.shape[1], 3), np.float32)
-    sh[:n] = turned_sh(surface.sh, piece.motion)
+    sh[:n] = rotated_sh(surface.sh, piece.motion)
     sh[n:, 0] = rgb_to_sh(interior.rgb)
     quats = np.zeros((len(means), 4), np.float32)
-    quats[:n] = _turned(surface.quats, piece.motion)
+    quats[:n] = _rotated_quats(surface.quats, piece.motion)
     quats[n:, 0] = 1
     scales = np.concatenate([surface.scales, np.repeat(interior.sigmas[:, None], 3, axis=1)])
     opacities = np.full(len(means), OPACITY, np.float32)
-    whole = Gaussians(piece.motion.apply(means).astype(np.float32), scales, quats, opacities, sh)
-    return whole[kept]
+    gaussians = Gaussians(piece.motion.apply(means).astype(np.float32), scales, quats, opacities, sh)
+    return gaussians[inside]
 
 
-def save_pieces(path: Path, atoms: Atoms, pieces: Sequence[Lying]) -> int:
-    """Some pieces in one 3DGS .ply; returns the number of Gaussians. Raises InputError where there is none."""
+def save_pieces(path: Path, atoms: Atoms, pieces: Sequence[PlacedPiece]) -> int:
+    """Saves pieces in one 3DGS .ply; returns the number of Gaussians. Raises InputError if there are none."""
     parts = [piece_gaussians(atoms, piece) for piece in pieces]
     if not sum(len(part) for part in parts):
         raise InputError(f"{path}: nothing to save; no piece is shown")
@@ -198,11 +198,11 @@ def save_pieces(path: Path, atoms: Atoms, pieces: Sequence[Lying]) -> int:
     return len(joined)
 
 
-def turned_sh(sh: NDArray[np.float32], motion: Motion) -> NDArray[np.float32]:
-    """(N, K, 3). Spherical harmonics turned with their object: seen from R d it shows what it showed from d.
+def rotated_sh(sh: NDArray[np.float32], motion: Motion) -> NDArray[np.float32]:
+    """(N, K, 3). Spherical harmonics rotated with their object: the colour seen along d is then seen along R d.
 
-    The bands turn linearly among themselves, B(R^T d) = B(d) M; M is found from more directions than unknowns, which
-    is exact because such an M exists.
+    A rotation acts linearly on the basis, B(R^T d) = B(d) M. M is solved by least squares over more directions than
+    unknowns, which is exact because such an M exists.
     """
     degree = round(sh.shape[1] ** 0.5) - 1
     if degree == 0 or motion.turn == (1.0, 0.0, 0.0, 0.0):
@@ -213,8 +213,8 @@ def turned_sh(sh: NDArray[np.float32], motion: Motion) -> NDArray[np.float32]:
     return np.einsum("jk,nkc->njc", matrix, sh).astype(np.float32)
 
 
-def _turned(quats: NDArray[np.float32], motion: Motion) -> NDArray[np.float32]:
-    """(N, 4). Quaternions wxyz after a turn."""
+def _rotated_quats(quats: NDArray[np.float32], motion: Motion) -> NDArray[np.float32]:
+    """(N, 4). Quaternions wxyz after the motion's rotation."""
     w, x, y, z = motion.turn
     left = np.array([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])
     return (quats @ left.T).astype(np.float32)

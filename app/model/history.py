@@ -1,8 +1,7 @@
-"""Undo and redo: states that never change, so going back is exact and costs nothing but memory for the differences."""
+"""Undo and redo over immutable states: going back is exact, and unchanged parts of the states are shared in memory."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
@@ -13,16 +12,16 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Entry(Generic[T]):
-    """A state and what led to it."""
+    """A state, and the name of the change that led to it."""
 
     name: str
     state: T
     merge: str = ""
-    """Changes in a row with the same non-empty tag are one step: a slider that is being dragged."""
+    """Consecutive changes with the same non-empty tag are one step, as while a slider is dragged."""
 
 
 class History(Generic[T]):
-    """A line of states with a cursor. Unlimited."""
+    """A list of states with a cursor, of unlimited length."""
 
     def __init__(self, state: T, name: str = "Open") -> None:
         self.entries: list[Entry[T]] = [Entry(name, state)]
@@ -39,15 +38,10 @@ class History(Generic[T]):
         """Whether the state differs from the saved one."""
         return self.state != self.saved
 
-    def do(self, name: str, state: T, merge: str = "", apply: Callable[[T], None] | None = None) -> bool:
-        """Moves on to a new state; what had been undone is forgotten. A state equal to this one is no step.
-
-        `apply` is told the new state first; where it raises, nothing has changed.
-        """
+    def do(self, name: str, state: T, merge: str = "") -> bool:
+        """Adds a state after the cursor, which drops the undone ones; False if it equals the current state."""
         if state == self.state:
             return False
-        if apply is not None:
-            apply(state)
         del self.entries[self.cursor + 1 :]
         last = self.entries[self.cursor]
         if merge and merge == last.merge:
@@ -61,24 +55,22 @@ class History(Generic[T]):
         return True
 
     def settle(self) -> None:
-        """Ends a row of merged changes: the next one is a step of its own."""
+        """Ends a series of merged changes: the next change is a new step."""
         last = self.entries[self.cursor]
         self.entries[self.cursor] = Entry(last.name, last.state)
 
-    def undo(self, apply: Callable[[T], None] | None = None) -> bool:
+    def undo(self) -> bool:
         """One step back; False at the beginning."""
-        return self.jump(self.cursor - 1, apply)
+        return self.jump(self.cursor - 1)
 
-    def redo(self, apply: Callable[[T], None] | None = None) -> bool:
+    def redo(self) -> bool:
         """One step forward; False at the end."""
-        return self.jump(self.cursor + 1, apply)
+        return self.jump(self.cursor + 1)
 
-    def jump(self, index: int, apply: Callable[[T], None] | None = None) -> bool:
-        """To any entry; the cursor moves only after `apply` has taken the state. False where there is none."""
+    def jump(self, index: int) -> bool:
+        """Moves the cursor to any entry; False if there is none, or if it is there already."""
         if not 0 <= index < len(self.entries) or index == self.cursor:
             return False
-        if apply is not None:
-            apply(self.entries[index].state)
         self.settle()
         self.cursor = index
         return True

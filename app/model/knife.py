@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from app.model.camera_control import project_points, ray
 from app.model.document import Document, Key, Part
-from app.model.pieces import Lying, Solid, shown
+from app.model.pieces import PlacedPiece, Solid, visible_pieces
 from app.model.rigid_transform import Vec3
 from engine.scene.camera import Camera
 from engine.scene.plane import Plane
@@ -19,13 +19,13 @@ from engine.scene.plane import Plane
 __all__ = ["Outcome", "Stroke", "plane_of", "slice_object", "snapped_plane"]
 
 SHORTEST = 6.0
-"""Pixels. A shorter drag is a click, and its direction is noise."""
+"""Pixels of the shortest stroke: a shorter drag is a click, and its direction is noise."""
 
 SNAP_ANGLE = 15.0
-"""Degrees between the upright planes that a stroke snaps to when the object is seen from above."""
+"""Degrees between the upright planes that a stroke snaps to in a view from above."""
 
 STEEP = math.cos(math.radians(20.0))
-"""Cosine between view and up axis from which the object counts as seen from above or below."""
+"""Cosine of the angle between view direction and up axis above which the view counts as one from above or below."""
 
 
 @dataclass(frozen=True)
@@ -44,25 +44,25 @@ class Stroke:
 
     @property
     def middle(self) -> tuple[float, float]:
-        """Halfway, in pixels."""
+        """Midpoint, in pixels."""
         return (self.start[0] + self.end[0]) / 2, (self.start[1] + self.end[1]) / 2
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a stroke did."""
+    """The result of a stroke."""
 
     document: Document | None
-    """None: nothing was cut."""
+    """The document with the cut; None if nothing was cut."""
     message: str
     """One line for the user."""
 
 
 def plane_of(camera: Camera, stroke: Stroke, up: Vec3, centre: NDArray[np.floating]) -> Plane | None:
-    """The plane that a stroke cuts along: through the eye and the stroke, or the snapped one.
+    """The plane of a stroke: through the eye and the stroke, or the plane that it snaps to.
 
-    `centre` (3,) is the middle of the object, which gives a snapped horizontal plane its depth. None for a stroke
-    that is too short to have a direction. The kept side is the one at the right of the stroke.
+    `centre` (3,) of the object gives a snapped horizontal plane its depth. None for a stroke that is too short to have
+    a direction. The kept side is to the right of the stroke.
     """
     if stroke.length < SHORTEST:
         return None
@@ -78,11 +78,11 @@ def plane_of(camera: Camera, stroke: Stroke, up: Vec3, centre: NDArray[np.floati
 def snapped_plane(
     camera: Camera, stroke: Stroke, free: Plane, up: NDArray[np.float64], centre: NDArray[np.floating]
 ) -> Plane:
-    """The horizontal or vertical plane of the object nearest to a stroke, through the stroke's middle.
+    """The horizontal or vertical plane nearest to a stroke, through the stroke's midpoint.
 
-    A stroke that runs more along the up axis (as it is seen) gives the upright plane seen edge-on; one that runs more
-    across gives the horizontal plane, at the height where the stroke's middle meets the depth of the object's centre.
-    Seen from above, every stroke gives an upright plane, turned to the nearest multiple of 15 degrees.
+    A stroke that follows the projected up axis gives the vertical plane seen edge-on; one across it gives the
+    horizontal plane, at the height of the stroke's midpoint at the depth of the object's centre. In a view from above
+    every stroke gives a vertical plane, at the nearest multiple of 15 degrees.
     """
     start, direction = ray(camera, stroke.middle)
     point = start + direction * max(0.0, float((centre - start) @ direction))
@@ -121,7 +121,7 @@ def slice_object(
     if plane is None:
         return Outcome(None, "That was too short to cut. Drag across the object.")
     chosen = set(selected)
-    visible = shown(document, solid)
+    visible = visible_pieces(document, solid)
     candidates = [piece for piece in visible if not chosen or piece.key in chosen] or visible
     parts = [
         Part(piece.motion.inverse().carried(plane), piece.key)
@@ -136,8 +136,8 @@ def slice_object(
     return Outcome(cut, "Cut into two." if count == 1 and len(visible) == 1 else f"Cut {_pieces(count)}.")
 
 
-def _crossed(piece: Lying, solid: Solid, camera: Camera, stroke: Stroke, plane: Plane) -> bool:
-    """Whether solid lies on both sides of the plane, and the stroke passes where the plane meets the piece."""
+def _crossed(piece: PlacedPiece, solid: Solid, camera: Camera, stroke: Stroke, plane: Plane) -> bool:
+    """Whether the plane divides the piece, and the stroke passes over the place where it does."""
     if not len(piece.rows):
         return False
     points = piece.motion.apply(solid.points[piece.rows])
@@ -153,7 +153,7 @@ def _crossed(piece: Lying, solid: Solid, camera: Camera, stroke: Stroke, plane: 
 
 
 def _joined(parts: list[Part]) -> tuple[Part, ...]:
-    """One part for everything where all pieces are met at the same place, so that later cuts need no scopes."""
+    """The parts of the new cut; a cut of the uncut object needs no scope."""
     first = parts[0]
     if len(parts) > 1 or first.scope:
         return tuple(parts)

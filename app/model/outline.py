@@ -1,4 +1,4 @@
-"""Where planes meet the object, as lines to draw: contours of the body on each plane, hollows and all."""
+"""The lines in which planes intersect the object: contours of the body on each plane, including those of hollows."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ __all__ = ["body_of_atoms", "body_of_shell", "contours"]
 Float = NDArray[np.float64]
 
 CELLS = 72
-"""Along the longest side of the grid that lines are read from: finer than they are wide, where the object fills a
-window, and coarse enough to be made in a blink. Never finer than the atoms' own lattice."""
+"""Cells along the longest side of the grid that contours are found in: finer than the lines are wide when the object
+fills a window, and coarse enough to be built within a frame or two. A cell is never smaller than the atoms' pitch."""
 
 BLUR = 0.8
-"""Standard deviation, cells, that turns counts of jittered atoms into an even inside with a smooth edge."""
+"""Standard deviation, cells, of the blur that turns counts of jittered atoms into an even inside with a smooth edge."""
 
 SHELL_CELLS = 48
-"""The same for a capture, of which there is only the skin, with gaps of up to four cells."""
+"""As CELLS, for a capture, which has only a skin: coarser, so that gaps in it are at most four cells wide."""
 
-# Segments of each pattern of corners that lie inside (bits 1, 2, 4, 8 around a cell), from one edge to another. An edge
-# goes from the corner of its number to the next. Two opposite corners are taken as apart: nobody sees the difference.
+# Marching squares: the segments for each pattern of corners inside the body (bits 1, 2, 4, 8 around a cell), from one
+# edge to another; edge i goes from corner i to the next. Diagonally opposite corners count as separate.
 ONE = [(-1, -1), (3, 0), (0, 1), (3, 1), (1, 2), (3, 0), (0, 2), (3, 2)]
 ONE += [(2, 3), (2, 0), (0, 1), (2, 1), (1, 3), (1, 0), (0, 3), (-1, -1)]
 TWO = [(1, 2) if code == 5 else (2, 3) if code == 10 else (-1, -1) for code in range(16)]
@@ -35,17 +35,17 @@ EDGES = np.array([ONE, TWO]).transpose(1, 0, 2)
 
 
 def body_of_atoms(atoms: Atoms) -> Body:
-    """The solid that atoms fill, on a grid coarse enough to be made while somebody waits. Exact to a part of a cell."""
+    """The solid that atoms fill, on a grid coarse enough to be built while the user waits; exact to a fraction."""
     means = atoms.interior.means.astype(np.float64) if len(atoms.interior) else atoms.surface.means.astype(np.float64)
     cell = max(float(np.ptp(means, axis=0).max()) / CELLS, atoms.pitch) if len(means) else 1.0
     counts, origin = _counted(means, cell)
     filled = ndimage.gaussian_filter(counts, BLUR, mode="constant") * (atoms.pitch / cell) ** 3
-    # Halfway down the edge is the skin. Depths only need to be right near it.
+    # The skin is where the density has fallen to a half. Depths need to be right only close to it.
     return Body(Grid(origin, cell, counts.shape), ((filled - 0.5) * 2.5 * BLUR * cell).astype(np.float32))
 
 
 def body_of_shell(points: NDArray[np.floating]) -> Body:
-    """What points (N, 3) on a skin enclose: all there is to go by before a capture has been made solid."""
+    """The volume that points (N, 3) on a skin enclose, for a capture that is not solid yet."""
     cell = float(np.ptp(points, axis=0).max()) / SHELL_CELLS if len(points) > 1 else 1.0
     origin, shape = _around(points, cell)
     skin = np.zeros(shape, bool)
@@ -67,7 +67,7 @@ def _around(points: NDArray[np.floating], cell: float) -> tuple[Float, tuple[int
 
 
 def _counted(points: Float, cell: float) -> tuple[NDArray[np.float32], Float]:
-    """How many points fall into each cell, each spread over the nearest eight; and the outer corner of the grid."""
+    """Points per cell, each point spread linearly over the nearest eight; and the outer corner (3,) of the grid."""
     origin, shape = _around(points, cell)
     place = (points - origin) / cell - 0.5
     first = np.floor(place).astype(np.int64)
@@ -80,9 +80,9 @@ def _counted(points: Float, cell: float) -> tuple[NDArray[np.float32], Float]:
 
 
 def contours(body: Body, planes: Sequence[Plane], within: Sequence[Plane] = (), outset: float = 0.0) -> Float:
-    """(S, 2, 3). Ends of the straight pieces of line where planes meet a body, or what the half-spaces leave of it.
+    """(S, 2, 3). Ends of line segments where planes intersect a body, or what the half-spaces `within` keep of it.
 
-    In no order. A line is as fine as the body's cells, and runs `outset` cells outside of the skin.
+    In no order. Segments are as short as the body's cells, and run `outset` cells outside of the skin.
     """
     low, high = body.bounds()
     centre, radius = (low + high) / 2, float(np.linalg.norm(high - low)) / 2 + body.grid.cell
@@ -104,7 +104,7 @@ def contours(body: Body, planes: Sequence[Plane], within: Sequence[Plane] = (), 
 
 
 def _marched(values: Float) -> Float:
-    """(S, 2, 2). Segments of the zero contour of values (H, W), in steps of the grid: marching squares."""
+    """(S, 2, 2). Segments of the zero contour of values (H, W), in grid units, by marching squares."""
     corners = np.array([[0, 0], [0, 1], [1, 1], [1, 0]])
     height, width = values.shape
     inside = values > 0
@@ -114,7 +114,7 @@ def _marched(values: Float) -> Float:
     codes = sum(window[mixed] * np.int64(1 << bit) for bit, window in enumerate(windows))
     value = np.stack([values[cells[:, 0] + i, cells[:, 1] + j] for i, j in corners], 1)
     other = np.roll(value, -1, axis=1)
-    with np.errstate(divide="ignore", invalid="ignore"):  # edges without a crossing are not asked for theirs
+    with np.errstate(divide="ignore", invalid="ignore"):  # edges without a crossing are not used
         part = (value / (value - other))[..., None]
         crossings = cells[:, None] + corners + part * (np.roll(corners, -1, axis=0) - corners)
     first, second = EDGES[codes].transpose(1, 0, 2)

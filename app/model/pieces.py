@@ -1,4 +1,4 @@
-"""From cuts to pieces: which there are, which half-spaces each is, and where it lies in the window."""
+"""The pieces that a document's cuts divide the object into: their half-spaces, and where each is placed."""
 
 from __future__ import annotations
 
@@ -15,28 +15,28 @@ from engine.scene.atoms import Atoms
 from engine.scene.piece import Piece
 from engine.scene.plane import Plane
 
-__all__ = ["Lying", "Solid", "pieces", "sections", "shown"]
+__all__ = ["PlacedPiece", "Solid", "pieces", "sections", "visible_pieces"]
 
 SAMPLE = 20_000
-"""Points that stand for the solid when a cut asks what lies on which side: 27 along each axis of a cube."""
+"""Points that represent the solid when a cut divides it: 27 along each axis of a cube."""
 
 
 @dataclass(frozen=True)
 class Solid:
-    """Where the object is, in a few thousand points."""
+    """A sample of the object's points, for questions about its extent and about which side of a plane it is on."""
 
     points: NDArray[np.float64]
-    """(N, 3). Spread over surface and inside, the surface's first."""
+    """(N, 3). Spread over surface and interior, those of the surface first."""
     centre: NDArray[np.float64]
-    """(3,). Middle of the bounds."""
+    """(3,). Centre of the bounding box."""
     radius: float
     """Of the sphere around the centre that holds all points, world units. Range (0, inf)."""
     skin: int = 0
-    """How many of the points lie on the surface. Range [0, N]."""
+    """How many of the points are on the surface. Range [0, N]."""
 
     @staticmethod
     def of(given: NDArray[np.floating], limit: int = SAMPLE) -> Solid:
-        """From given points (N, 3), of which at most `limit` are kept, the same ones every time."""
+        """From points (N, 3), of which at most `limit` are sampled, the same ones every time."""
         points = _sample(given, limit)
         if not len(points):
             return Solid(np.zeros((0, 3)), np.zeros(3), 1.0)
@@ -47,7 +47,7 @@ class Solid:
 
     @staticmethod
     def of_atoms(atoms: Atoms) -> Solid:
-        """From the centres of atoms. Stray surface atoms far from the inside do not count as solid."""
+        """From the centres of atoms. Stray surface atoms far from the interior are left out."""
         skin, inside = (_sample(means, SAMPLE // 2) for means in (atoms.surface.means, atoms.interior.means))
         if len(inside):
             reach = 2.5 * float(np.ptp(inside, axis=0).max()) / max(len(inside), 1) ** (1 / 3)
@@ -56,93 +56,98 @@ class Solid:
 
     @property
     def spacing(self) -> float:
-        """About the distance between neighbouring points, world units."""
+        """Approximate distance between neighbouring points, world units."""
         return 2 * self.radius / max(len(self.points), 1) ** (1 / 3)
 
 
 def _sample(points: NDArray[np.floating], limit: int) -> NDArray[np.float64]:
-    """At most `limit` of some points (N, 3), in their order."""
+    """At most `limit` of the points (N, 3), in the same order."""
     if len(points) > limit:
         points = points[np.sort(np.random.default_rng(0).choice(len(points), limit, replace=False))]
     return points.astype(np.float64)
 
 
 @dataclass(frozen=True)
-class Lying:
-    """A piece as it lies in the window."""
+class PlacedPiece:
+    """A piece where it is placed in the world."""
 
     key: Key
     name: str
     planes: tuple[Plane, ...]
-    """Half-spaces of the object's own space."""
+    """Its half-spaces, in object space."""
     motion: Motion
-    """From the object's space to the window's world: the user's motion, the gap and the explosion."""
+    """From object space to world space: the user's motion, the gap and the explosion."""
     visible: bool
     rows: NDArray[np.intp]
-    """(M,). The solid's points in this piece; empty only where nothing is loaded."""
+    """(M,). Rows of the solid's points that are in this piece; empty only while nothing is loaded."""
 
     def piece(self, extra: Sequence[Plane] = ()) -> Piece:
-        """As the renderers take it, cut further by these planes of the object's space."""
+        """The renderers' piece, cut further by these planes in object space."""
         return Piece((*self.planes, *extra), self.motion.matrix)
 
 
 @dataclass(frozen=True)
-class _Share:
-    """A piece while the cuts are gone through."""
+class _Fragment:
+    """A piece after some of the cuts."""
 
     key: Key
     planes: tuple[Plane, ...]
     rows: NDArray[np.intp]
     parting: NDArray[np.float64]
-    """(3,). Sum of signed normals of its cuts: the direction in which it parts from the others."""
+    """(3,). Sum of the signed normals of its cuts: the direction in which the gap moves it."""
 
 
-def pieces(document: Document, solid: Solid) -> list[Lying]:
+def pieces(document: Document, solid: Solid) -> list[PlacedPiece]:
     """The pieces of the object, without removed ones.
 
-    A cut divides a piece only if some of the solid lies on both sides; otherwise the piece stays as it is.
+    A cut divides a piece only if the solid has points on both sides; otherwise the piece stays as it is.
     """
-    shares = [_Share(WHOLE, (), np.arange(len(solid.points)), np.zeros(3))]
+    fragments = [_Fragment(WHOLE, (), np.arange(len(solid.points)), np.zeros(3))]
     for cut in document.cuts:
         if cut.kind != "slice" or not cut.on:
             continue
-        divided: list[_Share] = []
-        for share in shares:
-            plane = cut.plane_for(share.key)
-            sides = None if plane is None else _divide(share, plane, cut.id, solid)
-            divided += sides or [share]
-        shares = divided
+        divided: list[_Fragment] = []
+        for fragment in fragments:
+            plane = cut.plane_for(fragment.key)
+            sides = None if plane is None else _divide(fragment, plane, cut.id, solid)
+            divided += sides or [fragment]
+        fragments = divided
     result = []
-    for number, share in enumerate(shares, 1):
-        placement = document.placement(share.key)
+    for number, fragment in enumerate(fragments, 1):
+        placement = document.placement(fragment.key)
         if placement.removed:
             continue
-        centre = solid.points[share.rows].mean(0) if len(share.rows) else solid.centre
-        outwards = document.explode * (centre - solid.centre) if share.key else np.zeros(3)
-        apart = Motion.by(share.parting * (document.gap / 2 * solid.radius) + outwards)
-        name = placement.name or (f"Piece {number}" if share.key else "Whole")
+        centre = solid.points[fragment.rows].mean(0) if len(fragment.rows) else solid.centre
+        outwards = document.explode * (centre - solid.centre) if fragment.key else np.zeros(3)
+        apart = Motion.by(fragment.parting * (document.gap / 2 * solid.radius) + outwards)
+        name = placement.name or (f"Piece {number}" if fragment.key else "Whole")
         motion = placement.motion.after(apart)
-        result.append(Lying(share.key, name, share.planes, motion, placement.visible, share.rows))
+        result.append(PlacedPiece(fragment.key, name, fragment.planes, motion, placement.visible, fragment.rows))
     return result
 
 
-def _divide(share: _Share, plane: Plane, cut_id: int, solid: Solid) -> list[_Share] | None:
-    """Both sides of a piece; None where the solid lies on one side alone."""
-    removed = plane.distance(solid.points[share.rows]) > 0
-    if len(share.rows) and (removed.all() or not removed.any()):
+def _divide(fragment: _Fragment, plane: Plane, cut_id: int, solid: Solid) -> list[_Fragment] | None:
+    """The two sides of a piece; None if all of it is on one side."""
+    removed = plane.distance(solid.points[fragment.rows]) > 0
+    if len(fragment.rows) and (removed.all() or not removed.any()):
         return None
     normal = np.asarray(plane.normal)
     return [
-        _Share((*share.key, (cut_id, side)), (*share.planes, half), share.rows[rows], share.parting + side * normal)
+        _Fragment(
+            (*fragment.key, (cut_id, side)),
+            (*fragment.planes, half),
+            fragment.rows[rows],
+            fragment.parting + side * normal,
+        )
         for side, half, rows in ((-1, plane, ~removed), (1, plane.flipped(), removed))
     ]
 
 
 def sections(document: Document) -> tuple[Plane, ...]:
-    """The planes of sections that are on: what lies on their removed side is not shown."""
+    """The planes of all sections that are on; what is on their removed side is hidden."""
     return tuple(cut.plane(cut.parts[0]) for cut in document.cuts if cut.kind == "section" and cut.on)
 
 
-def shown(document: Document, solid: Solid) -> list[Lying]:
-    """The pieces that are to be drawn."""
+def visible_pieces(document: Document, solid: Solid) -> list[PlacedPiece]:
+    """The pieces that are drawn."""
     return [piece for piece in pieces(document, solid) if piece.visible]

@@ -1,7 +1,7 @@
-"""The project file: a document and how it was looked at, as JSON that a person can read.
+"""The project file: a document and its view, as readable JSON.
 
-Paths are relative to the file's folder. A project that names files outside of it is refused until the user allows it:
-a file from somewhere else should not make the app read or write anywhere it likes.
+Paths are relative to the file's folder. A project that names files outside of that folder is refused until the user
+allows it: a file from a stranger must not choose what the app reads and writes.
 """
 
 from __future__ import annotations
@@ -9,19 +9,19 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeVar, get_args
+from typing import Any, get_args
 
-from app.model.camera_control import Eye
-from app.model.document import PRIORS, Cut, CutKind, Document, Key, Part, Placement, Training
+from app.model.camera_control import OrbitCamera
+from app.model.document import Cut, CutKind, Document, Key, Part, Placement, Training
 from app.model.rigid_transform import Motion, Vec3
 from engine.errors import InputError
+from engine.io.fields import Fields
 from engine.io.files import atomic, read_file
 from engine.io.strict_json import parse
 from engine.scene.plane import Plane
-from training.families import Family, Kind
+from training.request import MOST_ITERATIONS, PriorName, family_record, read_family, read_plane
 from training.settings import DetailName
 
 __all__ = ["SUFFIX", "Outside", "Project", "ViewMode", "Viewing", "load_project", "save_project"]
@@ -37,8 +37,6 @@ LIMIT = 1 << 24
 ViewMode = str
 VIEW_MODES = ("capture", "solid", "interior")
 
-T = TypeVar("T")
-
 
 class Outside(InputError):
     """A project names files outside of its folder."""
@@ -52,9 +50,9 @@ class Outside(InputError):
 
 @dataclass(frozen=True)
 class Viewing:
-    """How the object is looked at. Saved with the project, not part of undo."""
+    """How the object is viewed. Saved with the project, not part of undo."""
 
-    eye: Eye = field(default_factory=Eye)
+    eye: OrbitCamera = field(default_factory=OrbitCamera)
     mode: ViewMode = "solid"
     background: Vec3 | None = None
     """RGB of the viewport. Range [0, 1]. None: the theme's own."""
@@ -62,14 +60,14 @@ class Viewing:
 
 @dataclass(frozen=True)
 class Project:
-    """What a project file holds."""
+    """The content of a project file."""
 
     document: Document
     viewing: Viewing
 
 
 def save_project(path: Path, project: Project) -> None:
-    """Writes the file whole or not at all. Raises InputError where that fails."""
+    """Writes the file completely or not at all. Raises InputError if that fails."""
     folder = path.parent.resolve()
     text = json.dumps(_record(project, folder), indent=1, allow_nan=False)
     with atomic(path) as temporary:
@@ -77,9 +75,10 @@ def save_project(path: Path, project: Project) -> None:
 
 
 def load_project(path: Path, outside: bool = False) -> Project:
-    """The project in a file. `outside`: the user allows it to name files outside of its folder.
+    """Reads a project. `outside`: the user has allowed it to name files outside of its folder.
 
-    Raises Outside where it does so without, and InputError for anything that is not exactly a project of this version.
+    Raises Outside if it names such files without being allowed to, and InputError for anything that is not exactly a
+    project of this version.
     """
     raw = read_file(path, LIMIT)
     try:
@@ -126,16 +125,7 @@ def _record(project: Project, folder: Path) -> dict[str, Any]:
             for key, placement in document.placements
         ],
         "families": [
-            {
-                "kind": family.kind,
-                "count": family.count,
-                "exemplars": [_relative(exemplar, folder) for exemplar in family.exemplars],
-                "prompt": family.prompt,
-                "axis": family.axis,
-                "range": family.span,
-                "planes": [_plane(plane) for plane in family.custom],
-            }
-            for family in document.families
+            family_record(family, lambda exemplar: _relative(exemplar, folder)) for family in document.families
         ],
         "gap": document.gap,
         "explode": document.explode,
@@ -166,7 +156,7 @@ def _plane(plane: Plane) -> list[float]:
 
 
 def _relative(path: Path | None, folder: Path) -> str | None:
-    """A path as the file has it: with forward slashes, relative where that is possible at all."""
+    """A path as written in the file: with forward slashes, and relative unless it is on another drive."""
     if path is None:
         return None
     path = path.absolute()
@@ -179,14 +169,15 @@ def _relative(path: Path | None, folder: Path) -> str | None:
 # reading
 
 
-class _Reader:
-    """Turns a parsed file into a project, or says in one line what is wrong where."""
+class _Reader(Fields):
+    """Turns parsed JSON into a project. Every method raises InputError for what does not belong there."""
 
     def __init__(self, path: Path, allowed: bool) -> None:
-        self.path = path
+        super().__init__(path, "project")
         self.folder = path.parent.resolve()
         self.allowed = allowed
         self.outside: list[Path] = []
+        """Paths outside of the project's folder, in the order in which the file names them."""
 
     def project(self, raw: Any) -> Project:
         fields = self.table(raw, "the file")
@@ -203,7 +194,9 @@ class _Reader:
         keys += [key for key, _ in placements]
         self.require(all(step in known for key in keys for step, _ in key), "a piece names a cut that is not there")
         self.require(len(dict(placements)) == len(placements), "a piece is listed twice")
-        families = self.each(fields, "families", self.family)
+        families = self.each(
+            fields, "families", lambda raw: read_family(self, raw, lambda name: self.inside(name, "'exemplars'"))
+        )
         self.require(len({f.kind for f in families}) == len(families), "a family is listed twice")
         document = Document(
             scene=self.file(fields, "scene"),
@@ -222,7 +215,7 @@ class _Reader:
         parts = self.each(fields, "parts", self.part)
         self.require(len(parts) > 0, "a cut has no plane")
         return Cut(
-            id=self.whole(fields, "id", 1),
+            id=self.integer(fields, "id", 1),
             name=self.text(fields, "name"),
             parts=parts,
             kind=self.choice(fields, "kind", get_args(CutKind)),
@@ -232,7 +225,7 @@ class _Reader:
 
     def part(self, raw: Any) -> Part:
         fields = self.table(raw, "a part of a cut")
-        return Part(self.plane(fields.get("plane")), self.key(fields.get("scope")))
+        return Part(read_plane(self, fields.get("plane")), self.key(fields.get("scope")))
 
     def placement(self, raw: Any) -> tuple[Key, Placement]:
         fields = self.table(raw, "a piece")
@@ -245,26 +238,13 @@ class _Reader:
         )
         return self.key(fields.get("key")), placement
 
-    def family(self, raw: Any) -> Family:
-        fields = self.table(raw, "a family")
-        kind: Kind = self.choice(fields, "kind", get_args(Kind))
-        planes = self.each(fields, "planes", self.plane)
-        pictures = self.each(fields, "exemplars", lambda name: self.inside(name, "'exemplars'"))
-        count = self.whole(fields, "count", 0, 10_000)
-        prompt, axis = self.text(fields, "prompt"), self.unit(fields, "axis")
-        low, high = self.numbers(fields.get("range", [0.0, 1.0]), 2, "'range'")  # projects of before have none
-        try:
-            return Family(kind, count, pictures, prompt, axis, planes, (low, high))
-        except InputError as error:
-            raise InputError(f"{self.path}: not a project: {error}") from error
-
     def training(self, fields: dict[str, Any]) -> Training:
         iterations = fields.get("iterations")
         return Training(
             detail=self.choice(fields, "detail", get_args(DetailName)),
-            prior=self.choice(fields, "prior", PRIORS),
-            seed=self.whole(fields, "seed", 0),
-            iterations=None if iterations is None else self.whole(fields, "iterations", 0, 1_000_000),
+            prior=self.choice(fields, "prior", get_args(PriorName)),
+            seed=self.integer(fields, "seed", 0),
+            iterations=None if iterations is None else self.integer(fields, "iterations", 0, MOST_ITERATIONS),
             out=self.file(fields, "out"),
             model=self.file(fields, "model"),
             thing=self.text(fields, "thing"),
@@ -280,7 +260,7 @@ class _Reader:
             r, g, b = self.numbers(background, 3, "'background'")
             self.require(min(r, g, b) >= 0 and max(r, g, b) <= 1, "'background' is outside [0, 1]")
             colour = (r, g, b)
-        eye = Eye(
+        eye = OrbitCamera(
             (x, y, z),
             self.number(fields, "azimuth"),
             self.number(fields, "elevation", -90, 90),
@@ -291,65 +271,6 @@ class _Reader:
         return Viewing(eye, self.choice(fields, "mode", VIEW_MODES), colour)
 
     # values
-
-    def require(self, condition: bool, wrong: str) -> None:
-        if not condition:
-            raise InputError(f"{self.path}: not a project: {wrong}")
-
-    def table(self, value: Any, what: str) -> dict[str, Any]:
-        self.require(isinstance(value, dict), f"{what} is no table")
-        return value
-
-    def each(self, fields: dict[str, Any], key: str, read: Callable[[Any], T]) -> tuple[T, ...]:
-        values = fields.get(key)
-        self.require(isinstance(values, list), f"no list '{key}'")
-        return tuple(read(value) for value in values or ())
-
-    def text(self, fields: dict[str, Any], key: str) -> str:
-        value = fields.get(key)
-        text = value if isinstance(value, str) else "\0"
-        # Neither a null nor half a character, which JSON can say, can be shown or handed to another program.
-        whole = not any(c == "\0" or "\ud800" <= c <= "\udfff" for c in text)
-        self.require(whole and len(text) <= 10_000, f"no text '{key}'")
-        return text
-
-    def choice(self, fields: dict[str, Any], key: str, allowed: tuple[Any, ...]) -> Any:
-        value = fields.get(key)
-        self.require(isinstance(value, str) and value in allowed, f"'{key}' is none of {', '.join(allowed)}")
-        return value
-
-    def flag(self, fields: dict[str, Any], key: str) -> bool:
-        value = fields.get(key)
-        self.require(isinstance(value, bool), f"'{key}' is neither true nor false")
-        return bool(value)
-
-    def whole(self, fields: dict[str, Any], key: str, low: int, high: int = 1 << 53) -> int:
-        value = fields.get(key)
-        self.require(type(value) is int and low <= value <= high, f"'{key}' is no whole number from {low} to {high}")
-        return value if isinstance(value, int) else 0
-
-    def number(self, fields: dict[str, Any], key: str, low: float = -1e12, high: float = 1e12) -> float:
-        value = self.numbers([fields.get(key)], 1, f"'{key}'")[0]
-        self.require(low <= value <= high, f"'{key}' is not between {low:g} and {high:g}")
-        return value
-
-    def numbers(self, values: Any, count: int, what: str) -> list[float]:
-        ok = isinstance(values, list) and len(values) == count
-        ok = ok and all(type(v) in (int, float) and abs(v) <= 1e12 for v in values)  # false for NaN
-        self.require(ok, f"{what} is not {'a number' if count == 1 else f'{count} numbers'}")
-        return [float(v) for v in values]
-
-    def plane(self, value: Any) -> Plane:
-        a, b, c, d = self.numbers(value, 4, "a plane")
-        self.require(abs(math.hypot(a, b, c) - 1) < 1e-6, "the normal of a plane has not length 1")
-        return Plane((a, b, c), d)
-
-    def unit(self, fields: dict[str, Any], key: str) -> Vec3 | None:
-        if fields.get(key) is None:
-            return None
-        x, y, z = self.numbers(fields[key], 3, f"'{key}'")
-        self.require(abs(math.hypot(x, y, z) - 1) < 1e-6, f"'{key}' has not length 1")
-        return x, y, z
 
     def key(self, value: Any) -> Key:
         self.require(isinstance(value, list), "a piece has no list of cuts")
@@ -366,15 +287,14 @@ class _Reader:
         return None if value is None else self.inside(value, f"'{key}'")
 
     def inside(self, value: Any, what: str) -> Path:
-        """The path, noted where it leads out of the project's folder, by dots, as absolute, or through a link."""
-        self.require(isinstance(value, str) and 0 < len(value) < 4096 and "\0" not in value, f"{what} is no path")
-        path = Path(os.path.normpath(self.folder / value))
+        """The path; added to `outside` if it leaves the project's folder by dots, as absolute, or through a link."""
+        path = Path(os.path.normpath(self.folder / self.path_text(value, what)))
         if not path.is_relative_to(self.folder):
-            self.outside.append(path)  # and not looked at: on Windows a look may greet a server, with a password
+            self.outside.append(path)  # not looked up: on Windows that may log in to a server
             return path
         try:
             real = path.resolve()
-        except (OSError, RuntimeError, ValueError) as error:  # a ValueError for what no file can be called
+        except (OSError, RuntimeError, ValueError) as error:  # a ValueError for an impossible name
             raise InputError(f"{self.path}: not a project: {what} is no path") from error
         if not real.is_relative_to(self.folder):
             self.outside.append(path)

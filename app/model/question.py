@@ -1,4 +1,4 @@
-"""Questions to the user, as data: the window shows them, tests answer them."""
+"""Questions to the user as data: the window shows them, tests answer them without a window."""
 
 from __future__ import annotations
 
@@ -10,16 +10,17 @@ __all__ = ["Choice", "Question"]
 
 @dataclass(frozen=True)
 class Choice:
-    """A button."""
+    """An answer, as a button."""
 
     label: str
     act: Callable[[], None]
     main: bool = False
+    """Whether it is the default, which stands out."""
 
 
 @dataclass(frozen=True)
 class Question:
-    """What the user must decide before anything goes on. The last choice is what Esc does."""
+    """A decision that the user has to make first. Esc takes the last choice."""
 
     title: str
     text: str

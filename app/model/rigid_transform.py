@@ -1,4 +1,4 @@
-"""Rigid motions as plain numbers, so that a document that holds them compares and saves exactly."""
+"""Rigid motions as plain numbers, so that documents with them can be compared and saved exactly."""
 
 from __future__ import annotations
 
@@ -25,21 +25,21 @@ def vec3(values: ArrayLike) -> Vec3:
 
 @dataclass(frozen=True)
 class Motion:
-    """A turn, then a shift: x -> R x + t."""
+    """A rotation, then a translation: x -> R x + t."""
 
     turn: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
-    """Unit quaternion, wxyz."""
+    """The rotation R as a unit quaternion, wxyz."""
     shift: Vec3 = (0.0, 0.0, 0.0)
-    """World units."""
+    """The translation t, world units."""
 
     @property
     def rotation(self) -> NDArray[np.float64]:
-        """(3, 3)."""
+        """(3, 3). Rotation matrix."""
         return np.array(rotation_entries(*self.turn)).reshape(3, 3)
 
     @property
     def matrix(self) -> NDArray[np.float64]:
-        """(4, 4)."""
+        """(4, 4). Homogeneous matrix."""
         result = np.eye(4)
         result[:3, :3] = self.rotation
         result[:3, 3] = self.shift
@@ -47,7 +47,7 @@ class Motion:
 
     @staticmethod
     def of(matrix: NDArray[np.floating]) -> Motion:
-        """The motion nearest to a matrix (4, 4): scale and shear are dropped."""
+        """The motion closest to a matrix (4, 4): scale and shear are dropped."""
         left, _, right = np.linalg.svd(np.asarray(matrix, np.float64)[:3, :3])
         rotation = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
         w, x, y, z = Rotation.from_matrix(rotation).as_quat(canonical=True, scalar_first=True).tolist()
@@ -55,7 +55,7 @@ class Motion:
 
     @staticmethod
     def about(point: ArrayLike, axis: ArrayLike, degrees: float) -> Motion:
-        """The turn about a line through a point (3,) along an axis (3,)."""
+        """Rotation about the line through a point (3,) along an axis (3,)."""
         a = np.asarray(axis, np.float64)
         a = a / np.linalg.norm(a)
         half = math.radians(degrees) / 2
@@ -66,30 +66,30 @@ class Motion:
 
     @staticmethod
     def by(shift: ArrayLike) -> Motion:
-        """The shift alone, (3,)."""
+        """Translation by (3,)."""
         return Motion(shift=vec3(shift))
 
     def after(self, first: Motion) -> Motion:
-        """Both: `first`, then this one."""
+        """The composition: `first`, then this motion."""
         turn = Rotation.from_quat(self.turn, scalar_first=True) * Rotation.from_quat(first.turn, scalar_first=True)
         w, x, y, z = turn.as_quat(scalar_first=True).tolist()
         return Motion((w, x, y, z), vec3(self.rotation @ np.asarray(first.shift) + np.asarray(self.shift)))
 
     def inverse(self) -> Motion:
-        """The way back."""
+        """The inverse motion."""
         w, x, y, z = self.turn
         back = Motion((w, -x, -y, -z))
         return Motion(back.turn, vec3(-(back.rotation @ np.asarray(self.shift))))
 
     def apply(self, points: NDArray[np.floating]) -> NDArray[np.float64]:
-        """(..., 3). Where points (..., 3) come to lie."""
+        """(..., 3). Moves points (..., 3)."""
         return np.asarray(points, np.float64) @ self.rotation.T + np.asarray(self.shift)
 
     def carried(self, plane: Plane) -> Plane:
-        """Where a plane comes to lie."""
+        """Moves a plane."""
         normal = self.rotation @ np.asarray(plane.normal)
         return Plane.of(normal, plane.offset - float(normal @ np.asarray(self.shift)))
 
 
 STILL = Motion()
-"""The motion that moves nothing."""
+"""The identity."""

@@ -1,4 +1,4 @@
-"""The first scene, so that the window is never empty."""
+"""The sample scenes that the window can open, so that a first start is not empty."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ __all__ = ["sample_document", "sample_folder"]
 
 
 def sample_folder() -> Path:
-    """Where the project's sample scenes stand."""
+    """The folder of the sample scenes."""
     return Path(app.__file__).parents[1] / "sample_scenes"
 
 
 def sample_document(name: str = "watermelon") -> Document:
-    """A sample scene with its pictures; without the samples a small melon is made."""
+    """A document for a sample scene with its pictures. If the samples are not installed, a small melon is generated."""
     scene = sample_folder() / name / f"{name}.ply"
     if not scene.is_file():
         return Document(scene=_small_melon())
@@ -39,7 +39,7 @@ def sample_document(name: str = "watermelon") -> Document:
 
 
 def _small_melon(count: int = 16_000) -> Path:
-    """A hollow striped ellipsoid of flat Gaussians, written once."""
+    """A hollow striped ellipsoid of flat Gaussians, generated once and saved in the app's state folder."""
     path = state_folder() / "melon.ply"
     if path.is_file():
         return path
@@ -51,7 +51,7 @@ def _small_melon(count: int = 16_000) -> Path:
     wave = np.arctan2(unit[:, 1], unit[:, 0]) * 9 + 0.8 * np.sin(7 * z) + 0.5 * np.sin(3 * turn)
     dark = (0.5 + 0.5 * np.tanh(2.5 * np.sin(wave)))[:, None]
     rgb = (1 - dark) * (0.55, 0.68, 0.34) + dark * (0.13, 0.33, 0.16)
-    # Flat along the normal: the turn that takes z to it, about the axis z x n.
+    # Flat along the normal n: the rotation that takes z to n, about the axis z x n.
     normals = unit / (0.85, 0.85, 1.0)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     quats = np.stack([1 + normals[:, 2], -normals[:, 1], normals[:, 0], np.zeros(count)], 1)

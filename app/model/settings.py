@@ -1,4 +1,4 @@
-"""What stays between sessions on this computer: the look, recent files, running jobs, trusted projects."""
+"""Settings that persist between sessions on this computer: appearance, recent files, running jobs, trusted projects."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from engine.io.files import atomic, read_file
 __all__ = ["Settings", "load_settings", "save_settings", "settings_folder", "state_folder"]
 
 RECENT = 10
-"""Files that the menu lists."""
+"""ProjectFiles that the menu lists."""
 
 
 @dataclass(frozen=True)
 class Settings:
-    """Plain data; a field that the file lacks or spells wrongly has its default."""
+    """A field that is missing or invalid in the file has its default."""
 
     theme: Literal["dark", "light"] = "dark"
     recent: tuple[str, ...] = ()
@@ -31,51 +31,52 @@ class Settings:
     jobs: tuple[str, ...] = ()
     """Result folders of training jobs that may still run."""
     trusted: tuple[str, ...] = ()
-    """Projects outside of whose folder the user allowed to read: SHA-256 of the file, a space, and its path. Another
-    file that takes the place of one (the next download of the same name) is not trusted for it."""
+    """Projects that the user has allowed to read outside of their folders: SHA-256 of the file, a space, and its path.
+    Another file at the same path (the next download of the same name) is not trusted."""
     face_light: bool = True
-    """A plain light on cut faces."""
+    """Whether cut faces are lit."""
     window: tuple[int, int] = (1440, 900)
+    """Size at 96 DPI, pixels."""
     seen_hint: bool = False
-    """Whether the first cut has been made: then the opening hint has done its work."""
+    """Whether the user has made a first cut, after which the knife's hint is no longer shown."""
 
     def with_recent(self, path: Path) -> Settings:
-        """With a file at the head of the recent ones."""
+        """With a file as the most recent one."""
         name = str(path.resolve())
         return replace(self, recent=(name, *(other for other in self.recent if other != name))[:RECENT])
 
     def with_job(self, out: Path) -> Settings:
-        """With a result folder whose job may run."""
+        """With a result folder whose job may still run."""
         name = str(out.resolve())
         return replace(self, jobs=(name, *(other for other in self.jobs if other != name)))
 
     def without_job(self, out: Path) -> Settings:
-        """Without it."""
+        """Without this result folder."""
         return replace(self, jobs=tuple(name for name in self.jobs if name != str(out.resolve())))
 
     def with_trusted(self, project: Path) -> Settings:
-        """With a project that may read outside of its folder, for as long as it is as it is now."""
-        mark = _mark(project)
-        others = (other for other in self.trusted if other.partition(" ")[2] != mark.partition(" ")[2])
-        return replace(self, trusted=(mark, *others))
+        """With a project that may read outside of its folder until its content changes."""
+        identity = _identity(project)
+        others = (other for other in self.trusted if other.partition(" ")[2] != identity.partition(" ")[2])
+        return replace(self, trusted=(identity, *others))
 
     def trusts(self, project: Path) -> bool:
-        """Whether the user allowed this very file to read outside of its folder."""
-        return _mark(project) in self.trusted
+        """Whether the user has allowed the project, with this content, to read outside of its folder."""
+        return _identity(project) in self.trusted
 
 
-def _mark(project: Path) -> str:
-    """A project as it is now. Raises InputError where it cannot be read."""
+def _identity(project: Path) -> str:
+    """Hash and path of a project file. Raises InputError if it cannot be read."""
     return f"{hashlib.sha256(read_file(project, LIMIT)).hexdigest()} {project.resolve()}"
 
 
 def settings_folder() -> Path:
-    """Where the platform keeps settings; FRUITNINJA_HOME puts everything into one folder (tests, USB sticks)."""
+    """The platform's folder for settings; FRUITNINJA_HOME puts everything into one folder (tests, USB sticks)."""
     return _folder("XDG_CONFIG_HOME", ".config", "Preferences")
 
 
 def state_folder() -> Path:
-    """Where the platform keeps what a program writes for itself: autosaves, results of scenes that stand read-only."""
+    """The platform's folder for a program's own data: autosaves, jobs, results of scenes in read-only folders."""
     return _folder("XDG_STATE_HOME", ".local/state", "Application Support")
 
 
@@ -87,7 +88,8 @@ def _folder(variable: str, fallback: str, mac: str) -> Path:
     if sys.platform == "darwin":
         return Path.home() / "Library" / mac / "FruitNinja"
     given = os.environ.get(variable, "")
-    return (Path(given) if os.path.isabs(given) else Path.home() / fallback) / "fruitninja"  # as the standard has it
+    base = Path(given) if os.path.isabs(given) else Path.home() / fallback  # XDG ignores relative ones
+    return base / "fruitninja"
 
 
 LARGEST = 1 << 20
@@ -95,7 +97,7 @@ LARGEST = 1 << 20
 
 
 def load_settings(path: Path | None = None) -> Settings:
-    """The settings, defaults for whatever cannot be read: a broken settings file never keeps the app from starting."""
+    """The settings, with defaults for whatever cannot be read: a broken file never keeps the app from starting."""
     try:
         raw = json.loads(read_file(path or settings_folder() / "settings.json", LARGEST))
     except (OSError, ValueError, RecursionError):
@@ -111,19 +113,16 @@ def load_settings(path: Path | None = None) -> Settings:
 
 
 def save_settings(settings: Settings, path: Path | None = None) -> None:
-    """Writes them; a disk that is full or read-only is not worth stopping for."""
+    """Writes the settings. A full or read-only disk is ignored: losing them does little harm."""
     text = json.dumps(asdict(settings), indent=1) + "\n"
     with suppress(InputError), atomic(path or settings_folder() / "settings.json") as temporary:
         temporary.write_text(text, encoding="utf-8")
 
 
 def _like(value: Any, default: Any) -> Any:
-    """The value if it is of the default's kind, else None."""
+    """The value if it has the type and range of the default, else None."""
     if isinstance(default, str):
         return value if isinstance(value, str) else None
-    if isinstance(default, float):
-        ok = isinstance(value, int | float) and not isinstance(value, bool) and 0.5 <= value <= 3
-        return float(value) if ok else None
     if isinstance(default, tuple) and isinstance(value, list):
         kind = int if default and isinstance(default[0], int) else str
         if not all(type(item) is kind for item in value):

@@ -1,141 +1,155 @@
-"""Opening and saving in a session, and leaving it: never loses work without asking."""
+"""Opening, saving and closing in a session; unsaved work is never lost without asking."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from app.model.autosave import Rescued
+from app.model.autosave import UnsavedWork
 from app.model.document import Document
+from app.model.history import History
 from app.model.project import SUFFIX, Outside, Project, Viewing, load_project, save_project
 from app.model.question import Choice
+from app.session.scene_controller import SceneController
+from app.session.training_controller import TrainingController
+from app.session.workspace import PICTURE_SUFFIXES, Workspace
 from engine.errors import InputError
 
-if TYPE_CHECKING:
-    from app.session.session import Session
+__all__ = ["ProjectFiles"]
 
-__all__ = ["PICTURES", "Files"]
-
-PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".bmp")
+PATHS_LISTED = 6
+"""ProjectFiles outside of a project's folder that the question names; more would not fit the window."""
 
 
-class Files:
-    """Of one session."""
+class ProjectFiles:
+    """The document's way from and to files."""
 
-    def __init__(self, session: Session) -> None:
-        self.session = session
-        self.ask_where: Callable[[Callable[[Path], None]], None] | None = None
-        """The window's dialog for the place of a new project."""
+    def __init__(self, workspace: Workspace, scene: SceneController, training: TrainingController) -> None:
+        self.workspace, self.scene, self.training = workspace, scene, training
+        self.choose_path: Callable[[Callable[[Path], None]], None] | None = None
+        """Opens the window's dialog for a new project's path, and calls its argument with the path chosen."""
 
     def open(self, path: Path) -> None:
-        """A scene, a project, or a picture for a family; asks first where work would be lost."""
-        if path.suffix.lower() in PICTURES:
-            self.session.add_pictures(None, (path,))
+        """Opens a scene or a project, after asking about unsaved changes, or adds a picture to a family."""
+        if path.suffix.lower() in PICTURE_SUFFIXES:
+            self.workspace.add_pictures(None, (path,))
             return
         act = self._open_project if path.suffix == SUFFIX else self._open_scene
-        self.unless_unsaved(lambda: act(path))
+        self.after_saving(lambda: act(path))
 
-    def unless_unsaved(self, act: Callable[[], None]) -> None:
-        """Does it at once, or after asking what becomes of unsaved changes."""
-        if not self.session.history.changed:
+    def open_document(self, document: Document, viewing: Viewing, path: Path | None) -> None:
+        """Replaces the session's document, finds its training job and loads its scene. `path`: its project file."""
+        workspace = self.workspace
+        workspace.history = History(document)
+        workspace.viewing, workspace.path = viewing, path
+        workspace.selection, workspace.active_cut, workspace.tool = frozenset(), None, "select"
+        workspace.object, workspace.error = None, ""
+        workspace.geometry_version += 1
+        self.training.find_job(document)
+        if document.scene is not None:
+            self.scene.load(self.training.result_for(document))
+
+    def after_saving(self, act: Callable[[], None]) -> None:
+        """Calls `act`: at once, or once the user has decided what becomes of unsaved changes."""
+        if not self.workspace.history.changed:
             act()
             return
 
         def save_first() -> None:
             self.save(then=act)
 
-        self.session.ask(
+        self.workspace.ask(
             "Unsaved changes",
-            f"Save the changes to {self.session.title.removesuffix(' *')} first?",
+            f"Save the changes to {self.workspace.title.removesuffix(' *')} first?",
             Choice("Save", save_first, main=True),
             Choice("Don't save", act),
         )
 
     def _open_scene(self, path: Path) -> None:
         if not path.is_file():
-            self.session.fail(f"{path}: no such file")
+            self.workspace.show_error(f"{path}: no such file")
             return
-        self.session.show(Document(scene=path.absolute()), Viewing(mode="capture"), None)
-        self.session.remember(self.session.settings.with_recent(path))
+        self.open_document(Document(scene=path.absolute()), Viewing(mode="capture"), None)
+        self.workspace.change_settings(self.workspace.settings.with_recent(path))
 
     def _open_project(self, path: Path, outside: bool = False) -> None:
-        settings = self.session.settings
+        settings = self.workspace.settings
         try:
             project = load_project(path, outside=outside or settings.trusts(path))
             settings = settings.with_recent(path)
             settings = settings.with_trusted(path) if outside else settings
         except Outside as error:
-            names = "\n".join(str(p) for p in error.paths[:6]) + ("\n..." if len(error.paths) > 6 else "")
-            self.session.ask(
-                "Files outside of the project's folder",
+            names = "\n".join(str(p) for p in error.paths[:PATHS_LISTED])
+            names += "\n..." if len(error.paths) > PATHS_LISTED else ""
+            self.workspace.ask(
+                "ProjectFiles outside of the project's folder",
                 f"{path.name} uses files that are not in its folder:\n{names}\n"
                 "Open it only if you know where it is from.",
                 Choice("Open anyway", lambda: self._open_project(path, outside=True)),
             )
             return
         except InputError as error:
-            self.session.fail(error)
+            self.workspace.show_error(error)
             return
-        self.session.remember(settings)
-        self.session.show(project.document, project.viewing, path)
+        self.workspace.change_settings(settings)
+        self.open_document(project.document, project.viewing, path)
 
-    def recover(self, rescued: Rescued) -> None:
-        """Takes up the unsaved work of a session that crashed."""
+    def recover(self, find_unsaved_work: UnsavedWork) -> None:
+        """Opens the unsaved work of a session that crashed."""
         try:
-            project = rescued.load()
+            project = find_unsaved_work.load()
         except InputError as error:
-            self.session.fail(error)
+            self.workspace.show_error(error)
             return
-        self.session.show(project.document, project.viewing, rescued.project)
-        self.session.history.saved = None  # it is unsaved still
-        self.session.say("Your unsaved work is back. Save it to keep it.")
-        rescued.discard()
+        self.open_document(project.document, project.viewing, find_unsaved_work.project)
+        self.workspace.history.saved = None  # still unsaved
+        self.workspace.notify("Your unsaved work is back. Save it to keep it.")
+        find_unsaved_work.discard()
 
     def save(self, path: Path | None = None, then: Callable[[], None] = lambda: None) -> None:
-        """Saves the project, asking for its place where it has none; goes on with `then` once it is saved."""
-        path = path or self.session.path
+        """Saves the project, asking for a path if it has none, and calls `then` once it is saved."""
+        path = path or self.workspace.path
         if path is None:
-            if self.ask_where is not None:
-                self.ask_where(lambda chosen: self.save(chosen, then))
+            if self.choose_path is not None:
+                self.choose_path(lambda chosen: self.save(chosen, then))
             return
         path = path if path.suffix == SUFFIX else path.with_name(path.name + SUFFIX)
         try:
-            save_project(path, Project(self.session.document, self.session.viewing))
-            # What the user saved from here may be opened again without a question.
-            settings = self.session.settings.with_recent(path).with_trusted(path)
+            save_project(path, Project(self.workspace.document, self.workspace.viewing))
+            # A project that the user saved here is opened again without a question.
+            settings = self.workspace.settings.with_recent(path).with_trusted(path)
         except InputError as error:
-            self.session.fail(error)
+            self.workspace.show_error(error)
             return
-        self.session.path, self.session.history.saved = path, self.session.document
-        self.session.autosave.clear()
-        self.session.remember(settings)
-        self.session.say(f"Saved {path.name}.")
+        self.workspace.path, self.workspace.history.saved = path, self.workspace.document
+        self.workspace.autosave.clear()
+        self.workspace.change_settings(settings)
+        self.workspace.notify(f"Saved {path.name}.")
         then()
 
     def close(self) -> None:
-        """The user wants to leave: asks about unsaved work, then about a running job."""
-        self.unless_unsaved(self._close_job)
+        """Closes the session, after asking about unsaved changes and about a running job."""
+        self.after_saving(self._ask_about_job)
 
-    def _close_job(self) -> None:
-        job = self.session.desk.job
+    def _ask_about_job(self) -> None:
+        job = self.training.job
         if job is None or job.phase not in ("running", "paused"):
-            self._leave()
+            self._close_now()
             return
 
         def stop() -> None:
             job.stop()
-            self._leave()
+            self._close_now()
 
-        self.session.ask(
+        self.workspace.ask(
             "Training is still running",
             "It can go on without the window, and is found again when you come back.",
-            Choice("Leave it running", self._leave, main=True),
+            Choice("Leave it running", self._close_now, main=True),
             Choice("Stop it", stop),
         )
 
-    def _leave(self) -> None:
-        if self.session.preparing is not None:
-            self.session.preparing.cancel()
-        self.session.autosave.clear()
-        self.session.closing = True
+    def _close_now(self) -> None:
+        if self.workspace.loader is not None:
+            self.workspace.loader.cancel()
+        self.workspace.autosave.clear()
+        self.workspace.closing = True

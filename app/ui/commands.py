@@ -1,4 +1,4 @@
-"""Everything that can be done, once: menus, shortcuts and the shortcut sheet are made from this table."""
+"""Commands: menus, keyboard shortcuts and the list of shortcuts are all made from them."""
 
 from __future__ import annotations
 
@@ -14,27 +14,27 @@ Key, Ctrl, Shift = imgui.Key, imgui.Key.mod_ctrl, imgui.Key.mod_shift
 
 @dataclass(frozen=True)
 class Command:
-    """One thing to do."""
+    """An action of the user, with its place in the menus and its shortcut."""
 
     menu: str
     label: str
     act: Callable[[], None]
     keys: str = ""
-    """As people read it, for example 'Ctrl+Shift+Z'."""
+    """The shortcut as shown, for example 'Ctrl+Shift+Z'."""
     chord: int = 0
-    """As ImGui reads it; 0: no shortcut."""
-    can: Callable[[], bool] = lambda: True
-    on: Callable[[], bool] | None = None
-    """Shows a check mark."""
-    gap: bool = False
-    """A line above it in the menu."""
+    """The shortcut as ImGui's key chord; 0: none."""
+    enabled: Callable[[], bool] = lambda: True
+    checked: Callable[[], bool] | None = None
+    """Whether the menu shows a check mark; None: it never does."""
+    separated: bool = False
+    """Whether a separator is above it in the menu."""
 
 
 def press_shortcuts(commands: list[Command]) -> None:
-    """Runs the command whose keys were pressed; typing in a field is not a shortcut."""
+    """Runs the command whose shortcut was pressed, unless the user is typing into a field or a popup is open."""
     if imgui.get_io().want_text_input or imgui.is_popup_open("", imgui.PopupFlags_.any_popup):
         return
     for command in commands:
-        if command.chord and imgui.is_key_chord_pressed(command.chord) and command.can():
+        if command.chord and imgui.is_key_chord_pressed(command.chord) and command.enabled():
             command.act()
             return

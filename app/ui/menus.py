@@ -1,4 +1,4 @@
-"""The commands of the window, and the menus, the rail and the shortcut sheet made from them."""
+"""The window's commands, and the menu bar, toolbar, context menu and list of shortcuts made from them."""
 
 from __future__ import annotations
 
@@ -14,13 +14,14 @@ from imgui_bundle import icons_fontawesome_6 as icon
 from app.model.camera_control import AXIS_VIEWS
 from app.model.project import SUFFIX
 from app.model.samples import sample_document
-from app.session.session import TOOLS, Session, Tool
+from app.session.session import Session
+from app.session.workspace import TOOLS, Tool
 from app.ui.commands import Command, Ctrl, Key, Shift
-from app.ui.dialogs.export import ExportWindow
-from app.ui.dialogs.files import Dialogs
+from app.ui.dialogs.export_window import ExportWindow
+from app.ui.dialogs.file_dialogs import FileDialogs
 from app.ui.theme import Fonts, apply, palette, px, rgba
 from app.ui.view.viewport import Viewport
-from app.ui.widgets import font, icon_button, secondary, tip
+from app.ui.widgets import font, icon_button, secondary, tooltip
 
 __all__ = ["Menus"]
 
@@ -34,34 +35,38 @@ TOOL_ICONS: dict[Tool, tuple[str, str, str]] = {
 
 
 class Menus:
-    """Draws them."""
+    """Makes the commands once and draws the menus from them."""
 
-    def __init__(self, session: Session, viewport: Viewport, dialogs: Dialogs, export: ExportWindow) -> None:
+    def __init__(self, session: Session, viewport: Viewport, dialogs: FileDialogs, export: ExportWindow) -> None:
         self.session, self.viewport, self.dialogs, self.export = session, viewport, dialogs, export
-        self.sheet = False
-        """Whether the shortcut sheet is shown."""
-        session.files.ask_where = lambda then: dialogs.save(
-            "Save the project", self.suggestion(), ["FruitNinja project", f"*{SUFFIX}"], then
+        self.shortcuts_shown = False
+        """Whether the list of shortcuts is open."""
+        session.files.choose_path = lambda then: dialogs.save(
+            "Save the project", self.suggested_path(), ["FruitNinja project", f"*{SUFFIX}"], then
         )
         self.commands = self._commands()
 
-    def suggestion(self) -> Path:
-        """Where a new project would go."""
+    def suggested_path(self) -> Path:
+        """The path that the dialog for saving a new project suggests."""
         scene = self.session.document.scene
         return scene.with_suffix(SUFFIX) if scene else Path.home() / f"untitled{SUFFIX}"
 
     def _commands(self) -> list[Command]:
         s, view = self.session, self.viewport
-        desk, ask = s.desk, self.export.ask
+        training, export = s.training, self.export.open
+        picture = partial(export, "picture")
 
         def opened() -> bool:
             return s.document.scene is not None
 
-        def chosen() -> bool:
+        def selected() -> bool:
             return bool(s.selection)
 
         def can_start() -> bool:
-            return opened() and not desk.busy and not (s.object is not None and s.object.trained)
+            return opened() and not training.busy and not (s.object is not None and s.object.trained)
+
+        def can_resume() -> bool:
+            return training.job is not None and not training.busy
 
         def is_cut() -> bool:
             return bool(s.document.cuts)
@@ -69,54 +74,64 @@ class Menus:
         axis_keys = (("1", Key._1), ("3", Key._3), ("2", Key._2), ("4", Key._4), ("6", Key._6), ("5", Key._5))
         look = [Command("View", "Fit", view.fit, "F", Key.f, opened)]
         for name, (keys, chord) in zip(AXIS_VIEWS, axis_keys, strict=True):
-            look.append(Command("View", name.title(), partial(self._look_from, name), keys, chord, gap=name == "front"))
+            look.append(
+                Command("View", name.title(), partial(self._look_from, name), keys, chord, separated=name == "front")
+            )
         look += [
-            Command("View", "Perspective", self._perspective, "O", Key.o, on=self._in_perspective, gap=True),
-            Command("View", "Light on cut faces", self._light, on=lambda: s.settings.face_light),
-            Command("View", "Light theme", self._theme, on=lambda: s.settings.theme == "light"),
-        ]
+            Command(
+                "View",
+                "Perspective",
+                self._toggle_perspective,
+                "O",
+                Key.o,
+                checked=self._in_perspective,
+                separated=True,
+            ),
+            Command("View", "Light on cut faces", self._toggle_light, checked=lambda: s.settings.face_light),
+            Command("View", "Light theme", self._toggle_theme, checked=lambda: s.settings.theme == "light"),
+        ]  # fmt: skip
         tools = []
         for tool in TOOLS:
             keys = TOOL_ICONS[tool][2]
-            tools.append(Command("Tools", tool.title(), partial(s.take, tool), keys, getattr(Key, keys.lower())))
+            tools.append(Command("Tools", tool.title(), partial(s.select_tool, tool), keys, getattr(Key, keys.lower())))
         return [
             Command("File", "Open...", self._open, "Ctrl+O", Ctrl | Key.o),
-            Command("File", "Save", s.files.save, "Ctrl+S", Ctrl | Key.s, opened, gap=True),
+            Command("File", "Save", s.files.save, "Ctrl+S", Ctrl | Key.s, opened, separated=True),
             Command("File", "Save as...", self._save_as, "Ctrl+Shift+S", Ctrl | Shift | Key.s, opened),
-            Command("File", "Save picture...", partial(ask, "picture"), "Ctrl+E", Ctrl | Key.e, opened, gap=True),
-            Command("File", "Save turntable...", partial(ask, "turntable"), can=opened),
-            Command("File", "Save plane sweep...", partial(ask, "sweep"), can=is_cut),
-            Command("File", "Save cut face...", partial(ask, "section"), can=is_cut),
-            Command("File", "Save pieces as .ply...", partial(ask, "pieces"), can=lambda: s.atoms is not None),
-            Command("File", "Quit", s.files.close, "Ctrl+Q", Ctrl | Key.q, gap=True),
+            Command("File", "Save picture...", picture, "Ctrl+E", Ctrl | Key.e, opened, separated=True),
+            Command("File", "Save turntable...", partial(export, "turntable"), enabled=opened),
+            Command("File", "Save plane sweep...", partial(export, "sweep"), enabled=is_cut),
+            Command("File", "Save cut face...", partial(export, "section"), enabled=is_cut),
+            Command("File", "Save pieces as .ply...", partial(export, "pieces"), enabled=lambda: s.atoms is not None),
+            Command("File", "Quit", s.files.close, "Ctrl+Q", Ctrl | Key.q, separated=True),
             Command("Edit", "Undo", s.undo, "Ctrl+Z", Ctrl | Key.z, lambda: s.history.cursor > 0),
             Command(
                 "Edit", "Redo", s.redo, "Ctrl+Shift+Z", Ctrl | Shift | Key.z,
                 lambda: s.history.cursor + 1 < len(s.history.entries),
             ),
-            Command("Edit", "Select all", self._select_all, "Ctrl+A", Ctrl | Key.a, opened, gap=True),
-            Command("Edit", "Hide", s.hide, "H", Key.h, chosen),
-            Command("Edit", "Delete", s.delete, "Del", Key.delete, chosen),
+            Command("Edit", "Select all", self._select_all, "Ctrl+A", Ctrl | Key.a, opened, separated=True),
+            Command("Edit", "Hide", s.hide, "H", Key.h, selected),
+            Command("Edit", "Delete", s.delete, "Del", Key.delete, selected),
             *tools,
             Command("Cut", "Add plane", s.add_plane, "", 0, opened),
-            Command("Cut", "Put back together", s.together, "Ctrl+G", Ctrl | Key.g, is_cut),
-            Command("Cut", "Remove all cuts", self._no_cuts, can=is_cut),
-            Command("Interior", "Give it an inside", desk.start, can=can_start),
-            Command("Interior", "Pause", desk.toggle_pause, can=lambda: desk.busy),
-            Command("Interior", "Stop", desk.stop, can=lambda: desk.busy),
-            Command("Interior", "Resume", desk.resume, can=lambda: desk.job is not None and not desk.busy),
-            Command("Interior", "Choose pictures...", self._pictures, can=opened, gap=True),
+            Command("Cut", "Put back together", s.reassemble, "Ctrl+G", Ctrl | Key.g, is_cut),
+            Command("Cut", "Remove all cuts", self._remove_cuts, enabled=is_cut),
+            Command("Interior", "Give it an inside", training.start, enabled=can_start),
+            Command("Interior", "Pause", training.toggle_pause, enabled=lambda: training.busy),
+            Command("Interior", "Stop", training.stop, enabled=lambda: training.busy),
+            Command("Interior", "Resume", training.resume, enabled=can_resume),
+            Command("Interior", "Choose pictures...", self._pictures, enabled=opened, separated=True),
             *look,
-            Command("Help", "Shortcuts", self._toggle_sheet, "?", Shift | Key.slash),
+            Command("Help", "Shortcuts", self._toggle_shortcuts, "?", Shift | Key.slash),
         ]  # fmt: skip
 
-    # Menus and rail
+    # Menus and toolbar
 
     def show(self) -> None:
         """The menu bar."""
         for name in dict.fromkeys(command.menu for command in self.commands):
             if name == "Tools":
-                continue  # the rail is their menu
+                continue  # they are in the toolbar
             if imgui.begin_menu(name):
                 for command in self.commands:
                     if command.menu == name:
@@ -128,11 +143,11 @@ class Menus:
                 imgui.end_menu()
 
     def _item(self, command: Command) -> None:
-        if command.gap:
+        if command.separated:
             imgui.separator()
-        on = command.on is not None and command.on()
+        checked = command.checked is not None and command.checked()
         keys = command.keys.replace("Ctrl", "Cmd") if sys.platform == "darwin" else command.keys
-        if imgui.menu_item(command.label, keys, on, command.can())[0]:
+        if imgui.menu_item(command.label, keys, checked, command.enabled())[0]:
             command.act()
 
     def _recent(self) -> None:
@@ -140,7 +155,7 @@ class Menus:
             for name in self.session.settings.recent:
                 if imgui.menu_item(Path(name).name, "", False)[0]:
                     self.session.files.open(Path(name))
-                tip(name)
+                tooltip(name)
             imgui.end_menu()
         if imgui.begin_menu("Samples"):
             for name in ("watermelon", "orange", "bread"):
@@ -158,40 +173,40 @@ class Menus:
                     self.session.jump(index)
             imgui.end_menu()
 
-    def rail(self) -> None:
-        """Tools at the left edge."""
+    def toolbar(self) -> None:
+        """The tools at the left edge."""
         imgui.push_style_var(imgui.StyleVar_.item_spacing, ImVec2(px(8), px(8)))
         for tool in TOOLS:
-            mark, words, keys = TOOL_ICONS[tool]
-            if icon_button(f"{mark}##{tool}", 38, active=self.session.tool == tool):
-                self.session.take(tool)
-            tip(words, keys)
+            symbol, hint, keys = TOOL_ICONS[tool]
+            if icon_button(f"{symbol}##{tool}", 38, active=self.session.tool == tool):
+                self.session.select_tool(tool)
+            tooltip(hint, keys)
         imgui.dummy(ImVec2(0, px(2)))
         if icon_button(f"{icon.ICON_FA_EXPAND}##fit", 38):
             self.viewport.fit()
-        tip("Fit the object into the picture", "F")
+        tooltip("Fit the object into the picture", "F")
         if icon_button(f"{icon.ICON_FA_CAMERA}##picture", 38):
-            self.export.ask("picture")
-        tip("Save a picture", "Ctrl+E")
+            self.export.open("picture")
+        tooltip("Save a picture", "Ctrl+E")
         imgui.pop_style_var()
 
-    def context(self) -> None:
-        """What a right click on the object offers."""
-        if self.viewport.menu_asked:
-            self.viewport.menu_asked = False
+    def context_menu(self) -> None:
+        """The menu of a right click on the object."""
+        if self.viewport.menu_requested:
+            self.viewport.menu_requested = False
             imgui.open_popup("context")
         if not imgui.begin_popup("context"):
             return
         for label in ("Hide", "Delete", "Put back together", "Fit"):
-            self._item(next(replace(c, gap=False) for c in self.commands if c.label == label))
+            self._item(next(replace(c, separated=False) for c in self.commands if c.label == label))
         hidden = [p.key for p in self.session.pieces if not p.visible]
         if hidden and imgui.menu_item_simple("Show all"):
-            self.session.mark("Show all", frozenset(hidden), lambda p: replace(p, visible=True))
+            self.session.change_placements("Show all", frozenset(hidden), lambda p: replace(p, visible=True))
         imgui.end_popup()
 
-    def show_sheet(self) -> None:
-        """All shortcuts on one page."""
-        if not self.sheet:
+    def show_shortcuts(self) -> None:
+        """The list of all shortcuts."""
+        if not self.shortcuts_shown:
             return
         imgui.set_next_window_pos(imgui.get_main_viewport().get_center(), imgui.Cond_.always, ImVec2(0.5, 0.5))
         imgui.push_style_color(imgui.Col_.window_bg, rgba(palette().panel, 0.98))
@@ -224,26 +239,26 @@ class Menus:
             imgui.end_table()
         outside = imgui.is_mouse_clicked(imgui.MouseButton_.left) and not imgui.is_window_hovered()
         if outside or imgui.is_key_pressed(imgui.Key.escape):
-            self.sheet = False
+            self.shortcuts_shown = False
         imgui.end()
         imgui.pop_style_var()
         imgui.pop_style_color()
 
-    # Acts
+    # Actions
 
     def _open(self) -> None:
         self.dialogs.open_scene(self.session.files.open)
 
     def open_sample(self, name: str) -> None:
-        """A sample scene, ready to be trained."""
+        """Opens a sample scene with its pictures, ready to be trained."""
         session = self.session
-        session.files.unless_unsaved(
-            lambda: session.show(sample_document(name), replace(session.viewing, mode="capture"), None)
+        session.files.after_saving(
+            lambda: session.files.open_document(sample_document(name), replace(session.viewing, mode="capture"), None)
         )
 
     def _save_as(self) -> None:
-        if self.session.files.ask_where is not None:
-            self.session.files.ask_where(self.session.files.save)
+        if self.session.files.choose_path is not None:
+            self.session.files.choose_path(self.session.files.save)
 
     def _pictures(self) -> None:
         self.dialogs.open_pictures(lambda paths: self.session.add_pictures(None, paths))
@@ -251,28 +266,28 @@ class Menus:
     def _select_all(self) -> None:
         self.session.selection = frozenset(piece.key for piece in self.session.pieces if piece.visible)
 
-    def _no_cuts(self) -> None:
+    def _remove_cuts(self) -> None:
         self.session.change("Remove all cuts", replace(self.session.document, cuts=(), placements=()))
 
-    def _perspective(self) -> None:
+    def _toggle_perspective(self) -> None:
         eye = self.session.viewing.eye
-        self.session.look(replace(self.session.viewing, eye=replace(eye, orthographic=not eye.orthographic)))
+        self.session.viewing = replace(self.session.viewing, eye=replace(eye, orthographic=not eye.orthographic))
 
     def _in_perspective(self) -> bool:
         return not self.session.viewing.eye.orthographic
 
     def _look_from(self, view: str) -> None:
-        self.viewport.go(self.session.viewing.eye.seen_from(view))
+        self.viewport.go(self.session.viewing.eye.from_side(view))
 
-    def _light(self) -> None:
+    def _toggle_light(self) -> None:
         settings = self.session.settings
-        self.session.remember(replace(settings, face_light=not settings.face_light))
+        self.session.change_settings(replace(settings, face_light=not settings.face_light))
 
-    def _theme(self) -> None:
+    def _toggle_theme(self) -> None:
         settings = self.session.settings
         new = replace(settings, theme="light" if settings.theme == "dark" else "dark")
-        self.session.remember(new)
+        self.session.change_settings(new)
         apply(new.theme)
 
-    def _toggle_sheet(self) -> None:
-        self.sheet = not self.sheet
+    def _toggle_shortcuts(self) -> None:
+        self.shortcuts_shown = not self.shortcuts_shown

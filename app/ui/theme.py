@@ -1,4 +1,4 @@
-"""Colours, type and distances (DESIGN, section 7), dark and light with the same roles."""
+"""Colours, fonts and distances of the window; the dark and the light theme have the same roles."""
 
 from __future__ import annotations
 
@@ -10,14 +10,15 @@ __all__ = ["DARK", "LIGHT", "Palette", "apply", "load_fonts", "palette", "px", "
 
 FONT_SIZE = 15.5
 SMALL_SIZE = 13.5
+"""Pixels at 96 DPI."""
 
 
 @dataclass(frozen=True)
 class Palette:
-    """What each colour is for."""
+    """The colour of each role, '#RRGGBB'."""
 
     accent: str = "#FF6B4A"
-    """The active tool, the one main action, progress."""
+    """The active tool, the main action, progress."""
     on_accent: str = "#1B1C1E"
     ground: str = "#1B1C1E"
     panel: str = "#232528"
@@ -26,7 +27,7 @@ class Palette:
     pressed: str = "#474B51"
     text: str = "#E6E7E9"
     second: str = "#8F949C"
-    """Text of less weight."""
+    """Secondary text."""
     line: str = "#34373C"
     view: str = "#1F2023"
     """Behind the object."""
@@ -61,36 +62,36 @@ def palette() -> Palette:
 
 
 def rgba(colour: str, alpha: float = 1.0) -> ImVec4:
-    """A colour '#RRGGBB' for a style."""
+    """A colour '#RRGGBB' for ImGui's style."""
     r, g, b = (int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5))
     return ImVec4(r, g, b, alpha)
 
 
 def u32(colour: str, alpha: float = 1.0) -> int:
-    """A colour '#RRGGBB' for a draw list."""
+    """A colour '#RRGGBB' for ImGui's draw lists."""
     return int(imgui.color_convert_float4_to_u32(rgba(colour, alpha)))
 
 
 def rgb(colour: str) -> tuple[float, float, float]:
-    """A colour '#RRGGBB' for a renderer."""
+    """A colour '#RRGGBB' for the renderers, range [0, 1]."""
     v = rgba(colour)
     return v.x, v.y, v.z
 
 
 def px(value: float) -> float:
-    """A distance at 96 DPI in the window's units."""
+    """A distance in pixels at 96 DPI, converted to the window's units."""
     return value * float(hello_imgui.dpi_window_size_factor())
 
 
 class Fonts:
-    """Loaded once by the runner."""
+    """Fonts besides the default one; `load_fonts` sets them."""
 
     small: imgui.ImFont | None = None
     bold: imgui.ImFont | None = None
 
 
 def load_fonts() -> None:
-    """Roboto with Font Awesome 6, a smaller and a bolder one."""
+    """Loads Roboto with Font Awesome 6 as the default, and a smaller and a bold Roboto."""
     hello_imgui.get_runner_params().callbacks.default_icon_font = hello_imgui.DefaultIconFont.font_awesome6
     hello_imgui.load_font_ttf_with_font_awesome_icons("fonts/Roboto/Roboto-Regular.ttf", FONT_SIZE)
     Fonts.small = hello_imgui.load_font("fonts/Roboto/Roboto-Regular.ttf", SMALL_SIZE)
@@ -100,7 +101,7 @@ def load_fonts() -> None:
 def apply(name: str, scaled_later: bool = False) -> None:
     """Sets every colour and distance of the current ImGui context.
 
-    `scaled_later`: the runner itself brings the distances to the screen's density, as it does with the first style.
+    `scaled_later`: the runner scales the distances to the screen's density itself, as it does with the first style.
     """
     global _current
     _current = p = LIGHT if name == "light" else DARK
@@ -112,11 +113,9 @@ def apply(name: str, scaled_later: bool = False) -> None:
         "item_spacing": (8, 8),
         "item_inner_spacing": (6, 4),
         "cell_padding": (4, 3),
-        "window_menu_button_position": None,
         "separator_text_padding": (0, 4),
     }.items():
-        if value is not None:
-            setattr(style, field, ImVec2(value[0] * scale, value[1] * scale))
+        setattr(style, field, ImVec2(value[0] * scale, value[1] * scale))
     for field, size in {
         "frame_rounding": 5,
         "child_rounding": 5,

@@ -1,4 +1,4 @@
-"""Small parts that several panels use."""
+"""Widgets that several panels use."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from app.ui.theme import Fonts, palette, px, rgba, u32
 
 __all__ = [
     "disabled",
+    "float_slider",
+    "format_duration",
     "heading",
     "icon_button",
+    "int_slider",
     "main_button",
-    "minutes",
-    "number_slider",
     "range_slider",
     "secondary",
     "segmented",
     "thin_bar",
-    "tip",
-    "whole_slider",
+    "tooltip",
 ]
 
 
-def tip(text: str, keys: str = "") -> None:
-    """What the item under the pointer does, with its shortcut."""
+def tooltip(text: str, keys: str = "") -> None:
+    """Shows what the last item does, and its shortcut, while the pointer is on it."""
     if imgui.is_item_hovered(imgui.HoveredFlags_.for_tooltip | imgui.HoveredFlags_.allow_when_disabled):
         imgui.push_style_var(imgui.StyleVar_.window_padding, ImVec2(px(9), px(6)))
         if imgui.begin_tooltip():
@@ -43,7 +43,7 @@ def tip(text: str, keys: str = "") -> None:
 
 @contextmanager
 def disabled(when: bool) -> Iterator[None]:
-    """Greyed out while something is missing."""
+    """Greys out and disables the items in the block."""
     imgui.begin_disabled(when)
     yield
     imgui.end_disabled()
@@ -51,7 +51,7 @@ def disabled(when: bool) -> Iterator[None]:
 
 @contextmanager
 def font(kind: imgui.ImFont | None) -> Iterator[None]:
-    """Another of the loaded fonts, at its own size."""
+    """Uses another loaded font, at its own size, in the block."""
     if kind is None:
         yield
         return
@@ -60,19 +60,17 @@ def font(kind: imgui.ImFont | None) -> Iterator[None]:
     imgui.pop_font()
 
 
-def heading(text: str, right: str = "") -> None:
-    """A section of the inspector."""
+def heading(text: str) -> None:
+    """The heading of a section of the inspector."""
     imgui.dummy(ImVec2(0, px(2)))
     with font(Fonts.bold):
         imgui.text_unformatted(text)
-    if right:
-        right_text(right)
     imgui.separator()
     imgui.dummy(ImVec2(0, px(1)))
 
 
 def secondary(text: str, wrap: bool = False) -> None:
-    """Text of less weight."""
+    """Secondary text, in a weaker colour."""
     imgui.push_style_color(imgui.Col_.text, rgba(palette().second))
     if wrap:
         imgui.text_wrapped(text)
@@ -82,7 +80,7 @@ def secondary(text: str, wrap: bool = False) -> None:
 
 
 def right_text(text: str) -> None:
-    """On the same line, ending at the right edge."""
+    """Secondary text on the same line, aligned to the right edge."""
     imgui.same_line()
     right = imgui.get_cursor_pos_x() + imgui.get_content_region_avail().x
     imgui.set_cursor_pos_x(max(imgui.get_cursor_pos_x(), right - imgui.calc_text_size(text).x))
@@ -90,7 +88,7 @@ def right_text(text: str) -> None:
 
 
 def icon_button(label: str, size: float, active: bool = False, quiet: bool = False) -> bool:
-    """A square button with an icon; the active one has the accent, a quiet one shows only when pointed at."""
+    """A square button with an icon; an active one is accented, a quiet one has no background until it is hovered."""
     p = palette()
     if active:
         colours = (rgba(p.accent), rgba(p.accent), rgba(p.accent), rgba(p.on_accent))
@@ -106,7 +104,7 @@ def icon_button(label: str, size: float, active: bool = False, quiet: bool = Fal
 
 
 def main_button(label: str, width: float = -1.0) -> bool:
-    """The one main action."""
+    """A button for the main action."""
     p = palette()
     for role, colour in (
         ("button", rgba(p.accent)),
@@ -121,7 +119,7 @@ def main_button(label: str, width: float = -1.0) -> bool:
 
 
 def segmented(name: str, labels: Sequence[str], current: int, width: float, hints: Sequence[str] = ()) -> int:
-    """One of a few, side by side in one field; returns the chosen index. `width` of the whole, window units."""
+    """A choice of one among labels side by side; returns the index chosen. `width` of them all, window units."""
     p = palette()
     each, height = width / len(labels), imgui.get_frame_height()
     origin = imgui.get_cursor_screen_pos()
@@ -135,7 +133,7 @@ def segmented(name: str, labels: Sequence[str], current: int, width: float, hint
             current = index
         hovered = imgui.is_item_hovered()
         if hints:
-            tip(hints[index])
+            tooltip(hints[index])
         high = ImVec2(low.x + each, low.y + height)
         if index == current:
             inset = px(2)
@@ -152,33 +150,33 @@ def segmented(name: str, labels: Sequence[str], current: int, width: float, hint
     return current
 
 
-def number_slider(
+def float_slider(
     name: str, value: float, low: float, high: float, hint: str, width: float = -1.0
 ) -> tuple[bool, float]:
-    """A slider with its number at the right, which keeps its place; double click or Ctrl+click to type."""
-    room = imgui.calc_text_size("-00.00").x + px(6)
+    """A slider with its number at the right. A double click or Ctrl+click lets the user type the number."""
+    margin = imgui.calc_text_size("-00.00").x + px(6)
     full = imgui.get_content_region_avail().x if width < 0 else width
-    imgui.set_next_item_width(full - room)
+    imgui.set_next_item_width(full - margin)
     changed, value = imgui.slider_float(name, value, low, high, "")
-    tip(hint)
-    _number_at_right(f"{value if abs(value) >= 0.005 else 0.0:.2f}", room)
+    tooltip(hint)
+    _number_at_right(f"{value if abs(value) >= 0.005 else 0.0:.2f}", margin)
     return changed, value
 
 
-def whole_slider(name: str, value: int, low: int, high: int) -> tuple[bool, int]:
-    """The same for whole numbers, as wide as there is room."""
-    room = imgui.calc_text_size("0000").x + px(6)
-    imgui.set_next_item_width(imgui.get_content_region_avail().x - room)
+def int_slider(name: str, value: int, low: int, high: int) -> tuple[bool, int]:
+    """A slider for integers, as wide as possible, with its number at the right."""
+    margin = imgui.calc_text_size("0000").x + px(6)
+    imgui.set_next_item_width(imgui.get_content_region_avail().x - margin)
     changed, value = imgui.slider_int(name, value, low, high, "")
-    _number_at_right(str(value), room)
+    _number_at_right(str(value), margin)
     return changed, value
 
 
 def range_slider(name: str, ends: tuple[float, float], hint: str) -> tuple[bool, tuple[float, float]]:
-    """A slider with two ends in [0, 1], a hundredth apart or more; a drag takes the nearer one. Double click: all."""
+    """A slider with two ends in [0, 1], 0.01 or more apart. A drag moves the nearer one, a double click selects all."""
     p, draw = palette(), imgui.get_window_draw_list()
-    room = imgui.calc_text_size("0000").x + px(6)
-    width, height = imgui.get_content_region_avail().x - room, imgui.get_frame_height()
+    margin = imgui.calc_text_size("0000").x + px(6)
+    width, height = imgui.get_content_region_avail().x - margin, imgui.get_frame_height()
     origin, grab, inset = imgui.get_cursor_screen_pos(), px(10), px(2)
     track = width - 2 * inset - grab
     imgui.invisible_button(name, ImVec2(width, height))
@@ -203,23 +201,23 @@ def range_slider(name: str, ends: tuple[float, float], hint: str) -> tuple[bool,
     draw.add_rect_filled(ImVec2(low, top), ImVec2(high + grab, bottom), u32(p.pressed), px(4))
     for x in (low, high):
         draw.add_rect_filled(ImVec2(x, top), ImVec2(x + grab, bottom), u32(p.text if active else p.second), px(4))
-    tip(hint)
-    _number_at_right("all" if new == (0.0, 1.0) else f"{new[1] - new[0]:.0%}", room)
+    tooltip(hint)
+    _number_at_right("all" if new == (0.0, 1.0) else f"{new[1] - new[0]:.0%}", margin)
     return new != ends, new
 
 
-def _number_at_right(text: str, room: float) -> None:
-    """Ends `room` after the last item, level with it."""
+def _number_at_right(text: str, margin: float) -> None:
+    """Text that ends `margin` to the right of the last item, vertically centred on it."""
     low, high = imgui.get_item_rect_min(), imgui.get_item_rect_max()
     size = imgui.calc_text_size(text)
-    at = ImVec2(high.x + room - size.x, (low.y + high.y - size.y) / 2)
+    at = ImVec2(high.x + margin - size.x, (low.y + high.y - size.y) / 2)
     imgui.get_window_draw_list().add_text(at, u32(palette().text), text)
     imgui.same_line(0, 0)
-    imgui.dummy(ImVec2(room, high.y - low.y))
+    imgui.dummy(ImVec2(margin, high.y - low.y))
 
 
 def thin_bar(part: float, paused: bool = False) -> None:
-    """Progress, as thin as can be."""
+    """A thin progress bar."""
     p = palette()
     width, height = imgui.get_content_region_avail().x, px(5)
     low = imgui.get_cursor_screen_pos()
@@ -231,13 +229,12 @@ def thin_bar(part: float, paused: bool = False) -> None:
     imgui.dummy(ImVec2(width, height))
 
 
-def minutes(seconds: float) -> str:
-    """'1:05', '2:03:10'."""
-    whole = round(max(seconds, 0.0))
-    hours, rest = divmod(whole, 3600)
+def format_duration(seconds: float) -> str:
+    """As minutes and seconds, with hours if there are any: '1:05', '2:03:10'."""
+    hours, rest = divmod(round(max(seconds, 0.0)), 3600)
     return f"{hours}:{rest // 60:02d}:{rest % 60:02d}" if hours else f"{rest // 60}:{rest % 60:02d}"
 
 
 def eye_icon(on: bool) -> str:
-    """Shown or hidden."""
+    """The icon for something shown or hidden."""
     return icon.ICON_FA_EYE if on else icon.ICON_FA_EYE_SLASH

@@ -1,4 +1,4 @@
-"""The window: hello_imgui's runner around a session, with the GL engine attached to its context."""
+"""The window: runs a session in hello_imgui, with the GL renderer in the window's context."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from imgui_bundle import ImVec2, ImVec4, hello_imgui, imgui, imguizmo, implot
 from imgui_bundle import icons_fontawesome_6 as icon
 from imgui_bundle.glfw_utils import glfw_window_hello_imgui
 
-from app.jobs.recovered_jobs import forget_job, left_jobs, words_of
 from app.jobs.training_job import Job
-from app.model.autosave import Rescued, rescued
+from app.model.autosave import UnsavedWork, find_unsaved_work
 from app.model.project import Viewing
 from app.model.settings import settings_folder
-from app.session.project_files import PICTURES
+from app.session.recovered_jobs import describe_job, dismiss_job, recovered_jobs
 from app.session.session import Session
+from app.session.workspace import PICTURE_SUFFIXES
 from app.ui.commands import press_shortcuts
-from app.ui.dialogs.export import ExportWindow
-from app.ui.dialogs.exporting import Exporter
-from app.ui.dialogs.files import Dialogs
+from app.ui.dialogs.export_window import ExportWindow
+from app.ui.dialogs.exporter import Exporter
+from app.ui.dialogs.file_dialogs import FileDialogs
 from app.ui.menus import Menus
 from app.ui.panels.inspector import Inspector
 from app.ui.panels.interior import InteriorPanel
-from app.ui.panels.thumbs import Thumbs
+from app.ui.panels.thumbnails import Thumbnails
 from app.ui.theme import Fonts, apply, load_fonts, palette, px, rgba, u32
 from app.ui.view.painter import Painter
 from app.ui.view.viewport import Viewport
@@ -36,30 +36,30 @@ from app.ui.widgets import font, main_button, secondary
 __all__ = ["Window"]
 
 IDLE_FRAMES = 6.0
-"""A second, while nothing happens: often enough to follow a job."""
+"""Frames per second while nothing happens: enough to follow a job."""
 
 INSPECTOR = 344.0
-"""Width of the inspector at 96 DPI; it keeps it when the window grows."""
+"""Width of the inspector at 96 DPI; it stays the same when the window grows."""
 
 GUI_ERRORS = 3
-"""Failures of one frame in a row after which the window gives up rather than loop."""
+"""Consecutive frames with an error after which the window gives up, rather than show the error for ever."""
 
 
 class Window:
-    """Builds the panels when the context is there, and draws them."""
+    """Builds the panels once the OpenGL context exists, and draws them."""
 
     def __init__(self, session: Session, start: Callable[[Session], None] | None = None) -> None:
         self.session = session
         self.start = start
         self.dropped: list[Path] = []
-        self.rescues: list[Rescued] = []
-        self.left: list[Job] = []
-        """Trainings of earlier sessions."""
+        self.unsaved: list[UnsavedWork] = []
+        self.recovered_jobs: list[Job] = []
+        """Jobs of earlier sessions that the user has not been told about yet."""
         self.params = self._params()
         self._failures = 0
 
     def run(self) -> None:
-        """Until the window is closed."""
+        """Shows the window until it is closed."""
         hello_imgui.run(self.params)
 
     def _params(self) -> hello_imgui.RunnerParams:
@@ -89,10 +89,10 @@ class Window:
         callbacks.show_gui = lambda: self._guard(self._gui)
         callbacks.show_menus = lambda: self._guard(self.menus.show)
         callbacks.show_status = self._status
-        rail = hello_imgui.EdgeToolbar()
-        rail.show_toolbar = lambda: self._guard(self.menus.rail)
-        rail.options = hello_imgui.EdgeToolbarOptions(size_em=4.0, window_padding_em=ImVec2(0.72, 0.75))
-        callbacks.edges_toolbars = {hello_imgui.EdgeToolbarType.left: rail}
+        toolbar = hello_imgui.EdgeToolbar()
+        toolbar.show_toolbar = lambda: self._guard(self.menus.toolbar)
+        toolbar.options = hello_imgui.EdgeToolbarOptions(size_em=4.0, window_padding_em=ImVec2(0.72, 0.75))
+        callbacks.edges_toolbars = {hello_imgui.EdgeToolbarType.left: toolbar}
         params.docking_params = self._docking()
         return params
 
@@ -111,41 +111,41 @@ class Window:
         docking.dockable_windows = [view, panel]
         return docking
 
-    # Life
+    # Life cycle
 
     def _begin(self) -> None:
         self.ctx = moderngl.create_context(require=330)
         self.painter = Painter(self.ctx)
-        self.thumbs = Thumbs(self.ctx)
-        self.dialogs = Dialogs(self.session.folder)
+        self.thumbnails = Thumbnails(self.ctx)
+        self.dialogs = FileDialogs(self.session.folder)
         self.viewport = Viewport(self.session, self.painter)
         self.exporter = Exporter(self.session, self.painter)
         self.export = ExportWindow(self.exporter, self.dialogs)
         self.menus = Menus(self.session, self.viewport, self.dialogs, self.export)
-        self.interior = InteriorPanel(self.session, self.viewport, self.thumbs, self.dialogs)
+        self.interior = InteriorPanel(self.session, self.viewport, self.thumbnails, self.dialogs)
         self.inspector = Inspector(self.session, self.interior)
         if implot.get_current_context() is None:
             implot.create_context()
         self.window = glfw_window_hello_imgui()
-        glfw.set_drop_callback(self.window, self._note_drop)
+        glfw.set_drop_callback(self.window, self._on_drop)
         if self.start is not None:
             self.start(self.session)
-        self.rescues = rescued()
-        self.left = left_jobs(self.session)
+        self.unsaved = find_unsaved_work()
+        self.recovered_jobs = recovered_jobs(self.session)
 
     def _end(self) -> None:
         width, height = (max(200, round(side / px(1))) for side in glfw.get_window_size(self.window))
-        self.session.remember(replace(self.session.settings, window=(width, height)))  # as at 96 DPI, like all sizes
+        self.session.change_settings(replace(self.session.settings, window=(width, height)))  # at 96 DPI
         glfw.set_drop_callback(self.window, None)  # type: ignore[arg-type]
-        self.thumbs.release()
+        self.thumbnails.release()
         self.painter.release()
 
     def _tick(self) -> None:
         session = self.session
         session.tick()
         if self.dropped:
-            self._take_drop()
-        preparing = session.preparing is not None
+            self._open_dropped()
+        preparing = session.loader is not None
         busy = preparing or self.exporter.busy or self.viewport.moving or self.painter.unfinished
         self.params.fps_idling.enable_idling = not busy
         glfw.set_window_title(self.window, f"{session.title} - FruitNinja" if session.document.scene else "FruitNinja")
@@ -157,21 +157,21 @@ class Window:
         if session.closing:
             self.params.app_shall_exit = True
 
-    def _note_drop(self, _: Any, names: Any, *__: Any) -> None:
+    def _on_drop(self, _: Any, names: Any, *__: Any) -> None:
         self.dropped += [Path(name) for name in names]
 
-    def _take_drop(self) -> None:
+    def _open_dropped(self) -> None:
         paths, self.dropped = tuple(self.dropped), []
-        pictures = tuple(path for path in paths if path.suffix.lower() in PICTURES)
+        pictures = tuple(path for path in paths if path.suffix.lower() in PICTURE_SUFFIXES)
         if pictures and self.session.document.scene is not None:
             self.interior.dropped(pictures, imgui.get_io().mouse_pos.y)
         elif paths and not pictures:
             self.session.files.open(paths[0])
         else:
-            self.session.say("Open an object first, then drop pictures of its cut faces.")
+            self.session.notify("Open an object first, then drop pictures of its cut faces.")
 
     def _guard(self, draw: Callable[[], None]) -> None:
-        """An error in the window is shown in it; ImGui's stack is put right so that the frame can end."""
+        """Calls `draw` and shows its error, if any; ImGui's stacks are restored so that the frame can end."""
         state = imgui.internal.ErrorRecoveryState()
         imgui.internal.error_recovery_store_state(state)
         try:
@@ -182,15 +182,17 @@ class Window:
             if self._failures > GUI_ERRORS:
                 raise
             imgui.internal.error_recovery_try_to_recover_state(state)
-            self.session.fail(f"Something went wrong ({type(error).__name__}: {error}). Your work is kept; save it.")
+            self.session.show_error(
+                f"Something went wrong ({type(error).__name__}: {error}). Your work is kept; save it."
+            )
 
     # Drawing
 
     def _gui(self) -> None:
         if not imgui.is_any_item_active() and not imguizmo.im_guizmo.is_using_any():
-            self.session.history.settle()  # what was dragged has been let go
+            self.session.history.settle()  # a drag has ended
         press_shortcuts(self.menus.commands)
-        self.menus.show_sheet()
+        self.menus.show_shortcuts()
         self.export.show()
         self.dialogs.show()
         self._question()
@@ -206,7 +208,7 @@ class Window:
 
     def _viewport_body(self) -> None:
         self._notices()
-        self.menus.context()
+        self.menus.context_menu()
         if self.session.document.scene is None:
             self._welcome()
 
@@ -218,7 +220,7 @@ class Window:
         imgui.text_unformatted(message)
 
     def _welcome(self) -> None:
-        """The one obvious thing to do while nothing is open."""
+        """What to do first, while nothing is open."""
         view = self.viewport
         width = px(300)
         left = view.origin.x + (view.size[0] - width) / 2
@@ -235,15 +237,15 @@ class Window:
         imgui.end_group()
 
     def _notices(self) -> None:
-        """Errors, what is being read, and unsaved work of a session that crashed, at the foot of the viewport."""
+        """Cards at the bottom of the viewport: unsaved work, jobs of earlier sessions, errors."""
         view, session = self.viewport, self.session
         texts: list[tuple[str, str, Callable[[], None] | None, Callable[[], None]]] = []
-        if self.rescues:
-            first = self.rescues[0]
+        if self.unsaved:
+            first = self.unsaved[0]
             name = first.name or "a project that was never saved"
-            texts.append((f"Unsaved work on {name} was kept.", "Bring it back", self._recover, self._forget))
-        if self.left:
-            texts.append((words_of(self.left[0]), "Show it", self._return, self._pass_over))
+            texts.append((f"Unsaved work on {name} was kept.", "Bring it back", self._recover, self._discard))
+        if self.recovered_jobs:
+            texts.append((describe_job(self.recovered_jobs[0]), "Show it", self._show_job, self._dismiss_job))
         if session.error:
             texts.append((session.error, "", None, lambda: setattr(session, "error", "")))
         y = view.origin.y + view.size[1] - px(46)
@@ -253,20 +255,20 @@ class Window:
     def _notice(
         self, text: str, label: str, act: Callable[[], None] | None, dismiss: Callable[[], None], bottom: float
     ) -> float:
-        """One card; returns its height."""
+        """Draws one card; returns its height."""
         p, view = palette(), self.viewport
         draw = imgui.get_window_draw_list()
         inner = min(px(560), view.size[0] - px(56))
-        words = inner - px(64) - (imgui.calc_text_size(label).x + px(34) if label else 0)
-        size = imgui.calc_text_size(text, wrap_width=words)
+        wrap_width = inner - px(64) - (imgui.calc_text_size(label).x + px(34) if label else 0)
+        size = imgui.calc_text_size(text, wrap_width=wrap_width)
         height = max(size.y, px(26)) + px(20)
         low = ImVec2(view.origin.x + (view.size[0] - inner) / 2, bottom - height)
         draw.add_rect_filled(low, ImVec2(low.x + inner, bottom), u32(p.panel, 0.97), px(6))
         draw.add_rect(low, ImVec2(low.x + inner, bottom), u32(p.trouble if not label else p.line), px(6), px(1))
-        mark = icon.ICON_FA_CIRCLE_INFO if label else icon.ICON_FA_TRIANGLE_EXCLAMATION
-        draw.add_text(ImVec2(low.x + px(13), low.y + (height - imgui.get_font_size()) / 2), u32(p.trouble), mark)
+        symbol = icon.ICON_FA_CIRCLE_INFO if label else icon.ICON_FA_TRIANGLE_EXCLAMATION
+        draw.add_text(ImVec2(low.x + px(13), low.y + (height - imgui.get_font_size()) / 2), u32(p.trouble), symbol)
         imgui.set_cursor_screen_pos(ImVec2(low.x + px(40), low.y + (height - size.y) / 2))
-        imgui.push_text_wrap_pos(imgui.get_cursor_pos_x() + words)
+        imgui.push_text_wrap_pos(imgui.get_cursor_pos_x() + wrap_width)
         imgui.text_unformatted(text)
         imgui.pop_text_wrap_pos()
         right = low.x + inner - px(34)
@@ -285,24 +287,24 @@ class Window:
         return height
 
     def _recover(self) -> None:
-        first = self.rescues.pop(0)
-        self.session.files.unless_unsaved(lambda: self.session.files.recover(first))
+        first = self.unsaved.pop(0)
+        self.session.files.after_saving(lambda: self.session.files.recover(first))
 
-    def _forget(self) -> None:
-        self.rescues.pop(0).discard()
+    def _discard(self) -> None:
+        self.unsaved.pop(0).discard()
 
-    def _return(self) -> None:
-        """To a training that an earlier session left behind."""
-        session, job = self.session, self.left[0]
+    def _show_job(self) -> None:
+        """Opens the document of a job of an earlier session."""
+        session, job = self.session, self.recovered_jobs[0]
 
         def show() -> None:
-            session.show(job.document, Viewing(mode="capture"), None)
-            self._pass_over()
+            session.files.open_document(job.document, Viewing(mode="capture"), None)
+            self._dismiss_job()
 
-        session.files.unless_unsaved(show)
+        session.files.after_saving(show)
 
-    def _pass_over(self) -> None:
-        forget_job(self.session, self.left.pop(0))
+    def _dismiss_job(self) -> None:
+        dismiss_job(self.session, self.recovered_jobs.pop(0))
 
     def _question(self) -> None:
         question = self.session.question

@@ -11,7 +11,7 @@ import typer
 from numpy.typing import NDArray
 from PIL import Image
 
-from engine.command import print_result, run_command
+from engine.command import parse_numbers, print_result, run_command
 from engine.errors import InputError
 from engine.io.files import atomic
 from engine.io.trained import load_trained
@@ -125,17 +125,6 @@ def parse_size(text: str) -> tuple[int, int]:
     if len(parts) != 2 or not all(p.isdecimal() and p.isascii() and 1 <= int(p) <= LARGEST for p in parts):
         raise InputError(f"--size {text}: give WIDTHxHEIGHT, each from 1 to {LARGEST}, as in 1280x720")
     return int(parts[0]), int(parts[1])
-
-
-def parse_numbers(text: str, count: int, complaint: str) -> list[float]:
-    """That many finite numbers with commas between, or InputError with the complaint."""
-    try:
-        numbers = [float(part) for part in text.split(",")]
-    except ValueError as error:
-        raise InputError(complaint) from error
-    if len(numbers) != count or not np.isfinite(numbers).all():
-        raise InputError(complaint)
-    return numbers
 
 
 def main() -> None:

@@ -12,19 +12,19 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from app.model.camera_control import Eye
+from app.model.camera_control import OrbitCamera
 from app.model.document import WHOLE, Document, Part
 from app.model.export import (
     ffmpeg,
     piece_gaussians,
+    rotated_sh,
     save_animation,
     save_pieces,
     save_still,
     sweep,
-    turned_sh,
     turntable,
 )
-from app.model.pieces import Lying, Solid, pieces
+from app.model.pieces import PlacedPiece, Solid, pieces
 from app.model.rigid_transform import Motion
 from engine.errors import InputError
 from engine.io.splats.ply import read_ply
@@ -50,10 +50,10 @@ def test_a_turned_piece_is_seen_as_before_from_the_turned_side() -> None:
     motion = Motion.about((0, 0, 0), (1, 2, 3), 77)
     directions = np.random.default_rng(2).normal(size=(300, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    turned = turned_sh(solid.surface.sh, motion)
+    turned = rotated_sh(solid.surface.sh, motion)
     before, after = colours(solid.surface.sh, directions), colours(turned, directions @ motion.rotation.T)
     assert np.abs(before - after).max() < 1e-4
-    lying = Lying(WHOLE, "", (), motion, True, np.arange(0))
+    lying = PlacedPiece(WHOLE, "", (), motion, True, np.arange(0))
     exported = piece_gaussians(solid, lying)
     own = Motion(tuple(solid.surface.quats[0].astype(np.float64).tolist())).rotation
     assert np.allclose(Motion(tuple(exported.quats[0].tolist())).rotation, motion.rotation @ own, atol=1e-5)
@@ -115,7 +115,7 @@ def test_mp4_is_written_by_ffmpeg_and_refused_in_words_without(tmp_path: Path, m
 
 
 def test_a_turntable_closes_and_a_sweep_passes_through_everything() -> None:
-    eyes = [camera.position for camera in turntable(Eye(), (0.0, 0.0, 1.0), (32, 32), 8)]
+    eyes = [camera.position for camera in turntable(OrbitCamera(), (0.0, 0.0, 1.0), (32, 32), 8)]
     assert np.allclose(np.mean(eyes, axis=0)[:2], 0, atol=1e-9) and np.ptp([e[2] for e in eyes]) < 1e-9
     solid = Solid.of(np.random.default_rng(0).uniform(-1, 1, (500, 3)))
     kept = [(plane.distance(solid.points) <= 0).mean() for plane in sweep(Plane.of((0, 1, 1), 0), solid, 12)]

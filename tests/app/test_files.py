@@ -10,12 +10,12 @@ from pathlib import Path
 
 import pytest
 
-from app.model.autosave import Autosave, rescued
+from app.model.autosave import Autosave, find_unsaved_work
 from app.model.document import Document
 from app.model.project import Outside, Project, Viewing, load_project, save_project
 from app.model.settings import Settings, load_settings, save_settings
 from app.session.session import Session
-from app.ui.dialogs.files import Dialogs
+from app.ui.dialogs.file_dialogs import FileDialogs
 from engine.errors import InputError
 from tests.helpers.app_objects import full
 
@@ -74,8 +74,8 @@ def test_another_project_in_the_place_of_a_trusted_one_is_asked_about_again(
     monkeypatch.setenv("FRUITNINJA_HOME", str(tmp_path / "home"))
     path = tmp_path / "in" / "p.fruitninja"
     session = Session(autosave=Autosave(tmp_path))
-    monkeypatch.setattr(session, "prepare", lambda trained=True: None)
-    session.show(Document(scene=tmp_path / "melon.ply"), Viewing(), None)
+    monkeypatch.setattr(session.scene, "load", lambda result=None: None)
+    session.files.open_document(Document(scene=tmp_path / "melon.ply"), Viewing(), None)
     session.files.save(path)
     session.files.open(path)
     assert session.question is None and not session.error and len(session.settings.trusted) == 1
@@ -146,16 +146,16 @@ def test_what_is_no_project_is_refused(tmp_path: Path, text: str) -> None:
 def test_unsaved_work_survives_a_crash(tmp_path: Path) -> None:
     project = full(tmp_path)
     autosave = Autosave(tmp_path)
-    assert not autosave.keep(project, changed=False, target=None, now=0)
-    assert autosave.keep(project, changed=True, target=tmp_path / "p.fruitninja", now=0)
-    assert not autosave.keep(replace(project, viewing=Viewing()), changed=True, target=None, now=1)  # not yet due
-    assert rescued(tmp_path) == []  # this session is alive
+    assert not autosave.update(project, changed=False, target=None, now=0)
+    assert autosave.update(project, changed=True, target=tmp_path / "p.fruitninja", now=0)
+    assert not autosave.update(replace(project, viewing=Viewing()), changed=True, target=None, now=1)  # not yet due
+    assert find_unsaved_work(tmp_path) == []  # this session is alive
     note = autosave.file.with_suffix(".json")
     note.write_text(json.dumps(json.loads(note.read_text()) | {"started": 1.0}))  # the number belongs to another now
-    found = rescued(tmp_path)
+    found = find_unsaved_work(tmp_path)
     assert len(found) == 1 and found[0].load() == project and found[0].project == tmp_path / "p.fruitninja"
     found[0].discard()
-    assert rescued(tmp_path) == [] and not list(tmp_path.iterdir())
+    assert find_unsaved_work(tmp_path) == [] and not list(tmp_path.iterdir())
 
 
 def test_settings_survive_and_a_broken_file_does_no_harm(tmp_path: Path) -> None:
@@ -187,13 +187,13 @@ def test_dialogs_of_the_system_open_and_are_cancelled(tmp_path: Path, monkeypatc
             return answers.pop(0)
 
     for kind in ("open_file", "save_file", "select_folder"):
-        monkeypatch.setattr(f"app.ui.dialogs.files.pfd.{kind}", Fake)
-    dialogs, got = Dialogs(tmp_path), []
+        monkeypatch.setattr(f"app.ui.dialogs.file_dialogs.pfd.{kind}", Fake)
+    dialogs, got = FileDialogs(tmp_path), []
     dialogs.native = True
     for _ in range(2):
         dialogs.open_scene(got.append)
         dialogs.show()
-    assert got == [Path("a.spz")] and dialogs.asked is None
+    assert got == [Path("a.spz")] and dialogs.dialog is None
     assert all(f"*{suffix}" in str(asked[0][2]) for suffix in (".ply", ".splat", ".spz", ".obj", ".fruitninja"))
     for _ in range(2):
         dialogs.save("Save", tmp_path / "x.png", ["PNG", "*.png"], got.append)

@@ -18,21 +18,21 @@ from PIL import Image
 from safetensors.numpy import save_file
 
 from app.jobs.job_events import Progress, read_line
-from app.jobs.live_colours import Watch
-from app.jobs.recovered_jobs import forget_job, left_jobs, words_of
-from app.jobs.training_job import Job, command_for, default_out
+from app.jobs.live_colours import LiveColours
+from app.jobs.training_job import Job, default_out, note_path, request_for, request_path
 from app.model.autosave import Autosave
 from app.model.document import Document, Training
 from app.model.project import Viewing
 from app.model.samples import sample_document
+from app.session.recovered_jobs import describe_job, dismiss_job, recovered_jobs
 from app.session.session import Session
 from engine.errors import InputError
 from engine.io.trained import load_trained
 from engine.scene.atoms import Atoms
 from tests.helpers.app_objects import atoms, full
 from tests.paths import HELPERS
-from training.cli import parse_axis, parse_families
 from training.families import Family
+from training.request import read_request
 
 STUB = (sys.executable, str(HELPERS.joinpath("app_stub_trainer.py")))
 
@@ -41,8 +41,8 @@ def follow(job: Job, until: Callable[[Job], bool], seconds: float = 15.0) -> Non
     end = time.monotonic() + seconds
     while not until(job):
         job.poll()
-        assert not job.ended or until(job), (job.phase, job.last_words())
-        assert time.monotonic() < end, (job.phase, job.progress, job.last_words())
+        assert not job.ended or until(job), (job.phase, job.log_tail())
+        assert time.monotonic() < end, (job.phase, job.progress, job.log_tail())
         time.sleep(0.01)
 
 
@@ -64,7 +64,7 @@ def test_a_job_runs_to_its_end(tmp_path: Path) -> None:
     follow(job, lambda job: job.ended)
     job.poll()
     assert job.phase == "done" and job.progress.result == tmp_path / "melon.ply"
-    assert job.progress.section == [1, 1 / 2, 1 / 3, 1 / 4, 1 / 5] and job.progress.whole == 1
+    assert job.progress.section == [1, 1 / 2, 1 / 3, 1 / 4, 1 / 5] and job.progress.fraction == 1
     assert job.progress.warnings == ["3 rows were dropped"] and job.scene == tmp_path / "melon.ply"
 
 
@@ -84,19 +84,20 @@ def test_a_job_is_found_again_paused_and_stopped_and_goes_on(tmp_path: Path) -> 
     time.sleep(0.2)
     found.poll()
     assert found.progress.iteration == held
-    found.go_on()
+    found.unpause()
     follow(found, lambda job: job.progress.iteration > held)
     found.stop()
     follow(job, lambda job: job.ended)
     follow(found, lambda job: job.ended)
-    assert found.phase == "stopped" and "stopped" in found.last_words()[-1]
+    assert found.phase == "stopped" and "stopped" in found.log_tail()[-1]
     again = Job.find(tmp_path)
     assert again is not None and again.phase == "stopped"
     again.poll()
     before = again.progress.iteration
     resumed = again.resume((*STUB, "--steps", "400"))
     follow(resumed, lambda job: job.progress.iteration > before)
-    resumed.kill()
+    assert resumed.child is not None
+    resumed.child.kill()
     follow(resumed, lambda job: job.ended)
     assert len(resumed.progress.section) == resumed.progress.iteration
     assert not np.isnan(resumed.progress.section).any()
@@ -105,7 +106,7 @@ def test_a_job_is_found_again_paused_and_stopped_and_goes_on(tmp_path: Path) -> 
 def test_a_job_that_dies_says_its_last_words_and_resumes(tmp_path: Path) -> None:
     job = start(tmp_path, "--die")
     follow(job, lambda job: job.ended)
-    assert job.phase == "failed" and "no memory left" in job.last_words()[-1]
+    assert job.phase == "failed" and "no memory left" in job.log_tail()[-1]
     resumed = job.resume(STUB)
     follow(resumed, lambda job: job.ended)
     resumed.poll()
@@ -134,17 +135,17 @@ def test_a_real_training_speaks_as_the_window_listens(tmp_path: Path) -> None:
     follow(job, lambda job: job.ended, 300)
     while job.poll():
         pass
-    assert job.phase == "done", job.last_words()
-    assert len(job.progress.section) == 2 and job.progress.whole == 1 and job.progress.previews
+    assert job.phase == "done", job.log_tail()
+    assert len(job.progress.section) == 2 and job.progress.fraction == 1 and job.progress.previews
     assert job.progress.result is not None
     solid, _ = load_trained(job.progress.result)
     window = solid.interior  # what the app would be showing: the same atoms, so that colours fit
-    again = Watch(out).newer(Atoms(solid.surface, replace(window, rgb=np.zeros_like(window.rgb)), solid.pitch))
+    again = LiveColours(out).newer(Atoms(solid.surface, replace(window, rgb=np.zeros_like(window.rgb)), solid.pitch))
     assert again is not None and again.interior.rgb.max() > 0.5
 
 
 def test_the_window_takes_on_what_a_training_has_reached(tmp_path: Path) -> None:
-    solid, watch = atoms(), Watch(tmp_path)
+    solid, colours = atoms(), LiveColours(tmp_path)
     (tmp_path / "checkpoint").mkdir()
 
     def reached(stage: str, facts: dict[str, int], **arrays: np.ndarray) -> None:
@@ -154,25 +155,25 @@ def test_the_window_takes_on_what_a_training_has_reached(tmp_path: Path) -> None
         written.append(stage)
 
     written: list[str] = []
-    assert watch.newer(solid) is None
+    assert colours.newer(solid) is None
     red = np.tile(np.float32([2, 0, 0]), (600, 1))
     reached("labels", {}, rgb=red)
-    seen = watch.newer(solid)
+    seen = colours.newer(solid)
     assert seen is not None and seen.interior.means is solid.interior.means and (seen.interior.rgb == [1, 0, 0]).all()
-    assert watch.newer(solid) is None
-    watch.forget()  # the window has made its atoms anew
-    assert watch.newer(solid) is not None
+    assert colours.newer(solid) is None
+    colours.reset()  # the window has made its atoms anew
+    assert colours.newer(solid) is not None
     # An inside of the trainer's own making, then colours for it.
     means, sigmas = np.float32([[0, 0, 0], [1, 2, 3]]), np.float32([0.1, 0.2])
     reached("labels", {"exposed": 1}, means=means, sigmas=sigmas, rgb=red[:2])
-    seen = watch.newer(solid)
+    seen = colours.newer(solid)
     assert seen is not None and len(seen.interior) == 2 and seen.interior.exposed == 1
     reached("training", {}, rgb=red[:2] / 4, sh=np.zeros((300, 4, 3), np.float32))
-    again = watch.newer(seen)
+    again = colours.newer(seen)
     assert again is not None and again.interior.means is seen.interior.means and again.surface.sh_degree == 1
     assert np.allclose(again.interior.rgb, [0.5, 0, 0])
     reached("training", {}, rgb=red[:5])
-    assert watch.newer(seen) is None
+    assert colours.newer(seen) is None
 
 
 def test_half_a_line_is_read_when_it_is_whole(tmp_path: Path) -> None:
@@ -188,31 +189,40 @@ def test_half_a_line_is_read_when_it_is_whole(tmp_path: Path) -> None:
     progress = Progress()
     for line in (b"\xff", b"1e999", b'{"event":"progress","stage":"x","part":"y"}', b"[" * 9999):
         read_line(progress, line)
-    assert progress.part == 0
+    assert progress.stage_fraction == 0
 
 
-def test_the_command_is_the_documents(tmp_path: Path) -> None:
-    project = full(tmp_path)
+def test_the_request_is_the_documents(tmp_path: Path) -> None:
+    document, up = full(tmp_path).document, (0.0, -1.0, 0.0)
     with pytest.raises(InputError, match="no longer there"):
-        command_for(project.document, (0.0, -1.0, 0.0), tmp_path)
+        request_for(document, up)
     for name in "abc":
         (tmp_path / f"{name}.png").touch()
-    words = command_for(project.document, (0.0, -1.0, 0.0), tmp_path / "out")
-
-    def given(option: str) -> list[str]:
-        return [words[i + 1] for i, word in enumerate(words) if word == option]
-
-    families = parse_families(given("--exemplar"), given("--family"), given("--prompt"))
-    assert {f.kind: (f.count, f.exemplars, f.prompt, f.span) for f in families} == {
-        f.kind: (f.count, f.exemplars, f.prompt, f.span) for f in project.document.families
-    }
-    assert np.allclose(families[-1].custom[0].normal, project.document.families[-1].custom[0].normal)
-    assert parse_axis(given("--up")[0], "--up") == (0.0, -1.0, 0.0)
-    assert given("--model") == [str(tmp_path / "model")] and given("--object") == ["rye bread"]
-    assert given("--iterations") == ["50"] and given("--seed") == ["7"] and given("--detail") == ["high"]
+    request = request_for(document, up)
+    assert (request.scene, request.up, request.families) == (document.scene, up, document.families)
+    assert (request.model, request.thing) == (tmp_path / "model", "rye bread")
+    assert (request.detail, request.prior, request.seed, request.iterations) == ("high", "stable-diffusion", 7, 50)
+    # What another prior or kind of family would use is left out, so that it does not stand in the way of a resume.
+    reordered = replace(
+        document, families=document.families[::-1], training=replace(document.training, prior="exemplar")
+    )
+    plain = request_for(reordered, up)
+    assert plain.families == request.families and (plain.model, plain.thing) == (None, None)
+    assert request_for(replace(document, training=replace(document.training, thing="")), up).thing is None
     with pytest.raises(InputError, match="picture"):
-        command_for(replace(project.document, families=(), training=Training()), (0.0, 0.0, 1.0), tmp_path)
+        request_for(replace(document, families=(), training=Training()), up)
     assert default_out(tmp_path / "melon.ply") == tmp_path / "melon-inside"
+
+
+def test_the_trainer_is_given_the_request_and_a_resume_writes_it_anew(tmp_path: Path) -> None:
+    job = start(tmp_path)
+    follow(job, lambda job: job.ended)
+    path = request_path(tmp_path)
+    assert not path.is_relative_to(tmp_path) and read_request(path) == request_for(job.document, (0.0, 0.0, 1.0))
+    path.write_text("{}")
+    resumed = job.resume(STUB)
+    follow(resumed, lambda job: job.ended)
+    assert read_request(path) == request_for(job.document, (0.0, 0.0, 1.0))
 
 
 def test_a_job_that_was_left_running_is_found_at_the_next_start(
@@ -223,34 +233,37 @@ def test_a_job_that_was_left_running_is_found_at_the_next_start(
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).touch()
     first = Session(autosave=Autosave(tmp_path))
-    monkeypatch.setattr(first, "prepare", lambda trained=True: None)
-    first.show(project.document, Viewing(), None)
-    first.desk.program = (*STUB, "--steps", "2000")
-    first.desk.start()
-    assert first.desk.job is not None, first.error
+    monkeypatch.setattr(first.scene, "load", lambda result=None: None)
+    first.files.open_document(project.document, Viewing(), None)
+    first.training.program = (*STUB, "--steps", "2000")
+    first.training.start()
+    assert first.training.job is not None, first.error
     first.files.close()
     assert first.question is not None and "still running" in first.question.title
     first.answer(first.question.choices[0])
-    assert first.closing and first.desk.job.phase == "running"
+    assert first.closing and first.training.job.phase == "running"
 
     second = Session(autosave=Autosave(tmp_path))
-    monkeypatch.setattr(second, "prepare", lambda trained=True: None)
+    monkeypatch.setattr(second.scene, "load", lambda result=None: None)
     try:
-        (job,) = left_jobs(second)
+        (job,) = recovered_jobs(second)
         assert job.phase == "running"
-        asked = project.document
-        assert job.document == Document(asked.scene, asked.up, families=asked.families, training=asked.training)
-        second.show(job.document, Viewing(), None)
-        assert second.desk.job is not None and second.desk.busy and "went on" in second.message
-        assert left_jobs(second) == []  # it is the one that is shown
+        document = project.document
+        assert job.document == Document(
+            document.scene, document.up, families=document.families, training=document.training
+        )
+        second.files.open_document(job.document, Viewing(), None)
+        assert second.training.job is not None and second.training.busy and "went on" in second.message
+        assert recovered_jobs(second) == []  # it is the one that is shown
     finally:
-        first.desk.job.kill()
-    follow(second.desk.job, lambda job: job.ended)
+        assert first.training.job.child is not None
+        first.training.job.child.kill()
+    follow(second.training.job, lambda job: job.ended)
     third = Session(autosave=Autosave(tmp_path))
-    (job,) = left_jobs(third)
-    assert job.ended and words_of(job) == "Training of melon ended early."
-    forget_job(third, job)
-    assert left_jobs(Session()) == []
+    (job,) = recovered_jobs(third)
+    assert job.ended and describe_job(job) == "Training of melon ended early."
+    dismiss_job(third, job)
+    assert recovered_jobs(Session()) == []
 
 
 def test_what_lies_in_a_result_folder_starts_and_ends_no_process(tmp_path: Path) -> None:
@@ -269,11 +282,11 @@ def test_what_lies_in_a_result_folder_starts_and_ends_no_process(tmp_path: Path)
             (out / name).symlink_to(secret)
         assert Job.find(out) is None
         session = Session(autosave=Autosave(tmp_path))
-        session.prepare = lambda trained=True: None  # type: ignore[method-assign]
-        session.show(document, Viewing(), None)
-        assert session.desk.job is None
-        session.desk.resume()
-        session.desk.stop()
+        session.scene.load = lambda result=None: None  # type: ignore[method-assign]
+        session.files.open_document(document, Viewing(), None)
+        assert session.training.job is None
+        session.training.resume()
+        session.training.stop()
         job = Job.start(document, (0.0, 0.0, 1.0), out, program=STUB)
         follow(job, lambda job: job.ended)
         assert other.poll() is None and not mark.exists() and secret.read_text() == "kept"
@@ -283,7 +296,8 @@ def test_what_lies_in_a_result_folder_starts_and_ends_no_process(tmp_path: Path)
 def test_a_note_that_names_another_process_is_a_job_that_has_ended(tmp_path: Path, home: Path) -> None:
     job = start(tmp_path)
     follow(job, lambda job: job.ended)
-    (note,) = (home / "jobs").glob("*.json")
+    note = note_path(tmp_path)
+    assert note.is_relative_to(home) and note.is_file()
     me = psutil.Process()
     myself = {"pid": me.pid, "started": me.create_time()}
     for change in (myself, {"pid": -1}, {"pid": 10**30}, {"started": "x"}):

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app.jobs.scene_loader import Object, Request
-from app.model.camera_control import Eye, project_points
+from app.jobs.scene_loader import LoadedScene, SceneRequest
+from app.model.camera_control import OrbitCamera, project_points
 from app.model.pieces import Solid, pieces
 from app.model.project import Viewing
 from app.model.settings import Settings
@@ -20,7 +20,7 @@ from engine.render.gl import GLMissing
 from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from engine.scene.gaussians import Gaussians
 
-EYE = Eye(azimuth=30.0, elevation=20.0, distance=5.0)
+EYE = OrbitCamera(azimuth=30.0, elevation=20.0, distance=5.0)
 
 
 def ball() -> Atoms:
@@ -54,8 +54,8 @@ def session(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Session:
     monkeypatch.setenv("FRUITNINJA_HOME", str(tmp_path))
     atoms = ball()
     made = Session(settings=Settings(), viewing=Viewing(EYE, "solid"))
-    made.object = Object(Request(tmp_path / "ball.ply"), None, atoms, Solid.of_atoms(atoms))
-    made.geometry = 1
+    made.object = LoadedScene(SceneRequest(tmp_path / "ball.ply"), None, atoms, Solid.of_atoms(atoms))
+    made.geometry_version = 1
     return made
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from app.model.camera_control import Eye
+from app.model.camera_control import OrbitCamera
 from app.model.document import Document, Part, Training
 from app.model.project import Project, Viewing
 from app.model.rigid_transform import Motion
@@ -33,7 +33,7 @@ def full(folder: Path) -> Project:
     document = replace(
         document, training=Training("high", "stable-diffusion", 7, 50, folder / "out", folder / "model", "rye bread")
     )
-    eye = Eye((0.1, 1e9, -3.0), 12.5, -90.0, 1 / 3, 50.0, True)
+    eye = OrbitCamera((0.1, 1e9, -3.0), 12.5, -90.0, 1 / 3, 50.0, True)
     return Project(document, Viewing(eye, "capture", (0.1, 0.2, 0.3)))
 
 

@@ -1,4 +1,4 @@
-"""The real window, driven: run by test_app_window.py in a process of its own, `python app_steps.py NAME FOLDER`."""
+"""Scripts that drive the real window; tests/app/test_window.py runs each in its own process, with NAME and FOLDER."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from imgui_bundle import imgui
 from numpy.typing import NDArray
 from PIL import Image
 
-from app.jobs.scene_loader import Object, Request
+from app.jobs.scene_loader import LoadedScene, SceneRequest
 from app.model.camera_control import AXIS_VIEWS, project_points
 from app.model.document import Document, Training
 from app.model.history import History
@@ -26,8 +26,9 @@ from app.model.project import Project, Viewing, load_project, save_project
 from app.model.rigid_transform import Motion
 from app.model.samples import sample_document
 from app.model.settings import Settings
-from app.session.session import TOOLS, Session
-from app.ui.dialogs.exporting import Options
+from app.session.session import Session
+from app.session.workspace import TOOLS
+from app.ui.dialogs.exporter import Options
 from app.ui.theme import px
 from app.ui.window import Window
 from engine.io.splats.ply import read_ply
@@ -63,7 +64,11 @@ def opened(folder: Path, script: Callable[[Driver], None], size: tuple[int, int]
         assert not driver.session.error, driver.session.error
         assert driver.window.ctx.error == "GL_NO_ERROR"
 
-    drive(Session(settings=Settings(window=size)), run, lambda session: session.show(document, Viewing(), None))
+    drive(
+        Session(settings=Settings(window=size)),
+        run,
+        lambda session: session.files.open_document(document, Viewing(), None),
+    )
 
 
 def at_once(
@@ -87,8 +92,8 @@ def at_once(
 
     def start(session: Session) -> None:
         session.history = History(document)
-        session.object = Object(Request(document.scene), capture, atoms, Solid.of_atoms(atoms))  # type: ignore[arg-type]
-        session.geometry += 1
+        session.object = LoadedScene(SceneRequest(document.scene), capture, atoms, Solid.of_atoms(atoms))  # type: ignore[arg-type]
+        session.geometry_version += 1
         session.fit()
 
     def run(driver: Driver) -> None:
@@ -160,32 +165,34 @@ def steps(driver: Driver, folder: Path) -> None:
 
     # Training: colours change while it runs; pause, stop.
     assert session.atoms is not None
-    session.desk.program = (
+    session.training.program = (
         sys.executable, str(STUB), "--steps", "2000", "--paint", str(len(session.atoms.interior))
     )  # fmt: skip
     driver.press(Key._3)
     driver.still()
     plain = driver.view().astype(int)
-    session.desk.start()
-    driver.until(lambda: session.colours > 0, 20, "new colours")
-    driver.until(lambda: session.desk.job is not None and session.desk.job.progress.iteration > 5, 20, "a curve")
-    window.viewport.go(session.viewing.eye.seen_from("top"))
+    session.training.start()
+    driver.until(lambda: session.colour_version > 0, 20, "new colours")
+    driver.until(
+        lambda: session.training.job is not None and session.training.job.progress.iteration > 5, 20, "a curve"
+    )
+    window.viewport.go(session.viewing.eye.from_side("top"))
     driver.still()
-    session.look(replace(session.viewing, mode="interior"))
+    session.viewing = replace(session.viewing, mode="interior")
     driver.frames(3)
     red = driver.view().astype(int)
     assert (
         ((red[..., 0] > 150) & (red[..., 1] < 90)).mean() > 0.05 > ((plain[..., 0] > 150) & (plain[..., 1] < 90)).mean()
     )
     driver.picture(shots / "5_training.png")
-    job = session.desk.job
+    job = session.training.job
     assert job is not None
-    session.desk.toggle_pause()
+    session.training.toggle_pause()
     driver.until(lambda: job.phase == "paused", 10, "the pause")
-    session.desk.toggle_pause()
-    session.desk.stop()
+    session.training.toggle_pause()
+    session.training.stop()
     driver.until(lambda: job.phase == "stopped", 20, "the stop")
-    session.look(replace(session.viewing, mode="solid"))
+    session.viewing = replace(session.viewing, mode="solid")
 
     # Save, open again, export.
     session.files.save(folder / "melon.fruitninja")
@@ -207,7 +214,7 @@ def steps(driver: Driver, folder: Path) -> None:
     driver.picture(shots / "6_again.png")
 
     # Closing asks about unsaved work, and can be called off.
-    session.together()
+    session.reassemble()
     driver.between_frames(lambda: glfw.set_window_should_close(window.window, True))
     driver.until(lambda: session.question is not None, 5, "the question")
     assert session.question is not None and "Unsaved" in session.question.title
@@ -269,36 +276,37 @@ def habits(driver: Driver, folder: Path) -> None:
     driver.frames(3)
     assert session.question is not None and "Unsaved" in session.question.title
     driver.press(Key.escape)
-    assert session.question is None and session.document.scene == scene and session.preparing is None
+    assert session.question is None and session.document.scene == scene and session.loader is None
 
     # The dialog in the window, where the system has none: opened and cancelled, opened and answered.
     dialogs = window.dialogs
     dialogs.native = False
     driver.press(Key.mod_ctrl | Key.o)
-    assert dialogs.typed is not None
+    assert dialogs.prompt is not None
     driver.press(Key.escape)
-    assert dialogs.typed is None and session.document.scene == scene
+    assert dialogs.prompt is None and session.document.scene == scene
     Image.new("RGB", (64, 64), (40, 200, 40)).save(folder / "second.png")
     driver.press(Key.mod_ctrl | Key.o)
-    assert dialogs.typed is not None
+    assert dialogs.prompt is not None
     driver.frames(2)
     driver.context.key_chars_replace_enter(str(folder / "second.png"))
     driver.frames(2)
     family = session.document.family("horizontal")
-    assert dialogs.typed is None and family is not None and len(family.exemplars) == 2
+    assert dialogs.prompt is None and family is not None and len(family.exemplars) == 2
 
     # Leaving while a job runs.
     session.history.saved = session.document
-    session.desk.program = (sys.executable, str(STUB), "--steps", "4000")
-    session.desk.start()
-    job = session.desk.job
+    session.training.program = (sys.executable, str(STUB), "--steps", "4000")
+    session.training.start()
+    job = session.training.job
     assert job is not None
     driver.between_frames(lambda: glfw.set_window_should_close(window.window, True))
     driver.until(lambda: session.question is not None, 5, "the question")
     assert session.question is not None and "still running" in session.question.title
     driver.press(Key.escape)
     assert not session.closing and job.phase == "running"
-    job.kill()
+    job.stop()
+    driver.until(lambda: not session.training.busy, 20, "the stop")
 
 
 def soak(driver: Driver, actions: int = 2000) -> None:
@@ -310,8 +318,8 @@ def soak(driver: Driver, actions: int = 2000) -> None:
     def afresh() -> None:
         """The object as it was first drawn, with nothing kept from other cuts; then a count."""
         session.jump(0)
-        session.look(replace(session.viewing, mode="solid"))
-        session.geometry += 1
+        session.viewing = replace(session.viewing, mode="solid")
+        session.geometry_version += 1
         driver.still()
         held.append(gl_objects(driver))
 
@@ -360,12 +368,15 @@ def soak(driver: Driver, actions: int = 2000) -> None:
             motion = Motion.by([chance.uniform(-0.2, 0.2) for _ in range(3)])
             chance.choice([session.hide, session.delete, lambda: session.place("Move", keys_, motion)])()
 
+    def view_as() -> None:
+        session.viewing = replace(session.viewing, mode=chance.choice(["solid", "solid", "interior"]))
+
     acts: list[Callable[[], object]] = [
-        stroke, cut, piece, session.undo, session.undo, session.redo, session.together, session.add_plane,
-        lambda: session.take(chance.choice(TOOLS)),
+        stroke, cut, piece, session.undo, session.undo, session.redo, session.reassemble, session.add_plane,
+        lambda: session.select_tool(chance.choice(TOOLS)),
         lambda: session.jump(chance.randrange(len(session.history.entries))),
-        lambda: session.look(replace(session.viewing, mode=chance.choice(["solid", "solid", "interior"]))),
-        lambda: window.viewport.go(session.viewing.eye.seen_from(chance.choice(list(AXIS_VIEWS)))),
+        view_as,
+        lambda: window.viewport.go(session.viewing.eye.from_side(chance.choice(list(AXIS_VIEWS)))),
         lambda: session.change("Gap", replace(session.document, gap=chance.uniform(0, 1)), merge="gap"),
     ]  # fmt: skip
     for index in range(actions):
@@ -379,7 +390,7 @@ def soak(driver: Driver, actions: int = 2000) -> None:
             chance.choice(acts)()
         if session.question is not None:
             session.answer(session.question.choices[-1])
-        window.export.asked = window.menus.sheet = False
+        window.export.requested = window.menus.shortcuts_shown = False
         assert not session.error, session.error
         rows = sum(len(p.rows) for p in session.pieces)
         assert rows <= len(session.solid.points)

@@ -71,7 +71,7 @@ ALLOWED = {
         "training/priors/diffusion/saving.py",
     },
     "mesh": {"engine/io/meshes/mesh.py"},
-    "dialog": {"app/ui/dialogs/files.py"},
+    "dialog": {"app/ui/dialogs/file_dialogs.py"},
 }
 """Where doors of a kind may be."""
 

@@ -29,7 +29,7 @@ def run(window):
 
     session = window.session
     window.start(session)
-    while session.preparing is not None:
+    while session.loader is not None:
         session.tick()
         time.sleep(0.02)
     assert not session.error, session.error
@@ -42,7 +42,7 @@ def run(window):
     while not job.ended:
         job.poll()
         time.sleep(0.02)
-    assert "fruitninja-train: " in job.last_words()[-1] and "cut.png" in job.last_words()[-1], job.last_words()
+    assert "fruitninja-train: " in job.log_tail()[-1] and "cut.png" in job.log_tail()[-1], job.log_tail()
     print("well")
 
 def can_show():

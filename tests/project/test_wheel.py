@@ -25,19 +25,19 @@ OPEN = """
 import time
 from pathlib import Path
 import app, engine
-from app.jobs.scene_loader import Preparing, Request
+from app.jobs.scene_loader import SceneLoader, SceneRequest
 from app.model.samples import sample_document
 
 document = sample_document()
 scene = document.scene
 assert scene.name == "watermelon.ply" and scene.is_relative_to(Path(engine.__file__).parents[1]), scene
 assert [family.kind for family in document.families] == ["horizontal", "radial"]
-preparing = Preparing(Request(scene))
-while preparing.object.capture is None and not preparing.ended:
-    preparing.poll()
+loader = SceneLoader(SceneRequest(scene))
+while loader.scene.capture is None and not loader.ended:
+    loader.poll()
     time.sleep(0.02)
-assert preparing.object.capture is not None, preparing.error
-preparing.cancel()
+assert loader.scene.capture is not None, loader.error
+loader.cancel()
 print(app.__file__)
 """
 

@@ -1,0 +1,1 @@
+"""The inspector at the right: object, cuts and pieces (`inspector`), families and training (`interior`)."""

@@ -1,4 +1,4 @@
-"""The panel at the right: object, cuts, interior, in the order of the work."""
+"""The panel at the right: object, cuts and pieces, interior, in the order in which a user works."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from imgui_bundle import ImVec2, imgui
 from imgui_bundle import icons_fontawesome_6 as icon
 
 from app.model.document import Cut
-from app.model.pieces import Lying
+from app.model.pieces import PlacedPiece
 from app.model.rigid_transform import Vec3
 from app.session.session import Session
 from app.ui.panels.interior import InteriorPanel
 from app.ui.theme import palette, px, rgba
-from app.ui.widgets import eye_icon, heading, icon_button, number_slider, secondary, thin_bar, tip
+from app.ui.widgets import eye_icon, float_slider, heading, icon_button, secondary, thin_bar, tooltip
 from engine.errors import InputError
 from engine.scene.plane import Plane
 from training.families import Family
@@ -32,7 +32,7 @@ AXES: dict[str, Vec3] = {
 
 
 def axis_name(axis: Vec3) -> str:
-    """'+z', or 'tilted' for an axis that is none of the six."""
+    """'+z' for example, or 'tilted' for an axis that is none of the six."""
     for name, known in AXES.items():
         if np.dot(known, axis) > 0.9999:
             return name
@@ -40,11 +40,12 @@ def axis_name(axis: Vec3) -> str:
 
 
 class Inspector:
-    """Draws it."""
+    """Draws the panel and passes edits on to the session."""
 
     def __init__(self, session: Session, interior: InteriorPanel) -> None:
         self.session, self.interior = session, interior
         self._numbers: tuple[int, list[float]] | None = None
+        """Id of a cut, and a, b, c, d as typed so far."""
 
     def show(self) -> None:
         """One frame."""
@@ -64,7 +65,7 @@ class Inspector:
         imgui.align_text_to_frame_padding()
         secondary(document.scene.name)
         notes = session.object.notes if session.object is not None else ()
-        tip("\n".join([str(document.scene), *notes]))
+        tooltip("\n".join([str(document.scene), *notes]))
         imgui.same_line(imgui.get_content_region_avail().x - px(78))
         imgui.set_next_item_width(px(90))
         current = axis_name(session.up)
@@ -76,15 +77,15 @@ class Inspector:
                 session.change("Up as detected", replace(document, up=None))
             imgui.end_combo()
         reason = "chosen by you" if document.up is not None else (session.object.up_reason if session.object else "")
-        tip(f"Which way is up: {reason}." if reason else "Which way is up.")
-        if session.preparing is not None:
-            preparing = session.preparing
-            thin_bar(preparing.part)
+        tooltip(f"Which way is up: {reason}." if reason else "Which way is up.")
+        if session.loader is not None:
+            loader = session.loader
+            thin_bar(loader.fraction)
             imgui.align_text_to_frame_padding()
-            secondary(preparing.stage)
+            secondary(loader.stage)
             imgui.same_line(imgui.get_content_region_avail().x - px(56))
             if imgui.button("Cancel##preparing", ImVec2(px(68), 0)):
-                session.cancel_preparing()
+                session.scene.cancel()
 
     # Cuts
 
@@ -95,7 +96,7 @@ class Inspector:
             self._cut(cut)
         if imgui.button(f"{icon.ICON_FA_PLUS}  Add plane", ImVec2(-1, 0)):
             session.add_plane()
-        tip("A plane that opens the object. Sweep it with its slider.", "P")
+        tooltip("A plane that opens the object. Sweep it with its slider.", "P")
         if len(session.pieces) > 1 or any(p.removed for _, p in session.document.placements):
             self._pieces()
 
@@ -104,7 +105,7 @@ class Inspector:
         imgui.push_id(cut.id)
         if icon_button(f"{eye_icon(cut.on)}##on", 24, quiet=True):
             session.change_cut("Show cut" if not cut.on else "Hide cut", cut.id, lambda c: replace(c, on=not c.on))
-        tip(
+        tooltip(
             ("Take the cut back for now" if cut.kind == "slice" else "Show all of it for now")
             if cut.on
             else "Cut again"
@@ -118,7 +119,7 @@ class Inspector:
             session.active_cut = None if active else cut.id
         imgui.pop_style_var()
         imgui.pop_style_color(2)
-        tip("Click for its numbers")
+        tooltip("Click for its numbers")
         imgui.same_line()
         self._slider(cut)
         imgui.same_line()
@@ -126,24 +127,24 @@ class Inspector:
             session.remove_cut(cut.id)
             imgui.pop_id()
             return
-        tip("Remove: what it parted is one again" if cut.kind == "slice" else "Remove")
+        tooltip("Remove: what it parted is one again" if cut.kind == "slice" else "Remove")
         if active and session.active_cut == cut.id:
-            self._detail(cut)
+            self._details(cut)
         imgui.pop_id()
 
     def _slider(self, cut: Cut) -> None:
-        """Where the plane stands, in radii from the middle of the object."""
+        """A slider for the plane's distance from the object's centre, in radii."""
         session, solid = self.session, self.session.solid
         plane = cut.plane(cut.parts[0])
         place = -float(plane.distance(solid.centre)) / solid.radius
         width = imgui.get_content_region_avail().x - px(32)
-        changed, new = number_slider("##place", place, -1.0, 1.0, "Sweeps the plane through the object", width)
+        changed, new = float_slider("##place", place, -1.0, 1.0, "Sweeps the plane through the object", width)
         if changed:
             shift = cut.shift + (new - place) * solid.radius
             session.change_cut(f"Move {cut.name}", cut.id, lambda c: replace(c, shift=shift), merge=f"cut {cut.id}")
 
-    def _detail(self, cut: Cut) -> None:
-        """The numbers of the active cut, and what else can be done with it."""
+    def _details(self, cut: Cut) -> None:
+        """The plane equation of the active cut, and buttons for what can be done with it."""
         session = self.session
         imgui.indent(px(32))
         plane = cut.plane(cut.parts[0])
@@ -158,26 +159,26 @@ class Inspector:
                 self._set_numbers(cut, self._numbers[1])
             if not imgui.is_item_active():
                 self._numbers = None
-            tip("a, b, c, d of the plane a x + b y + c z + d = 0; the side below 0 stays")
+            tooltip("a, b, c, d of the plane a x + b y + c z + d = 0; the side below 0 stays")
         if imgui.button("Flip"):
             session.change_cut("Flip", cut.id, flipped)
-        tip("Keep the other side" if cut.kind == "section" else "Swap the sides of the cut")
+        tooltip("Keep the other side" if cut.kind == "section" else "Swap the sides of the cut")
         imgui.same_line()
         if cut.kind == "section":
             if imgui.button("Slice here"):
                 session.change_cut("Slice", cut.id, lambda c: replace(c, kind="slice"))
-            tip("Part the object along this plane")
+            tooltip("Part the object along this plane")
             imgui.same_line()
         if imgui.button("Train here"):
             self._train(plane)
-        tip("Add this plane to the ones that are trained")
+        tooltip("Add this plane to the ones that are trained")
         imgui.unindent(px(32))
 
     def _set_numbers(self, cut: Cut, values: list[float]) -> None:
         try:
             plane = Plane.of(values[:3], values[3])
         except InputError:
-            self.session.say("a, b, c must not all be zero.")
+            self.session.notify("a, b, c must not all be zero.")
             return
         part = replace(cut.parts[0], plane=plane)
         self.session.change_cut(f"Set {cut.name}", cut.id, lambda c: replace(c, parts=(part,), shift=0.0))
@@ -188,7 +189,7 @@ class Inspector:
         planes = (*(family.custom if family else ()), plane)
         new = Family("custom", len(planes), family.exemplars if family else (), custom=planes)
         session.change("Train plane", session.document.with_family(new))
-        session.say("Added to the family of single planes. Give it a picture.")
+        session.notify("Added to the family of single planes. Give it a picture.")
 
     # Pieces
 
@@ -202,21 +203,21 @@ class Inspector:
             imgui.align_text_to_frame_padding()
             secondary(label)
             imgui.same_line(px(76))
-            changed, new = number_slider(f"##{name}", value, 0.0, 1.0 if name == "gap" else 2.0, hint)
+            changed, new = float_slider(f"##{name}", value, 0.0, 1.0 if name == "gap" else 2.0, hint)
             if changed:
                 changed_one = replace(document, gap=new) if name == "gap" else replace(document, explode=new)
                 session.change(label, changed_one, merge=name)
         for piece in session.pieces:
             self._piece(piece)
         if imgui.button("Put back together", ImVec2(-1, 0)):
-            session.together()
-        tip("Every piece back in its place; the cuts stay", "Ctrl+G")
+            session.reassemble()
+        tooltip("Every piece back in its place; the cuts stay", "Ctrl+G")
 
-    def _piece(self, piece: Lying) -> None:
+    def _piece(self, piece: PlacedPiece) -> None:
         session = self.session
         imgui.push_id(str(piece.key))
         if icon_button(f"{eye_icon(piece.visible)}##seen", 22, quiet=True):
-            session.mark(
+            session.change_placements(
                 "Hide" if piece.visible else "Show",
                 frozenset([piece.key]),
                 lambda p: replace(p, visible=not piece.visible),
@@ -232,11 +233,11 @@ class Inspector:
         if icon_button(f"{icon.ICON_FA_XMARK}##gone", 22, quiet=True):
             session.selection = frozenset([piece.key])
             session.delete()
-        tip("Delete the piece", "Del")
+        tooltip("Delete the piece", "Del")
         imgui.pop_id()
 
 
 def flipped(cut: Cut) -> Cut:
-    """The same cut with its sides swapped."""
+    """The cut with its two sides swapped."""
     parts = tuple(replace(part, plane=cut.plane(part).flipped()) for part in cut.parts)
     return replace(cut, parts=parts, shift=0.0)

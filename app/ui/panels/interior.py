@@ -1,4 +1,4 @@
-"""Families of planes with their pictures, and the training that gives the object its inside."""
+"""The inspector's section for the interior: families of planes with their pictures, and training."""
 
 from __future__ import annotations
 
@@ -13,27 +13,28 @@ from app.jobs.training_job import Job, missing_for_training
 from app.model.document import Training
 from app.model.question import Choice
 from app.session.session import Session
-from app.ui.dialogs.files import Dialogs
+from app.ui.dialogs.file_dialogs import FileDialogs
 from app.ui.panels.progress import curves, previews
-from app.ui.panels.thumbs import Thumbs
+from app.ui.panels.thumbnails import Thumbnails
 from app.ui.theme import palette, px, u32
 from app.ui.view.viewport import Viewport
 from app.ui.widgets import (
     disabled,
     eye_icon,
+    format_duration,
     heading,
     icon_button,
+    int_slider,
     main_button,
-    minutes,
     range_slider,
     right_text,
     secondary,
     segmented,
     thin_bar,
-    tip,
-    whole_slider,
+    tooltip,
 )
 from training.families import COUNTS, Family, Kind
+from training.request import PriorName
 from training.settings import DETAILS, DetailName
 
 __all__ = ["InteriorPanel"]
@@ -44,7 +45,7 @@ TITLES: dict[Kind, str] = {
     "parallel": "Parallel",
     "custom": "Single planes",
 }
-WHAT: dict[Kind, str] = {
+DESCRIPTIONS: dict[Kind, str] = {
     "horizontal": "Level cuts, as slices of an orange",
     "radial": "Cuts through the upright axis, as halves and wedges",
     "parallel": "Slices along one direction, as bread",
@@ -57,21 +58,21 @@ RANGE_HINTS: dict[Kind, str] = {
 }
 AXIS_CHOICES = {"longest side": None, "x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 DETAIL_HINTS = ("A first look, in a minute", "For most objects", "Fine structures; takes longest")
-PRIORS = {"exemplar": "From the pictures", "stable-diffusion": "From words, by diffusion"}
+PRIORS: dict[PriorName, str] = {"exemplar": "From the pictures", "stable-diffusion": "From words, by diffusion"}
 
 
 class InteriorPanel:
-    """The last and longest part of the inspector."""
+    """Draws the section and edits the document's families and training settings."""
 
-    def __init__(self, session: Session, viewport: Viewport, thumbs: Thumbs, dialogs: Dialogs) -> None:
-        self.session, self.viewport, self.thumbs, self.dialogs = session, viewport, thumbs, dialogs
+    def __init__(self, session: Session, viewport: Viewport, thumbnails: Thumbnails, dialogs: FileDialogs) -> None:
+        self.session, self.viewport, self.thumbnails, self.dialogs = session, viewport, thumbnails, dialogs
         self.open: Kind | None = None
         """The family whose settings are shown."""
         self.rows: dict[Kind, tuple[float, float]] = {}
-        """From where to where on the screen each family stands, for pictures that are dropped."""
+        """Top and bottom of each family on the screen, to find the one that pictures are dropped on."""
 
     def dropped(self, paths: tuple[Path, ...], y: float) -> None:
-        """Pictures let go over the window, at this height of the screen."""
+        """Adds pictures that were dropped at this height of the screen to the family there."""
         kind = next((kind for kind, (low, high) in self.rows.items() if low <= y <= high), None)
         self.session.add_pictures(kind or self.open, paths)
 
@@ -96,7 +97,7 @@ class InteriorPanel:
         start = imgui.get_cursor_screen_pos()
         width = imgui.get_content_region_avail().x
         side = px(54)
-        self._thumb(family.exemplars[0] if family.exemplars else None, side)
+        self._thumbnail(family.exemplars[0] if family.exemplars else None, side)
         imgui.same_line(0, px(10))
         imgui.begin_group()
         imgui.dummy(ImVec2(0, px(1)))
@@ -111,37 +112,37 @@ class InteriorPanel:
         imgui.set_next_item_allow_overlap()
         if imgui.invisible_button("row", ImVec2(width - px(34), side)):
             self.open = None if self.open == kind else kind
-        tip(f"{WHAT[kind]}. Click to change it.")
+        tooltip(f"{DESCRIPTIONS[kind]}. Click to change it.")
         imgui.set_cursor_screen_pos(ImVec2(start.x + width - px(26), start.y + (side - px(26)) / 2))
         on = kind in self.viewport.show_families
         if icon_button(f"{eye_icon(on)}##planes", 26, quiet=True):
             self.viewport.show_families = self.viewport.show_families ^ {kind}
-        tip("Show its planes on the object")
+        tooltip("Show its planes on the object")
         imgui.set_cursor_screen_pos(after)
         if self.open == kind:
             self._edit(family)
         self.rows[kind] = (top, imgui.get_cursor_screen_pos().y)
         imgui.pop_id()
 
-    def _thumb(self, path: Path | None, side: float) -> None:
+    def _thumbnail(self, path: Path | None, side: float) -> None:
         p, draw = palette(), imgui.get_window_draw_list()
         low = imgui.get_cursor_screen_pos()
         high = ImVec2(low.x + side, low.y + side)
-        texture = None if path is None else self.thumbs.get(path)
+        texture = None if path is None else self.thumbnails.get(path)
         if texture is not None:
             draw.add_image_rounded(
                 imgui.ImTextureRef(texture.glo), low, high, ImVec2(0, 0), ImVec2(1, 1), u32("#FFFFFF"), px(4)
             )
         else:
             draw.add_rect_filled(low, high, u32(p.field), px(4))
-            mark = icon.ICON_FA_IMAGE if path is None else icon.ICON_FA_TRIANGLE_EXCLAMATION
-            size = imgui.calc_text_size(mark)
+            symbol = icon.ICON_FA_IMAGE if path is None else icon.ICON_FA_TRIANGLE_EXCLAMATION
+            size = imgui.calc_text_size(symbol)
             at = ImVec2(low.x + (side - size.x) / 2, low.y + (side - size.y) / 2)
-            draw.add_text(at, u32(p.second if path is None else p.trouble), mark)
+            draw.add_text(at, u32(p.second if path is None else p.trouble), symbol)
         imgui.dummy(ImVec2(side, side))
 
     def _edit(self, family: Family) -> None:
-        """Count, axis, words and pictures of one family."""
+        """Number of planes, range, axis, prompt and pictures of one family."""
         session, kind = self.session, family.kind
         imgui.indent(px(4))
 
@@ -153,7 +154,7 @@ class InteriorPanel:
             imgui.align_text_to_frame_padding()
             secondary("Planes")
             imgui.same_line(label)
-            changed, count = whole_slider("##count", family.count, 1, 2 * COUNTS[kind])
+            changed, count = int_slider("##count", family.count, 1, 2 * COUNTS[kind])
             if changed:
                 change("Planes", replace(family, count=max(1, count)), merge=f"count {kind}")
             imgui.align_text_to_frame_padding()
@@ -194,12 +195,12 @@ class InteriorPanel:
             imgui.push_id(index)
             imgui.begin_group()
             at = imgui.get_cursor_screen_pos()
-            self._thumb(path, side)
+            self._thumbnail(path, side)
             imgui.set_cursor_screen_pos(at)
             imgui.set_next_item_allow_overlap()
             imgui.invisible_button("picture", ImVec2(side, side))
             hovered = imgui.is_item_hovered(imgui.HoveredFlags_.allow_when_overlapped_by_item)
-            tip(f"{path.name}\nClick the cross to remove it; right click to move it to another family.")
+            tooltip(f"{path.name}\nClick the cross to remove it; right click to move it to another family.")
             self._move_menu(family, path)
             imgui.set_cursor_screen_pos(ImVec2(at.x + side - px(18), at.y + px(2)))
             pressed = hovered and imgui.small_button(f"{icon.ICON_FA_XMARK}")
@@ -207,13 +208,13 @@ class InteriorPanel:
             imgui.end_group()
             imgui.pop_id()
             if pressed:
-                kept = tuple(p for p in family.exemplars if p != path)
-                session.change("Remove picture", session.document.with_family(replace(family, exemplars=kept)))
+                others = tuple(p for p in family.exemplars if p != path)
+                session.change("Remove picture", session.document.with_family(replace(family, exemplars=others)))
                 return
             imgui.same_line()
         if icon_button(f"{icon.ICON_FA_PLUS}##add", 46):
             self.dialogs.open_pictures(lambda paths: session.add_pictures(family.kind, paths))
-        tip("Add a picture of a cut face")
+        tooltip("Add a picture of a cut face")
 
     def _move_menu(self, family: Family, path: Path) -> None:
         session = self.session
@@ -221,8 +222,8 @@ class InteriorPanel:
             return
         for kind in get_args(Kind):
             if kind not in (family.kind, "custom") and imgui.menu_item_simple(f"It shows a {kind} cut"):
-                kept = tuple(p for p in family.exemplars if p != path)
-                document = session.document.with_family(replace(family, exemplars=kept))
+                others = tuple(p for p in family.exemplars if p != path)
+                document = session.document.with_family(replace(family, exemplars=others))
                 session.change("Move picture", document.with_exemplars(kind, (path,)))
         imgui.end_popup()
 
@@ -232,19 +233,19 @@ class InteriorPanel:
         missing = [kind for kind in stacks if session.document.family(kind) is None]
         if imgui.button(f"{icon.ICON_FA_IMAGE}  Drop or choose pictures", ImVec2(-px(42) if missing else -1, 0)):
             self.dialogs.open_pictures(lambda paths: session.add_pictures(self.open, paths))
-        tip("Photographs of cut faces: 1 to 6 for each family")
+        tooltip("Photographs of cut faces: 1 to 6 for each family")
         if not missing:
             return
         imgui.same_line()
         if imgui.button(icon.ICON_FA_PLUS, ImVec2(px(34), 0)):
             imgui.open_popup("families")
-        tip("Add a family of cuts")
+        tooltip("Add a family of cuts")
         if imgui.begin_popup("families"):
             for kind in missing:
                 if imgui.menu_item_simple(f"{TITLES[kind]}##new"):
                     session.change(f"Add {kind}", session.document.with_family(Family(kind, COUNTS[kind])))
                     self.open = kind
-                tip(WHAT[kind])
+                tooltip(DESCRIPTIONS[kind])
             imgui.end_popup()
 
     # Training
@@ -252,7 +253,7 @@ class InteriorPanel:
     def _settings(self) -> None:
         session = self.session
         training, names = session.document.training, list(DETAILS)
-        with disabled(session.desk.busy):
+        with disabled(session.training.busy):
             width = imgui.get_content_region_avail().x
             current = names.index(training.detail)
             chosen = segmented("detail", [name.title() for name in names], current, width, DETAIL_HINTS)
@@ -281,7 +282,7 @@ class InteriorPanel:
         if training.prior == "stable-diffusion":
             row("Model")
             if imgui.button(training.model.name if training.model else "Choose a folder...", ImVec2(-1, 0)):
-                self.dialogs.folder(
+                self.dialogs.choose_folder(
                     "Folder of a Stable Diffusion depth model",
                     Path.home(),
                     lambda path: self._change_training("Model", replace(training, model=path)),
@@ -290,43 +291,43 @@ class InteriorPanel:
             changed, thing = imgui.input_text_with_hint("##thing", "watermelon", training.thing)
             if changed:
                 self._change_training("Object", replace(training, thing=thing), merge="thing")
-            tip("What it is, in a word or two")
+            tooltip("What it is, in a word or two")
         row("Seed")
         changed, seed = imgui.input_int("##seed", training.seed)
         if changed:
             self._change_training("Seed", replace(training, seed=min(max(0, seed), 2**31 - 1)), merge="seed")
-        tip("The same seed gives the same inside")
+        tooltip("The same seed gives the same inside")
         row("Iterations")
         most = training.iterations if training.iterations is not None else DETAILS[training.detail].iterations
         changed, most = imgui.input_int("##iterations", most, 10)
         if changed:
             self._change_training("Iterations", replace(training, iterations=min(max(0, most), 100_000)), merge="most")
-        tip("At most; training ends sooner where it has settled")
+        tooltip("At most; training ends sooner where it has settled")
         row("Result")
-        out = session.desk.out(session.document)
+        out = session.training.out(session.document)
         if imgui.button(out.name if out else "-", ImVec2(-1, 0)) and out is not None:
-            self.dialogs.folder(
+            self.dialogs.choose_folder(
                 "Folder for the result",
                 out.parent,
                 lambda path: self._change_training("Result", replace(training, out=path)),
             )
-        tip(f"{out}\nClick to choose another folder." if out else "")
+        tooltip(f"{out}\nClick to choose another folder." if out else "")
 
     def _change_training(self, name: str, training: Training, merge: str = "") -> None:
         self.session.change(name, replace(self.session.document, training=training), merge)
 
     def _run(self) -> None:
-        """The main action, and how far it is."""
-        session, desk = self.session, self.session.desk
-        job = desk.job
+        """The button for training, or the progress of the running job."""
+        session, training = self.session, self.session.training
+        job = training.job
         missing = missing_for_training(session.document)
         if job is None:
             trained = session.object is not None and session.object.trained
             with disabled(bool(missing)):
                 if trained and imgui.button(f"{icon.ICON_FA_ARROWS_ROTATE}  Train again", ImVec2(-1, px(32))):
-                    self._again()
+                    self._confirm_restart()
                 elif not trained and main_button(f"{icon.ICON_FA_PLAY}  Give it an inside"):
-                    desk.start()
+                    training.start()
             if missing:
                 secondary(missing, wrap=True)
             return
@@ -336,43 +337,43 @@ class InteriorPanel:
         if phase in ("running", "paused"):
             label = f"{icon.ICON_FA_PAUSE}  Pause" if phase == "running" else f"{icon.ICON_FA_PLAY}  Go on"
             if main_button(label, full - square - px(8)):
-                desk.toggle_pause()
+                training.toggle_pause()
             imgui.same_line()
             if imgui.button(f"{icon.ICON_FA_STOP}##stop", ImVec2(square, square)):
-                desk.stop()
-            tip("Stop. What was done is kept and can be resumed.")
+                training.stop()
+            tooltip("Stop. What was done is kept and can be resumed.")
         else:
             if main_button(f"{icon.ICON_FA_PLAY}  Resume", full - px(108)):
-                desk.resume()
+                training.resume()
             imgui.same_line()
             if imgui.button("Start again", ImVec2(px(100), square)):
-                desk.dismiss()
-                desk.start()
+                training.dismiss()
+                training.start()
         self._progress(job, phase)
 
-    def _again(self) -> None:
-        """A second run takes the place of the first, so it is asked for twice."""
+    def _confirm_restart(self) -> None:
+        """Asks for confirmation: the new result replaces the one that is shown."""
         session = self.session
         session.ask(
             "Train again",
             "The new inside takes the place of the one that is shown.",
-            Choice("Train again", session.desk.start, main=True),
+            Choice("Train again", session.training.start, main=True),
         )
 
     def _progress(self, job: Job, phase: str) -> None:
         progress = job.progress
-        thin_bar(progress.whole, paused=phase != "running")
+        thin_bar(progress.fraction, paused=phase != "running")
         if phase == "running":
             detail = f" {progress.iteration} of {progress.iterations}" if progress.stage == "train" else ""
             secondary(f"{progress.title}{detail}")
-            if progress.left is not None:
-                right_text(f"{minutes(progress.left)} left")
+            if progress.remaining is not None:
+                right_text(f"{format_duration(progress.remaining)} left")
         else:
             secondary({"paused": "Paused", "stopped": "Stopped", "failed": "Ended early"}.get(phase, "Done"))
         if phase == "failed":
-            for line in job.last_words()[-3:]:
+            for line in job.log_tail()[-3:]:
                 secondary(line, wrap=True)
         if len(progress.section) > 1:
             curves(progress)
         if progress.previews:
-            previews(progress, self.thumbs)
+            previews(progress, self.thumbnails)

@@ -1,4 +1,4 @@
-"""How training goes: its curves, and label pictures beside what the object shows."""
+"""Progress of training: loss curves, and labels beside the cut faces that the object has reached."""
 
 from __future__ import annotations
 
@@ -6,32 +6,31 @@ import numpy as np
 from imgui_bundle import ImVec2, imgui, implot
 
 from app.jobs.job_events import Progress
-from app.ui.panels.thumbs import Thumbs
+from app.ui.panels.thumbnails import Thumbnails
 from app.ui.theme import palette, px, rgba, u32
-from app.ui.widgets import secondary, tip
+from app.ui.widgets import secondary, tooltip
 
 __all__ = ["curves", "previews"]
 
-
 SHORTEST = 10
-"""Iterations that the curves are wide at the least; then they are as wide as they are long, for nobody knows how soon
-a training has settled."""
+"""Least number of iterations on the curves' axis. Later the axis ends at the last iteration, not at the planned one,
+since training may converge much earlier."""
 
 
 def curves(progress: Progress) -> None:
-    """The losses so far."""
+    """Plots the losses so far."""
     p = palette()
     flags = implot.Flags_.no_inputs | implot.Flags_.no_menus | implot.Flags_.no_mouse_text | implot.Flags_.no_title
     if not implot.begin_plot("##loss", ImVec2(-1, px(132)), flags | implot.Flags_.no_frame):
         return
     plain = implot.AxisFlags_.no_label | implot.AxisFlags_.no_tick_marks
     implot.setup_axes("", "", plain | implot.AxisFlags_.no_tick_labels | implot.AxisFlags_.no_grid_lines, plain)
-    told = np.array([*progress.section, *progress.surface])
-    told = told[np.isfinite(told)]
-    low, high = (float(told.min()), float(told.max())) if len(told) else (0.0, 1.0)
-    room = 0.1 * max(high - low, 1e-3)
+    losses = np.array([*progress.section, *progress.surface])
+    losses = losses[np.isfinite(losses)]
+    low, high = (float(losses.min()), float(losses.max())) if len(losses) else (0.0, 1.0)
+    margin = 0.1 * max(high - low, 1e-3)
     last = max(len(progress.section), SHORTEST)
-    implot.setup_axes_limits(1, last, max(0.0, low - room), high + room, implot.Cond_.always)
+    implot.setup_axes_limits(1, last, max(0.0, low - margin), high + margin, implot.Cond_.always)
     implot.setup_axis_format(implot.ImAxis_.y1, "%.2f")
     beside = implot.LegendFlags_.no_buttons | implot.LegendFlags_.outside | implot.LegendFlags_.horizontal
     implot.setup_legend(implot.Location_.north_west, beside)
@@ -45,12 +44,12 @@ def curves(progress: Progress) -> None:
     implot.end_plot()
 
 
-def previews(progress: Progress, thumbs: Thumbs) -> None:
-    """The latest labels, each beside what the object shows there."""
+def previews(progress: Progress, thumbnails: Thumbnails) -> None:
+    """The latest labels, each beside the object's cut face at the same plane."""
     secondary("Wanted and reached")
     width = (imgui.get_content_region_avail().x - px(8)) / 2
     for index, path in enumerate(progress.previews[:4]):
-        texture = thumbs.get(path)
+        texture = thumbnails.get(path)
         if texture is None:
             continue
         if index % 2:
@@ -67,4 +66,4 @@ def previews(progress: Progress, thumbs: Thumbs) -> None:
             px(4),
         )
         imgui.dummy(ImVec2(width, height))
-        tip(f"Left: what the picture wants. Right: what the object shows ({path.stem.split('_')[0]}).")
+        tooltip(f"Left: what the picture wants. Right: what the object shows ({path.stem.split('_')[0]}).")

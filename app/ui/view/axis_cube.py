@@ -1,4 +1,4 @@
-"""The axis cube: shows how the object is turned, and turns it when a face is clicked."""
+"""The axis cube: shows the orientation of the view, and changes it when a face is clicked."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ __all__ = ["axis_cube"]
 
 
 def axis_cube(camera: Camera, up: Vec3, centre: ImVec2, size: float) -> Vec3 | None:
-    """Draws the cube around a point of the screen; returns the axis to look from when a face was clicked."""
+    """Draws the cube around a point of the screen; if a face was clicked, returns the axis to look from."""
     p, draw = palette(), imgui.get_window_draw_list()
     u = np.asarray(up, np.float64)
     e1, e2 = equator(u)
@@ -54,7 +54,7 @@ def axis_cube(camera: Camera, up: Vec3, centre: ImVec2, size: float) -> Vec3 | N
 
 
 def _within(point: NDArray[np.float64], corners: NDArray[np.float64]) -> bool:
-    """Whether a point lies in a convex polygon, whichever way it is wound."""
+    """Whether a point (2,) is inside a convex polygon (N, 2) of either orientation."""
     edges = np.roll(corners, -1, 0) - corners
     to = point - corners
     sides = edges[:, 0] * to[:, 1] - edges[:, 1] * to[:, 0]

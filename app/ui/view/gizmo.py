@@ -1,4 +1,4 @@
-"""Handles on the selected pieces and on the active cut plane (ImGuizmo)."""
+"""Handles for the selected pieces and for the active cut plane, drawn by ImGuizmo."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ gizmo = imguizmo.im_guizmo
 
 
 def handles(session: Session, camera: Camera, origin: ImVec2, size: ImVec2) -> bool:
-    """Draws the handles that belong to the tool; True while they are under the pointer or in use."""
+    """Draws the handles of the tool; True while they are hovered or dragged."""
     if session.tool in ("move", "turn") and session.selection:
         return _piece_handles(session, camera, origin, size)
     if session.tool == "plane" and session.active_cut is not None:
@@ -72,7 +72,7 @@ def _manipulate(
     mode: object,
     place: NDArray[np.float64],
 ) -> NDArray[np.float64] | None:
-    """The place (4, 4) after the handles were dragged; None where they were not."""
+    """`place` (4, 4) after the handles were dragged; None if they were not."""
     gizmo.set_orthographic(camera.orthographic)
     gizmo.set_drawlist(imgui.get_window_draw_list())
     gizmo.set_rect(origin.x, origin.y, size.x, size.y)
@@ -95,7 +95,7 @@ def _busy() -> bool:
 
 
 def projection(camera: Camera) -> NDArray[np.float64]:
-    """(4, 4). OpenGL's projection for a camera whose principal point is the middle of the picture."""
+    """(4, 4). OpenGL's projection matrix of a camera whose principal point is the centre of the picture."""
     w, h = camera.width, camera.height
     depth = float(np.linalg.norm(camera.viewmat[:3, 3])) or 1.0
     near, far = 1e-2 * depth, 1e2 * depth

@@ -1,4 +1,4 @@
-"""Draws the session's object with the GL engine, only when something has changed, and pictures for export."""
+"""Draws the workspace's object with the GL renderer: frames of the viewport when something has changed, and exports."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.model.rigid_transform import Vec3
-from app.session.session import Session
+from app.session.workspace import Workspace
 from engine.render.culling.look import Mode
 from engine.render.gl.overlay import Lines, Sheet
 from engine.render.gl.renderer import Renderer
@@ -21,7 +21,7 @@ from engine.scene.piece import Piece
 __all__ = ["Painter"]
 
 SLOW, QUICK = 60.0, 20.0
-"""Milliseconds of a frame over which a moving view is drawn coarser, and under which it is drawn finer again."""
+"""Milliseconds of a frame above which a moving view is drawn coarser, and below which it is drawn finer again."""
 
 STEPS = ((1.0, 0), (0.75, 1), (0.5, 1), (0.5, 2), (0.35, 3))
 """How a moving view gets coarser: part of the pixels along a side, and level of detail, which halves the atoms each
@@ -31,56 +31,62 @@ MODES: dict[str, Mode] = {"capture": "classic", "solid": "opaque", "interior": "
 
 
 class Painter:
-    """Holds the renderer of a window."""
+    """The renderer of a window, with what it has uploaded and drawn last."""
 
     def __init__(self, ctx: moderngl.Context | None = None) -> None:
-        """In the window's context, or offscreen."""
+        """`ctx`: the window's OpenGL context; None: a new one without a window."""
         self._screen = None if ctx is None else ctx.detect_framebuffer(0)
         self.renderer = Renderer(ctx)
         self.ctx = self.renderer.ctx
         self.milliseconds = 0.0
-        """What a frame takes while the view moves, evened out; before it ever has, what the last full one took."""
+        """Moving average of the time of a frame while the view moves; before it has moved, of the last full frame."""
         self._timed = False
         """Whether a frame in motion has been timed."""
         self.unfinished = False
-        """Whether a better frame should follow soon: the last one was coarse, or in an older order."""
+        """Whether a better frame should follow: the last one was coarse, or its depth order is being updated."""
         self._step = 0
-        self._drawn = 1.0
-        """Part of the pixels along a side that the last frame has."""
+        """Index into STEPS for a moving view."""
+        self._scale = 1.0
+        """Fraction of the pixels along a side that the last frame was drawn with."""
         self._capture: object = None
+        """The capture that the GPU has."""
         self._atoms: tuple[int, int] | None = None
-        """Geometry and colours of the session that the GPU has."""
+        """Geometry and colour version of the atoms that the GPU has."""
         self._key: object = None
+        """Everything that the last frame depends on, without the overlay."""
         self._picture: moderngl.Texture | None = None
+        """The last frame without the overlay."""
         self._texture: moderngl.Texture | None = None
-        """The picture, with marks over it where there are any."""
-        self._marks: object = None
+        """The last frame."""
+        self._overlay_key: object = None
+        """Everything that the overlay of the last frame depends on."""
 
     def frame(
         self,
-        session: Session,
+        workspace: Workspace,
         camera: Camera,
         pieces: Sequence[Piece],
         background: Vec3,
         over: Sequence[Lines | Sheet] = (),
         moving: bool = False,
     ) -> moderngl.Texture | None:
-        """The session's object as it is now; None while there is nothing to draw. Lasts until the next call.
+        """A frame of the workspace's object; None if there is nothing to draw. Valid until the next call.
 
-        `moving`: the view changes from frame to frame, and keeping up matters more than the last atom.
+        `over`: lines and sheets drawn over the object. `moving`: the view changes from frame to frame, so that speed
+        matters more than detail.
         """
         atoms, capture = self._atoms, self._capture
-        if not self._hold(session):
+        if not self._upload(workspace):
             return None
         part, level = STEPS[self._step] if moving else STEPS[0]
-        light, mode = session.settings.face_light, session.mode
+        light, mode = workspace.settings.face_light, workspace.mode
         key = (
             (mode, self._atoms, id(self._capture), background, light, part, level, moving),
             camera.viewmat.tobytes(),
             repr(replace(camera, viewmat=np.zeros(0))),
             tuple((piece.planes, piece.transform.tobytes()) for piece in pieces),
         )
-        marks = tuple(
+        overlay_key = tuple(
             (i.rgba, (i.corners if isinstance(i, Sheet) else i.ends).tobytes(), i.hidden, getattr(i, "width", 0.0))
             for i in over
         )
@@ -89,62 +95,62 @@ class Painter:
             texture = self.renderer.render(
                 scaled(camera, part), pieces, MODES[mode], background, light, exact=not moving, level=level, wait=False
             )
-            self._give_back()
+            self._restore_framebuffer()
             self.ctx.finish()
             taken = 1000 * (time.perf_counter() - begin)
-            self._note(taken, moving, atoms == self._atoms and capture is self._capture)
+            self._record_time(taken, moving, atoms == self._atoms and capture is self._capture)
             if moving and taken > SLOW:
                 self._step = min(self._step + 1, len(STEPS) - 1)
             elif moving and taken < QUICK:
                 self._step = max(self._step - 1, 0)
-            self._key, self._drawn, self._marks = key, part, None
+            self._key, self._scale, self._overlay_key = key, part, None
             self._picture = texture
-        if marks != self._marks:
+        if overlay_key != self._overlay_key:
             self._texture = self.renderer.overlay(over) if over else self._picture
-            self._give_back()
-            self._marks = marks
+            self._restore_framebuffer()
+            self._overlay_key = overlay_key
         self.unfinished = moving or self.renderer.sorting
         return self._texture
 
-    def _note(self, taken: float, moving: bool, held: bool) -> None:
-        """Keeps the time of a frame, in milliseconds; not of one that had to bring the object to the GPU first."""
-        if moving and held:
+    def _record_time(self, taken: float, moving: bool, uploaded: bool) -> None:
+        """Records the milliseconds of a frame, unless the object had to be uploaded for it."""
+        if moving and uploaded:
             self.milliseconds = taken if not self._timed else 0.8 * self.milliseconds + 0.2 * taken
             self._timed = True
-        elif held and not self._timed:
+        elif uploaded and not self._timed:
             self.milliseconds = taken
 
     def pick(self, x: float, y: float) -> tuple[int | None, NDArray[np.float64] | None]:
-        """Number of the piece under a pixel of the frame as it was asked for, and the world point (3,) there."""
+        """Index of the piece at a pixel of the frame, and the world point (3,) there. In pixels of the full size."""
         if self._texture is None:
             return None, None
-        found = self.renderer.pick(x * self._drawn, y * self._drawn)
-        self._give_back()
+        found = self.renderer.pick(x * self._scale, y * self._scale)
+        self._restore_framebuffer()
         return found
 
-    def picture(self, session: Session, camera: Camera, pieces: Sequence[Piece]) -> NDArray[np.uint8]:
-        """(H, W, 4). A picture for a file, straight alpha; the next frame of the window is drawn anew."""
+    def picture(self, workspace: Workspace, camera: Camera, pieces: Sequence[Piece]) -> NDArray[np.uint8]:
+        """(H, W, 4). A picture for a file, with straight alpha; makes the next frame be drawn again."""
         self._key = None
-        if not self._hold(session):
+        if not self._upload(workspace):
             return np.zeros((camera.height, camera.width, 4), np.uint8)
-        self.renderer.render(camera, pieces, MODES[session.mode], (0.0, 0.0, 0.0), session.settings.face_light)
+        self.renderer.render(camera, pieces, MODES[workspace.mode], (0.0, 0.0, 0.0), workspace.settings.face_light)
         seen = self.renderer.read()
-        self._give_back()
+        self._restore_framebuffer()
         alpha = np.clip(seen.alpha[..., None], 0, 1)
         rgb = np.where(alpha > 1e-3, seen.rgb / np.maximum(alpha, 1e-3), 0.0)
         return (np.clip(np.concatenate([rgb, alpha], 2), 0, 1) * 255 + 0.5).astype(np.uint8)
 
-    def _give_back(self) -> None:
-        """ImGui draws where it finds the context."""
+    def _restore_framebuffer(self) -> None:
+        """Binds the window's framebuffer again: ImGui draws into whichever is bound."""
         if self._screen is not None:
             self._screen.use()
 
-    def _hold(self, session: Session) -> bool:
-        """Puts what the session shows onto the GPU where it is not there already; False where there is nothing."""
-        shown = session.object
+    def _upload(self, workspace: Workspace) -> bool:
+        """Uploads the workspace's object unless the GPU has it; False if there is nothing to draw."""
+        shown = workspace.object
         if shown is None:
             return False
-        if session.mode == "capture":
+        if workspace.mode == "capture":
             if shown.capture is None:
                 return False
             if shown.capture is not self._capture:
@@ -152,22 +158,22 @@ class Painter:
                 self._capture, self._key = shown.capture, None
             return True
         assert shown.atoms is not None
-        atoms = (session.geometry, session.colours)
-        if self._atoms is None or self._atoms[0] != session.geometry:
+        atoms = (workspace.geometry_version, workspace.colour_version)
+        if self._atoms is None or self._atoms[0] != workspace.geometry_version:
             self.renderer.set_atoms(shown.atoms)
-        elif self._atoms[1] != session.colours:
+        elif self._atoms[1] != workspace.colour_version:
             self.renderer.update_colours(shown.atoms.surface.sh, shown.atoms.interior.rgb)
         self._atoms = atoms
         return True
 
     def release(self) -> None:
-        """Frees everything on the GPU."""
+        """Frees all GPU memory."""
         self.renderer.release()
         self._texture = self._picture = None
 
 
 def scaled(camera: Camera, part: float) -> Camera:
-    """The same view in fewer pixels."""
+    """The same view with a fraction of the pixels along each side."""
     if part == 1:
         return camera
     width, height = (max(16, round(side * part)) for side in (camera.width, camera.height))

@@ -1,4 +1,4 @@
-"""The object, and what the hand does to it."""
+"""The viewport: draws the object, and turns what the pointer does into edits and views."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ import numpy as np
 from imgui_bundle import ImVec2, imgui
 from numpy.typing import NDArray
 
-from app.model.camera_control import Eye, project_points
+from app.model.camera_control import OrbitCamera, project_points
 from app.model.document import Cut, Key
 from app.model.knife import SHORTEST, Stroke, plane_of
-from app.model.pieces import Lying, sections
+from app.model.pieces import PlacedPiece, sections
 from app.model.project import VIEW_MODES
 from app.model.rigid_transform import Motion
 from app.session.session import Session
 from app.ui.theme import palette, px, rgb, u32
+from app.ui.view.animation import CameraAnimation, PieceAnimation
+from app.ui.view.annotations import brackets, label
 from app.ui.view.axis_cube import axis_cube
 from app.ui.view.gizmo import handles
-from app.ui.view.glide import CameraGlide, PieceGlide
-from app.ui.view.guides import Guides
-from app.ui.view.marks import brackets, label
 from app.ui.view.painter import Painter
+from app.ui.view.plane_lines import PlaneLines
 from app.ui.widgets import segmented
 from engine.render.gl.overlay import Lines, Sheet
 from engine.scene.camera import Camera
@@ -47,7 +47,7 @@ HINTS = {
 }
 
 REST = 0.2
-"""Seconds after which a view that no longer changes is drawn in full."""
+"""Seconds after the last change of the view until it is drawn in full."""
 
 MODE_LABELS = ("Capture", "Solid", "Interior")
 MODE_HINTS = (
@@ -59,7 +59,7 @@ MODE_HINTS = (
 
 @dataclass
 class Drag:
-    """What a pressed button is doing."""
+    """What the pointer does while a button is pressed."""
 
     kind: str
     """'stroke', 'plane', 'orbit', 'pan', 'move' or 'turn'."""
@@ -67,48 +67,48 @@ class Drag:
     last: tuple[float, float]
     keys: frozenset[Key] = frozenset()
     depth: float = 1.0
-    """Of what was grabbed, along the view."""
+    """Distance of the dragged point along the view direction, world units."""
     cancelled: bool = False
 
 
 class Viewport:
-    """The middle of the window."""
+    """Draws the middle of the window and handles the pointer in it."""
 
     def __init__(self, session: Session, painter: Painter) -> None:
         self.session, self.painter = session, painter
-        self.pieces_glide, self.eye_glide = PieceGlide(), CameraGlide()
+        self.piece_animation, self.camera_animation = PieceAnimation(), CameraAnimation()
         self.drag: Drag | None = None
         self.show_families: frozenset[str] = frozenset()
-        self.menu_asked = False
+        self.menu_requested = False
         self.size = (640, 480)
-        """Of the picture, in the window's units."""
+        """Width and height of the picture, in the window's units."""
         self.origin = ImVec2(0, 0)
-        self.guides = Guides(session)
-        self._eye = Eye()
-        self._laid: tuple[object, ...] = ()
+        self.plane_lines = PlaneLines(session)
+        self._eye = OrbitCamera()
+        self._placed: tuple[object, ...] = ()
         self._moved = -10.0
 
     @property
     def moving(self) -> bool:
-        """Whether the next frame must come without an event."""
-        return self.pieces_glide.moving or self.eye_glide.now() is not None
+        """Whether an animation is running, so that frames must be drawn without an event."""
+        return self.piece_animation.moving or self.camera_animation.now() is not None
 
     def camera(self, scale: float = 1.0) -> Camera:
         """The camera of the picture, in window units times `scale`."""
-        eye = self.eye_glide.now() or self.session.viewing.eye
+        eye = self.camera_animation.now() or self.session.viewing.eye
         width, height = (max(1, round(side * scale)) for side in self.size)
         return eye.camera(width, height, self.session.up)
 
-    def go(self, eye: Eye) -> None:
-        """Moves the eye there, gently."""
-        self.eye_glide.go(self.session.viewing.eye, eye)
-        self.session.look(replace(self.session.viewing, eye=eye))
+    def go(self, eye: OrbitCamera) -> None:
+        """Moves the camera there, animated."""
+        self.camera_animation.go(self.session.viewing.eye, eye)
+        self.session.viewing = replace(self.session.viewing, eye=eye)
 
     def fit(self) -> None:
-        """Everything in the picture."""
+        """Fits everything into the picture, animated."""
         before = self.session.viewing.eye
         self.session.fit(self.size[0] / max(self.size[1], 1))
-        self.eye_glide.go(before, self.session.viewing.eye)
+        self.camera_animation.go(before, self.session.viewing.eye)
 
     def show(self) -> None:
         """One frame."""
@@ -118,16 +118,16 @@ class Viewport:
         self.size = (max(16, round(available.x)), max(16, round(available.y)))
         size = ImVec2(*self.size)
         scale = float(imgui.get_io().display_framebuffer_scale.x) or 1.0
-        pieces = self.pieces_glide.placed(session.pieces)
+        pieces = self.piece_animation.placed(session.pieces)
         hide = sections(session.document)
         shown = [piece.piece(hide) for piece in pieces if piece.visible]
         background = session.viewing.background or rgb(palette().view)
         draw = imgui.get_window_draw_list()
         corner = ImVec2(self.origin.x + size.x, self.origin.y + size.y)
-        moving = self._notice(shown)
+        moving = self._is_moving(shown)
         over: list[Lines | Sheet] = [
             *self._sheets(),
-            *self.guides.families(self.show_families, pieces, scale),
+            *self.plane_lines.families(self.show_families, pieces, scale),
             *self._knife_lines(pieces, scale),
         ]
         texture = self.painter.frame(session, self.camera(scale), shown, background, over, moving)
@@ -151,29 +151,29 @@ class Viewport:
             self._hint()
         imgui.pop_clip_rect()
 
-    def _notice(self, shown: Sequence[Piece]) -> bool:
-        """Whether the view is in motion: the eye, or pieces and planes while they are pulled."""
-        eye = self.eye_glide.now() or self.session.viewing.eye
-        laid = tuple((piece.planes, piece.transform.tobytes()) for piece in shown)
-        pulled = imgui.is_mouse_down(imgui.MouseButton_.left) and laid != self._laid
+    def _is_moving(self, shown: Sequence[Piece]) -> bool:
+        """Whether the view is changing: the camera moves, or pieces or planes are dragged."""
+        eye = self.camera_animation.now() or self.session.viewing.eye
+        placed = tuple((piece.planes, piece.transform.tobytes()) for piece in shown)
+        dragged = imgui.is_mouse_down(imgui.MouseButton_.left) and placed != self._placed
         now = time.monotonic()
-        if eye != self._eye or pulled:
+        if eye != self._eye or dragged:
             self._moved = now
-        self._eye, self._laid = eye, laid
+        self._eye, self._placed = eye, placed
         return self.moving or now - self._moved < REST
 
-    # The hand
+    # The pointer
 
     def _at(self) -> tuple[float, float]:
-        """The pointer, in pixels of the picture."""
+        """Position of the pointer in the picture, in the window's units."""
         mouse = imgui.get_mouse_pos()
         return mouse.x - self.origin.x, mouse.y - self.origin.y
 
-    def _mouse(self, camera: Camera, hovered: bool, active: bool, pieces: list[Lying]) -> None:
+    def _mouse(self, camera: Camera, hovered: bool, active: bool, pieces: list[PlacedPiece]) -> None:
         session, io, at = self.session, imgui.get_io(), self._at()
         if hovered and io.mouse_wheel and self.drag is None:
             eye = session.viewing.eye.zoomed(io.mouse_wheel, at, self.size, session.up, session.solid.radius)
-            session.look(replace(session.viewing, eye=eye))
+            session.viewing = replace(session.viewing, eye=eye)
         if active and self.drag is None:
             self._begin(camera, at, pieces)
         drag = self.drag
@@ -184,20 +184,20 @@ class Viewport:
         eye = session.viewing.eye
         if drag.kind == "orbit":
             if dx or dy:
-                session.look(replace(session.viewing, eye=eye.turned(dx, dy)))
+                session.viewing = replace(session.viewing, eye=eye.turned(dx, dy))
         elif drag.kind == "pan":
             if dx or dy:
-                session.look(replace(session.viewing, eye=eye.panned(dx, dy, self.size[1], session.up)))
+                session.viewing = replace(session.viewing, eye=eye.panned(dx, dy, self.size[1], session.up))
         elif drag.kind in ("move", "turn") and (dx or dy):
-            self._lay(camera, drag, dx, dy)
+            self._drag_pieces(camera, drag, dx, dy)
         if imgui.is_key_pressed(imgui.Key.escape) and drag.kind in ("stroke", "plane"):
             drag.cancelled = True
-            session.say("Not cut.")
+            session.notify("Not cut.")
         if not active:
             self._end(camera, drag, at, pieces)
             self.drag = None
 
-    def _begin(self, camera: Camera, at: tuple[float, float], pieces: list[Lying]) -> None:
+    def _begin(self, camera: Camera, at: tuple[float, float], pieces: list[PlacedPiece]) -> None:
         session, io = self.session, imgui.get_io()
         left = imgui.is_mouse_down(imgui.MouseButton_.left)
         kind = "orbit"
@@ -209,19 +209,19 @@ class Viewport:
             if session.tool in ("knife", "plane"):
                 kind = "stroke" if session.tool == "knife" else "plane"
             elif session.tool in ("move", "turn"):
-                found, point = self._pick(at, pieces)
-                if found is not None and point is not None:
+                key, point = self._pick(at, pieces)
+                if key is not None and point is not None:
                     kind, depth = session.tool, float((point - camera.position) @ camera.forward)
-                    keys = session.selection if found in session.selection else frozenset([found])
+                    keys = session.selection if key in session.selection else frozenset([key])
                     session.selection = keys
         self.drag = Drag(kind, at, at, keys, depth)
 
-    def _end(self, camera: Camera, drag: Drag, at: tuple[float, float], pieces: list[Lying]) -> None:
+    def _end(self, camera: Camera, drag: Drag, at: tuple[float, float], pieces: list[PlacedPiece]) -> None:
         session, io = self.session, imgui.get_io()
         moved = float(np.hypot(at[0] - drag.start[0], at[1] - drag.start[1]))
         if drag.kind == "stroke" and not drag.cancelled:
             session.slice(camera, Stroke(drag.start, at, io.key_shift))
-            session.remember(replace(session.settings, seen_hint=True))
+            session.change_settings(replace(session.settings, seen_hint=True))
         elif drag.kind == "plane" and not drag.cancelled:
             plane = plane_of(camera, Stroke(drag.start, at, io.key_shift), session.up, session.solid.centre)
             if plane is not None:
@@ -232,20 +232,22 @@ class Viewport:
         elif drag.kind == "orbit" and moved < SHORTEST:
             self._click(camera, at, pieces)
 
-    def _click(self, camera: Camera, at: tuple[float, float], pieces: list[Lying]) -> None:
+    def _click(self, camera: Camera, at: tuple[float, float], pieces: list[PlacedPiece]) -> None:
         session = self.session
         key, _ = self._pick(at, pieces)
         if imgui.is_mouse_released(imgui.MouseButton_.right):
             if key is not None and key not in session.selection:
                 session.selection = frozenset([key])
-            self.menu_asked = True
+            self.menu_requested = True
         elif imgui.get_io().key_ctrl and key is not None:
             session.selection = session.selection ^ {key}
         else:
             session.selection = frozenset() if key is None or len(pieces) < 2 else frozenset([key])
 
-    def _pick(self, at: tuple[float, float], pieces: list[Lying]) -> tuple[Key | None, NDArray[np.float64] | None]:
-        """The piece under a point of the picture, and the world point (3,) seen there."""
+    def _pick(
+        self, at: tuple[float, float], pieces: list[PlacedPiece]
+    ) -> tuple[Key | None, NDArray[np.float64] | None]:
+        """Key of the piece at a point of the picture, and the world point (3,) there."""
         if self.session.mode == "capture":
             return None, None
         scale = float(imgui.get_io().display_framebuffer_scale.x) or 1.0
@@ -253,8 +255,8 @@ class Viewport:
         shown = [piece.key for piece in pieces if piece.visible]
         return (shown[number], point) if number is not None and number < len(shown) else (None, None)
 
-    def _lay(self, camera: Camera, drag: Drag, dx: float, dy: float) -> None:
-        """Moves or turns what was grabbed, along the picture."""
+    def _drag_pieces(self, camera: Camera, drag: Drag, dx: float, dy: float) -> None:
+        """Moves the dragged pieces parallel to the picture, or rotates them about its axes."""
         session = self.session
         rotation = camera.viewmat[:3, :3]
         if drag.kind == "move":
@@ -266,10 +268,10 @@ class Viewport:
             motion = Motion.about(middle, rotation[1], -0.4 * dx).after(Motion.about(middle, rotation[0], 0.4 * dy))
         session.place("Move" if drag.kind == "move" else "Turn", drag.keys, motion, merge="drag")
 
-    # What is drawn over the picture
+    # The overlay
 
     def _sheets(self) -> list[Sheet]:
-        """The active section plane, as a sheet that the object hides where it is in front."""
+        """The active section plane as a translucent sheet."""
         session, cut = self.session, self._active_section()
         if cut is None:
             return []
@@ -287,8 +289,8 @@ class Viewport:
         cut = session.document.cut(session.active_cut)
         return cut if cut.kind == "section" and cut.on else None
 
-    def _draw_selection(self, camera: Camera, pieces: list[Lying]) -> None:
-        """A quiet mark at the corner of each selected piece."""
+    def _draw_selection(self, camera: Camera, pieces: list[PlacedPiece]) -> None:
+        """Brackets around each selected piece."""
         session = self.session
         if len(pieces) < 2:
             return
@@ -300,18 +302,18 @@ class Viewport:
             pixels = pixels + np.array([self.origin.x, self.origin.y])
             brackets(draw, pixels.min(0) - px(10), pixels.max(0) + px(10))
 
-    def _knife_lines(self, pieces: Sequence[Lying], scale: float) -> list[Lines]:
-        """Where the plane of the stroke would go through each piece."""
+    def _knife_lines(self, pieces: Sequence[PlacedPiece], scale: float) -> list[Lines]:
+        """Where the plane of the stroke would cut each piece."""
         session, drag = self.session, self.drag
         if drag is None or drag.kind not in ("stroke", "plane") or drag.cancelled or session.atoms is None:
             return []
         stroke = Stroke(drag.start, self._at(), imgui.get_io().key_shift)
         plane = plane_of(self.camera(), stroke, session.up, session.solid.centre)
         met = [piece for piece in pieces if not session.selection or piece.key in session.selection]
-        return [] if plane is None else self.guides.cut(plane, [piece for piece in met if piece.visible], scale)
+        return [] if plane is None else self.plane_lines.cut(plane, [piece for piece in met if piece.visible], scale)
 
     def _draw_stroke(self) -> None:
-        """The line of the hand."""
+        """The stroke itself, with a hint on how to end it."""
         drag, p = self.drag, palette()
         assert drag is not None
         if drag.cancelled:
@@ -323,7 +325,7 @@ class Viewport:
         for end in ends:
             draw.add_circle_filled(end, px(4.5), u32(p.accent))
         words = "release to cut" if drag.kind == "stroke" else "release to place"
-        low = ends[1].y + px(40) > self.origin.y + self.size[1]  # at the foot of the view the words stand above
+        low = ends[1].y + px(40) > self.origin.y + self.size[1]  # near the lower edge the hint is above
         below = ImVec2(ends[1].x + px(14), ends[1].y + (-px(40) if low else px(6)))
         label(draw, below, f"{words}    Shift: snap    Esc: cancel")
 
@@ -336,9 +338,9 @@ class Viewport:
         chosen = segmented("view", MODE_LABELS, current, width, MODE_HINTS)
         if chosen != current:
             if session.atoms is None:
-                session.say("The object is not solid yet.")
+                session.notify("The object is not solid yet.")
             else:
-                session.look(replace(session.viewing, mode=VIEW_MODES[chosen]))
+                session.viewing = replace(session.viewing, mode=VIEW_MODES[chosen])
         if self.size[0] > px(420):
             middle = ImVec2(self.origin.x + self.size[0] - px(62), self.origin.y + px(62))
             axis = axis_cube(camera, session.up, middle, px(92))
@@ -351,7 +353,7 @@ class Viewport:
         draw.add_text(at, u32(p.second), lines)
 
     def counts(self) -> str:
-        """How much is shown and how long it took."""
+        """What is shown, how many Gaussians or atoms it has, and the time of a frame, in a line."""
         shown = self.session.object
         if shown is None:
             return ""
@@ -367,7 +369,7 @@ class Viewport:
         return f"{what}    {taken:.0f} ms" if taken else what
 
     def _hint(self) -> None:
-        """What the tool waits for, at the pointer, until it has been used once."""
+        """What to do with the tool, beside the pointer; for the knife, until the first cut."""
         session = self.session
         text = HINTS[session.tool]
         if not text or session.atoms is None or (session.tool == "knife" and session.settings.seen_hint):

@@ -1,4 +1,4 @@
-"""Asking for files, in the system's own dialog where there is one, in the window where there is none."""
+"""File dialogs: the system's own if it has one, otherwise a prompt for a path in the window."""
 
 from __future__ import annotations
 
@@ -13,90 +13,90 @@ from imgui_bundle import ImVec2, imgui
 from imgui_bundle import portable_file_dialogs as pfd
 
 from app.model.project import SUFFIX
-from app.session.project_files import PICTURES
+from app.session.workspace import PICTURE_SUFFIXES
 from app.ui.theme import px
 from app.ui.widgets import main_button, secondary
 from engine.io.formats import SCENE_SUFFIXES
 
-__all__ = ["Dialogs"]
+__all__ = ["FileDialogs"]
 
 SCENES = ["Scenes", " ".join(f"*{suffix}" for suffix in (*SCENE_SUFFIXES, SUFFIX)), "All files", "*"]
-IMAGES = ["Pictures", " ".join(f"*{suffix}" for suffix in PICTURES), "All files", "*"]
+IMAGES = ["Pictures", " ".join(f"*{suffix}" for suffix in PICTURE_SUFFIXES), "All files", "*"]
 
 Then = Callable[[tuple[Path, ...]], None]
 
 
 @dataclass
-class Asked:
-    """A dialog of the system that is open."""
+class NativeDialog:
+    """An open dialog of the system."""
 
     dialog: pfd.open_file | pfd.save_file | pfd.select_folder
     then: Then
 
 
 @dataclass
-class Typed:
-    """A path that is typed into the window."""
+class PathPrompt:
+    """A prompt in the window, with the path typed so far."""
 
     title: str
     text: str
     then: Then
 
 
-class Dialogs:
-    """At most one at a time."""
+class FileDialogs:
+    """Opens one dialog at a time and calls back with the paths chosen."""
 
-    def __init__(self, here: Path) -> None:
-        self.here = here
-        """Where the next one for opening begins, and what a path that is typed is relative to."""
-        self.asked: Asked | None = None
-        self.typed: Typed | None = None
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        """The folder that dialogs for opening start in, and that typed paths are relative to."""
+        self.dialog: NativeDialog | None = None
+        self.prompt: PathPrompt | None = None
         native = sys.platform in ("win32", "darwin") or any(map(shutil.which, ("zenity", "kdialog", "matedialog")))
         self.native = native
 
     def open_scene(self, then: Callable[[Path], None]) -> None:
-        """A scene or a project."""
+        """Asks for a scene or a project."""
         self._open("Open a capture, a mesh or a project", SCENES, lambda paths: then(paths[0]))
 
     def open_pictures(self, then: Then) -> None:
-        """One or several pictures."""
+        """Asks for one or several pictures."""
         self._open("Choose pictures of a cut face", IMAGES, then, several=True)
 
     def save(self, title: str, suggestion: Path, kinds: list[str], then: Callable[[Path], None]) -> None:
-        """A place for a new file."""
+        """Asks for the path of a new file."""
         if self.native:
             dialog = pfd.save_file(title, str(suggestion), kinds)
-            self.asked = Asked(dialog, lambda paths: then(paths[0]))
+            self.dialog = NativeDialog(dialog, lambda paths: then(paths[0]))
         else:
-            self.typed = Typed(title, str(suggestion), lambda paths: then(paths[0]))
+            self.prompt = PathPrompt(title, str(suggestion), lambda paths: then(paths[0]))
 
-    def folder(self, title: str, start: Path, then: Callable[[Path], None]) -> None:
-        """A folder."""
+    def choose_folder(self, title: str, start: Path, then: Callable[[Path], None]) -> None:
+        """Asks for a folder."""
         if self.native:
-            self.asked = Asked(pfd.select_folder(title, str(start)), lambda paths: then(paths[0]))
+            self.dialog = NativeDialog(pfd.select_folder(title, str(start)), lambda paths: then(paths[0]))
         else:
-            self.typed = Typed(title, str(start), lambda paths: then(paths[0]))
+            self.prompt = PathPrompt(title, str(start), lambda paths: then(paths[0]))
 
     def _open(self, title: str, kinds: list[str], then: Then, several: bool = False) -> None:
         if self.native:
             options = pfd.opt.multiselect if several else pfd.opt.none
-            self.asked = Asked(pfd.open_file(title, str(self.here), kinds, options), then)
+            self.dialog = NativeDialog(pfd.open_file(title, str(self.folder), kinds, options), then)
         else:
-            self.typed = Typed(title, os.path.join(self.here, ""), then)
+            self.prompt = PathPrompt(title, os.path.join(self.folder, ""), then)
 
     def show(self) -> None:
-        """Once a frame: looks whether an answer has come."""
-        asked = self.asked
-        if asked is not None and asked.dialog.ready(0):
-            self.asked = None
-            result = asked.dialog.result()
+        """Checks for an answer, and draws the prompt. Called once a frame."""
+        current = self.dialog
+        if current is not None and current.dialog.ready(0):
+            self.dialog = None
+            result = current.dialog.result()
             paths = [result] if isinstance(result, str) else result
             if paths and paths[0]:
-                asked.then(tuple(Path(path) for path in paths))
-        if self.typed is not None:
-            self._show_typed(self.typed)
+                current.then(tuple(Path(path) for path in paths))
+        if self.prompt is not None:
+            self._show_prompt(self.prompt)
 
-    def _show_typed(self, typed: Typed) -> None:
+    def _show_prompt(self, typed: PathPrompt) -> None:
         imgui.open_popup("Path")
         imgui.set_next_window_pos(imgui.get_main_viewport().get_center(), imgui.Cond_.always, ImVec2(0.5, 0.5))
         imgui.set_next_window_size(ImVec2(px(520), 0))
@@ -110,12 +110,12 @@ class Dialogs:
         secondary("Type a path. Installing zenity or kdialog brings the system's file dialog.", wrap=True)
         done = False
         if main_button("OK", px(110)) or entered:
-            self.typed, done = None, True
+            self.prompt, done = None, True
         imgui.same_line()
         if imgui.button("Cancel", ImVec2(px(90), px(32))) or imgui.is_key_pressed(imgui.Key.escape):
-            self.typed = None
-        if self.typed is None:
+            self.prompt = None
+        if self.prompt is None:
             imgui.close_current_popup()
         imgui.end_popup()
         if done and typed.text.strip():
-            typed.then((self.here / Path(typed.text.strip()).expanduser(),))
+            typed.then((self.folder / Path(typed.text.strip()).expanduser(),))

@@ -1,4 +1,4 @@
-"""Pictures and animations for files: drawn one a frame, written beside, so that the window keeps moving."""
+"""Saves pictures, animations and pieces. An animation is drawn one picture per frame and written by another thread."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Frame = NDArray[np.uint8]
 
 @dataclass
 class Options:
-    """What the export window asks for."""
+    """The options of the export window."""
 
     kind: str = "picture"
     """'picture', 'turntable', 'sweep', 'section', 'pieces'."""
@@ -36,7 +36,7 @@ class Options:
     frames: int = 90
     form: str = ".webp"
     separate: bool = False
-    """Each piece into a file of its own."""
+    """Whether each piece is saved in its own file."""
 
 
 class Exporter:
@@ -44,9 +44,10 @@ class Exporter:
 
     def __init__(self, session: Session, painter: Painter) -> None:
         self.session, self.painter = session, painter
-        self.part = 0.0
+        self.fraction = 0.0
+        """How much is drawn. Range [0, 1]."""
         self.path: Path | None = None
-        """What is being written."""
+        """The file that is being written."""
         self._frames: Iterator[Frame] | None = None
         self._sink: queue.Queue[Frame | None] = queue.Queue(maxsize=8)
         self._thread: threading.Thread | None = None
@@ -57,11 +58,11 @@ class Exporter:
 
     @property
     def busy(self) -> bool:
-        """Whether an animation is being made."""
+        """Whether an animation is being saved."""
         return self._thread is not None
 
     def run(self, options: Options, path: Path) -> None:
-        """Starts, or does at once what is quick. Errors go to the session."""
+        """Saves at once, or starts saving an animation. Errors are shown by the session."""
         try:
             if options.kind == "pieces":
                 self._pieces(options, path)
@@ -70,11 +71,11 @@ class Exporter:
             elif options.kind == "picture":
                 camera = self._camera(options)
                 save_still(path, self._draw(camera, self._shown()), options.transparent)
-                self.session.say(f"Saved {path.name}.")
+                self.session.notify(f"Saved {path.name}.")
             else:
                 self._animate(options, path)
         except InputError as error:
-            self.session.fail(error)
+            self.session.show_error(error)
 
     def step(self) -> None:
         """Draws the next frame of an animation. Called once a frame."""
@@ -84,19 +85,19 @@ class Exporter:
             frame = None if self._cancelled else next(self._frames, None)
             self._sink.put(frame)
             self._done += 1
-            self.part = self._done / self._count
+            self.fraction = self._done / self._count
             if frame is None:
                 self._frames = None
         if not self._thread.is_alive():
             name = self.path.name if self.path else ""
             self._thread = None
             if self._error:
-                self.session.fail(self._error)
+                self.session.show_error(self._error)
             else:
-                self.session.say(f"Saved {name}." if not self._cancelled else "Stopped.")
+                self.session.notify(f"Saved {name}." if not self._cancelled else "Stopped.")
 
     def cancel(self) -> None:
-        """Stops after this frame; nothing is left behind."""
+        """Stops after this frame and leaves no file behind."""
         self._cancelled = True
 
     def _animate(self, options: Options, path: Path) -> None:
@@ -113,7 +114,7 @@ class Exporter:
                 raise InputError("The sweep needs a plane. Add one first.")
             plane, camera = cut.plane(cut.parts[0]), eye.camera(*size, session.up)
             if np.asarray(plane.normal) @ camera.forward > 0:
-                plane = plane.flipped()  # the open side towards the eye
+                plane = plane.flipped()  # the open side faces the camera
             frames = (self._draw(camera, [Piece((step,))]) for step in sweep(plane, session.solid, options.frames))
         self._frames, self._count, self._done, self.path = iter(frames), options.frames, 0, path
         self._error, self._cancelled, self._sink = "", False, queue.Queue(maxsize=8)
@@ -131,7 +132,7 @@ class Exporter:
             save_animation(path, frames())
         except InputError as error:
             self._error = "" if self._cancelled else str(error)
-        except Exception as error:  # a thread that dies would leave the window waiting
+        except Exception as error:  # otherwise the window would wait for a dead thread
             self._error = f"{path}: could not be written ({error})"
         while self._error and self._frames is not None:
             self._sink.get()
@@ -146,7 +147,7 @@ class Exporter:
             self._draw, cut.plane(cut.parts[0]), (), session.up, session.solid, max(options.width, 64)
         )
         save_still(path, picture, options.transparent)
-        session.say(f"Saved {path.name}.")
+        session.notify(f"Saved {path.name}.")
 
     def _pieces(self, options: Options, path: Path) -> None:
         session = self.session
@@ -155,11 +156,11 @@ class Exporter:
         pieces = [piece for piece in session.pieces if piece.visible]
         if not options.separate:
             count = save_pieces(path, session.atoms, pieces)
-            session.say(f"Saved {count:,} Gaussians in {path.name}.")
+            session.notify(f"Saved {count:,} Gaussians in {path.name}.")
             return
         for number, piece in enumerate(pieces, 1):
             save_pieces(path.with_name(f"{path.stem}_{number}{path.suffix}"), session.atoms, [piece])
-        session.say(f"Saved {len(pieces)} pieces beside {path.stem}_1{path.suffix}.")
+        session.notify(f"Saved {len(pieces)} pieces beside {path.stem}_1{path.suffix}.")
 
     def _camera(self, options: Options) -> Camera:
         return self.session.viewing.eye.camera(options.width, options.height, self.session.up)

@@ -1,4 +1,4 @@
-"""Asks how a picture, an animation or pieces are to be saved, and shows how far it is."""
+"""The export window: the options of a picture, an animation or pieces, and the progress of saving."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from pathlib import Path
 from imgui_bundle import ImVec2, imgui
 
 from app.model.export import ffmpeg
-from app.ui.dialogs.exporting import Exporter, Options
-from app.ui.dialogs.files import Dialogs
+from app.ui.dialogs.exporter import Exporter, Options
+from app.ui.dialogs.file_dialogs import FileDialogs
 from app.ui.theme import Fonts, px
 from app.ui.widgets import font, main_button, secondary, thin_bar
 
@@ -30,21 +30,21 @@ HINTS = {
 }
 SUFFIXES = {"picture": ".png", "section": ".png", "pieces": ".ply"}
 LARGEST = 8192
-"""Pixels of a side: more than most GL targets hold."""
+"""Pixels of a side; OpenGL drivers without a larger limit are common."""
 
 
 class ExportWindow:
-    """A small modal."""
+    """A modal window for the options of one export after another."""
 
-    def __init__(self, exporter: Exporter, dialogs: Dialogs) -> None:
+    def __init__(self, exporter: Exporter, dialogs: FileDialogs) -> None:
         self.exporter, self.dialogs = exporter, dialogs
         self.options = Options()
-        self.asked = False
+        self.requested = False
 
-    def ask(self, kind: str) -> None:
-        """Opens it."""
+    def open(self, kind: str) -> None:
+        """Opens the window for this kind of export."""
         self.options.kind = kind
-        self.asked = True
+        self.requested = True
 
     def show(self) -> None:
         """One frame."""
@@ -52,7 +52,7 @@ class ExportWindow:
         if self.exporter.busy:
             self._show_progress()
             return
-        if self.asked:
+        if self.requested:
             imgui.open_popup("Export")
         imgui.set_next_window_pos(imgui.get_main_viewport().get_center(), imgui.Cond_.always, ImVec2(0.5, 0.5))
         imgui.set_next_window_size(ImVec2(px(380), 0))
@@ -96,15 +96,15 @@ class ExportWindow:
             current = forms.index(o.form) if o.form in forms else 0
             o.form = forms[imgui.combo("##form", current, [f[1:].upper() for f in forms])[1]]
         if o.kind == "pieces":
-            row("Files")
+            row("ProjectFiles")
             o.separate = imgui.checkbox("one for each piece", o.separate)[1]
         imgui.dummy(ImVec2(0, px(6)))
         if main_button("Choose where...", px(150)):
             self._choose()
         imgui.same_line()
         if imgui.button("Cancel", ImVec2(px(90), px(32))) or imgui.is_key_pressed(imgui.Key.escape):
-            self.asked = False
-        if not self.asked:
+            self.requested = False
+        if not self.requested:
             imgui.close_current_popup()
 
     def _choose(self) -> None:
@@ -114,7 +114,7 @@ class ExportWindow:
         stem = scene.stem if scene else "object"
         folder = scene.parent if scene else Path.home()
         name = folder / f"{stem}_{o.kind}{suffix}"
-        self.asked = False
+        self.requested = False
 
         def then(path: Path) -> None:
             self.exporter.run(o, path if path.suffix else path.with_suffix(suffix))
@@ -127,12 +127,12 @@ class ExportWindow:
         flags = imgui.WindowFlags_.no_decoration | imgui.WindowFlags_.no_docking | imgui.WindowFlags_.no_saved_settings
         imgui.begin("##exporting", None, flags)
         secondary(f"Saving {self.exporter.path.name if self.exporter.path else ''}")
-        thin_bar(self.exporter.part)
+        thin_bar(self.exporter.fraction)
         if imgui.button("Cancel"):
             self.exporter.cancel()
         imgui.end()
 
 
 def bounded(pixels: int) -> int:
-    """A side that can be drawn."""
+    """The nearest number of pixels that can be drawn."""
     return min(max(16, pixels), LARGEST)

@@ -1,4 +1,4 @@
-"""Marks and words over the picture of the object."""
+"""Annotations that ImGui draws over the viewport: labels, and brackets around selected pieces."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ __all__ = ["brackets", "label"]
 
 
 def label(draw: imgui.ImDrawList, at: ImVec2, text: str) -> None:
-    """Words over the picture, on a ground that keeps them readable, inside of what is drawn."""
+    """Text on a background that keeps it readable, moved inside of the clip rectangle."""
     size = imgui.calc_text_size(text)
     low, high = draw.get_clip_rect_min(), draw.get_clip_rect_max()
     at = ImVec2(
@@ -24,7 +24,7 @@ def label(draw: imgui.ImDrawList, at: ImVec2, text: str) -> None:
 
 
 def brackets(draw: imgui.ImDrawList, low: NDArray[np.float64], high: NDArray[np.float64]) -> None:
-    """Four corners."""
+    """The four corners of a rectangle, from its low to its high corner (2,)."""
     colour, length = u32(palette().accent), px(12)
     for x, dx in ((low[0], 1), (high[0], -1)):
         for y, dy in ((low[1], 1), (high[1], -1)):

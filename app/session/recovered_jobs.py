@@ -1,0 +1,38 @@
+"""Training jobs that were running when an earlier session was closed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from app.jobs.training_job import Job
+from app.session.session import Session
+
+__all__ = ["describe_job", "dismiss_job", "recovered_jobs"]
+
+
+def recovered_jobs(session: Session) -> list[Job]:
+    """The jobs in the settings, as far as their scene still exists and is not the one that this session trains."""
+    jobs = []
+    for name in session.settings.jobs:
+        job = Job.find(Path(name))
+        if job is None or not job.scene.is_file():
+            continue
+        if session.training.job is not None and session.training.job.out == job.out:
+            continue
+        while job.poll():
+            pass
+        jobs.append(job)
+    return jobs
+
+
+def describe_job(job: Job) -> str:
+    """How the job stands, in a sentence for the user."""
+    name = job.scene.stem
+    states = {"running": "is still running", "paused": "is paused", "done": "has finished"}
+    return f"Training of {name} {states.get(job.phase, 'ended early')}."
+
+
+def dismiss_job(session: Session, job: Job) -> None:
+    """Does not mention the job again, unless it is still running."""
+    if job.ended:
+        session.change_settings(session.settings.without_job(job.out))

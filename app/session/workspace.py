@@ -1,0 +1,270 @@
+"""What the controllers of a session share: its state, every edit of the document, and messages to the user.
+
+Nothing here opens a file or starts a process; the controllers do that and put the outcome here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from app.jobs.scene_loader import LoadedScene, SceneLoader
+from app.model.autosave import Autosave
+from app.model.document import Cut, Document, Key, Part, Placement
+from app.model.history import History
+from app.model.knife import Stroke, slice_object
+from app.model.pieces import PlacedPiece, Solid, pieces
+from app.model.project import Viewing
+from app.model.question import Choice, Question
+from app.model.rigid_transform import Motion, Vec3, vec3
+from app.model.settings import Settings, load_settings, save_settings
+from engine.scene.atoms import Atoms
+from engine.scene.camera import Camera
+from engine.scene.plane import Plane
+from training.families import Kind
+
+__all__ = ["PICTURE_SUFFIXES", "TOOLS", "Tool", "Workspace"]
+
+Tool = Literal["select", "knife", "plane", "move", "turn"]
+TOOLS: tuple[Tool, ...] = ("select", "knife", "plane", "move", "turn")
+
+PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".bmp")
+"""ProjectFiles that are taken for pictures of cut faces."""
+
+EMPTY = Solid.of(np.zeros((0, 3)))
+
+
+@dataclass
+class Workspace:
+    """The document and its history, how it is viewed, what is selected, and what the user reads."""
+
+    settings: Settings = field(default_factory=load_settings)
+    history: History[Document] = field(default_factory=lambda: History(Document()))
+    viewing: Viewing = field(default_factory=Viewing)
+    object: LoadedScene | None = None
+    """What is loaded of the scene so far."""
+    loader: SceneLoader | None = None
+    """Reads the scene in the background; None when it is done."""
+    path: Path | None = None
+    """The project file; None until the project is saved."""
+    tool: Tool = "select"
+    selection: frozenset[Key] = frozenset()
+    active_cut: int | None = None
+    """Id of the cut whose plane is shown with its handles."""
+    message: str = ""
+    """The status line."""
+    error: str = ""
+    """One line that stays until the user dismisses it."""
+    question: Question | None = None
+    closing: bool = False
+    """The window may close now."""
+    geometry_version: int = 0
+    """Grows when other atoms or another capture are to be drawn."""
+    colour_version: int = 0
+    """Grows when the same atoms have other colours."""
+    autosave: Autosave = field(default_factory=Autosave)
+    folder: Path = field(default_factory=Path.home)
+    """The user's current folder: dialogs begin here."""
+    _pieces: tuple[Document, Solid, list[PlacedPiece]] | None = field(default=None, repr=False)
+    """The pieces, and the document and solid that they were found for."""
+
+    # Derived state
+
+    @property
+    def document(self) -> Document:
+        """The document at the history's cursor."""
+        return self.history.state
+
+    @property
+    def solid(self) -> Solid:
+        """The points of the object, none before it is loaded."""
+        return self.object.solid if self.object is not None and self.object.solid is not None else EMPTY
+
+    @property
+    def atoms(self) -> Atoms | None:
+        """The atoms of the object; None until it is solid."""
+        return self.object.atoms if self.object is not None else None
+
+    @property
+    def up(self) -> Vec3:
+        """The object's up axis: as chosen, or as detected."""
+        if self.document.up is not None:
+            return self.document.up
+        return self.object.up if self.object is not None else (0.0, 0.0, 1.0)
+
+    @property
+    def mode(self) -> str:
+        """What is drawn: the capture until the object is solid."""
+        return self.viewing.mode if self.atoms is not None else "capture"
+
+    @property
+    def pieces(self) -> list[PlacedPiece]:
+        """The object's pieces, including hidden ones."""
+        cached = self._pieces
+        if cached is None or cached[0] is not self.document or cached[1] is not self.solid:
+            cached = self._pieces = (self.document, self.solid, pieces(self.document, self.solid))
+        return cached[2]
+
+    @property
+    def title(self) -> str:
+        """The window's title: the project's or the scene's name, with a star while there are unsaved changes."""
+        name = self.path.stem if self.path else self.document.scene.stem if self.document.scene else "FruitNinja"
+        return f"{name}{' *' if self.history.changed else ''}"
+
+    # Messages
+
+    def notify(self, text: str) -> None:
+        """Shows a message in the status line."""
+        self.message = text
+
+    def show_error(self, error: Exception | str) -> None:
+        """Shows an error until the user dismisses it."""
+        self.error = str(error)
+
+    def ask(self, title: str, text: str, *choices: Choice) -> None:
+        """Asks the user to choose; Cancel is added as the last choice."""
+        self.question = Question(title, text, (*choices, Choice("Cancel", lambda: None)))
+
+    def answer(self, choice: Choice) -> None:
+        """Carries out what the user chose, which may ask the next question."""
+        self.question = None
+        choice.act()
+
+    def change_settings(self, settings: Settings) -> None:
+        """Replaces the settings and saves them."""
+        if settings != self.settings:
+            self.settings = settings
+            save_settings(settings)
+
+    # Editing
+
+    def change(self, name: str, document: Document, merge: str = "") -> bool:
+        """Adds a step to the history; consecutive steps with the same `merge` tag are undone as one."""
+        done = self.history.do(name, document, merge)
+        self._prune_selection()
+        return done
+
+    def undo(self) -> None:
+        """One step back."""
+        name = self.history.entries[self.history.cursor].name
+        self.notify(f"Undone: {name}." if self.history.undo() else "Nothing to undo.")
+        self._prune_selection()
+
+    def redo(self) -> None:
+        """One step forward again."""
+        if self.history.redo():
+            self.notify(f"Done again: {self.history.entries[self.history.cursor].name}.")
+        else:
+            self.notify("Nothing to redo.")
+        self._prune_selection()
+
+    def jump(self, index: int) -> None:
+        """Goes to an entry of the history, by its index."""
+        self.history.jump(index)
+        self._prune_selection()
+
+    def _prune_selection(self) -> None:
+        """Drops pieces and cuts that the document no longer has."""
+        keys = {piece.key for piece in self.pieces}
+        self.selection = frozenset(key for key in self.selection if key in keys)
+        if self.active_cut not in {cut.id for cut in self.document.cuts}:
+            self.active_cut = None
+
+    def select_tool(self, tool: Tool) -> None:
+        """Changes the tool; tools that cut also show the solid, since the capture cannot be cut."""
+        self.tool = tool
+        if tool in ("knife", "plane") and self.viewing.mode == "capture":
+            self.viewing = replace(self.viewing, mode="solid")
+
+    def slice(self, camera: Camera, stroke: Stroke) -> None:
+        """Cuts the pieces that a finished knife stroke crosses, or says why it cut none."""
+        if self.atoms is None:
+            waiting = self.loader is not None and not self.loader.ended
+            self.notify(
+                "The object is still being made solid. Cut in a moment." if waiting else "There is no solid to cut."
+            )
+            return
+        outcome = slice_object(self.document, self.solid, camera, stroke, self.up, self.selection)
+        if outcome.document is not None:
+            self.viewing = replace(self.viewing, mode="solid" if self.mode == "capture" else self.mode)
+            self.change("Cut", outcome.document)
+            self.active_cut = self.document.cuts[-1].id
+        self.notify(outcome.message)
+
+    def add_plane(self, plane: Plane | None = None) -> None:
+        """Adds a section plane; by default the one across the up axis through the centre."""
+        plane = plane or Plane.through(self.solid.centre, self.up)
+        if self.viewing.mode == "capture":
+            self.viewing = replace(self.viewing, mode="solid")
+        self.change("Add plane", self.document.with_cut((Part(plane),), "Plane", "section"))
+        self.active_cut = self.document.cuts[-1].id
+        self.notify("Move the slider to sweep the plane through the object.")
+
+    def change_cut(self, name: str, cut_id: int, change: Callable[[Cut], Cut], merge: str = "") -> None:
+        """Changes one cut."""
+        self.change(name, self.document.changed_cut(cut_id, change), merge)
+
+    def remove_cut(self, cut_id: int) -> None:
+        """Removes a cut; the pieces on its two sides become one again."""
+        self.change("Remove cut", self.document.without_cut(cut_id))
+
+    def place(self, name: str, keys: frozenset[Key], motion: Motion, merge: str = "") -> None:
+        """Moves pieces by a motion in world space."""
+        document = self.document
+        for key in keys:
+            document = document.placed(key, lambda p: replace(p, motion=motion.after(p.motion)))
+        self.change(name, document, merge)
+
+    def change_placements(self, name: str, keys: frozenset[Key], change: Callable[[Placement], Placement]) -> None:
+        """Hides, shows or removes pieces."""
+        document = self.document
+        for key in keys:
+            document = document.placed(key, change)
+        self.change(name, document)
+
+    def hide(self) -> None:
+        """Hides the selected pieces."""
+        if not self.selection:
+            self.notify("Select a piece first.")
+            return
+        self.change_placements("Hide", self.selection, lambda p: replace(p, visible=False))
+        self.selection = frozenset()
+
+    def delete(self) -> None:
+        """Removes the selected pieces; 'Put back together' brings them back."""
+        if not self.selection:
+            self.notify("Select a piece first.")
+        elif len(self.selection) == len(self.pieces):
+            self.notify("That would leave nothing. Keep at least one piece.")
+        else:
+            self.change_placements("Delete", self.selection, lambda p: replace(p, removed=True))
+
+    def reassemble(self) -> None:
+        """Moves all pieces back to their places."""
+        self.change("Put together", self.document.reassembled())
+
+    # Families
+
+    def add_pictures(self, kind: Kind | None, paths: tuple[Path, ...]) -> None:
+        """Adds pictures of cut faces to a family: by default to the first one, or to a new horizontal one."""
+        paths = tuple(path.absolute() for path in paths if path.suffix.lower() in PICTURE_SUFFIXES)
+        if not paths:
+            self.notify(f"Not a picture. Use one of {', '.join(PICTURE_SUFFIXES)}.")
+            return
+        if kind is None:
+            kind = self.document.families[0].kind if self.document.families else "horizontal"
+        self.change(f"Picture for {kind}", self.document.with_exemplars(kind, paths))
+        self.notify(f"{paths[0].name} shows a {kind} cut. Choose another family for it with a right click.")
+
+    # Viewing
+
+    def fit(self, aspect: float = 1.0) -> None:
+        """Fits all visible pieces into a picture of this aspect (width / height)."""
+        parts = [piece.motion.apply(self.solid.points[piece.rows]) for piece in self.pieces if piece.visible]
+        box = Solid.of(np.concatenate(parts)) if parts and sum(len(p) for p in parts) else self.solid
+        eye = self.viewing.eye.fitted(vec3(box.centre), box.radius, aspect)
+        self.viewing = replace(self.viewing, eye=eye)
