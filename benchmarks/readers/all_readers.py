@@ -27,8 +27,8 @@ from app.jobs.training_job import Job
 from app.model.autosave import rescued
 from app.model.project import load_project
 from app.model.settings import load_settings
-from benchmarks.fuzz_rules import words_wrong
-from benchmarks.guard import guarded
+from benchmarks.readers.guard import guarded
+from benchmarks.readers.rules import words_wrong
 from engine.errors import InputError
 from engine.fit.view_weights import load as load_weights
 from engine.io.load import load
@@ -46,7 +46,7 @@ from training.priors.exemplar.pictures import read_picture
 
 __all__ = ["READERS", "SOLID", "Verdict", "perform"]
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 SAMPLES = ROOT / "sample_scenes/orange"
 
 SOLID = "solid.ply"

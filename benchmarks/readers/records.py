@@ -1,6 +1,6 @@
 """Records that are sound as JSON and wrong in meaning: values in each other's places, things named that are not there.
 
-`fuzz_inputs` breaks values and bytes; here every value is of a kind that belongs there, or nearly.
+`inputs` breaks values and bytes; here every value is of a kind that belongs there, or nearly.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from app.model.document import Document, Part, Training
 from app.model.pieces import Solid, pieces
 from app.model.project import SUFFIX, Outside, Project, Viewing, load_project, save_project
 from app.model.settings import load_settings
-from benchmarks.fuzz_inputs import CHANGES, documents, places, poisoned
-from benchmarks.fuzz_rules import refused
+from benchmarks.readers.inputs import CHANGES, documents, places, poisoned
+from benchmarks.readers.rules import refused
 from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from engine.scene.plane import Plane
 

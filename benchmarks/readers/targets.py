@@ -24,9 +24,9 @@ from app.model.camera_control import Eye
 from app.model.document import Document, Part, Training
 from app.model.project import Project, Viewing, load_project, save_project
 from app.model.rigid_transform import Motion
-from benchmarks.fuzz_inputs import CAPTURES, CHANGES, JUNK, NUMBERS, POISON, broken, documents, plys, poisoned
-from benchmarks.fuzz_pictures import FOREIGN, PICTURES, TEXTURES, check_foreign, check_picture, check_texture
-from benchmarks.fuzz_records import (
+from benchmarks.readers.inputs import CAPTURES, CHANGES, JUNK, NUMBERS, POISON, broken, documents, plys, poisoned
+from benchmarks.readers.pictures import FOREIGN, PICTURES, TEXTURES, check_foreign, check_picture, check_texture
+from benchmarks.readers.records import (
     COLOURS,
     JOBS,
     MOVES,
@@ -37,7 +37,7 @@ from benchmarks.fuzz_records import (
     check_settings,
     meant,
 )
-from benchmarks.fuzz_rules import Target, refused
+from benchmarks.readers.rules import Target, refused
 from engine.io.load import load
 from engine.io.splats.ply import read_ply, write_ply
 from engine.io.trained import Meta, load_trained, save_trained, sidecar_path

@@ -14,8 +14,8 @@ import numpy as np
 from hypothesis import strategies as st
 from PIL import Image, ImageCms, PngImagePlugin, features
 
-from benchmarks.fuzz_inputs import JUNK, broken
-from benchmarks.fuzz_rules import refused
+from benchmarks.readers.inputs import JUNK, broken
+from benchmarks.readers.rules import refused
 from engine.io.meshes.mesh import read_mesh
 from training.priors.exemplar.pictures import read_picture
 
