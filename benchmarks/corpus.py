@@ -152,9 +152,9 @@ def stamps(folder: Path) -> dict[str, tuple[int, int]]:
 def sound_solid(folder: Path) -> Path:
     """A small trained object."""
     rng = np.random.default_rng(0)
-    quats = np.tile(np.float32([1, 0, 0, 0]), (3, 1))
-    surface = SurfaceAtoms(*(rng.random((3, 3)).astype(np.float32) + np.float32(0.1) for _ in range(2)), quats,
-                           rng.random((3, 4, 3)).astype(np.float32))  # fmt: skip
+    quats = np.tile(np.array([1, 0, 0, 0], np.float32), (3, 1))
+    means, scales = (rng.random((3, 3)).astype(np.float32) + np.float32(0.1) for _ in range(2))
+    surface = SurfaceAtoms(means, scales, quats, rng.random((3, 4, 3)).astype(np.float32))
     inner = [rng.random(shape).astype(np.float32) for shape in ((4, 3), 4, (4, 3))]
     atoms = Atoms(surface, InteriorAtoms(inner[0], inner[1] + np.float32(0.1), inner[2], 1), 0.1)
     save_trained(folder / SOLID, atoms, Meta(source="none"))

@@ -207,7 +207,7 @@ def main(arguments: list[str] | None = None) -> None:
     rows = []
     for count in COUNTS[:1] if options.quick else COUNTS:
         for size in SIZES[:1] if options.quick else SIZES:
-            rows.append(measure(count, size, 3 if count <= 20_000 else 1))
+            rows.append(measure(count, size, 3 if count <= 20_000 and not options.quick else 1))
             print(json.dumps(rows[-1], indent=1), flush=True)
     if not folder:
         return

@@ -112,7 +112,8 @@ def melon(count: int) -> Atoms:
     rgb = np.clip(rgb + 0.1 * np.sin(inner * 60), 0, 1)
     sigmas = np.full(len(inner), pitch / 2)
     surface = SurfaceAtoms(*(a.astype(np.float32) for a in (radius * normal, scales, quats, coefficients)))
-    return Atoms(surface, InteriorAtoms(*(a.astype(np.float32) for a in (inner, sigmas, rgb))), pitch)
+    interior = InteriorAtoms(inner.astype(np.float32), sigmas.astype(np.float32), rgb.astype(np.float32))
+    return Atoms(surface, interior, pitch)
 
 
 def as_capture(atoms: Atoms) -> Gaussians:
@@ -144,12 +145,15 @@ def point_cloud(renderer: Renderer, atoms: Atoms) -> Callable[[int], None]:
     means = np.concatenate([atoms.surface.means, atoms.interior.means])
     array = ctx.vertex_array(program, [(ctx.buffer(np.concatenate([means, rgb], 1)), "3f 3f", "mean", "rgb")])
 
+    matrix = program["matrix"]
+    assert isinstance(matrix, moderngl.Uniform)
+
     def draw(step: int) -> None:
         camera = view(step)
         lens = np.zeros((4, 4))
         lens[0, 0], lens[1, 1] = 2 * camera.fx / camera.width, 2 * camera.fy / camera.height
         lens[2, 2:], lens[3, 2] = (1.002, -0.02), 1
-        program["matrix"].write((lens @ camera.viewmat).T.astype(np.float32).tobytes())
+        matrix.write((lens @ camera.viewmat).T.astype(np.float32).tobytes())
         target.use()
         ctx.enable_only(moderngl.DEPTH_TEST)
         target.clear()
@@ -200,7 +204,11 @@ def speed(renderer: Renderer, shaders: Renderer, count: int, times: int) -> list
         for mode, options in MODES.items():
             for _ in range(2):
                 renderer.render(view(0), pieces, **options)  # the grid of a plane is made when it is seen again
-            add(mode, cut, lambda step, p=pieces, o=options: renderer.render(view(step), p, **o))
+
+            def draw(step: int, pieces: tuple[Piece, ...] = pieces, options: dict[str, Any] = options) -> None:
+                renderer.render(view(step), pieces, **options)
+
+            add(mode, cut, draw)
     pieces = (Piece(CUTS["one cut"]),)
     for mode, (part, level) in COARSER.items():
 
@@ -256,7 +264,8 @@ def accuracy(renderer: Renderer, shaders: Renderer, count: int) -> dict[str, flo
     renderer.set_capture(capture)
     camera = view(0, 80, 60)
     values = (capture.means, capture.scales, capture.quats, capture.opacities, capture.sh)
-    exact = classic_reference(*(torch.as_tensor(v, dtype=torch.float64) for v in values), camera, (1.0, 1.0, 1.0))[0]
+    means, scales, quats, opacities, coefficients = (torch.as_tensor(v, dtype=torch.float64) for v in values)
+    exact = classic_reference(means, scales, quats, opacities, coefficients, camera, (1.0, 1.0, 1.0))[0]
     renderer.render(camera, mode="classic")
     figures["classic"] = psnr(renderer.read().rgb, exact.numpy())
     return figures
@@ -269,8 +278,7 @@ def true_window(atoms: Atoms, camera: Camera, planes: Sequence[Plane], x: int, y
     def near(means: np.ndarray, reach: float) -> np.ndarray:
         c = means @ part.viewmat[:3, :3].T + part.viewmat[:3, 3]
         at = c[:, :2] / c[:, 2:] * [part.fx, part.fy] + [part.cx, part.cy]
-        inside: np.ndarray = (np.abs(at - WINDOW / 2) < WINDOW / 2 + reach * part.fx / c[:, 2:]).all(1)
-        return inside
+        return np.all(np.abs(at - WINDOW / 2) < WINDOW / 2 + reach * part.fx / c[:, 2:], axis=1)
 
     s, i = atoms.surface, atoms.interior
     a, b = near(s.means, 4 * float(s.scales.max())), near(i.means, 4 * float(i.sigmas.max()))

@@ -53,7 +53,7 @@ FIGURES = {
 
 def settings() -> dict[str, tuple[Detail, float]]:
     """What is run: numbers, and planes as a multiple of the paper's."""
-    runs = {name: (detail, 1.0) for name, detail in DETAILS.items()}
+    runs: dict[str, tuple[Detail, float]] = {name: (detail, 1.0) for name, detail in DETAILS.items()}
     draft, standard = DETAILS["draft"], DETAILS["standard"]
     turned = {
         "label": [draft.label * 5 // 8, draft.label * 3 // 2],

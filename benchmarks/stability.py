@@ -84,7 +84,7 @@ def sphere(hole: float, count: int = 8000) -> Gaussians:
     n = len(normals)
     return Gaussians(
         normals.astype(np.float32),
-        np.tile(np.float32([size, size, size / 5]), (n, 1)),
+        np.tile(np.array([size, size, size / 5], np.float32), (n, 1)),
         quats.astype(np.float32),
         np.full(n, 0.99, np.float32),
         np.zeros((n, 1, 3), np.float32),

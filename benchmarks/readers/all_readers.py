@@ -22,9 +22,11 @@ from typing import Any
 import numpy as np
 import psutil
 
+from app.jobs.job_events import Progress
 from app.jobs.live_colours import Watch
 from app.jobs.training_job import Job
 from app.model.autosave import rescued
+from app.model.document import Document, Training
 from app.model.project import load_project
 from app.model.settings import load_settings
 from benchmarks.readers.guard import guarded
@@ -121,7 +123,8 @@ def read_checkpoint(path: Path, work: Path) -> None:
 
 def read_job(path: Path, work: Path) -> None:
     """A result folder in which every file of a job is this one. What makes no sense there counts as not there."""
-    job = Job.find(work) or Job(work, ("train", "-o", str(work)), 0, 0.0, ended=True)
+    asked = Document(training=Training(out=work))
+    job = Job.find(work) or Job(asked, 0, 0.0, progress=Progress(work), ended=True)
     for _ in range(1000):
         if not job.poll():
             break

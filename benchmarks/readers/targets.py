@@ -150,7 +150,7 @@ def check_checkpoint(data: bytes, folder: Path) -> bool:
 def trained_files() -> tuple[Any, bytes]:
     """A sidecar and its .ply."""
     rng = np.random.default_rng(0)
-    quats = np.tile(np.float32([1, 0, 0, 0]), (3, 1))
+    quats = np.tile(np.array([1, 0, 0, 0], np.float32), (3, 1))
     sh = rng.random((3, 4, 3)).astype(np.float32)
     surface = SurfaceAtoms(rng.random((3, 3)).astype(np.float32), np.full((3, 3), 0.1, np.float32), quats, sh)
     inner = [rng.random(shape).astype(np.float32) for shape in ((4, 3), 4, (4, 3))]

@@ -140,7 +140,7 @@ def test_garden_positions_and_depths_against_a_pinhole() -> None:
     means = garden["means3d"]
     n = len(means)
     width, height = int(garden["width"]), int(garden["height"])
-    quats, opacities = np.tile(np.float32([1, 0, 0, 0]), (n, 1)), np.full(n, 0.02, np.float32)
+    quats, opacities = np.tile(np.array([1, 0, 0, 0], np.float32), (n, 1)), np.full(n, 0.02, np.float32)
     arrays = (means, np.full((n, 3), 1e-3, np.float32), quats, opacities, np.zeros((n, 1, 3), np.float32))
     for view, k in zip(garden["viewmats"].astype(np.float64), garden["Ks"].astype(np.float64), strict=True):
         camera = Camera(view, k[0, 0], k[1, 1], k[0, 2], k[1, 2], width, height)

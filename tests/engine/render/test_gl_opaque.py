@@ -223,7 +223,7 @@ def test_what_stands_behind_pinholes_counts(renderer: Renderer) -> None:
     s = atoms.surface
     sh = s.sh.copy()
     sh[:, 0] = rng.uniform(-1.5, 1.5, (len(s), 3))
-    scales = s.scales * np.float32([0.75, 0.75, 1])
+    scales = s.scales * np.array([0.75, 0.75, 1], np.float32)
     renderer.set_atoms(replace(atoms, surface=SurfaceAtoms(s.means[kept], scales[kept], s.quats[kept], sh[kept])))
     assert (renderer._solid.skin.hiding.least <= 1).mean() > 0.5  # type: ignore[union-attr]
     leaks = 0

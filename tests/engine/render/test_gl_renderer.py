@@ -90,7 +90,7 @@ def test_the_interior_alone_lies_within_the_solid(renderer: Renderer) -> None:
     around_it = ndimage.binary_dilation(solid.alpha > 0, iterations=3)
     assert inside.alpha[~around_it].max() < 0.02
     assert inside.alpha.sum() > 0.85 * solid.alpha.sum()
-    red = np.broadcast_to(np.float32([1, 0, 0]), atoms.interior.rgb.shape)
+    red = np.broadcast_to(np.array([1, 0, 0], np.float32), atoms.interior.rgb.shape)
     renderer.update_colours(rgb=np.ascontiguousarray(red))
     shown = draw(renderer, camera, mode="interior", background=(0, 0, 0))
     assert np.abs(shown.rgb[..., 1:]).max() < 1e-3
@@ -103,7 +103,7 @@ def test_the_interior_alone_is_solid(renderer: Renderer) -> None:
     for azimuth, elevation in ((0, 0), (45, 35)):
         camera = around(azimuth, elevation, 1.2)
         near = (inside.means @ camera.forward < 0.15)[:, None]
-        rgb = np.where(near, np.float32([1, 0, 0]), np.float32([0, 0, 1]))
+        rgb = np.where(near, np.array([1, 0, 0], np.float32), np.array([0, 0, 1], np.float32))
         renderer.set_atoms(replace(atoms, interior=replace(inside, rgb=rgb)))
         for distance in (0.5, 1.2, 4.0):
             shown = draw(renderer, around(azimuth, elevation, distance), mode="interior", background=(0, 1, 0))
@@ -179,7 +179,7 @@ def test_in_the_context_of_another(renderer: Renderer) -> None:
         vertex_shader="#version 330\nin vec2 p; void main() { gl_Position = vec4(p, 0.0, 1.0); }",
         fragment_shader="#version 330\nout vec4 c; void main() { c = vec4(1.0, 0.5, 0.25, 0.5); }",
     )
-    array = owner.vertex_array(program, owner.buffer(np.float32([-1, -1, 3, -1, -1, 3])), "p")
+    array = owner.vertex_array(program, owner.buffer(np.array([-1, -1, 3, -1, -1, 3], np.float32)), "p")
 
     def own_frame() -> bytes:
         mine.clear(0.2, 0.4, 0.6, 1.0)
@@ -363,7 +363,7 @@ def test_sizes(renderer: Renderer) -> None:
 
 def test_far_from_the_origin(renderer: Renderer) -> None:
     """A capture with world coordinates in the thousands looks as it does at home."""
-    atoms, away = tight_ball(1 / 20), np.float32([4096, -8192, 1024])
+    atoms, away = tight_ball(1 / 20), np.array([4096, -8192, 1024], np.float32)
     camera, plane = around(20, 30), Plane.of((0.1, 0, 1), 0.05)
     renderer.set_atoms(atoms)
     home = draw(renderer, camera, Piece((plane,)))

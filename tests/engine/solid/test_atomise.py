@@ -43,7 +43,7 @@ def skin(n: int, size: float, opacity: float, radius: float = 1.0, seed: int = 0
     quats = np.column_stack([np.zeros(n), half / np.linalg.norm(half, axis=1, keepdims=True)])
     return Gaussians(
         (radius * normals).astype(np.float32),
-        np.tile(np.float32([size, size, size / 6]), (n, 1)),
+        np.tile(np.array([size, size, size / 6], np.float32), (n, 1)),
         quats.astype(np.float32),
         np.full(n, opacity, np.float32),
         normals[:, None].astype(np.float32),
@@ -76,7 +76,7 @@ def test_no_axis_is_longer_than_the_pitch() -> None:
 
 def test_parts_have_the_mean_and_the_covariance_of_the_whole() -> None:
     scene = skin(1, 0.02, 0.99)
-    scales = np.float32([[0.09, 0.05, 0.004]])
+    scales = np.array([[0.09, 0.05, 0.004]], np.float32)
     source, means, sizes = split(scene, scales, 0.02)
     axes = matrices(scene.quats)[0].astype(np.float64)
     local = (means - scene.means[0]).astype(np.float64) @ axes

@@ -34,7 +34,7 @@ def shell(points: np.ndarray, normals: np.ndarray, size: float) -> Gaussians:
     quats = np.column_stack([np.zeros(n), half / np.linalg.norm(half, axis=1, keepdims=True)])
     return Gaussians(
         points.astype(np.float32),
-        np.tile(np.float32([size, size, size / 5]), (n, 1)),
+        np.tile(np.array([size, size, size / 5], np.float32), (n, 1)),
         quats.astype(np.float32),
         np.full(n, 0.99, np.float32),
         np.zeros((n, 1, 3), np.float32),
