@@ -269,7 +269,7 @@ def test_what_lies_in_a_result_folder_starts_and_ends_no_process(tmp_path: Path)
             (out / name).symlink_to(secret)
         assert Job.find(out) is None
         session = Session(autosave=Autosave(tmp_path))
-        session.prepare = lambda trained=True: None  # type: ignore[method-assign]
+        session.prepare = lambda trained=True: None
         session.show(document, Viewing(), None)
         assert session.desk.job is None
         session.desk.resume()

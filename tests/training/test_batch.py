@@ -209,7 +209,7 @@ def wait_until_stopped() -> dict[str, int]:
 
 
 def test_a_grid_of_plain_functions(tmp_path: Path, address: str) -> None:
-    def task(name: str, function, **arguments) -> Task:  # type: ignore[no-untyped-def]
+    def task(name: str, function, **arguments) -> Task:
         return Task(name, function, arguments, tmp_path / f"{name}.json", name)
 
     tasks = [

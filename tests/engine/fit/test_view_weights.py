@@ -79,6 +79,7 @@ def test_the_products_are_transposed(keep: int) -> None:
     product = view.matmul(colours)
     np.testing.assert_array_equal(product.detach().numpy(), view.apply(c).reshape(-1, 3))
     product.backward(torch.from_numpy(y.reshape(-1, 3)))
+    assert colours.grad is not None
     np.testing.assert_array_equal(colours.grad.numpy(), view.apply_transposed(y))
 
 
@@ -92,6 +93,7 @@ def test_the_picture_has_gradients_in_harmonics_and_rgb() -> None:
     loss.backward()
     step = 1e-3
     for tensor in (coefficients, rgb):
+        assert tensor.grad is not None
         direction = tensor.grad / tensor.grad.norm()
         ends = []
         for sign in (1, -1):

@@ -35,7 +35,7 @@ def scene(degree: int = 0) -> Gaussians:
     return Gaussians(*(a.astype(np.float32) for a in arrays))
 
 
-def byte(value: float) -> int:
+def byte(value: float | np.floating) -> int:
     return min(255, max(0, round(value)))
 
 

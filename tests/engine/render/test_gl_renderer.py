@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
+from typing import get_args
 
 import moderngl
 import numpy as np
@@ -13,6 +14,7 @@ from safetensors.numpy import load_file
 from scipy import ndimage
 
 from engine.errors import InputError
+from engine.render.culling.look import Mode
 from engine.render.gl import Lines, Renderer, Sheet
 from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from engine.scene.camera import Camera
@@ -159,7 +161,7 @@ def test_an_overlay_shows_the_whole_frame(renderer: Renderer) -> None:
     for azimuth in (0, 70):
         for scissor in (None, (40, 30, 7, 5)):
             frame = draw(renderer, around(azimuth, 20), Piece((HALF,)), background=(azimuth / 100, 0.5, 0)).rgb
-            other.scissor = scissor
+            other.scissor = scissor  # type: ignore[assignment]  # None: the whole, as moderngl has it
             other.use()
             copy = np.frombuffer(renderer.overlay([]).read(), np.float16).reshape(90, 120, 4)
             assert np.array_equal(copy[..., :3].astype(np.float32), frame)
@@ -195,7 +197,7 @@ def test_in_the_context_of_another(renderer: Renderer) -> None:
         before = own_frame()
         guest.set_atoms(atoms)
         guest.set_capture(capture(50))
-        for mode, picture in zip(("opaque", "classic", "interior"), expected, strict=True):
+        for mode, picture in zip(get_args(Mode), expected, strict=True):
             owner.blend_func = moderngl.DST_COLOR, moderngl.ZERO
             owner.enable(moderngl.BLEND | moderngl.CULL_FACE | moderngl.DEPTH_TEST)
             owner.depth_func = ">"
@@ -247,7 +249,8 @@ def test_classic_parity(renderer: Renderer) -> None:
     renderer.set_capture(gaussians)
     for camera in (around(30, 20, width=60, height=45), around(210, -50, 0.7, 60, 45)):
         values = (gaussians.means, gaussians.scales, gaussians.quats, gaussians.opacities, gaussians.sh)
-        rgb, _, _ = classic_picture(*(torch.as_tensor(v, dtype=torch.float64) for v in values), camera, (1.0, 1.0, 1.0))
+        means, scales, quats, opacities, colours = (torch.as_tensor(v, dtype=torch.float64) for v in values)
+        rgb, _, _ = classic_picture(means, scales, quats, opacities, colours, camera, (1.0, 1.0, 1.0))
         assert psnr(draw(renderer, camera, mode="classic").rgb, rgb.numpy()) >= 40
 
 
@@ -316,7 +319,7 @@ def test_thirty_planes(renderer: Renderer) -> None:
     renderer.set_atoms(tight_ball(1 / 20))
     rng = np.random.default_rng(0)
     normals = rng.normal(size=(30, 3))
-    planes = tuple(Plane.of(n, -0.3 * np.linalg.norm(n)) for n in normals)
+    planes = tuple(Plane.of(n, -0.3 * float(np.linalg.norm(n))) for n in normals)
     cut = draw(renderer, around(20, 30), Piece(planes))
     seen = np.isfinite(cut.depth)
     rows, columns = np.nonzero(seen)
@@ -329,7 +332,7 @@ def test_thirty_planes(renderer: Renderer) -> None:
     assert cut.alpha[seen].min() > 0.99
     twice = draw(renderer, around(20, 30), Piece(planes + planes))
     assert np.array_equal(twice.rgb, cut.rgb)
-    many = tuple(Plane.of(n, -0.45 * np.linalg.norm(n)) for n in rng.normal(size=(400, 3)))
+    many = tuple(Plane.of(n, -0.45 * float(np.linalg.norm(n))) for n in rng.normal(size=(400, 3)))
     with pytest.raises(InputError, match="planes"):
         draw(renderer, around(20, 30), Piece(many))
 

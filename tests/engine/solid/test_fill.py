@@ -124,7 +124,7 @@ def test_nearest_is_the_euclidean_distance() -> None:
 @needs_meshes
 @pytest.mark.parametrize("name", ["unit_sphere", "torus", "angle_block"])
 def test_meshes_fill_to_their_volume_and_no_farther(name: str) -> None:
-    mesh = trimesh.load(MESHES / f"trimesh_{name}.STL", force="mesh")
+    mesh = trimesh.load_mesh(MESHES / f"trimesh_{name}.STL")
     points, faces = trimesh.sample.sample_surface(mesh, 30000, seed=0)
     body = find_body(shell(points, mesh.face_normals[faces], (mesh.area / 30000) ** 0.5)).body
     assert abs(body.volume / mesh.volume - 1) < 0.01
