@@ -109,9 +109,8 @@ def test_formats_agree(tmp_path: Path, suffix: str) -> None:
     """The same square, written by trimesh; texture coordinates must not be upside down in any format."""
     mesh = trimesh.load_mesh(square(tmp_path, ramp()))
     assert isinstance(mesh.visual, trimesh.visual.TextureVisuals)
-    mesh.visual.material.diffuse = np.full(
-        4, 255, np.uint8
-    )  # it would tint the texture in a .glb, as the format has it
+    # Another colour of the material would tint the texture in a .glb, as the format has it.
+    mesh.visual.material.diffuse = np.full(4, 255, np.uint8)
     if suffix == "ply":
         mesh.visual = trimesh.visual.ColorVisuals(mesh, vertex_colors=mesh.visual.to_color().vertex_colors)
     (tmp_path / "out").mkdir()

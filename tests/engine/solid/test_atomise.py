@@ -151,6 +151,7 @@ def test_the_opaque_object_looks_like_the_capture() -> None:
         assert np.sqrt(((wanted.rgb - shown.rgb)[centre] ** 2).mean()) < 0.12
 
 
+@pytest.mark.slow
 def test_reshaping_makes_no_unseen_view_worse() -> None:
     scene, pitch = skin(1500, 0.09, 0.6), 0.06
     atoms = solid(on_body(scene, pitch, ball()), pitch)
@@ -166,7 +167,7 @@ def test_reshaping_makes_no_unseen_view_worse() -> None:
     assert np.array_equal(better.surface.scales, reshape(atoms, scene, cameras, steps=24).surface.scales)
 
 
-@pytest.mark.parametrize("name", ["donut_mipsplatting", "meshgs_orange_30k"])
+@pytest.mark.parametrize("name", [pytest.param("donut_mipsplatting", marks=pytest.mark.slow), "meshgs_orange_30k"])
 def test_captures_keep_their_skin_whole(name: str) -> None:
     path = DATA / f"splats/{name}.ply"
     if not path.exists():

@@ -271,6 +271,7 @@ FAILING = (
 """Stages of a run in their order, and how the disk fails there."""
 
 
+@pytest.mark.slow
 def test_a_run_goes_on_after_each_failure_with_the_same_bits(short: None, tmp_path: Path, faults: Faults) -> None:
     whole, out = tmp_path / "whole", tmp_path / "out"
     run(REQUEST, whole, Reporter(), False, lambda: False)
