@@ -50,8 +50,8 @@ bench: $(READY)
 
 screenshots: $(READY)
 	@tools/ensure_gl.sh window
-	$(BIN)/python tools/screenshots.py
-	$(BIN)/python tools/sheet.py
+	$(BIN)/python -m tools.screenshots
+	$(BIN)/python -m tools.sheet
 
 # Constraints are the versions the tests were run with; an editable install, so that a change needs no new one.
 $(READY): pyproject.toml constraints.txt

@@ -1,17 +1,16 @@
 """Scenes per hour against workers of `fruitninja-batch`, and what bounds them.
 
-    python -m benchmarks.batch_scaling [--scenes 4] [--most 2] [--preload tests/batch_worker.py]
+    python -m benchmarks.batch_scaling [--quick] [--scenes 4] [--most 2] [--preload FILE] [-o docs/charts]
 
 Trains the same small scenes (the sample orange with several seeds, one iteration at draft detail) with one worker, two,
 and so on, each time from nothing. Start-up of the cluster is told apart from the training, as are the seconds that
-scenes wait with none at work. With --preload every worker runs a file first: the tests' own makes runs of a second or
-two, which show what the workers themselves cost. Writes docs/charts/batch_scaling.png and .json, which has the numbers.
+scenes wait with none at work. With --preload every worker runs a file first: tests/helpers/batch_worker.py makes runs
+of a second or two, which show what the workers themselves cost. Writes batch_scaling.png and .json, which has the
+numbers.
 """
 
 from __future__ import annotations
 
-import argparse
-import json
 import os
 import resource
 import tempfile
@@ -23,6 +22,7 @@ import dask
 import matplotlib as mpl
 import psutil
 
+from benchmarks.support.options import ROOT, out_folder, parser_of, write_json
 from engine.io.files import atomic
 from training.batch import Outcome, run_grid
 from training.batch.scene import scene_task
@@ -32,9 +32,10 @@ from training.request import Request
 mpl.use("Agg")
 from matplotlib import pyplot as plt
 
-ROOT = Path(__file__).parents[1]
-FOLDER = ROOT / "docs/charts"
 ORANGE = ROOT / "sample_scenes/orange"
+SMALL_RUNS = ROOT / "tests/helpers/batch_worker.py"
+"""What a worker of the tests runs first."""
+
 ACCENT, QUIET = "#FF6B4A", "#8F949C"
 
 
@@ -47,7 +48,7 @@ def requests(count: int) -> list[Request]:
     return [Request(ORANGE / "orange.ply", families, "draft", (0, 0, 1), seed, 1) for seed in range(count)]
 
 
-def cluster() -> float:
+def processor_seconds() -> float:
     """Seconds of processor time of the processes that run now under this one."""
     total = 0.0
     for child in psutil.Process().children(recursive=True):
@@ -64,15 +65,15 @@ def measure(workers: int, count: int) -> dict[str, Any]:
     begun = time.perf_counter()
     first = started = 0.0
 
-    def told(outcome: Outcome, line: dict[str, Any]) -> None:
+    def note(outcome: Outcome, line: dict[str, Any]) -> None:
         nonlocal first, started
         if line and not first:
-            first, started = time.perf_counter() - begun, cluster()
+            first, started = time.perf_counter() - begun, processor_seconds()
 
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     with tempfile.TemporaryDirectory() as folder:
         tasks = [scene_task(f"s{i}", request, Path(folder) / f"s{i}") for i, request in enumerate(requests(count))]
-        outcomes = run_grid(tasks, told, lambda: False, count=workers)
+        outcomes = run_grid(tasks, note, lambda: False, count=workers)
         assert all(outcome.status == "done" for outcome in outcomes), [outcome.error for outcome in outcomes]
     seconds = time.perf_counter() - begun
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -89,21 +90,26 @@ def measure(workers: int, count: int) -> dict[str, Any]:
     }
 
 
-def main() -> None:
+def main(arguments: list[str] | None = None) -> None:
     """Measures and draws."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--scenes", type=int, default=4)
-    parser.add_argument("--most", type=int, default=2)
-    parser.add_argument("--preload")
-    arguments = parser.parse_args()
-    if arguments.preload:
-        dask.config.set({"distributed.worker.preload": [arguments.preload]})
-    rows = [measure(workers, arguments.scenes) for workers in range(1, arguments.most + 1)]
+    parser = parser_of(__doc__, "two of the tests' small scenes")
+    parser.add_argument("--scenes", type=int, default=4, help="scenes of a batch")
+    parser.add_argument("--most", type=int, default=2, help="the largest number of workers")
+    parser.add_argument("--preload", help="a file that every worker runs first")
+    options = parser.parse_args(arguments)
+    folder = out_folder(options)
+    count, preload = (2, str(SMALL_RUNS)) if options.quick else (options.scenes, options.preload)
+    if preload:
+        dask.config.set({"distributed.worker.preload": [preload]})
+    rows = []
+    for workers in range(1, options.most + 1):
+        rows.append(measure(workers, count))
+        print(rows[-1], flush=True)
     cores = os.cpu_count() or 1
     bound = 3600 * cores / min(row["processor_seconds_per_scene"] for row in rows)
     figures = {
         "cores": cores,
-        "preload": arguments.preload,
+        "preload": preload and Path(preload).name,
         "memory_gb": round(psutil.virtual_memory().total / 2**30),
         "bound_scenes_per_hour_of_all_cores": round(bound, 1),
         "rows": rows,
@@ -111,12 +117,12 @@ def main() -> None:
         "processor seconds of a scene; then by memory, and the last scenes of a batch leave workers idle for at most "
         "one scene's time. `load` says what else the machine was doing: its cores are shared when it is above workers.",
     }
-    with atomic(FOLDER / "batch_scaling.json") as path:
-        path.write_text(json.dumps(figures, indent=1) + "\n")
-    draw(figures)
+    if folder:
+        write_json(folder / "batch_scaling.json", figures)
+        draw(figures, folder / "batch_scaling.png")
 
 
-def draw(figures: dict[str, Any]) -> None:
+def draw(figures: dict[str, Any], path: Path) -> None:
     """Scenes per hour, and where the cores end."""
     plt.rcParams.update({"font.size": 9, "axes.spines.top": False, "axes.spines.right": False})
     figure, axis = plt.subplots(figsize=(5, 3.4), layout="constrained")
@@ -130,8 +136,8 @@ def draw(figures: dict[str, Any]) -> None:
     axis.set(xlabel="workers", ylabel="scenes per hour", xticks=workers, title="fruitninja-batch")
     axis.set_ylim(bottom=0)
     axis.legend(frameon=False, loc="lower right")
-    with atomic(FOLDER / "batch_scaling.png") as path:
-        figure.savefig(path, dpi=130, format="png")
+    with atomic(path) as temporary:
+        figure.savefig(temporary, dpi=130, format="png")
 
 
 if __name__ == "__main__":

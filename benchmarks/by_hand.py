@@ -1,15 +1,15 @@
 """What is written by hand against the plain form or the library: it keeps its place only while this says so.
 
+    python -m benchmarks.by_hand [--quick] [-o docs/charts]
+
 Three rows: the distance transform against SciPy's, the threads against the standard library's pool on the short loops
 of a frame, and the vector lanes of the classic renderer against plain loops. Both sides of a row run in turns; figures
 are medians of processor time over cores, which a loaded machine disturbs least, and of the wall's. Writes
-docs/charts/by_hand.json and .png.
+by_hand.json and .png.
 """
 
 from __future__ import annotations
 
-import argparse
-import json
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -23,6 +23,7 @@ from numba import njit
 from scipy import ndimage
 
 from benchmarks.cpu_renderer import scene, view
+from benchmarks.support.options import out_folder, parser_of, write_json
 from engine.io.files import atomic
 from engine.render.classic import rasterizer as classic
 from engine.render.classic.blend import BLOCK, MIN_TRANSMITTANCE, UNTOUCHED, start_tile
@@ -33,8 +34,6 @@ from engine.threads import cores, for_each
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt
-
-FOLDER = Path(__file__).parents[1] / "docs/charts"
 
 LOOPS, TASKS = 12, 16
 """Loops of a frame, and the tasks of each."""
@@ -173,11 +172,10 @@ def chart(rows: dict[str, dict[str, Any]], path: Path) -> None:
     plt.close(figure)
 
 
-def main() -> None:
+def main(arguments: list[str] | None = None) -> None:
     """Measures all rows and writes them."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="few rounds on small inputs; nothing is written")
-    quick = parser.parse_args().quick
+    options = parser_of(__doc__, "few rounds on small inputs").parse_args(arguments)
+    folder, quick = out_folder(options), options.quick
     rounds = 3 if quick else 15
     rows = {
         "distance transform, 128^3 (SciPy)": distance_row(64 if quick else 128, rounds),
@@ -187,10 +185,9 @@ def main() -> None:
     }
     for name, row in rows.items():
         print(f"{name}: {row}")
-    if not quick:
-        with atomic(FOLDER / "by_hand.json") as temporary:
-            temporary.write_text(json.dumps({"cores": cores(), "rows": rows}, indent=1) + "\n", encoding="utf-8")
-        chart(rows, FOLDER / "by_hand.png")
+    if folder:
+        write_json(folder / "by_hand.json", {"cores": cores(), "rows": rows})
+        chart(rows, folder / "by_hand.png")
 
 
 if __name__ == "__main__":

@@ -1,9 +1,9 @@
 """Every file of some folders through every reader: none may crash, hang, lie, print, write, or start anything.
 
-    python -m benchmarks.corpus DIR... [-o docs/charts/corpus.json] [--quick] [--workers 2]
+    python -m benchmarks.corpus DIR... [--quick] [-o out/corpus.json] [--workers 2]
 
-Each reader runs in a process that is replaced when it dies or hangs; `benchmarks.corpus_readers` has the readers and
-what is held against them. Writes what was loaded, what was refused with which words, and what failed, as JSON and,
+Each reader runs in a process that is replaced when it dies or hangs; `benchmarks.readers.all_readers` has the readers
+and what is held against them. Writes what was loaded, what was refused with which words, and what failed, as JSON and,
 beside it, as a table to read (.md); a file is named by its folder and its place in it, so that the tables can be kept.
 The folders should be of other people's making: sdists of Pillow and trimesh, captures, scans. Exit status 1 where
 something failed.
@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 from rich.progress import Progress
 
-from benchmarks.corpus_readers import READERS, SOLID, Verdict
+from benchmarks.readers.all_readers import READERS, SOLID, Verdict
 from engine.io.files import atomic
 from engine.io.trained import Meta, save_trained, sidecar_path
 from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
@@ -101,7 +101,7 @@ class Child:
             "OMP_NUM_THREADS": "1",
         }
         self.process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "benchmarks.corpus_readers", str(self.work), str(self.solid)],
+            [sys.executable, "-P", "-m", "benchmarks.readers.all_readers", str(self.work), str(self.solid)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self.noise,
@@ -152,9 +152,9 @@ def stamps(folder: Path) -> dict[str, tuple[int, int]]:
 def sound_solid(folder: Path) -> Path:
     """A small trained object."""
     rng = np.random.default_rng(0)
-    quats = np.tile(np.float32([1, 0, 0, 0]), (3, 1))
-    surface = SurfaceAtoms(*(rng.random((3, 3)).astype(np.float32) + np.float32(0.1) for _ in range(2)), quats,
-                           rng.random((3, 4, 3)).astype(np.float32))  # fmt: skip
+    quats = np.tile(np.array([1, 0, 0, 0], np.float32), (3, 1))
+    means, scales = (rng.random((3, 3)).astype(np.float32) + np.float32(0.1) for _ in range(2))
+    surface = SurfaceAtoms(means, scales, quats, rng.random((3, 4, 3)).astype(np.float32))
     inner = [rng.random(shape).astype(np.float32) for shape in ((4, 3), 4, (4, 3))]
     atoms = Atoms(surface, InteriorAtoms(inner[0], inner[1] + np.float32(0.1), inner[2], 1), 0.1)
     save_trained(folder / SOLID, atoms, Meta(source="none"))
@@ -284,14 +284,16 @@ def cell(text: str) -> str:
     return text.replace("|", "\\|").replace("\n", " ")
 
 
-def main() -> int:
+def main(arguments: list[str] | None = None) -> int:
     """Reads all, writes the table; 1 where something failed."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folders", nargs="+", type=Path, metavar="DIR")
-    parser.add_argument("-o", "--out", type=Path, default=ROOT / "out/corpus.json")
+    parser.add_argument(
+        "folders", nargs="+", type=Path, metavar="DIR", help="folders of files of other people's making"
+    )
+    parser.add_argument("-o", "--out", type=Path, default=ROOT / "out/corpus.json", metavar="FILE.json")
     parser.add_argument("--quick", action="store_true", help=f"at most {QUICK} files of each kind in each folder")
-    parser.add_argument("--workers", type=int, default=2)
-    options = parser.parse_args()
+    parser.add_argument("--workers", type=int, default=2, help="processes that read")
+    options = parser.parse_args(arguments)
     folders = [folder.resolve() for folder in options.folders]
     for folder in folders:
         if not folder.is_dir():

@@ -1,11 +1,11 @@
 """The classic renderer against plain torch: seconds a frame, forward and forward+backward, and error against float64.
 
-    python -m benchmarks.cpu_renderer [--quick] [--cores N]
+    python -m benchmarks.cpu_renderer [--quick] [--cores N] [-o docs/charts]
 
 Half of the Gaussians lie on a unit sphere, half in it, opaque, sigma = diameter / 150, in an order in which neighbours
 in space are neighbours in memory. Both renderers run in turn, so that what else the machine does falls on both; the
 least of several runs counts. `busy` is processor time, which a loaded machine disturbs less. Writes
-docs/charts/cpu_renderer.json and .png.
+cpu_renderer.json and .png.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from benchmarks import torch_baseline
+from benchmarks.support import torch_baseline
+from benchmarks.support.options import ROOT, out_folder, parser_of, write_json
 from engine.io.files import atomic
 from engine.render.classic.rasterizer import rasterize
 from engine.scene.camera import Camera, orbit
 from engine.threads import cores, use_cores
 
-CHARTS = Path(__file__).parents[1] / "docs" / "charts"
 COUNTS = (20_000, 100_000, 500_000)
 SIZES = (256, 512)
 REST = 0.05
@@ -136,7 +136,7 @@ def pick(parameters: list[Tensor]) -> list[Tensor]:
 def peak_memory(count: int, size: int) -> float:
     """MB of a process that does nothing but one forward+backward, libraries included."""
     command = [sys.executable, "-m", "benchmarks.cpu_renderer", "--memory", str(count), str(size)]
-    done = subprocess.run(command, check=True, capture_output=True, text=True, cwd=Path(__file__).parents[1])
+    done = subprocess.run(command, check=True, capture_output=True, text=True, cwd=ROOT)
     return float(done.stdout)
 
 
@@ -188,36 +188,36 @@ def chart(rows: list[dict[str, object]], path: Path) -> None:
     plt.close(figure)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="the smallest scene only, nothing is written")
+def main(arguments: list[str] | None = None) -> None:
+    """Measures all scenes and draws them."""
+    parser = parser_of(__doc__, "the smallest scene only")
     parser.add_argument("--cores", type=int, default=cores(), help="threads of both renderers")
     parser.add_argument("--memory", type=int, nargs=2, metavar=("COUNT", "SIZE"), help=argparse.SUPPRESS)
-    arguments = parser.parse_args()
-    use_cores(arguments.cores)
-    if arguments.memory:
-        count, size = arguments.memory
+    options = parser.parse_args(arguments)
+    use_cores(options.cores)
+    if options.memory:
+        count, size = options.memory
         ours([parameter.requires_grad_() for parameter in scene(count)], view(size), outer(size))
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
         print(peak / 2**20 if sys.platform == "darwin" else peak / 2**10)
         return
+    folder = out_folder(options)
     # First, because the peak of a child begins with its parent's.
-    memory = None if arguments.quick else peak_memory(COUNTS[-1], SIZES[-1])
+    memory = None if options.quick else peak_memory(COUNTS[-1], SIZES[-1])
     rows = []
-    for count in COUNTS[:1] if arguments.quick else COUNTS:
-        for size in SIZES[:1] if arguments.quick else SIZES:
-            rows.append(measure(count, size, 3 if count <= 20_000 else 1))
+    for count in COUNTS[:1] if options.quick else COUNTS:
+        for size in SIZES[:1] if options.quick else SIZES:
+            rows.append(measure(count, size, 3 if count <= 20_000 and not options.quick else 1))
             print(json.dumps(rows[-1], indent=1), flush=True)
-    if arguments.quick:
+    if not folder:
         return
     report = {
-        "machine": f"{platform.machine()}, {arguments.cores} cores",
+        "machine": f"{platform.machine()}, {options.cores} cores",
         "peak memory at 500000 Gaussians and 512 pixels, MB": memory,
         "rows": rows,
     }
-    with atomic(CHARTS / "cpu_renderer.json") as part:
-        part.write_text(json.dumps(report, indent=1) + "\n")
-    chart(rows, CHARTS / "cpu_renderer.png")
+    write_json(folder / "cpu_renderer.json", report)
+    chart(rows, folder / "cpu_renderer.png")
 
 
 if __name__ == "__main__":

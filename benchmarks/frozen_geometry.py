@@ -1,10 +1,10 @@
 """Frozen geometry against the full opaque renderer: seconds an iteration, and the error that truncation costs.
 
-    python -m benchmarks.frozen_geometry [--quick]
+    python -m benchmarks.frozen_geometry [--quick] [-o docs/charts]
 
 One iteration is a picture and its gradient. Half of the atoms lie on a unit sphere, half in it, sigma = diameter / 150
 for all, so that views of few atoms have the same footprints as views of many. Three kinds of view: the outside, the
-outside with a cut, and a section. Writes docs/charts/frozen_geometry.json and .png. Seconds are the least
+outside with a cut, and a section. Writes frozen_geometry.json and .png. Seconds are the least
 of several runs; `busy` is processor time over cores, which a loaded machine disturbs less.
 """
 
@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import json
 import resource
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -21,7 +20,8 @@ import matplotlib as mpl
 import numpy as np
 import torch
 
-from benchmarks.fronts import front
+from benchmarks.support.fronts import front
+from benchmarks.support.options import out_folder, parser_of, write_json
 from engine.fit.differentiable import AtomTensors, opaque_image
 from engine.fit.view_weights import ViewWeights
 from engine.io.files import atomic
@@ -37,7 +37,6 @@ from training.views import ENTRIES
 mpl.use("Agg")
 from matplotlib import pyplot as plt
 
-FOLDER = Path(__file__).parents[1] / "docs/charts"
 KEPT = (4, 8, 16, 32, 64)
 CUT = Plane.of((0.3, 0.2, 1.0), -0.05)
 UP = (0.0, 0.0, 1.0)
@@ -192,13 +191,14 @@ def chart(rows: list[dict], path: Path) -> None:
     plt.close(figure)
 
 
-def main() -> None:
+def main(arguments: list[str] | None = None) -> None:
     """Measures, prints a row a view and writes numbers and chart."""
-    quick = "--quick" in sys.argv[1:]
+    options = parser_of(__doc__, "the smallest scene only").parse_args(arguments)
+    folder, quick = out_folder(options), options.quick
     torch.set_num_threads(cores())
     rows = []
     for count, size in ((20_000, 256), (100_000, 256), (100_000, 512), (500_000, 512)):
-        if quick and count > 100_000:
+        if quick and count > 20_000:
             continue
         atoms = ball(count)
         around = orbit((0, 0, 0), UP, 30, 35, 1.75, size, size)
@@ -206,10 +206,9 @@ def main() -> None:
             camera = section(CUT, UP, atoms.bounds, size) if kind == "section" else around
             rows.append(measure(atoms, camera, kind, 3 if quick else 7))
             print(json.dumps(rows[-1]), flush=True)
-    text = json.dumps(rows, indent=1) + "\n"
-    with atomic(FOLDER / "frozen_geometry.json") as temporary:
-        temporary.write_text(text)
-    chart(rows, FOLDER / "frozen_geometry.png")
+    if folder:
+        write_json(folder / "frozen_geometry.json", rows)
+        chart(rows, folder / "frozen_geometry.png")
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Fuzzes every reader with as many inputs as one likes, with little memory and a watch on the time.
 
-    python -m benchmarks.fuzz --inputs 50000
+    python -m benchmarks.fuzz [--quick] [--inputs 50000] [--seed 0] [--only TARGET]
 
 Prints one JSON line for each target: inputs, how many of them were accepted, the slowest, and what broke, if anything.
 """
@@ -23,7 +23,10 @@ from typing import Any
 import psutil
 from hypothesis import HealthCheck, Phase, given, seed, settings
 
-from benchmarks.fuzz_targets import TARGETS, Target
+from benchmarks.readers.targets import TARGETS, Target
+
+QUICK = 500
+"""Inputs of a quick run."""
 
 HANG = 5.0
 """Seconds that one input may take."""
@@ -32,21 +35,23 @@ MEMORY = 1 << 30
 """Bytes that may be allocated beyond what the imports took: a reader that believes a header asks for more."""
 
 
-def main() -> None:
+def main(arguments: list[str] | None = None) -> None:
     """Runs all targets; exit status 1 where one broke."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--inputs", type=int, default=50_000)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help=f"under a minute: {QUICK} inputs")
+    parser.add_argument("--inputs", type=int, default=50_000, help="over all targets")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--only", choices=list(TARGETS))
-    arguments = parser.parse_args()
+    parser.add_argument("--only", choices=list(TARGETS), metavar="TARGET", help=f"of {', '.join(TARGETS)}")
+    options = parser.parse_args(arguments)
+    count = QUICK if options.quick else options.inputs
     os.fsync = lambda _: None  # type: ignore[assignment]  # no power fails here
     used = psutil.Process().memory_info().vms
     resource.setrlimit(resource.RLIMIT_AS, (used + MEMORY, resource.getrlimit(resource.RLIMIT_AS)[1]))
     broke = False
     with tempfile.TemporaryDirectory() as folder:
         for name, target in TARGETS.items():
-            if arguments.only in (None, name):
-                result = fuzz(target, int(arguments.inputs * target.share), arguments.seed, Path(folder))
+            if options.only in (None, name):
+                result = fuzz(target, int(count * target.share), options.seed, Path(folder))
                 broke |= result["broke"] is not None
                 print(json.dumps({"target": name, **result}), flush=True)
     sys.exit(1 if broke else 0)

@@ -1,12 +1,12 @@
 """Frames of the GL engine: milliseconds against atoms, and against accuracy.
 
-    python -m benchmarks.gl_frames [--quick]
+    python -m benchmarks.gl_frames [--quick] [-o docs/charts]
 
 A melon stands in a picture of 1280 x 720, framed as the app frames it: a lattice of interior atoms under a closed skin
 of discs, as many and as large as captures of an orange and an apple give (16 of them over each pixel that shows skin).
 The camera goes round in steps of a degree, so that no frame can be kept; the cuts stay, or move in the rows that say
 so. Each mode is timed beside the floor, the same atoms drawn once as one-pixel GL_POINTS, in the same run. Writes
-docs/charts/gl_frames.json and .png.
+gl_frames.json and .png.
 
 Where GL is software the solid is drawn by the processor's own kernels; `opaque, by shaders` is what GLSL takes there.
 The coarser rows are what a view that moves may fall back to: fewer pixels along a side, fewer atoms.
@@ -20,7 +20,6 @@ from __future__ import annotations
 
 import json
 import math
-import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -32,12 +31,8 @@ import moderngl
 import numpy as np
 import torch
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
-
-from reference_classic import picture as classic_reference
-from reference_opaque import reference
-
-from benchmarks.fronts import front
+from benchmarks.support.fronts import front
+from benchmarks.support.options import out_folder, parser_of, write_json
 from engine.io.files import atomic
 from engine.render.cpu.window import is_software
 from engine.render.gl import Renderer
@@ -48,11 +43,12 @@ from engine.scene.gaussians import Gaussians
 from engine.scene.piece import Piece
 from engine.scene.plane import Plane
 from engine.threads import cores
+from tests.reference.classic import picture as classic_reference
+from tests.reference.opaque import reference
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt
 
-FOLDER = Path(__file__).parents[1] / "docs/charts"
 SIZE = 1280, 720
 FOV = math.radians(35)
 AIR = 1.12  # radii that fit the picture, as the app frames an object
@@ -116,7 +112,8 @@ def melon(count: int) -> Atoms:
     rgb = np.clip(rgb + 0.1 * np.sin(inner * 60), 0, 1)
     sigmas = np.full(len(inner), pitch / 2)
     surface = SurfaceAtoms(*(a.astype(np.float32) for a in (radius * normal, scales, quats, coefficients)))
-    return Atoms(surface, InteriorAtoms(*(a.astype(np.float32) for a in (inner, sigmas, rgb))), pitch)
+    interior = InteriorAtoms(inner.astype(np.float32), sigmas.astype(np.float32), rgb.astype(np.float32))
+    return Atoms(surface, interior, pitch)
 
 
 def as_capture(atoms: Atoms) -> Gaussians:
@@ -148,12 +145,15 @@ def point_cloud(renderer: Renderer, atoms: Atoms) -> Callable[[int], None]:
     means = np.concatenate([atoms.surface.means, atoms.interior.means])
     array = ctx.vertex_array(program, [(ctx.buffer(np.concatenate([means, rgb], 1)), "3f 3f", "mean", "rgb")])
 
+    matrix = program["matrix"]
+    assert isinstance(matrix, moderngl.Uniform)
+
     def draw(step: int) -> None:
         camera = view(step)
         lens = np.zeros((4, 4))
         lens[0, 0], lens[1, 1] = 2 * camera.fx / camera.width, 2 * camera.fy / camera.height
         lens[2, 2:], lens[3, 2] = (1.002, -0.02), 1
-        program["matrix"].write((lens @ camera.viewmat).T.astype(np.float32).tobytes())
+        matrix.write((lens @ camera.viewmat).T.astype(np.float32).tobytes())
         target.use()
         ctx.enable_only(moderngl.DEPTH_TEST)
         target.clear()
@@ -204,7 +204,11 @@ def speed(renderer: Renderer, shaders: Renderer, count: int, times: int) -> list
         for mode, options in MODES.items():
             for _ in range(2):
                 renderer.render(view(0), pieces, **options)  # the grid of a plane is made when it is seen again
-            add(mode, cut, lambda step, p=pieces, o=options: renderer.render(view(step), p, **o))
+
+            def draw(step: int, pieces: tuple[Piece, ...] = pieces, options: dict[str, Any] = options) -> None:
+                renderer.render(view(step), pieces, **options)
+
+            add(mode, cut, draw)
     pieces = (Piece(CUTS["one cut"]),)
     for mode, (part, level) in COARSER.items():
 
@@ -231,9 +235,9 @@ def speed(renderer: Renderer, shaders: Renderer, count: int, times: int) -> list
     return rows
 
 
-def accuracy(renderer: Renderer, shaders: Renderer) -> dict[str, float]:
-    """PSNR in dB of each mode against float64: of a million atoms with one cut, in windows."""
-    atoms, planes, camera = melon(1_000_000), CUTS["one cut"], view(0)
+def accuracy(renderer: Renderer, shaders: Renderer, count: int) -> dict[str, float]:
+    """PSNR in dB of each mode against float64: of `count` atoms with one cut, in windows."""
+    atoms, planes, camera = melon(count), CUTS["one cut"], view(0)
     truths = [true_window(atoms, camera, planes, *corner) for corner in WINDOWS.values()]
 
     def compared(rgb: np.ndarray) -> float:
@@ -260,7 +264,8 @@ def accuracy(renderer: Renderer, shaders: Renderer) -> dict[str, float]:
     renderer.set_capture(capture)
     camera = view(0, 80, 60)
     values = (capture.means, capture.scales, capture.quats, capture.opacities, capture.sh)
-    exact = classic_reference(*(torch.as_tensor(v, dtype=torch.float64) for v in values), camera, (1.0, 1.0, 1.0))[0]
+    means, scales, quats, opacities, coefficients = (torch.as_tensor(v, dtype=torch.float64) for v in values)
+    exact = classic_reference(means, scales, quats, opacities, coefficients, camera, (1.0, 1.0, 1.0))[0]
     renderer.render(camera, mode="classic")
     figures["classic"] = psnr(renderer.read().rgb, exact.numpy())
     return figures
@@ -273,8 +278,7 @@ def true_window(atoms: Atoms, camera: Camera, planes: Sequence[Plane], x: int, y
     def near(means: np.ndarray, reach: float) -> np.ndarray:
         c = means @ part.viewmat[:3, :3].T + part.viewmat[:3, 3]
         at = c[:, :2] / c[:, 2:] * [part.fx, part.fy] + [part.cx, part.cy]
-        inside: np.ndarray = (np.abs(at - WINDOW / 2) < WINDOW / 2 + reach * part.fx / c[:, 2:]).all(1)
-        return inside
+        return np.all(np.abs(at - WINDOW / 2) < WINDOW / 2 + reach * part.fx / c[:, 2:], axis=1)
 
     s, i = atoms.surface, atoms.interior
     a, b = near(s.means, 4 * float(s.scales.max())), near(i.means, 4 * float(i.sigmas.max()))
@@ -338,25 +342,25 @@ def is_gpu(who: str) -> bool:
     return not is_software(who)
 
 
-def main() -> None:
+def main(arguments: list[str] | None = None) -> None:
     """Measures, prints a row a mode and writes numbers and chart."""
-    quick = "--quick" in sys.argv[1:]
+    options = parser_of(__doc__, "a hundred thousand atoms, few frames").parse_args(arguments)
+    folder, quick = out_folder(options), options.quick
     with Renderer() as renderer:
         who = str(renderer.ctx.info["GL_RENDERER"])
         shaders = renderer if is_gpu(who) else Renderer(renderer.ctx, shaders=True)
-        counts = [100_000, 300_000] if quick else [100_000, 300_000, 1_000_000, 3_000_000]
+        counts = [100_000] if quick else [100_000, 300_000, 1_000_000, 3_000_000]
         if is_gpu(who) and not quick:
             counts.append(10_000_000)
-        rows = [row for count in counts for row in speed(renderer, shaders, count, 4 if quick else 9)]
-        figures = accuracy(renderer, shaders)
+        rows = [row for count in counts for row in speed(renderer, shaders, count, 2 if quick else 9)]
+        figures = accuracy(renderer, shaders, 100_000 if quick else 1_000_000)
         print(json.dumps(figures), flush=True)
         if shaders is not renderer:
             shaders.release()
     numbers = {"renderer": who, "cores": cores(), "PSNR": figures, "frames": rows}
-    text = json.dumps(numbers, indent=1) + "\n"
-    with atomic(FOLDER / "gl_frames.json") as temporary:
-        temporary.write_text(text)
-    chart(rows, figures, who, FOLDER / "gl_frames.png")
+    if folder:
+        write_json(folder / "gl_frames.json", numbers)
+        chart(rows, figures, who, folder / "gl_frames.png")
 
 
 if __name__ == "__main__":

@@ -1,18 +1,17 @@
 """Insides that the exemplar prior makes, beside the truth, on cuts that nobody trained.
 
-    python -m benchmarks.interior [--quick] [solid ...]
+    python -m benchmarks.interior [--quick] [-o docs/charts] [solid ...]
 
 For each solid of known inside: solve from the pictures of its cut faces, then compare seven cuts (oblique, off-centre,
 near the pole) with the true ones. The yardstick is another true solid of the kind on the same cuts; the ceiling is the
-truth sampled on the same grid. Writes docs/charts/interior_<solid>.png (upper row truth, lower row ours) and
-docs/charts/interior.json. `busy` is processor time, which a loaded machine disturbs less.
+truth sampled on the same grid. Writes interior_<solid>.png (upper row truth, lower row ours) and interior.json. `busy`
+is processor time, which a loaded machine disturbs less.
 """
 
 from __future__ import annotations
 
 import json
 import os
-import sys
 import tempfile
 import time
 from pathlib import Path
@@ -21,6 +20,7 @@ import numpy as np
 from PIL import Image
 from scipy import ndimage
 
+from benchmarks.support.options import out_folder, parser_of, write_json
 from engine.io.files import atomic
 from engine.scene.camera import Camera, section
 from engine.scene.grid import Body, Grid
@@ -32,7 +32,6 @@ from training.families import COUNTS, Family
 from training.priors.exemplar import ExemplarPrior
 from training.priors.prior import Volume
 
-FOLDER = Path(__file__).parents[1] / "docs/charts"
 CUTS = (
     ((0.3, 0.2, 0.93), 0.05),
     ((0.5, -0.4, 0.77), 0.25),
@@ -79,16 +78,16 @@ def points_on(plane: Plane, camera: Camera) -> np.ndarray:
     return start - plane.distance(start)[..., None] / (np.asarray(plane.normal) @ forward) * forward
 
 
-def measure(name: str, voxels: int) -> dict[str, float]:
-    """Solves one solid, writes its sheet, and returns the figures, means over the cuts."""
+def measure(name: str, voxels: int, folder: Path | None) -> dict[str, float]:
+    """Solves one solid, writes its sheet if there is a folder, and returns the figures, means over the cuts."""
     solid, other = SOLIDS[name](0), SOLIDS[name](1)
     body = body_of(solid)
-    with tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory() as pictures:
         families = []
         for kind in solid.families:
             paths = []
             for n, plane in enumerate(planes(solid, kind)):
-                paths.append(Path(folder) / f"{kind}_{n}.png")
+                paths.append(Path(pictures) / f"{kind}_{n}.png")
                 Image.fromarray(photograph(solid, plane, PHOTOGRAPH)).save(paths[-1])
             families.append(Family(kind, COUNTS[kind], tuple(paths)))
         start, busy = time.perf_counter(), time.process_time()
@@ -116,26 +115,32 @@ def measure(name: str, voxels: int) -> dict[str, float]:
             }
         )
         sheet.append(np.concatenate([true, made]))
-    with atomic(FOLDER / f"interior_{name}.png") as path:
+    if folder:
         picture = np.clip(np.concatenate(sheet, 1), 0, 1) * 255 + 0.5
-        Image.fromarray(picture.astype(np.uint8)).save(path, format="PNG")
+        with atomic(folder / f"interior_{name}.png") as path:
+            Image.fromarray(picture.astype(np.uint8)).save(path, format="PNG")
     means = {key: round(float(np.mean([row[key] for row in rows])), 4) for key in rows[0]}
     return {"voxels": voxels, "seconds": round(seconds, 1), "busy": round(busy, 1), **means}
 
 
-def main(arguments: list[str]) -> None:
+def main(arguments: list[str] | None = None) -> None:
     """Measures the solids named, or all."""
-    quick = "--quick" in arguments
-    names = [a for a in arguments if a in SOLIDS] or list(SOLIDS)
-    found = {name: measure(name, 64 if quick else 192) for name in names}
-    for name, row in found.items():
-        print(name, row)
-    target = FOLDER / "interior.json"
-    known = json.loads(target.read_text()) if target.exists() and not quick else {}
-    if not quick:
-        with atomic(target) as path:
-            path.write_text(json.dumps({"cores": os.cpu_count(), **known, **found}, indent=1) + "\n")
+    parser = parser_of(__doc__, "one solid, coarse")
+    parser.add_argument("solids", nargs="*", metavar="solid", help=f"of {', '.join(SOLIDS)} (default: all)")
+    options = parser.parse_args(arguments)
+    folder = out_folder(options)
+    if unknown := set(options.solids) - set(SOLIDS):
+        parser.error(f"no solid {', '.join(sorted(unknown))}")
+    names = options.solids or list(SOLIDS)[: 1 if options.quick else None]
+    figures = {}
+    for name in names:
+        figures[name] = measure(name, 64 if options.quick else 192, folder)
+        print(name, figures[name], flush=True)
+    if folder:
+        target = folder / "interior.json"
+        known = json.loads(target.read_text()) if target.exists() else {}
+        write_json(target, {"cores": os.cpu_count(), **known, **figures})
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    main()

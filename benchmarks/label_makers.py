@@ -1,6 +1,6 @@
 """Where labels come from: per-plane SDS, per-plane x0, the paper's loop, and one volume solved for all planes.
 
-    python -m benchmarks.label_makers [--scenes bread,orange] [--detail draft] [--out docs/charts]
+    python -m benchmarks.label_makers [--scenes bread,orange] [--detail draft] [--quick] [-o docs/charts]
 
 The same exemplars, fill, training and cuts, which nobody trained; one prior, asked in four ways. Writes
 label_makers.json, label_makers.png (figures against processor time, which a loaded machine disturbs less) and, for
@@ -10,9 +10,10 @@ out/label_makers to measure anew.
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
+import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,14 +21,15 @@ import matplotlib as mpl
 import numpy as np
 from PIL import Image
 
+from benchmarks.support.options import ROOT, out_folder, parser_of, write_json
 from engine.io.files import atomic
 from engine.io.picture_file import read_pixels
 from training.evaluate.grid import cells, perform_all
+from training.settings import DetailName
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt
 
-ROOT = Path(__file__).parents[1]
 METHODS = {
     "independent_sds": "per plane, SDS (eq. 5)",
     "independent": "per plane, x0",
@@ -43,6 +45,8 @@ FIGURES = {
 COLOURS = ("#5B7A99", "#8FA9C2", "#303337", "#FF6B4A")
 MARKERS = "osD^"
 CUTS, SHOWN = 12, 3
+QUICK, QUICK_CUTS = ("ours",), 4
+"""Methods and cuts of a quick run: those that draw plane by plane take minutes."""
 
 
 def draw(found: dict[str, dict[str, Any]], path: Path) -> None:
@@ -66,29 +70,41 @@ def draw(found: dict[str, dict[str, Any]], path: Path) -> None:
     plt.close(figure)
 
 
-def main() -> int:
+def main(arguments: list[str] | None = None) -> int:
     """Runs the scenes asked for and writes what was measured; 1 where a part failed."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__, "one scene in draft, no label drawn plane by plane")
     parser.add_argument("--scenes", default="bread")
     parser.add_argument("--detail", default="draft", choices=["draft", "standard", "high"])
-    parser.add_argument("--out", type=Path, default=ROOT / "docs/charts")
-    options = parser.parse_args()
-    scenes = options.scenes.split(",")
+    options = parser.parse_args(arguments)
+    folder = out_folder(options)
+    if options.quick:
+        with tempfile.TemporaryDirectory() as work:  # what an earlier run left would be no measurement
+            return run(["bread"], "draft", QUICK, QUICK_CUTS, Path(work), folder)
     work = ROOT / "out/label_makers" / options.detail
-    grid = cells(scenes, tuple(METHODS), [0], options.detail, CUTS, None, work)
+    return run(options.scenes.split(","), options.detail, tuple(METHODS), CUTS, work, folder)
+
+
+def run(
+    scenes: list[str], detail: DetailName, methods: Sequence[str], cuts: int, work: Path, folder: Path | None
+) -> int:
+    """Measures what is not yet in `work`, and writes it to the folder if there is one; 1 where a part failed."""
+    grid = cells(scenes, methods, [0], detail, cuts, None, work)
     failed = perform_all(grid, lambda cell, what: print(f"{cell.name}: {what}", file=sys.stderr, flush=True))
-    found = {scene: {cell.method: cell.kept() for cell in grid if cell.scene == scene} for scene in scenes}
+    found: dict[str, dict[str, Any]] = {
+        scene: {cell.method: cell.kept() for cell in grid if cell.scene == scene} for scene in scenes
+    }
+    print(json.dumps(found, indent=1))
+    if not folder:
+        return 1 if failed else 0
     for scene in scenes:
-        strips = [work / "results" / scene / f"{name}.png" for name in ("truth", *(f"{m}-0" for m in METHODS))]
+        strips = [work / "results" / scene / f"{name}.png" for name in ("truth", *(f"{m}-0" for m in methods))]
         if all(path.is_file() for path in strips):
             rows = [read_pixels(path) for path in strips]
             sheet = np.concatenate([row[:, : SHOWN * row.shape[0]] for row in rows])
-            with atomic(options.out / f"label_makers_{scene}.png") as temporary:
+            with atomic(folder / f"label_makers_{scene}.png") as temporary:
                 Image.fromarray(sheet).save(temporary, format="PNG", optimize=True)
-    record = {"detail": options.detail, "cuts": CUTS, "scenes": found}
-    with atomic(options.out / "label_makers.json") as temporary:
-        temporary.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
-    draw(found, options.out / "label_makers.png")
+    write_json(folder / "label_makers.json", {"detail": detail, "cuts": cuts, "scenes": found})
+    draw(found, folder / "label_makers.png")
     return 1 if failed else 0
 
 

@@ -1,6 +1,6 @@
 """Random oblique cuts of each sample scene beside the truth: the part of `fruitninja-evaluate` that is kept as charts.
 
-    python -m benchmarks.oblique_cuts [--detail standard] [--scenes watermelon,orange] [--out docs/charts]
+    python -m benchmarks.oblique_cuts [--detail standard] [--scenes watermelon,orange] [--quick] [-o docs/charts]
 
 Writes oblique_cuts.json and, for each scene, six cuts as a sheet: truth, ours, nearest surface colour (the PhysGaussian
 rule), and ours given the true slices as labels. Started again after an interruption it goes on; delete
@@ -9,23 +9,28 @@ out/oblique_cuts to measure anew. `another` is another true solid of the kind on
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
+import tempfile
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from PIL import Image
 from safetensors.numpy import load_file
 
+from benchmarks.support.options import ROOT, out_folder, parser_of, write_json
 from engine.io.files import atomic
 from engine.io.picture_file import read_pixels
 from training.evaluate.grid import cells, perform_all
 from training.evaluate.metrics import face_psnr
+from training.settings import DetailName
 
-ROOT = Path(__file__).parents[1]
 METHODS = ("ours", "physgaussian", "oracle")
 CUTS = 24
+QUICK, QUICK_CUTS = ("physgaussian", "ours"), 4
+"""Methods and cuts of a quick run."""
 
 
 def another(truth: Path, scene: str) -> dict[str, float] | None:
@@ -39,29 +44,41 @@ def another(truth: Path, scene: str) -> dict[str, float] | None:
     return {"psnr_db": round(float(np.mean([face_psnr(a, b, inside) for a, b, inside in rows])), 3)}
 
 
-def main() -> int:
+def main(arguments: list[str] | None = None) -> int:
     """Runs the scenes asked for and writes what was measured; 1 where a part failed."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__, "one scene in draft, few cuts")
     parser.add_argument("--scenes", default="watermelon,orange,bread,thigh")
     parser.add_argument("--detail", default="standard", choices=["draft", "standard", "high"])
-    parser.add_argument("--out", type=Path, default=ROOT / "docs/charts")
-    options = parser.parse_args()
-    scenes = options.scenes.split(",")
+    options = parser.parse_args(arguments)
+    folder = out_folder(options)
+    if options.quick:
+        with tempfile.TemporaryDirectory() as work:  # what an earlier run left would be no measurement
+            return run(["bread"], "draft", QUICK, QUICK_CUTS, Path(work), folder)
     work = ROOT / "out/oblique_cuts" / options.detail
-    grid = cells(scenes, METHODS, [0], options.detail, CUTS, None, work)
+    return run(options.scenes.split(","), options.detail, METHODS, CUTS, work, folder)
+
+
+def run(
+    scenes: list[str], detail: DetailName, methods: Sequence[str], cuts: int, work: Path, folder: Path | None
+) -> int:
+    """Measures what is not yet in `work`, and writes it to the folder if there is one; 1 where a part failed."""
+    grid = cells(scenes, methods, [0], detail, cuts, None, work)
     failed = perform_all(grid, lambda cell, what: print(f"{cell.name}: {what}", file=sys.stderr, flush=True))
-    found = {scene: {cell.method: cell.kept() for cell in grid if cell.scene == scene} for scene in scenes}
-    for scene in scenes:
-        strips = [work / "results" / scene / f"{name}.png" for name in ("truth", *(f"{m}-0" for m in METHODS))]
-        if all(path.is_file() for path in strips):
-            sheet = np.concatenate([read_pixels(path) for path in strips])
-            with atomic(options.out / f"oblique_cuts_{scene}.png") as temporary:
-                Image.fromarray(sheet).save(temporary, format="PNG", optimize=True)
+    found: dict[str, dict[str, Any]] = {
+        scene: {cell.method: cell.kept() for cell in grid if cell.scene == scene} for scene in scenes
+    }
     for scene in scenes:
         found[scene]["another"] = another(work / "truth", scene)
-    record = {"detail": options.detail, "cuts": CUTS, "scenes": found}
-    with atomic(options.out / "oblique_cuts.json") as temporary:
-        temporary.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+    print(json.dumps(found, indent=1))
+    if not folder:
+        return 1 if failed else 0
+    for scene in scenes:
+        strips = [work / "results" / scene / f"{name}.png" for name in ("truth", *(f"{m}-0" for m in methods))]
+        if all(path.is_file() for path in strips):
+            sheet = np.concatenate([read_pixels(path) for path in strips])
+            with atomic(folder / f"oblique_cuts_{scene}.png") as temporary:
+                Image.fromarray(sheet).save(temporary, format="PNG", optimize=True)
+    write_json(folder / "oblique_cuts.json", {"detail": detail, "cuts": cuts, "scenes": found})
     return 1 if failed else 0
 
 

@@ -1,11 +1,11 @@
 """Accuracy of the inside against training time and number of atoms: the presets, and the knobs behind them.
 
-    python -m benchmarks.presets [--quick]
+    python -m benchmarks.presets [--quick] [-o docs/charts]
 
 Each knob is turned alone, from draft or from standard; accuracy is the mean over the three sample scenes and random
 cuts of each that nobody trained: PSNR, which rewards blur where texture cannot be known, patch distance over that of
 another true one of the kind, and sharpness, which do not. One scene misleads: by patches ten iterations look better
-than draft on the orange, and are worse over three. Writes docs/charts/interior_presets.json and .png, with the Pareto
+than draft on the orange, and are worse over three. Writes interior_presets.json and .png, with the Pareto
 fronts (nothing is both cheaper and better) drawn and the presets marked. The chart has processor time over cores, two
 thirds of the seconds on two cores, because a loaded machine disturbs it less.
 """
@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import itertools
 import json
-import sys
 import tempfile
 import time
 from collections.abc import Sequence
@@ -25,7 +24,8 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 
-from benchmarks.fronts import front
+from benchmarks.support.fronts import front
+from benchmarks.support.options import out_folder, parser_of, write_json
 from engine.io.files import atomic
 from engine.threads import cores
 from training.evaluate.cuts import cuts_of, truth_of
@@ -37,7 +37,6 @@ from training.settings import DETAILS, Detail
 mpl.use("Agg")
 from matplotlib import pyplot as plt
 
-FOLDER = Path(__file__).parents[1] / "docs/charts"
 SCENES = ("orange", "bread", "watermelon")
 CUTS = 20
 ACCENT, OTHER = "#FF6B4A", "#5B7A99"
@@ -54,7 +53,7 @@ FIGURES = {
 
 def settings() -> dict[str, tuple[Detail, float]]:
     """What is run: numbers, and planes as a multiple of the paper's."""
-    runs = {name: (detail, 1.0) for name, detail in DETAILS.items()}
+    runs: dict[str, tuple[Detail, float]] = {name: (detail, 1.0) for name, detail in DETAILS.items()}
     draft, standard = DETAILS["draft"], DETAILS["standard"]
     turned = {
         "label": [draft.label * 5 // 8, draft.label * 3 // 2],
@@ -161,19 +160,21 @@ def draw(runs: dict[str, dict[str, Any]], path: Path) -> None:
     plt.close(figure)
 
 
-def main(arguments: list[str]) -> None:
-    """Runs everything, or draft and two knobs."""
-    quick = "--quick" in arguments
+def main(arguments: list[str] | None = None) -> None:
+    """Runs everything, or draft alone."""
+    options = parser_of(__doc__, "draft alone, on one scene, kernels compiled on the way").parse_args(arguments)
+    out, quick = out_folder(options), options.quick
     chosen = settings()
     if quick:
-        chosen = {name: chosen[name] for name in list(chosen) if name == "draft" or name.startswith("iterations")}
+        chosen = {"draft": chosen["draft"]}
     with tempfile.TemporaryDirectory() as folder:
-        measure(SCENES[0], *chosen["draft"], Path(folder))  # the first run of a process loads kernels
+        if not quick:
+            measure(SCENES[0], *chosen["draft"], Path(folder))  # the first run of a process loads kernels
         made: dict[str, dict[str, dict[str, Any]]] = {name: {} for name in chosen}
         for scene, (name, how) in itertools.product(SCENES[: 1 if quick else None], chosen.items()):
             made[name][scene] = measure(scene, *how, Path(folder))
             print(scene, name, json.dumps(made[name][scene]), flush=True)
-    if quick:
+    if not out:
         return
     runs = {name: mean(chosen[name][0], of) for name, of in made.items()}
     fronts = {
@@ -181,10 +182,9 @@ def main(arguments: list[str]) -> None:
         for up, across in itertools.product(FIGURES, COSTS)
     }
     record = {"scenes": SCENES, "cuts": CUTS, "cores": cores(), "fronts": fronts, "runs": runs}
-    with atomic(FOLDER / "interior_presets.json") as path:
-        path.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
-    draw(runs, FOLDER / "interior_presets.png")
+    write_json(out / "interior_presets.json", record)
+    draw(runs, out / "interior_presets.png")
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    main()

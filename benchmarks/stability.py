@@ -1,15 +1,14 @@
 """How far the method holds: a hole of growing size, a wrong axis, small pictures, few planes, long steps, other seeds.
 
-    python -m benchmarks.stability [--large]
+    python -m benchmarks.stability [--quick] [--large] [-o docs/charts]
 
 Small solids of known inside, so that the whole takes a few minutes; the curves show where a thing
-breaks and how, not how good it can be. Writes docs/charts/stability.png and, with the numbers, stability.json.
+breaks and how, not how good it can be. Writes stability.png and, with the numbers, stability.json.
 With --large only what two million Gaussians cost, from the file to a picture, is measured and added to the numbers.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import resource
@@ -27,6 +26,7 @@ import torch
 from PIL import Image
 
 from benchmarks.interior import body_of, cut_planes, points_on
+from benchmarks.support.options import out_folder, parser_of, write_json
 from engine.errors import InputError
 from engine.io.files import atomic
 from engine.io.load import load
@@ -53,7 +53,6 @@ from training.views import sections, slices
 mpl.use("Agg")
 from matplotlib import pyplot as plt
 
-FOLDER = Path(__file__).parents[1] / "docs/charts"
 VOXELS = 40
 CUT_SIZE = 120
 SEEDS = range(10)
@@ -85,17 +84,17 @@ def sphere(hole: float, count: int = 8000) -> Gaussians:
     n = len(normals)
     return Gaussians(
         normals.astype(np.float32),
-        np.tile(np.float32([size, size, size / 5]), (n, 1)),
+        np.tile(np.array([size, size, size / 5], np.float32), (n, 1)),
         quats.astype(np.float32),
         np.full(n, 0.99, np.float32),
         np.zeros((n, 1, 3), np.float32),
     )
 
 
-def holes() -> list[dict[str, Any]]:
+def holes(angles: Sequence[int] = HOLES) -> list[dict[str, Any]]:
     """Volume found over that under a flat lid; refusals say so."""
     rows: list[dict[str, Any]] = []
-    for hole in HOLES:
+    for hole in angles:
         h = 1 - np.cos(np.radians(hole))
         truth = 4 / 3 * np.pi - np.pi * h**2 * (3 - h) / 3
         try:
@@ -147,9 +146,9 @@ def solved(solid: Solid, tilt: float = 0.0, seed: int = 0, pixels: int = 96, vox
     return {"psnr_db": round(float(np.mean(figures)), 3), "cells": round(side / volume.body.grid.cell)}
 
 
-def seeded(name: str) -> dict[str, Any]:
+def seeded(name: str, seeds: Sequence[int]) -> dict[str, Any]:
     """The PSNR of one solid with each seed, and its spread."""
-    spread = [solved(SOLIDS[name](0), seed=seed)["psnr_db"] for seed in SEEDS]
+    spread = [solved(SOLIDS[name](0), seed=seed)["psnr_db"] for seed in seeds]
     return {"solid": name, "psnr_db": spread, "mean_db": round(float(np.mean(spread)), 3),
             "sd_db": round(float(np.std(spread)), 3)}  # fmt: skip
 
@@ -224,41 +223,41 @@ def large(count: int = 2_000_000) -> dict[str, float]:
     return row
 
 
-def main() -> None:
+def main(arguments: list[str] | None = None) -> None:
     """Runs all sweeps, and draws them."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser = parser_of(__doc__, "the first two points of each curve")
     parser.add_argument("--large", action="store_true", help="only what two million Gaussians cost")
-    arguments = parser.parse_args()
-    target = FOLDER / "stability.json"
-    known = json.loads(target.read_text()) if target.exists() else {}
-    if arguments.large:
-        keep(known | {"two_million": large()})
-        return
-    cake = SOLIDS["cake"](0)
-    figures: dict[str, Any] = {"cores": os.cpu_count(), "voxels": VOXELS, "holes": holes()}
-    figures["labels"] = [{"pixels": size, **fitted(size=size)} for size in LABELS]
-    figures["rates"] = [{"times": rate, **fitted(rate=rate)} for rate in RATES]
+    options = parser.parse_args(arguments)
+    folder = out_folder(options)
+    figures = {"two_million": large()} if options.large else sweeps(2 if options.quick else None)
+    print(json.dumps(figures, indent=1))
+    if folder:
+        target = folder / "stability.json"
+        known = json.loads(target.read_text()) if target.exists() else {}
+        write_json(target, known | figures)
+        if not options.large:
+            draw(figures, folder / "stability.png")
+
+
+def sweeps(points: int | None) -> dict[str, Any]:
+    """Every curve, or this many first points of each."""
+    cake, orange = SOLIDS["cake"](0), SOLIDS["orange"](0)
+    figures: dict[str, Any] = {"cores": os.cpu_count(), "voxels": VOXELS, "holes": holes(HOLES[:points])}
+    figures["labels"] = [{"pixels": size, **fitted(size=size)} for size in LABELS[:points]]
+    figures["rates"] = [{"times": rate, **fitted(rate=rate)} for rate in RATES[:points]]
     figures["planes"] = [
         {"planes": count, "smoothed": name, **fitted(planes=count, kind=of)}
         for name, of in ((True, Trainer), (False, UnsmoothedTrainer))
-        for count in PLANES
+        for count in PLANES[:points]
     ]
-    orange = SOLIDS["orange"](0)
-    figures["pictures"] = [{"pixels": size, **solved(orange, pixels=size, voxels=FINE)} for size in PIXELS]
-    figures["tilts"] = [{"degrees": tilt, **solved(cake, tilt)} for tilt in TILTS]
-    figures["offsets"] = [{"radii": offset, **solved(core(offset))} for offset in OFFSETS]
-    figures["seeds"] = [seeded(name) for name in SEEDED]
-    keep(known | figures)
-    draw(figures)
+    figures["pictures"] = [{"pixels": size, **solved(orange, pixels=size, voxels=FINE)} for size in PIXELS[:points]]
+    figures["tilts"] = [{"degrees": tilt, **solved(cake, tilt)} for tilt in TILTS[:points]]
+    figures["offsets"] = [{"radii": offset, **solved(core(offset))} for offset in OFFSETS[:points]]
+    figures["seeds"] = [seeded(name, SEEDS[:points]) for name in SEEDED]
+    return figures
 
 
-def keep(figures: dict[str, Any]) -> None:
-    """Writes the numbers."""
-    with atomic(FOLDER / "stability.json") as path:
-        path.write_text(json.dumps(figures, indent=1, allow_nan=False) + "\n")
-
-
-def draw(figures: dict[str, Any]) -> None:
+def draw(figures: dict[str, Any], path: Path) -> None:
     """Small multiples, one for each thing that goes wrong."""
     plt.rcParams.update({"font.size": 9, "axes.spines.top": False, "axes.spines.right": False, "axes.titlesize": 10})
     figure, axes = plt.subplots(2, 4, figsize=(14, 6), layout="constrained")
@@ -307,12 +306,12 @@ def draw(figures: dict[str, Any]) -> None:
     axis = axes.flat[7]
     for row, colour in zip(figures["seeds"], (ACCENT, "#4C9F70", "#5B6270"), strict=True):
         label = f"{row['solid']}: {row['mean_db']:.2f} ± {row['sd_db']:.3f} dB"
-        axis.plot(SEEDS, row["psnr_db"], "o-", color=colour, markersize=4, label=label)
+        axis.plot(range(len(row["psnr_db"])), row["psnr_db"], "o-", color=colour, markersize=4, label=label)
     axis.set(title="Ten seeds", xlabel="seed", ylabel=psnr)
     axis.legend(frameon=False, fontsize=8)
     axis.margins(y=0.3)
-    with atomic(FOLDER / "stability.png") as path:
-        figure.savefig(path, dpi=130, format="png")
+    with atomic(path) as temporary:
+        figure.savefig(temporary, dpi=130, format="png")
 
 
 if __name__ == "__main__":

@@ -17,19 +17,16 @@ from pathlib import Path
 import numpy as np
 from imgui_bundle import imgui
 
+from app.model.document import Part, Training
+from app.model.project import Viewing
+from app.model.rigid_transform import Motion
+from app.model.samples import sample_document
+from app.model.settings import Settings
+from app.session.session import Session
+from engine.scene.plane import Plane
+from tests.helpers.app_driver import Driver, drive
+
 ROOT = Path(__file__).resolve().parents[1]
-sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
-
-from app_driver import Driver, drive  # noqa: E402 (tests is no package)
-
-from app.model.document import Part, Training  # noqa: E402
-from app.model.project import Viewing  # noqa: E402
-from app.model.rigid_transform import Motion  # noqa: E402
-from app.model.samples import sample_document  # noqa: E402
-from app.model.settings import Settings  # noqa: E402
-from app.session.session import Session  # noqa: E402
-from engine.scene.plane import Plane  # noqa: E402
-
 Key = imgui.Key
 PICTURE_SUFFIXES = ROOT / "docs" / "pictures"
 OUT = ROOT / "out" / "screenshots"
@@ -49,7 +46,7 @@ def main() -> None:
         if server is None:
             sys.exit("screenshots: no display; install xvfb")
         screen = f"-screen 0 {SIZE[0] + 160}x{SIZE[1] + 100}x24"
-        os.execv(server, [server, "-a", "-s", screen, sys.executable, __file__, *sys.argv[1:]])
+        os.execv(server, [server, "-a", "-s", screen, sys.executable, "-m", "tools.screenshots", *sys.argv[1:]])
     os.environ["FRUITNINJA_HOME"] = str(OUT / "home")
     shutil.rmtree(OUT / "home", ignore_errors=True)
     if options.fresh:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -49,7 +50,7 @@ def changes(draw: st.DrawFn, document: Document) -> Document:
     )
     if what in ("cut", "section"):
         scope = draw(st.sampled_from([WHOLE, *keys]))
-        kind = "slice" if what == "cut" else "section"
+        kind: Literal["slice", "section"] = "slice" if what == "cut" else "section"
         return document.with_cut((Part(draw(planes), scope if what == "cut" else WHOLE),), kind=kind)
     if what == "move":
         shift = draw(st.floats(-1, 1))

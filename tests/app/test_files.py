@@ -188,7 +188,8 @@ def test_dialogs_of_the_system_open_and_are_cancelled(tmp_path: Path, monkeypatc
 
     for kind in ("open_file", "save_file", "select_folder"):
         monkeypatch.setattr(f"app.ui.dialogs.file_dialogs.pfd.{kind}", Fake)
-    dialogs, got = FileDialogs(tmp_path), []
+    got: list[object] = []
+    dialogs = FileDialogs(tmp_path)
     dialogs.native = True
     for _ in range(2):
         dialogs.open_scene(got.append)

@@ -156,7 +156,7 @@ def test_the_window_takes_on_what_a_training_has_reached(tmp_path: Path) -> None
 
     written: list[str] = []
     assert colours.newer(solid) is None
-    red = np.tile(np.float32([2, 0, 0]), (600, 1))
+    red = np.tile(np.array([2, 0, 0], np.float32), (600, 1))
     reached("labels", {}, rgb=red)
     seen = colours.newer(solid)
     assert seen is not None and seen.interior.means is solid.interior.means and (seen.interior.rgb == [1, 0, 0]).all()
@@ -164,7 +164,7 @@ def test_the_window_takes_on_what_a_training_has_reached(tmp_path: Path) -> None
     colours.reset()  # the window has made its atoms anew
     assert colours.newer(solid) is not None
     # An inside of the trainer's own making, then colours for it.
-    means, sigmas = np.float32([[0, 0, 0], [1, 2, 3]]), np.float32([0.1, 0.2])
+    means, sigmas = np.array([[0, 0, 0], [1, 2, 3]], np.float32), np.array([0.1, 0.2], np.float32)
     reached("labels", {"exposed": 1}, means=means, sigmas=sigmas, rgb=red[:2])
     seen = colours.newer(solid)
     assert seen is not None and len(seen.interior) == 2 and seen.interior.exposed == 1
@@ -282,7 +282,7 @@ def test_what_lies_in_a_result_folder_starts_and_ends_no_process(tmp_path: Path)
             (out / name).symlink_to(secret)
         assert Job.find(out) is None
         session = Session(autosave=Autosave(tmp_path))
-        session.scene.load = lambda result=None: None  # type: ignore[method-assign]
+        session.scene.load = lambda result=None: None
         session.files.open_document(document, Viewing(), None)
         assert session.training.job is None
         session.training.resume()

@@ -13,7 +13,7 @@ from engine.scene.plane import Plane
 PITCH = 2 / 64
 
 
-def filled(inside) -> Atoms:  # type: ignore[no-untyped-def]
+def filled(inside) -> Atoms:
     """Atoms on a jittered lattice where a function of points (N, 3) is true."""
     rng = np.random.default_rng(3)
     axis = np.arange(-1.6, 1.6, PITCH)

@@ -33,7 +33,7 @@ def ball() -> Atoms:
     z, turn = 1 - 2 * index / 3000, np.pi * (1 + 5**0.5) * index
     ring = np.sqrt(1 - z * z)
     means = np.stack([ring * np.cos(turn), ring * np.sin(turn), z], 1).astype(np.float32)
-    quats = np.tile(np.float32([1, 0, 0, 0]), (3000, 1))
+    quats = np.tile(np.array([1, 0, 0, 0], np.float32), (3000, 1))
     surface = SurfaceAtoms(means, np.full((3000, 3), 0.05, np.float32), quats, np.zeros((3000, 1, 3), np.float32))
     return Atoms(surface, interior, 0.1)
 

@@ -60,7 +60,7 @@ class Driver:
         start: tuple[float, float],
         end: tuple[float, float],
         button: int = 0,
-        hold: Callable[[], None] | None = None,
+        hold: Callable[[], object] | None = None,
     ) -> None:
         """Across the viewport; `hold` is done before the button is let go."""
         self.context.mouse_move_to_pos(self.point(*start))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from typing import Any
+from unittest import mock
 
 import safetensors.numpy
 
@@ -17,4 +18,4 @@ def dask_setup(_: object) -> None:
             raise safetensors.SafetensorError("I/O error: No space left on device (os error 28)")
         write(arrays, path, *more, **named)
 
-    safetensors.numpy.serialize_file = serialize
+    mock.patch.object(safetensors.numpy, "serialize_file", serialize).start()

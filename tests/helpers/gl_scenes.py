@@ -39,5 +39,5 @@ def tight_ball(pitch: float) -> Atoms:
     lattice = lattice[np.linalg.norm(lattice, axis=1) < 0.5 - 0.6 * pitch]
     layer = atoms.surface.means * (1 - pitch)
     means = np.concatenate([lattice, layer]).astype(np.float32)
-    rgb = 0.5 + 0.4 * np.sin(20 * means)
+    rgb = (0.5 + 0.4 * np.sin(20 * means)).astype(np.float32)
     return Atoms(atoms.surface, InteriorAtoms(means, np.full(len(means), pitch / 2, np.float32), rgb), pitch)

@@ -33,8 +33,8 @@ def ball(pitch: float, seed: int = 0, exposed: int = 0, degree: int = 1, radius:
     seeds *= rng.uniform(0.4, 0.76, (60, 1)) * radius / np.linalg.norm(seeds, axis=1, keepdims=True)
     for seed_point in seeds:
         rgb[np.linalg.norm(points - seed_point, axis=1) < 0.04 * radius] = [0.08, 0.05, 0.03]
-    sigmas = np.full(len(points), pitch / 2)
-    return Atoms(skin, InteriorAtoms(*(a.astype(np.float32) for a in (points, sigmas, rgb)), exposed), pitch)
+    means, sigmas, rgb = (a.astype(np.float32) for a in (points, np.full(len(points), pitch / 2), rgb))
+    return Atoms(skin, InteriorAtoms(means, sigmas, rgb, exposed), pitch)
 
 
 def scatter(surface: int, interior: int, seed: int = 0, exposed: int = 0, degree: int = 2) -> Atoms:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import string
 from pathlib import Path
+from typing import Any
 
 import torch
 
@@ -54,16 +55,17 @@ def save_tiny(folder: Path, channels: int = 5, prediction: str = "epsilon", seed
                 eos_token_id=vocabulary - 1,
             )
         )
-    unet.save_pretrained(folder / "unet")
-    vae.save_pretrained(folder / "vae")
-    text.save_pretrained(folder / "text_encoder")
-    PNDMScheduler(
+    models: dict[str, Any] = {"unet": unet, "vae": vae, "text_encoder": text}  # their base classes have no types
+    for name, model in models.items():
+        model.save_pretrained(folder / name)
+    scheduler: Any = PNDMScheduler(
         beta_start=0.00085,
         beta_end=0.012,
         beta_schedule="scaled_linear",
         skip_prk_steps=True,
         prediction_type=prediction,
-    ).save_pretrained(folder / "scheduler")
+    )
+    scheduler.save_pretrained(folder / "scheduler")
     index = {
         "_class_name": "StableDiffusionDepth2ImgPipeline",
         "unet": ["diffusers", "UNet2DConditionModel"],

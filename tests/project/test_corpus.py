@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.fuzz_rules import words_wrong
-from benchmarks.guard import Forbidden, guarded
+from benchmarks.readers.guard import Forbidden, guarded
+from benchmarks.readers.rules import words_wrong
 from tests.paths import ROOT
 
 

@@ -106,7 +106,7 @@ def doors(path: Path) -> Iterator[tuple[str, int]]:
         for name in names:
             for kind, pattern in DANGEROUS.items():
                 if re.fullmatch(pattern, name) and name.split(".")[0] not in given:
-                    yield kind, node.lineno
+                    yield kind, getattr(node, "lineno", 0)
             if isinstance(node, ast.Call) and re.fullmatch(GUARDS, name):
                 yield "guarded", node.lineno
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, given, settings
 
-from benchmarks.fuzz_targets import TARGETS
+from benchmarks.readers.targets import TARGETS
 
 INPUTS = 2000
 

@@ -80,11 +80,13 @@ def test_the_traps_work(folder: Path) -> None:
     assert marks(folder)
 
 
+@pytest.mark.slow
 def test_the_window_opens_and_trains(folder: Path, tmp_path: Path) -> None:
     (tmp_path / "melon.ply").write_bytes((SCENE / "watermelon.ply").read_bytes())
     assert "well" in run(folder, tmp_path, WINDOW)
 
 
+@pytest.mark.slow
 def test_the_commands_train_and_draw(folder: Path, tmp_path: Path) -> None:
     run(folder, tmp_path, SMALL_COMMAND, *ARGUMENTS, "-o", "out", "--iterations", "1")
     drawn = "from engine.render.cli import main\nmain()\n"
@@ -92,6 +94,7 @@ def test_the_commands_train_and_draw(folder: Path, tmp_path: Path) -> None:
     assert (folder / "cut.png").is_file()
 
 
+@pytest.mark.slow
 def test_a_batch_on_this_machine(folder: Path, tmp_path: Path) -> None:
     picture = SCENE / "horizontal_1.png"
     (folder / "all.toml").write_text(

@@ -24,7 +24,9 @@ def test_round_trip_is_bit_exact(tmp_path):
     checkpoint = Checkpoint(tmp_path, "run")
     array = np.random.default_rng(0).standard_normal((7, 3)).astype(np.float32)
     checkpoint.save("training", {"rgb": array}, {"losses": [0.1, 1e-17]})
-    arrays, facts = checkpoint.load("training")
+    loaded = checkpoint.load("training")
+    assert loaded is not None
+    arrays, facts = loaded
     assert (arrays["rgb"] == array).all()
     assert facts == {"losses": [0.1, 1e-17]}
     assert checkpoint.load("labels") is None

@@ -191,7 +191,7 @@ def test_a_small_evaluation_goes_on_where_it_was_stopped(tiny, tmp_path, monkeyp
             return self
 
         def __exit__(self, *_: object) -> None: ...
-        def submit(self, function, cell, numbers):  # type: ignore[no-untyped-def]
+        def submit(self, function, cell, numbers):
             called.append(cell.method)
             function(cell, numbers)
             return self
@@ -219,7 +219,7 @@ def test_a_small_evaluation_goes_on_where_it_was_stopped(tiny, tmp_path, monkeyp
 def test_a_cluster_keeps_what_the_command_reads(tmp_path, monkeypatch):
     small = cells(["bread", "orange"], ["ours"], [0], "draft", 6, None, tmp_path)
 
-    def here(tasks, told, stop, scheduler):  # type: ignore[no-untyped-def]
+    def here(tasks, told, stop, scheduler):
         tasks[0].keep({"psnr_db": 1.0})
         ended = [Outcome(tasks[0], "done"), Outcome(tasks[1], "failed", error="it broke")]
         for outcome in ended:

@@ -163,7 +163,7 @@ def test_photograph_is_white_around_the_face(solid: Solid) -> None:
     assert (picture[[0, 0, -1, -1], [0, -1, 0, -1]] == 255).all()
 
 
-def assert_closed(solid: Solid, gaussians) -> None:  # type: ignore[no-untyped-def]
+def assert_closed(solid: Solid, gaussians) -> None:
     """No skin point is farther than the core of a splat, 1.18 standard deviations, from a nearly opaque Gaussian."""
     firm = gaussians[gaussians.opacities >= NEARLY_OPAQUE]
     firm = firm[np.abs(solid.depth(firm.means)) < 1e-3]

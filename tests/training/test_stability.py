@@ -77,7 +77,7 @@ def scaled(scene: Gaussians, factor: float) -> Gaussians:
 
 
 def stretched(scene: Gaussians, *factors: float) -> Gaussians:
-    return replace(scene, means=scene.means * np.float32(factors))
+    return replace(scene, means=scene.means * np.array(factors, np.float32))
 
 
 def misty(n: int = 300) -> Gaussians:
@@ -139,7 +139,7 @@ def test_captures_at_the_limit_become_solids(case: str, tmp_path: Path, pictures
     [
         (lambda: ball()[:10], "10 Gaussians are too few"),
         (lambda: replace(ball(), opacities=np.full(2000, 0.03, np.float32)), "too thin"),
-        (lambda: replace(ball(), scales=ball().scales * np.float32([12, 0.02, 0.02])), "too large"),
+        (lambda: replace(ball(), scales=ball().scales * np.array([12, 0.02, 0.02], np.float32)), "too large"),
     ],
     ids=["ten", "faint", "needles longer than a quarter of it"],
 )
@@ -152,7 +152,7 @@ def test_captures_beyond_it_get_one_line(
 
 def test_needles_shorter_than_that_are_a_skin() -> None:
     scene = ball(6000)
-    needles = replace(scene, scales=scene.scales * np.float32([3, 0.5, 0.1]))
+    needles = replace(scene, scales=scene.scales * np.array([3, 0.5, 0.1], np.float32))
     body = find_body(needles, cells=48).body
     assert abs(body.volume / (4 / 3 * np.pi) - 1) < 0.05
 
@@ -278,7 +278,7 @@ def test_what_no_label_shows_is_smoothed_unless_smoothing_is_left_out(atoms: Ato
     smoothed = smooth(atoms.interior.means, atoms.interior.rgb, kept, shown)
     assert np.allclose(smoothed, 1, atol=1e-5)
     assert 0.1 < (kept == 0.5).all(axis=1).mean() < 0.9
-    assert np.isin(np.round(kept, 5), np.float32([0.5, 1])).all()
+    assert np.isin(np.round(kept, 5), np.array([0.5, 1], np.float32)).all()
 
 
 @pytest.mark.parametrize("rate", [1.0, 1e6, 1e30])

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -80,11 +81,15 @@ def test_a_run_leaves_a_solid_a_sheet_and_a_report(whole):
     assert red > 1.5 * green
 
 
+def holds(said: io.StringIO, words: str) -> bool:
+    return words in said.getvalue()
+
+
 def test_an_interrupted_run_ends_with_the_same_bits(whole, tmp_path):
     for reached in ('"stage": "labels", "part": 0.', '"stage": "views"', '"iteration": 2'):
         said = io.StringIO()
         with pytest.raises(Interrupted):
-            run(REQUEST, tmp_path, Reporter(said), True, lambda said=said, reached=reached: reached in said.getvalue())
+            run(REQUEST, tmp_path, Reporter(said), True, partial(holds, said, reached))
     assert (tmp_path / "checkpoint/training.safetensors").exists()
     run(REQUEST, tmp_path, Reporter(), True, lambda: False)
     assert (tmp_path / "watermelon.ply").read_bytes() == (whole / "watermelon.ply").read_bytes()

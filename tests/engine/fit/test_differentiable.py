@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -44,7 +45,8 @@ def test_gradients_meet_finite_differences(camera: Camera, planes: list[Plane], 
     of_alpha = torch.rand(camera.height, camera.width, generator=rng, dtype=torch.float64)
 
     def loss(values: list[torch.Tensor]) -> torch.Tensor:
-        moved = replace(atoms, **dict(zip(PARAMETERS, values, strict=True)))
+        changed: dict[str, Any] = dict(zip(PARAMETERS, values, strict=True))
+        moved = replace(atoms, **changed)
         rgb, alpha = opaque_image(moved, camera, planes, (0.2, 0.5, 0.9))
         return (rgb * of_rgb).sum() + (alpha * of_alpha).sum()
 
@@ -77,7 +79,7 @@ def test_harmonics_are_the_engines() -> None:
 
 def test_what_nobody_sees_has_no_gradient_and_what_is_odd_stays_finite() -> None:
     atoms = scatter(12, 8, exposed=4)
-    atoms.surface.scales[:4] = [[0, 0, 0], [1e-30, 1, 1], [1e6, 1, 1], [1e-9, 1e-9, 10]]
+    atoms.surface.scales[:4] = np.array([[0, 0, 0], [1e-30, 1, 1], [1e6, 1, 1], [1e-9, 1e-9, 10]])
     atoms.surface.quats[2] = 0
     atoms.surface.means[5] = FAR.position
     atoms.surface.means[6] = FAR.position - FAR.forward
@@ -90,6 +92,7 @@ def test_what_nobody_sees_has_no_gradient_and_what_is_odd_stays_finite() -> None
         (rgb.square().sum() + alpha.sum()).backward()
         for name in PARAMETERS:
             assert torch.isfinite(getattr(tensors, name).grad).all(), name
+        assert tensors.means.grad is not None
         assert tensors.means.grad[6].abs().sum() == 0 or planes
 
 

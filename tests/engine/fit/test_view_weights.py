@@ -83,6 +83,7 @@ def test_the_picture_has_gradients_in_harmonics_and_rgb() -> None:
     loss.backward()
     step = 1e-3
     for tensor in (coefficients, rgb):
+        assert tensor.grad is not None
         direction = tensor.grad / tensor.grad.norm()
         ends = []
         for sign in (1, -1):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -107,7 +108,9 @@ def test_a_seed_is_a_scan(tmp_path: Path) -> None:
 def test_formats_agree(tmp_path: Path, suffix: str) -> None:
     """The same square, written by trimesh; texture coordinates must not be upside down in any format."""
     mesh = trimesh.load_mesh(square(tmp_path, ramp()))
-    mesh.visual.material.diffuse = [255, 255, 255, 255]  # it would tint the texture in a .glb, as the format has it
+    assert isinstance(mesh.visual, trimesh.visual.TextureVisuals)
+    # Another colour of the material would tint the texture in a .glb, as the format has it.
+    mesh.visual.material.diffuse = np.full(4, 255, np.uint8)
     if suffix == "ply":
         mesh.visual = trimesh.visual.ColorVisuals(mesh, vertex_colors=mesh.visual.to_color().vertex_colors)
     (tmp_path / "out").mkdir()
@@ -170,6 +173,7 @@ def test_grey_with_a_warning(tmp_path: Path) -> None:
 
 def test_a_texture_that_cannot_be_read_is_told(tmp_path: Path) -> None:
     data = trimesh.load_mesh(square(tmp_path, ramp())).export(file_type="glb")
+    assert isinstance(data, bytes)
     (tmp_path / "s.glb").write_bytes(data.replace(b"\x89PNG", b"\0PNG"))
     warnings: list[str] = []
     read_mesh(tmp_path / "s.glb", 10, warn=warnings.append)
@@ -347,4 +351,4 @@ def test_real_files_open_by_what_they_are() -> None:
     assert load(DATA / "splats/donut_mipsplatting.ply").warnings == ()
     assert len(load(DATA / "meshes/trimesh_bunny.ply").gaussians) == 60_000
     for name in ("photos/opencv_fruits.jpg", "volumes/vhm_thigh_rgba.npz"):
-        refusal(lambda path=DATA / name: load(path), DATA / name)
+        refusal(partial(load, DATA / name), DATA / name)

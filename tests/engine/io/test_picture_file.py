@@ -14,6 +14,7 @@ import zlib
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -105,9 +106,8 @@ def gltf_with(folder: Path, picture: bytes, way: str) -> Path:
     """A textured triangle, its picture in a buffer view, in a data URI, or in a file that is a buffer too."""
     image = Image.fromarray(np.zeros((9, 9, 3), np.uint8))
     visual = trimesh.visual.TextureVisuals(uv=[[0, 0], [1, 0], [0, 1]], image=image)
-    files = trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]], visual=visual, process=False).export(
-        file_type="gltf"
-    )
+    triangle = trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]], visual=visual, process=False)
+    files: Any = triangle.export(file_type="gltf")
     (name,) = (name for name in files if name.endswith(".gltf"))
     tree = json.loads(files[name])
     for other, data in files.items():

@@ -321,7 +321,7 @@ def test_real_captures(name: str, count: int) -> None:
     assert (len(gaussians), gaussians.sh_degree, warnings) == (count, 0, [])
     body = path.read_bytes()[read_header(path).data :]
     first = struct.unpack_from("<17f", body)  # x y z, normal, f_dc, opacity, scale, rot
-    np.testing.assert_array_equal(gaussians.means[0], np.float32(first[:3]))
+    np.testing.assert_array_equal(gaussians.means[0], np.array(first[:3], np.float32))
     np.testing.assert_allclose(gaussians.opacities[0], 1 / (1 + np.exp(-first[9])), rtol=1e-6)
     np.testing.assert_allclose(gaussians.scales[0], np.exp(first[10:13]), rtol=1e-6)
     np.testing.assert_allclose(np.linalg.norm(gaussians.quats, axis=1), 1, atol=1e-6)

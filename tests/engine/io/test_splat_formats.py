@@ -35,7 +35,7 @@ def scene(degree: int = 0) -> Gaussians:
     return Gaussians(*(a.astype(np.float32) for a in arrays))
 
 
-def byte(value: float) -> int:
+def byte(value: float | np.floating) -> int:
     return min(255, max(0, round(value)))
 
 
@@ -119,7 +119,11 @@ def spz(g: Gaussians, version: int = 3, extra: bytes = b"", **changes: int) -> b
 def flipped(g: Gaussians) -> Gaussians:
     """Seen with y and z turned around, all but the spherical harmonics above degree 0."""
     return Gaussians(
-        g.means * np.float32([1, -1, -1]), g.scales, g.quats * np.float32([1, 1, -1, -1]), g.opacities, g.sh
+        g.means * np.array([1, -1, -1], np.float32),
+        g.scales,
+        g.quats * np.array([1, 1, -1, -1], np.float32),
+        g.opacities,
+        g.sh,
     )
 
 
@@ -168,7 +172,7 @@ def test_an_spz_is_read_to_its_steps_and_turned_as_a_ply_is(
 ) -> None:
     true = scene(degree)
     if version == 2:  # w is what the three others leave: near 0 their rounding is all that is left of it
-        true.quats[:] = np.where(np.abs(true.quats[:, :1]) < 0.25, np.float32([1, 0, 0, 0]), true.quats)
+        true.quats[:] = np.where(np.abs(true.quats[:, :1]) < 0.25, np.array([1, 0, 0, 0], np.float32), true.quats)
     found = seen(tmp_path / "a.spz", spz(true, version))
     assert_near(found, flipped(true), 0.51 / 4096, 0.51 / 16, turn, 0.51 / 255 / 0.15)
     # Light that came from above still does: from each side the turned scene looks as the other did from the same.

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -44,7 +46,15 @@ def scene(n: int, bands: int, seed: int, kind: torch.dtype = torch.float64) -> l
     return [torch.tensor(array, dtype=kind) for array in arrays]
 
 
-def gradients(render_with, parameters: list[Tensor], camera: Camera) -> tuple[list[Tensor], list[Tensor]]:  # type: ignore[no-untyped-def]
+def rasterized(
+    parameters: Sequence[Tensor], camera: Camera, background: Sequence[float] = (0.0, 0.0, 0.0)
+) -> tuple[Tensor, Tensor, Tensor]:
+    """What `rasterize` gives for means, scales, quats, opacities and colours in one list."""
+    means, scales, quats, opacities, colours = parameters
+    return rasterize(means, scales, quats, opacities, colours, camera, background)
+
+
+def gradients(render_with, parameters: list[Tensor], camera: Camera) -> tuple[list[Tensor], list[Tensor]]:
     """The outputs, and the gradients of their sum under fixed random weights."""
     leaves = [parameter.detach().clone().requires_grad_() for parameter in parameters]
     outputs = render_with(*leaves, camera, BACKGROUND)
@@ -63,7 +73,9 @@ def test_float64_kernels_are_the_formula(camera: Camera, bands: int) -> None:
     for a, b in zip(ours, true, strict=True):
         torch.testing.assert_close(a, b, rtol=1e-12, atol=1e-12)
     for name, a, b in zip(NAMES, our_gradients, true_gradients, strict=True):
-        torch.testing.assert_close(a, b, rtol=1e-8, atol=1e-9 * float(b.abs().max()), msg=lambda m, n=name: f"{n}: {m}")
+        torch.testing.assert_close(
+            a, b, rtol=1e-8, atol=1e-9 * float(b.abs().max()), msg=partial("{}: {}".format, name)
+        )
 
 
 @CAMERAS
@@ -81,7 +93,7 @@ def test_float32_keeps_to_float64(camera: Camera) -> None:
 @pytest.mark.parametrize("bands", [0, 16])
 def test_gradcheck(camera: Camera, bands: int) -> None:
     parameters = [parameter.requires_grad_() for parameter in scene(5, bands, seed=1)]
-    assert torch.autograd.gradcheck(lambda *p: rasterize(*p, camera, BACKGROUND), parameters, nondet_tol=0.0)
+    assert torch.autograd.gradcheck(lambda *p: rasterized(p, camera, BACKGROUND), parameters, nondet_tol=0.0)
 
 
 @pytest.mark.parametrize("side", [-1, 1])
@@ -104,7 +116,7 @@ def test_gradcheck_on_both_sides_of_every_edge(side: int) -> None:
     ]
     parameters[4][:, :, 1] += 1.0
     leaves = [parameter.requires_grad_() for parameter in parameters]
-    assert torch.autograd.gradcheck(lambda *p: rasterize(*p, camera, BACKGROUND), leaves, eps=1e-7, atol=1e-5)
+    assert torch.autograd.gradcheck(lambda *p: rasterized(p, camera, BACKGROUND), leaves, eps=1e-7, atol=1e-5)
     ours, our_gradients = gradients(rasterize, parameters, camera)
     true, true_gradients = gradients(picture, parameters, camera)
     for a, b in zip(ours + our_gradients, true + true_gradients, strict=True):
@@ -140,7 +152,7 @@ def test_garden_positions_and_depths_against_a_pinhole() -> None:
     means = garden["means3d"]
     n = len(means)
     width, height = int(garden["width"]), int(garden["height"])
-    quats, opacities = np.tile(np.float32([1, 0, 0, 0]), (n, 1)), np.full(n, 0.02, np.float32)
+    quats, opacities = np.tile(np.array([1, 0, 0, 0], np.float32), (n, 1)), np.full(n, 0.02, np.float32)
     arrays = (means, np.full((n, 3), 1e-3, np.float32), quats, opacities, np.zeros((n, 1, 3), np.float32))
     for view, k in zip(garden["viewmats"].astype(np.float64), garden["Ks"].astype(np.float64), strict=True):
         camera = Camera(view, k[0, 0], k[1, 1], k[0, 2], k[1, 2], width, height)
@@ -184,7 +196,7 @@ def test_moving_everything_moves_nothing(camera: Camera) -> None:
     quats = torch.cat([w * a - (b * vector).sum(1, keepdim=True), w * b + a * vector + torch.cross(vector, b, 1)], 1)
     moved = [means, parameters[1], quats, *parameters[3:]]
     there = replace(camera, viewmat=camera.viewmat @ np.linalg.inv(turn))
-    for before, after in zip(rasterize(*parameters, camera), rasterize(*moved, there), strict=True):
+    for before, after in zip(rasterized(parameters, camera), rasterized(moved, there), strict=True):
         torch.testing.assert_close(after, before, rtol=1e-9, atol=1e-11)
 
 
@@ -206,7 +218,7 @@ def test_where_the_tiles_lie_is_not_seen(shift: tuple[int, int]) -> None:
     # The same rays in a larger picture, as much added at the far side, so that the Jacobian's limits stay symmetric.
     small = replace(FLAT, width=24, height=20)
     large = replace(small, width=24 + dx, height=20 + dy, cx=small.cx + dx, cy=small.cy + dy)
-    for a, b in zip(rasterize(*parameters, small), rasterize(*parameters, large), strict=True):
+    for a, b in zip(rasterized(parameters, small), rasterized(parameters, large), strict=True):
         torch.testing.assert_close(b[dy:, dx:], a, rtol=1e-12, atol=1e-12)
 
 
@@ -260,7 +272,7 @@ def test_render_is_rasterize() -> None:
 
 def test_read_only_arrays_compile_nothing_new() -> None:
     means, scales, quats, opacities, sh = (tensor.numpy() for tensor in scene(20, 4, seed=9, kind=torch.float32))
-    rasterize(*scene(20, 4, seed=9, kind=torch.float32), PINHOLE)
+    rasterized(scene(20, 4, seed=9, kind=torch.float32), PINHOLE)
     known = len(project.signatures)
     for array in (means, scales, quats, opacities, sh):
         array.flags.writeable = False
@@ -360,7 +372,7 @@ def test_none() -> None:
 @pytest.mark.parametrize("kind", [np.float32, np.float64])
 def test_depth_order_is_a_stable_sort(camera: Camera, kind: type) -> None:
     rng = np.random.default_rng(0)
-    means = rng.normal(0, 4, (100_000, 3)).astype(kind)
+    means: np.ndarray = rng.normal(0, 4, (100_000, 3)).astype(kind)
     means[1::2] = means[::2]  # ties
     rotation, shift = camera.viewmat[2, :3], camera.viewmat[2, 3]
     depths = rotation[0] * means[:, 0] + rotation[1] * means[:, 1] + rotation[2] * means[:, 2] + shift

@@ -77,7 +77,7 @@ def test_a_moved_piece_is_the_object_seen_from_elsewhere(renderer: Renderer) -> 
     turn = np.linalg.inv(look_at((0.1, 0.2, 0.3), (1, 0.4, 0.2), (0, 0, 1)))
     camera, planes = around(30, 35, 1.5, 64, 48), CUTS["one cut"]
     rgb, _, _ = reference(atoms, replace(camera, viewmat=camera.viewmat @ turn), planes)
-    assert psnr(draw(renderer, camera, Piece(planes, turn)).rgb, rgb) >= 45
+    assert psnr(draw(renderer, camera, Piece(planes, turn.astype(np.float64))).rgb, rgb) >= 45
 
 
 def test_cut_through_a_checkerboard(renderer: Renderer) -> None:
@@ -143,7 +143,7 @@ def test_pieces_apart_are_put_together_by_depth(renderer: Renderer) -> None:
     plane, camera = Plane.of((0.2, 0.1, 1), 0.05), around(30, 30, 1.6, 80, 60)
     up, down = np.eye(4), np.linalg.inv(look_at((0.1, 0.2, 0.15), (1, 0.4, 0.2), (0, 0, 1)))
     up[:3, 3] = 0.1, 0, 0.35
-    pieces = Piece((plane,), down), Piece((plane.flipped(),), up)
+    pieces = Piece((plane,), down.astype(np.float64)), Piece((plane.flipped(),), up)
     black = (0.0, 0.0, 0.0)
     alone = [reference(atoms, piece.camera(camera), piece.planes, black) for piece in pieces]
     (rgb, alpha, depth), (other, other_alpha, other_depth) = alone
@@ -223,7 +223,7 @@ def test_what_stands_behind_pinholes_counts(renderer: Renderer) -> None:
     s = atoms.surface
     sh = s.sh.copy()
     sh[:, 0] = rng.uniform(-1.5, 1.5, (len(s), 3))
-    scales = s.scales * np.float32([0.75, 0.75, 1])
+    scales = s.scales * np.array([0.75, 0.75, 1], np.float32)
     renderer.set_atoms(replace(atoms, surface=SurfaceAtoms(s.means[kept], scales[kept], s.quats[kept], sh[kept])))
     assert (renderer._solid.skin.hiding.least <= 1).mean() > 0.5  # type: ignore[union-attr]
     leaks = 0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
+from typing import get_args
 
 import moderngl
 import numpy as np
@@ -13,6 +14,7 @@ from safetensors.numpy import load_file
 from scipy import ndimage
 
 from engine.errors import InputError
+from engine.render.culling.look import Mode
 from engine.render.gl import Lines, Renderer, Sheet
 from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from engine.scene.camera import Camera
@@ -90,7 +92,7 @@ def test_the_interior_alone_lies_within_the_solid(renderer: Renderer) -> None:
     around_it = ndimage.binary_dilation(solid.alpha > 0, iterations=3)
     assert inside.alpha[~around_it].max() < 0.02
     assert inside.alpha.sum() > 0.85 * solid.alpha.sum()
-    red = np.broadcast_to(np.float32([1, 0, 0]), atoms.interior.rgb.shape)
+    red = np.broadcast_to(np.array([1, 0, 0], np.float32), atoms.interior.rgb.shape)
     renderer.update_colours(rgb=np.ascontiguousarray(red))
     shown = draw(renderer, camera, mode="interior", background=(0, 0, 0))
     assert np.abs(shown.rgb[..., 1:]).max() < 1e-3
@@ -103,7 +105,7 @@ def test_the_interior_alone_is_solid(renderer: Renderer) -> None:
     for azimuth, elevation in ((0, 0), (45, 35)):
         camera = around(azimuth, elevation, 1.2)
         near = (inside.means @ camera.forward < 0.15)[:, None]
-        rgb = np.where(near, np.float32([1, 0, 0]), np.float32([0, 0, 1]))
+        rgb = np.where(near, np.array([1, 0, 0], np.float32), np.array([0, 0, 1], np.float32))
         renderer.set_atoms(replace(atoms, interior=replace(inside, rgb=rgb)))
         for distance in (0.5, 1.2, 4.0):
             shown = draw(renderer, around(azimuth, elevation, distance), mode="interior", background=(0, 1, 0))
@@ -159,7 +161,7 @@ def test_an_overlay_shows_the_whole_frame(renderer: Renderer) -> None:
     for azimuth in (0, 70):
         for scissor in (None, (40, 30, 7, 5)):
             frame = draw(renderer, around(azimuth, 20), Piece((HALF,)), background=(azimuth / 100, 0.5, 0)).rgb
-            other.scissor = scissor
+            other.scissor = scissor  # type: ignore[assignment]  # None: the whole, as moderngl has it
             other.use()
             copy = np.frombuffer(renderer.overlay([]).read(), np.float16).reshape(90, 120, 4)
             assert np.array_equal(copy[..., :3].astype(np.float32), frame)
@@ -179,7 +181,7 @@ def test_in_the_context_of_another(renderer: Renderer) -> None:
         vertex_shader="#version 330\nin vec2 p; void main() { gl_Position = vec4(p, 0.0, 1.0); }",
         fragment_shader="#version 330\nout vec4 c; void main() { c = vec4(1.0, 0.5, 0.25, 0.5); }",
     )
-    array = owner.vertex_array(program, owner.buffer(np.float32([-1, -1, 3, -1, -1, 3])), "p")
+    array = owner.vertex_array(program, owner.buffer(np.array([-1, -1, 3, -1, -1, 3], np.float32)), "p")
 
     def own_frame() -> bytes:
         mine.clear(0.2, 0.4, 0.6, 1.0)
@@ -195,7 +197,7 @@ def test_in_the_context_of_another(renderer: Renderer) -> None:
         before = own_frame()
         guest.set_atoms(atoms)
         guest.set_capture(capture(50))
-        for mode, picture in zip(("opaque", "classic", "interior"), expected, strict=True):
+        for mode, picture in zip(get_args(Mode), expected, strict=True):
             owner.blend_func = moderngl.DST_COLOR, moderngl.ZERO
             owner.enable(moderngl.BLEND | moderngl.CULL_FACE | moderngl.DEPTH_TEST)
             owner.depth_func = ">"
@@ -247,7 +249,8 @@ def test_classic_parity(renderer: Renderer) -> None:
     renderer.set_capture(gaussians)
     for camera in (around(30, 20, width=60, height=45), around(210, -50, 0.7, 60, 45)):
         values = (gaussians.means, gaussians.scales, gaussians.quats, gaussians.opacities, gaussians.sh)
-        rgb, _, _ = classic_picture(*(torch.as_tensor(v, dtype=torch.float64) for v in values), camera, (1.0, 1.0, 1.0))
+        means, scales, quats, opacities, colours = (torch.as_tensor(v, dtype=torch.float64) for v in values)
+        rgb, _, _ = classic_picture(means, scales, quats, opacities, colours, camera, (1.0, 1.0, 1.0))
         assert psnr(draw(renderer, camera, mode="classic").rgb, rgb.numpy()) >= 40
 
 
@@ -316,7 +319,7 @@ def test_thirty_planes(renderer: Renderer) -> None:
     renderer.set_atoms(tight_ball(1 / 20))
     rng = np.random.default_rng(0)
     normals = rng.normal(size=(30, 3))
-    planes = tuple(Plane.of(n, -0.3 * np.linalg.norm(n)) for n in normals)
+    planes = tuple(Plane.of(n, -0.3 * float(np.linalg.norm(n))) for n in normals)
     cut = draw(renderer, around(20, 30), Piece(planes))
     seen = np.isfinite(cut.depth)
     rows, columns = np.nonzero(seen)
@@ -329,7 +332,7 @@ def test_thirty_planes(renderer: Renderer) -> None:
     assert cut.alpha[seen].min() > 0.99
     twice = draw(renderer, around(20, 30), Piece(planes + planes))
     assert np.array_equal(twice.rgb, cut.rgb)
-    many = tuple(Plane.of(n, -0.45 * np.linalg.norm(n)) for n in rng.normal(size=(400, 3)))
+    many = tuple(Plane.of(n, -0.45 * float(np.linalg.norm(n))) for n in rng.normal(size=(400, 3)))
     with pytest.raises(InputError, match="planes"):
         draw(renderer, around(20, 30), Piece(many))
 
@@ -363,7 +366,7 @@ def test_sizes(renderer: Renderer) -> None:
 
 def test_far_from_the_origin(renderer: Renderer) -> None:
     """A capture with world coordinates in the thousands looks as it does at home."""
-    atoms, away = tight_ball(1 / 20), np.float32([4096, -8192, 1024])
+    atoms, away = tight_ball(1 / 20), np.array([4096, -8192, 1024], np.float32)
     camera, plane = around(20, 30), Plane.of((0.1, 0, 1), 0.05)
     renderer.set_atoms(atoms)
     home = draw(renderer, camera, Piece((plane,)))

@@ -56,7 +56,8 @@ def test_a_picture_of_a_plane_has_the_same_entries(atoms: Atoms, footprint: floa
     field = KernelField(atoms)
     one, other = field.entries(points.reshape(-1, 3), footprint), field.entries_on(points, footprint)
     assert len(one[1]) > 1000
-    assert all(np.array_equal(a, b) for a, b in zip(one, other, strict=True))
+    for a, b in zip(one, other, strict=True):
+        np.testing.assert_array_equal(a, b)
 
 
 def test_a_filled_lattice_has_the_lattice_density_at_any_footprint() -> None:
@@ -102,7 +103,7 @@ def test_nothing_and_the_degenerate_are_finite() -> None:
         assert np.isfinite(rgb).all()
         assert np.isfinite(density).all()
     flat = scatter(3, 3)
-    flat.surface.scales[:] = [[0, 0, 0], [1e-20, 1, 1], [1e9, 1e-9, 1]]
+    flat.surface.scales[:] = np.array([[0, 0, 0], [1e-20, 1, 1], [1e9, 1e-9, 1]])
     flat.surface.quats[0] = 0
     flat.interior.sigmas[:] = [0, 1e-30, 1e9]
     rgb, density = KernelField(flat).at(points, 0.1)

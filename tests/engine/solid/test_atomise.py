@@ -46,7 +46,7 @@ def skin(n: int, size: float, opacity: float, radius: float = 1.0, seed: int = 0
     quats = np.column_stack([np.zeros(n), half / np.linalg.norm(half, axis=1, keepdims=True)])
     return Gaussians(
         (radius * normals).astype(np.float32),
-        np.tile(np.float32([size, size, size / 6]), (n, 1)),
+        np.tile(np.array([size, size, size / 6], np.float32), (n, 1)),
         quats.astype(np.float32),
         np.full(n, opacity, np.float32),
         normals[:, None].astype(np.float32),
@@ -80,7 +80,7 @@ def test_no_axis_is_longer_than_the_pitch() -> None:
 
 def test_parts_have_the_mean_and_the_covariance_of_the_whole() -> None:
     scene = skin(1, 0.02, 0.99)
-    scales = np.float32([[0.09, 0.05, 0.004]])
+    scales = np.array([[0.09, 0.05, 0.004]], np.float32)
     source, means, sizes = split(scene, scales, 0.02)
     axes = rotation_matrices(scene.quats)[0].astype(np.float64)
     local = (means - scene.means[0]).astype(np.float64) @ axes
@@ -155,6 +155,7 @@ def test_the_opaque_object_looks_like_the_capture() -> None:
         assert np.sqrt(((wanted.rgb - contributions.rgb)[centre] ** 2).mean()) < 0.12
 
 
+@pytest.mark.slow
 def test_reshaping_makes_no_unseen_view_worse() -> None:
     scene, pitch = skin(1500, 0.09, 0.6), 0.06
     atoms = solid(on_body(scene, pitch, ball()), pitch)
@@ -170,7 +171,7 @@ def test_reshaping_makes_no_unseen_view_worse() -> None:
     assert np.array_equal(better.surface.scales, fit_scales(atoms, scene, cameras, steps=24).surface.scales)
 
 
-@pytest.mark.parametrize("name", ["donut_mipsplatting", "meshgs_orange_30k"])
+@pytest.mark.parametrize("name", [pytest.param("donut_mipsplatting", marks=pytest.mark.slow), "meshgs_orange_30k"])
 def test_captures_keep_their_skin_whole(name: str) -> None:
     path = DATA / f"splats/{name}.ply"
     if not path.exists():

@@ -34,7 +34,7 @@ def shell(points: np.ndarray, normals: np.ndarray, size: float) -> Gaussians:
     quats = np.column_stack([np.zeros(n), half / np.linalg.norm(half, axis=1, keepdims=True)])
     return Gaussians(
         points.astype(np.float32),
-        np.tile(np.float32([size, size, size / 5]), (n, 1)),
+        np.tile(np.array([size, size, size / 5], np.float32), (n, 1)),
         quats.astype(np.float32),
         np.full(n, 0.99, np.float32),
         np.zeros((n, 1, 3), np.float32),
@@ -125,7 +125,7 @@ def test_nearest_is_the_euclidean_distance() -> None:
 @needs_meshes
 @pytest.mark.parametrize("name", ["unit_sphere", "torus", "angle_block"])
 def test_meshes_fill_to_their_volume_and_no_farther(name: str) -> None:
-    mesh = trimesh.load(MESHES / f"trimesh_{name}.STL", force="mesh")
+    mesh = trimesh.load_mesh(MESHES / f"trimesh_{name}.STL")
     points, faces = trimesh.sample.sample_surface(mesh, 30000, seed=0)
     body = find_body(shell(points, mesh.face_normals[faces], (mesh.area / 30000) ** 0.5)).body
     assert abs(body.volume / mesh.volume - 1) < 0.01

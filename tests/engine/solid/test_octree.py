@@ -37,7 +37,7 @@ def fruit(points: np.ndarray) -> np.ndarray:
 
 
 def solid(inside: InteriorAtoms, colours=fruit) -> Atoms:
-    nothing = SurfaceAtoms(*(np.zeros((0, n), np.float32) for n in (3, 3, 4)), np.zeros((0, 1, 3), np.float32))
+    nothing = SurfaceAtoms(*(np.zeros((0, *n), np.float32) for n in ((3,), (3,), (4,), (1, 3))))
     atoms = Atoms(nothing, inside, PITCH)
     return replace(atoms, interior=replace(inside, rgb=deblurred(atoms, colours(inside.means))))
 

@@ -15,7 +15,7 @@ DATA = SHARED
 
 def cloud(means):
     n = len(means)
-    quats = np.tile(np.float32([1, 0, 0, 0]), (n, 1))
+    quats = np.tile(np.array([1, 0, 0, 0], np.float32), (n, 1))
     scales = np.full((n, 3), 0.01, np.float32)
     return Gaussians(means.astype(np.float32), scales, quats, np.ones(n, np.float32), np.zeros((n, 1, 3), np.float32))
 

@@ -7,7 +7,10 @@ import shutil
 import socket
 import subprocess
 import sys
+from collections.abc import Callable
+from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -262,7 +265,7 @@ def test_finetuning_learns_the_picture_and_keeps_the_rest(tiny, picture, tmp_pat
     for full in (False, True):
         out = tmp_path / f"tuned_{full}"
         steps = 16
-        seen = []
+        seen: list[Any] = []
         losses = finetune(
             tiny,
             {"horizontal": [picture], "radial": [picture]},
@@ -338,7 +341,7 @@ def spoil_one_weight(folder):
     save_file(weights, path, metadata={"format": "pt"})
 
 
-SPOILS = {
+SPOILS: dict[str, Callable[[Path], object]] = {
     "no such folder": shutil.rmtree,
     "not a depth-conditioned model": spoil_unet,
     "cannot be read": spoil_weights,
@@ -415,7 +418,11 @@ def test_the_command_finetunes(tiny, picture, tmp_path, monkeypatch, capsys):
     lines = [json.loads(line) for line in events.read_text().splitlines()]
     assert [line["event"] for line in lines if line["event"] != "progress"] == ["stage", "done"]
     request = Request(picture, (), prior="stable-diffusion", model=out)
-    assert make_prior(request).prompts["radial"].endswith(" a sks pear")
+    from training.priors.diffusion import StableDiffusionPrior
+
+    prior = make_prior(request)
+    assert isinstance(prior, StableDiffusionPrior)
+    assert prior.prompts["radial"].endswith(" a sks pear")
     assert request.fingerprint() != Request(picture, (), prior="stable-diffusion", model=tiny).fingerprint()
 
 

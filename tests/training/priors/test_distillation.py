@@ -41,6 +41,7 @@ def test_the_loss_and_its_gradient_meet_float64(alpha):
     loss = reconstruction(render, torch.tensor(b, dtype=torch.float32), alpha)
     loss.backward()
     assert loss.item() == pytest.approx(expected.item(), abs=1e-6)
+    assert render.grad is not None and x.grad is not None
     assert np.allclose(render.grad.numpy(), x.grad.numpy(), atol=1e-4 * np.abs(x.grad.numpy()).max())
 
 

@@ -159,8 +159,8 @@ def test_a_crust_is_as_thick_in_the_corners_of_a_loaf(tmp_path: Path) -> None:
     volume = ExemplarPrior().solve(loaf(), UP, [family], 80, 0, quiet)
     places = np.stack(np.meshgrid(np.linspace(-1, 1, 101), np.linspace(-0.6, 0.6, 61), [-0.1, 0.2]), -1).reshape(-1, 3)
     under = np.minimum(1 - np.abs(places[:, 0]), 0.6 - np.abs(places[:, 1]))
-    green = volume.at(places)
-    green = green[:, 1] > green[:, 0]
+    rgb = volume.at(places)
+    green = rgb[:, 1] > rgb[:, 0]
     assert green[(under > 0.02) & (under < 0.12)].mean() > 0.97
     assert green[(under > 0.18) & (under < 0.3)].mean() < 0.03
 

@@ -32,7 +32,7 @@ def overlap(a: NDArray[np.bool_], b: NDArray[np.bool_]) -> float:
 @pytest.mark.parametrize("background", ["white", "black", "blue", "table", "uneven", "transparent"])
 def test_background_is_found(tmp_path: Path, background: str) -> None:
     face, mask = disc(200, seeds=6, radius=0.6)
-    face, mask = (np.roll(a, (20, -25), (0, 1)) for a in (face, mask))
+    face, mask = np.roll(face, (20, -25), (0, 1)), np.roll(mask, (20, -25), (0, 1))
     rng = np.random.default_rng(0)
     y, x = np.mgrid[:200, :200] / 200
     behind = {

@@ -24,9 +24,9 @@ from app.model.camera_control import OrbitCamera
 from app.model.document import Document, Part, Training
 from app.model.project import Project, Viewing, load_project, save_project
 from app.model.rigid_transform import Motion
-from benchmarks.fuzz_inputs import CAPTURES, CHANGES, JUNK, NUMBERS, POISON, broken, documents, plys, poisoned
-from benchmarks.fuzz_pictures import FOREIGN, PICTURES, TEXTURES, check_foreign, check_picture, check_texture
-from benchmarks.fuzz_records import (
+from benchmarks.readers.inputs import CAPTURES, CHANGES, JUNK, NUMBERS, POISON, broken, documents, plys, poisoned
+from benchmarks.readers.pictures import FOREIGN, PICTURES, TEXTURES, check_foreign, check_picture, check_texture
+from benchmarks.readers.records import (
     COLOURS,
     JOBS,
     MOVES,
@@ -39,7 +39,7 @@ from benchmarks.fuzz_records import (
     check_settings,
     meant,
 )
-from benchmarks.fuzz_rules import Target, refused
+from benchmarks.readers.rules import Target, refused
 from engine.io.load import load
 from engine.io.splats.ply import read_ply, write_ply
 from engine.io.trained import Meta, load_trained, save_trained, sidecar_path
@@ -153,7 +153,7 @@ def check_checkpoint(data: bytes, folder: Path) -> bool:
 def trained_files() -> tuple[Any, bytes]:
     """A sidecar and its .ply."""
     rng = np.random.default_rng(0)
-    quats = np.tile(np.float32([1, 0, 0, 0]), (3, 1))
+    quats = np.tile(np.array([1, 0, 0, 0], np.float32), (3, 1))
     sh = rng.random((3, 4, 3)).astype(np.float32)
     surface = SurfaceAtoms(rng.random((3, 3)).astype(np.float32), np.full((3, 3), 0.1, np.float32), quats, sh)
     inner = [rng.random(shape).astype(np.float32) for shape in ((4, 3), 4, (4, 3))]

@@ -14,8 +14,8 @@ import numpy as np
 from hypothesis import strategies as st
 from PIL import Image, ImageCms, PngImagePlugin, features
 
-from benchmarks.fuzz_inputs import JUNK, broken
-from benchmarks.fuzz_rules import refused
+from benchmarks.readers.inputs import JUNK, broken
+from benchmarks.readers.rules import refused
 from engine.io.meshes.mesh import read_mesh
 from training.priors.exemplar.pictures import read_picture
 
@@ -87,7 +87,7 @@ def encoded(image: Image.Image, kind: str, extra: dict[str, Any] | None = None) 
 
 def places_of(data: bytes, number: int) -> list[tuple[int, str]]:
     """Where a number may stand in the bytes, and how it is written there."""
-    found = []
+    found: list[tuple[int, str]] = []
     for code in ("<H", ">H", "<I", ">I"):
         for value in (number, number - 1):  # WebP writes sizes less one
             at = data.find(struct.pack(code, value))
@@ -232,7 +232,7 @@ def check_foreign(data: bytes, folder: Path) -> bool:
 
 TEXTURES: st.SearchStrategy[tuple[str, bytes]] = st.tuples(st.sampled_from(("a.obj", "a.glb", "a.gltf")), PICTURES)
 
-TRIANGLE = np.float32([[0, 0, 0], [1, 0, 0], [0, 1, 0]])
+TRIANGLE = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], np.float32)
 
 
 def check_texture(value: tuple[str, bytes], folder: Path) -> bool:

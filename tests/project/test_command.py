@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import psutil
@@ -71,38 +73,46 @@ sys.argv[1:] = ["-o", "out"]
 """,
 }
 
-# The commands take seconds to load: each is loaded once.
-TWICE = """
-for _ in range(2):
+# The commands take seconds to load: one process loads them all, and a fork of it is each command each time.
+SERVER = """
+import gc, json, os, sys
+import engine.render.cli, training.batch.cli, training.cli, training.evaluate.cli
+
+gc.freeze()  # a fork that ends need not look through all that was imported, which takes a second
+for line in sys.stdin:
+    folder, code = json.loads(line)
     if not (child := os.fork()):
-        cli.main()
+        os.chdir(folder)
+        exec(code, {"__name__": "command"})
     print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), flush=True)
 """
 
 
-def start(name: str, folder: Path) -> subprocess.Popen[str]:
-    code = f"{BEGIN}\nSCENE = {str(SCENE)!r}\n{COMMANDS[name]}\n{TWICE}"
-    environment = os.environ | {"PYTHONPATH": str(ROOT)}
-    return subprocess.Popen(
-        [sys.executable, "-c", code], cwd=folder, env=environment, text=True,
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+@pytest.fixture(scope="module")
+def server() -> Iterator[subprocess.Popen[str]]:
+    """A process that runs code in a fork of itself and says how the fork ended."""
+    process = subprocess.Popen(
+        [sys.executable, "-c", SERVER], env=os.environ | {"PYTHONPATH": str(ROOT)}, text=True, bufsize=1,
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
     )  # fmt: skip
+    yield process
+    _, said = process.communicate(timeout=60)
+    assert not said
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork here")
 @pytest.mark.parametrize("name", COMMANDS)
-def test_each_command_ends_as_it_was_told_to(name: str, tmp_path: Path) -> None:
-    process = start(name, tmp_path)
-    assert process.stdout is not None and process.stderr is not None
+def test_each_command_ends_as_it_was_told_to(name: str, server: subprocess.Popen[str], tmp_path: Path) -> None:
+    assert server.stdin is not None and server.stdout is not None and server.stderr is not None
+    code = f"{BEGIN}\nSCENE = {str(SCENE)!r}\n{COMMANDS[name]}\ncli.main()\n"
     for number in (signal.SIGINT, signal.SIGTERM):
-        assert process.stdout.readline() == "working\n", process.communicate()[1]
-        at_work = int(process.stdout.readline())
+        server.stdin.write(json.dumps([str(tmp_path), code]) + "\n")
+        assert server.stdout.readline() == "working\n", server.communicate()[1]
+        at_work = int(server.stdout.readline())
         os.kill(at_work, number)
-        ended_by = [process.stdout.readline() for _ in range(1 + (name == "fruitninja-batch"))]  # it names its summary
+        ended_by = [server.stdout.readline() for _ in range(1 + (name == "fruitninja-batch"))]  # it names its summary
         assert ended_by[-1] == f"{128 + number}\n"
-        assert process.stderr.readline().startswith(f"{name}: stopped")
-    _, said = process.communicate(timeout=60)
-    assert not said
+        assert server.stderr.readline().startswith(f"{name}: stopped")
     left = {str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*") if path.is_file()}
     assert left <= {"all.toml", "out/batch.json"}
 

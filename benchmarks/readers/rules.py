@@ -10,7 +10,7 @@ from typing import Any
 
 from hypothesis import strategies as st
 
-from benchmarks.guard import Forbidden, guarded
+from benchmarks.readers.guard import Forbidden, guarded
 from engine.errors import InputError
 from training.batch.manifest import Mistakes
 

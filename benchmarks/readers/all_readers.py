@@ -22,14 +22,15 @@ from typing import Any
 import numpy as np
 import psutil
 
+from app.jobs.job_events import Progress
 from app.jobs.live_colours import LiveColours
 from app.jobs.training_job import Job
 from app.model.autosave import find_unsaved_work
 from app.model.document import Document, Training
 from app.model.project import load_project
 from app.model.settings import load_settings
-from benchmarks.fuzz_rules import words_wrong
-from benchmarks.guard import guarded
+from benchmarks.readers.guard import guarded
+from benchmarks.readers.rules import words_wrong
 from engine.errors import InputError
 from engine.io.load import load
 from engine.io.meshes.mesh import read_mesh
@@ -46,7 +47,7 @@ from training.priors.exemplar.pictures import read_picture
 
 __all__ = ["READERS", "SOLID", "Verdict", "perform"]
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 SAMPLES = ROOT / "sample_scenes/orange"
 
 SOLID = "solid.ply"
@@ -121,7 +122,8 @@ def read_checkpoint(path: Path, work: Path) -> None:
 
 def read_job(path: Path, work: Path) -> None:
     """A result folder in which every file of a job is this one. What makes no sense there counts as not there."""
-    job = Job(Document(scene=path, training=Training(out=work)), 0, 0.0, ended=True)
+    asked = Document(scene=path, training=Training(out=work))
+    job = Job(asked, 0, 0.0, progress=Progress(work), ended=True)
     for _ in range(1000):
         if not job.poll():
             break

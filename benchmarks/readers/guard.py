@@ -25,7 +25,7 @@ LOADED = {"ctypes.dlopen", "pickle.find_class"}
 WRITING = os.O_WRONLY | os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_TRUNC
 
 PROGRAM = (
-    *(str(Path(p).resolve()) + os.sep for p in (sys.prefix, sys.base_prefix, Path(__file__).parents[1])),
+    *(str(Path(p).resolve()) + os.sep for p in (sys.prefix, sys.base_prefix, Path(__file__).parents[2])),
     *("/proc/", "/sys/", "/dev/", "/usr/", "/lib", "/etc/localtime", "/etc/mime.types", "/etc/ld"),
 )
 """Where programs and the system have their own files: a module that is imported late is read from there."""

@@ -86,7 +86,7 @@ def checkpoint(folder: Path) -> None:
 
 
 def batch(folder: Path) -> None:
-    task = Task("a", print, {}, folder / "a/batch.json", "f", (folder / "a.ply",))
+    task = Task("a", dict, {}, folder / "a/batch.json", "f", (folder / "a.ply",))
     task.keep({"warnings": []})
     Summary(folder / "batch.json", Path("all.toml")).write([Outcome(task, "done")])
 
@@ -97,7 +97,7 @@ def evaluation(folder: Path) -> None:
     truth = truth_of(solid, [cut, cut], folder / "truth.safetensors")  # type: ignore[arg-type,list-item]
     save_strip(folder / "results/bread/truth.png", truth.pictures)
     cell = cells(["bread"], ["ours"], [0], "draft", 6, None, folder)[0]
-    Task("a", print, {}, cell.result, cell.fingerprint).keep(FACTS)
+    Task("a", dict, {}, cell.result, cell.fingerprint).keep(FACTS)
     write_report([cell], {}, folder)
 
 
@@ -145,7 +145,11 @@ def test_a_pair_is_saved_together_or_not_at_all(tmp_path: Path, faults: Faults) 
             save_trained(folder / "a.ply", atoms(), Meta(seed=1))
         before = contents(folder)
         for file in ("a.ply", "a.fruitninja.json"):
-            faults.arm(lambda operation, name, file=file: (operation, name) == ("replace", file), errno.EIO)
+
+            def fails(operation: str, name: str, file: str = file) -> bool:
+                return (operation, name) == ("replace", file)
+
+            faults.arm(fails, errno.EIO)
             with pytest.raises(InputError, match=f"{file}: cannot be written"):
                 save_trained(folder / "a.ply", atoms(), Meta(seed=2))
             faults.arm(None)
@@ -156,7 +160,8 @@ def test_a_picture_that_cannot_be_saved_leaves_the_last(
     tmp_path: Path, faults: Faults, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     save_trained(tmp_path / "a.ply", atoms(), Meta())
-    shown = Picture(RGBA[..., :3].astype(np.float32) / 255, RGBA[..., 3].astype(np.float32), RGBA[..., 3])
+    rgba = RGBA.astype(np.float32)
+    shown = Picture(rgba[..., :3] / np.float32(255), rgba[..., 3], rgba[..., 3])
     monkeypatch.setattr(cli, "draw", lambda *_: (shown, "a test"))
     out = tmp_path / "out" / "a.png"
     out.parent.mkdir()
@@ -266,6 +271,7 @@ FAILING = (
 """Stages of a run in their order, and how the disk fails there."""
 
 
+@pytest.mark.slow
 def test_a_run_goes_on_after_each_failure_with_the_same_bits(short: None, tmp_path: Path, faults: Faults) -> None:
     whole, out = tmp_path / "whole", tmp_path / "out"
     run(REQUEST, whole, Reporter(), False, lambda: False)
@@ -303,4 +309,4 @@ def test_the_window_is_told_that_the_temporary_folder_is_full(tmp_path: Path, fa
     folder.mkdir()
     faults.arm(lambda operation, _: operation == "serialize")
     with pytest.raises(InputError, match=f"{tmp_path}: no room in the temporary folder .*No space left.*TMPDIR"):
-        app.jobs.scene_worker._send(folder, "capture", {"means": np.zeros((2, 3), np.float32)}, {})
+        app.jobs.scene_worker._send_arrays(folder, "capture", {"means": np.zeros((2, 3), np.float32)}, {})

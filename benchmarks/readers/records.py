@@ -1,6 +1,6 @@
 """Records that are sound as JSON and wrong in meaning: values in each other's places, things named that are not there.
 
-`fuzz_inputs` breaks values and bytes; here every value is of a kind that belongs there, or nearly.
+`inputs` breaks values and bytes; here every value is of a kind that belongs there, or nearly.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from app.model.document import Document, Part, Training
 from app.model.pieces import Solid, pieces
 from app.model.project import SUFFIX, Outside, Project, Viewing, load_project, save_project
 from app.model.settings import load_settings
-from benchmarks.fuzz_inputs import CHANGES, documents, places, poisoned
-from benchmarks.fuzz_rules import refused
+from benchmarks.readers.inputs import CHANGES, documents, places, poisoned
+from benchmarks.readers.rules import refused
 from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from engine.scene.plane import Plane
 from training.families import Family
@@ -209,7 +209,7 @@ def check_job(value: tuple[bytes, bytes], folder: Path) -> bool:
 
 def solid() -> Atoms:
     """Four atoms of each kind."""
-    quats = np.tile(np.float32([1, 0, 0, 0]), (4, 1))
+    quats = np.tile(np.array([1, 0, 0, 0], np.float32), (4, 1))
     four = np.linspace(0.1, 0.9, 12, dtype=np.float32).reshape(4, 3)
     surface = SurfaceAtoms(four, four, quats, np.ones((4, 1, 3), np.float32))
     return Atoms(surface, InteriorAtoms(four, four[:, 0], four, 2), 0.1)
@@ -227,7 +227,7 @@ FACTS = st.sampled_from((*(f'{{"exposed": {value}}}' for value in EXPOSED), "{}"
 def colours(draw: st.DrawFn) -> bytes:
     """A stage's file whose arrays have other shapes, types and values than the object's."""
     right = {"means": (4, 3), "sigmas": (4,), "rgb": (4, 3), "sh": (4, 1, 3)}
-    arrays = {}
+    arrays: dict[str, np.ndarray] = {}
     for name, shape in right.items():
         if draw(st.integers(0, 3)):
             chosen = draw(SHAPES) if draw(st.integers(0, 3)) == 0 else shape

@@ -1,0 +1,46 @@
+"""What every benchmark asks on its command line, and how it writes what it measured."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+from engine.io.files import atomic
+
+__all__ = ["CHARTS", "ROOT", "out_folder", "parser_of", "write_json"]
+
+ROOT = Path(__file__).parents[2]
+"""Of the project."""
+
+CHARTS = ROOT / "docs/charts"
+"""Where a full run writes if it is not told otherwise: the charts of the README."""
+
+
+def parser_of(text: str | None, quick: str) -> argparse.ArgumentParser:
+    """A parser with `--quick` and `-o/--out`.
+
+    `text`: the docstring of the benchmark, which is its help; `quick`: what a quick run leaves out.
+    """
+    parser = argparse.ArgumentParser(description=text, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help=f"under a minute: {quick}; writes only with --out")
+    parser.add_argument(
+        "-o", "--out", type=Path, metavar="FOLDER", help="folder of the charts and numbers (a full run: docs/charts)"
+    )
+    return parser
+
+
+def out_folder(options: argparse.Namespace) -> Path | None:
+    """Where to write; None: a quick run that prints only, so that it never replaces the figures of a full one."""
+    if options.out is None:
+        return None if options.quick else CHARTS
+    folder = Path(options.out)
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
+
+
+def write_json(path: Path, record: Any) -> None:
+    """Replaces a file of numbers as a whole. Raises ValueError where one is not finite: JSON has no word for it."""
+    with atomic(path) as temporary:
+        temporary.write_text(json.dumps(record, indent=1, allow_nan=False) + "\n", encoding="utf-8")

@@ -1,0 +1,33 @@
+"""Every benchmark says how it is used, has a quick run, and measures nothing to say so."""
+
+from __future__ import annotations
+
+import importlib
+from pathlib import Path
+
+import pytest
+
+from benchmarks.support.options import CHARTS, out_folder, parser_of
+from tests.paths import ROOT
+
+COMMANDS = sorted(path.stem for path in (ROOT / "benchmarks").glob("*.py") if path.stem != "__init__")
+NO_CHARTS = {"corpus", "fuzz"}
+"""They print, or write a table where they are told to."""
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_help(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    main = importlib.import_module(f"benchmarks.{name}").main
+    with pytest.raises(SystemExit, match=r"^0$"):
+        main(["--help"])
+    said = capsys.readouterr().out
+    assert f"python -m benchmarks.{name}" in said and "--quick" in said
+    assert ("-o FOLDER" in said) == (name not in NO_CHARTS)
+
+
+def test_a_quick_run_never_replaces_the_figures_of_a_full_one(tmp_path: Path) -> None:
+    parser = parser_of("text", "nothing")
+    assert out_folder(parser.parse_args([])) == CHARTS
+    assert out_folder(parser.parse_args(["--quick"])) is None
+    asked = tmp_path / "charts"
+    assert out_folder(parser.parse_args(["--quick", "-o", str(asked)])) == asked and asked.is_dir()
