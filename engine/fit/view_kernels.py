@@ -36,20 +36,20 @@ def layer_limit(front: NDArray[np.floating], layer: float) -> NDArray[np.floatin
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def count_splats(task, frame, limit, share, count):  # type: ignore[no-untyped-def]
+def count_splats(task, frame, limit, share, count):
     """Adds to count (H, W) the fragments of every pixel whose share (H, W) of the picture is not zero."""
     atoms, weights, cursor = np.empty(0, np.int32), np.empty(0, np.float32), np.empty((0, 0), np.int64)
     _walk(task, frame, limit, share, count, False, cursor, atoms, weights)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def fill_splats(task, frame, limit, share, cursor, atoms, weights):  # type: ignore[no-untyped-def]
+def fill_splats(task, frame, limit, share, cursor, atoms, weights):
     """Writes the fragments that `count_splats` counts at cursor (H, W), which moves on; weights times share."""
     _walk(task, frame, limit, share, np.empty((0, 0), np.int64), True, cursor, atoms, weights)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _walk(task, frame, limit, share, count, fill, cursor, atoms, weights):  # type: ignore[no-untyped-def]
+def _walk(task, frame, limit, share, count, fill, cursor, atoms, weights):
     """The second pass of `opaque_tiles.accumulate` over some tiles, fragment by fragment."""
     height, width = limit.shape
     kind = frame.records.dtype.type
@@ -89,7 +89,7 @@ def _walk(task, frame, limit, share, count, fill, cursor, atoms, weights):  # ty
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def fill_faces(task, pixels, offsets, columns, entries, share, cursor, atoms, weights):  # type: ignore[no-untyped-def]
+def fill_faces(task, pixels, offsets, columns, entries, share, cursor, atoms, weights):
     """Writes the terms of the kernel field, offsets (K + 1,), for face pixels (K,), times share (K,)."""
     for k in range(task * ROWS, min((task + 1) * ROWS, len(pixels))):
         place = cursor[pixels[k]]
@@ -102,21 +102,21 @@ def fill_faces(task, pixels, offsets, columns, entries, share, cursor, atoms, we
 
 
 @njit(cache=True, nogil=True)
-def mark(task, offsets, atoms, occurs):  # type: ignore[no-untyped-def]
+def mark(task, offsets, atoms, occurs):
     """Sets occurs (C,) where some rows have an entry; tasks may set one place together, to the same value."""
     for e in range(offsets[task * ROWS], offsets[min((task + 1) * ROWS, len(offsets) - 1)]):
         occurs[atoms[e]] = True
 
 
 @njit(cache=True, nogil=True)
-def rename(task, offsets, atoms, names):  # type: ignore[no-untyped-def]
+def rename(task, offsets, atoms, names):
     """Replaces the atoms of some rows by names (C,)."""
     for e in range(offsets[task * ROWS], offsets[min((task + 1) * ROWS, len(offsets) - 1)]):
         atoms[e] = names[atoms[e]]
 
 
 @njit(cache=True, nogil=True)
-def row_sums(task, offsets, weights, sums):  # type: ignore[no-untyped-def]
+def row_sums(task, offsets, weights, sums):
     """Fills some of sums (P,) with the sum of each row."""
     for row in range(task * ROWS, min((task + 1) * ROWS, len(offsets) - 1)):
         total = np.float32(0)
@@ -126,7 +126,7 @@ def row_sums(task, offsets, weights, sums):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def truncate(task, offsets, atoms, weights, keep, new_offsets, new_atoms, new_weights):  # type: ignore[no-untyped-def]
+def truncate(task, offsets, atoms, weights, keep, new_offsets, new_atoms, new_weights):
     """The `keep` largest entries of each row in their old order, scaled so that the row's sum stays."""
     largest = np.empty(keep, np.int64)  # places of the largest so far, largest first
     for row in range(task * ROWS, min((task + 1) * ROWS, len(offsets) - 1)):
@@ -163,7 +163,7 @@ def truncate(task, offsets, atoms, weights, keep, new_offsets, new_atoms, new_we
 
 
 @njit(cache=True, nogil=True)
-def apply(task, offsets, atoms, weights, colours, picture):  # type: ignore[no-untyped-def]
+def apply(task, offsets, atoms, weights, colours, picture):
     """Some rows of picture (P, 3) = W colours (V, 3)."""
     for row in range(task * ROWS, min((task + 1) * ROWS, len(offsets) - 1)):
         red, green, blue = np.float32(0), np.float32(0), np.float32(0)
@@ -176,7 +176,7 @@ def apply(task, offsets, atoms, weights, colours, picture):  # type: ignore[no-u
 
 
 @njit(cache=True, nogil=True)
-def apply_transposed(band, offsets, atoms, weights, picture, parts):  # type: ignore[no-untyped-def]
+def apply_transposed(band, offsets, atoms, weights, picture, parts):
     """Fills one of parts (bands, V, 3), whose sum is W^T picture (P, 3): what a band of the rows adds."""
     bands, rows = len(parts), len(offsets) - 1
     part = parts[band]

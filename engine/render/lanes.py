@@ -164,10 +164,10 @@ def _pointer(context: Any, builder: Any, array_type: Any, array: Any, at: Any, k
 
 def _loader(count: int) -> Any:
     @_device
-    def load(typingctx, array, at):  # type: ignore[no-untyped-def]
+    def load(typingctx, array, at):
         lanes = Lanes(array.dtype, count)
 
-        def codegen(context, builder, sig, values):  # type: ignore[no-untyped-def]
+        def codegen(context, builder, sig, values):
             kind = context.get_value_type(lanes)
             pointer = _pointer(context, builder, sig.args[0], values[0], values[1], kind)
             return builder.load(pointer, align=context.get_abi_sizeof(kind.element))
@@ -182,10 +182,10 @@ load8, load16 = _loader(8), _loader(16)
 
 
 @_device
-def store(typingctx, array, at, value):  # type: ignore[no-untyped-def]
+def store(typingctx, array, at, value):
     """Writes lanes to a contiguous array from a place (a flat index) on; float64 is rounded to float32 if need be."""
 
-    def codegen(context, builder, sig, values):  # type: ignore[no-untyped-def]
+    def codegen(context, builder, sig, values):
         kind = context.get_value_type(Lanes(sig.args[0].dtype, sig.args[2].count))
         pointer = _pointer(context, builder, sig.args[0], values[0], values[1], kind)
         vector = values[2] if values[2].type == kind else builder.fptrunc(values[2], kind)
@@ -196,11 +196,11 @@ def store(typingctx, array, at, value):  # type: ignore[no-untyped-def]
 
 
 @_device
-def widen(typingctx, value):  # type: ignore[no-untyped-def]
+def widen(typingctx, value):
     """The lanes as float64."""
     wide = Lanes(types.float64, value.count)
 
-    def codegen(context, builder, sig, values):  # type: ignore[no-untyped-def]
+    def codegen(context, builder, sig, values):
         kind = context.get_value_type(wide)
         return values[0] if values[0].type == kind else builder.fpext(values[0], kind)
 
@@ -208,13 +208,13 @@ def widen(typingctx, value):  # type: ignore[no-untyped-def]
 
 
 @_device
-def where(typingctx, condition, yes, no):  # type: ignore[no-untyped-def]
+def where(typingctx, condition, yes, no):
     """`yes` where the condition holds, else `no`: of a mask lane by lane, of a bool one of two scalars."""
     lanes = _fits((yes, no)) or typingctx.unify_types(yes, no)
     if isinstance(condition, Lanes) and not isinstance(lanes, Lanes):
         lanes = Lanes(lanes, condition.count)
 
-    def codegen(context, builder, sig, values):  # type: ignore[no-untyped-def]
+    def codegen(context, builder, sig, values):
         if isinstance(lanes, Lanes):
             pair = _aligned(context, builder, lanes, sig.args[1:], values[1:])
         else:
@@ -225,11 +225,11 @@ def where(typingctx, condition, yes, no):  # type: ignore[no-untyped-def]
 
 
 @_device
-def fma(typingctx, a, b, c):  # type: ignore[no-untyped-def]
+def fma(typingctx, a, b, c):
     """a b + c, rounded once where the processor can do that as fast as a product."""
     lanes = _fits((a, b, c)) or typingctx.unify_types(a, b, c)
 
-    def codegen(context, builder, sig, values):  # type: ignore[no-untyped-def]
+    def codegen(context, builder, sig, values):
         if isinstance(lanes, Lanes):
             given = _aligned(context, builder, lanes, sig.args, values)
         else:
@@ -241,10 +241,10 @@ def fma(typingctx, a, b, c):  # type: ignore[no-untyped-def]
 
 def _extreme(symbol: str) -> Any:
     @_device
-    def pick(typingctx, a, b):  # type: ignore[no-untyped-def]
+    def pick(typingctx, a, b):
         lanes = _fits((a, b)) or typingctx.unify_types(a, b)
 
-        def codegen(context, builder, sig, values):  # type: ignore[no-untyped-def]
+        def codegen(context, builder, sig, values):
             if isinstance(lanes, Lanes):
                 first, second = _aligned(context, builder, lanes, sig.args, values)
             else:
@@ -262,8 +262,8 @@ minimum, maximum = _extreme("<"), _extreme(">")
 
 def _unary(name: str) -> Any:
     @_device
-    def of(typingctx, value):  # type: ignore[no-untyped-def]
-        def codegen(context, builder, sig, values):  # type: ignore[no-untyped-def]
+    def of(typingctx, value):
+        def codegen(context, builder, sig, values):
             return _call(builder, name, values[0])
 
         return value(value), codegen
@@ -276,10 +276,10 @@ floor, root, absolute = _unary("floor"), _unary("sqrt"), _unary("fabs")
 
 
 @_device
-def any_of(typingctx, mask):  # type: ignore[no-untyped-def]
+def any_of(typingctx, mask):
     """Whether the mask holds in some lane."""
 
-    def codegen(context, builder, sig, values):  # type: ignore[no-untyped-def]
+    def codegen(context, builder, sig, values):
         bits = ir.IntType(sig.args[0].count)
         return builder.icmp_unsigned("!=", builder.bitcast(values[0], bits), ir.Constant(bits, 0))
 
@@ -293,10 +293,10 @@ ROUND = 12582912.0  # 1.5 * 2^23: adding it to a float32 leaves the nearest whol
 
 
 @_device
-def exp2(typingctx, value):  # type: ignore[no-untyped-def]
+def exp2(typingctx, value):
     """2^x for -100 < x < 100. A polynomial in float32; the library's in float64, lane after lane, for checks only."""
 
-    def codegen(context, builder, sig, values):  # type: ignore[no-untyped-def]
+    def codegen(context, builder, sig, values):
         x, kind = values[0], values[0].type
         if isinstance(kind.element, ir.DoubleType):
             exponential = context.get_function(math.exp, types.float64(types.float64))
@@ -322,14 +322,14 @@ def exp2(typingctx, value):  # type: ignore[no-untyped-def]
 
 
 @_device
-def row_sums(typingctx, vectors):  # type: ignore[no-untyped-def]
+def row_sums(typingctx, vectors):
     """Lanes that are the sums over the lanes of each of these vectors, a tuple; zeros for those that are missing.
 
     Halves are added to halves, for all sums at once, until every number of one vector is one of the sums.
     """
     lanes = vectors[0]
 
-    def codegen(context, builder, sig, values):  # type: ignore[no-untyped-def]
+    def codegen(context, builder, sig, values):
         kind, count = context.get_value_type(lanes), lanes.count
         parts = [builder.extract_value(values[0], k) for k in range(len(vectors))]
         parts += [ir.Constant(kind, [0.0] * count)] * (count - len(parts))

@@ -96,7 +96,7 @@ def camera_record(camera: Camera) -> CameraRecord:
 
 
 @njit(cache=True, error_model="numpy")
-def camera_point(cam, x, y, z):  # type: ignore[no-untyped-def]
+def camera_point(cam, x, y, z):
     """(x, y, z) in camera space of a world point."""
     return (
         cam.rotation[0] * x + cam.rotation[1] * y + cam.rotation[2] * z + cam.translation[0],
@@ -106,7 +106,7 @@ def camera_point(cam, x, y, z):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def camera_point_backward(cam, gx, gy, gz):  # type: ignore[no-untyped-def]
+def camera_point_backward(cam, gx, gy, gz):
     """dL/d(world point) of `camera_point`: the transposed rotation."""
     return (
         cam.rotation[0] * gx + cam.rotation[3] * gy + cam.rotation[6] * gz,
@@ -116,20 +116,20 @@ def camera_point_backward(cam, gx, gy, gz):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _per_depth(cam, z):  # type: ignore[no-untyped-def]
+def _per_depth(cam, z):
     """What a picture shrinks by with depth: 1 / z; 1 if orthographic."""
     return 1.0 / (z * (1.0 - cam.orthographic) + cam.orthographic)
 
 
 @njit(cache=True, error_model="numpy")
-def project_point(cam, x, y, z):  # type: ignore[no-untyped-def]
+def project_point(cam, x, y, z):
     """(u, v) in pixels of a camera-space point; z must not be 0 unless orthographic."""
     per_depth = _per_depth(cam, z)
     return cam.fx * x * per_depth + cam.cx, cam.fy * y * per_depth + cam.cy
 
 
 @njit(cache=True, error_model="numpy")
-def project_point_backward(cam, x, y, z, gu, gv):  # type: ignore[no-untyped-def]
+def project_point_backward(cam, x, y, z, gu, gv):
     """dL/d(camera-space point) of `project_point`."""
     per_depth = _per_depth(cam, z)
     gx = cam.fx * gu * per_depth
@@ -138,7 +138,7 @@ def project_point_backward(cam, x, y, z, gu, gv):  # type: ignore[no-untyped-def
 
 
 @njit(cache=True, error_model="numpy")
-def jacobian(cam, x, y, z):  # type: ignore[no-untyped-def]
+def jacobian(cam, x, y, z):
     """(j00, j02, j11, j12) of the local affine projection J = [[j00, 0, j02], [0, j11, j12]], pixels per world unit.
 
     Pinhole: d(u, v)/d(x, y, z) with x/z and y/z held within the picture and a margin. Orthographic: diag(fx, fy).
@@ -151,7 +151,7 @@ def jacobian(cam, x, y, z):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def jacobian_backward(cam, x, y, z, g00, g02, g11, g12):  # type: ignore[no-untyped-def]
+def jacobian_backward(cam, x, y, z, g00, g02, g11, g12):
     """dL/d(camera-space point) of `jacobian`; a slope that is held passes nothing on to x or y."""
     per_depth, pinhole = _per_depth(cam, z), 1.0 - cam.orthographic
     fx2, fy2 = cam.fx * per_depth * per_depth * pinhole, cam.fy * per_depth * per_depth * pinhole
@@ -164,7 +164,7 @@ def jacobian_backward(cam, x, y, z, g00, g02, g11, g12):  # type: ignore[no-unty
 
 
 @njit(cache=True, error_model="numpy")
-def _per_length(qw, qx, qy, qz):  # type: ignore[no-untyped-def]
+def _per_length(qw, qx, qy, qz):
     """One over the length of a quaternion; 0 for one of length 0, which so turns nothing."""
     length = root(qw * qw + qx * qx + qy * qy + qz * qz)
     return where(length > 0.0, 1.0 / length, 0.0)
@@ -174,14 +174,14 @@ _of_unit = njit(cache=True, error_model="numpy")(of_unit)
 
 
 @njit(cache=True, error_model="numpy")
-def rotation(qw, qx, qy, qz):  # type: ignore[no-untyped-def]
+def rotation(qw, qx, qy, qz):
     """Rotation matrix (9, by rows) of a quaternion wxyz of any length; one of length 0 turns nothing."""
     unit = _per_length(qw, qx, qy, qz)
     return _of_unit(qw * unit, qx * unit, qy * unit, qz * unit)
 
 
 @njit(cache=True, error_model="numpy")
-def rotation_backward(qw, qx, qy, qz, g):  # type: ignore[no-untyped-def]
+def rotation_backward(qw, qx, qy, qz, g):
     """dL/dq (4,) of `rotation`, given dL/dR (9, by rows). Zero for a quaternion of length 0."""
     unit = _per_length(qw, qx, qy, qz)
     w, x, y, z = qw * unit, qx * unit, qy * unit, qz * unit
@@ -195,7 +195,7 @@ def rotation_backward(qw, qx, qy, qz, g):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def half_axes(cam, qw, qx, qy, qz, sx, sy, sz):  # type: ignore[no-untyped-def]
+def half_axes(cam, qw, qx, qy, qz, sx, sy, sz):
     """A = R_view R(q) diag(s) (9, by rows): column k is the k-th principal half axis in camera space."""
     r00, r01, r02, r10, r11, r12, r20, r21, r22 = rotation(qw, qx, qy, qz)
     return (
@@ -212,7 +212,7 @@ def half_axes(cam, qw, qx, qy, qz, sx, sy, sz):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def half_axes_backward(cam, qw, qx, qy, qz, sx, sy, sz, g):  # type: ignore[no-untyped-def]
+def half_axes_backward(cam, qw, qx, qy, qz, sx, sy, sz, g):
     """((dL/dq, 4), (dL/ds, 3)) of `half_axes`, given dL/dA (9, by rows)."""
     g00, g01, g02, g10, g11, g12, g20, g21, g22 = g
     # B = R_view^T dL/dA: the gradient in world axes.
@@ -236,7 +236,7 @@ def half_axes_backward(cam, qw, qx, qy, qz, sx, sy, sz, g):  # type: ignore[no-u
 
 
 @njit(cache=True, error_model="numpy")
-def screen_axes(j, a):  # type: ignore[no-untyped-def]
+def screen_axes(j, a):
     """B = J A (6, by rows), pixels: the half axes on the picture, from `jacobian` and `half_axes`."""
     j00, j02, j11, j12 = j
     return (
@@ -250,7 +250,7 @@ def screen_axes(j, a):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def screen_axes_backward(j, a, g):  # type: ignore[no-untyped-def]
+def screen_axes_backward(j, a, g):
     """((dL/dj, 4), (dL/dA, 9)) of `screen_axes`, given dL/dB (6)."""
     j00, j02, j11, j12 = j
     return (
@@ -275,7 +275,7 @@ def screen_axes_backward(j, a, g):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def screen_covariance(b, low_pass):  # type: ignore[no-untyped-def]
+def screen_covariance(b, low_pass):
     """(xx, xy, yy, det, det0) of C = B B^T + low_pass I, px^2; det0 is the determinant without the low-pass."""
     xx = b[0] * b[0] + b[1] * b[1] + b[2] * b[2]
     xy = b[0] * b[3] + b[1] * b[4] + b[2] * b[5]
@@ -288,7 +288,7 @@ def screen_covariance(b, low_pass):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def screen_covariance_backward(b, gxx, gxy, gyy):  # type: ignore[no-untyped-def]
+def screen_covariance_backward(b, gxx, gxy, gyy):
     """dL/dB (6) of the entries xx, xy, yy of `screen_covariance` (xy counted once)."""
     return (
         2.0 * gxx * b[0] + gxy * b[3],
@@ -301,14 +301,14 @@ def screen_covariance_backward(b, gxx, gxy, gyy):  # type: ignore[no-untyped-def
 
 
 @njit(cache=True, error_model="numpy")
-def conic(xx, xy, yy, det):  # type: ignore[no-untyped-def]
+def conic(xx, xy, yy, det):
     """(a, b, c) of the inverse of [[xx, xy], [xy, yy]]: q(dx, dy) = a dx^2 + 2 b dx dy + c dy^2."""
     per_det = 1.0 / det
     return yy * per_det, -xy * per_det, xx * per_det
 
 
 @njit(cache=True, error_model="numpy")
-def conic_backward(a, b, c, ga, gb, gc):  # type: ignore[no-untyped-def]
+def conic_backward(a, b, c, ga, gb, gc):
     """dL/d(xx, xy, yy) of `conic` (xy and b counted once): -K G K with G = [[ga, gb/2], [gb/2, gc]]."""
     h = 0.5 * gb
     ka = a * ga + b * h

@@ -48,7 +48,7 @@ def shown(gaussians: Gaussians, cameras: Sequence[Camera]) -> NDArray[np.float32
 
 
 @njit(cache=True, error_model="numpy")
-def _areas(cam, means, scales, quats):  # type: ignore[no-untyped-def]
+def _areas(cam, means, scales, quats):
     """(N,) float32. Integral of each unopposed footprint, pixels; infinite where there is none."""
     out = np.empty(len(means), np.float32)
     for i in range(len(means)):

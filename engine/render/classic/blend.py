@@ -60,7 +60,7 @@ have all ended are noticed after it."""
 
 
 @njit(cache=True, error_model="numpy")
-def _centres(kind):  # type: ignore[no-untyped-def]
+def _centres(kind):
     """((2 + BLOCKS) * BLOCK,) of the float type of `kind`: a tile's pixel centres, from its corner.
 
     x of a block, the same for all; zeros; then y of each block.
@@ -74,7 +74,7 @@ def _centres(kind):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _columns(across, u, a, b, light):  # type: ignore[no-untyped-def]
+def _columns(across, u, a, b, light):
     """m, the part of n, and the part of log2(alpha) that the columns decide."""
     dx = across - u
     m = dx * a
@@ -82,7 +82,7 @@ def _columns(across, u, a, b, light):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _rows(down, v, c, n, power):  # type: ignore[no-untyped-def]
+def _rows(down, v, c, n, power):
     """(alpha, n) from the parts of `_columns`; alpha is 2^(light - m^2 - n^2), and 0 where that is under 1/255."""
     n = fma(down - v, c, n)
     power = fma(-n, n, power)
@@ -90,7 +90,7 @@ def _rows(down, v, c, n, power):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def blend(  # type: ignore[no-untyped-def]
+def blend(
     task,
     tiles_per_task,
     tiles,  # [T] tiles that have pairs
@@ -139,7 +139,7 @@ def blend(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def start_tile(states, lasts, left, top, width, height):  # type: ignore[no-untyped-def]
+def start_tile(states, lasts, left, top, width, height):
     """The empty pixels of a tile; those outside of the picture count as finished."""
     states[:] = 0
     lasts[:] = -1
@@ -150,7 +150,7 @@ def start_tile(states, lasts, left, top, width, height):  # type: ignore[no-unty
 
 
 @njit(cache=True, error_model="numpy")
-def _list_blocks(codes, listed, counts):  # type: ignore[no-untyped-def]
+def _list_blocks(codes, listed, counts):
     """Sorts the records of some pairs by the blocks that they touch: listed (BLOCKS, BATCH), counts (BLOCKS,).
 
     Without a branch, which would be guessed wrongly half of the time.
@@ -168,7 +168,7 @@ def _list_blocks(codes, listed, counts):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _blend_block(slots, records, left, top, across, down, s, last_drawn):  # type: ignore[no-untyped-def]
+def _blend_block(slots, records, left, top, across, down, s, last_drawn):
     """Composites records into the state of one block; whether some pixel of it is still open."""
     before, last = load16(s, 0), load16(last_drawn, 0)
     red, green, blue = load16(s, BLOCK), load16(s, 2 * BLOCK), load16(s, 3 * BLOCK)
@@ -196,7 +196,7 @@ def _blend_block(slots, records, left, top, across, down, s, last_drawn):  # typ
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def blend_backward(  # type: ignore[no-untyped-def]
+def blend_backward(
     task,
     tiles_per_task,
     tiles,  # [T] tiles that have pairs
@@ -287,7 +287,7 @@ def blend_backward(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _start_backward(states, background, g_rgb, g_alpha, g_depth, left, top, out):  # type: ignore[no-untyped-def]
+def _start_backward(states, background, g_rgb, g_alpha, g_depth, left, top, out):
     """The picture's gradient for a tile: states (BLOCKS, STATE * BLOCK), out (BLOCKS, ADJOINT * BLOCK)."""
     height, width = g_alpha.shape
     if top + SIDE > height or left + SIDE > width:
@@ -300,7 +300,7 @@ def _start_backward(states, background, g_rgb, g_alpha, g_depth, left, top, out)
 
 
 @njit(cache=True, error_model="numpy")
-def _start_backward_row(states, background, g_rgb, g_alpha, g_depth, shift, out):  # type: ignore[no-untyped-def]
+def _start_backward_row(states, background, g_rgb, g_alpha, g_depth, shift, out):
     """Fills the ADJOINT runs of a tile's row of pixels, which begins at `shift` in each."""
     for x in range(np.uintp(min(SIDE, len(g_alpha)))):
         i = shift + x
@@ -316,7 +316,7 @@ def _start_backward_row(states, background, g_rgb, g_alpha, g_depth, shift, out)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def resolve(task, rows_per_task, states, tile_lasts, background, rgb, alpha, depth):  # type: ignore[no-untyped-def]
+def resolve(task, rows_per_task, states, tile_lasts, background, rgb, alpha, depth):
     """Writes the rows of tiles of one task to rgb (H, W, 3), over the background (3,), alpha and depth (H, W)."""
     height, width = alpha.shape
     tiles_x = (width + SIDE - 1) // SIDE

@@ -64,7 +64,7 @@ def depth_order(
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _depths(chunk, cam, means, depths, rows, counts, low, high):  # type: ignore[no-untyped-def]
+def _depths(chunk, cam, means, depths, rows, counts, low, high):
     """Depths in float64, and whose they are; the visible ones of a chunk come first in it."""
     start = chunk * CHUNK
     at = start
@@ -81,7 +81,7 @@ def _depths(chunk, cam, means, depths, rows, counts, low, high):  # type: ignore
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _pack(chunk, depths, rows, starts, nearest, linear, scale, shift, items):  # type: ignore[no-untyped-def]
+def _pack(chunk, depths, rows, starts, nearest, linear, scale, shift, items):
     """Closes the gaps between chunks: the depth over the nearest in the upper, the index in the lower 32 bits.
 
     Linear: in steps of the range; else by the bits of the float, which order as positive floats do.
@@ -98,7 +98,7 @@ def _pack(chunk, depths, rows, starts, nearest, linear, scale, shift, items):  #
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _count_digits(chunk, items, shift, histogram):  # type: ignore[no-untyped-def]
+def _count_digits(chunk, items, shift, histogram):
     histogram[chunk, :] = 0
     by = np.uint64(32 + shift)
     for k in range(chunk * CHUNK, min(chunk * CHUNK + CHUNK, len(items))):
@@ -106,7 +106,7 @@ def _count_digits(chunk, items, shift, histogram):  # type: ignore[no-untyped-de
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _prefix(histogram):  # type: ignore[no-untyped-def]
+def _prefix(histogram):
     """Counts to first places: all of a digit before the next digit, within a digit by chunk."""
     total = 0
     for digit in range(histogram.shape[1]):
@@ -117,7 +117,7 @@ def _prefix(histogram):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _scatter_digits(chunk, items, shift, places, out):  # type: ignore[no-untyped-def]
+def _scatter_digits(chunk, items, shift, places, out):
     by = np.uint64(32 + shift)
     for k in range(chunk * CHUNK, min(chunk * CHUNK + CHUNK, len(items))):
         digit = np.int64(items[k] >> by) & ((1 << DIGIT) - 1)
@@ -126,6 +126,6 @@ def _scatter_digits(chunk, items, shift, places, out):  # type: ignore[no-untype
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _indices(chunk, items, order):  # type: ignore[no-untyped-def]
+def _indices(chunk, items, order):
     for k in range(chunk * CHUNK, min(chunk * CHUNK + CHUNK, len(items))):
         order[k] = np.int64(items[k] & np.uint64(0xFFFFFFFF))

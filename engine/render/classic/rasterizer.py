@@ -141,7 +141,16 @@ def rasterize(
 
 class _Rasterize(torch.autograd.Function):
     @staticmethod
-    def forward(ctx, means, scales, quats, opacities, colours, camera, background):  # type: ignore[no-untyped-def]
+    def forward(
+        ctx: Any,
+        means: torch.Tensor,
+        scales: torch.Tensor,
+        quats: torch.Tensor,
+        opacities: torch.Tensor,
+        colours: torch.Tensor,
+        camera: Camera,
+        background: tuple[float, ...],
+    ) -> tuple[torch.Tensor, ...]:
         tensors = (means, scales, quats, opacities, colours)
         arrays = [tensor.detach().contiguous().numpy() for tensor in tensors]
         plain = colours.ndim == 2
@@ -156,7 +165,9 @@ class _Rasterize(torch.autograd.Function):
 
     @staticmethod
     @torch.autograd.function.once_differentiable
-    def backward(ctx, g_rgb, g_alpha, g_depth):  # type: ignore[no-untyped-def]
+    def backward(
+        ctx: Any, g_rgb: torch.Tensor | None, g_alpha: torch.Tensor | None, g_depth: torch.Tensor | None
+    ) -> tuple[torch.Tensor | None, ...]:
         tensors = ctx.saved_tensors
         size, kind = (ctx.camera.height, ctx.camera.width), ctx.scene.means.dtype
         outer = [

@@ -52,7 +52,7 @@ TWO_LN2 = 2.0 * math.log(2.0)
 
 
 @njit(cache=True, error_model="numpy")
-def _direction(cam, eye, x, y, z):  # type: ignore[no-untyped-def]
+def _direction(cam, eye, x, y, z):
     """(unit direction eye to Gaussian, distance); an orthographic camera looks forward everywhere, distance 0."""
     if cam.orthographic != 0.0:
         return cam.rotation[6], cam.rotation[7], cam.rotation[8], 0.0
@@ -63,7 +63,7 @@ def _direction(cam, eye, x, y, z):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _sh_direction_gradient(x, y, z, bands, g):  # type: ignore[no-untyped-def]
+def _sh_direction_gradient(x, y, z, bands, g):
     """dL/d(x, y, z) of `sh.fill_basis`, given dL/d(basis) g (16,)."""
     gx = -C1 * g[3]
     gy = -C1 * g[1]
@@ -103,7 +103,7 @@ def _sh_direction_gradient(x, y, z, bands, g):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _box_group(cam, near, tiles_y, tiles_x, box):  # type: ignore[no-untyped-def]
+def _box_group(cam, near, tiles_y, tiles_x, box):
     """Fills box (4, GROUP), tiles x0, x1, y0, y1: it surely holds the Gaussian, its largest scale in all directions.
 
     near (4, GROUP) is mean and largest scale.
@@ -129,7 +129,7 @@ FRINGE = REACH * math.sqrt(LOW_PASS) + 1.0
 
 
 @njit(cache=True, error_model="numpy")
-def _gather(rows, means, scales, quats, opacities):  # type: ignore[no-untyped-def]
+def _gather(rows, means, scales, quats, opacities):
     """(groups, GIVEN, GROUP) float64: mean, scales, quaternion, opacity of these Gaussians, group after group.
 
     They lie all over memory: a loop that only loads has many on their way at once, one that also computes has few.
@@ -146,7 +146,7 @@ def _gather(rows, means, scales, quats, opacities):  # type: ignore[no-untyped-d
 
 
 @njit(cache=True, error_model="numpy")
-def _project_group(cam, given, log_opacity, out):  # type: ignore[no-untyped-def]
+def _project_group(cam, given, log_opacity, out):
     """Fills out (RECORD + 3, GROUP), colours apart: the records of one group, then det, u and v."""
     px, py, pz = load8(given, 0), load8(given, GROUP), load8(given, 2 * GROUP)
     sx, sy, sz = load8(given, 3 * GROUP), load8(given, 4 * GROUP), load8(given, 5 * GROUP)
@@ -178,7 +178,7 @@ def _project_group(cam, given, log_opacity, out):  # type: ignore[no-untyped-def
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def project(  # type: ignore[no-untyped-def]
+def project(
     chunk,
     chunk_size,
     order,  # [V] the Gaussians, nearest first
@@ -263,7 +263,7 @@ def project(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _project_group_backward(cam, given, sums, out):  # type: ignore[no-untyped-def]
+def _project_group_backward(cam, given, sums, out):
     """Fills out (GIVEN, GROUP): dL/d(given), from the Gaussians of one group (GIVEN, GROUP) and sums (GRADIENT + 3,
     GROUP) of their rows, followed by the whitening of their records. The way over the direction of view is left out."""
     px, py, pz = load8(given, 0), load8(given, GROUP), load8(given, 2 * GROUP)
@@ -305,7 +305,7 @@ def _project_group_backward(cam, given, sums, out):  # type: ignore[no-untyped-d
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def project_backward(  # type: ignore[no-untyped-def]
+def project_backward(
     chunk,
     chunk_size,
     first,

@@ -28,7 +28,7 @@ WIDER = 1.0 + 1e-5
 
 
 @njit(cache=True, error_model="numpy")
-def _centres(low, high, tiles):  # type: ignore[no-untyped-def]
+def _centres(low, high, tiles):
     """(first, one past last) of the pixels with a centre in low..high, in a row of so many tiles."""
     first = math.ceil(min(max(low - 0.5, 0.0), 1e9))
     last = math.floor(min(max(high - 0.5, -1.0), tiles * SIDE - 1.0))
@@ -36,13 +36,13 @@ def _centres(low, high, tiles):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _covering(first, stop):  # type: ignore[no-untyped-def]
+def _covering(first, stop):
     """(first, one past last) tile with one of these pixels."""
     return first // SIDE, (stop + SIDE - 1) // SIDE if stop > first else first // SIDE
 
 
 @njit(cache=True, error_model="numpy")
-def box_size(record, tiles_y, tiles_x):  # type: ignore[no-untyped-def]
+def box_size(record, tiles_y, tiles_x):
     """Number of tiles in the box around the record's ellipse."""
     u, v = np.float64(record[0]) + np.float64(record[1]), np.float64(record[2]) + np.float64(record[3])
     ex, ey = record[12] * WIDER + SLACK, record[13] * WIDER + SLACK
@@ -54,7 +54,7 @@ def box_size(record, tiles_y, tiles_x):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def sum_open(open_tiles, sums):  # type: ignore[no-untyped-def]
+def sum_open(open_tiles, sums):
     """Summed-area table (tiles_y + 1, tiles_x + 1) of open_tiles (tiles_y, tiles_x)."""
     sums[0, :] = 0
     for y in range(open_tiles.shape[0]):
@@ -66,7 +66,7 @@ def sum_open(open_tiles, sums):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def place_pairs(tile_counts, tile_starts):  # type: ignore[no-untyped-def]
+def place_pairs(tile_counts, tile_starts):
     """Turns the counts (chunks, tiles) into first places: tile after tile, within a tile chunk after chunk.
 
     Writes where each tile begins to tile_starts (tiles + 1,).
@@ -82,7 +82,7 @@ def place_pairs(tile_counts, tile_starts):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def list_pairs(  # type: ignore[no-untyped-def]
+def list_pairs(
     chunk,
     chunk_size,
     first,
@@ -137,7 +137,7 @@ def list_pairs(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def sort_pairs(  # type: ignore[no-untyped-def]
+def sort_pairs(
     chunk,
     chunk_size,
     first,

@@ -20,7 +20,7 @@ AIR = 1e-3
 
 
 @njit(cache=True, nogil=True)
-def near_plane(grid, corner, across, down, most, rows, boxes):  # type: ignore[no-untyped-def]
+def near_plane(grid, corner, across, down, most, rows, boxes):
     """Finds the atoms of a level that reach a picture's plane: rows (n,) ascending and boxes (n, 4), x0 x1 y0 y1 of the
     pixels they may reach, first to one past last. Returns how many; pixel (x, y) is at corner + x across + y down."""
     xx = across[0] * across[0] + across[1] * across[1] + across[2] * across[2]

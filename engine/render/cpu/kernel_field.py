@@ -208,7 +208,7 @@ def level(atom: NDArray[np.intp], means: Float, scales: Float, axes: Float, rgb:
 
 
 @njit(cache=True)
-def _slot(x, scale, n):  # type: ignore[no-untyped-def]
+def _slot(x, scale, n):
     """Cell of a coordinate; what lies outside belongs to the border cells."""
     i = x * scale
     if not i > 0:
@@ -217,7 +217,7 @@ def _slot(x, scale, n):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _cells(position, scale, nx, ny, nz):  # type: ignore[no-untyped-def]
+def _cells(position, scale, nx, ny, nz):
     """Counting sort by cell: first (cells + 1,) and the order (n,); equal cells keep the order of the input."""
     first = np.zeros(nx * ny * nz + 1, np.int32)
     cell = np.empty(len(position), np.int32)
@@ -236,7 +236,7 @@ def _cells(position, scale, nx, ny, nz):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _weight(i, point, most, shapes, axes):  # type: ignore[no-untyped-def]
+def _weight(i, point, most, shapes, axes):
     """w_i at a point; -1 where it is cut off."""
     q, ratio = _distance(i, point, most, shapes, axes)
     if q > np.float32(CUTOFF_Q):
@@ -245,7 +245,7 @@ def _weight(i, point, most, shapes, axes):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _distance(i, point, most, shapes, axes):  # type: ignore[no-untyped-def]
+def _distance(i, point, most, shapes, axes):
     """(q_i, by how much the atom's weight falls) at a point."""
     x, y, z = point[0] - shapes[i, 0], point[1] - shapes[i, 1], point[2] - shapes[i, 2]
     a, b, c = shapes[i, 3], shapes[i, 4], shapes[i, 5]
@@ -269,7 +269,7 @@ def _distance(i, point, most, shapes, axes):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _window(p, reach, grid):  # type: ignore[no-untyped-def]
+def _window(p, reach, grid):
     """Cells within reach of p, ends included: x0, x1, y0, y1, z0, z1; x1 < x0 where there are none."""
     for k in range(3):
         if p[k] + reach < grid.box[0, k] or p[k] - reach > grid.box[1, k] or not reach >= 0:
@@ -289,7 +289,7 @@ def _window(p, reach, grid):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _local(point, origin):  # type: ignore[no-untyped-def]
+def _local(point, origin):
     """A point from the level's origin, single precision."""
     return (
         np.float32(point[0] - origin[0]),
@@ -299,13 +299,13 @@ def _local(point, origin):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _reach(most, largest):  # type: ignore[no-untyped-def]
+def _reach(most, largest):
     """Distance at which the last atom of a level is cut off, with a little air for rounding."""
     return np.float32(3.0001) * max(largest, np.float32(1) / most)
 
 
 @njit(cache=True, nogil=True)
-def _sum(task, points, most, grid, colour, density):  # type: ignore[no-untyped-def]
+def _sum(task, points, most, grid, colour, density):
     for p in range(task * POINTS, min((task + 1) * POINTS, len(points))):
         point = _local(points[p], grid.origin)
         x0, x1, y0, y1, z0, z1 = _window(point, _reach(most[p], grid.largest), grid)
@@ -330,7 +330,7 @@ def _sum(task, points, most, grid, colour, density):  # type: ignore[no-untyped-
 
 
 @njit(cache=True, nogil=True)
-def _divide(task, colour, density):  # type: ignore[no-untyped-def]
+def _divide(task, colour, density):
     for p in range(task * POINTS, min((task + 1) * POINTS, len(density))):
         if density[p] > 0:
             for k in range(3):
@@ -338,7 +338,7 @@ def _divide(task, colour, density):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _count(task, points, most, grid, count):  # type: ignore[no-untyped-def]
+def _count(task, points, most, grid, count):
     for p in range(task * POINTS, min((task + 1) * POINTS, len(points))):
         point = _local(points[p], grid.origin)
         x0, x1, y0, y1, z0, z1 = _window(point, _reach(most[p], grid.largest), grid)
@@ -355,7 +355,7 @@ def _count(task, points, most, grid, count):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _fill(task, points, most, grid, cursor, columns, weights):  # type: ignore[no-untyped-def]
+def _fill(task, points, most, grid, cursor, columns, weights):
     for p in range(task * POINTS, min((task + 1) * POINTS, len(points))):
         point = _local(points[p], grid.origin)
         x0, x1, y0, y1, z0, z1 = _window(point, _reach(most[p], grid.largest), grid)
@@ -375,7 +375,7 @@ def _fill(task, points, most, grid, cursor, columns, weights):  # type: ignore[n
 
 
 @njit(cache=True, nogil=True)
-def _count_on(task, height, width, rows, boxes, points, most, grid, count):  # type: ignore[no-untyped-def]
+def _count_on(task, height, width, rows, boxes, points, most, grid, count):
     first, stop = task * ROWS, min((task + 1) * ROWS, height)
     for k in range(len(rows)):
         for y in range(max(boxes[k, 2], first), min(boxes[k, 3], stop)):
@@ -385,7 +385,7 @@ def _count_on(task, height, width, rows, boxes, points, most, grid, count):  # t
 
 
 @njit(cache=True, nogil=True)
-def _fill_on(task, height, width, rows, boxes, points, most, grid, cursor, columns, weights):  # type: ignore[no-untyped-def]
+def _fill_on(task, height, width, rows, boxes, points, most, grid, cursor, columns, weights):
     first, stop = task * ROWS, min((task + 1) * ROWS, height)
     for k in range(len(rows)):
         for y in range(max(boxes[k, 2], first), min(boxes[k, 3], stop)):

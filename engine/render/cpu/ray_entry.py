@@ -77,7 +77,7 @@ def coverage(density: NDArray[np.floating], footprint: NDArray[np.floating], pit
 
 
 @register_jitable(inline="always")
-def coverage_of(density, footprint, edge_sigma):  # type: ignore[no-untyped-def]
+def coverage_of(density, footprint, edge_sigma):
     """`coverage` of one pixel in float32 for kernels without branches; edge_sigma is half the pitch."""
     one, half, zero = np.float32(1), np.float32(0.5), np.float32(0)
     slope, solid, unit = np.float32(EDGE_SLOPE), np.float32(SOLID_DENSITY), np.float32(0.5 / SOLID_DENSITY)
@@ -91,7 +91,7 @@ def shade(hits: Hits) -> NDArray[np.float32]:
 
 
 @register_jitable(inline="always")
-def facing_of(plane, across, down, orthographic):  # type: ignore[no-untyped-def]
+def facing_of(plane, across, down, orthographic):
     """Cosine between the normal of a camera-space plane (4,) and the way back along the ray (across, down, 1)."""
     facing = -plane[2]
     if not orthographic:
@@ -100,7 +100,7 @@ def facing_of(plane, across, down, orthographic):  # type: ignore[no-untyped-def
 
 
 @register_jitable(inline="always")
-def enter_row(y, cam, planes, joined, first_joined, tolerance, entry, through, slope, left):  # type: ignore[no-untyped-def]
+def enter_row(y, cam, planes, joined, first_joined, tolerance, entry, through, slope, left):
     """Fills depth `entry` (W,) and plane `through` (W,) of the entry of row y's rays, -1 where there is none.
 
     Planes (P, 4) and joined (M, 4) in camera space; joined first_joined[m]..first_joined[m + 1] bound one piece that
@@ -149,7 +149,7 @@ NO_PIECES = np.zeros(1, np.int64)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _enter(row, cam, planes, alone, depth, facing):  # type: ignore[no-untyped-def]
+def _enter(row, cam, planes, alone, depth, facing):
     """Fills a row of depth (H, W) of the entry, inf where there is none, and of the cosine (H, W) at the plane."""
     width = depth.shape[1]
     through, slope, left = np.empty(width, np.int32), np.empty(width), np.empty(width)

@@ -42,7 +42,7 @@ the gradients of r12, r13 and of the colour."""
 
 
 @njit(cache=True, error_model="numpy")
-def plane_range(cam, plane, u0, u1, v0, v1, z0, z1):  # type: ignore[no-untyped-def]
+def plane_range(cam, plane, u0, u1, v0, v1, z0, z1):
     """Least and greatest signed distance from a camera-space plane (4,) of points seen at [u0, u1] x [v0, v1] in depth
     [z0, z1]: the distance is affine in each of the three alone, so its ends are at the corners."""
     low, high = np.inf, -np.inf
@@ -59,7 +59,7 @@ def plane_range(cam, plane, u0, u1, v0, v1, z0, z1):  # type: ignore[no-untyped-
 
 
 @njit(cache=True, error_model="numpy")
-def narrowest(xx, xy, yy, det):  # type: ignore[no-untyped-def]
+def narrowest(xx, xy, yy, det):
     """Smaller eigenvalue of [[xx, xy], [xy, yy]], and half the distance between the two."""
     half = 0.5 * (xx - yy)
     radius = math.sqrt(half * half + xy * xy)
@@ -67,7 +67,7 @@ def narrowest(xx, xy, yy, det):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def project(  # type: ignore[no-untyped-def]
+def project(
     chunk,
     chunk_size,
     cam,
@@ -131,7 +131,7 @@ def project(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def project_backward(  # type: ignore[no-untyped-def]
+def project_backward(
     chunk,
     chunk_size,
     cam,

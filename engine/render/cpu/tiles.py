@@ -80,7 +80,7 @@ def falloff(h: float) -> float:
 
 
 @overload(falloff, jit_options={"fastmath": FUSED})
-def _falloff(h):  # type: ignore[no-untyped-def]
+def _falloff(h):
     if h != types.float32:
         return lambda h: math.exp(-h)
 
@@ -88,7 +88,7 @@ def _falloff(h):  # type: ignore[no-untyped-def]
     eighth, a, b, c, d = (np.float32(v) for v in (1 / 8, 1 / 2, 1 / 6, 1 / 24, 1 / 120))
     e = np.float32(1 / 720)
 
-    def polynomial(h):  # type: ignore[no-untyped-def]
+    def polynomial(h):
         # exp(-h / 8) by its series, then squared three times: no table and no branch, so a row of pixels is one vector.
         x = -h * eighth
         y = one + x * (one + x * (a + x * (b + x * (c + x * (d + x * e)))))
@@ -100,7 +100,7 @@ def _falloff(h):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def count_tiles(chunk, chunk_size, spans, columns, counts):  # type: ignore[no-untyped-def]
+def count_tiles(chunk, chunk_size, spans, columns, counts):
     """Adds to counts (chunks, tiles) the splats of one chunk that each tile lists."""
     for i in range(chunk * chunk_size, min((chunk + 1) * chunk_size, len(spans))):
         for y in range(spans[i, 2], spans[i, 3]):
@@ -109,7 +109,7 @@ def count_tiles(chunk, chunk_size, spans, columns, counts):  # type: ignore[no-u
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def fill_tiles(chunk, chunk_size, spans, columns, places, listed):  # type: ignore[no-untyped-def]
+def fill_tiles(chunk, chunk_size, spans, columns, places, listed):
     """Writes the splats of one chunk into the lists at places (chunks, tiles), which move on."""
     for i in range(chunk * chunk_size, min((chunk + 1) * chunk_size, len(spans))):
         for y in range(spans[i, 2], spans[i, 3]):
@@ -140,7 +140,7 @@ def tile_lists(
 
 
 @njit(cache=True, error_model="numpy")
-def tile_points(frame, tile, px, py, base, slope):  # type: ignore[no-untyped-def]
+def tile_points(frame, tile, px, py, base, slope):
     """Fills pixel centres px, py (AREA,) and, for each plane, its distance base + z slope along each pixel's ray."""
     cam, planes = frame.cam, frame.planes
     left, top = tile % frame.columns * TILE, tile // frame.columns * TILE
@@ -157,7 +157,7 @@ def tile_points(frame, tile, px, py, base, slope):  # type: ignore[no-untyped-de
 
 
 @njit(cache=True, error_model="numpy")
-def rows_of(r, extent, left, top):  # type: ignore[no-untyped-def]
+def rows_of(r, extent, left, top):
     """Pixels of a tile, as a range of whole rows, that an ellipse of `extent` standard deviations can touch."""
     reach = extent * r[14]
     u = r[0] + r[1] - left
@@ -172,7 +172,7 @@ def rows_of(r, extent, left, top):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy", fastmath=FUSED)
-def fragments(r, span, near, px, py, base, slope, start, end, h, z):  # type: ignore[no-untyped-def]
+def fragments(r, span, near, px, py, base, slope, start, end, h, z):
     """Fills h = q / 2 and depth z of a splat's fragments in pixels start..end; z is infinite where it is clipped."""
     zero, infinite = z.dtype.type(0), z.dtype.type(np.inf)
     u0, u1, v0, v1, a, b, c = r[0], r[1], r[2], r[3], r[4], r[5], r[6]
@@ -189,7 +189,7 @@ def fragments(r, span, near, px, py, base, slope, start, end, h, z):  # type: ig
 
 
 @njit(cache=True, error_model="numpy", nogil=True, fastmath=FUSED)
-def accumulate(task, frame, colours, front, sums):  # type: ignore[no-untyped-def]
+def accumulate(task, frame, colours, front, sums):
     """Both passes over some tiles: fills front (H, W), the depth of the nearest core, and sums (H, W, 5): weight,
     weight times sharpness, weight times RGB of the fragments no more than the layer's depth behind it."""
     height, width = front.shape
@@ -249,7 +249,7 @@ def accumulate(task, frame, colours, front, sums):  # type: ignore[no-untyped-de
 
 
 @njit(cache=True, error_model="numpy")
-def _add_row(part, g, px, py, r, red, green, blue, at):  # type: ignore[no-untyped-def]
+def _add_row(part, g, px, py, r, red, green, blue, at):
     """Adds what one row of a tile hands back to the lanes of the GRADIENT sums in `part`."""
     given = np.uintp(GRADIENT * TILE) + at
     u0, u1, v0, v1, weight, edge = r[0], r[1], r[2], r[3], r[12], r[13]
@@ -274,7 +274,7 @@ def _add_row(part, g, px, py, r, red, green, blue, at):  # type: ignore[no-untyp
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def accumulate_backward(task, frame, colours, front, d_sums, first_rows, rows):  # type: ignore[no-untyped-def]
+def accumulate_backward(task, frame, colours, front, d_sums, first_rows, rows):
     """Writes the gradient row of every pair of some tiles, given d_sums (H, W, 5) of `accumulate`.
 
     A splat's pairs have neighbouring rows from first_rows (N + 1,), tile after tile, so their sum has one order.
@@ -329,7 +329,7 @@ def accumulate_backward(task, frame, colours, front, d_sums, first_rows, rows): 
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def resolve(y, sums, rgb, alpha):  # type: ignore[no-untyped-def]
+def resolve(y, sums, rgb, alpha):
     """Fills row y of rgb (H, W, 3), weighted by alpha, and alpha (H, W) from the sums of `accumulate`."""
     for x in range(sums.shape[1]):
         weight = sums[y, x, 0]
@@ -342,7 +342,7 @@ def resolve(y, sums, rgb, alpha):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def resolve_backward(y, sums, d_rgb, d_alpha, d_sums):  # type: ignore[no-untyped-def]
+def resolve_backward(y, sums, d_rgb, d_alpha, d_sums):
     """Fills row y of d_sums (H, W, 5): `resolve` backwards. A covering that is held at 0 or 1 passes nothing on."""
     for x in range(sums.shape[1]):
         d_sums[y, x, :] = 0

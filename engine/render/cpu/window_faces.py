@@ -35,7 +35,7 @@ weight, 8 light. All in one array: with several the compiler would have to suspe
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def sections(  # type: ignore[no-untyped-def]
+def sections(
     chunk,
     chunk_size,
     rows,  # [N] which atoms
@@ -121,7 +121,7 @@ def sections(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def bin_bands(boxes, bands):  # type: ignore[no-untyped-def]
+def bin_bands(boxes, bands):
     """(first (bands + 1,), listed (pairs,)): the records that touch each band of rows, in their order."""
     first = np.zeros(bands + 1, np.int64)
     for i in range(len(boxes)):
@@ -141,7 +141,7 @@ def bin_bands(boxes, bands):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy", nogil=True, fastmath=FUSED)
-def add_faces(  # type: ignore[no-untyped-def]
+def add_faces(
     band,
     cam,
     planes,  # [P, 4] camera space
@@ -219,7 +219,7 @@ def add_faces(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy", nogil=True, fastmath=FUSED)
-def shine(lane, down, planes, p, cam):  # type: ignore[no-untyped-def]
+def shine(lane, down, planes, p, cam):
     """Fills the light of the pixels of a row that show plane p: a lamp at the eye."""
     for k in range(np.uintp(lane.shape[1])):
         across = (k + 0.5 - cam.cx) / cam.fx
@@ -228,7 +228,7 @@ def shine(lane, down, planes, p, cam):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy", nogil=True, fastmath=FUSED)
-def finish_row(lane, per_pixel, ortho, edge_sigma, fresh, face, depths):  # type: ignore[no-untyped-def]
+def finish_row(lane, per_pixel, ortho, edge_sigma, fresh, face, depths):
     """Puts a row of lanes (LANES, W) over a row of the face layer (W, 4) and its depths (W,). No branch."""
     zero, tiny = np.float32(0), np.float32(1e-20)
     for k in range(np.uintp(len(depths))):
@@ -247,7 +247,7 @@ def finish_row(lane, per_pixel, ortho, edge_sigma, fresh, face, depths):  # type
 
 
 @njit(cache=True, error_model="numpy", nogil=True, fastmath=FUSED)
-def add_row(r, owner, start, end, area, lane):  # type: ignore[no-untyped-def]
+def add_row(r, owner, start, end, area, lane):
     """Adds one section to pixels start..end of the band's lanes, which stand `area` apart."""
     s0, t0, aa, ab, bb, limit = r[0], r[1], r[2], r[3], r[4], r[5]
     weight, red, green, blue = r[6], r[7], r[8], r[9]
@@ -266,7 +266,7 @@ def add_row(r, owner, start, end, area, lane):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy", nogil=True, fastmath=FUSED)
-def read_grids(lane, rows, cells, grids):  # type: ignore[no-untyped-def]
+def read_grids(lane, rows, cells, grids):
     """Starts the sums of a band with what the grids of its planes hold, read with linear interpolation."""
     half, one, zero = np.float32(0.5), np.float32(1), np.float32(0)
     last, plane, begin, height, width = np.float32(-1), 0, -1, 0, 0
@@ -301,7 +301,7 @@ def read_grids(lane, rows, cells, grids):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def fill_grid(band, low_s, low_t, cell, first, listed, boxes, records, grid):  # type: ignore[no-untyped-def]
+def fill_grid(band, low_s, low_t, cell, first, listed, boxes, records, grid):
     """Adds up a band of a grid (h, w, 4) of weight and RGB by weight, whose cells stand at low + (k + 1/2) cell."""
     height, width = grid.shape[0], grid.shape[1]
     top, bottom = band * BAND, min((band + 1) * BAND, height)

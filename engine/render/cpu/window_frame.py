@@ -17,7 +17,7 @@ __all__ = ["compose", "gather", "pack"]
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def gather(  # type: ignore[no-untyped-def]
+def gather(
     chunk,
     chunk_size,
     rows,  # [N]
@@ -62,7 +62,7 @@ def gather(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def compose(  # type: ignore[no-untyped-def]
+def compose(
     band,
     x0,
     y0,
@@ -121,7 +121,7 @@ def compose(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy", nogil=True, fastmath=FUSED)
-def layers(sums, front, faces, face, depths, tolerance, nothing, lane):  # type: ignore[no-untyped-def]
+def layers(sums, front, faces, face, depths, tolerance, nothing, lane):
     """Depth, coverage and RGB by coverage (5, W) of a row of one group: its splats under or over its faces.
 
     No branch, so that a row is a run of vectors.
@@ -150,7 +150,7 @@ def layers(sums, front, faces, face, depths, tolerance, nothing, lane):  # type:
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def pack(band, x0, y0, frame, x1, y1, halves):  # type: ignore[no-untyped-def]
+def pack(band, x0, y0, frame, x1, y1, halves):
     """A band of a part (h, w, 3) of the frame, whose corner is x0, y0, as half floats into those with corner x1, y1."""
     width = frame.shape[1]
     for row in range(band * BAND, min((band + 1) * BAND, len(frame))):
@@ -158,7 +158,7 @@ def pack(band, x0, y0, frame, x1, y1, halves):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def to_halves(bits, halves):  # type: ignore[no-untyped-def]
+def to_halves(bits, halves):
     """RGB (W, 3), float32 seen as int32, as half floats RGBA (W, 4).
 
     What is below 2^-14 becomes 0; the largest half float stays one.

@@ -20,7 +20,7 @@ __all__ = ["fill_holes", "seen_through", "tile_depths"]
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def tile_depths(line, front, faces, face, depths, left_open, right_open, ends, limits):  # type: ignore[no-untyped-def]
+def tile_depths(line, front, faces, face, depths, left_open, right_open, ends, limits):
     """Fills a line of tiles of ends (H, W), the depth behind which nothing shows, and limits (lines, columns), its
     largest value in each tile.
 
@@ -51,7 +51,7 @@ def tile_depths(line, front, faces, face, depths, left_open, right_open, ends, l
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def seen_through(chunk, chunk_size, rows, geometry, enlarge, cam, limits, layer, seen):  # type: ignore[no-untyped-def]
+def seen_through(chunk, chunk_size, rows, geometry, enlarge, cam, limits, layer, seen):
     """Marks in `seen` (N,) which of a chunk of atoms begin before the limit of a tile that they touch, or within the
     layer behind it."""
     lines, columns = limits.shape
@@ -79,7 +79,7 @@ def seen_through(chunk, chunk_size, rows, geometry, enlarge, cam, limits, layer,
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def deepest(limits, x0, x1, y0, y1):  # type: ignore[no-untyped-def]
+def deepest(limits, x0, x1, y0, y1):
     """Largest limit of some tiles."""
     most = limits[y0, x0]
     for y in range(y0, y1):
@@ -89,7 +89,7 @@ def deepest(limits, x0, x1, y0, y1):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def fill_holes(line, frame, colours, behind, behind_colours, ends, front, sums):  # type: ignore[no-untyped-def]
+def fill_holes(line, frame, colours, behind, behind_colours, ends, front, sums):
     """Makes front (H, W) and sums (H, W, 5) of a line of tiles anew where hidden atoms show.
 
     frame and behind: engine.render.cpu.tiles.Frame of what was drawn and of what was hidden, with the same planes.

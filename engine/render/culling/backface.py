@@ -172,7 +172,7 @@ def closed(filled: NDArray[np.bool_], skinned: NDArray[np.bool_]) -> bool:
 
 
 @njit(cache=True)
-def cones(cells, shape, normals, backed):  # type: ignore[no-untyped-def]
+def cones(cells, shape, normals, backed):
     """Mean normal (S, 3) of each atom's cell, and the least cosine (S,) to it in that cell and those around it.
 
     The cosine is -1 where one of the atoms there is not backed.

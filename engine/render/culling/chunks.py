@@ -78,7 +78,7 @@ def reversal(n: int) -> NDArray[np.intp]:
 
 
 @njit(cache=True)
-def near_plane(points, reach, first, count, planes, j):  # type: ignore[no-untyped-def]
+def near_plane(points, reach, first, count, planes, j):
     """uint32 indices of atoms that plane j of planes (P, 4) meets and no other plane removes, from runs of atoms.
 
     points (N, 3) float32, reach (N,) float32: how far an atom is felt.
@@ -105,7 +105,7 @@ def near_plane(points, reach, first, count, planes, j):  # type: ignore[no-untyp
 
 
 @njit(cache=True)
-def pick(points, reach, axes, least, zone, low, cell, first, count, planes, eye, parallel):  # type: ignore[no-untyped-def]
+def pick(points, reach, axes, least, zone, low, cell, first, count, planes, eye, parallel):
     """uint32 indices of the atoms on a piece's outside: those no plane touches, those one clips, those the solid hides.
 
     points (N, 3), reach (N,): how far an atom is felt. axes (N, 3), least (N,), zone (X, Y, Z), low (3,), cell: see
@@ -156,7 +156,7 @@ def pick(points, reach, axes, least, zone, low, cell, first, count, planes, eye,
 
 
 @njit(cache=True)
-def sound(x, y, z, dx, dy, dz, parallel, planes, zone, low, cell):  # type: ignore[no-untyped-def]
+def sound(x, y, z, dx, dy, dz, parallel, planes, zone, low, cell):
     """Whether the line of sight (dx, dy, dz) to a point meets each plane in the air or deep inside, not in the rind."""
     for j in range(len(planes)):
         along = planes[j, 0] * dx + planes[j, 1] * dy + planes[j, 2] * dz
