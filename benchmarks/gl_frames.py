@@ -39,7 +39,7 @@ from reference_opaque import reference
 
 from benchmarks.fronts import front
 from engine.io.files import atomic
-from engine.render.cpu.window import is_software
+from engine.render.cpu.software import is_software
 from engine.render.gl import Renderer
 from engine.scene import sh
 from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from engine.render.cpu.splats import TILE
-from engine.render.cpu.tiles import AREA, FAR, TILES_PER_TASK, falloff, fragments, rows_of, tile_points
+from engine.render.cpu.falloff import falloff
+from engine.render.cpu.splats import TILE, WEIGHT
+from engine.render.cpu.tiles import AREA, FAR, TILES_PER_TASK, fill_rays, fragments_in_layer, tile_rays
 from engine.scene.constants import CUTOFF_Q, MIN_WEIGHT
 
 __all__ = [
@@ -36,29 +35,28 @@ def layer_limit(front: NDArray[np.floating], layer: float) -> NDArray[np.floatin
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def count_splats(task, frame, limit, share, count):
+def count_splats(task, tiled, limit, share, count):
     """Adds to count (H, W) the fragments of every pixel whose share (H, W) of the picture is not zero."""
     atoms, weights, cursor = np.empty(0, np.int32), np.empty(0, np.float32), np.empty((0, 0), np.int64)
-    _walk(task, frame, limit, share, count, False, cursor, atoms, weights)
+    _walk(task, tiled, limit, share, count, False, cursor, atoms, weights)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def fill_splats(task, frame, limit, share, cursor, atoms, weights):
+def fill_splats(task, tiled, limit, share, cursor, atoms, weights):
     """Writes the fragments that `count_splats` counts at cursor (H, W), which moves on; weights times share."""
-    _walk(task, frame, limit, share, np.empty((0, 0), np.int64), True, cursor, atoms, weights)
+    _walk(task, tiled, limit, share, np.empty((0, 0), np.int64), True, cursor, atoms, weights)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _walk(task, frame, limit, share, count, fill, cursor, atoms, weights):
-    """The second pass of `opaque_tiles.accumulate` over some tiles, fragment by fragment."""
+def _walk(task, tiled, limit, share, count, fill, cursor, atoms, weights):
+    """The second pass of `engine.render.cpu.tiles.accumulate` over some tiles, fragment by fragment."""
     height, width = limit.shape
-    kind = frame.records.dtype.type
-    lane = np.empty((5, AREA), kind)
-    px, py, h, z, reach = lane[0], lane[1], lane[2], lane[3], lane[4]
-    base, slope = np.empty((len(frame.planes), AREA), kind), np.empty((len(frame.planes), AREA), kind)
-    cutoff, near = kind(0.5 * CUTOFF_Q), kind(frame.cam.near)
-    for tile in range(task * TILES_PER_TASK, min((task + 1) * TILES_PER_TASK, len(frame.first) - 1)):
-        left, top = tile % frame.columns * TILE, tile // frame.columns * TILE
+    kind = tiled.records.dtype.type
+    rays, lane = tile_rays(tiled), np.empty((3, AREA), kind)
+    h, z, reach = lane[0], lane[1], lane[2]
+    cutoff = kind(0.5 * CUTOFF_Q)
+    for tile in range(task * TILES_PER_TASK, min((task + 1) * TILES_PER_TASK, len(tiled.tile_starts) - 1)):
+        left, top = tile % tiled.columns * TILE, tile // tiled.columns * TILE
         last = -kind(np.inf)
         for k in range(AREA):
             x, y = left + k % TILE, top + k // TILE
@@ -67,22 +65,16 @@ def _walk(task, frame, limit, share, count, fill, cursor, atoms, weights):
             last = max(last, reach[k])
         if last < 0.0 and last == -kind(np.inf):
             continue
-        tile_points(frame, tile, px, py, base, slope)
-        for pair in range(frame.first[tile], frame.first[tile + 1]):
-            i = frame.listed[pair]
-            r = frame.records[i]
-            if r[7] - r[11] > last:
-                continue
-            start, end = rows_of(r, math.sqrt(CUTOFF_Q), left, top)
-            if start == end:
-                continue
-            fragments(r, frame.spans[i], near, px, py, base, slope, start, end, h, z)
+        fill_rays(tiled, tile, rays)
+        for pair in range(tiled.tile_starts[tile], tiled.tile_starts[tile + 1]):
+            i = tiled.splat_ids[pair]
+            start, end = fragments_in_layer(tiled, i, rays, last, left, top, h, z)
             for k in range(start, end):
                 if h[k] <= cutoff and z[k] <= reach[k]:
                     x, y = left + k % TILE, top + k // TILE
                     if fill:
                         atoms[cursor[y, x]] = i
-                        weights[cursor[y, x]] = falloff(h[k]) * r[12] * share[y, x]
+                        weights[cursor[y, x]] = falloff(h[k]) * tiled.records[i, WEIGHT] * share[y, x]
                         cursor[y, x] += 1
                     else:
                         count[y, x] += 1

@@ -15,7 +15,7 @@ from engine.scene.camera import Camera
 from engine.scene.piece import Piece
 from engine.scene.plane import stack
 
-__all__ = ["MAX_PLANES", "Group", "Rect", "grouped", "seen_groups"]
+__all__ = ["MAX_PLANES", "Group", "Rect", "group_pieces", "visible_groups"]
 
 Double = NDArray[np.float64]
 Group = tuple[Double, list[int]]
@@ -28,7 +28,7 @@ MAX_PLANES = 64
 """Planes that can bound one piece, after those that cut nothing off it are dropped."""
 
 
-def grouped(pieces: Sequence[Piece]) -> list[Group]:
+def group_pieces(pieces: Sequence[Piece]) -> list[Group]:
     """Pieces that lie together."""
     groups: list[Group] = []
     for i, piece in enumerate(pieces):
@@ -41,7 +41,7 @@ def grouped(pieces: Sequence[Piece]) -> list[Group]:
     return groups
 
 
-def seen_groups(
+def visible_groups(
     solid: Solid, camera: Camera, pieces: Sequence[Piece], groups: Sequence[Group]
 ) -> Iterator[tuple[int, View, list[Double], Rect]]:
     """The groups that show, farthest first: number, view, each piece's planes (P, 4), and where on the screen."""

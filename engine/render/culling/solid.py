@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from engine.render.culling.backface import hiding
-from engine.render.culling.outermost import outermost
+from engine.render.culling.backface import backface_culling
+from engine.render.culling.boundary import boundary_atoms
 from engine.render.culling.store import Ellipsoids, Spheres
 from engine.scene import sh
 from engine.scene.atoms import Atoms
@@ -42,9 +42,9 @@ class Solid:
         self.box = -half, half
         """All of the object: the box' corners (3,), relative to the centre."""
         self.pitch = float(atoms.pitch)
-        hidden = hiding(atoms)
-        hidden = replace(hidden, low=hidden.low - self.centre)
-        self.skin = Ellipsoids(self._shifted(skin.means), skin.scales, skin.quats, skin.sh, hidden)
+        culling = backface_culling(atoms)
+        culling = replace(culling, low=culling.low - self.centre)
+        self.skin = Ellipsoids(self._shifted(skin.means), skin.scales, skin.quats, skin.sh, culling)
         self.inside = Spheres(self._shifted(inside.means), inside.sigmas, inside.rgb)
         self._atoms = atoms
         self._exposed = self._as_splats(np.arange(inside.exposed)) if inside.exposed else None
@@ -68,7 +68,7 @@ class Solid:
             return [self.skin] if self._exposed is None else [self.skin, self._exposed]
         if self._core is None:
             inside = self._atoms.interior
-            self._core_rows = np.flatnonzero(outermost(inside.means, inside.sigmas))
+            self._core_rows = np.flatnonzero(boundary_atoms(inside.means, inside.sigmas))
             self._core = self._as_splats(self._core_rows, CORE_SCALE)
             self._core.update(sh.rgb_to_sh(self._rgb[self._core_rows, None]))
         return [self._core]

@@ -95,7 +95,7 @@ class View:
         scale = (self.camera.fx * self.camera.fy) ** 0.5
         return np.full_like(z, 1 / scale) if self.camera.orthographic else np.maximum(z, 0) / scale
 
-    def chunks_seen(self, chunks: Chunks, enlarge: float) -> tuple[NDArray[np.bool_], NDArray[np.bool_], Double]:
+    def visible_chunks(self, chunks: Chunks, enlarge: float) -> tuple[NDArray[np.bool_], NDArray[np.bool_], Double]:
         """Which chunks (K,) can be in the picture, which lie wholly inside it, and the diameter of their largest splat.
 
         The second and third decide what may be drawn as points: a point whose centre is outside is not drawn at all.

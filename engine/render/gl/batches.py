@@ -28,7 +28,7 @@ class Batch:
     def fill(self, array: moderngl.VertexArray, fields: dict[str, int], first: int, count: int) -> None:
         """Runs the array's vertices first..first+count through its program and keeps what comes out."""
         if self.records.reserve(4 * sum(fields.values()) * count):
-            self._forget()
+            self._release_arrays()
         self.count = count
         if count:
             array.transform(self.records.buffer, moderngl.POINTS, vertices=count, first=first)
@@ -48,14 +48,14 @@ class Batch:
         else:
             self._arrays[key].render(moderngl.TRIANGLE_STRIP, vertices=4, instances=self.count)
 
-    def _forget(self) -> None:
+    def _release_arrays(self) -> None:
         for array in self._arrays.values():
             array.release()
         self._arrays.clear()
 
     def release(self) -> None:
         """Frees the buffer and what draws it."""
-        self._forget()
+        self._release_arrays()
         self.records.release()
 
 
@@ -84,7 +84,7 @@ class Pool:
     def write_indices(self, rows: NDArray[np.uint32]) -> None:
         """The indices that `source` arrays read from now on."""
         if self.indices.write(rows):
-            self.forget_sources()
+            self.clear_sources()
 
     def source(
         self, program: moderngl.Program, *streams: tuple[moderngl.Buffer, dict[str, int]]
@@ -97,7 +97,7 @@ class Pool:
             self._sources[key] = self.ctx.vertex_array(program, content, self.indices.buffer)
         return self._sources[key]
 
-    def forget_sources(self) -> None:
+    def clear_sources(self) -> None:
         """Drops the arrays over atoms: their buffers are gone or the indices stand elsewhere."""
         for array in self._sources.values():
             array.release()
@@ -105,7 +105,7 @@ class Pool:
 
     def clear(self) -> None:
         """Frees what grew for the atoms that were: another object needs other batches, of other sizes."""
-        self.forget_sources()
+        self.clear_sources()
         for batch in self._batches:
             batch.release()
         self._batches.clear()

@@ -44,7 +44,7 @@ class Buffers:
         return (held.geometry, {"mean": 3, "scale": 3, "quat": 4}), (held.colours, colours)
 
     def _upload(self, store: Ellipsoids | Spheres) -> _Uploaded:
-        geometry, colours = store.kept
+        geometry, colours = store.arrays
         held = self._held.get(id(store))
         if held is None:
             held = _Uploaded(store, self._buffer(geometry), self._buffer(colours), store.version)

@@ -100,7 +100,7 @@ class Capture:
     def release(self) -> None:
         """Ends the thread and frees the buffers."""
         self._thread.shutdown()
-        self.pool.forget_sources()
+        self.pool.clear_sources()
         self.geometry.release()
         self.coefficients.release()
 

@@ -15,8 +15,8 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from engine.render.culling.groups import Group, Rect, seen_groups
-from engine.render.culling.look import Look
+from engine.render.culling.draw_options import DrawOptions
+from engine.render.culling.groups import Group, Rect, visible_groups
 from engine.render.culling.solid import Solid
 from engine.render.culling.view import View
 from engine.render.gl.batches import Pool
@@ -53,14 +53,14 @@ class OpaqueMode:
         frames: Sequence[Frame],
         sums: Accumulators,
         background: Double,
-        look: Look,
+        options: DrawOptions,
     ) -> None:
         """Puts the pieces into the first of two frames, which shows the background; the second is scratch."""
         self.section.grids.begin()
         frame, scratch = frames
         empty = True
-        for number, view, planes, rect in seen_groups(solid, camera, pieces, groups):
-            faces = self._add_up(view, planes, solid, sums, rect, look)
+        for number, view, planes, rect in visible_groups(solid, camera, pieces, groups):
+            faces = self._add_up(view, planes, solid, sums, rect, options)
             values: dict[str, Any] = {
                 **view.uniforms,
                 "splats@0": sums.splats,
@@ -83,7 +83,7 @@ class OpaqueMode:
             empty = False
 
     def _add_up(
-        self, view: View, planes: list[Double], solid: Solid, sums: Accumulators, rect: Rect, look: Look
+        self, view: View, planes: list[Double], solid: Solid, sums: Accumulators, rect: Rect, options: DrawOptions
     ) -> bool:
         """Fills the accumulators with pieces that lie together; True where a face is seen."""
         sums.front_fbo.scissor = (0, 0, *sums.front_fbo.size)
@@ -92,25 +92,25 @@ class OpaqueMode:
         sums.front_fbo.clear(depth=1.0)
         for fbo in (sums.front_fbo, sums.splat_fbo, sums.field_fbo, sums.face_fbo):
             fbo.scissor = rect
-        skin = None if look.interior_only else solid.skin
+        skin = None if options.interior_only else solid.skin
         has_faces = False
         for i, piece in enumerate(planes):
             if len(piece) and not has_faces:
                 sums.coverage_fbo.clear()
-            mates = planes[:i] + planes[i + 1 :]
+            neighbours = planes[:i] + planes[i + 1 :]
             has_faces |= self.section.draw(
-                view, piece, mates, solid.box, solid.inside, skin, sums, solid.pitch, rect, look
+                view, piece, neighbours, solid.box, solid.inside, skin, sums, solid.pitch, rect, options
             )
         runs = []
-        for splats in solid.splats(look.interior_only):
-            runs += self.surface.project(view, planes, splats, look)
+        for splats in solid.splats(options.interior_only):
+            runs += self.surface.project(view, planes, splats, options)
         sums.splat_fbo.depth_mask = False
         sums.splat_fbo.clear(viewport=rect)
-        self.surface.draw(view, runs, sums, solid.pitch * look.disc_scale)
+        self.surface.draw(view, runs, sums, solid.pitch * options.disc_scale)
         return has_faces
 
-    def forget(self) -> None:
-        """Another solid is drawn from now on."""
+    def clear(self) -> None:
+        """Frees what was uploaded for the solid: another one follows."""
         self.section.grids.clear()
         self.buffers.release()
 

@@ -15,9 +15,9 @@ import moderngl
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from engine.render.cpu.window import SoftwareMode, is_software
-from engine.render.culling.groups import Group, grouped
-from engine.render.culling.look import Look, Mode
+from engine.render.cpu.software import SoftwareMode, is_software
+from engine.render.culling.draw_options import DrawOptions, Mode
+from engine.render.culling.groups import Group, group_pieces
 from engine.render.culling.solid import Solid
 from engine.render.culling.view import View
 from engine.render.gl.batches import Pool
@@ -128,7 +128,7 @@ class Renderer:
         assert self._solid is not None, "no atoms yet"
         self._solid.update(sh, rgb)
         if rgb is not None:
-            self._forget_grids()
+            self._clear_grids()
 
     # Drawing
 
@@ -162,18 +162,18 @@ class Renderer:
         self._resize(camera.width, camera.height)
         self._pool.begin()
         self._camera, self._pieces = camera, list(pieces)
-        self._groups = grouped(self._pieces)
+        self._groups = group_pieces(self._pieces)
         ground = np.asarray(background, np.float64)
         frame, sums = self._frames[0], self._sums
         assert sums is not None
         if self._software is not None and mode != "classic" and self._solid is not None:
-            look = Look(mode == "interior", light, exact, level, cull)
-            changed, halves = self._software.draw(self._solid, camera, self._pieces, self._groups, ground, look)
+            options = DrawOptions(mode == "interior", light, exact, level, cull)
+            changed, halves = self._software.draw(self._solid, camera, self._pieces, self._groups, ground, options)
             if changed[2] and changed[3]:
                 frame.colour.write(halves, viewport=changed)
             return frame.colour
         if self._software is not None:
-            self._software.forget()
+            self._software.reset()
         frame.clear(ground)
         if mode == "classic":
             if self._capture is not None:
@@ -182,8 +182,8 @@ class Renderer:
                 values = resolve_values(sums, ground)
                 self._screen.fill(frame.fbo, rect, "classic_resolve.frag.glsl", {}, values)
         elif self._solid is not None:
-            look = Look(mode == "interior", light, exact, level, cull)
-            self._opaque.draw(self._solid, camera, self._pieces, self._groups, self._frames, sums, ground, look)
+            options = DrawOptions(mode == "interior", light, exact, level, cull)
+            self._opaque.draw(self._solid, camera, self._pieces, self._groups, self._frames, sums, ground, options)
         return frame.colour
 
     @property
@@ -203,7 +203,7 @@ class Renderer:
         self._overlaid.colour_fbo.use()
         centre = np.zeros(3) if self._solid is None else self._solid.centre
         pitch = 0.0 if self._solid is None else self._solid.pitch
-        self._tell()
+        self._upload_info()
         self._overlays.draw(View(camera, centre, 1.0), items, frame.info, pitch)
         return self._overlaid.colour
 
@@ -215,7 +215,7 @@ class Renderer:
         assert self._camera is not None, "nothing rendered yet"
         width, height = self._camera.width, self._camera.height
         frame = self._frames[0]
-        self._tell()
+        self._upload_info()
         colour = np.frombuffer(frame.fbo.read(components=4, dtype="f4"), np.float32).reshape(height, width, 4)
         info = np.frombuffer(frame.fbo.read(components=2, attachment=1, dtype="f4"), np.float32)
         info = info.reshape(height, width, 2)
@@ -231,7 +231,7 @@ class Renderer:
         camera = self._camera
         if camera is None or not (0 <= x < camera.width and 0 <= y < camera.height):
             return None, None
-        self._tell()
+        self._upload_info()
         data = self._frames[0].fbo.read((int(x), int(y), 1, 1), components=2, attachment=1, dtype="f4")
         z, code = np.frombuffer(data, np.float32).astype(np.float64)
         if z > 0.5 * NOTHING:
@@ -251,9 +251,9 @@ class Renderer:
 
     # Housekeeping
 
-    def _tell(self) -> None:
+    def _upload_info(self) -> None:
         """Depths and pieces that the processor has drawn go to the GPU only when somebody asks."""
-        info = None if self._software is None else self._software.news()
+        info = None if self._software is None else self._software.take_info()
         if info is not None:
             self._frames[0].info.write(info)
 
@@ -271,7 +271,7 @@ class Renderer:
             frame.release()
         self._frames = []
         if self._software is not None:
-            self._software.forget()
+            self._software.reset()
         if self._sums is not None:
             self._sums.release()
             self._sums = None
@@ -281,11 +281,11 @@ class Renderer:
 
     def _drop_solid(self) -> None:
         self._pool.clear()
-        self._forget_grids()
-        self._opaque.forget()
+        self._clear_grids()
+        self._opaque.clear()
         self._solid = None
 
-    def _forget_grids(self) -> None:
+    def _clear_grids(self) -> None:
         self._opaque.section.grids.clear()
         if self._software is not None:
             self._software.grids.clear()

@@ -9,8 +9,8 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
+from engine.render.culling.draw_options import DrawOptions
 from engine.render.culling.groups import MAX_PLANES
-from engine.render.culling.look import Look
 from engine.render.culling.store import Ellipsoids
 from engine.render.culling.view import View
 from engine.render.culling.visible import visible_atoms
@@ -56,18 +56,18 @@ class SurfacePass:
         view: View,
         pieces: Sequence[NDArray[np.float64]],
         splats: Ellipsoids,
-        look: Look,
+        options: DrawOptions,
     ) -> list[Run]:
         """The atoms that each piece, given by planes (P, 4) in centred object space, can show."""
         chunks = splats.chunks
         if not len(chunks):
             return []
-        _, inside, diameter = view.chunks_seen(chunks, look.disc_scale)
+        _, inside, diameter = view.visible_chunks(chunks, options.disc_scale)
         # A point whose centre is outside of the picture is not drawn at all: only what is wholly inside may be one.
         points = np.select([inside & (diameter * r / 3 <= POINT_LIMIT) for r in REACHES[:-1]], REACHES[:-1], 0.0)
         lists, runs = [], []
         sizes = [points == size for size in REACHES]
-        for planes, found in zip(pieces, visible_atoms(view, pieces, splats, look, sizes), strict=True):
+        for planes, found in zip(pieces, visible_atoms(view, pieces, splats, options, sizes), strict=True):
             for size, (free, clipped, hidden) in zip(REACHES, found, strict=True):
                 # Hidden ones last: the depth test is quick to dismiss them.
                 for rows, near in (
@@ -90,7 +90,7 @@ class SurfacePass:
             },
             varyings=RECORD,
         )
-        write_uniforms(program, {**view.uniforms, "enlarge": look.disc_scale})
+        write_uniforms(program, {**view.uniforms, "enlarge": options.disc_scale})
         array = self.pool.source(program, *self.buffers.streams(splats))
         first = 0
         for rows, run in zip(lists, runs, strict=True):
