@@ -1,9 +1,9 @@
-"""Numbers side by side: a vector type for kernels, so that a block of pixels is one value that lives in registers.
+"""A SIMD vector type for numba kernels, so that a block of pixels is one value that lives in registers.
 
-The compiler turns a plain loop over an array into vector code if it can prove that nothing overlaps, and then loads and
-stores every number in every turn. A value of this type is a vector by construction. Arithmetic works lane by lane,
-between lanes and with scalars, which are brought to the lanes' type: a literal never widens anything. `fma` rounds once
-where the processor can and does so everywhere, so that two kernels that repeat a formula get the same bits.
+The compiler vectorises a plain loop over an array only if it can prove that nothing overlaps, and then loads and stores
+every number in every iteration. A value of this type is a vector by construction. Arithmetic works lane by lane,
+between lanes and with scalars, which are converted to the lanes' type, so that a literal never widens anything. `fma`
+rounds once wherever the processor can, so that two kernels that repeat a formula get the same bits.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ __all__ = [
 
 
 def _device(build: Callable[..., Any]) -> Any:
-    """A function of kernels that writes its own code; as numba declares these, a caller would pass its context too."""
+    """An intrinsic, typed Any: as numba declares it, a caller would have to pass the typing context too."""
     return intrinsic(build)
 
 
@@ -53,7 +53,7 @@ def _filled(builder: Any, scalar: Any, count: int) -> Any:
 
 
 def _lanes_of(given: Any) -> Lanes | None:
-    """The type of the first that is one of lanes other than a mask."""
+    """The first of these types that is lanes, but not a mask."""
     return next((t for t in given if isinstance(t, Lanes) and t.kind is not types.boolean), None)
 
 
@@ -74,7 +74,7 @@ def _fits(given: Any) -> Lanes | None:
 
 
 def _operator(symbol: Any, emit: Callable[[Any, Lanes, Any, Any], Any], compares: bool = False) -> None:
-    """Teaches numba a binary operator of lanes with lanes or scalars."""
+    """Defines a binary operator of lanes with lanes or scalars."""
 
     class Template(AbstractTemplate):
         def generic(self, given: Any, keywords: Any) -> Any:
@@ -144,7 +144,7 @@ def _lower_negative(context: Any, builder: Any, sig: Any, values: Any) -> Any:
 
 
 def _call(builder: Any, name: str, *values: Any) -> Any:
-    """An LLVM intrinsic that takes and gives values of one type."""
+    """Calls an LLVM intrinsic whose arguments and result have one type."""
     kind = values[0].type
     suffix = f"v{kind.count}{_code(kind.element)}" if isinstance(kind, ir.VectorType) else _code(kind)
     function_type = ir.FunctionType(kind, [kind] * len(values))
@@ -157,7 +157,7 @@ def _code(kind: Any) -> str:
 
 
 def _pointer(context: Any, builder: Any, array_type: Any, array: Any, at: Any, kind: Any) -> Any:
-    """Where the numbers from place `at` of a contiguous array begin, as a pointer to a vector. Checks no bounds."""
+    """Pointer to element `at` of a contiguous array, as a vector. Checks no bounds."""
     data = context.make_array(array_type)(context, builder, array).data
     return builder.bitcast(builder.gep(data, [at]), kind.as_pointer())
 
@@ -178,12 +178,12 @@ def _loader(count: int) -> Any:
 
 
 load8, load16 = _loader(8), _loader(16)
-"""The next numbers of a contiguous array from a place (a flat index)."""
+"""The 8 or 16 numbers of a contiguous array from a flat index on."""
 
 
 @_device
 def store(typingctx, array, at, value):
-    """Writes lanes to a contiguous array from a place (a flat index) on; float64 is rounded to float32 if need be."""
+    """Writes lanes to a contiguous array from a flat index on; float64 is rounded for a float32 array."""
 
     def codegen(context, builder, sig, values):
         kind = context.get_value_type(Lanes(sig.args[0].dtype, sig.args[2].count))
@@ -197,7 +197,7 @@ def store(typingctx, array, at, value):
 
 @_device
 def widen(typingctx, value):
-    """The lanes as float64."""
+    """The lanes converted to float64."""
     wide = Lanes(types.float64, value.count)
 
     def codegen(context, builder, sig, values):
@@ -209,7 +209,7 @@ def widen(typingctx, value):
 
 @_device
 def where(typingctx, condition, yes, no):
-    """`yes` where the condition holds, else `no`: of a mask lane by lane, of a bool one of two scalars."""
+    """`yes` where the condition holds, else `no`: lane by lane for a mask, one of two scalars for a bool."""
     lanes = _fits((yes, no)) or typingctx.unify_types(yes, no)
     if isinstance(condition, Lanes) and not isinstance(lanes, Lanes):
         lanes = Lanes(lanes, condition.count)
@@ -226,7 +226,7 @@ def where(typingctx, condition, yes, no):
 
 @_device
 def fma(typingctx, a, b, c):
-    """a b + c, rounded once where the processor can do that as fast as a product."""
+    """a b + c, rounded once if the processor can do that as fast as a product."""
     lanes = _fits((a, b, c)) or typingctx.unify_types(a, b, c)
 
     def codegen(context, builder, sig, values):
@@ -257,7 +257,7 @@ def _extreme(symbol: str) -> Any:
 
 
 minimum, maximum = _extreme("<"), _extreme(">")
-"""The lesser and the greater of two, lanes or scalars; the first where they are equal or not numbers."""
+"""The lesser and the greater of two, lanes or scalars; the first one if they are equal or NaN."""
 
 
 def _unary(name: str) -> Any:
@@ -272,12 +272,12 @@ def _unary(name: str) -> Any:
 
 
 floor, root, absolute = _unary("floor"), _unary("sqrt"), _unary("fabs")
-"""Of lanes or a scalar; `root` is the square root."""
+"""Of lanes or a scalar; `root` is the square root, `absolute` the absolute value."""
 
 
 @_device
 def any_of(typingctx, mask):
-    """Whether the mask holds in some lane."""
+    """Whether the mask is true in any lane."""
 
     def codegen(context, builder, sig, values):
         bits = ir.IntType(sig.args[0].count)
@@ -286,7 +286,7 @@ def any_of(typingctx, mask):
     return types.boolean(mask), codegen
 
 
-# 2^r for r in -0.5 .. 0.5, highest power first; right to 1e-8 of itself before rounding.
+# Polynomial of 2^r for r in [-0.5, 0.5], highest power first; relative error 1e-8 before rounding.
 POWERS = (1.5353362e-4, 1.3398874e-3, 9.6184373e-3, 5.5503324e-2, 2.4022648e-1, 6.9314720e-1, 1.0)
 
 ROUND = 12582912.0  # 1.5 * 2^23: adding it to a float32 leaves the nearest whole number in the lowest bits
@@ -294,7 +294,7 @@ ROUND = 12582912.0  # 1.5 * 2^23: adding it to a float32 leaves the nearest whol
 
 @_device
 def exp2(typingctx, value):
-    """2^x for -100 < x < 100. A polynomial in float32; the library's in float64, lane after lane, for checks only."""
+    """2^x for -100 < x < 100. A polynomial in float32; in float64, for checks only, the library's, lane after lane."""
 
     def codegen(context, builder, sig, values):
         x, kind = values[0], values[0].type
@@ -323,9 +323,9 @@ def exp2(typingctx, value):
 
 @_device
 def row_sums(typingctx, vectors):
-    """Lanes that are the sums over the lanes of each of these vectors, a tuple; zeros for those that are missing.
+    """Lane k of the result is the sum over the lanes of vector k of a tuple; 0 beyond its end.
 
-    Halves are added to halves, for all sums at once, until every number of one vector is one of the sums.
+    Half vectors are added pairwise, for all sums at once, until one vector holds all of them.
     """
     lanes = vectors[0]
 

@@ -41,7 +41,7 @@ class Ellipsoids:
         self.geometry = np.concatenate([self.means, scales[order], quats[order]], 1).astype(np.float32)
         """(N, 10). Mean, scales, quaternion."""
         self.coefficients = np.zeros((len(means), 4 * self.vectors), np.float32)
-        """(N, 4 vectors). Spherical harmonics one after the other, three channels each."""
+        """(N, 4 vectors). Packed spherical harmonics, three channels each."""
         self.version = 0
         """Grows with every change of the colours, so that copies know when they are out of date."""
         self.update(sh)
@@ -55,7 +55,7 @@ class Ellipsoids:
         return self.geometry, self.coefficients
 
     def update(self, sh: Float) -> None:
-        """Other colours, (N, (d+1)^2, 3) in the caller's order, for the same atoms."""
+        """Replaces the colours, (N, (d+1)^2, 3) in the caller's order."""
         assert sh.shape == (len(self), (self.degree + 1) ** 2, 3), sh.shape
         if len(self):
             self.coefficients[:, : 3 * sh.shape[1]] = sh.reshape(len(self), 3 * sh.shape[1])[self.chunks.order]
@@ -94,7 +94,7 @@ class Spheres:
         return self.geometry, self.rgb
 
     def update(self, rgb: Float) -> None:
-        """Other colours, (N, 3) in the caller's order, for the same atoms."""
+        """Replaces the colours, (N, 3) in the caller's order."""
         assert rgb.shape == (len(self), 3), rgb.shape
         if len(self):
             self.rgb[:] = rgb[self.chunks.order]

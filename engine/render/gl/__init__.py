@@ -1,4 +1,4 @@
-"""The GL engine: opaque atoms with exact cuts, and the capture as it came, in OpenGL 3.3 core."""
+"""The GL engine: opaque atoms with exact cuts, and the unchanged capture, in OpenGL 3.3 core."""
 
 from engine.render.culling.draw_options import Mode
 from engine.render.gl.context import GLMissing

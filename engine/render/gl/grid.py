@@ -1,9 +1,9 @@
-"""The field of the interior atoms on a cut plane, kept as a texture for as long as the plane stays.
+"""The field of the interior atoms on a cut plane, cached as a texture while the plane stays.
 
-A face looks the same from every camera, so its sums need not be made again for each frame: a plane's grid is made
-once, read with linear interpolation, and shared by the two pieces that the plane parts. The cells are fine against the
-atoms, and the atoms are narrowed by what the interpolation widens them. What stays is the edge of each kernel at three
-sigma, where it falls by 1/90, which falls between grid points: 55 dB on black and white atoms side by side.
+A face looks the same from every camera, so its sums need not be computed for each frame: a plane's grid is computed
+once, read with linear interpolation, and shared by the two pieces that the plane separates. The cells are fine compared
+with the atoms, and the atoms are narrowed by as much as the interpolation widens them. The remaining error is the edge
+of each kernel at three sigma, a step of 1/90 between grid points: 55 dB on black and white atoms side by side.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ __all__ = ["Grid", "GridCache"]
 Double = NDArray[np.float64]
 
 LARGEST = 8192
-"""Cells along an edge: the least limit on a texture that drivers of OpenGL 3.3 have by now."""
+"""Cells along an edge: the smallest texture limit of current OpenGL 3.3 drivers."""
 
 
 @dataclass(frozen=True)
@@ -59,8 +59,8 @@ class GridCache:
         self._used.clear()
 
     def get(self, plane: Double, spheres: Spheres, options: DrawOptions) -> Grid | None:
-        """The grid of a plane (4,) in centred object space; None where the atoms' sizes do not allow one."""
-        plane = plane if plane[np.argmax(np.abs(plane[:3]))] > 0 else -plane  # both sides share it
+        """The grid of a plane (4,) in centred object space; None if the atoms' sizes do not allow one."""
+        plane = plane if plane[np.argmax(np.abs(plane[:3]))] > 0 else -plane  # both orientations share it
         key = (*plane.tolist(), options.level)
         if key not in self._cache:
             self._cache[key] = self._make(plane, spheres, options)
@@ -70,7 +70,7 @@ class GridCache:
         return self._cache[key]
 
     def clear(self) -> None:
-        """Drops all: the atoms or their colours have changed."""
+        """Frees all grids: the atoms or their colours have changed."""
         for grid in self._cache.values():
             if grid is not None:
                 grid.texture.release()
@@ -112,7 +112,7 @@ class GridCache:
         write_uniforms(program, values)
         self.pool.write_indices(plan.rows)
         self.pool.source(program, *self.buffers.streams(spheres)).render(moderngl.POINTS, vertices=len(plan.rows))
-        previous.use()  # a framebuffer that is gone must not stay bound
+        previous.use()  # a released framebuffer must not stay bound
         target.release()
         to_grid = np.zeros((4, 4))
         to_grid[0, :3], to_grid[1, :3] = e1 / (width * cell), e2 / (height * cell)

@@ -1,9 +1,9 @@
-"""Opaque mode: pieces of a solid, drawn group by group and put together by depth.
+"""Opaque mode: pieces of a solid, drawn group by group and composited by depth.
 
-Pieces with the same transform lie together as they grew: their splats are added up in the same sums, so that pieces put
-back together are the uncut object to the pixel, with no seam that lets the background through. Each such group is
-resolved by itself and put over or under the frame so far, pixel by pixel, because a silhouette in front is to be
-anti-aliased against the piece behind, not against the background.
+Pieces with the same transform lie together as they grew: their splats share the same sums, so that joined pieces give
+exactly the uncut object, without a seam that lets the background through. Each group is resolved by itself and
+composited over or under the frame so far, pixel by pixel, because a silhouette in front has to be anti-aliased against
+the piece behind it, not against the background.
 """
 
 from __future__ import annotations
@@ -55,12 +55,12 @@ class OpaqueMode:
         background: Double,
         options: DrawOptions,
     ) -> None:
-        """Puts the pieces into the first of two frames, which shows the background; the second is scratch."""
+        """Draws the pieces into the first of two frames, which holds the background; the second is scratch."""
         self.section.grids.begin()
         frame, scratch = frames
         empty = True
         for number, view, planes, rect in visible_groups(solid, camera, pieces, groups):
-            faces = self._add_up(view, planes, solid, sums, rect, options)
+            faces = self._sum_group(view, planes, solid, sums, rect, options)
             values: dict[str, Any] = {
                 **view.uniforms,
                 "splats@0": sums.splats,
@@ -82,13 +82,13 @@ class OpaqueMode:
                 self.screen.fill(frame.fbo, rect, "copy.frag.glsl", {}, values)
             empty = False
 
-    def _add_up(
+    def _sum_group(
         self, view: View, planes: list[Double], solid: Solid, sums: Accumulators, rect: Rect, options: DrawOptions
     ) -> bool:
-        """Fills the accumulators with pieces that lie together; True where a face is seen."""
+        """Fills the accumulators with pieces that lie together; True if a face is visible."""
         sums.front_fbo.scissor = (0, 0, *sums.front_fbo.size)
-        sums.front_fbo.use()  # transform feedback asks for a whole framebuffer, too, and a window may not have one
-        # Software GL clears a whole texture of bytes, half floats or depth faster than a part of it, one of floats not.
+        sums.front_fbo.use()  # transform feedback needs a complete framebuffer, which a window may not have
+        # Software GL clears a full texture of bytes, half floats or depth faster than a part; not so one of floats.
         sums.front_fbo.clear(depth=1.0)
         for fbo in (sums.front_fbo, sums.splat_fbo, sums.field_fbo, sums.face_fbo):
             fbo.scissor = rect
@@ -115,6 +115,6 @@ class OpaqueMode:
         self.buffers.release()
 
     def release(self) -> None:
-        """Frees what the passes hold."""
+        """Frees the passes' GPU memory."""
         self.section.release()
         self.buffers.release()

@@ -1,7 +1,7 @@
 """The cut faces of the opaque image (DESIGN, section 3): the kernel field where each pixel's ray enters a piece.
 
-Interior atoms come from the plane's grid; what a grid cannot hold (thin atoms of the skin; all, where a pixel is wider
-than they are) is added up pixel by pixel.
+Interior atoms come from the plane's grid. What a grid cannot hold is summed pixel by pixel: thin atoms of the skin, and
+all atoms if they are smaller than a pixel.
 """
 
 from __future__ import annotations
@@ -34,7 +34,10 @@ POINT_LIMIT = 16.0
 """Pixels across up to which a section of an atom is drawn as a point, not as a quad that lies in the plane."""
 
 OBLIQUE = 0.5
-"""Cosine between view and plane below which quads are used: seen at a slant they hug a disc, points do not."""
+"""Cosine between view and plane below which quads are used: at a slant they fit a section tightly, points do not."""
+
+EDGE_PITCHES = 1e-4
+"""A face reaches this far beyond the piece's other planes, so that rounding leaves no crack along an edge."""
 
 GATHERED = {
     False: {"mean": 3, "sigma": 1, "rgb": 3},
@@ -43,7 +46,7 @@ GATHERED = {
 
 
 class SectionPass:
-    """Draws what the planes of one piece show."""
+    """Draws the cut faces of one piece."""
 
     def __init__(self, ctx: moderngl.Context, programs: Programs, pool: Pool, buffers: Buffers) -> None:
         self.ctx, self.programs, self.pool, self.buffers = ctx, programs, pool, buffers
@@ -55,7 +58,7 @@ class SectionPass:
         self,
         view: View,
         planes: Double,  # [P, 4] centred object space
-        neighbours: list[Double],  # [P, 4] each: the other pieces that lie where they grew beside this one
+        neighbours: list[Double],  # [P, 4] each: the pieces that lie together with this one
         box: tuple[Double, Double],  # corners of the solid's box, centred
         spheres: Spheres,
         ellipsoids: Ellipsoids | None,
@@ -64,7 +67,7 @@ class SectionPass:
         rect: tuple[int, int, int, int],
         options: DrawOptions,
     ) -> bool:
-        """Adds the piece's faces to the face layer, nearest first in depth; False where it shows none."""
+        """Adds the piece's faces to the face layer, the nearest in front; False if none is visible."""
         faces = visible_faces(view, planes, neighbours, box, JOINT_PITCHES * pitch)
         if not faces:
             return False
@@ -90,7 +93,7 @@ class SectionPass:
         targets.face_fbo.use()
         ctx.enable_only(moderngl.DEPTH_TEST)
         ctx.depth_func = "<="
-        undo = np.linalg.inv(view.matrix)
+        to_object = np.linalg.inv(view.matrix)
         for face, grid in zip(faces, grids, strict=True):
             defines = {"ORTHOGRAPHIC": int(view.camera.orthographic), "GRID": int(grid is not None)}
             program = self.programs.get("polygon.vert.glsl", "face.frag.glsl", defines)
@@ -102,7 +105,7 @@ class SectionPass:
                 "cut_in_camera": view.planes_in_camera(face.plane[None])[0],
             }
             if grid is not None:
-                values |= {"grid@1": grid.texture, "to_grid": (grid.to_grid @ undo).T}
+                values |= {"grid@1": grid.texture, "to_grid": (grid.to_grid @ to_object).T}
             write_uniforms(program, values)
             first = face.first
             for part in face.parts:
@@ -142,7 +145,7 @@ class SectionPass:
             "cut_x": e1,
             "cut_y": e2,
             "enlarge": enlarge,
-            "tolerance": 1e-4 * pitch,
+            "tolerance": EDGE_PITCHES * pitch,
             "other_count": len(others),
             "others": padded,
         }
