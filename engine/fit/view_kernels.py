@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from engine.render.cpu.falloff import falloff
-from engine.render.cpu.splats import TILE, WEIGHT
-from engine.render.cpu.tiles import AREA, FAR, TILES_PER_TASK, fill_rays, fragments_in_layer, tile_rays
+from engine.render.cpu.splats import DEPTH, DEPTH_EXTENT, TILE, WEIGHT
+from engine.render.cpu.tiles import AREA, FAR, TILES_PER_TASK, fill_rays, fragments, rows_of
 from engine.scene.constants import CUTOFF_Q, MIN_WEIGHT
 
 __all__ = [
@@ -52,8 +54,9 @@ def _walk(task, tiled, limit, share, count, fill, cursor, atoms, weights):
     """The second pass of `engine.render.cpu.tiles.accumulate` over some tiles, fragment by fragment."""
     height, width = limit.shape
     kind = tiled.records.dtype.type
-    rays, lane = tile_rays(tiled), np.empty((3, AREA), kind)
-    h, z, reach = lane[0], lane[1], lane[2]
+    near, lane = kind(tiled.cam.near), np.empty((5, AREA), kind)
+    px, py, h, z, reach = lane[0], lane[1], lane[2], lane[3], lane[4]
+    base, slope = np.empty((len(tiled.planes), AREA), kind), np.empty((len(tiled.planes), AREA), kind)
     cutoff = kind(0.5 * CUTOFF_Q)
     for tile in range(task * TILES_PER_TASK, min((task + 1) * TILES_PER_TASK, len(tiled.tile_starts) - 1)):
         left, top = tile % tiled.columns * TILE, tile // tiled.columns * TILE
@@ -65,16 +68,22 @@ def _walk(task, tiled, limit, share, count, fill, cursor, atoms, weights):
             last = max(last, reach[k])
         if last < 0.0 and last == -kind(np.inf):
             continue
-        fill_rays(tiled, tile, rays)
+        fill_rays(tiled, tile, px, py, base, slope)
         for pair in range(tiled.tile_starts[tile], tiled.tile_starts[tile + 1]):
             i = tiled.splat_ids[pair]
-            start, end = fragments_in_layer(tiled, i, rays, last, left, top, h, z)
+            r = tiled.records[i]
+            if r[DEPTH] - r[DEPTH_EXTENT] > last:
+                continue
+            start, end = rows_of(r, math.sqrt(CUTOFF_Q), left, top)
+            if start == end:
+                continue
+            fragments(r, tiled.spans[i], near, px, py, base, slope, start, end, h, z)
             for k in range(start, end):
                 if h[k] <= cutoff and z[k] <= reach[k]:
                     x, y = left + k % TILE, top + k // TILE
                     if fill:
                         atoms[cursor[y, x]] = i
-                        weights[cursor[y, x]] = falloff(h[k]) * tiled.records[i, WEIGHT] * share[y, x]
+                        weights[cursor[y, x]] = falloff(h[k]) * r[WEIGHT] * share[y, x]
                         cursor[y, x] += 1
                     else:
                         count[y, x] += 1

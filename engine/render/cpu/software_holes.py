@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 
 from engine.render.cpu.splats import SHARPNESS, TILE, WEIGHT
-from engine.render.cpu.tiles import AREA, FAR, fill_rays, fragments, tile_rays
+from engine.render.cpu.tiles import AREA, FAR, fill_rays, fragments
 from engine.scene.constants import CORE_Q, CUTOFF_Q, FACE_OPAQUE
 
 __all__ = ["fill_holes", "seen_through", "tile_depths"]
@@ -97,8 +97,9 @@ def fill_holes(line, tiled, colours, hidden, hidden_colours, ends, front, sums):
     """
     height, width = front.shape
     kind = tiled.records.dtype.type
-    rays, lane = tile_rays(tiled), np.empty((4, AREA), kind)
-    h, z, limit, nearest = lane[0], lane[1], lane[2], lane[3]
+    near, lane = kind(tiled.cam.near), np.empty((6, AREA), kind)
+    px, py, h, z, limit, nearest = lane[0], lane[1], lane[2], lane[3], lane[4], lane[5]
+    base, slope = np.empty((len(tiled.planes), AREA), kind), np.empty((len(tiled.planes), AREA), kind)
     visible = np.empty(AREA, np.bool_)
     layer, infinite = kind(tiled.layer), kind(np.inf)
     core, cutoff = kind(0.5 * CORE_Q), kind(0.5 * CUTOFF_Q)
@@ -106,7 +107,7 @@ def fill_holes(line, tiled, colours, hidden, hidden_colours, ends, front, sums):
         tile = line * tiled.columns + column
         if hidden.tile_starts[tile] == hidden.tile_starts[tile + 1]:
             continue
-        fill_rays(tiled, tile, rays)
+        fill_rays(tiled, tile, px, py, base, slope)
         for k in range(AREA):
             x, y = column * TILE + k % TILE, line * TILE + k // TILE
             nearest[k] = front[y, x] if x < width and y < height else -infinite
@@ -114,7 +115,7 @@ def fill_holes(line, tiled, colours, hidden, hidden_colours, ends, front, sums):
             visible[k] = False
         for pair in range(hidden.tile_starts[tile], hidden.tile_starts[tile + 1]):
             i = hidden.splat_ids[pair]
-            fragments(hidden.records[i], hidden.spans[i], rays, 0, AREA, h, z)
+            fragments(hidden.records[i], hidden.spans[i], near, px, py, base, slope, 0, AREA, h, z)
             for k in range(AREA):
                 visible[k] |= (h[k] <= cutoff) & (z[k] < infinite) & (z[k] <= limit[k])
                 nearest[k] = min(nearest[k], z[k] if h[k] <= core else infinite)
@@ -129,7 +130,7 @@ def fill_holes(line, tiled, colours, hidden, hidden_colours, ends, front, sums):
                 for pair in range(drawn.tile_starts[tile], drawn.tile_starts[tile + 1]):
                     i = drawn.splat_ids[pair]
                     r = drawn.records[i]
-                    fragments(r, drawn.spans[i], rays, k, k + 1, h, z)
+                    fragments(r, drawn.spans[i], near, px, py, base, slope, k, k + 1, h, z)
                     if h[k] <= cutoff and z[k] <= last:
                         g = math.exp(-h[k])
                         total[0] += g * r[WEIGHT]

@@ -45,17 +45,15 @@ __all__ = [
     "CHUNKS",
     "FAR",
     "TILES_PER_TASK",
-    "TileRays",
     "TiledSplats",
     "accumulate",
     "accumulate_backward",
     "fill_rays",
     "fragments",
-    "fragments_in_layer",
     "resolve",
     "resolve_backward",
+    "rows_of",
     "tile_lists",
-    "tile_rays",
 ]
 
 AREA = TILE * TILE
@@ -89,19 +87,6 @@ class TiledSplats(NamedTuple):
     """Tiles in a row of the picture."""
     layer: float
     """Depth of the layer behind the front, world units."""
-
-
-class TileRays(NamedTuple):
-    """The pixels of a tile and where their rays meet the planes. A named tuple, which numba can read."""
-
-    px: NDArray[np.floating]
-    """(AREA,). Pixel centres."""
-    py: NDArray[np.floating]
-    base: NDArray[np.floating]
-    """(P, AREA). A ray's signed distance to a plane at depth z is base + z slope."""
-    slope: NDArray[np.floating]
-    near: np.floating
-    """Least depth of a fragment, world units."""
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -146,19 +131,12 @@ def tile_lists(
 
 
 @njit(cache=True, error_model="numpy")
-def tile_rays(tiled):
-    """Memory for the rays of one tile, in the float type of the splats."""
-    kind = tiled.records.dtype.type
-    pixels = np.empty((2, AREA), kind)
-    base, slope = np.empty((len(tiled.planes), AREA), kind), np.empty((len(tiled.planes), AREA), kind)
-    return TileRays(pixels[0], pixels[1], base, slope, kind(tiled.cam.near))
+def fill_rays(tiled, tile, px, py, base, slope):
+    """Fills a tile's pixel centres px, py (AREA,) and its rays' distance to each plane, base + z slope (P, AREA).
 
-
-@njit(cache=True, error_model="numpy")
-def fill_rays(tiled, tile, rays):
-    """Fills the rays of a tile."""
+    The pixel loops allocate these arrays and repeat their prelude instead of sharing it: shared, they take twice as long.
+    """
     cam, planes = tiled.cam, tiled.planes
-    px, py, base, slope = rays.px, rays.py, rays.base, rays.slope
     left, top = tile % tiled.columns * TILE, tile // tiled.columns * TILE
     for k in range(AREA):
         u, v = left + k % TILE + 0.5, top + k // TILE + 0.5
@@ -191,9 +169,8 @@ def rows_of(r, extent, left, top):
 
 
 @njit(cache=True, error_model="numpy", fastmath=FUSED)
-def fragments(r, span, rays, start, end, h, z):
+def fragments(r, span, near, px, py, base, slope, start, end, h, z):
     """Fills h = q / 2 and depth z of a splat's fragments in pixels start..end; z is infinite if clipped."""
-    px, py, base, slope, near = rays.px, rays.py, rays.base, rays.slope, rays.near
     zero, infinite = z.dtype.type(0), z.dtype.type(np.inf)
     u0, u1, v0, v1, a, b, c = r[U], r[U_FRACTION], r[V], r[V_FRACTION], r[WHITEN_X], r[WHITEN_Y], r[SHEAR]
     middle, kx, ky, reach = r[DEPTH], r[DEPTH_X], r[DEPTH_Y], r[DEPTH_LIMIT]
@@ -208,29 +185,15 @@ def fragments(r, span, rays, start, end, h, z):
             z[k] = infinite if base[p, k] + z[k] * slope[p, k] > zero else z[k]
 
 
-@njit(cache=True, error_model="numpy")
-def fragments_in_layer(tiled, i, rays, last, left, top, h, z):
-    """`fragments` of splat i in the tile at (left, top); returns their pixels, start and end.
-
-    Both are 0 if the splat does not touch the tile, or all of it lies behind `last`, the tile's deepest limit.
-    """
-    r = tiled.records[i]
-    if r[DEPTH] - r[DEPTH_EXTENT] > last:
-        return 0, 0
-    start, end = rows_of(r, math.sqrt(CUTOFF_Q), left, top)
-    if start != end:
-        fragments(r, tiled.spans[i], rays, start, end, h, z)
-    return start, end
-
-
 @njit(cache=True, error_model="numpy", nogil=True, fastmath=FUSED)
 def accumulate(task, tiled, colours, front, sums):
     """Both passes over some tiles. Fills front (H, W), the depth of the nearest core, and sums (H, W, 5): weight,
     weight times sharpness and weight times RGB of the fragments no more than the layer's depth behind the front."""
     height, width = front.shape
     kind = tiled.records.dtype.type
-    rays, lane = tile_rays(tiled), np.empty((4, AREA), kind)
-    h, z, nearest, limit = lane[0], lane[1], lane[2], lane[3]
+    near, lane = kind(tiled.cam.near), np.empty((6, AREA), kind)
+    px, py, h, z, nearest, limit = lane[0], lane[1], lane[2], lane[3], lane[4], lane[5]
+    base, slope = np.empty((len(tiled.planes), AREA), kind), np.empty((len(tiled.planes), AREA), kind)
     total = np.empty((5, AREA), kind)
     s0, s1, s2, s3, s4 = total[0], total[1], total[2], total[3], total[4]
     infinite, zero, layer = kind(np.inf), kind(0.0), kind(tiled.layer)
@@ -240,14 +203,14 @@ def accumulate(task, tiled, colours, front, sums):
         nearest[:] = infinite
         total[:] = zero
         if tiled.tile_starts[tile] < tiled.tile_starts[tile + 1]:
-            fill_rays(tiled, tile, rays)
+            fill_rays(tiled, tile, px, py, base, slope)
         for pair in range(tiled.tile_starts[tile], tiled.tile_starts[tile + 1]):
             i = tiled.splat_ids[pair]
             r = tiled.records[i]
             start, end = rows_of(r, math.sqrt(CORE_Q), left, top)
             if start == end:
                 continue
-            fragments(r, tiled.spans[i], rays, start, end, h, z)
+            fragments(r, tiled.spans[i], near, px, py, base, slope, start, end, h, z)
             for k in range(np.uintp(start), np.uintp(end)):
                 nearest[k] = min(nearest[k], z[k] if h[k] <= core else infinite)
         last = -infinite
@@ -257,9 +220,12 @@ def accumulate(task, tiled, colours, front, sums):
         for pair in range(tiled.tile_starts[tile], tiled.tile_starts[tile + 1]):
             i = tiled.splat_ids[pair]
             r = tiled.records[i]
-            start, end = fragments_in_layer(tiled, i, rays, last, left, top, h, z)
+            if r[DEPTH] - r[DEPTH_EXTENT] > last:
+                continue
+            start, end = rows_of(r, math.sqrt(CUTOFF_Q), left, top)
             if start == end:
                 continue
+            fragments(r, tiled.spans[i], near, px, py, base, slope, start, end, h, z)
             weight, edge = r[WEIGHT], r[SHARPNESS]
             red, green, blue = colours[i, 0], colours[i, 1], colours[i, 2]
             for k in range(np.uintp(start), np.uintp(end)):
@@ -312,8 +278,9 @@ def accumulate_backward(task, tiled, colours, front, d_sums, first_rows, rows):
     """
     height, width = front.shape
     kind = tiled.records.dtype.type
-    rays, lane = tile_rays(tiled), np.empty((3, AREA), kind)
-    h, z, limit = lane[0], lane[1], lane[2]
+    near, lane = kind(tiled.cam.near), np.empty((5, AREA), kind)
+    px, py, h, z, limit = lane[0], lane[1], lane[2], lane[3], lane[4]
+    base, slope = np.empty((len(tiled.planes), AREA), kind), np.empty((len(tiled.planes), AREA), kind)
     # One flat array: with twenty base pointers the compiler would have to assume that they overlap.
     part = np.empty(GRADIENT * TILE + 5 * AREA, kind)
     zero, layer, cutoff = kind(0.0), kind(tiled.layer), kind(0.5 * CUTOFF_Q)
@@ -322,7 +289,7 @@ def accumulate_backward(task, tiled, colours, front, d_sums, first_rows, rows):
         left, top = column * TILE, line * TILE
         if tiled.tile_starts[tile] == tiled.tile_starts[tile + 1]:
             continue
-        fill_rays(tiled, tile, rays)
+        fill_rays(tiled, tile, px, py, base, slope)
         last = -kind(np.inf)
         for k in range(AREA):
             x, y = left + k % TILE, top + k // TILE
@@ -335,9 +302,12 @@ def accumulate_backward(task, tiled, colours, front, d_sums, first_rows, rows):
         for pair in range(tiled.tile_starts[tile], tiled.tile_starts[tile + 1]):
             i = tiled.splat_ids[pair]
             r = tiled.records[i]
-            start, end = fragments_in_layer(tiled, i, rays, last, left, top, h, z)
+            if r[DEPTH] - r[DEPTH_EXTENT] > last:
+                continue
+            start, end = rows_of(r, math.sqrt(CUTOFF_Q), left, top)
             if start == end:
                 continue
+            fragments(r, tiled.spans[i], near, px, py, base, slope, start, end, h, z)
             red, green, blue = colours[i, 0], colours[i, 1], colours[i, 2]
             # From here on h holds exp(-q / 2).
             for k in range(np.uintp(start), np.uintp(end)):
@@ -345,7 +315,7 @@ def accumulate_backward(task, tiled, colours, front, d_sums, first_rows, rows):
                 h[k] = g if (h[k] <= cutoff) & (z[k] <= limit[k]) else zero
             part[: GRADIENT * TILE] = zero
             for line_k in range(start // TILE, end // TILE):
-                _add_row(part, h, rays.px, rays.py, r, red, green, blue, np.uintp(line_k * TILE))
+                _add_row(part, h, px, py, r, red, green, blue, np.uintp(line_k * TILE))
             span = tiled.spans[i]
             at = first_rows[i] + (line - span[2]) * (span[1] - span[0]) + column - span[0]
             for c in range(GRADIENT):
