@@ -52,16 +52,16 @@ def spend(task: int, out: np.ndarray) -> None:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def plain_blend(  # type: ignore[no-untyped-def]
-    task, tiles_per_task, tiles, tile_starts, pair_codes, records, states, lasts, tile_lasts, open_tiles, width, height
-):
+def plain_blend(task, tiles_per_task, part, frame, open_tiles):  # type: ignore[no-untyped-def]
     """`engine.render.classic.blend.blend` pixel by pixel, as one would write it first."""
+    tiles, tile_starts, pair_codes = part.tiles, part.tile_starts, part.pair_codes
+    records, states, lasts, tile_lasts = frame.records, frame.states, frame.lasts, frame.tile_lasts
     tiles_x = open_tiles.shape[1]
     for index in range(task * tiles_per_task, min((task + 1) * tiles_per_task, len(tiles))):
         tile = tiles[index]
         ty, tx = tile // tiles_x, tile % tiles_x
         if tile_lasts[tile] == UNTOUCHED:
-            start_tile(states[tile], lasts[tile], tx * SIDE, ty * SIDE, width, height)
+            start_tile(states[tile], lasts[tile], tx * SIDE, ty * SIDE, frame.width, frame.height)
         alive = 0
         for block in range(BLOCKS):
             s = states[tile, block]

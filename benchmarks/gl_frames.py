@@ -34,7 +34,7 @@ import torch
 from benchmarks.support.fronts import front
 from benchmarks.support.options import out_folder, parser_of, write_json
 from engine.io.files import atomic
-from engine.render.cpu.window import is_software
+from engine.render.cpu.software import is_software
 from engine.render.gl import Renderer
 from engine.scene import sh
 from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms

@@ -171,10 +171,10 @@ def for_each(kernel: Callable[..., Any], count: int, *args: Any) -> None:
         raise loop.error
 
 
-def _read(typingctx, board, place):  # type: ignore[no-untyped-def]
+def _read(typingctx, board, place):
     """A number of an int64 array as it is in memory now, after a pause that lets the core's other thread go on."""
 
-    def codegen(context, builder, sig, values):  # type: ignore[no-untyped-def]
+    def codegen(context, builder, sig, values):
         array = context.make_array(sig.args[0])(context, builder, values[0])
         if IS_X86:
             pause = builder.module.declare_intrinsic("llvm.x86.sse2.pause", (), ir.FunctionType(ir.VoidType(), ()))
@@ -188,7 +188,7 @@ _look: Any = intrinsic(_read)
 
 
 @njit(cache=True, nogil=True)
-def becomes(board, place, value, equal, looks, settle):  # type: ignore[no-untyped-def]
+def becomes(board, place, value, equal, looks, settle):
     """Whether board[place] comes to equal `value` (or to differ from it) within so many looks; then some pauses."""
     for _ in range(looks):
         if (_look(board, place) == value) == equal:

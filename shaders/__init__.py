@@ -14,8 +14,8 @@ INCLUDE = re.compile(r'^#include "([\w.]+)"$', re.MULTILINE)
 def source(name: str, defines: Mapping[str, int | float]) -> str:
     """The GLSL of a file of this package, ready to compile.
 
-    In front stand the version and the defines: whole numbers as switches and sizes, floats as constants. `#include "x"`
-    pulls in another file of the package.
+    The version and the defines come first: integers as switches and sizes, floats as constants. `#include "x"` inserts
+    another file of the package.
     """
     given = [f"#define {key} {value!r}" for key, value in defines.items()]
     return "\n".join(["#version 330 core", *given, _text(name)])

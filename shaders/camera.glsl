@@ -1,13 +1,13 @@
-// The view of one piece: object space (about the object's centre) to camera space, OpenCV axes. Pixels count from the
+// The view of one piece: object space (relative to the object's centre) to camera space, OpenCV axes. Pixels count from the
 // top left; framebuffers store the top row first, so gl_FragCoord is the pixel.
 uniform mat4 view;
 uniform vec4 lens;        // fx, fy, cx, cy in pixels (orthographic: pixels per world unit)
 uniform vec2 size;        // width, height in pixels
 uniform vec3 eye;         // object space; orthographic: the viewing direction
-uniform float near;       // depth where the picture begins; orthographic: far below anything
+uniform float near;       // least depth that is drawn; orthographic: far below anything
 uniform vec2 depth_range; // z0, 1 / (z1 - z0): the linear depth buffer
 
-// Camera axes; a step of one along it is one unit of depth.
+// The direction of a pixel's ray in camera axes, scaled to one unit of depth.
 vec3 ray_of(vec2 pixel) {
 #ifdef ORTHOGRAPHIC
     return vec3(0.0, 0.0, 1.0);
@@ -45,7 +45,7 @@ vec2 to_ndc(vec2 pixel) {
     return pixel / size * 2.0 - 1.0;
 }
 
-// Clip position of a point in camera space, without a depth: those tests are made against linear depth.
+// Clip position of a point in camera space, without a depth: depth tests use the linear depth instead.
 vec4 clip_position(vec3 p) {
 #ifdef ORTHOGRAPHIC
     return vec4(to_ndc(lens.xy * p.xy + lens.zw), 0.0, 1.0);

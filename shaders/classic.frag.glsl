@@ -1,4 +1,4 @@
-// 3DGS as captured (Kerbl et al. 2023), front to back: what is in front leaves less of the light for what follows.
+// Classic 3DGS (Kerbl et al. 2023), blended front to back: each layer leaves less transmittance for the next.
 flat in vec4 centre;
 flat in vec4 conic;
 flat in vec3 colour;

@@ -1,4 +1,4 @@
-// A pixel of the one frame into the other.
+// Copies one frame to the other.
 uniform sampler2D colour;
 uniform sampler2D info;
 

@@ -1,4 +1,4 @@
-// Where a pixel's ray meets the cut plane, camera space: from the plane's equation, the same for whatever is drawn.
+// Where a pixel's ray meets the cut plane, camera space: from the plane's equation, so that all passes agree on it.
 uniform vec4 cut_in_camera;
 
 vec3 hit(vec2 pixel) {

@@ -1,4 +1,4 @@
-// Atoms picked by index, copied one after the other: instanced draws cannot pick.
+// Copies indexed atoms into a contiguous buffer: instanced draws cannot index.
 in vec3 mean;
 out vec3 gathered_mean;
 #ifdef ELLIPSOID

@@ -1,4 +1,4 @@
-// Weighted colour and weight of an interior atom at a grid point, added up.
+// Weighted colour and weight of an interior atom at a grid point, summed by blending.
 flat in vec3 shape;
 flat in vec4 colour;
 flat in float limit;

@@ -1,5 +1,5 @@
-// An interior atom on a grid that lies in a cut plane. What lies off the plane is a factor; in the plane it is a round
-// Gaussian, narrowed by what reading the grid with linear interpolation will widen it.
+// An interior atom on a grid that lies in a cut plane. Its distance from the plane gives a factor; in the plane it is a
+// round Gaussian, narrowed by as much as linear interpolation of the grid will widen it.
 in vec3 mean;
 in float sigma;
 in vec3 rgb;
@@ -17,13 +17,13 @@ flat out vec4 colour;
 flat out float limit;  // squared reach in cells
 
 void main() {
-    float own = sigma * enlarge;
+    float enlarged = sigma * enlarge;
     float distance = dot(cut.xyz, mean) + cut.w;
-    float narrowed = own * own - cell * cell / 6.0; // the variance of the interpolation's hat
+    float narrowed = enlarged * enlarged - cell * cell / 6.0; // the variance of the interpolation's hat function
     vec2 at = (vec2(dot(cut_x, mean), dot(cut_y, mean)) - low) / cell;
     shape = vec3(at, 0.5 * cell * cell / narrowed);
-    colour = vec4(rgb, 1.0) * exp(-0.5 * distance * distance / (own * own)) * own * own / narrowed;
-    limit = (CUTOFF_Q * own * own - distance * distance) / (cell * cell);
+    colour = vec4(rgb, 1.0) * exp(-0.5 * distance * distance / (enlarged * enlarged)) * enlarged * enlarged / narrowed;
+    limit = (CUTOFF_Q * enlarged * enlarged - distance * distance) / (cell * cell);
     gl_PointSize = limit > 0.0 ? 2.0 * sqrt(limit) + 2.0 : 1.0;
     gl_Position = limit > 0.0 ? vec4(at / cells * 2.0 - 1.0, 0.0, 1.0) : vec4(2.0, 2.0, 2.0, 1.0);
 }

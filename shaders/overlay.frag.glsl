@@ -1,6 +1,6 @@
-// Lines and sheets over the frame; what the object hides shows faintly.
+// Lines and sheets over the frame; they show faintly where the object is in front.
 uniform sampler2D info;   // the frame's depths
-uniform float tolerance;  // world units: what lies on the object is not hidden by it
+uniform float tolerance;  // world units: overlays that lie on the object are not hidden by it
 uniform float hidden;     // share of the opacity that is left behind the object
 uniform float width;      // pixels; 0: a sheet
 

@@ -22,7 +22,7 @@ void main() {
 #ifdef LINE
     vec3 a = (view * vec4(start, 1.0)).xyz, b = (view * vec4(end, 1.0)).xyz;
 #ifndef ORTHOGRAPHIC
-    // Cut off what lies behind the eye.
+    // Clip the part behind the near plane.
     if (a.z < near && b.z < near) {
         gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
         depth = 0.0;

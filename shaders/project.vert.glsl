@@ -1,4 +1,4 @@
-// EWA projection of one ellipsoid, captured by transform feedback: done once a frame, drawn in two passes.
+// EWA projection of one ellipsoid, captured by transform feedback: computed once a frame, drawn in two passes.
 #include "camera.glsl"
 #include "shape.glsl"
 #include "sh.glsl"
@@ -10,8 +10,8 @@ in vec4 quat;
 in float opacity;
 #endif
 
-uniform vec4 held;     // x low, x high, y low, y high: slopes within which the Jacobian follows a mean
-uniform float enlarge; // 1, or more where a coarser level stands for the full one
+uniform vec4 slope_limits; // x low, x high, y low, y high: x / z and y / z are clamped to these for the Jacobian
+uniform float enlarge;     // 1, or more for a coarser level of detail
 
 out vec4 record_centre; // pixel x, y, depth, weight (opaque) or opacity (classic)
 out vec4 record_conic;  // q = a dx^2 + 2 b dx dy + c dy^2, then the edge's sharpness
@@ -28,7 +28,7 @@ void main() {
     vec2 centre = lens.xy * c.xy + lens.zw;
     vec3 direction = eye;
 #else
-    vec2 slope = clamp(c.xy / c.z, held.xz, held.yw);
+    vec2 slope = clamp(c.xy / c.z, slope_limits.xz, slope_limits.yw);
     vec2 zoom = lens.xy / c.z;
     vec2 centre = zoom * c.xy + lens.zw;
     vec3 direction = normalize(mean - eye);
@@ -56,7 +56,7 @@ void main() {
 #else
     float reach = sqrt(CUTOFF_Q * largest);
 #endif
-    if (!(reach < 1e9)) return; // not finite, or so near that it has no shape
+    if (!(reach < 1e9)) return; // not finite, or so near that the projection has no meaning
     if (any(lessThan(centre, vec2(-reach))) || any(greaterThan(centre, size + reach))) return;
 
     record_conic = vec4(yy / det, -xy / det, xx / det, max(1.0, sqrt(least) / EDGE_SLOPE));

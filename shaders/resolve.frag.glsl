@@ -1,4 +1,4 @@
-// Divides what the passes added up for pieces that lie together, and puts it into the frame by depth.
+// Normalises the sums of pieces that lie together and composites them into the frame by depth.
 #include "camera.glsl"
 
 uniform sampler2D splats;    // weighted rgb, weight
@@ -17,7 +17,7 @@ uniform vec3 background;
 uniform float group;
 
 layout(location = 0) out vec4 frame;
-layout(location = 1) out vec2 info; // depth; 2 * group + coverage, group -1 where there is none
+layout(location = 1) out vec2 info; // depth; 2 * group + coverage, group -1 if there is none
 
 void main() {
     ivec2 at = ivec2(gl_FragCoord.xy);

@@ -1,5 +1,5 @@
-// Real spherical harmonics in INRIA's order and signs. SH_VECTORS vec4 hold the coefficients one after the other,
-// three channels each.
+// Real spherical harmonics in INRIA's order and signs. The coefficients are packed into SH_VECTORS vec4, three
+// channels each.
 in vec4 sh[SH_VECTORS];
 
 #define AT(i) sh[(i) / 4][(i) % 4]

@@ -1,4 +1,5 @@
-// The kernel field at the point where the pixel's ray meets the plane: weighted colour and weight, added up.
+// The kernel field at the point where the pixel's ray meets the plane: weighted colour and weight, summed by
+// blending.
 #include "camera.glsl"
 #include "cut.glsl"
 

@@ -33,12 +33,12 @@ void main() {
     float distance = dot(cut.xyz, mean) + cut.w;
     vec3 foot = mean - distance * cut.xyz;
     float z = (view * vec4(foot, 1.0)).z;
-    // Half sizes along cut_x and cut_y of the splat's section, and its middle relative to the foot of the centre.
+    // Half sizes along cut_x and cut_y of the splat's section, and its middle relative to the centre's projection onto the plane (foot).
     vec2 extent = vec2(0.0), middle = vec2(0.0);
 #ifdef ELLIPSOID
-    vec3 own = scale * enlarge;
-    vec3 used = max(own, vec3(0.5 * footprint_at(max(z, near))));
-    vec3 ratio = own / used;
+    vec3 enlarged = scale * enlarge;
+    vec3 used = max(enlarged, vec3(0.5 * footprint_at(max(z, near))));
+    vec3 ratio = enlarged / used;
     colour = vec4(max(0.5 + SH_C0 * dc, 0.0), ratio.x * ratio.y * ratio.z);
     mat3 axes = rotation_of(quat);
     mat3 inverse_axes = transpose(mat3(axes[0] / used.x, axes[1] / used.y, axes[2] / used.z));
@@ -57,7 +57,7 @@ void main() {
 #else
     spread = sigma * enlarge;
     colour = vec4(rgb, 1.0);
-    // A little more than the largest footprint within the splat; the fragments find their own.
+    // A little more than the largest footprint within the splat; fragments compute theirs exactly.
     float used = max(spread, 1.1 * 0.5 * footprint_at(max(z, near)));
     float left = CUTOFF_Q * used * used - distance * distance;
     if (left > 0.0) extent = vec2(sqrt(left));

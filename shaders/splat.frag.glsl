@@ -9,7 +9,7 @@ flat in vec3 colour;
 uniform float behind;
 #ifdef CLIPPED
 uniform int plane_count;
-uniform vec4 planes[MAX_PLANES]; // camera space; the kept side is negative
+uniform vec4 planes[MAX_PLANES]; // camera space; distances are negative on the kept side
 #endif
 
 #ifndef VISIBILITY

@@ -11,7 +11,7 @@ in vec2 corner; // -1 or 1
 
 #ifndef CLASSIC
 uniform float reach;        // in standard deviations: all of the splat, or its core
-uniform float behind;       // world units added to the front depth: what the pass still lets through
+uniform float behind;       // world units behind the front depth that still pass
 #endif
 
 flat out vec4 centre;

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from engine.fit.face_kernels import POINTS, field_backward, field_sums, transpose
 from engine.render.cpu.kernel_field import KernelField
-from engine.render.cpu.outside import Outside, Splats, camera_planes, draw
+from engine.render.cpu.outside import Outside, camera_planes, draw
 from engine.render.cpu.ray_entry import enter, face_edge
-from engine.render.cpu.splats import GRADIENT, project_backward
+from engine.render.cpu.splats import GRADIENT, Splats, project_backward
 from engine.render.cpu.tiles import CHUNKS, accumulate_backward, resolve_backward
 from engine.render.projection import camera_record
 from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
@@ -180,15 +180,15 @@ class _Outside(torch.autograd.Function):
         d_rgb, d_alpha = (g.contiguous().numpy() for g in gradients)
         d_sums = np.empty_like(outside.sums)
         for_each(resolve_backward, len(d_alpha), outside.sums, d_rgb, d_alpha, d_sums)
-        spans, count = outside.frame.spans, len(splats.means)
+        spans, count = outside.tiled.spans, len(splats.means)
         tiles = (spans[:, 1] - spans[:, 0]).astype(np.int64) * (spans[:, 3] - spans[:, 2])
         first = np.concatenate([np.zeros(1, np.int64), np.cumsum(tiles)])
         rows = np.zeros((first[-1], GRADIENT), outside.sums.dtype)
-        for_each(accumulate_backward, outside.tasks, outside.frame, context.colours, outside.front, d_sums, first, rows)
+        for_each(accumulate_backward, outside.tasks, outside.tiled, context.colours, outside.front, d_sums, first, rows)
         out = [np.empty((count, n), outside.sums.dtype) for n in (3, 3, 4, 3)]
+        d_splats = Splats(*out[:3])
         for_each(
-            project_backward, CHUNKS, -(-count // CHUNKS), outside.frame.cam, splats.means, splats.scales,
-            splats.quats, spans, first, rows, *out,
+            project_backward, CHUNKS, -(-count // CHUNKS), outside.tiled.cam, splats, first, rows, d_splats, out[3],
         )  # fmt: skip
         return (*(torch.from_numpy(o) for o in out), None, None, None)
 

@@ -16,7 +16,7 @@ POINTS = 2048
 
 
 @njit(cache=True, error_model="numpy")
-def _offset(point, least, mean, scale, turn):  # type: ignore[no-untyped-def]
+def _offset(point, least, mean, scale, turn):
     """Offset d (3) from the mean, d along the axes in deviations u (3), the deviations (3), and the weight w."""
     d = point[0] - mean[0], point[1] - mean[1], point[2] - mean[2]
     s0, s1, s2 = max(scale[0], least), max(scale[1], least), max(scale[2], least)
@@ -28,9 +28,7 @@ def _offset(point, least, mean, scale, turn):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def field_sums(  # type: ignore[no-untyped-def]
-    task, points, least, offsets, atoms, means, scales, quats, colours, total, density
-):
+def field_sums(task, points, least, offsets, atoms, means, scales, quats, colours, total, density):
     """Fills total (K, 3) = sum w c and density (K,) = sum w of some points (K, 3), deviations at least `least` (K,)."""
     for p in range(task * POINTS, min((task + 1) * POINTS, len(points))):
         red, green, blue, weight = 0.0, 0.0, 0.0, 0.0
@@ -47,7 +45,7 @@ def field_sums(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def field_backward(  # type: ignore[no-untyped-def]
+def field_backward(
     task, points, least, first, entries, means, scales, quats, colours, d_total, d_density,
     d_means, d_scales, d_quats, d_colours,
 ):  # fmt: skip
@@ -94,7 +92,7 @@ def field_backward(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def transpose(offsets, atoms, count):  # type: ignore[no-untyped-def]
+def transpose(offsets, atoms, count):
     """first (count + 1,) and rows (E,): for each column, the rows that hold it, ascending."""
     first = np.zeros(count + 1, np.int64)
     for atom in atoms:

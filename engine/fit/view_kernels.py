@@ -8,8 +8,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from engine.render.cpu.splats import TILE
-from engine.render.cpu.tiles import AREA, FAR, TILES_PER_TASK, falloff, fragments, rows_of, tile_points
+from engine.render.cpu.falloff import falloff
+from engine.render.cpu.splats import DEPTH, DEPTH_EXTENT, TILE, WEIGHT
+from engine.render.cpu.tiles import AREA, FAR, TILES_PER_TASK, fill_rays, fragments, rows_of
 from engine.scene.constants import CUTOFF_Q, MIN_WEIGHT
 
 __all__ = [
@@ -36,29 +37,29 @@ def layer_limit(front: NDArray[np.floating], layer: float) -> NDArray[np.floatin
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def count_splats(task, frame, limit, share, count):  # type: ignore[no-untyped-def]
+def count_splats(task, tiled, limit, share, count):
     """Adds to count (H, W) the fragments of every pixel whose share (H, W) of the picture is not zero."""
     atoms, weights, cursor = np.empty(0, np.int32), np.empty(0, np.float32), np.empty((0, 0), np.int64)
-    _walk(task, frame, limit, share, count, False, cursor, atoms, weights)
+    _walk(task, tiled, limit, share, count, False, cursor, atoms, weights)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def fill_splats(task, frame, limit, share, cursor, atoms, weights):  # type: ignore[no-untyped-def]
+def fill_splats(task, tiled, limit, share, cursor, atoms, weights):
     """Writes the fragments that `count_splats` counts at cursor (H, W), which advances; weights times share."""
-    _walk(task, frame, limit, share, np.empty((0, 0), np.int64), True, cursor, atoms, weights)
+    _walk(task, tiled, limit, share, np.empty((0, 0), np.int64), True, cursor, atoms, weights)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _walk(task, frame, limit, share, count, fill, cursor, atoms, weights):  # type: ignore[no-untyped-def]
+def _walk(task, tiled, limit, share, count, fill, cursor, atoms, weights):
     """The second pass of `engine.render.cpu.tiles.accumulate` over some tiles, fragment by fragment."""
     height, width = limit.shape
-    kind = frame.records.dtype.type
-    lane = np.empty((5, AREA), kind)
+    kind = tiled.records.dtype.type
+    near, lane = kind(tiled.cam.near), np.empty((5, AREA), kind)
     px, py, h, z, reach = lane[0], lane[1], lane[2], lane[3], lane[4]
-    base, slope = np.empty((len(frame.planes), AREA), kind), np.empty((len(frame.planes), AREA), kind)
-    cutoff, near = kind(0.5 * CUTOFF_Q), kind(frame.cam.near)
-    for tile in range(task * TILES_PER_TASK, min((task + 1) * TILES_PER_TASK, len(frame.first) - 1)):
-        left, top = tile % frame.columns * TILE, tile // frame.columns * TILE
+    base, slope = np.empty((len(tiled.planes), AREA), kind), np.empty((len(tiled.planes), AREA), kind)
+    cutoff = kind(0.5 * CUTOFF_Q)
+    for tile in range(task * TILES_PER_TASK, min((task + 1) * TILES_PER_TASK, len(tiled.tile_starts) - 1)):
+        left, top = tile % tiled.columns * TILE, tile // tiled.columns * TILE
         last = -kind(np.inf)
         for k in range(AREA):
             x, y = left + k % TILE, top + k // TILE
@@ -67,29 +68,29 @@ def _walk(task, frame, limit, share, count, fill, cursor, atoms, weights):  # ty
             last = max(last, reach[k])
         if last < 0.0 and last == -kind(np.inf):
             continue
-        tile_points(frame, tile, px, py, base, slope)
-        for pair in range(frame.first[tile], frame.first[tile + 1]):
-            i = frame.listed[pair]
-            r = frame.records[i]
-            if r[7] - r[11] > last:
+        fill_rays(tiled, tile, px, py, base, slope)
+        for pair in range(tiled.tile_starts[tile], tiled.tile_starts[tile + 1]):
+            i = tiled.splat_ids[pair]
+            r = tiled.records[i]
+            if r[DEPTH] - r[DEPTH_EXTENT] > last:
                 continue
             start, end = rows_of(r, math.sqrt(CUTOFF_Q), left, top)
             if start == end:
                 continue
-            fragments(r, frame.spans[i], near, px, py, base, slope, start, end, h, z)
+            fragments(r, tiled.spans[i], near, px, py, base, slope, start, end, h, z)
             for k in range(start, end):
                 if h[k] <= cutoff and z[k] <= reach[k]:
                     x, y = left + k % TILE, top + k // TILE
                     if fill:
                         atoms[cursor[y, x]] = i
-                        weights[cursor[y, x]] = falloff(h[k]) * r[12] * share[y, x]
+                        weights[cursor[y, x]] = falloff(h[k]) * r[WEIGHT] * share[y, x]
                         cursor[y, x] += 1
                     else:
                         count[y, x] += 1
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def fill_faces(task, pixels, offsets, columns, entries, share, cursor, atoms, weights):  # type: ignore[no-untyped-def]
+def fill_faces(task, pixels, offsets, columns, entries, share, cursor, atoms, weights):
     """Writes the terms of the kernel field, offsets (K + 1,), for face pixels (K,), times share (K,)."""
     for k in range(task * ROWS, min((task + 1) * ROWS, len(pixels))):
         place = cursor[pixels[k]]
@@ -102,21 +103,21 @@ def fill_faces(task, pixels, offsets, columns, entries, share, cursor, atoms, we
 
 
 @njit(cache=True, nogil=True)
-def mark_columns(task, offsets, atoms, occurs):  # type: ignore[no-untyped-def]
+def mark_columns(task, offsets, atoms, occurs):
     """Sets occurs (C,) for the columns with an entry; several tasks may set the same one, to the same value."""
     for e in range(offsets[task * ROWS], offsets[min((task + 1) * ROWS, len(offsets) - 1)]):
         occurs[atoms[e]] = True
 
 
 @njit(cache=True, nogil=True)
-def renumber(task, offsets, atoms, numbers):  # type: ignore[no-untyped-def]
+def renumber(task, offsets, atoms, numbers):
     """Replaces the columns of some rows by numbers (C,)."""
     for e in range(offsets[task * ROWS], offsets[min((task + 1) * ROWS, len(offsets) - 1)]):
         atoms[e] = numbers[atoms[e]]
 
 
 @njit(cache=True, nogil=True)
-def row_sums(task, offsets, weights, sums):  # type: ignore[no-untyped-def]
+def row_sums(task, offsets, weights, sums):
     """Fills some of sums (P,) with the sum of each row."""
     for row in range(task * ROWS, min((task + 1) * ROWS, len(offsets) - 1)):
         total = np.float32(0)
@@ -126,7 +127,7 @@ def row_sums(task, offsets, weights, sums):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def truncate(task, offsets, atoms, weights, keep, new_offsets, new_atoms, new_weights):  # type: ignore[no-untyped-def]
+def truncate(task, offsets, atoms, weights, keep, new_offsets, new_atoms, new_weights):
     """The `keep` largest entries of each row in their old order, scaled to preserve the row's sum."""
     largest = np.empty(keep, np.int64)  # indices of the largest so far, largest first
     for row in range(task * ROWS, min((task + 1) * ROWS, len(offsets) - 1)):
@@ -163,7 +164,7 @@ def truncate(task, offsets, atoms, weights, keep, new_offsets, new_atoms, new_we
 
 
 @njit(cache=True, nogil=True)
-def apply(task, offsets, atoms, weights, colours, picture):  # type: ignore[no-untyped-def]
+def apply(task, offsets, atoms, weights, colours, picture):
     """Fills some rows of picture (P, 3) = W colours (V, 3)."""
     for row in range(task * ROWS, min((task + 1) * ROWS, len(offsets) - 1)):
         red, green, blue = np.float32(0), np.float32(0), np.float32(0)
@@ -176,7 +177,7 @@ def apply(task, offsets, atoms, weights, colours, picture):  # type: ignore[no-u
 
 
 @njit(cache=True, nogil=True)
-def apply_transposed(band, offsets, atoms, weights, picture, parts):  # type: ignore[no-untyped-def]
+def apply_transposed(band, offsets, atoms, weights, picture, parts):
     """Fills one of parts (bands, V, 3), whose sum is W^T picture (P, 3), with the share of a band of rows."""
     bands, rows = len(parts), len(offsets) - 1
     part = parts[band]

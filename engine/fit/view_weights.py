@@ -85,16 +85,16 @@ class ViewWeights:
         if faces is not None:
             left.reshape(-1)[faces.hits.pixels] -= faces.alpha
         share = np.where(weight > MIN_WEIGHT, left * cover / np.maximum(weight, MIN_WEIGHT), 0).astype(np.float32)
-        limit = layer_limit(outside.front, outside.frame.layer)
+        limit = layer_limit(outside.front, outside.tiled.layer)
         count = np.zeros(cover.shape, np.int64)
-        for_each(count_splats, outside.tasks, outside.frame, limit, share, count)
+        for_each(count_splats, outside.tasks, outside.tiled, limit, share, count)
         counted = count.reshape(-1)
         if faces is not None:
             counted[faces.hits.pixels] += faces.counts
         offsets = np.concatenate([[0], np.cumsum(counted)])
         entries, weights = np.empty(offsets[-1], np.int32), np.empty(offsets[-1], np.float32)
         cursor = offsets[:-1].reshape(cover.shape).copy()
-        for_each(fill_splats, outside.tasks, outside.frame, limit, share, cursor, entries, weights)
+        for_each(fill_splats, outside.tasks, outside.tiled, limit, share, cursor, entries, weights)
         if faces is not None:
             faces.fill(cursor.reshape(-1), entries, weights)
         alpha = (1 - left * (1 - cover)).reshape(-1)

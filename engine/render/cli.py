@@ -26,10 +26,10 @@ from engine.scene.plane import Plane
 __all__ = ["default_angles", "main"]
 
 FIELD_OF_VIEW = math.radians(35.0)
-"""Vertical, of all pictures: a portrait lens, which does not bend round things."""
+"""Vertical, radians: a portrait lens, with little perspective distortion."""
 
 LARGEST = 16384
-"""Pixels of a side; the smallest limit of OpenGL 4 drivers on a texture."""
+"""Pixels of a side: the smallest texture limit of OpenGL 4 drivers."""
 
 EPILOG = (
     "A plane keeps the side where a x + b y + c z + d is negative; several planes keep what all of them keep. "
@@ -64,7 +64,7 @@ def render_command(
 
 
 def draw(atoms: Atoms, camera: Camera, planes: tuple[Plane, ...]) -> tuple[Picture, str]:
-    """The picture, and in words who drew it: OpenGL where there is one, else the CPU renderer."""
+    """The picture, and which renderer drew it: OpenGL if available, else the CPU renderer."""
     try:
         renderer = Renderer()
     except GLMissing as missing:
@@ -85,7 +85,7 @@ def camera_for(
 ) -> Camera:
     """The camera on its orbit about the object's centre, `angles` as in --camera; None: one that shows the cut."""
     points = np.concatenate([atoms.surface.means, atoms.interior.means]).astype(np.float64)
-    if angles is None:  # then the picture is of what is left
+    if angles is None:  # then the picture frames the part that is left
         for plane in planes:
             left = points[plane.distance(points) <= 0]
             points = left if len(left) else points
@@ -99,7 +99,7 @@ def camera_for(
 
 
 def default_angles(planes: tuple[Plane, ...], up: NDArray[np.floating]) -> tuple[float, float]:
-    """Azimuth and elevation in degrees from where the cut faces show, a little from the side."""
+    """Azimuth and elevation, degrees, of a view onto the cut faces, a little from the side."""
     out = np.sum([p.normal for p in planes], axis=0) if planes else np.zeros(3)
     if np.linalg.norm(out) < 1e-6:
         return 30.0, 20.0
@@ -107,7 +107,7 @@ def default_angles(planes: tuple[Plane, ...], up: NDArray[np.floating]) -> tuple
     axis = np.asarray(up, np.float64) / np.linalg.norm(up)
     e1, e2 = equator(axis)
     elevation = math.degrees(math.asin(float(np.clip(out @ axis, -1, 1))))
-    if abs(elevation) > 65:  # from above, a turn about the axis shows no side: come down instead
+    if abs(elevation) > 65:  # from above, turning about the axis shows no side: lower the elevation instead
         return 30.0, math.copysign(52.0, elevation)
     azimuth = math.degrees(math.atan2(float(out @ e2), float(out @ e1)))
     return azimuth + 20.0, min(elevation + 15.0, 65.0)

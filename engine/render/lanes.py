@@ -1,9 +1,9 @@
-"""Numbers side by side: a vector type for kernels, so that a block of pixels is one value that lives in registers.
+"""A SIMD vector type for numba kernels, so that a block of pixels is one value that lives in registers.
 
-The compiler turns a plain loop over an array into vector code if it can prove that nothing overlaps, and then loads and
-stores every number in every turn. A value of this type is a vector by construction. Arithmetic works lane by lane,
-between lanes and with scalars, which are brought to the lanes' type: a literal never widens anything. `fma` rounds once
-where the processor can and does so everywhere, so that two kernels that repeat a formula get the same bits.
+The compiler vectorises a plain loop over an array only if it can prove that nothing overlaps, and then loads and stores
+every number in every iteration. A value of this type is a vector by construction. Arithmetic works lane by lane,
+between lanes and with scalars, which are converted to the lanes' type, so that a literal never widens anything. `fma`
+rounds once wherever the processor can, so that two kernels that repeat a formula get the same bits.
 
 Written by hand because plain loops are slower; benchmarks/by_hand.py measures both, figures in
 docs/charts/by_hand.json.
@@ -28,7 +28,7 @@ __all__ = [
 
 
 def _device(build: Callable[..., Any]) -> Any:
-    """A function of kernels that writes its own code; as numba declares these, a caller would pass its context too."""
+    """An intrinsic, typed Any: as numba declares it, a caller would have to pass the typing context too."""
     return intrinsic(build)
 
 
@@ -56,7 +56,7 @@ def _filled(builder: Any, scalar: Any, count: int) -> Any:
 
 
 def _lanes_of(given: Any) -> Lanes | None:
-    """The type of the first that is one of lanes other than a mask."""
+    """The first of these types that is lanes, but not a mask."""
     return next((t for t in given if isinstance(t, Lanes) and t.kind is not types.boolean), None)
 
 
@@ -77,7 +77,7 @@ def _fits(given: Any) -> Lanes | None:
 
 
 def _operator(symbol: Any, emit: Callable[[Any, Lanes, Any, Any], Any], compares: bool = False) -> None:
-    """Teaches numba a binary operator of lanes with lanes or scalars."""
+    """Defines a binary operator of lanes with lanes or scalars."""
 
     class Template(AbstractTemplate):
         def generic(self, given: Any, keywords: Any) -> Any:
@@ -147,7 +147,7 @@ def _lower_negative(context: Any, builder: Any, sig: Any, values: Any) -> Any:
 
 
 def _call(builder: Any, name: str, *values: Any) -> Any:
-    """An LLVM intrinsic that takes and gives values of one type."""
+    """Calls an LLVM intrinsic whose arguments and result have one type."""
     kind = values[0].type
     suffix = f"v{kind.count}{_code(kind.element)}" if isinstance(kind, ir.VectorType) else _code(kind)
     function_type = ir.FunctionType(kind, [kind] * len(values))
@@ -160,17 +160,17 @@ def _code(kind: Any) -> str:
 
 
 def _pointer(context: Any, builder: Any, array_type: Any, array: Any, at: Any, kind: Any) -> Any:
-    """Where the numbers from place `at` of a contiguous array begin, as a pointer to a vector. Checks no bounds."""
+    """Pointer to element `at` of a contiguous array, as a vector. Checks no bounds."""
     data = context.make_array(array_type)(context, builder, array).data
     return builder.bitcast(builder.gep(data, [at]), kind.as_pointer())
 
 
 def _loader(count: int) -> Any:
     @_device
-    def load(typingctx, array, at):  # type: ignore[no-untyped-def]
+    def load(typingctx, array, at):
         lanes = Lanes(array.dtype, count)
 
-        def codegen(context, builder, sig, values):  # type: ignore[no-untyped-def]
+        def codegen(context, builder, sig, values):
             kind = context.get_value_type(lanes)
             pointer = _pointer(context, builder, sig.args[0], values[0], values[1], kind)
             return builder.load(pointer, align=context.get_abi_sizeof(kind.element))
@@ -181,14 +181,14 @@ def _loader(count: int) -> Any:
 
 
 load8, load16 = _loader(8), _loader(16)
-"""The next numbers of a contiguous array from a place (a flat index)."""
+"""The 8 or 16 numbers of a contiguous array from a flat index on."""
 
 
 @_device
-def store(typingctx, array, at, value):  # type: ignore[no-untyped-def]
-    """Writes lanes to a contiguous array from a place (a flat index) on; float64 is rounded to float32 if need be."""
+def store(typingctx, array, at, value):
+    """Writes lanes to a contiguous array from a flat index on; float64 is rounded for a float32 array."""
 
-    def codegen(context, builder, sig, values):  # type: ignore[no-untyped-def]
+    def codegen(context, builder, sig, values):
         kind = context.get_value_type(Lanes(sig.args[0].dtype, sig.args[2].count))
         pointer = _pointer(context, builder, sig.args[0], values[0], values[1], kind)
         vector = values[2] if values[2].type == kind else builder.fptrunc(values[2], kind)
@@ -199,11 +199,11 @@ def store(typingctx, array, at, value):  # type: ignore[no-untyped-def]
 
 
 @_device
-def widen(typingctx, value):  # type: ignore[no-untyped-def]
-    """The lanes as float64."""
+def widen(typingctx, value):
+    """The lanes converted to float64."""
     wide = Lanes(types.float64, value.count)
 
-    def codegen(context, builder, sig, values):  # type: ignore[no-untyped-def]
+    def codegen(context, builder, sig, values):
         kind = context.get_value_type(wide)
         return values[0] if values[0].type == kind else builder.fpext(values[0], kind)
 
@@ -211,13 +211,13 @@ def widen(typingctx, value):  # type: ignore[no-untyped-def]
 
 
 @_device
-def where(typingctx, condition, yes, no):  # type: ignore[no-untyped-def]
-    """`yes` where the condition holds, else `no`: of a mask lane by lane, of a bool one of two scalars."""
+def where(typingctx, condition, yes, no):
+    """`yes` where the condition holds, else `no`: lane by lane for a mask, one of two scalars for a bool."""
     lanes = _fits((yes, no)) or typingctx.unify_types(yes, no)
     if isinstance(condition, Lanes) and not isinstance(lanes, Lanes):
         lanes = Lanes(lanes, condition.count)
 
-    def codegen(context, builder, sig, values):  # type: ignore[no-untyped-def]
+    def codegen(context, builder, sig, values):
         if isinstance(lanes, Lanes):
             pair = _aligned(context, builder, lanes, sig.args[1:], values[1:])
         else:
@@ -228,11 +228,11 @@ def where(typingctx, condition, yes, no):  # type: ignore[no-untyped-def]
 
 
 @_device
-def fma(typingctx, a, b, c):  # type: ignore[no-untyped-def]
-    """a b + c, rounded once where the processor can do that as fast as a product."""
+def fma(typingctx, a, b, c):
+    """a b + c, rounded once if the processor can do that as fast as a product."""
     lanes = _fits((a, b, c)) or typingctx.unify_types(a, b, c)
 
-    def codegen(context, builder, sig, values):  # type: ignore[no-untyped-def]
+    def codegen(context, builder, sig, values):
         if isinstance(lanes, Lanes):
             given = _aligned(context, builder, lanes, sig.args, values)
         else:
@@ -244,10 +244,10 @@ def fma(typingctx, a, b, c):  # type: ignore[no-untyped-def]
 
 def _extreme(symbol: str) -> Any:
     @_device
-    def pick(typingctx, a, b):  # type: ignore[no-untyped-def]
+    def pick(typingctx, a, b):
         lanes = _fits((a, b)) or typingctx.unify_types(a, b)
 
-        def codegen(context, builder, sig, values):  # type: ignore[no-untyped-def]
+        def codegen(context, builder, sig, values):
             if isinstance(lanes, Lanes):
                 first, second = _aligned(context, builder, lanes, sig.args, values)
             else:
@@ -260,13 +260,13 @@ def _extreme(symbol: str) -> Any:
 
 
 minimum, maximum = _extreme("<"), _extreme(">")
-"""The lesser and the greater of two, lanes or scalars; the first where they are equal or not numbers."""
+"""The lesser and the greater of two, lanes or scalars; the first one if they are equal or NaN."""
 
 
 def _unary(name: str) -> Any:
     @_device
-    def of(typingctx, value):  # type: ignore[no-untyped-def]
-        def codegen(context, builder, sig, values):  # type: ignore[no-untyped-def]
+    def of(typingctx, value):
+        def codegen(context, builder, sig, values):
             return _call(builder, name, values[0])
 
         return value(value), codegen
@@ -275,31 +275,31 @@ def _unary(name: str) -> Any:
 
 
 floor, root, absolute = _unary("floor"), _unary("sqrt"), _unary("fabs")
-"""Of lanes or a scalar; `root` is the square root."""
+"""Of lanes or a scalar; `root` is the square root, `absolute` the absolute value."""
 
 
 @_device
-def any_of(typingctx, mask):  # type: ignore[no-untyped-def]
-    """Whether the mask holds in some lane."""
+def any_of(typingctx, mask):
+    """Whether the mask is true in any lane."""
 
-    def codegen(context, builder, sig, values):  # type: ignore[no-untyped-def]
+    def codegen(context, builder, sig, values):
         bits = ir.IntType(sig.args[0].count)
         return builder.icmp_unsigned("!=", builder.bitcast(values[0], bits), ir.Constant(bits, 0))
 
     return types.boolean(mask), codegen
 
 
-# 2^r for r in -0.5 .. 0.5, highest power first; right to 1e-8 of itself before rounding.
+# Polynomial of 2^r for r in [-0.5, 0.5], highest power first; relative error 1e-8 before rounding.
 POWERS = (1.5353362e-4, 1.3398874e-3, 9.6184373e-3, 5.5503324e-2, 2.4022648e-1, 6.9314720e-1, 1.0)
 
 ROUND = 12582912.0  # 1.5 * 2^23: adding it to a float32 leaves the nearest whole number in the lowest bits
 
 
 @_device
-def exp2(typingctx, value):  # type: ignore[no-untyped-def]
-    """2^x for -100 < x < 100. A polynomial in float32; the library's in float64, lane after lane, for checks only."""
+def exp2(typingctx, value):
+    """2^x for -100 < x < 100. A polynomial in float32; in float64, for checks only, the library's, lane after lane."""
 
-    def codegen(context, builder, sig, values):  # type: ignore[no-untyped-def]
+    def codegen(context, builder, sig, values):
         x, kind = values[0], values[0].type
         if isinstance(kind.element, ir.DoubleType):
             exponential = context.get_function(math.exp, types.float64(types.float64))
@@ -325,14 +325,14 @@ def exp2(typingctx, value):  # type: ignore[no-untyped-def]
 
 
 @_device
-def row_sums(typingctx, vectors):  # type: ignore[no-untyped-def]
-    """Lanes that are the sums over the lanes of each of these vectors, a tuple; zeros for those that are missing.
+def row_sums(typingctx, vectors):
+    """Lane k of the result is the sum over the lanes of vector k of a tuple; 0 beyond its end.
 
-    Halves are added to halves, for all sums at once, until every number of one vector is one of the sums.
+    Half vectors are added pairwise, for all sums at once, until one vector holds all of them.
     """
     lanes = vectors[0]
 
-    def codegen(context, builder, sig, values):  # type: ignore[no-untyped-def]
+    def codegen(context, builder, sig, values):
         kind, count = context.get_value_type(lanes), lanes.count
         parts = [builder.extract_value(values[0], k) for k in range(len(vectors))]
         parts += [ir.Constant(kind, [0.0] * count)] * (count - len(parts))

@@ -1,11 +1,11 @@
 """EWA projection of a Gaussian (Zwicker et al. 2001, as INRIA's 3DGS and gsplat do it) and its derivative.
 
-Device functions for numba kernels, on scalars and tuples of scalars or on `lanes`: hence no branches. They
-take floats of any width and compute in float64: a projected mean is then right to the last bit that its float32 home
-holds, and in scalar code it costs no more than float32.
+Device functions for numba kernels, on scalars and tuples of scalars or on `lanes`: hence no branches. They take floats
+of any width and compute in float64: a projected mean is then right to the last bit of its float32 record, and scalar
+code is no slower than in float32.
 
-A Gaussian is handled through its *half axes* A = R_view R(q) diag(s) (3x3, row-major tuple of 9, camera axes): its
-covariance in camera space is A A^T, and on the picture C0 = (J A)(J A)^T. Determinants come from cross products of
+A Gaussian is represented by its *half axes* A = R_view R(q) diag(s) (3x3, row-major tuple of 9, camera axes): its
+covariance in camera space is A A^T, and in the picture C0 = (J A)(J A)^T. Determinants come from cross products of
 these rows, so a flat or enormous Gaussian loses no digits by cancellation.
 
 Every forward function that training needs has its `_backward`: given dL/d(output), it returns dL/d(input).
@@ -60,7 +60,7 @@ class CameraRecord(NamedTuple):
     """Pixels from the left edge."""
     cy: float
     x_low: float
-    """x / z and y / z are held between these where the Jacobian is taken."""
+    """x / z and y / z are clamped to these for the Jacobian."""
     x_high: float
     y_low: float
     y_high: float
@@ -96,7 +96,7 @@ def camera_record(camera: Camera) -> CameraRecord:
 
 
 @njit(cache=True, error_model="numpy")
-def camera_point(cam, x, y, z):  # type: ignore[no-untyped-def]
+def camera_point(cam, x, y, z):
     """(x, y, z) in camera space of a world point."""
     return (
         cam.rotation[0] * x + cam.rotation[1] * y + cam.rotation[2] * z + cam.translation[0],
@@ -106,7 +106,7 @@ def camera_point(cam, x, y, z):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def camera_point_backward(cam, gx, gy, gz):  # type: ignore[no-untyped-def]
+def camera_point_backward(cam, gx, gy, gz):
     """dL/d(world point) of `camera_point`: the transposed rotation."""
     return (
         cam.rotation[0] * gx + cam.rotation[3] * gy + cam.rotation[6] * gz,
@@ -116,20 +116,20 @@ def camera_point_backward(cam, gx, gy, gz):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _per_depth(cam, z):  # type: ignore[no-untyped-def]
-    """What a picture shrinks by with depth: 1 / z; 1 if orthographic."""
+def _per_depth(cam, z):
+    """The perspective division: 1 / z; 1 if orthographic."""
     return 1.0 / (z * (1.0 - cam.orthographic) + cam.orthographic)
 
 
 @njit(cache=True, error_model="numpy")
-def project_point(cam, x, y, z):  # type: ignore[no-untyped-def]
+def project_point(cam, x, y, z):
     """(u, v) in pixels of a camera-space point; z must not be 0 unless orthographic."""
     per_depth = _per_depth(cam, z)
     return cam.fx * x * per_depth + cam.cx, cam.fy * y * per_depth + cam.cy
 
 
 @njit(cache=True, error_model="numpy")
-def project_point_backward(cam, x, y, z, gu, gv):  # type: ignore[no-untyped-def]
+def project_point_backward(cam, x, y, z, gu, gv):
     """dL/d(camera-space point) of `project_point`."""
     per_depth = _per_depth(cam, z)
     gx = cam.fx * gu * per_depth
@@ -138,10 +138,10 @@ def project_point_backward(cam, x, y, z, gu, gv):  # type: ignore[no-untyped-def
 
 
 @njit(cache=True, error_model="numpy")
-def jacobian(cam, x, y, z):  # type: ignore[no-untyped-def]
+def jacobian(cam, x, y, z):
     """(j00, j02, j11, j12) of the local affine projection J = [[j00, 0, j02], [0, j11, j12]], pixels per world unit.
 
-    Pinhole: d(u, v)/d(x, y, z) with x/z and y/z held within the picture and a margin. Orthographic: diag(fx, fy).
+    Pinhole: d(u, v)/d(x, y, z) with x/z and y/z clamped to the picture and a margin. Orthographic: diag(fx, fy).
     """
     per_depth, pinhole = _per_depth(cam, z), 1.0 - cam.orthographic
     slope_x = minimum(maximum(x * per_depth, cam.x_low), cam.x_high)
@@ -151,21 +151,21 @@ def jacobian(cam, x, y, z):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def jacobian_backward(cam, x, y, z, g00, g02, g11, g12):  # type: ignore[no-untyped-def]
-    """dL/d(camera-space point) of `jacobian`; a slope that is held passes nothing on to x or y."""
+def jacobian_backward(cam, x, y, z, g00, g02, g11, g12):
+    """dL/d(camera-space point) of `jacobian`; a clamped slope passes no gradient on to x or y."""
     per_depth, pinhole = _per_depth(cam, z), 1.0 - cam.orthographic
     fx2, fy2 = cam.fx * per_depth * per_depth * pinhole, cam.fy * per_depth * per_depth * pinhole
     slope_x, slope_y = x * per_depth, y * per_depth
-    held_x = minimum(maximum(slope_x, cam.x_low), cam.x_high)
-    held_y = minimum(maximum(slope_y, cam.y_low), cam.y_high)
-    free_x, free_y = where(held_x == slope_x, 1.0, 0.0), where(held_y == slope_y, 1.0, 0.0)
-    gz = -(g00 * fx2 + g11 * fy2) + g02 * fx2 * held_x * (1.0 + free_x) + g12 * fy2 * held_y * (1.0 + free_y)
+    clamped_x = minimum(maximum(slope_x, cam.x_low), cam.x_high)
+    clamped_y = minimum(maximum(slope_y, cam.y_low), cam.y_high)
+    free_x, free_y = where(clamped_x == slope_x, 1.0, 0.0), where(clamped_y == slope_y, 1.0, 0.0)
+    gz = -(g00 * fx2 + g11 * fy2) + g02 * fx2 * clamped_x * (1.0 + free_x) + g12 * fy2 * clamped_y * (1.0 + free_y)
     return -g02 * fx2 * free_x, -g12 * fy2 * free_y, gz
 
 
 @njit(cache=True, error_model="numpy")
-def _per_length(qw, qx, qy, qz):  # type: ignore[no-untyped-def]
-    """One over the length of a quaternion; 0 for one of length 0, which so turns nothing."""
+def _per_length(qw, qx, qy, qz):
+    """One over the length of a quaternion; 0 for length 0, which then gives the identity."""
     length = root(qw * qw + qx * qx + qy * qy + qz * qz)
     return where(length > 0.0, 1.0 / length, 0.0)
 
@@ -174,14 +174,14 @@ _of_unit = njit(cache=True, error_model="numpy")(rotation_entries)
 
 
 @njit(cache=True, error_model="numpy")
-def rotation(qw, qx, qy, qz):  # type: ignore[no-untyped-def]
-    """Rotation matrix (9, by rows) of a quaternion wxyz of any length; one of length 0 turns nothing."""
+def rotation(qw, qx, qy, qz):
+    """Rotation matrix (9, by rows) of a quaternion wxyz of any length; the identity for length 0."""
     unit = _per_length(qw, qx, qy, qz)
     return _of_unit(qw * unit, qx * unit, qy * unit, qz * unit)
 
 
 @njit(cache=True, error_model="numpy")
-def rotation_backward(qw, qx, qy, qz, g):  # type: ignore[no-untyped-def]
+def rotation_backward(qw, qx, qy, qz, g):
     """dL/dq (4,) of `rotation`, given dL/dR (9, by rows). Zero for a quaternion of length 0."""
     unit = _per_length(qw, qx, qy, qz)
     w, x, y, z = qw * unit, qx * unit, qy * unit, qz * unit
@@ -190,12 +190,14 @@ def rotation_backward(qw, qx, qy, qz, g):  # type: ignore[no-untyped-def]
     gx = 2.0 * (w * (g21 - g12) + y * (g01 + g10) + z * (g02 + g20)) - 4.0 * x * (g11 + g22)
     gy = 2.0 * (w * (g02 - g20) + x * (g01 + g10) + z * (g12 + g21)) - 4.0 * y * (g00 + g22)
     gz = 2.0 * (w * (g10 - g01) + x * (g02 + g20) + y * (g12 + g21)) - 4.0 * z * (g00 + g11)
-    along = gw * w + gx * x + gy * y + gz * z  # the length of q is not seen: only what turns it counts
+    along = (
+        gw * w + gx * x + gy * y + gz * z
+    )  # the length of q is divided out: project its direction out of the gradient
     return (gw - along * w) * unit, (gx - along * x) * unit, (gy - along * y) * unit, (gz - along * z) * unit
 
 
 @njit(cache=True, error_model="numpy")
-def half_axes(cam, qw, qx, qy, qz, sx, sy, sz):  # type: ignore[no-untyped-def]
+def half_axes(cam, qw, qx, qy, qz, sx, sy, sz):
     """A = R_view R(q) diag(s) (9, by rows): column k is the k-th principal half axis in camera space."""
     r00, r01, r02, r10, r11, r12, r20, r21, r22 = rotation(qw, qx, qy, qz)
     return (
@@ -212,7 +214,7 @@ def half_axes(cam, qw, qx, qy, qz, sx, sy, sz):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def half_axes_backward(cam, qw, qx, qy, qz, sx, sy, sz, g):  # type: ignore[no-untyped-def]
+def half_axes_backward(cam, qw, qx, qy, qz, sx, sy, sz, g):
     """((dL/dq, 4), (dL/ds, 3)) of `half_axes`, given dL/dA (9, by rows)."""
     g00, g01, g02, g10, g11, g12, g20, g21, g22 = g
     # B = R_view^T dL/dA: the gradient in world axes.
@@ -236,8 +238,8 @@ def half_axes_backward(cam, qw, qx, qy, qz, sx, sy, sz, g):  # type: ignore[no-u
 
 
 @njit(cache=True, error_model="numpy")
-def screen_axes(j, a):  # type: ignore[no-untyped-def]
-    """B = J A (6, by rows), pixels: the half axes on the picture, from `jacobian` and `half_axes`."""
+def screen_axes(j, a):
+    """B = J A (6, by rows), pixels: the half axes in the picture, from `jacobian` and `half_axes`."""
     j00, j02, j11, j12 = j
     return (
         j00 * a[0] + j02 * a[6],
@@ -250,7 +252,7 @@ def screen_axes(j, a):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def screen_axes_backward(j, a, g):  # type: ignore[no-untyped-def]
+def screen_axes_backward(j, a, g):
     """((dL/dj, 4), (dL/dA, 9)) of `screen_axes`, given dL/dB (6)."""
     j00, j02, j11, j12 = j
     return (
@@ -275,7 +277,7 @@ def screen_axes_backward(j, a, g):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def screen_covariance(b, low_pass):  # type: ignore[no-untyped-def]
+def screen_covariance(b, low_pass):
     """(xx, xy, yy, det, det0) of C = B B^T + low_pass I, px^2; det0 is the determinant without the low-pass."""
     xx = b[0] * b[0] + b[1] * b[1] + b[2] * b[2]
     xy = b[0] * b[3] + b[1] * b[4] + b[2] * b[5]
@@ -288,7 +290,7 @@ def screen_covariance(b, low_pass):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def screen_covariance_backward(b, gxx, gxy, gyy):  # type: ignore[no-untyped-def]
+def screen_covariance_backward(b, gxx, gxy, gyy):
     """dL/dB (6) of the entries xx, xy, yy of `screen_covariance` (xy counted once)."""
     return (
         2.0 * gxx * b[0] + gxy * b[3],
@@ -301,14 +303,14 @@ def screen_covariance_backward(b, gxx, gxy, gyy):  # type: ignore[no-untyped-def
 
 
 @njit(cache=True, error_model="numpy")
-def conic(xx, xy, yy, det):  # type: ignore[no-untyped-def]
+def conic(xx, xy, yy, det):
     """(a, b, c) of the inverse of [[xx, xy], [xy, yy]]: q(dx, dy) = a dx^2 + 2 b dx dy + c dy^2."""
     per_det = 1.0 / det
     return yy * per_det, -xy * per_det, xx * per_det
 
 
 @njit(cache=True, error_model="numpy")
-def conic_backward(a, b, c, ga, gb, gc):  # type: ignore[no-untyped-def]
+def conic_backward(a, b, c, ga, gb, gc):
     """dL/d(xx, xy, yy) of `conic` (xy and b counted once): -K G K with G = [[ga, gb/2], [gb/2, gc]]."""
     h = 0.5 * gb
     ka = a * ga + b * h

@@ -69,7 +69,7 @@ _band_1, _band_2, _band_3 = (njit(cache=True, error_model="numpy")(band) for ban
 
 
 @njit(cache=True, error_model="numpy")
-def fill_basis(x, y, z, bands, out):  # type: ignore[no-untyped-def]
+def fill_basis(x, y, z, bands, out):
     """Writes the first `bands` basis functions in one unit direction into out (16,)."""
     out[0] = C0
     if bands > 1:

@@ -49,7 +49,7 @@ def contributions(gaussians: Gaussians, cameras: Sequence[Camera]) -> NDArray[np
 
 
 @njit(cache=True, error_model="numpy")
-def _footprint_areas(cam, means, scales, quats):  # type: ignore[no-untyped-def]
+def _footprint_areas(cam, means, scales, quats):
     """(N,) float32. Area of each footprint, pixels; infinite for a Gaussian that the camera does not see."""
     out = np.empty(len(means), np.float32)
     for i in range(len(means)):

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from app.model.rigid_transform import Vec3
 from app.session.workspace import Workspace
-from engine.render.culling.look import Mode
+from engine.render.culling.draw_options import Mode
 from engine.render.gl.overlay import Lines, Sheet
 from engine.render.gl.renderer import Renderer
 from engine.scene.camera import Camera

@@ -1,8 +1,8 @@
 """The pixel loops: front-to-back compositing of the Gaussians of a tile, and its derivative, back to front.
 
 A block, two rows of a tile, has 16 pixels: as many as the widest vector registers hold, and few enough that a small
-splat skips the blocks above and below it. Which ones is noted in the list of pairs: were it computed here, the branch
-would be guessed wrongly at nearly every splat, and known only when the record of the splat has come from memory.
+splat skips the blocks above and below it. The list of pairs says which ones. Computed here, the branch would be
+mispredicted for nearly every splat, and resolved only once its record has been loaded.
 """
 
 from __future__ import annotations
@@ -10,6 +10,20 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from engine.render.classic.records import (
+    BLUE,
+    DEPTH,
+    GREEN,
+    LOG_OPACITY,
+    RED,
+    U_FRACTION,
+    V_FRACTION,
+    WHITEN_XX,
+    WHITEN_YX,
+    WHITEN_YY,
+    U,
+    V,
+)
 from engine.render.classic.tiles import BLOCKS, SIDE, TAIL_BITS
 from engine.render.lanes import absolute, any_of, exp2, fma, load16, minimum, row_sums, store, where
 from engine.scene.constants import MAX_ALPHA
@@ -31,7 +45,7 @@ BLOCK = 2 * SIDE
 """Pixels in a block."""
 
 MIN_TRANSMITTANCE = 1e-4
-"""A layer that would leave less light than this is not drawn and ends the pixel, as in INRIA's renderer."""
+"""A layer that would leave less transmittance than this is not drawn and ends the pixel, as in INRIA's renderer."""
 
 STATE = 5
 """Numbers per pixel that go from slice to slice, each in a run of BLOCK: 0 transmittance, negative once the pixel has
@@ -42,25 +56,25 @@ ADJOINT = 6
 of the loss by it; 2 3 4 5 dL/d(colour, depth times weight)."""
 
 ROW = BLOCK
-"""Numbers that a (tile, Gaussian) pair hands back, sums over its pixels; 64 bytes in float32, one cache line.
+"""Numbers of the gradient row of a (tile, Gaussian) pair, sums over its pixels; 64 bytes in float32, one cache line.
 
 With p = dL/dalpha * alpha, w the pixel's weight and m, n as in a record: 0 p, 1 p m, 2 p m^2, 3 p n, 4 p n m, 5 p n^2,
 then w times the picture's gradient in 6 7 8 colour, 9 depth. The rest is 0."""
 
 UNTOUCHED = -2
-"""Last record of a tile that no pair has come to: it shows the background. -1 where none of its pairs was drawn."""
+"""Last record of a tile without pairs, which shows the background. -1 if it has pairs but none was drawn."""
 
 FIRST = np.array([0] + [(blocks & -blocks).bit_length() - 1 for blocks in range(1, 1 << BLOCKS)])
 END = np.array([blocks.bit_length() for blocks in range(1 << BLOCKS)])
-"""First and one past last of the blocks of a pair, which lie side by side, by its bits."""
+"""First and one past last of a pair's blocks, which are adjacent, by its bits."""
 
 BATCH = 64
-"""Pairs that go through the blocks of a tile together: a block's pixels stay in registers meanwhile, and those that
-have all ended are noticed after it."""
+"""Pairs that go through the blocks of a tile together: a block's pixels stay in registers meanwhile, and a block whose
+pixels have all ended is skipped from the next batch on."""
 
 
 @njit(cache=True, error_model="numpy")
-def _centres(kind):  # type: ignore[no-untyped-def]
+def _centres(kind):
     """((2 + BLOCKS) * BLOCK,) of the float type of `kind`: a tile's pixel centres, from its corner.
 
     x of a block, the same for all; zeros; then y of each block.
@@ -74,7 +88,7 @@ def _centres(kind):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _columns(across, u, a, b, light):  # type: ignore[no-untyped-def]
+def _columns(across, u, a, b, light):
     """m, the part of n, and the part of log2(alpha) that the columns decide."""
     dx = across - u
     m = dx * a
@@ -82,7 +96,7 @@ def _columns(across, u, a, b, light):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _rows(down, v, c, n, power):  # type: ignore[no-untyped-def]
+def _rows(down, v, c, n, power):
     """(alpha, n) from the parts of `_columns`; alpha is 2^(light - m^2 - n^2), and 0 where that is under 1/255."""
     n = fma(down - v, c, n)
     power = fma(-n, n, power)
@@ -90,21 +104,16 @@ def _rows(down, v, c, n, power):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def blend(  # type: ignore[no-untyped-def]
+def blend(
     task,
     tiles_per_task,
-    tiles,  # [T] tiles that have pairs
-    tile_starts,  # [all tiles + 1]
-    pair_codes,  # [pairs]
-    records,  # [V, RECORD]
-    states,  # in out [all tiles, BLOCKS, STATE * BLOCK]
-    lasts,  # in out [all tiles, BLOCKS, BLOCK] place of the last record drawn
-    tile_lasts,  # in out [all tiles] greatest of them
+    part,  # Slice
+    frame,  # in out Frame: states, lasts and tile_lasts
     open_tiles,  # in out [tiles_y, tiles_x]
-    width,
-    height,
 ):
-    """Goes on compositing the tiles of one task with the pairs of a slice; closes tiles that have become opaque."""
+    """Composites the pairs of a slice into the tiles of one task; closes tiles that have become opaque."""
+    tiles, tile_starts, pair_codes = part.tiles, part.tile_starts, part.pair_codes
+    states, lasts, tile_lasts = frame.states, frame.lasts, frame.tile_lasts
     number = states.dtype.type
     tiles_x = open_tiles.shape[1]
     centres = _centres(states)
@@ -114,7 +123,7 @@ def blend(  # type: ignore[no-untyped-def]
         ty = tile // tiles_x
         tx = tile - ty * tiles_x
         if tile_lasts[tile] == UNTOUCHED:
-            start_tile(states[tile], lasts[tile], tx * SIDE, ty * SIDE, width, height)
+            start_tile(states[tile], lasts[tile], tx * SIDE, ty * SIDE, frame.width, frame.height)
         left, top = number(tx * SIDE), number(ty * SIDE)
         open_blocks = (1 << BLOCKS) - 1
         end = tile_starts[tile + 1]
@@ -123,7 +132,7 @@ def blend(  # type: ignore[no-untyped-def]
             for block in range(BLOCKS):
                 if (open_blocks >> block) & 1 and not _blend_block(
                     listed[block, : counts[block]],
-                    records,
+                    frame.records,
                     left,
                     top,
                     load16(centres, 0),
@@ -139,7 +148,7 @@ def blend(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def start_tile(states, lasts, left, top, width, height):  # type: ignore[no-untyped-def]
+def start_tile(states, lasts, left, top, width, height):
     """The empty pixels of a tile; those outside of the picture count as finished."""
     states[:] = 0
     lasts[:] = -1
@@ -150,10 +159,10 @@ def start_tile(states, lasts, left, top, width, height):  # type: ignore[no-unty
 
 
 @njit(cache=True, error_model="numpy")
-def _list_blocks(codes, listed, counts):  # type: ignore[no-untyped-def]
+def _list_blocks(codes, listed, counts):
     """Sorts the records of some pairs by the blocks that they touch: listed (BLOCKS, BATCH), counts (BLOCKS,).
 
-    Without a branch, which would be guessed wrongly half of the time.
+    Without a branch, which would be mispredicted half of the time.
     """
     n0 = n1 = n2 = n3 = 0
     for k in range(len(codes)):
@@ -168,23 +177,23 @@ def _list_blocks(codes, listed, counts):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _blend_block(slots, records, left, top, across, down, s, last_drawn):  # type: ignore[no-untyped-def]
-    """Composites records into the state of one block; whether some pixel of it is still open."""
+def _blend_block(slots, records, left, top, across, down, s, last_drawn):
+    """Composites records into the state of one block; returns whether any of its pixels is still open."""
     before, last = load16(s, 0), load16(last_drawn, 0)
     red, green, blue = load16(s, BLOCK), load16(s, 2 * BLOCK), load16(s, 3 * BLOCK)
     depth = load16(s, 4 * BLOCK)
     for k in range(len(slots)):
         q = records[slots[k]]
-        _, n, power = _columns(across, (q[0] - left) + q[1], q[4], q[5], q[7])
-        alpha, _ = _rows(down, (q[2] - top) + q[3], q[6], n, power)
+        _, n, power = _columns(across, (q[U] - left) + q[U_FRACTION], q[WHITEN_XX], q[WHITEN_YX], q[LOG_OPACITY])
+        alpha, _ = _rows(down, (q[V] - top) + q[V_FRACTION], q[WHITEN_YY], n, power)
         after = fma(alpha, -before, before)
-        going = after >= MIN_TRANSMITTANCE
-        w = where(going, alpha * before, 0.0)
-        before = where(going, after, -absolute(before))
-        red = fma(w, q[8], red)
-        green = fma(w, q[9], green)
-        blue = fma(w, q[10], blue)
-        depth = fma(w, q[11], depth)
+        drawn = after >= MIN_TRANSMITTANCE
+        w = where(drawn, alpha * before, 0.0)
+        before = where(drawn, after, -absolute(before))
+        red = fma(w, q[RED], red)
+        green = fma(w, q[GREEN], green)
+        blue = fma(w, q[BLUE], blue)
+        depth = fma(w, q[DEPTH], depth)
         last = where(w > 0.0, slots[k], last)
     store(s, 0, before)
     store(s, BLOCK, red)
@@ -196,34 +205,26 @@ def _blend_block(slots, records, left, top, across, down, s, last_drawn):  # typ
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def blend_backward(  # type: ignore[no-untyped-def]
+def blend_backward(
     task,
     tiles_per_task,
-    tiles,  # [T] tiles that have pairs
-    tiles_x,
-    tile_starts,  # [all tiles + 1]
-    pair_codes,  # [pairs]
-    pair_rows,  # [pairs] row of each
-    records,  # [V, RECORD]
-    states,  # [all tiles, BLOCKS, STATE * BLOCK]
-    lasts,  # [all tiles, BLOCKS, BLOCK]
-    tile_lasts,  # [all tiles] greatest of them
-    background,  # [3]
-    g_rgb,  # [H, W, 3]
-    g_alpha,  # [H, W]
-    g_depth,  # [H, W]
-    deep,  # there is something in g_depth
-    begun,  # in out [all tiles]
+    part,  # Slice
+    frame,  # Frame
+    gradient,  # PictureGradient
+    begun,  # in out [all tiles] whether the tile's adjoints are set
     adjoints,  # in out [all tiles, BLOCKS, ADJOINT * BLOCK]
-    rows,  # out [most pairs, ROW], left alone where the tile was closed before the pair
+    rows,  # out [most pairs, ROW], unchanged if the tile was closed before the pair
 ):
     """Walks back through the pairs of a slice in the tiles of one task and writes each pair's sums over its pixels.
 
-    A record's rows lie together: to write all over memory costs nothing beside this much arithmetic, to read would.
+    A record's rows are adjacent: scattered writes cost nothing beside this much arithmetic, scattered reads would.
 
     With s_i = c_i . dL/dC + z_i dL/dD and R_i the derivative by the transmittance behind layer i, which for the last is
     bg . dL/dC - dL/dA: dL/dalpha_i = T_i (s_i - R_i), and R_(i-1) = R_i + alpha_i (s_i - R_i).
     """
+    tiles, tile_starts, pair_codes = part.tiles, part.tile_starts, part.pair_codes
+    lasts, tile_lasts = frame.lasts, frame.tile_lasts
+    tiles_x = (frame.width + SIDE - 1) // SIDE
     number = adjoints.dtype.type
     centres = _centres(adjoints)
     across, nothing = load16(centres, 0), load16(centres, BLOCK)
@@ -234,7 +235,7 @@ def blend_backward(  # type: ignore[no-untyped-def]
         tx = tile - ty * tiles_x
         if not begun[tile]:
             begun[tile] = 1
-            _start_backward(states[tile], background, g_rgb, g_alpha, g_depth, tx * SIDE, ty * SIDE, adjoints[tile])
+            _start_backward(frame.states[tile], gradient, tx * SIDE, ty * SIDE, adjoints[tile])
         left, top = number(tx * SIDE), number(ty * SIDE)
         for block in range(BLOCKS):
             block_last[block] = lasts[tile, block].max()
@@ -243,32 +244,27 @@ def blend_backward(  # type: ignore[no-untyped-def]
             if slot > tile_lasts[tile]:
                 continue
             blocks = pair_codes[at]
-            q = records[slot]
-            v = (q[2] - top) + q[3]
-            m, n_part, power = _columns(across, (q[0] - left) + q[1], q[4], q[5], q[7])
-            p_sum, pn_sum, pnn_sum, red, green, blue, depth = (
-                nothing,
-                nothing,
-                nothing,
-                nothing,
-                nothing,
-                nothing,
-                nothing,
+            q = frame.records[slot]
+            v = (q[V] - top) + q[V_FRACTION]
+            m, n_part, power = _columns(
+                across, (q[U] - left) + q[U_FRACTION], q[WHITEN_XX], q[WHITEN_YX], q[LOG_OPACITY]
             )
+            p_sum, pn_sum, pnn_sum = nothing, nothing, nothing
+            red, green, blue, depth = nothing, nothing, nothing, nothing
             for block in range(FIRST[blocks & (len(FIRST) - 1)], END[blocks & (len(END) - 1)]):
                 if slot > block_last[block]:
                     continue
                 s = adjoints[tile, block]
-                alpha, n = _rows(load16(centres, (2 + block) * BLOCK), v, q[6], n_part, power)
+                alpha, n = _rows(load16(centres, (2 + block) * BLOCK), v, q[WHITEN_YY], n_part, power)
                 alpha = where(load16(lasts[tile, block], 0) >= slot, alpha, 0.0)
                 g_red, g_green, g_blue = load16(s, 2 * BLOCK), load16(s, 3 * BLOCK), load16(s, 4 * BLOCK)
                 before = load16(s, 0) / (1.0 - alpha)
                 behind = load16(s, BLOCK)
                 w = alpha * before
-                shade = fma(g_red, q[8], fma(g_green, q[9], g_blue * q[10]))
-                if deep:
+                shade = fma(g_red, q[RED], fma(g_green, q[GREEN], g_blue * q[BLUE]))
+                if gradient.has_depth:
                     g_far = load16(s, 5 * BLOCK)
-                    shade = fma(g_far, q[11], shade)
+                    shade = fma(g_far, q[DEPTH], shade)
                     depth = fma(w, g_far, depth)
                 more = shade - behind
                 store(s, 0, before)
@@ -283,24 +279,25 @@ def blend_backward(  # type: ignore[no-untyped-def]
                 blue = fma(w, g_blue, blue)
             pm_sum = p_sum * m
             sums = row_sums((p_sum, pm_sum, pm_sum * m, pn_sum, pn_sum * m, pnn_sum, red, green, blue, depth))
-            store(rows[pair_rows[at]], 0, sums)
+            store(rows[part.pair_rows[at]], 0, sums)
 
 
 @njit(cache=True, error_model="numpy")
-def _start_backward(states, background, g_rgb, g_alpha, g_depth, left, top, out):  # type: ignore[no-untyped-def]
+def _start_backward(states, gradient, left, top, out):
     """The picture's gradient for a tile: states (BLOCKS, STATE * BLOCK), out (BLOCKS, ADJOINT * BLOCK)."""
+    g_rgb, g_alpha, g_depth = gradient.rgb, gradient.alpha, gradient.depth
     height, width = g_alpha.shape
     if top + SIDE > height or left + SIDE > width:
         out[:] = 0
     for y in range(top, min(top + SIDE, height)):
         block, shift = (y - top) // 2, np.uintp((y - top) % 2 * SIDE)
         _start_backward_row(
-            states[block], background, g_rgb[y, left:], g_alpha[y, left:], g_depth[y, left:], shift, out[block]
+            states[block], gradient.background, g_rgb[y, left:], g_alpha[y, left:], g_depth[y, left:], shift, out[block]
         )
 
 
 @njit(cache=True, error_model="numpy")
-def _start_backward_row(states, background, g_rgb, g_alpha, g_depth, shift, out):  # type: ignore[no-untyped-def]
+def _start_backward_row(states, background, g_rgb, g_alpha, g_depth, shift, out):
     """Fills the ADJOINT runs of a tile's row of pixels, which begins at `shift` in each."""
     for x in range(np.uintp(min(SIDE, len(g_alpha)))):
         i = shift + x
@@ -316,7 +313,7 @@ def _start_backward_row(states, background, g_rgb, g_alpha, g_depth, shift, out)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def resolve(task, rows_per_task, states, tile_lasts, background, rgb, alpha, depth):  # type: ignore[no-untyped-def]
+def resolve(task, rows_per_task, states, tile_lasts, background, rgb, alpha, depth):
     """Writes the rows of tiles of one task to rgb (H, W, 3), over the background (3,), alpha and depth (H, W)."""
     height, width = alpha.shape
     tiles_x = (width + SIDE - 1) // SIDE

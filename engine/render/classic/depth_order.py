@@ -1,4 +1,4 @@
-"""Front-to-back order of the Gaussians that may be seen: stable, exact, by radix."""
+"""Front-to-back order of the visible Gaussians: a stable radix sort."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from engine.threads import for_each
 __all__ = ["depth_order"]
 
 CHUNK = 1 << 15
-"""Gaussians to a task: long enough to hide the cost of handing it out."""
+"""Gaussians in a task: enough to hide the cost of starting it."""
 
 DIGIT = 11
-"""Bits sorted in one pass: its histogram of 2048 counts fits a first-level cache."""
+"""Bits sorted in one pass: a histogram of 2048 counts fits the first-level cache."""
 
 KEY = 32
-"""Bits of a sorted depth: more than the 24 of a float32, with which some of half a million depths would tie and the
-wrong one of two Gaussians would hide the other."""
+"""Bits of a sorted depth: more than the 24 of a float32, with which some of half a million depths would tie and be
+blended in the wrong order."""
 
 
 def depth_order(
@@ -28,8 +28,8 @@ def depth_order(
 ) -> NDArray[np.int64]:
     """(V,) int64. Indices of the Gaussians beyond the near plane, nearest first, equal depths in index order.
 
-    Depths are told apart to 2^-KEY of their range by an orthographic camera; by a pinhole, to 2^-32 of themselves where
-    the farthest is twice as far as the nearest, to 2^-28 where it is a thousand times as far.
+    The resolution of an orthographic camera is 2^-KEY of the range of depths. That of a pinhole is relative: 2^-32 if
+    the farthest depth is twice the nearest, 2^-28 if it is a thousand times the nearest.
     """
     n = len(means)
     chunks = -(-n // CHUNK)
@@ -64,8 +64,8 @@ def depth_order(
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _depths(chunk, cam, means, depths, rows, counts, low, high):  # type: ignore[no-untyped-def]
-    """Depths in float64, and whose they are; the visible ones of a chunk come first in it."""
+def _depths(chunk, cam, means, depths, rows, counts, low, high):
+    """Depths in float64 and rows of the visible Gaussians of a chunk, from the chunk's start on."""
     start = chunk * CHUNK
     at = start
     for i in range(start, min(start + CHUNK, len(means))):
@@ -81,10 +81,10 @@ def _depths(chunk, cam, means, depths, rows, counts, low, high):  # type: ignore
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _pack(chunk, depths, rows, starts, nearest, linear, scale, shift, items):  # type: ignore[no-untyped-def]
-    """Closes the gaps between chunks: the depth over the nearest in the upper, the index in the lower 32 bits.
+def _pack(chunk, depths, rows, starts, nearest, linear, scale, shift, items):
+    """Closes the gaps between chunks: depth above the nearest in the upper 32 bits, row in the lower 32.
 
-    Linear: in steps of the range; else by the bits of the float, which order as positive floats do.
+    Linear: in steps of the range; else by the bits of the float, which sort as positive floats do.
     """
     source = chunk * CHUNK
     one = np.full(1, nearest)
@@ -98,7 +98,7 @@ def _pack(chunk, depths, rows, starts, nearest, linear, scale, shift, items):  #
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _count_digits(chunk, items, shift, histogram):  # type: ignore[no-untyped-def]
+def _count_digits(chunk, items, shift, histogram):
     histogram[chunk, :] = 0
     by = np.uint64(32 + shift)
     for k in range(chunk * CHUNK, min(chunk * CHUNK + CHUNK, len(items))):
@@ -106,7 +106,7 @@ def _count_digits(chunk, items, shift, histogram):  # type: ignore[no-untyped-de
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _prefix(histogram):  # type: ignore[no-untyped-def]
+def _prefix(histogram):
     """Counts to first places: all of a digit before the next digit, within a digit by chunk."""
     total = 0
     for digit in range(histogram.shape[1]):
@@ -117,7 +117,7 @@ def _prefix(histogram):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _scatter_digits(chunk, items, shift, places, out):  # type: ignore[no-untyped-def]
+def _scatter_digits(chunk, items, shift, places, out):
     by = np.uint64(32 + shift)
     for k in range(chunk * CHUNK, min(chunk * CHUNK + CHUNK, len(items))):
         digit = np.int64(items[k] >> by) & ((1 << DIGIT) - 1)
@@ -126,6 +126,6 @@ def _scatter_digits(chunk, items, shift, places, out):  # type: ignore[no-untype
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _indices(chunk, items, order):  # type: ignore[no-untyped-def]
+def _indices(chunk, items, order):
     for k in range(chunk * CHUNK, min(chunk * CHUNK + CHUNK, len(items))):
         order[k] = np.int64(items[k] & np.uint64(0xFFFFFFFF))

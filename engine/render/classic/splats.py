@@ -1,4 +1,4 @@
-"""From Gaussians to records that the pixel loops read, and from their gradients back."""
+"""Projection of Gaussians to the records that the pixel loops read, and the gradients back from them."""
 
 from __future__ import annotations
 
@@ -8,6 +8,25 @@ import numpy as np
 from numba import njit
 
 from engine.render.classic.blend import ROW
+from engine.render.classic.records import (
+    BLUE,
+    CHORD_SLOPE,
+    DEPTH,
+    GREEN,
+    HALF_CHORD,
+    HALF_HEIGHT,
+    HALF_WIDTH,
+    LOG_OPACITY,
+    RECORD,
+    RED,
+    U_FRACTION,
+    V_FRACTION,
+    WHITEN_XX,
+    WHITEN_YX,
+    WHITEN_YY,
+    U,
+    V,
+)
 from engine.render.classic.tiles import BLOCKS, SIDE, TAIL_BITS, box_size
 from engine.render.lanes import absolute, floor, load8, load16, maximum, minimum, root, store, widen
 from engine.render.projection import (
@@ -27,24 +46,16 @@ from engine.render.projection import (
 from engine.scene.constants import ALPHA_STEPS, LOW_PASS
 from engine.scene.sh import C1, C2, C3, fill_basis
 
-__all__ = ["RECORD", "project", "project_backward"]
-
-RECORD = 16
-"""Numbers in a record, 64 bytes in float32: one cache line.
-
-0 1 whole and broken part of u, 2 3 of v; 4 5 6 whitening and 7 logarithm of the opacity, so that alpha =
-2^(r7 - m^2 - n^2) with m = r4 dx, n = r5 dx + r6 dy: squares lose no digits on long needles, as a dx^2 + 2 b dx dy +
-c dy^2 does; 8 9 10 colour, 11 depth; 12 13 half width and height of the ellipse outside which alpha is under 1/255,
-14 dx per dy along the middles of its horizontal chords, 15 half its middle chord, pixels."""
+__all__ = ["project", "project_backward"]
 
 GRADIENT = 10
-"""Numbers of a row of `engine.render.classic.blend.ROW` that mean something."""
+"""Numbers of a row (`engine.render.classic.blend.ROW`) that are used."""
 
 GROUP = 8
 """Gaussians that are computed side by side: as many float64 as the widest vector registers hold."""
 
 GIVEN = 11
-"""Numbers of a Gaussian without its colours."""
+"""Numbers of a Gaussian apart from its colours."""
 
 LOG2_E = 1.0 / math.log(2.0)
 ROOT_HALF_LOG2_E = math.sqrt(0.5 * LOG2_E)
@@ -52,8 +63,8 @@ TWO_LN2 = 2.0 * math.log(2.0)
 
 
 @njit(cache=True, error_model="numpy")
-def _direction(cam, eye, x, y, z):  # type: ignore[no-untyped-def]
-    """(unit direction eye to Gaussian, distance); an orthographic camera looks forward everywhere, distance 0."""
+def _direction(cam, eye, x, y, z):
+    """(unit direction eye to Gaussian, distance); an orthographic camera has one direction, distance 0."""
     if cam.orthographic != 0.0:
         return cam.rotation[6], cam.rotation[7], cam.rotation[8], 0.0
     dx, dy, dz = x - eye[0], y - eye[1], z - eye[2]
@@ -63,7 +74,7 @@ def _direction(cam, eye, x, y, z):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _sh_direction_gradient(x, y, z, bands, g):  # type: ignore[no-untyped-def]
+def _sh_direction_gradient(x, y, z, bands, g):
     """dL/d(x, y, z) of `sh.fill_basis`, given dL/d(basis) g (16,)."""
     gx = -C1 * g[3]
     gy = -C1 * g[1]
@@ -103,8 +114,8 @@ def _sh_direction_gradient(x, y, z, bands, g):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _box_group(cam, near, tiles_y, tiles_x, box):  # type: ignore[no-untyped-def]
-    """Fills box (4, GROUP), tiles x0, x1, y0, y1: it surely holds the Gaussian, its largest scale in all directions.
+def _box_group(cam, near, tiles_y, tiles_x, box):
+    """Fills box (4, GROUP), tiles x0, x1, y0, y1: a box that holds the Gaussian, taken as a ball of its largest scale.
 
     near (4, GROUP) is mean and largest scale.
     """
@@ -122,18 +133,19 @@ def _box_group(cam, near, tiles_y, tiles_x, box):  # type: ignore[no-untyped-def
 
 
 REACH = math.sqrt(2.0 * math.log(ALPHA_STEPS)) * 1.001
-"""Standard deviations beyond which an opaque Gaussian is under 1/255, and a little."""
+"""Standard deviations beyond which an opaque Gaussian is under 1/255, with a margin for rounding."""
 
 FRINGE = REACH * math.sqrt(LOW_PASS) + 1.0
-"""What the low-pass adds to that, pixels, and a little."""
+"""Pixels that the low-pass adds to that, with a margin."""
 
 
 @njit(cache=True, error_model="numpy")
-def _gather(rows, means, scales, quats, opacities):  # type: ignore[no-untyped-def]
+def _gather(rows, scene):
     """(groups, GIVEN, GROUP) float64: mean, scales, quaternion, opacity of these Gaussians, group after group.
 
-    They lie all over memory: a loop that only loads has many on their way at once, one that also computes has few.
+    They are scattered in memory: a loop that only loads keeps many loads in flight, one that also computes only few.
     """
+    means, scales, quats = scene.means, scene.scales, scene.quats
     out = np.zeros((-(-len(rows) // GROUP), GIVEN, GROUP), np.float64)
     for k in range(len(rows)):
         i, lane = rows[k], k % GROUP
@@ -141,13 +153,13 @@ def _gather(rows, means, scales, quats, opacities):  # type: ignore[no-untyped-d
         g[0, lane], g[1, lane], g[2, lane] = means[i, 0], means[i, 1], means[i, 2]
         g[3, lane], g[4, lane], g[5, lane] = scales[i, 0], scales[i, 1], scales[i, 2]
         g[6, lane], g[7, lane], g[8, lane], g[9, lane] = quats[i, 0], quats[i, 1], quats[i, 2], quats[i, 3]
-        g[10, lane] = opacities[i]
+        g[10, lane] = scene.opacities[i]
     return out
 
 
 @njit(cache=True, error_model="numpy")
-def _project_group(cam, given, log_opacity, out):  # type: ignore[no-untyped-def]
-    """Fills out (RECORD + 3, GROUP), colours apart: the records of one group, then det, u and v."""
+def _project_group(cam, given, log_opacity, out):
+    """Fills out (RECORD + 3, GROUP): the records of one group without colours, then det, u and v."""
     px, py, pz = load8(given, 0), load8(given, GROUP), load8(given, 2 * GROUP)
     sx, sy, sz = load8(given, 3 * GROUP), load8(given, 4 * GROUP), load8(given, 5 * GROUP)
     qw, qx = load8(given, 6 * GROUP), load8(given, 7 * GROUP)
@@ -158,50 +170,44 @@ def _project_group(cam, given, log_opacity, out):  # type: ignore[no-untyped-def
     xx, xy, yy, det, _ = screen_covariance(screen_axes(jacobian(cam, x, y, z), axes), LOW_PASS)
     power = load8(log_opacity, 0)
     reach = (power + TAIL_BITS) * (2.0 / LOG2_E)  # squared, in standard deviations
-    whole_u, whole_v = floor(u), floor(v)
-    store(out, 0, whole_u)
-    store(out, GROUP, u - whole_u)
-    store(out, 2 * GROUP, whole_v)
-    store(out, 3 * GROUP, v - whole_v)
-    store(out, 4 * GROUP, ROOT_HALF_LOG2_E / root(xx))
-    store(out, 5 * GROUP, -ROOT_HALF_LOG2_E * xy / root(xx * det))
-    store(out, 6 * GROUP, ROOT_HALF_LOG2_E * root(xx / det))
-    store(out, 7 * GROUP, power)
-    store(out, 11 * GROUP, z)
-    store(out, 12 * GROUP, root(reach * xx))
-    store(out, 13 * GROUP, root(reach * yy))
-    store(out, 14 * GROUP, xy / yy)
-    store(out, 15 * GROUP, root(reach * det / yy))
-    store(out, 16 * GROUP, det)
-    store(out, 17 * GROUP, u)
-    store(out, 18 * GROUP, v)
+    floor_u, floor_v = floor(u), floor(v)
+    store(out, U * GROUP, floor_u)
+    store(out, U_FRACTION * GROUP, u - floor_u)
+    store(out, V * GROUP, floor_v)
+    store(out, V_FRACTION * GROUP, v - floor_v)
+    store(out, WHITEN_XX * GROUP, ROOT_HALF_LOG2_E / root(xx))
+    store(out, WHITEN_YX * GROUP, -ROOT_HALF_LOG2_E * xy / root(xx * det))
+    store(out, WHITEN_YY * GROUP, ROOT_HALF_LOG2_E * root(xx / det))
+    store(out, LOG_OPACITY * GROUP, power)
+    store(out, DEPTH * GROUP, z)
+    store(out, HALF_WIDTH * GROUP, root(reach * xx))
+    store(out, HALF_HEIGHT * GROUP, root(reach * yy))
+    store(out, CHORD_SLOPE * GROUP, xy / yy)
+    store(out, HALF_CHORD * GROUP, root(reach * det / yy))
+    store(out, RECORD * GROUP, det)
+    store(out, (RECORD + 1) * GROUP, u)
+    store(out, (RECORD + 2) * GROUP, v)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def project(  # type: ignore[no-untyped-def]
+def project(
     chunk,
     chunk_size,
     order,  # [V] the Gaussians, nearest first
-    first,  # of this slice of the order,
-    last,  # one past its last
-    cam,
-    eye,  # [3]
-    means,  # [N, 3]
-    scales,  # [N, 3]
-    quats,  # [N, 4]
-    opacities,  # [N]
-    colours,  # [N, K, 3]
-    plain,  # colours are RGB (K = 1), not SH
+    first,  # first of this slice of the order
+    last,  # and one past its last
+    scene,  # Scene
+    frame,  # out Frame: records and owners
     open_sums,  # [tiles_y + 1, tiles_x + 1] summed-area table of the open tiles
-    records,  # out [V, RECORD]
-    owners,  # out [V] index of the Gaussian
     record_counts,  # out [chunks of this slice]
-    pair_bounds,  # out [chunks of this slice] at most so many tiles are touched
+    pair_bounds,  # out [chunks of this slice] upper bound of the tiles touched
 ):
     """Writes the records of one chunk of a slice, packed from the chunk's first place on.
 
     A record's place grows with depth: comparing places compares depths.
     """
+    cam, colours, records = frame.cam, scene.colours, frame.records
+    means, scales = scene.means, scene.scales
     start = first + chunk * chunk_size
     stop = min(start + chunk_size, last)
     tiles_y, tiles_x = open_sums.shape[0] - 1, open_sums.shape[1] - 1
@@ -222,7 +228,7 @@ def project(  # type: ignore[no-untyped-def]
         x0, x1, y0, y1 = int(box[0, lane]), int(box[1, lane]), int(box[2, lane]), int(box[3, lane])
         rows[count] = order[start + k]
         count += open_sums[y1, x1] - open_sums[y0, x1] - open_sums[y1, x0] + open_sums[y0, x0] > 0
-    gathered = _gather(rows[:count], means, scales, quats, opacities)
+    gathered = _gather(rows[:count], scene)
 
     most_pairs = 0
     slot = start
@@ -236,9 +242,9 @@ def project(  # type: ignore[no-untyped-def]
             _project_group(cam, g, log_opacity, out)
         if not g[10, lane] * ALPHA_STEPS >= 1.0:
             continue
-        det = out[16, lane]
-        if not (det > 0.0 and det < 1e60 and abs(out[17, lane]) + abs(out[18, lane]) < 1e15):
-            continue  # not a number, or past all measure
+        det = out[RECORD, lane]
+        if not (det > 0.0 and det < 1e60 and abs(out[RECORD + 1, lane]) + abs(out[RECORD + 2, lane]) < 1e15):
+            continue  # not a number, or beyond any picture
         record = records[slot]
         for n in range(RECORD):
             record[n] = out[n, lane]
@@ -246,26 +252,26 @@ def project(  # type: ignore[no-untyped-def]
         if size == 0:
             continue
         most_pairs += size
-        if plain:
-            record[8], record[9], record[10] = colours[i, 0, 0], colours[i, 0, 1], colours[i, 0, 2]
+        if scene.plain:
+            record[RED], record[GREEN], record[BLUE] = colours[i, 0, 0], colours[i, 0, 1], colours[i, 0, 2]
         else:
-            dx, dy, dz, _ = _direction(cam, eye, g[0, lane], g[1, lane], g[2, lane])
+            dx, dy, dz, _ = _direction(cam, frame.eye, g[0, lane], g[1, lane], g[2, lane])
             fill_basis(dx, dy, dz, bands, basis)
             for channel in range(3):
                 value = 0.5
                 for band in range(bands):
                     value += basis[band] * colours[i, band, channel]
-                record[8 + channel] = max(value, 0.0)
-        owners[slot] = i
+                record[RED + channel] = max(value, 0.0)
+        frame.owners[slot] = i
         slot += 1
     record_counts[chunk] = slot - start
     pair_bounds[chunk] = most_pairs
 
 
 @njit(cache=True, error_model="numpy")
-def _project_group_backward(cam, given, sums, out):  # type: ignore[no-untyped-def]
+def _project_group_backward(cam, given, sums, out):
     """Fills out (GIVEN, GROUP): dL/d(given), from the Gaussians of one group (GIVEN, GROUP) and sums (GRADIENT + 3,
-    GROUP) of their rows, followed by the whitening of their records. The way over the direction of view is left out."""
+    GROUP) of their rows, followed by the whitening of their records. Without the gradient by the viewing direction."""
     px, py, pz = load8(given, 0), load8(given, GROUP), load8(given, 2 * GROUP)
     sx, sy, sz = load8(given, 3 * GROUP), load8(given, 4 * GROUP), load8(given, 5 * GROUP)
     qw, qx = load8(given, 6 * GROUP), load8(given, 7 * GROUP)
@@ -305,34 +311,20 @@ def _project_group_backward(cam, given, sums, out):  # type: ignore[no-untyped-d
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def project_backward(  # type: ignore[no-untyped-def]
+def project_backward(
     chunk,
-    chunk_size,
-    first,
-    record_counts,  # [chunks of this slice]
-    cam,
-    eye,
-    means,
-    scales,
-    quats,
-    opacities,
-    colours,
-    plain,
-    records,  # [V, RECORD]
-    owners,  # [V]
-    pair_counts,  # [V]
-    first_places,  # [chunks of this slice] where the chunk's pairs begin in
-    pair_tiles,  # [most pairs] tile << BLOCKS | blocks of each pair, record by record
-    tile_lasts,  # [tiles] last record that a tile saw before it closed
+    scene,  # Scene
+    frame,  # Frame
+    part,  # Slice
     rows,  # [most pairs, ROW] record by record
-    g_means,  # out, like the parameters
-    g_scales,
-    g_quats,
-    g_opacities,
-    g_colours,
+    gradients,  # out Scene
 ):
-    """Adds up the rows of each record of a chunk, in tile order, and takes the sums back to the parameters."""
-    start = first + chunk * chunk_size
+    """Sums the rows of each record of a chunk, in tile order, and takes the sums back to the parameters."""
+    cam, owners, colours = frame.cam, frame.owners, scene.colours
+    record_counts, pair_tiles, tile_lasts = part.record_counts, part.pair_tiles, frame.tile_lasts
+    g_means, g_scales, g_quats = gradients.means, gradients.scales, gradients.quats
+    g_colours = gradients.colours
+    start = part.first + chunk * part.chunk_size
     bands = colours.shape[1]
     basis = np.empty(16, np.float64)
     g_basis = np.empty(16, np.float64)
@@ -341,25 +333,25 @@ def project_backward(  # type: ignore[no-untyped-def]
     total = np.zeros(2 * ROW, np.float64)
     nothing = load16(total, ROW)
     count = 0
-    pair = first_places[chunk]
+    pair = part.first_places[chunk]
     for slot in range(start, start + record_counts[chunk]):
         lanes = nothing
-        seen = False
-        for _ in range(pair_counts[slot]):
+        drawn = False
+        for _ in range(frame.pair_counts[slot]):
             if slot <= tile_lasts[pair_tiles[pair] >> BLOCKS]:
-                seen = True
+                drawn = True
                 lanes = lanes + widen(load16(rows[pair], 0))
             pair += 1
-        if seen:
+        if drawn:
             slots[count] = slot
             store(total, 0, lanes)
             group, lane = sums[count // GROUP], count % GROUP
             for n in range(GRADIENT):
                 group[n, lane] = total[n]
             for n in range(3):
-                group[GRADIENT + n, lane] = records[slot, 4 + n]
+                group[GRADIENT + n, lane] = frame.records[slot, WHITEN_XX + n]
             count += 1
-    gathered = _gather(owners[slots[:count]], means, scales, quats, opacities)
+    gathered = _gather(owners[slots[:count]], scene)
 
     out = np.empty((GIVEN, GROUP), np.float64)
     for k in range(count):
@@ -369,17 +361,17 @@ def project_backward(  # type: ignore[no-untyped-def]
             _project_group_backward(cam, given, group, out)
         gx, gy, gz = out[0, lane], out[1, lane], out[2, lane]
         red, green, blue = group[6, lane], group[7, lane], group[8, lane]
-        if plain:
+        if scene.plain:
             g_colours[i, 0, 0], g_colours[i, 0, 1], g_colours[i, 0, 2] = red, green, blue
         else:
-            dx, dy, dz, length = _direction(cam, eye, given[0, lane], given[1, lane], given[2, lane])
+            dx, dy, dz, length = _direction(cam, frame.eye, given[0, lane], given[1, lane], given[2, lane])
             fill_basis(dx, dy, dz, bands, basis)
             g_basis[:] = 0.0
             for channel in range(3):
                 value = 0.5
                 for band in range(bands):
                     value += basis[band] * colours[i, band, channel]
-                if value > 0.0:  # a colour that is held at 0 hands nothing back
+                if value > 0.0:  # a colour clamped to 0 passes no gradient on
                     outer = red if channel == 0 else green if channel == 1 else blue
                     for band in range(bands):
                         g_colours[i, band, channel] = basis[band] * outer
@@ -394,4 +386,4 @@ def project_backward(  # type: ignore[no-untyped-def]
         g_scales[i, 0], g_scales[i, 1], g_scales[i, 2] = out[3, lane], out[4, lane], out[5, lane]
         for n in range(4):
             g_quats[i, n] = out[6 + n, lane]
-        g_opacities[i] = out[10, lane]
+        gradients.opacities[i] = out[10, lane]

@@ -7,45 +7,64 @@ import math
 import numpy as np
 from numba import njit
 
+from engine.render.classic.records import (
+    CHORD_SLOPE,
+    HALF_CHORD,
+    HALF_HEIGHT,
+    HALF_WIDTH,
+    U_FRACTION,
+    V_FRACTION,
+    U,
+    V,
+)
 from engine.scene.constants import ALPHA_STEPS
 
 __all__ = ["BLOCKS", "SIDE", "TAIL_BITS", "box_size", "list_pairs", "place_pairs", "sort_pairs", "sum_open"]
 
 SIDE = 8
-"""Pixels along a tile's edge. A splat of a detailed scene is a few pixels wide: larger tiles mostly miss it."""
+"""Edge of a tile in pixels. A splat of a detailed scene is a few pixels wide: larger tiles would mostly miss it."""
 
 BLOCKS = SIDE // 2
 """Blocks in a tile: the pixel loops take two rows at a time."""
 
 TAIL_BITS = math.log2(ALPHA_STEPS)
-"""alpha = 2^-TAIL_BITS is one step of an 8-bit picture; what is fainter is left out."""
+"""alpha = 2^-TAIL_BITS is one step of an 8-bit picture; fainter fragments are left out."""
 
 SLACK = 1e-3
-"""Pixels by which the outline is widened, against rounding: an extra tile changes nothing, a missing one would."""
+"""Pixels by which the ellipse is widened, against rounding: an extra tile changes nothing, a missing one would."""
 
 WIDER = 1.0 + 1e-5
-"""Factor by which it is widened, for the rounding of large splats."""
+"""Factor by which the ellipse is widened too, for the rounding of large splats."""
 
 
 @njit(cache=True, error_model="numpy")
-def _centres(low, high, tiles):  # type: ignore[no-untyped-def]
-    """(first, one past last) of the pixels with a centre in low..high, in a row of so many tiles."""
+def _centres(low, high, tiles):
+    """(first, one past last) of the pixels with a centre in low..high, in a row of `tiles` tiles."""
     first = math.ceil(min(max(low - 0.5, 0.0), 1e9))
     last = math.floor(min(max(high - 0.5, -1.0), tiles * SIDE - 1.0))
     return int(first), max(int(first), int(last) + 1)
 
 
 @njit(cache=True, error_model="numpy")
-def _covering(first, stop):  # type: ignore[no-untyped-def]
+def _covering(first, stop):
     """(first, one past last) tile with one of these pixels."""
     return first // SIDE, (stop + SIDE - 1) // SIDE if stop > first else first // SIDE
 
 
 @njit(cache=True, error_model="numpy")
-def box_size(record, tiles_y, tiles_x):  # type: ignore[no-untyped-def]
+def _mean(record):
+    """(u, v) of a record in float64, pixels."""
+    return (
+        np.float64(record[U]) + np.float64(record[U_FRACTION]),
+        np.float64(record[V]) + np.float64(record[V_FRACTION]),
+    )
+
+
+@njit(cache=True, error_model="numpy")
+def box_size(record, tiles_y, tiles_x):
     """Number of tiles in the box around the record's ellipse."""
-    u, v = np.float64(record[0]) + np.float64(record[1]), np.float64(record[2]) + np.float64(record[3])
-    ex, ey = record[12] * WIDER + SLACK, record[13] * WIDER + SLACK
+    u, v = _mean(record)
+    ex, ey = record[HALF_WIDTH] * WIDER + SLACK, record[HALF_HEIGHT] * WIDER + SLACK
     left, right = _centres(u - ex, u + ex, tiles_x)
     top, bottom = _centres(v - ey, v + ey, tiles_y)
     x0, x1 = _covering(left, right)
@@ -54,7 +73,7 @@ def box_size(record, tiles_y, tiles_x):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def sum_open(open_tiles, sums):  # type: ignore[no-untyped-def]
+def sum_open(open_tiles, sums):
     """Summed-area table (tiles_y + 1, tiles_x + 1) of open_tiles (tiles_y, tiles_x)."""
     sums[0, :] = 0
     for y in range(open_tiles.shape[0]):
@@ -66,8 +85,8 @@ def sum_open(open_tiles, sums):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def place_pairs(tile_counts, tile_starts):  # type: ignore[no-untyped-def]
-    """Turns the counts (chunks, tiles) into first places: tile after tile, within a tile chunk after chunk.
+def place_pairs(tile_counts, tile_starts):
+    """Turns counts (chunks, tiles) into first places, in place: tile after tile, within a tile chunk after chunk.
 
     Writes where each tile begins to tile_starts (tiles + 1,).
     """
@@ -82,16 +101,16 @@ def place_pairs(tile_counts, tile_starts):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def list_pairs(  # type: ignore[no-untyped-def]
+def list_pairs(
     chunk,
     chunk_size,
     first,
     record_counts,  # [chunks]
     records,
     open_tiles,  # [tiles_y, tiles_x]
-    first_places,  # [chunks] where the chunk may begin to write its tiles
+    first_places,  # [chunks] where the chunk begins to write its tiles
     pair_tiles,  # out [most pairs] tile << BLOCKS | which of its blocks, of each record in turn
-    pair_counts,  # out [V] how many of them
+    pair_counts,  # out [V] number of tiles of each record
     tile_counts,  # out [chunks, tiles]
 ):
     """Finds the open tiles with a pixel centre where a record's alpha may reach 1/255.
@@ -106,9 +125,9 @@ def list_pairs(  # type: ignore[no-untyped-def]
     at = first_places[chunk]
     for slot in range(start, start + record_counts[chunk]):
         record = records[slot]
-        u, v = np.float64(record[0]) + np.float64(record[1]), np.float64(record[2]) + np.float64(record[3])
-        ex, ey = record[12] * WIDER + SLACK, record[13] * WIDER + SLACK
-        m, h = np.float64(record[14]), record[15] * WIDER + SLACK
+        u, v = _mean(record)
+        ex, ey = record[HALF_WIDTH] * WIDER + SLACK, record[HALF_HEIGHT] * WIDER + SLACK
+        m, h = np.float64(record[CHORD_SLOPE]), record[HALF_CHORD] * WIDER + SLACK
         per_ey = 1.0 / ey
         widest = m * ey * ey / ex
         begin = at
@@ -137,7 +156,7 @@ def list_pairs(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def sort_pairs(  # type: ignore[no-untyped-def]
+def sort_pairs(
     chunk,
     chunk_size,
     first,
@@ -147,9 +166,9 @@ def sort_pairs(  # type: ignore[no-untyped-def]
     pair_counts,  # [V]
     free_places,  # [chunks, tiles] next free place of this chunk in each tile's list
     pair_codes,  # out [pairs] record << BLOCKS | blocks, by place: tile by tile, nearest first
-    pair_rows,  # out [pairs] and which pair that is, counted record by record
+    pair_rows,  # out [pairs] place of the pair in pair_tiles
 ):
-    """Brings the pairs of one chunk into the lists of their tiles."""
+    """Sorts the pairs of one chunk into the lists of their tiles."""
     start = first + chunk * chunk_size
     free = free_places[chunk]
     pair = first_places[chunk]

@@ -1,7 +1,7 @@
 """The opaque image (DESIGN, section 3): surface splatting outside, the kernel field on cut faces. CPU, float32.
 
-The result is linear in the colours and does not depend on the order of the atoms. Pieces share one front: what two
-halves leave of the skin adds up to what it was.
+The result is linear in the colours and does not depend on the order of the atoms. Pieces that lie together share one
+front, so that the skins of two halves add up to the whole skin.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ def render(
     light: bool = False,
     field: KernelField | None = None,
 ) -> Picture:
-    """What the planes leave of the atoms; `light` shades cut faces a little by their slant to the eye.
+    """The part of the atoms that the planes keep; `light` shades cut faces slightly by their slant to the eye.
 
-    `field` is KernelField(atoms), for callers that draw the same atoms often; made here where it is needed and absent.
+    `field` is KernelField(atoms), for callers that draw the same atoms often; None makes it here if it is needed.
     """
     return render_pieces(atoms, camera, [Piece(tuple(planes))], background, light, field)
 
@@ -53,8 +53,8 @@ def render_pieces(
 ) -> Picture:
     """Several pieces of the same atoms in one picture.
 
-    Pieces with one transform lie together as they grew and share their sums. Those that moved apart are pictures of
-    their own, put over each other by depth, so that an edge is blended with what lies behind it.
+    Pieces with the same transform lie together as they grew and share their sums. Groups that were moved apart are
+    rendered separately and composited by depth, so that an edge is blended with what lies behind it.
     """
     if not pieces:
         shape = (camera.height, camera.width)
@@ -66,28 +66,28 @@ def render_pieces(
     for piece in pieces:
         groups.setdefault(np.ascontiguousarray(piece.transform, np.float64).tobytes(), []).append(piece)
     middle = np.append(atoms.bounds.mean(0), 1.0)
-    together = sorted(groups.values(), key=lambda group: (group[0].camera(camera).viewmat @ middle)[2])
-    whole = over([group_layer(atoms, camera, group, light, field) for group in together])
-    rgb = whole.rgb + (1 - whole.alpha)[..., None] * np.asarray(background, np.float32)
-    return Picture(rgb, whole.alpha, whole.depth)
+    by_depth = sorted(groups.values(), key=lambda group: (group[0].camera(camera).viewmat @ middle)[2])
+    result = over([group_layer(atoms, camera, group, light, field) for group in by_depth])
+    rgb = result.rgb + (1 - result.alpha)[..., None] * np.asarray(background, np.float32)
+    return Picture(rgb, result.alpha, result.depth)
 
 
 @dataclass(frozen=True)
 class Layer:
-    """Something to put over something else."""
+    """A picture to composite with others."""
 
     rgb: Float
     """(H, W, 3). Weighted by alpha."""
     alpha: Float
     """(H, W). Range [0, 1]."""
     depth: Float
-    """(H, W). Where it lies, world units along the camera's axis; inf where it is not."""
+    """(H, W). Along the camera's axis, world units; inf where the layer is empty."""
     solid: Float
-    """(H, W). The same where it hides what is behind: a core of the outside, a face that covers half of the pixel."""
+    """(H, W). The same where it hides what is behind: at a core of the outside, or a face with coverage of a half."""
 
 
 def group_layer(atoms: Atoms, camera: Camera, pieces: Sequence[Piece], light: bool, field: KernelField | None) -> Layer:
-    """Pieces that lie together: their outside, and the faces that are not joined to one of the others."""
+    """Pieces that lie together: their outside, and their faces where no other piece is joined."""
     colours = [view_colours(atoms, piece.camera(camera)) for piece in pieces]
     outside = draw(splats_of(atoms), colours, camera, pieces, atoms.pitch)
     layers = [Layer(*outside.resolved(), outside.front, outside.front)]
@@ -97,7 +97,7 @@ def group_layer(atoms: Atoms, camera: Camera, pieces: Sequence[Piece], light: bo
             hits = enter(camera_record(view), camera_planes(view, piece.planes))
             others = [other.planes for other in pieces if other is not piece]
             hits = hits.outside(others, JOINT_PITCHES * atoms.pitch)
-            # In front of the list: nothing of a piece lies before its own cut, so equal depths are the face's.
+            # First in the list: nothing of a piece is in front of its own cut, so the face wins equal depths.
             layers.insert(0, face_layer(field, atoms.pitch, hits, (camera.height, camera.width), light))
     return over(layers)
 
@@ -117,7 +117,7 @@ def face_layer(field: KernelField, pitch: float, hits: Hits, shape: tuple[int, i
 
 
 def over(layers: Sequence[Layer]) -> Layer:
-    """Layers over each other in order of depth, pixel by pixel; where depths are equal the first is in front."""
+    """Layers composited by depth, pixel by pixel; at equal depths the first one is in front."""
     if len(layers) == 1:
         return layers[0]
     rank = np.argsort(np.stack([layer.depth for layer in layers]), axis=0, kind="stable")

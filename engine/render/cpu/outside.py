@@ -1,4 +1,4 @@
-"""The outside of the opaque image before it is resolved: surface splats of any pieces, drawn into one front."""
+"""The outside of the opaque image before it is resolved: the splats of all pieces, summed behind one common front."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from engine.render.cpu.splats import RECORD, TILE, project
-from engine.render.cpu.tiles import CHUNKS, TILES_PER_TASK, Frame, accumulate, resolve, tile_lists
+from engine.render.cpu.splats import RECORD, TILE, Splats, project
+from engine.render.cpu.tiles import CHUNKS, TILES_PER_TASK, TiledSplats, accumulate, resolve, tile_lists
 from engine.render.projection import camera_record
 from engine.scene import sh
 from engine.scene.atoms import Atoms
@@ -23,31 +23,19 @@ __all__ = ["Outside", "Splats", "camera_planes", "directions", "draw", "splats_o
 
 
 @dataclass(frozen=True)
-class Splats:
-    """N ellipsoids of one float type, contiguous."""
-
-    means: NDArray[np.floating]
-    """(N, 3). World units."""
-    scales: NDArray[np.floating]
-    """(N, 3). Standard deviations, world units."""
-    quats: NDArray[np.floating]
-    """(N, 4). wxyz, any length."""
-
-
-@dataclass(frozen=True)
 class Outside:
-    """A drawn outside and what it was made of."""
+    """The sums of a picture's outside, and the splats that they were made from."""
 
-    frame: Frame
+    tiled: TiledSplats
     front: NDArray[np.floating]
-    """(H, W). Depth of the nearest core, inf where there is none."""
+    """(H, W). Depth of the nearest core, inf if there is none."""
     sums: NDArray[np.floating]
     """(H, W, 5). Weight, weight times sharpness, weight times RGB."""
 
     @property
     def tasks(self) -> int:
-        """Tasks of the kernels that go over tiles."""
-        return -(-(len(self.frame.first) - 1) // TILES_PER_TASK)
+        """Number of tasks of the kernels that walk the tiles."""
+        return -(-(len(self.tiled.tile_starts) - 1) // TILES_PER_TASK)
 
     def resolved(self) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
         """RGB (H, W, 3), weighted by alpha, and alpha (H, W)."""
@@ -57,19 +45,19 @@ class Outside:
 
 
 def splats_of(atoms: Atoms) -> Splats:
-    """The atoms that are seen from outside: surface, then exposed interior ones."""
+    """The atoms that are visible from outside: surface atoms, then exposed interior ones."""
     surface, interior, exposed = atoms.surface, atoms.interior, atoms.interior.exposed
-    upright = np.zeros((exposed, 4), np.float32)
-    upright[:, 0] = 1
+    identity = np.zeros((exposed, 4), np.float32)
+    identity[:, 0] = 1
     return Splats(
         np.concatenate([surface.means, interior.means[:exposed]]),
         np.concatenate([surface.scales, np.repeat(interior.sigmas[:exposed, None], 3, 1)]),
-        np.concatenate([surface.quats, upright]),
+        np.concatenate([surface.quats, identity]),
     )
 
 
 def view_colours(atoms: Atoms, camera: Camera) -> NDArray[np.float32]:
-    """(N, 3). RGB of `splats_of(atoms)` as this camera sees them: from eye to mean, orthographic along the view."""
+    """(N, 3). RGB of `splats_of(atoms)` as this camera sees them."""
     surface, interior = atoms.surface, atoms.interior
     if surface.sh_degree == 0:
         seen = sh.sh_to_rgb(surface.sh[:, 0])
@@ -79,11 +67,11 @@ def view_colours(atoms: Atoms, camera: Camera) -> NDArray[np.float32]:
 
 
 def directions(means: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:
-    """(N, 3). Unit directions from the eye to means (N, 3); an orthographic camera looks forward everywhere."""
+    """(N, 3). Unit directions from the eye to means (N, 3); an orthographic camera has one direction."""
     if camera.orthographic:
         return np.broadcast_to(camera.forward.astype(np.float32), means.shape)
-    way = means - camera.position.astype(np.float32)
-    return way / np.maximum(np.linalg.norm(way, axis=1, keepdims=True), np.float32(1e-12))
+    offset = means - camera.position.astype(np.float32)
+    return offset / np.maximum(np.linalg.norm(offset, axis=1, keepdims=True), np.float32(1e-12))
 
 
 def camera_planes(camera: Camera, planes: Sequence[Plane]) -> NDArray[np.float64]:
@@ -101,7 +89,7 @@ def draw(
     pieces: Sequence[Piece],
     pitch: float,
 ) -> Outside:
-    """Projects the splats once for each piece and adds up what is near the front."""
+    """Projects the splats once per piece and sums the fragments near the front."""
     kind, count = splats.means.dtype, len(splats.means)
     views = [piece.camera(camera) for piece in pieces]
     planes = np.concatenate(
@@ -112,18 +100,18 @@ def draw(
     spans = np.empty((len(pieces) * count, 6), np.int32)
     size = -(-count // CHUNKS)
     for k, view in enumerate(views):
-        own = slice(k * count, (k + 1) * count)
+        rows = slice(k * count, (k + 1) * count)
         for_each(
             project, CHUNKS, size, camera_record(view), planes, end[k : k + 2],
-            splats.means, splats.scales, splats.quats, records[own], spans[own],
+            splats, records[rows], spans[rows],
         )  # fmt: skip
 
     columns, lines = -(-camera.width // TILE), -(-camera.height // TILE)
-    first, listed = tile_lists(spans, columns, lines)
+    tile_starts, splat_ids = tile_lists(spans, columns, lines)
     cam = camera_record(camera)
-    frame = Frame(cam, planes, records, spans, first, listed, columns, EPSILON_PITCHES * pitch)
+    tiled = TiledSplats(cam, planes, records, spans, tile_starts, splat_ids, columns, EPSILON_PITCHES * pitch)
     front = np.empty((camera.height, camera.width), kind)
-    outside = Outside(frame, front, np.empty((*front.shape, 5), kind))
-    every = np.ascontiguousarray(np.concatenate(colours) if len(colours) > 1 else colours[0], kind)
-    for_each(accumulate, outside.tasks, frame, every, front, outside.sums)
+    outside = Outside(tiled, front, np.empty((*front.shape, 5), kind))
+    stacked = np.ascontiguousarray(np.concatenate(colours) if len(colours) > 1 else colours[0], kind)
+    for_each(accumulate, outside.tasks, tiled, stacked, front, outside.sums)
     return outside

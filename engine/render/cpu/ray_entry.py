@@ -1,10 +1,15 @@
-"""Cut faces: where the rays of a picture enter a convex piece through one of its planes, and how solid it is there."""
+"""Cut faces: where the rays of a picture enter a convex piece through one of its planes, and how solid it is there.
+
+The laws of face coverage, face light and ray entry are written here once for arrays and kernels; the shaders' version
+is compared with them in tests/engine/render/test_look.py.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -16,17 +21,17 @@ from engine.scene.constants import EDGE_SLOPE, FACE_AMBIENT, FACE_LAMP, SOLID_DE
 from engine.scene.plane import Plane
 from engine.threads import for_each
 
-__all__ = ["Hits", "coverage", "coverage_of", "enter", "enter_row", "face_edge", "facing_of", "shade"]
+__all__ = ["Hits", "PieceBounds", "coverage", "coverage_of", "enter", "enter_row", "face_edge", "facing_of", "shade"]
 
 
 @dataclass(frozen=True)
 class Hits:
-    """The pixels whose ray enters the piece through a plane, K of them."""
+    """The K pixels whose ray enters the piece through a plane."""
 
     pixels: NDArray[np.intp]
     """(K,). Flat indices into the picture, ascending."""
     points: NDArray[np.float64]
-    """(K, 3). Where, in the piece's own space."""
+    """(K, 3). Where the ray enters, in the piece's own space."""
     depth: NDArray[np.float32]
     """(K,). World units along the camera's axis."""
     footprint: NDArray[np.float32]
@@ -35,7 +40,8 @@ class Hits:
     """(K,). Cosine between the plane's normal and the way back to the eye. Range (0, 1]."""
 
     def outside(self, joined: Sequence[Sequence[Plane]], tolerance: float) -> Hits:
-        """Without those that touch one of the pieces that the planes bound: there the matter goes on."""
+        """Without the points within the tolerance of a joined piece, each given by its planes: the solid continues
+        there and has no face."""
         free = np.ones(len(self.pixels), bool)
         for planes in joined:
             touching = np.ones(len(free), bool)
@@ -45,15 +51,29 @@ class Hits:
         return self if free.all() else Hits(*(getattr(self, name.name)[free] for name in fields(self)))
 
 
+class PieceBounds(NamedTuple):
+    """A convex piece and the pieces joined to it, camera space. A named tuple, which numba can read."""
+
+    planes: NDArray[np.float64]
+    """(P, 4)."""
+    joined: NDArray[np.float64]
+    """(M, 4). Planes of all joined pieces; where one touches this piece, the solid continues."""
+    first_joined: NDArray[np.int64]
+    """(pieces + 1,). Where the planes of each joined piece begin."""
+    tolerance: float
+    """Distance within which a point touches a joined piece, world units."""
+
+
 def enter(cam: CameraRecord, planes: NDArray[np.float64]) -> Hits:
     """Rays of a camera into the piece that camera-space planes (P, 4) bound.
 
-    Of the planes whose outside the ray comes from, the last one it passes is where it enters, if that lies before the
-    eye and within all other planes.
+    Of the planes that the ray crosses from outside, the last one is where it enters, provided that the point is in
+    front of the eye and inside all other planes.
     """
     width, height = int(cam.width), int(cam.height)
     depth, facing = np.empty((height, width)), np.empty((height, width), np.float32)
-    for_each(_enter, height, cam, planes, NO_PIECES, depth, facing)
+    bounds = PieceBounds(planes, planes[:0], np.zeros(1, np.int64), 0.0)
+    for_each(_enter, height, cam, bounds, depth, facing)
     pixels = np.flatnonzero(np.isfinite(depth))
     z = depth.reshape(-1)[pixels]
     x = (pixels % width + 0.5 - cam.cx) / cam.fx
@@ -67,18 +87,18 @@ def enter(cam: CameraRecord, planes: NDArray[np.float64]) -> Hits:
 
 
 def face_edge(footprint: NDArray[np.floating], pitch: float) -> NDArray[np.floating]:
-    """(K,). By how much the coverage of a pixel grows with the density: an edge is one pixel wide, however near."""
+    """(K,). Slope of a pixel's coverage over density: an edge stays one pixel wide, however near it is."""
     return np.maximum(1, pitch / 2 / (EDGE_SLOPE * footprint)) / (2 * SOLID_DENSITY)
 
 
 def coverage(density: NDArray[np.floating], footprint: NDArray[np.floating], pitch: float) -> NDArray[np.floating]:
-    """How much of a pixel (K,) is solid: an edge at the density of solids."""
+    """(K,). Fraction of each pixel that is solid, with the edge where the density is SOLID_DENSITY. Range [0, 1]."""
     return np.clip(0.5 + (density - SOLID_DENSITY) * face_edge(footprint, pitch), 0, 1)
 
 
 @register_jitable(inline="always")
-def coverage_of(density, footprint, edge_sigma):  # type: ignore[no-untyped-def]
-    """`coverage` of one pixel in float32 for kernels without branches; edge_sigma is half the pitch."""
+def coverage_of(density, footprint, edge_sigma):
+    """`coverage` of one pixel in float32, for kernels without branches; edge_sigma is half the pitch."""
     one, half, zero = np.float32(1), np.float32(0.5), np.float32(0)
     slope, solid, unit = np.float32(EDGE_SLOPE), np.float32(SOLID_DENSITY), np.float32(0.5 / SOLID_DENSITY)
     edge = max(one, edge_sigma / (slope * footprint)) * unit
@@ -86,13 +106,13 @@ def coverage_of(density, footprint, edge_sigma):  # type: ignore[no-untyped-def]
 
 
 def shade(hits: Hits) -> NDArray[np.float32]:
-    """(K,). Factor of a lamp at the eye."""
+    """(K,). Brightness under a lamp at the eye. Range [FACE_AMBIENT, 1]."""
     return FACE_AMBIENT + np.float32(FACE_LAMP) * hits.facing
 
 
 @register_jitable(inline="always")
-def facing_of(plane, across, down, orthographic):  # type: ignore[no-untyped-def]
-    """Cosine between the normal of a camera-space plane (4,) and the way back along the ray (across, down, 1)."""
+def facing_of(plane, across, down, orthographic):
+    """Cosine between the normal of a camera-space plane (4,) and the direction back along the ray (across, down, 1)."""
     facing = -plane[2]
     if not orthographic:
         facing = -(plane[0] * across + plane[1] * down + plane[2]) / math.sqrt(across * across + down * down + 1.0)
@@ -100,13 +120,13 @@ def facing_of(plane, across, down, orthographic):  # type: ignore[no-untyped-def
 
 
 @register_jitable(inline="always")
-def enter_row(y, cam, planes, joined, first_joined, tolerance, entry, through, slope, left):  # type: ignore[no-untyped-def]
-    """Fills depth `entry` (W,) and plane `through` (W,) of the entry of row y's rays, -1 where there is none.
+def enter_row(y, cam, bounds, entry, through, distance, touching):
+    """Fills depth `entry` (W,) and plane `through` (W,) where the rays of row y enter a piece; plane -1: nowhere.
 
-    Planes (P, 4) and joined (M, 4) in camera space; joined first_joined[m]..first_joined[m + 1] bound one piece that
-    lies beside this one: where it touches, the matter runs on. `slope` and `left` (W,) are scratch. Row by row and
-    without branches, so that a row is a run of vectors.
+    bounds: PieceBounds. `distance` and `touching` (W,) are scratch. Each pass runs over a row without branches, so
+    that it compiles to vector instructions.
     """
+    planes, joined, first_joined, tolerance = bounds.planes, bounds.joined, bounds.first_joined, bounds.tolerance
     n = len(entry)
     orthographic = cam.orthographic != 0.0
     down = (y + 0.5 - cam.cy) / cam.fy
@@ -130,35 +150,32 @@ def enter_row(y, cam, planes, joined, first_joined, tolerance, entry, through, s
                 across = a * ((k + 0.5 - cam.cx) / cam.fx) + b * down
                 base = across + d if orthographic else d
                 along = c if orthographic else across + c
-                # Planes that the ray enters through lie before the last of them; testing them again would crack edges.
+                # Planes crossed from outside need no test: the last of them decides, and rounding would crack edges.
                 out = along >= 0.0 and base + entry[k] * along > 0.0
                 through[k] = -1 if out else through[k]
     for m in range(len(first_joined) - 1):
-        left[:] = 1.0
+        touching[:] = 1.0
         for p in range(first_joined[m], first_joined[m + 1]):
             a, b, c, d = joined[p, 0], joined[p, 1], joined[p, 2], joined[p, 3]
             for k in range(n):
                 across = a * ((k + 0.5 - cam.cx) / cam.fx) + b * down
-                slope[k] = across + d + entry[k] * c if orthographic else d + entry[k] * (across + c)
-                left[k] = left[k] if slope[k] <= tolerance else 0.0
+                distance[k] = across + d + entry[k] * c if orthographic else d + entry[k] * (across + c)
+                touching[k] = touching[k] if distance[k] <= tolerance else 0.0
         for k in range(n):
-            through[k] = -1 if left[k] > 0.0 else through[k]
-
-
-NO_PIECES = np.zeros(1, np.int64)
+            through[k] = -1 if touching[k] > 0.0 else through[k]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _enter(row, cam, planes, alone, depth, facing):  # type: ignore[no-untyped-def]
-    """Fills a row of depth (H, W) of the entry, inf where there is none, and of the cosine (H, W) at the plane."""
+def _enter(row, cam, bounds, depth, facing):
+    """Fills a row of the entry's depth (H, W), inf if there is none, and of its `facing_of` (H, W)."""
     width = depth.shape[1]
-    through, slope, left = np.empty(width, np.int32), np.empty(width), np.empty(width)
+    through, distance, touching = np.empty(width, np.int32), np.empty(width), np.empty(width)
     entry = depth[row]
-    enter_row(row, cam, planes, planes, alone, 0.0, entry, through, slope, left)
+    enter_row(row, cam, bounds, entry, through, distance, touching)
     down = (row + 0.5 - cam.cy) / cam.fy
     for k in range(width):
         if through[k] >= 0:
             across = (k + 0.5 - cam.cx) / cam.fx
-            facing[row, k] = facing_of(planes[through[k]], across, down, cam.orthographic != 0.0)
+            facing[row, k] = facing_of(bounds.planes[through[k]], across, down, cam.orthographic != 0.0)
         else:
             entry[k] = np.inf

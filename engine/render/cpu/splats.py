@@ -1,11 +1,13 @@
-"""Splats of the opaque image: from atoms to the records that the pixel loops read, and from their gradients back."""
+"""Splats of the opaque image: projected to the records that the pixel loops read, and the gradients back from them."""
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from engine.render.projection import (
     camera_point,
@@ -25,26 +27,73 @@ from engine.render.projection import (
 )
 from engine.scene.constants import CUTOFF_Q, EDGE_SLOPE, LOW_PASS
 
-__all__ = ["GRADIENT", "RECORD", "TILE", "project", "project_backward"]
+__all__ = [
+    "DEPTH",
+    "DEPTH_EXTENT",
+    "DEPTH_LIMIT",
+    "DEPTH_X",
+    "DEPTH_Y",
+    "GRADIENT",
+    "RECORD",
+    "SHARPNESS",
+    "SHEAR",
+    "SIGMA_X",
+    "SIGMA_Y",
+    "TILE",
+    "U_FRACTION",
+    "V_FRACTION",
+    "WEIGHT",
+    "WHITEN_X",
+    "WHITEN_Y",
+    "Splats",
+    "U",
+    "V",
+    "project",
+    "project_backward",
+]
 
 TILE = 8
-"""Edge of a tile in pixels: one row is one vector of floats; 16 pixels would waste half of a small splat's tile."""
+"""Edge of a tile in pixels: a row is one vector of floats, and 16 pixels would waste half of a small splat's tile."""
 
 RECORD = 16
-"""Numbers in a record, 64 bytes in float32: one cache line. 0 1 whole and broken part of u, 2 3 of v; 4 5 6 whitening,
-q / 2 = m^2 + n^2 with m = r4 dx, n = r5 (dy + r6 dx): squares lose no digits on needles; 7 depth, 8 9 its slope in
-the picture, 10 limit and 11 extent of its change; 12 weight rho, 13 rho times sharpness; 14 15 standard deviations
-in x and y, pixels."""
+"""Numbers in a record, 64 bytes in float32: one cache line. Their places are the constants below."""
+
+U, U_FRACTION, V, V_FRACTION = 0, 1, 2, 3
+"""Integer and fractional part of the mean, pixels: together they keep the digits that one float32 would lose."""
+
+WHITEN_X, WHITEN_Y, SHEAR = 4, 5, 6
+"""q / 2 = m^2 + n^2 with m = WHITEN_X dx, n = WHITEN_Y (dy + SHEAR dx): squares lose no digits on needles."""
+
+DEPTH, DEPTH_X, DEPTH_Y, DEPTH_LIMIT, DEPTH_EXTENT = 7, 8, 9, 10, 11
+"""Depth at the mean; its change per pixel in x and in y; the value that its change is clamped to, and the largest
+change within the cutoff. World units."""
+
+WEIGHT, SHARPNESS = 12, 13
+"""Weight rho = sqrt(det C0 / det C), and rho times the sharpness of an edge."""
+
+SIGMA_X, SIGMA_Y = 14, 15
+"""Standard deviations in x and y, pixels."""
 
 GRADIENT = 10
 """Sums over pixels that a (tile, splat) pair hands back, with p = dL/d(q/2): p dx, p dy, p dx^2, p dx dy, p dy^2; then
-the gradients of r12, r13 and of the colour."""
+the gradients of WEIGHT, SHARPNESS and the three colours."""
+
+
+class Splats(NamedTuple):
+    """N ellipsoids of one float type, contiguous; or their gradients. A named tuple, which numba can read."""
+
+    means: NDArray[np.floating]
+    """(N, 3). World units."""
+    scales: NDArray[np.floating]
+    """(N, 3). Standard deviations, world units."""
+    quats: NDArray[np.floating]
+    """(N, 4). wxyz, any length."""
 
 
 @njit(cache=True, error_model="numpy")
-def plane_range(cam, plane, u0, u1, v0, v1, z0, z1):  # type: ignore[no-untyped-def]
-    """Least and greatest signed distance from a camera-space plane (4,) of points seen at [u0, u1] x [v0, v1] in depth
-    [z0, z1]: the distance is affine in each of the three alone, so its ends are at the corners."""
+def distance_range(cam, plane, u0, u1, v0, v1, z0, z1):
+    """Least and greatest signed distance to a camera-space plane (4,) of points at pixels [u0, u1] x [v0, v1] and
+    depths [z0, z1]. The distance is affine in each of the three, so its extremes are at the corners."""
     low, high = np.inf, -np.inf
     for k in range(8):
         u = u1 if k & 1 else u0
@@ -59,27 +108,26 @@ def plane_range(cam, plane, u0, u1, v0, v1, z0, z1):  # type: ignore[no-untyped-
 
 
 @njit(cache=True, error_model="numpy")
-def narrowest(xx, xy, yy, det):  # type: ignore[no-untyped-def]
-    """Smaller eigenvalue of [[xx, xy], [xy, yy]], and half the distance between the two."""
+def least_eigenvalue(xx, xy, yy, det):
+    """Smaller eigenvalue of [[xx, xy], [xy, yy]], and half the difference of the two."""
     half = 0.5 * (xx - yy)
     radius = math.sqrt(half * half + xy * xy)
     return det / (0.5 * (xx + yy) + radius), radius
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def project(  # type: ignore[no-untyped-def]
+def project(
     chunk,
     chunk_size,
     cam,
     planes,  # [P, 4] camera space
-    lot,  # [2] first and end of the planes that bound these splats
-    means,
-    scales,
-    quats,
+    plane_range,  # [2] first and end of the planes that bound these splats
+    splats,  # Splats
     records,  # out [N, RECORD]
     spans,  # out [N, 6] first and end tile in x and in y; first and end of the planes that may cut it
 ):
     """Projects one chunk of splats. One that cannot be seen gets an empty span of tiles."""
+    means, scales, quats = splats.means, splats.scales, splats.quats
     width, height = cam.width, cam.height
     extent = math.sqrt(CUTOFF_Q)
     for i in range(chunk * chunk_size, min((chunk + 1) * chunk_size, len(means))):
@@ -106,50 +154,49 @@ def project(  # type: ignore[no-untyped-def]
         kx, ky = a * depth_x + b * depth_y, b * depth_x + c * depth_y
         reach = extent * math.sqrt(axes[6] * axes[6] + axes[7] * axes[7] + axes[8] * axes[8])
         # Over the ellipse q <= CUTOFF_Q the affine depth changes by no more than this.
-        deep = min(extent * math.sqrt(max(kx * depth_x + ky * depth_y, 0.0)), reach)
+        depth_extent = min(extent * math.sqrt(max(kx * depth_x + ky * depth_y, 0.0)), reach)
         cut = False
-        gone = False
-        for p in range(lot[0], lot[1]):
-            low, high = plane_range(cam, planes[p], x0 + 0.5, x1 - 0.5, y0 + 0.5, y1 - 0.5, z - deep, z + deep)
-            gone = gone or low > 0.0
+        removed = False
+        for p in range(plane_range[0], plane_range[1]):
+            low, high = distance_range(
+                cam, planes[p], x0 + 0.5, x1 - 0.5, y0 + 0.5, y1 - 0.5, z - depth_extent, z + depth_extent
+            )
+            removed = removed or low > 0.0
             cut = cut or high > 0.0
-        if gone:
+        if removed:
             continue
-        narrow, _ = narrowest(xx, xy, yy, det)
+        least, _ = least_eigenvalue(xx, xy, yy, det)
         weight = math.sqrt(det0 / det)
         r = records[i]
-        r[0], r[2] = math.floor(u), math.floor(v)
-        r[1], r[3] = u - math.floor(u), v - math.floor(v)
-        r[4], r[5], r[6] = 1.0 / math.sqrt(2.0 * xx), math.sqrt(0.5 * c), -xy / xx
-        r[7], r[8], r[9], r[10], r[11] = z, kx, ky, reach, deep
-        r[12], r[13] = weight, weight * max(1.0, math.sqrt(narrow) / EDGE_SLOPE)
-        r[14], r[15] = sx, sy
+        r[U], r[V] = math.floor(u), math.floor(v)
+        r[U_FRACTION], r[V_FRACTION] = u - math.floor(u), v - math.floor(v)
+        r[WHITEN_X], r[WHITEN_Y], r[SHEAR] = 1.0 / math.sqrt(2.0 * xx), math.sqrt(0.5 * c), -xy / xx
+        r[DEPTH], r[DEPTH_X], r[DEPTH_Y], r[DEPTH_LIMIT], r[DEPTH_EXTENT] = z, kx, ky, reach, depth_extent
+        r[WEIGHT], r[SHARPNESS] = weight, weight * max(1.0, math.sqrt(least) / EDGE_SLOPE)
+        r[SIGMA_X], r[SIGMA_Y] = sx, sy
         spans[i, 0], spans[i, 1] = int(x0) // TILE, (int(x1) - 1) // TILE + 1
         spans[i, 2], spans[i, 3] = int(y0) // TILE, (int(y1) - 1) // TILE + 1
         if cut:
-            spans[i, 4], spans[i, 5] = lot[0], lot[1]
+            spans[i, 4], spans[i, 5] = plane_range[0], plane_range[1]
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def project_backward(  # type: ignore[no-untyped-def]
+def project_backward(
     chunk,
     chunk_size,
     cam,
-    means,
-    scales,
-    quats,
-    spans,
+    splats,  # Splats
     first_rows,  # [N + 1]
     rows,  # [pairs, GRADIENT]
-    d_means,  # out [N, 3]
-    d_scales,  # out [N, 3]
-    d_quats,  # out [N, 4]
+    d_splats,  # out Splats
     d_colours,  # out [N, 3]
 ):
-    """Sums the rows of each splat of one chunk in their order and takes them back through the projection.
+    """Sums the rows of each splat of one chunk in order and takes them back through the projection.
 
-    Depth, clipping and the choice of fragments are constants.
+    Depth, clipping and the choice of fragments are treated as constants.
     """
+    means, scales, quats = splats.means, splats.scales, splats.quats
+    d_means, d_scales, d_quats = d_splats.means, d_splats.scales, d_splats.quats
     sums = np.empty(GRADIENT)
     for i in range(chunk * chunk_size, min((chunk + 1) * chunk_size, len(means))):
         d_means[i, :] = 0
@@ -160,10 +207,10 @@ def project_backward(  # type: ignore[no-untyped-def]
         for row in range(first_rows[i], first_rows[i + 1]):
             for k in range(GRADIENT):
                 sums[k] += rows[row, k]
-        seen = False
+        touched = False
         for k in range(GRADIENT):
-            seen = seen or sums[k] != 0.0
-        if not seen:
+            touched = touched or sums[k] != 0.0
+        if not touched:
             continue
         x, y, z = camera_point(cam, means[i, 0], means[i, 1], means[i, 2])
         qw, qx, qy, qz = quats[i, 0], quats[i, 1], quats[i, 2], quats[i, 3]
@@ -176,15 +223,15 @@ def project_backward(  # type: ignore[no-untyped-def]
         gxx, gxy, gyy = conic_backward(a, b, c, 0.5 * sums[2], sums[3], 0.5 * sums[4])
 
         weight = math.sqrt(det0 / det)
-        narrow, radius = narrowest(xx, xy, yy, det)
-        sharp = math.sqrt(narrow) / EDGE_SLOPE
+        least, radius = least_eigenvalue(xx, xy, yy, det)
+        sharp = math.sqrt(least) / EDGE_SLOPE
         g_weight = sums[5] + sums[6] * max(1.0, sharp)
         if sharp > 1.0:
-            g_narrow = sums[6] * weight / (2.0 * math.sqrt(narrow) * EDGE_SLOPE)
+            g_least = sums[6] * weight / (2.0 * math.sqrt(least) * EDGE_SLOPE)
             slant = 0.5 * (xx - yy) / radius if radius > 0.0 else 0.0
-            gxx += g_narrow * 0.5 * (1.0 - slant)
-            gyy += g_narrow * 0.5 * (1.0 + slant)
-            gxy -= g_narrow * xy / radius if radius > 0.0 else 0.0
+            gxx += g_least * 0.5 * (1.0 - slant)
+            gyy += g_least * 0.5 * (1.0 + slant)
+            gxy -= g_least * xy / radius if radius > 0.0 else 0.0
         # rho = |r1 x r2| / sqrt(det) with r1, r2 the rows of `flat`.
         g_det = -0.5 * weight / det * g_weight
         gxx += g_det * yy

@@ -1,7 +1,7 @@
 """The pixel loops of the opaque image's outside: a front depth, then sums over a thin layer behind it, tile by tile.
 
-Arrays may be float32, for pictures, or float64, for checking derivatives; the inner loops hold no literal, which would
-widen them, and run over whole rows of a tile without a branch, so that a row is one vector.
+Arrays are float32 for pictures or float64 for checking derivatives. The inner loops hold no literals, which would widen
+float32, and run over whole rows of a tile without branches, so that each row compiles to vector instructions.
 """
 
 from __future__ import annotations
@@ -12,12 +12,30 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
-from numba.core import types
-from numba.extending import overload
 from numpy.typing import NDArray
 
 from engine.render.classic.tiles import place_pairs
-from engine.render.cpu.splats import GRADIENT, TILE
+from engine.render.cpu.falloff import FUSED, falloff
+from engine.render.cpu.splats import (
+    DEPTH,
+    DEPTH_EXTENT,
+    DEPTH_LIMIT,
+    DEPTH_X,
+    DEPTH_Y,
+    GRADIENT,
+    SHARPNESS,
+    SHEAR,
+    SIGMA_X,
+    SIGMA_Y,
+    TILE,
+    U_FRACTION,
+    V_FRACTION,
+    WEIGHT,
+    WHITEN_X,
+    WHITEN_Y,
+    U,
+    V,
+)
 from engine.render.projection import CameraRecord
 from engine.scene.constants import CORE_Q, CUTOFF_Q, MIN_WEIGHT
 from engine.threads import for_each
@@ -25,83 +43,55 @@ from engine.threads import for_each
 __all__ = [
     "AREA",
     "CHUNKS",
-    "FUSED",
+    "FAR",
     "TILES_PER_TASK",
-    "Frame",
+    "TiledSplats",
     "accumulate",
     "accumulate_backward",
-    "falloff",
+    "fill_rays",
     "fragments",
     "resolve",
     "resolve_backward",
     "rows_of",
     "tile_lists",
-    "tile_points",
 ]
 
 AREA = TILE * TILE
+"""Pixels of a tile."""
 
 TILES_PER_TASK = 32
+"""Many tasks, so that the cores finish together, but each long compared with a call."""
 
 CHUNKS = 16
-"""Tasks into which the splats are cut. Fixed, so that the lists do not depend on the cores."""
+"""Tasks that the splats are split into. Fixed, so that the lists do not depend on the number of cores."""
 
 FAR = 1e30
-"""A depth limit behind everything where no front is known, yet before the infinite depth of what is clipped."""
+"""Depth limit of a pixel without a front: behind everything, yet before the infinite depth of clipped fragments."""
 
 
-FUSED = {"contract"}
-"""A product and a sum may be one step, rounded once: as exact, a tenth faster, and always the same on one machine."""
-
-
-class Frame(NamedTuple):
-    """Projected splats and their lists. A named tuple, which numba can read."""
+class TiledSplats(NamedTuple):
+    """Projected splats and the list of them for each tile. A named tuple, which numba can read."""
 
     cam: CameraRecord
     planes: NDArray[np.float64]
     """(P, 4). Planes of all pieces, camera space."""
     records: NDArray[np.floating]
-    """(N, RECORD)."""
+    """(N, RECORD). As `engine.render.cpu.splats` describes."""
     spans: NDArray[np.int32]
-    """(N, 6)."""
-    first: NDArray[np.int64]
-    """(tiles + 1,). Where the list of each tile begins."""
-    listed: NDArray[np.int32]
-    """(pairs,). Splats of the tiles, ascending."""
+    """(N, 6). First and end tile in x and in y; first and end of the planes that may cut the splat."""
+    tile_starts: NDArray[np.int64]
+    """(tiles + 1,). Where the list of each tile begins in `splat_ids`."""
+    splat_ids: NDArray[np.int32]
+    """(pairs,). The splats of each tile, ascending."""
     columns: int
     """Tiles in a row of the picture."""
     layer: float
     """Depth of the layer behind the front, world units."""
 
 
-def falloff(h: float) -> float:
-    """exp(-h) for h in [0, CUTOFF_Q / 2]."""
-    return math.exp(-h)
-
-
-@overload(falloff, jit_options={"fastmath": FUSED})
-def _falloff(h):  # type: ignore[no-untyped-def]
-    if h != types.float32:
-        return lambda h: math.exp(-h)
-
-    one = np.float32(1)
-    eighth, a, b, c, d = (np.float32(v) for v in (1 / 8, 1 / 2, 1 / 6, 1 / 24, 1 / 120))
-    e = np.float32(1 / 720)
-
-    def polynomial(h):  # type: ignore[no-untyped-def]
-        # exp(-h / 8) by its series, then squared three times: no table and no branch, so a row of pixels is one vector.
-        x = -h * eighth
-        y = one + x * (one + x * (a + x * (b + x * (c + x * (d + x * e)))))
-        y *= y
-        y *= y
-        return y * y
-
-    return polynomial
-
-
 @njit(cache=True, error_model="numpy", nogil=True)
-def count_tiles(chunk, chunk_size, spans, columns, counts):  # type: ignore[no-untyped-def]
-    """Adds to counts (chunks, tiles) the splats of one chunk that each tile lists."""
+def count_tiles(chunk, chunk_size, spans, columns, counts):
+    """Adds one chunk of splats to counts (chunks, tiles): how many of them each tile lists."""
     for i in range(chunk * chunk_size, min((chunk + 1) * chunk_size, len(spans))):
         for y in range(spans[i, 2], spans[i, 3]):
             for x in range(spans[i, 0], spans[i, 1]):
@@ -109,41 +99,45 @@ def count_tiles(chunk, chunk_size, spans, columns, counts):  # type: ignore[no-u
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def fill_tiles(chunk, chunk_size, spans, columns, places, listed):  # type: ignore[no-untyped-def]
-    """Writes the splats of one chunk into the lists at places (chunks, tiles), which move on."""
+def fill_tiles(chunk, chunk_size, spans, columns, places, splat_ids):
+    """Writes the splats of one chunk into the tiles' lists and advances places (chunks, tiles)."""
     for i in range(chunk * chunk_size, min((chunk + 1) * chunk_size, len(spans))):
         for y in range(spans[i, 2], spans[i, 3]):
             for x in range(spans[i, 0], spans[i, 1]):
                 tile = y * columns + x
-                listed[places[chunk, tile]] = i
+                splat_ids[places[chunk, tile]] = i
                 places[chunk, tile] += 1
 
 
 def tile_lists(
-    spans: NDArray[np.int32],  # [N, 6] as opaque_splats.project fills them
+    spans: NDArray[np.int32],  # [N, 6] as splats.project fills them
     columns: int,
     lines: int,
-    room: Callable[[str, tuple[int, ...], type], NDArray[Any]] = lambda name, shape, kind: np.empty(shape, kind),
+    buffer: Callable[[str, tuple[int, ...], type], NDArray[Any]] = lambda name, shape, kind: np.empty(shape, kind),
 ) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
-    """first (tiles + 1,) and listed (pairs,): the splats of each of columns x lines tiles, in their order.
+    """tile_starts (tiles + 1,) and splat_ids (pairs,) of columns x lines tiles, as in TiledSplats.
 
-    `room` gives the arrays by name, for callers that use theirs again.
+    `buffer` provides the arrays by name, for callers that reuse theirs.
     """
     size = -(-len(spans) // CHUNKS)
-    places, first = room("places", (CHUNKS, columns * lines), np.int64), room("first", (columns * lines + 1,), np.int64)
+    places = buffer("places", (CHUNKS, columns * lines), np.int64)
+    tile_starts = buffer("tile_starts", (columns * lines + 1,), np.int64)
     places[:] = 0
     for_each(count_tiles, CHUNKS, size, spans, columns, places)
-    place_pairs(places, first)
-    listed = room("listed", (int(first[-1]),), np.int32)
-    for_each(fill_tiles, CHUNKS, size, spans, columns, places, listed)
-    return first, listed
+    place_pairs(places, tile_starts)
+    splat_ids = buffer("splat_ids", (int(tile_starts[-1]),), np.int32)
+    for_each(fill_tiles, CHUNKS, size, spans, columns, places, splat_ids)
+    return tile_starts, splat_ids
 
 
 @njit(cache=True, error_model="numpy")
-def tile_points(frame, tile, px, py, base, slope):  # type: ignore[no-untyped-def]
-    """Fills pixel centres px, py (AREA,) and, for each plane, its distance base + z slope along each pixel's ray."""
-    cam, planes = frame.cam, frame.planes
-    left, top = tile % frame.columns * TILE, tile // frame.columns * TILE
+def fill_rays(tiled, tile, px, py, base, slope):
+    """Fills a tile's pixel centres px, py (AREA,) and its rays' distance to each plane, base + z slope (P, AREA).
+
+    The pixel loops allocate these arrays and repeat the prelude: with shared functions they take twice as long.
+    """
+    cam, planes = tiled.cam, tiled.planes
+    left, top = tile % tiled.columns * TILE, tile // tiled.columns * TILE
     for k in range(AREA):
         u, v = left + k % TILE + 0.5, top + k // TILE + 0.5
         px[k], py[k] = u, v
@@ -157,26 +151,29 @@ def tile_points(frame, tile, px, py, base, slope):  # type: ignore[no-untyped-de
 
 
 @njit(cache=True, error_model="numpy")
-def rows_of(r, extent, left, top):  # type: ignore[no-untyped-def]
+def rows_of(r, extent, left, top):
     """Pixels of a tile, as a range of whole rows, that an ellipse of `extent` standard deviations can touch."""
-    reach = extent * r[14]
-    u = r[0] + r[1] - left
+    reach = extent * r[SIGMA_X]
+    u = r[U] + r[U_FRACTION] - left
     if u + reach < 0.0 or u - reach > TILE:
         return 0, 0
-    reach = extent * r[15]
-    v = r[2] + r[3] - top
-    low, high = max(v - reach - 0.501, 0.0), min(v + reach - 0.499, TILE - 1.0)  # of row centres, with some air
+    reach = extent * r[SIGMA_Y]
+    v = r[V] + r[V_FRACTION] - top
+    low, high = (
+        max(v - reach - 0.501, 0.0),
+        min(v + reach - 0.499, TILE - 1.0),
+    )  # rows by their centres, with a margin for rounding
     if not (low <= high and high >= 0.0):
         return 0, 0
     return TILE * int(low), TILE * (int(high) + 1)
 
 
 @njit(cache=True, error_model="numpy", fastmath=FUSED)
-def fragments(r, span, near, px, py, base, slope, start, end, h, z):  # type: ignore[no-untyped-def]
-    """Fills h = q / 2 and depth z of a splat's fragments in pixels start..end; z is infinite where it is clipped."""
+def fragments(r, span, near, px, py, base, slope, start, end, h, z):
+    """Fills h = q / 2 and depth z of a splat's fragments in pixels start..end; z is infinite if clipped."""
     zero, infinite = z.dtype.type(0), z.dtype.type(np.inf)
-    u0, u1, v0, v1, a, b, c = r[0], r[1], r[2], r[3], r[4], r[5], r[6]
-    middle, kx, ky, reach = r[7], r[8], r[9], r[10]
+    u0, u1, v0, v1, a, b, c = r[U], r[U_FRACTION], r[V], r[V_FRACTION], r[WHITEN_X], r[WHITEN_Y], r[SHEAR]
+    middle, kx, ky, reach = r[DEPTH], r[DEPTH_X], r[DEPTH_Y], r[DEPTH_LIMIT]
     for k in range(np.uintp(start), np.uintp(end)):
         dx, dy = (px[k] - u0) - u1, (py[k] - v0) - v1
         m, n = a * dx, b * (dy + c * dx)
@@ -189,47 +186,47 @@ def fragments(r, span, near, px, py, base, slope, start, end, h, z):  # type: ig
 
 
 @njit(cache=True, error_model="numpy", nogil=True, fastmath=FUSED)
-def accumulate(task, frame, colours, front, sums):  # type: ignore[no-untyped-def]
-    """Both passes over some tiles: fills front (H, W), the depth of the nearest core, and sums (H, W, 5): weight,
-    weight times sharpness, weight times RGB of the fragments no more than the layer's depth behind it."""
+def accumulate(task, tiled, colours, front, sums):
+    """Both passes over some tiles. Fills front (H, W), the depth of the nearest core, and sums (H, W, 5): weight,
+    weight times sharpness and weight times RGB of the fragments no more than the layer's depth behind the front."""
     height, width = front.shape
-    kind = frame.records.dtype.type
-    lane = np.empty((6, AREA), kind)
+    kind = tiled.records.dtype.type
+    near, lane = kind(tiled.cam.near), np.empty((6, AREA), kind)
     px, py, h, z, nearest, limit = lane[0], lane[1], lane[2], lane[3], lane[4], lane[5]
-    base, slope = np.empty((len(frame.planes), AREA), kind), np.empty((len(frame.planes), AREA), kind)
+    base, slope = np.empty((len(tiled.planes), AREA), kind), np.empty((len(tiled.planes), AREA), kind)
     total = np.empty((5, AREA), kind)
     s0, s1, s2, s3, s4 = total[0], total[1], total[2], total[3], total[4]
-    infinite, near, zero, layer = kind(np.inf), kind(frame.cam.near), kind(0.0), kind(frame.layer)
+    infinite, zero, layer = kind(np.inf), kind(0.0), kind(tiled.layer)
     core, cutoff = kind(0.5 * CORE_Q), kind(0.5 * CUTOFF_Q)
-    for tile in range(task * TILES_PER_TASK, min((task + 1) * TILES_PER_TASK, len(frame.first) - 1)):
-        left, top = tile % frame.columns * TILE, tile // frame.columns * TILE
+    for tile in range(task * TILES_PER_TASK, min((task + 1) * TILES_PER_TASK, len(tiled.tile_starts) - 1)):
+        left, top = tile % tiled.columns * TILE, tile // tiled.columns * TILE
         nearest[:] = infinite
         total[:] = zero
-        if frame.first[tile] < frame.first[tile + 1]:
-            tile_points(frame, tile, px, py, base, slope)
-        for pair in range(frame.first[tile], frame.first[tile + 1]):
-            i = frame.listed[pair]
-            r = frame.records[i]
+        if tiled.tile_starts[tile] < tiled.tile_starts[tile + 1]:
+            fill_rays(tiled, tile, px, py, base, slope)
+        for pair in range(tiled.tile_starts[tile], tiled.tile_starts[tile + 1]):
+            i = tiled.splat_ids[pair]
+            r = tiled.records[i]
             start, end = rows_of(r, math.sqrt(CORE_Q), left, top)
             if start == end:
                 continue
-            fragments(r, frame.spans[i], near, px, py, base, slope, start, end, h, z)
+            fragments(r, tiled.spans[i], near, px, py, base, slope, start, end, h, z)
             for k in range(np.uintp(start), np.uintp(end)):
                 nearest[k] = min(nearest[k], z[k] if h[k] <= core else infinite)
         last = -infinite
         for k in range(AREA):
             limit[k] = nearest[k] + layer if nearest[k] < infinite else kind(FAR)
             last = max(last, limit[k])
-        for pair in range(frame.first[tile], frame.first[tile + 1]):
-            i = frame.listed[pair]
-            r = frame.records[i]
-            if r[7] - r[11] > last:
+        for pair in range(tiled.tile_starts[tile], tiled.tile_starts[tile + 1]):
+            i = tiled.splat_ids[pair]
+            r = tiled.records[i]
+            if r[DEPTH] - r[DEPTH_EXTENT] > last:
                 continue
             start, end = rows_of(r, math.sqrt(CUTOFF_Q), left, top)
             if start == end:
                 continue
-            fragments(r, frame.spans[i], near, px, py, base, slope, start, end, h, z)
-            weight, edge = r[12], r[13]
+            fragments(r, tiled.spans[i], near, px, py, base, slope, start, end, h, z)
+            weight, edge = r[WEIGHT], r[SHARPNESS]
             red, green, blue = colours[i, 0], colours[i, 1], colours[i, 2]
             for k in range(np.uintp(start), np.uintp(end)):
                 g = falloff(min(h[k], cutoff))
@@ -249,10 +246,10 @@ def accumulate(task, frame, colours, front, sums):  # type: ignore[no-untyped-de
 
 
 @njit(cache=True, error_model="numpy")
-def _add_row(part, g, px, py, r, red, green, blue, at):  # type: ignore[no-untyped-def]
-    """Adds what one row of a tile hands back to the lanes of the GRADIENT sums in `part`."""
+def _add_row(part, g, px, py, r, red, green, blue, at):
+    """Adds the gradients of one row of a tile to the lanes of the GRADIENT sums in `part`."""
     given = np.uintp(GRADIENT * TILE) + at
-    u0, u1, v0, v1, weight, edge = r[0], r[1], r[2], r[3], r[12], r[13]
+    u0, u1, v0, v1, weight, edge = r[U], r[U_FRACTION], r[V], r[V_FRACTION], r[WEIGHT], r[SHARPNESS]
     for k in range(np.uintp(TILE)):
         d0, d1 = part[given + k], part[given + np.uintp(AREA) + k]
         d2, d3 = part[given + np.uintp(2 * AREA) + k], part[given + np.uintp(3 * AREA) + k]
@@ -274,25 +271,25 @@ def _add_row(part, g, px, py, r, red, green, blue, at):  # type: ignore[no-untyp
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def accumulate_backward(task, frame, colours, front, d_sums, first_rows, rows):  # type: ignore[no-untyped-def]
+def accumulate_backward(task, tiled, colours, front, d_sums, first_rows, rows):
     """Writes the gradient row of every pair of some tiles, given d_sums (H, W, 5) of `accumulate`.
 
-    A splat's pairs have neighbouring rows from first_rows (N + 1,), tile after tile, so their sum has one order.
+    A splat's pairs have adjacent rows from first_rows (N + 1,), tile after tile: they are summed in a fixed order.
     """
     height, width = front.shape
-    kind = frame.records.dtype.type
-    lane = np.empty((5, AREA), kind)
+    kind = tiled.records.dtype.type
+    near, lane = kind(tiled.cam.near), np.empty((5, AREA), kind)
     px, py, h, z, limit = lane[0], lane[1], lane[2], lane[3], lane[4]
-    base, slope = np.empty((len(frame.planes), AREA), kind), np.empty((len(frame.planes), AREA), kind)
-    # One flat array, for one base pointer: with twenty the compiler would have to suspect that they overlap.
+    base, slope = np.empty((len(tiled.planes), AREA), kind), np.empty((len(tiled.planes), AREA), kind)
+    # One flat array: with twenty base pointers the compiler would have to assume that they overlap.
     part = np.empty(GRADIENT * TILE + 5 * AREA, kind)
-    near, zero, layer, cutoff = kind(frame.cam.near), kind(0.0), kind(frame.layer), kind(0.5 * CUTOFF_Q)
-    for tile in range(task * TILES_PER_TASK, min((task + 1) * TILES_PER_TASK, len(frame.first) - 1)):
-        column, line = tile % frame.columns, tile // frame.columns
+    zero, layer, cutoff = kind(0.0), kind(tiled.layer), kind(0.5 * CUTOFF_Q)
+    for tile in range(task * TILES_PER_TASK, min((task + 1) * TILES_PER_TASK, len(tiled.tile_starts) - 1)):
+        column, line = tile % tiled.columns, tile // tiled.columns
         left, top = column * TILE, line * TILE
-        if frame.first[tile] == frame.first[tile + 1]:
+        if tiled.tile_starts[tile] == tiled.tile_starts[tile + 1]:
             continue
-        tile_points(frame, tile, px, py, base, slope)
+        fill_rays(tiled, tile, px, py, base, slope)
         last = -kind(np.inf)
         for k in range(AREA):
             x, y = left + k % TILE, top + k // TILE
@@ -302,15 +299,15 @@ def accumulate_backward(task, frame, colours, front, d_sums, first_rows, rows): 
                 last = max(last, limit[k])
             for c in range(5):
                 part[GRADIENT * TILE + c * AREA + k] = d_sums[y, x, c] if x < width and y < height else zero
-        for pair in range(frame.first[tile], frame.first[tile + 1]):
-            i = frame.listed[pair]
-            r = frame.records[i]
-            if r[7] - r[11] > last:
+        for pair in range(tiled.tile_starts[tile], tiled.tile_starts[tile + 1]):
+            i = tiled.splat_ids[pair]
+            r = tiled.records[i]
+            if r[DEPTH] - r[DEPTH_EXTENT] > last:
                 continue
             start, end = rows_of(r, math.sqrt(CUTOFF_Q), left, top)
             if start == end:
                 continue
-            fragments(r, frame.spans[i], near, px, py, base, slope, start, end, h, z)
+            fragments(r, tiled.spans[i], near, px, py, base, slope, start, end, h, z)
             red, green, blue = colours[i, 0], colours[i, 1], colours[i, 2]
             # From here on h holds exp(-q / 2).
             for k in range(np.uintp(start), np.uintp(end)):
@@ -319,7 +316,7 @@ def accumulate_backward(task, frame, colours, front, d_sums, first_rows, rows): 
             part[: GRADIENT * TILE] = zero
             for line_k in range(start // TILE, end // TILE):
                 _add_row(part, h, px, py, r, red, green, blue, np.uintp(line_k * TILE))
-            span = frame.spans[i]
+            span = tiled.spans[i]
             at = first_rows[i] + (line - span[2]) * (span[1] - span[0]) + column - span[0]
             for c in range(GRADIENT):
                 total = zero
@@ -329,7 +326,7 @@ def accumulate_backward(task, frame, colours, front, d_sums, first_rows, rows): 
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def resolve(y, sums, rgb, alpha):  # type: ignore[no-untyped-def]
+def resolve(y, sums, rgb, alpha):
     """Fills row y of rgb (H, W, 3), weighted by alpha, and alpha (H, W) from the sums of `accumulate`."""
     for x in range(sums.shape[1]):
         weight = sums[y, x, 0]
@@ -342,8 +339,8 @@ def resolve(y, sums, rgb, alpha):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def resolve_backward(y, sums, d_rgb, d_alpha, d_sums):  # type: ignore[no-untyped-def]
-    """Fills row y of d_sums (H, W, 5): `resolve` backwards. A covering that is held at 0 or 1 passes nothing on."""
+def resolve_backward(y, sums, d_rgb, d_alpha, d_sums):
+    """Fills row y of d_sums (H, W, 5): `resolve` backwards. An alpha clamped to 0 or 1 passes no gradient on."""
     for x in range(sums.shape[1]):
         d_sums[y, x, :] = 0
         weight, edge = float(sums[y, x, 0]), float(sums[y, x, 1])

@@ -1,19 +1,21 @@
-"""Which atoms of a skin the solid under them hides: those that look away from the eye.
+"""Backface culling of a skin's atoms: the solid under the skin hides those that face away from the eye.
 
-On a closed, filled body a point whose outward normal points away from the eye lies behind the body's own front, or
-behind a cut face. That is only so where the skin is flat discs, has the solid under it and air over it, and hardly
-turns within the reach of an atom; everywhere else an atom has no cone and is always drawn. Where the solid shows
-anywhere without a skin over it, no atom has one: through a hole the far side would be seen from within. And where the
-line of sight enters through a cut face near the skin, the face may have a gap: then the atom is drawn, too.
+On a closed, filled body a point whose outward normal faces away from the eye lies behind the body's own front, or
+behind a cut face. An atom gets a cone of normals (a mean axis and the least cosine to it) only where that argument
+holds: the skin consists of flat discs, has solid under it and air over it, and hardly bends within the reach of an
+atom. Everywhere else an atom has no cone and is always drawn. If the solid is bare of skin anywhere, no atom has a
+cone, because the far side could be seen from inside through the hole. Nor is an atom culled if the line of sight
+enters through a cut face near the skin, since the face may have a gap there.
 
-Holes finer than the grid are not known here: what is hidden is only put last. A graphics card holds it against the
-depth of what was drawn, the processor's kernels do so tile by tile (engine.render.cpu.window_holes).
+Holes finer than the grid go unnoticed, so hidden atoms are not dropped but drawn last. The graphics card tests them
+against the depth of what was drawn, the software kernels tile by tile (engine.render.cpu.software_holes).
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -22,48 +24,63 @@ from numpy.typing import NDArray
 from engine.scene.atoms import Atoms
 from engine.scene.rotations import normalised_quats, rotation_matrices
 
-__all__ = ["DEEP", "NO_CONE", "RIND", "Hiding", "hiding", "nothing_hides"]
+__all__ = ["DEEP", "NEVER", "SHELL", "BackfaceCulling", "NormalCones", "backface_culling", "no_culling"]
 
 Float = NDArray[np.float32]
 
-NO_CONE = 2.0
-"""Least cosine of an atom that nothing hides: no cosine reaches it."""
+NEVER = 2.0
+"""Least cosine of an atom that is never culled: no cosine reaches it."""
 
 FLAT = 0.5
-"""Thickness over the next axis from which a disc has no side."""
+"""Ratio of the two shortest axes from which an atom is no longer a disc and has no normal."""
 
 CELL = 1.5
-"""Cells of the occupancy grid, in pitches: one holds three or four lattice atoms, evened out over 4 x 4 x 4 cells."""
+"""Edge of an occupancy cell in pitches: a cell holds three or four lattice atoms, smoothed over 4 x 4 x 4 cells."""
 
 FILLED = 0.4
-"""Share of a cell's lattice from which it counts as solid."""
+"""Fraction of a full cell's lattice from which the cell counts as solid."""
 
 DENSE = 0.7
-"""Share of a cell's lattice from which a cut face through it has no gap."""
+"""Fraction of a full cell's lattice from which a cut face through the cell has no gaps."""
 
-AIR, RIND, DEEP = 0, 1, 2
-"""Zones: nothing there; near the skin, or sparse; inside the solid, with a cell of solid all around."""
+EMPTY, SHELL, DEEP = 0, 1, 2
+"""Zones of cells: nothing there; near the skin or sparse; inside the solid, with solid cells on all sides."""
 
 MARGIN = math.radians(8.0)
-"""Beyond edge-on: an atom turned away by less may still round off a silhouette."""
+"""Angle beyond edge-on: an atom turned away by less may still be part of a silhouette."""
 
 MARGIN_STEP = math.radians(3.0)
-"""Fineness with which the margin grows with the footprint of a pixel."""
+"""Steps in which the margin grows with the footprint of a pixel."""
 
 MOST_CELLS = 1 << 25
-"""Cells of the occupancy grid; an object strewn wider than that has no cones."""
+"""Largest occupancy grid; an object spread over more cells has no cones."""
+
+
+class NormalCones(NamedTuple):
+    """The cones for one eye, as the kernels read them; floats are float32. A named tuple, which numba can read."""
+
+    axes: Float
+    """(S, 3). Outward unit vectors."""
+    min_cosine: Float
+    """(S,). An atom is hidden if dot(axis, direction from the eye to it) is at least this; NEVER: always drawn."""
+    zone: NDArray[np.uint8]
+    """(X, Y, Z). EMPTY, SHELL or DEEP, cell by cell."""
+    low: Float
+    """(3,). Outer corner of cell (0, 0, 0), world units."""
+    cell: np.float32
+    """Edge of a cell, world units."""
 
 
 @dataclass(frozen=True)
-class Hiding:
-    """What is known of a skin before any camera is."""
+class BackfaceCulling:
+    """What can be said of a skin before the camera is known."""
 
     axes: Float
     """(S, 3). Outward unit vectors, one for each surface atom."""
-    least: Float
-    """(S,). An atom is hidden where dot(axis, direction from the eye to it) is at least this; NO_CONE: never."""
+    min_cosine: Float
+    """(S,). As in `NormalCones`, for pixels of no size."""
     zone: NDArray[np.uint8]
-    """(X, Y, Z). AIR, RIND or DEEP, cell by cell."""
+    """(X, Y, Z). EMPTY, SHELL or DEEP, cell by cell."""
     low: NDArray[np.float64]
     """(3,). Outer corner of cell (0, 0, 0), world units."""
     cell: float
@@ -71,46 +88,55 @@ class Hiding:
     pitch: float
     """Of the solid, world units."""
 
-    def least_at(self, eye: NDArray[np.float64] | None, footprint: float) -> Float:
-        """(S,). `least` for an eye (3,), None if it is infinitely far, and pixels that span `footprint` world units.
+    def cones(self, eye: NDArray[np.float64] | None, footprint: float) -> NormalCones:
+        """The cones for an eye (3,), None if infinitely far away, and pixels that span `footprint` world units."""
+        low = self.low.astype(np.float32)
+        return NormalCones(self.axes, self._min_cosine_at(eye, footprint), self.zone, low, np.float32(self.cell))
 
-        From within the solid, where one looks at the skin from behind, nothing is hidden.
+    def _min_cosine_at(self, eye: NDArray[np.float64] | None, footprint: float) -> Float:
+        """(S,). `min_cosine`, widened for the size of a pixel.
 
-        What is turned away by m lies inside of the silhouette by (1 - cos m) radii of curvature; two pixels at a
-        radius of twenty pitches keep it from rounding the silhouette off. In steps, so that few are ever made.
+        From inside the solid, where the skin is seen from behind, nothing is hidden.
+
+        An atom turned away by m lies inside the silhouette by (1 - cos m) radii of curvature; a margin of two pixels
+        at a radius of twenty pitches leaves the silhouette as it is. The margin grows in steps, so that few versions
+        are ever computed.
         """
         if eye is not None:
-            at = np.floor((eye - self.low) / self.cell).astype(np.int64)
-            if (at >= 0).all() and (at < self.zone.shape).all() and self.zone[tuple(at)] != AIR:
-                return np.full_like(self.least, NO_CONE)
+            index = np.floor((eye - self.low) / self.cell).astype(np.int64)
+            inside = (index >= 0).all() and (index < self.zone.shape).all()
+            if inside and self.zone[tuple(index)] != EMPTY:
+                return np.full_like(self.min_cosine, NEVER)
         away = math.acos(max(-1.0, 1 - 2 * footprint / (20 * self.pitch)))
         step = max(0, math.ceil((away - MARGIN) / MARGIN_STEP))
-        if step not in self._known:
-            angle = np.arcsin(np.minimum(self.least, 1)) + step * MARGIN_STEP
-            widened = np.where((self.least <= 1) & (angle < math.pi / 2), np.sin(angle), NO_CONE)
-            self._known[step] = widened.astype(np.float32)
-        return self._known[step]
+        if step not in self._widened:
+            angle = np.arcsin(np.minimum(self.min_cosine, 1)) + step * MARGIN_STEP
+            widened = np.where((self.min_cosine <= 1) & (angle < math.pi / 2), np.sin(angle), NEVER)
+            self._widened[step] = widened.astype(np.float32)
+        return self._widened[step]
 
-    _known: dict[int, Float] = field(default_factory=dict, init=False, repr=False, compare=False)
-
-
-def nothing_hides(count: int) -> Hiding:
-    """For atoms that are always drawn."""
-    least = np.full(count, NO_CONE, np.float32)
-    return Hiding(np.zeros((count, 3), np.float32), least, np.zeros((1, 1, 1), np.uint8), np.zeros(3), 1.0, 1.0)
+    _widened: dict[int, Float] = field(default_factory=dict, init=False, repr=False, compare=False)
 
 
-def hiding(atoms: Atoms) -> Hiding:
-    """What the solid hides of its surface atoms."""
+def no_culling(count: int) -> BackfaceCulling:
+    """For atoms that are always drawn: `count` of them, none with a cone."""
+    min_cosine = np.full(count, NEVER, np.float32)
+    return BackfaceCulling(
+        np.zeros((count, 3), np.float32), min_cosine, np.zeros((1, 1, 1), np.uint8), np.zeros(3), 1.0, 1.0
+    )
+
+
+def backface_culling(atoms: Atoms) -> BackfaceCulling:
+    """Which of its surface atoms the solid hides, and from where."""
     skin, inside = atoms.surface, atoms.interior
     if not len(skin) or not len(inside):
-        return nothing_hides(len(skin))
+        return no_culling(len(skin))
     cell = CELL * atoms.pitch
     low = np.minimum(skin.means.min(0), inside.means.min(0)).astype(np.float64) - 4 * cell
     high = np.maximum(skin.means.max(0), inside.means.max(0)).astype(np.float64) + 4 * cell
     shape = np.ceil((high - low) / cell).astype(np.int64) + 1
     if shape.prod() > MOST_CELLS:
-        return nothing_hides(len(skin))
+        return no_culling(len(skin))
 
     def cells_of(points: NDArray[np.floating]) -> NDArray[np.int64]:
         return np.floor((points - low) / cell).astype(np.int64)
@@ -119,52 +145,52 @@ def hiding(atoms: Atoms) -> Hiding:
     solid = np.zeros(shape, np.float32)
     spacing = 2 * inside.sigmas / cell
     parts = np.ceil(spacing).astype(np.int64)
-    for count in np.unique(parts):  # an atom wider than a cell fills all that its cube covers
-        own = parts == count
+    for count in np.unique(parts):  # an atom wider than a cell fills every cell of its cube
+        chosen = parts == count
         steps = ((np.arange(count) + 0.5) / count - 0.5).astype(np.float32)
         for step in np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), -1).reshape(-1, 3):
-            places = cells_of(inside.means[own] + step * 2 * inside.sigmas[own, None])
-            np.add.at(solid, tuple(places.T), (spacing[own] / count) ** 3)
-    for axis in range(3):  # evens out how many lattice points happen to fall into a cell
+            places = cells_of(inside.means[chosen] + step * 2 * inside.sigmas[chosen, None])
+            np.add.at(solid, tuple(places.T), (spacing[chosen] / count) ** 3)
+    for axis in range(3):  # smooths how many lattice points happen to fall into a cell
         solid = (np.roll(solid, 1, axis) + 2 * solid + np.roll(solid, -1, axis)) / 4
     filled = solid >= FILLED
     skinned = np.zeros(shape, bool)
     skinned[tuple(cells_of(skin.means).T)] = True
-    deep = ~spread(solid < DENSE) & ~spread(skinned)
-    zone = np.where(deep, DEEP, np.where(spread(filled | skinned), RIND, AIR)).astype(np.uint8)
+    deep = ~dilated(solid < DENSE) & ~dilated(skinned)
+    zone = np.where(deep, DEEP, np.where(dilated(filled | skinned), SHELL, EMPTY)).astype(np.uint8)
     skinned[tuple(at[: inside.exposed].T)] = True
-    if not closed(filled, skinned):
-        return nothing_hides(len(skin))
+    if not is_covered(filled, skinned):
+        return no_culling(len(skin))
 
-    normals, flat = discs(skin.scales, skin.quats)
+    normals, flat = disc_normals(skin.scales, skin.quats)
     means = skin.means.astype(np.float64)
     under = filled[tuple(cells_of(means - 1.5 * cell * normals).T)]
     over = filled[tuple(cells_of(means + 1.5 * cell * normals).T)]
     normals = np.where((over & ~under)[:, None], -normals, normals)
     backed = flat & (under != over) & filled[tuple(cells_of(means - 3 * cell * normals).T)]
-    axes, cosines = cones(cells_of(means), shape, normals.astype(np.float32), backed)
+    axes, cosines = normal_cones(cells_of(means), shape, normals.astype(np.float32), backed)
     angle = np.arccos(np.clip(cosines, -1, 1)) + MARGIN
-    least = np.where((cosines > 0) & (angle < math.pi / 2), np.sin(angle), NO_CONE)
-    return Hiding(axes, least.astype(np.float32), zone, low, cell, float(atoms.pitch))
+    min_cosine = np.where((cosines > 0) & (angle < math.pi / 2), np.sin(angle), NEVER)
+    return BackfaceCulling(axes, min_cosine.astype(np.float32), zone, low, cell, float(atoms.pitch))
 
 
-def spread(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """The mask and all cells that touch it."""
+def dilated(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """The mask (X, Y, Z) grown by one cell in all directions, corners included."""
     for axis in range(3):
         mask = mask | np.roll(mask, 1, axis) | np.roll(mask, -1, axis)
     return mask
 
 
-def discs(scales: Float, quats: Float) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Shortest axes (S, 3), of either sign, and which atoms are flat enough to have a side."""
+def disc_normals(scales: Float, quats: Float) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Shortest axes (S, 3), of either sign, and which atoms (S,) are flat enough for that to be a normal."""
     order = np.sort(scales, axis=1)
     columns = rotation_matrices(normalised_quats(quats)).transpose(0, 2, 1)
     return columns[np.arange(len(scales)), scales.argmin(1)], order[:, 0] < FLAT * order[:, 1]
 
 
-def closed(filled: NDArray[np.bool_], skinned: NDArray[np.bool_]) -> bool:
-    """Whether each filled cell beside an empty one has skin in its neighbourhood."""
-    near = spread(skinned)
+def is_covered(filled: NDArray[np.bool_], skinned: NDArray[np.bool_]) -> bool:
+    """Whether every filled cell with an empty neighbour has skin nearby."""
+    near = dilated(skinned)
     border = np.zeros_like(filled)
     for axis in range(3):
         border |= ~np.roll(filled, 1, axis) | ~np.roll(filled, -1, axis)
@@ -172,10 +198,10 @@ def closed(filled: NDArray[np.bool_], skinned: NDArray[np.bool_]) -> bool:
 
 
 @njit(cache=True)
-def cones(cells, shape, normals, backed):  # type: ignore[no-untyped-def]
-    """Mean normal (S, 3) of each atom's cell, and the least cosine (S,) to it in that cell and those around it.
+def normal_cones(cells, shape, normals, backed):
+    """Mean normal (S, 3) of each atom's cell, and the least cosine (S,) to it in that cell and its neighbours.
 
-    The cosine is -1 where one of the atoms there is not backed.
+    The cosine is -1 if one of the atoms there does not lie flat on the solid (`backed`).
     """
     n = len(cells)
     sums = np.zeros((shape[0], shape[1], shape[2], 3), np.float32)

@@ -1,7 +1,7 @@
-"""Atoms in spatial chunks: a run of a few hundred along a Morton curve, with its box.
+"""Atoms in spatial chunks: runs of a few hundred along a Morton curve, each with its bounding box.
 
-What a frame draws is decided chunk by chunk, and what is left is one list of indices. Within a chunk the atoms stand in
-bit-reversed order, so that any prefix of them is spread over the chunk: the coarser levels of detail.
+Culling first goes chunk by chunk, then atom by atom, and leaves one list of indices. Within a chunk the atoms are in
+bit-reversed order, so that any prefix is spread evenly over the chunk: these are the coarser levels of detail.
 """
 
 from __future__ import annotations
@@ -12,21 +12,21 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from engine.render.culling.backface import RIND
+from engine.render.culling.backface import SHELL
 from engine.scene.morton import morton_order
 
-__all__ = ["CHUNK", "Chunks", "build", "near_plane", "pick"]
+__all__ = ["CHUNK", "Chunks", "atoms_at_plane", "build", "classify"]
 
 CHUNK = 256
-"""Atoms of a chunk: smaller ones cull better but cost more per frame; from 128 to 512 frames take the same time."""
+"""Atoms of a chunk. Smaller chunks cull better but cost more per frame; 128 to 512 take the same time."""
 
 
 @dataclass(frozen=True)
 class Chunks:
-    """K chunks of N atoms, which stand in the order of `order`."""
+    """K chunks of N atoms."""
 
     order: NDArray[np.intp]
-    """(N,). Row in the caller's arrays of each atom here."""
+    """(N,). Row of each atom in the caller's arrays."""
     first: NDArray[np.int64]
     """(K,). Each chunk's first atom."""
     count: NDArray[np.int64]
@@ -34,7 +34,7 @@ class Chunks:
     middle: NDArray[np.float64]
     """(K, 3). Centre of each box."""
     half: NDArray[np.float64]
-    """(K, 3). Half its sides; boxes hold the atoms' centres."""
+    """(K, 3). Half of each box's sides; boxes hold the atoms' centres, not their extents."""
     sigma: NDArray[np.float64]
     """(K,). Largest standard deviation in each chunk."""
 
@@ -68,7 +68,7 @@ def build(means: NDArray[np.float32], sigmas: NDArray[np.float32], chunk: int = 
 
 
 def reversal(n: int) -> NDArray[np.intp]:
-    """(n,). The numbers below n ordered by their reversed bits: every prefix is spread evenly."""
+    """(n,). The numbers below n ordered by their reversed bits, so that every prefix is spread evenly."""
     bits = max(n - 1, 0).bit_length()
     numbers = np.arange(1 << bits)
     reverse = np.zeros_like(numbers)
@@ -78,10 +78,10 @@ def reversal(n: int) -> NDArray[np.intp]:
 
 
 @njit(cache=True)
-def near_plane(points, reach, first, count, planes, j):  # type: ignore[no-untyped-def]
+def atoms_at_plane(points, reach, first, count, planes, j):
     """uint32 indices of atoms that plane j of planes (P, 4) meets and no other plane removes, from runs of atoms.
 
-    points (N, 3) float32, reach (N,) float32: how far an atom is felt.
+    points (N, 3) and reach (N,), the distance at which an atom ends, are float32. A run is `count` atoms from `first`.
     """
     total = 0
     for k in range(len(first)):
@@ -105,20 +105,20 @@ def near_plane(points, reach, first, count, planes, j):  # type: ignore[no-untyp
 
 
 @njit(cache=True)
-def pick(points, reach, axes, least, zone, low, cell, first, count, planes, eye, parallel):  # type: ignore[no-untyped-def]
-    """uint32 indices of the atoms on a piece's outside: those no plane touches, those one clips, those the solid hides.
+def classify(points, reach, first, count, planes, eye, orthographic, cones):
+    """uint32 indices of a piece's outside atoms: those no plane touches, those one clips, those that face away.
 
-    points (N, 3), reach (N,): how far an atom is felt. axes (N, 3), least (N,), zone (X, Y, Z), low (3,), cell: see
-    backface.Hiding. planes (P, 4). eye (3,): where it is, or with `parallel` the direction it looks in.
+    points (N, 3) and reach (N,), the distance at which an atom ends. A run is `count` atoms from `first`.
+    planes (P, 4). eye (3,): its position, or if orthographic the viewing direction. cones: backface.NormalCones.
     Floats are float32.
     """
     total = 0
     for k in range(len(first)):
         total += count[k]
-    free = np.empty(total, np.uint32)
+    unclipped = np.empty(total, np.uint32)
     clipped = np.empty(total, np.uint32)
     hidden = np.empty(total, np.uint32)
-    frees = clips = hides = 0
+    unclipped_count = clipped_count = hidden_count = 0
     for k in range(len(first)):
         for i in range(first[k], first[k] + count[k]):
             x, y, z = points[i, 0], points[i, 1], points[i, 2]
@@ -130,44 +130,46 @@ def pick(points, reach, axes, least, zone, low, cell, first, count, planes, eye,
                     kept = False
                     break
                 touched = touched or distance > -r
-                # The rim of a face is rounded off by atoms that reach over it.
+                # Atoms that reach over the rim of a face are part of its outline.
                 close = close or distance > np.float32(-1.5) * r
             if not kept:
                 continue
-            if least[i] <= 1 and not close:
+            if cones.min_cosine[i] <= 1 and not close:
                 dx, dy, dz = eye[0], eye[1], eye[2]
                 length = np.float32(1.0)
-                if not parallel:
+                if not orthographic:
                     dx, dy, dz = x - dx, y - dy, z - dz
                     length = np.sqrt(dx * dx + dy * dy + dz * dz)
-                if dx * axes[i, 0] + dy * axes[i, 1] + dz * axes[i, 2] >= least[i] * length and sound(
-                    x, y, z, dx, dy, dz, parallel, planes, zone, low, cell
+                cosine = dx * cones.axes[i, 0] + dy * cones.axes[i, 1] + dz * cones.axes[i, 2]
+                if cosine >= cones.min_cosine[i] * length and enters_clear_of_skin(
+                    x, y, z, dx, dy, dz, orthographic, planes, cones
                 ):
-                    hidden[hides] = i
-                    hides += 1
+                    hidden[hidden_count] = i
+                    hidden_count += 1
                     continue
             if touched:
-                clipped[clips] = i
-                clips += 1
+                clipped[clipped_count] = i
+                clipped_count += 1
             else:
-                free[frees] = i
-                frees += 1
-    return free[:frees], clipped[:clips], hidden[:hides]
+                unclipped[unclipped_count] = i
+                unclipped_count += 1
+    return unclipped[:unclipped_count], clipped[:clipped_count], hidden[:hidden_count]
 
 
 @njit(cache=True)
-def sound(x, y, z, dx, dy, dz, parallel, planes, zone, low, cell):  # type: ignore[no-untyped-def]
-    """Whether the line of sight (dx, dy, dz) to a point meets each plane in the air or deep inside, not in the rind."""
+def enters_clear_of_skin(x, y, z, dx, dy, dz, orthographic, planes, cones):
+    """Whether the line of sight (dx, dy, dz) to a point crosses every plane in empty space or deep inside the solid."""
+    zone, low, cell = cones.zone, cones.low, cones.cell
     for j in range(len(planes)):
         along = planes[j, 0] * dx + planes[j, 1] * dy + planes[j, 2] * dz
         if along >= 0:
             continue
         back = (planes[j, 0] * x + planes[j, 1] * y + planes[j, 2] * z + planes[j, 3]) / along
-        if not parallel and back > 1:  # the plane lies behind the eye
+        if not orthographic and back > 1:  # the plane lies behind the eye
             continue
         a = int(np.floor((x - back * dx - low[0]) / cell))
         b = int(np.floor((y - back * dy - low[1]) / cell))
         c = int(np.floor((z - back * dz - low[2]) / cell))
-        if 0 <= a < zone.shape[0] and 0 <= b < zone.shape[1] and 0 <= c < zone.shape[2] and zone[a, b, c] == RIND:
+        if 0 <= a < zone.shape[0] and 0 <= b < zone.shape[1] and 0 <= c < zone.shape[2] and zone[a, b, c] == SHELL:
             return False
     return True

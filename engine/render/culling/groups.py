@@ -1,4 +1,4 @@
-"""Pieces that lie together, farthest first, and what of the picture they can touch."""
+"""Groups of pieces with the same transform, and the part of the picture that each can touch."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ from engine.scene.camera import Camera
 from engine.scene.piece import Piece
 from engine.scene.plane import stack
 
-__all__ = ["MAX_PLANES", "Group", "Rect", "grouped", "seen_groups"]
+__all__ = ["MAX_PLANES", "Group", "Rect", "group_pieces", "visible_groups"]
 
 Double = NDArray[np.float64]
 Group = tuple[Double, list[int]]
-"""A transform (4, 4) and the numbers of the pieces that have it."""
+"""A transform (4, 4) and the indices of the pieces that have it."""
 
 Rect = tuple[int, int, int, int]
 """x, y, width, height in pixels, from the top left."""
 
 MAX_PLANES = 64
-"""Planes that can bound one piece, after those that cut nothing off it are dropped."""
+"""Planes that can bound one piece, not counting those that cut nothing off."""
 
 
-def grouped(pieces: Sequence[Piece]) -> list[Group]:
-    """Pieces that lie together."""
+def group_pieces(pieces: Sequence[Piece]) -> list[Group]:
+    """The pieces by transform; those with the same one lie together as they grew."""
     groups: list[Group] = []
     for i, piece in enumerate(pieces):
         for transform, members in groups:
@@ -41,10 +41,10 @@ def grouped(pieces: Sequence[Piece]) -> list[Group]:
     return groups
 
 
-def seen_groups(
+def visible_groups(
     solid: Solid, camera: Camera, pieces: Sequence[Piece], groups: Sequence[Group]
 ) -> Iterator[tuple[int, View, list[Double], Rect]]:
-    """The groups that show, farthest first: number, view, each piece's planes (P, 4), and where on the screen."""
+    """The visible groups, farthest first: number, view, each piece's planes (P, 4), rectangle of the picture."""
     depth = [float((camera.viewmat @ transform @ np.append(solid.centre, 1))[2]) for transform, _ in groups]
     for number in np.argsort(depth)[::-1].tolist():
         transform, members = groups[number]
@@ -56,29 +56,29 @@ def seen_groups(
 
 
 def bounding_planes(piece: Piece, solid: Solid) -> Double | None:
-    """(P, 4). The planes of a piece that cut the solid, in centred object space; None where nothing is left.
+    """(P, 4). The planes of a piece that cut the solid, in centred object space; None if nothing is left of it.
 
-    Raises InputError where they are more than MAX_PLANES.
+    Raises InputError for more than MAX_PLANES.
     """
     planes = stack(piece.planes)
     planes[:, 3] += planes[:, :3] @ solid.centre
-    # Those that miss the object: all of it is kept, or nothing.
+    # A plane that misses the object keeps all of it or nothing.
     if (planes[:, 3] > solid.radius).any():
         return None
     planes = planes[planes[:, 3] >= -solid.radius]
     if len(planes) > 1:
         polygons = face_polygons(planes, *solid.box)
-        showing = np.array([len(p) >= 3 for p in polygons])
-        if not showing.any() and len(planes):
-            return None  # they shut each other out, or would bound the piece somewhere
-        planes = planes[showing]
+        bounding = np.array([len(p) >= 3 for p in polygons])
+        if not bounding.any() and len(planes):
+            return None  # no plane bounds the piece anywhere: the half-spaces have no point in common
+        planes = planes[bounding]
     if len(planes) > MAX_PLANES:
         raise InputError(f"a piece with {len(planes)} planes; at most {MAX_PLANES} can bound one, cut less often")
     return planes
 
 
 def bounds_on_screen(view: View, pieces: Sequence[Double], solid: Solid) -> Rect | None:
-    """The part of the picture that what the pieces keep of the solid can touch; None where there is none."""
+    """The part of the picture that the pieces can touch; None if there is none."""
     least, most = view.extent(np.zeros((1, 3)), np.array([solid.reach]))
     low, high = np.full(2, np.inf), np.full(2, -np.inf)
     for planes in pieces:

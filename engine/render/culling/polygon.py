@@ -1,4 +1,4 @@
-"""The polygon that a plane shows within a piece: its section with a box, clipped by the piece's other planes."""
+"""The polygon of a plane within a piece: its section with a box, clipped by the piece's other planes."""
 
 from __future__ import annotations
 
@@ -11,31 +11,31 @@ from numpy.typing import NDArray
 
 from engine.scene.plane import frame
 
-__all__ = ["corners_within", "face_polygons", "section_of_box", "without"]
+__all__ = ["corners_within", "face_polygons", "section_of_box", "subtract"]
 
 Double = NDArray[np.float64]
 Result = TypeVar("Result")
 
 
-def kept(function: Callable[[Double, Double, Double], Result]) -> Callable[[Double, Double, Double], Result]:
-    """Remembers the last results for planes (P, 4) and a box: those of a frame are mostly those of the frame before."""
+def cached(function: Callable[[Double, Double, Double], Result]) -> Callable[[Double, Double, Double], Result]:
+    """Caches results for planes (P, 4) and a box, which mostly stay the same from frame to frame."""
 
     @lru_cache(maxsize=64)
-    def known(planes: bytes, low: bytes, high: bytes) -> Result:
+    def compute(planes: bytes, low: bytes, high: bytes) -> Result:
         return function(np.frombuffer(planes).reshape(-1, 4), np.frombuffer(low), np.frombuffer(high))
 
     @wraps(function)
     def call(planes: Double, low: Double, high: Double) -> Result:
-        return known(*(np.ascontiguousarray(a, np.float64).tobytes() for a in (planes, low, high)))
+        return compute(*(np.ascontiguousarray(a, np.float64).tobytes() for a in (planes, low, high)))
 
     return call
 
 
-@kept
+@cached
 def face_polygons(planes: Double, low: Double, high: Double) -> list[Double]:
     """One convex polygon (V, 3) for each of the planes (P, 4); (0, 3) where it does not bound the piece.
 
-    The piece is where all planes keep, within the box from low (3,) to high (3,).
+    The piece is the intersection of all half-spaces, within the box from low (3,) to high (3,).
     """
     size = float(np.linalg.norm(high - low))
     polygons = []
@@ -45,7 +45,7 @@ def face_polygons(planes: Double, low: Double, high: Double) -> list[Double]:
             if m != j and len(polygon):
                 alike = other[:3] @ plane[:3] > 1 - 1e-12 and abs(other[3] - plane[3]) < 1e-12 * size
                 if alike and m > j:
-                    continue  # a plane given twice: its first mention shows it, the others nothing
+                    continue  # a plane given twice: only the first one has a face
                 polygon = polygon[:0] if alike else clip(polygon, other[:3], float(other[3]))
         polygons.append(polygon)
     return polygons
@@ -65,7 +65,7 @@ def section_of_box(plane: Double, low: Double, high: Double) -> Double:
     return polygon
 
 
-@kept
+@cached
 def corners_within(planes: Double, low: Double, high: Double) -> Double:
     """(V, 3). The corners of what planes (P, 4) keep of the box from low (3,) to high (3,), some of them twice."""
     sides = [
@@ -83,10 +83,10 @@ def corners_within(planes: Double, low: Double, high: Double) -> Double:
     return np.concatenate(polygons)
 
 
-def without(polygon: Double, planes: Double, tolerance: float) -> list[Double]:
-    """What is left of a convex polygon (V, 3) outside of the convex solid that planes (P, 4) bound, as convex parts.
+def subtract(polygon: Double, planes: Double, tolerance: float) -> list[Double]:
+    """The part of a convex polygon (V, 3) outside the convex solid bounded by planes (P, 4), in convex parts.
 
-    The solid counts as larger by the tolerance: what touches it is inside.
+    The solid is grown by the tolerance, so that what touches it is inside.
     """
     left = []
     for normal, offset in zip(planes[:, :3], planes[:, 3], strict=True):

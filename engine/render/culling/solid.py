@@ -1,4 +1,4 @@
-"""An object of atoms as renderers draw it: in chunks about its centre, with what each mode shows of it."""
+"""An object of atoms as the renderers draw it: in chunks, relative to its centre, with the splats of each mode."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from engine.render.culling.backface import hiding
-from engine.render.culling.outermost import outermost
+from engine.render.culling.backface import backface_culling
+from engine.render.culling.boundary import boundary_atoms
 from engine.render.culling.store import Ellipsoids, Spheres
 from engine.scene import sh
 from engine.scene.atoms import Atoms
@@ -18,63 +18,63 @@ __all__ = ["Solid"]
 
 Float = NDArray[np.float32]
 
-CORE_SCALE = 1.2
-"""How much larger the outermost interior atoms are drawn where there is no skin: the core of a splat (half height, 1.18
-sigma) then reaches the middle of a lattice's cell, 1.41 sigma away; the layers behind fill what jitter opens."""
+BOUNDARY_SCALE = 1.2
+"""Factor on the boundary layer's atoms if there is no skin: the core of a splat (half height, 1.18 sigma) then reaches
+the middle of a lattice cell, 1.41 sigma away; the layers behind fill the gaps left by jitter."""
 
 
 class Solid:
-    """Surface and interior atoms, each in a store of their own."""
+    """Surface and interior atoms in separate stores."""
 
     def __init__(self, atoms: Atoms) -> None:
         bounds = atoms.bounds.astype(np.float64)
         skin, inside = atoms.surface, atoms.interior
         widest = max(float(skin.scales.max(initial=0)), float(inside.sigmas.max(initial=0)))
         self.centre = bounds.mean(0)
-        """(3,). All that is drawn is relative to it, so that far-off scenes keep their digits."""
+        """(3,). Everything is drawn relative to it, so that scenes far from the origin keep their digits."""
         far = [np.linalg.norm(means - self.centre, axis=1).max(initial=0) for means in (skin.means, inside.means)]
         self.reach = float(max(far)) + 3 * widest
-        """About the centre, world units: all of the object, splats included."""
-        # In depth the corners of a splat's quad count, a factor of sqrt(2) more, and epsilon lies in front.
+        """Radius of the object around the centre, splats included, world units."""
+        # Depths extend to the corners of a splat's quad, a factor of sqrt(2), and the layer lies in front.
         self.radius = float(max(far)) + 4.5 * widest + 2 * EPSILON_PITCHES * atoms.pitch
-        """About the centre, world units: the range of depths."""
+        """Radius of the range of depths around the centre, world units."""
         half = (bounds[1] - bounds[0]) / 2 + 3 * widest
         self.box = -half, half
-        """All of the object: the box' corners (3,), relative to the centre."""
+        """Corners (3,) of the object's box, splats included, relative to the centre."""
         self.pitch = float(atoms.pitch)
-        hidden = hiding(atoms)
-        hidden = replace(hidden, low=hidden.low - self.centre)
-        self.skin = Ellipsoids(self._shifted(skin.means), skin.scales, skin.quats, skin.sh, hidden)
+        culling = backface_culling(atoms)
+        culling = replace(culling, low=culling.low - self.centre)
+        self.skin = Ellipsoids(self._shifted(skin.means), skin.scales, skin.quats, skin.sh, culling)
         self.inside = Spheres(self._shifted(inside.means), inside.sigmas, inside.rgb)
         self._atoms = atoms
         self._exposed = self._as_splats(np.arange(inside.exposed)) if inside.exposed else None
-        self._core: Ellipsoids | None = None
-        self._core_rows = np.zeros(0, np.intp)
+        self._boundary: Ellipsoids | None = None
+        self._boundary_rows = np.zeros(0, np.intp)
         self._rgb = inside.rgb
 
     def _shifted(self, means: Float) -> Float:
         return (means.astype(np.float64) - self.centre).astype(np.float32)
 
     def _as_splats(self, rows: NDArray[np.integer], scale: float = 1.0) -> Ellipsoids:
-        """Interior atoms for the outside view."""
+        """Interior atoms as splats of the outside."""
         inside = self._atoms.interior
         unit = np.tile(np.array([1, 0, 0, 0], np.float32), (len(rows), 1))
         scales = np.repeat(np.float32(scale) * inside.sigmas[rows, None], 3, 1)
         return Ellipsoids(self._shifted(inside.means[rows]), scales, unit, sh.rgb_to_sh(inside.rgb[rows, None]))
 
     def splats(self, interior_only: bool) -> list[Ellipsoids]:
-        """What the outside shows: skin and exposed atoms, or the outermost of the interior ones."""
+        """The splats of the outside: skin and exposed atoms, or the interior's boundary layer."""
         if not interior_only:
             return [self.skin] if self._exposed is None else [self.skin, self._exposed]
-        if self._core is None:
+        if self._boundary is None:
             inside = self._atoms.interior
-            self._core_rows = np.flatnonzero(outermost(inside.means, inside.sigmas))
-            self._core = self._as_splats(self._core_rows, CORE_SCALE)
-            self._core.update(sh.rgb_to_sh(self._rgb[self._core_rows, None]))
-        return [self._core]
+            self._boundary_rows = np.flatnonzero(boundary_atoms(inside.means, inside.sigmas))
+            self._boundary = self._as_splats(self._boundary_rows, BOUNDARY_SCALE)
+            self._boundary.update(sh.rgb_to_sh(self._rgb[self._boundary_rows, None]))
+        return [self._boundary]
 
     def update(self, sh_coefficients: Float | None, rgb: Float | None) -> None:
-        """Other colours, (S, (d+1)^2, 3) and (I, 3), for the same atoms."""
+        """Replaces the colours of the same atoms, (S, (d+1)^2, 3) and (I, 3); None leaves them unchanged."""
         if sh_coefficients is not None:
             self.skin.update(sh_coefficients)
         if rgb is not None:
@@ -82,5 +82,5 @@ class Solid:
             self.inside.update(rgb)
             if self._exposed is not None:
                 self._exposed.update(sh.rgb_to_sh(rgb[: len(self._exposed), None]))
-            if self._core is not None:
-                self._core.update(sh.rgb_to_sh(rgb[self._core_rows, None]))
+            if self._boundary is not None:
+                self._boundary.update(sh.rgb_to_sh(rgb[self._boundary_rows, None]))

@@ -1,4 +1,4 @@
-"""A camera as the shaders read it, for one rigid placement of the object; and what of the object it can see."""
+"""A camera as the shaders read it, for one rigid placement of the object, and the bounds of what it can see."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from engine.render.culling.chunks import Chunks
+from engine.render.projection import camera_record
 from engine.scene.camera import Camera
 from engine.scene.constants import CLAMP_MARGIN, LOW_PASS, NOTHING
 
@@ -18,20 +19,20 @@ __all__ = ["FAR_BELOW", "View"]
 Double = NDArray[np.float64]
 
 FAR_BELOW = -NOTHING
-"""Stands for minus infinity in a shader, whose compiler may do away with infinities."""
+"""Stands for minus infinity in a shader, whose compiler may not support infinities."""
 
 BLUR_REACH = 3 * LOW_PASS**0.5 + 1
-"""Pixels that the low-pass adds to a splat's reach, and one for rounding."""
+"""Pixels that the low-pass adds to a splat's radius, and one for rounding."""
 
 
 @dataclass(frozen=True)
 class View:
-    """A camera and the placement of the object under it."""
+    """A camera, and the placement of the object in front of it."""
 
     camera: Camera
     """In the object's own space."""
     centre: Double
-    """(3,). The object's centre: what the GPU holds is relative to it, so that far-off scenes keep their digits."""
+    """(3,). The object's centre: buffers are relative to it, so that scenes far from the origin keep their digits."""
     radius: float
     """Radius about the centre that holds all of the object, splats included."""
 
@@ -50,7 +51,7 @@ class View:
 
     @property
     def near(self) -> float:
-        """Depth where the picture begins."""
+        """Least depth that is drawn, world units."""
         return FAR_BELOW if self.camera.orthographic else self.camera.near
 
     @property
@@ -61,9 +62,8 @@ class View:
 
     @cached_property
     def uniforms(self) -> dict[str, Any]:
-        """What shaders/camera.glsl and project.vert.glsl ask for."""
-        c = self.camera
-        side_x, side_y = CLAMP_MARGIN * 0.5 * c.width / c.fx, CLAMP_MARGIN * 0.5 * c.height / c.fy
+        """The uniforms of shaders/camera.glsl and project.vert.glsl."""
+        c, record = self.camera, camera_record(self.camera)
         return {
             "view": self.matrix.T,
             "lens": (c.fx, c.fy, c.cx, c.cy),
@@ -71,12 +71,7 @@ class View:
             "eye": tuple(self.eye),
             "near": self.near,
             "depth_range": self.depth_range,
-            "held": (
-                -c.cx / c.fx - side_x,
-                (c.width - c.cx) / c.fx + side_x,
-                -c.cy / c.fy - side_y,
-                (c.height - c.cy) / c.fy + side_y,
-            ),
+            "slope_limits": (record.x_low, record.x_high, record.y_low, record.y_high),
         }
 
     def planes_in_camera(self, planes: Double) -> Double:
@@ -85,7 +80,7 @@ class View:
         return np.concatenate([normals, (planes[:, 3] - normals @ self.matrix[:3, 3])[:, None]], 1)
 
     def sees_removed_side(self, planes: Double) -> NDArray[np.bool_]:
-        """(P,). Which planes of centred object space can show a face: the eye is on their removed side."""
+        """(P,). Which planes (P, 4) of centred object space can have a visible face: the eye is on the removed side."""
         if self.camera.orthographic:
             return planes[:, :3] @ self.eye < 0
         return planes[:, :3] @ self.eye + planes[:, 3] > 0
@@ -95,10 +90,10 @@ class View:
         scale = (self.camera.fx * self.camera.fy) ** 0.5
         return np.full_like(z, 1 / scale) if self.camera.orthographic else np.maximum(z, 0) / scale
 
-    def chunks_seen(self, chunks: Chunks, enlarge: float) -> tuple[NDArray[np.bool_], NDArray[np.bool_], Double]:
-        """Which chunks (K,) can be in the picture, which lie wholly inside it, and the diameter of their largest splat.
+    def visible_chunks(self, chunks: Chunks, enlarge: float) -> tuple[NDArray[np.bool_], NDArray[np.bool_], Double]:
+        """Which chunks (K,) can be visible, which lie entirely in the picture, and their largest splat's diameter.
 
-        The second and third decide what may be drawn as points: a point whose centre is outside is not drawn at all.
+        The second and third decide what may be drawn as points, as GL does not draw a point with its centre outside.
         """
         c = self.camera
         centre = chunks.middle @ self.matrix[:3, :3].T + self.matrix[:3, 3]
@@ -112,7 +107,7 @@ class View:
             zoom = max(c.fx, c.fy) / np.maximum(z - box, 1e-6 * box + 1e-30)
             tilt_x = (1 + 2 * CLAMP_MARGIN) * max(c.cx, c.width - c.cx) / c.fx
             tilt_y = (1 + 2 * CLAMP_MARGIN) * max(c.cy, c.height - c.cy) / c.fy
-        # A splat's affine extent is 3 sigma f / z * sqrt(1 + slope^2), the slope held; and the low-pass in pixels.
+        # A splat's affine extent is 3 sigma f / z * sqrt(1 + slope^2), the slope clamped; the low-pass adds pixels.
         stretch = (1 + tilt_x**2 + tilt_y**2) ** 0.5
         reach = 3 * sigma * stretch
         seen = np.ones(len(z), bool) if c.orthographic else z + box > c.near
@@ -120,7 +115,7 @@ class View:
         deepest = np.ones(len(z)) if c.orthographic else np.maximum(z + box, 0)
         for f, shift, extent, x in ((c.fx, c.cx, c.width, centre[:, 0]), (c.fy, c.cy, c.height, centre[:, 1])):
             for sign, edge in ((1, shift), (-1, extent - shift)):
-                # Signed distance to the picture's edge: in pixels, of a pinhole camera times depth.
+                # Signed distance to the picture's edge: in pixels, and for a pinhole camera times depth.
                 at = sign * f * x + edge * (1 if c.orthographic else z)
                 span = box * (f if c.orthographic else np.hypot(f, edge))
                 seen &= at + span >= -(f * reach + BLUR_REACH * deepest)
@@ -130,7 +125,7 @@ class View:
     def extent(self, middle: Double, radius: Double) -> tuple[Double, Double]:
         """(2,), (2,). Least and largest pixel x and y that balls (K, 3), (K,) of centred object space can touch.
 
-        Infinite where a ball is beside or about the eye.
+        Infinite if a ball is beside or around the eye.
         """
         c = self.camera
         centre = middle @ self.matrix[:3, :3].T + self.matrix[:3, 3]

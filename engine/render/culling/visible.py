@@ -1,4 +1,4 @@
-"""Which atoms of a skin a piece can show to a view, and how each has to be drawn."""
+"""Which atoms of a skin a view can see of a piece, and how each has to be drawn."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from engine.render.culling.backface import nothing_hides
-from engine.render.culling.chunks import pick
-from engine.render.culling.look import Look
+from engine.render.culling.backface import no_culling
+from engine.render.culling.chunks import classify
+from engine.render.culling.draw_options import DrawOptions
 from engine.render.culling.store import Ellipsoids
 from engine.render.culling.view import View
 
@@ -20,37 +20,37 @@ def visible_atoms(
     view: View,
     pieces: Sequence[NDArray[np.float64]],
     splats: Ellipsoids,
-    look: Look,
+    options: DrawOptions,
     classes: Sequence[NDArray[np.bool_]],  # [K] each
 ) -> list[list[tuple[NDArray[np.uint32], NDArray[np.uint32], NDArray[np.uint32]]]]:
-    """For each piece and each class of chunks: indices of the atoms that no plane touches, that one clips, and that
-    show only where the skin before them has a hole (no plane touches these, either)."""
-    chunks, enlarge = splats.chunks, look.disc_scale
-    seen, _, _ = view.chunks_seen(chunks, enlarge)
-    if not look.cull:
+    """For each piece and each class of chunks: indices of the atoms that no plane touches, that a plane clips, and that
+    are visible only through a hole in the skin in front of them (no plane touches these either)."""
+    chunks, enlarge = splats.chunks, options.disc_scale
+    seen, _, _ = view.visible_chunks(chunks, enlarge)
+    if not options.cull:
         seen = np.ones_like(seen)
-    # A splat is felt three sigma away, and what the low-pass adds, which grows with depth.
+    # A splat ends at three sigma, plus what the low-pass adds, which grows with depth.
     deepest = chunks.middle @ view.matrix[2, :3] + view.matrix[2, 3] + np.linalg.norm(chunks.half, axis=1)
     widened = 4 * view.footprint(deepest)
-    count = -(-chunks.count // 2**look.level)
+    count = -(-chunks.count // 2**options.level)
     reach = splats.reach * np.float32(enlarge) + np.repeat(widened.astype(np.float32), chunks.count)
-    hide = splats.hiding if look.cull else nothing_hides(len(splats))
+    culling = splats.culling if options.cull else no_culling(len(splats))
     farthest = view.footprint(np.array([view.matrix[2, 3] + view.radius]))
-    least = hide.least_at(None if view.camera.orthographic else view.eye, float(farthest[0]))
-    eye, low = view.eye.astype(np.float32), hide.low.astype(np.float32)
-    found = []
+    cones = culling.cones(None if view.camera.orthographic else view.eye, float(farthest[0]))
+    eye = view.eye.astype(np.float32)
+    result = []
     for planes in pieces:
         kept = seen.copy()
         for plane in planes:
             kept &= chunks.distances(plane[:3], plane[3])[:, 0] <= 3 * chunks.sigma * enlarge + widened
-        flat = planes.astype(np.float32)
-        found.append(
+        planes_32 = planes.astype(np.float32)
+        result.append(
             [
-                pick(
-                    splats.means, reach, hide.axes, least, hide.zone, low, np.float32(hide.cell),
-                    chunks.first[kept & chosen], count[kept & chosen], flat, eye, view.camera.orthographic,
+                classify(
+                    splats.means, reach, chunks.first[kept & chosen], count[kept & chosen], planes_32, eye,
+                    view.camera.orthographic, cones,
                 )
                 for chosen in classes
             ]
         )  # fmt: skip
-    return found
+    return result

@@ -1,6 +1,6 @@
-"""The GL engine: opaque atoms with exact cuts, and the capture as it came, in OpenGL 3.3 core."""
+"""The GL engine: opaque atoms with exact cuts, and the unchanged capture, in OpenGL 3.3 core."""
 
-from engine.render.culling.look import Mode
+from engine.render.culling.draw_options import Mode
 from engine.render.gl.context import GLMissing
 from engine.render.gl.overlay import Lines, Sheet
 from engine.render.gl.renderer import Renderer

@@ -1,4 +1,4 @@
-"""Runs of records on the GPU, made by transform feedback and drawn once or twice: as points or as quads."""
+"""Batches of records on the GPU: written by transform feedback, then drawn as points or as quads."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ CORNERS = np.array([[-1, -1], [1, -1], [-1, 1], [1, 1]], np.float32)
 
 
 class Batch:
-    """Records of one kind, and how many there are."""
+    """Records of one kind."""
 
     def __init__(self, ctx: moderngl.Context, corners: moderngl.Buffer) -> None:
         self.ctx = ctx
@@ -26,9 +26,9 @@ class Batch:
         self._arrays: dict[tuple[moderngl.Program, bool], moderngl.VertexArray] = {}
 
     def fill(self, array: moderngl.VertexArray, fields: dict[str, int], first: int, count: int) -> None:
-        """Runs the array's vertices first..first+count through its program and keeps what comes out."""
+        """Runs vertices first..first+count of the array through its program and stores the output."""
         if self.records.reserve(4 * sum(fields.values()) * count):
-            self._forget()
+            self._release_arrays()
         self.count = count
         if count:
             array.transform(self.records.buffer, moderngl.POINTS, vertices=count, first=first)
@@ -48,19 +48,19 @@ class Batch:
         else:
             self._arrays[key].render(moderngl.TRIANGLE_STRIP, vertices=4, instances=self.count)
 
-    def _forget(self) -> None:
+    def _release_arrays(self) -> None:
         for array in self._arrays.values():
             array.release()
         self._arrays.clear()
 
     def release(self) -> None:
-        """Frees the buffer and what draws it."""
-        self._forget()
+        """Frees the buffer and its vertex arrays."""
+        self._release_arrays()
         self.records.release()
 
 
 class Pool:
-    """Batches that are used again from frame to frame, and one list of indices that fills them."""
+    """Batches that are reused from frame to frame, and the list of indices that fills them."""
 
     def __init__(self, ctx: moderngl.Context) -> None:
         self.ctx = ctx
@@ -75,7 +75,7 @@ class Pool:
         self._taken = 0
 
     def take(self) -> Batch:
-        """A batch that nobody holds in this frame."""
+        """A batch that is not yet used in this frame."""
         if self._taken == len(self._batches):
             self._batches.append(Batch(self.ctx, self.corners))
         self._taken += 1
@@ -84,7 +84,7 @@ class Pool:
     def write_indices(self, rows: NDArray[np.uint32]) -> None:
         """The indices that `source` arrays read from now on."""
         if self.indices.write(rows):
-            self.forget_sources()
+            self.clear_sources()
 
     def source(
         self, program: moderngl.Program, *streams: tuple[moderngl.Buffer, dict[str, int]]
@@ -97,15 +97,15 @@ class Pool:
             self._sources[key] = self.ctx.vertex_array(program, content, self.indices.buffer)
         return self._sources[key]
 
-    def forget_sources(self) -> None:
-        """Drops the arrays over atoms: their buffers are gone or the indices stand elsewhere."""
+    def clear_sources(self) -> None:
+        """Frees the vertex arrays over atoms, when their buffers or the index buffer have been replaced."""
         for array in self._sources.values():
             array.release()
         self._sources.clear()
 
     def clear(self) -> None:
-        """Frees what grew for the atoms that were: another object needs other batches, of other sizes."""
-        self.forget_sources()
+        """Frees the batches: another object needs batches of other sizes."""
+        self.clear_sources()
         for batch in self._batches:
             batch.release()
         self._batches.clear()

@@ -1,4 +1,4 @@
-"""Atoms on the GPU: a buffer of geometry and one of colours for each store that a frame draws from."""
+"""Atoms on the GPU: a buffer of geometry and one of colours for each store."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from engine.render.culling.store import Ellipsoids, Spheres
 __all__ = ["Buffers", "Streams"]
 
 Streams = tuple[tuple[moderngl.Buffer, dict[str, int]], ...]
-"""Interleaved buffers, each with its attributes and how many floats they have."""
+"""Interleaved buffers, each with its attributes and their numbers of floats."""
 
 
 @dataclass
 class _Uploaded:
-    """What of a store is on the GPU."""
+    """A store's buffers on the GPU."""
 
     store: Ellipsoids | Spheres
     geometry: moderngl.Buffer
@@ -28,31 +28,31 @@ class _Uploaded:
 
 
 class Buffers:
-    """Uploads stores when they are first drawn, and their colours when these have changed."""
+    """Uploads stores when they are first drawn, and their colours whenever these have changed."""
 
     def __init__(self, ctx: moderngl.Context) -> None:
         self.ctx = ctx
-        self._held: dict[int, _Uploaded] = {}
+        self._uploads: dict[int, _Uploaded] = {}
 
     def streams(self, store: Ellipsoids | Spheres, flat: bool = False) -> Streams:
         """The buffers of a store; `flat`: without the colours that depend on the view."""
-        held = self._upload(store)
+        uploaded = self._upload(store)
         if isinstance(store, Spheres):
-            return (held.geometry, {"mean": 3, "sigma": 1}), (held.colours, {"rgb": 3})
+            return (uploaded.geometry, {"mean": 3, "sigma": 1}), (uploaded.colours, {"rgb": 3})
         floats = 4 * store.vectors
         colours = {"dc": 3, "rest": floats - 3} if flat else {"sh": floats}
-        return (held.geometry, {"mean": 3, "scale": 3, "quat": 4}), (held.colours, colours)
+        return (uploaded.geometry, {"mean": 3, "scale": 3, "quat": 4}), (uploaded.colours, colours)
 
     def _upload(self, store: Ellipsoids | Spheres) -> _Uploaded:
-        geometry, colours = store.kept
-        held = self._held.get(id(store))
-        if held is None:
-            held = _Uploaded(store, self._buffer(geometry), self._buffer(colours), store.version)
-            self._held[id(store)] = held
-        elif held.version != store.version:
-            held.colours.write(colours)
-            held.version = store.version
-        return held
+        geometry, colours = store.arrays
+        uploaded = self._uploads.get(id(store))
+        if uploaded is None:
+            uploaded = _Uploaded(store, self._buffer(geometry), self._buffer(colours), store.version)
+            self._uploads[id(store)] = uploaded
+        elif uploaded.version != store.version:
+            uploaded.colours.write(colours)
+            uploaded.version = store.version
+        return uploaded
 
     def _buffer(self, rows: NDArray[np.float32]) -> moderngl.Buffer:
         data: Any = rows
@@ -60,7 +60,7 @@ class Buffers:
 
     def release(self) -> None:
         """Frees all buffers."""
-        for held in self._held.values():
-            held.geometry.release()
-            held.colours.release()
-        self._held.clear()
+        for uploaded in self._uploads.values():
+            uploaded.geometry.release()
+            uploaded.colours.release()
+        self._uploads.clear()

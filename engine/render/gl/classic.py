@@ -1,6 +1,6 @@
-"""The capture as it came: sorted alpha compositing (Kerbl et al. 2023), in an order that a thread prepares.
+"""The unchanged capture: sorted alpha compositing (Kerbl et al. 2023), with the depth order made by a thread.
 
-The camera never waits for the sort: a frame takes the newest order there is, and says whether a newer one is coming.
+The camera never waits for the sort: a frame uses the newest order, and `sorting` says whether a newer one is pending.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ Float = NDArray[np.float32]
 
 
 class Capture:
-    """N Gaussians on the GPU, and their order of depth."""
+    """N Gaussians on the GPU, and their depth order."""
 
     def __init__(self, ctx: moderngl.Context, programs: Programs, pool: Pool, gaussians: Gaussians) -> None:
         self.ctx, self.programs, self.pool = ctx, programs, pool
@@ -48,12 +48,12 @@ class Capture:
         self._thread = ThreadPoolExecutor(1, "depth-order")
         self._order = np.zeros(0, np.uint32)
         self._order_key: tuple[object, ...] | None = None
-        self._coming: tuple[tuple[object, ...], Future[NDArray[np.uint32]]] | None = None
+        self._pending: tuple[tuple[object, ...], Future[NDArray[np.uint32]]] | None = None
 
     @property
     def sorting(self) -> bool:
         """Whether the last frame was drawn in the order of an earlier camera: draw again when convenient."""
-        return self._coming is not None
+        return self._pending is not None
 
     def draw(self, camera: Camera, targets: Accumulators, wait: bool) -> None:
         """Fills the accumulators' `splats` (premultiplied colour, opacity) and `distances` (depth by weight)."""
@@ -80,18 +80,18 @@ class Capture:
         batch.draw(program, RECORD, points=False)
 
     def _ordered(self, view: View, wait: bool) -> NDArray[np.uint32]:
-        """Rows nearest first: for this camera if `wait` or nothing else is there yet, else the newest there is."""
+        """Rows, nearest first: for this camera if `wait` or there is no order yet, else in the newest order."""
         cam = camera_record(view.camera)
         cam = cam._replace(translation=tuple(view.matrix[:3, 3].tolist()))
         key = cam.rotation, cam.translation, cam.orthographic, cam.near
-        if self._coming is not None and (self._coming[1].done() or wait):
-            self._order_key, self._order = self._coming[0], self._coming[1].result()
-            self._coming = None
-        if key != self._order_key and self._coming is None:
-            self._coming = (key, self._thread.submit(self._sort, cam))
+        if self._pending is not None and (self._pending[1].done() or wait):
+            self._order_key, self._order = self._pending[0], self._pending[1].result()
+            self._pending = None
+        if key != self._order_key and self._pending is None:
+            self._pending = (key, self._thread.submit(self._sort, cam))
             if wait or self._order_key is None:
-                self._order_key, self._order = key, self._coming[1].result()
-                self._coming = None
+                self._order_key, self._order = key, self._pending[1].result()
+                self._pending = None
         return self._order
 
     def _sort(self, cam: CameraRecord) -> NDArray[np.uint32]:
@@ -100,7 +100,7 @@ class Capture:
     def release(self) -> None:
         """Ends the thread and frees the buffers."""
         self._thread.shutdown()
-        self.pool.forget_sources()
+        self.pool.clear_sources()
         self.geometry.release()
         self.coefficients.release()
 

@@ -1,4 +1,4 @@
-"""The OpenGL context and what hangs on it: compiled programs and buffers that grow."""
+"""The OpenGL context, its compiled programs, and buffers that grow."""
 
 from __future__ import annotations
 
@@ -24,24 +24,24 @@ CONSTANTS: dict[str, int | float] = {
     **{f"SH_C2_{k}": value for k, value in enumerate(sh.C2)},
     **{f"SH_C3_{k}": value for k, value in enumerate(sh.C3)},
 }
-"""What every shader may read by name: the numbers that the kernels use."""
+"""Defines of every shader: the same numbers that the kernels use, by name."""
 
 
 class GLMissing(InputError):
-    """There is no OpenGL 3.3 to be had without a window; the message names what to install."""
+    """OpenGL 3.3 is not available without a window; the message names what to install."""
 
 
 def offscreen_context() -> moderngl.Context:
-    """A context without a window, through EGL. Raises GLMissing where there is none."""
+    """A context without a window, through EGL. Raises GLMissing if there is none."""
     try:
         options: dict[str, Any] = {"require": 330, "backend": "egl"}
         return moderngl.create_standalone_context(**options)
-    except Exception as error:  # the loaders raise whatever they find: OSError, RuntimeError, plain Exception
+    except Exception as error:  # the loaders raise all kinds: OSError, RuntimeError, plain Exception
         raise GLMissing(f"no offscreen OpenGL 3.3 (install libegl1 and libgl1-mesa-dri): {error}") from error
 
 
 class Programs:
-    """Programs by file names and defines, compiled when first asked for."""
+    """Programs by file names and defines, compiled on first use."""
 
     def __init__(self, ctx: moderngl.Context) -> None:
         self.ctx = ctx
@@ -74,9 +74,9 @@ class Programs:
 
 
 def write_uniforms(program: moderngl.Program, values: dict[str, Any]) -> None:
-    """Sets the uniforms that the program has; a compiler may have dropped some that a variant does not use.
+    """Sets the uniforms that the program has; its compiler may have dropped those that a variant does not use.
 
-    Numbers go as they are, arrays as float32; a texture is bound to the unit that the key `name@unit` names.
+    Arrays are written as float32; a texture is bound to the unit in its key `name@unit`.
     """
     for key, value in values.items():
         name, _, unit = key.partition("@")
@@ -93,23 +93,23 @@ def write_uniforms(program: moderngl.Program, values: dict[str, Any]) -> None:
 
 
 class Growing:
-    """A GPU buffer that is written anew every frame and only ever grows."""
+    """A GPU buffer that is rewritten every frame and only ever grows."""
 
     def __init__(self, ctx: moderngl.Context) -> None:
         self.ctx = ctx
         self.buffer = ctx.buffer(reserve=1 << 12, dynamic=True)
 
     def reserve(self, size: int) -> bool:
-        """Room for so many bytes; True where the buffer had to be made anew and what refers to it must be, too."""
+        """Makes the buffer hold `size` bytes; True if it was replaced, so that vertex arrays over it must be too."""
         if size <= self.buffer.size:
             return False
-        room = -(-max(size, 3 * self.buffer.size // 2) // 4096) * 4096  # transform feedback asks for whole words
+        capacity = -(-max(size, 3 * self.buffer.size // 2) // 4096) * 4096  # transform feedback needs whole words
         self.buffer.release()
-        self.buffer = self.ctx.buffer(reserve=room, dynamic=True)
+        self.buffer = self.ctx.buffer(reserve=capacity, dynamic=True)
         return True
 
     def write(self, data: NDArray[Any]) -> bool:
-        """Replaces the content; True as `reserve` says."""
+        """Replaces the content; returns as `reserve`."""
         fresh = self.reserve(data.nbytes)
         if not fresh:
             self.buffer.orphan()  # the driver need not wait for the last frame's draws

@@ -1,9 +1,9 @@
-"""The field of the interior atoms on a cut plane, kept as a texture for as long as the plane stays.
+"""The field of the interior atoms on a cut plane, cached as a texture while the plane stays.
 
-A face looks the same from every camera, so its sums need not be made again for each frame: a plane's grid is made
-once, read with linear interpolation, and shared by the two pieces that the plane parts. The cells are fine against the
-atoms, and the atoms are narrowed by what the interpolation widens them. What stays is the edge of each kernel at three
-sigma, where it falls by 1/90, which falls between grid points: 55 dB on black and white atoms side by side.
+A face looks the same from every camera, so its sums need not be computed for each frame: a plane's grid is computed
+once, read with linear interpolation, and shared by the two pieces that the plane separates. The cells are fine compared
+with the atoms, and the atoms are narrowed by as much as the interpolation widens them. The remaining error is the edge
+of each kernel at three sigma, a step of 1/90 between grid points: 55 dB on black and white atoms side by side.
 """
 
 from __future__ import annotations
@@ -16,19 +16,19 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from engine.render.culling.face_grid import KEPT_BYTES, plan_grid
-from engine.render.culling.look import Look
+from engine.render.culling.draw_options import DrawOptions
+from engine.render.culling.face_grid import CACHE_BYTES, plan_grid
 from engine.render.culling.store import Spheres
 from engine.render.gl.batches import Pool
 from engine.render.gl.buffers import Buffers
 from engine.render.gl.context import Programs, write_uniforms
 
-__all__ = ["Grid", "Grids"]
+__all__ = ["Grid", "GridCache"]
 
 Double = NDArray[np.float64]
 
 LARGEST = 8192
-"""Cells along an edge: the least limit on a texture that drivers of OpenGL 3.3 have by now."""
+"""Cells along an edge: the smallest texture limit of current OpenGL 3.3 drivers."""
 
 
 @dataclass(frozen=True)
@@ -46,48 +46,48 @@ class Grid:
         return self.texture.width * self.texture.height * 16
 
 
-class Grids:
+class GridCache:
     """The grids of one set of interior atoms."""
 
     def __init__(self, ctx: moderngl.Context, programs: Programs, pool: Pool, buffers: Buffers) -> None:
         self.ctx, self.programs, self.pool, self.buffers = ctx, programs, pool, buffers
-        self._kept: OrderedDict[tuple[Any, ...], Grid | None] = OrderedDict()
+        self._cache: OrderedDict[tuple[Any, ...], Grid | None] = OrderedDict()
         self._used: set[tuple[Any, ...]] = set()
 
     def begin(self) -> None:
         """A new frame."""
         self._used.clear()
 
-    def get(self, plane: Double, spheres: Spheres, look: Look) -> Grid | None:
-        """The grid of a plane (4,) in centred object space; None where the atoms' sizes do not allow one."""
-        plane = plane if plane[np.argmax(np.abs(plane[:3]))] > 0 else -plane  # both sides share it
-        key = (*plane.tolist(), look.level)
-        if key not in self._kept:
-            self._kept[key] = self._make(plane, spheres, look)
-        self._kept.move_to_end(key)
+    def get(self, plane: Double, spheres: Spheres, options: DrawOptions) -> Grid | None:
+        """The grid of a plane (4,) in centred object space; None if the atoms' sizes do not allow one."""
+        plane = plane if plane[np.argmax(np.abs(plane[:3]))] > 0 else -plane  # both orientations share it
+        key = (*plane.tolist(), options.level)
+        if key not in self._cache:
+            self._cache[key] = self._make(plane, spheres, options)
+        self._cache.move_to_end(key)
         self._used.add(key)
         self._evict()
-        return self._kept[key]
+        return self._cache[key]
 
     def clear(self) -> None:
-        """Drops all: the atoms or their colours have changed."""
-        for grid in self._kept.values():
+        """Frees all grids: the atoms or their colours have changed."""
+        for grid in self._cache.values():
             if grid is not None:
                 grid.texture.release()
-        self._kept.clear()
+        self._cache.clear()
 
     def _evict(self) -> None:
-        total = sum(grid.size for grid in self._kept.values() if grid is not None)
-        for key in [key for key in self._kept if key not in self._used]:
-            if total <= KEPT_BYTES and len(self._kept) < 1000:
+        total = sum(grid.size for grid in self._cache.values() if grid is not None)
+        for key in [key for key in self._cache if key not in self._used]:
+            if total <= CACHE_BYTES and len(self._cache) < 1000:
                 return
-            grid = self._kept.pop(key)
+            grid = self._cache.pop(key)
             if grid is not None:
                 total -= grid.size
                 grid.texture.release()
 
-    def _make(self, plane: Double, spheres: Spheres, look: Look) -> Grid | None:
-        plan = plan_grid(plane, spheres, look)
+    def _make(self, plane: Double, spheres: Spheres, options: DrawOptions) -> Grid | None:
+        plan = plan_grid(plane, spheres, options)
         if plan is None or max(plan.width, plan.height) > LARGEST:
             return None
         (e1, e2, _), low, cell, width, height = plan.axes, plan.low, plan.cell, plan.width, plan.height
@@ -107,12 +107,12 @@ class Grids:
             "low": tuple(low),
             "cell": cell,
             "cells": (float(width), float(height)),
-            "enlarge": look.ball_scale,
+            "enlarge": options.ball_scale,
         }
         write_uniforms(program, values)
         self.pool.write_indices(plan.rows)
         self.pool.source(program, *self.buffers.streams(spheres)).render(moderngl.POINTS, vertices=len(plan.rows))
-        previous.use()  # a framebuffer that is gone must not stay bound
+        previous.use()  # a released framebuffer must not stay bound
         target.release()
         to_grid = np.zeros((4, 4))
         to_grid[0, :3], to_grid[1, :3] = e1 / (width * cell), e2 / (height * cell)

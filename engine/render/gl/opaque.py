@@ -1,9 +1,9 @@
-"""Opaque mode: pieces of a solid, drawn group by group and put together by depth.
+"""Opaque mode: pieces of a solid, drawn group by group and composited by depth.
 
-Pieces with the same transform lie together as they grew: their splats are added up in the same sums, so that pieces put
-back together are the uncut object to the pixel, with no seam that lets the background through. Each such group is
-resolved by itself and put over or under the frame so far, pixel by pixel, because a silhouette in front is to be
-anti-aliased against the piece behind, not against the background.
+Pieces with the same transform lie together as they grew: their splats share the same sums, so that joined pieces give
+exactly the uncut object, without a seam that lets the background through. Each group is resolved by itself and
+composited over or under the frame so far, pixel by pixel, because a silhouette in front has to be anti-aliased against
+the piece behind it, not against the background.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from engine.render.culling.groups import Group, Rect, seen_groups
-from engine.render.culling.look import Look
+from engine.render.culling.draw_options import DrawOptions
+from engine.render.culling.groups import Group, Rect, visible_groups
 from engine.render.culling.solid import Solid
 from engine.render.culling.view import View
 from engine.render.gl.batches import Pool
@@ -53,14 +53,14 @@ class OpaqueMode:
         frames: Sequence[Frame],
         sums: Accumulators,
         background: Double,
-        look: Look,
+        options: DrawOptions,
     ) -> None:
-        """Puts the pieces into the first of two frames, which shows the background; the second is scratch."""
+        """Draws the pieces into the first of two frames, which holds the background; the second is scratch."""
         self.section.grids.begin()
         frame, scratch = frames
         empty = True
-        for number, view, planes, rect in seen_groups(solid, camera, pieces, groups):
-            faces = self._add_up(view, planes, solid, sums, rect, look)
+        for number, view, planes, rect in visible_groups(solid, camera, pieces, groups):
+            faces = self._sum_group(view, planes, solid, sums, rect, options)
             values: dict[str, Any] = {
                 **view.uniforms,
                 "splats@0": sums.splats,
@@ -82,39 +82,39 @@ class OpaqueMode:
                 self.screen.fill(frame.fbo, rect, "copy.frag.glsl", {}, values)
             empty = False
 
-    def _add_up(
-        self, view: View, planes: list[Double], solid: Solid, sums: Accumulators, rect: Rect, look: Look
+    def _sum_group(
+        self, view: View, planes: list[Double], solid: Solid, sums: Accumulators, rect: Rect, options: DrawOptions
     ) -> bool:
-        """Fills the accumulators with pieces that lie together; True where a face is seen."""
+        """Fills the accumulators with pieces that lie together; True if a face is visible."""
         sums.front_fbo.scissor = (0, 0, *sums.front_fbo.size)
-        sums.front_fbo.use()  # transform feedback asks for a whole framebuffer, too, and a window may not have one
-        # Software GL clears a whole texture of bytes, half floats or depth faster than a part of it, one of floats not.
+        sums.front_fbo.use()  # transform feedback needs a complete framebuffer, which a window may not have
+        # Software GL clears a full texture of bytes, half floats or depth faster than a part; not so one of floats.
         sums.front_fbo.clear(depth=1.0)
         for fbo in (sums.front_fbo, sums.splat_fbo, sums.field_fbo, sums.face_fbo):
             fbo.scissor = rect
-        skin = None if look.interior_only else solid.skin
+        skin = None if options.interior_only else solid.skin
         has_faces = False
         for i, piece in enumerate(planes):
             if len(piece) and not has_faces:
                 sums.coverage_fbo.clear()
-            mates = planes[:i] + planes[i + 1 :]
+            neighbours = planes[:i] + planes[i + 1 :]
             has_faces |= self.section.draw(
-                view, piece, mates, solid.box, solid.inside, skin, sums, solid.pitch, rect, look
+                view, piece, neighbours, solid.box, solid.inside, skin, sums, solid.pitch, rect, options
             )
         runs = []
-        for splats in solid.splats(look.interior_only):
-            runs += self.surface.project(view, planes, splats, look)
+        for splats in solid.splats(options.interior_only):
+            runs += self.surface.project(view, planes, splats, options)
         sums.splat_fbo.depth_mask = False
         sums.splat_fbo.clear(viewport=rect)
-        self.surface.draw(view, runs, sums, solid.pitch * look.disc_scale)
+        self.surface.draw(view, runs, sums, solid.pitch * options.disc_scale)
         return has_faces
 
-    def forget(self) -> None:
-        """Another solid is drawn from now on."""
+    def clear(self) -> None:
+        """Frees what was uploaded for the solid: another one follows."""
         self.section.grids.clear()
         self.buffers.release()
 
     def release(self) -> None:
-        """Frees what the passes hold."""
+        """Frees the passes' GPU memory."""
         self.section.release()
         self.buffers.release()

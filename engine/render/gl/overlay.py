@@ -31,7 +31,7 @@ class Lines:
     width: float = 1.5
     """Pixels."""
     hidden: float = 0.25
-    """Share of the opacity that is left where the object is in front. Range [0, 1]."""
+    """Fraction of the opacity that remains where the object is in front. Range [0, 1]."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Sheet:
     rgba: Rgba
     """Range [0, 1], straight alpha."""
     hidden: float = 0.4
-    """Share of the opacity that is left where the object is in front. Range [0, 1]."""
+    """Fraction of the opacity that remains where the object is in front. Range [0, 1]."""
 
 
 class OverlayPass:
@@ -55,7 +55,7 @@ class OverlayPass:
         self.corners = ctx.buffer(CORNERS)
 
     def draw(self, view: View, items: Sequence[Lines | Sheet], info: moderngl.Texture, tolerance: float) -> None:
-        """Over what the bound framebuffer holds: sheets, far ones first, then lines in their order.
+        """Draws over the bound framebuffer: sheets, far ones first, then lines in their order.
 
         tolerance: world units by which the object must be in front to hide something.
         """

@@ -1,7 +1,6 @@
 """The real-time renderer: a solid of atoms, cut into pieces, or a capture, drawn with OpenGL 3.3 into a texture.
 
-Standalone (offscreen) or inside a window's context. Where OpenGL is software the processor's own kernels draw the
-solid.
+Standalone (offscreen) or inside a window's context. If OpenGL runs in software, CPU kernels draw the solid.
 """
 
 from __future__ import annotations
@@ -15,9 +14,9 @@ import moderngl
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from engine.render.cpu.window import SoftwareMode, is_software
-from engine.render.culling.groups import Group, grouped
-from engine.render.culling.look import Look, Mode
+from engine.render.cpu.software import SoftwareMode, is_software
+from engine.render.culling.draw_options import DrawOptions, Mode
+from engine.render.culling.groups import Group, group_pieces
 from engine.render.culling.solid import Solid
 from engine.render.culling.view import View
 from engine.render.gl.batches import Pool
@@ -43,22 +42,22 @@ Method = TypeVar("Method", bound=Callable[..., Any])
 
 
 def current(method: Method) -> Method:
-    """Makes the renderer's own context the current one, which it stays; there may be others beside it.
+    """Makes the renderer's own context current, and leaves it so; other contexts may exist beside it.
 
-    In a foreign context the framebuffer that was bound is bound again afterwards, and what a pass has set otherwise is
-    as OpenGL starts: nothing enabled, depth test `<`, blending of straight alpha.
+    In a foreign context the framebuffer that was bound is bound again afterwards, and the state that passes change is
+    reset to OpenGL's initial one: nothing enabled, depth test `<`, but blending of straight alpha.
     """
 
     @wraps(method)
     def call(self: Renderer, *arguments: Any, **named: Any) -> Any:
-        if self._own:
+        if self._owns_context:
             self.ctx.__enter__()
             return method(self, *arguments, **named)
-        found = self.ctx.detect_framebuffer()
+        bound = self.ctx.detect_framebuffer()
         try:
             return method(self, *arguments, **named)
         finally:
-            found.use()
+            bound.use()
             self.ctx.enable_only(moderngl.NOTHING)
             self.ctx.depth_func = "<"
             self.ctx.blend_func = moderngl.SRC_ALPHA, moderngl.ONE_MINUS_SRC_ALPHA
@@ -69,16 +68,16 @@ def current(method: Method) -> Method:
 class Renderer:
     """Draws one object. Not thread-safe: all calls from the thread that owns the context.
 
-    A foreign context keeps the framebuffer that is bound; what it has enabled is off afterwards, see `current`.
+    A foreign context keeps its bound framebuffer; everything it had enabled is disabled afterwards, see `current`.
     """
 
     def __init__(self, ctx: moderngl.Context | None = None, shaders: bool | None = None) -> None:
-        """Attached to a context, or on one of its own without a window (raises context.GLMissing).
+        """Uses a given context, or creates one without a window (raises context.GLMissing).
 
-        shaders: whether the solid is drawn by GLSL or by the processor's own kernels; None: by whichever is faster,
-        that is by GLSL wherever there is a graphics card.
+        shaders: whether GLSL or the CPU kernels draw the solid; None chooses the faster one, which is GLSL if there is
+        a graphics card.
         """
-        self._own = ctx is None
+        self._owns_context = ctx is None
         self.ctx = offscreen_context() if ctx is None else ctx
         self._programs = Programs(self.ctx)
         self._pool = Pool(self.ctx)
@@ -108,14 +107,14 @@ class Renderer:
 
     @current
     def set_atoms(self, atoms: Atoms) -> None:
-        """The solid to draw. Replaces the one before."""
-        self._drop_solid()
+        """Sets the solid to draw."""
+        self._release_solid()
         self._solid = Solid(atoms)
 
     @current
     def set_capture(self, gaussians: Gaussians) -> None:
-        """What classic mode draws. Replaces the one before."""
-        self._drop_capture()
+        """Sets the capture, which classic mode draws."""
+        self._release_capture()
         self._capture = Capture(self.ctx, self._programs, self._pool, gaussians)
 
     @current
@@ -124,11 +123,11 @@ class Renderer:
         sh: NDArray[np.float32] | None = None,  # [S, (d+1)^2, 3]
         rgb: NDArray[np.float32] | None = None,  # [I, 3]
     ) -> None:
-        """Other colours for the surface or the interior atoms (or both), in the order of `set_atoms`, in place."""
+        """Replaces the colours of the surface or interior atoms (or both), in the order of `set_atoms`."""
         assert self._solid is not None, "no atoms yet"
         self._solid.update(sh, rgb)
         if rgb is not None:
-            self._forget_grids()
+            self._clear_grids()
 
     # Drawing
 
@@ -147,63 +146,67 @@ class Renderer:
     ) -> moderngl.Texture:
         """Draws a frame of the camera's size; the texture (top row first) lasts until the size changes.
 
-        mode: classic shows the capture, whole; the others show the pieces of the solid. background: RGB. light: shade
-        the cut faces a little.
+        mode: classic shows the uncut capture; the others show the pieces of the solid. background: RGB. light: shade
+        the cut faces slightly.
 
-        While the camera moves: exact=False reads a face from a grid that is kept as long as its plane stays, faster and
-        50 dB at the least. level=0 is the full quality, each further one draws half as many atoms, enlarged; where the
-        processor draws, pixels cost more than atoms, and a smaller picture saves more.
+        While the camera moves: exact=False reads a face from a grid that is cached while its plane stays, faster and
+        with at least 50 dB. level=0 is full quality; each further level draws half as many atoms, enlarged. On the
+        software path pixels cost more than atoms, and a smaller picture saves more.
         wait=False lets classic mode draw in the order of an earlier camera while a thread sorts, see `sorting`.
         cull=False draws every atom, to measure what culling saves.
 
-        Raises InputError where a piece has more than surface.MAX_PLANES planes that cut it.
+        Raises InputError if a piece has more than groups.MAX_PLANES planes that cut it.
         """
         assert mode in ("opaque", "classic", "interior"), mode
         self._resize(camera.width, camera.height)
         self._pool.begin()
         self._camera, self._pieces = camera, list(pieces)
-        self._groups = grouped(self._pieces)
-        ground = np.asarray(background, np.float64)
+        self._groups = group_pieces(self._pieces)
+        background_rgb = np.asarray(background, np.float64)
         frame, sums = self._frames[0], self._sums
         assert sums is not None
         if self._software is not None and mode != "classic" and self._solid is not None:
-            look = Look(mode == "interior", light, exact, level, cull)
-            changed, halves = self._software.draw(self._solid, camera, self._pieces, self._groups, ground, look)
+            options = DrawOptions(mode == "interior", light, exact, level, cull)
+            changed, halves = self._software.draw(
+                self._solid, camera, self._pieces, self._groups, background_rgb, options
+            )
             if changed[2] and changed[3]:
                 frame.colour.write(halves, viewport=changed)
             return frame.colour
         if self._software is not None:
-            self._software.forget()
-        frame.clear(ground)
+            self._software.reset()
+        frame.clear(background_rgb)
         if mode == "classic":
             if self._capture is not None:
                 self._capture.draw(camera, sums, wait)
                 rect = (0, 0, camera.width, camera.height)
-                values = resolve_values(sums, ground)
+                values = resolve_values(sums, background_rgb)
                 self._screen.fill(frame.fbo, rect, "classic_resolve.frag.glsl", {}, values)
         elif self._solid is not None:
-            look = Look(mode == "interior", light, exact, level, cull)
-            self._opaque.draw(self._solid, camera, self._pieces, self._groups, self._frames, sums, ground, look)
+            options = DrawOptions(mode == "interior", light, exact, level, cull)
+            self._opaque.draw(
+                self._solid, camera, self._pieces, self._groups, self._frames, sums, background_rgb, options
+            )
         return frame.colour
 
     @property
     def sorting(self) -> bool:
-        """Whether the last classic frame used an older order of depth: draw again when convenient."""
+        """Whether the last classic frame used an older depth order: draw again when convenient."""
         return self._capture is not None and self._capture.sorting
 
     @current
     def overlay(self, items: Sequence[Lines | Sheet]) -> moderngl.Texture:
-        """The last frame with lines and sheets over it, in a texture of its own: the frame itself is kept."""
+        """The last frame with lines and sheets over it, in a separate texture: the frame itself stays unchanged."""
         assert self._camera is not None, "nothing rendered yet"
         camera, frame = self._camera, self._frames[0]
         if self._overlaid is None:
             self._overlaid = Frame(self.ctx, camera.width, camera.height)
-        self._overlaid.colour_fbo.use()  # first: a copy keeps to the scissor of what was bound
+        self._overlaid.colour_fbo.use()  # first: a copy obeys the scissor of what was bound
         self.ctx.copy_framebuffer(self._overlaid.colour_fbo, frame.colour_fbo)
         self._overlaid.colour_fbo.use()
         centre = np.zeros(3) if self._solid is None else self._solid.centre
         pitch = 0.0 if self._solid is None else self._solid.pitch
-        self._tell()
+        self._upload_info()
         self._overlays.draw(View(camera, centre, 1.0), items, frame.info, pitch)
         return self._overlaid.colour
 
@@ -215,7 +218,7 @@ class Renderer:
         assert self._camera is not None, "nothing rendered yet"
         width, height = self._camera.width, self._camera.height
         frame = self._frames[0]
-        self._tell()
+        self._upload_info()
         colour = np.frombuffer(frame.fbo.read(components=4, dtype="f4"), np.float32).reshape(height, width, 4)
         info = np.frombuffer(frame.fbo.read(components=2, attachment=1, dtype="f4"), np.float32)
         info = info.reshape(height, width, 2)
@@ -224,14 +227,14 @@ class Renderer:
 
     @current
     def pick(self, x: float, y: float) -> tuple[int | None, NDArray[np.float64] | None]:
-        """The piece under a pixel of the last frame, as an index, and the world point (3,) seen there.
+        """The index of the piece under a pixel of the last frame, and the world point (3,) there.
 
-        x to the right, y down, in pixels from the top left. (None, None) outside of the picture and on the background.
+        x to the right, y down, in pixels from the top left. (None, None) outside the picture and on the background.
         """
         camera = self._camera
         if camera is None or not (0 <= x < camera.width and 0 <= y < camera.height):
             return None, None
-        self._tell()
+        self._upload_info()
         data = self._frames[0].fbo.read((int(x), int(y), 1, 1), components=2, attachment=1, dtype="f4")
         z, code = np.frombuffer(data, np.float32).astype(np.float64)
         if z > 0.5 * NOTHING:
@@ -243,17 +246,18 @@ class Renderer:
         if not 0 <= group < len(self._groups):
             return None, point
         transform, members = self._groups[group]
-        own = transform[:3, :3].T @ (point - transform[:3, 3])
+        in_object = transform[:3, :3].T @ (point - transform[:3, 3])
         outside = [
-            max((float(plane.distance(own)) for plane in self._pieces[m].planes), default=-np.inf) for m in members
+            max((float(plane.distance(in_object)) for plane in self._pieces[m].planes), default=-np.inf)
+            for m in members
         ]
         return members[int(np.argmin(outside))], point
 
     # Housekeeping
 
-    def _tell(self) -> None:
-        """Depths and pieces that the processor has drawn go to the GPU only when somebody asks."""
-        info = None if self._software is None else self._software.news()
+    def _upload_info(self) -> None:
+        """Uploads the depths and pieces that the software path has drawn; done only when they are read."""
+        info = None if self._software is None else self._software.take_info()
         if info is not None:
             self._frames[0].info.write(info)
 
@@ -262,16 +266,16 @@ class Renderer:
         if not self._frames or self._frames[0].colour.size != (width, height):
             frames = [Frame(self.ctx, width, height) for _ in range(2)]
             sums = Accumulators(self.ctx, width, height)
-            frames[0].fbo.use()  # the old ones must not go while they are bound
-            self._drop_targets()
+            frames[0].fbo.use()  # the old ones must not be released while they are bound
+            self._release_targets()
             self._frames, self._sums = frames, sums
 
-    def _drop_targets(self) -> None:
+    def _release_targets(self) -> None:
         for frame in self._frames:
             frame.release()
         self._frames = []
         if self._software is not None:
-            self._software.forget()
+            self._software.reset()
         if self._sums is not None:
             self._sums.release()
             self._sums = None
@@ -279,18 +283,18 @@ class Renderer:
             self._overlaid.release()
             self._overlaid = None
 
-    def _drop_solid(self) -> None:
+    def _release_solid(self) -> None:
         self._pool.clear()
-        self._forget_grids()
-        self._opaque.forget()
+        self._clear_grids()
+        self._opaque.clear()
         self._solid = None
 
-    def _forget_grids(self) -> None:
+    def _clear_grids(self) -> None:
         self._opaque.section.grids.clear()
         if self._software is not None:
             self._software.grids.clear()
 
-    def _drop_capture(self) -> None:
+    def _release_capture(self) -> None:
         self._pool.clear()
         if self._capture is not None:
             self._capture.release()
@@ -299,14 +303,14 @@ class Renderer:
     def release(self) -> None:
         """Frees everything on the GPU, and the context if it is this renderer's own."""
         self._release()
-        if self._own:
+        if self._owns_context:
             self.ctx.release()
 
     @current
     def _release(self) -> None:
-        self._drop_solid()
-        self._drop_capture()
-        self._drop_targets()
+        self._release_solid()
+        self._release_capture()
+        self._release_targets()
         self._overlays.release()
         self._opaque.release()
         if self._software is not None:

@@ -1,4 +1,4 @@
-"""Passes over all pixels of a rectangle."""
+"""Full-screen passes over the pixels of a rectangle."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ __all__ = ["Screen"]
 
 
 class Screen:
-    """One triangle that covers everything."""
+    """One triangle that covers the framebuffer."""
 
     def __init__(self, ctx: moderngl.Context, programs: Programs) -> None:
         self.ctx, self.programs = ctx, programs

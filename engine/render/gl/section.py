@@ -1,7 +1,7 @@
 """The cut faces of the opaque image (DESIGN, section 3): the kernel field where each pixel's ray enters a piece.
 
-Interior atoms come from the plane's grid; what a grid cannot hold (thin atoms of the skin; all, where a pixel is wider
-than they are) is added up pixel by pixel.
+Interior atoms come from the plane's grid. What a grid cannot hold is summed pixel by pixel: thin atoms of the skin, and
+all atoms if they are smaller than a pixel.
 """
 
 from __future__ import annotations
@@ -13,15 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from engine.render.culling.chunks import Chunks
+from engine.render.culling.draw_options import DrawOptions
 from engine.render.culling.groups import MAX_PLANES
-from engine.render.culling.look import Look
-from engine.render.culling.piece_faces import Face, near_face, scale_of, visible_faces
+from engine.render.culling.piece_faces import Face, atoms_at_face, scale_of, visible_faces
 from engine.render.culling.store import Ellipsoids, Spheres
 from engine.render.culling.view import View
 from engine.render.gl.batches import Pool
 from engine.render.gl.buffers import Buffers
 from engine.render.gl.context import Growing, Programs, layout, write_uniforms
-from engine.render.gl.grid import Grids
+from engine.render.gl.grid import GridCache
 from engine.render.gl.targets import Accumulators
 from engine.scene.constants import JOINT_PITCHES
 from engine.scene.plane import frame
@@ -34,7 +34,10 @@ POINT_LIMIT = 16.0
 """Pixels across up to which a section of an atom is drawn as a point, not as a quad that lies in the plane."""
 
 OBLIQUE = 0.5
-"""Cosine between view and plane below which quads are used: seen at a slant they hug a disc, points do not."""
+"""Cosine between view and plane below which quads are used: at a slant they fit a section tightly, points do not."""
+
+EDGE_PITCHES = 1e-4
+"""A face reaches this far beyond the piece's other planes, so that rounding leaves no crack along an edge."""
 
 GATHERED = {
     False: {"mean": 3, "sigma": 1, "rgb": 3},
@@ -43,11 +46,11 @@ GATHERED = {
 
 
 class SectionPass:
-    """Draws what the planes of one piece show."""
+    """Draws the cut faces of one piece."""
 
     def __init__(self, ctx: moderngl.Context, programs: Programs, pool: Pool, buffers: Buffers) -> None:
         self.ctx, self.programs, self.pool, self.buffers = ctx, programs, pool, buffers
-        self.grids = Grids(ctx, programs, pool, buffers)
+        self.grids = GridCache(ctx, programs, pool, buffers)
         self.vertices = Growing(ctx)
         self._polygons: dict[moderngl.Program, moderngl.VertexArray] = {}
 
@@ -55,27 +58,27 @@ class SectionPass:
         self,
         view: View,
         planes: Double,  # [P, 4] centred object space
-        mates: list[Double],  # [P, 4] each: the other pieces that lie where they grew beside this one
+        neighbours: list[Double],  # [P, 4] each: the pieces that lie together with this one
         box: tuple[Double, Double],  # corners of the solid's box, centred
         spheres: Spheres,
         ellipsoids: Ellipsoids | None,
         targets: Accumulators,
         pitch: float,
         rect: tuple[int, int, int, int],
-        look: Look,
+        options: DrawOptions,
     ) -> bool:
-        """Adds the piece's faces to the face layer, nearest first in depth; False where it shows none."""
-        faces = visible_faces(view, planes, mates, box, JOINT_PITCHES * pitch)
+        """Adds the piece's faces to the face layer, the nearest in front; False if none is visible."""
+        faces = visible_faces(view, planes, neighbours, box, JOINT_PITCHES * pitch)
         if not faces:
             return False
         if self.vertices.write(np.concatenate([f.corners for f in faces]).astype(np.float32)):
-            self._forget_polygons()
+            self._clear_polygons()
         ctx = self.ctx
         grids = []
         for face in faces:
             widest = 0.5 * face.widest_pixel(view)
             minified = widest > float(spheres.reach.min(initial=np.inf)) / 3
-            grids.append(None if look.exact or minified else self.grids.get(face.plane, spheres, look))
+            grids.append(None if options.exact or minified else self.grids.get(face.plane, spheres, options))
 
         targets.field_fbo.clear(viewport=rect)
         targets.field_fbo.use()
@@ -83,14 +86,14 @@ class SectionPass:
         ctx.blend_func = moderngl.ONE, moderngl.ONE
         for face, grid in zip(faces, grids, strict=True):
             if ellipsoids is not None:
-                self._add(view, planes, face, ellipsoids, look, pitch)
+                self._add(view, planes, face, ellipsoids, options, pitch)
             if grid is None:
-                self._add(view, planes, face, spheres, look, pitch)
+                self._add(view, planes, face, spheres, options, pitch)
 
         targets.face_fbo.use()
         ctx.enable_only(moderngl.DEPTH_TEST)
         ctx.depth_func = "<="
-        undo = np.linalg.inv(view.matrix)
+        to_object = np.linalg.inv(view.matrix)
         for face, grid in zip(faces, grids, strict=True):
             defines = {"ORTHOGRAPHIC": int(view.camera.orthographic), "GRID": int(grid is not None)}
             program = self.programs.get("polygon.vert.glsl", "face.frag.glsl", defines)
@@ -98,11 +101,11 @@ class SectionPass:
                 **view.uniforms,
                 "field@0": targets.field,
                 "edge_sigma": pitch / 2,
-                "light": float(look.light),
+                "light": float(options.light),
                 "cut_in_camera": view.planes_in_camera(face.plane[None])[0],
             }
             if grid is not None:
-                values |= {"grid@1": grid.texture, "to_grid": (grid.to_grid @ undo).T}
+                values |= {"grid@1": grid.texture, "to_grid": (grid.to_grid @ to_object).T}
             write_uniforms(program, values)
             first = face.first
             for part in face.parts:
@@ -117,19 +120,19 @@ class SectionPass:
         return self._polygons[program]
 
     def _add(
-        self, view: View, planes: Double, face: Face, atoms: Spheres | Ellipsoids, look: Look, pitch: float
+        self, view: View, planes: Double, face: Face, atoms: Spheres | Ellipsoids, options: DrawOptions, pitch: float
     ) -> None:
         """Adds the atoms of one kind that one plane meets, pixel by pixel."""
         chunks = atoms.chunks
         if not len(chunks):
             return
         ellipsoid = isinstance(atoms, Ellipsoids)
-        enlarge = scale_of(atoms, look)
-        _, inside, _ = view.chunks_seen(chunks, enlarge)
+        enlarge = scale_of(atoms, options)
+        _, inside, _ = view.visible_chunks(chunks, enlarge)
         steep = abs(face.plane[:3] @ view.matrix[2, :3]) >= OBLIQUE
         widened = np.maximum(chunks.sigma * enlarge, 0.5 * face.widest_pixel(view))
         small = inside & (section_diameter(view, chunks, widened) <= POINT_LIMIT) & (steep and not ellipsoid)
-        lists = [near_face(view, planes, face, atoms, look, small == points) for points in (True, False)]
+        lists = [atoms_at_face(view, planes, face, atoms, options, small == points) for points in (True, False)]
         self.pool.write_indices(np.concatenate(lists))
         e1, e2, _ = frame(face.plane[:3])
         others = view.planes_in_camera(np.delete(planes, face.index, 0))
@@ -142,7 +145,7 @@ class SectionPass:
             "cut_x": e1,
             "cut_y": e2,
             "enlarge": enlarge,
-            "tolerance": 1e-4 * pitch,
+            "tolerance": EDGE_PITCHES * pitch,
             "other_count": len(others),
             "others": padded,
         }
@@ -166,14 +169,14 @@ class SectionPass:
             write_uniforms(program, values)
             batch.draw(program, fields, points=False)
 
-    def _forget_polygons(self) -> None:
+    def _clear_polygons(self) -> None:
         for array in self._polygons.values():
             array.release()
         self._polygons.clear()
 
     def release(self) -> None:
         """Frees the polygons and the grids."""
-        self._forget_polygons()
+        self._clear_polygons()
         self.grids.clear()
         self.vertices.release()
 

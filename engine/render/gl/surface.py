@@ -9,8 +9,8 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
+from engine.render.culling.draw_options import DrawOptions
 from engine.render.culling.groups import MAX_PLANES
-from engine.render.culling.look import Look
 from engine.render.culling.store import Ellipsoids
 from engine.render.culling.view import View
 from engine.render.culling.visible import visible_atoms
@@ -23,11 +23,11 @@ from engine.scene.constants import CORE_Q, CUTOFF_Q, EPSILON_PITCHES
 __all__ = ["RECORD", "SurfacePass"]
 
 POINT_LIMIT = 40.0
-"""Pixels across up to which a splat is drawn as a square point: a point is set up in half the time of a quad, but a
-quad hugs its ellipse."""
+"""Pixels across up to which a splat is drawn as a square point: setting up a point takes half the time of a quad, but a
+quad fits the ellipse tightly."""
 
 CORE, WHOLE = CORE_Q**0.5, CUTOFF_Q**0.5
-"""How far the two passes draw a splat, in standard deviations."""
+"""Radii to which the two passes draw a splat, standard deviations."""
 
 REACHES = (WHOLE, CORE, 0.0)
 
@@ -36,17 +36,17 @@ RECORD = {"record_centre": 4, "record_conic": 4, "record_shape": 4, "record_colo
 
 @dataclass(frozen=True)
 class Run:
-    """Projected atoms that are drawn alike."""
+    """Projected atoms that are drawn in the same way."""
 
     batch: Batch
     reach: float
     """Standard deviations up to which these splats are small enough to be drawn as points."""
     planes: NDArray[np.float64]
-    """(P, 4). Camera space; none where no atom of the run is near one."""
+    """(P, 4). Camera space; none if no plane is near an atom of the run."""
 
 
 class SurfacePass:
-    """Projects, then draws twice."""
+    """Projects the splats once, then draws them twice: front depth, then sums."""
 
     def __init__(self, ctx: moderngl.Context, programs: Programs, pool: Pool, buffers: Buffers) -> None:
         self.ctx, self.programs, self.pool, self.buffers = ctx, programs, pool, buffers
@@ -56,22 +56,22 @@ class SurfacePass:
         view: View,
         pieces: Sequence[NDArray[np.float64]],
         splats: Ellipsoids,
-        look: Look,
+        options: DrawOptions,
     ) -> list[Run]:
         """The atoms that each piece, given by planes (P, 4) in centred object space, can show."""
         chunks = splats.chunks
         if not len(chunks):
             return []
-        _, inside, diameter = view.chunks_seen(chunks, look.disc_scale)
-        # A point whose centre is outside of the picture is not drawn at all: only what is wholly inside may be one.
+        _, inside, diameter = view.visible_chunks(chunks, options.disc_scale)
+        # GL does not draw a point with its centre outside: only chunks entirely inside the picture may use points.
         points = np.select([inside & (diameter * r / 3 <= POINT_LIMIT) for r in REACHES[:-1]], REACHES[:-1], 0.0)
         lists, runs = [], []
         sizes = [points == size for size in REACHES]
-        for planes, found in zip(pieces, visible_atoms(view, pieces, splats, look, sizes), strict=True):
-            for size, (free, clipped, hidden) in zip(REACHES, found, strict=True):
-                # Hidden ones last: the depth test is quick to dismiss them.
+        for planes, visible in zip(pieces, visible_atoms(view, pieces, splats, options, sizes), strict=True):
+            for size, (unclipped, clipped, hidden) in zip(REACHES, visible, strict=True):
+                # Hidden atoms last: the depth test rejects them early.
                 for rows, near in (
-                    (np.concatenate([free, hidden]), planes[:0]),
+                    (np.concatenate([unclipped, hidden]), planes[:0]),
                     (clipped, view.planes_in_camera(planes)),
                 ):
                     if len(rows):
@@ -90,7 +90,7 @@ class SurfacePass:
             },
             varyings=RECORD,
         )
-        write_uniforms(program, {**view.uniforms, "enlarge": look.disc_scale})
+        write_uniforms(program, {**view.uniforms, "enlarge": options.disc_scale})
         array = self.pool.source(program, *self.buffers.streams(splats))
         first = 0
         for rows, run in zip(lists, runs, strict=True):
@@ -99,7 +99,7 @@ class SurfacePass:
         return runs
 
     def draw(self, view: View, runs: Sequence[Run], targets: Accumulators, pitch: float) -> None:
-        """Front depth into the depth buffer, then the sums of all that lies within epsilon of it."""
+        """Draws the front depth into the depth buffer, then the sums of everything within the layer behind it."""
         ctx = self.ctx
         targets.front_fbo.use()
         ctx.enable_only(moderngl.DEPTH_TEST | moderngl.PROGRAM_POINT_SIZE)

@@ -1,4 +1,4 @@
-"""Framebuffers: where the passes add up, and the frame that comes out. The top row of a picture is stored first."""
+"""Framebuffers: the accumulators of the passes, and the finished frame. The top row of a picture is stored first."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ __all__ = ["Accumulators", "Frame"]
 
 
 class Frame:
-    """A finished picture. Two of them take turns when several pieces are put together."""
+    """A finished picture. Two of them alternate while several groups of pieces are composited."""
 
     def __init__(self, ctx: moderngl.Context, width: int, height: int) -> None:
         self.colour = ctx.texture((width, height), 4, dtype="f2")
         """RGB over the background, alpha 1: half floats keep 11 bits up to 1."""
         self.info = ctx.texture((width, height), 2, dtype="f4")
-        """Depth in world units (3e38: nothing); twice the number of the group of pieces (-1: none) plus coverage."""
+        """Depth in world units (NOTHING: none); twice the number of the group of pieces (-1: none) plus coverage."""
         self.colour.repeat_x = self.colour.repeat_y = False
         self.fbo = ctx.framebuffer([self.colour, self.info])
         self.colour_fbo = ctx.framebuffer([self.colour])
@@ -26,7 +26,7 @@ class Frame:
 
     def clear(self, background: NDArray[np.float64]) -> None:
         """Nothing but a background (3,)."""
-        self.colour_fbo.use()  # a clear keeps to the scissor of what was bound
+        self.colour_fbo.use()  # a clear obeys the scissor of what was bound
         red, green, blue = background.tolist()
         self.colour_fbo.clear(red, green, blue, 1.0)
         self.info_fbo.clear(NOTHING, -2.0)
@@ -38,7 +38,7 @@ class Frame:
 
 
 class Accumulators:
-    """What the passes of one group of pieces write. Sums are 32-bit: as fast on software GL and exact to 1e-6."""
+    """The sums of one group of pieces. They are 32-bit: as fast on software GL as 16-bit, and exact to 1e-6."""
 
     def __init__(self, ctx: moderngl.Context, width: int, height: int) -> None:
         size = (width, height)
@@ -62,14 +62,14 @@ class Accumulators:
 
     @property
     def distances(self) -> moderngl.Texture:
-        """Depth by weight of the classic mode; made when first asked for, since few frames need it."""
+        """Depth by weight of classic mode; created on first use, since few frames need it."""
         if self._distances is None:
             self._distances = self._ctx.texture(self.splats.size, 4, dtype="f4")
         return self._distances
 
     @property
     def classic_fbo(self) -> moderngl.Framebuffer:
-        """Takes the classic mode's sums."""
+        """Framebuffer of classic mode's sums."""
         if self._classic_fbo is None:
             self._classic_fbo = self._ctx.framebuffer([self.splats, self.distances])
         return self._classic_fbo

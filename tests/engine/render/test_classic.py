@@ -16,6 +16,7 @@ from torch import Tensor
 import engine.render.classic.rasterizer as classic
 from engine.render.classic.depth_order import depth_order
 from engine.render.classic.rasterizer import rasterize, render
+from engine.render.classic.records import Scene
 from engine.render.classic.splats import project
 from engine.render.projection import camera_record
 from engine.scene.camera import Camera, look_at, orbit
@@ -156,10 +157,10 @@ def test_garden_positions_and_depths_against_a_pinhole() -> None:
     arrays = (means, np.full((n, 3), 1e-3, np.float32), quats, opacities, np.zeros((n, 1, 3), np.float32))
     for view, k in zip(garden["viewmats"].astype(np.float64), garden["Ks"].astype(np.float64), strict=True):
         camera = Camera(view, k[0, 0], k[1, 1], k[0, 2], k[1, 2], width, height)
-        frame = classic._composite(classic._Scene(*arrays, plain=True), camera)
+        frame, slices = classic._composite(Scene(*arrays, plain=True), camera)
         starts = [
             (part.first + chunk * part.chunk_size, count)
-            for part in frame.slices
+            for part in slices
             for chunk, count in enumerate(part.record_counts)
         ]
         slots = np.concatenate([np.arange(start, start + count) for start, count in starts])

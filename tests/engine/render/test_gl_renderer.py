@@ -14,7 +14,7 @@ from safetensors.numpy import load_file
 from scipy import ndimage
 
 from engine.errors import InputError
-from engine.render.culling.look import Mode
+from engine.render.culling.draw_options import Mode
 from engine.render.gl import Lines, Renderer, Sheet
 from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from engine.scene.camera import Camera

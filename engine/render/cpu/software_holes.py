@@ -1,8 +1,8 @@
-"""What is seen through the holes of a skin: hidden atoms that reach before what was drawn count after all.
+"""Holes in a skin: atoms culled as backfacing are visible after all where nothing lies in front of them.
 
-Atoms that look away from the eye are left out (engine.render.culling.backface), which is right where the skin before
-them is whole. Skins of captures have pinholes, pixels without a core or with one from far behind. Each hidden atom is
-held against the depth of the tiles that it touches; where one passes, the pixels are made anew of everything.
+Leaving out atoms that face away from the eye (engine.render.culling.backface) is right if the skin in front of them is
+closed. Skins of captures have pinholes: pixels without a core, or with one from far behind. Each culled atom is
+tested against the depth of the tiles that it touches, and pixels where one passes are recomputed from all atoms.
 """
 
 from __future__ import annotations
@@ -12,20 +12,21 @@ import math
 import numpy as np
 from numba import njit
 
-from engine.render.cpu.splats import TILE
-from engine.render.cpu.tiles import AREA, FAR, fragments, tile_points
+from engine.render.cpu.splats import SHARPNESS, TILE, WEIGHT
+from engine.render.cpu.tiles import AREA, FAR, fill_rays, fragments
 from engine.scene.constants import CORE_Q, CUTOFF_Q, FACE_OPAQUE
 
 __all__ = ["fill_holes", "seen_through", "tile_depths"]
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def tile_depths(line, front, faces, face, depths, left_open, right_open, ends, limits):  # type: ignore[no-untyped-def]
-    """Fills a line of tiles of ends (H, W), the depth behind which nothing shows, and limits (lines, columns), its
-    largest value in each tile.
+def tile_depths(line, front, faces, face, depths, left_open, right_open, ends, limits):
+    """Fills a line of tiles of ends (H, W), the depth behind which nothing is visible, and of limits (lines, columns),
+    the largest end in each tile.
 
-    A run of pixels without a front that ends at a side of the rectangle with nothing beyond (`left_open`, `right_open`)
-    is outside of the object and does not count. One between two parts of it does, which costs time and changes nothing.
+    A run of pixels without a front that ends at a side of the rectangle with nothing beyond (`left_open`,
+    `right_open`) is outside the object and does not count. A run between two parts of the object does count, which
+    costs time but changes nothing.
     """
     width, infinite = front.shape[1], np.float32(np.inf)
     limits[line, :] = -infinite
@@ -51,13 +52,13 @@ def tile_depths(line, front, faces, face, depths, left_open, right_open, ends, l
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def seen_through(chunk, chunk_size, rows, geometry, enlarge, cam, limits, layer, seen):  # type: ignore[no-untyped-def]
-    """Marks in `seen` (N,) which of a chunk of atoms begin before the limit of a tile that they touch, or within the
+def seen_through(chunk, chunk_size, rows, geometry, enlarge, cam, limits, layer, seen):
+    """Marks in `seen` (N,) the atoms of a chunk that begin in front of the limit of a tile they touch, or within the
     layer behind it."""
     lines, columns = limits.shape
     ortho = cam.orthographic != 0.0
     tilt = 1.0
-    if not ortho:  # a splat's affine extent is 3 sigma f / z sqrt(1 + slope^2), the slope held
+    if not ortho:  # a splat's affine extent is 3 sigma f / z sqrt(1 + slope^2), the slope clamped
         across, down = max(-cam.x_low, cam.x_high), max(-cam.y_low, cam.y_high)
         tilt = math.sqrt(1.0 + across * across + down * down)
     for i in range(chunk * chunk_size, min((chunk + 1) * chunk_size, len(rows))):
@@ -79,7 +80,7 @@ def seen_through(chunk, chunk_size, rows, geometry, enlarge, cam, limits, layer,
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def deepest(limits, x0, x1, y0, y1):  # type: ignore[no-untyped-def]
+def deepest(limits, x0, x1, y0, y1):
     """Largest limit of some tiles."""
     most = limits[y0, x0]
     for y in range(y0, y1):
@@ -89,52 +90,52 @@ def deepest(limits, x0, x1, y0, y1):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def fill_holes(line, frame, colours, behind, behind_colours, ends, front, sums):  # type: ignore[no-untyped-def]
-    """Makes front (H, W) and sums (H, W, 5) of a line of tiles anew where hidden atoms show.
+def fill_holes(line, tiled, colours, hidden, hidden_colours, ends, front, sums):
+    """Recomputes front (H, W) and sums (H, W, 5) of a line of tiles where hidden atoms are visible.
 
-    frame and behind: engine.render.cpu.tiles.Frame of what was drawn and of what was hidden, with the same planes.
+    tiled and hidden: TiledSplats of what was drawn and of what was culled, with the same planes.
     """
     height, width = front.shape
-    kind = frame.records.dtype.type
-    lane = np.empty((4, AREA), kind)
-    px, py, h, z = lane[0], lane[1], lane[2], lane[3]
-    base, slope = np.empty((len(frame.planes), AREA), kind), np.empty((len(frame.planes), AREA), kind)
-    limit, nearest, shows = np.empty(AREA, kind), np.empty(AREA, kind), np.empty(AREA, np.bool_)
-    near, layer, infinite = kind(frame.cam.near), kind(frame.layer), kind(np.inf)
+    kind = tiled.records.dtype.type
+    near, lane = kind(tiled.cam.near), np.empty((6, AREA), kind)
+    px, py, h, z, limit, nearest = lane[0], lane[1], lane[2], lane[3], lane[4], lane[5]
+    base, slope = np.empty((len(tiled.planes), AREA), kind), np.empty((len(tiled.planes), AREA), kind)
+    visible = np.empty(AREA, np.bool_)
+    layer, infinite = kind(tiled.layer), kind(np.inf)
     core, cutoff = kind(0.5 * CORE_Q), kind(0.5 * CUTOFF_Q)
-    for column in range(frame.columns):
-        tile = line * frame.columns + column
-        if behind.first[tile] == behind.first[tile + 1]:
+    for column in range(tiled.columns):
+        tile = line * tiled.columns + column
+        if hidden.tile_starts[tile] == hidden.tile_starts[tile + 1]:
             continue
-        tile_points(frame, tile, px, py, base, slope)
+        fill_rays(tiled, tile, px, py, base, slope)
         for k in range(AREA):
             x, y = column * TILE + k % TILE, line * TILE + k // TILE
             nearest[k] = front[y, x] if x < width and y < height else -infinite
             limit[k] = ends[y, x] + layer if x < width and y < height else -infinite
-            shows[k] = False
-        for pair in range(behind.first[tile], behind.first[tile + 1]):
-            i = behind.listed[pair]
-            fragments(behind.records[i], behind.spans[i], near, px, py, base, slope, 0, AREA, h, z)
+            visible[k] = False
+        for pair in range(hidden.tile_starts[tile], hidden.tile_starts[tile + 1]):
+            i = hidden.splat_ids[pair]
+            fragments(hidden.records[i], hidden.spans[i], near, px, py, base, slope, 0, AREA, h, z)
             for k in range(AREA):
-                shows[k] |= (h[k] <= cutoff) & (z[k] < infinite) & (z[k] <= limit[k])
+                visible[k] |= (h[k] <= cutoff) & (z[k] < infinite) & (z[k] <= limit[k])
                 nearest[k] = min(nearest[k], z[k] if h[k] <= core else infinite)
         for k in range(AREA):
             x, y = column * TILE + k % TILE, line * TILE + k // TILE
-            if not shows[k]:
+            if not visible[k]:
                 continue
             last = nearest[k] + layer if nearest[k] < infinite else kind(FAR)
             total = np.zeros(5, kind)
-            for one in range(2):
-                drawn, rgb = (behind, behind_colours) if one else (frame, colours)
-                for pair in range(drawn.first[tile], drawn.first[tile + 1]):
-                    i = drawn.listed[pair]
+            for pass_ in range(2):
+                drawn, rgb = (hidden, hidden_colours) if pass_ else (tiled, colours)
+                for pair in range(drawn.tile_starts[tile], drawn.tile_starts[tile + 1]):
+                    i = drawn.splat_ids[pair]
                     r = drawn.records[i]
                     fragments(r, drawn.spans[i], near, px, py, base, slope, k, k + 1, h, z)
                     if h[k] <= cutoff and z[k] <= last:
                         g = math.exp(-h[k])
-                        total[0] += g * r[12]
-                        total[1] += g * r[13]
+                        total[0] += g * r[WEIGHT]
+                        total[1] += g * r[SHARPNESS]
                         for c in range(3):
-                            total[2 + c] += g * r[12] * rgb[i, c]
+                            total[2 + c] += g * r[WEIGHT] * rgb[i, c]
             front[y, x] = nearest[k]
             sums[y, x] = total

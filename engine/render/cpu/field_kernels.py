@@ -1,0 +1,265 @@
+"""Kernels of the kernel field: the terms of points, found through a grid or, on a picture of a plane, atom by atom.
+
+A point finds the dozen atoms that reach it among some fifty in the grid's cells; on a plane it is faster to ask each
+atom which pixels it reaches.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from engine.scene.constants import CUTOFF_Q
+
+__all__ = [
+    "POINTS",
+    "REACH",
+    "ROWS",
+    "atoms_near_plane",
+    "count_terms",
+    "count_terms_on",
+    "divide",
+    "fill_terms",
+    "fill_terms_on",
+    "sort_by_cell",
+    "sum_terms",
+]
+
+POINTS = 2048
+"""Points in a task: many tasks, so that the cores finish together, but each long compared with a call."""
+
+ROWS = 16
+"""Rows of the picture in a task."""
+
+REACH = 3.0001
+"""Standard deviations at which an atom is cut off, and a little against rounding."""
+
+MARGIN = 1e-3
+"""Pixels by which an atom's box is widened, against rounding."""
+
+
+@njit(cache=True, nogil=True)
+def atoms_near_plane(grid, corner, across, down, most, rows, boxes):
+    """Finds the atoms of a level that reach a picture's plane: rows (n,) ascending and boxes (n, 4), x0 x1 y0 y1 of the
+    pixels they may reach, first to one past last. Returns how many; pixel (x, y) is at corner + x across + y down."""
+    xx = across[0] * across[0] + across[1] * across[1] + across[2] * across[2]
+    xy = across[0] * down[0] + across[1] * down[1] + across[2] * down[2]
+    yy = down[0] * down[0] + down[1] * down[1] + down[2] * down[2]
+    det = xx * yy - xy * xy
+    c0, c1, c2 = corner[0] - grid.origin[0], corner[1] - grid.origin[1], corner[2] - grid.origin[2]
+    count = 0
+    for i in range(len(grid.shapes)):
+        x, y, z = grid.shapes[i, 0] - c0, grid.shapes[i, 1] - c1, grid.shapes[i, 2] - c2
+        least = min(min(grid.shapes[i, 3], grid.shapes[i, 4]), min(grid.shapes[i, 5], most))
+        reach = REACH / np.float64(least)
+        ax, ay = x * across[0] + y * across[1] + z * across[2], x * down[0] + y * down[1] + z * down[2]
+        u, v = (yy * ax - xy * ay) / det, (xx * ay - xy * ax) / det
+        left = reach * reach - (x * x + y * y + z * z - u * ax - v * ay)  # squared reach within the plane
+        if not left > 0.0:
+            continue
+        wide, high = math.sqrt(left * yy / det) + MARGIN, math.sqrt(left * xx / det) + MARGIN
+        rows[count] = i
+        boxes[count, 0] = math.ceil(min(max(u - wide, 0.0), 1e9))
+        boxes[count, 1] = math.floor(min(max(u + wide, -1.0), 1e9)) + 1
+        boxes[count, 2] = math.ceil(min(max(v - high, 0.0), 1e9))
+        boxes[count, 3] = math.floor(min(max(v + high, -1.0), 1e9)) + 1
+        count += boxes[count, 1] > boxes[count, 0] and boxes[count, 3] > boxes[count, 2]
+    return count
+
+
+@njit(cache=True)
+def _slot(x, scale, n):
+    """Cell of a coordinate along an axis of n cells; coordinates outside belong to the border cells."""
+    i = x * scale
+    if not i > 0:
+        return 0
+    return int(i) if i < n else n - 1
+
+
+@njit(cache=True)
+def sort_by_cell(position, scale, nx, ny, nz):
+    """Stable counting sort by cell: first (cells + 1,) and the order (n,)."""
+    first = np.zeros(nx * ny * nz + 1, np.int32)
+    cell = np.empty(len(position), np.int32)
+    for i in range(len(position)):
+        x, y, z = _slot(position[i, 0], scale, nx), _slot(position[i, 1], scale, ny), _slot(position[i, 2], scale, nz)
+        cell[i] = (z * ny + y) * nx + x
+        first[cell[i] + 1] += 1
+    for c in range(nx * ny * nz):
+        first[c + 1] += first[c]
+    cursor = first[:-1].copy()
+    order = np.empty(len(position), np.int32)
+    for i in range(len(position)):
+        order[cursor[cell[i]]] = i
+        cursor[cell[i]] += 1
+    return first, order
+
+
+@njit(cache=True)
+def _weight(i, point, most, shapes, axes):
+    """w_i at a point; -1 beyond the cutoff."""
+    q, ratio = _distance(i, point, most, shapes, axes)
+    if q > np.float32(CUTOFF_Q):
+        return np.float32(-1)
+    return math.exp(np.float32(-0.5) * q) * ratio
+
+
+@njit(cache=True)
+def _distance(i, point, most, shapes, axes):
+    """(q_i, ratio of volumes) at a point: the factor on the weight of an atom widened to the footprint."""
+    x, y, z = point[0] - shapes[i, 0], point[1] - shapes[i, 1], point[2] - shapes[i, 2]
+    a, b, c = shapes[i, 3], shapes[i, 4], shapes[i, 5]
+    if len(axes) > 0:
+        u = axes[i, 0, 0] * x + axes[i, 0, 1] * y + axes[i, 0, 2] * z
+        v = axes[i, 1, 0] * x + axes[i, 1, 1] * y + axes[i, 1, 2] * z
+        w = axes[i, 2, 0] * x + axes[i, 2, 1] * y + axes[i, 2, 2] * z
+        x, y, z = u, v, w
+    ratio = np.float32(1)
+    if a > most:
+        ratio *= most / a
+        a = most
+    if b > most:
+        ratio *= most / b
+        b = most
+    if c > most:
+        ratio *= most / c
+        c = most
+    x, y, z = x * a, y * b, z * c
+    return x * x + y * y + z * z, ratio
+
+
+@njit(cache=True)
+def _cells_within(p, reach, grid):
+    """Cells within reach of p, ends included: x0, x1, y0, y1, z0, z1; x1 < x0 if there are none."""
+    for k in range(3):
+        if p[k] + reach < grid.box[0, k] or p[k] - reach > grid.box[1, k] or not reach >= 0:
+            return 0, -1, 0, -1, 0, -1
+    if reach <= np.float32(REACH) * grid.largest:
+        x, y, z = _slot(p[0], grid.scale, grid.nx), _slot(p[1], grid.scale, grid.ny), _slot(p[2], grid.scale, grid.nz)
+        if grid.is_isolated[(z * grid.ny + y) * grid.nx + x]:
+            return 0, -1, 0, -1, 0, -1
+    return (
+        _slot(p[0] - reach, grid.scale, grid.nx),
+        _slot(p[0] + reach, grid.scale, grid.nx),
+        _slot(p[1] - reach, grid.scale, grid.ny),
+        _slot(p[1] + reach, grid.scale, grid.ny),
+        _slot(p[2] - reach, grid.scale, grid.nz),
+        _slot(p[2] + reach, grid.scale, grid.nz),
+    )
+
+
+@njit(cache=True)
+def _local(point, origin):
+    """A point relative to the level's origin, float32."""
+    return (
+        np.float32(point[0] - origin[0]),
+        np.float32(point[1] - origin[1]),
+        np.float32(point[2] - origin[2]),
+    )
+
+
+@njit(cache=True)
+def _reach(most, largest):
+    """Distance beyond which no atom of a level has a term."""
+    return np.float32(REACH) * max(largest, np.float32(1) / most)
+
+
+@njit(cache=True, nogil=True)
+def sum_terms(task, points, most, grid, colour, density):
+    """Adds the terms of one level to colour (P, 3), weighted, and density (P,) of some points."""
+    for p in range(task * POINTS, min((task + 1) * POINTS, len(points))):
+        point = _local(points[p], grid.origin)
+        x0, x1, y0, y1, z0, z1 = _cells_within(point, _reach(most[p], grid.largest), grid)
+        if x1 < x0:
+            continue
+        total = np.float32(0)
+        red, green, blue = np.float32(0), np.float32(0), np.float32(0)
+        for z in range(z0, z1 + 1):
+            for y in range(y0, y1 + 1):
+                row = (z * grid.ny + y) * grid.nx
+                for i in range(grid.first[row + x0], grid.first[row + x1 + 1]):
+                    w = _weight(i, point, most[p], grid.shapes, grid.axes)
+                    if w >= 0:
+                        total += w
+                        red += w * grid.rgb[i, 0]
+                        green += w * grid.rgb[i, 1]
+                        blue += w * grid.rgb[i, 2]
+        density[p] += total
+        colour[p, 0] += red
+        colour[p, 1] += green
+        colour[p, 2] += blue
+
+
+@njit(cache=True, nogil=True)
+def divide(task, colour, density):
+    """Divides the weighted colours of some points by their density."""
+    for p in range(task * POINTS, min((task + 1) * POINTS, len(density))):
+        if density[p] > 0:
+            for k in range(3):
+                colour[p, k] /= density[p]
+
+
+@njit(cache=True, nogil=True)
+def count_terms(task, points, most, grid, count):
+    """Adds to count (P + 1,) the terms of one level at some points, one place further on."""
+    for p in range(task * POINTS, min((task + 1) * POINTS, len(points))):
+        point = _local(points[p], grid.origin)
+        x0, x1, y0, y1, z0, z1 = _cells_within(point, _reach(most[p], grid.largest), grid)
+        if x1 < x0:
+            continue
+        n = 0
+        for z in range(z0, z1 + 1):
+            for y in range(y0, y1 + 1):
+                row = (z * grid.ny + y) * grid.nx
+                for i in range(grid.first[row + x0], grid.first[row + x1 + 1]):
+                    q, _ = _distance(i, point, most[p], grid.shapes, grid.axes)
+                    n += q <= np.float32(CUTOFF_Q)
+        count[p + 1] += n
+
+
+@njit(cache=True, nogil=True)
+def fill_terms(task, points, most, grid, cursor, columns, weights):
+    """Writes atoms and weights of the terms of one level at cursor (P,), which advances."""
+    for p in range(task * POINTS, min((task + 1) * POINTS, len(points))):
+        point = _local(points[p], grid.origin)
+        x0, x1, y0, y1, z0, z1 = _cells_within(point, _reach(most[p], grid.largest), grid)
+        if x1 < x0:
+            continue
+        n = cursor[p]
+        for z in range(z0, z1 + 1):
+            for y in range(y0, y1 + 1):
+                row = (z * grid.ny + y) * grid.nx
+                for i in range(grid.first[row + x0], grid.first[row + x1 + 1]):
+                    w = _weight(i, point, most[p], grid.shapes, grid.axes)
+                    if w >= 0:
+                        columns[n] = grid.atom[i]
+                        weights[n] = w
+                        n += 1
+        cursor[p] = n
+
+
+@njit(cache=True, nogil=True)
+def count_terms_on(task, height, width, rows, boxes, points, most, grid, count):
+    """`count_terms` at some rows of a picture, from the boxes of `atoms_near_plane`."""
+    first, stop = task * ROWS, min((task + 1) * ROWS, height)
+    for k in range(len(rows)):
+        for y in range(max(boxes[k, 2], first), min(boxes[k, 3], stop)):
+            for p in range(y * width + boxes[k, 0], y * width + min(boxes[k, 1], width)):
+                q, _ = _distance(rows[k], _local(points[p], grid.origin), most, grid.shapes, grid.axes)
+                count[p + 1] += q <= np.float32(CUTOFF_Q)
+
+
+@njit(cache=True, nogil=True)
+def fill_terms_on(task, height, width, rows, boxes, points, most, grid, cursor, columns, weights):
+    """`fill_terms` at some rows of a picture, from the boxes of `atoms_near_plane`."""
+    first, stop = task * ROWS, min((task + 1) * ROWS, height)
+    for k in range(len(rows)):
+        for y in range(max(boxes[k, 2], first), min(boxes[k, 3], stop)):
+            for p in range(y * width + boxes[k, 0], y * width + min(boxes[k, 1], width)):
+                w = _weight(rows[k], _local(points[p], grid.origin), most, grid.shapes, grid.axes)
+                if w >= 0:
+                    columns[cursor[p]] = grid.atom[rows[k]]
+                    weights[cursor[p]] = w
+                    cursor[p] += 1
