@@ -134,7 +134,7 @@ def tile_lists(
 def fill_rays(tiled, tile, px, py, base, slope):
     """Fills a tile's pixel centres px, py (AREA,) and its rays' distance to each plane, base + z slope (P, AREA).
 
-    The pixel loops allocate these arrays and repeat their prelude instead of sharing it: shared, they take twice as long.
+    The pixel loops allocate these arrays and repeat the prelude: with shared functions they take twice as long.
     """
     cam, planes = tiled.cam, tiled.planes
     left, top = tile % tiled.columns * TILE, tile // tiled.columns * TILE
