@@ -14,7 +14,7 @@ from scipy import ndimage
 
 from engine.errors import InputError
 from training.families import Family
-from training.priors.exemplar.frames import HEIGHT_CELLS, RADIUS_CELLS, Frame, depth_gate, scaled_sheet
+from training.priors.exemplar.frames import HEIGHT_CELLS, RADIUS_CELLS, Frame, depth_gate, scale_picture
 from training.priors.exemplar.patches import FIXED, OVER, PATCH, POLAR, RADIAL, posterior, read_patches
 from training.priors.exemplar.pictures import Picture, read_picture
 from training.priors.prior import Condition
@@ -24,13 +24,13 @@ __all__ = ["PatchDenoiser"]
 COEFFICIENTS = 24
 """PCA coefficients that are compared; over 95 % of the variance of photographs' patches."""
 
-MOST = 800
+MAX_CANDIDATES = 800
 """Candidates of a gate cell: over this they are thinned evenly."""
 
-FEWEST = 100
+MIN_CANDIDATES = 100
 """Candidates under which the nearest others in gate coordinates are taken in."""
 
-SHARPEST = 0.04
+MIN_SIGMA = 0.04
 """Least noise assumed, in colour units: the exemplars are samples of the fruit and not all of it."""
 
 
@@ -93,19 +93,19 @@ def pixels_per_radius(condition: Condition) -> float:
 
 def prepare(pictures: list[Picture], kind: Frame, radius: float, inradius: float) -> Patches:
     """Patches of pictures whose cut face is `radius` pixels in half width; inradius of the body in pixels."""
-    sheets = []
+    scaled_pictures = []
     for picture in pictures:
         rows, columns = np.nonzero(picture.mask)
         half = np.sqrt(len(rows) / np.pi) if kind == POLAR else np.ptp(columns) / 2
-        sheets.append(scaled_sheet(picture, inradius, kind, radius / max(half, 1.0)))
+        scaled_pictures.append(scale_picture(picture, inradius, kind, radius / max(half, 1.0)))
     patches, colours = [], []
-    for sheet in sheets:
-        out = np.empty((len(sheet.xy), PATCH), np.float32)
+    for scaled in scaled_pictures:
+        out = np.empty((len(scaled.xy), PATCH), np.float32)
         # One pixel of the sheet is a fraction of a pixel of the label; a patch's steps are the label's.
-        read_patches(sheet.rgb, sheet.xy * np.float32(OVER), sheet.ab * np.float32(OVER), out)
+        read_patches(scaled.rgb, scaled.xy * np.float32(OVER), scaled.ab * np.float32(OVER), out)
         patches.append(out)
-        column, row = (sheet.xy * OVER + 0.5).astype(int).T
-        colours.append(sheet.rgb[row, column])
+        column, row = (scaled.xy * OVER + 0.5).astype(int).T
+        colours.append(scaled.rgb[row, column])
     joined = np.concatenate(patches)
     mean = joined.mean(0, dtype=np.float64).astype(np.float32)
     centred = joined - mean
@@ -117,7 +117,7 @@ def prepare(pictures: list[Picture], kind: Frame, radius: float, inradius: float
         np.ascontiguousarray(axes),
         np.ascontiguousarray(centred @ axes),
         np.concatenate(colours),
-        np.concatenate([s.gate for s in sheets]),
+        np.concatenate([s.gate for s in scaled_pictures]),
     )
 
 
@@ -134,7 +134,7 @@ def denoised(noisy: NDArray[np.float32], sigma: float, condition: Condition, pat
     cells, lists = np.unique(np.floor(gate).astype(np.int64), axis=0, return_inverse=True)
     near = [_candidates(patches.gate, cell + 0.5) for cell in cells]
     starts = np.cumsum([0, *[len(n) for n in near]]).astype(np.int64)
-    found = np.empty((len(rows), 3), np.float32)
+    means = np.empty((len(rows), 3), np.float32)
     posterior(
         np.ascontiguousarray((queries - patches.mean) @ patches.axes),
         lists.ravel().astype(np.int64),
@@ -142,21 +142,21 @@ def denoised(noisy: NDArray[np.float32], sigma: float, condition: Condition, pat
         np.concatenate(near).astype(np.int32),
         patches.features,
         patches.colours,
-        max(sigma, SHARPEST),
-        found,
+        max(sigma, MIN_SIGMA),
+        means,
     )
-    out[rows, columns] = found
+    out[rows, columns] = means
     return out
 
 
 def _candidates(gates: NDArray[np.float32], at: NDArray[np.floating]) -> NDArray[np.intp]:
-    """Patches in a gate cell and its neighbours, thinned to `MOST`; the nearest `FEWEST` where there are too few."""
+    """Patches in a gate cell and its neighbours, thinned to MAX_CANDIDATES, or else the nearest MIN_CANDIDATES."""
     near = np.flatnonzero((np.abs(gates - at) <= 1.5).all(1))
-    if len(near) < FEWEST:
+    if len(near) < MIN_CANDIDATES:
         gaps = ((gates - at) ** 2).sum(1)
-        count = min(FEWEST, len(gates))
+        count = min(MIN_CANDIDATES, len(gates))
         return np.sort(np.argpartition(gaps, count - 1)[:count])
-    return near[np.linspace(0, len(near) - 1, min(MOST, len(near))).astype(int)]
+    return near[np.linspace(0, len(near) - 1, min(MAX_CANDIDATES, len(near))).astype(int)]
 
 
 def _gate(condition: Condition, kind: Frame) -> NDArray[np.float32]:
