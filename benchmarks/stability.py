@@ -121,7 +121,9 @@ def core(offset: float) -> Solid:
     return Solid.of(f"core {offset}", ("horizontal", "radial"), depth, colour)
 
 
-def solved(solid: Solid, tilt: float = 0.0, seed: int = 0, pixels: int = 96, voxels: int = VOXELS) -> dict[str, float]:
+def labels_from_volume(
+    solid: Solid, tilt: float = 0.0, seed: int = 0, pixels: int = 96, voxels: int = VOXELS
+) -> dict[str, float]:
     """Mean PSNR in dB of untrained cuts, with the up axis turned away by `tilt` degrees; cells along the longest side.
 
     From pictures this many pixels wide.
@@ -149,7 +151,7 @@ def solved(solid: Solid, tilt: float = 0.0, seed: int = 0, pixels: int = 96, vox
 
 def seeded(name: str) -> dict[str, Any]:
     """The PSNR of one solid with each seed, and its spread."""
-    spread = [solved(SOLIDS[name](0), seed=seed)["psnr_db"] for seed in SEEDS]
+    spread = [labels_from_volume(SOLIDS[name](0), seed=seed)["psnr_db"] for seed in SEEDS]
     return {"solid": name, "psnr_db": spread, "mean_db": round(float(np.mean(spread)), 3),
             "sd_db": round(float(np.std(spread)), 3)}  # fmt: skip
 
@@ -244,9 +246,9 @@ def main() -> None:
         for count in PLANES
     ]
     orange = SOLIDS["orange"](0)
-    figures["pictures"] = [{"pixels": size, **solved(orange, pixels=size, voxels=FINE)} for size in PIXELS]
-    figures["tilts"] = [{"degrees": tilt, **solved(cake, tilt)} for tilt in TILTS]
-    figures["offsets"] = [{"radii": offset, **solved(core(offset))} for offset in OFFSETS]
+    figures["pictures"] = [{"pixels": size, **labels_from_volume(orange, pixels=size, voxels=FINE)} for size in PIXELS]
+    figures["tilts"] = [{"degrees": tilt, **labels_from_volume(cake, tilt)} for tilt in TILTS]
+    figures["offsets"] = [{"radii": offset, **labels_from_volume(core(offset))} for offset in OFFSETS]
     figures["seeds"] = [seeded(name) for name in SEEDED]
     keep(known | figures)
     draw(figures)

@@ -36,10 +36,10 @@ class Checkpoint:
     def save(self, stage: str, arrays: dict[str, Array], facts: dict[str, Any]) -> Path:
         """Writes arrays and JSON facts; the file appears whole or not at all. Returns where."""
         text = json.dumps(facts)
-        whole = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
-        metadata = {"run": self.run, "facts": text, "crc32": str(_crc(arrays, text))}
+        contiguous = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
+        metadata = {"run": self.run, "facts": text, "crc32": str(_crc32(arrays, text))}
         with atomic(self.path(stage)) as temporary:
-            save_file(whole, temporary, metadata)
+            save_file(contiguous, temporary, metadata)
         return self.path(stage)
 
     def load(self, stage: str) -> tuple[dict[str, Array], dict[str, Any]] | None:
@@ -55,7 +55,7 @@ class Checkpoint:
                 metadata = file.metadata() or {}
                 arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a dict)
             facts = json.loads(metadata["facts"])
-            if metadata["crc32"] != str(_crc(arrays, metadata["facts"])):
+            if metadata["crc32"] != str(_crc32(arrays, metadata["facts"])):
                 raise ValueError("checksum")  # safetensors has none: a flipped bit would train on
         except (SafetensorError, OSError, KeyError, ValueError) as error:
             raise InputError(f"{path}: not a readable checkpoint; start again without --resume") from error
@@ -63,15 +63,15 @@ class Checkpoint:
             raise InputError(f"{path}: made from another input or with other settings; start again without --resume")
         return arrays, facts
 
-    def made(
+    def load_or_make(
         self, stage: str, make: Callable[[], tuple[dict[str, Array], dict[str, Any]]]
     ) -> tuple[dict[str, Array], dict[str, Any]]:
         """Arrays and facts of a stage: as they were kept, else made now and kept. Raises InputError as both."""
-        kept = self.load(stage)
-        if kept is None:
-            kept = make()
-            self.save(stage, *kept)
-        return kept
+        stored = self.load(stage)
+        if stored is None:
+            stored = make()
+            self.save(stage, *stored)
+        return stored
 
     def clear(self) -> None:
         """Forgets every stage."""
@@ -79,7 +79,7 @@ class Checkpoint:
             remove(path)
 
 
-def _crc(arrays: dict[str, Array], facts: str) -> int:
+def _crc32(arrays: dict[str, Array], facts: str) -> int:
     """CRC-32 of all that a stage holds."""
     crc = zlib.crc32(facts.encode())
     for name in sorted(arrays):

@@ -15,8 +15,9 @@ from engine.scene.atoms import Atoms
 from engine.scene.camera import equator, fit_distance, orbit, section
 from engine.scene.grid import Body
 from engine.scene.plane import Plane
+from training.images import to_image
 
-__all__ = ["save_picture", "save_sheet", "untrained_planes"]
+__all__ = ["contact_sheet_planes", "save_contact_sheet"]
 
 TILE = 320
 """Pixels of a square tile."""
@@ -33,7 +34,7 @@ CUTS = (
 )
 
 
-def untrained_planes(body: Body, up: NDArray[np.float64]) -> list[Plane]:
+def contact_sheet_planes(body: Body, up: NDArray[np.float64]) -> list[Plane]:
     """Six planes through the body that no family contains; the kept side is the one away from up."""
     e1, e2 = equator(up)
     points = body.centres()[body.inside]
@@ -48,12 +49,12 @@ def untrained_planes(body: Body, up: NDArray[np.float64]) -> list[Plane]:
     return planes
 
 
-def save_sheet(path: Path, atoms: Atoms, body: Body, up: NDArray[np.float64]) -> None:
+def save_contact_sheet(path: Path, atoms: Atoms, body: Body, up: NDArray[np.float64]) -> None:
     """Two rows for six cuts: the opened object as one sees it, and below each the cut face straight on."""
     field = KernelField(atoms)
     centre = body.bounds().mean(0)
     sheet = Image.new("RGB", (TILE * len(CUTS), TILE * 2), "white")
-    for index, (plane, (tilt, turn, _)) in enumerate(zip(untrained_planes(body, up), CUTS, strict=True)):
+    for index, (plane, (tilt, turn, _)) in enumerate(zip(contact_sheet_planes(body, up), CUTS, strict=True)):
         fov = np.radians(30.0)
         # From the removed side and a little above, so that the face and the skin around it both show.
         elevation = max(18.0, 90.0 - tilt - 25.0)
@@ -64,15 +65,3 @@ def save_sheet(path: Path, atoms: Atoms, body: Body, up: NDArray[np.float64]) ->
         sheet.paste(to_image(face.rgb), (TILE * index, TILE))
     with atomic(path) as temporary:
         sheet.save(temporary)
-
-
-def save_picture(path: Path, rgb: NDArray[np.float32]) -> None:
-    """One picture (H, W, 3) of range [0, 1] as PNG."""
-    image = to_image(rgb)
-    with atomic(path) as temporary:
-        image.save(temporary)
-
-
-def to_image(rgb: NDArray[np.float32]) -> Image.Image:
-    """8-bit picture of (H, W, 3), range [0, 1], rounded."""
-    return Image.fromarray((np.clip(rgb, 0, 1) * 255 + 0.5).astype(np.uint8))

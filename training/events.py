@@ -16,7 +16,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from engine.errors import InputError
 from engine.io.files import Lines, reason
 
-__all__ = ["Reporter", "plain"]
+__all__ = ["Reporter", "to_json"]
 
 STAGES = {
     "load": "Reading the scene",
@@ -88,7 +88,7 @@ class Reporter:
         if self.events is None:
             return
         line = {"event": event, "seconds": round(time.perf_counter() - self.started, 3), **facts}
-        text = json.dumps(plain(line), allow_nan=False) + "\n"
+        text = json.dumps(to_json(line), allow_nan=False) + "\n"
         try:
             self.events.write(text)
             if not isinstance(self.events, Lines):
@@ -126,8 +126,8 @@ class Stage:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        spent = time.perf_counter() - self.begin
-        self.reporter.timings[self.name] = self.reporter.timings.get(self.name, 0.0) + spent
+        seconds = time.perf_counter() - self.begin
+        self.reporter.timings[self.name] = self.reporter.timings.get(self.name, 0.0) + seconds
         if self.reporter.display is not None and kind is None:
             self.reporter.display.update(self.task, completed=1.0)
 
@@ -143,12 +143,12 @@ class Stage:
         self.reporter.emit("progress", stage=self.name, part=round(part, 4), eta=eta, **facts)
 
 
-def plain(value: Any) -> Any:
+def to_json(value: Any) -> Any:
     """The same without what JSON cannot say: infinities and NaN become null, paths become text."""
     if isinstance(value, dict):
-        return {key: plain(item) for key, item in value.items()}
+        return {key: to_json(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [plain(item) for item in value]
+        return [to_json(item) for item in value]
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     return str(value) if isinstance(value, Path) else value

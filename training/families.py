@@ -21,11 +21,11 @@ Kind = Literal["horizontal", "radial", "parallel", "custom"]
 # The paper's appendix: 40 horizontal, 30 radial, 60 parallel slices (bread).
 COUNTS: dict[Kind, int] = {"horizontal": 40, "radial": 30, "parallel": 60, "custom": 0}
 
-MOST = 10_000
+MAX_PLANES = 10_000
 """Planes of a family. At 10,000 they stand closer than any atom is small, and each costs a label picture."""
 
 
-LEAN = np.radians(15)
+MAX_TILT = np.radians(15)
 """Angle up to which a plane counts as level or upright: people do not cut straighter."""
 
 NEAR_AXIS = 0.05
@@ -54,8 +54,8 @@ class Family:
             raise InputError(f"family '{self.kind}': unknown; choose {', '.join(get_args(Kind))}")
         if self.kind != "custom" and self.count < 1:
             raise InputError(f"family '{self.kind}': {self.count} planes; give at least 1")
-        if self.count > MOST:
-            raise InputError(f"family '{self.kind}': {self.count:,} planes; give at most {MOST:,}")
+        if self.count > MAX_PLANES:
+            raise InputError(f"family '{self.kind}': {self.count:,} planes; give at most {MAX_PLANES:,}")
         if not 0 <= self.span[0] < self.span[1] <= 1:
             low, high = self.span
             raise InputError(f"family '{self.kind}': range {low:g}..{high:g}; give parts of the whole, as in 0.2..0.8")
@@ -72,7 +72,7 @@ class Family:
         e1, e2 = equator(up)
         return e1 if abs((high - low) @ e1) >= abs((high - low) @ e2) else e2
 
-    def plain(self, body: Body, up: NDArray[np.float64]) -> Family:
+    def as_standard_kind(self, body: Body, up: NDArray[np.float64]) -> Family:
         """A custom family as the horizontal, radial or parallel one whose planes are like its first; others unchanged.
 
         That tells how its pictures are to be read: of a plane along the axis and near it, as a radial cut.
@@ -80,13 +80,13 @@ class Family:
         if self.kind != "custom":
             return self
         plane = self.custom[0]
-        steep = abs(float(plane.normal @ up))
+        along_up = abs(float(plane.normal @ up))
         low, high = body.bounds()
-        aside = abs(float(plane.normal @ (low + high) / 2 + plane.offset))
+        axis_distance = abs(float(plane.normal @ (low + high) / 2 + plane.offset))
         kind: Kind = "parallel"
-        if steep > np.cos(LEAN):
+        if along_up > np.cos(MAX_TILT):
             kind = "horizontal"
-        elif steep < np.sin(LEAN) and aside < NEAR_AXIS * float((high - low).min()):
+        elif along_up < np.sin(MAX_TILT) and axis_distance < NEAR_AXIS * float((high - low).min()):
             kind = "radial"
         x, y, z = map(float, plane.normal)
         return replace(
@@ -105,15 +105,15 @@ class Family:
         centre = body.bounds().mean(0)
         if self.kind == "radial":
             e1, e2 = equator(up)
-            angles = np.pi * self._parts(0.0)
+            angles = np.pi * self._positions(0.0)
             return [Plane.through(centre, np.cross(np.cos(a) * e1 + np.sin(a) * e2, up)) for a in angles]
         normal = self.normal(body, up)
         along = body.centres()[body.inside] @ normal
         low, high = (float(along.min()), float(along.max())) if len(along) else (0.0, 0.0)
-        steps = low + (high - low) * self._parts(0.5)
+        steps = low + (high - low) * self._positions(0.5)
         return [Plane.of(normal, -float(s)) for s in steps]
 
-    def _parts(self, offset: float) -> NDArray[np.float64]:
+    def _positions(self, offset: float) -> NDArray[np.float64]:
         """(count,). Where in [0, 1] the planes stand: in each of `count` equal steps of `span`, `offset` of the way."""
         low, high = self.span
         return low + (high - low) * (np.arange(self.count) + offset) / self.count

@@ -23,7 +23,7 @@ __all__ = [
     "Extent",
     "Section",
     "Slice",
-    "conditioned",
+    "make_condition",
     "sections",
     "slices",
     "surface_cameras",
@@ -71,7 +71,7 @@ def slices(
             camera = section(plane, up, bounds, size, radius)
             points = on_plane(camera, plane)
             if (body.at(points) > 0).any():
-                condition = conditioned(family, body, extent, camera, points)
+                condition = make_condition(family, body, extent, camera, points)
                 result.append(Slice(family, plane, camera, condition, points))
     return result
 
@@ -110,7 +110,7 @@ class Extent:
         return Extent(up, centre, float(reach), float(along.min()), float(along.max()), body.inradius)
 
 
-def conditioned(
+def make_condition(
     family: Family,
     body: Body,
     extent: Extent,

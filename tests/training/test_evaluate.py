@@ -13,7 +13,7 @@ import engine.solid.solidify
 import training.contact_sheet
 import training.evaluate.cuts
 import training.families
-import training.outcome
+import training.results
 import training.settings
 from benchmarks.presets import front
 from engine.errors import InputError
@@ -171,7 +171,7 @@ def tiny(monkeypatch):
     monkeypatch.setitem(training.families.COUNTS, "parallel", 5)
     monkeypatch.setattr(engine.solid.solidify, "BODY_CELLS", 32)
     monkeypatch.setattr(training.contact_sheet, "TILE", 48)
-    monkeypatch.setattr(training.outcome, "HELD_OUT_VIEWS", 1)
+    monkeypatch.setattr(training.results, "HELD_OUT_VIEWS", 1)
     monkeypatch.setattr(training.evaluate.cuts, "SIZE", 64)
 
 

@@ -38,7 +38,7 @@ from tests.helpers.exemplar_faces import disc, save
 from tests.helpers.solids import ball as solid
 from training.events import Reporter
 from training.families import Family
-from training.labels import written_back
+from training.labels import back_project
 from training.optimise.smoothing import smooth
 from training.optimise.trainer import Trainer
 from training.pipeline import Pipeline, run
@@ -192,9 +192,9 @@ def test_atoms_are_no_finer_than_the_pictures(tmp_path: Path, monkeypatch: pytes
     across = []
 
     class Measured(Pipeline):
-        def fill(self, geometry: Geometry, pitch: float, colours: Colours) -> InteriorAtoms:
+        def fill_interior(self, geometry: Geometry, pitch: float, colours: Colours) -> InteriorAtoms:
             across.append(float(np.ptp(geometry.body.bounds(), axis=0).max()) / pitch)
-            return super().fill(geometry, pitch, colours)
+            return super().fill_interior(geometry, pitch, colours)
 
     picture = save(tmp_path / "small.png", disc(60, seeds=6)[0])  # the cut face is 48 pixels across
     request = Request(tmp_path / "ball.ply", (Family("horizontal", 2, (picture,)),), "draft", (0.0, 0.0, 1.0))
@@ -274,7 +274,7 @@ def test_what_no_label_shows_is_smoothed_unless_smoothing_is_left_out(atoms: Ato
     atoms = replace(atoms, interior=replace(atoms.interior, rgb=np.full_like(atoms.interior.rgb, 0.5)))
     cuts = crossed(atoms)
     white = [np.ones((48, 48, 3), np.float32)] * len(cuts)
-    kept, shown = written_back(atoms, cuts, white)
+    kept, shown = back_project(atoms, cuts, white)
     smoothed = smooth(atoms.interior.means, atoms.interior.rgb, kept, shown)
     assert np.allclose(smoothed, 1, atol=1e-5)
     assert 0.1 < (kept == 0.5).all(axis=1).mean() < 0.9

@@ -20,7 +20,6 @@ from scipy import ndimage
 from engine.io.files import atomic
 from engine.io.trained import sidecar_path
 from engine.threads import cores
-from training.contact_sheet import to_image
 from training.evaluate.cuts import Cut, Truth, cuts_of, meeting_points, truth_of
 from training.evaluate.features import Clip, Features, network
 from training.evaluate.methods import METHODS, Made
@@ -34,6 +33,7 @@ from training.evaluate.metrics import (
     sharpness,
 )
 from training.evaluate.scenes import Subject, subject
+from training.images import to_image
 from training.settings import DETAILS, DetailName
 
 __all__ = ["SHOWN", "fingerprint", "measure"]

@@ -40,14 +40,14 @@ from training.evaluate.patch_denoiser import PatchDenoiser
 from training.evaluate.scenes import Subject, Tuned
 from training.events import Reporter
 from training.families import Family
-from training.labels import make_prior
+from training.labels import blank_label, make_prior
 from training.optimise.trainer import Trainer
-from training.outcome import surface_psnr
-from training.pipeline import Pipeline, prepare, refitted
-from training.priors.prior import Denoises, Progress, Volume
+from training.pipeline import Pipeline, prepare, refit_surface
+from training.priors.prior import Denoiser, Progress, Volume
 from training.priors.sds import distill
 from training.request import Geometry, Request
-from training.views import BACKGROUND, ENTRIES, Extent, Section, Slice, conditioned, surface_cameras
+from training.results import surface_psnr
+from training.views import BACKGROUND, ENTRIES, Extent, Section, Slice, make_condition, surface_cameras
 
 __all__ = ["METHODS", "Made", "Method", "UnsmoothedTrainer"]
 
@@ -119,7 +119,7 @@ class WithoutRefinement(Pipeline):
 class Uniform(Pipeline):
     """Atoms as fine everywhere as ours are where the colours vary."""
 
-    def fill(self, geometry: Geometry, pitch: float, colours: Colours) -> InteriorAtoms:
+    def fill_interior(self, geometry: Geometry, pitch: float, colours: Colours) -> InteriorAtoms:
         """One atom for every cell of the finest lattice, whatever the colours."""
         interior = fill(geometry.body, pitch, self.request.seed, geometry.skin)
         return replace(interior, rgb=colours(interior.means).astype(np.float32))
@@ -135,11 +135,11 @@ class UnsmoothedTrainer(Trainer):
 class WithoutSmoothing(Pipeline):
     """No voxel smoothing."""
 
-    def smooth(self, geometry: Geometry, interior: InteriorAtoms, rgb: Float, shown: NDArray[np.bool_]) -> Float:
+    def smooth_interior(self, interior: InteriorAtoms, rgb: Float, covered: NDArray[np.bool_]) -> Float:
         """Nothing."""
         return rgb
 
-    def trainer(self, atoms: Atoms, faces: Sequence[Section], surfaces: Sequence[SurfaceView]) -> Trainer:
+    def make_trainer(self, atoms: Atoms, faces: Sequence[Section], surfaces: Sequence[SurfaceView]) -> Trainer:
         """One that does not smooth."""
         return UnsmoothedTrainer(atoms, faces, surfaces, self.request.seed)
 
@@ -147,21 +147,21 @@ class WithoutSmoothing(Pipeline):
 class PlaneByPlane:
     """The same prior where it may look at one plane at a time only."""
 
-    def __init__(self, prior: Denoises) -> None:
+    def __init__(self, prior: Denoiser) -> None:
         self.denoise = prior.denoise
 
 
-def denoiser(request: Request) -> Denoises:
+def denoiser(request: Request) -> Denoiser:
     """The request's own prior, or the patches of its pictures, as one that draws plane by plane."""
     prior = PatchDenoiser() if request.prior == "exemplar" else make_prior(request)
-    assert isinstance(prior, Denoises), prior
+    assert isinstance(prior, Denoiser), prior
     return prior
 
 
 class Looped(Pipeline):
     """A label for each plane by itself, refined from what the atoms show: the paper's own loop."""
 
-    def prior(self) -> Denoises:
+    def make_prior(self) -> Denoiser:
         """The request's own, plane by plane."""
         return denoiser(self.request)
 
@@ -179,9 +179,9 @@ class Independent(Looped):
 class IndependentByNoise(Independent):
     """A label for each plane by itself, down the gradient of the paper's eq. 5."""
 
-    def first_label(self, start: Float, prior: Denoises, cut: Slice, rng: np.random.Generator) -> Float:
+    def draw_label(self, prior: Denoiser, cut: Slice, rng: np.random.Generator) -> Float:
         """In steps of half the length."""
-        return distill(start, prior, cut.condition, rng, step=NOISE_STEP)
+        return distill(blank_label(cut.condition), prior, cut.condition, rng, step=NOISE_STEP)
 
 
 @dataclass(frozen=True)
@@ -194,7 +194,7 @@ class TrueVolume(Volume):
         """(..., 3). True colours at world points (..., 3)."""
         return self.solid.colour(points)
 
-    crisp = at
+    at_cubic = at
 
 
 @dataclass(frozen=True)
@@ -221,7 +221,7 @@ def oracle(subject: Subject, request: Tuned, out: Path) -> Made:
     """True slices as labels."""
 
     class Told(Pipeline):
-        def prior(self) -> Oracle:
+        def make_prior(self) -> Oracle:
             return Oracle(subject.solid)
 
     return trained(request, out, Told)
@@ -281,7 +281,7 @@ class Translucent(Trainer):
 class WithoutOpacification(Pipeline):
     """Atoms that let light through in training."""
 
-    def trainer(self, atoms: Atoms, faces: Sequence[Section], surfaces: Sequence[SurfaceView]) -> Trainer:
+    def make_trainer(self, atoms: Atoms, faces: Sequence[Section], surfaces: Sequence[SurfaceView]) -> Trainer:
         """One whose cut faces 3DGS blends."""
         return Translucent(atoms, faces, surfaces, self.request.seed)
 
@@ -308,7 +308,7 @@ def hollow(request: Tuned, out: Path) -> tuple[Geometry, Atoms, dict[str, Any]]:
     atoms = geometry.filled(fill(geometry.body, geometry.pitch, request.seed, geometry.skin))
     cameras = surface_cameras(geometry.body, geometry.up, fineness.surface_views, fineness.surface)
     views = surface_views(atoms, geometry.gaussians, cameras, ENTRIES)
-    atoms, _ = refitted(atoms, views, Checkpoint(out / "checkpoint", request.fingerprint()), lambda _: None)
+    atoms, _ = refit_surface(atoms, views, Checkpoint(out / "checkpoint", request.fingerprint()), lambda _: None)
     return geometry, atoms, {"surface_psnr_db": surface_psnr(geometry, atoms), "iterations": 0, "refinement_rounds": 0}
 
 
@@ -345,9 +345,8 @@ def inpainting(subject: Subject, request: Tuned, out: Path) -> Made:
     def show(number: int, cut: Cut) -> Float:
         family = nearest_family(cut.plane, request.families, geometry)
         small = cut.camera.resized(size, size)
-        condition = conditioned(family, geometry.body, extent, small, on_plane(small, cut.plane))
-        start = np.where(condition.inside[..., None], condition.render, np.float32(1))
-        label = distill(start, prior, condition, np.random.default_rng([request.seed, number]))
+        condition = make_condition(family, geometry.body, extent, small, on_plane(small, cut.plane))
+        label = distill(blank_label(condition), prior, condition, np.random.default_rng([request.seed, number]))
         zoom = cut.camera.width / size
         return np.clip(ndimage.zoom(label, (zoom, zoom, 1), order=1, mode="nearest", grid_mode=True), 0, 1)
 

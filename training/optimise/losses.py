@@ -49,7 +49,7 @@ def ssim(
     """Mean structural similarity of two pictures of at least 11 x 11 pixels, range [-1, 1]."""
     assert a.shape == b.shape and a.ndim == 3, (a.shape, b.shape)
     assert min(a.shape[:2]) >= WINDOW, a.shape
-    sums, _ = _likeness(a.astype(np.float32), b.astype(np.float32))
+    sums, _ = _ssim_and_gradient(a.astype(np.float32), b.astype(np.float32))
     return sums / (3 * (a.shape[0] - WINDOW + 1) * (a.shape[1] - WINDOW + 1))
 
 
@@ -67,7 +67,7 @@ class _Reconstruction(torch.autograd.Function):
     def forward(context: Any, render: Tensor, label: Tensor, alpha: float) -> Tensor:
         x, y = render.detach().float().numpy(), label.detach().float().numpy()
         difference = x - y
-        sums, gradient = _likeness(x, y)
+        sums, gradient = _ssim_and_gradient(x, y)
         valid = 3 * (x.shape[0] - WINDOW + 1) * (x.shape[1] - WINDOW + 1)
         context.gradient = torch.from_numpy((2 * alpha / x.size) * difference - ((1 - alpha) / valid) * gradient)
         mse = float(np.mean(difference * difference, dtype=np.float64))
@@ -78,7 +78,7 @@ class _Reconstruction(torch.autograd.Function):
         return gradients[0] * context.gradient, None, None
 
 
-def _likeness(x: Float, y: Float) -> tuple[float, Float]:
+def _ssim_and_gradient(x: Float, y: Float) -> tuple[float, Float]:
     """Sum of the SSIM map of (H, W, 3) pictures, and its gradient (H, W, 3) in x; one channel a task."""
     planes = np.ascontiguousarray(np.moveaxis(np.stack([x, y]), -1, 0))
     sums = np.zeros(3)
@@ -113,7 +113,11 @@ def _channel(c, planes, taps, sums, gradient):  # type: ignore[no-untyped-def]
             exx[i, j] = -s / b2
             exy[i, j] = two * a1 / (b1 * b2)
     sums[c] = total
-    through_mean, through_xx, through_xy = _spread(mx, taps), _spread(exx, taps), _spread(exy, taps)
+    through_mean, through_xx, through_xy = (
+        _blur_transposed(mx, taps),
+        _blur_transposed(exx, taps),
+        _blur_transposed(exy, taps),
+    )
     for i in range(x.shape[0]):
         for j in range(x.shape[1]):
             gradient[c, i, j] = through_mean[i, j] + two * x[i, j] * through_xx[i, j] + y[i, j] * through_xy[i, j]
@@ -138,7 +142,7 @@ def _blur(picture, taps):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _spread(values, taps):  # type: ignore[no-untyped-def]
+def _blur_transposed(values, taps):  # type: ignore[no-untyped-def]
     """The transpose of `_blur`: each value goes back to the pixels under its window."""
     k = len(taps)
     rows, columns = values.shape

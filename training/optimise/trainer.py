@@ -29,8 +29,8 @@ SURFACE_ALPHA = 0.6
 
 # Views in one iteration. The paper takes all sections and 10-20 surface views; a third of the sections, in turns,
 # reaches the same loss in a third of the time.
-SECTIONS_PER_ITERATION = 24
-SURFACES_PER_ITERATION = 10
+SECTIONS_PER_STEP = 24
+SURFACE_VIEWS_PER_STEP = 10
 
 # Adam's steps in colour units. The surface starts from the fitted input and must not drift, so it moves less, and its
 # view-dependent bands less again (3DGS: a twentieth).
@@ -40,18 +40,18 @@ BANDS_RATE = SURFACE_RATE / 20
 
 # Every step of Adam is as long as its rate, however small the residual: rates are halved in this many turns of all
 # sections, or the colours would end as noise of that size. A refinement round starts afresh.
-HALVED_IN_TURNS = 3
+HALF_LIFE_EPOCHS = 3
 
 # The paper smooths every 30 to 40 iterations.
 SMOOTH_EVERY = 30
 
 # Surface colours stay within this, or within what the capture has: far beyond black and white, so it binds only where
 # steps are much too long, and keeps those finite.
-MOST_SH = 10.0
+MAX_SH = 10.0
 
 # Adam's moments, Kingma and Ba 2015.
 BETAS = (0.9, 0.99)
-TINY = 1e-8
+EPSILON = 1e-8
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ class Trainer:
         self.initial = atoms.interior.rgb
         self.rgb = torch.from_numpy(atoms.interior.rgb.copy())
         self.sh = torch.from_numpy(atoms.surface.sh.copy())
-        self.most_sh = max(MOST_SH, float(np.abs(atoms.surface.sh).max(initial=0)))
+        self.max_sh = max(MAX_SH, float(np.abs(atoms.surface.sh).max(initial=0)))
         self.moments = {name: torch.zeros_like(tensor) for name, tensor in (("rgb1", self.rgb), ("rgb2", self.rgb))} | {
             name: torch.zeros_like(tensor) for name, tensor in (("sh1", self.sh), ("sh2", self.sh))
         }
@@ -93,9 +93,9 @@ class Trainer:
             self.trained[columns[(columns >= 0) & (columns < len(self.trained))]] = True
 
     @property
-    def turns(self) -> int:
+    def steps_per_epoch(self) -> int:
         """Iterations in which every section has its turn once."""
-        return max(1, -(-len(self.sections) // SECTIONS_PER_ITERATION))
+        return max(1, -(-len(self.sections) // SECTIONS_PER_STEP))
 
     def state(self) -> dict[str, NDArray[np.float32]]:
         """All that changes while training, for a checkpoint."""
@@ -120,10 +120,12 @@ class Trainer:
     def step(self, labels: Sequence[Tensor]) -> Losses:
         """One iteration: a turn of the sections against their labels (H, W, 3), some surface views, one Adam step."""
         rng = np.random.default_rng([self.seed, self.iteration])
-        order = np.random.default_rng([self.seed, 1, self.iteration // self.turns]).permutation(len(self.sections))
-        turn = self.iteration % self.turns
-        chosen = order[turn * SECTIONS_PER_ITERATION : (turn + 1) * SECTIONS_PER_ITERATION]
-        views = rng.choice(len(self.surfaces), min(SURFACES_PER_ITERATION, len(self.surfaces)), replace=False)
+        order = np.random.default_rng([self.seed, 1, self.iteration // self.steps_per_epoch]).permutation(
+            len(self.sections)
+        )
+        position = self.iteration % self.steps_per_epoch
+        chosen = order[position * SECTIONS_PER_STEP : (position + 1) * SECTIONS_PER_STEP]
+        views = rng.choice(len(self.surfaces), min(SURFACE_VIEWS_PER_STEP, len(self.surfaces)), replace=False)
 
         rgb = self.rgb.requires_grad_()
         sh = self.sh.requires_grad_()
@@ -131,17 +133,17 @@ class Trainer:
         section_loss = torch.zeros(())
         for index in chosen.tolist():
             # Sections teach the inside alone: what labels make of the rim would cost the skin 0.7 dB from outside.
-            shown = self.sections[index].weights.picture(sh.detach(), rgb, BACKGROUND)
-            section_loss = section_loss + reconstruction(shown, labels[index], SECTION_ALPHA)
+            render = self.sections[index].weights.picture(sh.detach(), rgb, BACKGROUND)
+            section_loss = section_loss + reconstruction(render, labels[index], SECTION_ALPHA)
         section_loss = section_loss / max(len(chosen), 1)
         surface_loss = torch.zeros(())
         for index in views.tolist():
             view = self.surfaces[index]
             target = torch.from_numpy(view.target)
             # Where the input lets its background through it is no evidence of what an opaque atom should show.
-            seen = torch.from_numpy(view.opaque)[..., None]
-            shown = torch.where(seen, view.weights.picture(sh, rgb, BACKGROUND), target)
-            surface_loss = surface_loss + reconstruction(shown, target, SURFACE_ALPHA)
+            opaque = torch.from_numpy(view.opaque)[..., None]
+            render = torch.where(opaque, view.weights.picture(sh, rgb, BACKGROUND), target)
+            surface_loss = surface_loss + reconstruction(render, target, SURFACE_ALPHA)
         surface_loss = surface_loss / max(len(views), 1)
         (section_loss + surface_loss).backward()
 
@@ -152,13 +154,13 @@ class Trainer:
         self.rgb, self.sh = rgb.detach(), sh.detach()
         self.rgb.grad = self.sh.grad = None
         self.iteration += 1
-        pace = 0.5 ** ((self.iteration - self.round_start) / (HALVED_IN_TURNS * self.turns))
-        self.rgb += self._adam("rgb", rgb_gradient) * (-INTERIOR_RATE * pace)
+        decay = 0.5 ** ((self.iteration - self.round_start) / (HALF_LIFE_EPOCHS * self.steps_per_epoch))
+        self.rgb += self._adam("rgb", rgb_gradient) * (-INTERIOR_RATE * decay)
         self.rgb.clamp_(0, 1)
         rates = torch.full((self.sh.shape[1], 1), -BANDS_RATE)
         rates[0] = -SURFACE_RATE / C0
-        self.sh += self._adam("sh", sh_gradient) * (rates * pace)
-        self.sh.clamp_(-self.most_sh, self.most_sh)
+        self.sh += self._adam("sh", sh_gradient) * (rates * decay)
+        self.sh.clamp_(-self.max_sh, self.max_sh)
         if self.iteration % SMOOTH_EVERY == 0:
             self.smooth()
         return Losses(section_loss.item(), surface_loss.item())
@@ -189,4 +191,4 @@ class Trainer:
         first.lerp_(gradient, 1 - BETAS[0])
         second.lerp_(gradient * gradient, 1 - BETAS[1])
         corrected = second / (1 - BETAS[1] ** self.iteration)
-        return first / (1 - BETAS[0] ** self.iteration) / (corrected.sqrt() + TINY)
+        return first / (1 - BETAS[0] ** self.iteration) / (corrected.sqrt() + EPSILON)

@@ -14,7 +14,7 @@ from scipy import ndimage
 from engine.scene.grid import Body
 from training.families import Family
 
-__all__ = ["Condition", "Denoises", "Encodes", "Progress", "Solves", "Volume"]
+__all__ = ["Condition", "Denoiser", "LatentDenoiser", "Progress", "Volume", "VolumeSolver"]
 
 Progress = Callable[[float], None]
 """Called now and then with the part done, range [0, 1]. May raise to stop the work."""
@@ -60,7 +60,7 @@ class Volume:
         ]
         return np.stack(channels, axis=-1)
 
-    def crisp(self, points: NDArray[np.floating]) -> NDArray[np.float32]:
+    def at_cubic(self, points: NDArray[np.floating]) -> NDArray[np.float32]:
         """(..., 3). Colours at world points (..., 3) by a cubic spline, held to [0, 1].
 
         For atoms, whose kernels blur once more: their cuts are then 0.93 to 1.1 times as sharp as the truth, with
@@ -84,7 +84,7 @@ class Volume:
 
 
 @runtime_checkable
-class Denoises(Protocol):
+class Denoiser(Protocol):
     """A prior that predicts noise; score distillation makes its labels."""
 
     def denoise(
@@ -99,7 +99,7 @@ class Denoises(Protocol):
 
 
 @runtime_checkable
-class Encodes(Denoises, Protocol):
+class LatentDenoiser(Denoiser, Protocol):
     """A prior that denoises in a space of its own: its `denoise` takes and gives codes instead of pictures."""
 
     def encode(self, label: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -112,7 +112,7 @@ class Encodes(Denoises, Protocol):
 
 
 @runtime_checkable
-class Solves(Protocol):
+class VolumeSolver(Protocol):
     """A prior that can answer for all planes at once."""
 
     def solve(

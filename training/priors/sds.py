@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from training.priors.prior import Condition, Denoises, Encodes
+from training.priors.prior import Condition, Denoiser, LatentDenoiser
 
 __all__ = ["FIRST_STEPS", "REFINE_STEPS", "distill"]
 
@@ -32,7 +32,7 @@ COLOUR_SPREAD = 0.25
 
 def distill(
     label: NDArray[np.float32],  # [H, W, 3]
-    prior: Denoises,
+    prior: Denoiser,
     condition: Condition,
     rng: np.random.Generator,
     refine: bool = False,
@@ -46,12 +46,12 @@ def distill(
     """
     assert label.ndim == 3 and label.shape[2] == 3, label.shape
     steps = REFINE_STEPS if refine else FIRST_STEPS
-    latent = isinstance(prior, Encodes)
+    latent = isinstance(prior, LatentDenoiser)
     first = FIRST_CODE_SIGMAS if latent else FIRST_SIGMAS
     sigmas = np.geomspace(*(REFINE_SIGMAS if refine else first), steps) * (1.0 if latent else COLOUR_SPREAD)
     inside = condition.inside[..., None]
-    current = prior.encode(label) if isinstance(prior, Encodes) else label.astype(np.float32)
-    known, free = current, touched(condition.inside, current.shape[:2])[..., None] if latent else inside
+    current = prior.encode(label) if isinstance(prior, LatentDenoiser) else label.astype(np.float32)
+    known, free = current, latent_mask(condition.inside, current.shape[:2])[..., None] if latent else inside
     for sigma in sigmas:
         noise = rng.standard_normal(current.shape, dtype=np.float32)
         predicted = prior.denoise(current + np.float32(sigma) * noise, float(sigma), condition, rng)
@@ -59,11 +59,11 @@ def distill(
         current = current - np.float32(step) * gradient
         # The surroundings stay known at every step, so that the prior sees where the cut face ends.
         current = np.where(free, current if latent else np.clip(current, 0, 1), known)
-    picture = prior.decode(current, label.shape[:2]) if isinstance(prior, Encodes) else current
+    picture = prior.decode(current, label.shape[:2]) if isinstance(prior, LatentDenoiser) else current
     return np.where(inside, picture, label)
 
 
-def touched(inside: NDArray[np.bool_], shape: tuple[int, ...]) -> NDArray[np.bool_]:
+def latent_mask(inside: NDArray[np.bool_], shape: tuple[int, ...]) -> NDArray[np.bool_]:
     """(h, w). The cells of a code of this shape that have any of the silhouette (H, W) in them."""
     edges = [np.arange(cells) * pixels // cells for cells, pixels in zip(shape, inside.shape, strict=True)]
     return np.logical_or.reduceat(np.logical_or.reduceat(inside, edges[0], axis=0), edges[1], axis=1)

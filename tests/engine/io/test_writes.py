@@ -250,7 +250,7 @@ def short(monkeypatch: pytest.MonkeyPatch) -> None:
     for name, value in SMALL.items():
         monkeypatch.setattr(name, value)
     monkeypatch.setattr("training.request.DETAILS", {"draft": replace(SHORT, reshape=1)})
-    monkeypatch.setattr("training.optimise.rounds.CHECKPOINT_SECONDS", 1e9)
+    monkeypatch.setattr("training.optimise.training_loop.CHECKPOINT_SECONDS", 1e9)
 
 
 FAILING = (

@@ -188,9 +188,9 @@ def test_a_spline_is_crisper_and_goes_through_the_cells() -> None:
         np.float32
     )
     volume = Volume(body, values)
-    np.testing.assert_allclose(volume.crisp(body.centres()), values, atol=1e-5)
+    np.testing.assert_allclose(volume.at_cubic(body.centres()), values, atol=1e-5)
     between = body.centres()[4:-4, 4:-4, 4:-4] + body.cell / 2
-    assert 1.1 < volume.crisp(between).std() / volume.at(between).std() < 2
+    assert 1.1 < volume.at_cubic(between).std() / volume.at(between).std() < 2
 
 
 @pytest.mark.parametrize(

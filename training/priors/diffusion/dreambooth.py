@@ -22,8 +22,8 @@ from training.families import Kind
 from training.priors.diffusion.depth import exact_depth
 from training.priors.diffusion.loading import Model, load_model, resized
 from training.priors.diffusion.prior import GUIDANCE
+from training.priors.diffusion.prompts import plain_prompts, tuned_prompts
 from training.priors.diffusion.saving import check_free, save_model
-from training.priors.diffusion.words import plain_prompts, tuned_prompts
 from training.priors.exemplar import Picture, read_picture
 from training.priors.prior import Progress
 
@@ -37,10 +37,10 @@ LORA_RATE = 1e-4
 FULL_RATE = 5e-6
 """Learning rates: DreamBooth's own for the whole network; the few new weights of LoRA start at nothing and may run."""
 
-VARIANTS = 8
+PLACEMENTS = 8
 """Placements of each picture: a section's camera shows slices near a pole smaller than those through the middle."""
 
-EXTENT = (0.5, 0.9)
+FACE_EXTENT = (0.5, 0.9)
 """Longer side of the cut face over the side of the frame, least and greatest, in those placements."""
 
 STEPS_PER_CLASS_PICTURE = 16
@@ -55,7 +55,7 @@ SAMPLER_CURVE = 7.0
 
 
 @dataclass
-class Lesson:
+class Examples:
     """Cut faces of one kind under one prompt, as codes."""
 
     codes: Tensor
@@ -69,7 +69,7 @@ class Lesson:
 def finetune(
     folder: str | Path,
     pictures: Mapping[Kind, Sequence[Path]],
-    thing: str,
+    object_name: str,
     out: str | Path,
     full: bool = False,
     steps: int = STEPS,
@@ -91,28 +91,35 @@ def finetune(
     cut = {kind: [read_picture(path, kind) for path in paths] for kind, paths in pictures.items() if paths}
     model = load_model(folder, half=False, device=device)
     rng = np.random.default_rng(seed)
-    lessons = {kind: lesson_of(model, kind, shown, tuned_prompts(thing)[kind], rng) for kind, shown in cut.items()}
-    known = class_lessons(model, lessons, plain_prompts(thing), steps, rng, on_class)
-    losses = train(model, lessons, known, full, steps, seed, rng, on_step)
-    save_model(model, out, thing)
+    instances = {
+        kind: instance_examples(model, kind, shown, tuned_prompts(object_name)[kind], rng)
+        for kind, shown in cut.items()
+    }
+    class_sets = class_examples(model, instances, plain_prompts(object_name), steps, rng, on_class)
+    losses = train(model, instances, class_sets, full, steps, seed, rng, on_step)
+    save_model(model, out, object_name)
     return losses
 
 
-def lesson_of(model: Model, kind: Kind, shown: Sequence[Picture], prompt: str, rng: np.random.Generator) -> Lesson:
+def instance_examples(
+    model: Model, kind: Kind, shown: Sequence[Picture], prompt: str, rng: np.random.Generator
+) -> Examples:
     """The photographs of one kind in several placements, with the depth that a prior would give for each."""
     codes: list[Tensor] = []
     depths: list[Tensor] = []
     for picture in shown:
-        for _ in range(VARIANTS):
-            face, inside = placed(picture, kind, model, rng)
+        for _ in range(PLACEMENTS):
+            face, inside = place_randomly(picture, kind, model, rng)
             code = model.encode(face)
             codes.append(code)
             flat = np.ones(inside.shape, np.float32)
             depths.append(resized(exact_depth(inside, flat), (code.shape[2], code.shape[3])))
-    return Lesson(torch.cat(codes), torch.cat(depths).to(model.device), model.embed([prompt]))
+    return Examples(torch.cat(codes), torch.cat(depths).to(model.device), model.embed([prompt]))
 
 
-def placed(picture: Picture, kind: Kind, model: Model, rng: np.random.Generator) -> tuple[Tensor, NDArray[np.bool_]]:
+def place_randomly(
+    picture: Picture, kind: Kind, model: Model, rng: np.random.Generator
+) -> tuple[Tensor, NDArray[np.bool_]]:
     """(1, 3, S, S) and (S, S). A cut face on white at a size and turn of chance, as a section's camera would see it.
 
     Which way is up means nothing in a horizontal picture; in the others only left and right may change places.
@@ -121,7 +128,7 @@ def placed(picture: Picture, kind: Kind, model: Model, rng: np.random.Generator)
     layers = np.concatenate([np.where(picture.mask[..., None], picture.rgb, 1), picture.mask[..., None]], -1)
     layers = np.rot90(layers, int(rng.integers(4)) if kind == "horizontal" else 0)
     layers = layers[:, ::-1] if rng.integers(2) else layers
-    scale = side * rng.uniform(*EXTENT) / max(layers.shape[:2])
+    scale = side * rng.uniform(*FACE_EXTENT) / max(layers.shape[:2])
     height, width = (max(1, round(length * scale)) for length in layers.shape[:2])
     small = torch.from_numpy(np.ascontiguousarray(layers, np.float32)).permute(2, 0, 1)[None]
     top, left = (side - height) // 2, (side - width) // 2
@@ -130,27 +137,27 @@ def placed(picture: Picture, kind: Kind, model: Model, rng: np.random.Generator)
     return frame[:, :3], frame[0, 3].numpy() > 0.5
 
 
-def class_lessons(
+def class_examples(
     model: Model,
-    lessons: Mapping[Kind, Lesson],
+    instances: Mapping[Kind, Examples],
     prompts: Mapping[Kind, str],
     steps: int,
     rng: np.random.Generator,
     progress: Progress,
-) -> dict[Kind, Lesson]:
+) -> dict[Kind, Examples]:
     """Pictures of the class from the untouched model, in the silhouettes of the photographs. They stay codes."""
-    count = max(1, -(-steps // (STEPS_PER_CLASS_PICTURE * len(lessons))))
+    count = max(1, -(-steps // (STEPS_PER_CLASS_PICTURE * len(instances))))
     empty = model.embed([""])
-    known = {}
-    for index, (kind, lesson) in enumerate(lessons.items()):
+    class_sets = {}
+    for index, (kind, examples) in enumerate(instances.items()):
         text = model.embed([prompts[kind]])
-        depth = lesson.depth[rng.integers(len(lesson.depth), size=count)]
+        depth = examples.depth[rng.integers(len(examples.depth), size=count)]
         codes = []
         for done in range(count):
             codes.append(sample(model, text, empty, depth[done : done + 1], rng))
-            progress((index + (done + 1) / count) / len(lessons))
-        known[kind] = Lesson(torch.cat(codes), depth, text)
-    return known
+            progress((index + (done + 1) / count) / len(instances))
+        class_sets[kind] = Examples(torch.cat(codes), depth, text)
+    return class_sets
 
 
 @torch.no_grad()
@@ -166,8 +173,8 @@ def sample(model: Model, text: Tensor, empty: Tensor, depth: Tensor, rng: np.ran
 
 def train(
     model: Model,
-    lessons: Mapping[Kind, Lesson],
-    known: Mapping[Kind, Lesson],
+    instances: Mapping[Kind, Examples],
+    class_sets: Mapping[Kind, Examples],
     full: bool,
     steps: int,
     seed: int,
@@ -192,11 +199,11 @@ def train(
             )
     weights = [weight for weight in unet.parameters() if weight.requires_grad]
     optimiser = torch.optim.AdamW(weights, lr=FULL_RATE if full else LORA_RATE)
-    kinds = list(lessons)
+    kinds = list(instances)
     losses = []
     for step in range(steps):
         kind = kinds[int(rng.integers(len(kinds)))]
-        batch = [draw(lesson, rng) for lesson in (lessons[kind], known[kind])]
+        batch = [draw(examples, rng) for examples in (instances[kind], class_sets[kind])]
         codes, depth, text = (torch.cat(parts) for parts in zip(*batch, strict=True))
         each = noise_losses(model, codes, depth, text, rng)
         loss = each[0] + CLASS_WEIGHT * each[1]
@@ -216,10 +223,10 @@ def train(
     return losses
 
 
-def draw(lesson: Lesson, rng: np.random.Generator) -> tuple[Tensor, Tensor, Tensor]:
+def draw(examples: Examples, rng: np.random.Generator) -> tuple[Tensor, Tensor, Tensor]:
     """One code of a lesson with its depth and its text."""
-    index = int(rng.integers(len(lesson.codes)))
-    return lesson.codes[index : index + 1], lesson.depth[index : index + 1], lesson.text
+    index = int(rng.integers(len(examples.codes)))
+    return examples.codes[index : index + 1], examples.depth[index : index + 1], examples.text
 
 
 def noise_losses(model: Model, codes: Tensor, depth: Tensor, text: Tensor, rng: np.random.Generator) -> Tensor:

@@ -20,11 +20,11 @@ from engine.io.files import read_file
 from engine.io.strict_json import parse
 from training.families import Kind
 
-__all__ = ["NOTE", "Model", "load_model", "load_part", "resized"]
+__all__ = ["PROMPTS_FILE", "Model", "load_model", "load_part", "resized"]
 
 Prediction = Literal["epsilon", "v_prediction"]
 
-NOTE = "fruitninja.json"
+PROMPTS_FILE = "fruitninja.json"
 """Says in the folder of a fine-tuned model which prompts it learned."""
 
 DEPTH_CHANNELS = 5
@@ -50,7 +50,7 @@ class Model:
     """Prompts that the model was fine-tuned on; empty for any other."""
 
     @property
-    def cell(self) -> int:
+    def latent_cell(self) -> int:
         """Pixels along a side of one cell of a code."""
         return 2 ** (len(self.vae.config.block_out_channels) - 1)
 
@@ -62,11 +62,11 @@ class Model:
         native = int(np.max(self.unet.config.sample_size))
         scale = native / max(height, width)
         rows, columns = (max(1, round(side * scale)) for side in (height, width))
-        return rows * self.cell, columns * self.cell
+        return rows * self.latent_cell, columns * self.latent_cell
 
     @torch.no_grad()
     def encode(self, pictures: Tensor) -> Tensor:
-        """Codes of pictures whose sides are multiples of `cell`; the mean of the encoder, so without chance."""
+        """Codes of pictures whose sides are multiples of `latent_cell`; the mean of the encoder, so without chance."""
         given = (2 * pictures - 1).to(self.device, self.vae.dtype)
         return self.vae.encode(given).latent_dist.mode().float() * self.vae.config.scaling_factor
 
@@ -100,11 +100,11 @@ class Model:
         signal = torch.rsqrt(1 + level**2)[:, None, None, None]
         scaled = codes * signal
         given = torch.cat([scaled, depth.to(codes)], dim=1).to(self.unet.dtype)
-        said = self.unet(given, self.timestep(level), text.to(self.unet.dtype)).sample.float()
+        output = self.unet(given, self.timestep(level), text.to(self.unet.dtype)).sample.float()
         if self.prediction == "v_prediction":
             # v = sqrt(a) noise - sqrt(1 - a) clean (Salimans and Ho 2022), solved with the input for the noise
-            said = signal * said + level[:, None, None, None] * signal * scaled
-        return said
+            output = signal * output + level[:, None, None, None] * signal * scaled
+        return output
 
     def guided(
         self, codes: Tensor, sigma: float, text: Tensor, empty: Tensor, depth: Tensor, guidance: float
@@ -113,13 +113,13 @@ class Model:
         if guidance == 1:
             return self.noise(codes, sigma, text, depth)
         twice = [torch.cat([part, part]) for part in (codes, depth)]
-        plain, told = self.noise(twice[0], sigma, torch.cat([empty, text]), twice[1]).chunk(2)
-        return plain + guidance * (told - plain)
+        unconditional, conditional = self.noise(twice[0], sigma, torch.cat([empty, text]), twice[1]).chunk(2)
+        return unconditional + guidance * (conditional - unconditional)
 
     def timestep(self, sigma: Tensor) -> Tensor:
         """(B,). The timesteps nearest to noise levels (B,)."""
-        asked = np.log(np.maximum(sigma.cpu().double().numpy(), 1e-9))
-        nearest = np.abs(np.log(self.sigmas) - asked[:, None]).argmin(1)
+        log_sigma = np.log(np.maximum(sigma.cpu().double().numpy(), 1e-9))
+        nearest = np.abs(np.log(self.sigmas) - log_sigma[:, None]).argmin(1)
         return torch.from_numpy(nearest).to(sigma.device)
 
 
@@ -154,7 +154,7 @@ def load_model(folder: str | Path, half: bool, device: torch.device | None = Non
         sigmas=read_sigmas(folder / "scheduler"),
         prediction=prediction,
         device=device,
-        prompts=read_prompts(folder / NOTE),
+        prompts=read_prompts(folder / PROMPTS_FILE),
     )
 
 

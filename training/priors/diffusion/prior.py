@@ -12,7 +12,7 @@ from torch import Tensor
 from engine.errors import InputError
 from training.priors.diffusion.depth import Estimator, exact_depth
 from training.priors.diffusion.loading import load_model, resized
-from training.priors.diffusion.words import plain_prompts
+from training.priors.diffusion.prompts import plain_prompts
 from training.priors.prior import Condition
 
 __all__ = ["GUIDANCE", "StableDiffusionPrior"]
@@ -25,7 +25,7 @@ is for descents that never anneal the noise, and burns the colours of one that d
 class StableDiffusionPrior:
     """Predicts noise in the codes of a model from a local folder; `training.priors.sds` makes labels from it.
 
-    Prompts are, in this order: the family's own, those that the model was fine-tuned on, the paper's for `thing`.
+    Prompts are, in this order: the family's own, those that the model was fine-tuned on, the paper's for `object_name`.
     Depth is exact; with a MiDaS folder it is the mean of the exact and the estimated one. The same bits for the same
     input on one machine.
     """
@@ -33,14 +33,14 @@ class StableDiffusionPrior:
     def __init__(
         self,
         folder: str | Path,
-        thing: str = "object",
+        object_name: str = "object",
         guidance: float = GUIDANCE,
         midas: str | Path | None = None,
         device: torch.device | None = None,
     ) -> None:
         """Reads the model. `device`: the best there is, if not given. Raises InputError where the folder has none."""
         self.model = load_model(folder, half=True, device=device)
-        self.prompts = plain_prompts(thing) | self.model.prompts
+        self.prompts = plain_prompts(object_name) | self.model.prompts
         self.guidance = guidance
         self.estimator = None if midas is None else Estimator(midas, self.model.device)
         self._embedded: dict[str, Tensor] = {}

@@ -14,8 +14,8 @@ from safetensors import safe_open
 from engine.errors import InputError
 from engine.io.files import reason
 from engine.io.scratch import atomic_folder
-from training.priors.diffusion.loading import NOTE, Model
-from training.priors.diffusion.words import TOKEN, tuned_prompts
+from training.priors.diffusion.loading import PROMPTS_FILE, Model
+from training.priors.diffusion.prompts import TOKEN, tuned_prompts
 
 __all__ = ["check_free", "save_model"]
 
@@ -36,14 +36,14 @@ def check_free(out: Path) -> None:
         raise InputError(f"{out}: cannot be written here ({reason(error)})") from error
 
 
-def save_model(model: Model, out: Path, thing: str) -> None:
+def save_model(model: Model, out: Path, object_name: str) -> None:
     """The trained network, everything else as it was in the model's folder, and the prompts that it learned.
 
     The network keeps the precision of the file that it came from. Raises InputError where the folder cannot be
     written; then nothing is left of it.
     """
     precision = stored_type(model.folder / "unet")
-    note = {"object": thing, "token": TOKEN, "prompts": tuned_prompts(thing)}
+    note = {"object": object_name, "token": TOKEN, "prompts": tuned_prompts(object_name)}
     text = json.dumps(note, indent=1) + "\n"
     unet = model.unet.to(precision)
     with atomic_folder(out) as temporary:
@@ -53,7 +53,7 @@ def save_model(model: Model, out: Path, thing: str) -> None:
         if (model.folder / INDEX).is_file():
             shutil.copy2(model.folder / INDEX, temporary)
         unet.save_pretrained(temporary / "unet", safe_serialization=True)
-        (temporary / NOTE).write_text(text, encoding="utf-8")
+        (temporary / PROMPTS_FILE).write_text(text, encoding="utf-8")
 
 
 def unwanted(_: str, names: Iterable[str]) -> list[str]:

@@ -108,8 +108,8 @@ def _ellipsoid_opacity(
 ) -> NDArray[np.floating]:
     """(M,). Opacity of ellipsoids between ends (M, 2) at heights (M,) and centralities (M,).
 
-    A slice at share u of the way from the middle to an end keeps pixels of centrality over 1 - sqrt(1 - u^2): all in the
-    middle, only the centre at the end. Structures without known ends stay opaque.
+    A slice at share u of the way from the middle to an end keeps pixels of centrality over 1 - sqrt(1 - u^2): all of
+    them in the middle, only the centre at the end. Structures without known ends stay opaque.
     """
     low, high = ends.T
     known = high > low

@@ -58,7 +58,7 @@ def solve(
     Fewer where the pictures resolve less (CELLS_PER_RESOLVED_PIXEL). Raises InputError if no family has an exemplar
     or a picture cannot be used.
     """
-    families = [f.plain(body, up) for f in families if f.exemplars]
+    families = [f.as_standard_kind(body, up) for f in families if f.exemplars]
     if not families:
         raise InputError("no exemplar pictures: give at least one family a photograph of a cut face")
     rng = np.random.default_rng(seed)

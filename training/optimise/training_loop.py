@@ -12,11 +12,11 @@ import torch
 from torch import Tensor
 
 from training.checkpoint import Checkpoint
-from training.contact_sheet import save_picture
 from training.events import Reporter, Stage
-from training.labels import refine
+from training.images import save_image
+from training.labels import refine_labels
 from training.optimise.trainer import Losses, Trainer
-from training.priors.prior import Denoises, Solves
+from training.priors.prior import Denoiser, VolumeSolver
 from training.request import Interrupted, Request
 
 __all__ = ["train"]
@@ -26,18 +26,18 @@ CHECKPOINT_SECONDS = 15.0
 
 # A section agrees with its label under this loss (0.3 MSE + 0.7 (1 - SSIM)): the atoms' own blur at standard detail
 # stays below it, two labels that disagree about a seed do not. The paper leaves its threshold open.
-AGREEMENT = 0.12
+MAX_SECTION_LOSS = 0.12
 
 # Training has settled when a whole turn of all sections improves the mean loss by less than this part.
-SETTLED = 0.01
+MIN_IMPROVEMENT = 0.01
 
-DONE = "all iterations done"
+ALL_DONE = "all iterations done"
 
 
 def train(
     request: Request,
     trainer: Trainer,
-    prior: Denoises | Solves | None,
+    prior: Denoiser | VolumeSolver | None,
     labels: list[Tensor],
     out: Path,
     reporter: Reporter,
@@ -50,84 +50,86 @@ def train(
     what they show, and the next round begins; none begins without a prior that denoises, nor after one that solved.
     Returns the history for the report.
     """
-    most = request.fineness.iterations if request.iterations is None else request.iterations
-    history: dict[str, Any] = {"section": [], "surface": [], "disagreeing": [], "ended": DONE}
-    kept = checkpoint.load("training")
-    if kept is not None:
-        arrays, history = kept
+    limit = request.fineness.iterations if request.iterations is None else request.iterations
+    history: dict[str, Any] = {"section": [], "surface": [], "disagreeing": [], "ended": ALL_DONE}
+    loaded = checkpoint.load("training")
+    if loaded is not None:
+        arrays, history = loaded
         labels[:] = [torch.from_numpy(picture) for picture in arrays.pop("labels")]
         trainer.restore(arrays, len(history["section"]), history.pop("round_start"))
-    saved = time.perf_counter()
+    last_save = time.perf_counter()
 
-    def keep() -> None:
+    def save_checkpoint() -> None:
         stacked = np.stack([picture.numpy() for picture in labels]) if labels else np.zeros((0, 1, 1, 3), np.float32)
         checkpoint.save(
             "training", trainer.state() | {"labels": stacked}, history | {"round_start": trainer.round_start}
         )
 
     with reporter.stage("train") as stage:
-        while trainer.iteration < most and history["ended"] == DONE:
+        while trainer.iteration < limit and history["ended"] == ALL_DONE:
             if stopped():
-                keep()
+                save_checkpoint()
                 raise Interrupted(f"after {trainer.iteration} iterations")
             losses = trainer.step(labels)
             history["section"].append(losses.section)
             history["surface"].append(losses.surface)
-            announce(stage, trainer, losses, most)
-            if settled(history["section"], trainer.turns, trainer.round_start):
-                wrong = np.flatnonzero(trainer.section_losses(labels) > AGREEMENT).tolist()
-                if not wrong:
+            report_step(stage, trainer, losses, limit)
+            if has_settled(history["section"], trainer.steps_per_epoch, trainer.round_start):
+                disagreeing = np.flatnonzero(trainer.section_losses(labels) > MAX_SECTION_LOSS).tolist()
+                if not disagreeing:
                     history["ended"] = "every section agrees with its label"
-                elif not isinstance(prior, Denoises) or isinstance(prior, Solves):
+                elif not isinstance(prior, Denoiser) or isinstance(prior, VolumeSolver):
                     # Labels from one volume agree as they are: what is missing is finer atoms, not other labels.
-                    history["ended"] = f"settled; {len(wrong)} sections disagree with their labels"
-                elif history["disagreeing"] and len(wrong) >= history["disagreeing"][-1]:
-                    history["ended"] = f"agreement no longer grows; {len(wrong)} sections disagree with their labels"
+                    history["ended"] = f"settled; {len(disagreeing)} sections disagree with their labels"
+                elif history["disagreeing"] and len(disagreeing) >= history["disagreeing"][-1]:
+                    history["ended"] = (
+                        f"agreement no longer grows; {len(disagreeing)} sections disagree with their labels"
+                    )
                 else:
-                    refine(request, trainer, prior, labels, wrong, len(history["disagreeing"]))
-                    history["disagreeing"].append(len(wrong))
+                    refine_labels(request, trainer, prior, labels, disagreeing, len(history["disagreeing"]))
+                    history["disagreeing"].append(len(disagreeing))
                     trainer.round_start = trainer.iteration
-            if time.perf_counter() - saved > CHECKPOINT_SECONDS:
-                previews(trainer, labels, out, reporter)
-                keep()
-                saved = time.perf_counter()
+            if time.perf_counter() - last_save > CHECKPOINT_SECONDS:
+                save_previews(trainer, labels, out, reporter)
+                save_checkpoint()
+                last_save = time.perf_counter()
         trainer.smooth()
-        previews(trainer, labels, out, reporter)
-    keep()
+        save_previews(trainer, labels, out, reporter)
+    save_checkpoint()
     return history
 
 
-def settled(losses: Sequence[float], turn: int, start: int) -> bool:
+def has_settled(losses: Sequence[float], epoch: int, start: int) -> bool:
     """Whether the last turn of all sections improved the mean loss by less than a hundredth over the one before.
 
     Asked at the end of a turn only, and not before the round that began at `start` has had two.
     """
     done = len(losses) - start
-    if done < 2 * turn or done % turn:
+    if done < 2 * epoch or done % epoch:
         return False
-    last, before = np.mean(losses[-turn:]), np.mean(losses[-2 * turn : -turn])
-    return bool(last > (1 - SETTLED) * before)
+    last, before = np.mean(losses[-epoch:]), np.mean(losses[-2 * epoch : -epoch])
+    return bool(last > (1 - MIN_IMPROVEMENT) * before)
 
 
-def announce(stage: Stage, trainer: Trainer, losses: Losses, most: int) -> None:
+def report_step(stage: Stage, trainer: Trainer, losses: Losses, limit: int) -> None:
     """One iteration's line."""
     stage.progress(
-        trainer.iteration / most,
-        f"{trainer.iteration}/{most}  sections {losses.section:.4f}  surface {losses.surface:.4f}",
+        trainer.iteration / limit,
+        f"{trainer.iteration}/{limit}  sections {losses.section:.4f}  surface {losses.surface:.4f}",
         iteration=trainer.iteration,
-        iterations=most,
+        iterations=limit,
         losses={"section": losses.section, "surface": losses.surface},
     )
 
 
-def previews(trainer: Trainer, labels: Sequence[Tensor], out: Path, reporter: Reporter) -> None:
+def save_previews(trainer: Trainer, labels: Sequence[Tensor], out: Path, reporter: Reporter) -> None:
     """A label and what the atoms show of it, for the first, middle and last plane of each family."""
     paths = []
     for kind in dict.fromkeys(view.family.kind for view in trainer.sections):
-        mine = [index for index, view in enumerate(trainer.sections) if view.family.kind == kind]
-        for index in sorted({mine[len(mine) // 4], mine[len(mine) // 2]}):
-            both = np.concatenate([labels[index].numpy(), trainer.render(trainer.sections[index])], axis=1)
+        indices = [index for index, view in enumerate(trainer.sections) if view.family.kind == kind]
+        for index in sorted({indices[len(indices) // 4], indices[len(indices) // 2]}):
+            pair = np.concatenate([labels[index].numpy(), trainer.render(trainer.sections[index])], axis=1)
             path = out / "previews" / f"{kind}_{index:03d}.png"
-            save_picture(path, both)
+            save_image(path, pair)
             paths.append(path)
     reporter.emit("previews", paths=paths)

@@ -21,12 +21,12 @@ VIEWS: dict[Kind, str] = {
 }
 
 
-def plain_prompts(thing: str) -> dict[Kind, str]:
+def plain_prompts(object_name: str) -> dict[Kind, str]:
     """A prompt for every kind of family of an object, such as "watermelon"."""
-    article = "an" if thing[:1].lower() in set("aeiou") else "a"
-    return {kind: VIEWS[kind].format(f"{article} {thing}") for kind in get_args(Kind)}
+    article = "an" if object_name[:1].lower() in set("aeiou") else "a"
+    return {kind: VIEWS[kind].format(f"{article} {object_name}") for kind in get_args(Kind)}
 
 
-def tuned_prompts(thing: str) -> dict[Kind, str]:
+def tuned_prompts(object_name: str) -> dict[Kind, str]:
     """The same for the one object that a model was fine-tuned on (DreamBooth's "a [V] class")."""
-    return plain_prompts(f"{TOKEN} {thing}")
+    return plain_prompts(f"{TOKEN} {object_name}")

@@ -13,21 +13,21 @@ from engine.io.trained import Meta, save_trained
 from engine.render.classic import rasterizer as classic
 from engine.render.cpu import opaque
 from engine.scene.atoms import Atoms
-from training.contact_sheet import save_sheet
-from training.events import Reporter, plain
+from training.contact_sheet import save_contact_sheet
+from training.events import Reporter, to_json
 from training.optimise.losses import psnr
 from training.optimise.trainer import Trainer
 from training.request import Geometry, Request
 from training.settings import DETAILS
 from training.views import BACKGROUND, surface_cameras
 
-__all__ = ["save"]
+__all__ = ["save_results"]
 
 HELD_OUT_VIEWS = 8
 """Surface views that training never sees, for the surface figures of the report."""
 
 
-def save(
+def save_results(
     request: Request,
     geometry: Geometry,
     start: Atoms,
@@ -55,9 +55,9 @@ def save(
         origin = geometry.gaussians.origin
         save_trained(path, atoms, Meta(up, families, request.seed, request.prior, request.scene.name, origin))
         stage.progress(0.3)
-        save_sheet(out / "cuts.png", atoms, geometry.body, geometry.up)
+        save_contact_sheet(out / "cuts.png", atoms, geometry.body, geometry.up)
         stage.progress(0.7)
-        before, after = (surface_psnr(geometry, each) for each in (start, atoms))
+        before, after = (surface_psnr(geometry, version) for version in (start, atoms))
     report = {
         **facts,
         "views": {
@@ -72,7 +72,7 @@ def save(
         "losses": {"section": history["section"], "surface": history["surface"]},
         "seconds": {name: round(spent, 2) for name, spent in reporter.timings.items()},
     }
-    text = json.dumps(plain(report), indent=1, allow_nan=False) + "\n"
+    text = json.dumps(to_json(report), indent=1, allow_nan=False) + "\n"
     with atomic(out / "report.json") as temporary:
         temporary.write_text(text, encoding="utf-8")
     reporter.emit("done", scene=path, sheet=out / "cuts.png", report=out / "report.json")
