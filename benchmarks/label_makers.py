@@ -22,7 +22,7 @@ from PIL import Image
 
 from engine.io.files import atomic
 from engine.io.picture_file import read_pixels
-from training.evaluate.grid import cells, perform_all
+from training.evaluate.grid import cells, run_locally
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt
@@ -76,7 +76,7 @@ def main() -> int:
     scenes = options.scenes.split(",")
     work = ROOT / "out/label_makers" / options.detail
     grid = cells(scenes, tuple(METHODS), [0], options.detail, CUTS, None, work)
-    failed = perform_all(grid, lambda cell, what: print(f"{cell.name}: {what}", file=sys.stderr, flush=True))
+    failed = run_locally(grid, lambda cell, what: print(f"{cell.name}: {what}", file=sys.stderr, flush=True))
     found = {scene: {cell.method: cell.kept() for cell in grid if cell.scene == scene} for scene in scenes}
     for scene in scenes:
         strips = [work / "results" / scene / f"{name}.png" for name in ("truth", *(f"{m}-0" for m in METHODS))]

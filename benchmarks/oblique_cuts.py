@@ -20,7 +20,7 @@ from safetensors.numpy import load_file
 
 from engine.io.files import atomic
 from engine.io.picture_file import read_pixels
-from training.evaluate.grid import cells, perform_all
+from training.evaluate.grid import cells, run_locally
 from training.evaluate.metrics import face_psnr
 
 ROOT = Path(__file__).parents[1]
@@ -49,7 +49,7 @@ def main() -> int:
     scenes = options.scenes.split(",")
     work = ROOT / "out/oblique_cuts" / options.detail
     grid = cells(scenes, METHODS, [0], options.detail, CUTS, None, work)
-    failed = perform_all(grid, lambda cell, what: print(f"{cell.name}: {what}", file=sys.stderr, flush=True))
+    failed = run_locally(grid, lambda cell, what: print(f"{cell.name}: {what}", file=sys.stderr, flush=True))
     found = {scene: {cell.method: cell.kept() for cell in grid if cell.scene == scene} for scene in scenes}
     for scene in scenes:
         strips = [work / "results" / scene / f"{name}.png" for name in ("truth", *(f"{m}-0" for m in METHODS))]

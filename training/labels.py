@@ -57,7 +57,7 @@ def labels_from_volume(
     labels = [np.where(cut.condition.inside[..., None], volume.at(cut.points), np.float32(1.0)) for cut in cuts]
     requested_cell = geometry.pitch * detail.cells / detail.voxels
     return (
-        pictures,
+        labels,
         volume.at_cubic,
         1.0 if np.isclose(volume.body.cell, requested_cell) else volume.body.cell / requested_cell,
     )

@@ -6,6 +6,6 @@ A grid is a list of `Task`s: a plain module-level function, its arguments, and t
 """
 
 from training.batch.grid import Outcome, run_grid
-from training.batch.task import Stopped, Task, say, stopped
+from training.batch.task import Task, TaskStopped, report, should_stop
 
-__all__ = ["Outcome", "Stopped", "Task", "run_grid", "say", "stopped"]
+__all__ = ["Outcome", "Task", "TaskStopped", "report", "run_grid", "should_stop"]

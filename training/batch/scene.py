@@ -12,7 +12,7 @@ from typing import Any
 
 from engine.errors import InputError
 from engine.io.files import Lines, claimed
-from training.batch.task import Stopped, Task, say, stopped
+from training.batch.task import Task, TaskStopped, report, should_stop
 from training.checkpoint import Checkpoint
 from training.events import Reporter
 from training.pipeline import run
@@ -35,13 +35,13 @@ def train_scene(request: Request, out: Path, fingerprint: str) -> dict[str, Any]
         raise InputError(f"{request.scene}: this worker sees other files under these paths; share one folder with all")
     checkpoint = Checkpoint(out / "checkpoint", fingerprint)
     with claimed(out), closing(Lines(out / "events.jsonl")) as file:
-        events = _Events(file)
+        events = _EventStream(file)
         with Reporter(events) as reporter:
             reporter.emit("started", host=platform.node(), pid=os.getpid())
             try:
-                run(request, out, reporter, whole(checkpoint), stopped)
+                run(request, out, reporter, is_intact(checkpoint), should_stop)
             except Interrupted as interrupted:
-                raise Stopped(str(interrupted)) from interrupted
+                raise TaskStopped(str(interrupted)) from interrupted
             except Exception as error:
                 with suppress(InputError):  # what failed first is what must be known
                     reporter.emit("failed", message=str(error))
@@ -50,7 +50,7 @@ def train_scene(request: Request, out: Path, fingerprint: str) -> dict[str, Any]
     return {"warnings": events.warnings}
 
 
-def whole(checkpoint: Checkpoint) -> bool:
+def is_intact(checkpoint: Checkpoint) -> bool:
     """Whether every stage that is kept can be gone on with: none is broken, none is another run's."""
     try:
         for path in checkpoint.folder.glob("[!.]*.safetensors"):  # a killed writer's part of a file has a dot in front
@@ -60,7 +60,7 @@ def whole(checkpoint: Checkpoint) -> bool:
     return True
 
 
-class _Events(io.StringIO):
+class _EventStream(io.StringIO):
     """Where a run's lines go: to a file that stays, and to whoever runs the grid."""
 
     def __init__(self, file: Lines) -> None:
@@ -74,5 +74,5 @@ class _Events(io.StringIO):
             line = json.loads(text)
             if line["event"] == "warning":
                 self.warnings.append(line["message"])
-            say(line)
+            report(line)
         return len(text)

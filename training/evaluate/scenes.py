@@ -29,7 +29,7 @@ from training.priors.prior import Volume
 from training.request import Request
 from training.settings import DETAILS, Detail
 
-__all__ = ["SCENES", "Subject", "Tuned", "subject", "thigh"]
+__all__ = ["SCENES", "CustomRequest", "EvaluationScene", "load_scene", "thigh"]
 
 THIGH = "thigh"
 SCENES = (*SOLIDS, THIGH)
@@ -46,7 +46,7 @@ PICTURE = 512
 
 
 @dataclass(frozen=True)
-class Tuned(Request):
+class CustomRequest(Request):
     """A request with numbers of its own in place of a detail's name."""
 
     numbers: Detail = DETAILS["draft"]
@@ -58,7 +58,7 @@ class Tuned(Request):
 
 
 @dataclass(frozen=True)
-class Subject:
+class EvaluationScene:
     """A scene to be measured."""
 
     name: str
@@ -69,12 +69,12 @@ class Subject:
     scene: Path
     families: tuple[Family, ...]
 
-    def request(self, numbers: Detail, seed: int) -> Tuned:
+    def request(self, numbers: Detail, seed: int) -> CustomRequest:
         """What a run is asked for."""
-        return Tuned(self.scene, self.families, up=self.solid.up, seed=seed, numbers=numbers)
+        return CustomRequest(self.scene, self.families, up=self.solid.up, seed=seed, numbers=numbers)
 
 
-def subject(name: str, folder: Path) -> Subject:
+def load_scene(name: str, folder: Path) -> EvaluationScene:
     """The scene of this name; its files are made in folder/name where they do not come with the project.
 
     Raises InputError where there is no such scene, or its data is not at hand.
@@ -93,7 +93,7 @@ def subject(name: str, folder: Path) -> Subject:
         Family(kind, COUNTS[kind], (path,), axis=_axis(solid) if kind == "parallel" else None)
         for kind, path in pictures.items()
     )
-    return Subject(name, solid, SOLIDS[name](1), scene, families)
+    return EvaluationScene(name, solid, SOLIDS[name](1), scene, families)
 
 
 def _axis(solid: Solid) -> tuple[float, float, float]:
@@ -102,7 +102,7 @@ def _axis(solid: Solid) -> tuple[float, float, float]:
     return (1.0, 0.0, 0.0) if high[0] - low[0] >= high[1] - low[1] else (0.0, 1.0, 0.0)
 
 
-def _thigh_subject(folder: Path) -> Subject:
+def _thigh_subject(folder: Path) -> EvaluationScene:
     solid = thigh(THIGH_AT)
     scene = folder / THIGH / f"{THIGH}.ply"
     pictures = tuple(folder / THIGH / f"horizontal_{number}.png" for number in range(1, len(THIGH_SLICES) + 1))
@@ -115,7 +115,7 @@ def _thigh_subject(folder: Path) -> Subject:
                 image.save(temporary, optimize=True)
     if not scene.is_file():
         write_ply(scene, shell(solid, THIGH_LOOK, np.random.default_rng(100)), comments=("thigh, up +z",))
-    return Subject(THIGH, solid, None, scene, (Family("horizontal", COUNTS["horizontal"], pictures),))
+    return EvaluationScene(THIGH, solid, None, scene, (Family("horizontal", COUNTS["horizontal"], pictures),))
 
 
 def thigh(path: Path) -> Solid:

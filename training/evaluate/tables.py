@@ -34,7 +34,7 @@ class Column:
         """For the head of the table."""
         return {"high": " ↑", "low": " ↓", "one": " → 1", "": ""}[self.better]
 
-    def gap(self, value: float) -> float:
+    def distance_from_best(self, value: float) -> float:
         """How far from the best a figure could be; the least is best."""
         return {"high": -value, "low": value, "one": abs(value - 1), "": 0.0}[self.better]
 
@@ -100,23 +100,27 @@ class Table:
 
 def table(facts: Facts, methods: Sequence[str], keys: Sequence[str], scenes: Sequence[str]) -> Table:
     """Means over those of the scenes that every method here has; columns that nobody has are left out."""
-    here = [m for m in methods if any(scene in facts.get(m, {}) for scene in scenes)]
-    common = [scene for scene in scenes if all(scene in facts[m] for m in here)]
-    values = {m: [mean([facts[m][s].get(key) for s in common]) for key in keys] for m in here}
-    used = [i for i in range(len(keys)) if any(values[m][i] is not None for m in here)]
-    kept = [COLUMNS[keys[i]] for i in used]
-    rivals = [m for m in here if METHODS[m].rival]
+    present = [m for m in methods if any(scene in facts.get(m, {}) for scene in scenes)]
+    common = [scene for scene in scenes if all(scene in facts[m] for m in present)]
+    values = {m: [mean([facts[m][s].get(key) for s in common]) for key in keys] for m in present}
+    used = [i for i in range(len(keys)) if any(values[m][i] is not None for m in present)]
+    used_columns = [COLUMNS[keys[i]] for i in used]
+    rivals = [m for m in present if METHODS[m].competes]
     rows = []
-    for m in here:
-        shown, best = [], []
-        for column, i in zip(kept, used, strict=True):
+    for m in present:
+        texts, best = [], []
+        for column, i in zip(used_columns, used, strict=True):
             value = values[m][i]
-            shown.append("-" if value is None else f"{value * column.times:,.{column.digits}f}")
-            gaps = [column.gap(v) for r in rivals if (v := values[r][i]) is not None]
-            ranked = column.better != "" and m in rivals and value is not None and len(gaps) > 1
-            best.append(bool(ranked and column.gap(value if value is not None else 0.0) <= min(gaps) + 1e-12))
-        rows.append(Row(m, METHODS[m].title, shown, best))
-    return Table(kept, rows, common)
+            texts.append("-" if value is None else f"{value * column.times:,.{column.digits}f}")
+            distances = [column.distance_from_best(v) for r in rivals if (v := values[r][i]) is not None]
+            ranked = column.better != "" and m in rivals and value is not None and len(distances) > 1
+            best.append(
+                bool(
+                    ranked and column.distance_from_best(value if value is not None else 0.0) <= min(distances) + 1e-12
+                )
+            )
+        rows.append(Row(m, METHODS[m].title, texts, best))
+    return Table(used_columns, rows, common)
 
 
 def mean(values: Sequence[float | None]) -> float | None:
