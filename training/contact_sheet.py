@@ -1,4 +1,4 @@
-"""A sheet of cuts that were not trained: the first thing a person looks at when a run is done."""
+"""A contact sheet of cuts that no family contains, for judging a finished run at a glance."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ __all__ = ["contact_sheet_planes", "save_contact_sheet"]
 TILE = 320
 """Pixels of a square tile."""
 
-# Tilt from the up axis and turn around it in degrees, and where the plane stands between centre (0) and skin (1).
-# Oblique, off-centre, near a pole, and upright beside the axis: no family of evenly spaced planes contains them.
+# Tilt from the up axis and azimuth around it in degrees, and position between centre (0) and skin (1). Oblique,
+# off-centre, near a pole, and upright beside the axis: no family of evenly spaced planes contains them.
 CUTS = (
     (35.0, 20.0, 0.0),
     (62.0, 140.0, 0.15),
@@ -50,13 +50,13 @@ def contact_sheet_planes(body: Body, up: NDArray[np.float64]) -> list[Plane]:
 
 
 def save_contact_sheet(path: Path, atoms: Atoms, body: Body, up: NDArray[np.float64]) -> None:
-    """Two rows for six cuts: the opened object as one sees it, and below each the cut face straight on."""
+    """Writes six cuts in two rows: the opened object in perspective above, the cut face straight on below."""
     field = KernelField(atoms)
     centre = body.bounds().mean(0)
     sheet = Image.new("RGB", (TILE * len(CUTS), TILE * 2), "white")
     for index, (plane, (tilt, turn, _)) in enumerate(zip(contact_sheet_planes(body, up), CUTS, strict=True)):
         fov = np.radians(30.0)
-        # From the removed side and a little above, so that the face and the skin around it both show.
+        # From the removed side and a little above, so that both the face and the skin around it are visible.
         elevation = max(18.0, 90.0 - tilt - 25.0)
         camera = orbit(centre, up, turn + 28.0, elevation, fit_distance(body.radius, fov, 1.0), TILE, TILE, fov)
         opened = opaque.render(atoms, camera, [plane], light=True, field=field)

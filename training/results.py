@@ -1,4 +1,4 @@
-"""What a run leaves behind: the solid, a sheet of cuts nobody trained, and a report."""
+"""Writes the results of a run: the trained solid, a contact sheet of untrained cuts, and a report."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from training.views import BACKGROUND, surface_cameras
 __all__ = ["save_results"]
 
 HELD_OUT_VIEWS = 8
-"""Surface views that training never sees, for the surface figures of the report."""
+"""Surface views that training never uses, for the surface figures of the report."""
 
 
 def save_results(
@@ -37,7 +37,7 @@ def save_results(
     out: Path,
     reporter: Reporter,
 ) -> Path:
-    """Writes the solid, the sheet of untrained cuts and the report; `start` is what training began with."""
+    """Writes the solid, the contact sheet and the report; `start` is the solid before training. Returns its path."""
     atoms = trainer.result()
     path = out / f"{request.scene.stem}.ply"
     with reporter.stage("save") as stage:
@@ -80,9 +80,9 @@ def save_results(
 
 
 def surface_psnr(geometry: Geometry, atoms: Atoms) -> float:
-    """PSNR in dB of the opaque object against the input 3DGS, on views never trained.
+    """Mean PSNR in dB of the opaque object against the input 3DGS, on held-out views.
 
-    Both pictures stand on white and are whole: haze that was dropped and edges that are crisper count as errors.
+    Measured on entire pictures over white: dropped haze and sharper edges count as errors.
     """
     size = DETAILS["standard"].surface
     figures = []

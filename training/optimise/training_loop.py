@@ -1,4 +1,4 @@
-"""Rounds of training and refinement, down to a stated criterion (paper, section 3.3)."""
+"""Alternates training and label refinement until every section agrees with its label (paper, section 3.3)."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from training.request import Interrupted, Request
 
 __all__ = ["train"]
 
-# A run is checkpointed this often, in seconds: a kill loses at most so much of training.
+# Seconds between checkpoints: the most training that a kill can lose.
 CHECKPOINT_SECONDS = 15.0
 
-# A section agrees with its label under this loss (0.3 MSE + 0.7 (1 - SSIM)): the atoms' own blur at standard detail
-# stays below it, two labels that disagree about a seed do not. The paper leaves its threshold open.
+# Loss (0.3 MSE + 0.7 (1 - SSIM)) below which a section agrees with its label: the blur of atoms at standard detail
+# stays below it, two labels that disagree about a seed do not. The paper gives no threshold.
 MAX_SECTION_LOSS = 0.12
 
-# Training has settled when a whole turn of all sections improves the mean loss by less than this part.
+# Training has settled when an epoch (every section once) improves the mean loss by less than this share.
 MIN_IMPROVEMENT = 0.01
 
 ALL_DONE = "all iterations done"
@@ -44,11 +44,11 @@ def train(
     checkpoint: Checkpoint,
     stopped: Callable[[], bool],
 ) -> dict[str, Any]:
-    """Iterations and refinement rounds until every section agrees with its label (paper, section 3.3).
+    """Trains in rounds, refining `labels` in place between them; returns the history of losses for the report.
 
-    A round ends when the loss has settled; sections that still disagree with their labels get labels refined from
-    what they show, and the next round begins; none begins without a prior that denoises, nor after one that solved.
-    Returns the history for the report.
+    A round ends when the loss has settled. Sections that still disagree with their labels then get labels refined from
+    their render, and the next round begins. There is only one round without a denoising prior, and with one that
+    solves a volume. Raises Interrupted, after saving a checkpoint, once `stopped` returns True.
     """
     limit = request.fineness.iterations if request.iterations is None else request.iterations
     history: dict[str, Any] = {"section": [], "surface": [], "disagreeing": [], "ended": ALL_DONE}
@@ -79,7 +79,7 @@ def train(
                 if not disagreeing:
                     history["ended"] = "every section agrees with its label"
                 elif not isinstance(prior, Denoiser) or isinstance(prior, VolumeSolver):
-                    # Labels from one volume agree as they are: what is missing is finer atoms, not other labels.
+                    # Labels from one volume are consistent: finer atoms would help, other labels would not.
                     history["ended"] = f"settled; {len(disagreeing)} sections disagree with their labels"
                 elif history["disagreeing"] and len(disagreeing) >= history["disagreeing"][-1]:
                     history["ended"] = (
@@ -100,9 +100,9 @@ def train(
 
 
 def has_settled(losses: Sequence[float], epoch: int, start: int) -> bool:
-    """Whether the last turn of all sections improved the mean loss by less than a hundredth over the one before.
+    """Whether the last epoch improved the mean loss by less than MIN_IMPROVEMENT over the one before.
 
-    Asked at the end of a turn only, and not before the round that began at `start` has had two.
+    True at the end of an epoch only, and not before the second of the round that began at iteration `start`.
     """
     done = len(losses) - start
     if done < 2 * epoch or done % epoch:
@@ -112,7 +112,7 @@ def has_settled(losses: Sequence[float], epoch: int, start: int) -> bool:
 
 
 def report_step(stage: Stage, trainer: Trainer, losses: Losses, limit: int) -> None:
-    """One iteration's line."""
+    """Reports one iteration."""
     stage.progress(
         trainer.iteration / limit,
         f"{trainer.iteration}/{limit}  sections {losses.section:.4f}  surface {losses.surface:.4f}",
@@ -123,7 +123,7 @@ def report_step(stage: Stage, trainer: Trainer, losses: Losses, limit: int) -> N
 
 
 def save_previews(trainer: Trainer, labels: Sequence[Tensor], out: Path, reporter: Reporter) -> None:
-    """A label and what the atoms show of it, for the first, middle and last plane of each family."""
+    """Writes labels beside their renders, for two planes of each family."""
     paths = []
     for kind in dict.fromkeys(view.family.kind for view in trainer.sections):
         indices = [index for index, view in enumerate(trainer.sections) if view.family.kind == kind]
