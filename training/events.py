@@ -1,4 +1,4 @@
-"""What a run tells while it works: one JSON object a line for programs, a progress display for people."""
+"""Progress of a run: JSON lines for programs, a terminal display for people."""
 
 from __future__ import annotations
 

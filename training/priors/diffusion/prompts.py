@@ -1,4 +1,4 @@
-"""What a family of cut faces is called in a prompt."""
+"""Prompts for the families of cut faces."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from training.families import Kind
 __all__ = ["TOKEN", "plain_prompts", "tuned_prompts"]
 
 TOKEN = "sks"
-"""The word that fine-tuning fills with the pictures' own look: one token for CLIP, and rare in captions."""
+"""DreamBooth's identifier for the look of the pictures: a single CLIP token, rare in captions."""
 
 # The first is the paper's own example (section 3.2); its radial and parallel slices are both "vertical" there, but a
-# loaf may have pictures of both, and then each needs words of its own.
+# loaf may have pictures of both, which need different prompts.
 VIEWS: dict[Kind, str] = {
     "horizontal": "the horizontal cross-sectional view of {}",
     "radial": "the vertical cross-sectional view of {}",
@@ -28,5 +28,5 @@ def plain_prompts(object_name: str) -> dict[Kind, str]:
 
 
 def tuned_prompts(object_name: str) -> dict[Kind, str]:
-    """The same for the one object that a model was fine-tuned on (DreamBooth's "a [V] class")."""
+    """Prompts for the object that a model was fine-tuned on (DreamBooth's "a [V] class")."""
     return plain_prompts(f"{TOKEN} {object_name}")

@@ -1,4 +1,4 @@
-"""Writes a fine-tuned model as a whole folder, in the layout of diffusers."""
+"""Writes a fine-tuned model as a complete folder in the layout of diffusers."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from training.priors.diffusion.prompts import TOKEN, tuned_prompts
 __all__ = ["check_free", "save_model"]
 
 PARTS = ("vae", "text_encoder", "tokenizer", "scheduler", "depth_estimator", "feature_extractor")
-"""What a model holds beside its network; the last two are for programs that estimate depth."""
+"""Parts of a model other than its network; the last two are for programs that estimate depth."""
 
 INDEX = "model_index.json"
 
 
 def check_free(out: Path) -> None:
-    """Raises InputError where a model cannot be written: known before hours of work, not after."""
+    """Raises InputError if a model cannot be written to `out`; called before hours of work, not after."""
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise InputError(f"{out}: is there already; give a new folder")
     try:
@@ -37,10 +37,10 @@ def check_free(out: Path) -> None:
 
 
 def save_model(model: Model, out: Path, object_name: str) -> None:
-    """The trained network, everything else as it was in the model's folder, and the prompts that it learned.
+    """Writes the trained network, the other parts of the original model, and the prompts that it learned.
 
-    The network keeps the precision of the file that it came from. Raises InputError where the folder cannot be
-    written; then nothing is left of it.
+    The network keeps the precision of its original file. Raises InputError, and leaves nothing behind, if the folder
+    cannot be written.
     """
     precision = stored_type(model.folder / "unet")
     note = {"object": object_name, "token": TOKEN, "prompts": tuned_prompts(object_name)}
@@ -57,7 +57,7 @@ def save_model(model: Model, out: Path, object_name: str) -> None:
 
 
 def unwanted(_: str, names: Iterable[str]) -> list[str]:
-    """Weights that are not safetensors, and second copies in 16 bits; both would never be read."""
+    """Files never read: weights in other formats than safetensors, and second copies in 16 bits."""
     names = list(names)
     full = any(name.endswith(".safetensors") and ".fp16." not in name for name in names)
     pickled = (".bin", ".ckpt", ".h5", ".msgpack", ".pt", ".pth")
@@ -65,7 +65,7 @@ def unwanted(_: str, names: Iterable[str]) -> list[str]:
 
 
 def stored_type(folder: Path) -> torch.dtype:
-    """The type of the numbers in the weights of a folder."""
+    """The data type of the weights in a folder."""
     names = sorted(folder.glob("*.safetensors"), key=lambda path: ".fp16." in path.name)
     with safe_open(names[0], "pt") as weights:
         return weights.get_tensor(next(iter(weights.keys()))).dtype
