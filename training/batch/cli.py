@@ -25,8 +25,8 @@ from training.settings import DetailName
 __all__ = ["main"]
 
 GIGABYTES_PER_RUN: dict[DetailName, float] = {"draft": 1.2, "standard": 2.3, "high": 3.2}
-"""Memory of one run with room to spare: scans peak at 0.9 in draft, 1.9 in standard and 2.4 in high. It decides
-how many run on this machine at once."""
+"""Memory of one run with a margin: scans peak at 0.9 in draft, 1.9 in standard and 2.4 in high. It limits how many
+run on this machine at once."""
 
 
 def batch(
@@ -52,7 +52,7 @@ def batch(
     tasks = [scene_task(scene.name, scene.request, out / scene.name) for scene in scenes]
     gigabytes = max(GIGABYTES_PER_RUN[scene.request.detail] for scene in scenes)
     summary = Summary(out / "batch.json", manifest)
-    summary.write(())  # whether it can be written at all is better known now
+    summary.write(())  # fails now, rather than after hours, if it cannot be written
     stop.listen()
     with claimed(out), ProgressDisplay(tasks) as display:
         outcomes_by_name = {task.name: Outcome(task) for task in tasks}
@@ -75,7 +75,7 @@ def batch(
 
 
 class Summary:
-    """The file that says how every scene of a batch ended."""
+    """The file with the outcome of every scene of a batch."""
 
     def __init__(self, path: Path, manifest: Path) -> None:
         self.path = path
@@ -83,7 +83,7 @@ class Summary:
         self.begun = time.monotonic()
 
     def write(self, outcomes: Iterable[Outcome]) -> None:
-        """Writes it whole. Raises InputError where that fails."""
+        """Writes the file atomically. Raises InputError if that fails."""
         outcomes = list(outcomes)
         statuses = [outcome.status for outcome in outcomes]
         record = {
@@ -109,7 +109,7 @@ class Summary:
 
 
 class ProgressDisplay:
-    """All scenes at a glance: a bar for the batch and one for each scene at work; plain lines where no terminal is."""
+    """Progress bars for the batch and each running scene; plain lines without a terminal."""
 
     def __init__(self, tasks: list[Task]) -> None:
         self.console = Console(stderr=True)
@@ -135,7 +135,7 @@ class ProgressDisplay:
         self.progress.stop()
 
     def update(self, outcome: Outcome, event: dict[str, Any]) -> None:
-        """Takes in a new status, or a line of a scene at work."""
+        """Shows a new status, or an event of a running scene."""
         name = outcome.task.name
         if event:
             self.titles[name] = event.get("title") or self.titles.get(name, "")
@@ -163,8 +163,8 @@ class ProgressDisplay:
 
 
 def main() -> None:
-    """Entry point: status 2 and one clear line for each mistake in the manifest, 1 where a scene failed, 130 or 143
-    where the user stopped."""
+    """Entry point: status 2 and one clear line for each mistake in the manifest, 1 if a scene failed, 130 or 143
+    if the user stopped it."""
     run_command("fruitninja-batch", batch)
 
 

@@ -1,4 +1,4 @@
-"""A grid of tasks from the side that wants the results: in order, each retried once, none in the way of the others."""
+"""Runs a grid of tasks: results in order, failures retried once, no failure affecting other tasks."""
 
 from __future__ import annotations
 
@@ -19,26 +19,26 @@ from training.batch.task import Task, TaskStopped, describe_error, run_task
 __all__ = ["Outcome", "Status", "run_grid"]
 
 ATTEMPTS = 2
-"""A task that fails, or whose worker dies, is tried once more."""
+"""Attempts for a task that fails or whose worker dies."""
 
 POLL_SECONDS = 0.25
-"""Seconds between two looks at the user's wish to stop and at workers that came or went."""
+"""Seconds between checks for a stop request and for changes of the workers."""
 
 MAX_IDLE_SECONDS = 300.0
-"""Seconds without any worker after which nobody will come."""
+"""Seconds without any worker after which the grid gives up."""
 
 Status = Literal["waiting", "running", "done", "kept", "failed", "stopped"]
-"""`load_facts`: done by an earlier run."""
+"""`kept`: finished by an earlier run."""
 
 
 @dataclass
 class Outcome:
-    """How a task stands."""
+    """The state of a task."""
 
     task: Task
     status: Status = "waiting"
     attempts: int = 0
-    """Times it was sent to a worker."""
+    """Number of times it was submitted to a worker."""
     seconds: float = 0.0
     """Of the last attempt."""
     facts: dict[str, Any] = field(default_factory=dict)
@@ -47,7 +47,7 @@ class Outcome:
 
 
 OnChange = Callable[[Outcome, dict[str, Any]], None]
-"""Called for each change of a task's status, with no line, and for each line that it says."""
+"""Called with an empty dict on each change of a task's status, and with each of its reports."""
 
 
 def run_grid(
@@ -59,11 +59,11 @@ def run_grid(
     count: int | None = None,
     gigabytes: float = 1.0,
 ) -> list[Outcome]:
-    """Does all tasks that are not done yet; returns how each ended, in the order given.
+    """Runs all unfinished tasks; returns the outcome of each, in the order given.
 
-    Without the address of a `scheduler` they run on this machine, in `count` workers, or in as many as there are cores
-    and memory for `gigabytes` each. Once `stop` says yes, running tasks are asked to keep what they have and nothing
-    new begins. Raises InputError where the scheduler does not answer, is lost, or has no workers; what was done stays.
+    Without the address of a `scheduler` they run on this machine, in `count` workers, or in as many as cores and memory
+    (`gigabytes` each) allow. Once `stop` returns True, running tasks are asked to save their state and no others start.
+    Raises InputError if the scheduler does not answer, is lost, or has no workers; finished results stay.
     """
     outcomes = {task.name: Outcome(task) for task in tasks}
     assert len(outcomes) == len(tasks), "two tasks of one name"
@@ -86,7 +86,7 @@ def run_grid(
 
 
 class _Grid:
-    """The state of a grid while it runs."""
+    """A running grid."""
 
     def __init__(
         self, client: Client, on_change: OnChange, outcomes: dict[str, Outcome], pending: Sequence[Outcome]
@@ -94,7 +94,7 @@ class _Grid:
         self.client = client
         self.on_change = on_change
         self.outcomes = outcomes
-        self.topic = f"fruitninja-{uuid.uuid4().hex[:12]}"  # two grids on one cluster do not hear each other
+        self.topic = f"fruitninja-{uuid.uuid4().hex[:12]}"  # separates the messages of grids on one cluster
         self.stop_event = Event(f"{self.topic}-stop", client=client)
         self.inbox: queue.SimpleQueue[Future | dict[str, Any]] = queue.SimpleQueue()
         self.pending = deque(pending)
@@ -110,7 +110,7 @@ class _Grid:
                 self.stop_event.set()
                 while self.pending:
                     self.set_status(self.pending.popleft(), "stopped")
-            # No more tasks than workers: what waits in a worker's own queue would go down with it.
+            # No more tasks than workers: tasks queued on a worker would be lost with it.
             worker_count = len(self.client.nthreads())
             seen = time.monotonic() if worker_count else seen
             if time.monotonic() - seen > MAX_IDLE_SECONDS:
@@ -120,7 +120,7 @@ class _Grid:
             self.handle_event()
 
     def submit(self, outcome: Outcome) -> None:
-        """Sends a task on its way."""
+        """Submits a task to the cluster."""
         outcome.attempts += 1
         key = f"{self.topic}-{outcome.task.name}-{outcome.attempts}"
         future = self.client.submit(run_task, outcome.task, self.topic, key=key, pure=False)
@@ -129,7 +129,7 @@ class _Grid:
         self.set_status(outcome, "running")
 
     def handle_event(self) -> None:
-        """Takes in what has happened, waiting a tick for it."""
+        """Handles the next event, waiting up to POLL_SECONDS for it."""
         try:
             item = self.inbox.get(timeout=POLL_SECONDS)
         except queue.Empty:
@@ -138,11 +138,11 @@ class _Grid:
             self.handle_end(item)
             return
         outcome = self.outcomes[item["task"]]
-        if outcome.status == "running":  # the last lines may come after the result
+        if outcome.status == "running":  # the last reports may arrive after the result
             self.on_change(outcome, item["line"])
 
     def handle_end(self, future: Future) -> None:
-        """A task returned, failed, or went down with its worker."""
+        """Handles the end of a task: success, failure, or the death of its worker."""
         outcome, _, begun = self.running.pop(str(future.key))
         outcome.seconds = time.monotonic() - begun
         if future.status == "finished":
@@ -164,14 +164,14 @@ class _Grid:
             self.set_status(outcome, "failed")
 
     def set_status(self, outcome: Outcome, status: Status, facts: dict[str, Any] | None = None) -> None:
-        """A new status, told to whoever listens."""
+        """Sets a status and reports the change."""
         outcome.status = status
         if facts is not None:
             outcome.facts, outcome.error = facts, ""
         self.on_change(outcome, {})
 
     def close(self) -> None:
-        """Whatever still runs is asked to stop: nobody waits for it."""
+        """Asks running tasks to stop, without waiting for them."""
         if self.running:
             self.stop_event.set()
         self.client.unsubscribe_topic(self.topic)

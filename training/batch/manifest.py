@@ -1,6 +1,6 @@
 """The manifest of a batch: scenes and their options in TOML, checked as a whole before anything starts.
 
-    [defaults]                                  # for every scene that does not say otherwise
+    [defaults]                                  # for every scene that does not override them
     up = "z"
     exemplar = { horizontal = "slice.png" }     # a picture or a list of them for each family
 
@@ -33,38 +33,38 @@ from training.settings import DetailName
 __all__ = ["ManifestErrors", "Scene", "read_manifest"]
 
 MAX_BYTES = 1 << 21
-"""Bytes of the largest manifest that is read: ten thousand scenes, whatever they look like in a few seconds."""
+"""Largest accepted manifest in bytes: ten thousand scenes, parsed in a few seconds at worst."""
 
 MAX_DOTS = 40
-"""In a line, outside of quotes. tomllib takes the cube of a dotted key's parts, minutes for a hundred kilobytes; no key
-here has more than three, and what numbers a line holds have fewer dots than this."""
+"""Largest number of dots in a line outside quotes. tomllib is cubic in the parts of a dotted key: minutes for a hundred
+kilobytes. Keys here have at most three parts, and the numbers in a line need fewer dots than this."""
 
 TOKEN = re.compile(
     r"""\"{3}(?:[^"\\]|\\[\s\S]|"(?!""))*+(?:"{3,5}|\Z)|'{3}(?:[^']|'(?!''))*+(?:'{3,5}|\Z)"""
     r"""|"(?:\\.|[^"\\\n])*+"?|'[^'\n]*+'?|\#[^\n]*+|[^."'#\n]++|[\s\S]"""
 )
-"""Pieces of TOML as far as it takes to find dots. Every piece is taken once, whatever is left open."""
+"""Tokens of TOML, as far as needed to find dots; linear in the text, even with unclosed quotes."""
 
 NAME = re.compile(r"\w[\w .+-]{0,99}")
-"""Names of results: folders on any system, inside of the output folder."""
+"""Names of results: valid folder names on any system, without separators."""
 
 MAX_NAME_BYTES = 200
-"""Bytes of a name; file systems stop at 255, and temporary files have longer ones."""
+"""Longest name in bytes; file systems allow 255, and temporary files add to it."""
 
 DEVICE = re.compile(r"(con|prn|aux|nul|com[0-9¹²³]|lpt[0-9¹²³]) *(\..*)?", re.IGNORECASE)
-"""What Windows takes for a device, whatever its extension."""
+"""Names that Windows reserves for devices, with any extension."""
 
 RESERVED = re.compile(r"batch\.json|.*\.lock", re.IGNORECASE)
-"""Files that a batch itself writes beside the folders."""
+"""Files that a batch writes beside the folders."""
 
 KEYS = ("scene", "name", "exemplar", "family", "prompt", "up", "detail", "prior", "model", "midas", "object",
         "iterations", "seed")  # fmt: skip
 PER_SCENE_KEYS = ("scene", "name")
-"""What two scenes cannot share."""
+"""Keys that scenes cannot share."""
 
 
 class ManifestErrors(InputError):
-    """All that is wrong with a manifest, one line for each mistake."""
+    """All errors of a manifest, one line each."""
 
     def __init__(self, lines: Sequence[str]) -> None:
         ValueError.__init__(self, "\n".join(map(one_line, lines)))
@@ -81,7 +81,7 @@ class Scene:
 
 
 def read_manifest(path: Path) -> list[Scene]:
-    """The scenes of a manifest, in order. Raises Mistakes with one line for each thing to mend."""
+    """The scenes of a manifest, in order. Raises ManifestErrors with one line per error."""
     raw = read_file(path, MAX_BYTES)
     try:
         text = raw.decode("utf-8")
@@ -98,7 +98,7 @@ def read_manifest(path: Path) -> list[Scene]:
 
 
 def _check_dots(path: Path, text: str) -> None:
-    """Raises InputError where a line has more dots than TOML could be parsed with in good time."""
+    """Raises InputError if a line has over MAX_DOTS dots, which would take tomllib too long."""
     line, dots = 1, 0
     for token in TOKEN.finditer(text):
         if token[0] == ".":
@@ -110,7 +110,7 @@ def _check_dots(path: Path, text: str) -> None:
 
 
 class _ManifestReader:
-    """Turns parsed fields into scenes, and gathers what is wrong with them."""
+    """Converts parsed fields to scenes and collects their errors."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -118,7 +118,7 @@ class _ManifestReader:
         self.errors: list[str] = []
 
     def scenes(self, fields: dict[str, Any]) -> list[Scene]:
-        """All scenes, or Mistakes."""
+        """All scenes. Raises ManifestErrors."""
         for key in fields.keys() - {"defaults", "scene"}:
             self.add_error(
                 "the file", f"unknown key '{_abbreviate(key)}'; it has [defaults] and a [[scene]] for each scene"
@@ -142,7 +142,7 @@ class _ManifestReader:
             try:
                 scene = self.scene({k: v for k, v in defaults.items() if k not in PER_SCENE_KEYS} | entry)
             except (InputError, ValueError, OSError) as error:
-                # The words are those of fruitninja-train, whose options have dashes.
+                # The messages are those of fruitninja-train, whose options have dashes.
                 self.add_error(where, re.sub(r"(?<!\S)--(?=[a-z])", "", " ".join(str(error).split())))
                 continue
             first = seen.setdefault(_folder_key(scene.name), where)
@@ -156,11 +156,11 @@ class _ManifestReader:
         return scenes
 
     def scene(self, fields: dict[str, Any]) -> Scene:
-        """One scene with the defaults filled in. Raises InputError for its first mistake."""
+        """One scene with the defaults filled in. Raises InputError for its first error."""
         path = self.file(fields, "scene")
         if path is None:
             raise InputError("no 'scene'; give the capture as scene = 'capture.ply'")
-        name = unicodedata.normalize("NFC", _string(fields, "name", path.stem))  # one folder on systems that do so
+        name = unicodedata.normalize("NFC", _string(fields, "name", path.stem))  # some systems normalise names
         if not NAME.fullmatch(name) or name.endswith((".", " ")) or len(name.encode()) > MAX_NAME_BYTES:
             raise InputError(f"name '{_abbreviate(name)}': cannot be a folder; use letters, digits, blanks and . + - _")
         if DEVICE.fullmatch(name):
@@ -196,7 +196,7 @@ class _ManifestReader:
         )
 
     def exemplars(self, fields: dict[str, Any]) -> list[str]:
-        """The pictures as family=path, each opened far enough to see that it is a picture."""
+        """The pictures as family=path, each opened to check that it is a picture."""
         table = _table(fields, "exemplar", "{ horizontal = 'cut.png' }")
         result = []
         for kind, names in table.items():
@@ -210,7 +210,7 @@ class _ManifestReader:
         return result
 
     def file(self, fields: dict[str, Any], key: str, folder: bool = False) -> Path | None:
-        """An absolute path that is there."""
+        """The absolute path of an existing file or folder, None without the key."""
         name = _string(fields, key, "")
         if not name:
             return None
@@ -220,13 +220,13 @@ class _ManifestReader:
         return path
 
     def resolved(self, name: str) -> Path:
-        """A path of the manifest."""
+        """A path of the manifest as an absolute one."""
         if "\0" in name or len(name) > 4096:
             raise InputError(f"'{_abbreviate(name)}' is no path")
         return (self.folder / Path(name).expanduser()).absolute()
 
     def check_keys(self, where: str, fields: dict[str, Any]) -> None:
-        """Notes keys that mean nothing."""
+        """Records unknown keys as errors."""
         for key in fields.keys() - set(KEYS):
             self.add_error(where, f"unknown key '{_abbreviate(key)}'; there are {', '.join(KEYS)}")
 
@@ -235,12 +235,12 @@ class _ManifestReader:
 
 
 def _folder_key(name: str) -> str:
-    """The same for two names that are one folder on systems that ignore case or how accents are written."""
+    """Equal for names that are the same folder on systems that ignore case or Unicode normalisation."""
     return unicodedata.normalize("NFC", unicodedata.normalize("NFD", name).casefold())
 
 
 def _abbreviate(text: str) -> str:
-    """A piece of the file, fit for one line."""
+    """A value of the manifest, printable and short enough for one line."""
     plain = "".join(c if c.isprintable() else "?" for c in text)
     return plain if len(plain) <= 60 else plain[:57] + "..."
 

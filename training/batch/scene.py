@@ -1,4 +1,4 @@
-"""A scene as a task: what `fruitninja-train` does, on a worker."""
+"""Training of a scene as a task for a worker."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ __all__ = ["scene_task", "train_scene"]
 
 
 def scene_task(name: str, request: Request, out: Path) -> Task:
-    """The task that trains a scene into the folder `out`, which every worker sees under this path."""
+    """The task that trains a scene into the folder `out`, a path valid on every worker."""
     fingerprint = request.fingerprint()
     arguments = {"request": request, "out": out, "fingerprint": fingerprint}
     files = (out / f"{request.scene.stem}.ply", out / "cuts.png", out / "report.json")
@@ -30,7 +30,7 @@ def scene_task(name: str, request: Request, out: Path) -> Task:
 
 
 def train_scene(request: Request, out: Path, fingerprint: str) -> dict[str, Any]:
-    """One run, from its checkpoint where that is whole. Returns the warnings it gave; its events are kept beside it."""
+    """Trains a scene, from its checkpoint if that is intact; returns its warnings and writes its events beside it."""
     if request.fingerprint() != fingerprint:
         raise InputError(f"{request.scene}: this worker sees other files under these paths; share one folder with all")
     checkpoint = Checkpoint(out / "checkpoint", fingerprint)
@@ -43,17 +43,17 @@ def train_scene(request: Request, out: Path, fingerprint: str) -> dict[str, Any]
             except Interrupted as interrupted:
                 raise TaskStopped(str(interrupted)) from interrupted
             except Exception as error:
-                with suppress(InputError):  # what failed first is what must be known
+                with suppress(InputError):  # the first error is the one to report
                     reporter.emit("failed", message=str(error))
                 raise
-    checkpoint.clear()  # a hundred megabytes a scene; the result is what is wanted
+    checkpoint.clear()  # a hundred megabytes per scene, of no use once it is done
     return {"warnings": events.warnings}
 
 
 def is_intact(checkpoint: Checkpoint) -> bool:
-    """Whether every stage that is kept can be gone on with: none is broken, none is another run's."""
+    """Whether the run can resume: no stage is damaged or belongs to another run."""
     try:
-        for path in checkpoint.folder.glob("[!.]*.safetensors"):  # a killed writer's part of a file has a dot in front
+        for path in checkpoint.folder.glob("[!.]*.safetensors"):  # partial files of a killed writer start with a dot
             checkpoint.load(path.stem)
     except InputError:
         return False
@@ -61,7 +61,7 @@ def is_intact(checkpoint: Checkpoint) -> bool:
 
 
 class _EventStream(io.StringIO):
-    """Where a run's lines go: to a file that stays, and to whoever runs the grid."""
+    """A text stream that passes events to a file and to `run_grid`, and collects warnings."""
 
     def __init__(self, file: Lines) -> None:
         super().__init__()

@@ -1,4 +1,4 @@
-"""One task of a grid: what it is, and how a worker does it."""
+"""A task of a grid, and how a worker runs it."""
 
 from __future__ import annotations
 
@@ -21,38 +21,38 @@ from engine.threads import use_cores
 __all__ = ["RESULT_LIMIT", "Task", "TaskStopped", "report", "run_task", "should_stop"]
 
 POLL_SECONDS = 1.0
-"""Between two questions to the scheduler whether to stop: each is a message to another process, perhaps machine."""
+"""Interval at which the scheduler is polled for a stop: each poll is a message, perhaps to another machine."""
 
 REPORT_SECONDS = 0.25
-"""Between two lines of one task, as many as a display can show."""
+"""Shortest interval between two reports of a task: a display shows no more."""
 
 
 RESULT_LIMIT = 1 << 24
-"""Bytes of the largest result that is read; a real one has a few KB."""
+"""Largest accepted result file in bytes; real ones have a few KB."""
 
 
 class TaskStopped(Exception):
-    """A task that was asked to stop has kept what it had and ended."""
+    """Raised by a task that was asked to stop, after it has saved its state."""
 
 
 @dataclass(frozen=True)
 class Task:
-    """A function call whose result is kept in a file."""
+    """A function call whose result is stored in a file."""
 
     name: str
-    """Names the task for people and in summaries; unique in its grid."""
+    """Name for displays and summaries; unique in its grid."""
     function: Callable[..., dict[str, Any]]
     """Module-level, importable on every worker; returns JSON facts."""
     arguments: dict[str, Any]
     result: Path
-    """JSON file that appears, whole, when the task is done. Absolute; every worker sees it under this path."""
+    """JSON file written atomically when the task is done. Absolute, and valid on every worker."""
     fingerprint: str
-    """The same for the same result. A result file that carries it is not made again."""
+    """Equal for equal results; a result file with this fingerprint is not computed again."""
     files: tuple[Path, ...] = ()
-    """What else the function leaves; where one is missing, the task is not done."""
+    """Other files that the function writes; without them the task is not done."""
 
     def load_facts(self) -> dict[str, Any] | None:
-        """The facts of a task that was done before, None where it is still to be done."""
+        """The facts of a finished task, None if it is still to be done."""
         try:
             record = json.loads(read_file(self.result, RESULT_LIMIT))
         except (OSError, ValueError, RecursionError):
@@ -63,7 +63,7 @@ class Task:
         return facts if isinstance(facts, dict) and all(path.is_file() for path in self.files) else None
 
     def save_facts(self, facts: dict[str, Any]) -> None:
-        """Writes the result file. Raises InputError where that fails."""
+        """Writes the result file. Raises InputError if that fails."""
         text = json.dumps({"fingerprint": self.fingerprint, "facts": facts}, indent=1, allow_nan=False)
         with atomic(self.result) as temporary:
             temporary.write_text(text + "\n", encoding="utf-8")
@@ -71,7 +71,7 @@ class Task:
 
 @dataclass
 class _Job:
-    """The task that a worker's thread is doing."""
+    """The task that a worker's thread is running."""
 
     name: str
     topic: str
@@ -84,7 +84,7 @@ _thread = threading.local()
 
 
 def should_stop() -> bool:
-    """Whether the task that is being done here should end, by raising `TaskStopped` once it has kept what it has."""
+    """Whether the task running in this thread should save its state and raise `TaskStopped`."""
     job: _Job | None = getattr(_thread, "job", None)
     if job is None:
         return False
@@ -96,7 +96,7 @@ def should_stop() -> bool:
 
 
 def report(line: dict[str, Any]) -> None:
-    """Tells whoever runs the grid a few JSON facts about the task that is being done here; lines may be dropped."""
+    """Sends JSON facts about the task running in this thread to `run_grid`; frequent ones are dropped."""
     job: _Job | None = getattr(_thread, "job", None)
     now = time.monotonic()
     if job is not None and now - job.last_report >= REPORT_SECONDS:
@@ -105,8 +105,8 @@ def report(line: dict[str, Any]) -> None:
 
 
 def run_task(task: Task, topic: str) -> dict[str, Any]:
-    """Does a task on a worker, with this worker's share of the machine's cores. Returns and keeps its facts."""
-    if (facts := task.load_facts()) is not None:  # done by a worker that was thought to be lost
+    """Runs a task on a worker, with its share of the machine's cores; stores and returns the facts."""
+    if (facts := task.load_facts()) is not None:  # finished by a worker that seemed lost
         return facts
     use_cores(share_of_cores())
     _thread.job = _Job(task.name, topic)
@@ -119,7 +119,7 @@ def run_task(task: Task, topic: str) -> dict[str, Any]:
 
 
 def share_of_cores() -> int:
-    """Cores of this machine over the workers on it, at least 1: so many threads that they do not fight."""
+    """Cores of this machine over the workers on it, at least 1, so that their threads do not compete."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     host = urlsplit(get_worker().address).hostname
     on_this_host = sum(urlsplit(address).hostname == host for address in get_client().nthreads())
@@ -127,7 +127,7 @@ def share_of_cores() -> int:
 
 
 def describe_error(error: BaseException) -> str:
-    """An error in one line: the message that a user is meant to see, or what happened and where."""
+    """An error in one line: an InputError's message, or type, message and location of any other."""
     if isinstance(error, InputError):
         return str(error)
     frame, location = error.__traceback__, ""

@@ -52,29 +52,29 @@ __all__ = [
 Float = NDArray[np.float32]
 
 NOISE_STEP = 0.5
-"""Step of the noise-prediction form in units of sigma^2: a full one lands on the denoised picture."""
+"""Step of the noise-prediction form in units of sigma^2; a step of 1 reaches the denoised picture."""
 
 CAP_FACTOR = 4
-"""Times the scale cap, where there is none to speak of: then the least atom is larger than a seed."""
+"""Factor on the scale cap that stands for no cap: the smallest atom is then larger than a seed."""
 
 
 class WithoutRefinement(Pipeline):
-    """Labels stay what they were."""
+    """Labels are never refined."""
 
     refines = False
 
 
 class UniformFill(Pipeline):
-    """Atoms as fine everywhere as ours are where the colours vary."""
+    """Atoms are as fine everywhere as ours are where colours vary."""
 
     def fill_interior(self, geometry: Geometry, pitch: float, colours: Colours) -> InteriorAtoms:
-        """One atom for every cell of the finest lattice, whatever the colours."""
+        """One atom for every cell of the finest lattice."""
         interior = fill(geometry.body, pitch, self.request.seed, geometry.skin)
         return replace(interior, rgb=colours(interior.means).astype(np.float32))
 
 
 class UnsmoothedTrainer(Trainer):
-    """What no view shows keeps the colours that it started with."""
+    """A trainer whose atoms keep their initial colour if no view shows them."""
 
     def smooth(self) -> None:
         """Nothing."""
@@ -93,17 +93,17 @@ class WithoutSmoothing(Pipeline):
 
 
 def make_denoiser(request: Request) -> Denoiser:
-    """The request's own prior, or the patches of its pictures, as one that draws plane by plane."""
+    """A denoising prior: the request's own, or for exemplars the denoiser of their patches."""
     prior = PatchDenoiser() if request.prior == "exemplar" else make_prior(request)
     assert isinstance(prior, Denoiser), prior
     return prior
 
 
 class Looped(Pipeline):
-    """A label for each plane by itself, refined from what the atoms show: the paper's own loop."""
+    """A label for each plane by itself, refined from the render: the paper's own loop."""
 
     def make_prior(self) -> Denoiser:
-        """The request's own, plane by plane."""
+        """A denoiser instead of a prior that solves a volume."""
         return make_denoiser(self.request)
 
 
@@ -121,12 +121,12 @@ class IndependentByNoise(Independent):
     """A label for each plane by itself, down the gradient of the paper's eq. 5."""
 
     def draw_label(self, prior: Denoiser, cut: Slice, rng: np.random.Generator) -> Float:
-        """In steps of half the length."""
+        """Distills in steps of half the length."""
         return distill(blank_label(cut.condition), prior, cut.condition, rng, step=NOISE_STEP)
 
 
 def without_clipping(scene: EvaluationScene, request: CustomRequest, out: Path) -> MethodResult:
-    """Everything alike on atoms with a cap so wide that nothing of the capture reaches it."""
+    """The same pipeline with a scale cap that no Gaussian of the capture reaches."""
     numbers = request.numbers
     wide = replace(numbers, cells=max(8, numbers.cells // CAP_FACTOR), fine=max(8, numbers.fine // CAP_FACTOR))
     return run_pipeline(replace(request, numbers=wide), out)
@@ -134,7 +134,7 @@ def without_clipping(scene: EvaluationScene, request: CustomRequest, out: Path) 
 
 @dataclass(frozen=True)
 class Composited(ViewWeights):
-    """A cut face as 3DGS draws it: atoms behind the plane blended by depth, each with an opacity of its own."""
+    """A cut face as 3DGS renders it: atoms behind the plane, alpha-blended by depth."""
 
     rows: NDArray[np.intp]
     arrays: tuple[Tensor, Tensor, Tensor, Tensor]
@@ -149,11 +149,11 @@ class Composited(ViewWeights):
 
 
 SLAB = 8
-"""Pitches behind the plane that are blended: what lies deeper lets less than a hundredth through."""
+"""Depth behind the plane that is blended, in pitches: less than a hundredth passes through more."""
 
 
 def composited(atoms: Atoms, section: ViewWeights, plane: Plane, camera: Camera) -> Composited:
-    """The view of a plane where atoms have opacities drawn evenly from 0 to 1, neither high nor uniform."""
+    """The view of a plane with opacities of atoms drawn uniformly from 0 to 1."""
     s, i = atoms.surface, atoms.interior
     means = np.concatenate([s.means, i.means])
     opacities = np.random.default_rng(11).uniform(0, 1, len(means)).astype(np.float32)
@@ -177,15 +177,15 @@ class Translucent(Trainer):
 
 
 class WithoutOpacification(Pipeline):
-    """Atoms that let light through in training."""
+    """Translucent atoms in training."""
 
     def make_trainer(self, atoms: Atoms, faces: Sequence[Section], surfaces: Sequence[SurfaceView]) -> Trainer:
-        """One whose cut faces 3DGS blends."""
+        """A trainer whose cut faces are alpha-blended."""
         return Translucent(atoms, faces, surfaces, self.request.seed)
 
 
 def without_opacification(scene: EvaluationScene, request: CustomRequest, out: Path) -> MethodResult:
-    """Atoms that let light through, in training and in the pictures."""
+    """Translucent atoms, in training and in the rendered cuts."""
     made = run_pipeline(request, out, WithoutOpacification)
     field = KernelField(made.atoms)
     sh_, rgb = (torch.from_numpy(a) for a in (made.atoms.surface.sh, made.atoms.interior.rgb))

@@ -42,7 +42,7 @@ Float = NDArray[np.float32]
 
 
 def prepare_unpainted(request: CustomRequest, out: Path) -> tuple[Geometry, Atoms, dict[str, Any]]:
-    """The filled solid with its skin fitted, before anybody paints the inside."""
+    """The filled solid with a fitted skin but an untrained interior."""
     fineness = request.fineness
     geometry, _ = prepare(request, Reporter(), lambda: None)
     atoms = geometry.filled(fill(geometry.body, geometry.pitch, request.seed, geometry.skin))
@@ -53,7 +53,7 @@ def prepare_unpainted(request: CustomRequest, out: Path) -> tuple[Geometry, Atom
 
 
 def nearest_surface(geometry: Geometry, surface: SurfaceAtoms, request: CustomRequest) -> Atoms:
-    """The PhysGaussian rule: every interior atom takes the colour of the nearest surface atom; filled as ours is."""
+    """The PhysGaussian rule: every interior atom takes the colour of the nearest surface atom; the fill is ours."""
     rgb = np.clip(sh.sh_to_rgb(surface.sh[:, 0]), 0, 1).astype(np.float32)
     tree = cKDTree(surface.means)
     finest = geometry.pitch * request.numbers.cells / request.numbers.fine
@@ -62,7 +62,7 @@ def nearest_surface(geometry: Geometry, surface: SurfaceAtoms, request: CustomRe
 
 
 def save_atoms(geometry: Geometry, atoms: Atoms, request: CustomRequest, out: Path) -> Path:
-    """Written as the main job writes its result, so that files compare."""
+    """Writes the atoms in the format of a training result, so that file sizes compare."""
     path = out / f"{request.scene.stem}.ply"
     x, y, z = (float(v) for v in geometry.up)
     save_trained(path, atoms, Meta((x, y, z), (), request.seed, "", request.scene.name))
@@ -70,14 +70,14 @@ def save_atoms(geometry: Geometry, atoms: Atoms, request: CustomRequest, out: Pa
 
 
 def physgaussian(scene: EvaluationScene, request: CustomRequest, out: Path) -> MethodResult:
-    """The nearest surface colour."""
+    """Every interior atom takes the nearest surface colour."""
     geometry, bare, facts = prepare_unpainted(request, out)
     atoms = nearest_surface(geometry, bare.surface, request)
     return MethodResult(atoms, save_atoms(geometry, atoms, request, out), facts, cut_renderer(atoms))
 
 
 def inpainting(scene: EvaluationScene, request: CustomRequest, out: Path) -> MethodResult:
-    """Every cut drawn when it is made, by the prior, from nothing."""
+    """The prior draws every cut independently when it is shown."""
     geometry, atoms, facts = prepare_unpainted(request, out)
     prior = make_denoiser(request)
     size, extent = request.fineness.label, Extent.of(geometry.body, geometry.up)
@@ -94,7 +94,7 @@ def inpainting(scene: EvaluationScene, request: CustomRequest, out: Path) -> Met
 
 
 def nearest_family(plane: Plane, families: Sequence[Family], geometry: Geometry) -> Family:
-    """The family to whose planes a plane is the most nearly parallel."""
+    """The family whose planes are closest to parallel to a plane."""
     normal = np.asarray(plane.normal)
 
     def likeness(family: Family) -> float:
@@ -107,7 +107,7 @@ def nearest_family(plane: Plane, families: Sequence[Family], geometry: Geometry)
 
 @dataclass(frozen=True)
 class TrueVolume(Volume):
-    """A volume that knows more than its grid."""
+    """A volume that samples the true solid instead of its grid."""
 
     solid: Solid
 
@@ -120,7 +120,7 @@ class TrueVolume(Volume):
 
 @dataclass(frozen=True)
 class Oracle:
-    """A prior that knows the truth."""
+    """A prior that returns the true volume."""
 
     solid: Solid
 
@@ -141,8 +141,8 @@ class Oracle:
 def oracle(scene: EvaluationScene, request: CustomRequest, out: Path) -> MethodResult:
     """True slices as labels."""
 
-    class Told(Pipeline):
+    class OraclePipeline(Pipeline):
         def make_prior(self) -> Oracle:
             return Oracle(scene.solid)
 
-    return run_pipeline(request, out, Told)
+    return run_pipeline(request, out, OraclePipeline)

@@ -1,4 +1,4 @@
-"""The cuts that methods are measured on: the same for all of them, and none that anybody trained."""
+"""The cuts that all methods are measured on; none of them is trained."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ __all__ = ["Cut", "Truth", "intersection_points", "load_truth", "make_cuts"]
 Float = NDArray[np.float32]
 
 SIZE = 224
-"""Pixels of a cut's picture, what the network of the features takes in."""
+"""Pixels along a side of a cut's picture: the input size of the feature network."""
 
 REACH = 0.5
-"""Random planes stand up to this share of the way from the centre to the skin."""
+"""Largest distance of random planes from the centre, as a share of the way to the skin."""
 
 CANONICAL = 3
-"""One canonical cut (along a trained family, at a place of its own) for this many random ones."""
+"""Random cuts per canonical one, which lies along a trained family at a new position."""
 
 CONSISTENCY_CUTS = 12
-"""Random cuts of which every two are compared where they meet: 66 pairs."""
+"""Random cuts that are compared pairwise along their intersections: 66 pairs."""
 
 LINE_POINTS = 48
-"""Points along the line where two cuts meet."""
+"""Points along the intersection of two cuts."""
 
 
 @dataclass(frozen=True)
@@ -51,14 +51,14 @@ class Cut:
         return on_plane(self.camera, self.plane)
 
     def pixel_position(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(M, 2). Column and row, in array indices, where world points (M, 3) are seen."""
+        """(M, 2). Column and row, in array indices, of world points (M, 3)."""
         seen = points @ self.camera.viewmat[:3, :3].T + self.camera.viewmat[:3, 3]
         pixel_position = seen[:, :2] * [self.camera.fx, self.camera.fy] + [self.camera.cx, self.camera.cy]
         return np.asarray(pixel_position - 0.5)
 
 
 def make_cuts(solid: Solid, families: tuple[Family, ...], count: int) -> list[Cut]:
-    """`count` random planes through a solid, then canonical ones, which belong to the families in turns."""
+    """`count` random planes through a solid, then canonical ones, which alternate between the families."""
     rng = np.random.default_rng(7)
     bounds, up = solid.bounds, np.asarray(solid.up)
     centre, half = bounds.mean(0), np.ptp(bounds, axis=0) / 2
@@ -85,7 +85,7 @@ def make_cuts(solid: Solid, families: tuple[Family, ...], count: int) -> list[Cu
 
 @dataclass(frozen=True)
 class Truth:
-    """What the cuts really show."""
+    """The true pictures of the cuts."""
 
     pictures: Float
     """(C, H, W, 3). Over white."""
@@ -94,7 +94,7 @@ class Truth:
 
 
 def load_truth(solid: Solid, cuts: list[Cut], path: Path) -> Truth:
-    """The true pictures, kept in a file: every method of a scene is compared with the same ones."""
+    """The true pictures, cached in a file for all methods of a scene."""
     if path.is_file():
         kept = load_file(path)
         if len(kept["pictures"]) == len(cuts):
@@ -107,7 +107,7 @@ def load_truth(solid: Solid, cuts: list[Cut], path: Path) -> Truth:
 
 
 def intersection_points(solid: Solid, cuts: list[Cut]) -> list[tuple[int, int, NDArray[np.float64]]]:
-    """Pairs of random cuts and the points (M, 3) inside the solid where they meet."""
+    """Pairs of random cuts and the points (M, 3) inside the solid on their intersection."""
     random = [index for index, cut in enumerate(cuts) if not cut.canonical][:CONSISTENCY_CUTS]
     low, high = solid.bounds
     reach = float(np.linalg.norm(high - low)) / 2

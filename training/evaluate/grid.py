@@ -1,4 +1,4 @@
-"""The grid of an evaluation: independent cells, each kept in a file of its own when it is done."""
+"""The grid of an evaluation: independent cells, each with its own result file."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ __all__ = ["Cell", "cells", "run_cell", "run_locally", "run_on_cluster"]
 
 @dataclass(frozen=True)
 class Cell:
-    """One method on one scene: a call of `measure` whose facts are kept in a JSON file."""
+    """One method on one scene: a call of `measure` whose facts are stored in a JSON file."""
 
     scene: str
     method: str
@@ -38,21 +38,21 @@ class Cell:
 
     @property
     def name(self) -> str:
-        """For people; unique in its grid."""
+        """Name for displays; unique in its grid."""
         return f"{self.scene}/{self.method}" + (f"-{self.seed}" if self.seed else "")
 
     @property
     def result(self) -> Path:
-        """Where the facts are kept."""
+        """The result file."""
         return self.out / "results" / self.scene / f"{self.method}-{self.seed}.json"
 
     @property
     def fingerprint(self) -> str:
-        """The same for the same figures."""
+        """Equal for equal figures."""
         return fingerprint(self.scene, self.method, self.seed, self.detail, self.cuts, self.clip)
 
     def load_facts(self) -> dict[str, Any] | None:
-        """The facts of an earlier evaluation with the same settings, None where there are none."""
+        """The facts of an earlier evaluation with the same settings, None without any."""
         try:
             record = json.loads(read_file(self.result, RESULT_LIMIT))
         except (OSError, ValueError):
@@ -77,7 +77,7 @@ def cells(
 
 
 def run_cell(cell: Cell, numbers: Detail) -> dict[str, Any]:
-    """Measures one cell and keeps its facts; `numbers` are those behind the detail's name, wherever this runs."""
+    """Measures one cell and stores its facts; `numbers` is its level of detail, set in this process."""
     DETAILS[cell.detail] = numbers
     facts = measure(cell.scene, cell.method, cell.seed, cell.detail, cell.cuts, cell.clip, cell.out)
     text = json.dumps({"fingerprint": cell.fingerprint, "facts": facts}, indent=1, allow_nan=False)
@@ -87,9 +87,9 @@ def run_cell(cell: Cell, numbers: Detail) -> dict[str, Any]:
 
 
 def run_locally(grid: Sequence[Cell], on_change: Callable[[Cell, str], None]) -> dict[Cell, str]:
-    """Does what is not done yet, one after the other, each in a process of its own; returns what failed, and why.
+    """Runs unfinished cells one after another; returns the error of each that failed.
 
-    A process of its own, because the memory of a method is its process's.
+    Each has a process of its own, so that its peak memory can be measured.
     """
     failed = {}
     for cell in grid:
@@ -106,7 +106,7 @@ def run_locally(grid: Sequence[Cell], on_change: Callable[[Cell, str], None]) ->
                 failed[cell] = str(error)
             except BrokenProcessPool:
                 failed[cell] = "its process died (out of memory, or killed)"
-            except BaseException:  # the user stops: the cell goes on from its checkpoint another time
+            except BaseException:  # interrupted: the cell resumes from its checkpoint next time
                 for child in multiprocessing.active_children():
                     child.kill()
                 raise
@@ -115,9 +115,9 @@ def run_locally(grid: Sequence[Cell], on_change: Callable[[Cell, str], None]) ->
 
 
 def run_on_cluster(scheduler: str, grid: Sequence[Cell], on_change: Callable[[Cell, str], None]) -> dict[Cell, str]:
-    """Does what is not done yet on a running Dask cluster, whose workers share the files; returns what failed, and why.
+    """Runs unfinished cells on a Dask cluster whose workers share the files; returns the error of each that failed.
 
-    Memory is then that of a worker, which does one cell after another. Raises InputError where there is no cluster.
+    Peak memory is then that of a worker over several cells. Raises InputError if there is no cluster.
     """
     named = {cell.name: cell for cell in grid}
     tasks = [

@@ -42,14 +42,14 @@ __all__ = ["STRIP_CUTS", "fingerprint", "measure"]
 Float = NDArray[np.float32]
 
 STRIP_CUTS = 6
-"""Cuts in the report's pictures."""
+"""Number of cuts in the report's strips."""
 
 FORMAT = 1
 """Of a result; grows with every change of what a figure means."""
 
 
 def fingerprint(scene: str, method: str, seed: int, detail: DetailName, cuts: int, clip: Path | None) -> str:
-    """The same for the same figures; a result that carries another one is made again."""
+    """Equal for equal figures; a result with another fingerprint is computed again."""
     settings = [FORMAT, scene, method, seed, asdict(DETAILS[detail]), cuts, str(clip) if clip else None]
     return hashlib.sha256(json.dumps(settings).encode()).hexdigest()[:16]
 
@@ -59,7 +59,7 @@ def measure(
 ) -> dict[str, Any]:
     """Figures of a method on a scene as JSON facts; leaves out/results/<scene>/<method>-<seed>.png beside.
 
-    Memory is the whole process's: give each call a process of its own. Raises InputError for what the user can mend.
+    The peak memory is the process's, so each call needs a process of its own. Raises InputError for bad input.
     """
     scene_data = load_scene(scene, out / "scenes")
     chosen = make_cuts(scene_data.solid, scene_data.families, cuts)
@@ -91,7 +91,7 @@ def measure(
 
 
 def peak_bytes() -> int:
-    """The most memory that this process has held."""
+    """Peak memory of this process in bytes."""
     most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return most if sys.platform == "darwin" else most * 1024
 
@@ -112,7 +112,7 @@ def other_solid_distance(scene_data: EvaluationScene, cuts: Sequence[Cut], truth
 
 
 def accuracy(pictures: Float, cuts: Sequence[Cut], truth: Truth, another: float | None) -> dict[str, Any]:
-    """Means over the random cuts of the figures that compare a face with the true one."""
+    """Mean figures over the random cuts that compare a face with the true one."""
     random = [number for number, cut in enumerate(cuts) if not cut.canonical]
     rows = []
     for number in random:
@@ -136,7 +136,7 @@ def accuracy(pictures: Float, cuts: Sequence[Cut], truth: Truth, another: float 
 
 
 def consistency(pictures: Float, cuts: Sequence[Cut], scene_data: EvaluationScene, truth: Truth) -> dict[str, Any]:
-    """RMS colour difference of the same points seen by two cuts; the truth's own is what reading pixels costs."""
+    """RMS colour difference of the same points in two cuts; that of the truth is the error of sampling pixels."""
     result = {}
     for name, of in (("disagreement", pictures), ("disagreement_truth", truth.pictures)):
         squares = [
@@ -152,7 +152,7 @@ def consistency(pictures: Float, cuts: Sequence[Cut], scene_data: EvaluationScen
 
 
 def sample_bilinear(picture: Float, places: NDArray[np.float64]) -> Float:
-    """(M, 3). Colours at columns and rows (M, 2), bilinear."""
+    """(M, 3). Bilinear colours at columns and rows (M, 2)."""
     at = places.T[::-1]
     return np.stack([ndimage.map_coordinates(picture[..., c], at, order=1, mode="nearest") for c in range(3)], -1)
 
@@ -199,7 +199,7 @@ def clip_prompt(kind: str, thing: str) -> str:
 
 
 def truth_features(truth: Truth, of: Callable[[Sequence[Float]], Features], path: Path) -> Features:
-    """Those of the true pictures, kept for the next method."""
+    """Features of the true pictures, cached for the other methods."""
     if path.is_file() and len(features := load_file(path)["features"]) == len(truth.pictures):
         return features
     features = of(list(truth.pictures))

@@ -30,46 +30,46 @@ Float = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class MethodResult:
-    """What a method left."""
+    """The result of a method on a scene."""
 
     atoms: Atoms
     path: Path
     facts: dict[str, Any]
-    """Plain figures of its run."""
+    """JSON facts of its run."""
     show: Callable[[int, Cut], Float]
-    """(H, W, 3). A cut face, over white; the number seeds whatever is random in it."""
+    """Renders a cut face (H, W, 3) over white; the number seeds any randomness."""
 
 
 @dataclass(frozen=True)
 class Method:
-    """One row of the tables."""
+    """A method that is compared: one row of the tables."""
 
     title: str
     what: str
     """One sentence for the reader."""
     run: Callable[[EvaluationScene, CustomRequest, Path], MethodResult]
     competes: bool = True
-    """Whether it may be best; not the bounds."""
+    """Whether it is ranked; upper bounds are not."""
 
 
 def run_pipeline(request: CustomRequest, out: Path, pipeline: type[Pipeline] = Pipeline) -> MethodResult:
-    """A run of the main job, some of its steps swapped."""
+    """Trains with a pipeline, resuming an earlier run."""
     path = pipeline(request, out, Reporter(), lambda: False).run(resume=True)
     atoms, _ = load_trained(path)
     report = json.loads(read_file(out / "report.json", RESULT_LIMIT))
     facts = {key: report[key] for key in ("surface_psnr_db", "iterations", "refinement_rounds", "ended")}
-    turns = report["losses"]["section"][-3:]
-    facts["section_loss"] = float(np.mean(turns)) if turns else None
+    last_losses = report["losses"]["section"][-3:]
+    facts["section_loss"] = float(np.mean(last_losses)) if last_losses else None
     return MethodResult(atoms, path, facts, cut_renderer(atoms))
 
 
 def with_pipeline(pipeline: type[Pipeline]) -> Callable[[EvaluationScene, CustomRequest, Path], MethodResult]:
-    """A method that is the main job with some of its steps swapped."""
+    """A method that trains with a pipeline."""
     return lambda scene, request, out: run_pipeline(request, out, pipeline)
 
 
 def cut_renderer(atoms: Atoms) -> Callable[[int, Cut], Float]:
-    """Cut faces as the product shows them."""
+    """A function for `MethodResult.show` that renders cut faces as the product does."""
     field = KernelField(atoms)
 
     def show(_: int, cut: Cut) -> Float:

@@ -1,7 +1,8 @@
-"""A prior for comparisons, plane by plane: what a picture made of the exemplars' patches most likely was under noise.
+"""A denoising prior from exemplars, for comparisons: the posterior mean over their patches.
 
-Kamb and Ganguli's observation turned round: a denoiser that sees 7x7 pixels and knows only the exemplars is a softmax
-over their patches. Gated by where in the body a pixel lies (DESIGN section 5.1, step 2).
+Kamb and Ganguli (2024) show that a denoiser with a local receptive field is a softmax over training patches. Here the
+field is 7x7 pixels, the patches are those of the exemplars, restricted to similar positions in the body (DESIGN section
+5.1, step 2).
 """
 
 from __future__ import annotations
@@ -22,20 +23,20 @@ from training.priors.prior import Condition
 __all__ = ["PatchDenoiser"]
 
 COEFFICIENTS = 24
-"""PCA coefficients that are compared; over 95 % of the variance of photographs' patches."""
+"""PCA coefficients compared: over 95 % of the variance of patches of photographs."""
 
 MAX_CANDIDATES = 800
-"""Candidates of a gate cell: over this they are thinned evenly."""
+"""Largest number of candidates of a gate cell; more are thinned evenly."""
 
 MIN_CANDIDATES = 100
-"""Candidates under which the nearest others in gate coordinates are taken in."""
+"""Smallest number of candidates; fewer are replaced by the nearest in gate coordinates."""
 
 MIN_SIGMA = 0.04
-"""Least noise assumed, in colour units: the exemplars are samples of the fruit and not all of it."""
+"""Smallest assumed noise in colour units, as the exemplars are only samples of the fruit."""
 
 
 class PatchDenoiser:
-    """Knows the pictures of a family by their patches."""
+    """A denoiser over the patches of each family's exemplars."""
 
     def __init__(self) -> None:
         self._patches: dict[tuple[Family, int], Patches] = {}
@@ -47,15 +48,15 @@ class PatchDenoiser:
         condition: Condition,
         rng: np.random.Generator,
     ) -> NDArray[np.float32]:
-        """(H, W, 3). The noise in `noisy` in units of one: what its posterior mean over the exemplar patches leaves.
+        """(H, W, 3). The noise in `noisy`, of unit variance, relative to the posterior mean over the exemplar patches.
 
-        Draws nothing from `rng`. Raises InputError where the family has no picture, or one shows no cut face.
+        Does not use `rng`. Raises InputError if the family has no picture, or one shows no cut face.
         """
         family = condition.family
         if not family.exemplars:
             raise InputError(f"family '{family.kind}': no exemplar pictures; give it a photograph of a cut face")
         radius = pixels_per_radius(condition)
-        # Pictures of one size share their patches: two per cent of scale is less than a photograph is sure of.
+        # Scales within two per cent share their patches: photographs are no more precise.
         step = round(np.log(radius) / 0.02)
         key = (family, step)
         if key not in self._patches:

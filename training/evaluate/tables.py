@@ -1,4 +1,4 @@
-"""The figures of a grid as tables: which columns, in which direction they are better, and who is best."""
+"""Tables of the figures of a grid: columns, the direction in which each is better, and the best values."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Column:
     key: str
     title: str
     better: Literal["high", "low", "one", ""]
-    """`one`: the nearer to 1; empty: neither."""
+    """`one`: closer to 1 is better; empty: no ranking."""
     digits: int
     times: float = 1.0
     what: str = ""
@@ -35,7 +35,7 @@ class Column:
         return {"high": " ↑", "low": " ↓", "one": " → 1", "": ""}[self.better]
 
     def distance_from_best(self, value: float) -> float:
-        """How far from the best a figure could be; the least is best."""
+        """Distance of a value from the best possible one, up to a constant; the smallest is best."""
         return {"high": -value, "low": value, "one": abs(value - 1), "": 0.0}[self.better]
 
 
@@ -81,7 +81,7 @@ ABLATIONS: dict[str, tuple[str, ...]] = {
 
 @dataclass(frozen=True)
 class Row:
-    """A method's figures, formatted, and which of them are the best."""
+    """A method's formatted figures, and which of them are the best."""
 
     method: str
     title: str
@@ -91,7 +91,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Table:
-    """Figures of several methods, means over the same scenes."""
+    """Figures of several methods, averaged over the same scenes."""
 
     columns: list[Column]
     rows: list[Row]
@@ -99,7 +99,7 @@ class Table:
 
 
 def table(facts: Facts, methods: Sequence[str], keys: Sequence[str], scenes: Sequence[str]) -> Table:
-    """Means over those of the scenes that every method here has; columns that nobody has are left out."""
+    """Means over the scenes that all methods have; columns without values are omitted."""
     present = [m for m in methods if any(scene in facts.get(m, {}) for scene in scenes)]
     common = [scene for scene in scenes if all(scene in facts[m] for m in present)]
     values = {m: [mean([facts[m][s].get(key) for s in common]) for key in keys] for m in present}
@@ -124,6 +124,6 @@ def table(facts: Facts, methods: Sequence[str], keys: Sequence[str], scenes: Seq
 
 
 def mean(values: Sequence[float | None]) -> float | None:
-    """Of those that are there; None where one is missing."""
+    """The mean, None if any value is missing."""
     known = [value for value in values if value is not None]
     return float(np.mean(known)) if known and len(known) == len(values) else None
