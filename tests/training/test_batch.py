@@ -85,23 +85,23 @@ def test_a_killed_worker_a_stop_and_a_broken_scene_cost_no_bit(tmp_path: Path, m
 
     process = command(manifest, out, "--workers", "2")
     try:
-        describe_error = wait_for(process, out / "killed/events.jsonl", '"iteration": 3')
-        os.kill(json.loads(describe_error.splitlines()[0])["pid"], signal.SIGKILL)
+        message = wait_for(process, out / "killed/events.jsonl", '"iteration": 3')
+        os.kill(json.loads(message.splitlines()[0])["pid"], signal.SIGKILL)
         wait_for(process, out / "killed/events.jsonl", '"iteration": 6')
     finally:
         if process.poll() is None:
             os.killpg(process.pid, signal.SIGINT)  # Ctrl-C
-    describe_error = process.communicate()[1]
-    assert "the same command goes on" in describe_error
-    assert "Traceback" not in describe_error
+    message = process.communicate()[1]
+    assert "the same command goes on" in message
+    assert "Traceback" not in message
     assert process.returncode == 130
     assert handle_end(out)["killed"] == ("stopped", 2)
 
     process = command(manifest, out, "--workers", "2")
-    describe_error = process.communicate()[1]
+    message = process.communicate()[1]
     assert process.returncode == 1
-    assert f"fruitninja-batch: broken: {tmp_path / 'broken.ply'}: broken .ply header" in describe_error
-    assert "Traceback" not in describe_error
+    assert f"fruitninja-batch: broken: {tmp_path / 'broken.ply'}: broken .ply header" in message
+    assert "Traceback" not in message
     assert handle_end(out)["broken"] == ("failed", 2)
     assert {handle_end(out)[name][0] for name in ("killed", "bread")} <= {"done", "kept"}
 
@@ -130,9 +130,9 @@ def test_a_killed_worker_a_stop_and_a_broken_scene_cost_no_bit(tmp_path: Path, m
 def test_a_disk_that_was_full_costs_no_bit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     manifest, out = tmp_path / "all.toml", tmp_path / "out"
     manifest.write_text(MANIFEST.partition("[[scene]]")[0] + f'[[scene]]\nscene = "{SCENES}/orange/orange.ply"\n')
-    describe_error = command(manifest, out, preload=(WORKER, WORKER.with_name("full_disk_worker.py"))).communicate()[1]
-    lines = describe_error.splitlines()
-    assert len(lines) == 2 and "Traceback" not in describe_error
+    message = command(manifest, out, preload=(WORKER, WORKER.with_name("full_disk_worker.py"))).communicate()[1]
+    lines = message.splitlines()
+    assert len(lines) == 2 and "Traceback" not in message
     file = out / "orange/checkpoint/training.safetensors"
     assert lines[0].startswith(f"orange: {file}: cannot be written (I/O error: No space left")
     assert handle_end(out) == {"orange": ("done", 2)}
@@ -337,14 +337,14 @@ def test_a_manifest_is_checked_as_a_whole(tmp_path: Path) -> None:
     deep = "a." * 50_000
     refused = {"= 1": "no TOML", "": "no scenes", "scene = 3": "no scenes", "\xff": "no TOML"}
     refused |= {f"{deep}a = 1": "line 1: over 40 dots", f'x = """\n#"""\n[{deep}': "line 3: over 40 dots"}
-    for text, describe_error in refused.items():
+    for text, message in refused.items():
         manifest.write_bytes(text.encode("latin-1"))
-        with pytest.raises(InputError, match=describe_error):
+        with pytest.raises(InputError, match=message):
             read_manifest(manifest)
 
 
 @pytest.mark.parametrize(
-    ("names", "said"),
+    ("names", "message"),
     [
         (["batch.json"], "the batch writes a file of this name itself"),
         (["Batch.JSON"], "the batch writes"),
@@ -360,7 +360,7 @@ def test_a_manifest_is_checked_as_a_whole(tmp_path: Path) -> None:
         (["Stra\u00dfe", "STRASSE"], "as that of scene 1"),
     ],
 )
-def test_names_are_folders_everywhere_and_of_one_scene(tmp_path: Path, names: list[str], describe_error: str) -> None:
+def test_names_are_folders_everywhere_and_of_one_scene(tmp_path: Path, names: list[str], message: str) -> None:
     (tmp_path / "a.ply").touch()
     manifest = tmp_path / "all.toml"
     picture = f"{SCENES}/orange/horizontal_1.png"
@@ -368,7 +368,7 @@ def test_names_are_folders_everywhere_and_of_one_scene(tmp_path: Path, names: li
     manifest.write_text(f'[defaults]\nexemplar = {{ horizontal = "{picture}" }}\n{text}', encoding="utf-8")
     with pytest.raises(ManifestErrors) as caught:
         read_manifest(manifest)
-    assert describe_error in str(caught.value) and len(str(caught.value).splitlines()) == 1
+    assert message in str(caught.value) and len(str(caught.value).splitlines()) == 1
 
 
 def test_names_that_only_look_like_devices_are_folders(tmp_path: Path) -> None:
