@@ -335,7 +335,7 @@ def test_a_manifest_is_checked_as_a_whole(tmp_path: Path) -> None:
         assert line.startswith(f"{manifest}: {start}")
 
     deep = "a." * 50_000
-    refused = {"= 1": "no TOML", "": "no scenes", "scene = 3": "no scenes", "\xff": "no TOML"}
+    refused = {"= 1": "no TOML", "": "no scenes", "scene = 3": "no scenes", "\xff": "not a manifest"}
     refused |= {f"{deep}a = 1": "line 1: over 40 dots", f'x = """\n#"""\n[{deep}': "line 3: over 40 dots"}
     for text, message in refused.items():
         manifest.write_bytes(text.encode("latin-1"))

@@ -20,15 +20,17 @@ from engine.errors import InputError
 from sample_scenes.solids import directions
 from tests.helpers.tiny_diffusion import save_tokenizer
 from training.batch.grid import Outcome
-from training.evaluate import cli, grid
+from training.evaluate import ablations, cli, grid
 from training.evaluate.cuts import Cut, Truth, intersection_points, load_truth, make_cuts
 from training.evaluate.features import Clip, Network
 from training.evaluate.grid import cells, run_cell, run_on_cluster
 from training.evaluate.measure import consistency, sample_bilinear
+from training.evaluate.methods import METHODS
 from training.evaluate.metrics import frechet_distance, kernel_distance, mean_cosine
 from training.evaluate.report import write_report
 from training.evaluate.scenes import THIGH_AT, load_scene, thigh
 from training.evaluate.tables import table
+from training.pipeline import Pipeline
 from training.settings import DETAILS
 
 TINY = replace(DETAILS["draft"], cells=16, fine=20, voxels=24, label=32, surface=32, surface_views=6, iterations=4)
@@ -234,6 +236,31 @@ def test_a_cluster_keeps_what_the_command_reads(tmp_path, monkeypatch):
     assert lines == ["bread/ours done", "orange/ours failed"]
     assert failed == {small[1]: "it broke"}
     assert small[0].load_facts() == {"psnr_db": 1.0}
+
+
+class ReachedError(Exception):
+    """Raised where a method would begin to compute."""
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_every_method_starts(name, bread, tmp_path, monkeypatch):
+    """Without the computing: its pipeline and its request can be made."""
+
+    def reach(*_: object) -> None:
+        raise ReachedError
+
+    monkeypatch.setattr("training.pipeline.prepare", reach)
+    monkeypatch.setattr("training.evaluate.baselines.prepare", reach)
+    with pytest.raises(ReachedError):
+        METHODS[name].run(bread, bread.request(TINY, 0), tmp_path)
+
+
+@pytest.mark.parametrize(
+    "pipeline", [value for value in vars(ablations).values() if isinstance(value, type) and issubclass(value, Pipeline)]
+)
+def test_every_override_is_of_a_step(pipeline):
+    """A step that was renamed in `Pipeline` alone would be called no more."""
+    assert set(vars(pipeline)) - {"__module__", "__doc__"} <= set(vars(Pipeline))
 
 
 def test_a_grid_without_results_says_why(tmp_path):
