@@ -78,6 +78,7 @@ def handle_end(out: Path) -> dict[str, tuple[str, int]]:
     return {scene["name"]: (scene["status"], scene["attempts"]) for scene in scenes}
 
 
+@pytest.mark.slow
 def test_a_killed_worker_a_stop_and_a_broken_scene_cost_no_bit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     manifest, out = tmp_path / "all.toml", tmp_path / "out"
     manifest.write_text(MANIFEST)
@@ -127,6 +128,7 @@ def test_a_killed_worker_a_stop_and_a_broken_scene_cost_no_bit(tmp_path: Path, m
     assert (out / "killed/orange.ply").stat().st_mtime_ns == when
 
 
+@pytest.mark.slow
 def test_a_disk_that_was_full_costs_no_bit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     manifest, out = tmp_path / "all.toml", tmp_path / "out"
     manifest.write_text(MANIFEST.partition("[[scene]]")[0] + f'[[scene]]\nscene = "{SCENES}/orange/orange.ply"\n')

@@ -105,6 +105,7 @@ def wait_for(events: Path, text: str) -> None:
     raise AssertionError(f"no {text} in {events}")
 
 
+@pytest.mark.slow
 def test_a_kill_breaks_nothing_and_a_signal_ends_cleanly(whole, tmp_path):
     out = tmp_path / "out"
     process = start(out, tmp_path / "1.jsonl")
