@@ -63,7 +63,7 @@ def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
                                       ("wide", 10, 400, "RGB")):  # fmt: skip
         y, x = np.mgrid[:height, :width]
         r = np.hypot((2 * x + 1) / width - 1, (2 * y + 1) / height - 1)[..., None]
-        picture = np.where(r < 0.85, np.where(r < 0.75, FLESH, RIND), 1.0)
+        picture = np.where(r < 0.85, np.where(r < 0.82, FLESH, RIND), 1.0)
         Image.fromarray((255 * picture).astype(np.uint8)).convert(mode).save(folder / f"{name}.png")
     return folder
 
