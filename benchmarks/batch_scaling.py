@@ -65,7 +65,7 @@ def measure(workers: int, count: int) -> dict[str, Any]:
     begun = time.perf_counter()
     first = started = 0.0
 
-    def note(outcome: Outcome, line: dict[str, Any]) -> None:
+    def on_change(outcome: Outcome, line: dict[str, Any]) -> None:
         nonlocal first, started
         if line and not first:
             first, started = time.perf_counter() - begun, processor_seconds()
@@ -73,7 +73,7 @@ def measure(workers: int, count: int) -> dict[str, Any]:
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     with tempfile.TemporaryDirectory() as folder:
         tasks = [scene_task(f"s{i}", request, Path(folder) / f"s{i}") for i, request in enumerate(requests(count))]
-        outcomes = run_grid(tasks, note, lambda: False, count=workers)
+        outcomes = run_grid(tasks, on_change, lambda: False, count=workers)
         assert all(outcome.status == "done" for outcome in outcomes), [outcome.error for outcome in outcomes]
     seconds = time.perf_counter() - begun
     after = resource.getrusage(resource.RUSAGE_CHILDREN)

@@ -23,7 +23,7 @@ from safetensors.numpy import load_file
 from benchmarks.support.options import ROOT, out_folder, parser_of, write_json
 from engine.io.files import atomic
 from engine.io.picture_file import read_pixels
-from training.evaluate.grid import cells, perform_all
+from training.evaluate.grid import cells, run_locally
 from training.evaluate.metrics import face_psnr
 from training.settings import DetailName
 
@@ -63,9 +63,9 @@ def run(
 ) -> int:
     """Measures what is not yet in `work`, and writes it to the folder if there is one; 1 where a part failed."""
     grid = cells(scenes, methods, [0], detail, cuts, None, work)
-    failed = perform_all(grid, lambda cell, what: print(f"{cell.name}: {what}", file=sys.stderr, flush=True))
+    failed = run_locally(grid, lambda cell, what: print(f"{cell.name}: {what}", file=sys.stderr, flush=True))
     found: dict[str, dict[str, Any]] = {
-        scene: {cell.method: cell.kept() for cell in grid if cell.scene == scene} for scene in scenes
+        scene: {cell.method: cell.load_facts() for cell in grid if cell.scene == scene} for scene in scenes
     }
     for scene in scenes:
         found[scene]["another"] = another(work / "truth", scene)

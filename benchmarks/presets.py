@@ -28,10 +28,10 @@ from benchmarks.support.fronts import front
 from benchmarks.support.options import out_folder, parser_of, write_json
 from engine.io.files import atomic
 from engine.threads import cores
-from training.evaluate.cuts import cuts_of, truth_of
-from training.evaluate.measure import accuracy, shown, yardstick
+from training.evaluate.cuts import load_truth, make_cuts
+from training.evaluate.measure import accuracy, other_solid_distance, render_cuts
 from training.evaluate.methods import METHODS
-from training.evaluate.scenes import subject
+from training.evaluate.scenes import load_scene
 from training.settings import DETAILS, Detail
 
 mpl.use("Agg")
@@ -71,24 +71,24 @@ def settings() -> dict[str, tuple[Detail, float]]:
 
 def measure(scene: str, numbers: Detail, planes: float, folder: Path) -> dict[str, Any]:
     """One run and its figures."""
-    about = subject(scene, folder)
-    families = tuple(replace(family, count=round(family.count * planes)) for family in about.families)
-    about = replace(about, families=families)
-    cuts = cuts_of(about.solid, about.families, CUTS)
-    truth = truth_of(about.solid, cuts, folder / f"{scene}.safetensors")
-    another = yardstick(about, cuts, truth, folder / f"{scene}_another")
+    scene_data = load_scene(scene, folder)
+    families = tuple(replace(family, count=round(family.count * planes)) for family in scene_data.families)
+    scene_data = replace(scene_data, families=families)
+    cuts = make_cuts(scene_data.solid, scene_data.families, CUTS)
+    truth = load_truth(scene_data.solid, cuts, folder / f"{scene}.safetensors")
+    another = other_solid_distance(scene_data, cuts, truth, folder / f"{scene}_another")
     with tempfile.TemporaryDirectory(dir=folder) as out:
         begun, busy = time.perf_counter(), time.process_time()
-        made = METHODS["ours"].make(about, about.request(numbers, 0), Path(out))
+        result = METHODS["ours"].run(scene_data, scene_data.request(numbers, 0), Path(out))
         seconds, busy = time.perf_counter() - begun, (time.process_time() - busy) / cores()
-        figures = accuracy(shown(made, cuts, truth), cuts, truth, another)
+        figures = accuracy(render_cuts(result, cuts, truth), cuts, truth, another)
     return {
         "planes": sum(family.count for family in families),
         "seconds": round(seconds, 1),
         "busy": round(busy, 1),
-        "atoms": len(made.atoms),
-        "iterations": made.facts["iterations"],
-        "rounds": made.facts["refinement_rounds"],
+        "atoms": len(result.atoms),
+        "iterations": result.facts["iterations"],
+        "rounds": result.facts["refinement_rounds"],
         **figures,
     }
 
@@ -170,13 +170,13 @@ def main(arguments: list[str] | None = None) -> None:
     with tempfile.TemporaryDirectory() as folder:
         if not quick:
             measure(SCENES[0], *chosen["draft"], Path(folder))  # the first run of a process loads kernels
-        made: dict[str, dict[str, dict[str, Any]]] = {name: {} for name in chosen}
+        result: dict[str, dict[str, dict[str, Any]]] = {name: {} for name in chosen}
         for scene, (name, how) in itertools.product(SCENES[: 1 if quick else None], chosen.items()):
-            made[name][scene] = measure(scene, *how, Path(folder))
-            print(scene, name, json.dumps(made[name][scene]), flush=True)
+            result[name][scene] = measure(scene, *how, Path(folder))
+            print(scene, name, json.dumps(result[name][scene]), flush=True)
     if not out:
         return
-    runs = {name: mean(chosen[name][0], of) for name, of in made.items()}
+    runs = {name: mean(chosen[name][0], of) for name, of in result.items()}
     fronts = {
         f"{up} against {across}": [list(runs)[i] for i in best(runs, across, up)]
         for up, across in itertools.product(FIGURES, COSTS)

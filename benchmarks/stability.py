@@ -41,7 +41,7 @@ from engine.solid.fill import fill
 from engine.solid.find_body import find_body
 from sample_scenes.exemplars import photograph, planes
 from sample_scenes.solids import SOLIDS, Solid
-from training.evaluate.methods import UnsmoothedTrainer
+from training.evaluate.ablations import UnsmoothedTrainer
 from training.evaluate.metrics import face_psnr
 from training.families import Family
 from training.optimise import trainer
@@ -120,7 +120,9 @@ def core(offset: float) -> Solid:
     return Solid.of(f"core {offset}", ("horizontal", "radial"), depth, colour)
 
 
-def solved(solid: Solid, tilt: float = 0.0, seed: int = 0, pixels: int = 96, voxels: int = VOXELS) -> dict[str, float]:
+def labels_from_volume(
+    solid: Solid, tilt: float = 0.0, seed: int = 0, pixels: int = 96, voxels: int = VOXELS
+) -> dict[str, float]:
     """Mean PSNR in dB of untrained cuts, with the up axis turned away by `tilt` degrees; cells along the longest side.
 
     From pictures this many pixels wide.
@@ -148,7 +150,7 @@ def solved(solid: Solid, tilt: float = 0.0, seed: int = 0, pixels: int = 96, vox
 
 def seeded(name: str, seeds: Sequence[int]) -> dict[str, Any]:
     """The PSNR of one solid with each seed, and its spread."""
-    spread = [solved(SOLIDS[name](0), seed=seed)["psnr_db"] for seed in seeds]
+    spread = [labels_from_volume(SOLIDS[name](0), seed=seed)["psnr_db"] for seed in seeds]
     return {"solid": name, "psnr_db": spread, "mean_db": round(float(np.mean(spread)), 3),
             "sd_db": round(float(np.std(spread)), 3)}  # fmt: skip
 
@@ -250,9 +252,11 @@ def sweeps(points: int | None) -> dict[str, Any]:
         for name, of in ((True, Trainer), (False, UnsmoothedTrainer))
         for count in PLANES[:points]
     ]
-    figures["pictures"] = [{"pixels": size, **solved(orange, pixels=size, voxels=FINE)} for size in PIXELS[:points]]
-    figures["tilts"] = [{"degrees": tilt, **solved(cake, tilt)} for tilt in TILTS[:points]]
-    figures["offsets"] = [{"radii": offset, **solved(core(offset))} for offset in OFFSETS[:points]]
+    figures["pictures"] = [
+        {"pixels": size, **labels_from_volume(orange, pixels=size, voxels=FINE)} for size in PIXELS[:points]
+    ]
+    figures["tilts"] = [{"degrees": tilt, **labels_from_volume(cake, tilt)} for tilt in TILTS[:points]]
+    figures["offsets"] = [{"radii": offset, **labels_from_volume(core(offset))} for offset in OFFSETS[:points]]
     figures["seeds"] = [seeded(name, SEEDS[:points]) for name in SEEDED]
     return figures
 

@@ -1,1 +1,1 @@
-"""Scenes of this project's own making: solids whose inside is known everywhere, and the shells made from them."""
+"""Synthetic scenes: solids whose inside is known everywhere, and the shells made from them."""

@@ -1,4 +1,4 @@
-"""The pictures of cut faces that go with a scene, as a person would crop them from a photograph."""
+"""Exemplar pictures of a scene's cut faces, cropped as from a photograph."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ from training.families import Kind
 __all__ = ["crop", "photograph", "planes"]
 
 FRAME = 0.85
-"""Part of the picture that the face's longer side fills."""
+"""Longer side of the face over that of the picture."""
 
 SUPERSAMPLE = 4
-"""Points across a pixel: enough that no edge shows steps at 8 bits."""
+"""Samples along a side of a pixel: enough for smooth edges at 8 bits."""
 
 HEIGHTS = (0.04, 0.42, -0.5)
-"""Where horizontal faces lie, as a fraction of the half height; the first is nearly the widest."""
+"""Heights of horizontal faces, as fractions of the half height; the first is nearly the widest."""
 
 AZIMUTHS = (25.0, 100.0, 155.0)
-"""Where radial faces look, degrees; spread so that no two show the same parts."""
+"""Azimuths of radial faces in degrees; spread so that no two show the same parts."""
 
 ALONG = (-0.35, 0.1, 0.55)
-"""Where parallel faces lie, as a fraction of the half length."""
+"""Positions of parallel faces, as fractions of the half length."""
 
 
 def planes(solid: Solid, kind: Kind) -> list[Plane]:
-    """The planes whose faces are this family's exemplars: the first two or three of a longer list each."""
+    """The planes of this family's two or three exemplars."""
     low, high = solid.bounds
     centre, half = (low + high) / 2, (high - low) / 2
     up = np.asarray(solid.up)

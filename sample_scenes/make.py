@@ -1,6 +1,6 @@
 """Makes the sample scenes: `python -m sample_scenes.make [--out DIR] [--only apple] [--seed 0]`.
 
-For each a 3DGS .ply of its shell, <name>/<name>.ply, and two or three pictures of cut faces per family,
+For each it writes a 3DGS .ply of its shell, <name>/<name>.ply, and two or three pictures of cut faces per family,
 <name>/<family>_1.png and so on. The same seed gives the same bytes on the same machine.
 """
 
@@ -30,7 +30,7 @@ SIZE = 512
 
 
 def make(name: str, folder: Path, seed: int = 0) -> list[Path]:
-    """Writes one scene of `SOLIDS` into folder/name and returns its files. Raises InputError where it cannot write."""
+    """Writes one scene of `SOLIDS` into folder/name and returns its files. Raises InputError if it cannot write."""
     solid = SOLIDS[name](seed)
     paths = [folder / name / f"{name}.ply"]
     rng = np.random.default_rng([seed, 100])

@@ -1,4 +1,4 @@
-"""A solid's skin as a 3DGS capture would have it: a closed shell of flat Gaussians, haze, floaters, junk inside."""
+"""Synthetic 3DGS captures of solids: a closed shell of flat Gaussians, haze, floaters and Gaussians inside."""
 
 from __future__ import annotations
 
@@ -14,40 +14,40 @@ from engine.scene.gaussians import Gaussians
 from engine.scene.rotations import rotation_matrices
 from sample_scenes.solids import Solid, directions
 
-__all__ = ["LOOKS", "Look", "closed_within", "shell"]
+__all__ = ["LOOKS", "Look", "gap_to_discs", "shell"]
 
 Array = NDArray[np.float64]
 
 OVERSAMPLE = 24
-"""Skin samples per Gaussian: a fifth of its spacing apart, so that little skin can stay open between them."""
+"""Skin samples per Gaussian: a fifth of its spacing apart, so that hardly any gap between them is missed."""
 
-CLOSE = 0.95
-"""Every skin sample lies within this many in-plane standard deviations of a nearly opaque Gaussian: the core of a
-splat, over half of its height, reaches 1.18."""
+MAX_GAP = 0.95
+"""Largest distance of a skin sample from the nearest nearly opaque Gaussian, in its in-plane standard deviations: a
+Gaussian is over half of its peak up to 1.18."""
 
 NEARLY_OPAQUE = 0.8
-"""Opacity from which a Gaussian counts when the shell is closed; the tail under it only adds."""
+"""Opacity from which a Gaussian counts for closing the shell; fainter ones only add to it."""
 
 HAZE, FLOATERS, INSIDE = 0.03, 0.006, 12
-"""Haze and floaters as parts of the surface Gaussians, and how many large ones hang inside."""
+"""Numbers of haze and floaters relative to the surface Gaussians, and the number of large Gaussians inside."""
 
 LIGHT = np.array([0.40, -0.35, 0.85]) / np.linalg.norm([0.40, -0.35, 0.85])
-"""Direction to the one soft lamp whose reflection the view-dependent colour holds."""
+"""Direction to the single soft lamp whose reflection the view-dependent colour encodes."""
 
 
 @dataclass(frozen=True)
 class Look:
-    """How a scene was captured."""
+    """Parameters of a synthetic capture."""
 
     count: int
     """Surface Gaussians."""
     degree: int
-    """Of the spherical harmonics."""
+    """Degree of the spherical harmonics."""
     sheen: float
     """Brightness of the lamp's reflection, 0 for a dull skin."""
 
 
-# A row is 248 bytes at degree 3, 104 at 1, 68 at 0: the three that ship fill seven megabytes with their pictures.
+# A row takes 248 bytes at degree 3, 104 at 1, 68 at 0: the three that ship take seven megabytes with their pictures.
 LOOKS: dict[str, Look] = {
     "watermelon": Look(8000, 3, 0.30),
     "orange": Look(13000, 1, 0.16),
@@ -62,20 +62,20 @@ LOOKS: dict[str, Look] = {
 def shell(solid: Solid, look: Look, rng: np.random.Generator) -> Gaussians:
     """The capture of a solid: `look.count` surface Gaussians and about four per cent of haze and floaters."""
     samples, normals, area = _samples(solid, OVERSAMPLE * look.count, rng)
-    centres, spacing = _spread(solid, samples, area, look.count, rng)
+    centres, spacing = _distribute(solid, samples, area, look.count, rng)
     quats, scales = _discs(solid.normals(centres), spacing, rng)
     tail = rng.random(look.count) < 0.12
     opacities = np.where(tail, 0.9 * rng.beta(4, 2, look.count), rng.uniform(0.9, 0.995, look.count))
     firm = opacities >= NEARLY_OPAQUE
-    scales[firm] = _closed(samples, centres[firm], quats[firm], scales[firm])
+    scales[firm] = _close_gaps(samples, centres[firm], quats[firm], scales[firm])
     rgb = _footprint_colour(solid, centres, quats, scales) + rng.normal(0, 0.008, (look.count, 3))
     surface = _gaussians(centres, scales, quats, opacities, rgb, look, solid.normals(centres))
-    junk = _junk(solid, samples, normals, float(np.median(spacing)), look, rng)
+    junk = _add_floaters(solid, samples, normals, float(np.median(spacing)), look, rng)
     order = rng.permutation(len(surface) + len(junk))
-    return _joined(surface, junk)[order]
+    return _concatenate(surface, junk)[order]
 
 
-def closed_within(samples: Array, gaussians: Gaussians) -> Array:
+def gap_to_discs(samples: Array, gaussians: Gaussians) -> Array:
     """(M,). Standard deviations, in the plane of the disc, from skin samples (M, 3) to the nearest of 16 Gaussians."""
     centres, quats, scales = (np.asarray(a, np.float64) for a in (gaussians.means, gaussians.quats, gaussians.scales))
     return _distance(samples, centres, quats, scales)[0]
@@ -96,17 +96,17 @@ def _samples(solid: Solid, count: int, rng: np.random.Generator) -> tuple[Array,
     return points, solid.normals(points), np.full(count, 4 * np.pi * area.mean() / count)
 
 
-def _spread(solid: Solid, samples: Array, area: Array, count: int, rng: np.random.Generator) -> tuple[Array, Array]:
-    """Centres (N, 3) on the skin, denser where its colour changes, and the width (N,) of what each has to cover.
+def _distribute(solid: Solid, samples: Array, area: Array, count: int, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Centres (N, 3) on the skin, denser where its colour changes, and the width (N,) of the area each covers.
 
-    As training does: it splits Gaussians where the picture has detail. Two rounds of weighted k-means even them out.
+    Like training, which splits Gaussians where pictures have detail. Two rounds of weighted k-means even them out.
     """
     colours = solid.colour(samples).astype(np.float64)
     tree = cKDTree(samples)
     around = tree.query(samples, 9)[1]
     detail = colours[around].std(axis=1).mean(axis=1)
     weight = area * (0.6 + np.minimum(detail / detail.mean(), 3.0))
-    # One draw in each of `count` equal parts of the total: no clumps along the spiral of samples.
+    # Stratified sampling, one draw in each of `count` equal parts of the total: no clumps along the spiral of samples.
     steps = (np.arange(count) + rng.random(count)) / count * weight.sum()
     centres = samples[np.minimum(np.searchsorted(np.cumsum(weight), steps), len(samples) - 1)]
     for _ in range(2):
@@ -150,22 +150,22 @@ def _distance(samples: Array, centres: Array, quats: Array, scales: Array) -> tu
     return best, which
 
 
-def _closed(samples: Array, centres: Array, quats: Array, scales: Array) -> Array:
+def _close_gaps(samples: Array, centres: Array, quats: Array, scales: Array) -> Array:
     """Scales (N, 3), with the discs nearest to uncovered samples grown in their planes until they reach them."""
     for _ in range(10):
         distance, which = _distance(samples, centres, quats, scales)
-        samples, which, distance = samples[distance > CLOSE], which[distance > CLOSE], distance[distance > CLOSE]
+        samples, which, distance = samples[distance > MAX_GAP], which[distance > MAX_GAP], distance[distance > MAX_GAP]
         if not len(samples):
             break
         grow = np.ones(len(centres))
-        np.maximum.at(grow, which, distance / CLOSE)
-        # A half at a time: one that grows next door may reach the sample as well.
+        np.maximum.at(grow, which, distance / MAX_GAP)
+        # At most by half per round, as a growing neighbour may cover the sample as well.
         scales = scales * np.minimum(grow, 1.5)[:, None] ** [1, 1, 0]
     return scales
 
 
 def _footprint_colour(solid: Solid, centres: Array, quats: Array, scales: Array) -> Array:
-    """(N, 3). The skin's colour over each disc: five points of it, brought onto the skin."""
+    """(N, 3). Mean colour of the skin under each disc, from five points projected onto the skin."""
     axes = rotation_matrices(quats)
     total = 2.0 * solid.colour(centres)
     for axis in (0, 1):
@@ -179,7 +179,7 @@ def _footprint_colour(solid: Solid, centres: Array, quats: Array, scales: Array)
 def _gaussians(
     means: Array, scales: Array, quats: Array, opacities: Array, rgb: Array, look: Look, normals: Array | None
 ) -> Gaussians:
-    """With the lamp's reflection in the bands above the first, so that the degree-0 colour stays the skin's own."""
+    """Gaussians with the lamp's reflection in the bands above degree 0, which keeps the skin's own colour."""
     coefficients = np.zeros((len(means), (look.degree + 1) ** 2, 3))
     coefficients[:, 0] = sh.rgb_to_sh(np.clip(rgb, 0.004, 0.996))
     if normals is not None and look.degree > 0:
@@ -188,16 +188,16 @@ def _gaussians(
         glint = np.maximum(mirrored @ LIGHT, 0) ** 6 * np.clip(-4 * np.einsum("dk,nk->nd", views, normals), 0, 1)
         fit = np.linalg.pinv(sh.basis(views, look.degree))
         rest = np.einsum("kd,nd->nk", fit, glint)[:, 1:]
-        # Warm white, and never so much that a dark skin would fall under black on the far side.
+        # Warm white, weak enough that a dark skin does not become negative on the far side.
         coefficients[:, 1:] = look.sheen * rest[..., None] * np.array([1.0, 0.98, 0.92])
     arrays = (means, scales, quats, opacities, coefficients)
     return Gaussians(*(np.ascontiguousarray(a, np.float32) for a in arrays))
 
 
-def _junk(
+def _add_floaters(
     solid: Solid, samples: Array, normals: Array, spacing: float, look: Look, rng: np.random.Generator
 ) -> Gaussians:
-    """Haze around the skin, floaters off it, and a few large Gaussians inside, which no camera ever saw."""
+    """Haze around the skin, floaters off it, and a few large Gaussians inside that no camera saw."""
     haze, floaters = int(HAZE * look.count), int(FLOATERS * look.count)
     at = rng.integers(len(samples), size=haze + floaters + INSIDE)
     lift = np.concatenate(
@@ -221,7 +221,7 @@ def _junk(
     return _gaussians(samples[at] + lift[:, None] * normals[at], scales, quats, opacities, rgb, look, None)
 
 
-def _joined(a: Gaussians, b: Gaussians) -> Gaussians:
+def _concatenate(a: Gaussians, b: Gaussians) -> Gaussians:
     return Gaussians(
         np.concatenate([a.means, b.means]),
         np.concatenate([a.scales, b.scales]),

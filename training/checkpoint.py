@@ -1,4 +1,4 @@
-"""What a run needs to go on: arrays in safetensors files, each written whole or not at all."""
+"""The state from which a run resumes: arrays in safetensors files, written atomically."""
 
 from __future__ import annotations
 
@@ -22,30 +22,30 @@ Array = NDArray[Any]
 
 
 class Checkpoint:
-    """A folder of stages of one run. A stage of another run (other input, other settings) is refused."""
+    """A folder with the stages of one run. Stages of another run (other input or settings) are refused."""
 
     def __init__(self, folder: Path, run: str) -> None:
-        """`run` names input and settings; it is written into every stage."""
+        """`run` is a fingerprint of input and settings, stored in every stage."""
         self.folder = folder
         self.run = run
 
     def path(self, stage: str) -> Path:
-        """Where a stage is kept."""
+        """The file of a stage."""
         return self.folder / f"{stage}.safetensors"
 
     def save(self, stage: str, arrays: dict[str, Array], facts: dict[str, Any]) -> Path:
-        """Writes arrays and JSON facts; the file appears whole or not at all. Returns where."""
+        """Writes arrays and JSON facts atomically; returns the path."""
         text = json.dumps(facts)
-        whole = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
-        metadata = {"run": self.run, "facts": text, "crc32": str(_crc(arrays, text))}
+        contiguous = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
+        metadata = {"run": self.run, "facts": text, "crc32": str(_crc32(arrays, text))}
         with atomic(self.path(stage)) as temporary:
-            save_file(whole, temporary, metadata)
+            save_file(contiguous, temporary, metadata)
         return self.path(stage)
 
     def load(self, stage: str) -> tuple[dict[str, Array], dict[str, Any]] | None:
-        """Arrays and facts of a stage, None where it was not reached.
+        """Arrays and facts of a stage, None if it was not reached.
 
-        Raises InputError where the file is broken or belongs to another run.
+        Raises InputError if the file is damaged or belongs to another run.
         """
         path = self.path(stage)
         if not path.exists():
@@ -55,32 +55,32 @@ class Checkpoint:
                 metadata = file.metadata() or {}
                 arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a dict)
             facts = json.loads(metadata["facts"])
-            if metadata["crc32"] != str(_crc(arrays, metadata["facts"])):
-                raise ValueError("checksum")  # safetensors has none: a flipped bit would train on
+            if metadata["crc32"] != str(_crc32(arrays, metadata["facts"])):
+                raise ValueError("checksum")  # safetensors has none: a flipped bit would go unnoticed
         except (SafetensorError, OSError, KeyError, ValueError) as error:
             raise InputError(f"{path}: not a readable checkpoint; start again without --resume") from error
         if metadata.get("run") != self.run:
             raise InputError(f"{path}: made from another input or with other settings; start again without --resume")
         return arrays, facts
 
-    def made(
+    def load_or_make(
         self, stage: str, make: Callable[[], tuple[dict[str, Array], dict[str, Any]]]
     ) -> tuple[dict[str, Array], dict[str, Any]]:
-        """Arrays and facts of a stage: as they were kept, else made now and kept. Raises InputError as both."""
-        kept = self.load(stage)
-        if kept is None:
-            kept = make()
-            self.save(stage, *kept)
-        return kept
+        """Arrays and facts of a stage, from its file or else from `make`, then saved. Raises InputError as `load`."""
+        stored = self.load(stage)
+        if stored is None:
+            stored = make()
+            self.save(stage, *stored)
+        return stored
 
     def clear(self) -> None:
-        """Forgets every stage."""
+        """Deletes every stage."""
         for path in self.folder.glob("*.safetensors"):
             remove(path)
 
 
-def _crc(arrays: dict[str, Array], facts: str) -> int:
-    """CRC-32 of all that a stage holds."""
+def _crc32(arrays: dict[str, Array], facts: str) -> int:
+    """CRC-32 of the contents of a stage."""
     crc = zlib.crc32(facts.encode())
     for name in sorted(arrays):
         array = np.ascontiguousarray(arrays[name])

@@ -1,4 +1,4 @@
-"""A sheet of cuts that were not trained: the first thing a person looks at when a run is done."""
+"""A contact sheet of cuts that no family contains, for judging a finished run at a glance."""
 
 from __future__ import annotations
 
@@ -15,14 +15,15 @@ from engine.scene.atoms import Atoms
 from engine.scene.camera import equator, fit_distance, orbit, section
 from engine.scene.grid import Body
 from engine.scene.plane import Plane
+from training.images import to_image
 
-__all__ = ["save_picture", "save_sheet", "untrained_planes"]
+__all__ = ["contact_sheet_planes", "save_contact_sheet"]
 
 TILE = 320
 """Pixels of a square tile."""
 
-# Tilt from the up axis and turn around it in degrees, and where the plane stands between centre (0) and skin (1).
-# Oblique, off-centre, near a pole, and upright beside the axis: no family of evenly spaced planes contains them.
+# Tilt from the up axis and azimuth around it in degrees, and position between centre (0) and skin (1). Oblique,
+# off-centre, near a pole, and upright beside the axis: no family of evenly spaced planes contains them.
 CUTS = (
     (35.0, 20.0, 0.0),
     (62.0, 140.0, 0.15),
@@ -33,7 +34,7 @@ CUTS = (
 )
 
 
-def untrained_planes(body: Body, up: NDArray[np.float64]) -> list[Plane]:
+def contact_sheet_planes(body: Body, up: NDArray[np.float64]) -> list[Plane]:
     """Six planes through the body that no family contains; the kept side is the one away from up."""
     e1, e2 = equator(up)
     points = body.grid.centres()[body.inside]
@@ -48,14 +49,14 @@ def untrained_planes(body: Body, up: NDArray[np.float64]) -> list[Plane]:
     return planes
 
 
-def save_sheet(path: Path, atoms: Atoms, body: Body, up: NDArray[np.float64]) -> None:
-    """Two rows for six cuts: the opened object as one sees it, and below each the cut face straight on."""
+def save_contact_sheet(path: Path, atoms: Atoms, body: Body, up: NDArray[np.float64]) -> None:
+    """Writes six cuts in two rows: the opened object in perspective above, the cut face straight on below."""
     field = KernelField(atoms)
     centre = body.bounds().mean(0)
     sheet = Image.new("RGB", (TILE * len(CUTS), TILE * 2), "white")
-    for index, (plane, (tilt, turn, _)) in enumerate(zip(untrained_planes(body, up), CUTS, strict=True)):
+    for index, (plane, (tilt, turn, _)) in enumerate(zip(contact_sheet_planes(body, up), CUTS, strict=True)):
         fov = np.radians(30.0)
-        # From the removed side and a little above, so that the face and the skin around it both show.
+        # From the removed side and a little above, so that both the face and the skin around it are visible.
         elevation = max(18.0, 90.0 - tilt - 25.0)
         camera = orbit(centre, up, turn + 28.0, elevation, fit_distance(body.radius, fov, 1.0), TILE, TILE, fov)
         opened = opaque.render(atoms, camera, [plane], light=True, field=field)
@@ -64,15 +65,3 @@ def save_sheet(path: Path, atoms: Atoms, body: Body, up: NDArray[np.float64]) ->
         sheet.paste(to_image(face.rgb), (TILE * index, TILE))
     with atomic(path) as temporary:
         sheet.save(temporary)
-
-
-def save_picture(path: Path, rgb: NDArray[np.float32]) -> None:
-    """One picture (H, W, 3) of range [0, 1] as PNG."""
-    image = to_image(rgb)
-    with atomic(path) as temporary:
-        image.save(temporary)
-
-
-def to_image(rgb: NDArray[np.float32]) -> Image.Image:
-    """8-bit picture of (H, W, 3), range [0, 1], rounded."""
-    return Image.fromarray((np.clip(rgb, 0, 1) * 255 + 0.5).astype(np.uint8))

@@ -1,4 +1,4 @@
-"""What a run tells while it works: one JSON object a line for programs, a progress display for people."""
+"""Progress of a run: JSON lines for programs, a terminal display for people."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from engine.errors import InputError
 from engine.io.files import LineWriter, reason
 
-__all__ = ["Reporter", "plain"]
+__all__ = ["Reporter", "to_json"]
 
 STAGES = {
     "load": "Reading the scene",
@@ -29,15 +29,15 @@ STAGES = {
     "save": "Saving",
     "finetune": "Learning the pictures",
 }
-"""Name of each stage for programs, and for people."""
+"""Identifier of each stage in events, and its title in displays."""
 
 
 @dataclass
 class Reporter:
-    """Carries what happens to a file of JSON lines, to the terminal, or to both."""
+    """Reports events to a stream of JSON lines, a terminal display, both or neither."""
 
     events: TextIO | LineWriter | None = None
-    """Where JSON lines go; None: nowhere."""
+    """Stream for JSON lines; None: no events."""
     display: Progress | None = None
     started: float = field(default_factory=time.perf_counter)
     timings: dict[str, float] = field(default_factory=dict)
@@ -45,14 +45,14 @@ class Reporter:
 
     @staticmethod
     def open(events: str | None, quiet: bool = False) -> Reporter:
-        """Events to a path, or to standard output for '-'; the display goes to standard error, to a terminal only.
+        """Events to a path, or to standard output for '-'; a display on standard error if that is a terminal.
 
-        Raises InputError where the events cannot be written.
+        Raises InputError if the events cannot be written.
         """
         stream: TextIO | LineWriter | None = None
         if events == "-":
             stream = sys.stdout
-            if stream is None:  # as Python has it where the caller closed it
+            if stream is None:  # as Python sets it if the parent process closed it
                 raise InputError("--events -: standard output is closed; give a file")
         elif events is not None:
             stream = LineWriter(events)
@@ -80,15 +80,15 @@ class Reporter:
             self.events.close()
 
     def emit(self, event: str, **facts: Any) -> None:
-        """Writes one line: the event's name, seconds since the start, and its facts; numbers JSON lacks become null.
+        """Writes one line: the event's name, seconds since the start, and its facts; non-finite numbers become null.
 
-        Where nobody reads them any more the work goes on without; where they cannot be written, as on a full disk, it
-        ends with an InputError: to whoever follows them it would look as if it stood still.
+        If the reader has closed the pipe, the run continues without events. If they cannot be written, as on a full
+        disk, raises InputError: to whoever follows the events the run would seem to hang.
         """
         if self.events is None:
             return
         line = {"event": event, "seconds": round(time.perf_counter() - self.started, 3), **facts}
-        text = json.dumps(plain(line), allow_nan=False) + "\n"
+        text = json.dumps(to_json(line), allow_nan=False) + "\n"
         try:
             self.events.write(text)
             if not isinstance(self.events, LineWriter):
@@ -100,18 +100,18 @@ class Reporter:
             raise InputError(f"standard output: cannot be written ({reason(error)})") from error
 
     def stage(self, name: str) -> Stage:
-        """A stage as a context: announces itself, shows a bar, and keeps its time."""
+        """A context manager that announces a stage, shows its progress bar and measures its time."""
         return Stage(self, name)
 
     def warn(self, message: str) -> None:
-        """One line that the user should see but that stops nothing."""
+        """Reports a one-line warning."""
         self.emit("warning", message=message)
         if self.display is not None:
             self.display.console.print(f"warning: {message}", style="yellow", highlight=False, soft_wrap=True)
 
 
 class Stage:
-    """One stage of a run while it lasts."""
+    """A running stage."""
 
     def __init__(self, reporter: Reporter, name: str) -> None:
         self.reporter = reporter
@@ -126,13 +126,13 @@ class Stage:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        spent = time.perf_counter() - self.begin
-        self.reporter.timings[self.name] = self.reporter.timings.get(self.name, 0.0) + spent
+        seconds = time.perf_counter() - self.begin
+        self.reporter.timings[self.name] = self.reporter.timings.get(self.name, 0.0) + seconds
         if self.reporter.display is not None and kind is None:
             self.reporter.display.update(self.task, completed=1.0)
 
     def progress(self, part: float, detail: str = "", **facts: Any) -> None:
-        """The part done, range [0, 1], with what the user may want to know; at most ten lines a second are written."""
+        """Reports the completed part, range [0, 1]; without facts, at most ten events a second are written."""
         now = time.perf_counter()
         if self.reporter.display is not None:
             self.reporter.display.update(self.task, completed=part, detail=detail)
@@ -143,12 +143,12 @@ class Stage:
         self.reporter.emit("progress", stage=self.name, part=round(part, 4), eta=eta, **facts)
 
 
-def plain(value: Any) -> Any:
-    """The same without what JSON cannot say: infinities and NaN become null, paths become text."""
+def to_json(value: Any) -> Any:
+    """A JSON-serialisable copy: infinities and NaN become None, paths become strings."""
     if isinstance(value, dict):
-        return {key: plain(item) for key, item in value.items()}
+        return {key: to_json(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [plain(item) for item in value]
+        return [to_json(item) for item in value]
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     return str(value) if isinstance(value, Path) else value

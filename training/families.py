@@ -1,4 +1,4 @@
-"""Families of cut planes: what the paper calls cross-section types (section 3.2, figure 3, appendix A)."""
+"""Families of cut planes: the paper's cross-section types (section 3.2, figure 3, appendix A)."""
 
 from __future__ import annotations
 
@@ -21,41 +21,41 @@ Kind = Literal["horizontal", "radial", "parallel", "custom"]
 # The paper's appendix: 40 horizontal, 30 radial, 60 parallel slices (bread).
 COUNTS: dict[Kind, int] = {"horizontal": 40, "radial": 30, "parallel": 60, "custom": 0}
 
-MOST = 10_000
-"""Planes of a family. At 10,000 they stand closer than any atom is small, and each costs a label picture."""
+MAX_PLANES = 10_000
+"""Largest number of planes in a family: 10,000 are closer together than the finest atoms."""
 
 
-LEAN = np.radians(15)
-"""Angle up to which a plane counts as level or upright: people do not cut straighter."""
+MAX_TILT = np.radians(15)
+"""Tilt in radians up to which a plane counts as level or upright: people do not cut more precisely."""
 
 NEAR_AXIS = 0.05
-"""Distance from the axis, over the body's least extent, up to which an upright cut is one through it."""
+"""Distance from the axis, over the body's smallest extent, up to which an upright cut counts as radial."""
 
 
 @dataclass(frozen=True)
 class Family:
-    """Cut planes of one kind, with the pictures and the words that say what they show."""
+    """Cut planes of one kind, with exemplar pictures and a prompt for their cut faces."""
 
     kind: Kind
     count: int
-    """How many planes are trained; not used by `custom`."""
+    """Number of trained planes; not used by `custom`."""
     exemplars: tuple[Path, ...] = ()
-    """Pictures of cut faces of this family; the up axis stands upwards in radial and parallel ones."""
+    """Pictures of cut faces of this family; the up axis points upwards in radial and parallel ones."""
     prompt: str = ""
     axis: tuple[float, float, float] | None = None
     """Normal of a `parallel` family; None: the longest horizontal extent of the body."""
     custom: tuple[Plane, ...] = field(default=())
     """The planes of a `custom` family."""
     span: tuple[float, float] = (0.0, 1.0)
-    """Part of the body's extent along the normal, or of the 180 degrees of a `radial` family, in which planes stand."""
+    """Part of the body's extent along the normal, or of the 180 degrees of a `radial` family, that the planes cover."""
 
     def __post_init__(self) -> None:
         if self.kind not in get_args(Kind):
             raise InputError(f"family '{self.kind}': unknown; choose {', '.join(get_args(Kind))}")
         if self.kind != "custom" and self.count < 1:
             raise InputError(f"family '{self.kind}': {self.count} planes; give at least 1")
-        if self.count > MOST:
-            raise InputError(f"family '{self.kind}': {self.count:,} planes; give at most {MOST:,}")
+        if self.count > MAX_PLANES:
+            raise InputError(f"family '{self.kind}': {self.count:,} planes; give at most {MAX_PLANES:,}")
         if not 0 <= self.span[0] < self.span[1] <= 1:
             low, high = self.span
             raise InputError(f"family '{self.kind}': range {low:g}..{high:g}; give parts of the whole, as in 0.2..0.8")
@@ -72,21 +72,21 @@ class Family:
         e1, e2 = equator(up)
         return e1 if abs((high - low) @ e1) >= abs((high - low) @ e2) else e2
 
-    def plain(self, body: Body, up: NDArray[np.float64]) -> Family:
-        """A custom family as the horizontal, radial or parallel one whose planes are like its first; others unchanged.
+    def as_standard_kind(self, body: Body, up: NDArray[np.float64]) -> Family:
+        """A custom family as the horizontal, radial or parallel one that fits its first plane; others unchanged.
 
-        That tells how its pictures are to be read: of a plane along the axis and near it, as a radial cut.
+        The kind decides how pictures are interpreted: an upright plane near the axis, for example, as a radial cut.
         """
         if self.kind != "custom":
             return self
         plane = self.custom[0]
-        steep = abs(float(plane.normal @ up))
+        along_up = abs(float(plane.normal @ up))
         low, high = body.bounds()
-        aside = abs(float(plane.normal @ (low + high) / 2 + plane.offset))
+        axis_distance = abs(float(plane.normal @ (low + high) / 2 + plane.offset))
         kind: Kind = "parallel"
-        if steep > np.cos(LEAN):
+        if along_up > np.cos(MAX_TILT):
             kind = "horizontal"
-        elif steep < np.sin(LEAN) and aside < NEAR_AXIS * float((high - low).min()):
+        elif along_up < np.sin(MAX_TILT) and axis_distance < NEAR_AXIS * float((high - low).min()):
             kind = "radial"
         x, y, z = map(float, plane.normal)
         return replace(
@@ -94,26 +94,25 @@ class Family:
         )
 
     def planes(self, body: Body, up: NDArray[np.float64]) -> list[Plane]:
-        """The planes to train. Stacks are spaced evenly through the body, radial ones evenly over 180 degrees, or over
-        the part of it that `span` says.
+        """The planes to train: evenly spaced through the body, or by angle for a radial family, within `span`.
 
-        A stack's planes stand in the middle of `count` equal slabs, so none is tangent to the body; radial planes stand
-        at the beginning of `count` equal angles, for the end of 180 degrees is their beginning.
+        Horizontal and parallel planes bisect `count` equal slabs, so that none is tangent to the body. Radial planes
+        start each of `count` equal angles, as the plane at 180 degrees equals that at 0.
         """
         if self.kind == "custom":
             return list(self.custom)
         centre = body.bounds().mean(0)
         if self.kind == "radial":
             e1, e2 = equator(up)
-            angles = np.pi * self._parts(0.0)
+            angles = np.pi * self._positions(0.0)
             return [Plane.through(centre, np.cross(np.cos(a) * e1 + np.sin(a) * e2, up)) for a in angles]
         normal = self.normal(body, up)
         along = body.grid.centres()[body.inside] @ normal
         low, high = (float(along.min()), float(along.max())) if len(along) else (0.0, 0.0)
-        steps = low + (high - low) * self._parts(0.5)
+        steps = low + (high - low) * self._positions(0.5)
         return [Plane.of(normal, -float(s)) for s in steps]
 
-    def _parts(self, offset: float) -> NDArray[np.float64]:
-        """(count,). Where in [0, 1] the planes stand: in each of `count` equal steps of `span`, `offset` of the way."""
+    def _positions(self, offset: float) -> NDArray[np.float64]:
+        """(count,). Positions of the planes in [0, 1]: at `offset` of each of `count` equal steps of `span`."""
         low, high = self.span
         return low + (high - low) * (np.arange(self.count) + offset) / self.count

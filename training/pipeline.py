@@ -1,6 +1,6 @@
-"""The main job: from a hollow capture to a solid with an inside (DESIGN section 4), stage by stage.
+"""Training of one scene: from a hollow capture to a solid with an inside (DESIGN section 4), stage by stage.
 
-Each stage that takes long leaves a checkpoint; a run that was stopped goes on from there with the same result.
+Every long stage leaves a checkpoint; an interrupted run resumes from it with a bit-equal result.
 """
 
 from __future__ import annotations
@@ -28,38 +28,38 @@ from engine.solid.solidify import atomise_surface, find_enclosure
 from engine.solid.up_axis import detect_up
 from training.checkpoint import Checkpoint
 from training.events import Reporter, Stage
-from training.labels import draw_each, make_prior, nearest_colours, solved, written_back
-from training.optimise.deblur import deblurred
-from training.optimise.rounds import train
+from training.labels import back_project, blank_label, labels_from_volume, make_prior, nearest_atom_colours
+from training.optimise.deblur import deblur
 from training.optimise.smoothing import smooth
 from training.optimise.trainer import Trainer
-from training.outcome import save
-from training.priors.prior import Denoises, Progress, Solves
+from training.optimise.training_loop import train
+from training.priors.prior import Denoiser, Progress, VolumeSolver
 from training.priors.sds import distill
 from training.request import Geometry, Interrupted, Request
+from training.results import save_results
 from training.views import ENTRIES, Section, Slice, sections, slices, surface_cameras
 
-__all__ = ["Pipeline", "prepare", "refitted", "run"]
+__all__ = ["Pipeline", "prepare", "refit_surface", "run"]
 
 
-SHAPE_VIEWS, SHAPE_SIZE = 24, 256
-"""Views in which sizes are fitted: coarser pixels would not tell them apart."""
+RESHAPE_VIEWS, RESHAPE_SIZE = 24, 256
+"""Views, and pixels along a side, for fitting the sizes of skin atoms: coarser pixels would not resolve them."""
 
 
 def run(request: Request, out: Path, reporter: Reporter, resume: bool, stopped: Callable[[], bool]) -> Path:
-    """Does the whole job; returns the trained scene's path. Bit-equal for a request, resumed or not.
+    """Trains one scene and returns the path of the result. Bit-equal for a request, resumed or not.
 
-    `stopped` is asked now and then; once it says yes the run keeps what it has and raises Interrupted. Raises
-    InputError for whatever the user can mend.
+    `stopped` is polled; once it returns True the run saves its state and raises Interrupted. Raises InputError for
+    everything the user can correct.
     """
     return Pipeline(request, out, reporter, stopped).run(resume)
 
 
 class Pipeline:
-    """The stages of one run, in order. An evaluation overrides a step to see what it is good for."""
+    """The stages of one run, in order. Evaluations subclass it and override steps for ablations and comparisons."""
 
     refines = True
-    """Whether sections that disagree with their labels get new ones."""
+    """Whether sections that disagree with their labels get refined labels."""
 
     def __init__(self, request: Request, out: Path, reporter: Reporter, stopped: Callable[[], bool]) -> None:
         self.request = request
@@ -67,23 +67,25 @@ class Pipeline:
         self.reporter = reporter
         self.stopped = stopped
         self.checkpoint = Checkpoint(out / "checkpoint", request.fingerprint())
+        self.facts: dict[str, Any] = {}
+        """What the report says of the run so far."""
 
     def run(self, resume: bool) -> Path:
-        """All of it, from the last checkpoint if it is to `resume`."""
+        """Runs all stages, from the last checkpoint if `resume`; returns the path of the trained scene."""
         for name in ("checkpoint", "previews"):
             if (self.out / name).is_symlink():  # files are removed and written there: a stranger may have laid the link
                 raise InputError(f"{self.out / name}: leads out of the result's folder; remove this link")
         remove_leftovers(self.out)
         if not resume:
             self.checkpoint.clear()
-        torch.set_num_threads(1)  # the kernels use the cores; torch's own threads would only wait for each other
-        prior = self.prior()
-        geometry, facts = prepare(self.request, self.reporter, self.check)
-        cuts, labels, atoms = self.label(geometry, prior, facts)
-        atoms, surfaces = self.fit_skin(atoms, geometry, facts)
+        torch.set_num_threads(1)  # the kernels use all cores; torch's own threads would compete with them
+        prior = self.make_prior()
+        geometry, self.facts = prepare(self.request, self.reporter, self.raise_if_stopped)
+        cuts, labels, atoms = self.label_cuts(geometry, prior)
+        atoms, surfaces = self.fit_skin(atoms, geometry)
         with self.reporter.stage("views") as stage:
-            faces = sections(atoms, cuts, self.watched(stage, 0.0, 1.0))
-        trainer = self.trainer(atoms, faces, surfaces)
+            faces = sections(atoms, cuts, self.track_progress(stage, 0.0, 1.0))
+        trainer = self.make_trainer(atoms, faces, surfaces)
         history = train(
             self.request,
             trainer,
@@ -94,133 +96,143 @@ class Pipeline:
             self.checkpoint,
             self.stopped,
         )
-        return save(self.request, geometry, atoms, trainer, facts, history, self.out, self.reporter)
+        return save_results(self.request, geometry, atoms, trainer, self.facts, history, self.out, self.reporter)
 
-    # Steps
+    # Steps that an evaluation may override
 
-    def prior(self) -> Denoises | Solves:
-        """What draws the labels."""
+    def make_prior(self) -> Denoiser | VolumeSolver:
+        """The prior that draws the labels."""
         return make_prior(self.request)
 
-    def fill(self, geometry: Geometry, pitch: float, colours: Colours) -> InteriorAtoms:
-        """Atoms for the inside, no finer than the pitch, with these colours."""
+    def fill_interior(self, geometry: Geometry, pitch: float, colours: Colours) -> InteriorAtoms:
+        """Interior atoms in these colours, on lattices no finer than `pitch` (world units)."""
         return fill(geometry.body, pitch, self.request.seed, geometry.skin, colours)
 
-    def first_label(
-        self, start: NDArray[np.float32], prior: Denoises, cut: Slice, rng: np.random.Generator
-    ) -> NDArray[np.float32]:
-        """(H, W, 3). The label of one plane by score distillation, from an even grey (paper, stage one)."""
-        return distill(start, prior, cut.condition, rng)
+    def draw_label(self, prior: Denoiser, cut: Slice, rng: np.random.Generator) -> NDArray[np.float32]:
+        """(H, W, 3). The first label of one plane, by score distillation from even grey (paper, section 3.2)."""
+        return distill(blank_label(cut.condition), prior, cut.condition, rng)
 
-    def smooth(
-        self, geometry: Geometry, interior: InteriorAtoms, rgb: NDArray[np.float32], shown: NDArray[np.bool_]
+    def smooth_interior(
+        self, interior: InteriorAtoms, rgb: NDArray[np.float32], covered: NDArray[np.bool_]
     ) -> NDArray[np.float32]:
-        """(I, 3). Colours of atoms that labels were written back to; those that no label shows follow the others."""
-        return smooth(interior.means, interior.rgb, rgb, shown)
+        """(I, 3). Back-projected colours `rgb` (I, 3), extended to the atoms that no label covers (I,)."""
+        return smooth(interior.means, interior.rgb, rgb, covered)
 
-    def trainer(self, atoms: Atoms, faces: Sequence[Section], surfaces: Sequence[SurfaceView]) -> Trainer:
-        """What moves the colours towards the labels."""
+    def make_trainer(self, atoms: Atoms, faces: Sequence[Section], surfaces: Sequence[SurfaceView]) -> Trainer:
+        """The trainer that fits the colours to the labels."""
         return Trainer(atoms, faces, surfaces, self.request.seed)
 
     # Stages
 
-    def check(self) -> None:
-        """Raises Interrupted once the user wants to stop."""
+    def raise_if_stopped(self) -> None:
+        """Raises Interrupted if the user has asked to stop."""
         if self.stopped():
             raise Interrupted("before training began")
 
-    def watched(self, stage: Stage, start: float, end: float) -> Progress:
-        """Progress of a part of a stage, which also notices that the user wants to stop."""
+    def track_progress(self, stage: Stage, start: float, end: float) -> Progress:
+        """A progress callback for the part of a stage from `start` to `end`, which also raises Interrupted on
+        request."""
 
         def progress(part: float) -> None:
-            self.check()
+            self.raise_if_stopped()
             stage.progress(start + (end - start) * part)
 
         return progress
 
-    def label(
-        self, geometry: Geometry, prior: Denoises | Solves, facts: dict[str, Any]
-    ) -> tuple[list[Slice], list[Tensor], Atoms]:
-        """The cuts, a label (H, W, 3) for each, and atoms as fine as the labels need, with colours to start from."""
+    def label_cuts(self, geometry: Geometry, prior: Denoiser | VolumeSolver) -> tuple[list[Slice], list[Tensor], Atoms]:
+        """The cuts, a label (H, W, 3) for each, and atoms with initial colours, as fine as the labels resolve.
+
+        Raises InputError if no plane meets the body.
+        """
         request, fineness, name = self.request, self.request.fineness, self.request.scene.name
         with self.reporter.stage("labels") as stage:
             cuts = slices(geometry.body, geometry.up, request.families, fineness.label)
-            asked = sum(len(family.custom) or family.count for family in request.families)
+            requested = sum(len(family.custom) or family.count for family in request.families)
             if not cuts:
-                raise InputError(f"{name}: none of the {asked} planes meets the object; give others")
-            if len(cuts) < asked:
-                self.reporter.warn(f"{name}: {asked - len(cuts)} of {asked} planes miss the object, left out")
-            arrays, found = self.checkpoint.made("labels", lambda: self.drawn(geometry, cuts, prior, stage))
-            if found["cells"] < fineness.fine:
+                raise InputError(f"{name}: none of the {requested} planes meets the object; give others")
+            if len(cuts) < requested:
+                self.reporter.warn(f"{name}: {requested - len(cuts)} of {requested} planes miss the object, left out")
+            arrays, made = self.checkpoint.load_or_make(
+                "labels", lambda: self.make_labels(geometry, cuts, prior, stage)
+            )
+            if made["cells"] < fineness.fine:
                 self.reporter.warn(
-                    f"{name}: the pictures are good for an inside {found['cells']} atoms across, not {fineness.fine}; "
+                    f"{name}: the pictures are good for an inside {made['cells']} atoms across, not {fineness.fine}; "
                     "larger or sharper ones would make it finer"
                 )
-        interior = InteriorAtoms(arrays["means"], arrays["sigmas"], arrays["rgb"], found["exposed"])
-        facts |= {"interior_atoms": len(interior), "exposed_atoms": interior.exposed, "cells": found["cells"]}
-        return cuts, [torch.from_numpy(picture.copy()) for picture in arrays["labels"]], geometry.filled(interior)
+        interior = InteriorAtoms(arrays["means"], arrays["sigmas"], arrays["rgb"], made["exposed"])
+        self.facts |= {"interior_atoms": len(interior), "exposed_atoms": interior.exposed, "cells": made["cells"]}
+        return cuts, [torch.from_numpy(label.copy()) for label in arrays["labels"]], geometry.filled(interior)
 
-    def drawn(
-        self, geometry: Geometry, cuts: Sequence[Slice], prior: Denoises | Solves, stage: Stage
+    def make_labels(
+        self, geometry: Geometry, cuts: Sequence[Slice], prior: Denoiser | VolumeSolver, stage: Stage
     ) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-        """Labels and atoms as they are kept; and how many of the finest atoms the longest side would take: fewer than
-        asked where the prior knows no more."""
-        request, progress = self.request, self.watched(stage, 0.0, 1.0)
+        """Labels and interior atoms as arrays for the checkpoint, and two facts about the atoms.
+
+        `cells` is the number of the finest atoms along the body's longest side, fewer than requested if the prior
+        resolves less; `exposed` is `InteriorAtoms.exposed`.
+        """
+        request, progress = self.request, self.track_progress(stage, 0.0, 1.0)
         cells: float = request.fineness.fine
-        if isinstance(prior, Solves):
-            pictures, colours, coarser = solved(request, geometry, cuts, prior, progress)
-            cells /= coarser
+        if isinstance(prior, VolumeSolver):
+            labels, colours, coarsening = labels_from_volume(request, geometry, cuts, prior, progress)
+            cells /= coarsening
         else:
-            pictures, colours = self.distilled(geometry, cuts, prior, progress)
-        interior = self.fill(geometry, geometry.pitch * request.fineness.cells / cells, colours)
-        rgb = deblurred(geometry.filled(interior), interior.rgb)
-        arrays = {"labels": np.stack(pictures), "means": interior.means, "sigmas": interior.sigmas, "rgb": rgb}
+            labels, colours = self.distill_labels(geometry, cuts, prior, progress)
+        interior = self.fill_interior(geometry, geometry.pitch * request.fineness.cells / cells, colours)
+        rgb = deblur(geometry.filled(interior), interior.rgb)
+        arrays = {"labels": np.stack(labels), "means": interior.means, "sigmas": interior.sigmas, "rgb": rgb}
         return arrays, {"exposed": interior.exposed, "cells": round(cells)}
 
-    def distilled(
-        self, geometry: Geometry, cuts: Sequence[Slice], prior: Denoises, progress: Progress
+    def distill_labels(
+        self, geometry: Geometry, cuts: Sequence[Slice], prior: Denoiser, progress: Progress
     ) -> tuple[list[NDArray[np.float32]], Colours]:
-        """Labels made plane by plane, and their colours: written back to an even fill, at each point the nearest's."""
-
-        def draw(index: int, cut: Slice, start: NDArray[np.float32]) -> NDArray[np.float32]:
-            return self.first_label(start, prior, cut, np.random.default_rng([self.request.seed, index]))
-
-        pictures = draw_each(cuts, draw, progress)
+        """A label (H, W, 3) for each plane by itself, and a colour field: that of the nearest back-projected atom."""
+        labels = []
+        for index, cut in enumerate(cuts):
+            labels.append(self.draw_label(prior, cut, np.random.default_rng([self.request.seed, index])))
+            progress((index + 1) / len(cuts))
+        # A plain fill at the skin's pitch: without colours nothing says yet where finer atoms are needed.
         interior = fill(geometry.body, geometry.pitch, self.request.seed, geometry.skin)
         atoms = geometry.filled(interior)
-        rgb, shown = written_back(atoms, sections(atoms, cuts, lambda _: None), pictures)
-        return pictures, nearest_colours(interior.means, self.smooth(geometry, interior, rgb, shown))
+        rgb, covered = back_project(atoms, sections(atoms, cuts, lambda _: None), labels)
+        return labels, nearest_atom_colours(interior.means, self.smooth_interior(interior, rgb, covered))
 
-    def fit_skin(self, atoms: Atoms, geometry: Geometry, facts: dict[str, Any]) -> tuple[Atoms, list[SurfaceView]]:
-        """The atoms with a skin that looks like the capture, and the views of it that training follows."""
+    def fit_skin(self, atoms: Atoms, geometry: Geometry) -> tuple[Atoms, list[SurfaceView]]:
+        """The atoms with the skin fitted to the capture, and the views of the capture for training."""
         request, fineness = self.request, self.request.fineness
         with self.reporter.stage("refit") as stage:
-            watches = [self.watched(stage, *part) for part in pairwise((0.0, 0.3, 0.6, 0.8, 1.0))]
+            progress = [self.track_progress(stage, *part) for part in pairwise((0.0, 0.3, 0.6, 0.8, 1.0))]
             cameras = surface_cameras(geometry.body, geometry.up, fineness.surface_views, fineness.surface)
-            surfaces = surface_views(atoms, geometry.gaussians, cameras, ENTRIES, watches[0])
-            atoms, held_out = refitted(atoms, surfaces, self.checkpoint, watches[1])
+            surfaces = surface_views(atoms, geometry.gaussians, cameras, ENTRIES, progress[0])
+            atoms, held_out = refit_surface(atoms, surfaces, self.checkpoint, progress[1])
             if fineness.reshape:
-                atoms = reshaped(atoms, geometry, request, self.checkpoint, watches[2])
-                surfaces = surface_views(atoms, geometry.gaussians, cameras, ENTRIES, watches[3])
-        facts |= {"sh_degree": atoms.surface.sh_degree, "refit_held_out_psnr_db": held_out}
+                atoms = reshape_surface(atoms, geometry, request, self.checkpoint, progress[2])
+                surfaces = surface_views(atoms, geometry.gaussians, cameras, ENTRIES, progress[3])
+        self.facts |= {"sh_degree": atoms.surface.sh_degree, "refit_held_out_psnr_db": held_out}
         return atoms, surfaces
 
 
-def prepare(request: Request, reporter: Reporter, check: Callable[[], None]) -> tuple[Geometry, dict[str, Any]]:
-    """Reads the scene, finds the body, makes the skin's atoms. Returns them with what the report says of them."""
+def prepare(
+    request: Request, reporter: Reporter, raise_if_stopped: Callable[[], None]
+) -> tuple[Geometry, dict[str, Any]]:
+    """Reads the scene, finds the body and makes the skin's atoms; returns them with facts for the report.
+
+    `check` is called between stages and may raise to stop the run.
+    """
     with reporter.stage("load"):
         loaded = load(request.scene, request.seed)
         for warning in loaded.warnings:
             reporter.warn(warning)
     gaussians = loaded.gaussians
-    check()
+    raise_if_stopped()
     with reporter.stage("body") as stage:
         enclosure = find_enclosure(gaussians, request.fineness.cells, request.scene.name)
         for note in enclosure.notes:
             reporter.warn(f"{request.scene.name}: {note}")
-        up, reason = upward(request, gaussians)
+        up, reason = find_up(request, gaussians)
         stage.progress(1.0, reason, up=up.tolist(), reason=reason)
-    check()
+    raise_if_stopped()
     with reporter.stage("atomise"):
         skin, pitch = atomise_surface(gaussians, enclosure, request.fineness.cells)
     facts = {
@@ -235,36 +247,38 @@ def prepare(request: Request, reporter: Reporter, check: Callable[[], None]) -> 
     return Geometry(gaussians, skin.atoms, pitch, enclosure.body, up), facts
 
 
-def upward(request: Request, gaussians: Gaussians) -> tuple[NDArray[np.float64], str]:
-    """The unit up axis as given, or as the capture suggests, and why."""
+def find_up(request: Request, gaussians: Gaussians) -> tuple[NDArray[np.float64], str]:
+    """(3,). The unit up axis, given or detected, and the reason for the choice."""
     if request.up is not None:
         axis = np.asarray(request.up, np.float64)
         return axis / np.linalg.norm(axis), "as given"
     return detect_up(gaussians)
 
 
-def refitted(
+def refit_surface(
     atoms: Atoms, views: Sequence[SurfaceView], checkpoint: Checkpoint, progress: Progress
 ) -> tuple[Atoms, list[float]]:
-    """The atoms with surface colours fitted to the input, and PSNR in dB of held-out views before and after."""
+    """The atoms with surface colours fitted to the capture, and PSNR in dB of held-out views before and after."""
 
-    def fitted() -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+    def fit() -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
         result = fit_sh(atoms, views, progress)
         return {"sh": result.atoms.surface.sh}, {"held_out": list(result.held_out)}
 
-    arrays, facts = checkpoint.made("surface", fitted)
+    arrays, facts = checkpoint.load_or_make("surface", fit)
     return replace(atoms, surface=replace(atoms.surface, sh=arrays["sh"])), facts["held_out"]
 
 
-def reshaped(atoms: Atoms, geometry: Geometry, request: Request, checkpoint: Checkpoint, progress: Progress) -> Atoms:
-    """The atoms with sizes and colours of the skin fitted once more, through the full picture."""
+def reshape_surface(
+    atoms: Atoms, geometry: Geometry, request: Request, checkpoint: Checkpoint, progress: Progress
+) -> Atoms:
+    """The atoms with sizes and colours of the skin refined by gradient descent through the renderer."""
 
-    def fitted() -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-        cameras = surface_cameras(geometry.body, geometry.up, SHAPE_VIEWS, SHAPE_SIZE)
+    def fit() -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+        cameras = surface_cameras(geometry.body, geometry.up, RESHAPE_VIEWS, RESHAPE_SIZE)
         better = fit_scales(
             atoms, geometry.gaussians, cameras, request.fineness.reshape, request.seed, progress
         ).surface
         return {"sh": better.sh, "scales": better.scales}, {}
 
-    arrays, _ = checkpoint.made("shape", fitted)
+    arrays, _ = checkpoint.load_or_make("shape", fit)
     return replace(atoms, surface=replace(atoms.surface, **arrays))

@@ -25,7 +25,7 @@ from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from engine.scene.gaussians import Gaussians
 from engine.scene.grid import Body
 from engine.scene.plane import Plane
-from training.families import MOST, Family, Kind
+from training.families import MAX_PLANES, Family, Kind
 from training.settings import DETAILS, Detail, DetailName
 
 __all__ = [
@@ -142,7 +142,7 @@ def read_family(reader: Fields, value: Any, read_path: Callable[[Any], Path]) ->
     kind: Kind = reader.choice(record, "kind", get_args(Kind))
     planes = reader.each(record, "planes", lambda plane: read_plane(reader, plane))
     exemplars = reader.each(record, "exemplars", read_path)
-    count = reader.integer(record, "count", 0, MOST)
+    count = reader.integer(record, "count", 0, MAX_PLANES)
     prompt, axis = reader.text(record, "prompt"), reader.unit(record, "axis")
     low, high = reader.numbers(record.get("range", [0.0, 1.0]), 2, "'range'")  # older projects have none
     try:

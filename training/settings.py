@@ -1,4 +1,4 @@
-"""What a run is asked to do."""
+"""Levels of detail of a run."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ DetailName = Literal["draft", "standard", "high"]
 
 @dataclass(frozen=True)
 class Detail:
-    """How fine a run works, all from one word of the user."""
+    """Resolutions and step counts behind one level of detail."""
 
     cells: int
     """Surface atoms are at most side / cells, the pitch, for the body's longest side."""
@@ -29,13 +29,13 @@ class Detail:
     iterations: int
     """Most iterations of a run; the stop rule may end it sooner."""
     reshape: int = 0
-    """Steps in which the sizes of the skin's atoms are fitted to the capture."""
+    """Optimisation steps for the sizes of the skin's atoms; 0: sizes are not fitted."""
 
 
 # The paper takes 120 to 200 iterations, 10 to 20 surface views in each, and labels of the diffusion model's size.
-# Volume and lattice are equally fine: in draft a volume of 80 cells under a lattice of 112 takes the orange's patches
-# half as far again from true ones, and saves no time that can be measured (benchmarks/presets).
-# Colours fitted to 60 views of the sample watermelon show others 2 dB better than those fitted to 24.
+# Volume and lattice are equally fine: in draft a volume of 80 cells under a lattice of 112 raises the orange's patch
+# distance by half and saves no measurable time (benchmarks/presets).
+# Colours of the sample watermelon fitted to 60 views score 2 dB better on held-out views than those fitted to 24.
 DETAILS: dict[DetailName, Detail] = {
     "draft": Detail(cells=64, fine=112, voxels=112, label=128, surface=128, surface_views=24, iterations=40),
     "standard": Detail(

@@ -1,4 +1,4 @@
-"""The views a run trains on: cut faces looked at straight on, and the input from all around (paper, section 3.2)."""
+"""Training views: cut faces seen straight on, and the capture from all around (paper, section 3.2)."""
 
 from __future__ import annotations
 
@@ -23,24 +23,24 @@ __all__ = [
     "Extent",
     "Section",
     "Slice",
-    "conditioned",
+    "make_condition",
     "sections",
     "slices",
     "surface_cameras",
 ]
 
 BACKGROUND = (1.0, 1.0, 1.0)
-"""White, as exemplar pictures usually have it."""
+"""White, the usual background of exemplar pictures."""
 
-# Entries kept for a pixel. A surface pixel takes part of some tens of soft atoms; on colours that vary as a skin's do
-# sixteen of them come within about 50 dB of all. A cut face takes 17 on average, more where fine atoms meet coarse ones
-# and the skin: sixteen show the trained watermelon and orange within -53 and -60 dB.
+# Weights kept per pixel. A surface pixel blends some tens of soft atoms; with a skin's variation of colour, the sixteen
+# largest weights reproduce it at about 50 dB. A cut face blends 17 on average, more where fine atoms meet coarse ones
+# and the skin: sixteen reproduce the trained watermelon and orange at 53 and 60 dB.
 ENTRIES = 16
 
 
 @dataclass(frozen=True)
 class Slice:
-    """A cut face of the body, whatever atoms fill it."""
+    """A cut face of the body, independent of the atoms that fill it."""
 
     family: Family
     plane: Plane
@@ -52,7 +52,7 @@ class Slice:
 
 @dataclass(frozen=True)
 class Section(Slice):
-    """A cut face as it is trained."""
+    """A cut face with the weights of the atoms in its pixels."""
 
     weights: ViewWeights
 
@@ -63,7 +63,7 @@ def slices(
     families: Sequence[Family],
     size: int,
 ) -> list[Slice]:
-    """Every plane of every family as a view of size x size pixels; planes that miss the body are left out."""
+    """Every plane of every family as a view of size x size pixels, without planes that miss the body."""
     bounds, radius, extent = body.bounds(), body.radius, Extent.of(body, up)
     result = []
     for family in families:
@@ -71,13 +71,13 @@ def slices(
             camera = section(plane, up, bounds, size, radius)
             points = plane_points(camera, plane)
             if (body.at(points) > 0).any():
-                condition = conditioned(family, body, extent, camera, points)
+                condition = make_condition(family, body, extent, camera, points)
                 result.append(Slice(family, plane, camera, condition, points))
     return result
 
 
 def sections(atoms: Atoms, cuts: Sequence[Slice], progress: Callable[[float], None]) -> list[Section]:
-    """The slices with the weights that these atoms have in them."""
+    """The slices with the weights of these atoms in their pixels."""
     field = KernelField(atoms)
     result = []
     for index, cut in enumerate(cuts):
@@ -89,20 +89,20 @@ def sections(atoms: Atoms, cuts: Sequence[Slice], progress: Callable[[float], No
 
 @dataclass(frozen=True)
 class Extent:
-    """How far a body reaches along and around its axis: the units of a condition's coordinates."""
+    """Extent of a body along and around its axis, in world units: normalises a condition's coordinates."""
 
     up: NDArray[np.float64]
     centre: NDArray[np.float64]
     reach: float
-    """Greatest distance from the axis, world units."""
+    """Largest distance from the axis."""
     bottom: float
-    """Lowest and highest point along the axis, from the centre."""
+    """Lowest point along the axis, relative to the centre; `top` is the highest."""
     top: float
     inradius: float
 
     @staticmethod
     def of(body: Body, up: NDArray[np.float64]) -> Extent:
-        """Of all cells inside."""
+        """The extent of the cells inside a body."""
         centre = body.bounds().mean(0)
         points = body.grid.centres()[body.inside] - centre
         along = points @ up
@@ -110,14 +110,14 @@ class Extent:
         return Extent(up, centre, float(reach), float(along.min()), float(along.max()), body.inradius)
 
 
-def conditioned(
+def make_condition(
     family: Family,
     body: Body,
     extent: Extent,
     camera: Camera,
     points: NDArray[np.float32],  # [H, W, 3]
 ) -> Condition:
-    """What a prior is told about a cut face before anything is trained: its render is even grey."""
+    """The condition of a cut face before training; its render is even grey."""
     e1, e2 = equator(extent.up)
     offset = points - extent.centre
     x, y, z = offset @ e1, offset @ e2, offset @ extent.up

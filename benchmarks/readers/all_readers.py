@@ -39,13 +39,13 @@ from engine.io.splats.splat import read_splat
 from engine.io.splats.spz import read_spz
 from engine.io.trained import load_trained, sidecar_path
 from engine.scene.gaussians import Gaussians
-from training.batch.manifest import Mistakes, read_manifest
+from training.batch.manifest import ManifestErrors, read_manifest
 from training.batch.task import Task
 from training.checkpoint import Checkpoint
 from training.families import COUNTS
 from training.priors.exemplar.pictures import read_picture
 
-__all__ = ["READERS", "SOLID", "Verdict", "perform"]
+__all__ = ["READERS", "SOLID", "Verdict", "run_cell"]
 
 ROOT = Path(__file__).parents[2]
 SAMPLES = ROOT / "sample_scenes/orange"
@@ -146,7 +146,7 @@ READERS = {
     "settings": Reader(lambda path, work: load_settings(path)),
     "job": Reader(read_job, ("job.json", "events.jsonl", "job.log")),
     "autosave": Reader(lambda path, work: find_unsaved_work(work), ("a.fruitninja", "a.json")),
-    "batch result": Reader(lambda path, work: Task("t", dict, {}, path, "f").kept()),
+    "batch result": Reader(lambda path, work: Task("t", dict, {}, path, "f").load_facts()),
 }
 """The last four refuse nothing: what they cannot read they take for not there."""
 
@@ -157,7 +157,7 @@ def refusal_wrong(line: str, *paths: Path) -> str:
     return words_wrong(line, *map(str, paths)) or ("" if begins else "silent about the file")
 
 
-def perform(name: str, path: Path, work: Path, solid: Path) -> Verdict:
+def run_cell(name: str, path: Path, work: Path, solid: Path) -> Verdict:
     """Gives the file to a reader. `work`: an empty folder, as it is again afterwards; `solid`: a trained object.
 
     Nothing but the end of the process gets out of this.
@@ -175,7 +175,7 @@ def perform(name: str, path: Path, work: Path, solid: Path) -> Verdict:
             reader.read(path, work)
         except InputError as error:
             what, words = "refused", str(error)
-            for line in words.split("\n") if isinstance(error, Mistakes) else [words]:
+            for line in words.split("\n") if isinstance(error, ManifestErrors) else [words]:
                 if wrong := refusal_wrong(line, path, path.parent, work):
                     what, words = "failed", f"a refusal that is {wrong}: {line[:300]}"
         except MemoryError:
@@ -225,14 +225,14 @@ def main() -> None:
     warnings.simplefilter("always")  # each time, not once for each line of code
     for name in READERS:  # what is compiled or imported late is so now, where nothing is held against it
         for sample in (solid, SAMPLES / "horizontal_1.png"):
-            perform(name, sample, work, solid)
+            run_cell(name, sample, work, solid)
     used = psutil.Process().memory_info().vms
     resource.setrlimit(resource.RLIMIT_AS, (used + MEMORY, resource.getrlimit(resource.RLIMIT_AS)[1]))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     print("ready", file=answers, flush=True)
     for line in sys.stdin:
         request = json.loads(line)
-        print(json.dumps(perform(request["reader"], Path(request["file"]), work, solid)), file=answers, flush=True)
+        print(json.dumps(run_cell(request["reader"], Path(request["file"]), work, solid)), file=answers, flush=True)
 
 
 if __name__ == "__main__":

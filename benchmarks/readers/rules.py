@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from benchmarks.readers.guard import Forbidden, guarded
 from engine.errors import InputError
-from training.batch.manifest import Mistakes
+from training.batch.manifest import ManifestErrors
 
 __all__ = ["Target", "refused", "words_wrong"]
 
@@ -61,7 +61,7 @@ def refused(read: Callable[[], Any], *near: Path) -> Any:
             result = read()
     except InputError as error:
         result = None
-        for line in str(error).split("\n") if isinstance(error, Mistakes) else [str(error)]:
+        for line in str(error).split("\n") if isinstance(error, ManifestErrors) else [str(error)]:
             # What it quotes of a file is not its own words.
             assert not (wrong := words_wrong(re.sub(r"'[^']*'", "", line))), (
                 f"a refusal that is {wrong}: {line!r:.1000}"

@@ -1,4 +1,4 @@
-"""The solids. Each maker takes a seed: another seed is another true fruit of the kind."""
+"""Procedural solids. Each function takes a seed; every seed gives another fruit of the kind."""
 
 from __future__ import annotations
 
@@ -22,4 +22,4 @@ SOLIDS: dict[str, Callable[[int], Solid]] = {
     "pomegranate": pomegranate,
     "cake": cake,
 }
-"""Makers by name."""
+"""Functions that make a solid, by name."""

@@ -8,8 +8,16 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from sample_scenes.solids.noise import cells, fbm, mix, noise, put, step
-from sample_scenes.solids.shapes import Strewn, round_depth, round_depths, round_shape, strew, strewn_at, turned
+from sample_scenes.solids.noise import cells, fbm, mix, noise, step, store
+from sample_scenes.solids.shapes import (
+    ItemGrid,
+    index_items,
+    item_at,
+    rotated_frame,
+    round_depth,
+    round_depths,
+    round_shape,
+)
 from sample_scenes.solids.solid import Solid
 
 __all__ = ["apple"]
@@ -42,7 +50,7 @@ def apple(seed: int = 0) -> Solid:
     )
 
 
-def _core(turn: float, rng: np.random.Generator) -> tuple[Strewn, Strewn]:
+def _core(turn: float, rng: np.random.Generator) -> tuple[ItemGrid, ItemGrid]:
     """Five chambers around the axis, their tips to it, and one or two seeds in each, tips inward and down."""
     centres, frames, halves = [], [], []
     places, turns, sizes = [], [], []
@@ -57,12 +65,12 @@ def _core(turn: float, rng: np.random.Generator) -> tuple[Strewn, Strewn]:
         for side in rng.permutation([-1.0, 1.0])[: 2 if rng.random() < 0.8 else 1]:
             axis = -out - 0.9 * up + rng.normal(0, 0.12, 3)
             places.append(out * rng.uniform(0.18, 0.20) + across * 0.026 * side + up * rng.uniform(-0.03, 0.05))
-            turns.append(turned(axis / np.linalg.norm(axis), angle))
+            turns.append(rotated_frame(axis / np.linalg.norm(axis), angle))
             sizes.append(rng.uniform(0.9, 1.08) * np.array([0.115, 0.062, 0.056]))
     none = np.zeros
     return (
-        strew(np.array(centres), frames, np.array(halves), none(len(centres))),
-        strew(np.array(places), turns, np.array(sizes), none(len(places))),
+        index_items(np.array(centres), frames, np.array(halves), none(len(centres))),
+        index_items(np.array(places), turns, np.array(sizes), none(len(places))),
     )
 
 
@@ -123,16 +131,16 @@ def _colours(
         # Stalk and calyx continue into the flesh as a woody thread.
         thread = rho - 0.012 - 0.02 * step(0.35, 0.62, abs(z))
         rgb = mix(rgb, (0.76, 0.68, 0.42), 0.7 * step(0.02, -0.01, thread) * step(0.26, 0.5, abs(z)))
-        q, _ = strewn_at(x, y, z, CARPEL_TIP, chambers, chamber_starts, chamber_items)
+        q, _ = item_at(x, y, z, CARPEL_TIP, chambers, chamber_starts, chamber_items)
         if q < 1.8:
             q = math.sqrt(q) + 0.05 * noise(6 * x, 6 * y, 6 * z, number + 10)
             rgb = mix(rgb, (0.90, 0.82, 0.58), 0.9 * step(1.25, 1.08, q))  # the parchment wall
             rgb = mix(rgb, mix((0.73, 0.585, 0.34), (0.83, 0.715, 0.47), step(0.9, 0.4, q)), step(1.04, 0.95, q))
-        q, _ = strewn_at(x, y, z, SEED_TIP, seeds, seed_starts, seed_items)
+        q, _ = item_at(x, y, z, SEED_TIP, seeds, seed_starts, seed_items)
         if q < 1.3:
             coat = mix((0.24, 0.115, 0.05), (0.40, 0.215, 0.09), step(0.8, 0.1, q))
             rgb = mix(rgb, coat, step(1.08, 0.94, q))
         if d < 0.03:
             rgb = mix(_skin(x, y, z, turn, number), rgb, step(0.006, 0.02, d))
-        put(out, i, rgb)
+        store(out, i, rgb)
     return out

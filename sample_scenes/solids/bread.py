@@ -8,8 +8,8 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from sample_scenes.solids.noise import cells, fbm, mix, noise, put, smin, step
-from sample_scenes.solids.shapes import Strewn, strew, strewn_at, turned
+from sample_scenes.solids.noise import cells, fbm, mix, noise, smin, step, store
+from sample_scenes.solids.shapes import ItemGrid, index_items, item_at, rotated_frame
 from sample_scenes.solids.solid import Solid
 
 __all__ = ["bread"]
@@ -34,7 +34,7 @@ def bread(seed: int = 0) -> Solid:
     )
 
 
-def _pores(rng: np.random.Generator) -> Strewn:
+def _pores(rng: np.random.Generator) -> ItemGrid:
     """Flattened bubbles of log-normal size all through the loaf: many small, few large."""
     centres = rng.uniform(-1, 1, (PORES, 3)) * [LENGTH, WIDTH, HEIGHT]
     size = np.clip(np.exp(rng.normal(np.log(0.0175), 0.5, PORES)), 0.008, 0.07)
@@ -42,9 +42,9 @@ def _pores(rng: np.random.Generator) -> Strewn:
     for half in size:
         # Gas rises and the dough spreads: bubbles are wider than high, and lean a little.
         axis = np.array([0, 0, 1.0]) + rng.normal(0, 0.3, 3)
-        frames.append(turned(axis / np.linalg.norm(axis), rng.uniform(0, 2 * np.pi)))
+        frames.append(rotated_frame(axis / np.linalg.norm(axis), rng.uniform(0, 2 * np.pi)))
         halves.append(half * np.array([rng.uniform(0.6, 0.9), rng.uniform(1.0, 1.7), rng.uniform(0.9, 1.2)]))
-    return strew(centres, frames, np.array(halves), rng.random(PORES))
+    return index_items(centres, frames, np.array(halves), rng.random(PORES))
 
 
 @njit(cache=True)
@@ -128,7 +128,7 @@ def _colours(
             rgb = mix(rgb, (0.80, 0.67, 0.475), (0.5 - 0.08 * octave) * hole)
             rgb = mix(rgb, (0.995, 0.965, 0.88), 0.22 * step(0.2, 0.0, far - near))
         # Pores stay small near the crust, where the dough set first.
-        q, item = strewn_at(x, y, z, 0.0, rows, starts, items)
+        q, item = item_at(x, y, z, 0.0, rows, starts, items)
         if q < 5:
             size = step(0.02, 0.10, d)
             torn = noise(13 * x, 13 * y, 13 * z, number + 10) + 0.6 * noise(29 * x, 29 * y, 29 * z, number + 12)
@@ -146,5 +146,5 @@ def _colours(
             rgb = mix((0.80, 0.585, 0.33), rgb, step(thick * 0.6, thick + 0.03, d))
             rgb = mix((0.60, 0.35, 0.145), rgb, step(thick * 0.3, thick * 1.1, d))
             rgb = mix(_crust(x, y, z, number), rgb, step(0.004, 0.6 * thick, d))
-        put(out, i, rgb)
+        store(out, i, rgb)
     return out

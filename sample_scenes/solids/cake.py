@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from sample_scenes.solids.noise import cells, fbm, mix, noise, put, step
+from sample_scenes.solids.noise import cells, fbm, mix, noise, step, store
 from sample_scenes.solids.solid import Solid
 
 __all__ = ["cake"]
@@ -120,5 +120,5 @@ def _colours(
             rgb = mix(rgb, _sponge(x, y, z, number), step(-0.003, 0.004, inside))
         if d < 0.03:
             rgb = mix(_coat(x, y, z, number), rgb, step(0.006, 0.03, d))
-        put(out, i, rgb)
+        store(out, i, rgb)
     return out

@@ -1,6 +1,6 @@
 """Seeded noise over 3-D space, one point at a time, for the colour functions of the solids.
 
-Everything here is a pure function of its arguments, so a solid is the same wherever and however often it is sampled.
+All functions are pure, so that a solid is the same wherever and however often it is sampled.
 """
 
 from __future__ import annotations
@@ -11,9 +11,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-__all__ = ["cell", "cells", "fbm", "mix", "noise", "put", "smin", "step", "unit"]
+__all__ = ["cell", "cells", "fbm", "mix", "noise", "smin", "step", "store", "unit"]
 
-# Odd 64-bit constants of well-known integer mixers (splitmix64 and the golden ratio); any odd numbers of mixed bits do.
+# Odd 64-bit constants of well-known integer mixers (splitmix64 and the golden ratio); any odd numbers with well-mixed
+# bits work.
 K1 = np.uint64(0x9E3779B97F4A7C15)
 K2 = np.uint64(0xBF58476D1CE4E5B9)
 K3 = np.uint64(0x94D049BB133111EB)
@@ -83,7 +84,8 @@ def fbm(x: float, y: float, z: float, octaves: int, seed: int) -> float:
 def cell(x: float, y: float, z: float, jitter: float, seed: int) -> tuple[float, float, float, float, float, float]:
     """Cells around one jittered centre per lattice cube (Worley noise).
 
-    Returns the squared distances to the nearest and second nearest centre, a number in [0, 1) that names the cell, and
+    Returns the squared distances to the nearest and second nearest centre, a number in [0, 1) that identifies the
+    cell, and
     the offset of the point from its centre.
     """
     i, j, k = math.floor(x), math.floor(y), math.floor(z)
@@ -108,7 +110,7 @@ def cell(x: float, y: float, z: float, jitter: float, seed: int) -> tuple[float,
 
 @njit(cache=True)
 def cells(x: float, y: float, z: float, jitter: float, seed: int) -> tuple[float, float, float]:
-    """As `cell`: distances to the nearest and second nearest centre, and the cell's name."""
+    """As `cell`: distances to the nearest and second nearest centre, and the cell's number."""
     first, second, name, _, _, _ = cell(x, y, z, jitter, seed)
     return math.sqrt(first), math.sqrt(second), name
 
@@ -134,7 +136,7 @@ def mix(a: tuple[float, float, float], b: tuple[float, float, float], t: float) 
 
 
 @njit(cache=True)
-def put(out: NDArray[np.float32], i: int, rgb: tuple[float, float, float]) -> None:
-    """Row i of a table of colours, held to [0, 1]."""
+def store(out: NDArray[np.float32], i: int, rgb: tuple[float, float, float]) -> None:
+    """Writes row i of an array of colours, clipped to [0, 1]."""
     for c in range(3):
         out[i, c] = min(max(rgb[c], 0.0), 1.0)

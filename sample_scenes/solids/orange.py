@@ -8,8 +8,16 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from sample_scenes.solids.noise import cells, fbm, mix, noise, put, smin, step
-from sample_scenes.solids.shapes import Strewn, round_depth, round_depths, round_shape, strew, strewn_at, turned
+from sample_scenes.solids.noise import cells, fbm, mix, noise, smin, step, store
+from sample_scenes.solids.shapes import (
+    ItemGrid,
+    index_items,
+    item_at,
+    rotated_frame,
+    round_depth,
+    round_depths,
+    round_shape,
+)
 from sample_scenes.solids.solid import Solid
 
 __all__ = ["orange"]
@@ -48,7 +56,7 @@ def orange(seed: int = 0) -> Solid:
     )
 
 
-def _seeds(walls: NDArray[np.float64], rng: np.random.Generator) -> Strewn:
+def _seeds(walls: NDArray[np.float64], rng: np.random.Generator) -> ItemGrid:
     """One or two seeds in about half of the segments, beside the core, tips to it."""
     centres, frames, halves = [], [], []
     for i, wall in enumerate(walls):
@@ -61,9 +69,9 @@ def _seeds(walls: NDArray[np.float64], rng: np.random.Generator) -> Strewn:
             out = np.array([math.cos(angle), math.sin(angle), 0.0])
             axis = -out + np.array([0, 0, -0.9 * side]) + rng.normal(0, 0.1, 3)
             centres.append(out * rho + [0, 0, z])
-            frames.append(turned(axis / np.linalg.norm(axis), angle))
+            frames.append(rotated_frame(axis / np.linalg.norm(axis), angle))
             halves.append(rng.uniform(0.85, 1.1) * np.array([0.095, 0.05, 0.045]))
-    return strew(np.reshape(centres, (-1, 3)), frames, np.reshape(halves, (-1, 3)), np.zeros(len(centres)))
+    return index_items(np.reshape(centres, (-1, 3)), frames, np.reshape(halves, (-1, 3)), np.zeros(len(centres)))
 
 
 @njit(cache=True)
@@ -145,7 +153,7 @@ def _colours(
         if room > -0.006:
             rgb = mix(rgb, _pulp(inner, angle, z, number, float(segment)), step(-0.003, 0.004, room))
             rgb = mix(rgb, (0.995, 0.72, 0.28), 0.45 * step(0.022, 0.003, room) * step(-0.003, 0.003, room))
-            q, _ = strewn_at(x, y, z, TIP, rows, starts, items)
+            q, _ = item_at(x, y, z, TIP, rows, starts, items)
             if q < 1.5 and room > 0:
                 rgb = mix(rgb, (0.86, 0.50, 0.10), 0.5 * step(1.5, 1.05, q))
                 rgb = mix(rgb, mix((0.90, 0.80, 0.55), (0.975, 0.93, 0.78), step(0.95, 0.5, q)), step(1.1, 0.95, q))
@@ -154,5 +162,5 @@ def _colours(
             zest = mix((0.97, 0.60, 0.10), (0.93, 0.47, 0.04), step(0.45, 0.2, glands))
             zest = mix(_peel(x, y, z, number), zest, step(0.004, 0.012, d))
             rgb = mix(zest, rgb, step(PEEL - 0.006, PEEL + 0.010, d + 0.006 * uneven - 0.008 * step(0.4, 0.15, glands)))
-        put(out, i, rgb)
+        store(out, i, rgb)
     return out

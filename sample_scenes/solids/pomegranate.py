@@ -8,16 +8,16 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from sample_scenes.solids.noise import cell, cells, fbm, mix, noise, put, smin, step
+from sample_scenes.solids.noise import cell, cells, fbm, mix, noise, smin, step, store
 from sample_scenes.solids.shapes import round_depth, round_depths, round_shape
 from sample_scenes.solids.solid import Solid
 
 __all__ = ["pomegranate"]
 
-ARILS = 6.4
+ARILS_PER_UNIT = 6.4
 """Arils a world unit: each is a little under a sixth of the radius, as in the fruit."""
 
-FLOOR = -0.3
+STOREY_HEIGHT = -0.3
 """Height of the membrane between the upper and the lower storey of chambers."""
 
 
@@ -70,7 +70,7 @@ def _rind(x: float, y: float, z: float, number: int) -> tuple[float, float, floa
 
 
 @njit(cache=True)
-def _room(x: float, y: float, z: float, walls: NDArray[np.float64], number: int) -> float:
+def _membrane_distance(x: float, y: float, z: float, walls: NDArray[np.float64], number: int) -> float:
     """Distance to the nearest membrane between chambers; negative in it."""
     rho = math.sqrt(x * x + y * y)
     bent = (
@@ -91,12 +91,16 @@ def _aril(x: float, y: float, z: float, room: float, number: int) -> tuple[float
     wx = 0.10 * noise(3 * x, 3 * y, 3 * z, number + 8)
     wy = 0.10 * noise(3 * x, 3 * y, 3 * z, number + 9)
     wz = 0.10 * noise(3 * x, 3 * y, 3 * z, number + 10)
-    first, second, name, u, v, w = cell(ARILS * (x + wx), ARILS * (y + wy), ARILS * (z + wz), 0.8, number + 11)
-    gap = min(math.sqrt(second) - math.sqrt(first), 1.6 * ARILS * room)
+    first, second, name, u, v, w = cell(
+        ARILS_PER_UNIT * (x + wx), ARILS_PER_UNIT * (y + wy), ARILS_PER_UNIT * (z + wz), 0.8, number + 11
+    )
+    gap = min(math.sqrt(second) - math.sqrt(first), 1.6 * ARILS_PER_UNIT * room)
     rgb = mix((0.56, 0.02, 0.075), (0.76, 0.075, 0.12), name)
     # Juice is clear: towards its edge a grain is thinner and brighter.
     rgb = mix(rgb, (0.88, 0.22, 0.24), 0.6 * step(0.42, 0.10, gap))
-    shine = step(0.25, 0.75, noise(2.2 * ARILS * x, 2.2 * ARILS * y, 2.2 * ARILS * z, number + 12))
+    shine = step(
+        0.25, 0.75, noise(2.2 * ARILS_PER_UNIT * x, 2.2 * ARILS_PER_UNIT * y, 2.2 * ARILS_PER_UNIT * z, number + 12)
+    )
     rgb = mix(rgb, (0.95, 0.45, 0.42), 0.45 * shine)
     rgb = mix(rgb, (0.42, 0.015, 0.05), 0.85 * step(0.10, 0.02, gap))
     # The seed lies in the middle, long towards the axis of the fruit.
@@ -126,8 +130,12 @@ def _colours(
         # The spongy middle that the arils grow on, and the crown's pith above it.
         knot = math.sqrt(rho * rho + 0.16 * z * z) - 0.085 - 0.05 * uneven
         crown = math.sqrt(rho * rho + (z - 0.98) ** 2) - 0.28
-        height = z - FLOOR - 0.16 * noise(1.6 * x, 1.6 * y, 7.0, number + 14) - 0.12 * (rho - 0.4)
-        storey = _room(x, y, z, upper, number) if height > 0 else _room(x, y, z, lower, number + 40)
+        height = z - STOREY_HEIGHT - 0.16 * noise(1.6 * x, 1.6 * y, 7.0, number + 14) - 0.12 * (rho - 0.4)
+        storey = (
+            _membrane_distance(x, y, z, upper, number)
+            if height > 0
+            else _membrane_distance(x, y, z, lower, number + 40)
+        )
         storey = smin(storey, abs(height) - 0.014, 0.05)
         room = smin(smin(smin(storey, rind, 0.09), knot, 0.08), crown, 0.06)
         rgb = mix((0.945, 0.83, 0.56), (0.98, 0.92, 0.74), step(-0.5, 0.5, uneven))
@@ -140,5 +148,5 @@ def _colours(
         if d < 0.06:
             rgb = mix((0.90, 0.62, 0.36), rgb, step(0.018, 0.055, d))
             rgb = mix(_rind(x, y, z, number), rgb, step(0.008, 0.024, d))
-        put(out, i, rgb)
+        store(out, i, rgb)
     return out

@@ -1,6 +1,6 @@
-"""What the bodies of the solids share: a round body's depth, and small things strewn through it.
+"""Shared parts of the solids: the depth of a round body, and small items scattered through it.
 
-A round body is star-shaped about the origin: its skin stands at a radius that depends on the direction alone.
+A round body is star-shaped about the origin: its skin is at a radius that depends on direction only.
 """
 
 from __future__ import annotations
@@ -14,9 +14,18 @@ from numpy.typing import NDArray
 
 from sample_scenes.solids.noise import noise
 
-__all__ = ["Strewn", "drop", "round_depth", "round_depths", "round_shape", "strew", "strewn_at", "turned"]
+__all__ = [
+    "ItemGrid",
+    "index_items",
+    "item_at",
+    "rotated_frame",
+    "round_depth",
+    "round_depths",
+    "round_shape",
+    "teardrop",
+]
 
-Strewn = tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]
+ItemGrid = tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]
 """Items (M, 16): centre 3, rows of the local frame 9, half lengths 3, kind; cell starts; items of each cell."""
 
 GRID = 40
@@ -37,7 +46,7 @@ def round_shape(
     lobes: tuple[float, int] = (0.0, 5),
     crater: tuple[float, float] = (0.0, 1.0),
 ) -> NDArray[np.float64]:
-    """(15,). Numbers of a round body for `round_depth`.
+    """(15,). Parameters of a round body for `round_depth`.
 
     An ellipsoid of half axes `axes` with noise of relative height `wobble`, wider above by `taper`, with a dent (depth,
     angular width in radians; a negative depth is a bump) at either pole, a second one, `crater`, in the top one, and
@@ -61,7 +70,7 @@ def _radius(x: float, y: float, z: float, shape: NDArray[np.float64]) -> float:
     if shape[9] != 0.0:
         radius -= shape[9] * math.exp(-(((math.pi - polar) / shape[10]) ** 2))
     if shape[11] != 0.0:
-        # Full on the underside, gone above and, by the sine, at the pole itself where the angle means nothing.
+        # Full on the underside, zero above and, by the sine, at the pole, where the angle is undefined.
         radius += shape[11] * math.cos(shape[12] * math.atan2(y, x)) * (x * x + y * y) * max(0.2 - z, 0.0)
     return radius
 
@@ -97,7 +106,7 @@ def round_depths(points: NDArray[np.float64], shape: NDArray[np.float64]) -> NDA
     return out
 
 
-def turned(axis: NDArray[np.float64], roll: float) -> NDArray[np.float64]:
+def rotated_frame(axis: NDArray[np.float64], roll: float) -> NDArray[np.float64]:
     """(3, 3). Rows of a frame whose first is the unit axis; the other two are turned by roll radians about it."""
     helper = np.eye(3)[np.argmin(np.abs(axis))]
     e1 = np.cross(axis, helper)
@@ -106,31 +115,31 @@ def turned(axis: NDArray[np.float64], roll: float) -> NDArray[np.float64]:
     return np.stack([axis, math.cos(roll) * e1 + math.sin(roll) * e2, -math.sin(roll) * e1 + math.cos(roll) * e2])
 
 
-def strew(
+def index_items(
     centres: NDArray[np.float64],  # [M, 3]
     frames: Sequence[NDArray[np.float64]],  # M of [3, 3], rows are the local axes
     halves: NDArray[np.float64],  # [M, 3] half lengths along the local axes
     kinds: NDArray[np.float64],  # [M]
-) -> Strewn:
-    """Items with a look-up grid, for `strewn_at`: each stands in all cells that its bounding sphere touches."""
+) -> ItemGrid:
+    """Items in a look-up grid for `item_at`: each is listed in all cells that its bounding sphere touches."""
     rows = np.concatenate(
         [centres, np.reshape(np.asarray(frames), (len(centres), 9)), halves, np.reshape(kinds, (-1, 1))], axis=1
     )
-    members: list[list[int]] = [[] for _ in range(GRID**3)]
-    reach = halves.max(axis=1, keepdims=True) * 1.35  # a margin for what is drawn around an item
+    cell_items: list[list[int]] = [[] for _ in range(GRID**3)]
+    reach = halves.max(axis=1, keepdims=True) * 1.35  # a margin for effects drawn around an item
     low = np.clip(((centres - reach + EXTENT) / (2 * EXTENT) * GRID).astype(int), 0, GRID - 1)
     high = np.clip(((centres + reach + EXTENT) / (2 * EXTENT) * GRID).astype(int), 0, GRID - 1)
     for item, (a, b) in enumerate(zip(low, high, strict=True)):
         for i in range(a[0], b[0] + 1):
             for j in range(a[1], b[1] + 1):
                 for k in range(a[2], b[2] + 1):
-                    members[(i * GRID + j) * GRID + k].append(item)
-    starts = np.concatenate([[0], np.cumsum([len(m) for m in members])]).astype(np.int64)
-    return rows, starts, np.array([item for m in members for item in m], np.int64)
+                    cell_items[(i * GRID + j) * GRID + k].append(item)
+    starts = np.concatenate([[0], np.cumsum([len(m) for m in cell_items])]).astype(np.int64)
+    return rows, starts, np.array([item for m in cell_items for item in m], np.int64)
 
 
 @njit(cache=True)
-def drop(u: float, v: float, w: float, point: float) -> float:
+def teardrop(u: float, v: float, w: float, point: float) -> float:
     """Squared radius in a unit teardrop whose tip points along +u: 1 at its skin; point 0 is a sphere."""
     wide = 1 - point * (0.5 + 0.5 * u)
     wide = max(wide, 0.25)
@@ -138,7 +147,7 @@ def drop(u: float, v: float, w: float, point: float) -> float:
 
 
 @njit(cache=True)
-def strewn_at(
+def item_at(
     x: float,
     y: float,
     z: float,
@@ -161,7 +170,7 @@ def strewn_at(
         u = (row[3] * dx + row[4] * dy + row[5] * dz) / row[12]
         v = (row[6] * dx + row[7] * dy + row[8] * dz) / row[13]
         w = (row[9] * dx + row[10] * dy + row[11] * dz) / row[14]
-        q = drop(u, v, w, point)
+        q = teardrop(u, v, w, point)
         if q < best:
             best, found = q, items[n]
     return best, found

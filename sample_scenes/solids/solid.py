@@ -1,4 +1,4 @@
-"""A solid: a colour function over 3-D space under a skin of known depth. What is true at every cut."""
+"""A solid: depth and colour as functions over 3-D space, the ground truth of every cut."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ __all__ = ["Solid", "directions"]
 Field = Callable[[NDArray[np.float64]], NDArray[np.float32]]
 
 BLOCK = 1 << 18
-"""Points that are sampled at once: bounds the memory of a supersampled slice."""
+"""Points sampled at once: bounds the memory of a supersampled slice."""
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class Solid:
 
     name: str
     families: tuple[Kind, ...]
-    """The kinds of cut planes that its exemplars come in."""
+    """The kinds of its exemplars."""
     skin_depth: Field
     """(M, 3) float64 -> (M,): the depth under the skin."""
     skin_colour: Field
@@ -52,14 +52,14 @@ class Solid:
         return self.skin_depth(flat).reshape(np.shape(points)[:-1])
 
     def colour(self, points: NDArray[np.floating]) -> NDArray[np.float32]:
-        """(..., 3). RGB of points (..., 3) inside, in [0, 1]; outside it goes on as at the skin."""
+        """(..., 3). RGB of points (..., 3) inside, in [0, 1]; outside, the colour of the skin continues."""
         flat = np.ascontiguousarray(np.reshape(points, (-1, 3)), np.float64)
         return self.skin_colour(flat).reshape(np.shape(points))
 
     def skin(self, rays: NDArray[np.floating]) -> NDArray[np.float64]:
         """(M, 3). Where rays from the origin in unit directions (M, 3) leave the solid, to 1e-6.
 
-        By false position with halved ends (the Illinois rule): as safe as bisection, a third of its evaluations.
+        By regula falsi with the Illinois modification: as robust as bisection with a third of its evaluations.
         """
         low, high = np.zeros(len(rays)), np.full(len(rays), 2.0)
         inner, outer = self.depth(low[:, None] * rays).astype(float), self.depth(high[:, None] * rays).astype(float)
@@ -72,7 +72,7 @@ class Solid:
                 break
             inside = depth > 0
             low, high = np.where(inside, radius, low), np.where(inside, high, radius)
-            # The end that stays a second time counts half, else one end would never move.
+            # An end kept twice in a row counts half (Illinois), or it would never move.
             outer = np.where(inside, np.where(kept > 0, outer / 2, outer), depth)
             inner = np.where(inside, depth, np.where(kept < 0, inner / 2, inner))
             kept = np.where(inside, 1.0, -1.0)
@@ -115,7 +115,7 @@ class Solid:
         return inside.reshape(camera.height, camera.width)
 
     def _face(self, plane: Plane, camera: Camera, ox: float, oy: float) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
-        """Points (M, 3) of the face that stand at (ox, oy) in their pixels, and the pixels' numbers (M,)."""
+        """Points (M, 3) of the face at offset (ox, oy) in their pixels, and the flat indices of the pixels (M,)."""
         rows, columns = np.divmod(np.arange(camera.height * camera.width), camera.width)
         points, seen = _hits(plane, camera, columns + ox, rows + oy)
         index = np.flatnonzero(seen)

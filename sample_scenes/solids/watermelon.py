@@ -8,8 +8,16 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from sample_scenes.solids.noise import cells, fbm, mix, noise, put, step
-from sample_scenes.solids.shapes import Strewn, round_depth, round_depths, round_shape, strew, strewn_at, turned
+from sample_scenes.solids.noise import cells, fbm, mix, noise, step, store
+from sample_scenes.solids.shapes import (
+    ItemGrid,
+    index_items,
+    item_at,
+    rotated_frame,
+    round_depth,
+    round_depths,
+    round_shape,
+)
 from sample_scenes.solids.solid import Solid, directions
 
 __all__ = ["watermelon"]
@@ -39,7 +47,7 @@ def watermelon(seed: int = 0) -> Solid:
     )
 
 
-def _seeds(shape: NDArray[np.float64], rng: np.random.Generator) -> Strewn:
+def _seeds(shape: NDArray[np.float64], rng: np.random.Generator) -> ItemGrid:
     """Seeds in a thick layer at six to eight tenths of the radius, tips to the axis, none near the poles."""
     pool = directions(8000)
     rng.shuffle(pool)
@@ -58,12 +66,12 @@ def _seeds(shape: NDArray[np.float64], rng: np.random.Generator) -> Strewn:
     frames, halves, kinds = [], [], []
     for p in centres:
         axis = -p * [1, 1, 0.45] / np.linalg.norm(p * [1, 1, 0.45]) + rng.normal(0, 0.16, 3)
-        frames.append(turned(axis / np.linalg.norm(axis), rng.uniform(0, 2 * np.pi)))
+        frames.append(rotated_frame(axis / np.linalg.norm(axis), rng.uniform(0, 2 * np.pi)))
         white = rng.random() < 0.1
         size = rng.uniform(0.45, 0.65) if white else rng.uniform(0.9, 1.12)
         halves.append(size * np.array([0.056, 0.042, 0.028]))
         kinds.append(float(white))
-    return strew(np.array(centres), frames, np.array(halves), np.array(kinds))
+    return index_items(np.array(centres), frames, np.array(halves), np.array(kinds))
 
 
 @njit(cache=True)
@@ -129,7 +137,7 @@ def _colours(
         else:
             rgb = _flesh(x, y, z, d, number)
         if d > 0.12:
-            q, item = strewn_at(x, y, z, TIP, rows, starts, items)
+            q, item = item_at(x, y, z, TIP, rows, starts, items)
             if q < 1.8:
                 if rows[item, 15] > 0.5:
                     rgb = mix(rgb, (0.965, 0.90, 0.76), step(1.15, 0.9, q))
@@ -138,5 +146,5 @@ def _colours(
                     rgb = mix(rgb, (0.62, 0.07, 0.09), 0.5 * step(1.75, 1.1, q))
                     coat = mix((0.10, 0.055, 0.045), (0.055, 0.032, 0.03), step(0.9, 0.3, q))
                     rgb = mix(rgb, coat, step(1.12, 0.92, q))
-        put(out, i, rgb)
+        store(out, i, rgb)
     return out

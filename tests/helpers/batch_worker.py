@@ -15,12 +15,12 @@ DETAILS = {"draft": SHORT, "standard": replace(SHORT, iterations=40)}
 
 SMALL = {
     "training.request.DETAILS": DETAILS,
-    "training.outcome.DETAILS": DETAILS,
+    "training.results.DETAILS": DETAILS,
     "engine.solid.solidify.BODY_CELLS": 32,
-    "training.outcome.HELD_OUT_VIEWS": 1,
+    "training.results.HELD_OUT_VIEWS": 1,
     "training.contact_sheet.TILE": 48,
-    "training.optimise.rounds.CHECKPOINT_SECONDS": 0.0,
-    "training.optimise.rounds.SETTLED": -np.inf,  # all iterations, however soon it settles
+    "training.optimise.training_loop.CHECKPOINT_SECONDS": 0.0,
+    "training.optimise.training_loop.MIN_IMPROVEMENT": -np.inf,  # all iterations, however soon it settles
 }
 
 

@@ -68,7 +68,7 @@ sys.argv[1:] = ["all.toml", "-o", "out"]
     "fruitninja-evaluate": """
 import training.evaluate.cli as cli
 cli.write_report = lambda *_: work("out/report.html")
-cli.perform_all = lambda *_: {}
+cli.run_locally = lambda *_: {}
 sys.argv[1:] = ["-o", "out"]
 """,
 }

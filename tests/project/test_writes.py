@@ -35,7 +35,7 @@ from training.batch.cli import Summary
 from training.batch.grid import Outcome
 from training.batch.task import Task
 from training.checkpoint import Checkpoint
-from training.evaluate.cuts import truth_of
+from training.evaluate.cuts import load_truth
 from training.evaluate.grid import cells
 from training.evaluate.measure import save_strip
 from training.evaluate.report import write_report
@@ -87,17 +87,17 @@ def checkpoint(folder: Path) -> None:
 
 def batch(folder: Path) -> None:
     task = Task("a", dict, {}, folder / "a/batch.json", "f", (folder / "a.ply",))
-    task.keep({"warnings": []})
+    task.save_facts({"warnings": []})
     Summary(folder / "batch.json", Path("all.toml")).write([Outcome(task, "done")])
 
 
 def evaluation(folder: Path) -> None:
     shown = np.zeros((8, 8, 3), np.float32), np.zeros((8, 8), bool)
     solid, cut = SimpleNamespace(slice=lambda *_, **__: shown), SimpleNamespace(plane=None, camera=None)
-    truth = truth_of(solid, [cut, cut], folder / "truth.safetensors")  # type: ignore[arg-type,list-item]
+    truth = load_truth(solid, [cut, cut], folder / "truth.safetensors")  # type: ignore[arg-type,list-item]
     save_strip(folder / "results/bread/truth.png", truth.pictures)
     cell = cells(["bread"], ["ours"], [0], "draft", 6, None, folder)[0]
-    Task("a", dict, {}, cell.result, cell.fingerprint).keep(FACTS)
+    Task("a", dict, {}, cell.result, cell.fingerprint).save_facts(FACTS)
     write_report([cell], {}, folder)
 
 
@@ -255,7 +255,7 @@ def short(monkeypatch: pytest.MonkeyPatch) -> None:
     for name, value in SMALL.items():
         monkeypatch.setattr(name, value)
     monkeypatch.setattr("training.request.DETAILS", {"draft": replace(SHORT, reshape=1)})
-    monkeypatch.setattr("training.optimise.rounds.CHECKPOINT_SECONDS", 1e9)
+    monkeypatch.setattr("training.optimise.training_loop.CHECKPOINT_SECONDS", 1e9)
 
 
 FAILING = (

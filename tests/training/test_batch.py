@@ -18,11 +18,11 @@ import pytest
 from engine.errors import InputError
 from tests.helpers.batch_worker import SMALL
 from tests.paths import HELPERS, SAMPLES
-from training.batch import Outcome, Stopped, Task, run_grid, say, stopped
+from training.batch import Outcome, Task, TaskStopped, report, run_grid, should_stop
 from training.batch.cli import main
-from training.batch.cluster import workers
-from training.batch.manifest import Mistakes, read_manifest
-from training.batch.scene import whole
+from training.batch.cluster import cluster_client
+from training.batch.manifest import ManifestErrors, read_manifest
+from training.batch.scene import is_intact
 from training.checkpoint import Checkpoint
 from training.events import Reporter
 from training.pipeline import run
@@ -73,7 +73,7 @@ def wait_for(process: subprocess.Popen[str], events: Path, text: str) -> str:
     raise AssertionError(f"no {text} in {events}: {process.communicate()[1]}")
 
 
-def ended(out: Path) -> dict[str, tuple[str, int]]:
+def handle_end(out: Path) -> dict[str, tuple[str, int]]:
     scenes = json.loads((out / "batch.json").read_text())["scenes"]
     return {scene["name"]: (scene["status"], scene["attempts"]) for scene in scenes}
 
@@ -86,25 +86,25 @@ def test_a_killed_worker_a_stop_and_a_broken_scene_cost_no_bit(tmp_path: Path, m
 
     process = command(manifest, out, "--workers", "2")
     try:
-        said = wait_for(process, out / "killed/events.jsonl", '"iteration": 3')
-        os.kill(json.loads(said.splitlines()[0])["pid"], signal.SIGKILL)
+        message = wait_for(process, out / "killed/events.jsonl", '"iteration": 3')
+        os.kill(json.loads(message.splitlines()[0])["pid"], signal.SIGKILL)
         wait_for(process, out / "killed/events.jsonl", '"iteration": 6')
     finally:
         if process.poll() is None:
             os.killpg(process.pid, signal.SIGINT)  # Ctrl-C
-    said = process.communicate()[1]
-    assert "the same command goes on" in said
-    assert "Traceback" not in said
+    message = process.communicate()[1]
+    assert "the same command goes on" in message
+    assert "Traceback" not in message
     assert process.returncode == 130
-    assert ended(out)["killed"] == ("stopped", 2)
+    assert handle_end(out)["killed"] == ("stopped", 2)
 
     process = command(manifest, out, "--workers", "2")
-    said = process.communicate()[1]
+    message = process.communicate()[1]
     assert process.returncode == 1
-    assert f"fruitninja-batch: broken: {tmp_path / 'broken.ply'}: broken .ply header" in said
-    assert "Traceback" not in said
-    assert ended(out)["broken"] == ("failed", 2)
-    assert {ended(out)[name][0] for name in ("killed", "bread")} <= {"done", "kept"}
+    assert f"fruitninja-batch: broken: {tmp_path / 'broken.ply'}: broken .ply header" in message
+    assert "Traceback" not in message
+    assert handle_end(out)["broken"] == ("failed", 2)
+    assert {handle_end(out)[name][0] for name in ("killed", "bread")} <= {"done", "kept"}
 
     for name, value in SMALL.items():
         monkeypatch.setattr(name, value)
@@ -124,7 +124,7 @@ def test_a_killed_worker_a_stop_and_a_broken_scene_cost_no_bit(tmp_path: Path, m
     with pytest.raises(SystemExit) as left:
         main()
     assert left.value.code == 0
-    assert ended(out) == {"killed": ("kept", 0), "bread": ("kept", 0)}
+    assert handle_end(out) == {"killed": ("kept", 0), "bread": ("kept", 0)}
     assert (out / "killed/orange.ply").stat().st_mtime_ns == when
 
 
@@ -132,12 +132,12 @@ def test_a_killed_worker_a_stop_and_a_broken_scene_cost_no_bit(tmp_path: Path, m
 def test_a_disk_that_was_full_costs_no_bit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     manifest, out = tmp_path / "all.toml", tmp_path / "out"
     manifest.write_text(MANIFEST.partition("[[scene]]")[0] + f'[[scene]]\nscene = "{SCENES}/orange/orange.ply"\n')
-    said = command(manifest, out, preload=(WORKER, WORKER.with_name("full_disk_worker.py"))).communicate()[1]
-    lines = said.splitlines()
-    assert len(lines) == 2 and "Traceback" not in said
+    message = command(manifest, out, preload=(WORKER, WORKER.with_name("full_disk_worker.py"))).communicate()[1]
+    lines = message.splitlines()
+    assert len(lines) == 2 and "Traceback" not in message
     file = out / "orange/checkpoint/training.safetensors"
     assert lines[0].startswith(f"orange: {file}: cannot be written (I/O error: No space left")
-    assert ended(out) == {"orange": ("done", 2)}
+    assert handle_end(out) == {"orange": ("done", 2)}
     for name, value in SMALL.items():
         monkeypatch.setattr(name, value)
     run(read_manifest(manifest)[0].request, tmp_path / "single", Reporter(), False, lambda: False)
@@ -149,9 +149,9 @@ def test_what_a_killed_writer_left_breaks_no_checkpoint(tmp_path: Path) -> None:
     checkpoint = Checkpoint(tmp_path, "run")
     checkpoint.save("training", {"rgb": np.zeros((2, 3), np.float32)}, {})
     (tmp_path / ".training.abcd1234.safetensors").write_bytes(b"half of")
-    assert whole(checkpoint)
+    assert is_intact(checkpoint)
     (tmp_path / "labels.safetensors").write_bytes(b"half of")
-    assert not whole(checkpoint)
+    assert not is_intact(checkpoint)
 
 
 # any grid of plain functions, through a running cluster's address
@@ -161,13 +161,13 @@ def test_what_a_killed_writer_left_breaks_no_checkpoint(tmp_path: Path) -> None:
 def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     """A scheduler and a worker that somebody else has started, each a process of its own."""
     folder = tmp_path_factory.mktemp("cluster")
-    told = folder / "scheduler.json"
+    on_change = folder / "scheduler.json"
     scheduler = ["dask_scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard"]
     worker = ["dask_worker", "--nthreads", "1", "--no-nanny", "--no-dashboard", "--death-timeout", "60"]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(WORKER.parent), str(SCENES.parent)])}
     processes = [
         subprocess.Popen(
-            [sys.executable, "-m", f"distributed.cli.{first}", *more, "--scheduler-file", str(told)],
+            [sys.executable, "-m", f"distributed.cli.{first}", *more, "--scheduler-file", str(on_change)],
             env=environment,
             cwd=folder,
             stderr=subprocess.DEVNULL,
@@ -176,10 +176,10 @@ def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     ]
     try:
         until = time.monotonic() + 60
-        while not (told.exists() and told.read_text().endswith("}")):
+        while not (on_change.exists() and on_change.read_text().endswith("}")):
             assert time.monotonic() < until and processes[0].poll() is None
             time.sleep(0.05)
-        yield json.loads(told.read_text())["address"]
+        yield json.loads(on_change.read_text())["address"]
     finally:
         for process in reversed(processes):
             process.terminate()
@@ -187,7 +187,7 @@ def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
 
 
 def double(value: int) -> dict[str, int]:
-    say({"event": "progress", "part": 0.5})
+    report({"event": "progress", "part": 0.5})
     return {"twice": 2 * value}
 
 
@@ -204,8 +204,8 @@ def fail() -> dict[str, int]:
 
 def wait_until_stopped() -> dict[str, int]:
     for _ in range(600):
-        if stopped():
-            raise Stopped
+        if should_stop():
+            raise TaskStopped
         time.sleep(0.05)
     return {}
 
@@ -233,17 +233,17 @@ def test_a_grid_of_plain_functions(tmp_path: Path, address: str) -> None:
     outcomes = run_grid(tasks, lambda *_: None, lambda: False, scheduler=address)
     assert [o.status for o in outcomes] == ["done", "kept", "failed", "done"]
     assert outcomes[0].facts == {"twice": 12}
-    assert stopped() is False
+    assert should_stop() is False
 
 
 def test_a_grid_stops_when_asked(tmp_path: Path, address: str) -> None:
     tasks = [Task(name, wait_until_stopped, {}, tmp_path / name, name) for name in ("running", "waiting")]
     running = []
 
-    def told(outcome: Outcome, _: object) -> None:
+    def on_change(outcome: Outcome, _: object) -> None:
         running.append(outcome.status == "running")
 
-    outcomes = run_grid(tasks, told, lambda: any(running), scheduler=address)
+    outcomes = run_grid(tasks, on_change, lambda: any(running), scheduler=address)
     assert [(o.status, o.attempts) for o in outcomes] == [("stopped", 1), ("stopped", 0)]
 
 
@@ -266,7 +266,7 @@ def listening() -> set[tuple[str, int]]:
 def test_a_cluster_of_its_own_listens_to_this_machine_alone() -> None:
     """One port each for the scheduler, two workers and their two guards; no web pages."""
     before = listening()
-    with workers(None, 2, 2, 0.1) as client:
+    with cluster_client(None, 2, 2, 0.1) as client:
         client.submit(double, 1).result()
         ports = listening() - before
     assert {host for host, _ in ports} == {"127.0.0.1"}
@@ -316,7 +316,7 @@ def test_a_manifest_is_checked_as_a_whole(tmp_path: Path) -> None:
         scene = "b.ply"
         prior = "stable-diffusion"
     """)
-    with pytest.raises(Mistakes) as caught:
+    with pytest.raises(ManifestErrors) as caught:
         read_manifest(manifest)
     lines = str(caught.value).splitlines()
     wanted = [
@@ -337,16 +337,16 @@ def test_a_manifest_is_checked_as_a_whole(tmp_path: Path) -> None:
         assert line.startswith(f"{manifest}: {start}")
 
     deep = "a." * 50_000
-    refused = {"= 1": "no TOML", "": "no scenes", "scene = 3": "no scenes", "\xff": "no TOML"}
+    refused = {"= 1": "no TOML", "": "no scenes", "scene = 3": "no scenes", "\xff": "not a manifest"}
     refused |= {f"{deep}a = 1": "line 1: over 40 dots", f'x = """\n#"""\n[{deep}': "line 3: over 40 dots"}
-    for text, said in refused.items():
+    for text, message in refused.items():
         manifest.write_bytes(text.encode("latin-1"))
-        with pytest.raises(InputError, match=said):
+        with pytest.raises(InputError, match=message):
             read_manifest(manifest)
 
 
 @pytest.mark.parametrize(
-    ("names", "said"),
+    ("names", "message"),
     [
         (["batch.json"], "the batch writes a file of this name itself"),
         (["Batch.JSON"], "the batch writes"),
@@ -362,15 +362,15 @@ def test_a_manifest_is_checked_as_a_whole(tmp_path: Path) -> None:
         (["Stra\u00dfe", "STRASSE"], "as that of scene 1"),
     ],
 )
-def test_names_are_folders_everywhere_and_of_one_scene(tmp_path: Path, names: list[str], said: str) -> None:
+def test_names_are_folders_everywhere_and_of_one_scene(tmp_path: Path, names: list[str], message: str) -> None:
     (tmp_path / "a.ply").touch()
     manifest = tmp_path / "all.toml"
     picture = f"{SCENES}/orange/horizontal_1.png"
     text = "".join(f'[[scene]]\nscene = "a.ply"\nname = "{name}"\n' for name in names)
     manifest.write_text(f'[defaults]\nexemplar = {{ horizontal = "{picture}" }}\n{text}', encoding="utf-8")
-    with pytest.raises(Mistakes) as caught:
+    with pytest.raises(ManifestErrors) as caught:
         read_manifest(manifest)
-    assert said in str(caught.value) and len(str(caught.value).splitlines()) == 1
+    assert message in str(caught.value) and len(str(caught.value).splitlines()) == 1
 
 
 def test_names_that_only_look_like_devices_are_folders(tmp_path: Path) -> None:

@@ -13,22 +13,24 @@ import engine.solid.solidify
 import training.contact_sheet
 import training.evaluate.cuts
 import training.families
-import training.outcome
+import training.results
 import training.settings
 from benchmarks.presets import front
 from engine.errors import InputError
 from sample_scenes.solids import directions
 from tests.helpers.tiny_diffusion import save_tokenizer
 from training.batch.grid import Outcome
-from training.evaluate import cli, grid
-from training.evaluate.cuts import Cut, Truth, cuts_of, meeting_points, truth_of
+from training.evaluate import ablations, cli, grid
+from training.evaluate.cuts import Cut, Truth, intersection_points, load_truth, make_cuts
 from training.evaluate.features import Clip, Network
-from training.evaluate.grid import cells, perform, perform_on
-from training.evaluate.measure import agreement, read
+from training.evaluate.grid import cells, run_cell, run_on_cluster
+from training.evaluate.measure import consistency, sample_bilinear
+from training.evaluate.methods import METHODS
 from training.evaluate.metrics import frechet_distance, kernel_distance, mean_cosine
 from training.evaluate.report import write_report
-from training.evaluate.scenes import THIGH_AT, subject, thigh
+from training.evaluate.scenes import THIGH_AT, load_scene, thigh
 from training.evaluate.tables import table
+from training.pipeline import Pipeline
 from training.settings import DETAILS
 
 TINY = replace(DETAILS["draft"], cells=16, fine=20, voxels=24, label=32, surface=32, surface_views=6, iterations=4)
@@ -61,35 +63,37 @@ def test_kernel_distance_has_no_bias():
 
 @pytest.fixture(scope="module")
 def bread(tmp_path_factory):
-    return subject("bread", tmp_path_factory.mktemp("scenes"))
+    return load_scene("bread", tmp_path_factory.mktemp("scenes"))
 
 
 @pytest.fixture
 def cuts(bread):
-    return cuts_of(bread.solid, bread.families, 6)
+    return make_cuts(bread.solid, bread.families, 6)
 
 
 def test_cuts_are_the_same_for_everybody_and_meet_the_solid(bread, cuts, tmp_path):
-    again = cuts_of(bread.solid, bread.families, 6)
+    again = make_cuts(bread.solid, bread.families, 6)
     assert [cut.plane for cut in cuts] == [cut.plane for cut in again]
     assert [cut.canonical for cut in cuts] == ["", "", "", "", "", "", "horizontal", "parallel"]
-    truth = truth_of(bread.solid, cuts, tmp_path / "truth.safetensors")
+    truth = load_truth(bread.solid, cuts, tmp_path / "truth.safetensors")
     assert (truth.inside.mean((1, 2)) > 0.02).all()
     assert not truth.inside[:, [0, -1]].any()
-    kept = truth_of(bread.solid, cuts, tmp_path / "truth.safetensors")
+    kept = load_truth(bread.solid, cuts, tmp_path / "truth.safetensors")
     assert (kept.pictures == truth.pictures).all()
     # What depends on the place in the world alone agrees with itself to how fast it changes in a pixel.
     places = np.stack([0.5 + 0.3 * np.sin(2 * cut.points) for cut in cuts]).astype(np.float32)
     everywhere = Truth(places, truth.inside)
-    assert agreement(places, cuts, bread, everywhere)["disagreement"] < 1e-3
+    assert consistency(places, cuts, bread, everywhere)["disagreement"] < 1e-3
     shifted = places + np.float32(0.1) * (np.arange(len(cuts)) % 2)[:, None, None, None]
-    assert agreement(shifted, cuts, bread, everywhere)["disagreement"] > 0.03
+    assert consistency(shifted, cuts, bread, everywhere)["disagreement"] > 0.03
 
 
 def test_a_world_point_is_read_where_its_pixel_is(bread, cuts: list[Cut]):
-    for a, b, points in meeting_points(bread.solid, cuts):
+    for a, b, points in intersection_points(bread.solid, cuts):
         for cut in (cuts[a], cuts[b]):
-            assert np.allclose(read(cut.points.astype(np.float64), cut.place(points)), points, atol=1e-5)
+            assert np.allclose(
+                sample_bilinear(cut.points.astype(np.float64), cut.pixel_position(points)), points, atol=1e-5
+            )
 
 
 @pytest.mark.skipif(not THIGH_AT.is_file(), reason="the slices of the thigh are not at hand")
@@ -144,7 +148,7 @@ def test_clip_reads_a_local_folder(tmp_path):
     transformers.CLIPImageProcessor(size=size, crop_size=32).save_pretrained(tmp_path / "clip")
     clip = Clip(tmp_path / "clip")
     pictures = list(np.random.default_rng(0).random((3, 40, 40, 3)).astype(np.float32))
-    unit = clip.of(pictures)
+    unit = clip.features(pictures)
     assert unit.shape == (3, 8)
     assert np.linalg.norm(unit, axis=1) == pytest.approx(1)
     assert 0 <= clip.score(unit, "the cross-section of an orange") <= 100
@@ -158,7 +162,7 @@ def test_the_network_tells_pictures_apart():
     rng = np.random.default_rng(3)
     smooth = np.linspace(0, 1, 64, dtype=np.float32)[:, None, None] * np.ones((64, 64, 3), np.float32)
     noise = rng.random((2, 64, 64, 3)).astype(np.float32)
-    features = Network().of([smooth, *noise])
+    features = Network().features([smooth, *noise])
     assert features.shape == (3, 1280)
     assert mean_cosine(features[1:]) > mean_cosine(features[:2]) + 0.1
 
@@ -171,13 +175,13 @@ def tiny(monkeypatch):
     monkeypatch.setitem(training.families.COUNTS, "parallel", 5)
     monkeypatch.setattr(engine.solid.solidify, "BODY_CELLS", 32)
     monkeypatch.setattr(training.contact_sheet, "TILE", 48)
-    monkeypatch.setattr(training.outcome, "HELD_OUT_VIEWS", 1)
+    monkeypatch.setattr(training.results, "HELD_OUT_VIEWS", 1)
     monkeypatch.setattr(training.evaluate.cuts, "SIZE", 64)
 
 
 def test_a_small_evaluation_goes_on_where_it_was_stopped(tiny, tmp_path, monkeypatch):
     small = cells(["bread"], ["ours", "physgaussian"], [0], "draft", 6, None, tmp_path)
-    facts = perform(small[0], TINY)
+    facts = run_cell(small[0], TINY)
     assert facts["psnr_db"] > 10
     assert facts["interior_atoms"] > 500
     assert 0 <= facts["disagreement"] < 0.2
@@ -201,9 +205,9 @@ def test_a_small_evaluation_goes_on_where_it_was_stopped(tiny, tmp_path, monkeyp
     monkeypatch.setattr(grid, "ProcessPoolExecutor", Here)
     arguments = ["--scenes", "bread", "--methods", "ours,physgaussian", "--cuts", "6", "-o", str(tmp_path)]
     monkeypatch.setattr("sys.argv", ["fruitninja-evaluate", *arguments])
-    with pytest.raises(SystemExit) as ended:
+    with pytest.raises(SystemExit) as handle_end:
         cli.main()
-    assert ended.value.code == 0
+    assert handle_end.value.code == 0
     assert called == ["physgaussian"]
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     # Self-contained: whatever it names is in it.
@@ -213,25 +217,50 @@ def test_a_small_evaluation_goes_on_where_it_was_stopped(tiny, tmp_path, monkeyp
     record = json.loads((tmp_path / "report.json").read_text())
     assert record["results"]["bread/ours"] == facts
     assert record["tables"]["Accuracy"]["scenes"] == ["bread"]
-    assert cells(["bread"], ["ours"], [0], "draft", 7, None, tmp_path)[0].kept() is None
+    assert cells(["bread"], ["ours"], [0], "draft", 7, None, tmp_path)[0].load_facts() is None
 
 
 def test_a_cluster_keeps_what_the_command_reads(tmp_path, monkeypatch):
     small = cells(["bread", "orange"], ["ours"], [0], "draft", 6, None, tmp_path)
 
-    def here(tasks, told, stop, scheduler):
-        tasks[0].keep({"psnr_db": 1.0})
+    def here(tasks, on_change, stop, scheduler):
+        tasks[0].save_facts({"psnr_db": 1.0})
         ended = [Outcome(tasks[0], "done"), Outcome(tasks[1], "failed", error="it broke")]
         for outcome in ended:
-            told(outcome, {})
+            on_change(outcome, {})
         return ended
 
     monkeypatch.setattr(grid, "run_grid", here)
     lines: list[str] = []
-    failed = perform_on("tcp://somewhere:8786", small, lambda cell, what: lines.append(f"{cell.name} {what}"))
+    failed = run_on_cluster("tcp://somewhere:8786", small, lambda cell, what: lines.append(f"{cell.name} {what}"))
     assert lines == ["bread/ours done", "orange/ours failed"]
     assert failed == {small[1]: "it broke"}
-    assert small[0].kept() == {"psnr_db": 1.0}
+    assert small[0].load_facts() == {"psnr_db": 1.0}
+
+
+class ReachedError(Exception):
+    """Raised where a method would begin to compute."""
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_every_method_starts(name, bread, tmp_path, monkeypatch):
+    """Without the computing: its pipeline and its request can be made."""
+
+    def reach(*_: object) -> None:
+        raise ReachedError
+
+    monkeypatch.setattr("training.pipeline.prepare", reach)
+    monkeypatch.setattr("training.evaluate.baselines.prepare", reach)
+    with pytest.raises(ReachedError):
+        METHODS[name].run(bread, bread.request(TINY, 0), tmp_path)
+
+
+@pytest.mark.parametrize(
+    "pipeline", [value for value in vars(ablations).values() if isinstance(value, type) and issubclass(value, Pipeline)]
+)
+def test_every_override_is_of_a_step(pipeline):
+    """A step that was renamed in `Pipeline` alone would be called no more."""
+    assert set(vars(pipeline)) - {"__module__", "__doc__"} <= set(vars(Pipeline))
 
 
 def test_a_grid_without_results_says_why(tmp_path):
@@ -251,9 +280,9 @@ def test_a_grid_without_results_says_why(tmp_path):
 )
 def test_bad_input_gets_one_line(arguments, said, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("sys.argv", ["fruitninja-evaluate", *arguments, "-o", str(tmp_path)])
-    with pytest.raises(SystemExit) as ended:
+    with pytest.raises(SystemExit) as handle_end:
         cli.main()
-    assert ended.value.code == 2
+    assert handle_end.value.code == 2
     error = capsys.readouterr().err
     assert error.count("\n") == 1
     assert said.replace("draft, standard or high", "choose draft") in error

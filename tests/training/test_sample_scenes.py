@@ -14,7 +14,7 @@ from engine.scene.camera import Camera, orbit, section
 from engine.scene.plane import Plane
 from sample_scenes import make
 from sample_scenes.exemplars import SUPERSAMPLE, crop, photograph, planes
-from sample_scenes.shell import LOOKS, NEARLY_OPAQUE, Look, closed_within, shell
+from sample_scenes.shell import LOOKS, NEARLY_OPAQUE, Look, gap_to_discs, shell
 from sample_scenes.solids import SOLIDS, Solid, directions
 
 SCENES = Path(make.__file__).parent
@@ -167,6 +167,6 @@ def assert_closed(solid: Solid, gaussians) -> None:
     """No skin point is farther than the core of a splat, 1.18 standard deviations, from a nearly opaque Gaussian."""
     firm = gaussians[gaussians.opacities >= NEARLY_OPAQUE]
     firm = firm[np.abs(solid.depth(firm.means)) < 1e-3]
-    distance = closed_within(solid.skin(directions(6007)), firm)
+    distance = gap_to_discs(solid.skin(directions(6007)), firm)
     assert np.quantile(distance, 0.999) < 1.18
     assert distance.max() < 1.6

@@ -36,9 +36,10 @@ from tests.engine.solid.test_fill import joined, shell, sphere
 from tests.helpers.batch_worker import SMALL
 from tests.helpers.exemplar_faces import disc, save
 from tests.helpers.solids import ball as solid
+from training.evaluate.ablations import Looped
 from training.events import Reporter
 from training.families import Family
-from training.labels import written_back
+from training.labels import back_project
 from training.optimise.smoothing import smooth
 from training.optimise.trainer import Trainer
 from training.pipeline import Pipeline, run
@@ -62,7 +63,7 @@ def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
                                       ("wide", 10, 400, "RGB")):  # fmt: skip
         y, x = np.mgrid[:height, :width]
         r = np.hypot((2 * x + 1) / width - 1, (2 * y + 1) / height - 1)[..., None]
-        picture = np.where(r < 0.95, np.where(r < 0.6, FLESH, RIND), 1.0)
+        picture = np.where(r < 0.85, np.where(r < 0.82, FLESH, RIND), 1.0)
         Image.fromarray((255 * picture).astype(np.uint8)).convert(mode).save(folder / f"{name}.png")
     return folder
 
@@ -192,9 +193,9 @@ def test_atoms_are_no_finer_than_the_pictures(tmp_path: Path, monkeypatch: pytes
     across = []
 
     class Measured(Pipeline):
-        def fill(self, geometry: Geometry, pitch: float, colours: Colours) -> InteriorAtoms:
+        def fill_interior(self, geometry: Geometry, pitch: float, colours: Colours) -> InteriorAtoms:
             across.append(float(np.ptp(geometry.body.bounds(), axis=0).max()) / pitch)
-            return super().fill(geometry, pitch, colours)
+            return super().fill_interior(geometry, pitch, colours)
 
     picture = save(tmp_path / "small.png", disc(60, seeds=6)[0])  # the cut face is 48 pixels across
     request = Request(tmp_path / "ball.ply", (Family("horizontal", 2, (picture,)),), "draft", (0.0, 0.0, 1.0))
@@ -204,6 +205,25 @@ def test_atoms_are_no_finer_than_the_pictures(tmp_path: Path, monkeypatch: pytes
     report = json.loads((tmp_path / "out/report.json").read_text())
     assert report["cells"] == round(across[0])
     assert f"an inside {report['cells']} atoms across, not 128" in events.getvalue()
+
+
+def test_every_step_of_a_pipeline_can_be_overridden(tmp_path: Path, pictures: Path) -> None:
+    """Plane by plane, where all of them have a part."""
+    write_ply(tmp_path / "ball.ply", ball())
+    steps = {"make_prior", "fill_interior", "draw_label", "smooth_interior", "make_trainer"}
+    called: set[str] = set()
+
+    class Recorded(Looped):
+        def __getattribute__(self, name: str) -> object:
+            if name in steps:
+                called.add(name)
+            return super().__getattribute__(name)
+
+    request = Request(
+        tmp_path / "ball.ply", (Family("horizontal", 2, (pictures / "a.png",)),), "draft", (0.0, 0.0, 1.0)
+    )
+    Recorded(request, tmp_path / "out", Reporter(), lambda: False).run(resume=False)
+    assert called == steps
 
 
 @pytest.mark.parametrize(
@@ -274,7 +294,7 @@ def test_what_no_label_shows_is_smoothed_unless_smoothing_is_left_out(atoms: Ato
     atoms = replace(atoms, interior=replace(atoms.interior, rgb=np.full_like(atoms.interior.rgb, 0.5)))
     cuts = crossed(atoms)
     white = [np.ones((48, 48, 3), np.float32)] * len(cuts)
-    kept, shown = written_back(atoms, cuts, white)
+    kept, shown = back_project(atoms, cuts, white)
     smoothed = smooth(atoms.interior.means, atoms.interior.rgb, kept, shown)
     assert np.allclose(smoothed, 1, atol=1e-5)
     assert 0.1 < (kept == 0.5).all(axis=1).mean() < 0.9

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-import training.optimise.rounds
+import training.optimise.training_loop
 import training.settings
 from engine.io.load import load
 from engine.io.trained import load_trained
@@ -38,10 +38,10 @@ REQUEST = Request(
 # The command with its draft made tiny, for tests that have to end it from outside.
 SMALL_COMMAND = f"""
 import sys
-import training.optimise.rounds, training.settings
+import training.optimise.training_loop, training.settings
 from training.settings import Detail
 training.settings.DETAILS["draft"] = {TINY!r}
-training.optimise.rounds.CHECKPOINT_SECONDS = 0.0
+training.optimise.training_loop.CHECKPOINT_SECONDS = 0.0
 from training.cli import main
 main()
 """
@@ -110,6 +110,7 @@ def wait_for(events: Path, text: str) -> None:
     raise AssertionError(f"no {text} in {events}")
 
 
+@pytest.mark.slow
 def test_a_kill_breaks_nothing_and_a_signal_ends_cleanly(whole, tmp_path):
     out = tmp_path / "out"
     process = start(out, tmp_path / "1.jsonl")

@@ -17,16 +17,16 @@ from engine.command import FAILED, REFUSED, Stop, Stopped, print_result, run_com
 from engine.errors import InputError
 from engine.io.files import atomic, locked_folder
 from training.batch.grid import Outcome, run_grid
-from training.batch.manifest import Mistakes, read_manifest
+from training.batch.manifest import ManifestErrors, read_manifest
 from training.batch.scene import scene_task
 from training.batch.task import Task
 from training.settings import DetailName
 
 __all__ = ["main"]
 
-GIGABYTES: dict[DetailName, float] = {"draft": 1.2, "standard": 2.3, "high": 3.2}
-"""Memory of one run with room to spare: scans peak at 0.9 in draft, 1.9 in standard and 2.4 in high. It decides
-how many run on this machine at once."""
+GIGABYTES_PER_RUN: dict[DetailName, float] = {"draft": 1.2, "standard": 2.3, "high": 3.2}
+"""Memory of one run with a margin: scans peak at 0.9 in draft, 1.9 in standard and 2.4 in high. It limits how many
+run on this machine at once."""
 
 
 def batch(
@@ -45,25 +45,25 @@ def batch(
         raise InputError("--workers is for this machine; a cluster at --scheduler has its own, leave one of them out")
     try:
         scenes = read_manifest(manifest)
-    except Mistakes as mistakes:
-        print(mistakes, file=sys.stderr)
-        raise typer.Exit(REFUSED) from mistakes
+    except ManifestErrors as errors:
+        print(errors, file=sys.stderr)
+        raise typer.Exit(REFUSED) from errors
     out = out.absolute()
     tasks = [scene_task(scene.name, scene.request, out / scene.name) for scene in scenes]
-    need = max(GIGABYTES[scene.request.detail] for scene in scenes)
+    gigabytes = max(GIGABYTES_PER_RUN[scene.request.detail] for scene in scenes)
     summary = Summary(out / "batch.json", manifest)
-    summary.write(())  # whether it can be written at all is better known now
+    summary.write(())  # fails now, rather than after hours, if it cannot be written
     stop.listen()
-    with locked_folder(out), Board(tasks) as board:
-        known = {task.name: Outcome(task) for task in tasks}
+    with locked_folder(out), ProgressDisplay(tasks) as display:
+        outcomes_by_name = {task.name: Outcome(task) for task in tasks}
 
-        def told(outcome: Outcome, line: dict[str, Any]) -> None:
-            known[outcome.task.name] = outcome
-            board.told(outcome, line)
-            if not line:
-                summary.write(known.values())
+        def on_change(outcome: Outcome, event: dict[str, Any]) -> None:
+            outcomes_by_name[outcome.task.name] = outcome
+            display.update(outcome, event)
+            if not event:
+                summary.write(outcomes_by_name.values())
 
-        outcomes = run_grid(tasks, told, stop.requested, scheduler=scheduler, count=workers, gigabytes=need)
+        outcomes = run_grid(tasks, on_change, stop.requested, scheduler=scheduler, count=workers, gigabytes=gigabytes)
     for outcome in outcomes:
         if outcome.status == "failed":
             print(f"fruitninja-batch: {outcome.task.name}: {outcome.error}", file=sys.stderr)
@@ -75,7 +75,7 @@ def batch(
 
 
 class Summary:
-    """The file that says how every scene of a batch ended."""
+    """The file with the outcome of every scene of a batch."""
 
     def __init__(self, path: Path, manifest: Path) -> None:
         self.path = path
@@ -83,7 +83,7 @@ class Summary:
         self.begun = time.monotonic()
 
     def write(self, outcomes: Iterable[Outcome]) -> None:
-        """Writes it whole. Raises InputError where that fails."""
+        """Writes the file atomically. Raises InputError if that fails."""
         outcomes = list(outcomes)
         statuses = [outcome.status for outcome in outcomes]
         record = {
@@ -108,8 +108,8 @@ class Summary:
             temporary.write_text(text, encoding="utf-8")
 
 
-class Board:
-    """All scenes at a glance: a bar for the batch and one for each scene at work; plain lines where no terminal is."""
+class ProgressDisplay:
+    """Progress bars for the batch and each running scene; plain lines without a terminal."""
 
     def __init__(self, tasks: list[Task]) -> None:
         self.console = Console(stderr=True)
@@ -126,7 +126,7 @@ class Board:
             disable=not self.console.is_terminal,
         )
 
-    def __enter__(self) -> Board:
+    def __enter__(self) -> ProgressDisplay:
         self.progress.start()
         self.all = self.progress.add_task("All scenes", total=self.total, detail=f"0 of {self.total}")
         return self
@@ -134,12 +134,12 @@ class Board:
     def __exit__(self, *_: object) -> None:
         self.progress.stop()
 
-    def told(self, outcome: Outcome, line: dict[str, Any]) -> None:
-        """Takes in a new status, or a line of a scene at work."""
+    def update(self, outcome: Outcome, event: dict[str, Any]) -> None:
+        """Shows a new status, or an event of a running scene."""
         name = outcome.task.name
-        if line:
-            self.titles[name] = line.get("title") or self.titles.get(name, "")
-            self.progress.update(self.bars[name], completed=line.get("part", 0.0), detail=self.titles[name])
+        if event:
+            self.titles[name] = event.get("title") or self.titles.get(name, "")
+            self.progress.update(self.bars[name], completed=event.get("part", 0.0), detail=self.titles[name])
             return
         if outcome.status == "running":
             self.bars[name] = self.progress.add_task(name, total=1.0, detail="Starting")
@@ -147,7 +147,7 @@ class Board:
         if name in self.bars:
             self.progress.remove_task(self.bars.pop(name))
         if outcome.status == "waiting":
-            self.line(f"{name}: {outcome.error}; trying once more")
+            self.print_line(f"{name}: {outcome.error}; trying once more")
             return
         self.ended += 1
         self.progress.update(self.all, completed=self.ended, detail=f"{self.ended} of {self.total}")
@@ -156,15 +156,15 @@ class Board:
             "kept": "done before",
             "failed": f"failed: {outcome.error}",
         }
-        self.line(f"{name}: {words.get(outcome.status, outcome.status)} ({self.ended} of {self.total})")
+        self.print_line(f"{name}: {words.get(outcome.status, outcome.status)} ({self.ended} of {self.total})")
 
-    def line(self, text: str) -> None:
+    def print_line(self, text: str) -> None:
         self.console.print(text, highlight=False, markup=False, soft_wrap=True)
 
 
 def main() -> None:
-    """Entry point: status 2 and one clear line for each mistake in the manifest, 1 where a scene failed, 130 or 143
-    where the user stopped."""
+    """Entry point: status 2 and one clear line for each mistake in the manifest, 1 if a scene failed, 130 or 143
+    if the user stopped it."""
     run_command("fruitninja-batch", batch)
 
 

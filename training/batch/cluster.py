@@ -1,4 +1,4 @@
-"""Where tasks run: workers on this machine, or a Dask cluster that runs already."""
+"""Workers for tasks: a local Dask cluster, or one that is already running."""
 
 from __future__ import annotations
 
@@ -18,37 +18,37 @@ from engine.errors import InputError
 from engine.io.scratch import Scratch
 from engine.processes import safe_imports
 
-__all__ = ["deaf_children", "workers"]
+__all__ = ["blocked_signals", "cluster_client"]
 
 WAIT_SECONDS = 30
-"""For a scheduler to answer and for its first worker."""
+"""Timeout for a scheduler to answer and for its first worker."""
 
 
 @contextmanager
-def workers(scheduler: str | None, count: int | None, tasks: int, gigabytes: float) -> Iterator[Client]:
-    """A client of the cluster at an address, or of one of its own on this machine, which ends with the block.
+def cluster_client(scheduler: str | None, count: int | None, tasks: int, gigabytes: float) -> Iterator[Client]:
+    """A client of the cluster at an address, or of a local one that is closed with the context.
 
-    Its own has `count` workers, or as many as there are cores, memory for `gigabytes` each, and tasks. Every worker
-    does one task at a time, in a process of its own, on its share of the cores. Raises InputError where the address
-    does not answer, has no workers, or its workers would do several tasks in one process.
+    A local cluster has `count` workers, or as many as cores, memory (`gigabytes` each) and tasks allow. Every worker is
+    a process that runs one task at a time on its share of the cores. Raises InputError if the address does not answer,
+    has no workers, or its workers would run several tasks in one process.
     """
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what fails is told by the grid, in one line
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # the grid reports failures, in one line
     if scheduler is not None:
-        with _joined(scheduler) as client:
+        with _running_cluster(scheduler) as client:
             yield client
         return
-    count = count or fitting(tasks, gigabytes)
+    count = count or local_worker_count(tasks, gigabytes)
     settings: dict[str, Any] = {
-        # Dask's own retries know nothing of checkpoints; the grid counts for itself.
+        # Dask's retries ignore checkpoints; the grid counts attempts itself.
         "distributed.scheduler.allowed-failures": 0,
         "distributed.comm.timeouts.connect": f"{WAIT_SECONDS}s",
-        # No pages about the cluster, whatever the user's own settings of Dask say; `_Closed` does the rest.
+        # No web pages, whatever the user's Dask configuration says; `_CloseHttpServer` closes their port.
         "distributed.scheduler.http.routes": [],
         "distributed.worker.http.routes": [],
     }
-    # Workers import from their folder: it is a private one, not the one in the temporary folder that all users share.
+    # Workers import from their folder, so it must be private, unlike the shared temporary folder.
     with dask.config.set(settings), safe_imports(), closing(Scratch("fruitninja-")) as scratch:
-        with deaf_children(signal.SIGINT):
+        with blocked_signals(signal.SIGINT):
             cluster = LocalCluster(
                 n_workers=count,
                 threads_per_worker=1,
@@ -59,34 +59,34 @@ def workers(scheduler: str | None, count: int | None, tasks: int, gigabytes: flo
                 silence_logs=logging.CRITICAL,
             )
         with cluster, Client(cluster) as client:
-            client.run_on_scheduler(_close_pages)
-            client.register_plugin(_Closed())
+            client.run_on_scheduler(_close_http_server)
+            client.register_plugin(_CloseHttpServer())
             yield client
 
 
-def _close_pages(dask_scheduler: Any) -> None:
-    """Dask opens a port for web pages even where it is told to have none."""
+def _close_http_server(dask_scheduler: Any) -> None:
+    """Closes the port for web pages, which Dask opens even if there are none."""
     dask_scheduler.http_server.stop()
 
 
-class _Closed(WorkerPlugin):
-    """Closes such a port of every worker, also of one that takes the place of another."""
+class _CloseHttpServer(WorkerPlugin):
+    """Does the same on every worker, including replacements."""
 
     def setup(self, worker: Worker) -> None:
         worker.http_server.stop()
 
 
 @contextmanager
-def deaf_children(*signals: signal.Signals) -> Iterator[None]:
-    """Threads that begin in this block, and the processes they start whenever they do, do not hear these signals.
+def blocked_signals(*signals: signal.Signals) -> Iterator[None]:
+    """Blocks signals in threads started in this context, and in the processes that those start later.
 
-    They are for the command, which then tells its workers, and which hears them once the block has ended. A signal
-    mask reaches a process before its first line does.
+    Only the command handles them, after the context, and then stops its workers. A child inherits the signal mask
+    before it executes its first line.
     """
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
-    resource_tracker.ensure_running()  # its start would lift the mask again
+    resource_tracker.ensure_running()  # starting it later would lift the mask
     signal.pthread_sigmask(signal.SIG_BLOCK, signals)
     try:
         yield
@@ -94,15 +94,15 @@ def deaf_children(*signals: signal.Signals) -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_UNBLOCK, signals)
 
 
-def fitting(tasks: int, gigabytes: float) -> int:
-    """Workers on this machine: no more than cores, than memory that is free holds, or than tasks; at least 1."""
+def local_worker_count(tasks: int, gigabytes: float) -> int:
+    """Number of local workers: limited by cores, free memory and tasks; at least 1."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    room = int(psutil.virtual_memory().available / 2**30 / gigabytes)
-    return max(1, min(cores, room, tasks))
+    fits_memory = int(psutil.virtual_memory().available / 2**30 / gigabytes)
+    return max(1, min(cores, fits_memory, tasks))
 
 
 @contextmanager
-def _joined(address: str) -> Iterator[Client]:
+def _running_cluster(address: str) -> Iterator[Client]:
     """A client of a running cluster."""
     try:
         client = Client(address, timeout=WAIT_SECONDS)

@@ -1,6 +1,6 @@
 """The manifest of a batch: scenes and their options in TOML, checked as a whole before anything starts.
 
-    [defaults]                                  # for every scene that does not say otherwise
+    [defaults]                                  # for every scene that does not override them
     up = "z"
     exemplar = { horizontal = "slice.png" }     # a picture or a list of them for each family
 
@@ -30,41 +30,41 @@ from training.cli import parse_axis, parse_families
 from training.request import PriorName, Request
 from training.settings import DetailName
 
-__all__ = ["Mistakes", "Scene", "read_manifest"]
+__all__ = ["ManifestErrors", "Scene", "read_manifest"]
 
-LIMIT = 1 << 21
-"""Bytes of the largest manifest that is read: ten thousand scenes, whatever they look like in a few seconds."""
+MAX_BYTES = 1 << 21
+"""Largest accepted manifest in bytes: ten thousand scenes, parsed in a few seconds at worst."""
 
-MOST_DOTS = 40
-"""In a line, outside of quotes. tomllib takes the cube of a dotted key's parts, minutes for a hundred kilobytes; no key
-here has more than three, and what numbers a line holds have fewer dots than this."""
+MAX_DOTS = 40
+"""Largest number of dots in a line outside quotes. tomllib is cubic in the parts of a dotted key: minutes for a hundred
+kilobytes. Keys here have at most three parts, and the numbers in a line need fewer dots than this."""
 
 TOKEN = re.compile(
     r"""\"{3}(?:[^"\\]|\\[\s\S]|"(?!""))*+(?:"{3,5}|\Z)|'{3}(?:[^']|'(?!''))*+(?:'{3,5}|\Z)"""
     r"""|"(?:\\.|[^"\\\n])*+"?|'[^'\n]*+'?|\#[^\n]*+|[^."'#\n]++|[\s\S]"""
 )
-"""Pieces of TOML as far as it takes to find dots. Every piece is taken once, whatever is left open."""
+"""Tokens of TOML, as far as needed to find dots; linear in the text, even with unclosed quotes."""
 
 NAME = re.compile(r"\w[\w .+-]{0,99}")
-"""Names of results: folders on any system, inside of the output folder."""
+"""Names of results: valid folder names on any system, without separators."""
 
-LONGEST_NAME = 200
-"""Bytes of a name; file systems stop at 255, and temporary files have longer ones."""
+MAX_NAME_BYTES = 200
+"""Longest name in bytes; file systems allow 255, and temporary files add to it."""
 
 DEVICE = re.compile(r"(con|prn|aux|nul|com[0-9¹²³]|lpt[0-9¹²³]) *(\..*)?", re.IGNORECASE)
-"""What Windows takes for a device, whatever its extension."""
+"""Names that Windows reserves for devices, with any extension."""
 
-TAKEN = re.compile(r"batch\.json|.*\.lock", re.IGNORECASE)
-"""Files that a batch itself writes beside the folders."""
+RESERVED = re.compile(r"batch\.json|.*\.lock", re.IGNORECASE)
+"""Files that a batch writes beside the folders."""
 
 KEYS = ("scene", "name", "exemplar", "family", "prompt", "up", "detail", "prior", "model", "midas", "object",
         "iterations", "seed")  # fmt: skip
-OWN = ("scene", "name")
-"""What two scenes cannot share."""
+PER_SCENE_KEYS = ("scene", "name")
+"""Keys that scenes cannot share."""
 
 
-class Mistakes(InputError):
-    """All that is wrong with a manifest, one line for each mistake."""
+class ManifestErrors(InputError):
+    """All errors of a manifest, one line each."""
 
     def __init__(self, lines: Sequence[str]) -> None:
         ValueError.__init__(self, "\n".join(map(one_line, lines)))
@@ -81,95 +81,99 @@ class Scene:
 
 
 def read_manifest(path: Path) -> list[Scene]:
-    """The scenes of a manifest, in order. Raises Mistakes with one line for each thing to mend."""
-    raw = read_file(path, LIMIT)
+    """The scenes of a manifest, in order. Raises ManifestErrors with one line per error."""
+    raw = read_file(path, MAX_BYTES)
     try:
         text = raw.decode("utf-8")
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: not a manifest: it is no text in UTF-8; write it as TOML") from error
     try:
-        _bounded(path, text)
+        _check_dots(path, text)
         fields = tomllib.loads(text)
     except InputError:
         raise
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: no TOML: {' '.join(str(error).split())[:200]}") from error
-    return _Reader(path).scenes(fields)
+    return _ManifestReader(path).scenes(fields)
 
 
-def _bounded(path: Path, text: str) -> None:
-    """Raises InputError where a line has more dots than TOML could be parsed with in good time."""
+def _check_dots(path: Path, text: str) -> None:
+    """Raises InputError if a line has over MAX_DOTS dots, which would take tomllib too long."""
     line, dots = 1, 0
     for token in TOKEN.finditer(text):
         if token[0] == ".":
             dots += 1
-            if dots > MOST_DOTS:
-                raise InputError(f"{path}: line {line}: over {MOST_DOTS} dots outside of quotes; no key has so many")
+            if dots > MAX_DOTS:
+                raise InputError(f"{path}: line {line}: over {MAX_DOTS} dots outside of quotes; no key has so many")
         elif lines := token[0].count("\n"):
             line, dots = line + lines, 0
 
 
-class _Reader:
-    """Turns parsed fields into scenes, and gathers what is wrong with them."""
+class _ManifestReader:
+    """Converts parsed fields to scenes and collects their errors."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self.folder = path.parent.resolve()
-        self.lines: list[str] = []
+        self.errors: list[str] = []
 
     def scenes(self, fields: dict[str, Any]) -> list[Scene]:
-        """All scenes, or Mistakes."""
+        """All scenes. Raises ManifestErrors."""
         for key in fields.keys() - {"defaults", "scene"}:
-            self.wrong("the file", f"unknown key '{_short(key)}'; it has [defaults] and a [[scene]] for each scene")
+            self.add_error(
+                "the file", f"unknown key '{_abbreviate(key)}'; it has [defaults] and a [[scene]] for each scene"
+            )
         defaults, entries = fields.get("defaults", {}), fields.get("scene", [])
         if not isinstance(defaults, dict):
-            self.wrong("defaults", "write it as a table: [defaults]")
+            self.add_error("defaults", "write it as a table: [defaults]")
             defaults = {}
-        for key in defaults.keys() & set(OWN):
-            self.wrong("defaults", f"'{key}' belongs to each [[scene]] alone; move it there")
-        self.unknown("defaults", defaults)
+        for key in defaults.keys() & set(PER_SCENE_KEYS):
+            self.add_error("defaults", f"'{key}' belongs to each [[scene]] alone; move it there")
+        self.check_keys("defaults", defaults)
         if not isinstance(entries, list) or not entries or not all(isinstance(entry, dict) for entry in entries):
-            self.wrong("the file", "no scenes; add a [[scene]] with scene = 'capture.ply' for each")
+            self.add_error("the file", "no scenes; add a [[scene]] with scene = 'capture.ply' for each")
             entries = []
         scenes: list[Scene] = []
         seen: dict[str, str] = {}
         for number, entry in enumerate(entries, start=1):
             name = entry.get("name", entry.get("scene"))
-            where = f"scene {number}" + (f" ({_short(name)})" if isinstance(name, str) else "")
-            self.unknown(where, entry)
+            where = f"scene {number}" + (f" ({_abbreviate(name)})" if isinstance(name, str) else "")
+            self.check_keys(where, entry)
             try:
-                scene = self.scene({k: v for k, v in defaults.items() if k not in OWN} | entry)
+                scene = self.scene({k: v for k, v in defaults.items() if k not in PER_SCENE_KEYS} | entry)
             except (InputError, ValueError, OSError) as error:
-                # The words are those of fruitninja-train, whose options have dashes.
-                self.wrong(where, re.sub(r"(?<!\S)--(?=[a-z])", "", " ".join(str(error).split())))
+                # The messages are those of fruitninja-train, whose options have dashes.
+                self.add_error(where, re.sub(r"(?<!\S)--(?=[a-z])", "", " ".join(str(error).split())))
                 continue
-            first = seen.setdefault(_folder(scene.name), where)
+            first = seen.setdefault(_folder_key(scene.name), where)
             if first != where:
-                self.wrong(where, f"its result would be '{scene.name}', as that of {first}; give one of them a name")
+                self.add_error(
+                    where, f"its result would be '{scene.name}', as that of {first}; give one of them a name"
+                )
             scenes.append(scene)
-        if self.lines:
-            raise Mistakes(self.lines)
+        if self.errors:
+            raise ManifestErrors(self.errors)
         return scenes
 
     def scene(self, fields: dict[str, Any]) -> Scene:
-        """One scene with the defaults filled in. Raises InputError for its first mistake."""
+        """One scene with the defaults filled in. Raises InputError for its first error."""
         path = self.file(fields, "scene")
         if path is None:
             raise InputError("no 'scene'; give the capture as scene = 'capture.ply'")
-        name = unicodedata.normalize("NFC", _text(fields, "name", path.stem))  # one folder on systems that do so
-        if not NAME.fullmatch(name) or name.endswith((".", " ")) or len(name.encode()) > LONGEST_NAME:
-            raise InputError(f"name '{_short(name)}': cannot be a folder; use letters, digits, blanks and . + - _")
+        name = unicodedata.normalize("NFC", _string(fields, "name", path.stem))  # some systems normalise names
+        if not NAME.fullmatch(name) or name.endswith((".", " ")) or len(name.encode()) > MAX_NAME_BYTES:
+            raise InputError(f"name '{_abbreviate(name)}': cannot be a folder; use letters, digits, blanks and . + - _")
         if DEVICE.fullmatch(name):
             raise InputError(f"name '{name}': a device on Windows, so it cannot be a folder; give another name")
-        if TAKEN.fullmatch(name):
+        if RESERVED.fullmatch(name):
             raise InputError(f"name '{name}': the batch writes a file of this name itself; give another name")
-        detail, prior = _text(fields, "detail", "standard"), _text(fields, "prior", "exemplar")
+        detail, prior = _string(fields, "detail", "standard"), _string(fields, "prior", "exemplar")
         for key, value, allowed in (("detail", detail, DetailName), ("prior", prior, PriorName)):
             if value not in get_args(allowed):
-                raise InputError(f"{key} '{_short(value)}': unknown; choose {', '.join(get_args(allowed))}")
-        reads = prior == "stable-diffusion"
+                raise InputError(f"{key} '{_abbreviate(value)}': unknown; choose {', '.join(get_args(allowed))}")
+        takes_model = prior == "stable-diffusion"
         model, midas = self.file(fields, "model", folder=True), self.file(fields, "midas", folder=True)
-        if reads != (model is not None) or (midas and not reads):
+        if takes_model != (model is not None) or (midas and not takes_model):
             raise InputError("model and midas belong to prior = 'stable-diffusion', which needs a model")
         up = fields.get("up")
         axis = ",".join(map(str, up)) if isinstance(up, list) else up
@@ -179,26 +183,26 @@ class _Reader:
             name,
             Request(
                 path,
-                parse_families(self.exemplars(fields), _texts(fields, "family"), _prompts(fields), not reads),
+                parse_families(self.exemplars(fields), _strings(fields, "family"), _prompts(fields), not takes_model),
                 cast(DetailName, detail),
                 None if axis is None else parse_axis(axis, "up"),
-                _whole(fields, "seed") or 0,
-                _whole(fields, "iterations"),
+                _integer(fields, "seed") or 0,
+                _integer(fields, "iterations"),
                 cast(PriorName, prior),
                 model,
                 midas,
-                _text(fields, "object", "") or None,
+                _string(fields, "object", "") or None,
             ),
         )
 
     def exemplars(self, fields: dict[str, Any]) -> list[str]:
-        """The pictures as family=path, each opened far enough to see that it is a picture."""
+        """The pictures as family=path, each opened to check that it is a picture."""
         table = _table(fields, "exemplar", "{ horizontal = 'cut.png' }")
         result = []
         for kind, names in table.items():
             for name in names if isinstance(names, list) else [names]:
                 if not isinstance(name, str) or not name:
-                    raise InputError(f"exemplar of {_short(kind)}: give a picture or a list of pictures")
+                    raise InputError(f"exemplar of {_abbreviate(kind)}: give a picture or a list of pictures")
                 path = self.resolved(name)
                 with open_picture(path):
                     pass
@@ -206,8 +210,8 @@ class _Reader:
         return result
 
     def file(self, fields: dict[str, Any], key: str, folder: bool = False) -> Path | None:
-        """An absolute path that is there."""
-        name = _text(fields, key, "")
+        """The absolute path of an existing file or folder, None without the key."""
+        name = _string(fields, key, "")
         if not name:
             return None
         path = self.resolved(name)
@@ -216,39 +220,39 @@ class _Reader:
         return path
 
     def resolved(self, name: str) -> Path:
-        """A path of the manifest."""
+        """A path of the manifest as an absolute one."""
         if "\0" in name or len(name) > 4096:
-            raise InputError(f"'{_short(name)}' is no path")
+            raise InputError(f"'{_abbreviate(name)}' is no path")
         return (self.folder / Path(name).expanduser()).absolute()
 
-    def unknown(self, where: str, fields: dict[str, Any]) -> None:
-        """Notes keys that mean nothing."""
+    def check_keys(self, where: str, fields: dict[str, Any]) -> None:
+        """Records unknown keys as errors."""
         for key in fields.keys() - set(KEYS):
-            self.wrong(where, f"unknown key '{_short(key)}'; there are {', '.join(KEYS)}")
+            self.add_error(where, f"unknown key '{_abbreviate(key)}'; there are {', '.join(KEYS)}")
 
-    def wrong(self, where: str, what: str) -> None:
-        self.lines.append(f"{self.path}: {where}: {what}")
+    def add_error(self, where: str, what: str) -> None:
+        self.errors.append(f"{self.path}: {where}: {what}")
 
 
-def _folder(name: str) -> str:
-    """The same for two names that are one folder on systems that ignore case or how accents are written."""
+def _folder_key(name: str) -> str:
+    """Equal for names that are the same folder on systems that ignore case or Unicode normalisation."""
     return unicodedata.normalize("NFC", unicodedata.normalize("NFD", name).casefold())
 
 
-def _short(text: str) -> str:
-    """A piece of the file, fit for one line."""
+def _abbreviate(text: str) -> str:
+    """A value of the manifest, printable and short enough for one line."""
     plain = "".join(c if c.isprintable() else "?" for c in text)
     return plain if len(plain) <= 60 else plain[:57] + "..."
 
 
-def _text(fields: dict[str, Any], key: str, default: str) -> str:
+def _string(fields: dict[str, Any], key: str, default: str) -> str:
     value = fields.get(key, default)
     if not isinstance(value, str) or len(value) > 10_000:
         raise InputError(f"{key}: give it as text, in quotes")
     return value
 
 
-def _texts(fields: dict[str, Any], key: str) -> list[str]:
+def _strings(fields: dict[str, Any], key: str) -> list[str]:
     value = fields.get(key, [])
     values = [value] if isinstance(value, str) else value
     if not isinstance(values, list) or not all(isinstance(item, str) for item in values):
@@ -270,7 +274,7 @@ def _prompts(fields: dict[str, Any]) -> list[str]:
     return [f"{kind}={words}" for kind, words in table.items()]
 
 
-def _whole(fields: dict[str, Any], key: str) -> int | None:
+def _integer(fields: dict[str, Any], key: str) -> int | None:
     value = fields.get(key)
     if value is not None and (type(value) is not int or not 0 <= value < 1 << 53):
         raise InputError(f"{key}: give a whole number of at least 0")

@@ -1,4 +1,4 @@
-"""A scene as a task: what `fruitninja-train` does, on a worker."""
+"""Training of a scene as a task for a worker."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Any
 
 from engine.errors import InputError
 from engine.io.files import LineWriter, locked_folder
-from training.batch.task import Stopped, Task, say, stopped
+from training.batch.task import Task, TaskStopped, report, should_stop
 from training.checkpoint import Checkpoint
 from training.events import Reporter
 from training.pipeline import run
@@ -22,7 +22,7 @@ __all__ = ["scene_task", "train_scene"]
 
 
 def scene_task(name: str, request: Request, out: Path) -> Task:
-    """The task that trains a scene into the folder `out`, which every worker sees under this path."""
+    """The task that trains a scene into the folder `out`, a path valid on every worker."""
     fingerprint = request.fingerprint()
     arguments = {"request": request, "out": out, "fingerprint": fingerprint}
     files = (out / f"{request.scene.stem}.ply", out / "cuts.png", out / "report.json")
@@ -30,38 +30,38 @@ def scene_task(name: str, request: Request, out: Path) -> Task:
 
 
 def train_scene(request: Request, out: Path, fingerprint: str) -> dict[str, Any]:
-    """One run, from its checkpoint where that is whole. Returns the warnings it gave; its events are kept beside it."""
+    """Trains a scene, from its checkpoint if that is intact; returns its warnings and writes its events beside it."""
     if request.fingerprint() != fingerprint:
         raise InputError(f"{request.scene}: this worker sees other files under these paths; share one folder with all")
     checkpoint = Checkpoint(out / "checkpoint", fingerprint)
     with locked_folder(out), closing(LineWriter(out / "events.jsonl")) as file:
-        events = _Events(file)
+        events = _EventStream(file)
         with Reporter(events) as reporter:
             reporter.emit("started", host=platform.node(), pid=os.getpid())
             try:
-                run(request, out, reporter, whole(checkpoint), stopped)
+                run(request, out, reporter, is_intact(checkpoint), should_stop)
             except Interrupted as interrupted:
-                raise Stopped(str(interrupted)) from interrupted
+                raise TaskStopped(str(interrupted)) from interrupted
             except Exception as error:
-                with suppress(InputError):  # what failed first is what must be known
+                with suppress(InputError):  # the first error is the one to report
                     reporter.emit("failed", message=str(error))
                 raise
-    checkpoint.clear()  # a hundred megabytes a scene; the result is what is wanted
+    checkpoint.clear()  # a hundred megabytes per scene, of no use once it is done
     return {"warnings": events.warnings}
 
 
-def whole(checkpoint: Checkpoint) -> bool:
-    """Whether every stage that is kept can be gone on with: none is broken, none is another run's."""
+def is_intact(checkpoint: Checkpoint) -> bool:
+    """Whether the run can resume: no stage is damaged or belongs to another run."""
     try:
-        for path in checkpoint.folder.glob("[!.]*.safetensors"):  # a killed writer's part of a file has a dot in front
+        for path in checkpoint.folder.glob("[!.]*.safetensors"):  # partial files of a killed writer start with a dot
             checkpoint.load(path.stem)
     except InputError:
         return False
     return True
 
 
-class _Events(io.StringIO):
-    """Where a run's lines go: to a file that stays, and to whoever runs the grid."""
+class _EventStream(io.StringIO):
+    """A text stream that passes events to a file and to `run_grid`, and collects warnings."""
 
     def __init__(self, file: LineWriter) -> None:
         super().__init__()
@@ -74,5 +74,5 @@ class _Events(io.StringIO):
             line = json.loads(text)
             if line["event"] == "warning":
                 self.warnings.append(line["message"])
-            say(line)
+            report(line)
         return len(text)

@@ -1,4 +1,4 @@
-"""One task of a grid: what it is, and how a worker does it."""
+"""A task of a grid, and how a worker runs it."""
 
 from __future__ import annotations
 
@@ -18,41 +18,41 @@ from engine.errors import InputError
 from engine.io.files import atomic, read_file
 from engine.threads import use_cores
 
-__all__ = ["RESULT_LIMIT", "Stopped", "Task", "perform", "say", "stopped"]
+__all__ = ["RESULT_LIMIT", "Task", "TaskStopped", "report", "run_task", "should_stop"]
 
-ASK_SECONDS = 1.0
-"""Between two questions to the scheduler whether to stop: each is a message to another process, perhaps machine."""
+POLL_SECONDS = 1.0
+"""Interval at which the scheduler is polled for a stop: each poll is a message, perhaps to another machine."""
 
-SAY_SECONDS = 0.25
-"""Between two lines of one task, as many as a display can show."""
+REPORT_SECONDS = 0.25
+"""Shortest interval between two reports of a task: a display shows no more."""
 
 
 RESULT_LIMIT = 1 << 24
-"""Bytes of the largest result that is read; a real one has a few KB."""
+"""Largest accepted result file in bytes; real ones have a few KB."""
 
 
-class Stopped(Exception):
-    """A task that was asked to stop has kept what it had and ended."""
+class TaskStopped(Exception):
+    """Raised by a task that was asked to stop, after it has saved its state."""
 
 
 @dataclass(frozen=True)
 class Task:
-    """A function call whose result is kept in a file."""
+    """A function call whose result is stored in a file."""
 
     name: str
-    """Names the task for people and in summaries; unique in its grid."""
+    """Name for displays and summaries; unique in its grid."""
     function: Callable[..., dict[str, Any]]
     """Module-level, importable on every worker; returns JSON facts."""
     arguments: dict[str, Any]
     result: Path
-    """JSON file that appears, whole, when the task is done. Absolute; every worker sees it under this path."""
+    """JSON file written atomically when the task is done. Absolute, and valid on every worker."""
     fingerprint: str
-    """The same for the same result. A result file that carries it is not made again."""
+    """Equal for equal results; a result file with this fingerprint is not computed again."""
     files: tuple[Path, ...] = ()
-    """What else the function leaves; where one is missing, the task is not done."""
+    """Other files that the function writes; without them the task is not done."""
 
-    def kept(self) -> dict[str, Any] | None:
-        """The facts of a task that was done before, None where it is still to be done."""
+    def load_facts(self) -> dict[str, Any] | None:
+        """The facts of a finished task, None if it is still to be done."""
         try:
             record = json.loads(read_file(self.result, RESULT_LIMIT))
         except (OSError, ValueError, RecursionError):
@@ -62,8 +62,8 @@ class Task:
         facts = record.get("facts")
         return facts if isinstance(facts, dict) and all(path.is_file() for path in self.files) else None
 
-    def keep(self, facts: dict[str, Any]) -> None:
-        """Writes the result file. Raises InputError where that fails."""
+    def save_facts(self, facts: dict[str, Any]) -> None:
+        """Writes the result file. Raises InputError if that fails."""
         text = json.dumps({"fingerprint": self.fingerprint, "facts": facts}, indent=1, allow_nan=False)
         with atomic(self.result) as temporary:
             temporary.write_text(text + "\n", encoding="utf-8")
@@ -71,67 +71,67 @@ class Task:
 
 @dataclass
 class _Job:
-    """The task that a worker's thread is doing."""
+    """The task that a worker's thread is running."""
 
     name: str
     topic: str
-    asked: float = 0.0
-    told: float = 0.0
+    last_poll: float = 0.0
+    last_report: float = 0.0
     stop: bool = False
 
 
-_here = threading.local()
+_thread = threading.local()
 
 
-def stopped() -> bool:
-    """Whether the task that is being done here should end, by raising `Stopped` once it has kept what it has."""
-    job: _Job | None = getattr(_here, "job", None)
+def should_stop() -> bool:
+    """Whether the task running in this thread should save its state and raise `TaskStopped`."""
+    job: _Job | None = getattr(_thread, "job", None)
     if job is None:
         return False
     now = time.monotonic()
-    if not job.stop and now - job.asked >= ASK_SECONDS:
-        job.asked = now
+    if not job.stop and now - job.last_poll >= POLL_SECONDS:
+        job.last_poll = now
         job.stop = Event(f"{job.topic}-stop").is_set()
     return job.stop
 
 
-def say(line: dict[str, Any]) -> None:
-    """Tells whoever runs the grid a few JSON facts about the task that is being done here; lines may be dropped."""
-    job: _Job | None = getattr(_here, "job", None)
+def report(line: dict[str, Any]) -> None:
+    """Sends JSON facts about the task running in this thread to `run_grid`; frequent ones are dropped."""
+    job: _Job | None = getattr(_thread, "job", None)
     now = time.monotonic()
-    if job is not None and now - job.told >= SAY_SECONDS:
-        job.told = now
+    if job is not None and now - job.last_report >= REPORT_SECONDS:
+        job.last_report = now
         get_worker().log_event(job.topic, {"task": job.name, "line": line})
 
 
-def perform(task: Task, topic: str) -> dict[str, Any]:
-    """Does a task on a worker, with this worker's share of the machine's cores. Returns and keeps its facts."""
-    if (facts := task.kept()) is not None:  # done by a worker that was thought to be lost
+def run_task(task: Task, topic: str) -> dict[str, Any]:
+    """Runs a task on a worker, with its share of the machine's cores; stores and returns the facts."""
+    if (facts := task.load_facts()) is not None:  # finished by a worker that seemed lost
         return facts
     use_cores(share_of_cores())
-    _here.job = _Job(task.name, topic)
+    _thread.job = _Job(task.name, topic)
     try:
         facts = task.function(**task.arguments)
     finally:
-        del _here.job
-    task.keep(facts)
+        del _thread.job
+    task.save_facts(facts)
     return facts
 
 
 def share_of_cores() -> int:
-    """Cores of this machine over the workers on it, at least 1: so many threads that they do not fight."""
+    """Cores of this machine over the workers on it, at least 1, so that their threads do not compete."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    own = urlsplit(get_worker().address).hostname
-    beside = sum(urlsplit(address).hostname == own for address in get_client().nthreads())
-    return max(1, cores // max(1, beside))
+    host = urlsplit(get_worker().address).hostname
+    on_this_host = sum(urlsplit(address).hostname == host for address in get_client().nthreads())
+    return max(1, cores // max(1, on_this_host))
 
 
-def said(error: BaseException) -> str:
-    """An error in one line: the message that a user is meant to see, or what happened and where."""
+def describe_error(error: BaseException) -> str:
+    """An error in one line: an InputError's message, or type, message and location of any other."""
     if isinstance(error, InputError):
         return str(error)
-    last, at = error.__traceback__, ""
-    while last is not None:
-        at = f" ({Path(last.tb_frame.f_code.co_filename).name}:{last.tb_lineno})"
-        last = last.tb_next
-    return f"{type(error).__name__}: {' '.join(str(error).split())[:300]}{at}"
+    frame, location = error.__traceback__, ""
+    while frame is not None:
+        location = f" ({Path(frame.tb_frame.f_code.co_filename).name}:{frame.tb_lineno})"
+        frame = frame.tb_next
+    return f"{type(error).__name__}: {' '.join(str(error).split())[:300]}{location}"

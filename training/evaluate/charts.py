@@ -61,7 +61,7 @@ def bars(facts: Facts, key: str, scenes: list[str]) -> bytes:
 
 def colour(method: str) -> str:
     """Ours stands out; bounds step back."""
-    return ACCENT if method == "ours" else OTHER if METHODS[method].rival else BOUND
+    return ACCENT if method == "ours" else OTHER if METHODS[method].competes else BOUND
 
 
 def picture(figure: plt.Figure) -> bytes:

@@ -11,7 +11,7 @@ import typer
 from engine.command import FAILED, print_result, run_command
 from engine.errors import InputError
 from engine.io.files import locked_folder, remove_leftovers
-from training.evaluate.grid import Cell, cells, perform_all, perform_on
+from training.evaluate.grid import Cell, cells, run_locally, run_on_cluster
 from training.evaluate.methods import METHODS
 from training.evaluate.report import write_report
 from training.evaluate.scenes import SCENES
@@ -38,8 +38,8 @@ def evaluate(
     if clip is not None and not clip.is_dir():
         raise InputError(f"--clip {clip}: no such folder")
     grid = cells(
-        chosen(scenes, SCENES, "--scenes"),
-        chosen(methods, tuple(METHODS), "--methods"),
+        parse_names(scenes, SCENES, "--scenes"),
+        parse_names(methods, tuple(METHODS), "--methods"),
         range(seeds),
         cast(DetailName, detail),
         cuts,
@@ -48,14 +48,14 @@ def evaluate(
     )
     with locked_folder(out):
         remove_leftovers(out)
-        failed = perform_all(grid, told) if scheduler is None else perform_on(scheduler, grid, told)
+        failed = run_locally(grid, on_change) if scheduler is None else run_on_cluster(scheduler, grid, on_change)
         page = write_report(grid, failed, out)
     print_result(str(page))
     if failed:
         raise typer.Exit(FAILED)
 
 
-def chosen(text: str, known: tuple[str, ...], option: str) -> list[str]:
+def parse_names(text: str, known: tuple[str, ...], option: str) -> list[str]:
     """The names of a list with commas, each once, all of them known."""
     names = list(dict.fromkeys(name.strip() for name in text.split(",") if name.strip()))
     for name in names:
@@ -66,7 +66,7 @@ def chosen(text: str, known: tuple[str, ...], option: str) -> list[str]:
     return names
 
 
-def told(cell: Cell, what: str) -> None:
+def on_change(cell: Cell, what: str) -> None:
     """One line to the terminal."""
     print(f"{cell.name}: {what}", file=sys.stderr, flush=True)
 

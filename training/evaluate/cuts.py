@@ -1,4 +1,4 @@
-"""The cuts that methods are measured on: the same for all of them, and none that anybody trained."""
+"""The cuts that all methods are measured on; none of them is trained."""
 
 from __future__ import annotations
 
@@ -16,24 +16,24 @@ from engine.scene.plane import Plane
 from sample_scenes.solids import Solid, directions
 from training.families import Family
 
-__all__ = ["Cut", "Truth", "cuts_of", "meeting_points", "truth_of"]
+__all__ = ["Cut", "Truth", "intersection_points", "load_truth", "make_cuts"]
 
 Float = NDArray[np.float32]
 
 SIZE = 224
-"""Pixels of a cut's picture, what the network of the features takes in."""
+"""Pixels along a side of a cut's picture: the input size of the feature network."""
 
 REACH = 0.5
-"""Random planes stand up to this share of the way from the centre to the skin."""
+"""Largest distance of random planes from the centre, as a share of the way to the skin."""
 
 CANONICAL = 3
-"""One canonical cut (along a trained family, at a place of its own) for this many random ones."""
+"""Random cuts per canonical one, which lies along a trained family at a new position."""
 
-MET = 12
-"""Random cuts of which every two are compared where they meet: 66 pairs."""
+CONSISTENCY_CUTS = 12
+"""Random cuts that are compared pairwise along their intersections: 66 pairs."""
 
-MET_POINTS = 48
-"""Points along the line where two cuts meet."""
+LINE_POINTS = 48
+"""Points along the intersection of two cuts."""
 
 
 @dataclass(frozen=True)
@@ -50,15 +50,15 @@ class Cut:
         """(H, W, 3). World points of the pixels."""
         return plane_points(self.camera, self.plane)
 
-    def place(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(M, 2). Column and row, in array indices, where world points (M, 3) are seen."""
+    def pixel_position(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(M, 2). Column and row, in array indices, of world points (M, 3)."""
         seen = points @ self.camera.viewmat[:3, :3].T + self.camera.viewmat[:3, 3]
-        place = seen[:, :2] * [self.camera.fx, self.camera.fy] + [self.camera.cx, self.camera.cy]
-        return np.asarray(place - 0.5)
+        pixel_position = seen[:, :2] * [self.camera.fx, self.camera.fy] + [self.camera.cx, self.camera.cy]
+        return np.asarray(pixel_position - 0.5)
 
 
-def cuts_of(solid: Solid, families: tuple[Family, ...], count: int) -> list[Cut]:
-    """`count` random planes through a solid, then canonical ones, which belong to the families in turns."""
+def make_cuts(solid: Solid, families: tuple[Family, ...], count: int) -> list[Cut]:
+    """`count` random planes through a solid, then canonical ones, which alternate between the families."""
     rng = np.random.default_rng(7)
     bounds, up = solid.bounds, np.asarray(solid.up)
     centre, half = bounds.mean(0), np.ptp(bounds, axis=0) / 2
@@ -72,20 +72,20 @@ def cuts_of(solid: Solid, families: tuple[Family, ...], count: int) -> list[Cut]
     e1, e2 = equator(up)
     for index in range(-(-count // CANONICAL)):
         family = families[index % len(families)]
-        normal, place = up, rng.uniform(-0.7, 0.7)
+        normal, pixel_position = up, rng.uniform(-0.7, 0.7)
         if family.kind == "radial":
-            angle, place = rng.uniform(0, np.pi), 0.0
+            angle, pixel_position = rng.uniform(0, np.pi), 0.0
             normal = np.cos(angle) * e1 + np.sin(angle) * e2
         elif family.kind == "parallel" and family.axis is not None:
             normal = np.asarray(family.axis)
-        planes.append((Plane.through(centre + place * half * normal, normal), family.kind))
+        planes.append((Plane.through(centre + pixel_position * half * normal, normal), family.kind))
     radius = float(np.linalg.norm(solid.skin(directions(2048)) - centre, axis=1).max())
     return [Cut(plane, section(plane, up, bounds, SIZE, radius), kind) for plane, kind in planes]
 
 
 @dataclass(frozen=True)
 class Truth:
-    """What the cuts really show."""
+    """The true pictures of the cuts."""
 
     pictures: Float
     """(C, H, W, 3). Over white."""
@@ -93,22 +93,22 @@ class Truth:
     """(C, H, W)."""
 
 
-def truth_of(solid: Solid, cuts: list[Cut], path: Path) -> Truth:
-    """The true pictures, kept in a file: every method of a scene is compared with the same ones."""
+def load_truth(solid: Solid, cuts: list[Cut], path: Path) -> Truth:
+    """The true pictures, cached in a file for all methods of a scene."""
     if path.is_file():
         kept = load_file(path)
         if len(kept["pictures"]) == len(cuts):
             return Truth(kept["pictures"], kept["inside"])
-    shown = [solid.slice(cut.plane, cut.camera, supersample=2) for cut in cuts]
-    truth = Truth(np.stack([rgb for rgb, _ in shown]), np.stack([inside for _, inside in shown]))
+    slices = [solid.slice(cut.plane, cut.camera, supersample=2) for cut in cuts]
+    truth = Truth(np.stack([rgb for rgb, _ in slices]), np.stack([inside for _, inside in slices]))
     with atomic(path) as temporary:
         save_file({"pictures": truth.pictures, "inside": truth.inside}, temporary)
     return truth
 
 
-def meeting_points(solid: Solid, cuts: list[Cut]) -> list[tuple[int, int, NDArray[np.float64]]]:
-    """Pairs of random cuts and the points (M, 3) inside the solid where they meet."""
-    random = [index for index, cut in enumerate(cuts) if not cut.canonical][:MET]
+def intersection_points(solid: Solid, cuts: list[Cut]) -> list[tuple[int, int, NDArray[np.float64]]]:
+    """Pairs of random cuts and the points (M, 3) inside the solid on their intersection."""
+    random = [index for index, cut in enumerate(cuts) if not cut.canonical][:CONSISTENCY_CUTS]
     low, high = solid.bounds
     reach = float(np.linalg.norm(high - low)) / 2
     clear = 0.04 * float((high - low).max())  # clear of the skin by more than a pixel of either picture
@@ -120,7 +120,7 @@ def meeting_points(solid: Solid, cuts: list[Cut]) -> list[tuple[int, int, NDArra
             continue
         along /= np.linalg.norm(along)
         start = np.linalg.solve(np.stack([na, nb, along]), [-cuts[a].plane.offset, -cuts[b].plane.offset, 0.0])
-        line = start + np.linspace(-reach, reach, 4 * MET_POINTS)[:, None] * along
+        line = start + np.linspace(-reach, reach, 4 * LINE_POINTS)[:, None] * along
         line = line[solid.depth(line) > clear]
         if len(line):
             result.append((a, b, line))

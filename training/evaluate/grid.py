@@ -1,4 +1,4 @@
-"""The grid of an evaluation: independent cells, each kept in a file of its own when it is done."""
+"""The grid of an evaluation: independent cells, each with its own result file."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from typing import Any
 from engine.errors import InputError
 from engine.io.files import atomic, read_file
 from engine.processes import safe_imports
-from training.batch.cluster import deaf_children
+from training.batch.cluster import blocked_signals
 from training.batch.grid import Outcome, run_grid
 from training.batch.task import RESULT_LIMIT, Task
 from training.evaluate.measure import fingerprint, measure
 from training.settings import DETAILS, Detail, DetailName
 
-__all__ = ["Cell", "cells", "perform", "perform_all", "perform_on"]
+__all__ = ["Cell", "cells", "run_cell", "run_locally", "run_on_cluster"]
 
 
 @dataclass(frozen=True)
 class Cell:
-    """One method on one scene: a call of `measure` whose facts are kept in a JSON file."""
+    """One method on one scene: a call of `measure` whose facts are stored in a JSON file."""
 
     scene: str
     method: str
@@ -38,21 +38,21 @@ class Cell:
 
     @property
     def name(self) -> str:
-        """For people; unique in its grid."""
+        """Name for displays; unique in its grid."""
         return f"{self.scene}/{self.method}" + (f"-{self.seed}" if self.seed else "")
 
     @property
     def result(self) -> Path:
-        """Where the facts are kept."""
+        """The result file."""
         return self.out / "results" / self.scene / f"{self.method}-{self.seed}.json"
 
     @property
     def fingerprint(self) -> str:
-        """The same for the same figures."""
+        """Equal for equal figures."""
         return fingerprint(self.scene, self.method, self.seed, self.detail, self.cuts, self.clip)
 
-    def kept(self) -> dict[str, Any] | None:
-        """The facts of an earlier evaluation with the same settings, None where there are none."""
+    def load_facts(self) -> dict[str, Any] | None:
+        """The facts of an earlier evaluation with the same settings, None without any."""
         try:
             record = json.loads(read_file(self.result, RESULT_LIMIT))
         except (OSError, ValueError):
@@ -76,8 +76,8 @@ def cells(
     ]
 
 
-def perform(cell: Cell, numbers: Detail) -> dict[str, Any]:
-    """Measures one cell and keeps its facts; `numbers` are those behind the detail's name, wherever this runs."""
+def run_cell(cell: Cell, numbers: Detail) -> dict[str, Any]:
+    """Measures one cell and stores its facts; `numbers` is its level of detail, set in this process."""
     DETAILS[cell.detail] = numbers
     facts = measure(cell.scene, cell.method, cell.seed, cell.detail, cell.cuts, cell.clip, cell.out)
     text = json.dumps({"fingerprint": cell.fingerprint, "facts": facts}, indent=1, allow_nan=False)
@@ -86,38 +86,38 @@ def perform(cell: Cell, numbers: Detail) -> dict[str, Any]:
     return facts
 
 
-def perform_all(grid: Sequence[Cell], told: Callable[[Cell, str], None]) -> dict[Cell, str]:
-    """Does what is not done yet, one after the other, each in a process of its own; returns what failed, and why.
+def run_locally(grid: Sequence[Cell], on_change: Callable[[Cell, str], None]) -> dict[Cell, str]:
+    """Runs unfinished cells one after another; returns the error of each that failed.
 
-    A process of its own, because the memory of a method is its process's.
+    Each has a process of its own, so that its peak memory can be measured.
     """
     failed = {}
     for cell in grid:
-        if cell.kept() is not None:
-            told(cell, "kept")
+        if cell.load_facts() is not None:
+            on_change(cell, "kept")
             continue
-        told(cell, "begins")
+        on_change(cell, "begins")
         with safe_imports(), ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
             try:
-                with deaf_children(signal.SIGINT, signal.SIGTERM):
-                    done = pool.submit(perform, cell, DETAILS[cell.detail])
+                with blocked_signals(signal.SIGINT, signal.SIGTERM):
+                    done = pool.submit(run_cell, cell, DETAILS[cell.detail])
                 done.result()
             except InputError as error:
                 failed[cell] = str(error)
             except BrokenProcessPool:
                 failed[cell] = "its process died (out of memory, or killed)"
-            except BaseException:  # the user stops: the cell goes on from its checkpoint another time
+            except BaseException:  # interrupted: the cell resumes from its checkpoint next time
                 for child in multiprocessing.active_children():
                     child.kill()
                 raise
-        told(cell, f"failed: {failed[cell]}" if cell in failed else "done")
+        on_change(cell, f"failed: {failed[cell]}" if cell in failed else "done")
     return failed
 
 
-def perform_on(scheduler: str, grid: Sequence[Cell], told: Callable[[Cell, str], None]) -> dict[Cell, str]:
-    """Does what is not done yet on a running Dask cluster, whose workers share the files; returns what failed, and why.
+def run_on_cluster(scheduler: str, grid: Sequence[Cell], on_change: Callable[[Cell, str], None]) -> dict[Cell, str]:
+    """Runs unfinished cells on a Dask cluster whose workers share the files; returns the error of each that failed.
 
-    Memory is then that of a worker, which does one cell after another. Raises InputError where there is no cluster.
+    Peak memory is then that of a worker over several cells. Raises InputError if there is no cluster.
     """
     named = {cell.name: cell for cell in grid}
     tasks = [
@@ -126,9 +126,9 @@ def perform_on(scheduler: str, grid: Sequence[Cell], told: Callable[[Cell, str],
         for cell in grid
     ]  # fmt: skip
 
-    def say(outcome: Outcome, line: dict[str, Any]) -> None:
+    def report(outcome: Outcome, line: dict[str, Any]) -> None:
         if not line:
-            told(named[outcome.task.name], outcome.status)
+            on_change(named[outcome.task.name], outcome.status)
 
-    outcomes = run_grid(tasks, say, lambda: False, scheduler=scheduler)
+    outcomes = run_grid(tasks, report, lambda: False, scheduler=scheduler)
     return {named[outcome.task.name]: outcome.error for outcome in outcomes if outcome.status == "failed"}

@@ -20,10 +20,10 @@ from scipy import ndimage
 from engine.io.files import atomic
 from engine.io.trained import sidecar_path
 from engine.threads import cores
-from training.contact_sheet import to_image
-from training.evaluate.cuts import Cut, Truth, cuts_of, meeting_points, truth_of
-from training.evaluate.features import Clip, Features, network
-from training.evaluate.methods import METHODS, Made
+from training.evaluate.cuts import Cut, Truth, intersection_points, load_truth, make_cuts
+from training.evaluate.features import Clip, Features, load_network
+from training.evaluate.method import MethodResult
+from training.evaluate.methods import METHODS
 from training.evaluate.metrics import (
     face_psnr,
     face_ssim,
@@ -33,24 +33,25 @@ from training.evaluate.metrics import (
     patch_distance,
     sharpness,
 )
-from training.evaluate.scenes import Subject, subject
+from training.evaluate.scenes import EvaluationScene, load_scene
+from training.images import to_image
 from training.settings import DETAILS, DetailName
 
-__all__ = ["SHOWN", "fingerprint", "measure"]
+__all__ = ["STRIP_CUTS", "fingerprint", "measure"]
 
 Float = NDArray[np.float32]
 
-SHOWN = 6
-"""Cuts in the report's pictures."""
+STRIP_CUTS = 6
+"""Number of cuts in the report's strips."""
 
 FORMAT = 1
 """Of a result; grows with every change of what a figure means."""
 
 
 def fingerprint(scene: str, method: str, seed: int, detail: DetailName, cuts: int, clip: Path | None) -> str:
-    """The same for the same figures; a result that carries another one is made again."""
-    told = [FORMAT, scene, method, seed, asdict(DETAILS[detail]), cuts, str(clip) if clip else None]
-    return hashlib.sha256(json.dumps(told).encode()).hexdigest()[:16]
+    """Equal for equal figures; a result with another fingerprint is computed again."""
+    settings = [FORMAT, scene, method, seed, asdict(DETAILS[detail]), cuts, str(clip) if clip else None]
+    return hashlib.sha256(json.dumps(settings).encode()).hexdigest()[:16]
 
 
 def measure(
@@ -58,66 +59,70 @@ def measure(
 ) -> dict[str, Any]:
     """Figures of a method on a scene as JSON facts; leaves out/results/<scene>/<method>-<seed>.png beside.
 
-    Memory is the whole process's: give each call a process of its own. Raises InputError for what the user can mend.
+    The peak memory is the process's, so each call needs a process of its own. Raises InputError for bad input.
     """
-    about = subject(scene, out / "scenes")
-    chosen = cuts_of(about.solid, about.families, cuts)
-    begun, busy = time.perf_counter(), time.process_time()
-    made = METHODS[method].make(about, about.request(DETAILS[detail], seed), out / "runs" / scene / f"{method}-{seed}")
-    seconds, busy = time.perf_counter() - begun, (time.process_time() - busy) / cores()
-    facts = made.facts | {
+    scene_data = load_scene(scene, out / "scenes")
+    chosen = make_cuts(scene_data.solid, scene_data.families, cuts)
+    start, busy = time.perf_counter(), time.process_time()
+    result = METHODS[method].run(
+        scene_data, scene_data.request(DETAILS[detail], seed), out / "runs" / scene / f"{method}-{seed}"
+    )
+    seconds, busy = time.perf_counter() - start, (time.process_time() - busy) / cores()
+    facts = result.facts | {
         "seconds": round(seconds, 2),
         "busy_seconds": round(busy, 2),
         "peak_mb": round(peak_bytes() / 2**20),
-        "surface_atoms": len(made.atoms.surface),
-        "interior_atoms": len(made.atoms.interior),
-        "file_mb": round(sum(p.stat().st_size for p in (made.path, sidecar_path(made.path))) / 1e6, 2),
+        "surface_atoms": len(result.atoms.surface),
+        "interior_atoms": len(result.atoms.interior),
+        "file_mb": round(sum(p.stat().st_size for p in (result.path, sidecar_path(result.path))) / 1e6, 2),
     }
-    truth = truth_of(about.solid, chosen, out / "truth" / f"{scene}.safetensors")
-    begun = time.perf_counter()
-    pictures = shown(made, chosen, truth)
-    facts["seconds_per_cut"] = round((time.perf_counter() - begun) / len(chosen), 3)
-    facts |= accuracy(pictures, chosen, truth, yardstick(about, chosen, truth, out / "truth" / f"{scene}_another"))
-    facts |= agreement(pictures, chosen, about, truth)
+    truth = load_truth(scene_data.solid, chosen, out / "truth" / f"{scene}.safetensors")
+    start = time.perf_counter()
+    pictures = render_cuts(result, chosen, truth)
+    facts["seconds_per_cut"] = round((time.perf_counter() - start) / len(chosen), 3)
+    facts |= accuracy(
+        pictures, chosen, truth, other_solid_distance(scene_data, chosen, truth, out / "truth" / f"{scene}_another")
+    )
+    facts |= consistency(pictures, chosen, scene_data, truth)
     facts |= distances(pictures, chosen, truth, out / "truth" / f"{scene}_features.safetensors", clip, scene)
-    save_strip(out / "results" / scene / f"{method}-{seed}.png", pictures[:SHOWN])
-    save_strip(out / "results" / scene / "truth.png", truth.pictures[:SHOWN])
+    save_strip(out / "results" / scene / f"{method}-{seed}.png", pictures[:STRIP_CUTS])
+    save_strip(out / "results" / scene / "truth.png", truth.pictures[:STRIP_CUTS])
     return facts
 
 
 def peak_bytes() -> int:
-    """The most memory that this process has held."""
+    """Peak memory of this process in bytes."""
     most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return most if sys.platform == "darwin" else most * 1024
 
 
-def shown(made: Made, cuts: Sequence[Cut], truth: Truth) -> Float:
+def render_cuts(result: MethodResult, cuts: Sequence[Cut], truth: Truth) -> Float:
     """(C, H, W, 3). The faces as the method shows them, white where there is none."""
-    pictures = [made.show(number, cut) for number, cut in enumerate(cuts)]
+    pictures = [result.show(number, cut) for number, cut in enumerate(cuts)]
     return np.where(truth.inside[..., None], np.stack(pictures), np.float32(1))
 
 
-def yardstick(about: Subject, cuts: Sequence[Cut], truth: Truth, path: Path) -> float | None:
+def other_solid_distance(scene_data: EvaluationScene, cuts: Sequence[Cut], truth: Truth, path: Path) -> float | None:
     """Patch distance between the cuts of two true ones of the kind, mean over random cuts."""
-    if about.another is None:
+    if scene_data.another is None:
         return None
-    other = truth_of(about.another, [cut for cut in cuts if not cut.canonical], path.with_suffix(".safetensors"))
+    other = load_truth(scene_data.another, [cut for cut in cuts if not cut.canonical], path.with_suffix(".safetensors"))
     both = zip(other.pictures, other.inside, truth.pictures, truth.inside, strict=False)
     return float(np.mean([patch_distance(a, i, b, j) for a, i, b, j in both]))
 
 
 def accuracy(pictures: Float, cuts: Sequence[Cut], truth: Truth, another: float | None) -> dict[str, Any]:
-    """Means over the random cuts of the figures that compare a face with the true one."""
+    """Mean figures over the random cuts that compare a face with the true one."""
     random = [number for number, cut in enumerate(cuts) if not cut.canonical]
     rows = []
     for number in random:
-        made, true, inside = pictures[number], truth.pictures[number], truth.inside[number]
+        result, true, inside = pictures[number], truth.pictures[number], truth.inside[number]
         rows.append(
             (
-                face_psnr(made, true, inside),
-                face_ssim(made, true, inside),
-                patch_distance(made, inside, true, inside),
-                sharpness(made, inside) / max(sharpness(true, inside), 1e-9),
+                face_psnr(result, true, inside),
+                face_ssim(result, true, inside),
+                patch_distance(result, inside, true, inside),
+                sharpness(result, inside) / max(sharpness(true, inside), 1e-9),
             )
         )
     psnr, ssim, patch, sharp = np.mean(rows, axis=0)
@@ -130,20 +135,24 @@ def accuracy(pictures: Float, cuts: Sequence[Cut], truth: Truth, another: float 
     }
 
 
-def agreement(pictures: Float, cuts: Sequence[Cut], about: Subject, truth: Truth) -> dict[str, Any]:
-    """RMS colour difference of the same points seen by two cuts; the truth's own is what reading pixels costs."""
+def consistency(pictures: Float, cuts: Sequence[Cut], scene_data: EvaluationScene, truth: Truth) -> dict[str, Any]:
+    """RMS colour difference of the same points in two cuts; that of the truth is the error of sampling pixels."""
     result = {}
     for name, of in (("disagreement", pictures), ("disagreement_truth", truth.pictures)):
         squares = [
-            (read(of[a], cuts[a].place(points)) - read(of[b], cuts[b].place(points))) ** 2
-            for a, b, points in meeting_points(about.solid, list(cuts))
+            (
+                sample_bilinear(of[a], cuts[a].pixel_position(points))
+                - sample_bilinear(of[b], cuts[b].pixel_position(points))
+            )
+            ** 2
+            for a, b, points in intersection_points(scene_data.solid, list(cuts))
         ]
         result[name] = round(float(np.sqrt(np.concatenate(squares).mean())), 4) if squares else None
     return result
 
 
-def read(picture: Float, places: NDArray[np.float64]) -> Float:
-    """(M, 3). Colours at columns and rows (M, 2), bilinear."""
+def sample_bilinear(picture: Float, places: NDArray[np.float64]) -> Float:
+    """(M, 3). Bilinear colours at columns and rows (M, 2)."""
     at = places.T[::-1]
     return np.stack([ndimage.map_coordinates(picture[..., c], at, order=1, mode="nearest") for c in range(3)], -1)
 
@@ -157,44 +166,46 @@ def distances(
         "canonical": [number for number, cut in enumerate(cuts) if cut.canonical],
         "random": [number for number, cut in enumerate(cuts) if not cut.canonical],
     }
-    sees = network()
-    if sees is not None:
-        true = truth_features(truth, sees.of, kept)
-        found = sees.of(list(pictures))
+    network_model = load_network()
+    if network_model is not None:
+        true = truth_features(truth, network_model.features, kept)
+        features = network_model.features(list(pictures))
         for name, numbers in sets.items():
-            a, b = found[numbers], true[numbers]
+            a, b = features[numbers], true[numbers]
             facts[f"fid_{name}"] = round(frechet_distance(a, b), 3)
             facts[f"kid_{name}"] = round(kernel_distance(a, b), 5)
             facts[f"cosine_{name}"] = round(mean_cosine(a), 4)
             facts[f"cosine_{name}_truth"] = round(mean_cosine(b), 4)
     if clip is not None:
-        reader = Clip(clip)
-        unit = reader.of(list(pictures))
+        clip_model = Clip(clip)
+        unit = clip_model.features(list(pictures))
         thing = "red velvet cake" if scene == "cake" else scene
-        facts["clip_random"] = round(reader.score(unit[sets["random"]], f"the cross-section of a {thing}"), 2)
+        facts["clip_random"] = round(clip_model.score(unit[sets["random"]], f"the cross-section of a {thing}"), 2)
         facts["clip_cosine_random"] = round(mean_cosine(unit[sets["random"]]), 4)
         kinds = sorted({cuts[number].canonical for number in sets["canonical"]})
         scores = [
-            reader.score(unit[[n for n in sets["canonical"] if cuts[n].canonical == kind]], words(kind, thing))
+            clip_model.score(
+                unit[[n for n in sets["canonical"] if cuts[n].canonical == kind]], clip_prompt(kind, thing)
+            )
             for kind in kinds
         ]
         facts["clip_canonical"] = round(float(np.mean(scores)), 2)
     return facts
 
 
-def words(kind: str, thing: str) -> str:
+def clip_prompt(kind: str, thing: str) -> str:
     """The paper's prompt for a canonical cut."""
     return f"the {'horizontal' if kind == 'horizontal' else 'vertical'} cross-section of a {thing}"
 
 
 def truth_features(truth: Truth, of: Callable[[Sequence[Float]], Features], path: Path) -> Features:
-    """Those of the true pictures, kept for the next method."""
-    if path.is_file() and len(found := load_file(path)["features"]) == len(truth.pictures):
-        return found
-    found = of(list(truth.pictures))
+    """Features of the true pictures, cached for the other methods."""
+    if path.is_file() and len(features := load_file(path)["features"]) == len(truth.pictures):
+        return features
+    features = of(list(truth.pictures))
     with atomic(path) as temporary:
-        save_file({"features": found}, temporary)
-    return found
+        save_file({"features": features}, temporary)
+    return features
 
 
 def save_strip(path: Path, pictures: Float) -> None:

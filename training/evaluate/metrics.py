@@ -1,4 +1,4 @@
-"""How good an inside is, against a true one: on pictures of cut faces, and on features of sets of them."""
+"""Metrics of an interior against the truth, on pictures of cut faces and on features of sets of them."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ PATCH = 7
 DIRECTIONS = 128
 QUANTILES = 256
 PATCHES = 8192
-"""Patches of a face that are compared; a face of 200 x 200 pixels has five times as many, and they overlap."""
+"""Number of patches compared per face; a face of 200 x 200 pixels has five times as many overlapping ones."""
 
 
 def face_psnr(picture: Picture, truth: Picture, inside: Mask) -> float:
@@ -104,7 +104,7 @@ def mean_cosine(features: Features) -> float:
 
 
 def _patches(picture: Picture, inside: Mask) -> Picture:
-    """(N, 147). Patches that lie wholly on the face; where none does, those whose middle lies on it."""
+    """(N, 147). Patches entirely on the face or, if there are none, those centred on it."""
     windows = np.lib.stride_tricks.sliding_window_view(picture, (PATCH, PATCH), axis=(0, 1))
     half = PATCH // 2
     middle = inside[half:-half, half:-half]

@@ -1,7 +1,8 @@
-"""A prior for comparisons, plane by plane: what a picture made of the exemplars' patches most likely was under noise.
+"""A denoising prior from exemplars, for comparisons: the posterior mean over their patches.
 
-Kamb and Ganguli's observation turned round: a denoiser that sees 7x7 pixels and knows only the exemplars is a softmax
-over their patches. Gated by where in the body a pixel lies (DESIGN section 5.1, step 2).
+Kamb and Ganguli (2024) show that a denoiser with a local receptive field is a softmax over training patches. Here the
+field is 7x7 pixels, the patches are those of the exemplars, restricted to similar positions in the body (DESIGN section
+5.1, step 2).
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from scipy import ndimage
 
 from engine.errors import InputError
 from training.families import Family
-from training.priors.exemplar.frames import HEIGHT_CELLS, RADIUS_CELLS, Frame, depth_gate, scaled_sheet
+from training.priors.exemplar.frames import HEIGHT_CELLS, RADIUS_CELLS, Frame, depth_gate, scale_picture
 from training.priors.exemplar.patches import FIXED, OVER, PATCH, POLAR, RADIAL, posterior, read_patches
 from training.priors.exemplar.pictures import Picture, read_picture
 from training.priors.prior import Condition
@@ -22,20 +23,20 @@ from training.priors.prior import Condition
 __all__ = ["PatchDenoiser"]
 
 COEFFICIENTS = 24
-"""PCA coefficients that are compared; over 95 % of the variance of photographs' patches."""
+"""PCA coefficients compared: over 95 % of the variance of patches of photographs."""
 
-MOST = 800
-"""Candidates of a gate cell: over this they are thinned evenly."""
+MAX_CANDIDATES = 800
+"""Largest number of candidates of a gate cell; more are thinned evenly."""
 
-FEWEST = 100
-"""Candidates under which the nearest others in gate coordinates are taken in."""
+MIN_CANDIDATES = 100
+"""Smallest number of candidates; fewer are replaced by the nearest in gate coordinates."""
 
-SHARPEST = 0.04
-"""Least noise assumed, in colour units: the exemplars are samples of the fruit and not all of it."""
+MIN_SIGMA = 0.04
+"""Smallest assumed noise in colour units, as the exemplars are only samples of the fruit."""
 
 
 class PatchDenoiser:
-    """Knows the pictures of a family by their patches."""
+    """A denoiser over the patches of each family's exemplars."""
 
     def __init__(self) -> None:
         self._patches: dict[tuple[Family, int], Patches] = {}
@@ -47,15 +48,15 @@ class PatchDenoiser:
         condition: Condition,
         rng: np.random.Generator,
     ) -> NDArray[np.float32]:
-        """(H, W, 3). The noise in `noisy` in units of one: what its posterior mean over the exemplar patches leaves.
+        """(H, W, 3). The noise in `noisy`, of unit variance, relative to the posterior mean over the exemplar patches.
 
-        Draws nothing from `rng`. Raises InputError where the family has no picture, or one shows no cut face.
+        Does not use `rng`. Raises InputError if the family has no picture, or one shows no cut face.
         """
         family = condition.family
         if not family.exemplars:
             raise InputError(f"family '{family.kind}': no exemplar pictures; give it a photograph of a cut face")
         radius = pixels_per_radius(condition)
-        # Pictures of one size share their patches: two per cent of scale is less than a photograph is sure of.
+        # Scales within two per cent share their patches: photographs are no more precise.
         step = round(np.log(radius) / 0.02)
         key = (family, step)
         if key not in self._patches:
@@ -93,19 +94,19 @@ def pixels_per_radius(condition: Condition) -> float:
 
 def prepare(pictures: list[Picture], kind: Frame, radius: float, inradius: float) -> Patches:
     """Patches of pictures whose cut face is `radius` pixels in half width; inradius of the body in pixels."""
-    sheets = []
+    scaled_pictures = []
     for picture in pictures:
         rows, columns = np.nonzero(picture.mask)
         half = np.sqrt(len(rows) / np.pi) if kind == POLAR else np.ptp(columns) / 2
-        sheets.append(scaled_sheet(picture, inradius, kind, radius / max(half, 1.0)))
+        scaled_pictures.append(scale_picture(picture, inradius, kind, radius / max(half, 1.0)))
     patches, colours = [], []
-    for sheet in sheets:
-        out = np.empty((len(sheet.xy), PATCH), np.float32)
+    for scaled in scaled_pictures:
+        out = np.empty((len(scaled.xy), PATCH), np.float32)
         # One pixel of the sheet is a fraction of a pixel of the label; a patch's steps are the label's.
-        read_patches(sheet.rgb, sheet.xy * np.float32(OVER), sheet.ab * np.float32(OVER), out)
+        read_patches(scaled.rgb, scaled.xy * np.float32(OVER), scaled.ab * np.float32(OVER), out)
         patches.append(out)
-        column, row = (sheet.xy * OVER + 0.5).astype(int).T
-        colours.append(sheet.rgb[row, column])
+        column, row = (scaled.xy * OVER + 0.5).astype(int).T
+        colours.append(scaled.rgb[row, column])
     joined = np.concatenate(patches)
     mean = joined.mean(0, dtype=np.float64).astype(np.float32)
     centred = joined - mean
@@ -117,7 +118,7 @@ def prepare(pictures: list[Picture], kind: Frame, radius: float, inradius: float
         np.ascontiguousarray(axes),
         np.ascontiguousarray(centred @ axes),
         np.concatenate(colours),
-        np.concatenate([s.gate for s in sheets]),
+        np.concatenate([s.gate for s in scaled_pictures]),
     )
 
 
@@ -134,7 +135,7 @@ def denoised(noisy: NDArray[np.float32], sigma: float, condition: Condition, pat
     cells, lists = np.unique(np.floor(gate).astype(np.int64), axis=0, return_inverse=True)
     near = [_candidates(patches.gate, cell + 0.5) for cell in cells]
     starts = np.cumsum([0, *[len(n) for n in near]]).astype(np.int64)
-    found = np.empty((len(rows), 3), np.float32)
+    means = np.empty((len(rows), 3), np.float32)
     posterior(
         np.ascontiguousarray((queries - patches.mean) @ patches.axes),
         lists.ravel().astype(np.int64),
@@ -142,21 +143,21 @@ def denoised(noisy: NDArray[np.float32], sigma: float, condition: Condition, pat
         np.concatenate(near).astype(np.int32),
         patches.features,
         patches.colours,
-        max(sigma, SHARPEST),
-        found,
+        max(sigma, MIN_SIGMA),
+        means,
     )
-    out[rows, columns] = found
+    out[rows, columns] = means
     return out
 
 
 def _candidates(gates: NDArray[np.float32], at: NDArray[np.floating]) -> NDArray[np.intp]:
-    """Patches in a gate cell and its neighbours, thinned to `MOST`; the nearest `FEWEST` where there are too few."""
+    """Patches in a gate cell and its neighbours, thinned to MAX_CANDIDATES, or else the nearest MIN_CANDIDATES."""
     near = np.flatnonzero((np.abs(gates - at) <= 1.5).all(1))
-    if len(near) < FEWEST:
+    if len(near) < MIN_CANDIDATES:
         gaps = ((gates - at) ** 2).sum(1)
-        count = min(FEWEST, len(gates))
+        count = min(MIN_CANDIDATES, len(gates))
         return np.sort(np.argpartition(gaps, count - 1)[:count])
-    return near[np.linspace(0, len(near) - 1, min(MOST, len(near))).astype(int)]
+    return near[np.linspace(0, len(near) - 1, min(MAX_CANDIDATES, len(near))).astype(int)]
 
 
 def _gate(condition: Condition, kind: Frame) -> NDArray[np.float32]:

@@ -49,7 +49,7 @@ QUALITY = 86
 
 def write_report(grid: Sequence[Cell], failed: dict[Cell, str], out: Path) -> Path:
     """Writes both into `out` from the results that are kept; returns the page. Raises InputError where none is."""
-    found = {cell: facts for cell in grid if (facts := cell.kept()) is not None}
+    found = {cell: facts for cell in grid if (facts := cell.load_facts()) is not None}
     if not found:
         reasons = "; ".join(f"{cell.name}: {why}" for cell, why in failed.items())
         raise InputError(f"nothing was measured ({reasons or 'no result is kept'})")

@@ -1,4 +1,4 @@
-"""Scenes with a known inside: a shell as it would be captured, pictures of a few cut faces, and the truth at every cut.
+"""Scenes with a known inside: a captured shell, pictures of a few cut faces, and the truth at every cut.
 
 The sample solids, and one that nature made: `thigh`, true-colour slices of a human thigh (Visible Human Male), where
 the file with them is at hand.
@@ -29,7 +29,7 @@ from training.priors.prior import Volume
 from training.request import Request
 from training.settings import DETAILS, Detail
 
-__all__ = ["SCENES", "Subject", "Tuned", "subject", "thigh"]
+__all__ = ["SCENES", "CustomRequest", "EvaluationScene", "load_scene", "thigh"]
 
 THIGH = "thigh"
 SCENES = (*SOLIDS, THIGH)
@@ -39,45 +39,45 @@ THIGH_AT = Path(__file__).parents[3] / "shared/data/volumes/vhm_thigh_rgba.npz"
 
 THIGH_LOOK = Look(20000, 0, 0.0)
 THIGH_SLICES = (-0.6, 0.0, 0.6)
-"""Where the exemplars lie, as shares of the half height."""
+"""Heights of the exemplars as shares of the half height."""
 
 PICTURE = 512
-"""Pixels of an exemplar."""
+"""Pixels along a side of an exemplar."""
 
 
 @dataclass(frozen=True)
-class Tuned(Request):
-    """A request with numbers of its own in place of a detail's name."""
+class CustomRequest(Request):
+    """A request with a custom level of detail."""
 
     numbers: Detail = DETAILS["draft"]
 
     @property
     def fineness(self) -> Detail:
-        """The numbers."""
+        """The custom level of detail."""
         return self.numbers
 
 
 @dataclass(frozen=True)
-class Subject:
-    """A scene to be measured."""
+class EvaluationScene:
+    """A scene that methods are evaluated on."""
 
     name: str
     solid: Solid
     """The truth."""
     another: Solid | None
-    """Another true one of the kind, the yardstick for what a different but right inside differs by."""
+    """Another solid of the same kind; its distance to the truth is that of a different but correct inside."""
     scene: Path
     families: tuple[Family, ...]
 
-    def request(self, numbers: Detail, seed: int) -> Tuned:
-        """What a run is asked for."""
-        return Tuned(self.scene, self.families, up=self.solid.up, seed=seed, numbers=numbers)
+    def request(self, numbers: Detail, seed: int) -> CustomRequest:
+        """The request for a run on this scene."""
+        return CustomRequest(self.scene, self.families, up=self.solid.up, seed=seed, numbers=numbers)
 
 
-def subject(name: str, folder: Path) -> Subject:
-    """The scene of this name; its files are made in folder/name where they do not come with the project.
+def load_scene(name: str, folder: Path) -> EvaluationScene:
+    """The scene of this name; its files are made in folder/name unless they come with the project.
 
-    Raises InputError where there is no such scene, or its data is not at hand.
+    Raises InputError if there is no such scene or its data is missing.
     """
     if name == THIGH:
         return _thigh_subject(folder)
@@ -93,7 +93,7 @@ def subject(name: str, folder: Path) -> Subject:
         Family(kind, COUNTS[kind], (path,), axis=_axis(solid) if kind == "parallel" else None)
         for kind, path in pictures.items()
     )
-    return Subject(name, solid, SOLIDS[name](1), scene, families)
+    return EvaluationScene(name, solid, SOLIDS[name](1), scene, families)
 
 
 def _axis(solid: Solid) -> tuple[float, float, float]:
@@ -102,7 +102,7 @@ def _axis(solid: Solid) -> tuple[float, float, float]:
     return (1.0, 0.0, 0.0) if high[0] - low[0] >= high[1] - low[1] else (0.0, 1.0, 0.0)
 
 
-def _thigh_subject(folder: Path) -> Subject:
+def _thigh_subject(folder: Path) -> EvaluationScene:
     solid = thigh(THIGH_AT)
     scene = folder / THIGH / f"{THIGH}.ply"
     pictures = tuple(folder / THIGH / f"horizontal_{number}.png" for number in range(1, len(THIGH_SLICES) + 1))
@@ -115,11 +115,11 @@ def _thigh_subject(folder: Path) -> Subject:
                 image.save(temporary, optimize=True)
     if not scene.is_file():
         write_ply(scene, shell(solid, THIGH_LOOK, np.random.default_rng(100)), comments=("thigh, up +z",))
-    return Subject(THIGH, solid, None, scene, (Family("horizontal", COUNTS["horizontal"], pictures),))
+    return EvaluationScene(THIGH, solid, None, scene, (Family("horizontal", COUNTS["horizontal"], pictures),))
 
 
 def thigh(path: Path) -> Solid:
-    """The thigh as a solid, its longest side 2 units. Raises InputError where the file is not there."""
+    """The thigh as a solid, its longest side 2 units. Raises InputError if the file is missing."""
     if not path.is_file():
         raise InputError(f"{path}: not there; leave the scene '{THIGH}' out, or put the file there")
     with np.load(path, allow_pickle=False) as data:
@@ -149,12 +149,12 @@ def thigh(path: Path) -> Solid:
     volume = Volume(body, np.ascontiguousarray(colour))
 
     def skin_depth(points: NDArray[np.float64]) -> NDArray[np.float32]:
-        # Off the grid the depth goes on falling, so that a search for the skin knows where to turn.
+        # Beyond the grid the depth keeps falling, so that the search for the skin converges.
         return body.at(points) - np.maximum(np.abs(points).max(-1) - 1.1, 0).astype(np.float32)
 
     return Solid.of(THIGH, ("horizontal",), skin_depth, volume.at)
 
 
 def _cubes(values: NDArray[np.float32], zoom: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Resampled so that cells are cubes."""
+    """A volume resampled to cubic cells."""
     return ndimage.zoom(values, zoom, order=1, output=np.float32)

@@ -1,4 +1,4 @@
-"""The figures of a grid as tables: which columns, in which direction they are better, and who is best."""
+"""Tables of the figures of a grid: columns, the direction in which each is better, and the best values."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Column:
     key: str
     title: str
     better: Literal["high", "low", "one", ""]
-    """`one`: the nearer to 1; empty: neither."""
+    """`one`: closer to 1 is better; empty: no ranking."""
     digits: int
     times: float = 1.0
     what: str = ""
@@ -34,8 +34,8 @@ class Column:
         """For the head of the table."""
         return {"high": " ↑", "low": " ↓", "one": " → 1", "": ""}[self.better]
 
-    def gap(self, value: float) -> float:
-        """How far from the best a figure could be; the least is best."""
+    def distance_from_best(self, value: float) -> float:
+        """Distance of a value from the best possible one, up to a constant; the smallest is best."""
         return {"high": -value, "low": value, "one": abs(value - 1), "": 0.0}[self.better]
 
 
@@ -81,7 +81,7 @@ ABLATIONS: dict[str, tuple[str, ...]] = {
 
 @dataclass(frozen=True)
 class Row:
-    """A method's figures, formatted, and which of them are the best."""
+    """A method's formatted figures, and which of them are the best."""
 
     method: str
     title: str
@@ -91,7 +91,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Table:
-    """Figures of several methods, means over the same scenes."""
+    """Figures of several methods, averaged over the same scenes."""
 
     columns: list[Column]
     rows: list[Row]
@@ -99,27 +99,31 @@ class Table:
 
 
 def table(facts: Facts, methods: Sequence[str], keys: Sequence[str], scenes: Sequence[str]) -> Table:
-    """Means over those of the scenes that every method here has; columns that nobody has are left out."""
-    here = [m for m in methods if any(scene in facts.get(m, {}) for scene in scenes)]
-    common = [scene for scene in scenes if all(scene in facts[m] for m in here)]
-    values = {m: [mean([facts[m][s].get(key) for s in common]) for key in keys] for m in here}
-    used = [i for i in range(len(keys)) if any(values[m][i] is not None for m in here)]
-    kept = [COLUMNS[keys[i]] for i in used]
-    rivals = [m for m in here if METHODS[m].rival]
+    """Means over the scenes that all methods have; columns without values are omitted."""
+    present = [m for m in methods if any(scene in facts.get(m, {}) for scene in scenes)]
+    common = [scene for scene in scenes if all(scene in facts[m] for m in present)]
+    values = {m: [mean([facts[m][s].get(key) for s in common]) for key in keys] for m in present}
+    used = [i for i in range(len(keys)) if any(values[m][i] is not None for m in present)]
+    used_columns = [COLUMNS[keys[i]] for i in used]
+    rivals = [m for m in present if METHODS[m].competes]
     rows = []
-    for m in here:
-        shown, best = [], []
-        for column, i in zip(kept, used, strict=True):
+    for m in present:
+        texts, best = [], []
+        for column, i in zip(used_columns, used, strict=True):
             value = values[m][i]
-            shown.append("-" if value is None else f"{value * column.times:,.{column.digits}f}")
-            gaps = [column.gap(v) for r in rivals if (v := values[r][i]) is not None]
-            ranked = column.better != "" and m in rivals and value is not None and len(gaps) > 1
-            best.append(bool(ranked and column.gap(value if value is not None else 0.0) <= min(gaps) + 1e-12))
-        rows.append(Row(m, METHODS[m].title, shown, best))
-    return Table(kept, rows, common)
+            texts.append("-" if value is None else f"{value * column.times:,.{column.digits}f}")
+            distances = [column.distance_from_best(v) for r in rivals if (v := values[r][i]) is not None]
+            ranked = column.better != "" and m in rivals and value is not None and len(distances) > 1
+            best.append(
+                bool(
+                    ranked and column.distance_from_best(value if value is not None else 0.0) <= min(distances) + 1e-12
+                )
+            )
+        rows.append(Row(m, METHODS[m].title, texts, best))
+    return Table(used_columns, rows, common)
 
 
 def mean(values: Sequence[float | None]) -> float | None:
-    """Of those that are there; None where one is missing."""
+    """The mean, None if any value is missing."""
     known = [value for value in values if value is not None]
     return float(np.mean(known)) if known and len(known) == len(values) else None

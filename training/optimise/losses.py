@@ -1,4 +1,4 @@
-"""How far a picture is from its label (paper, section 3.2, reconstruction loss), with its gradient in closed form."""
+"""The reconstruction loss of a picture against its label (paper, section 3.2), with a closed-form gradient."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from engine.threads import for_each
 __all__ = ["psnr", "reconstruction", "ssim"]
 
 # Wang et al. 2004: an 11-pixel Gaussian window of sigma 1.5, K1 = 0.01, K2 = 0.03, for a range of one. The border is
-# left out, as the metric's authors have it.
+# left out, as in the authors' reference implementation.
 WINDOW = 11
 SIGMA = 1.5
 C1 = np.float32(0.01**2)
@@ -34,8 +34,7 @@ def reconstruction(
 ) -> Tensor:
     """alpha MSE + (1 - alpha) (1 - SSIM), the paper's L_recon; differentiable in the render.
 
-    Pictures have at least 11 x 11 pixels. Colours that are the same on whole rows and columns around the object (the
-    background) are part of both means.
+    Pictures have at least 11 x 11 pixels. Both means include the background.
     """
     assert render.shape == label.shape and render.ndim == 3, (render.shape, label.shape)
     assert min(render.shape[:2]) >= WINDOW, render.shape
@@ -49,7 +48,7 @@ def ssim(
     """Mean structural similarity of two pictures of at least 11 x 11 pixels, range [-1, 1]."""
     assert a.shape == b.shape and a.ndim == 3, (a.shape, b.shape)
     assert min(a.shape[:2]) >= WINDOW, a.shape
-    sums, _ = _likeness(a.astype(np.float32), b.astype(np.float32))
+    sums, _ = _ssim_and_gradient(a.astype(np.float32), b.astype(np.float32))
     return sums / (3 * (a.shape[0] - WINDOW + 1) * (a.shape[1] - WINDOW + 1))
 
 
@@ -61,13 +60,13 @@ def psnr(a: NDArray[np.floating], b: NDArray[np.floating]) -> float:
 
 
 class _Reconstruction(torch.autograd.Function):
-    """The loss; its gradient is made along with it, which is cheaper than to keep what it is made from."""
+    """The loss; computes its gradient in the forward pass, which is cheaper than saving the intermediates."""
 
     @staticmethod
     def forward(context: Any, render: Tensor, label: Tensor, alpha: float) -> Tensor:
         x, y = render.detach().float().numpy(), label.detach().float().numpy()
         difference = x - y
-        sums, gradient = _likeness(x, y)
+        sums, gradient = _ssim_and_gradient(x, y)
         valid = 3 * (x.shape[0] - WINDOW + 1) * (x.shape[1] - WINDOW + 1)
         context.gradient = torch.from_numpy((2 * alpha / x.size) * difference - ((1 - alpha) / valid) * gradient)
         mse = float(np.mean(difference * difference, dtype=np.float64))
@@ -78,8 +77,8 @@ class _Reconstruction(torch.autograd.Function):
         return gradients[0] * context.gradient, None, None
 
 
-def _likeness(x: Float, y: Float) -> tuple[float, Float]:
-    """Sum of the SSIM map of (H, W, 3) pictures, and its gradient (H, W, 3) in x; one channel a task."""
+def _ssim_and_gradient(x: Float, y: Float) -> tuple[float, Float]:
+    """Sum of the SSIM map of (H, W, 3) pictures, and its gradient (H, W, 3) in x; one channel per task."""
     planes = np.ascontiguousarray(np.moveaxis(np.stack([x, y]), -1, 0))
     sums = np.zeros(3)
     gradient = np.empty((3, *x.shape[:2]), np.float32)
@@ -92,7 +91,7 @@ def _channel(c, planes, taps, sums, gradient):  # type: ignore[no-untyped-def]
     """SSIM of one channel and its gradient.
 
     With S = A1 A2 / (B1 B2) over the window's moments m_x, m_y, E[xx], E[yy], E[xy]:
-    dS/dE[xy] = 2 A1 / (B1 B2), dS/dE[xx] = -S / B2, and by m_x what remains; each goes back through the window.
+    dS/dE[xy] = 2 A1 / (B1 B2), dS/dE[xx] = -S / B2, and dS/dm_x the rest; each is spread back through the window.
     """
     x, y = planes[c, 0], planes[c, 1]
     mx, my = _blur(x, taps), _blur(y, taps)
@@ -113,7 +112,11 @@ def _channel(c, planes, taps, sums, gradient):  # type: ignore[no-untyped-def]
             exx[i, j] = -s / b2
             exy[i, j] = two * a1 / (b1 * b2)
     sums[c] = total
-    through_mean, through_xx, through_xy = _spread(mx, taps), _spread(exx, taps), _spread(exy, taps)
+    through_mean, through_xx, through_xy = (
+        _blur_transposed(mx, taps),
+        _blur_transposed(exx, taps),
+        _blur_transposed(exy, taps),
+    )
     for i in range(x.shape[0]):
         for j in range(x.shape[1]):
             gradient[c, i, j] = through_mean[i, j] + two * x[i, j] * through_xx[i, j] + y[i, j] * through_xy[i, j]
@@ -121,7 +124,7 @@ def _channel(c, planes, taps, sums, gradient):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _blur(picture, taps):  # type: ignore[no-untyped-def]
-    """The valid part of the picture under the window; rows of whole lines, so that the inner loop is a plain sum."""
+    """Valid part of the separable convolution with the window; the innermost loop runs along rows."""
     k = len(taps)
     h, w = picture.shape
     down = np.zeros((h - k + 1, w), np.float32)
@@ -138,8 +141,8 @@ def _blur(picture, taps):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _spread(values, taps):  # type: ignore[no-untyped-def]
-    """The transpose of `_blur`: each value goes back to the pixels under its window."""
+def _blur_transposed(values, taps):  # type: ignore[no-untyped-def]
+    """The transpose of `_blur`: spreads each value over the pixels under its window."""
     k = len(taps)
     rows, columns = values.shape
     across = np.zeros((rows, columns + k - 1), np.float32)

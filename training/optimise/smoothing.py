@@ -1,4 +1,4 @@
-"""Colours for the atoms that no training view shows (paper, section 3.3, voxel smoothing)."""
+"""Colours for the atoms that no training view shows: the paper's voxel smoothing (section 3.3)."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ __all__ = ["smooth"]
 
 Float = NDArray[np.float32]
 
-# Trained neighbours that are averaged. The paper averages a voxel's; the nearest few are the same thing without
-# voxel borders, across which neighbours would not see each other.
+# Trained neighbours that are averaged. The paper averages those in a voxel; the nearest few avoid the borders of
+# voxels, across which neighbours would have no effect.
 NEIGHBOURS = 8
 
 
@@ -21,10 +21,10 @@ def smooth(
     current: Float,  # [I, 3]
     trained: NDArray[np.bool_],  # [I]
 ) -> Float:
-    """(I, 3). Trained atoms as they are; each other takes its neighbours' change, weighted by inverse distance.
+    """(I, 3). Trained atoms unchanged; every other one takes its neighbours' change, weighted by inverse distance.
 
     C = C0 + sum w_i (C_i - C0_i) / sum w_i. From a uniform start C0 this is the paper's weighted mean of the trained
-    colours; from a start that varies, the detail of the start stays.
+    colours; a start that varies keeps its detail.
     """
     if trained.all() or not trained.any():
         return current

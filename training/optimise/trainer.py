@@ -22,36 +22,36 @@ from training.views import BACKGROUND, Section
 
 __all__ = ["Losses", "Trainer"]
 
-# The paper's alpha for each kind of view, from DESIGN section 4.6: labels are trusted for structure, the surface is
-# trusted to the pixel.
+# The paper's alpha for each kind of view (DESIGN section 4.6): labels are trusted for structure, surface views to the
+# pixel.
 SECTION_ALPHA = 0.3
 SURFACE_ALPHA = 0.6
 
-# Views in one iteration. The paper takes all sections and 10-20 surface views; a third of the sections, in turns,
-# reaches the same loss in a third of the time.
-SECTIONS_PER_ITERATION = 24
-SURFACES_PER_ITERATION = 10
+# Views per step. The paper takes all sections and 10-20 surface views; a third of the sections, in turns, reaches the
+# same loss in a third of the time.
+SECTIONS_PER_STEP = 24
+SURFACE_VIEWS_PER_STEP = 10
 
-# Adam's steps in colour units. The surface starts from the fitted input and must not drift, so it moves less, and its
-# view-dependent bands less again (3DGS: a twentieth).
+# Learning rates in colour units. The surface starts from the fitted capture and must not drift, so its rate is lower,
+# and that of its view-dependent bands lower again (3DGS: a twentieth).
 INTERIOR_RATE = 0.005
 SURFACE_RATE = 0.001
 BANDS_RATE = SURFACE_RATE / 20
 
-# Every step of Adam is as long as its rate, however small the residual: rates are halved in this many turns of all
-# sections, or the colours would end as noise of that size. A refinement round starts afresh.
-HALVED_IN_TURNS = 3
+# Half-life of the learning rates in epochs (every section once). Adam's steps are as long as the rate however small the
+# residual, so colours would end as noise of that size at a constant rate. A refinement round starts afresh.
+HALF_LIFE_EPOCHS = 3
 
 # The paper smooths every 30 to 40 iterations.
 SMOOTH_EVERY = 30
 
-# Surface colours stay within this, or within what the capture has: far beyond black and white, so it binds only where
-# steps are much too long, and keeps those finite.
-MOST_SH = 10.0
+# Bound on SH coefficients unless the capture exceeds it: far beyond black and white, so that it only keeps divergent
+# steps finite.
+MAX_SH = 10.0
 
 # Adam's moments, Kingma and Ba 2015.
 BETAS = (0.9, 0.99)
-TINY = 1e-8
+EPSILON = 1e-8
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class Losses:
 
 
 class Trainer:
-    """Colours on their way from the start to the labels."""
+    """Optimises interior and surface colours towards the labels and the capture."""
 
     def __init__(
         self,
@@ -82,34 +82,34 @@ class Trainer:
         self.initial = atoms.interior.rgb
         self.rgb = torch.from_numpy(atoms.interior.rgb.copy())
         self.sh = torch.from_numpy(atoms.surface.sh.copy())
-        self.most_sh = max(MOST_SH, float(np.abs(atoms.surface.sh).max(initial=0)))
+        self.max_sh = max(MAX_SH, float(np.abs(atoms.surface.sh).max(initial=0)))
         self.moments = {name: torch.zeros_like(tensor) for name, tensor in (("rgb1", self.rgb), ("rgb2", self.rgb))} | {
             name: torch.zeros_like(tensor) for name, tensor in (("sh1", self.sh), ("sh2", self.sh))
         }
-        # An atom is trained where some cut face shows it.
+        # An interior atom is trained if some section shows it.
         self.trained: NDArray[np.bool_] = np.zeros(len(atoms.interior), bool)
         for view in sections:
             columns = view.weights.used - len(atoms.surface)
             self.trained[columns[(columns >= 0) & (columns < len(self.trained))]] = True
 
     @property
-    def turns(self) -> int:
-        """Iterations in which every section has its turn once."""
-        return max(1, -(-len(self.sections) // SECTIONS_PER_ITERATION))
+    def steps_per_epoch(self) -> int:
+        """Steps of an epoch, in which every section is used once."""
+        return max(1, -(-len(self.sections) // SECTIONS_PER_STEP))
 
     def state(self) -> dict[str, NDArray[np.float32]]:
-        """All that changes while training, for a checkpoint."""
+        """All state that changes while training, for a checkpoint."""
         return {"rgb": self.rgb.numpy(), "sh": self.sh.numpy()} | {k: v.numpy() for k, v in self.moments.items()}
 
     def restore(self, state: dict[str, NDArray[np.float32]], iteration: int, round_start: int) -> None:
-        """Goes back to a checkpoint's state."""
+        """Restores the state of a checkpoint."""
         self.rgb = torch.from_numpy(state["rgb"].copy())
         self.sh = torch.from_numpy(state["sh"].copy())
         self.moments = {name: torch.from_numpy(state[name].copy()) for name in self.moments}
         self.iteration, self.round_start = iteration, round_start
 
     def result(self) -> Atoms:
-        """The atoms with the colours they have now."""
+        """The atoms with their current colours."""
         s, i = self.atoms.surface, self.atoms.interior
         return Atoms(
             SurfaceAtoms(s.means, s.scales, s.quats, self.sh.numpy().copy()),
@@ -118,63 +118,65 @@ class Trainer:
         )
 
     def step(self, labels: Sequence[Tensor]) -> Losses:
-        """One iteration: a turn of the sections against their labels (H, W, 3), some surface views, one Adam step."""
+        """One Adam step on a share of the sections, against their labels (H, W, 3), and some surface views."""
         rng = np.random.default_rng([self.seed, self.iteration])
-        order = np.random.default_rng([self.seed, 1, self.iteration // self.turns]).permutation(len(self.sections))
-        turn = self.iteration % self.turns
-        chosen = order[turn * SECTIONS_PER_ITERATION : (turn + 1) * SECTIONS_PER_ITERATION]
-        views = rng.choice(len(self.surfaces), min(SURFACES_PER_ITERATION, len(self.surfaces)), replace=False)
+        order = np.random.default_rng([self.seed, 1, self.iteration // self.steps_per_epoch]).permutation(
+            len(self.sections)
+        )
+        position = self.iteration % self.steps_per_epoch
+        chosen = order[position * SECTIONS_PER_STEP : (position + 1) * SECTIONS_PER_STEP]
+        views = rng.choice(len(self.surfaces), min(SURFACE_VIEWS_PER_STEP, len(self.surfaces)), replace=False)
 
         rgb = self.rgb.requires_grad_()
         sh = self.sh.requires_grad_()
-        # Each kind of view is a mean, so that neither outweighs the other by its number.
+        # Each kind of view contributes its mean, so that neither dominates by number.
         section_loss = torch.zeros(())
         for index in chosen.tolist():
-            # Sections teach the inside alone: what labels make of the rim would cost the skin 0.7 dB from outside.
-            shown = self.sections[index].weights.picture(sh.detach(), rgb, BACKGROUND)
-            section_loss = section_loss + reconstruction(shown, labels[index], SECTION_ALPHA)
+            # Sections train the interior only: their rims would cost the skin 0.7 dB from outside.
+            render = self.sections[index].weights.picture(sh.detach(), rgb, BACKGROUND)
+            section_loss = section_loss + reconstruction(render, labels[index], SECTION_ALPHA)
         section_loss = section_loss / max(len(chosen), 1)
         surface_loss = torch.zeros(())
         for index in views.tolist():
             view = self.surfaces[index]
             target = torch.from_numpy(view.target)
-            # Where the input lets its background through it is no evidence of what an opaque atom should show.
-            seen = torch.from_numpy(view.opaque)[..., None]
-            shown = torch.where(seen, view.weights.picture(sh, rgb, BACKGROUND), target)
-            surface_loss = surface_loss + reconstruction(shown, target, SURFACE_ALPHA)
+            # Translucent pixels of the capture do not constrain the colours of opaque atoms.
+            opaque = torch.from_numpy(view.opaque)[..., None]
+            render = torch.where(opaque, view.weights.picture(sh, rgb, BACKGROUND), target)
+            surface_loss = surface_loss + reconstruction(render, target, SURFACE_ALPHA)
         surface_loss = surface_loss / max(len(views), 1)
         (section_loss + surface_loss).backward()
 
         rgb_gradient, sh_gradient = rgb.grad, sh.grad
         assert rgb_gradient is not None
-        if sh_gradient is None:  # no surface views, nothing to learn of the skin
+        if sh_gradient is None:  # no surface views
             sh_gradient = torch.zeros_like(sh)
         self.rgb, self.sh = rgb.detach(), sh.detach()
         self.rgb.grad = self.sh.grad = None
         self.iteration += 1
-        pace = 0.5 ** ((self.iteration - self.round_start) / (HALVED_IN_TURNS * self.turns))
-        self.rgb += self._adam("rgb", rgb_gradient) * (-INTERIOR_RATE * pace)
+        decay = 0.5 ** ((self.iteration - self.round_start) / (HALF_LIFE_EPOCHS * self.steps_per_epoch))
+        self.rgb += self._adam("rgb", rgb_gradient) * (-INTERIOR_RATE * decay)
         self.rgb.clamp_(0, 1)
         rates = torch.full((self.sh.shape[1], 1), -BANDS_RATE)
         rates[0] = -SURFACE_RATE / C0
-        self.sh += self._adam("sh", sh_gradient) * (rates * pace)
-        self.sh.clamp_(-self.most_sh, self.most_sh)
+        self.sh += self._adam("sh", sh_gradient) * (rates * decay)
+        self.sh.clamp_(-self.max_sh, self.max_sh)
         if self.iteration % SMOOTH_EVERY == 0:
             self.smooth()
         return Losses(section_loss.item(), surface_loss.item())
 
     def smooth(self) -> None:
-        """Voxel smoothing of the atoms that no section shows; trained ones stay as they are."""
+        """Voxel smoothing of the atoms that no section shows; trained ones are unchanged."""
         smoothed = smooth(self.atoms.interior.means, self.initial, self.rgb.numpy(), self.trained)
         self.rgb = torch.from_numpy(np.clip(smoothed, 0, 1))
 
     def render(self, section: Section) -> NDArray[np.float32]:
-        """(H, W, 3). A cut face as the atoms show it now, over white."""
+        """(H, W, 3). The current render of a section, over white."""
         with torch.no_grad():
             return section.weights.picture(self.sh, self.rgb, BACKGROUND).numpy()
 
     def section_losses(self, labels: Sequence[Tensor]) -> NDArray[np.float64]:
-        """(V,). Reconstruction loss of every section; the paper refines until all are under a threshold."""
+        """(V,). Reconstruction loss of every section; the paper refines until all are below a threshold."""
         with torch.no_grad():
             return np.array(
                 [
@@ -189,4 +191,4 @@ class Trainer:
         first.lerp_(gradient, 1 - BETAS[0])
         second.lerp_(gradient * gradient, 1 - BETAS[1])
         corrected = second / (1 - BETAS[1] ** self.iteration)
-        return first / (1 - BETAS[0] ** self.iteration) / (corrected.sqrt() + TINY)
+        return first / (1 - BETAS[0] ** self.iteration) / (corrected.sqrt() + EPSILON)

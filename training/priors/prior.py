@@ -1,4 +1,4 @@
-"""What a prior is asked, and what it answers: the one door for all of them (paper, section 3.2)."""
+"""The interfaces of priors, which draw the labels of cut faces (paper, section 3.2)."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from scipy import ndimage
 from engine.scene.grid import Body
 from training.families import Family
 
-__all__ = ["Condition", "Denoises", "Encodes", "Progress", "Solves", "Volume"]
+__all__ = ["Condition", "Denoiser", "LatentDenoiser", "Progress", "Volume", "VolumeSolver"]
 
 Progress = Callable[[float], None]
-"""Called now and then with the part done, range [0, 1]. May raise to stop the work."""
+"""Called repeatedly with the completed part, range [0, 1]. May raise to stop the work."""
 
 
 @dataclass(frozen=True)
 class Condition:
-    """What a prior is told about the cut face whose noise it is to predict; pictures are (H, W)."""
+    """What a prior knows of the cut face whose noise it predicts; arrays are (H, W)."""
 
     family: Family
     prompt: str
@@ -31,35 +31,35 @@ class Condition:
     under_skin: NDArray[np.float32]
     """Depth under the skin over the inradius of the body. Range [0, 1] inside."""
     radius: NDArray[np.float32]
-    """Distance from the up axis over the body's greatest. Range [0, 1] inside."""
+    """Distance from the up axis over the body's largest. Range [0, 1] inside."""
     angle: NDArray[np.float32]
-    """Around the up axis, radians, -pi..pi, from the first vector of `equator(up)`."""
+    """Angle around the up axis in radians, range [-pi, pi], from the first vector of `equator(up)`."""
     height: NDArray[np.float32]
     """Along the up axis. Range [-1, 1] from the lowest to the highest point of the body."""
     depth: NDArray[np.float32]
-    """Depth from the camera to the cut face, world units; infinite outside of the silhouette."""
+    """Depth from the camera to the cut face, world units; infinite outside the silhouette."""
     render: NDArray[np.float32]
-    """(H, W, 3). The cut face as the atoms show it now."""
+    """(H, W, 3). The current render of the cut face."""
 
 
 @dataclass(frozen=True)
 class Volume:
-    """Colours on a grid: the cut faces of all planes at once."""
+    """Colours on a grid, from which the cut face of any plane can be sampled."""
 
     body: Body
     """Grid and solid; the colours stand at its cell centres."""
     rgb: NDArray[np.float32]
-    """(X, Y, Z, 3). Range [0, 1]; outside of the solid the nearest inside colour, so that cuts have no dark rim."""
+    """(X, Y, Z, 3). Range [0, 1]; outside the solid the nearest inside colour, so that cuts have no dark rim."""
 
     def at(self, points: NDArray[np.floating]) -> NDArray[np.float32]:
         """(..., 3). Colours at world points (..., 3), trilinear."""
         return np.stack([self.body.grid.sample(self.rgb[..., c], points) for c in range(3)], axis=-1)
 
-    def crisp(self, points: NDArray[np.floating]) -> NDArray[np.float32]:
-        """(..., 3). Colours at world points (..., 3) by a cubic spline, held to [0, 1].
+    def at_cubic(self, points: NDArray[np.floating]) -> NDArray[np.float32]:
+        """(..., 3). Colours at world points (..., 3) by a cubic spline, clipped to [0, 1].
 
-        For atoms, whose kernels blur once more: their cuts are then 0.93 to 1.1 times as sharp as the truth, with
-        trilinear colours 0.75 to 0.9 (orange, watermelon, bread).
+        For atoms, whose kernels blur once more: their cuts are 0.93 to 1.1 times as sharp as the truth, compared with
+        0.75 to 0.9 for trilinear colours (orange, watermelon, bread).
         """
         index = np.moveaxis(self.body.grid.index(points), -1, 0)
         channels = [
@@ -70,12 +70,12 @@ class Volume:
 
     @cached_property
     def _splines(self) -> list[NDArray[np.float32]]:
-        """Coefficients of each channel."""
+        """Spline coefficients of each channel."""
         return [ndimage.spline_filter(self.rgb[..., c], order=3, mode="nearest", output=np.float32) for c in range(3)]
 
 
 @runtime_checkable
-class Denoises(Protocol):
+class Denoiser(Protocol):
     """A prior that predicts noise; score distillation makes its labels."""
 
     def denoise(
@@ -90,21 +90,21 @@ class Denoises(Protocol):
 
 
 @runtime_checkable
-class Encodes(Denoises, Protocol):
-    """A prior that denoises in a space of its own: its `denoise` takes and gives codes instead of pictures."""
+class LatentDenoiser(Denoiser, Protocol):
+    """A prior that denoises in a latent space: its `denoise` takes and returns latents instead of pictures."""
 
     def encode(self, label: NDArray[np.float32]) -> NDArray[np.float32]:
-        """The code (h, w, c) of a picture (H, W, 3), of about unit variance."""
+        """The latent (h, w, c) of a picture (H, W, 3), of about unit variance."""
         ...
 
-    def decode(self, code: NDArray[np.float32], shape: tuple[int, int]) -> NDArray[np.float32]:
-        """The picture (H, W, 3), range [0, 1], of a code (h, w, c)."""
+    def decode(self, latent: NDArray[np.float32], shape: tuple[int, int]) -> NDArray[np.float32]:
+        """The picture (H, W, 3), range [0, 1], of a latent (h, w, c)."""
         ...
 
 
 @runtime_checkable
-class Solves(Protocol):
-    """A prior that can answer for all planes at once."""
+class VolumeSolver(Protocol):
+    """A prior that solves for a volume, which labels all planes at once."""
 
     def solve(
         self,
@@ -117,6 +117,6 @@ class Solves(Protocol):
     ) -> Volume:
         """The interior on a grid of `voxels` cells along the body's longest side. Bit-equal for a seed.
 
-        On fewer where it knows no more.
+        Uses fewer cells if its sources resolve less.
         """
         ...

@@ -13,7 +13,7 @@ from engine.scene.constants import LATTICE_DENSITY, SOLID_DENSITY
 from engine.scene.grid import Body, Grid
 from engine.solid.fill import fill
 from engine.solid.octree import BUDGET, leaf_levels
-from training.optimise.deblur import deblurred
+from training.optimise.deblur import deblur
 
 PITCH = 2 / 80
 
@@ -39,7 +39,7 @@ def fruit(points: np.ndarray) -> np.ndarray:
 def solid(inside: InteriorAtoms, colours=fruit) -> Atoms:
     nothing = SurfaceAtoms(*(np.zeros((0, *n), np.float32) for n in ((3,), (3,), (4,), (1, 3))))
     atoms = Atoms(nothing, inside, PITCH)
-    return replace(atoms, interior=replace(inside, rgb=deblurred(atoms, colours(inside.means))))
+    return replace(atoms, interior=replace(inside, rgb=deblur(atoms, colours(inside.means))))
 
 
 def within(depth: float, count: int = 20000) -> np.ndarray:

@@ -22,8 +22,8 @@ from tests.helpers.tiny_diffusion import NATIVE, save_midas, save_tiny
 from training.cli import main
 from training.families import Family
 from training.labels import make_prior
-from training.priors.prior import Condition, Encodes, Solves
-from training.priors.sds import distill, touched
+from training.priors.prior import Condition, LatentDenoiser, VolumeSolver
+from training.priors.sds import distill, latent_mask
 from training.request import Request
 
 
@@ -89,8 +89,8 @@ def noisy_code(prior, sigma, shape=(48, 48)):
 
 @pytest.mark.parametrize("shape", [(48, 48), (50, 70), (33, 17), (200, 131)])
 def test_codes_are_of_the_size_the_model_knows(prior, shape):
-    assert isinstance(prior, Encodes)
-    assert not isinstance(prior, Solves)
+    assert isinstance(prior, LatentDenoiser)
+    assert not isinstance(prior, VolumeSolver)
     label = np.random.default_rng(0).random((*shape, 3), dtype=np.float32)
     code = prior.encode(label)
     assert code.dtype == np.float32
@@ -221,10 +221,10 @@ def test_distillation_through_the_door_lowers_its_loss(tiny, prediction, step):
     model.unet = GaussianNetwork(mean, model.sigmas, prediction, model.unet.config)
     model.prediction = prediction
     ends = []
-    prior.decode = lambda code, shape: ends.append(code) or np.zeros((*shape, 3), np.float32)
+    prior.decode = lambda latent, shape: ends.append(latent) or np.zeros((*shape, 3), np.float32)
     condition = asked(64, 64)
     distill(blank(condition), prior, condition, np.random.default_rng(0), step=step)
-    free = touched(condition.inside, (8, 8))
+    free = latent_mask(condition.inside, (8, 8))
     start = prior.encode(blank(condition))
     assert (ends[0][~free] == start[~free]).all()
     assert np.sqrt(np.mean((ends[0] - mean)[free] ** 2)) < 0.15 * np.sqrt(np.mean((start - mean)[free] ** 2))

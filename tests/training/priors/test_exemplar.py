@@ -16,7 +16,7 @@ from tests.helpers.exemplar_faces import FLESH, RIND, SEED, UP, ball, disc, quie
 from training.families import Family
 from training.priors.exemplar import ExemplarPrior, read_picture
 from training.priors.exemplar.decompose import decompose
-from training.priors.exemplar.frames import make_sheet, make_space, rim_of
+from training.priors.exemplar.frames import make_space, rim_of, scale_to_voxels
 from training.priors.exemplar.patches import POLAR
 from training.priors.prior import Volume
 
@@ -135,9 +135,9 @@ def test_colours_by_depth_are_the_pictures(tmp_path: Path) -> None:
     picture = read_picture(family.exemplars[0], "horizontal")
     volume = ExemplarPrior().solve(ball(32), UP, [family], 48, 0, quiet)
     space = make_space(ball(32), UP, 48)
-    sheet = make_sheet(picture, space, POLAR, space.widest_slice(space.planar[:, 2]))
+    scaled = scale_to_voxels(picture, space, POLAR, space.widest_slice(space.planar[:, 2]))
     ours = np.sort(volume.rgb[volume.body.depth > 0.25].mean(-1))
-    theirs = np.sort(sheet.rgb[sheet.depth > 0.25].mean(-1))
+    theirs = np.sort(scaled.rgb[scaled.depth > 0.25].mean(-1))
     quantiles = np.linspace(0.02, 0.98, 49)
     assert np.abs(np.quantile(ours, quantiles) - np.quantile(theirs, quantiles)).max() < 0.06
 
@@ -188,9 +188,9 @@ def test_a_spline_is_crisper_and_goes_through_the_cells() -> None:
         np.float32
     )
     volume = Volume(body, values)
-    np.testing.assert_allclose(volume.crisp(body.grid.centres()), values, atol=1e-5)
+    np.testing.assert_allclose(volume.at_cubic(body.grid.centres()), values, atol=1e-5)
     between = body.grid.centres()[4:-4, 4:-4, 4:-4] + body.grid.cell / 2
-    assert 1.1 < volume.crisp(between).std() / volume.at(between).std() < 2
+    assert 1.1 < volume.at_cubic(between).std() / volume.at(between).std() < 2
 
 
 @pytest.mark.parametrize(
@@ -320,7 +320,7 @@ def test_decompose_tells_seeds_from_walls(tmp_path: Path) -> None:
     face[mask & (np.abs(y - 0.15 * x) < 0.02) & (np.abs(x) < 0.66)] = 0.95
     space = make_space(ball(), UP, 64)
     picture = read_picture(save(tmp_path / "both.png", face), "horizontal")
-    layers = decompose(make_sheet(picture, space, POLAR, space.widest_slice(space.planar[:, 2])), POLAR)
+    layers = decompose(scale_to_voxels(picture, space, POLAR, space.widest_slice(space.planar[:, 2])), POLAR)
     assert 5 <= len(layers.details) <= 7  # one or two touch the wall
-    column, row = round(2 * (layers.sheet.middle[0] - 8)), round(2 * (layers.sheet.middle[1] - 1.2))
+    column, row = round(2 * (layers.source.middle[0] - 8)), round(2 * (layers.source.middle[1] - 1.2))
     assert layers.structure[row - 2 : row + 3, column].max() > 0.7

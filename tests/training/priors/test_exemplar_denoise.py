@@ -85,7 +85,7 @@ def test_search_is_nearly_exact(monkeypatch: pytest.MonkeyPatch) -> None:
         noisy = face + sigma * noise
         quick = PatchDenoiser().denoise(noisy, sigma, condition, np.random.default_rng(0))
         with monkeypatch.context() as exact:
-            exact.setattr(patch_denoiser, "MOST", 10**9)
+            exact.setattr(patch_denoiser, "MAX_CANDIDATES", 10**9)
             exact.setattr(patch_denoiser, "COEFFICIENTS", PATCH)
             true = PatchDenoiser().denoise(noisy, sigma, condition, np.random.default_rng(0))
         error = sigma * (quick - true)[mask]

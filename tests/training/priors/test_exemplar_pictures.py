@@ -15,8 +15,8 @@ from tests.helpers.exemplar_faces import UP, ball, disc, quiet, save
 from tests.paths import SHARED
 from training.families import Family
 from training.priors.exemplar import ExemplarPrior, read_picture
-from training.priors.exemplar.light import gain_between
-from training.priors.exemplar.pictures import resolved
+from training.priors.exemplar.lighting import colour_gain
+from training.priors.exemplar.pictures import resolved_share
 
 
 def overlap(a: NDArray[np.bool_], b: NDArray[np.bool_]) -> float:
@@ -65,9 +65,9 @@ def test_two_pictures_are_brought_to_one_light() -> None:
     face, mask = disc(120)
     other, other_mask = disc(160, seeds=9)
     tint = np.array([0.8, 0.95, 1.1], np.float32)
-    gain = gain_between(other * tint, other_mask, face, mask)
+    gain = colour_gain(other * tint, other_mask, face, mask)
     np.testing.assert_allclose(gain * tint, 1, atol=0.04)
-    np.testing.assert_array_equal(gain_between(other, other_mask, face, mask), 1)
+    np.testing.assert_array_equal(colour_gain(other, other_mask, face, mask), 1)
 
 
 def test_shades_of_dark_colours_are_not_taken_for_light() -> None:
@@ -75,7 +75,7 @@ def test_shades_of_dark_colours_are_not_taken_for_light() -> None:
     mask = disc(160)[1]
     rind = ndimage.distance_transform_edt(mask)[..., None] < 12
     one, other = (np.where(rind, 0.9, flesh).astype(np.float32) for flesh in ([0.85, 0.16, 0.16], [0.86, 0.19, 0.18]))
-    np.testing.assert_array_equal(gain_between(one, mask, other, mask), 1)
+    np.testing.assert_array_equal(colour_gain(one, mask, other, mask), 1)
 
 
 def test_modes_and_orientation(tmp_path: Path) -> None:
@@ -123,7 +123,7 @@ def test_an_enlarged_picture_resolves_what_it_did_before(tmp_path: Path) -> None
     shares = []
     for times in (1, 4):
         sharp.resize((100 * times,) * 2, Image.Resampling.BICUBIC).save(tmp_path / f"{times}.png")
-        shares.append(resolved(read_picture(tmp_path / f"{times}.png", "horizontal")))
+        shares.append(resolved_share(read_picture(tmp_path / f"{times}.png", "horizontal")))
     assert shares[0] == 1
     assert 1 / 4 < shares[1] < 0.6
 

@@ -9,12 +9,12 @@ import os
 
 from engine.errors import InputError
 
-# Read when the libraries below are imported. Models come from local folders only; nothing may ask a hub for anything.
+# Read when the libraries below are imported. Models come from local folders only; nothing may access a model hub.
 os.environ["HF_HUB_OFFLINE"] = "1"
 
 try:
     import diffusers
-    import peft  # noqa: F401 (asked for here, so that fine-tuning does not fail at its end)
+    import peft  # noqa: F401 (imported here, so that fine-tuning does not fail at its end)
     import transformers
 except ImportError as error:
     raise InputError(
@@ -26,7 +26,7 @@ from training.priors.diffusion.prior import StableDiffusionPrior
 
 __all__ = ["STEPS", "StableDiffusionPrior", "finetune"]
 
-# What the user should know is said in one line by this project; the libraries' own chatter about files is not.
+# This project reports errors in one line; the libraries' own messages about files are silenced.
 for _library in (diffusers, transformers):
     _library.utils.logging.set_verbosity_error()
     _library.utils.logging.disable_progress_bar()

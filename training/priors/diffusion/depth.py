@@ -1,4 +1,4 @@
-"""What a depth-conditioned model is told about the shape of a cut face."""
+"""Depth maps that condition a model on the shape of a cut face."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ __all__ = ["Estimator", "exact_depth"]
 
 
 def exact_depth(inside: NDArray[np.bool_], depth: NDArray[np.float32]) -> Tensor:
-    """(1, 1, H, W). Depth (H, W) in the terms of the model's training, where an estimator gave it.
+    """(1, 1, H, W). Depth (H, W) in the convention of the model's training data, which came from an estimator.
 
-    That is inverse depth, shifted and scaled to [-1, 1] over the picture: the nearest point is 1, the endless
-    background -1. A cut face looked at straight on is its silhouette.
+    That is inverse depth, shifted and scaled to [-1, 1] over the picture: the nearest point is 1, the infinite
+    background -1. A cut face seen straight on yields its silhouette.
     """
     nearest = depth[inside].min() if inside.any() else np.float32(1)
     inverse = np.where(inside, nearest / np.where(inside, depth, np.float32(1)), 0)
@@ -28,16 +28,16 @@ def exact_depth(inside: NDArray[np.bool_], depth: NDArray[np.float32]) -> Tensor
 
 
 class Estimator:
-    """A MiDaS (DPT) network that guesses depth from the picture itself, as the paper does (section 3.2)."""
+    """A MiDaS (DPT) network that estimates depth from the render, as in the paper (section 3.2)."""
 
     def __init__(self, folder: str | Path, device: torch.device) -> None:
-        """Reads it from a local folder. Raises InputError where that fails."""
+        """Reads the network from a local folder. Raises InputError if that fails."""
         self.network = load_part(DPTForDepthEstimation, Path(folder)).to(device)
         self.device = device
 
     @torch.no_grad()
     def depth(self, condition: Condition) -> Tensor:
-        """(1, 1, H, W). Estimated inverse depth of the present render on white, range [-1, 1]."""
+        """(1, 1, H, W). Estimated inverse depth of the current render on white, range [-1, 1]."""
         shown = np.where(condition.inside[..., None], condition.render, np.float32(1))
         side = int(self.network.config.image_size or 384)
         picture = resized(torch.from_numpy(shown).permute(2, 0, 1)[None], (side, side)).clamp(0, 1)

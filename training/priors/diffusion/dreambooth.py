@@ -1,7 +1,7 @@
 """DreamBooth: teaches a model the look of one object from 1 to 6 photographs of its cut faces (paper, section 3.2).
 
-Two losses together, as in Ruiz et al. 2023: the photographs under a prompt with a rare word, and pictures of the class
-that the untouched model drew under the plain prompt, so that the model does not forget what else a cut face may be.
+Two losses, as in Ruiz et al. 2023: one on the photographs (instances) under a prompt with a rare word, and one on
+pictures of the class that the original model drew under the plain prompt, which preserves its prior.
 """
 
 from __future__ import annotations
@@ -22,32 +22,33 @@ from training.families import Kind
 from training.priors.diffusion.depth import exact_depth
 from training.priors.diffusion.loading import Model, load_model, resized
 from training.priors.diffusion.prior import GUIDANCE
+from training.priors.diffusion.prompts import plain_prompts, tuned_prompts
 from training.priors.diffusion.saving import check_free, save_model
-from training.priors.diffusion.words import plain_prompts, tuned_prompts
 from training.priors.exemplar import Picture, read_picture
 from training.priors.prior import Progress
 
 __all__ = ["STEPS", "finetune"]
 
 STEPS = 400
-"""Enough for a handful of pictures: DreamBooth takes 100 to 200 a picture."""
+"""Enough for a few pictures: DreamBooth takes 100 to 200 per picture."""
 
 LORA_RANK = 8
 LORA_RATE = 1e-4
 FULL_RATE = 5e-6
-"""Learning rates: DreamBooth's own for the whole network; the few new weights of LoRA start at nothing and may run."""
+"""Learning rates: DreamBooth's for the entire network; the few new weights of LoRA start at zero and take larger
+steps."""
 
-VARIANTS = 8
-"""Placements of each picture: a section's camera shows slices near a pole smaller than those through the middle."""
+PLACEMENTS = 8
+"""Random placements of each picture: a section's camera shows slices near a pole smaller than those in the middle."""
 
-EXTENT = (0.5, 0.9)
-"""Longer side of the cut face over the side of the frame, least and greatest, in those placements."""
+FACE_EXTENT = (0.5, 0.9)
+"""Range of the longer side of the cut face over the side of the frame in those placements."""
 
 STEPS_PER_CLASS_PICTURE = 16
-"""One class picture for so many steps: drawing them then takes about as long as the training they are for."""
+"""Training steps per class picture: drawing them then takes about as long as the training."""
 
 CLASS_WEIGHT = 1.0
-"""Weight of the class loss beside the photographs' loss; DreamBooth's lambda."""
+"""Weight of the class loss relative to the instance loss: DreamBooth's lambda."""
 
 SAMPLER_STEPS = 25
 SAMPLER_CURVE = 7.0
@@ -55,10 +56,10 @@ SAMPLER_CURVE = 7.0
 
 
 @dataclass
-class Lesson:
-    """Cut faces of one kind under one prompt, as codes."""
+class Examples:
+    """Training examples: latents of cut faces of one kind under one prompt."""
 
-    codes: Tensor
+    latents: Tensor
     """(N, 4, h, w)."""
     depth: Tensor
     """(N, 1, h, w)."""
@@ -69,7 +70,7 @@ class Lesson:
 def finetune(
     folder: str | Path,
     pictures: Mapping[Kind, Sequence[Path]],
-    thing: str,
+    object_name: str,
     out: str | Path,
     full: bool = False,
     steps: int = STEPS,
@@ -78,11 +79,11 @@ def finetune(
     on_step: Callable[[int, float], None] = lambda step, loss: None,
     device: torch.device | None = None,
 ) -> list[float]:
-    """Trains the network and writes a whole model to `out`; returns the photographs' loss at each step.
+    """Trains the network and writes a complete model to `out`; returns the instance loss of each step.
 
-    LoRA on the attention layers, merged into them at the end; `full` trains every weight of the network instead. Text
-    encoder and autoencoder stay as they are. The same bits for a seed on one machine; `out` appears whole or not at
-    all. Raises InputError for a model or a picture that cannot be used, and where `out` is taken.
+    Trains LoRA on the attention layers, merged at the end, or every weight of the network if `full`. Text encoder and
+    autoencoder stay unchanged. Bit-equal for a seed on one machine; `out` is written atomically. Raises InputError for
+    a model or a picture that cannot be used, and if `out` exists.
     """
     out = Path(out)
     if not any(pictures.values()):
@@ -91,37 +92,45 @@ def finetune(
     cut = {kind: [read_picture(path, kind) for path in paths] for kind, paths in pictures.items() if paths}
     model = load_model(folder, half=False, device=device)
     rng = np.random.default_rng(seed)
-    lessons = {kind: lesson_of(model, kind, shown, tuned_prompts(thing)[kind], rng) for kind, shown in cut.items()}
-    known = class_lessons(model, lessons, plain_prompts(thing), steps, rng, on_class)
-    losses = train(model, lessons, known, full, steps, seed, rng, on_step)
-    save_model(model, out, thing)
+    instances = {
+        kind: instance_examples(model, kind, shown, tuned_prompts(object_name)[kind], rng)
+        for kind, shown in cut.items()
+    }
+    class_sets = class_examples(model, instances, plain_prompts(object_name), steps, rng, on_class)
+    losses = train(model, instances, class_sets, full, steps, seed, rng, on_step)
+    save_model(model, out, object_name)
     return losses
 
 
-def lesson_of(model: Model, kind: Kind, shown: Sequence[Picture], prompt: str, rng: np.random.Generator) -> Lesson:
-    """The photographs of one kind in several placements, with the depth that a prior would give for each."""
-    codes: list[Tensor] = []
+def instance_examples(
+    model: Model, kind: Kind, shown: Sequence[Picture], prompt: str, rng: np.random.Generator
+) -> Examples:
+    """The photographs of one kind in several placements, each with the depth map that conditions its label."""
+    latents: list[Tensor] = []
     depths: list[Tensor] = []
     for picture in shown:
-        for _ in range(VARIANTS):
-            face, inside = placed(picture, kind, model, rng)
-            code = model.encode(face)
-            codes.append(code)
+        for _ in range(PLACEMENTS):
+            face, inside = place_randomly(picture, kind, model, rng)
+            latent = model.encode(face)
+            latents.append(latent)
             flat = np.ones(inside.shape, np.float32)
-            depths.append(resized(exact_depth(inside, flat), (code.shape[2], code.shape[3])))
-    return Lesson(torch.cat(codes), torch.cat(depths).to(model.device), model.embed([prompt]))
+            depths.append(resized(exact_depth(inside, flat), (latent.shape[2], latent.shape[3])))
+    return Examples(torch.cat(latents), torch.cat(depths).to(model.device), model.embed([prompt]))
 
 
-def placed(picture: Picture, kind: Kind, model: Model, rng: np.random.Generator) -> tuple[Tensor, NDArray[np.bool_]]:
-    """(1, 3, S, S) and (S, S). A cut face on white at a size and turn of chance, as a section's camera would see it.
+def place_randomly(
+    picture: Picture, kind: Kind, model: Model, rng: np.random.Generator
+) -> tuple[Tensor, NDArray[np.bool_]]:
+    """(1, 3, S, S) and (S, S). A cut face on white at a random size and orientation, as a section's camera would see
+    it.
 
-    Which way is up means nothing in a horizontal picture; in the others only left and right may change places.
+    Horizontal pictures may be rotated by quarter turns; the others are mirrored only, as up must stay up.
     """
     side = model.working_size(1, 1)[0]
     layers = np.concatenate([np.where(picture.mask[..., None], picture.rgb, 1), picture.mask[..., None]], -1)
     layers = np.rot90(layers, int(rng.integers(4)) if kind == "horizontal" else 0)
     layers = layers[:, ::-1] if rng.integers(2) else layers
-    scale = side * rng.uniform(*EXTENT) / max(layers.shape[:2])
+    scale = side * rng.uniform(*FACE_EXTENT) / max(layers.shape[:2])
     height, width = (max(1, round(length * scale)) for length in layers.shape[:2])
     small = torch.from_numpy(np.ascontiguousarray(layers, np.float32)).permute(2, 0, 1)[None]
     top, left = (side - height) // 2, (side - width) // 2
@@ -130,51 +139,51 @@ def placed(picture: Picture, kind: Kind, model: Model, rng: np.random.Generator)
     return frame[:, :3], frame[0, 3].numpy() > 0.5
 
 
-def class_lessons(
+def class_examples(
     model: Model,
-    lessons: Mapping[Kind, Lesson],
+    instances: Mapping[Kind, Examples],
     prompts: Mapping[Kind, str],
     steps: int,
     rng: np.random.Generator,
     progress: Progress,
-) -> dict[Kind, Lesson]:
-    """Pictures of the class from the untouched model, in the silhouettes of the photographs. They stay codes."""
-    count = max(1, -(-steps // (STEPS_PER_CLASS_PICTURE * len(lessons))))
+) -> dict[Kind, Examples]:
+    """Latents of class pictures drawn by the original model in the silhouettes of the photographs."""
+    count = max(1, -(-steps // (STEPS_PER_CLASS_PICTURE * len(instances))))
     empty = model.embed([""])
-    known = {}
-    for index, (kind, lesson) in enumerate(lessons.items()):
+    class_sets = {}
+    for index, (kind, examples) in enumerate(instances.items()):
         text = model.embed([prompts[kind]])
-        depth = lesson.depth[rng.integers(len(lesson.depth), size=count)]
-        codes = []
+        depth = examples.depth[rng.integers(len(examples.depth), size=count)]
+        latents = []
         for done in range(count):
-            codes.append(sample(model, text, empty, depth[done : done + 1], rng))
-            progress((index + (done + 1) / count) / len(lessons))
-        known[kind] = Lesson(torch.cat(codes), depth, text)
-    return known
+            latents.append(sample(model, text, empty, depth[done : done + 1], rng))
+            progress((index + (done + 1) / count) / len(instances))
+        class_sets[kind] = Examples(torch.cat(latents), depth, text)
+    return class_sets
 
 
 @torch.no_grad()
 def sample(model: Model, text: Tensor, empty: Tensor, depth: Tensor, rng: np.random.Generator) -> Tensor:
-    """(1, 4, h, w). A code drawn by DDIM: Euler steps of dx/dsigma = noise, from the highest sigma to none."""
+    """(1, 4, h, w). A latent sampled by DDIM: Euler steps of dx/dsigma = noise, from the highest sigma to none."""
     high, low = (s ** (1 / SAMPLER_CURVE) for s in (model.sigmas[-1], model.sigmas[0]))
     sigmas = [*(np.linspace(high, low, SAMPLER_STEPS) ** SAMPLER_CURVE).tolist(), 0.0]
-    codes = sigmas[0] * gaussian(rng, (1, 4, *depth.shape[2:]), model.device)
+    latents = sigmas[0] * gaussian(rng, (1, 4, *depth.shape[2:]), model.device)
     for now, then in pairwise(sigmas):
-        codes = codes + (then - now) * model.guided(codes, now, text, empty, depth, GUIDANCE)
-    return codes
+        latents = latents + (then - now) * model.guided(latents, now, text, empty, depth, GUIDANCE)
+    return latents
 
 
 def train(
     model: Model,
-    lessons: Mapping[Kind, Lesson],
-    known: Mapping[Kind, Lesson],
+    instances: Mapping[Kind, Examples],
+    class_sets: Mapping[Kind, Examples],
     full: bool,
     steps: int,
     seed: int,
     rng: np.random.Generator,
     on_step: Callable[[int, float], None],
 ) -> list[float]:
-    """The steps of DreamBooth, one photograph and one class picture in each. Leaves the model trained and frozen."""
+    """Trains on one photograph and one class picture per step; leaves the model frozen. Returns the instance losses."""
     unet = model.unet
     unet.enable_gradient_checkpointing()  # else the attention of a real model at 512 x 512 takes some 10 GB
     if full:
@@ -192,13 +201,13 @@ def train(
             )
     weights = [weight for weight in unet.parameters() if weight.requires_grad]
     optimiser = torch.optim.AdamW(weights, lr=FULL_RATE if full else LORA_RATE)
-    kinds = list(lessons)
+    kinds = list(instances)
     losses = []
     for step in range(steps):
         kind = kinds[int(rng.integers(len(kinds)))]
-        batch = [draw(lesson, rng) for lesson in (lessons[kind], known[kind])]
-        codes, depth, text = (torch.cat(parts) for parts in zip(*batch, strict=True))
-        each = noise_losses(model, codes, depth, text, rng)
+        batch = [draw(examples, rng) for examples in (instances[kind], class_sets[kind])]
+        latents, depth, text = (torch.cat(parts) for parts in zip(*batch, strict=True))
+        each = noise_losses(model, latents, depth, text, rng)
         loss = each[0] + CLASS_WEIGHT * each[1]
         optimiser.zero_grad()
         loss.backward()
@@ -216,25 +225,25 @@ def train(
     return losses
 
 
-def draw(lesson: Lesson, rng: np.random.Generator) -> tuple[Tensor, Tensor, Tensor]:
-    """One code of a lesson with its depth and its text."""
-    index = int(rng.integers(len(lesson.codes)))
-    return lesson.codes[index : index + 1], lesson.depth[index : index + 1], lesson.text
+def draw(examples: Examples, rng: np.random.Generator) -> tuple[Tensor, Tensor, Tensor]:
+    """A random latent of some examples with its depth and text."""
+    index = int(rng.integers(len(examples.latents)))
+    return examples.latents[index : index + 1], examples.depth[index : index + 1], examples.text
 
 
-def noise_losses(model: Model, codes: Tensor, depth: Tensor, text: Tensor, rng: np.random.Generator) -> Tensor:
-    """(B,). Mean squared error of the noise at timesteps of chance, weighted as the model was trained.
+def noise_losses(model: Model, latents: Tensor, depth: Tensor, text: Tensor, rng: np.random.Generator) -> Tensor:
+    """(B,). Mean squared error of the noise at random timesteps, weighted as in the model's training.
 
     The error of v is the error of the noise times sqrt(1 + sigma^2), so one expression serves both kinds of model.
     """
-    sigma = torch.from_numpy(model.sigmas[rng.integers(len(model.sigmas), size=len(codes))]).float().to(model.device)
-    noise = gaussian(rng, tuple(codes.shape), model.device)
+    sigma = torch.from_numpy(model.sigmas[rng.integers(len(model.sigmas), size=len(latents))]).float().to(model.device)
+    noise = gaussian(rng, tuple(latents.shape), model.device)
     with torch.autocast(model.device.type, torch.bfloat16, enabled=model.device.type == "cuda"):
-        found = model.noise(codes + sigma[:, None, None, None] * noise, sigma, text, depth)
+        found = model.noise(latents + sigma[:, None, None, None] * noise, sigma, text, depth)
     error = ((found - noise) ** 2).mean(dim=(1, 2, 3))
     return error * (1 + sigma**2) if model.prediction == "v_prediction" else error
 
 
 def gaussian(rng: np.random.Generator, shape: tuple[int, ...], device: torch.device) -> Tensor:
-    """Normal numbers from numpy's generator: the same on every device."""
+    """Standard normal numbers from numpy's generator, the same on every device."""
     return torch.from_numpy(rng.standard_normal(shape, dtype=np.float32)).to(device)

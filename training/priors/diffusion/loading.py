@@ -1,4 +1,4 @@
-"""Reads a Stable Diffusion depth model from a local folder, and asks it one question: which noise is in a code?"""
+"""Reads a Stable Diffusion depth model from a local folder; predicts the noise in its latents."""
 
 from __future__ import annotations
 
@@ -20,22 +20,22 @@ from engine.io.files import read_file
 from engine.io.strict_json import parse
 from training.families import Kind
 
-__all__ = ["NOTE", "Model", "load_model", "load_part", "resized"]
+__all__ = ["PROMPTS_FILE", "Model", "load_model", "load_part", "resized"]
 
 Prediction = Literal["epsilon", "v_prediction"]
 
-NOTE = "fruitninja.json"
-"""Says in the folder of a fine-tuned model which prompts it learned."""
+PROMPTS_FILE = "fruitninja.json"
+"""File in the folder of a fine-tuned model with the prompts that it learned."""
 
 DEPTH_CHANNELS = 5
-"""Four of the code and one of depth: what tells a depth-conditioned model from a plain one."""
+"""Input channels of a depth-conditioned model: four of the latent and one of depth."""
 
 PICKLES = ("*.bin", "*.ckpt", "*.pt", "*.pth")
 
 
 @dataclass
 class Model:
-    """The parts of a model that stay in memory; codes are (B, 4, h, w) here, pictures (B, 3, H, W) in [0, 1]."""
+    """The parts of a loaded model; latents are (B, 4, h, w) here, pictures (B, 3, H, W) in [0, 1]."""
 
     folder: Path
     unet: Any
@@ -47,33 +47,33 @@ class Model:
     prediction: Prediction
     device: torch.device
     prompts: dict[Kind, str]
-    """Prompts that the model was fine-tuned on; empty for any other."""
+    """Prompts that the model was fine-tuned on; empty for other models."""
 
     @property
-    def cell(self) -> int:
-        """Pixels along a side of one cell of a code."""
+    def latent_cell(self) -> int:
+        """Pixels per latent cell along a side."""
         return 2 ** (len(self.vae.config.block_out_channels) - 1)
 
     def working_size(self, height: int, width: int) -> tuple[int, int]:
-        """The size in pixels that the model knows, for a picture of this shape: the longer side as in its training.
+        """The size in pixels at which to encode a picture of this shape: its longer side as in the model's training.
 
-        Smaller pictures must be enlarged, not taken as they are: the model draws every object at its own scale.
+        Smaller pictures must be enlarged: the model draws every object at the scale it was trained on.
         """
         native = int(np.max(self.unet.config.sample_size))
         scale = native / max(height, width)
         rows, columns = (max(1, round(side * scale)) for side in (height, width))
-        return rows * self.cell, columns * self.cell
+        return rows * self.latent_cell, columns * self.latent_cell
 
     @torch.no_grad()
     def encode(self, pictures: Tensor) -> Tensor:
-        """Codes of pictures whose sides are multiples of `cell`; the mean of the encoder, so without chance."""
+        """Latents of pictures whose sides are multiples of `latent_cell`; the encoder's mean, hence deterministic."""
         given = (2 * pictures - 1).to(self.device, self.vae.dtype)
         return self.vae.encode(given).latent_dist.mode().float() * self.vae.config.scaling_factor
 
     @torch.no_grad()
-    def decode(self, codes: Tensor) -> Tensor:
-        """Pictures of codes, not yet clipped."""
-        given = codes.to(self.device, self.vae.dtype) / self.vae.config.scaling_factor
+    def decode(self, latents: Tensor) -> Tensor:
+        """Pictures of latents, unclipped."""
+        given = latents.to(self.device, self.vae.dtype) / self.vae.config.scaling_factor
         return (self.vae.decode(given).sample.float() + 1) / 2
 
     @torch.no_grad()
@@ -88,45 +88,45 @@ class Model:
         )
         return self.text_encoder(words.input_ids.to(self.device))[0]
 
-    def noise(self, codes: Tensor, sigma: float | Tensor, text: Tensor, depth: Tensor) -> Tensor:
-        """(B, 4, h, w). The noise in codes = clean + sigma * noise, in units of one.
+    def noise(self, latents: Tensor, sigma: float | Tensor, text: Tensor, depth: Tensor) -> Tensor:
+        """(B, 4, h, w). The noise in latents = clean + sigma * noise, of unit variance.
 
-        The network speaks of sqrt(a) clean + sqrt(1 - a) noise with sigma^2 = (1 - a) / a, so its input is the codes
-        over sqrt(1 + sigma^2), at the timestep whose own sigma is nearest on a logarithmic scale.
+        The network expects sqrt(a) clean + sqrt(1 - a) noise with sigma^2 = (1 - a) / a, so its input is the latents
+        over sqrt(1 + sigma^2), at the timestep whose sigma is nearest on a logarithmic scale.
         sigma: one for all or (B,); text: (B, tokens, dim); depth: (B, 1, h, w) in [-1, 1], near is large.
         """
-        assert codes.ndim == 4 and depth.shape == (len(codes), 1, *codes.shape[2:]), (codes.shape, depth.shape)
-        level = torch.as_tensor(sigma, dtype=torch.float32, device=codes.device).expand(len(codes))
+        assert latents.ndim == 4 and depth.shape == (len(latents), 1, *latents.shape[2:]), (latents.shape, depth.shape)
+        level = torch.as_tensor(sigma, dtype=torch.float32, device=latents.device).expand(len(latents))
         signal = torch.rsqrt(1 + level**2)[:, None, None, None]
-        scaled = codes * signal
-        given = torch.cat([scaled, depth.to(codes)], dim=1).to(self.unet.dtype)
-        said = self.unet(given, self.timestep(level), text.to(self.unet.dtype)).sample.float()
+        scaled = latents * signal
+        given = torch.cat([scaled, depth.to(latents)], dim=1).to(self.unet.dtype)
+        output = self.unet(given, self.timestep(level), text.to(self.unet.dtype)).sample.float()
         if self.prediction == "v_prediction":
             # v = sqrt(a) noise - sqrt(1 - a) clean (Salimans and Ho 2022), solved with the input for the noise
-            said = signal * said + level[:, None, None, None] * signal * scaled
-        return said
+            output = signal * output + level[:, None, None, None] * signal * scaled
+        return output
 
     def guided(
-        self, codes: Tensor, sigma: float, text: Tensor, empty: Tensor, depth: Tensor, guidance: float
+        self, latents: Tensor, sigma: float, text: Tensor, empty: Tensor, depth: Tensor, guidance: float
     ) -> Tensor:
-        """The same for one code, pushed along what the text changes (Ho and Salimans 2022)."""
+        """The noise in one latent with classifier-free guidance (Ho and Salimans 2022)."""
         if guidance == 1:
-            return self.noise(codes, sigma, text, depth)
-        twice = [torch.cat([part, part]) for part in (codes, depth)]
-        plain, told = self.noise(twice[0], sigma, torch.cat([empty, text]), twice[1]).chunk(2)
-        return plain + guidance * (told - plain)
+            return self.noise(latents, sigma, text, depth)
+        twice = [torch.cat([part, part]) for part in (latents, depth)]
+        unconditional, conditional = self.noise(twice[0], sigma, torch.cat([empty, text]), twice[1]).chunk(2)
+        return unconditional + guidance * (conditional - unconditional)
 
     def timestep(self, sigma: Tensor) -> Tensor:
         """(B,). The timesteps nearest to noise levels (B,)."""
-        asked = np.log(np.maximum(sigma.cpu().double().numpy(), 1e-9))
-        nearest = np.abs(np.log(self.sigmas) - asked[:, None]).argmin(1)
+        log_sigma = np.log(np.maximum(sigma.cpu().double().numpy(), 1e-9))
+        nearest = np.abs(np.log(self.sigmas) - log_sigma[:, None]).argmin(1)
         return torch.from_numpy(nearest).to(sigma.device)
 
 
 def load_model(folder: str | Path, half: bool, device: torch.device | None = None) -> Model:
-    """Reads a model in the layout of diffusers; on the best device there is, unless one is given.
+    """Reads a model in the layout of diffusers, onto the best available device unless one is given.
 
-    `half`: a CUDA device keeps the network in 16 bits, which is for asking and not for training. Raises InputError for
+    `half`: a CUDA device holds the network in 16 bits, for inference only. Raises InputError for
     a folder that is missing, incomplete, damaged, pickled, or holds another kind of model.
     """
     folder = Path(folder)
@@ -154,7 +154,7 @@ def load_model(folder: str | Path, half: bool, device: torch.device | None = Non
         sigmas=read_sigmas(folder / "scheduler"),
         prediction=prediction,
         device=device,
-        prompts=read_prompts(folder / NOTE),
+        prompts=read_prompts(folder / PROMPTS_FILE),
     )
 
 
@@ -187,7 +187,7 @@ def load_part(kind: Any, folder: Path) -> Any:
             torch_dtype=torch.float32,
             output_loading_info=True,
         )
-    except Exception as error:  # for a damaged file the libraries raise whatever comes
+    except Exception as error:  # the libraries raise many types for a damaged file
         raise InputError(f"{folder}: cannot be read ({one_line(error)})") from error
     lacking = sorted([*found["missing_keys"], *(key for key, *_ in found["mismatched_keys"])])
     if lacking:
@@ -208,7 +208,7 @@ def load_tokenizer(folder: Path) -> Any:
 
 
 def read_sigmas(folder: Path) -> NDArray[np.float64]:
-    """(T,). Noise over signal of each timestep. A schedule that ends in pure noise is cut off short of infinity."""
+    """(T,). Noise over signal of each timestep. Schedules that end in pure noise are clipped to finite values."""
     try:
         signal = DDPMScheduler.from_pretrained(folder, local_files_only=True).alphas_cumprod.double().numpy()
     except Exception as error:  # as above
@@ -218,7 +218,7 @@ def read_sigmas(folder: Path) -> NDArray[np.float64]:
 
 
 def read_prompts(path: Path) -> dict[Kind, str]:
-    """The prompts of a fine-tuned model; none where the note is not there."""
+    """The prompts of a fine-tuned model; empty without their file."""
     if not path.is_file():
         return {}
     prompts = read_json(path).get("prompts")
@@ -228,7 +228,7 @@ def read_prompts(path: Path) -> dict[Kind, str]:
 
 
 JSON_LIMIT = 1 << 24
-"""Bytes of the largest description of a model that is read; real ones have a few KB."""
+"""Largest accepted configuration file in bytes; real ones have a few KB."""
 
 
 def read_json(path: Path) -> dict[str, Any]:
@@ -247,7 +247,7 @@ def read_json(path: Path) -> dict[str, Any]:
 
 
 def one_line(error: Exception) -> str:
-    """The first line of what a library says."""
+    """The first line of a library's error message."""
     return (str(error).strip().splitlines() or [type(error).__name__])[0]
 
 

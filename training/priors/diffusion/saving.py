@@ -1,4 +1,4 @@
-"""Writes a fine-tuned model as a whole folder, in the layout of diffusers."""
+"""Writes a fine-tuned model as a complete folder in the layout of diffusers."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from safetensors import safe_open
 from engine.errors import InputError
 from engine.io.files import reason
 from engine.io.scratch import atomic_folder
-from training.priors.diffusion.loading import NOTE, Model
-from training.priors.diffusion.words import TOKEN, tuned_prompts
+from training.priors.diffusion.loading import PROMPTS_FILE, Model
+from training.priors.diffusion.prompts import TOKEN, tuned_prompts
 
 __all__ = ["check_free", "save_model"]
 
 PARTS = ("vae", "text_encoder", "tokenizer", "scheduler", "depth_estimator", "feature_extractor")
-"""What a model holds beside its network; the last two are for programs that estimate depth."""
+"""Parts of a model other than its network; the last two are for programs that estimate depth."""
 
 INDEX = "model_index.json"
 
 
 def check_free(out: Path) -> None:
-    """Raises InputError where a model cannot be written: known before hours of work, not after."""
+    """Raises InputError if a model cannot be written to `out`; called before hours of work, not after."""
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise InputError(f"{out}: is there already; give a new folder")
     try:
@@ -36,14 +36,14 @@ def check_free(out: Path) -> None:
         raise InputError(f"{out}: cannot be written here ({reason(error)})") from error
 
 
-def save_model(model: Model, out: Path, thing: str) -> None:
-    """The trained network, everything else as it was in the model's folder, and the prompts that it learned.
+def save_model(model: Model, out: Path, object_name: str) -> None:
+    """Writes the trained network, the other parts of the original model, and the prompts that it learned.
 
-    The network keeps the precision of the file that it came from. Raises InputError where the folder cannot be
-    written; then nothing is left of it.
+    The network keeps the precision of its original file. Raises InputError, and leaves nothing behind, if the folder
+    cannot be written.
     """
     precision = stored_type(model.folder / "unet")
-    note = {"object": thing, "token": TOKEN, "prompts": tuned_prompts(thing)}
+    note = {"object": object_name, "token": TOKEN, "prompts": tuned_prompts(object_name)}
     text = json.dumps(note, indent=1) + "\n"
     unet = model.unet.to(precision)
     with atomic_folder(out) as temporary:
@@ -53,11 +53,11 @@ def save_model(model: Model, out: Path, thing: str) -> None:
         if (model.folder / INDEX).is_file():
             shutil.copy2(model.folder / INDEX, temporary)
         unet.save_pretrained(temporary / "unet", safe_serialization=True)
-        (temporary / NOTE).write_text(text, encoding="utf-8")
+        (temporary / PROMPTS_FILE).write_text(text, encoding="utf-8")
 
 
 def unwanted(_: str, names: Iterable[str]) -> list[str]:
-    """Weights that are not safetensors, and second copies in 16 bits; both would never be read."""
+    """Files never read: weights in other formats than safetensors, and second copies in 16 bits."""
     names = list(names)
     full = any(name.endswith(".safetensors") and ".fp16." not in name for name in names)
     pickled = (".bin", ".ckpt", ".h5", ".msgpack", ".pt", ".pth")
@@ -65,7 +65,7 @@ def unwanted(_: str, names: Iterable[str]) -> list[str]:
 
 
 def stored_type(folder: Path) -> torch.dtype:
-    """The type of the numbers in the weights of a folder."""
+    """The data type of the weights in a folder."""
     names = sorted(folder.glob("*.safetensors"), key=lambda path: ".fp16." in path.name)
     with safe_open(names[0], "pt") as weights:
         return weights.get_tensor(next(iter(weights.keys()))).dtype

@@ -17,7 +17,7 @@ __all__ = ["ExemplarPrior", "Picture", "read_picture"]
 
 
 class ExemplarPrior:
-    """Copies what the pictures of a family show to where in the body it belongs."""
+    """Places what the pictures of a family show at the corresponding positions in the body."""
 
     def solve(
         self,
@@ -30,6 +30,6 @@ class ExemplarPrior:
     ) -> Volume:
         """The interior on a grid of `voxels` cells along the body's longest side, or fewer. Bit-equal for a seed.
 
-        Raises InputError where no family has a picture, or one shows no cut face.
+        Raises InputError if no family has a picture, or one shows no cut face.
         """
         return solve(body, up, families, voxels, seed, progress)

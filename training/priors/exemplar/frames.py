@@ -1,7 +1,7 @@
-"""Where a voxel lies in the body, where a pixel lies in its picture, and the directions each calls its own.
+"""Coordinates of voxels in the body and of pixels in their pictures, with their local frames.
 
-Both get the same gate coordinates, in units of a gate cell: depth under the skin (saturating), relative radius, and
-height or position (DESIGN section 5.1, steps 1 and 2).
+Voxels and pixels share gate coordinates, in units of a gate cell: saturating depth under the skin, relative radius,
+and height (DESIGN section 5.1, steps 1 and 2). A voxel may only take from pixels with similar gate coordinates.
 """
 
 from __future__ import annotations
@@ -21,40 +21,40 @@ __all__ = [
     "ANGLES",
     "HEIGHT_CELLS",
     "INSET_STEP",
+    "MIN_SLICE_SHARE",
     "RADIUS_CELLS",
-    "SPECK",
     "Frame",
-    "Sheet",
+    "ScaledPicture",
     "Space",
     "View",
     "depth_gate",
-    "make_sheet",
     "make_space",
     "rim_of",
-    "scaled_sheet",
+    "scale_picture",
+    "scale_to_voxels",
     "voxel_gate",
 ]
 
 DEPTH_SCALE = 0.15
-"""Depth in inradii over which the rind's depth stops to matter (DESIGN 5.1, step 2)."""
+"""Depth in inradii over which the depth coordinate saturates (DESIGN 5.1, step 2)."""
 
 DEPTH_CELLS, RADIUS_CELLS, HEIGHT_CELLS = 7.0, 7.0, 4.0
-"""Gate cells over the range of each coordinate: narrow enough for rings, loose enough for seeds at any height."""
+"""Gate cells over the range of each coordinate: fine enough for rings, coarse enough for seeds at any height."""
 
 MARGIN = 6
 """Cells of air around the body, so that patches at the skin stay on the grid."""
 
 ANGLES = 180
-"""Directions around the axis in which the rim of a slice is known."""
+"""Directions around the axis in which the rim of a slice is sampled."""
 
 INSET_STEP = 0.5
-"""Cells: as the picture's pixels."""
+"""Cells between two samples of the depth; one pixel of a scaled picture."""
 
-SPECK = 0.02
-"""Of the largest slice: a smaller one at an end is a stalk or a crumb, from which no height is measured."""
+MIN_SLICE_SHARE = 0.02
+"""Share of the largest slice's area; smaller slices at an end are a stalk or a crumb and do not count as height."""
 
 ROUND = 0.09
-"""Relative variation of the rim up to which a body counts as round: an ellipse of 1 to 1.3."""
+"""Largest relative standard deviation of the rim of a round body: that of an ellipse of ratio 1.3."""
 
 Frame = int
 """POLAR, RADIAL or FIXED (see `patches`)."""
@@ -62,7 +62,7 @@ Frame = int
 
 @dataclass(frozen=True)
 class Space:
-    """The voxels that are solved for, and where each lies."""
+    """The voxels of the volume and their coordinates in the body."""
 
     body: Body
     up: NDArray[np.float64]
@@ -71,11 +71,11 @@ class Space:
     centre: NDArray[np.float32]
     """(3,). Centre of the body, in cells (cell centres at whole numbers)."""
     cells: NDArray[np.int16]
-    """(N, 3). Voxels inside, and those that the skin passes through."""
+    """(N, 3). Indices of voxels inside the body or crossed by its skin."""
     number: NDArray[np.int32]
     """(X, Y, Z). Row of each voxel in `cells`, -1 outside."""
     depth: NDArray[np.float32]
-    """(N,). Under the skin, over the inradius, from 0."""
+    """(N,). Depth under the skin over the inradius, at least 0."""
     planar: NDArray[np.float32]
     """(N, 3). Position along e1, e2, up from the centre, in cells."""
     radius: NDArray[np.float32]
@@ -83,11 +83,11 @@ class Space:
     rim: NDArray[np.float32]
     """(N,). Distance of the skin from the axis at the voxel's angle and height, in cells."""
     height: NDArray[np.float32]
-    """(N,). Range [-1, 1]."""
+    """(N,). Height along the up axis, range [-1, 1] over the body."""
     normal: NDArray[np.float32]
     """(N, 3). Outward direction of the nearest skin, along e1, e2, up."""
     shell: tuple[NDArray[np.int32], NDArray[np.int32]]
-    """Flat indices of voxels outside within reach of a patch, and of the nearest voxel inside."""
+    """Flat indices of voxels outside but within MARGIN of the body, and of the nearest voxel inside of each."""
 
     @property
     def inradius(self) -> float:
@@ -96,16 +96,16 @@ class Space:
 
     @property
     def widest(self) -> float:
-        """Distance of the skin from the axis where it is widest, in cells; crumbs that stand out do not count."""
+        """Largest distance of the skin from the axis in cells, as a 95th percentile so that crumbs do not count."""
         return float(np.percentile(self.rim[self.depth < 0.1], 95)) if (self.depth < 0.1).any() else 1.0
 
     def fill(self, rgb: NDArray[np.float32]) -> None:
-        """Voxels just outside of the body take the colour of the nearest inside, in place."""
+        """Gives voxels just outside the body the colour of the nearest one inside, in place."""
         flat = rgb.reshape(-1, 3)
         flat[self.shell[0]] = flat[self.shell[1]]
 
     def scatter(self, colours: NDArray[np.float32]) -> NDArray[np.float32]:
-        """(X, Y, Z, 3). The grid from one colour per voxel (N, 3)."""
+        """(X, Y, Z, 3). A grid from one colour per voxel (N, 3)."""
         rgb = np.zeros((*self.number.shape, 3), np.float32)
         rgb[self.cells[:, 0], self.cells[:, 1], self.cells[:, 2]] = colours
         self.fill(rgb)
@@ -113,7 +113,7 @@ class Space:
 
     @property
     def is_round(self) -> bool:
-        """Whether the slices across the axis are round enough for a picture to be turned in them.
+        """Whether slices across the axis are round enough for a picture to be rotated in them.
 
         The rim of a round body varies by a few per cent around the axis, that of a loaf or a thigh by a quarter.
         """
@@ -122,17 +122,17 @@ class Space:
         return float(self.rim[edge].std() / self.rim[edge].mean()) < ROUND
 
     def widest_slice(self, along: NDArray[np.floating]) -> float:
-        """Square cells of the largest slice one cell thick across a direction; `along` (N,) are places along it."""
+        """Area in square cells of the largest slice across a direction; `along` (N,) are positions along it."""
         return float(np.bincount(np.round(along - along.min()).astype(int)).max())
 
 
 def make_space(body: Body, up: NDArray[np.float64], voxels: int) -> Space:
-    """The body on a grid of `voxels` cells along its longest side, and the place of every voxel in it."""
+    """The body on a grid of `voxels` cells along its longest side, with coordinates for every voxel."""
     up = np.asarray(up, np.float64) / np.linalg.norm(up)
     low, high = body.bounds()
     cell = float((high - low).max()) / voxels
     grid = Grid.around(body.bounds(), cell, MARGIN)
-    # A grid finer than the body's own would show its steps.
+    # Smoothed, or a grid finer than the body's own would show its steps.
     depth = body.at(grid.centres())
     if cell < body.grid.cell:
         depth = ndimage.gaussian_filter(depth, 0.5 * body.grid.cell / cell)
@@ -146,7 +146,7 @@ def make_space(body: Body, up: NDArray[np.float64], voxels: int) -> Space:
     centre = inside.mean(0)
     along = (inside - centre) @ up
     areas = np.bincount(np.round(along - along.min()).astype(int))
-    levels = np.flatnonzero(areas > SPECK * areas.max())
+    levels = np.flatnonzero(areas > MIN_SLICE_SHARE * areas.max())
     half = max((levels[-1] - levels[0] + 1) / 2, 1.0)
     centre = centre + up * (along.min() + (levels[0] + levels[-1]) / 2)
     planar = ((cells - centre) @ basis.T).astype(np.float32)
@@ -174,39 +174,39 @@ def make_space(body: Body, up: NDArray[np.float64], voxels: int) -> Space:
 
 
 def rim_of(planar: NDArray[np.float32], radius: NDArray[np.float32]) -> NDArray[np.float32]:
-    """(N,). The greatest radius among the voxels of the same height and angle."""
+    """(N,). The largest radius among the voxels of the same height and angle, in cells."""
     level = np.round(planar[:, 2] - planar[:, 2].min()).astype(int)
     angle = np.arctan2(planar[:, 1], planar[:, 0]) / (2 * np.pi) % 1
     turn = (angle * ANGLES).astype(int) % ANGLES
     rims = np.zeros((level.max() + 1, ANGLES), np.float32)
     np.maximum.at(rims, (level, turn), radius)
-    # Narrow slices have fewer voxels than angles: look around, then smooth away the steps of the grid.
+    # Narrow slices have fewer voxels than angles: dilate over the angles, then smooth away the steps of the grid.
     wide = ndimage.grey_dilation(rims, size=(1, 9), mode="wrap")
     rims = np.where(rims > 0.8 * wide, rims, wide)
     rims = ndimage.gaussian_filter(rims, (0.7, 2.0), mode=("nearest", "wrap"))
-    # Read between angles: taken by steps, an outline that runs aslant would show teeth under the skin.
+    # Interpolated between angles: without, an oblique outline would show teeth under the skin.
     closed = np.pad(rims, ((0, 0), (1, 1)), mode="wrap")
     rim = ndimage.map_coordinates(closed, np.stack([level, angle * ANGLES + 0.5]), order=1, mode="nearest")
     return np.maximum(rim, np.maximum(radius, 0.5))
 
 
 def depth_gate(depth: NDArray[np.floating]) -> NDArray[np.float32]:
-    """Depth in inradii to a gate coordinate: the rind in detail, the middle as one (DESIGN 5.1, step 2)."""
+    """Gate coordinate of a depth in inradii: fine in the rind, saturated in the middle (DESIGN 5.1, step 2)."""
     return ((1 - np.exp(-np.asarray(depth, np.float32) / DEPTH_SCALE)) * DEPTH_CELLS).astype(np.float32)
 
 
 @dataclass(frozen=True)
-class Sheet:
-    """A picture brought to the scale of the voxels: `OVER` pixels to a cell."""
+class ScaledPicture:
+    """A picture resampled to the scale of the voxels: `OVER` pixels per cell."""
 
     rgb: NDArray[np.float32]
     """(H, W, 3)."""
     xy: NDArray[np.float32]
-    """(P, 2). The pixels that are candidates, in cells."""
+    """(P, 2). Positions of the candidate pixels in cells."""
     ab: NDArray[np.float32]
-    """(P, 4). Directions a and b of each in the picture, x to the right and y down."""
+    """(P, 4). Their frame directions a and b in the picture, x to the right and y down."""
     gate: NDArray[np.float32]
-    """(P, 3). Gate coordinates."""
+    """(P, 3). Their gate coordinates."""
     depth: NDArray[np.float32]
     """(H, W). Under the edge, over the body's inradius; 0 outside."""
     middle: tuple[float, float]
@@ -216,7 +216,8 @@ class Sheet:
     rims: NDArray[np.float32]
     """(ANGLES,). Distance of the edge from the centre, counter-clockwise from the right, in cells."""
     insets: NDArray[np.float32]
-    """(ANGLES, L). How far inward of the edge, towards the centre, the depth reaches l INSET_STEPs, in cells."""
+    """(ANGLES, L). Distance from the edge towards the centre, in cells, at which the depth reaches l * INSET_STEP
+    cells."""
 
     def read(self, x: NDArray[np.floating], y: NDArray[np.floating]) -> NDArray[np.float32]:
         """(..., 3). Bilinear colours at (x, y) in cells."""
@@ -235,9 +236,9 @@ class Sheet:
         return ndimage.map_coordinates(self.rims, turn[None], order=1, mode="grid-wrap", output=np.float32)
 
     def inset(self, angle: NDArray[np.floating], depth: NDArray[np.floating]) -> NDArray[np.float32]:
-        """(...). How far inward of the edge, at angles in radians, lies what is `depth` cells under it.
+        """(...). Distance from the edge towards the centre, at angles in radians, of points `depth` cells under it.
 
-        At a corner of a loaf that is farther than the depth itself.
+        Larger than the depth itself at a corner, such as a loaf's.
         """
         turn = np.asarray(angle) / (2 * np.pi) * ANGLES - 0.5
         at = np.stack([turn % ANGLES, np.asarray(depth) / INSET_STEP])
@@ -247,28 +248,28 @@ class Sheet:
 
 @dataclass(frozen=True)
 class View:
-    """How one family looks at the body: its frame, and the direction across its planes."""
+    """The viewing frame of a family, and its pictures."""
 
     kind: Frame
     basis: NDArray[np.float64]
     """(3, 3). World rows: e1, e2, up for round frames; a, b, normal for a fixed one."""
-    sheets: list[Sheet]
+    pictures: list[ScaledPicture]
 
 
-def make_sheet(picture: Picture, space: Space, kind: Frame, area: float) -> Sheet:
-    """The picture at the scale where its cut face covers `area` square cells, with gate coordinates for a frame."""
-    return scaled_sheet(picture, space.inradius, kind, float(np.sqrt(area / max(picture.mask.sum(), 1))))
+def scale_to_voxels(picture: Picture, space: Space, kind: Frame, area: float) -> ScaledPicture:
+    """The picture scaled so that its cut face covers `area` square cells, with gate coordinates for a frame."""
+    return scale_picture(picture, space.inradius, kind, float(np.sqrt(area / max(picture.mask.sum(), 1))))
 
 
-def scaled_sheet(picture: Picture, inradius: float, kind: Frame, cells: float) -> Sheet:
-    """The picture with `cells` cells to its pixel, for a body of this inradius in cells."""
+def scale_picture(picture: Picture, inradius: float, kind: Frame, cells: float) -> ScaledPicture:
+    """The picture with `cells` cells per pixel, for a body of this inradius in cells."""
     scale = cells * OVER
     rgb, mask = _resize(picture.rgb, scale), _resize(picture.mask.astype(np.float32), scale) > 0.5
     pad = 3 * OVER
     mask = np.pad(mask, pad)
     rgb = np.pad(rgb, ((pad, pad), (pad, pad), (0, 0)), mode="edge")
     rgb = np.clip(np.where(mask[..., None], rgb, fill_outside(rgb, mask)), 0, 1)
-    # The edge lies half a pixel before the centre of the outermost one.
+    # The edge lies half a pixel outside the centre of the outermost pixel.
     depth = np.maximum(ndimage.distance_transform_edt(mask) - 0.5, 0).astype(np.float32) / np.float32(OVER * inradius)
     rows, columns = np.nonzero(mask)
     if kind == POLAR:
@@ -298,11 +299,11 @@ def scaled_sheet(picture: Picture, inradius: float, kind: Frame, cells: float) -
     else:
         ab = np.stack([one, zero, zero, -one], -1)
         gate = np.stack([d, zero, zero], -1)
-    return Sheet(rgb, xy, ab.astype(np.float32), gate.astype(np.float32), depth, middle, half, rims, insets)
+    return ScaledPicture(rgb, xy, ab.astype(np.float32), gate.astype(np.float32), depth, middle, half, rims, insets)
 
 
 def voxel_gate(space: Space, kind: Frame) -> NDArray[np.float32]:
-    """(N, 3). Gate coordinates of the voxels for a frame; the same units as a sheet's."""
+    """(N, 3). Gate coordinates of the voxels for a frame, in the units of `ScaledPicture.gate`."""
     d = depth_gate(space.depth)
     zero = np.zeros_like(d)
     if kind == POLAR:
@@ -321,7 +322,7 @@ def voxel_gate(space: Space, kind: Frame) -> NDArray[np.float32]:
 
 
 def _rims(mask: NDArray[np.bool_], middle: tuple[float, float]) -> NDArray[np.float32]:
-    """(ANGLES,). The edge of a mask (OVER pixels to a cell) seen from its centre, in cells."""
+    """(ANGLES,). Distance of a mask's edge from its centre in cells; the mask has OVER pixels per cell."""
     angles = (np.arange(ANGLES) + 0.5) / ANGLES * 2 * np.pi
     reach = np.arange(0, np.hypot(*mask.shape), 0.5)
     x = middle[0] * OVER + np.cos(angles)[:, None] * reach
@@ -333,7 +334,7 @@ def _rims(mask: NDArray[np.bool_], middle: tuple[float, float]) -> NDArray[np.fl
 
 
 def _insets(depth: NDArray[np.float32], middle: tuple[float, float], rims: NDArray[np.float32]) -> NDArray[np.float32]:
-    """(ANGLES, L). See Sheet.insets; `depth` (H, W) in cells, OVER pixels to a cell. Places beyond the centre count as
+    """(ANGLES, L). `ScaledPicture.insets` of a depth map (H, W) in cells with OVER pixels per cell; the search ends at
     the centre."""
     angles = (np.arange(ANGLES) + 0.5) / ANGLES * 2 * np.pi
     inward = np.arange(0, float(rims.max()), INSET_STEP, dtype=np.float32)
@@ -341,16 +342,16 @@ def _insets(depth: NDArray[np.float32], middle: tuple[float, float], rims: NDArr
     x = (middle[0] + np.cos(angles)[:, None] * r) * OVER
     y = (middle[1] - np.sin(angles)[:, None] * r) * OVER
     found = ndimage.map_coordinates(depth, np.stack([y, x]), order=1, mode="constant")
-    # Depth grows inward until the ridge of the shape; a dip behind it is not what lies under the skin there.
+    # Monotone: beyond the ridge of the shape the depth falls again, which belongs to the opposite skin.
     found = np.maximum.accumulate(found, axis=1)
     levels = np.arange(0, float(depth.max()) + INSET_STEP, INSET_STEP)
-    steep = found + 1e-4 * inward  # so that each depth is reached at one place
+    steep = found + 1e-4 * inward  # strictly increasing, so that the inverse is unique
     insets = np.stack([np.interp(levels, row, inward) for row in steep])
     return np.minimum(insets, rims[:, None]).astype(np.float32)
 
 
 def _resize(a: NDArray[np.float32], scale: float) -> NDArray[np.float32]:
-    """A picture (H, W) or (H, W, C) at another scale; shrunk ones are smoothed first, so that nothing aliases."""
+    """A picture (H, W) or (H, W, C) at another scale; smoothed before shrinking, against aliasing."""
     if scale < 1:
         sigma = 0.4 * (1 / scale - 1) ** 0.5 if scale > 0.5 else 0.4 / scale
         a = ndimage.gaussian_filter(a, (sigma, sigma, *[0] * (a.ndim - 2)))
@@ -360,7 +361,7 @@ def _resize(a: NDArray[np.float32], scale: float) -> NDArray[np.float32]:
     at = np.stack(np.meshgrid(y, x, indexing="ij"))
     if a.ndim == 2:
         return ndimage.map_coordinates(a, at, order=1, mode="nearest", output=np.float32)
-    # Cubic where a small photograph is enlarged: linear leaves its pixels to be seen.
+    # Cubic for enlargements: linear interpolation would show the pixels of a small photograph.
     order = 3 if scale > 1.5 else 1
     channels = [
         ndimage.map_coordinates(a[..., c], at, order=order, mode="nearest", output=np.float32) for c in range(3)

@@ -1,7 +1,7 @@
-"""The directions that a family gives a voxel, and the kernels that read and compare patches along them.
+"""Local frames of voxels per family, and the kernels that read and compare patches along them.
 
-A patch is 7x7 samples along two directions. Grid coordinates are in cells with cell centres at whole numbers; picture
-coordinates are in cells too, with `OVER` pixels to a cell.
+A patch is 7x7 samples along two directions. Grid coordinates are in cells with cell centres at integers; picture
+coordinates are in cells too, with `OVER` pixels per cell.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ HALF = 3
 """Samples to each side of a patch's centre."""
 
 PATCH = (2 * HALF + 1) ** 2 * 3
-"""Numbers in a patch."""
+"""Values in a patch."""
 
 OVER = 2
-"""Pixels of an exemplar per voxel: what is read between its pixels stays sharp."""
+"""Pixels of a scaled picture per voxel: interpolated samples stay sharp."""
 
 POLAR, RADIAL, FIXED = 0, 1, 2
 """Kinds of frame: (e_r, e_theta), (e_r, up), two fixed axes."""
@@ -30,7 +30,7 @@ _F1 = np.float32(1)
 
 @njit(cache=True, inline="always")
 def frame_at(kind, basis, centre, x, y, z):  # type: ignore[no-untyped-def]
-    """The directions a and b of a kind of frame at a grid point: six floats.
+    """Directions a and b of a kind of frame at a grid point, as six floats.
 
     basis (3, 3) holds e1, e2, up for the round kinds, a, b and the normal for a fixed one; centre (3,) is in cells.
     """
@@ -62,7 +62,7 @@ def read_patches(
     ab: NDArray[np.float32],  # [M, 4] directions a and b, pixels
     out: NDArray[np.float32],  # [M, PATCH]
 ) -> None:
-    """Reads patches at the nearest pixels: interpolation would make the noise in them weaker than it is."""
+    """Reads patches at the nearest pixels; interpolation would weaken the noise in them."""
     height, width = picture.shape[0], picture.shape[1]
     for m in prange(len(xy)):
         n = 0
@@ -90,7 +90,7 @@ def posterior(
 ) -> None:
     """Mean colour of the candidates under the weights exp(-|query - candidate|^2 / 2 sigma^2).
 
-    That is E[x | x + sigma n] where x is one of the candidates, each as likely as any other.
+    That is E[x | x + sigma n] for x uniform over the candidates.
     """
     dims = queries.shape[1]
     scale = np.float32(-0.5 / (sigma * sigma))

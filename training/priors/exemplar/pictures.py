@@ -1,4 +1,4 @@
-"""Photographs of cut faces as people have them: read, freed from their background, evenly lit."""
+"""Reads photographs of cut faces: removes the background and evens out the lighting."""
 
 from __future__ import annotations
 
@@ -15,34 +15,34 @@ from engine.errors import InputError
 from engine.io.files import atomic
 from engine.io.picture_file import open_picture
 from training.families import Kind
-from training.priors.exemplar.light import even_light
+from training.priors.exemplar.lighting import flatten_light
 
-__all__ = ["Picture", "read_picture", "resolved"]
+__all__ = ["Picture", "read_picture", "resolved_share"]
 
-WORKING_SIDE = 768
-"""Longer side in pixels to which larger pictures are brought: a solve on 256 voxels uses no more."""
+MAX_SIDE = 768
+"""Longer side in pixels to which larger pictures are reduced: a solve on 256 voxels uses no more."""
 
-SMALLEST_SIDE = 24
-"""A cut face narrower than this many pixels holds no 7x7 patches worth copying."""
+MIN_SIDE = 24
+"""Smallest width of a cut face in pixels; below, it holds no 7x7 patches worth copying."""
 
-SHADE = 1 / 255
-"""RMS of a colour difference that no screen shows."""
+INVISIBLE_RMS = 1 / 255
+"""RMS colour difference that an 8-bit screen cannot show."""
 
-PLACES = 16
-"""Across a picture: parts small enough that a seed counts, of which the worst is asked."""
+REGIONS = 16
+"""Regions across a picture, small enough for a seed to count; the worst region decides."""
 
 BACKGROUND_FLOOR = 0.05
-"""Least colour distance that counts as different from the background: noise and JPEG blocks stay under it."""
+"""Smallest RGB distance from the background that counts: noise and JPEG blocks stay below it."""
 
-CORNERS = 2
-"""Corners of the picture that a background has at the least: a table and the wall behind it have two each. What the
-border cuts a face off from has none, or the one that it lies in."""
+MIN_CORNERS = 2
+"""Corners of the picture that each background covers at least: a table and the wall behind it have two each. A face
+cropped by the border covers none, or the one it lies in."""
 
-CUT_OFF = 0.25
+MAX_BORDER_SHARE = 0.25
 """Of a face's width, how much of one side of the picture it may lie on. A round face with such a chord lacks 1.6 % of
 its width, which nobody sees; a stalk or a crumb at the border is narrower still."""
 
-SOLIDITY = 0.7
+MIN_SOLIDITY = 0.7
 """Of its convex hull, the least that a cut face fills. The 29 photographs with hand-checked masks fill 0.93 and more;
 what is found of a pale face that two sides cut off is its rind, an arc that fills less than half."""
 
@@ -53,18 +53,18 @@ a chord of sqrt(4 UNSURE W), which in small pictures is more than the share abov
 
 @dataclass(frozen=True)
 class Picture:
-    """A cut face: its colours, and where it is."""
+    """A photographed cut face and its mask."""
 
     path: Path
     rgb: NDArray[np.float32]
-    """(H, W, 3). Range [0, 1]; outside of the mask the nearest colour inside."""
+    """(H, W, 3). Range [0, 1]; outside the mask the nearest colour inside."""
     mask: NDArray[np.bool_]
     """(H, W). The cut face."""
     plain: NDArray[np.float32]
-    """(H, W, 3). The picture as it was, for the overlay."""
+    """(H, W, 3). The unprocessed picture, for the overlay."""
 
     def save_overlay(self, path: str | Path) -> None:
-        """Writes the picture with everything that was taken for background in a dim violet."""
+        """Writes the picture with its background tinted violet, for checking the mask."""
         tint = np.array([0.45, 0.2, 0.6], np.float32)
         shown = np.where(self.mask[..., None], self.plain, 0.25 * self.plain + 0.75 * tint)
         image = Image.fromarray((shown * 255 + 0.5).astype(np.uint8))
@@ -75,55 +75,55 @@ class Picture:
 def read_picture(path: str | Path, kind: Kind) -> Picture:
     """Reads a photograph of a cut face of one kind of family.
 
-    Transparency, where there is any, is the mask; else the background is what looks like the picture's border.
-    Raises InputError where the file cannot be read or no cut face stands out.
+    The alpha channel, if any, is the mask; otherwise the background is what looks like the picture's border.
+    Raises InputError if the file cannot be read or no cut face stands out.
     """
     path = Path(path)
     rgb, alpha = _read(path)
-    mask = _largest(alpha > 0.5) if alpha is not None else _foreground(rgb, path)
+    mask = _largest_component(alpha > 0.5) if alpha is not None else _foreground(rgb, path)
     rows, columns = np.nonzero(mask)
-    if len(rows) == 0 or min(np.ptp(rows), np.ptp(columns)) + 1 < SMALLEST_SIDE:
+    if len(rows) == 0 or min(np.ptp(rows), np.ptp(columns)) + 1 < MIN_SIDE:
         raise InputError(
-            f"{path}: the cut face is smaller than {SMALLEST_SIDE} pixels; give a larger picture, or one where the "
+            f"{path}: the cut face is smaller than {MIN_SIDE} pixels; give a larger picture, or one where the "
             "cut face stands out from a plain background"
         )
     margin = 2 + round(0.03 * max(np.ptp(rows), np.ptp(columns)))
     mask, plain = (_crop(a, rows, columns, margin) for a in (mask, rgb))
-    return Picture(path, fill_outside(even_light(plain, mask, kind), mask), mask, plain)
+    return Picture(path, fill_outside(flatten_light(plain, mask, kind), mask), mask, plain)
 
 
-def resolved(picture: Picture) -> float:
-    """The share of its pixels along an edge that a cut face needs: with fewer, some part changes by more than SHADE.
+def resolved_share(picture: Picture) -> float:
+    """The smallest scale at which the cut face keeps its detail: below, some region changes by over INVISIBLE_RMS.
 
     1 for a sharp picture, less for one that was enlarged, is out of focus or shows little. Range (0, 1].
     """
     rows, columns = np.nonzero(picture.mask)
     longer = max(np.ptp(rows), np.ptp(columns)) + 1
-    # Beside the edge the background shows through, in any size.
+    # Pixels at the edge mix with the background at any scale.
     core = ndimage.binary_erosion(picture.mask, iterations=2, border_value=0)
     share = 1.0
-    while share * longer > SMALLEST_SIDE:
+    while share * longer > MIN_SIDE:
         coarser = share / 2**0.25
-        wrong = np.where(core, np.square(_coarsened(picture.rgb, coarser) - picture.rgb).mean(axis=-1), 0)
-        if ndimage.uniform_filter(wrong, max(round(longer / PLACES), 1)).max() > SHADE**2:
+        wrong = np.where(core, np.square(_resample(picture.rgb, coarser) - picture.rgb).mean(axis=-1), 0)
+        if ndimage.uniform_filter(wrong, max(round(longer / REGIONS), 1)).max() > INVISIBLE_RMS**2:
             break
         share = coarser
     return share
 
 
-def _coarsened(rgb: NDArray[np.float32], share: float) -> NDArray[np.float32]:
-    """(H, W, 3). The picture with this share of its pixels along each edge, enlarged again."""
+def _resample(rgb: NDArray[np.float32], share: float) -> NDArray[np.float32]:
+    """(H, W, 3). The picture reduced to this scale and enlarged again."""
     height, width = rgb.shape[:2]
     size = max(round(width * share), 1), max(round(height * share), 1)
     channels = (Image.fromarray(np.ascontiguousarray(rgb[..., c])) for c in range(3))
-    sharp = Image.Resampling.LANCZOS  # others take off what the smaller picture could hold
+    sharp = Image.Resampling.LANCZOS  # other filters remove detail that the smaller picture could hold
     return np.stack([np.asarray(c.resize(size, sharp).resize((width, height), sharp)) for c in channels], axis=-1)
 
 
 def fill_outside(rgb: NDArray[np.float32], mask: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """(H, W, 3). Every pixel outside of the mask takes the colour of the nearest one a little inside.
+    """(H, W, 3). The picture with every pixel outside the mask replaced by the nearest one inside.
 
-    A little: the outermost ring of a photograph is half background.
+    The outermost ring of the mask does not count as inside: it is half background.
     """
     core = ndimage.binary_erosion(mask, iterations=1, border_value=0)
     nearest = ndimage.distance_transform_edt(~core, return_distances=False, return_indices=True)
@@ -138,7 +138,7 @@ def _crop(a: NDArray, rows: NDArray, columns: NDArray, margin: int) -> NDArray:
 
 
 def _read(path: Path) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
-    """(H, W, 3) colours and, where the picture has real transparency, (H, W) opacity; both in [0, 1]."""
+    """(H, W, 3) colours and, if the picture has real transparency, (H, W) opacity; both in [0, 1]."""
     alpha: NDArray[np.float32] | None = None
     with open_picture(path) as opened:
         image = ImageOps.exif_transpose(opened)
@@ -148,9 +148,9 @@ def _read(path: Path) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
             image = Image.fromarray((np.clip(values / top, 0, 1) * 255 + 0.5).astype(np.uint8))
         if "A" in image.mode or "transparency" in image.info:
             image = image.convert("RGBA")
-        if max(image.size) > WORKING_SIDE:
-            image.thumbnail((WORKING_SIDE, WORKING_SIDE), Image.Resampling.LANCZOS)
-        if min(image.size) < SMALLEST_SIDE:
+        if max(image.size) > MAX_SIDE:
+            image.thumbnail((MAX_SIDE, MAX_SIDE), Image.Resampling.LANCZOS)
+        if min(image.size) < MIN_SIDE:
             raise InputError(f"{path}: only {image.width}x{image.height} pixels; give a larger picture")
         if image.mode == "RGBA":
             alpha = np.asarray(image.getchannel("A"), np.float32) / np.float32(255)
@@ -160,12 +160,12 @@ def _read(path: Path) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
 
 
 def _foreground(rgb: NDArray[np.float32], path: Path) -> NDArray[np.bool_]:
-    """(H, W). What does not look like the border of the picture.
+    """(H, W). The pixels that do not look like the border of the picture.
 
-    The border's colours are a smooth surface over the picture (uneven light, a soft shadow) plus a spread; up to two
-    such surfaces (a table and a wall). Otsu's threshold on the distance to them decides, held to sensible bounds.
-    All this holds only where the border shows background, so what stands out must not reach it. Raises InputError where
-    it does, or nothing stands out.
+    The border's colours are modelled as a smooth surface over the picture (uneven light, a soft shadow) plus a spread,
+    with up to two such surfaces (a table and a wall). Otsu's threshold on the distance to them, clipped to sensible
+    bounds, decides. The model assumes that the border shows background only. Raises InputError if the foreground
+    reaches the border, or if there is none.
     """
     height, width = rgb.shape[:2]
     band = max(2, round(0.03 * min(height, width)))
@@ -174,21 +174,21 @@ def _foreground(rgb: NDArray[np.float32], path: Path) -> NDArray[np.bool_]:
     y, x = np.meshgrid(np.linspace(-1, 1, height), np.linspace(-1, 1, width), indexing="ij")
     basis = np.stack([np.ones_like(x), x, y, x * y, x * x, y * y], -1)
     smooth = ndimage.gaussian_filter(rgb, (1.0, 1.0, 0))
-    # The colours with the light partly taken out: a shadow moves a table's brightness more than its hue.
+    # Brightness counts less than hue: a shadow changes a table's brightness more.
     light = smooth.sum(-1, keepdims=True) / 3
     chroma = np.concatenate([0.6 * light, smooth - light], -1)
     distance = np.full((height, width), np.inf)
-    left, plain = border.copy(), np.zeros(4, bool)
+    unexplained, plain = border.copy(), np.zeros(4, bool)
     for _ in range(2):
-        if left.sum() < 0.1 * border.sum():
+        if unexplained.sum() < 0.1 * border.sum():
             break
-        surface, spread, member = _surface(chroma, basis, left)
-        corners = _corners(member, band)
-        if corners.sum() < CORNERS:
+        surface, spread, is_background = _fit_background(chroma, basis, unexplained)
+        corners = _corners(is_background, band)
+        if corners.sum() < MIN_CORNERS:
             break
         plain |= corners
         distance = np.minimum(distance, np.linalg.norm(chroma - surface, axis=-1) / max(spread, BACKGROUND_FLOOR / 3))
-        left &= ~member
+        unexplained &= ~is_background
     cut_off = InputError(
         f"{path}: the cut face, or something beside it, reaches the picture's border; take all of it with plain "
         "background around it, or cut it out"
@@ -198,15 +198,15 @@ def _foreground(rgb: NDArray[np.float32], path: Path) -> NDArray[np.bool_]:
     found = distance > float(np.clip(_otsu(distance), 3.0, 6.0))
     found = ndimage.binary_opening(found, iterations=1)
     found = ndimage.binary_closing(np.pad(found, 8), iterations=max(1, min(height, width) // 150))[8:-8, 8:-8]
-    # The edge pixels are half background, and smoothing has moved the edge outwards by another half.
+    # Edge pixels are half background, and smoothing has moved the edge outwards by another half pixel.
     eroded = ndimage.binary_erosion(found)
-    mask = _largest(eroded)
+    mask = _largest_component(eroded)
     if mask.mean() < 0.02:
         raise InputError(f"{path}: no cut face stands out from the background; use a plain background, or cut it out")
     across = max(np.ptp(places) + 1 for places in np.nonzero(mask))
-    if _along_border(eroded, plain) > max(CUT_OFF * across, (4 * UNSURE * across) ** 0.5):
+    if _along_border(eroded, plain) > max(MAX_BORDER_SHARE * across, (4 * UNSURE * across) ** 0.5):
         raise cut_off
-    if _solidity(mask) < SOLIDITY:
+    if _solidity(mask) < MIN_SOLIDITY:
         raise cut_off
     return mask
 
@@ -218,12 +218,12 @@ def _solidity(mask: NDArray[np.bool_]) -> float:
     return float(mask.sum() / ConvexHull(corners.reshape(-1, 2)).volume)
 
 
-def _corners(member: NDArray[np.bool_], band: int) -> NDArray[np.bool_]:
-    """(4,). Which corners of the picture, squares with this side, mostly belong to `member` (H, W); clockwise from the
-    top left."""
+def _corners(is_background: NDArray[np.bool_], band: int) -> NDArray[np.bool_]:
+    """(4,). Corners of the picture, squares of side `band`, that mostly belong to `is_background` (H, W); clockwise
+    from the top left."""
     first, last = slice(None, band), slice(-band, None)
     places = ((first, first), (first, last), (last, last), (last, first))
-    return np.array([member[place].mean() > 0.5 for place in places])
+    return np.array([is_background[place].mean() > 0.5 for place in places])
 
 
 def _along_border(found: NDArray[np.bool_], plain: NDArray[np.bool_]) -> int:
@@ -245,12 +245,12 @@ def _along_border(found: NDArray[np.bool_], plain: NDArray[np.bool_]) -> int:
     return max(int(np.ptp(np.flatnonzero(piece))) + 1 if piece.any() else 0 for piece in pieces)
 
 
-def _surface(
+def _fit_background(
     chroma: NDArray[np.float32], basis: NDArray[np.float64], where: NDArray[np.bool_]
 ) -> tuple[NDArray[np.float64], float, NDArray[np.bool_]]:
-    """The colour surface of the larger part of the border: (H, W, 3), its spread, and (H, W) the pixels that follow it.
+    """The colour surface (H, W, 3) that fits most of the border, its spread, and its inliers (H, W).
 
-    Starts from the most frequent colour, then alternates a least-squares fit with a choice of who follows.
+    Starts from the most frequent colour, then alternates a least-squares fit with the selection of inliers.
     """
     colours = chroma[where]
     bins = np.round(colours / 0.06).astype(np.int64)
@@ -258,24 +258,24 @@ def _surface(
     mode = colours[(np.abs(bins - values[counts.argmax()]) <= 1).all(1)].mean(0)
     surface = np.broadcast_to(mode, chroma.shape).astype(np.float64)
     radius, spread = 0.15, 0.05
-    member = where
+    is_background = where
     for terms in (1, 3, 6):
         gap = np.linalg.norm(chroma - surface, axis=-1)
-        member = where & (gap < radius)
-        if member.sum() < 20:
+        is_background = where & (gap < radius)
+        if is_background.sum() < 20:
             break
-        # A little ridge keeps the curved terms from running away over the middle, which no border pixel sees.
-        a = basis[member][:, :terms]
+        # Ridge regression: unregularised, the curved terms diverge over the middle, where there are no border pixels.
+        a = basis[is_background][:, :terms]
         ridge = 1e-2 * len(a) * np.diag([0.0, *[1.0] * (terms - 1)])
-        fit = np.linalg.solve(a.T @ a + ridge, a.T @ chroma[member])
+        fit = np.linalg.solve(a.T @ a + ridge, a.T @ chroma[is_background])
         surface = basis[..., :terms] @ fit
-        spread = float(np.sqrt((np.linalg.norm(chroma[member] - surface[member], axis=-1) ** 2).mean()))
+        spread = float(np.sqrt((np.linalg.norm(chroma[is_background] - surface[is_background], axis=-1) ** 2).mean()))
         radius = float(np.clip(4 * spread, 0.06, 0.15))
-    return surface, spread, member
+    return surface, spread, is_background
 
 
 def _otsu(values: NDArray[np.floating]) -> float:
-    """The threshold that best parts values in two, on a logarithmic scale."""
+    """Otsu's threshold of the values on a logarithmic scale (Otsu 1979)."""
     logs = np.log(np.maximum(values, 1e-2))
     counts, edges = np.histogram(logs, 128)
     middle = (edges[1:] + edges[:-1]) / 2
@@ -284,12 +284,12 @@ def _otsu(values: NDArray[np.floating]) -> float:
     sums = np.cumsum(counts * middle)
     with np.errstate(divide="ignore", invalid="ignore"):
         between = below * above * (sums / below - (sums[-1] - sums) / above) ** 2
-    between[~np.isfinite(between)] = 0  # one of the two sides is empty
+    between[~np.isfinite(between)] = 0  # one of the two classes is empty
     return float(np.exp(middle[between.argmax()]))
 
 
-def _largest(found: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """The largest connected part, its holes filled: a hole in a cut face is a dark or a white part of it."""
+def _largest_component(found: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """The largest connected component with its holes filled: a hole is a dark or white part of the face."""
     parts, count = ndimage.label(found)
     if count == 0:
         return np.zeros_like(found)

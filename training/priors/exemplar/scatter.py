@@ -1,4 +1,4 @@
-"""Things that end, strewn through the body: seeds and pores as many and as long as the pictures say."""
+"""Scatters details such as seeds and pores through the body, in the number and size that the pictures show."""
 
 from __future__ import annotations
 
@@ -9,35 +9,35 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from training.priors.exemplar.carve import Carving
 from training.priors.exemplar.decompose import Detail, Layers
 from training.priors.exemplar.frames import Space, View, voxel_gate
+from training.priors.exemplar.height_mask import HeightMask
 from training.priors.exemplar.patches import OVER, POLAR, RADIAL, frame_at
 from training.priors.prior import Progress
 
-__all__ = ["strew"]
+__all__ = ["scatter_details"]
 
-BIN = 0.4
-"""Edge of a bin of gate coordinates; a thing may stand in its own bin and the neighbours."""
+BIN_SIZE = 0.4
+"""Edge of a bin of gate coordinates; a detail may be placed in its own bin and the neighbours."""
 
-SECTION = np.pi / 4
-"""Mean size of a random section of an ellipsoid over the size of its largest."""
+MEAN_SECTION = np.pi / 4
+"""Mean size of a random section of an ellipsoid over that of its largest."""
 
-ALIKE = 0.25
-"""Colour distance up to which a place is like the one where the picture shows a thing: no crumbs in the cream."""
+SAME_COLOUR = 0.25
+"""Largest RGB distance between the ground at a new place and in the picture: no crumbs in the cream."""
 
-MIXED = 0.5
-"""Colour distance from what a thing lies in at which a voxel is something else: a crumb is cut off at the cream."""
+MAX_GROUND_DISTANCE = 0.5
+"""RGB distance from its ground beyond which a detail is not painted: a crumb is cut off at the cream."""
 
-TRIES = 20
-"""Places tried for a thing before it may touch another."""
+MAX_TRIES = 20
+"""Positions tried for a detail before it may touch another."""
 
 
-class _Places:
-    """Voxels by gate coordinates, to draw one near given coordinates quickly."""
+class _GateIndex:
+    """Rows binned by gate coordinates, for drawing some near given coordinates."""
 
     def __init__(self, gates: NDArray[np.float32], rows: NDArray[np.intp]) -> None:
-        keys = self._keys(np.floor(gates[rows] / BIN).astype(np.int64))
+        keys = self._keys(np.floor(gates[rows] / BIN_SIZE).astype(np.int64))
         order = np.argsort(keys, kind="stable")
         self.rows = rows[order]
         self.keys, self.first, self.count = np.unique(keys[order], return_index=True, return_counts=True)
@@ -49,17 +49,17 @@ class _Places:
     def _near(self, gate: NDArray[np.float32]) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
         """First row and number of rows of the bins around gate coordinates."""
         around = np.stack(np.meshgrid(*[[-1, 0, 1]] * 3, indexing="ij"), -1).reshape(-1, 3)
-        wanted = self._keys(np.floor(gate / BIN).astype(np.int64) + around)
+        wanted = self._keys(np.floor(gate / BIN_SIZE).astype(np.int64) + around)
         at = np.minimum(np.searchsorted(self.keys, wanted), len(self.keys) - 1)
         found = self.keys[at] == wanted
         return self.first[at[found]], self.count[at[found]]
 
     def number(self, gate: NDArray[np.float32]) -> int:
-        """How many voxels lie around these coordinates."""
+        """Number of rows in the bins around these coordinates."""
         return int(self._near(gate)[1].sum()) if len(self.keys) else 0
 
     def draw(self, gate: NDArray[np.float32], count: int, rng: np.random.Generator) -> NDArray[np.intp]:
-        """(count,). Voxels around these coordinates, drawn evenly; there must be some."""
+        """(count,). Rows around these coordinates, drawn uniformly; there must be at least one."""
         first, number = self._near(gate)
         ends = np.cumsum(number)
         pick = rng.integers(ends[-1], size=count)
@@ -68,8 +68,8 @@ class _Places:
 
 
 @dataclass(frozen=True)
-class _Kind:
-    """A detail of a picture as a thing in space."""
+class _Template:
+    """A detail of a picture and how to place its copies in the body."""
 
     view: int
     layers: int
@@ -77,48 +77,48 @@ class _Kind:
     across: float
     """Half length along the picture's normal, cells."""
     copies: float
-    """How many of it the body holds."""
-    places: _Places
+    """Expected number of copies in the body."""
+    places: _GateIndex
     gate: NDArray[np.float32]
-    """(3,). Where one may be centred, gate coordinates."""
+    """(3,). Gate coordinates of their centres."""
 
 
-def strew(
+def scatter_details(
     rgb: NDArray[np.float32],  # [X, Y, Z, 3]
     space: Space,
     views: Sequence[View],
     layers: Sequence[Sequence[Layers]],
-    carve: Carving | None,
+    height_mask: HeightMask | None,
     rng: np.random.Generator,
     progress: Progress,
 ) -> int:
-    """Paints the details of all pictures into the grid, in place, and returns how many.
+    """Paints the details of all pictures into the grid, in place, and returns their number.
 
-    A detail of a picture is a section of a thing that is as long across the picture as the other families' details say
-    of their own, or, where there are none, as it is wide. A plane meets a thing of length L on a share L/H of its
-    places, so a face with n of them stands for n H / L in the body: short things are more.
+    A detail is taken for a section of an object whose length across the picture follows the aspect of the other
+    families' details or, without any, equals its width. A plane crosses an object of length L with probability L / H,
+    so a face showing n of them stands for n H / L in the body.
     """
-    kinds = _kinds(space, views, layers, carve)
-    if not kinds:
+    templates = _make_templates(space, views, layers, height_mask)
+    if not templates:
         return 0
-    order = np.argsort([-k.across for k in kinds], kind="stable")
+    order = np.argsort([-k.across for k in templates], kind="stable")
     total = 0
-    grid = _Buckets(space)
+    grid = _Occupancy(space)
     for done, n in enumerate(order):
         progress(done / len(order))
-        kind = kinds[n]
-        whole, part = divmod(kind.copies, 1)
-        parts = layers[kind.view][kind.layers]
-        detail = parts.details[kind.detail]
-        size = max(*detail.half, kind.across)
+        template = templates[n]
+        whole, part = divmod(template.copies, 1)
+        parts = layers[template.view][template.layers]
+        detail = parts.details[template.detail]
+        size = max(*detail.half, template.across)
         for _ in range(int(whole) + (rng.random() < part)):
-            choice = kind.places.draw(kind.gate, TRIES, rng)
+            choice = template.places.draw(template.gate, MAX_TRIES, rng)
             i, j, k = space.cells[choice].T
-            choice = choice[np.linalg.norm(rgb[i, j, k] - detail.ground, axis=1) < ALIKE]
+            choice = choice[np.linalg.norm(rgb[i, j, k] - detail.ground, axis=1) < SAME_COLOUR]
             if len(choice) == 0:
                 continue
             at = grid.place(choice, size)
-            view = views[kind.view]
+            view = views[template.view]
             _paint(
                 rgb,
                 space.number,
@@ -126,31 +126,31 @@ def strew(
                 view.kind,
                 view.basis.astype(np.float32),
                 space.centre,
-                parts.sheet.rgb,
+                parts.source.rgb,
                 parts.detail,
                 parts.labels,
                 detail.label,
                 np.float32(detail.x),
                 np.float32(detail.y),
                 np.float32(detail.reach),
-                parts.sheet.ab[detail.pixel],
-                np.float32(kind.across),
+                parts.source.ab[detail.pixel],
+                np.float32(template.across),
                 detail.ground,
             )
             total += 1
     return total
 
 
-class _Buckets:
-    """Where things are already, in coarse cells, to keep them from running into each other."""
+class _Occupancy:
+    """Positions of placed details in a coarse grid, to keep them from overlapping."""
 
     def __init__(self, space: Space) -> None:
         self.space = space
         self.step = 8
-        self.held: dict[tuple[int, ...], list[tuple[NDArray[np.float32], float]]] = {}
+        self.placed: dict[tuple[int, ...], list[tuple[NDArray[np.float32], float]]] = {}
 
     def place(self, choice: NDArray[np.intp], size: float) -> int:
-        """The first of some rows of `space.cells` that has room for a thing of this half length; else the last."""
+        """The first of some rows of `space.cells` with room for a detail of this half length, else the last."""
         for at in choice.tolist():
             point = self.space.cells[at].astype(np.float32)
             key = tuple((point // self.step).astype(int).tolist())
@@ -160,62 +160,66 @@ class _Buckets:
                 for i in range(-reach, reach + 1)
                 for j in range(-reach, reach + 1)
                 for k in range(-reach, reach + 1)
-                for other in self.held.get((key[0] + i, key[1] + j, key[2] + k), ())
+                for other in self.placed.get((key[0] + i, key[1] + j, key[2] + k), ())
             )
             if all(float(((point - p) ** 2).sum()) > (0.8 * (size + s)) ** 2 for p, s in near):
                 break
-        self.held.setdefault(key, []).append((point, size))
+        self.placed.setdefault(key, []).append((point, size))
         return at
 
 
-def _kinds(
-    space: Space, views: Sequence[View], layers: Sequence[Sequence[Layers]], carve: Carving | None
-) -> list[_Kind]:
-    """What to strew: each detail of each picture, its length across, its number and its places.
+def _make_templates(
+    space: Space, views: Sequence[View], layers: Sequence[Sequence[Layers]], height_mask: HeightMask | None
+) -> list[_Template]:
+    """A template for each detail of each picture: its length across, number of copies and allowed positions.
 
-    Not what lies in a structure that is carried with all it holds, as an apple's seeds lie in its carpels.
+    Leaves out details enclosed by an extruded structure, such as the seeds in an apple's carpels.
     """
-    speaking = [v for v in range(len(views)) if any(p.details for p in layers[v])]
-    # Where a radial or parallel family knows at which height and depth things are, the others' things go there too.
+    with_details = [v for v in range(len(views)) if any(p.details for p in layers[v])]
+    # Where a radial or parallel family shows the height and depth of details, those of the others go there too.
     aspects = [_aspect(layers[v]) for v in range(len(views))]
-    kinds = []
-    for v in speaking:
-        others = [aspects[o] for o in speaking if o != v]
+    templates = []
+    for v in with_details:
+        other_aspects = [aspects[o] for o in with_details if o != v]
         gates = voxel_gate(space, views[v].kind)
-        pixels = np.concatenate([p.sheet.gate for p in layers[v]])
-        everywhere = _Places(gates, np.arange(len(gates)))
-        shown = _Places(pixels, np.arange(len(pixels)))
+        pixels = np.concatenate([p.source.gate for p in layers[v]])
+        everywhere = _GateIndex(gates, np.arange(len(gates)))
+        in_pictures = _GateIndex(pixels, np.arange(len(pixels)))
         allowed = everywhere
         if views[v].kind == POLAR:
-            known = _known_to(space, views, layers, [o for o in speaking if views[o].kind == RADIAL])
-            allowed = _Places(gates, np.flatnonzero(known))
+            near_detail = _near_known_details(
+                space, views, layers, [o for o in with_details if views[o].kind == RADIAL]
+            )
+            allowed = _GateIndex(gates, np.flatnonzero(near_detail))
         for n, parts in enumerate(layers[v]):
             for d, detail in enumerate(parts.details):
-                gate = parts.sheet.gate[detail.pixel]
-                if carve is not None and views[v].kind == RADIAL and _held(carve, parts, detail):
+                gate = parts.source.gate[detail.pixel]
+                if height_mask is not None and views[v].kind == RADIAL and _is_enclosed(height_mask, parts, detail):
                     continue
-                voxels, area = everywhere.number(gate), shown.number(gate)
+                voxels, area = everywhere.number(gate), in_pictures.number(gate)
                 if voxels == 0 or area == 0:
                     continue
                 places = allowed if allowed.number(gate) else everywhere
                 width = float(np.sqrt(detail.half[0] * detail.half[1]))
-                across = width * float(np.mean(others)) if others else width
-                across = float(np.clip(across, 0.5 * min(detail.half), 1.5 * max(detail.half))) / SECTION
-                kinds.append(
-                    _Kind(v, n, d, across, voxels / area / (2 * SECTION * across) / len(speaking), places, gate)
+                across = width * float(np.mean(other_aspects)) if other_aspects else width
+                across = float(np.clip(across, 0.5 * min(detail.half), 1.5 * max(detail.half))) / MEAN_SECTION
+                templates.append(
+                    _Template(
+                        v, n, d, across, voxels / area / (2 * MEAN_SECTION * across) / len(with_details), places, gate
+                    )
                 )
-    return kinds
+    return templates
 
 
-def _held(carve: Carving, parts: Layers, detail: Detail) -> bool:
-    """Whether a carried structure holds this detail of a radial picture."""
-    (across, up), (half_across, half_up) = parts.sheet.middle, parts.sheet.half
+def _is_enclosed(height_mask: HeightMask, parts: Layers, detail: Detail) -> bool:
+    """Whether an extruded structure encloses this detail of a radial picture."""
+    (across, up), (half_across, half_up) = parts.source.middle, parts.source.half
     radius = np.array([abs(detail.x - across) / half_across])
-    return bool(carve.explains(radius, np.array([(up - detail.y) / half_up]))[0])
+    return bool(height_mask.explains(radius, np.array([(up - detail.y) / half_up]))[0])
 
 
 def _aspect(layers: Sequence[Layers]) -> float:
-    """Typical length along the second direction over that along the first, of a family's larger details."""
+    """Median ratio of the half lengths along b and a of a family's larger details, within [0.5, 2]."""
     halves = np.array([d.half for parts in layers for d in parts.details]).reshape(-1, 2)
     if len(halves) == 0:
         return 1.0
@@ -224,24 +228,24 @@ def _aspect(layers: Sequence[Layers]) -> float:
     return float(np.clip(ratio, 0.5, 2.0))
 
 
-def _known_to(
+def _near_known_details(
     space: Space, views: Sequence[View], layers: Sequence[Sequence[Layers]], families: Sequence[int]
 ) -> NDArray[np.bool_]:
-    """(N,). Voxels near whose place some detail of these families lies; all where there are no such families."""
-    known = np.full(len(space.cells), not families)
+    """(N,). Voxels with gate coordinates near a detail of these families; all voxels without such families."""
+    near_detail = np.full(len(space.cells), not families)
     for v in families:
         gates = voxel_gate(space, views[v].kind)
         for parts in layers[v]:
             for detail in parts.details:
-                known |= (np.abs(gates - parts.sheet.gate[detail.pixel]) <= 0.8).all(1)
-    return known
+                near_detail |= (np.abs(gates - parts.source.gate[detail.pixel]) <= 0.8).all(1)
+    return near_detail
 
 
 @njit(cache=True)
 def _paint(  # type: ignore[no-untyped-def]
     rgb, number, point, kind, basis, centre, picture, opacity, labels, label, x, y, reach, ab, across, ground
 ):
-    """One thing: its picture in its own plane, shrunk like an ellipsoid towards its ends, where its own ground is."""
+    """Paints one detail: its picture in its plane, shrinking like an ellipsoid across it, over its own ground only."""
     ax, ay, az, bx, by, bz = frame_at(kind, basis, centre, point[0], point[1], point[2])
     nx, ny, nz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
     grow = np.float32(1.15)  # sections are smaller than what they cut
@@ -259,7 +263,7 @@ def _paint(  # type: ignore[no-untyped-def]
                     (rgb[i, j, k, 0] - ground[0]) ** 2
                     + (rgb[i, j, k, 1] - ground[1]) ** 2
                     + (rgb[i, j, k, 2] - ground[2]) ** 2
-                ) > MIXED * MIXED:
+                ) > MAX_GROUND_DISTANCE * MAX_GROUND_DISTANCE:
                     continue
                 dx, dy, dz = np.float32(i) - point[0], np.float32(j) - point[1], np.float32(k) - point[2]
                 w = (dx * nx + dy * ny + dz * nz) / across

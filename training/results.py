@@ -1,4 +1,4 @@
-"""What a run leaves behind: the solid, a sheet of cuts nobody trained, and a report."""
+"""Writes the results of a run: the trained solid, a contact sheet of untrained cuts, and a report."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from engine.io.trained import Meta, save_trained
 from engine.render.classic import rasterizer as classic
 from engine.render.cpu import opaque
 from engine.scene.atoms import Atoms
-from training.contact_sheet import save_sheet
-from training.events import Reporter, plain
+from training.contact_sheet import save_contact_sheet
+from training.events import Reporter, to_json
 from training.optimise.losses import psnr
 from training.optimise.trainer import Trainer
 from training.request import Geometry, Request
 from training.settings import DETAILS
 from training.views import BACKGROUND, surface_cameras
 
-__all__ = ["save"]
+__all__ = ["save_results"]
 
 HELD_OUT_VIEWS = 8
-"""Surface views that training never sees, for the surface figures of the report."""
+"""Surface views that training never uses, for the surface figures of the report."""
 
 
-def save(
+def save_results(
     request: Request,
     geometry: Geometry,
     start: Atoms,
@@ -37,7 +37,7 @@ def save(
     out: Path,
     reporter: Reporter,
 ) -> Path:
-    """Writes the solid, the sheet of untrained cuts and the report; `start` is what training began with."""
+    """Writes the solid, the contact sheet and the report; `start` is the solid before training. Returns its path."""
     atoms = trainer.result()
     path = out / f"{request.scene.stem}.ply"
     with reporter.stage("save") as stage:
@@ -55,9 +55,9 @@ def save(
         origin = geometry.gaussians.origin
         save_trained(path, atoms, Meta(up, families, request.seed, request.prior, request.scene.name, origin))
         stage.progress(0.3)
-        save_sheet(out / "cuts.png", atoms, geometry.body, geometry.up)
+        save_contact_sheet(out / "cuts.png", atoms, geometry.body, geometry.up)
         stage.progress(0.7)
-        before, after = (surface_psnr(geometry, each) for each in (start, atoms))
+        before, after = (surface_psnr(geometry, version) for version in (start, atoms))
     report = {
         **facts,
         "views": {
@@ -72,7 +72,7 @@ def save(
         "losses": {"section": history["section"], "surface": history["surface"]},
         "seconds": {name: round(spent, 2) for name, spent in reporter.timings.items()},
     }
-    text = json.dumps(plain(report), indent=1, allow_nan=False) + "\n"
+    text = json.dumps(to_json(report), indent=1, allow_nan=False) + "\n"
     with atomic(out / "report.json") as temporary:
         temporary.write_text(text, encoding="utf-8")
     reporter.emit("done", scene=path, sheet=out / "cuts.png", report=out / "report.json")
@@ -80,9 +80,9 @@ def save(
 
 
 def surface_psnr(geometry: Geometry, atoms: Atoms) -> float:
-    """PSNR in dB of the opaque object against the input 3DGS, on views never trained.
+    """Mean PSNR in dB of the opaque object against the input 3DGS, on held-out views.
 
-    Both pictures stand on white and are whole: haze that was dropped and edges that are crisper count as errors.
+    Measured on entire pictures over white: dropped haze and sharper edges count as errors.
     """
     size = DETAILS["standard"].surface
     figures = []

@@ -1,4 +1,4 @@
-"""The light of photographs: slopes of brightness taken out of one, and several brought to one colour."""
+"""Removes gradients of illumination from photographs and matches the illuminant of several."""
 
 from __future__ import annotations
 
@@ -8,39 +8,39 @@ from scipy import ndimage
 
 from training.families import Kind
 
-__all__ = ["even_light", "gain_between"]
+__all__ = ["colour_gain", "flatten_light"]
 
 BANDS = 12
-"""Depths under the edge at which colours are compared."""
+"""Bands of depth under the edge in which colours are compared."""
 
-LEAST_GAIN = 0.04
-"""Logarithm of a gain that is left alone: two faces of a fruit differ as much in the same light."""
+MIN_LOG_GAIN = 0.04
+"""|log gain| below which nothing is changed: two faces of a fruit differ as much in the same light."""
 
-MOST_GAIN = 0.35
+MAX_LOG_GAIN = 0.35
 
 DARK = 0.06
-"""Value under which a ratio is noise."""
+"""Channel value below which a ratio is noise."""
 
 
-def gain_between(
+def colour_gain(
     rgb: NDArray[np.float32], mask: NDArray[np.bool_], to: NDArray[np.float32], to_mask: NDArray[np.bool_]
 ) -> NDArray[np.float32]:
-    """(3,). Factors on the colours of a picture (H, W, 3) that bring it to the light of another, channel by channel.
+    """(3,). Gains per channel that match the illuminant of a picture (H, W, 3) to that of another.
 
-    The median over depths under the edge of the ratio of median colours: what one picture shows at some depth and the
-    other does not leaves it alone. A depth counts by the square of its brightness, as the variance of a ratio falls
-    with it: red flesh has so little green in it that its shades would pass for light.
+    The weighted median, over depths under the edge, of the ratios of median colours; it ignores what only one picture
+    shows at some depth. Weights are squared brightness, as the variance of a ratio falls with it: red flesh has so
+    little green that its shades would pass for light.
     """
-    ours, theirs = _medians(rgb, mask), _medians(to, to_mask)
+    medians, to_medians = _medians(rgb, mask), _medians(to, to_mask)
     gain = np.zeros(3)
     for c in range(3):
-        bright = (ours[:, c] > DARK) & (theirs[:, c] > DARK)  # False where either is NaN
+        bright = (medians[:, c] > DARK) & (to_medians[:, c] > DARK)  # False where either is NaN
         if bright.any():
-            a, b = ours[bright, c], theirs[bright, c]
+            a, b = medians[bright, c], to_medians[bright, c]
             gain[c] = np.quantile(np.log(b / a), 0.5, weights=np.minimum(a, b) ** 2, method="inverted_cdf")
-    if np.abs(gain).max() < LEAST_GAIN:
+    if np.abs(gain).max() < MIN_LOG_GAIN:
         return np.ones(3, np.float32)
-    return np.exp(np.clip(gain, -MOST_GAIN, MOST_GAIN)).astype(np.float32)
+    return np.exp(np.clip(gain, -MAX_LOG_GAIN, MAX_LOG_GAIN)).astype(np.float32)
 
 
 def _medians(values: NDArray[np.float32], mask: NDArray[np.bool_]) -> NDArray[np.float64]:
@@ -61,11 +61,11 @@ def _bands(mask: NDArray[np.bool_]) -> NDArray[np.int64]:
     return np.where(mask, band, -1)
 
 
-def even_light(rgb: NDArray[np.float32], mask: NDArray[np.bool_], kind: Kind) -> NDArray[np.float32]:
-    """The picture with a slope of brightness taken out, which is light and not fruit.
+def flatten_light(rgb: NDArray[np.float32], mask: NDArray[np.bool_], kind: Kind) -> NDArray[np.float32]:
+    """The picture (H, W, 3) with a linear gradient of illumination removed.
 
-    The slope is fitted to the logarithm of brightness against the median at the same depth under the skin. In radial
-    and parallel pictures only from side to side: from bottom to top a cake or a loaf may really change.
+    The gradient is fitted to log brightness relative to the median at the same depth under the skin. In radial and
+    parallel pictures it is horizontal only: from bottom to top a cake or a loaf may really change.
     """
     brightness = np.log(np.maximum(rgb.mean(-1), 0.02))
     rest = (brightness - _medians(brightness[..., None], mask)[_bands(mask), 0])[mask]
