@@ -30,7 +30,7 @@ from engine.io.files import atomic
 from engine.threads import cores
 from training.evaluate.cuts import load_truth, make_cuts
 from training.evaluate.measure import accuracy, other_solid_distance, render_cuts
-from training.evaluate.methods import METHODS
+from training.evaluate.methods.all_methods import METHODS
 from training.evaluate.scenes import load_scene
 from training.settings import DETAILS, Detail
 

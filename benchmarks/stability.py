@@ -41,7 +41,7 @@ from engine.solid.fill import fill
 from engine.solid.find_body import find_body
 from sample_scenes.exemplars import photograph, planes
 from sample_scenes.solids import SOLIDS, Solid
-from training.evaluate.ablations import UnsmoothedTrainer
+from training.evaluate.methods.ablations import UnsmoothedTrainer
 from training.evaluate.metrics import face_psnr
 from training.families import Family
 from training.optimise import trainer

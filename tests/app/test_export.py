@@ -12,9 +12,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from app.model.camera_control import OrbitCamera
-from app.model.document import WHOLE, Document, Part
-from app.model.export import (
+from app.jobs.export import (
     ffmpeg,
     piece_gaussians,
     rotated_sh,
@@ -24,6 +22,8 @@ from app.model.export import (
     sweep,
     turntable,
 )
+from app.model.camera_control import OrbitCamera
+from app.model.document import WHOLE, Document, Part
 from app.model.pieces import PlacedPiece, Solid, pieces
 from app.model.rigid_transform import Motion
 from engine.errors import InputError

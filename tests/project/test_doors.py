@@ -41,7 +41,7 @@ ALLOWED = {
     "picture": {"engine/io/picture_file.py"},
     "process": {
         "app/jobs/training_job.py",
-        "app/model/export.py",
+        "app/jobs/export.py",
         "engine/processes.py",
         "tools/screenshots.py",
         "tools/sheet.py",

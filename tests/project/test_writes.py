@@ -16,8 +16,8 @@ import pytest
 from PIL import Image
 
 import app.jobs.scene_worker
+from app.jobs.export import save_animation, save_pieces, save_still
 from app.model.document import Document
-from app.model.export import save_animation, save_pieces, save_still
 from app.model.pieces import Solid, pieces
 from app.model.project import save_project
 from engine.command import REFUSED

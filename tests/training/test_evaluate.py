@@ -20,12 +20,13 @@ from engine.errors import InputError
 from sample_scenes.solids import directions
 from tests.helpers.tiny_diffusion import save_tokenizer
 from training.batch.grid import Outcome
-from training.evaluate import ablations, cli, grid
+from training.evaluate import cli, grid
 from training.evaluate.cuts import Cut, Truth, intersection_points, load_truth, make_cuts
 from training.evaluate.features import Clip, Network
 from training.evaluate.grid import cells, run_cell, run_on_cluster
 from training.evaluate.measure import consistency, sample_bilinear
-from training.evaluate.methods import METHODS
+from training.evaluate.methods import ablations
+from training.evaluate.methods.all_methods import METHODS
 from training.evaluate.metrics import frechet_distance, kernel_distance, mean_cosine
 from training.evaluate.report import write_report
 from training.evaluate.scenes import THIGH_AT, load_scene, thigh
@@ -250,7 +251,7 @@ def test_every_method_starts(name, bread, tmp_path, monkeypatch):
         raise ReachedError
 
     monkeypatch.setattr("training.pipeline.prepare", reach)
-    monkeypatch.setattr("training.evaluate.baselines.prepare", reach)
+    monkeypatch.setattr("training.evaluate.methods.baselines.prepare", reach)
     with pytest.raises(ReachedError):
         METHODS[name].run(bread, bread.request(TINY, 0), tmp_path)
 

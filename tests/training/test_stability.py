@@ -36,7 +36,7 @@ from tests.engine.solid.test_fill import joined, shell, sphere
 from tests.helpers.batch_worker import SMALL
 from tests.helpers.exemplar_faces import disc, save
 from tests.helpers.solids import ball as solid
-from training.evaluate.ablations import Looped
+from training.evaluate.methods.ablations import Looped
 from training.events import Reporter
 from training.families import Family
 from training.labels import back_project

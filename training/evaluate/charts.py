@@ -10,7 +10,7 @@ mpl.use("Agg")  # no window, whatever the machine
 import matplotlib.pyplot as plt
 import numpy as np
 
-from training.evaluate.methods import METHODS
+from training.evaluate.methods.all_methods import METHODS
 from training.evaluate.tables import COLUMNS, Facts
 
 __all__ = ["bars", "scatter"]

@@ -12,7 +12,7 @@ from engine.command import FAILED, print_result, run_command
 from engine.errors import InputError
 from engine.io.files import locked_folder, remove_leftovers
 from training.evaluate.grid import Cell, cells, run_locally, run_on_cluster
-from training.evaluate.methods import METHODS
+from training.evaluate.methods.all_methods import METHODS
 from training.evaluate.report import write_report
 from training.evaluate.scenes import SCENES
 from training.settings import DetailName

@@ -22,8 +22,8 @@ from engine.io.trained import sidecar_path
 from engine.threads import cores
 from training.evaluate.cuts import Cut, Truth, intersection_points, load_truth, make_cuts
 from training.evaluate.features import Clip, Features, load_network
-from training.evaluate.method import MethodResult
-from training.evaluate.methods import METHODS
+from training.evaluate.methods.all_methods import METHODS
+from training.evaluate.methods.method import MethodResult
 from training.evaluate.metrics import (
     face_psnr,
     face_ssim,

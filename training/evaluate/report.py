@@ -18,7 +18,7 @@ from engine.io.files import atomic
 from engine.io.picture_file import open_picture
 from training.evaluate.cuts import CANONICAL
 from training.evaluate.grid import Cell
-from training.evaluate.methods import METHODS
+from training.evaluate.methods.all_methods import METHODS
 from training.evaluate.tables import ABLATIONS, COLUMNS, Facts, Table, table
 
 __all__ = ["write_report"]

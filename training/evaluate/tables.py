@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from training.evaluate.methods import METHODS
+from training.evaluate.methods.all_methods import METHODS
 
 __all__ = ["ABLATIONS", "COLUMNS", "Column", "Facts", "Row", "Table", "table"]
 

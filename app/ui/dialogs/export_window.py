@@ -6,7 +6,7 @@ from pathlib import Path
 
 from imgui_bundle import ImVec2, imgui
 
-from app.model.export import ffmpeg
+from app.jobs.export import ffmpeg
 from app.ui.dialogs.exporter import Exporter, Options
 from app.ui.dialogs.file_dialogs import FileDialogs
 from app.ui.theme import Fonts, px

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from app.model.export import save_animation, save_pieces, save_still, section_picture, sweep, turntable
+from app.jobs.export import save_animation, save_pieces, save_still, section_picture, sweep, turntable
 from app.model.pieces import sections
 from app.session.session import Session
 from app.ui.view.painter import Painter

@@ -11,8 +11,8 @@ from scipy import ndimage
 
 from tests.helpers.exemplar_faces import disc, save
 from tests.paths import SAMPLES
-from training.evaluate import patch_denoiser
-from training.evaluate.patch_denoiser import PatchDenoiser
+from training.evaluate.methods import patch_denoiser
+from training.evaluate.methods.patch_denoiser import PatchDenoiser
 from training.families import Family
 from training.priors.exemplar import read_picture
 from training.priors.exemplar.patches import PATCH, posterior

@@ -22,8 +22,8 @@ from engine.scene.camera import Camera
 from engine.scene.plane import Plane
 from engine.solid.fill import Colours, fill
 from training.evaluate.cuts import Cut
-from training.evaluate.method import MethodResult, run_pipeline
-from training.evaluate.patch_denoiser import PatchDenoiser
+from training.evaluate.methods.method import MethodResult, run_pipeline
+from training.evaluate.methods.patch_denoiser import PatchDenoiser
 from training.evaluate.scenes import CustomRequest, EvaluationScene
 from training.labels import blank_label, make_prior
 from training.optimise.trainer import Trainer

@@ -22,9 +22,9 @@ from engine.scene.plane import Plane
 from engine.solid.fill import fill
 from sample_scenes.solids import Solid
 from training.checkpoint import Checkpoint
-from training.evaluate.ablations import make_denoiser
 from training.evaluate.cuts import Cut
-from training.evaluate.method import MethodResult, cut_renderer, run_pipeline
+from training.evaluate.methods.ablations import make_denoiser
+from training.evaluate.methods.method import MethodResult, cut_renderer, run_pipeline
 from training.evaluate.scenes import CustomRequest, EvaluationScene
 from training.events import Reporter
 from training.families import Family

@@ -5,7 +5,7 @@ All of them share one shell, one fill and one set of cuts.
 
 from __future__ import annotations
 
-from training.evaluate.ablations import (
+from training.evaluate.methods.ablations import (
     CAP_FACTOR,
     Independent,
     IndependentByNoise,
@@ -17,8 +17,8 @@ from training.evaluate.ablations import (
     without_clipping,
     without_opacification,
 )
-from training.evaluate.baselines import inpainting, oracle, physgaussian
-from training.evaluate.method import Method, with_pipeline
+from training.evaluate.methods.baselines import inpainting, oracle, physgaussian
+from training.evaluate.methods.method import Method, with_pipeline
 from training.pipeline import Pipeline
 
 __all__ = ["METHODS"]
