@@ -47,6 +47,7 @@ bench: $(READY)
 	$(BIN)/python -m benchmarks.frozen_geometry
 	$(BIN)/python -m benchmarks.cpu_renderer
 	$(BIN)/python -m benchmarks.gl_frames
+	$(BIN)/python -m benchmarks.by_hand
 
 screenshots: $(READY)
 	@tools/ensure_gl.sh window

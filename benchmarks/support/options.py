@@ -24,7 +24,7 @@ def parser_of(text: str | None, quick: str) -> argparse.ArgumentParser:
     `text`: the docstring of the benchmark, which is its help; `quick`: what a quick run leaves out.
     """
     parser = argparse.ArgumentParser(description=text, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help=f"under a minute: {quick}; writes only with --out")
+    parser.add_argument("--quick", action="store_true", help=f"measure little: {quick}; write only with --out")
     parser.add_argument(
         "-o", "--out", type=Path, metavar="FOLDER", help="folder of the charts and numbers (a full run: docs/charts)"
     )

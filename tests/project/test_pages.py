@@ -1,4 +1,4 @@
-"""What the pages for developers name is there."""
+"""What the pages name is there."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import pytest
 
 from tests.paths import ROOT
 
-PAGES = ("CONTRIBUTING.md", "docs/ARCHITECTURE.md")
+PAGES = ("CONTRIBUTING.md", "README.md", "docs/ARCHITECTURE.md", "docs/TRUST.md")
 PATH = re.compile(r"(?:app|benchmarks|docs|engine|sample_scenes|shaders|tests|tools|training)/[\w./]*")
 
 
