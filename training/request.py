@@ -41,7 +41,7 @@ __all__ = [
 
 PriorName = Literal["exemplar", "stable-diffusion"]
 
-FORMAT = 2
+FORMAT = 3
 """Version of the checkpoints; it grows with every change of them, so that no run resumes one of another version."""
 
 FILE_VERSION = 1

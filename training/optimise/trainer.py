@@ -49,9 +49,12 @@ SMOOTH_EVERY = 30
 # steps finite.
 MAX_SH = 10.0
 
-# Adam's moments, Kingma and Ba 2015.
+# Decay rates of Adam's moments (Kingma and Ba 2015); the second forgets faster than their 0.999, as a run has 40 to 200
+# steps.
 BETAS = (0.9, 0.99)
-EPSILON = 1e-8
+
+MOMENTS = ("exp_avg", "exp_avg_sq")
+"""Keys of the moments in the state of torch's Adam."""
 
 
 @dataclass(frozen=True)
@@ -80,12 +83,22 @@ class Trainer:
         self.round_start = 0
         """Iteration at which the labels last changed."""
         self.initial = atoms.interior.rgb
-        self.rgb = torch.from_numpy(atoms.interior.rgb.copy())
-        self.sh = torch.from_numpy(atoms.surface.sh.copy())
-        self.max_sh = max(MAX_SH, float(np.abs(atoms.surface.sh).max(initial=0)))
-        self.moments = {name: torch.zeros_like(tensor) for name, tensor in (("rgb1", self.rgb), ("rgb2", self.rgb))} | {
-            name: torch.zeros_like(tensor) for name, tensor in (("sh1", self.sh), ("sh2", self.sh))
+        sh = torch.from_numpy(atoms.surface.sh)
+        self.parameters = {
+            "rgb": torch.from_numpy(atoms.interior.rgb.copy()).requires_grad_(),
+            "sh0": sh[:, :1].clone().requires_grad_(),
+            "bands": sh[:, 1:].clone().requires_grad_(),
         }
+        """Interior colours (I, 3), SH coefficients of degree 0 (S, 1, 3) and of the higher bands (S, K - 1, 3)."""
+        self.optimiser = torch.optim.Adam(
+            [
+                {"params": [self.parameters["rgb"]], "rate": INTERIOR_RATE},
+                {"params": [self.parameters["sh0"]], "rate": SURFACE_RATE / C0},
+                {"params": [self.parameters["bands"]], "rate": BANDS_RATE},
+            ],
+            betas=BETAS,
+        )
+        self.max_sh = max(MAX_SH, float(np.abs(atoms.surface.sh).max(initial=0)))
         # An interior atom is trained if some section shows it.
         self.trained: NDArray[np.bool_] = np.zeros(len(atoms.interior), bool)
         for view in sections:
@@ -97,16 +110,32 @@ class Trainer:
         """Steps of an epoch, in which every section is used once."""
         return max(1, -(-len(self.sections) // SECTIONS_PER_STEP))
 
+    @property
+    def rgb(self) -> Tensor:
+        """(I, 3). The current interior colours, without gradient."""
+        return self.parameters["rgb"].detach()
+
+    @property
+    def sh(self) -> Tensor:
+        """(S, K, 3). The current SH coefficients of the surface, without gradient."""
+        return torch.cat([self.parameters["sh0"], self.parameters["bands"]], dim=1).detach()
+
     def state(self) -> dict[str, NDArray[np.float32]]:
-        """All state that changes while training, for a checkpoint."""
-        return {"rgb": self.rgb.numpy(), "sh": self.sh.numpy()} | {k: v.numpy() for k, v in self.moments.items()}
+        """All state that changes while training, for a checkpoint: parameters and Adam's moments."""
+        state = {name: parameter.detach().numpy() for name, parameter in self.parameters.items()}
+        for name, parameter in self.parameters.items():
+            moments = self.optimiser.state.get(parameter, {})  # empty before the first step
+            state |= {f"{name}.{key}": moments[key].numpy() for key in MOMENTS if key in moments}
+        return state
 
     def restore(self, state: dict[str, NDArray[np.float32]], iteration: int, round_start: int) -> None:
         """Restores the state of a checkpoint."""
-        self.rgb = torch.from_numpy(state["rgb"].copy())
-        self.sh = torch.from_numpy(state["sh"].copy())
-        self.moments = {name: torch.from_numpy(state[name].copy()) for name in self.moments}
         self.iteration, self.round_start = iteration, round_start
+        for name, parameter in self.parameters.items():
+            parameter.data.copy_(torch.from_numpy(state[name]))
+            if f"{name}.{MOMENTS[0]}" in state:
+                moments = {key: torch.from_numpy(state[f"{name}.{key}"].copy()) for key in MOMENTS}
+                self.optimiser.state[parameter] = {"step": torch.tensor(float(iteration)), **moments}
 
     def result(self) -> Atoms:
         """The atoms with their current colours."""
@@ -127,8 +156,8 @@ class Trainer:
         chosen = order[position * SECTIONS_PER_STEP : (position + 1) * SECTIONS_PER_STEP]
         views = rng.choice(len(self.surfaces), min(SURFACE_VIEWS_PER_STEP, len(self.surfaces)), replace=False)
 
-        rgb = self.rgb.requires_grad_()
-        sh = self.sh.requires_grad_()
+        rgb = self.parameters["rgb"]
+        sh = torch.cat([self.parameters["sh0"], self.parameters["bands"]], dim=1)
         # Each kind of view contributes its mean, so that neither dominates by number.
         section_loss = torch.zeros(())
         for index in chosen.tolist():
@@ -145,22 +174,17 @@ class Trainer:
             render = torch.where(opaque, view.weights.picture(sh, rgb, BACKGROUND), target)
             surface_loss = surface_loss + reconstruction(render, target, SURFACE_ALPHA)
         surface_loss = surface_loss / max(len(views), 1)
+        self.optimiser.zero_grad()
         (section_loss + surface_loss).backward()
-
-        rgb_gradient, sh_gradient = rgb.grad, sh.grad
-        assert rgb_gradient is not None
-        if sh_gradient is None:  # no surface views
-            sh_gradient = torch.zeros_like(sh)
-        self.rgb, self.sh = rgb.detach(), sh.detach()
-        self.rgb.grad = self.sh.grad = None
         self.iteration += 1
         decay = 0.5 ** ((self.iteration - self.round_start) / (HALF_LIFE_EPOCHS * self.steps_per_epoch))
-        self.rgb += self._adam("rgb", rgb_gradient) * (-INTERIOR_RATE * decay)
-        self.rgb.clamp_(0, 1)
-        rates = torch.full((self.sh.shape[1], 1), -BANDS_RATE)
-        rates[0] = -SURFACE_RATE / C0
-        self.sh += self._adam("sh", sh_gradient) * (rates * decay)
-        self.sh.clamp_(-self.max_sh, self.max_sh)
+        for group in self.optimiser.param_groups:
+            group["lr"] = group["rate"] * decay
+        self.optimiser.step()
+        with torch.no_grad():
+            rgb.clamp_(0, 1)
+            for name in ("sh0", "bands"):
+                self.parameters[name].clamp_(-self.max_sh, self.max_sh)
         if self.iteration % SMOOTH_EVERY == 0:
             self.smooth()
         return Losses(section_loss.item(), surface_loss.item())
@@ -168,7 +192,7 @@ class Trainer:
     def smooth(self) -> None:
         """Voxel smoothing of the atoms that no section shows; trained ones are unchanged."""
         smoothed = smooth(self.atoms.interior.means, self.initial, self.rgb.numpy(), self.trained)
-        self.rgb = torch.from_numpy(np.clip(smoothed, 0, 1))
+        self.parameters["rgb"].data.copy_(torch.from_numpy(np.clip(smoothed, 0, 1)))
 
     def render(self, section: Section) -> NDArray[np.float32]:
         """(H, W, 3). The current render of a section, over white."""
@@ -184,11 +208,3 @@ class Trainer:
                     for view, label in zip(self.sections, labels, strict=True)
                 ]
             )
-
-    def _adam(self, name: str, gradient: Tensor) -> Tensor:
-        """Adam's direction, bias-corrected; entries without a gradient so far have none."""
-        first, second = self.moments[f"{name}1"], self.moments[f"{name}2"]
-        first.lerp_(gradient, 1 - BETAS[0])
-        second.lerp_(gradient * gradient, 1 - BETAS[1])
-        corrected = second / (1 - BETAS[1] ** self.iteration)
-        return first / (1 - BETAS[0] ** self.iteration) / (corrected.sqrt() + EPSILON)
