@@ -72,15 +72,16 @@ def test_the_wheel_works_where_nothing_else_of_the_project_is(wheel: Path, tmp_p
     home = tmp_path / "venv"
     venv.create(home, with_pip=False, symlinks=os.name != "nt")
     binaries = home / ("Scripts" if os.name == "nt" else "bin")
+    # With PYTHONPATH set, pip would find the checkout and install nothing.
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
+    environment |= {"FRUITNINJA_HOME": str(tmp_path / "home")}
     pip = [sys.executable, "-m", "pip", "--python", str(binaries / "python"), "install", "--quiet"]
-    subprocess.run([*pip, "--no-deps", "--no-index", "--no-compile", str(wheel)], check=True)
+    subprocess.run([*pip, "--no-deps", "--no-index", "--no-compile", str(wheel)], env=environment, check=True)
     packages = Path(sysconfig.get_path("purelib", vars={"base": str(home), "platbase": str(home)}))
     # The libraries of this environment. A folder named so is searched, its own .pth files are not read: the editable
     # install of the checkout, which is one, stays unknown.
     (packages / "libraries.pth").write_text(sysconfig.get_path("purelib") + "\n")
     folder = hostile_folder(tmp_path / "downloads")
-    environment = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
-    environment |= {"FRUITNINJA_HOME": str(tmp_path / "home")}
 
     def run(*command: str) -> str:
         done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=200)

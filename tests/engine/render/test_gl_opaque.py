@@ -202,7 +202,7 @@ def test_order_does_not_matter(renderer: Renderer) -> None:
 @pytest.mark.parametrize("distance", [0.6, 1.0, 3.0])
 def test_culling_changes_no_pixel(renderer: Renderer, distance: float) -> None:
     renderer.set_atoms(tight_ball(1 / 24))
-    assert (renderer._solid.skin.hiding.least <= 1).mean() > 0.9  # type: ignore[union-attr]
+    assert (renderer._solid.skin.culling.min_cosine <= 1).mean() > 0.9  # type: ignore[union-attr]
     for azimuth, elevation in ((30, 35), (200, -20), (0, 80)):
         camera = around(azimuth, elevation, distance, 200, 150)
         for planes in ((), (Plane.of((0, 0, 1), 0),), CUTS["three cuts"], (Plane.of((0, 0, 1), -0.45),)):
@@ -225,7 +225,7 @@ def test_what_stands_behind_pinholes_counts(renderer: Renderer) -> None:
     sh[:, 0] = rng.uniform(-1.5, 1.5, (len(s), 3))
     scales = s.scales * np.array([0.75, 0.75, 1], np.float32)
     renderer.set_atoms(replace(atoms, surface=SurfaceAtoms(s.means[kept], scales[kept], s.quats[kept], sh[kept])))
-    assert (renderer._solid.skin.hiding.least <= 1).mean() > 0.5  # type: ignore[union-attr]
+    assert (renderer._solid.skin.culling.min_cosine <= 1).mean() > 0.5  # type: ignore[union-attr]
     leaks = 0
     for k, distance in enumerate((0.4, 0.7, 1.0, 1.5, 3.0)):
         camera = around(50 * k, 60 - 30 * k, distance, 200, 150)
@@ -243,7 +243,7 @@ def test_a_shell_with_a_hole_hides_nothing(renderer: Renderer) -> None:
     s = atoms.surface
     rest = s.means[:, 2] < 0.4
     renderer.set_atoms(replace(atoms, surface=SurfaceAtoms(s.means[rest], s.scales[rest], s.quats[rest], s.sh[rest])))
-    assert (renderer._solid.skin.hiding.least > 1).all()  # type: ignore[union-attr]
+    assert (renderer._solid.skin.culling.min_cosine > 1).all()  # type: ignore[union-attr]
 
 
 def test_silhouettes_of_a_piece_before_another_let_no_background_through(renderer: Renderer) -> None:
