@@ -218,7 +218,7 @@ def prepare(
 ) -> tuple[Geometry, dict[str, Any]]:
     """Reads the scene, finds the body and makes the skin's atoms; returns them with facts for the report.
 
-    `check` is called between stages and may raise to stop the run.
+    `raise_if_stopped` is called between stages and may raise to stop the run.
     """
     with reporter.stage("load"):
         loaded = load(request.scene, request.seed)

@@ -1,0 +1,131 @@
+"""How much the solid looks like the capture that it was made from, at views that nothing was fitted to.
+
+    python -m benchmarks.fidelity [--quick] [-o docs/charts] [--detail standard] [CAPTURE ...]
+
+The capture without haze and floaters, which are meant to go, is drawn as 3DGS; the solid as opaque atoms, after all
+that training does to its skin. PSNR over the union of both silhouettes and over what both show as opaque, and the IoU
+of the silhouettes, means over twelve views. Writes fidelity.json and fidelity_<capture>.png (upper row the capture,
+lower row the solid). Without captures: the samples.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from benchmarks.support.options import ROOT, out_folder, parser_of, write_json
+from engine.errors import InputError
+from engine.fit.scale_fit import fit_scales
+from engine.fit.sh_fit import fit_sh, surface_views
+from engine.io.files import atomic
+from engine.render.classic import rasterizer as classic
+from engine.render.cpu import opaque
+from engine.scene.atoms import Atoms
+from engine.scene.camera import cameras_around
+from engine.scene.gaussians import Gaussians
+from engine.solid.denoise_capture import without_haze
+from engine.solid.fill import fill
+from training.events import Reporter
+from training.families import Family
+from training.optimise.losses import psnr
+from training.pipeline import RESHAPE_SIZE, RESHAPE_VIEWS, prepare
+from training.request import Request
+from training.settings import DETAILS, DetailName
+from training.views import BACKGROUND, ENTRIES, surface_cameras
+
+SAMPLES = ("watermelon", "orange", "bread")
+
+VIEWS, SIZE = 12, 512
+
+TURN = 17.0
+"""Degrees by which these cameras are turned from the fitted ones, so that no view is shared."""
+
+OUTLINE = 0.003
+"""Share of the Gaussians' centres beyond each side of the box that pictures show: all thin parts, and no stray."""
+
+SHOWN_EVERY = 3
+"""Of the views, those that the picture shows."""
+
+
+def make_solid(path: Path, detail: DetailName) -> tuple[Gaussians, Atoms, NDArray[np.float64]]:
+    """The capture, the solid with its skin fitted as training does, and the up axis (3,). Raises InputError."""
+    request = Request(path, (Family("horizontal", 4),), detail=detail)  # the inside is not looked at
+    geometry, _ = prepare(request, Reporter(), lambda: None)
+    atoms = geometry.filled(fill(geometry.body, geometry.pitch, request.seed, geometry.skin))
+    fineness, body, up = request.fineness, geometry.body, geometry.up
+    cameras = surface_cameras(body, up, fineness.surface_views, fineness.surface)
+    atoms = fit_sh(atoms, surface_views(atoms, geometry.gaussians, cameras, ENTRIES)).atoms
+    if fineness.reshape:
+        cameras = surface_cameras(body, up, RESHAPE_VIEWS, RESHAPE_SIZE)
+        atoms = fit_scales(atoms, geometry.gaussians, cameras, fineness.reshape, request.seed)
+    return geometry.gaussians, atoms, up
+
+
+def measure(path: Path, detail: DetailName, views: int) -> tuple[dict[str, Any], NDArray[np.float32]]:
+    """The figures of one capture, and the picture (H, W, 3) of some views. Raises InputError."""
+    begun = time.perf_counter()
+    capture, atoms, up = make_solid(path, detail)
+    truth = without_haze(capture)[0]
+    firm = truth.means[truth.opacities > 0.3]
+    low, high = np.quantile(firm, OUTLINE, axis=0), np.quantile(firm, 1 - OUTLINE, axis=0)
+    radius = float(np.linalg.norm(high - low)) / 2
+    rows, columns = [], []
+    for k, camera in enumerate(cameras_around((low + high) / 2, radius, up, views, SIZE, turn=TURN)):
+        there = classic.render(truth, camera, BACKGROUND)
+        here = opaque.render(atoms, camera, background=BACKGROUND)
+        one, other = np.clip(there.rgb, 0, 1), np.clip(here.rgb, 0, 1)
+        union, both = (there.alpha > 0.5) | (here.alpha > 0.5), (there.alpha > 0.5) & (here.alpha > 0.5)
+        solid = (there.alpha > 0.95) & (here.alpha > 0.5)
+        rows.append((psnr(one[union], other[union]), psnr(one[solid], other[solid]), both.sum() / max(union.sum(), 1)))
+        if k % SHOWN_EVERY == 1:
+            columns.append(np.concatenate([one, other]))
+    union_db, opaque_db, iou = (float(value) for value in np.mean(rows, axis=0))
+    figures = {
+        "gaussians": len(capture),
+        "surface_atoms": len(atoms.surface),
+        "union_db": round(union_db, 2),
+        "opaque_db": round(opaque_db, 2),
+        "silhouette_iou": round(iou, 4),
+        "seconds": round(time.perf_counter() - begun, 1),
+    }
+    return figures, np.concatenate(columns, axis=1)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Measures every capture; 1 where one was refused."""
+    parser = parser_of(__doc__, "the first capture in draft, two views")
+    parser.add_argument("captures", type=Path, nargs="*", metavar="CAPTURE")
+    parser.add_argument("--detail", default="standard", choices=list(DETAILS))
+    options = parser.parse_args(arguments)
+    folder = out_folder(options)
+    paths = options.captures or [ROOT / f"sample_scenes/{name}/{name}.ply" for name in SAMPLES]
+    detail: DetailName = options.detail
+    views = VIEWS
+    if options.quick:
+        paths, detail, views = paths[:1], "draft", 2
+    found: dict[str, Any] = {}
+    refused = False
+    for path in paths:
+        try:
+            found[path.name], picture = measure(path, detail, views)
+        except InputError as error:
+            print(error, file=sys.stderr)
+            found[path.name], refused = {"refused": True}, True
+            continue
+        print(path.name, found[path.name], flush=True)
+        if folder:
+            with atomic(folder / f"fidelity_{path.stem}.png") as temporary:
+                Image.fromarray((picture * 255 + 0.5).astype(np.uint8)).save(temporary, format="PNG", optimize=True)
+    if folder:
+        write_json(folder / "fidelity.json", {"detail": detail, "views": views, "captures": found})
+    return 1 if refused else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
