@@ -47,9 +47,9 @@ BLOCK = 2 * SIDE
 MIN_TRANSMITTANCE = 1e-4
 """A layer that would leave less transmittance than this is not drawn and ends the pixel, as in INRIA's renderer."""
 
-STATE = 5
+STATE = 6
 """Numbers per pixel that go from slice to slice, each in a run of BLOCK: 0 transmittance, negative once the pixel has
-ended; 1 2 3 colour; 4 depth times weight."""
+ended; 1 2 3 colour; 4 depth times weight; 5 median depth, 0 as long as more than half of the light is left."""
 
 ADJOINT = 6
 """Numbers per pixel on the way back, each in a run of BLOCK: 0 transmittance behind the current layer; 1 the derivative
@@ -181,7 +181,7 @@ def _blend_block(slots, records, left, top, across, down, s, last_drawn):
     """Composites records into the state of one block; returns whether any of its pixels is still open."""
     before, last = load16(s, 0), load16(last_drawn, 0)
     red, green, blue = load16(s, BLOCK), load16(s, 2 * BLOCK), load16(s, 3 * BLOCK)
-    depth = load16(s, 4 * BLOCK)
+    depth, median = load16(s, 4 * BLOCK), load16(s, 5 * BLOCK)
     for k in range(len(slots)):
         q = records[slots[k]]
         _, n, power = _columns(across, (q[U] - left) + q[U_FRACTION], q[WHITEN_XX], q[WHITEN_YX], q[LOG_OPACITY])
@@ -189,6 +189,7 @@ def _blend_block(slots, records, left, top, across, down, s, last_drawn):
         after = fma(alpha, -before, before)
         drawn = after >= MIN_TRANSMITTANCE
         w = where(drawn, alpha * before, 0.0)
+        median = where(before >= 0.5, where(after < 0.5, q[DEPTH], median), median)
         before = where(drawn, after, -absolute(before))
         red = fma(w, q[RED], red)
         green = fma(w, q[GREEN], green)
@@ -200,6 +201,7 @@ def _blend_block(slots, records, left, top, across, down, s, last_drawn):
     store(s, 2 * BLOCK, green)
     store(s, 3 * BLOCK, blue)
     store(s, 4 * BLOCK, depth)
+    store(s, 5 * BLOCK, median)
     store(last_drawn, 0, last)
     return any_of(before > 0.0)
 
@@ -313,8 +315,9 @@ def _start_backward_row(states, background, g_rgb, g_alpha, g_depth, shift, out)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def resolve(task, rows_per_task, states, tile_lasts, background, rgb, alpha, depth):
-    """Writes the rows of tiles of one task to rgb (H, W, 3), over the background (3,), alpha and depth (H, W)."""
+def resolve(task, rows_per_task, states, tile_lasts, background, rgb, alpha, depth, median):
+    """Writes the rows of tiles of one task to rgb (H, W, 3), over the background (3,), alpha, depth times weight and
+    median depth (H, W)."""
     height, width = alpha.shape
     tiles_x = (width + SIDE - 1) // SIDE
     one = states.dtype.type(1)
@@ -325,10 +328,12 @@ def resolve(task, rows_per_task, states, tile_lasts, background, rgb, alpha, dep
             rgb[top : top + SIDE, corner : corner + SIDE] = background
             alpha[top : top + SIDE, corner : corner + SIDE] = 0
             depth[top : top + SIDE, corner : corner + SIDE] = 0
+            median[top : top + SIDE, corner : corner + SIDE] = 0
             continue
         for y in range(top, min(top + SIDE, height)):
             part, shift = states[tile, (y - top) // 2], np.uintp((y - top) % 2 * SIDE)
-            row_rgb, row_alpha, row_depth = rgb[y, corner:], alpha[y, corner:], depth[y, corner:]
+            row_rgb, row_alpha = rgb[y, corner:], alpha[y, corner:]
+            row_depth, row_median = depth[y, corner:], median[y, corner:]
             for x in range(np.uintp(min(SIDE, len(row_alpha)))):
                 i = shift + x
                 left = abs(part[i])
@@ -337,3 +342,4 @@ def resolve(task, rows_per_task, states, tile_lasts, background, rgb, alpha, dep
                 row_rgb[x, 2] = part[np.uintp(3 * BLOCK) + i] + left * background[2]
                 row_alpha[x] = one - left
                 row_depth[x] = part[np.uintp(4 * BLOCK) + i]
+                row_median[x] = part[np.uintp(5 * BLOCK) + i]

@@ -30,7 +30,7 @@ from engine.scene.gaussians import Gaussians
 from engine.scene.image import Picture
 from engine.threads import for_each
 
-__all__ = ["rasterize", "render"]
+__all__ = ["rasterize", "render", "render_with_median"]
 
 SLICES = 16
 """Slices of a large scene: enough that the front ones hide most of the rest, few enough that each fills the cores."""
@@ -56,17 +56,25 @@ LINE = 64
 
 def render(gaussians: Gaussians, camera: Camera, background: Sequence[float] = (0.0, 0.0, 0.0)) -> Picture:
     """The Gaussians seen by the camera over a background (3,); depth is the mean depth of what covers the pixel."""
+    return render_with_median(gaussians, camera, background)[0]
+
+
+def render_with_median(
+    gaussians: Gaussians, camera: Camera, background: Sequence[float] = (0.0, 0.0, 0.0)
+) -> tuple[Picture, NDArray[np.float32]]:
+    """`render`, and the median depth (H, W): of the Gaussian that takes the transmittance under a half, else inf."""
     # Contiguous and writeable, so that the kernels compiled for training fit.
     means, scales, quats, opacities, sh = (
         np.require(array, np.float32, ("C", "W"))
         for array in (gaussians.means, gaussians.scales, gaussians.quats, gaussians.opacities, gaussians.sh)
     )
     scene = Scene(means, scales, quats, opacities, sh, plain=False)
-    rgb, alpha, depth = _picture(_composite(scene, camera)[0], camera, background)
+    rgb, alpha, depth, median = _picture(_composite(scene, camera)[0], camera, background)
     covered = alpha > 0
     depth[covered] /= alpha[covered]
     depth[~covered] = np.inf
-    return Picture(rgb, alpha, depth)
+    median[median == 0] = np.inf
+    return Picture(rgb, alpha, depth), median
 
 
 def rasterize(
@@ -117,7 +125,7 @@ class _Rasterize(torch.autograd.Function):
         ctx.scene, ctx.frame, ctx.slices, ctx.camera, ctx.background = scene, frame, slices, camera, background
         # torch would fill a missing gradient with its own threads, which then spin on a core, waiting for more work.
         ctx.set_materialize_grads(False)
-        return tuple(torch.from_numpy(array) for array in _picture(frame, camera, background))
+        return tuple(torch.from_numpy(array) for array in _picture(frame, camera, background)[:3])
 
     @staticmethod
     @torch.autograd.function.once_differentiable
@@ -233,13 +241,14 @@ def _composite_slice(
 
 def _picture(
     frame: Frame, camera: Camera, background: Sequence[float]
-) -> tuple[NDArray[np.floating], NDArray[np.floating], NDArray[np.floating]]:
-    """rgb (H, W, 3), alpha (H, W) and depth times weight (H, W)."""
+) -> tuple[NDArray[np.floating], ...]:
+    """rgb (H, W, 3), alpha, depth times weight and median depth (H, W), 0 where less than half of the light stops."""
     kind = frame.states.dtype
     shape = camera.height, camera.width
-    rgb, alpha, depth = np.empty((*shape, 3), kind), np.empty(shape, kind), np.empty(shape, kind)
+    rgb, (alpha, depth, median) = np.empty((*shape, 3), kind), (np.empty(shape, kind) for _ in range(3))
     tasks = -(-camera.height // (SIDE * ROWS_PER_TASK))
     for_each(
-        resolve, tasks, ROWS_PER_TASK, frame.states, frame.tile_lasts, np.array(background, kind), rgb, alpha, depth
-    )
-    return rgb, alpha, depth
+        resolve, tasks, ROWS_PER_TASK, frame.states, frame.tile_lasts, np.array(background, kind), rgb, alpha, depth,
+        median,
+    )  # fmt: skip
+    return rgb, alpha, depth, median
