@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -20,7 +21,7 @@ from tests.helpers.batch_worker import SMALL
 from tests.paths import HELPERS, SAMPLES
 from training.batch import Outcome, Task, TaskStopped, report, run_grid, should_stop
 from training.batch.cli import main
-from training.batch.cluster import cluster_client
+from training.batch.cluster import cluster_client, deferred_signals
 from training.batch.manifest import ManifestErrors, read_manifest
 from training.batch.scene import is_intact
 from training.checkpoint import Checkpoint
@@ -271,6 +272,26 @@ def test_a_cluster_of_its_own_listens_to_this_machine_alone() -> None:
         ports = listening() - before
     assert {host for host, _ in ports} == {"127.0.0.1"}
     assert len(ports) == 5
+
+
+@pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="no signals to threads here")
+def test_a_signal_waits_for_the_end_of_the_block_whichever_thread_takes_it() -> None:
+    told: list[str] = []
+    done = threading.Event()
+    bystander = threading.Thread(target=done.wait)
+    bystander.start()
+    before = signal.signal(signal.SIGUSR1, lambda *_: told.append("signal"))
+    try:
+        for thread in (bystander, threading.main_thread()):
+            with deferred_signals(signal.SIGUSR1):
+                assert thread.ident is not None
+                signal.pthread_kill(thread.ident, signal.SIGUSR1)
+                time.sleep(0.1)
+                told.append("block")
+    finally:
+        signal.signal(signal.SIGUSR1, before)
+        done.set()
+    assert told == ["block", "signal"] * 2
 
 
 # manifests
