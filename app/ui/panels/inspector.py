@@ -46,6 +46,8 @@ class Inspector:
         self.session, self.interior = session, interior
         self._numbers: tuple[int, list[float]] | None = None
         """Id of a cut, and a, b, c, d as typed so far."""
+        self._up: list[float] | None = None
+        """The up axis as typed so far."""
 
     def show(self) -> None:
         """One frame."""
@@ -72,9 +74,12 @@ class Inspector:
         if imgui.begin_combo("##up", f"up  {current}", imgui.ComboFlags_.no_arrow_button):
             for name, axis in AXES.items():
                 if imgui.selectable(f"up  {name}", name == current)[0] and name != current:
-                    session.change(f"Up {name}", replace(document, up=axis))
+                    session.set_up(f"Up {name}", axis)
             if session.object is not None and imgui.selectable("as detected", False)[0]:
                 session.change("Up as detected", replace(document, up=None))
+            if session.object is not None and imgui.selectable("by a face", False)[0]:
+                session.select_tool("upright")
+            self._up_numbers()
             imgui.end_combo()
         reason = "chosen by you" if document.up is not None else (session.object.up_reason if session.object else "")
         tooltip(f"Which way is up: {reason}." if reason else "Which way is up.")
@@ -86,6 +91,22 @@ class Inspector:
             imgui.same_line(imgui.get_content_region_avail().x - px(56))
             if imgui.button("Cancel##preparing", ImVec2(px(68), 0)):
                 session.scene.cancel()
+
+    def _up_numbers(self) -> None:
+        """The three numbers of the up axis, to be typed."""
+        session = self.session
+        imgui.set_next_item_width(px(170))
+        changed, numbers = imgui.input_float3("##up numbers", self._up or list(session.up), "%.3f")
+        if changed:
+            self._up = list(numbers)
+        if imgui.is_item_deactivated_after_edit() and self._up is not None:
+            if np.isfinite(self._up).all() and np.linalg.norm(self._up) > 1e-6:
+                session.set_up("Up", self._up)
+            else:
+                session.notify("The up axis needs a direction: three numbers that are not all 0.")
+        if not imgui.is_item_active():
+            self._up = None
+        tooltip("The up axis, in the axes of the file")
 
     # Cuts
 
