@@ -63,15 +63,16 @@ def main() -> None:
 
 def _load_capture(path: Path, folder: Path, seed: int) -> tuple[Gaussians, NDArray[np.float64]]:
     from engine.io.load import load
-    from engine.solid.up_axis import detect_up
+    from engine.solid.up_axis.detect import detect_up
 
     _write_line(stage=f"Reading {path.name}", part=0.02)
     loaded = load(path, seed)
     gaussians = loaded.gaussians
-    up, reason = detect_up(gaussians)
-    facts = {"up": np.asarray(up, np.float64).tolist(), "reason": reason, "warnings": list(loaded.warnings)}
+    up = detect_up(gaussians, loaded.file_axes)
+    reason = up.reason if up.certainty >= 0.5 else f"{up.reason}: a guess"
+    facts = {"up": up.axis.tolist(), "reason": reason, "warnings": list(loaded.warnings)}
     _send_arrays(folder, "capture", _arrays(gaussians), facts)
-    return gaussians, up
+    return gaussians, up.axis
 
 
 def _solidify(path: Path, gaussians: Gaussians, up: NDArray[np.float64], cells: int, seed: int, folder: Path) -> None:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from app.jobs.scene_loader import LoadedScene, SceneLoader
 from app.model.autosave import Autosave
@@ -22,6 +23,7 @@ from app.model.project import Viewing
 from app.model.question import Choice, Question
 from app.model.rigid_transform import Motion, Vec3, vec3
 from app.model.settings import Settings, load_settings, save_settings
+from app.model.upright import face_normal, turn_between
 from engine.scene.atoms import Atoms
 from engine.scene.camera import Camera
 from engine.scene.plane import Plane
@@ -29,8 +31,8 @@ from training.families import Kind
 
 __all__ = ["PICTURE_SUFFIXES", "TOOLS", "Tool", "Workspace"]
 
-Tool = Literal["select", "knife", "plane", "move", "turn"]
-TOOLS: tuple[Tool, ...] = ("select", "knife", "plane", "move", "turn")
+Tool = Literal["select", "knife", "plane", "move", "turn", "upright"]
+TOOLS: tuple[Tool, ...] = ("select", "knife", "plane", "move", "turn", "upright")
 
 PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".bmp")
 """ProjectFiles that are taken for pictures of cut faces."""
@@ -144,28 +146,35 @@ class Workspace:
 
     def change(self, name: str, document: Document, merge: str = "") -> bool:
         """Adds a step to the history; consecutive steps with the same `merge` tag are undone as one."""
+        before = self.up
         done = self.history.do(name, document, merge)
         self._prune_selection()
+        self._follow_up(before)
         return done
 
     def undo(self) -> None:
         """One step back."""
-        name = self.history.entries[self.history.cursor].name
+        before, name = self.up, self.history.entries[self.history.cursor].name
         self.notify(f"Undone: {name}." if self.history.undo() else "Nothing to undo.")
         self._prune_selection()
+        self._follow_up(before)
 
     def redo(self) -> None:
         """One step forward again."""
+        before = self.up
         if self.history.redo():
             self.notify(f"Done again: {self.history.entries[self.history.cursor].name}.")
         else:
             self.notify("Nothing to redo.")
         self._prune_selection()
+        self._follow_up(before)
 
     def jump(self, index: int) -> None:
         """Goes to an entry of the history, by its index."""
+        before = self.up
         self.history.jump(index)
         self._prune_selection()
+        self._follow_up(before)
 
     def _prune_selection(self) -> None:
         """Drops pieces and cuts that the document no longer has."""
@@ -246,6 +255,40 @@ class Workspace:
     def reassemble(self) -> None:
         """Moves all pieces back to their places."""
         self.change("Put together", self.document.reassembled())
+
+    # The up axis
+
+    def turn_object(self, name: str, turn: NDArray[np.float64], merge: str = "") -> None:
+        """Turns the object by a rotation (3, 3) about its centre: which way is up changes, and the view with it."""
+        up = turn.T @ np.asarray(self.up)
+        eye = self.viewing.eye.turned_with(turn, self.solid.centre, self.up)
+        if self.change(name, replace(self.document, up=vec3(up / np.linalg.norm(up))), merge):
+            self.viewing = replace(self.viewing, eye=eye)  # exactly as turned, also about the up axis
+
+    def set_up(self, name: str, up: ArrayLike) -> None:
+        """Makes an axis (3,), of any length but 0, the up axis."""
+        axis = np.asarray(up, np.float64)
+        self.change(name, replace(self.document, up=vec3(axis / np.linalg.norm(axis))))
+
+    def _follow_up(self, before: Vec3) -> None:
+        """Where the up axis is another than before, moves the view so that the object is seen to turn the short way."""
+        if self.up != before:
+            turn = turn_between(np.asarray(self.up), np.asarray(before))
+            eye = self.viewing.eye.turned_with(turn, self.solid.centre, before)
+            self.viewing = replace(self.viewing, eye=eye)
+
+    def stand_on(self, point: NDArray[np.float64], eye: NDArray[np.float64]) -> None:
+        """Stands the object on its face at a point (3,) that is seen from `eye` (3,), both in object space."""
+        shown = self.object
+        if shown is None or shown.capture is None:
+            return
+        skin = shown.atoms.surface.means if shown.atoms is not None else shown.capture.means
+        normal = face_normal(skin, point, eye, self.solid.radius)
+        if normal is None:
+            self.notify("There is no face here to stand on.")
+            return
+        self.set_up("Stand on face", -normal)
+        self.notify("It stands on this face now. Drag the rings to turn it further.")
 
     # Families
 

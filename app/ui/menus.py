@@ -31,6 +31,7 @@ TOOL_ICONS: dict[Tool, tuple[str, str, str]] = {
     "plane": (icon.ICON_FA_LAYER_GROUP, "Plane: drag to open the object along a plane", "P"),
     "move": (icon.ICON_FA_UP_DOWN_LEFT_RIGHT, "Move pieces", "M"),
     "turn": (icon.ICON_FA_ROTATE, "Turn pieces", "T"),
+    "upright": (icon.ICON_FA_ARROWS_DOWN_TO_LINE, "Upright: click the face it stands on, or turn it", "U"),
 }
 
 
@@ -199,6 +200,8 @@ class Menus:
             return
         for label in ("Hide", "Delete", "Put back together", "Fit"):
             self._item(next(replace(c, separated=False) for c in self.commands if c.label == label))
+        if self.viewport.menu_point is not None and imgui.menu_item_simple("Stand on this face"):
+            self.viewport.stand_on(self.viewport.menu_point)
         hidden = [p.key for p in self.session.pieces if not p.visible]
         if hidden and imgui.menu_item_simple("Show all"):
             self.session.change_placements("Show all", frozenset(hidden), lambda p: replace(p, visible=True))

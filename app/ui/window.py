@@ -189,6 +189,7 @@ class Window:
     # Drawing
 
     def _gui(self) -> None:
+        imguizmo.im_guizmo.begin_frame()  # without it, handles do not feel the pointer
         if not imgui.is_any_item_active() and not imguizmo.im_guizmo.is_using_any():
             self.session.history.settle()  # a drag has ended
         press_shortcuts(self.menus.commands)

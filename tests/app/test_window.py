@@ -45,6 +45,11 @@ def test_a_dense_screen_dropped_files_dialogs_and_leaving(tmp_path: Path) -> Non
     run("habits", tmp_path)
 
 
+def test_the_object_is_stood_on_a_face_and_turned(tmp_path: Path) -> None:
+    run("upright", tmp_path)
+    assert len(list((tmp_path / "shots").glob("upright_*.png"))) == 4
+
+
 def test_two_thousand_random_actions_leave_nothing_behind(tmp_path: Path) -> None:
     run("soak", tmp_path)
 

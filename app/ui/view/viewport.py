@@ -15,13 +15,14 @@ from app.model.document import Cut, Key
 from app.model.knife import SHORTEST, Stroke, plane_of
 from app.model.pieces import PlacedPiece, sections
 from app.model.project import VIEW_MODES
-from app.model.rigid_transform import Motion
+from app.model.rigid_transform import STILL, Motion
+from app.model.upright import point_under
 from app.session.session import Session
 from app.ui.theme import palette, px, rgb, u32
 from app.ui.view.animation import CameraAnimation, PieceAnimation
 from app.ui.view.annotations import brackets, label
 from app.ui.view.axis_cube import axis_cube
-from app.ui.view.gizmo import handles
+from app.ui.view.gizmo import handles, on_handles
 from app.ui.view.painter import Painter
 from app.ui.view.plane_lines import PlaneLines
 from app.ui.widgets import segmented
@@ -44,6 +45,7 @@ HINTS = {
     "plane": "Drag to place a plane",
     "move": "Drag a piece to move it",
     "turn": "Drag a piece to turn it",
+    "upright": "Click the face it stands on",
 }
 
 REST = 0.2
@@ -55,6 +57,10 @@ MODE_HINTS = (
     "The object as a solid that can be cut",
     "The inside alone, without its skin",
 )
+
+
+SOLID_OPACITY = 0.3
+"""Opacity from which a Gaussian of the capture can be pointed at; below, it is haze."""
 
 
 @dataclass
@@ -80,10 +86,14 @@ class Viewport:
         self.drag: Drag | None = None
         self.show_families: frozenset[str] = frozenset()
         self.menu_requested = False
+        self.menu_point: tuple[float, float] | None = None
+        """Where on the object the context menu was asked for, in the window's units."""
         self.size = (640, 480)
         """Width and height of the picture, in the window's units."""
         self.origin = ImVec2(0, 0)
         self.plane_lines = PlaneLines(session)
+        self._handled = False
+        """Whether handles were drawn in the last frame."""
         self._eye = OrbitCamera()
         self._placed: tuple[object, ...] = ()
         self._moved = -10.0
@@ -137,11 +147,16 @@ class Viewport:
             draw.add_image(imgui.ImTextureRef(texture.glo), self.origin, corner)
         imgui.push_clip_rect(self.origin, corner, True)
         camera = self.camera()
-        imgui.set_next_item_allow_overlap()
-        imgui.invisible_button("##canvas", size, ANY_BUTTON)
-        hovered, active = imgui.is_item_hovered(), imgui.is_item_active()
+        if self._handled and on_handles():  # which take no click while any item is under the pointer
+            imgui.dummy(size)
+            hovered = active = False
+        else:
+            imgui.set_next_item_allow_overlap()
+            imgui.invisible_button("##canvas", size, ANY_BUTTON)
+            hovered, active = imgui.is_item_hovered(), imgui.is_item_active()
         self._draw_selection(camera, pieces)
-        busy = self.drag is None and handles(session, camera, self.origin, size)
+        self._handled = self.drag is None and handles(session, camera, self.origin, size)
+        busy = self._handled and on_handles()
         if not busy:
             self._mouse(camera, hovered, active, pieces)
         if self.drag is not None and self.drag.kind in ("stroke", "plane"):
@@ -239,6 +254,9 @@ class Viewport:
             if key is not None and key not in session.selection:
                 session.selection = frozenset([key])
             self.menu_requested = True
+            self.menu_point = at if key is not None or session.mode == "capture" else None
+        elif session.tool == "upright":
+            self.stand_on(at)
         elif imgui.get_io().key_ctrl and key is not None:
             session.selection = session.selection ^ {key}
         else:
@@ -254,6 +272,24 @@ class Viewport:
         number, point = self.painter.pick(at[0] * scale, at[1] * scale)
         shown = [piece.key for piece in pieces if piece.visible]
         return (shown[number], point) if number is not None and number < len(shown) else (None, None)
+
+    def stand_on(self, at: tuple[float, float]) -> None:
+        """Stands the object on the face at a point of the picture."""
+        session, camera = self.session, self.camera()
+        shown = session.object
+        if shown is None or shown.capture is None:
+            return
+        motion = STILL
+        if session.mode == "capture":
+            opaque = shown.capture.opacities > SOLID_OPACITY
+            point = point_under(shown.capture.means[opaque], camera, at)
+        else:
+            key, point = self._pick(at, session.pieces)
+            motion = next((piece.motion for piece in session.pieces if piece.key == key), STILL).inverse()
+        if point is None:
+            session.notify("Click on the object: on the face that it stands on.")
+            return
+        session.stand_on(motion.apply(point), motion.apply(camera.position))
 
     def _drag_pieces(self, camera: Camera, drag: Drag, dx: float, dy: float) -> None:
         """Moves the dragged pieces parallel to the picture, or rotates them about its axes."""
