@@ -21,6 +21,7 @@ from engine.fit.scale_fit import fit_scales
 from engine.fit.sh_fit import SurfaceView, fit_sh, surface_views
 from engine.io.files import remove_leftovers
 from engine.io.load import load
+from engine.isolate.selection import isolated
 from engine.scene.atoms import Atoms, InteriorAtoms
 from engine.scene.gaussians import Gaussians
 from engine.solid.fill import Colours, fill
@@ -224,13 +225,13 @@ def prepare(
         loaded = load(request.scene, request.seed)
         for warning in loaded.warnings:
             reporter.warn(warning)
-    gaussians = loaded.gaussians
+        gaussians = isolated(loaded.gaussians, request.isolation, request.scene.name)
     raise_if_stopped()
     with reporter.stage("body") as stage:
         enclosure = find_enclosure(gaussians, request.fineness.cells, request.scene.name)
         for note in enclosure.notes:
             reporter.warn(f"{request.scene.name}: {note}")
-        up, reason = find_up(request, gaussians)
+        up, reason = find_up(request, loaded.gaussians)  # a floor tells, even if it goes
         stage.progress(1.0, reason, up=up.tolist(), reason=reason)
     raise_if_stopped()
     with reporter.stage("atomise"):
