@@ -31,6 +31,7 @@ TOOL_ICONS: dict[Tool, tuple[str, str, str]] = {
     "plane": (icon.ICON_FA_LAYER_GROUP, "Plane: drag to open the object along a plane", "P"),
     "move": (icon.ICON_FA_UP_DOWN_LEFT_RIGHT, "Move pieces", "M"),
     "turn": (icon.ICON_FA_ROTATE, "Turn pieces", "T"),
+    "isolate": (icon.ICON_FA_CROP_SIMPLE, "Isolate: say what of the capture is the object", "I"),
 }
 
 
@@ -224,6 +225,7 @@ class Menus:
             ("Alt+drag", "look around with any tool"),
             ("Shift while cutting", "level and upright cuts"),
             ("Esc while cutting", "do not cut"),
+            ("Shift or Alt while isolating", "select more or less"),
             ("Ctrl+click", "select several pieces"),
         )
         left = [(c.keys, c.label) for c in self.commands if c.keys and c.menu in ("File", "Edit", "Cut", "Help")]

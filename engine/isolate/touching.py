@@ -22,7 +22,7 @@ REACH = 2.0
 """Standard deviations to which a Gaussian reaches: there it has 14 % of its opacity left, the faintest skin that a
 picture shows."""
 
-BLOCK = 1 << 17
+BLOCK = 1 << 15
 """Gaussians whose neighbours are looked up at a time, which holds the memory of that step under 100 MB."""
 
 
@@ -41,10 +41,11 @@ def grow(gaussians: Gaussians, selected: NDArray[np.bool_]) -> NDArray[np.bool_]
     if not len(rows):
         return selected
     tree = cKDTree(gaussians.means[rows])
+    spread = _covariances(gaussians)
     first, second = [], []
     for start in range(0, len(gaussians), BLOCK):
         block = np.arange(start, min(start + BLOCK, len(gaussians)))
-        a, b = _touching(gaussians, block, rows, tree)
+        a, b = _touching(gaussians.means, spread, block, rows, tree)
         faint = ~solid[a]  # leaves of the graph: each hangs on the nearest that it touches
         _, nearest = np.unique(a[faint], return_index=True)
         first += [a[~faint], a[faint][nearest]]
@@ -59,24 +60,28 @@ def grow(gaussians: Gaussians, selected: NDArray[np.bool_]) -> NDArray[np.bool_]
 
 
 def _touching(
-    gaussians: Gaussians, block: NDArray[np.integer], rows: NDArray[np.integer], tree: cKDTree
+    means: NDArray[np.float32],  # [N, 3]
+    spread: NDArray[np.float64],  # [N, 6]
+    block: NDArray[np.integer],
+    rows: NDArray[np.integer],
+    tree: cKDTree,
 ) -> tuple[NDArray[np.integer], NDArray[np.integer]]:
     """Pairs (P,), (P,) of a Gaussian of `block` and one of `rows`, in the order of the block and of their distance."""
-    means = gaussians.means[block]
-    _, near = tree.query(means, k=min(NEIGHBOURS + 1, len(rows)))
+    _, near = tree.query(means[block], k=min(NEIGHBOURS + 1, len(rows)))
     near = rows[near.reshape(len(block), -1)]
     a, b = np.repeat(block, near.shape[1]), near.ravel()
     different = a != b
     a, b = a[different], b[different]
-    line = gaussians.means[b].astype(np.float64) - gaussians.means[a]
-    length = np.linalg.norm(line, axis=1)
-    direction = line / np.maximum(length, 1e-30)[:, None]
-    meets = length <= REACH * (_deviation(gaussians, a, direction) + _deviation(gaussians, b, direction))
+    x, y, z = (means[b].astype(np.float64) - means[a]).T
+    squares = np.stack([x * x, y * y, z * z, 2 * x * y, 2 * x * z, 2 * y * z], 1)
+    # Standard deviations along the line, times its length: |d| <= REACH (s_a + s_b) without a division.
+    reach = sum(np.sqrt(np.maximum((squares * spread[rows]).sum(1), 0)) for rows in (a, b))
+    meets = x * x + y * y + z * z <= REACH * reach
     return a[meets], b[meets]
 
 
-def _deviation(gaussians: Gaussians, rows: NDArray[np.integer], direction: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(P,). Standard deviation of each of these Gaussians along a unit direction (P, 3)."""
-    axes = rotation_matrices(normalised_quats(gaussians.quats[rows]))
-    along = np.einsum("pij,pi->pj", axes, direction) * gaussians.scales[rows]
-    return np.asarray(np.sqrt((along**2).sum(1)))
+def _covariances(gaussians: Gaussians) -> NDArray[np.float64]:
+    """(N, 6). xx, yy, zz, xy, xz, yz of each Gaussian's covariance, world units squared."""
+    axes = rotation_matrices(normalised_quats(gaussians.quats)) * gaussians.scales[:, None, :]
+    x, y, z = axes.transpose(1, 0, 2)
+    return np.stack([(a * b).sum(1) for a, b in ((x, x), (y, y), (z, z), (x, y), (x, z), (y, z))], 1)

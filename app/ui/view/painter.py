@@ -90,7 +90,7 @@ class Painter:
             (i.rgba, (i.corners if isinstance(i, Sheet) else i.ends).tobytes(), i.hidden, getattr(i, "width", 0.0))
             for i in over
         )
-        if key != self._key or self._texture is None or self.renderer.sorting:
+        if key != self._key or self._texture is None or (mode == "capture" and self.renderer.sorting):
             begin = time.perf_counter()
             texture = self.renderer.render(
                 scaled(camera, part), pieces, MODES[mode], background, light, exact=not moving, level=level, wait=False
@@ -109,7 +109,7 @@ class Painter:
             self._texture = self.renderer.overlay(over) if over else self._picture
             self._restore_framebuffer()
             self._overlay_key = overlay_key
-        self.unfinished = moving or self.renderer.sorting
+        self.unfinished = moving or (mode == "capture" and self.renderer.sorting)  # drawing it ends the sorting
         return self._texture
 
     def _record_time(self, taken: float, moving: bool, uploaded: bool) -> None:
@@ -151,11 +151,12 @@ class Painter:
         if shown is None:
             return False
         if workspace.mode == "capture":
-            if shown.capture is None:
+            capture = workspace.shown_capture
+            if capture is None:
                 return False
-            if shown.capture is not self._capture:
-                self.renderer.set_capture(shown.capture)
-                self._capture, self._key = shown.capture, None
+            if capture is not self._capture:
+                self.renderer.set_capture(capture)
+                self._capture, self._key = capture, None
             return True
         assert shown.atoms is not None
         atoms = (workspace.geometry_version, workspace.colour_version)

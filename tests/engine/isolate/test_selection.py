@@ -73,7 +73,7 @@ def test_boxes_spheres_and_half_spaces_contain_what_their_formulas_say() -> None
 def test_a_lasso_contains_what_is_drawn_inside_of_it(orthographic: bool) -> None:
     camera = orbit((0, 0, 0), (0, 0, 1), 40, 25, 1.5, 300, 200)  # close: some points are behind the eye
     half = (1.5, 1.0) if orthographic else (150 / camera.fx, 100 / camera.fy)
-    view = View(tuple(camera.position), quat(Rotation.from_matrix(camera.viewmat[:3, :3].T)), half, orthographic)  # type: ignore[arg-type]
+    view = View(tuple(camera.position), quat(Rotation.from_matrix(camera.viewmat[:3, :3].T)), half, orthographic)
     star = [(math.sin(a) * r, math.cos(a) * r) for a, r in zip(np.arange(10) * 0.628, [0.9, 0.3] * 5, strict=True)]
     lasso = Lasso(view, tuple(star))
     local = CLOUD.means.astype(np.float64) @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]
