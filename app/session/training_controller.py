@@ -175,8 +175,14 @@ class TrainingController:
         workspace.change_settings(workspace.settings.without_job(job.out))
         if phase == "done":
             self.job = None
+            result = self.result_for(workspace.document)
+            if result is None and job.document.isolation != workspace.document.isolation:
+                workspace.notify(
+                    "The inside is ready, but for what was the object when training began. Undo to see it."
+                )
+                return
             workspace.notify("The inside is ready. Cut anywhere.")
-            self.scene.load(self.result_for(workspace.document))
+            self.scene.load(result)
         elif phase == "failed":
             last = job.log_tail()
             workspace.show_error(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -119,6 +120,18 @@ def isolate(driver: Driver, folder: Path) -> None:
     assert marked() == total - before
     driver.click("//Inspector/Clear")
     assert marked() == 0
+
+    # The face of a box is pulled, as one step of the history.
+    driver.drag((0.4, 0.2), (0.6, 0.6))
+    settled()
+    box, few = session.isolation.last_box, marked()
+    assert box is not None
+    steps = len(session.history.entries)
+    driver.drag((0.6, 0.4), (0.75, 0.4))
+    assert session.isolation.last_box == replace(box, high=(session.isolation.last_box.high[0], *box.high[1:]))  # type: ignore[union-attr]
+    assert marked() > few and len(session.history.entries) == steps + 1
+    driver.press(Key.mod_ctrl | Key.z)
+    assert session.isolation.last_box == box and marked() == few
 
     # Only a box from the side stays; the project remembers it as a few numbers.
     driver.drag((0.3, 0.15), (0.7, 0.6))

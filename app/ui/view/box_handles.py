@@ -51,7 +51,7 @@ class BoxHandles:
         places, steps = _faces(box, camera)
         nearest = min(places, key=lambda face: float(np.linalg.norm(places[face] - at)), default=None)
         near = nearest is not None and float(np.linalg.norm(places[nearest] - at)) < px(9)
-        hovered = self._pulled or (nearest if near and imgui.is_window_hovered() else None)
+        hovered = self._pulled or (nearest if near else None)
         draw = imgui.get_window_draw_list()
         for face, place in places.items():
             middle = ImVec2(float(place[0] + origin.x), float(place[1] + origin.y))
