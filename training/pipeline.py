@@ -225,7 +225,9 @@ def prepare(
         loaded = load(request.scene, request.seed)
         for warning in loaded.warnings:
             reporter.warn(warning)
-        gaussians = isolated(loaded.gaussians, request.isolation, request.scene.name)
+        gaussians, notes = isolated(loaded.gaussians, request.isolation, request.scene.name)
+        for note in notes:
+            reporter.warn(f"{request.scene.name}: {note}")
     raise_if_stopped()
     with reporter.stage("body") as stage:
         enclosure = find_enclosure(gaussians, request.fineness.cells, request.scene.name)
@@ -238,6 +240,7 @@ def prepare(
         skin, pitch = atomise_surface(gaussians, enclosure, request.fineness.cells)
     facts = {
         "gaussians": len(gaussians),
+        "gaussians_left_out": len(loaded.gaussians) - len(gaussians),
         "gaussians_dropped": skin.dropped,
         "gaussians_split": skin.split,
         "surface_atoms": len(skin.atoms),

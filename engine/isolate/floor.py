@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from engine.scene.gaussians import Gaussians
-from engine.scene.plane import Plane
+from engine.scene.plane import Plane, frame
 from engine.scene.rotations import normalised_quats, rotation_matrices
 from engine.solid.denoise_capture import HAZE_OPACITY, haze_and_fragments
 
@@ -23,18 +23,28 @@ BAND = 0.012
 """Half the thickness of a floor, in sizes of the capture: mats and cloths are that uneven."""
 
 LEAST_FLOOR = 0.06
-LEAST_OBJECT = 0.1
-"""Shares of the skin on the plane and above it. With less on it, it is a foot; with less above it, it is the object."""
+LEAST_OBJECT = 0.01
+"""Shares of the skin on the plane and above it. With less on it, it is a foot. An object on a table eight times as wide
+has 3 %; with less, the plane is the object, as a leaf or a mat alone is."""
 
 MOST_BELOW = 0.1
 """Share of the skin under a floor: table legs, the underside of a mat."""
 
 NEAR = 0.2
-"""Sizes of the capture above the plane within which the object's foot is compared with the floor."""
+"""Sizes of the capture above the plane within which the object's foot is looked for."""
 
-WIDER = 1.25
-"""A floor reaches farther out than the foot of what stands on it. The flat base of a pot, a ball or a box is a disc
-within a ring: 0.7 to 0.9 times its foot's radius. The mat of a box has 1.7 times."""
+SECTORS = 16
+"""Directions around the middle of the floor in which its edge is looked at."""
+
+EDGE = 0.8
+"""Part of the floor's radius in a direction from which on it is the edge."""
+
+COVERED = 0.2
+"""Skin above the edge, relative to the floor's own there, from which on the object covers it: the side of a box or a
+pot has several times as much, specks above a table a hundredth."""
+
+FREE = 0.25
+"""Part of the edge that is free around a floor: half of it in the corner of a room, none around the foot of a pot."""
 
 LIFT = 4.0
 """Robust standard deviations of the floor's Gaussians by which the plane is raised, so that it contains them: at 2.5
@@ -45,7 +55,7 @@ def find_floor(gaussians: Gaussians) -> Plane | None:
     """The plane just above a capture's floor, with n.x + d <= 0 on it and beneath it; None if it has no floor.
 
     The floor is the plane with the most skin on it that leaves nearly all the rest on one side and that reaches beyond
-    the foot of what stands on it: every object has a flat base or a broad side, but only a floor goes on around it. A
+    the foot of what stands on it: every object has a flat base or a broad side, but only a floor has a free edge. A
     wall that the object leans against is one too. The same plane for the same capture, whatever its units.
     """
     haze, fragments = haze_and_fragments(gaussians)
@@ -122,8 +132,15 @@ def _is_floor(points: NDArray[np.float64], plane: Plane, band: float, size: floa
     shares = on.mean() >= LEAST_FLOOR and (heights > band).mean() >= LEAST_OBJECT
     if not shares or (heights < -band).mean() > MOST_BELOW or foot.sum() < 20:
         return False
-    normal = np.asarray(plane.normal)
-    flat = points - heights[:, None] * normal
-    middle = np.median(flat[foot], axis=0)
-    radius = np.linalg.norm(flat - middle, axis=1)
-    return bool(np.percentile(radius[on], 75) > WIDER * np.percentile(radius[foot], 75))
+    e1, e2, _ = frame(plane.normal)
+    flat = np.stack([points @ e1, points @ e2], 1)
+    flat -= flat[on].mean(0)
+    radius = np.linalg.norm(flat, axis=1)
+    sector = ((np.arctan2(flat[:, 1], flat[:, 0]) / (2 * np.pi) + 0.5) * SECTORS).astype(int) % SECTORS
+    free = 0
+    for direction in range(SECTORS):
+        here = sector == direction
+        if (here & on).any():
+            edge = here & (radius > EDGE * np.percentile(radius[here & on], 95))
+            free += (edge & foot).sum() < COVERED * (edge & on).sum()
+    return bool(free >= FREE * SECTORS)

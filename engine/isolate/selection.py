@@ -7,6 +7,7 @@ that is opened again agree on every Gaussian.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
@@ -205,26 +206,40 @@ def take_step(gaussians: Gaussians, selected: NDArray[np.bool_], step: Step) -> 
 
 def removed(gaussians: Gaussians, isolation: Isolation) -> NDArray[np.bool_]:
     """(N,). Which Gaussians of the whole capture the isolation takes away."""
+    result = np.zeros(len(gaussians), bool)
+    for rows in _removed_in_turn(gaussians, isolation):
+        result[rows] = True
+    return result
+
+
+def isolated(gaussians: Gaussians, isolation: Isolation, name: str) -> tuple[Gaussians, list[str]]:
+    """What the isolation leaves of a capture, and a sentence on what it took and on each selection that took nothing.
+
+    Raises InputError, which begins with `name`, if nothing is left.
+    """
+    gone, notes = np.zeros(len(gaussians), bool), []
+    for number, rows in enumerate(_removed_in_turn(gaussians, isolation)):
+        gone[rows] = True
+        if not len(rows):
+            floor = isolation[number] == (Step("add", Detected("floor")),)
+            notes.append("it has no floor to leave out" if floor else "a part to leave out holds nothing of it")
+    if gone.all():
+        raise InputError(f"{name}: nothing is left of its {len(gaussians)} Gaussians; keep more, or remove less")
+    if gone.any():
+        notes.append(f"{int(gone.sum())} of {len(gone)} Gaussians are no part of the object")
+    return gaussians[~gone] if gone.any() else gaussians, notes
+
+
+def _removed_in_turn(gaussians: Gaussians, isolation: Isolation) -> Iterator[NDArray[np.intp]]:
+    """The rows that each selection takes from what the ones before it have left."""
     left = np.arange(len(gaussians))
     for selection in isolation:
         rest = gaussians[left]
         selected = np.zeros(len(rest), bool)
         for step in selection:
             selected = take_step(rest, selected, step)
+        yield left[selected]
         left = left[~selected]
-    result = np.ones(len(gaussians), bool)
-    result[left] = False
-    return result
-
-
-def isolated(gaussians: Gaussians, isolation: Isolation, name: str) -> Gaussians:
-    """What the isolation leaves of a capture. Raises InputError, which begins with `name`, if that is nothing."""
-    if not isolation:
-        return gaussians
-    gone = removed(gaussians, isolation)
-    if gone.all():
-        raise InputError(f"{name}: nothing is left of its {len(gaussians)} Gaussians; keep more, or remove less")
-    return gaussians[~gone]
 
 
 def _contained(gaussians: Gaussians, shape: Shape) -> NDArray[np.bool_]:

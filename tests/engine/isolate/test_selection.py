@@ -94,8 +94,13 @@ def test_steps_follow_one_another_and_selections_look_at_what_is_left() -> None:
     both: Isolation = (keep_only(SPHERE, BOX), (Step("add", BELOW),))
     kept = (SPHERE.contains(points) | BOX.contains(points)) & ~BELOW.contains(points)
     assert np.array_equal(removed(CLOUD, both), ~kept)
-    assert np.array_equal(isolated(CLOUD, both, "cloud").means, points[kept])
-    assert isolated(CLOUD, (), "cloud") is CLOUD
+    rest, notes = isolated(CLOUD, (*both, (Step("add", Detected("floor")),)), "cloud")
+    assert np.array_equal(rest.means, points[kept])
+    assert notes == [
+        "it has no floor to leave out",
+        f"{5000 - kept.sum()} of 5000 Gaussians are no part of the object",
+    ]
+    assert isolated(CLOUD, (), "cloud") == (CLOUD, [])
     with pytest.raises(InputError, match=r"^cloud: nothing is left"):
         isolated(CLOUD, ((INVERT,),), "cloud")
 
@@ -114,35 +119,39 @@ def test_a_selection_grows_over_its_blob_and_not_into_the_next() -> None:
     assert removed(veil, ((seed, Step("grow")),))[:6000].sum() == 3000
 
 
-def room(rotation: Rotation, legs: int = 0) -> Gaussians:
-    """A box of 1 x 0.6 x 1.5 on a disc of radius 1.6 with uneven height, somewhere in space."""
+BOX_COUNT = 6000
+
+
+def room(rotation: Rotation, reach: float = 1.6, legs: int = 0) -> Gaussians:
+    """A box of 1 x 0.6 x 1.5 on an uneven disc of radius `reach`, as dense, somewhere in space."""
     rng = np.random.default_rng(2)
-    sides = rng.uniform(-1, 1, (9000, 3))
-    axis = rng.integers(0, 3, 9000)
-    sides[np.arange(9000), axis] = np.sign(sides[np.arange(9000), axis])
+    sides = rng.uniform(-1, 1, (BOX_COUNT, 3))
+    axis = rng.integers(0, 3, BOX_COUNT)
+    sides[np.arange(BOX_COUNT), axis] = np.sign(sides[np.arange(BOX_COUNT), axis])
     box = sides * (0.5, 0.3, 0.75) + (0.1, 0.2, 0.75)
-    angle, radius = rng.uniform(0, 2 * np.pi, 6000), 1.6 * np.sqrt(rng.uniform(0, 1, 6000))
-    disc = np.stack([radius * np.cos(angle), radius * np.sin(angle), rng.normal(0, 0.004, 6000)], 1)
+    count = round(BOX_COUNT / 6 * np.pi * reach**2)  # the box has 6 square units of skin
+    angle, radius = rng.uniform(0, 2 * np.pi, count), reach * np.sqrt(rng.uniform(0, 1, count))
+    disc = np.stack([radius * np.cos(angle), radius * np.sin(angle), rng.normal(0, 0.004, count)], 1)
     leg = np.stack([np.full(legs, 1.2), np.zeros(legs), rng.uniform(-1, 0, legs)], 1)
     return gaussians(rotation.apply(np.concatenate([box, disc, leg])) + np.array((3, -2, 5)))
 
 
-@pytest.mark.parametrize("legs", [0, 300])
-def test_a_floor_is_found_within_a_degree_and_goes_with_what_is_under_it(legs: int) -> None:
+@pytest.mark.parametrize(("reach", "legs"), [(1.1, 0), (1.6, 300), (8.0, 3000)])
+def test_a_floor_is_found_within_a_degree_and_goes_with_what_is_under_it(reach: float, legs: int) -> None:
     rotation = Rotation.from_rotvec((1.1, 0.4, -0.7))
-    scene = room(rotation, legs)
+    scene = room(rotation, reach, legs)
     floor = find_floor(scene)
     assert floor is not None
     up = rotation.apply((0, 0, 1))
     assert math.degrees(math.acos(min(1.0, float(np.dot(floor.normal, up))))) < 1
     gone = removed(scene, ((Step("add", Detected("floor")),),))
-    assert gone[9000:].mean() > 0.995
-    above = ((scene.means.astype(np.float64) - (3, -2, 5)) @ up)[:9000] > 0.05
-    assert not gone[:9000][above].any()
+    assert gone[BOX_COUNT:].mean() > 0.995
+    above = ((scene.means.astype(np.float64) - (3, -2, 5)) @ up)[:BOX_COUNT] > 0.05
+    assert not gone[:BOX_COUNT][above].any()
 
 
 def test_an_object_without_a_floor_keeps_its_foot() -> None:
-    box = room(Rotation.identity())[np.arange(9000)]
+    box = room(Rotation.identity())[np.arange(BOX_COUNT)]
     ball = CLOUD.means / np.linalg.norm(CLOUD.means, axis=1, keepdims=True)
     rng = np.random.default_rng(5)
     around, height = rng.uniform(0, 2 * np.pi, 6000), rng.uniform(0, 1.2, 6000)
