@@ -63,6 +63,9 @@ class Menus:
         def selected() -> bool:
             return bool(s.selection)
 
+        def marked() -> bool:
+            return s.tool == "isolate" and bool(s.document.marked)
+
         def can_start() -> bool:
             return opened() and not training.busy and not (s.object is not None and s.object.trained)
 
@@ -112,7 +115,8 @@ class Menus:
             ),
             Command("Edit", "Select all", self._select_all, "Ctrl+A", Ctrl | Key.a, opened, separated=True),
             Command("Edit", "Hide", s.hide, "H", Key.h, selected),
-            Command("Edit", "Delete", s.delete, "Del", Key.delete, selected),
+            Command("Edit", "Delete", s.delete, "Del", Key.delete, lambda: selected() and not marked()),
+            Command("Edit", "Remove from the capture", s.isolation.remove_marked, "Del", Key.delete, marked),
             *tools,
             Command("Cut", "Add plane", s.add_plane, "", 0, opened),
             Command("Cut", "Put back together", s.reassemble, "Ctrl+G", Ctrl | Key.g, is_cut),

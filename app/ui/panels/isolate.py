@@ -87,7 +87,7 @@ class IsolatePanel:
             imgui.same_line()
             if imgui.button("Remove", ImVec2(half, px(32))):
                 isolation.remove_marked()
-            tooltip("Remove what is selected")
+            tooltip("Remove what is selected", "Del")
 
     def _proposals(self) -> None:
         proposals = self.session.isolation.proposals

@@ -131,7 +131,7 @@ class Painter:
     def picture(self, workspace: Workspace, camera: Camera, pieces: Sequence[Piece]) -> NDArray[np.uint8]:
         """(H, W, 4). A picture for a file, with straight alpha; makes the next frame be drawn again."""
         self._key = None
-        if not self._upload(workspace):
+        if not self._upload(workspace, tinted=False):
             return np.zeros((camera.height, camera.width, 4), np.uint8)
         self.renderer.render(camera, pieces, MODES[workspace.mode], (0.0, 0.0, 0.0), workspace.settings.face_light)
         seen = self.renderer.read()
@@ -145,13 +145,18 @@ class Painter:
         if self._screen is not None:
             self._screen.use()
 
-    def _upload(self, workspace: Workspace) -> bool:
-        """Uploads the workspace's object unless the GPU has it; False if there is nothing to draw."""
+    def _upload(self, workspace: Workspace, tinted: bool = True) -> bool:
+        """Uploads the workspace's object unless the GPU has it; False if there is nothing to draw.
+
+        `tinted`: with what is marked of the capture in another colour.
+        """
         shown = workspace.object
         if shown is None:
             return False
         if workspace.mode == "capture":
-            capture = workspace.shown_capture
+            capture, view = workspace.shown_capture, workspace.capture_view
+            if not tinted and view is not None and capture is view.shown:
+                capture = view.left
             if capture is None:
                 return False
             if capture is not self._capture:

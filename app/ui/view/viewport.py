@@ -386,11 +386,12 @@ class Viewport:
         return f"{what}    {taken:.0f} ms" if taken else what
 
     def _hint(self) -> None:
-        """What to do with the tool, beside the pointer; for the knife, until the first cut."""
+        """What to do with the tool, beside the pointer; for the knife until the first cut, for isolating until
+        something is selected."""
         session = self.session
         text = HINTS[session.tool]
-        waiting = session.atoms is None and session.tool != "isolate"
-        if not text or waiting or (session.tool == "knife" and session.settings.seen_hint):
+        idle = bool(session.document.marked) if session.tool == "isolate" else session.atoms is None
+        if not text or idle or (session.tool == "knife" and session.settings.seen_hint):
             return
         mouse = imgui.get_mouse_pos()
         label(imgui.get_window_draw_list(), ImVec2(mouse.x + px(24), mouse.y + px(12)), text)
