@@ -21,6 +21,7 @@ from engine.fit.scale_fit import fit_scales
 from engine.fit.sh_fit import SurfaceView, fit_sh, surface_views
 from engine.io.files import remove_leftovers
 from engine.io.load import LoadedScene, load
+from engine.isolate.selection import isolated
 from engine.scene.atoms import Atoms, InteriorAtoms
 from engine.solid.fill import Colours, fill
 from engine.solid.solidify import atomise_surface, find_enclosure
@@ -223,13 +224,15 @@ def prepare(
         loaded = load(request.scene, request.seed)
         for warning in loaded.warnings:
             reporter.warn(warning)
-    gaussians = loaded.gaussians
+        gaussians, notes = isolated(loaded.gaussians, request.isolation, request.scene.name)
+        for note in notes:
+            reporter.warn(f"{request.scene.name}: {note}")
     raise_if_stopped()
     with reporter.stage("body") as stage:
         enclosure = find_enclosure(gaussians, request.fineness.cells, request.scene.name)
         for note in enclosure.notes:
             reporter.warn(f"{request.scene.name}: {note}")
-        up = find_up(request, loaded)
+        up = find_up(request, loaded)  # of the whole capture: a floor tells, even if it goes
         stage.progress(1.0, up.reason, up=up.axis.tolist(), reason=up.reason)
         if up.certainty < 0.5:
             reporter.warn(f"{request.scene.name}: up is {up.reason}: a guess; give --up if it is wrong")
@@ -238,6 +241,7 @@ def prepare(
         skin, pitch = atomise_surface(gaussians, enclosure, request.fineness.cells)
     facts = {
         "gaussians": len(gaussians),
+        "gaussians_left_out": len(loaded.gaussians) - len(gaussians),
         "gaussians_dropped": skin.dropped,
         "gaussians_split": skin.split,
         "surface_atoms": len(skin.atoms),

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from app.jobs.scene_loader import LoadedScene, SceneLoader
 from app.model.autosave import Autosave
+from app.model.capture_view import CaptureView
 from app.model.document import Cut, Document, Key, Part, Placement
 from app.model.history import History
 from app.model.knife import Stroke, slice_object
@@ -26,13 +27,14 @@ from app.model.settings import Settings, load_settings, save_settings
 from app.model.upright import face_normal, turn_between
 from engine.scene.atoms import Atoms
 from engine.scene.camera import Camera
+from engine.scene.gaussians import Gaussians
 from engine.scene.plane import Plane
 from training.families import Kind
 
 __all__ = ["PICTURE_SUFFIXES", "TOOLS", "Tool", "Workspace"]
 
-Tool = Literal["select", "knife", "plane", "move", "turn", "upright"]
-TOOLS: tuple[Tool, ...] = ("select", "knife", "plane", "move", "turn", "upright")
+Tool = Literal["select", "knife", "plane", "move", "turn", "upright", "isolate"]
+TOOLS: tuple[Tool, ...] = ("select", "knife", "plane", "move", "turn", "upright", "isolate")
 
 PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".bmp")
 """ProjectFiles that are taken for pictures of cut faces."""
@@ -49,6 +51,8 @@ class Workspace:
     viewing: Viewing = field(default_factory=Viewing)
     object: LoadedScene | None = None
     """What is loaded of the scene so far."""
+    capture_view: CaptureView | None = None
+    """What of the capture is shown; found in the background, so that it may be that of an earlier document."""
     loader: SceneLoader | None = None
     """Reads the scene in the background; None when it is done."""
     path: Path | None = None
@@ -90,6 +94,14 @@ class Workspace:
     def atoms(self) -> Atoms | None:
         """The atoms of the object; None until it is solid."""
         return self.object.atoms if self.object is not None else None
+
+    @property
+    def shown_capture(self) -> Gaussians | None:
+        """The capture to be drawn, without what is no part of the object; None while that is not known."""
+        capture = self.object.capture if self.object is not None else None
+        if self.capture_view is not None and self.capture_view.capture is capture:
+            return self.capture_view.shown
+        return None if self.document.isolation else capture
 
     @property
     def up(self) -> Vec3:
@@ -184,8 +196,10 @@ class Workspace:
             self.active_cut = None
 
     def select_tool(self, tool: Tool) -> None:
-        """Changes the tool; tools that cut also show the solid, since the capture cannot be cut."""
+        """Changes the tool, and shows what it works on: cuts need the solid, isolating is done in the capture."""
         self.tool = tool
+        if tool == "isolate":
+            self.viewing = replace(self.viewing, mode="capture")
         if tool in ("knife", "plane") and self.viewing.mode == "capture":
             self.viewing = replace(self.viewing, mode="solid")
 

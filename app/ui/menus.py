@@ -32,6 +32,7 @@ TOOL_ICONS: dict[Tool, tuple[str, str, str]] = {
     "move": (icon.ICON_FA_UP_DOWN_LEFT_RIGHT, "Move pieces", "M"),
     "turn": (icon.ICON_FA_ROTATE, "Turn pieces", "T"),
     "upright": (icon.ICON_FA_ARROWS_DOWN_TO_LINE, "Upright: click the face it stands on, or turn it", "U"),
+    "isolate": (icon.ICON_FA_CROP_SIMPLE, "Isolate: say what of the capture is the object", "I"),
 }
 
 
@@ -62,6 +63,9 @@ class Menus:
 
         def selected() -> bool:
             return bool(s.selection)
+
+        def marked() -> bool:
+            return s.tool == "isolate" and bool(s.document.marked)
 
         def can_start() -> bool:
             return opened() and not training.busy and not (s.object is not None and s.object.trained)
@@ -112,7 +116,8 @@ class Menus:
             ),
             Command("Edit", "Select all", self._select_all, "Ctrl+A", Ctrl | Key.a, opened, separated=True),
             Command("Edit", "Hide", s.hide, "H", Key.h, selected),
-            Command("Edit", "Delete", s.delete, "Del", Key.delete, selected),
+            Command("Edit", "Delete", s.delete, "Del", Key.delete, lambda: selected() and not marked()),
+            Command("Edit", "Remove from the capture", s.isolation.remove_marked, "Del", Key.delete, marked),
             *tools,
             Command("Cut", "Add plane", s.add_plane, "", 0, opened),
             Command("Cut", "Put back together", s.reassemble, "Ctrl+G", Ctrl | Key.g, is_cut),
@@ -227,6 +232,7 @@ class Menus:
             ("Alt+drag", "look around with any tool"),
             ("Shift while cutting", "level and upright cuts"),
             ("Esc while cutting", "do not cut"),
+            ("Shift or Alt while isolating", "select more or less"),
             ("Ctrl+click", "select several pieces"),
         )
         left = [(c.keys, c.label) for c in self.commands if c.keys and c.menu in ("File", "Edit", "Cut", "Help")]

@@ -17,6 +17,7 @@ import psutil
 import pytest
 
 from engine.errors import InputError
+from engine.isolate.selection import Box, Detected, Step, keep_only
 from tests.helpers.batch_worker import SMALL
 from tests.paths import HELPERS, SAMPLES
 from training.batch import Outcome, Task, TaskStopped, report, run_grid, should_stop
@@ -418,3 +419,24 @@ def test_defaults_give_way_to_a_scenes_own(tmp_path: Path) -> None:
     ]
     assert broken.request.scene == tmp_path / "broken.ply"
     assert melon.request.up == (0.0, 0.0, 1.0)
+
+
+def test_a_scene_says_what_of_its_capture_is_the_object(tmp_path: Path) -> None:
+    (tmp_path / "a.ply").touch()
+    manifest = tmp_path / "all.toml"
+    text = f"""
+        [[scene]]
+        scene = "a.ply"
+        exemplar = {{ horizontal = "{SCENES}/orange/horizontal_1.png" }}
+        keep = ["box:1,0,0,0,1,1"]
+        no_floor = true
+    """
+    manifest.write_text(text)
+    (scene,) = read_manifest(manifest)
+    assert scene.request.isolation == (
+        keep_only(Box((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))),
+        (Step("add", Detected("floor")),),
+    )
+    manifest.write_text(text.replace("true", '"yes"').replace("box:1", "cone:1"))
+    with pytest.raises(ManifestErrors, match=r"keep cone:1,0,0,0,1,1: give box|no_floor: give true or false"):
+        read_manifest(manifest)

@@ -15,6 +15,7 @@ from app.model.pieces import PlacedPiece
 from app.model.rigid_transform import Vec3
 from app.session.session import Session
 from app.ui.panels.interior import InteriorPanel
+from app.ui.panels.isolate import IsolatePanel
 from app.ui.theme import palette, px, rgba
 from app.ui.widgets import eye_icon, float_slider, heading, icon_button, secondary, thin_bar, tooltip
 from engine.errors import InputError
@@ -46,6 +47,7 @@ class Inspector:
 
     def __init__(self, session: Session, interior: InteriorPanel) -> None:
         self.session, self.interior = session, interior
+        self.isolate = IsolatePanel(session)
         self._numbers: tuple[int, list[float]] | None = None
         """Id of a cut, and a, b, c, d as typed so far."""
         self._up: list[float] | None = None
@@ -54,6 +56,8 @@ class Inspector:
     def show(self) -> None:
         """One frame."""
         self._object()
+        if self.session.tool == "isolate":
+            self.isolate.show()
         self._cuts()
         self.interior.show()
 
