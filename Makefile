@@ -41,6 +41,7 @@ bench: $(READY)
 	$(BIN)/python -m benchmarks.oblique_cuts --scenes watermelon,orange,bread$(THIGH)
 	$(BIN)/python -m benchmarks.label_makers
 	$(BIN)/python -m benchmarks.interior
+	$(BIN)/python -m benchmarks.fidelity
 	$(BIN)/python -m benchmarks.presets
 	$(BIN)/python -m benchmarks.stability
 	$(BIN)/python -m benchmarks.batch_scaling

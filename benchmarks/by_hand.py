@@ -20,6 +20,7 @@ from unittest import mock
 import matplotlib as mpl
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 from scipy import ndimage
 
 from benchmarks.cpu_renderer import scene, view
@@ -27,6 +28,7 @@ from benchmarks.support.options import out_folder, parser_of, write_json
 from engine.io.files import atomic
 from engine.render.classic import rasterizer as classic
 from engine.render.classic.blend import BLOCK, MIN_TRANSMITTANCE, UNTOUCHED, start_tile
+from engine.render.classic.records import Frame, Slice
 from engine.render.classic.tiles import BLOCKS, SIDE, TAIL_BITS
 from engine.scene.constants import MAX_ALPHA
 from engine.solid.distance_transform import nearest
@@ -52,7 +54,13 @@ def spend(task: int, out: np.ndarray) -> None:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def plain_blend(task, tiles_per_task, part, frame, open_tiles):  # type: ignore[no-untyped-def]
+def plain_blend(
+    task: int,
+    tiles_per_task: int,
+    part: Slice,
+    frame: Frame,
+    open_tiles: NDArray[np.uint8],  # in out [tiles_y, tiles_x]
+) -> None:
     """`engine.render.classic.blend.blend` pixel by pixel, as one would write it first."""
     tiles, tile_starts, pair_codes = part.tiles, part.tile_starts, part.pair_codes
     records, states, lasts, tile_lasts = frame.records, frame.states, frame.lasts, frame.tile_lasts

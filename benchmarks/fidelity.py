@@ -2,10 +2,10 @@
 
     python -m benchmarks.fidelity [--quick] [-o docs/charts] [--detail standard] [CAPTURE ...]
 
-The capture without haze and floaters, which are meant to go, is drawn as 3DGS; the solid as opaque atoms, after all
-that training does to its skin. PSNR over the union of both silhouettes and over what both show as opaque, and the IoU
-of the silhouettes, means over twelve views. Writes fidelity.json and fidelity_<capture>.png (upper row the capture,
-lower row the solid). Without captures: the samples.
+The capture, without the haze and floaters that are meant to go, is drawn as 3DGS; the solid as opaque atoms, after all
+that training does to its skin. Means over twelve views of the PSNR over the union of both silhouettes, of the PSNR over
+what both show as opaque, and of the IoU of the silhouettes. Writes fidelity.json and, for each capture,
+fidelity_<capture>.png (the capture above, the solid below). Measures the samples if no capture is given.
 """
 
 from __future__ import annotations

@@ -34,7 +34,8 @@ def make(name: str, folder: Path, seed: int = 0) -> list[Path]:
     solid = SOLIDS[name](seed)
     paths = [folder / name / f"{name}.ply"]
     rng = np.random.default_rng([seed, 100])
-    write_ply(paths[0], shell(solid, LOOKS[name], rng), comments=(f"sample scene {name}, seed {seed}, up +z",))
+    comments = (f"sample scene {name}, seed {seed}", "Vertical Axis: z")
+    write_ply(paths[0], shell(solid, LOOKS[name], rng), comments)
     for kind in solid.families:
         for number, plane in enumerate(planes(solid, kind), start=1):
             path = folder / name / f"{kind}_{number}.png"

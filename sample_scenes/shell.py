@@ -14,7 +14,7 @@ from engine.scene.gaussians import Gaussians
 from engine.scene.rotations import rotation_matrices
 from sample_scenes.solids import Solid, directions
 
-__all__ = ["LOOKS", "Look", "gap_to_discs", "shell"]
+__all__ = ["LOOKS", "Look", "shell"]
 
 Array = NDArray[np.float64]
 
@@ -73,12 +73,6 @@ def shell(solid: Solid, look: Look, rng: np.random.Generator) -> Gaussians:
     junk = _add_floaters(solid, samples, normals, float(np.median(spacing)), look, rng)
     order = rng.permutation(len(surface) + len(junk))
     return _concatenate(surface, junk)[order]
-
-
-def gap_to_discs(samples: Array, gaussians: Gaussians) -> Array:
-    """(M,). Standard deviations, in the plane of the disc, from skin samples (M, 3) to the nearest of 16 Gaussians."""
-    centres, quats, scales = (np.asarray(a, np.float64) for a in (gaussians.means, gaussians.quats, gaussians.scales))
-    return _distance(samples, centres, quats, scales)[0]
 
 
 def _samples(solid: Solid, count: int, rng: np.random.Generator) -> tuple[Array, Array, Array]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, cast, get_args
 
@@ -16,6 +17,7 @@ from engine.io.files import locked_folder
 from engine.scene.plane import Plane
 from training.events import Reporter
 from training.families import COUNTS, Family, Kind
+from training.isolation_options import parse_isolation
 from training.pipeline import run
 from training.request import Interrupted, PriorName, Request, read_request
 from training.settings import DetailName
@@ -53,6 +55,17 @@ def train(
     up: Annotated[
         str | None, typer.Option(help="Up axis of the scene: x, y, z, -x, -y, -z. Detected if not given.")
     ] = None,
+    keep: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Only what is in it is the object: box:x0,y0,z0,x1,y1,z1, sphere:x,y,z,radius, or plane:a,b,c,d "
+            "for where a x + b y + c z + d is negative. Again for more."
+        ),
+    ] = None,
+    remove: Annotated[list[str] | None, typer.Option(help="What is in it is no part of the object; as --keep.")] = None,
+    no_floor: Annotated[
+        bool, typer.Option("--no-floor", help="Leave out the table or mat under the object, if there is one.")
+    ] = False,
     detail: Annotated[str, typer.Option(help="draft, standard or high.")] = "standard",
     prior: Annotated[str, typer.Option(help="What draws the inside: exemplar or stable-diffusion.")] = "exemplar",
     model: Annotated[Path | None, typer.Option(help="Local folder of a Stable Diffusion depth model.")] = None,
@@ -85,6 +98,7 @@ def train(
         requested = request_from_options(
             scene, exemplar or [], family or [], prompt or [], up, detail, prior, model, midas, thing, iterations, seed
         )
+        requested = replace(requested, isolation=parse_isolation(keep or [], remove or [], no_floor))
     reporter = Reporter.open(events)
     stop.listen()
     with reporter, locked_folder(out):

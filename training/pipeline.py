@@ -20,12 +20,12 @@ from engine.errors import InputError
 from engine.fit.scale_fit import fit_scales
 from engine.fit.sh_fit import SurfaceView, fit_sh, surface_views
 from engine.io.files import remove_leftovers
-from engine.io.load import load
+from engine.io.load import LoadedScene, load
+from engine.isolate.selection import isolated
 from engine.scene.atoms import Atoms, InteriorAtoms
-from engine.scene.gaussians import Gaussians
 from engine.solid.fill import Colours, fill
 from engine.solid.solidify import atomise_surface, find_enclosure
-from engine.solid.up_axis import detect_up
+from engine.solid.up_axis.detect import UpAxis, detect_up
 from training.checkpoint import Checkpoint
 from training.events import Reporter, Stage
 from training.labels import back_project, blank_label, labels_from_volume, make_prior, nearest_atom_colours
@@ -224,35 +224,40 @@ def prepare(
         loaded = load(request.scene, request.seed)
         for warning in loaded.warnings:
             reporter.warn(warning)
-    gaussians = loaded.gaussians
+        gaussians, notes = isolated(loaded.gaussians, request.isolation, request.scene.name)
+        for note in notes:
+            reporter.warn(f"{request.scene.name}: {note}")
     raise_if_stopped()
     with reporter.stage("body") as stage:
         enclosure = find_enclosure(gaussians, request.fineness.cells, request.scene.name)
         for note in enclosure.notes:
             reporter.warn(f"{request.scene.name}: {note}")
-        up, reason = find_up(request, gaussians)
-        stage.progress(1.0, reason, up=up.tolist(), reason=reason)
+        up = find_up(request, loaded)  # of the whole capture: a floor tells, even if it goes
+        stage.progress(1.0, up.reason, up=up.axis.tolist(), reason=up.reason)
+        if up.certainty < 0.5:
+            reporter.warn(f"{request.scene.name}: up is {up.reason}: a guess; give --up if it is wrong")
     raise_if_stopped()
     with reporter.stage("atomise"):
         skin, pitch = atomise_surface(gaussians, enclosure, request.fineness.cells)
     facts = {
         "gaussians": len(gaussians),
+        "gaussians_left_out": len(loaded.gaussians) - len(gaussians),
         "gaussians_dropped": skin.dropped,
         "gaussians_split": skin.split,
         "surface_atoms": len(skin.atoms),
         "volume": enclosure.body.volume,
         "pitch": pitch,
-        "up": up.tolist(),
+        "up": up.axis.tolist(),
     }
-    return Geometry(gaussians, skin.atoms, pitch, enclosure.body, up), facts
+    return Geometry(gaussians, skin.atoms, pitch, enclosure.body, up.axis), facts
 
 
-def find_up(request: Request, gaussians: Gaussians) -> tuple[NDArray[np.float64], str]:
-    """(3,). The unit up axis, given or detected, and the reason for the choice."""
+def find_up(request: Request, loaded: LoadedScene) -> UpAxis:
+    """The up axis, given or detected."""
     if request.up is not None:
         axis = np.asarray(request.up, np.float64)
-        return axis / np.linalg.norm(axis), "as given"
-    return detect_up(gaussians)
+        return UpAxis(axis / np.linalg.norm(axis), "as given", 1.0)
+    return detect_up(loaded.gaussians, loaded.file_axes)
 
 
 def refit_surface(

@@ -21,6 +21,8 @@ from engine.errors import InputError
 from engine.io.fields import UNIT_TOLERANCE, Fields
 from engine.io.files import open_file, read_file
 from engine.io.strict_json import parse
+from engine.isolate.record import isolation_record, read_isolation
+from engine.isolate.selection import Isolation
 from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from engine.scene.gaussians import Gaussians
 from engine.scene.grid import Body
@@ -44,7 +46,7 @@ PriorName = Literal["exemplar", "stable-diffusion"]
 FORMAT = 3
 """Version of the checkpoints; it grows with every change of them, so that no run resumes one of another version."""
 
-FILE_VERSION = 1
+FILE_VERSION = 2
 """Version of request files. Any other is refused, so it grows with every change of meaning."""
 
 LIMIT = 1 << 20
@@ -77,6 +79,8 @@ class Request:
     """Folder of a depth estimator whose depth `stable-diffusion` takes in addition to the exact one."""
     thing: str | None = None
     """What the object is called in prompts; None: the name of the scene's file."""
+    isolation: Isolation = ()
+    """What of the scene is no part of the object; () for nothing."""
 
     @property
     def files(self) -> list[Path]:
@@ -115,6 +119,7 @@ class Request:
             "model": _absolute(self.model),
             "midas": _absolute(self.midas),
             "thing": self.thing,
+            "isolation": isolation_record(self.isolation),
         }
         return json.dumps(record, indent=1, allow_nan=False) + "\n"
 
@@ -201,6 +206,7 @@ def read_request(path: Path) -> Request:
         model=optional("model"),
         midas=optional("midas"),
         thing=None if record["thing"] is None else reader.text(record, "thing"),
+        isolation=read_isolation(reader, record["isolation"]),
     )
     if request.prior == "exemplar":
         reader.require(not (request.model or request.midas), "'model' and 'midas' belong to prior stable-diffusion")
@@ -213,7 +219,7 @@ class Geometry:
     """The part of a run's input that no prior changes."""
 
     gaussians: Gaussians
-    """The capture."""
+    """The capture, without what is no part of the object."""
     skin: SurfaceAtoms
     """With the capture's own colours."""
     pitch: float

@@ -10,6 +10,7 @@ import numpy as np
 
 from engine.io.files import atomic
 from engine.io.trained import Meta, save_trained
+from engine.isolate.record import isolation_record
 from engine.render.classic import rasterizer as classic
 from engine.render.cpu import opaque
 from engine.scene.atoms import Atoms
@@ -53,7 +54,9 @@ def save_results(
         )
         up = (float(geometry.up[0]), float(geometry.up[1]), float(geometry.up[2]))
         origin = geometry.gaussians.origin
-        save_trained(path, atoms, Meta(up, families, request.seed, request.prior, request.scene.name, origin))
+        left_out = tuple(isolation_record(request.isolation))
+        meta = Meta(up, families, request.seed, request.prior, request.scene.name, origin, left_out)
+        save_trained(path, atoms, meta)
         stage.progress(0.3)
         save_contact_sheet(out / "cuts.png", atoms, geometry.body, geometry.up)
         stage.progress(0.7)

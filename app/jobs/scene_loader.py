@@ -19,6 +19,8 @@ from safetensors.numpy import load_file
 from app.model.pieces import Solid
 from app.model.rigid_transform import Vec3
 from engine.io.scratch import Scratch
+from engine.isolate.record import isolation_record
+from engine.isolate.selection import Isolation
 from engine.processes import start_python
 from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from engine.scene.gaussians import Gaussians
@@ -36,6 +38,8 @@ class SceneRequest:
     seed: int = 0
     trained: Path | None = None
     """A finished training result of this scene, loaded in place of a plain inside."""
+    isolation: Isolation = ()
+    """What of the scene is no part of the object."""
 
 
 @dataclass(frozen=True)
@@ -44,6 +48,7 @@ class LoadedScene:
 
     request: SceneRequest
     capture: Gaussians | None = None
+    """All of it, with what is no part of the object."""
     atoms: Atoms | None = None
     solid: Solid | None = None
     """The points of the atoms, or of the capture before there are atoms."""
@@ -87,6 +92,7 @@ class SceneLoader:
         trained = None if request.trained is None else str(request.trained.absolute())
         message: dict[str, Any] = {"scene": str(request.scene.absolute()), "folder": str(self._scratch.path)}
         message |= {"detail": request.detail, "seed": request.seed, "trained": trained}
+        message["isolation"] = isolation_record(request.isolation)
         assert self._process.stdin is not None
         with contextlib.suppress(BrokenPipeError):
             self._process.stdin.write((json.dumps(message) + "\n").encode())
@@ -119,8 +125,9 @@ class SceneLoader:
             x, y, z = facts["up"]
             capture = Gaussians(*(arrays[name] for name in ("means", "scales", "quats", "opacities", "sh")))
             # Most captures have a few stray Gaussians far away; they must not determine what fits the window.
-            low, high = np.percentile(capture.means, [2, 98], axis=0) if len(capture) else np.zeros((2, 3))
-            near = capture.means[((capture.means >= low) & (capture.means <= high)).all(1)]
+            means = capture.means[~arrays["removed"]]
+            low, high = np.percentile(means, [2, 98], axis=0) if len(means) else np.zeros((2, 3))
+            near = means[((means >= low) & (means <= high)).all(1)]
             self.scene = replace(
                 self.scene,
                 capture=capture,

@@ -20,8 +20,11 @@ from scipy.spatial import cKDTree
 
 from app.jobs.warmup import warm_up
 from engine.errors import InputError
+from engine.io.fields import Fields
 from engine.io.files import WRITE_ERRORS, reason
 from engine.io.trained import load_trained, sidecar_path
+from engine.isolate.record import read_isolation
+from engine.isolate.selection import Isolation, removed
 from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from engine.scene.camera import cameras_around
 from engine.scene.gaussians import Gaussians
@@ -49,7 +52,8 @@ def main() -> None:
         if sidecar_path(path).exists():
             _send_trained(path, folder, capture=True)
         else:
-            gaussians, up = _load_capture(path, folder, request["seed"])
+            isolation = read_isolation(Fields(path, "request"), request["isolation"])
+            gaussians, up = _load_capture(path, folder, request["seed"], isolation)
             if trained is not None:
                 _send_trained(Path(trained), folder, capture=False)
             else:
@@ -61,17 +65,22 @@ def main() -> None:
     _write_line(end=True)
 
 
-def _load_capture(path: Path, folder: Path, seed: int) -> tuple[Gaussians, NDArray[np.float64]]:
+def _load_capture(path: Path, folder: Path, seed: int, isolation: Isolation) -> tuple[Gaussians, NDArray[np.float64]]:
+    """What the isolation leaves of the capture, and the up axis; sends all of the capture."""
     from engine.io.load import load
-    from engine.solid.up_axis import detect_up
+    from engine.solid.up_axis.detect import detect_up
 
     _write_line(stage=f"Reading {path.name}", part=0.02)
     loaded = load(path, seed)
     gaussians = loaded.gaussians
-    up, reason = detect_up(gaussians)
-    facts = {"up": np.asarray(up, np.float64).tolist(), "reason": reason, "warnings": list(loaded.warnings)}
-    _send_arrays(folder, "capture", _arrays(gaussians), facts)
-    return gaussians, up
+    up = detect_up(gaussians, loaded.file_axes)  # of the whole capture: a floor tells, even if it goes
+    reason = up.reason if up.certainty >= 0.5 else f"{up.reason}: a guess"
+    facts = {"up": up.axis.tolist(), "reason": reason, "warnings": list(loaded.warnings)}
+    gone = removed(gaussians, isolation)
+    _send_arrays(folder, "capture", _arrays(gaussians) | {"removed": gone}, facts)
+    if gone.all():
+        raise InputError(f"{path.name}: nothing is left of the capture; undo, or bring something back")
+    return gaussians[~gone], up.axis
 
 
 def _solidify(path: Path, gaussians: Gaussians, up: NDArray[np.float64], cells: int, seed: int, folder: Path) -> None:
@@ -115,7 +124,8 @@ def _send_trained(path: Path, folder: Path, capture: bool) -> None:
 
         gaussians, _ = read_ply(path)
         facts = {"up": list(meta.up), "reason": "as trained", "warnings": []}
-        _send_arrays(folder, "capture", _arrays(gaussians), facts)
+        nothing = np.zeros(len(gaussians), bool)
+        _send_arrays(folder, "capture", _arrays(gaussians) | {"removed": nothing}, facts)
     _send_atoms(folder, atoms, {"notes": [], "trained": True})
 
 

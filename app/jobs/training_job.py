@@ -88,6 +88,7 @@ def request_for(document: Document, up: Vec3) -> Request:
         prior=training.prior,
         model=training.model if diffusion else None,
         thing=(training.thing or None) if diffusion else None,
+        isolation=document.isolation,
     )
 
 
@@ -103,7 +104,8 @@ class Job:
     """One run of the trainer, started by this session or an earlier one."""
 
     document: Document
-    """What is trained: the scene, its up axis, the families and the training settings. It has no cuts."""
+    """What is trained: the scene, what of it is left out, its up axis, the families and the training settings. It has
+    no cuts."""
     pid: int
     started: float
     """When the process started, seconds since 1970: a pid may be used again, a pid with a start time is unique."""
@@ -133,7 +135,13 @@ class Job:
         arguments = ["--request", str(path), "-o", str(out), "--events", str(out / "events.jsonl")]
         arguments += ["--resume"] if resume else []
         training = replace(document.training, out=out)
-        trained = Document(scene=document.scene, up=up, families=document.families, training=training)
+        trained = Document(
+            scene=document.scene,
+            up=up,
+            isolation=document.isolation,
+            families=document.families,
+            training=training,
+        )
         save_project(note_path(out).with_suffix(SUFFIX), Project(trained, Viewing()))
         try:
             out.mkdir(parents=True, exist_ok=True)

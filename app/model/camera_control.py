@@ -103,6 +103,21 @@ class OrbitCamera:
             return replace(self, elevation=math.copysign(90.0, elevation))
         return replace(self, azimuth=math.degrees(math.atan2(float(a @ e2), float(a @ e1))), elevation=elevation)
 
+    def turned_with(
+        self, turn: NDArray[np.float64], centre: Sequence[float] | NDArray[np.floating], up: Vec3
+    ) -> OrbitCamera:
+        """From where the object is seen as if it had been turned by a rotation (3, 3) about a point (3,).
+
+        The object stays where it is, and its up axis becomes `turn.T @ up`; this camera goes with that one.
+        """
+        before, after = equator(np.asarray(up, np.float64)), equator(turn.T @ np.asarray(up, np.float64))
+        angle = math.radians(self.azimuth)
+        heading = turn.T @ (math.cos(angle) * before[0] + math.sin(angle) * before[1])
+        azimuth = math.degrees(math.atan2(float(heading @ after[1]), float(heading @ after[0])))
+        middle = np.asarray(centre, np.float64)
+        target = middle + turn.T @ (np.asarray(self.target) - middle)
+        return replace(self, target=vec3(target), azimuth=_wrapped(azimuth))
+
     def toward(self, goal: OrbitCamera, part: float) -> OrbitCamera:
         """Interpolated towards another camera; 1 is the goal itself."""
         if part >= 1:

@@ -15,6 +15,7 @@ from typing import Literal
 
 from app.model.rigid_transform import STILL, Motion, Vec3
 from engine.io.fields import LARGEST_INTEGER
+from engine.isolate.selection import Isolation, Selection
 from engine.scene.plane import Plane
 from training.families import COUNTS, Family, Kind
 from training.request import PriorName
@@ -114,6 +115,10 @@ class Document:
     scene: Path | None = None
     up: Vec3 | None = None
     """Unit vector; None: as detected."""
+    isolation: Isolation = ()
+    """What of the capture is no part of the object; () for nothing."""
+    marked: Selection = ()
+    """What is selected of the rest of the capture, to be kept or removed next."""
     cuts: tuple[Cut, ...] = ()
     placements: tuple[tuple[Key, Placement], ...] = ()
     """Sorted by key; a piece without one has the placement of the piece that it was cut from."""

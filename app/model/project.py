@@ -20,14 +20,18 @@ from engine.errors import InputError
 from engine.io.fields import Fields
 from engine.io.files import atomic, read_file
 from engine.io.strict_json import parse
+from engine.isolate.record import isolation_record, read_isolation, read_selection, selection_record
 from engine.scene.plane import Plane
 from training.request import MOST_ITERATIONS, PriorName, family_record, read_family, read_plane
 from training.settings import DetailName
 
 __all__ = ["SUFFIX", "Outside", "Project", "ViewMode", "Viewing", "load_project", "save_project"]
 
-FORMAT = 1
-"""Version of the file. Any other is refused, so it grows with every change of meaning."""
+FORMAT = 2
+"""Version of the file. Later ones are refused, so it grows with every change of meaning."""
+
+FIRST_FORMAT = 1
+"""Oldest version that is read: it had no parts of the capture left out, and is the same in all else."""
 
 SUFFIX = ".fruitninja"
 
@@ -102,6 +106,8 @@ def _record(project: Project, folder: Path) -> dict[str, Any]:
         "fruitninja": FORMAT,
         "scene": _relative(document.scene, folder),
         "up": document.up,
+        "isolation": isolation_record(document.isolation),
+        "marked": selection_record(document.marked),
         "cuts": [
             {
                 "id": cut.id,
@@ -184,7 +190,7 @@ class _Reader(Fields):
         version = fields.get("fruitninja")
         if type(version) is not int:
             raise InputError(f"{self.path}: not a project: it has no 'fruitninja' version")
-        if version != FORMAT:
+        if not FIRST_FORMAT <= version <= FORMAT:
             raise InputError(f"{self.path}: version {version}, this app reads {FORMAT}; update the app")
         cuts = self.each(fields, "cuts", self.cut)
         self.require(len({cut.id for cut in cuts}) == len(cuts), "two cuts have the same id")
@@ -201,6 +207,8 @@ class _Reader(Fields):
         document = Document(
             scene=self.file(fields, "scene"),
             up=self.unit(fields, "up"),
+            isolation=read_isolation(self, [] if version == FIRST_FORMAT else fields.get("isolation")),
+            marked=read_selection(self, [] if version == FIRST_FORMAT else fields.get("marked")),
             cuts=cuts,
             placements=tuple(sorted(placements, key=lambda item: item[0])),
             families=families,

@@ -9,6 +9,7 @@ from app.jobs.scene_loader import SceneLoader, SceneRequest
 from app.model.project import Viewing
 from app.session.workspace import Workspace
 from engine.errors import InputError
+from engine.isolate.selection import Isolation
 
 __all__ = ["SceneController"]
 
@@ -18,6 +19,14 @@ class SceneController:
 
     def __init__(self, workspace: Workspace) -> None:
         self.workspace = workspace
+        self._isolation: Isolation = ()
+        """What was left out when the scene was last loaded."""
+
+    @property
+    def outdated(self) -> bool:
+        """Whether the document leaves out other parts of the capture than the solid that is shown or being made."""
+        document = self.workspace.document
+        return document.scene is not None and document.isolation != self._isolation
 
     def load(self, result: Path | None = None) -> None:
         """Starts loading the document's scene; with a `result`, shows that finished training in its place."""
@@ -26,8 +35,13 @@ class SceneController:
             workspace.loader.cancel()
         scene, training = workspace.document.scene, workspace.document.training
         assert scene is not None
+        isolation = workspace.document.isolation
+        if workspace.object is not None and isolation != workspace.object.request.isolation:
+            # The solid is of something else now; the capture is shown until there is another one.
+            workspace.object = replace(workspace.object, atoms=None, trained=False)
+        self._isolation = isolation
         try:
-            workspace.loader = SceneLoader(SceneRequest(scene, training.detail, training.seed, result))
+            workspace.loader = SceneLoader(SceneRequest(scene, training.detail, training.seed, result, isolation))
         except InputError as error:  # no space for temporary files
             workspace.loader = None
             workspace.show_error(error)
@@ -57,8 +71,12 @@ class SceneController:
         workspace = self.workspace
         first = workspace.object is None or workspace.object.solid is None
         new = loader.scene
-        if workspace.object is not None and new.atoms is None and workspace.object.capture is not None:
-            new = replace(workspace.object, request=new.request)  # the same scene again: show it until there is more
+        before = workspace.object
+        if before is not None and before.capture is not None:  # the same scene again: show it until there is more
+            if before.request.seed == new.request.seed:
+                new = replace(new, capture=before.capture)
+            if new.atoms is None and before.atoms is not None:
+                new = replace(before, request=new.request)
         workspace.object = new
         workspace.geometry_version += 1
         if first and workspace.viewing.eye == Viewing().eye:

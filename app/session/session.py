@@ -9,6 +9,7 @@ import time
 from dataclasses import dataclass
 
 from app.model.project import Project
+from app.session.isolation_controller import IsolationController
 from app.session.project_files import ProjectFiles
 from app.session.scene_controller import SceneController
 from app.session.training_controller import TrainingController
@@ -23,17 +24,22 @@ AUTOSAVE_RETRY = 60.0
 
 @dataclass
 class Session(Workspace):
-    """The workspace with its controllers: `scene` loads, `training` trains, `files` opens, saves and closes."""
+    """The workspace with its controllers: `scene` loads, `isolation` says what of it is the object, `training` trains,
+    `files` opens, saves and closes."""
 
     def __post_init__(self) -> None:
         self.scene = SceneController(self)
         self.training = TrainingController(self, self.scene)
+        self.isolation = IsolationController(self)
         self.files = ProjectFiles(self, self.scene, self.training)
 
     def tick(self) -> None:
         """Takes over what background work has produced, and autosaves. Called once a frame."""
+        if self.scene.outdated:
+            self.training.prepare_again()
         if self.scene.tick():
             self.training.recolour()
+        self.isolation.tick()
         self.training.tick()
         try:
             self.autosave.update(Project(self.document, self.viewing), self.history.changed, self.path)

@@ -12,7 +12,8 @@ from app.model.document import Document
 from app.session.scene_controller import SceneController
 from app.session.workspace import Workspace
 from engine.errors import InputError
-from engine.io.trained import sidecar_path
+from engine.io.trained import sidecar_path, trained_isolation
+from engine.isolate.record import isolation_record
 
 __all__ = ["TrainingController"]
 
@@ -43,12 +44,26 @@ class TrainingController:
         return document.training.out or default_out(document.scene)
 
     def result_for(self, document: Document) -> Path | None:
-        """The finished result for the document's scene, None while there is none."""
+        """The finished result for what the document keeps of its scene, None while there is none."""
         out = self.out(document)
         if out is None or document.scene is None:
             return None
         path = out / f"{document.scene.stem}.ply"
-        return path if path.is_file() and sidecar_path(path).is_file() and self.job is None else None
+        if self.job is not None or not path.is_file() or not sidecar_path(path).is_file():
+            return None
+        try:
+            same = list(trained_isolation(path)) == isolation_record(document.isolation)
+        except InputError:
+            same = True  # loading it will say what is wrong
+        return path if same else None
+
+    def prepare_again(self) -> None:
+        """Makes the object solid again after other parts of the capture were left out."""
+        workspace, shown = self.workspace, self.workspace.object
+        result = self.result_for(workspace.document)
+        if shown is not None and shown.trained and result is None:
+            workspace.notify("The inside belonged to another part of the capture. Give this one an inside of its own.")
+        self.scene.load(result)
 
     def find_job(self, document: Document) -> None:
         """Follows the job of a document that was just opened, if one is running or was interrupted."""
@@ -160,8 +175,14 @@ class TrainingController:
         workspace.change_settings(workspace.settings.without_job(job.out))
         if phase == "done":
             self.job = None
+            result = self.result_for(workspace.document)
+            if result is None and job.document.isolation != workspace.document.isolation:
+                workspace.notify(
+                    "The inside is ready, but for what was the object when training began. Undo to see it."
+                )
+                return
             workspace.notify("The inside is ready. Cut anywhere.")
-            self.scene.load(self.result_for(workspace.document))
+            self.scene.load(result)
         elif phase == "failed":
             last = job.log_tail()
             workspace.show_error(
@@ -172,8 +193,10 @@ class TrainingController:
 
     def _take_colours(self) -> None:
         workspace, shown = self.workspace, self.workspace.object
-        if self._live_colours is None or shown is None or shown.atoms is None or shown.trained:
+        if self._live_colours is None or shown is None or shown.atoms is None or shown.trained or self.job is None:
             return
+        if self.job.document.isolation != shown.request.isolation:
+            return  # its atoms are other ones
         atoms = self._live_colours.newer(shown.atoms)
         if atoms is not None:
             workspace.object = replace(shown, atoms=atoms)

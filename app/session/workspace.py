@@ -11,9 +11,11 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from app.jobs.scene_loader import LoadedScene, SceneLoader
 from app.model.autosave import Autosave
+from app.model.capture_view import CaptureView
 from app.model.document import Cut, Document, Key, Part, Placement
 from app.model.history import History
 from app.model.knife import Stroke, slice_object
@@ -22,15 +24,17 @@ from app.model.project import Viewing
 from app.model.question import Choice, Question
 from app.model.rigid_transform import Motion, Vec3, vec3
 from app.model.settings import Settings, load_settings, save_settings
+from app.model.upright import face_normal, turn_between
 from engine.scene.atoms import Atoms
 from engine.scene.camera import Camera
+from engine.scene.gaussians import Gaussians
 from engine.scene.plane import Plane
 from training.families import Kind
 
 __all__ = ["PICTURE_SUFFIXES", "TOOLS", "Tool", "Workspace"]
 
-Tool = Literal["select", "knife", "plane", "move", "turn"]
-TOOLS: tuple[Tool, ...] = ("select", "knife", "plane", "move", "turn")
+Tool = Literal["select", "knife", "plane", "move", "turn", "upright", "isolate"]
+TOOLS: tuple[Tool, ...] = ("select", "knife", "plane", "move", "turn", "upright", "isolate")
 
 PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".bmp")
 """ProjectFiles that are taken for pictures of cut faces."""
@@ -47,6 +51,8 @@ class Workspace:
     viewing: Viewing = field(default_factory=Viewing)
     object: LoadedScene | None = None
     """What is loaded of the scene so far."""
+    capture_view: CaptureView | None = None
+    """What of the capture is shown; found in the background, so that it may be that of an earlier document."""
     loader: SceneLoader | None = None
     """Reads the scene in the background; None when it is done."""
     path: Path | None = None
@@ -88,6 +94,14 @@ class Workspace:
     def atoms(self) -> Atoms | None:
         """The atoms of the object; None until it is solid."""
         return self.object.atoms if self.object is not None else None
+
+    @property
+    def shown_capture(self) -> Gaussians | None:
+        """The capture to be drawn, without what is no part of the object; None while that is not known."""
+        capture = self.object.capture if self.object is not None else None
+        if self.capture_view is not None and self.capture_view.capture is capture:
+            return self.capture_view.shown
+        return None if self.document.isolation else capture
 
     @property
     def up(self) -> Vec3:
@@ -144,28 +158,35 @@ class Workspace:
 
     def change(self, name: str, document: Document, merge: str = "") -> bool:
         """Adds a step to the history; consecutive steps with the same `merge` tag are undone as one."""
+        before = self.up
         done = self.history.do(name, document, merge)
         self._prune_selection()
+        self._follow_up(before)
         return done
 
     def undo(self) -> None:
         """One step back."""
-        name = self.history.entries[self.history.cursor].name
+        before, name = self.up, self.history.entries[self.history.cursor].name
         self.notify(f"Undone: {name}." if self.history.undo() else "Nothing to undo.")
         self._prune_selection()
+        self._follow_up(before)
 
     def redo(self) -> None:
         """One step forward again."""
+        before = self.up
         if self.history.redo():
             self.notify(f"Done again: {self.history.entries[self.history.cursor].name}.")
         else:
             self.notify("Nothing to redo.")
         self._prune_selection()
+        self._follow_up(before)
 
     def jump(self, index: int) -> None:
         """Goes to an entry of the history, by its index."""
+        before = self.up
         self.history.jump(index)
         self._prune_selection()
+        self._follow_up(before)
 
     def _prune_selection(self) -> None:
         """Drops pieces and cuts that the document no longer has."""
@@ -175,8 +196,10 @@ class Workspace:
             self.active_cut = None
 
     def select_tool(self, tool: Tool) -> None:
-        """Changes the tool; tools that cut also show the solid, since the capture cannot be cut."""
+        """Changes the tool, and shows what it works on: cuts need the solid, isolating is done in the capture."""
         self.tool = tool
+        if tool == "isolate":
+            self.viewing = replace(self.viewing, mode="capture")
         if tool in ("knife", "plane") and self.viewing.mode == "capture":
             self.viewing = replace(self.viewing, mode="solid")
 
@@ -246,6 +269,40 @@ class Workspace:
     def reassemble(self) -> None:
         """Moves all pieces back to their places."""
         self.change("Put together", self.document.reassembled())
+
+    # The up axis
+
+    def turn_object(self, name: str, turn: NDArray[np.float64], merge: str = "") -> None:
+        """Turns the object by a rotation (3, 3) about its centre: which way is up changes, and the view with it."""
+        up = turn.T @ np.asarray(self.up)
+        eye = self.viewing.eye.turned_with(turn, self.solid.centre, self.up)
+        if self.change(name, replace(self.document, up=vec3(up / np.linalg.norm(up))), merge):
+            self.viewing = replace(self.viewing, eye=eye)  # exactly as turned, also about the up axis
+
+    def set_up(self, name: str, up: ArrayLike) -> None:
+        """Makes an axis (3,), of any length but 0, the up axis."""
+        axis = np.asarray(up, np.float64)
+        self.change(name, replace(self.document, up=vec3(axis / np.linalg.norm(axis))))
+
+    def _follow_up(self, before: Vec3) -> None:
+        """Where the up axis is another than before, moves the view so that the object is seen to turn the short way."""
+        if self.up != before:
+            turn = turn_between(np.asarray(self.up), np.asarray(before))
+            eye = self.viewing.eye.turned_with(turn, self.solid.centre, before)
+            self.viewing = replace(self.viewing, eye=eye)
+
+    def stand_on(self, point: NDArray[np.float64], eye: NDArray[np.float64]) -> None:
+        """Stands the object on its face at a point (3,) that is seen from `eye` (3,), both in object space."""
+        shown = self.object
+        if shown is None or shown.capture is None:
+            return
+        skin = shown.atoms.surface.means if shown.atoms is not None else shown.capture.means
+        normal = face_normal(skin, point, eye, self.solid.radius)
+        if normal is None:
+            self.notify("There is no face here to stand on.")
+            return
+        self.set_up("Stand on face", -normal)
+        self.notify("It stands on this face now. Drag the rings to turn it further.")
 
     # Families
 

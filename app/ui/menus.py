@@ -31,6 +31,8 @@ TOOL_ICONS: dict[Tool, tuple[str, str, str]] = {
     "plane": (icon.ICON_FA_LAYER_GROUP, "Plane: drag to open the object along a plane", "P"),
     "move": (icon.ICON_FA_UP_DOWN_LEFT_RIGHT, "Move pieces", "M"),
     "turn": (icon.ICON_FA_ROTATE, "Turn pieces", "T"),
+    "upright": (icon.ICON_FA_ARROWS_DOWN_TO_LINE, "Upright: click the face it stands on, or turn it", "U"),
+    "isolate": (icon.ICON_FA_CROP_SIMPLE, "Isolate: say what of the capture is the object", "I"),
 }
 
 
@@ -61,6 +63,9 @@ class Menus:
 
         def selected() -> bool:
             return bool(s.selection)
+
+        def marked() -> bool:
+            return s.tool == "isolate" and bool(s.document.marked)
 
         def can_start() -> bool:
             return opened() and not training.busy and not (s.object is not None and s.object.trained)
@@ -111,7 +116,8 @@ class Menus:
             ),
             Command("Edit", "Select all", self._select_all, "Ctrl+A", Ctrl | Key.a, opened, separated=True),
             Command("Edit", "Hide", s.hide, "H", Key.h, selected),
-            Command("Edit", "Delete", s.delete, "Del", Key.delete, selected),
+            Command("Edit", "Delete", s.delete, "Del", Key.delete, lambda: selected() and not marked()),
+            Command("Edit", "Remove from the capture", s.isolation.remove_marked, "Del", Key.delete, marked),
             *tools,
             Command("Cut", "Add plane", s.add_plane, "", 0, opened),
             Command("Cut", "Put back together", s.reassemble, "Ctrl+G", Ctrl | Key.g, is_cut),
@@ -199,6 +205,8 @@ class Menus:
             return
         for label in ("Hide", "Delete", "Put back together", "Fit"):
             self._item(next(replace(c, separated=False) for c in self.commands if c.label == label))
+        if self.viewport.menu_point is not None and imgui.menu_item_simple("Stand on this face"):
+            self.viewport.stand_on(self.viewport.menu_point)
         hidden = [p.key for p in self.session.pieces if not p.visible]
         if hidden and imgui.menu_item_simple("Show all"):
             self.session.change_placements("Show all", frozenset(hidden), lambda p: replace(p, visible=True))
@@ -224,6 +232,7 @@ class Menus:
             ("Alt+drag", "look around with any tool"),
             ("Shift while cutting", "level and upright cuts"),
             ("Esc while cutting", "do not cut"),
+            ("Shift or Alt while isolating", "select more or less"),
             ("Ctrl+click", "select several pieces"),
         )
         left = [(c.keys, c.label) for c in self.commands if c.keys and c.menu in ("File", "Edit", "Cut", "Help")]

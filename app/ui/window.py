@@ -146,7 +146,13 @@ class Window:
         if self.dropped:
             self._open_dropped()
         preparing = session.loader is not None
-        busy = preparing or self.exporter.busy or self.viewport.moving or self.painter.unfinished
+        busy = (
+            preparing
+            or session.isolation.pending
+            or self.exporter.busy
+            or self.viewport.moving
+            or self.painter.unfinished
+        )
         self.params.fps_idling.enable_idling = not busy
         glfw.set_window_title(self.window, f"{session.title} - FruitNinja" if session.document.scene else "FruitNinja")
         if (glfw.window_should_close(self.window) or self.params.app_shall_exit) and not session.closing:
@@ -189,6 +195,7 @@ class Window:
     # Drawing
 
     def _gui(self) -> None:
+        imguizmo.im_guizmo.begin_frame()  # without it, handles do not feel the pointer
         if not imgui.is_any_item_active() and not imguizmo.im_guizmo.is_using_any():
             self.session.history.settle()  # a drag has ended
         press_shortcuts(self.menus.commands)

@@ -99,8 +99,8 @@ def read_object(path: Path, work: Path) -> None:
 def read_exemplar(path: Path, work: Path) -> None:
     for kind in COUNTS:
         picture = read_picture(path, kind)
-        for rgb in (picture.rgb, picture.plain):
-            assert np.isfinite(rgb).all() and rgb.min() >= 0 and rgb.max() <= 1, f"{kind}: colours outside [0, 1]"
+        rgb = picture.rgb
+        assert np.isfinite(rgb).all() and rgb.min() >= 0 and rgb.max() <= 1, f"{kind}: colours outside [0, 1]"
         assert picture.mask.any() and picture.rgb.shape[:2] == picture.mask.shape, f"{kind}: no cut face"
 
 

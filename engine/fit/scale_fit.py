@@ -36,7 +36,7 @@ OPAQUE, EMPTY = 0.95, 0.02
 """Alpha of the capture from which a pixel shows the object alone, and up to which it is empty."""
 
 SMALLEST = 1 / 64
-"""Pitches. Least scale: an atom that shrinks to it is no longer visible."""
+"""Least scale, in pitches: an atom that shrinks to it is no longer visible."""
 
 
 def fit_scales(

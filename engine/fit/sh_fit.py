@@ -38,7 +38,7 @@ HELD_OUT = 6
 """One view in this many is held out to compare the degrees."""
 
 WORTH_DB = 0.1
-"""dB. The lowest degree is taken that is at most this much worse than the best."""
+"""dB. The lowest degree at most this much worse than the best is taken."""
 
 PRIOR_WEIGHT = 1e-2
 """Weight, in pixels, of keeping an atom's captured colour, so that atoms in no view keep theirs. Ten times more or less

@@ -8,6 +8,7 @@ from functools import partial
 from pathlib import Path
 
 from engine.errors import InputError
+from engine.io.file_axes import GLTF, MESH, PHOTOGRAPHED, STL, FileAxes, ply_axes
 from engine.io.files import open_file
 from engine.io.formats import MESH_SUFFIXES, SCENE_SUFFIXES
 from engine.io.meshes.mesh import read_mesh
@@ -31,6 +32,8 @@ class LoadedScene:
     gaussians: Gaussians
     warnings: tuple[str, ...]
     """One line each, with the file's name."""
+    file_axes: FileAxes
+    """For what part of such files an axis is up."""
 
 
 def load(path: str | Path, seed: int = 0) -> LoadedScene:
@@ -42,6 +45,7 @@ def load(path: str | Path, seed: int = 0) -> LoadedScene:
     path = Path(path)
     mesh = partial(_mesh, seed)
     read: Callable[[Path], tuple[Gaussians, list[str]]]
+    axes: FileAxes
     suffix = path.suffix.lower()
     with open_file(path) as file:
         start = file.read(LONGEST)
@@ -51,15 +55,17 @@ def load(path: str | Path, seed: int = 0) -> LoadedScene:
         raise InputError(f"{path}: this is {other}")
     if start[:3] == b"ply" and start[3:4] in (b"\n", b"\r", b" ", b"\t"):
         header = read_header(path)
-        read = mesh if header.faces > 0 and not header.is_splats else read_ply
+        is_mesh = header.faces > 0 and not header.is_splats
+        read, axes = (mesh, MESH) if is_mesh else (read_ply, ply_axes(header))
     elif start[:4] == b"glTF" or (suffix in MESH_SUFFIXES and suffix != ".ply"):
-        read = mesh
+        is_gltf = start[:4] == b"glTF" or suffix in (".glb", ".gltf")
+        read, axes = mesh, GLTF if is_gltf else STL if suffix == ".stl" else MESH
     elif start[:2] == GZIP:
-        read = read_spz
+        read, axes = read_spz, PHOTOGRAPHED
     elif suffix == ".splat":
-        read = read_splat
+        read, axes = read_splat, PHOTOGRAPHED
     elif suffix == ".ply":
-        read = read_ply  # not a .ply, as the reader will report
+        read, axes = read_ply, {}  # not a .ply, as the reader will report
     elif suffix == ".spz":
         raise InputError(f"{path}: not an .spz scene, which would be gzipped; export the capture again")
     elif suffix in TO_CONVERT:
@@ -67,7 +73,7 @@ def load(path: str | Path, seed: int = 0) -> LoadedScene:
     else:
         raise InputError(f"{path}: not a scene; {', '.join(SCENE_SUFFIXES)} can be opened")
     gaussians, warnings = read(path)
-    return LoadedScene(gaussians, tuple(warnings))
+    return LoadedScene(gaussians, tuple(warnings), axes)
 
 
 def _mesh(seed: int, path: Path) -> tuple[Gaussians, list[str]]:

@@ -47,6 +47,8 @@ class Header:
     elements: tuple[Element, ...]
     data: int
     """Offset of the first row, bytes."""
+    comments: tuple[str, ...]
+    """Without the word 'comment'."""
 
     def element(self, name: str) -> Element | None:
         """The element of this name, or None."""
@@ -107,10 +109,12 @@ def _parse(path: Path, lines: list[str], data: int) -> Header:
     """
     counts: list[int] = []
     names: set[str] = set()  # of the current element
+    comments: list[str] = []
     empty_copy = ["ply"]
     for number, line in enumerate(lines[1:], start=2):
         words = line.split()
         if words and words[0] in ("comment", "obj_info"):
+            comments.append(" ".join(words[1:]))
             empty_copy.append("comment")  # they may not be ASCII, or be where plyfile accepts none
             continue
         if words and words[0] == "element":
@@ -133,7 +137,7 @@ def _parse(path: Path, lines: list[str], data: int) -> Header:
         plain = said.isprintable() and "\\" not in said  # otherwise plyfile quotes unprintable text
         raise InputError(f"{path}: broken .ply header: {said if plain else 'export the file again'}") from error
     elements = tuple(_element(e, n, parsed) for e, n in zip(parsed.elements, counts, strict=True))
-    return Header(parsed.text, elements, data)
+    return Header(parsed.text, elements, data, tuple(comments))
 
 
 def _element(element: PlyElement, count: int, parsed: PlyData) -> Element:

@@ -24,7 +24,7 @@ from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from engine.scene.gaussians import Gaussians
 from engine.scene.sh import rgb_to_sh, sh_to_rgb
 
-__all__ = ["FORMAT", "Meta", "load_trained", "save_trained", "sidecar_path"]
+__all__ = ["FORMAT", "Meta", "load_trained", "save_trained", "sidecar_path", "trained_isolation"]
 
 FORMAT = 1
 """Version of the sidecar. A reader refuses any other, so every change of meaning must increase it."""
@@ -51,6 +51,8 @@ class Meta:
     """Name of the file that the object was made from."""
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Position of the object's zero in that file's coordinates (engine.io.origin). Old sidecars have none."""
+    isolation: tuple[Any, ...] = ()
+    """What of that file is no part of the object, as `engine.isolate.record` writes it. Old sidecars have none."""
 
 
 def sidecar_path(path: str | Path) -> Path:
@@ -88,6 +90,8 @@ def save_trained(path: str | Path, atoms: Atoms, meta: Meta) -> None:
         }
         if any(meta.origin):
             record["origin"] = [float(v) for v in meta.origin]
+        if meta.isolation:
+            record["isolation"] = list(meta.isolation)
         sidecar.write_text(json.dumps(record, indent=1, allow_nan=False) + "\n", encoding="utf-8")
 
 
@@ -110,6 +114,7 @@ def load_trained(path: str | Path) -> tuple[Atoms, Meta]:
         record.of("prior", str),
         record.of("source", str),
         record.vector("origin") if "origin" in record.fields else (0.0, 0.0, 0.0),
+        record.isolation(),
     )
     record.require(pitch > 0, "'pitch' is not above 0")
     record.require(exposed <= interior, "'exposed' is more than 'interior'")
@@ -136,6 +141,11 @@ def load_trained(path: str | Path) -> tuple[Atoms, Meta]:
         ),
         meta,
     )
+
+
+def trained_isolation(path: Path) -> tuple[Any, ...]:
+    """`Meta.isolation` of a trained .ply, without reading the object. Raises InputError if it has no good sidecar."""
+    return _Record(sidecar_path(path), path).isolation()
 
 
 def _comments(meta: Meta) -> list[str]:
@@ -220,6 +230,10 @@ class _Record:
         self.require(len(values) == 3, f"'{key}' has not three numbers")
         x, y, z = (self._finite(key, value) for value in values)
         return x, y, z
+
+    def isolation(self) -> tuple[Any, ...]:
+        """The selections that were left out of the capture; none in an older object."""
+        return tuple(self.of("isolation", list)) if "isolation" in self.fields else ()
 
     def _finite(self, key: str, value: Any) -> float:
         number = type(value) in (int, float) and abs(value) < 1e300  # false for NaN, and for integers beyond floats

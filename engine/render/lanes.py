@@ -297,7 +297,7 @@ ROUND = 12582912.0  # 1.5 * 2^23: adding it to a float32 leaves the nearest whol
 
 @_device
 def exp2(typingctx, value):
-    """2^x for -100 < x < 100. A polynomial in float32; in float64, for checks only, the library's, lane after lane."""
+    """2^x for -100 < x < 100. A polynomial in float32; in float64, for checks only, the library's, lane by lane."""
 
     def codegen(context, builder, sig, values):
         x, kind = values[0], values[0].type

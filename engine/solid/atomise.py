@@ -63,8 +63,6 @@ class Atomised:
     """Gaussians left out as haze, floaters or debris inside."""
     split: int
     """Gaussians larger than the pitch, which became several atoms."""
-    patched: int = 0
-    """Atoms added where the others leave a hole in the skin."""
 
 
 def atomise(gaussians: Gaussians, pitch: float, enclosure: Enclosure | None = None) -> Atomised:
@@ -110,14 +108,12 @@ def atomise(gaussians: Gaussians, pitch: float, enclosure: Enclosure | None = No
         gaussians.quats[origin],
         gaussians.sh[origin],
     )
-    dropped, patched = len(gaussians) - len(np.unique(origin)), 0
     if enclosure is not None:
         patches = patch_holes(atoms, enclosure.shell, enclosure.body, pitch, enclosure.opacity, WALL_OPACITY)
-        patched = len(patches)
         atoms = SurfaceAtoms(*(np.concatenate([getattr(a, f.name) for a in (atoms, patches)]) for f in fields(atoms)))
     order = morton_order(atoms.means)
     atoms = SurfaceAtoms(*(getattr(atoms, f.name)[order] for f in fields(atoms)))
-    return Atomised(atoms, dropped, int(large.sum()), patched)
+    return Atomised(atoms, len(gaussians) - len(np.unique(origin)), int(large.sum()))
 
 
 def split(

@@ -10,7 +10,7 @@ from engine.scene.gaussians import Gaussians
 from engine.scene.grid import Grid
 from engine.solid.opacity_field import opacity_field
 
-__all__ = ["WALL_OPACITY", "grid_around", "without_haze"]
+__all__ = ["HAZE_OPACITY", "WALL_OPACITY", "grid_around", "haze_and_fragments", "without_haze"]
 
 WALL_OPACITY = 0.2
 """The paper's sigma_th: d on a sheet is the sum of the alphas that a ray meets there, and here it loses a quarter
@@ -45,23 +45,42 @@ def grid_around(gaussians: Gaussians, cells: int) -> Grid | None:
 
 def without_haze(gaussians: Gaussians) -> tuple[Gaussians, list[str]]:
     """The Gaussians that may be part of a skin, and a sentence on each kind that was left out."""
-    finite = np.isfinite(gaussians.means).all(1) & np.isfinite(gaussians.scales).all(1) & (gaussians.opacities > 0)
-    gaussians = gaussians[finite]
-    if not len(gaussians):
-        return gaussians, []
-    low, high = np.percentile(gaussians.means, [5, 95], axis=0)
-    side = float((high - low).max())
-    near = ((gaussians.means >= low - OUTLIER * side) & (gaussians.means <= high + OUTLIER * side)).all(1)
-    longest = gaussians.scales.max(1)
-    haze = (longest > HUGE * side) | ((longest > HAZE_SIZE * side) & (gaussians.opacities < HAZE_OPACITY))
-    shell = gaussians[near & ~haze]
-    floaters = _floaters(shell)
+    gaussians = gaussians[_visible(gaussians)]
+    haze, fragments = haze_and_fragments(gaussians)
     notes = []
-    if (near & haze).any():
-        notes.append(f"{int((near & haze).sum())} large faint Gaussians (haze) were left out")
-    if (~near).any() or floaters.any():
-        notes.append(f"{int((~near).sum() + floaters.sum())} Gaussians apart from the object were left out")
-    return shell[~floaters], notes
+    if haze.any():
+        notes.append(f"{int(haze.sum())} large faint Gaussians (haze) were left out")
+    if fragments.any():
+        notes.append(f"{int(fragments.sum())} Gaussians apart from the object were left out")
+    return gaussians[~haze & ~fragments], notes
+
+
+def haze_and_fragments(gaussians: Gaussians) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Which Gaussians (N,) are background or too large and faint for a skin, and which (N,) lie apart from the object.
+
+    No Gaussian is both. Those that are invisible, or not finite, are haze.
+    """
+    haze, fragments = np.ones(len(gaussians), bool), np.zeros(len(gaussians), bool)
+    rows = np.flatnonzero(_visible(gaussians))
+    if not len(rows):
+        return haze, fragments
+    seen = gaussians[rows]
+    low, high = np.percentile(seen.means, [5, 95], axis=0)
+    side = float((high - low).max())
+    near = ((seen.means >= low - OUTLIER * side) & (seen.means <= high + OUTLIER * side)).all(1)
+    longest = seen.scales.max(1)
+    large = (longest > HUGE * side) | ((longest > HAZE_SIZE * side) & (seen.opacities < HAZE_OPACITY))
+    haze[rows] = near & large
+    fragments[rows[~near]] = True
+    shell = rows[near & ~large]
+    fragments[shell] = _floaters(gaussians[shell])
+    return haze, fragments
+
+
+def _visible(gaussians: Gaussians) -> NDArray[np.bool_]:
+    """(N,). Which Gaussians are drawn at all."""
+    finite = np.isfinite(gaussians.means).all(1) & np.isfinite(gaussians.scales).all(1)
+    return np.asarray(finite & (gaussians.opacities > 0))
 
 
 def _floaters(gaussians: Gaussians) -> NDArray[np.bool_]:

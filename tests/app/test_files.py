@@ -89,7 +89,7 @@ def test_another_project_in_the_place_of_a_trusted_one_is_asked_about_again(
 
 
 BREAK: dict[str, Callable[[dict], object]] = {
-    "version": lambda r: r.update(fruitninja=2),
+    "version": lambda r: r.update(fruitninja=3),
     "no version": lambda r: r.pop("fruitninja"),
     "no cuts": lambda r: r.pop("cuts"),
     "cuts are text": lambda r: r.update(cuts="abc"),

@@ -201,6 +201,7 @@ def test_the_request_is_the_documents(tmp_path: Path) -> None:
     request = request_for(document, up)
     assert (request.scene, request.up, request.families) == (document.scene, up, document.families)
     assert (request.model, request.thing) == (tmp_path / "model", "rye bread")
+    assert request.isolation == document.isolation != ()
     assert (request.detail, request.prior, request.seed, request.iterations) == ("high", "stable-diffusion", 7, 50)
     # What another prior or kind of family would use is left out, so that it does not stand in the way of a resume.
     reordered = replace(
@@ -250,7 +251,11 @@ def test_a_job_that_was_left_running_is_found_at_the_next_start(
         assert job.phase == "running"
         document = project.document
         assert job.document == Document(
-            document.scene, document.up, families=document.families, training=document.training
+            document.scene,
+            document.up,
+            document.isolation,
+            families=document.families,
+            training=document.training,
         )
         second.files.open_document(job.document, Viewing(), None)
         assert second.training.job is not None and second.training.busy and "went on" in second.message

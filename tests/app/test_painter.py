@@ -11,11 +11,13 @@ import pytest
 
 from app.jobs.scene_loader import LoadedScene, SceneRequest
 from app.model.camera_control import OrbitCamera, project_points
+from app.model.capture_view import view_of
 from app.model.pieces import Solid, pieces
 from app.model.project import Viewing
 from app.model.settings import Settings
 from app.session.session import Session
 from app.ui.view.painter import STEPS, Painter, scaled
+from engine.isolate.selection import Sphere, Step
 from engine.render.gl import GLMissing
 from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from engine.scene.gaussians import Gaussians
@@ -113,6 +115,21 @@ def test_another_capture_takes_the_place_of_the_one_before(painter: Painter, ses
         session.object = replace(session.object, capture=capture)  # type: ignore[type-var]
         for _ in range(2):
             assert painter.frame(session, EYE.camera(64, 48, session.up), [], (0.0, 0.0, 0.0)) is not None
+
+
+def test_what_is_marked_is_tinted_in_the_window_and_not_in_a_saved_picture(painter: Painter, session: Session) -> None:
+    s, red = ball().surface, (1.0, 0.0, 0.0)
+    session.viewing = Viewing(EYE, "capture")
+    capture = Gaussians(s.means, s.scales, s.quats, np.full(len(s), 0.9, np.float32), s.sh)
+    session.object = replace(session.object, capture=capture)  # type: ignore[type-var]
+    camera = EYE.camera(64, 48, session.up)
+    plain = painter.picture(session, camera, [])
+    session.capture_view = view_of(capture, (), (Step("add", Sphere((0, 0, 0), 9.0)),), red)
+    assert np.array_equal(painter.picture(session, camera, []), plain)
+    texture = painter.frame(session, camera, [], (0.0, 0.0, 0.0))
+    assert texture is not None
+    frame = painter.renderer.read().rgb
+    assert frame[24, 32, 0] > plain[24, 32, 0] / 255 + 0.2 and frame[24, 32, 1] < plain[24, 32, 1] / 255 - 0.1
 
 
 def test_a_camera_of_fewer_pixels_sees_the_same() -> None:

@@ -13,9 +13,9 @@ import pytest
 from tests.paths import HELPERS, ROOT
 
 
-def run(name: str, folder: Path) -> None:
-    """Runs a script of app_steps.py in a window."""
-    command = [sys.executable, str(HELPERS / "app_steps.py"), name, str(folder)]
+def run(name: str, folder: Path, script: str = "app_steps.py") -> None:
+    """Runs a script in a window."""
+    command = [sys.executable, str(HELPERS / script), name, str(folder)]
     if not os.environ.get("DISPLAY") and sys.platform.startswith("linux"):
         server = shutil.which("xvfb-run")
         if server is None:
@@ -43,6 +43,17 @@ def test_a_user_cuts_trains_saves_and_exports(tmp_path: Path) -> None:
 
 def test_a_dense_screen_dropped_files_dialogs_and_leaving(tmp_path: Path) -> None:
     run("habits", tmp_path)
+
+
+def test_the_object_is_stood_on_a_face_and_turned(tmp_path: Path) -> None:
+    run("upright", tmp_path)
+    assert len(list((tmp_path / "shots").glob("upright_*.png"))) == 4
+
+
+@pytest.mark.slow
+def test_a_user_isolates_the_object_and_takes_it_back(tmp_path: Path) -> None:
+    run("isolate", tmp_path, "app_isolate_steps.py")
+    assert len(list((tmp_path / "shots").glob("*.png"))) == 5
 
 
 def test_two_thousand_random_actions_leave_nothing_behind(tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ from app.model.camera_control import OrbitCamera
 from app.model.document import Document, Part, Training
 from app.model.project import Project, Viewing
 from app.model.rigid_transform import Motion
+from engine.isolate.selection import Box, Lasso, Step, View, keep_only
 from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from engine.scene.plane import Plane
 from training.families import Family
@@ -33,6 +34,10 @@ def full(folder: Path) -> Project:
     document = replace(
         document, training=Training("high", "stable-diffusion", 7, 50, folder / "out", folder / "model", "rye bread")
     )
+    view = View((0.1, 1 / 3, -2.0), (0.6, 0.0, 0.8, 0.0), (0.5, 0.4))
+    lasso = Step("add", Lasso(view, ((-1.0, 0.0), (1.0, 0.1), (0.0, 0.9))))
+    box = Box((-1.0, 0.0, 0.1), (1.0, 1 / 3, 2.0), (0.0, 0.0, 0.0, 1.0))
+    document = replace(document, isolation=(keep_only(box),), marked=(lasso, Step("grow")))
     eye = OrbitCamera((0.1, 1e9, -3.0), 12.5, -90.0, 1 / 3, 50.0, True)
     return Project(document, Viewing(eye, "capture", (0.1, 0.2, 0.3)))
 

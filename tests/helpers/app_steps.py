@@ -35,6 +35,7 @@ from app.ui.window import Window
 from engine.io.splats.ply import read_ply
 from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from tests.helpers.app_driver import Driver, drive
+from tests.helpers.app_upright import upright
 from tests.paths import HELPERS
 
 Key = imgui.Key
@@ -436,6 +437,8 @@ def main() -> None:
         opened(folder, lambda driver: steps(driver, folder))
     elif name == "habits":
         at_once(folder, lambda driver: habits(driver, folder), (800, 560), twice_as_dense)
+    elif name == "upright":
+        at_once(folder, lambda driver: upright(driver, folder), (860, 560))
     else:
         at_once(folder, soak, (640, 300))  # most frames are drawn by the processor: a small view is a quick one
     print("well")

@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -16,11 +17,12 @@ import psutil
 import pytest
 
 from engine.errors import InputError
+from engine.isolate.selection import Box, Detected, Step, keep_only
 from tests.helpers.batch_worker import SMALL
 from tests.paths import HELPERS, SAMPLES
 from training.batch import Outcome, Task, TaskStopped, report, run_grid, should_stop
 from training.batch.cli import main
-from training.batch.cluster import cluster_client
+from training.batch.cluster import cluster_client, deferred_signals
 from training.batch.manifest import ManifestErrors, read_manifest
 from training.batch.scene import is_intact
 from training.checkpoint import Checkpoint
@@ -273,6 +275,26 @@ def test_a_cluster_of_its_own_listens_to_this_machine_alone() -> None:
     assert len(ports) == 5
 
 
+@pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="no signals to threads here")
+def test_a_signal_waits_for_the_end_of_the_block_whichever_thread_takes_it() -> None:
+    told: list[str] = []
+    done = threading.Event()
+    bystander = threading.Thread(target=done.wait)
+    bystander.start()
+    before = signal.signal(signal.SIGUSR1, lambda *_: told.append("signal"))
+    try:
+        for thread in (bystander, threading.main_thread()):
+            with deferred_signals(signal.SIGUSR1):
+                assert thread.ident is not None
+                signal.pthread_kill(thread.ident, signal.SIGUSR1)
+                time.sleep(0.1)
+                told.append("block")
+    finally:
+        signal.signal(signal.SIGUSR1, before)
+        done.set()
+    assert told == ["block", "signal"] * 2
+
+
 # manifests
 
 
@@ -397,3 +419,24 @@ def test_defaults_give_way_to_a_scenes_own(tmp_path: Path) -> None:
     ]
     assert broken.request.scene == tmp_path / "broken.ply"
     assert melon.request.up == (0.0, 0.0, 1.0)
+
+
+def test_a_scene_says_what_of_its_capture_is_the_object(tmp_path: Path) -> None:
+    (tmp_path / "a.ply").touch()
+    manifest = tmp_path / "all.toml"
+    text = f"""
+        [[scene]]
+        scene = "a.ply"
+        exemplar = {{ horizontal = "{SCENES}/orange/horizontal_1.png" }}
+        keep = ["box:1,0,0,0,1,1"]
+        no_floor = true
+    """
+    manifest.write_text(text)
+    (scene,) = read_manifest(manifest)
+    assert scene.request.isolation == (
+        keep_only(Box((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))),
+        (Step("add", Detected("floor")),),
+    )
+    manifest.write_text(text.replace("true", '"yes"').replace("box:1", "cone:1"))
+    with pytest.raises(ManifestErrors, match=r"keep cone:1,0,0,0,1,1: give box|no_floor: give true or false"):
+        read_manifest(manifest)

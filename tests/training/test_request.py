@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from engine.errors import InputError
+from engine.isolate.selection import Box, Detected, Step, keep_only
 from engine.scene.plane import Plane
 from tests.paths import SAMPLES
 from training import cli
@@ -26,7 +27,10 @@ def full(folder: Path) -> Request:
     )
     folders = folder / "model", folder / "midas"
     up = (0.0, -0.6, 0.8)
-    return Request(folder / "melon.ply", families, "high", up, 2**53, 50, "stable-diffusion", *folders, "rye bread")
+    isolation = (keep_only(Box((-1, -1, -1), (1, 1, 1 / 3))), (Step("add", Detected("floor")), Step("grow")))
+    return Request(
+        folder / "melon.ply", families, "high", up, 2**53, 50, "stable-diffusion", *folders, "rye bread", isolation
+    )
 
 
 def written(request: Request, folder: Path) -> Path:
@@ -50,7 +54,7 @@ def test_a_relative_request_is_written_with_absolute_paths(tmp_path: Path, monke
 
 
 BREAK: dict[str, Callable[[dict], object]] = {
-    "version": lambda r: r.update(fruitninja_request=2),
+    "version": lambda r: r.update(fruitninja_request=3),
     "no version": lambda r: r.pop("fruitninja_request"),
     "version is a flag": lambda r: r.update(fruitninja_request=True),
     "unknown field": lambda r: r.update(command="rm"),
@@ -77,6 +81,7 @@ BREAK: dict[str, Callable[[dict], object]] = {
     "prior": lambda r: r.update(prior="oracle"),
     "model without diffusion": lambda r: r.update(prior="exemplar"),
     "thing": lambda r: r.update(thing=3),
+    "isolation": lambda r: r["isolation"][0][0].update(shape="cone"),
     "no picture": lambda r: r.update(
         prior="exemplar", model=None, midas=None, families=[dict(r["families"][0], exemplars=[])]
     ),

@@ -18,7 +18,7 @@ from engine.errors import InputError
 from engine.io.scratch import Scratch
 from engine.processes import safe_imports
 
-__all__ = ["blocked_signals", "cluster_client"]
+__all__ = ["cluster_client", "deferred_signals"]
 
 WAIT_SECONDS = 30
 """Timeout for a scheduler to answer and for its first worker."""
@@ -48,7 +48,7 @@ def cluster_client(scheduler: str | None, count: int | None, tasks: int, gigabyt
     }
     # Workers import from their folder, so it must be private, unlike the shared temporary folder.
     with dask.config.set(settings), safe_imports(), closing(Scratch("fruitninja-")) as scratch:
-        with blocked_signals(signal.SIGINT):
+        with deferred_signals(signal.SIGINT):
             cluster = LocalCluster(
                 n_workers=count,
                 threads_per_worker=1,
@@ -77,21 +77,29 @@ class _CloseHttpServer(WorkerPlugin):
 
 
 @contextmanager
-def blocked_signals(*signals: signal.Signals) -> Iterator[None]:
-    """Blocks signals in threads started in this context, and in the processes that those start later.
+def deferred_signals(*signals: signal.Signals) -> Iterator[None]:
+    """Defers signals to the end of this block; only in the main thread.
 
-    Only the command handles them, after the context, and then stops its workers. A child inherits the signal mask
-    before it executes its first line.
+    Threads started in the block, and the processes that those start later, block them for good: only the command
+    handles them, and then stops its workers. A child inherits the signal mask before it executes its first line.
     """
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
-    resource_tracker.ensure_running()  # starting it later would lift the mask
-    signal.pthread_sigmask(signal.SIG_BLOCK, signals)
+    received: list[int] = []
+    # The mask alone defers nothing: a library's thread that was there before may take the signal, and Python would run
+    # the handler here, perhaps between the start of a child and the data that it waits for.
+    handlers = [(each, signal.signal(each, lambda number, _: received.append(number))) for each in signals]
+    has_mask = hasattr(signal, "pthread_sigmask")
+    if has_mask:
+        resource_tracker.ensure_running()  # starting it later would lift the mask
+        signal.pthread_sigmask(signal.SIG_BLOCK, signals)
     try:
         yield
     finally:
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, signals)
+        if has_mask:
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, signals)
+        for each, handler in handlers:
+            signal.signal(each, handler)
+        for number in received:
+            signal.raise_signal(number)
 
 
 def local_worker_count(tasks: int, gigabytes: float) -> int:

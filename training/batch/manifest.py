@@ -27,6 +27,7 @@ from engine.errors import InputError, one_line
 from engine.io.files import read_file
 from engine.io.picture_file import open_picture
 from training.cli import parse_axis, parse_families
+from training.isolation_options import parse_isolation
 from training.request import PriorName, Request
 from training.settings import DetailName
 
@@ -57,8 +58,8 @@ DEVICE = re.compile(r"(con|prn|aux|nul|com[0-9¹²³]|lpt[0-9¹²³]) *(\..*)?",
 RESERVED = re.compile(r"batch\.json|.*\.lock", re.IGNORECASE)
 """Files that a batch writes beside the folders."""
 
-KEYS = ("scene", "name", "exemplar", "family", "prompt", "up", "detail", "prior", "model", "midas", "object",
-        "iterations", "seed")  # fmt: skip
+KEYS = ("scene", "name", "exemplar", "family", "prompt", "up", "keep", "remove", "no_floor", "detail", "prior", "model",
+        "midas", "object", "iterations", "seed")  # fmt: skip
 PER_SCENE_KEYS = ("scene", "name")
 """Keys that scenes cannot share."""
 
@@ -192,6 +193,7 @@ class _ManifestReader:
                 model,
                 midas,
                 _string(fields, "object", "") or None,
+                parse_isolation(_strings(fields, "keep"), _strings(fields, "remove"), _flag(fields, "no_floor")),
             ),
         )
 
@@ -272,6 +274,13 @@ def _prompts(fields: dict[str, Any]) -> list[str]:
     if not all(isinstance(words, str) for words in table.values()):
         raise InputError("prompt: give words in quotes for each family")
     return [f"{kind}={words}" for kind, words in table.items()]
+
+
+def _flag(fields: dict[str, Any], key: str) -> bool:
+    value = fields.get(key, False)
+    if not isinstance(value, bool):
+        raise InputError(f"{key}: give true or false")
+    return value
 
 
 def _integer(fields: dict[str, Any], key: str) -> int | None:

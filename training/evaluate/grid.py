@@ -15,7 +15,7 @@ from typing import Any
 from engine.errors import InputError
 from engine.io.files import atomic, read_file
 from engine.processes import safe_imports
-from training.batch.cluster import blocked_signals
+from training.batch.cluster import deferred_signals
 from training.batch.grid import Outcome, run_grid
 from training.batch.task import RESULT_LIMIT, Task
 from training.evaluate.measure import fingerprint, measure
@@ -99,7 +99,7 @@ def run_locally(grid: Sequence[Cell], on_change: Callable[[Cell, str], None]) ->
         on_change(cell, "begins")
         with safe_imports(), ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
             try:
-                with blocked_signals(signal.SIGINT, signal.SIGTERM):
+                with deferred_signals(signal.SIGINT, signal.SIGTERM):
                     done = pool.submit(run_cell, cell, DETAILS[cell.detail])
                 done.result()
             except InputError as error:

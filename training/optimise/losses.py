@@ -87,7 +87,13 @@ def _ssim_and_gradient(x: Float, y: Float) -> tuple[float, Float]:
 
 
 @njit(cache=True, nogil=True)
-def _channel(c, planes, taps, sums, gradient):  # type: ignore[no-untyped-def]
+def _channel(
+    c: int,
+    planes: Float,  # [3, 2, H, W] both pictures, channel by channel
+    taps: Float,  # [WINDOW]
+    sums: NDArray[np.float64],  # out [3]
+    gradient: Float,  # out [3, H, W]
+) -> None:
     """SSIM of one channel and its gradient.
 
     With S = A1 A2 / (B1 B2) over the window's moments m_x, m_y, E[xx], E[yy], E[xy]:
@@ -123,7 +129,7 @@ def _channel(c, planes, taps, sums, gradient):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _blur(picture, taps):  # type: ignore[no-untyped-def]
+def _blur(picture: Float, taps: Float) -> Float:
     """Valid part of the separable convolution with the window; the innermost loop runs along rows."""
     k = len(taps)
     h, w = picture.shape
@@ -141,7 +147,7 @@ def _blur(picture, taps):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _blur_transposed(values, taps):  # type: ignore[no-untyped-def]
+def _blur_transposed(values: Float, taps: Float) -> Float:
     """The transpose of `_blur`: spreads each value over the pixels under its window."""
     k = len(taps)
     rows, columns = values.shape

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from imgui_bundle import ImVec2, imgui
@@ -13,6 +15,7 @@ from app.model.pieces import PlacedPiece
 from app.model.rigid_transform import Vec3
 from app.session.session import Session
 from app.ui.panels.interior import InteriorPanel
+from app.ui.panels.isolate import IsolatePanel
 from app.ui.theme import palette, px, rgba
 from app.ui.widgets import eye_icon, float_slider, heading, icon_button, secondary, thin_bar, tooltip
 from engine.errors import InputError
@@ -44,12 +47,17 @@ class Inspector:
 
     def __init__(self, session: Session, interior: InteriorPanel) -> None:
         self.session, self.interior = session, interior
+        self.isolate = IsolatePanel(session)
         self._numbers: tuple[int, list[float]] | None = None
         """Id of a cut, and a, b, c, d as typed so far."""
+        self._up: list[float] | None = None
+        """The up axis as typed so far, while its list is open."""
 
     def show(self) -> None:
         """One frame."""
         self._object()
+        if self.session.tool == "isolate":
+            self.isolate.show()
         self._cuts()
         self.interior.show()
 
@@ -68,16 +76,7 @@ class Inspector:
         tooltip("\n".join([str(document.scene), *notes]))
         imgui.same_line(imgui.get_content_region_avail().x - px(78))
         imgui.set_next_item_width(px(90))
-        current = axis_name(session.up)
-        if imgui.begin_combo("##up", f"up  {current}", imgui.ComboFlags_.no_arrow_button):
-            for name, axis in AXES.items():
-                if imgui.selectable(f"up  {name}", name == current)[0] and name != current:
-                    session.change(f"Up {name}", replace(document, up=axis))
-            if session.object is not None and imgui.selectable("as detected", False)[0]:
-                session.change("Up as detected", replace(document, up=None))
-            imgui.end_combo()
-        reason = "chosen by you" if document.up is not None else (session.object.up_reason if session.object else "")
-        tooltip(f"Which way is up: {reason}." if reason else "Which way is up.")
+        self._up_axis()
         if session.loader is not None:
             loader = session.loader
             thin_bar(loader.fraction)
@@ -86,6 +85,44 @@ class Inspector:
             imgui.same_line(imgui.get_content_region_avail().x - px(56))
             if imgui.button("Cancel##preparing", ImVec2(px(68), 0)):
                 session.scene.cancel()
+
+    def _up_axis(self) -> None:
+        """Which way is up: one of six axes, as detected, by a face, or in numbers, which count when the list closes."""
+        session, document = self.session, self.session.document
+        current = axis_name(session.up)
+        flags = imgui.ComboFlags_.no_arrow_button | imgui.ComboFlags_.height_largest
+        if imgui.begin_combo("##up", f"up  {current}", flags):
+            chosen: Callable[[], object] | None = None
+            for name, axis in AXES.items():
+                if imgui.selectable(f"up  {name}", name == current)[0]:
+                    chosen = partial(session.set_up, f"Up {name}", axis)
+            if session.object is not None and imgui.selectable("as detected", False)[0]:
+                chosen = partial(session.change, "Up as detected", replace(document, up=None))
+            if session.object is not None and imgui.selectable("stand on a face...", False)[0]:
+                chosen = partial(session.select_tool, "upright")
+            imgui.set_next_item_width(px(170))
+            changed, numbers = imgui.input_float3("##up numbers", self._up or list(session.up), "%.3f")
+            tooltip("The up axis in the axes of the file; taken when this list closes")
+            if changed:
+                self._up = list(numbers)
+            if chosen is not None:
+                self._up = None
+                chosen()
+            escaped = imgui.is_key_pressed(imgui.Key.escape)
+            if escaped or imgui.is_key_pressed(imgui.Key.enter):
+                imgui.close_current_popup()
+                self._up = None if escaped else self._up
+            imgui.end_combo()
+        elif self._up is not None:
+            if np.isfinite(self._up).all() and np.linalg.norm(self._up) > 1e-6:
+                session.set_up("Up", self._up)
+            else:
+                session.notify("The up axis needs a direction: three numbers that are not all 0.")
+            self._up = None
+        reason = session.object.up_reason if session.object is not None else ""
+        if document.up is not None:
+            reason = "({:.3g}, {:.3g}, {:.3g}), chosen by you".format(*document.up)
+        tooltip(f"Which way is up: {reason}." if reason else "Which way is up.")
 
     # Cuts
 

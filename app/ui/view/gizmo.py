@@ -14,17 +14,23 @@ from app.session.session import Session
 from engine.scene.camera import Camera
 from engine.scene.plane import Plane, frame
 
-__all__ = ["handles"]
+__all__ = ["handles", "on_handles"]
 
 gizmo = imguizmo.im_guizmo
 
+WIDE, NARROW = 0.4, 0.1
+"""Size of handles in the picture, whose width is 2: around the object, so that its faces can be clicked, and ImGuizmo's
+own for what is handled at its middle."""
+
 
 def handles(session: Session, camera: Camera, origin: ImVec2, size: ImVec2) -> bool:
-    """Draws the handles of the tool; True while they are hovered or dragged."""
+    """Draws the handles of the tool; False where it has none."""
     if session.tool in ("move", "turn") and session.selection:
         return _piece_handles(session, camera, origin, size)
     if session.tool == "plane" and session.active_cut is not None:
         return _plane_handles(session, camera, origin, size)
+    if session.tool == "upright" and session.object is not None:
+        return _upright_handles(session, camera, origin, size)
     return False
 
 
@@ -40,7 +46,7 @@ def _piece_handles(session: Session, camera: Camera, origin: ImVec2, size: ImVec
     if moved is not None:
         motion = Motion.of(moved @ np.linalg.inv(place))
         session.place("Move" if session.tool == "move" else "Turn", session.selection, motion, merge="handles")
-    return _busy()
+    return True
 
 
 def _plane_handles(session: Session, camera: Camera, origin: ImVec2, size: ImVec2) -> bool:
@@ -60,7 +66,22 @@ def _plane_handles(session: Session, camera: Camera, origin: ImVec2, size: ImVec
     if moved is not None:
         new = Plane.through(moved[:3, 3], moved[:3, 2])
         session.change_cut("Move plane", cut.id, lambda c: replace(c, parts=(Part(new),), shift=0.0), merge="handles")
-    return _busy()
+    return True
+
+
+def _upright_handles(session: Session, camera: Camera, origin: ImVec2, size: ImVec2) -> bool:
+    # In a frame of the viewer, with up as z, nothing but the object moves while it is turned.
+    up, right = np.asarray(session.up), camera.viewmat[0, :3]
+    viewer = np.stack([right, np.cross(up, right), up])
+    to_object = np.eye(4)
+    to_object[:3, :3], to_object[:3, 3] = viewer.T, session.solid.centre
+    seen = replace(camera, viewmat=camera.viewmat @ to_object)
+    gizmo.set_gizmo_size_clip_space(WIDE)
+    moved = _manipulate("upright", seen, origin, size, gizmo.OPERATION.rotate, gizmo.MODE.world, np.eye(4))
+    gizmo.set_gizmo_size_clip_space(NARROW)
+    if moved is not None:
+        session.turn_object("Turn upright", viewer.T @ moved[:3, :3] @ viewer, merge="handles")
+    return True
 
 
 def _manipulate(
@@ -90,7 +111,8 @@ def _manipulate(
     return np.asarray(matrix.values, np.float64).reshape(4, 4).T if changed else None
 
 
-def _busy() -> bool:
+def on_handles() -> bool:
+    """Whether the pointer is on handles, or drags them; means something only after some were drawn."""
     return bool(gizmo.is_using() or gizmo.is_over())
 
 

@@ -90,7 +90,7 @@ class Painter:
             (i.rgba, (i.corners if isinstance(i, Sheet) else i.ends).tobytes(), i.hidden, getattr(i, "width", 0.0))
             for i in over
         )
-        if key != self._key or self._texture is None or self.renderer.sorting:
+        if key != self._key or self._texture is None or (mode == "capture" and self.renderer.sorting):
             begin = time.perf_counter()
             texture = self.renderer.render(
                 scaled(camera, part), pieces, MODES[mode], background, light, exact=not moving, level=level, wait=False
@@ -109,7 +109,7 @@ class Painter:
             self._texture = self.renderer.overlay(over) if over else self._picture
             self._restore_framebuffer()
             self._overlay_key = overlay_key
-        self.unfinished = moving or self.renderer.sorting
+        self.unfinished = moving or (mode == "capture" and self.renderer.sorting)  # drawing it ends the sorting
         return self._texture
 
     def _record_time(self, taken: float, moving: bool, uploaded: bool) -> None:
@@ -131,7 +131,7 @@ class Painter:
     def picture(self, workspace: Workspace, camera: Camera, pieces: Sequence[Piece]) -> NDArray[np.uint8]:
         """(H, W, 4). A picture for a file, with straight alpha; makes the next frame be drawn again."""
         self._key = None
-        if not self._upload(workspace):
+        if not self._upload(workspace, tinted=False):
             return np.zeros((camera.height, camera.width, 4), np.uint8)
         self.renderer.render(camera, pieces, MODES[workspace.mode], (0.0, 0.0, 0.0), workspace.settings.face_light)
         seen = self.renderer.read()
@@ -145,17 +145,23 @@ class Painter:
         if self._screen is not None:
             self._screen.use()
 
-    def _upload(self, workspace: Workspace) -> bool:
-        """Uploads the workspace's object unless the GPU has it; False if there is nothing to draw."""
+    def _upload(self, workspace: Workspace, tinted: bool = True) -> bool:
+        """Uploads the workspace's object unless the GPU has it; False if there is nothing to draw.
+
+        `tinted`: with what is marked of the capture in another colour.
+        """
         shown = workspace.object
         if shown is None:
             return False
         if workspace.mode == "capture":
-            if shown.capture is None:
+            capture, view = workspace.shown_capture, workspace.capture_view
+            if not tinted and view is not None and capture is view.shown:
+                capture = view.left
+            if capture is None:
                 return False
-            if shown.capture is not self._capture:
-                self.renderer.set_capture(shown.capture)
-                self._capture, self._key = shown.capture, None
+            if capture is not self._capture:
+                self.renderer.set_capture(capture)
+                self._capture, self._key = capture, None
             return True
         assert shown.atoms is not None
         atoms = (workspace.geometry_version, workspace.colour_version)

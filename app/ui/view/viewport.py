@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from imgui_bundle import ImVec2, imgui
@@ -15,13 +15,15 @@ from app.model.document import Cut, Key
 from app.model.knife import SHORTEST, Stroke, plane_of
 from app.model.pieces import PlacedPiece, sections
 from app.model.project import VIEW_MODES
-from app.model.rigid_transform import Motion
+from app.model.rigid_transform import STILL, Motion
+from app.model.upright import point_under
 from app.session.session import Session
 from app.ui.theme import palette, px, rgb, u32
 from app.ui.view.animation import CameraAnimation, PieceAnimation
-from app.ui.view.annotations import brackets, label
+from app.ui.view.annotations import brackets, label, marker_outline
 from app.ui.view.axis_cube import axis_cube
-from app.ui.view.gizmo import handles
+from app.ui.view.box_handles import BoxHandles
+from app.ui.view.gizmo import handles, on_handles
 from app.ui.view.painter import Painter
 from app.ui.view.plane_lines import PlaneLines
 from app.ui.widgets import segmented
@@ -44,6 +46,8 @@ HINTS = {
     "plane": "Drag to place a plane",
     "move": "Drag a piece to move it",
     "turn": "Drag a piece to turn it",
+    "upright": "Click the face it stands on",
+    "isolate": "Drag over a part of the capture to select it",
 }
 
 REST = 0.2
@@ -57,18 +61,24 @@ MODE_HINTS = (
 )
 
 
+SOLID_OPACITY = 0.3
+"""Opacity from which a Gaussian of the capture can be pointed at; below, it is haze."""
+
+
 @dataclass
 class Drag:
     """What the pointer does while a button is pressed."""
 
     kind: str
-    """'stroke', 'plane', 'orbit', 'pan', 'move' or 'turn'."""
+    """'stroke', 'plane', 'mark', 'orbit', 'pan', 'move' or 'turn'."""
     start: tuple[float, float]
     last: tuple[float, float]
     keys: frozenset[Key] = frozenset()
     depth: float = 1.0
     """Distance of the dragged point along the view direction, world units."""
     cancelled: bool = False
+    path: list[tuple[float, float]] = field(default_factory=list)
+    """Where the pointer has been, for 'mark'."""
 
 
 class Viewport:
@@ -80,10 +90,15 @@ class Viewport:
         self.drag: Drag | None = None
         self.show_families: frozenset[str] = frozenset()
         self.menu_requested = False
+        self.menu_point: tuple[float, float] | None = None
+        """Where on the object the context menu was asked for, in the window's units."""
         self.size = (640, 480)
         """Width and height of the picture, in the window's units."""
         self.origin = ImVec2(0, 0)
         self.plane_lines = PlaneLines(session)
+        self._handled = False
+        """Whether handles were drawn in the last frame."""
+        self.box_handles = BoxHandles(session)
         self._eye = OrbitCamera()
         self._placed: tuple[object, ...] = ()
         self._moved = -10.0
@@ -129,6 +144,7 @@ class Viewport:
             *self._sheets(),
             *self.plane_lines.families(self.show_families, pieces, scale),
             *self._knife_lines(pieces, scale),
+            *self.box_handles.edges(scale),
         ]
         texture = self.painter.frame(session, self.camera(scale), shown, background, over, moving)
         if texture is None:
@@ -137,15 +153,23 @@ class Viewport:
             draw.add_image(imgui.ImTextureRef(texture.glo), self.origin, corner)
         imgui.push_clip_rect(self.origin, corner, True)
         camera = self.camera()
-        imgui.set_next_item_allow_overlap()
-        imgui.invisible_button("##canvas", size, ANY_BUTTON)
-        hovered, active = imgui.is_item_hovered(), imgui.is_item_active()
+        if self._handled and on_handles():  # which take no click while any item is under the pointer
+            imgui.dummy(size)
+            hovered = active = False
+        else:
+            imgui.set_next_item_allow_overlap()
+            imgui.invisible_button("##canvas", size, ANY_BUTTON)
+            hovered, active = imgui.is_item_hovered(), imgui.is_item_active()
         self._draw_selection(camera, pieces)
-        busy = self.drag is None and handles(session, camera, self.origin, size)
+        self._handled = self.drag is None and handles(session, camera, self.origin, size)
+        busy = self._handled and on_handles()
+        busy = self.box_handles.show(camera, self.origin, self.drag is None and hovered) or busy
         if not busy:
             self._mouse(camera, hovered, active, pieces)
         if self.drag is not None and self.drag.kind in ("stroke", "plane"):
             self._draw_stroke()
+        if self.drag is not None and self.drag.kind == "mark" and not self.drag.cancelled:
+            marker_outline(draw, session.isolation.marker, self.drag.path, self.origin)
         self._overlays(camera)
         if hovered and self.drag is None and not busy:
             self._hint()
@@ -190,9 +214,11 @@ class Viewport:
                 session.viewing = replace(session.viewing, eye=eye.panned(dx, dy, self.size[1], session.up))
         elif drag.kind in ("move", "turn") and (dx or dy):
             self._drag_pieces(camera, drag, dx, dy)
-        if imgui.is_key_pressed(imgui.Key.escape) and drag.kind in ("stroke", "plane"):
+        elif drag.kind == "mark" and (dx or dy):
+            drag.path.append(at)
+        if imgui.is_key_pressed(imgui.Key.escape) and drag.kind in ("stroke", "plane", "mark"):
             drag.cancelled = True
-            session.notify("Not cut.")
+            session.notify("Not selected." if drag.kind == "mark" else "Not cut.")
         if not active:
             self._end(camera, drag, at, pieces)
             self.drag = None
@@ -205,7 +231,9 @@ class Viewport:
             kind = "pan"
         keys: frozenset[Key] = frozenset()
         depth = session.viewing.eye.distance
-        if left and not io.key_alt:
+        if left and session.tool == "isolate":
+            kind = "mark" if session.mode == "capture" and session.isolation.available else kind
+        elif left and not io.key_alt:
             if session.tool in ("knife", "plane"):
                 kind = "stroke" if session.tool == "knife" else "plane"
             elif session.tool in ("move", "turn"):
@@ -214,7 +242,7 @@ class Viewport:
                     kind, depth = session.tool, float((point - camera.position) @ camera.forward)
                     keys = session.selection if key in session.selection else frozenset([key])
                     session.selection = keys
-        self.drag = Drag(kind, at, at, keys, depth)
+        self.drag = Drag(kind, at, at, keys, depth, path=[at])
 
     def _end(self, camera: Camera, drag: Drag, at: tuple[float, float], pieces: list[PlacedPiece]) -> None:
         session, io = self.session, imgui.get_io()
@@ -227,6 +255,9 @@ class Viewport:
             if plane is not None:
                 towards = plane if np.asarray(plane.normal) @ camera.forward <= 0 else plane.flipped()
                 session.add_plane(towards)
+        elif drag.kind == "mark" and not drag.cancelled:
+            how = "add" if io.key_shift else "subtract" if io.key_alt else session.isolation.how
+            session.isolation.mark(camera, drag.path, how)
         elif drag.kind in ("move", "turn"):
             session.history.settle()
         elif drag.kind == "orbit" and moved < SHORTEST:
@@ -239,6 +270,9 @@ class Viewport:
             if key is not None and key not in session.selection:
                 session.selection = frozenset([key])
             self.menu_requested = True
+            self.menu_point = at if key is not None or session.mode == "capture" else None
+        elif session.tool == "upright":
+            self.stand_on(at)
         elif imgui.get_io().key_ctrl and key is not None:
             session.selection = session.selection ^ {key}
         else:
@@ -254,6 +288,24 @@ class Viewport:
         number, point = self.painter.pick(at[0] * scale, at[1] * scale)
         shown = [piece.key for piece in pieces if piece.visible]
         return (shown[number], point) if number is not None and number < len(shown) else (None, None)
+
+    def stand_on(self, at: tuple[float, float]) -> None:
+        """Stands the object on the face at a point of the picture."""
+        session, camera = self.session, self.camera()
+        shown = session.object
+        if shown is None or shown.capture is None:
+            return
+        motion = STILL
+        if session.mode == "capture":
+            opaque = shown.capture.opacities > SOLID_OPACITY
+            point = point_under(shown.capture.means[opaque], camera, at)
+        else:
+            key, point = self._pick(at, session.pieces)
+            motion = next((piece.motion for piece in session.pieces if piece.key == key), STILL).inverse()
+        if point is None:
+            session.notify("Click on the object: on the face that it stands on.")
+            return
+        session.stand_on(motion.apply(point), motion.apply(camera.position))
 
     def _drag_pieces(self, camera: Camera, drag: Drag, dx: float, dy: float) -> None:
         """Moves the dragged pieces parallel to the picture, or rotates them about its axes."""
@@ -358,7 +410,8 @@ class Viewport:
         if shown is None:
             return ""
         if self.session.mode == "capture":
-            what = f"{len(shown.capture):,} Gaussians" if shown.capture is not None else ""
+            capture = self.session.shown_capture
+            what = f"{len(capture):,} Gaussians" if capture is not None else ""
         else:
             assert shown.atoms is not None
             count = sum(piece.visible for piece in self.session.pieces)
@@ -369,10 +422,12 @@ class Viewport:
         return f"{what}    {taken:.0f} ms" if taken else what
 
     def _hint(self) -> None:
-        """What to do with the tool, beside the pointer; for the knife, until the first cut."""
+        """What to do with the tool, beside the pointer; for the knife until the first cut, for isolating until
+        something is selected."""
         session = self.session
         text = HINTS[session.tool]
-        if not text or session.atoms is None or (session.tool == "knife" and session.settings.seen_hint):
+        idle = bool(session.document.marked) if session.tool == "isolate" else session.atoms is None
+        if not text or idle or (session.tool == "knife" and session.settings.seen_hint):
             return
         mouse = imgui.get_mouse_pos()
         label(imgui.get_window_draw_list(), ImVec2(mouse.x + px(24), mouse.y + px(12)), text)

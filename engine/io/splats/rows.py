@@ -142,7 +142,8 @@ def _find_origin(
     while True:
         detail = float(np.exp(np.median(table[keep, 4:7].max(1)))) if keep.any() else 0.0
         origin, lines = origin_for(path, positions[keep], detail)
-        far = keep & (np.abs(positions - np.asarray(origin)) > MAX_POSITION).any(1)
+        far = np.zeros_like(keep)
+        far[keep] = (np.abs(positions[keep] - np.asarray(origin)) > MAX_POSITION).any(1)
         if not far.any():
             return origin, lines
         reasons["absurd positions"] |= far

@@ -53,7 +53,7 @@ ended; 1 2 3 colour; 4 depth times weight; 5 median depth, 0 as long as more tha
 
 ADJOINT = 6
 """Numbers per pixel on the way back, each in a run of BLOCK: 0 transmittance behind the current layer; 1 the derivative
-of the loss by it; 2 3 4 5 dL/d(colour, depth times weight)."""
+of the loss with respect to it; 2 3 4 5 dL/d(colour, depth times weight)."""
 
 ROW = BLOCK
 """Numbers of the gradient row of a (tile, Gaussian) pair, sums over its pixels; 64 bytes in float32, one cache line.
@@ -149,7 +149,7 @@ def blend(
 
 @njit(cache=True, error_model="numpy")
 def start_tile(states, lasts, left, top, width, height):
-    """The empty pixels of a tile; those outside of the picture count as finished."""
+    """The empty pixels of a tile; those outside the picture count as finished."""
     states[:] = 0
     lasts[:] = -1
     for block in range(BLOCKS):
@@ -221,7 +221,7 @@ def blend_backward(
 
     A record's rows are adjacent: scattered writes cost nothing beside this much arithmetic, scattered reads would.
 
-    With s_i = c_i . dL/dC + z_i dL/dD and R_i the derivative by the transmittance behind layer i, which for the last is
+    With s_i = c_i . dL/dC + z_i dL/dD and R_i = dL/d(transmittance behind layer i), which for the last layer is
     bg . dL/dC - dL/dA: dL/dalpha_i = T_i (s_i - R_i), and R_(i-1) = R_i + alpha_i (s_i - R_i).
     """
     tiles, tile_starts, pair_codes = part.tiles, part.tile_starts, part.pair_codes

@@ -70,7 +70,7 @@ def _depths(chunk, cam, means, depths, rows, counts, low, high):
     at = start
     for i in range(start, min(start + CHUNK, len(means))):
         x, y, z = camera_point(cam, means[i, 0], means[i, 1], means[i, 2])
-        if not (z > cam.near and abs(x) + abs(y) + abs(z) < 1e30):  # also drops what is not a number
+        if not (z > cam.near and abs(x) + abs(y) + abs(z) < 1e30):  # also drops NaN
             continue
         depths[at] = z
         rows[at] = i
@@ -107,7 +107,7 @@ def _count_digits(chunk, items, shift, histogram):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _prefix(histogram):
-    """Counts to first places: all of a digit before the next digit, within a digit by chunk."""
+    """Turns counts into first places, in place: digit after digit, within a digit chunk after chunk."""
     total = 0
     for digit in range(histogram.shape[1]):
         for chunk in range(histogram.shape[0]):

@@ -1,4 +1,4 @@
-"""Classic 3DGS on the CPU: sorted alpha compositing of EWA splats, forward and backward (DESIGN §3, §6).
+"""Classic 3DGS on the CPU: sorted alpha compositing of EWA splats, forward and backward (DESIGN, sections 3 and 6).
 
 It shows captures unchanged, renders the surface views that training follows, and is what accuracy is measured with.
 Kerbl et al. 2023 with the constants of INRIA's renderer: 0.3 px^2 low-pass, alpha at most 0.99, alpha under 1/255
@@ -45,7 +45,7 @@ LEAST_CHUNK = 2048
 """Gaussians in a task: a tenth of a millisecond's work, against some microseconds to call a kernel."""
 
 TILES_PER_TASK = 24
-"""Few enough that the cores finish a small picture together."""
+"""Few enough that the cores finish a small picture at the same time."""
 
 ROWS_PER_TASK = 4
 """Rows of tiles that are resolved in one task."""
@@ -90,7 +90,8 @@ def rasterize(
 
     CPU tensors, all float32 or all float64, as `Gaussians` holds them; quaternions of any length, which is divided out
     (length 0 is no rotation). RGB is used unchanged; SH is evaluated in the direction of the Gaussian and clamped at 0
-    from below. Means get the gradient of the viewing direction too. Clamped or skipped terms pass no gradient on.
+    from below. The gradient of the means includes that of the viewing direction. Clamped or skipped terms pass no
+    gradient on.
     """
     n, kind = len(means), means.dtype
     assert kind in (torch.float32, torch.float64), kind

@@ -117,14 +117,14 @@ class Slice(NamedTuple):
 
 
 class PictureGradient(NamedTuple):
-    """Derivatives of a loss by a picture."""
+    """Derivatives of a loss with respect to a picture."""
 
     rgb: NDArray[np.floating]
     """(H, W, 3)."""
     alpha: NDArray[np.floating]
     """(H, W)."""
     depth: NDArray[np.floating]
-    """(H, W). By depth times alpha."""
+    """(H, W). With respect to depth times alpha."""
     has_depth: bool
     """Whether any of `depth` is not 0."""
     background: NDArray[np.floating]

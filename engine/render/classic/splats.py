@@ -143,7 +143,7 @@ FRINGE = REACH * math.sqrt(LOW_PASS) + 1.0
 def _gather(rows, scene):
     """(groups, GIVEN, GROUP) float64: mean, scales, quaternion, opacity of these Gaussians, group after group.
 
-    They are scattered in memory: a loop that only loads keeps many loads in flight, one that also computes only few.
+    They are scattered in memory: a loop that only loads keeps many loads in flight, one that also computes, only a few.
     """
     means, scales, quats = scene.means, scene.scales, scene.quats
     out = np.zeros((-(-len(rows) // GROUP), GIVEN, GROUP), np.float64)
@@ -244,7 +244,7 @@ def project(
             continue
         det = out[RECORD, lane]
         if not (det > 0.0 and det < 1e60 and abs(out[RECORD + 1, lane]) + abs(out[RECORD + 2, lane]) < 1e15):
-            continue  # not a number, or beyond any picture
+            continue  # NaN, or beyond any picture
         record = records[slot]
         for n in range(RECORD):
             record[n] = out[n, lane]
@@ -271,7 +271,7 @@ def project(
 @njit(cache=True, error_model="numpy")
 def _project_group_backward(cam, given, sums, out):
     """Fills out (GIVEN, GROUP): dL/d(given), from the Gaussians of one group (GIVEN, GROUP) and sums (GRADIENT + 3,
-    GROUP) of their rows, followed by the whitening of their records. Without the gradient by the viewing direction."""
+    GROUP) of their rows, followed by the whitening of their records. The viewing direction counts as constant."""
     px, py, pz = load8(given, 0), load8(given, GROUP), load8(given, 2 * GROUP)
     sx, sy, sz = load8(given, 3 * GROUP), load8(given, 4 * GROUP), load8(given, 5 * GROUP)
     qw, qx = load8(given, 6 * GROUP), load8(given, 7 * GROUP)

@@ -34,7 +34,7 @@ ROWS = 16
 """Rows of the picture in a task."""
 
 REACH = 3.0001
-"""Standard deviations at which an atom is cut off, and a little against rounding."""
+"""Standard deviations at which an atom is cut off, with a margin for rounding."""
 
 MARGIN = 1e-3
 """Pixels by which an atom's box is widened, against rounding."""

@@ -53,8 +53,8 @@ def render_pieces(
 ) -> Picture:
     """Several pieces of the same atoms in one picture.
 
-    Pieces with the same transform lie together as they grew and share their sums. Groups that were moved apart are
-    rendered separately and composited by depth, so that an edge is blended with what lies behind it.
+    Pieces with the same transform fit together as in the uncut object and share their sums. Groups that were moved
+    apart are rendered separately and composited by depth, so that an edge is blended with what lies behind it.
     """
     if not pieces:
         shape = (camera.height, camera.width)

@@ -37,7 +37,7 @@ class Hits:
     footprint: NDArray[np.float32]
     """(K,). Size of a pixel there, world units."""
     facing: NDArray[np.float32]
-    """(K,). Cosine between the plane's normal and the way back to the eye. Range (0, 1]."""
+    """(K,). Cosine between the plane's normal and the direction back to the eye. Range (0, 1]."""
 
     def outside(self, joined: Sequence[Sequence[Plane]], tolerance: float) -> Hits:
         """Without the points within the tolerance of a joined piece, each given by its planes: the solid continues

@@ -77,7 +77,7 @@ class FrameArrays(NamedTuple):
     background: NDArray[np.float32]
     """(3,)."""
     nothing: np.float32
-    """Depth of a pixel that visible nothing."""
+    """Depth of a pixel that shows nothing."""
 
 
 class HalfFloats(NamedTuple):
@@ -218,7 +218,7 @@ def pack(band, x, y, part, half_floats):
 def to_half_floats(bits, half_floats):
     """RGB (W, 3), float32 viewed as int32, as half floats RGBA (W, 4).
 
-    Values below 2^-14 become 0; larger ones than the largest half float become that.
+    Values below 2^-14 become 0; those above the largest half float become it.
     """
     for k in range(np.uintp(len(bits))):
         for c in range(np.uintp(3)):

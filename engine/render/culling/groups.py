@@ -29,7 +29,7 @@ MAX_PLANES = 64
 
 
 def group_pieces(pieces: Sequence[Piece]) -> list[Group]:
-    """The pieces by transform; those with the same one lie together as they grew."""
+    """The pieces by transform; those with the same one fit together as in the uncut object."""
     groups: list[Group] = []
     for i, piece in enumerate(pieces):
         for transform, members in groups:

@@ -45,7 +45,7 @@ class View:
 
     @cached_property
     def eye(self) -> Double:
-        """(3,). The eye in centred object space; of an orthographic camera its direction."""
+        """(3,). The eye in centred object space; for an orthographic camera, the viewing direction."""
         rotation = self.matrix[:3, :3]
         return rotation[2].copy() if self.camera.orthographic else -rotation.T @ self.matrix[:3, 3]
 

@@ -109,7 +109,7 @@ class Growing:
         return True
 
     def write(self, data: NDArray[Any]) -> bool:
-        """Replaces the content; returns as `reserve`."""
+        """Replaces the content; returns what `reserve` returns."""
         fresh = self.reserve(data.nbytes)
         if not fresh:
             self.buffer.orphan()  # the driver need not wait for the last frame's draws

@@ -1,9 +1,9 @@
 """Opaque mode: pieces of a solid, drawn group by group and composited by depth.
 
-Pieces with the same transform lie together as they grew: their splats share the same sums, so that joined pieces give
-exactly the uncut object, without a seam that lets the background through. Each group is resolved by itself and
-composited over or under the frame so far, pixel by pixel, because a silhouette in front has to be anti-aliased against
-the piece behind it, not against the background.
+Pieces with the same transform fit together as in the uncut object: their splats share the same sums, so that joined
+pieces give exactly the uncut object, without a seam that lets the background through. Each group is resolved by itself
+and composited over or under the frame so far, pixel by pixel, because a silhouette in front has to be anti-aliased
+against the piece behind it, not against the background.
 """
 
 from __future__ import annotations

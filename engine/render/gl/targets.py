@@ -58,7 +58,7 @@ class Accumulators:
         self.field_fbo = ctx.framebuffer([self.field])
         self.face_fbo = ctx.framebuffer([self.faces, self.face_depths], self.depth)
         self.coverage_fbo = ctx.framebuffer([self.faces])
-        """For clearing: without a coverage nothing else is read."""
+        """For clearing: where the coverage is 0, nothing else is read."""
 
     @property
     def distances(self) -> moderngl.Texture:

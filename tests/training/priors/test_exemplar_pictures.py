@@ -48,8 +48,6 @@ def test_background_is_found(tmp_path: Path, background: str) -> None:
         picture = np.concatenate([picture, mask[..., None]], -1)
     found = read_picture(save(tmp_path / "face.png", picture), "horizontal")
     assert overlap(found.mask, mask) > 0.96
-    found.save_overlay(tmp_path / "overlay.png")
-    assert Image.open(tmp_path / "overlay.png").size == found.mask.shape[::-1]
 
 
 def test_uneven_light_is_taken_out(tmp_path: Path) -> None:

@@ -29,11 +29,15 @@ _F1 = np.float32(1)
 
 
 @njit(cache=True, inline="always")
-def frame_at(kind, basis, centre, x, y, z):  # type: ignore[no-untyped-def]
-    """Directions a and b of a kind of frame at a grid point, as six floats.
-
-    basis (3, 3) holds e1, e2, up for the round kinds, a, b and the normal for a fixed one; centre (3,) is in cells.
-    """
+def frame_at(
+    kind: int,
+    basis: NDArray[np.float32],  # [3, 3] rows e1, e2, up for the round kinds; a, b, normal for a fixed one
+    centre: NDArray[np.float32],  # [3] of the body, cells
+    x: np.float32,
+    y: np.float32,
+    z: np.float32,
+) -> tuple[np.float32, np.float32, np.float32, np.float32, np.float32, np.float32]:
+    """Directions a and b, (ax, ay, az, bx, by, bz), of a kind of frame at a grid point."""
     if kind == FIXED:
         return basis[0, 0], basis[0, 1], basis[0, 2], basis[1, 0], basis[1, 1], basis[1, 2]
     dx, dy, dz = x - centre[0], y - centre[1], z - centre[2]

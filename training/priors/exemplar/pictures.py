@@ -12,7 +12,6 @@ from scipy import ndimage
 from scipy.spatial import ConvexHull
 
 from engine.errors import InputError
-from engine.io.files import atomic
 from engine.io.picture_file import open_picture
 from training.families import Kind
 from training.priors.exemplar.lighting import flatten_light
@@ -60,16 +59,6 @@ class Picture:
     """(H, W, 3). Range [0, 1]; outside the mask the nearest colour inside."""
     mask: NDArray[np.bool_]
     """(H, W). The cut face."""
-    plain: NDArray[np.float32]
-    """(H, W, 3). The unprocessed picture, for the overlay."""
-
-    def save_overlay(self, path: str | Path) -> None:
-        """Writes the picture with its background tinted violet, for checking the mask."""
-        tint = np.array([0.45, 0.2, 0.6], np.float32)
-        shown = np.where(self.mask[..., None], self.plain, 0.25 * self.plain + 0.75 * tint)
-        image = Image.fromarray((shown * 255 + 0.5).astype(np.uint8))
-        with atomic(path) as temporary:
-            image.save(temporary, format="PNG")
 
 
 def read_picture(path: str | Path, kind: Kind) -> Picture:
@@ -88,8 +77,8 @@ def read_picture(path: str | Path, kind: Kind) -> Picture:
             "cut face stands out from a plain background"
         )
     margin = 2 + round(0.03 * max(np.ptp(rows), np.ptp(columns)))
-    mask, plain = (_crop(a, rows, columns, margin) for a in (mask, rgb))
-    return Picture(path, fill_outside(flatten_light(plain, mask, kind), mask), mask, plain)
+    mask, rgb = (_crop(a, rows, columns, margin) for a in (mask, rgb))
+    return Picture(path, fill_outside(flatten_light(rgb, mask, kind), mask), mask)
 
 
 def resolved_share(picture: Picture) -> float:

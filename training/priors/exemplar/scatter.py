@@ -242,9 +242,24 @@ def _near_known_details(
 
 
 @njit(cache=True)
-def _paint(  # type: ignore[no-untyped-def]
-    rgb, number, point, kind, basis, centre, picture, opacity, labels, label, x, y, reach, ab, across, ground
-):
+def _paint(
+    rgb: NDArray[np.float32],  # in out [X, Y, Z, 3]
+    number: NDArray[np.int32],  # [X, Y, Z] -1 outside the body
+    point: NDArray[np.float32],  # [3] where the detail's centre goes, cells
+    kind: int,
+    basis: NDArray[np.float32],  # [3, 3] as `frame_at`
+    centre: NDArray[np.float32],  # [3] as `frame_at`
+    picture: NDArray[np.float32],  # [H, W, 3]
+    opacity: NDArray[np.float32],  # [H, W] of details
+    labels: NDArray[np.int32],  # [H, W] which detail each pixel belongs to
+    label: int,
+    x: np.float32,  # centre in the picture, cells
+    y: np.float32,
+    reach: np.float32,  # radius of a circle around the detail, cells
+    ab: NDArray[np.float32],  # [4] directions a and b in the picture
+    across: np.float32,  # half length along the picture's normal, cells
+    ground: NDArray[np.float32],  # [3]
+) -> None:
     """Paints one detail: its picture in its plane, shrinking like an ellipsoid across it, over its own ground only."""
     ax, ay, az, bx, by, bz = frame_at(kind, basis, centre, point[0], point[1], point[2])
     nx, ny, nz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx

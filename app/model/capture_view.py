@@ -1,0 +1,66 @@
+"""What is shown of a capture: what its isolation leaves, with the marked Gaussians tinted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from app.model.rigid_transform import Vec3
+from engine.isolate.selection import Isolation, Selection, removed, take_step
+from engine.scene.gaussians import Gaussians
+from engine.scene.sh import rgb_to_sh
+
+__all__ = ["CaptureView", "view_of"]
+
+TINT = 0.7
+"""Share of the tint in a marked Gaussian's colour: it stands out on any colour and what it shows is still seen."""
+
+
+@dataclass(frozen=True)
+class CaptureView:
+    """A capture as a document shows it."""
+
+    capture: Gaussians
+    isolation: Isolation
+    steps: Selection
+    tint: Vec3
+    """RGB of marked Gaussians. Range [0, 1]."""
+    left: Gaussians
+    """The K Gaussians that the isolation leaves."""
+    marked: NDArray[np.bool_]
+    """(K,). Which of them the steps select."""
+    shown: Gaussians
+    """The same K in the colours to be drawn."""
+
+    def is_for(self, capture: Gaussians, isolation: Isolation, steps: Selection, tint: Vec3) -> bool:
+        """Whether this is that view."""
+        same = self.capture is capture and self.tint == tint
+        return same and self.isolation == isolation and self.steps == steps
+
+
+def view_of(
+    capture: Gaussians, isolation: Isolation, steps: Selection, tint: Vec3, before: CaptureView | None = None
+) -> CaptureView:
+    """The view of a capture. `before`: any other view, whose results are taken over as far as they are the same."""
+    if before is not None and before.capture is capture and before.isolation == isolation:
+        left = before.left
+        done = len(before.steps) if steps[: len(before.steps)] == before.steps else 0
+        marked = before.marked if done else np.zeros(len(left), bool)
+    else:
+        left, done = capture[~removed(capture, isolation)] if isolation else capture, 0
+        marked = np.zeros(len(left), bool)
+    for step in steps[done:]:
+        marked = take_step(left, marked, step)
+    return CaptureView(capture, isolation, steps, tint, left, marked, tinted(left, marked, tint))
+
+
+def tinted(gaussians: Gaussians, marked: NDArray[np.bool_], tint: Vec3) -> Gaussians:
+    """The Gaussians with the marked ones (N,) mixed with a colour; faint ones become no less so."""
+    if not marked.any():
+        return gaussians
+    sh = gaussians.sh.copy()
+    sh[marked] *= 1 - TINT
+    sh[marked, 0] += TINT * rgb_to_sh(np.array(tint, np.float32))
+    return replace(gaussians, sh=sh)

@@ -1,0 +1,226 @@
+"""Isolating the object in a session: marks parts of the capture, keeps or removes them, proposes what could go.
+
+What is marked may take a second to find in a large capture, so that a thread of its own finds it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from app.model.capture_view import CaptureView, view_of
+from app.model.marking import Marker, Point, shape_of
+from app.model.rigid_transform import Vec3
+from app.session.workspace import Workspace
+from engine.isolate.floor import find_floor
+from engine.isolate.selection import INVERT, MOST_STEPS, Below, Box, Detected, Isolation, Selection, Step
+from engine.scene.camera import Camera
+from engine.scene.gaussians import Gaussians
+from engine.solid.denoise_capture import haze_and_fragments
+
+__all__ = ["How", "IsolationController", "Proposal"]
+
+How = Literal["replace", "add", "subtract"]
+"""What a new shape does with what is marked already."""
+
+REMOVED = "Left out, not lost: undo brings it back. The rest is being made solid."
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """Something that is probably no part of the object."""
+
+    name: str
+    hint: str
+    selection: Selection
+    count: int
+    """Gaussians that it removes. At least 1."""
+
+
+class IsolationController:
+    """Edits what of the capture is the object, and keeps the view of the capture up to date."""
+
+    def __init__(self, workspace: Workspace) -> None:
+        self.workspace = workspace
+        self.marker: Marker = "box"
+        """The shape of the next drag."""
+        self.how: How = "replace"
+        """What the next shape does, unless a key says otherwise."""
+        self.tint: Vec3 = (1.0, 0.42, 0.29)
+        """RGB of what is marked; the window sets it to the theme's accent. Range [0, 1]."""
+        self._thread = ThreadPoolExecutor(1, "isolate")
+        self._view: Future[CaptureView] | None = None
+        self._proposals: Future[tuple[Proposal, ...]] | None = None
+        self._proposed_for: tuple[Gaussians, Isolation] | None = None
+
+    @property
+    def available(self) -> bool:
+        """Whether there is a capture that can be taken apart: an object that was opened with its inside has none."""
+        shown = self.workspace.object
+        if shown is None or shown.capture is None:
+            return False
+        return not shown.trained or shown.request.trained is not None
+
+    @property
+    def pending(self) -> bool:
+        """Whether the thread is at work."""
+        return any(future is not None and not future.done() for future in (self._view, self._proposals))
+
+    @property
+    def view(self) -> CaptureView | None:
+        """The view of the document as it is now; None until it is found."""
+        workspace, view = self.workspace, self.workspace.capture_view
+        document, shown = workspace.document, workspace.object
+        if view is None or shown is None or shown.capture is None:
+            return None
+        return view if view.is_for(shown.capture, document.isolation, document.marked, self.tint) else None
+
+    @property
+    def proposals(self) -> tuple[Proposal, ...] | None:
+        """What could be removed from what is left, found at the first call for it; None until it is found."""
+        view, workspace = self.workspace.capture_view, self.workspace
+        if view is None or view.isolation != workspace.document.isolation:
+            return None
+        wanted = (view.capture, view.isolation)
+        known = self._proposed_for
+        if known is None or known[0] is not wanted[0] or known[1] != wanted[1]:
+            self._proposals, self._proposed_for = self._thread.submit(find_proposals, view.left), wanted
+        assert self._proposals is not None
+        return self._proposals.result() if self._proposals.done() else None
+
+    # Marking
+
+    @property
+    def last_box(self) -> Box | None:
+        """The box that was marked last, while the tool is in use; None if the last step was another one."""
+        workspace = self.workspace
+        steps = workspace.document.marked
+        if workspace.tool != "isolate" or workspace.mode != "capture" or not steps:
+            return None
+        shape = steps[-1].shape
+        return shape if isinstance(shape, Box) else None
+
+    def reshape(self, box: Box) -> None:
+        """Puts another box in the place of the one that was marked last."""
+        steps = self.workspace.document.marked
+        changed = (*steps[:-1], replace(steps[-1], shape=box))
+        self.workspace.change("Change the box", replace(self.workspace.document, marked=changed), merge="box")
+
+    def mark(self, camera: Camera, path: Sequence[Point], how: How) -> None:
+        """Marks what a drag along `path`, pixels of the camera's picture, describes."""
+        view = self.workspace.capture_view
+        if view is None:
+            return
+        eye = self.workspace.viewing.eye
+        depth = float((np.asarray(eye.target) - camera.position) @ camera.forward)
+        shape = shape_of(self.marker, camera, path, view.left, max(depth, 1e-6))
+        if shape is None:
+            self.workspace.notify("Drag over the part that you mean.")
+            return
+        step = Step("subtract" if how == "subtract" else "add", shape)
+        before = () if how == "replace" else self.workspace.document.marked
+        if how == "subtract" and not before:
+            self.workspace.notify("Nothing is selected yet that could be taken away.")
+            return
+        self._mark({"replace": "Select", "add": "Select more", "subtract": "Select less"}[how], (*before, step))
+
+    def propose(self, proposal: Proposal) -> None:
+        """Marks what a proposal would remove."""
+        self._mark(f"Select {proposal.name.lower()}", proposal.selection)
+
+    def invert(self) -> None:
+        """Marks everything that is not marked, and nothing else."""
+        self._mark("Invert selection", (*self.workspace.document.marked, INVERT))
+
+    def grow(self) -> None:
+        """Marks what touches the marked parts."""
+        if self.workspace.document.marked:
+            self._mark("Grow selection", (*self.workspace.document.marked, Step("grow")))
+
+    def clear(self) -> None:
+        """Marks nothing."""
+        self._mark("Select nothing", ())
+
+    def _mark(self, name: str, steps: Selection) -> None:
+        if len(steps) > MOST_STEPS:
+            self.workspace.notify("This selection has too many steps. Keep or remove it, or clear it.")
+            return
+        self.workspace.change(name, replace(self.workspace.document, marked=steps))
+
+    # Isolating
+
+    def keep_marked(self) -> None:
+        """Removes everything but what is marked."""
+        self._isolate("Keep only this", (*self.workspace.document.marked, INVERT))
+
+    def remove_marked(self) -> None:
+        """Removes what is marked."""
+        self._isolate("Remove", self.workspace.document.marked)
+
+    def remove_proposal(self, proposal: Proposal) -> None:
+        """Removes what was proposed, whatever is marked."""
+        document = self.workspace.document
+        changed = replace(document, isolation=(*document.isolation, proposal.selection), marked=())
+        self.workspace.change(f"Remove {proposal.name.lower()}", changed)
+        self.workspace.notify(REMOVED)
+
+    def restore(self) -> None:
+        """Brings back all of the capture."""
+        self.workspace.change("Bring everything back", replace(self.workspace.document, isolation=(), marked=()))
+
+    def _isolate(self, name: str, selection: Selection) -> None:
+        workspace, view = self.workspace, self.view
+        if view is None:
+            workspace.notify("One moment: what is selected is still being found.")
+        elif not view.marked.any():
+            workspace.notify("Nothing is selected. Drag over the part that you mean.")
+        elif view.marked.all():
+            workspace.notify("Everything is selected. Select a part of it.")
+        elif len(workspace.document.isolation) >= MOST_STEPS:
+            workspace.notify("Too much was removed step by step. Bring everything back and keep the object alone.")
+        else:
+            isolation = (*workspace.document.isolation, selection)
+            workspace.change(name, replace(workspace.document, isolation=isolation, marked=()))
+            workspace.notify(REMOVED)
+
+    # Following the document
+
+    def tick(self) -> None:
+        """Takes over a view that was found, and has the next one found. Called once a frame."""
+        workspace, shown = self.workspace, self.workspace.object
+        if self._view is not None:
+            if not self._view.done():
+                return
+            workspace.capture_view, self._view = self._view.result(), None
+        if shown is None or shown.capture is None:
+            workspace.capture_view = None
+            return
+        document = workspace.document
+        isolation = document.isolation if self.available else ()
+        marked = document.marked if self.available else ()
+        before = workspace.capture_view
+        if before is None or not before.is_for(shown.capture, isolation, marked, self.tint):
+            self._view = self._thread.submit(view_of, shown.capture, isolation, marked, self.tint, before)
+
+
+def find_proposals(capture: Gaussians) -> tuple[Proposal, ...]:
+    """What of a capture is probably no part of the object: its floor, small pieces apart from it, haze."""
+    result = []
+    floor = find_floor(capture)
+    if floor is not None:
+        steps = (Step("add", Below(floor)),)
+        count = int(Below(floor).contains(capture.means).sum())
+        result.append(Proposal("Floor", "The surface that it stands on, and what lies under it", steps, count))
+    haze, fragments = haze_and_fragments(capture)
+    for name, kind, rows, hint in (
+        ("Small pieces", "fragments", fragments, "Specks that float apart from the object"),
+        ("Haze", "haze", haze, "Large faint veils that belong to no surface"),
+    ):
+        if rows.any() and not rows.all():
+            steps = (Step("add", Detected(kind)),)  # type: ignore[arg-type]
+            result.append(Proposal(name, hint, steps, int(rows.sum())))
+    return tuple(result)

@@ -1,0 +1,130 @@
+"""The inspector's section for isolating the object: what is selected of the capture, and what becomes of it."""
+
+from __future__ import annotations
+
+from imgui_bundle import ImVec2, imgui
+from imgui_bundle import icons_fontawesome_6 as icon
+
+from app.model.marking import MARKERS, Marker
+from app.session.isolation_controller import How, Proposal
+from app.session.session import Session
+from app.ui.theme import palette, px, rgb
+from app.ui.widgets import disabled, heading, icon_button, main_button, secondary, segmented, tooltip
+
+__all__ = ["IsolatePanel"]
+
+MARKER_LABELS: dict[Marker, str] = {"box": "Box", "sphere": "Ball", "lasso": "Lasso"}
+MARKER_HINTS: dict[Marker, str] = {
+    "box": "Drag from corner to corner of a box, seen as from here; it reaches through the whole depth",
+    "sphere": "Drag from the middle of a part to its rim",
+    "lasso": "Draw around a part; it reaches through the whole depth",
+}
+HOW_LABELS: dict[How, str] = {"replace": "New", "add": "Add", "subtract": "Take away"}
+HOW_HINTS: dict[How, str] = {
+    "replace": "Each drag begins a new selection",
+    "add": "Each drag adds to the selection, as with Shift",
+    "subtract": "Each drag takes away from the selection, as with Alt",
+}
+
+
+class IsolatePanel:
+    """Draws the section and passes edits on to the session."""
+
+    def __init__(self, session: Session) -> None:
+        self.session = session
+
+    def show(self) -> None:
+        """One frame."""
+        session, isolation = self.session, self.session.isolation
+        isolation.tint = rgb(palette().accent)
+        heading("Isolate")
+        if not isolation.available:
+            text = "This object was opened with its inside; open the capture that it was made from."
+            secondary("Open a capture first." if session.object is None else text, wrap=True)
+            return
+        width = imgui.get_content_region_avail().x
+        index = segmented(
+            "marker", list(MARKER_LABELS.values()), MARKERS.index(isolation.marker), width, list(MARKER_HINTS.values())
+        )
+        isolation.marker = MARKERS[index]
+        hows = list(HOW_LABELS)
+        index = segmented("how", list(HOW_LABELS.values()), hows.index(isolation.how), width, list(HOW_HINTS.values()))
+        isolation.how = hows[index]
+        if session.mode != "capture":
+            secondary("The selection is made in the capture.", wrap=True)
+            if imgui.button("Show the capture", ImVec2(-1, 0)):
+                session.select_tool("isolate")
+        self._selection(width)
+        self._proposals()
+        self._left_out()
+
+    def _selection(self, width: float) -> None:
+        session, isolation = self.session, self.session.isolation
+        view = isolation.view
+        if view is None:
+            secondary("Finding what is selected...")
+        elif not session.document.marked:
+            secondary("Nothing is selected. Drag over the capture.", wrap=True)
+        else:
+            secondary(f"{int(view.marked.sum()):,} of {len(view.left):,} selected")
+        each = (width - 2 * imgui.get_style().item_spacing.x) / 3
+        with disabled(not session.document.marked):
+            if imgui.button("Invert", ImVec2(each, 0)):
+                isolation.invert()
+            tooltip("Select everything else")
+            imgui.same_line()
+            if imgui.button("Grow", ImVec2(each, 0)):
+                isolation.grow()
+            tooltip("Add everything that the selection touches")
+            imgui.same_line()
+            if imgui.button("Clear", ImVec2(each, 0)):
+                isolation.clear()
+            tooltip("Select nothing")
+            half = (width - imgui.get_style().item_spacing.x) / 2
+            if main_button("Keep only this", half):
+                isolation.keep_marked()
+            tooltip("Remove everything that is not selected")
+            imgui.same_line()
+            if imgui.button("Remove", ImVec2(half, px(32))):
+                isolation.remove_marked()
+            tooltip("Remove what is selected", "Del")
+
+    def _proposals(self) -> None:
+        proposals = self.session.isolation.proposals
+        imgui.dummy(ImVec2(0, px(2)))
+        if proposals is None:
+            secondary("Looking for a floor, specks and haze...")
+        elif not proposals:
+            secondary("No floor, specks or haze found.")
+        else:
+            secondary("Probably not part of the object")
+            for proposal in proposals:
+                self._proposal(proposal)
+
+    def _proposal(self, proposal: Proposal) -> None:
+        session = self.session
+        imgui.push_id(proposal.name)
+        shown = session.document.marked == proposal.selection
+        imgui.push_style_var(imgui.StyleVar_.selectable_text_align, ImVec2(0.0, 0.5))
+        width = imgui.get_content_region_avail().x - px(118)
+        if imgui.selectable(proposal.name, shown, 0, ImVec2(width, px(24)))[0]:
+            session.isolation.clear() if shown else session.isolation.propose(proposal)
+        imgui.pop_style_var()
+        tooltip(f"{proposal.hint}. Click to see it in the capture.")
+        imgui.same_line()
+        imgui.align_text_to_frame_padding()
+        secondary(f"{proposal.count:,}")
+        imgui.same_line(imgui.get_content_region_avail().x + imgui.get_cursor_pos_x() - px(24))
+        if icon_button(f"{icon.ICON_FA_XMARK}##remove", 24, quiet=True):
+            session.isolation.remove_proposal(proposal)
+        tooltip(f"Remove: {proposal.hint.lower()}")
+        imgui.pop_id()
+
+    def _left_out(self) -> None:
+        session, view = self.session, self.session.isolation.view
+        if not session.document.isolation:
+            return
+        if imgui.button("Bring everything back", ImVec2(-1, 0)):
+            session.isolation.restore()
+        if view is not None:
+            tooltip(f"{len(view.capture) - len(view.left):,} are left out now")

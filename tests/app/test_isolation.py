@@ -1,0 +1,165 @@
+"""Isolating the object without a window: what drags mean, what is shown, and what project and results remember."""
+
+from __future__ import annotations
+
+import json
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from app.jobs.scene_loader import LoadedScene, SceneLoader, SceneRequest
+from app.model.camera_control import project_points
+from app.model.capture_view import view_of
+from app.model.document import Document
+from app.model.history import History
+from app.model.marking import Marker, box_edges, shape_of
+from app.model.project import load_project, save_project
+from app.session.session import Session
+from engine.io.load import load
+from engine.io.trained import Meta, save_trained
+from engine.isolate.record import isolation_record
+from engine.isolate.selection import INVERT, Box, Detected, Isolation, Lasso, Sphere, Step, keep_only, removed
+from engine.scene.camera import orbit
+from engine.scene.gaussians import Gaussians
+from engine.scene.sh import sh_to_rgb
+from tests.helpers.app_isolate_steps import MAT, melon_on_a_mat
+from tests.helpers.app_objects import atoms, full
+from training.events import Reporter
+from training.families import Family
+from training.pipeline import prepare
+from training.request import Request
+
+
+def ball(count: int = 4000) -> Gaussians:
+    """A unit ball's skin around (5, 5, 5), grey."""
+    points = np.random.default_rng(0).normal(size=(count, 3))
+    points = (points / np.linalg.norm(points, axis=1, keepdims=True) + 5).astype(np.float32)
+    quats = np.tile(np.array((1, 0, 0, 0), np.float32), (count, 1))
+    full_opacity, grey = np.ones(count, np.float32), np.zeros((count, 4, 3), np.float32)
+    return Gaussians(points, np.full((count, 3), 0.03, np.float32), quats, full_opacity, grey)
+
+
+@pytest.mark.parametrize("orthographic", [False, True])
+def test_a_drag_selects_what_is_seen_under_it(orthographic: bool) -> None:
+    capture = ball()
+    camera = orbit((5, 5, 5), (0, 0, 1), 30, 20, 6.0, 400, 300)
+    if orthographic:
+        camera = replace(camera, fx=camera.fx / 6, fy=camera.fy / 6, orthographic=True)
+    pixels, _ = project_points(camera, capture.means)
+
+    def drawn(marker: Marker, *path: tuple[float, float]) -> Box | Sphere | Lasso:
+        shape = shape_of(marker, camera, path, capture, 6.0)
+        assert isinstance(shape, Box | Sphere | Lasso)
+        return shape
+
+    triangle = ((120.0, 60.0), (260.0, 90.0), (180.0, 250.0))
+    corners = np.array(triangle)
+    edges = np.roll(corners, -1, axis=0) - corners
+    sides = [
+        edge[0] * (pixels - corner)[:, 1] - edge[1] * (pixels - corner)[:, 0]
+        for corner, edge in zip(corners, edges, strict=True)
+    ]
+    assert np.array_equal(drawn("lasso", *triangle).contains(capture.means), np.all([side > 0 for side in sides], 0))
+
+    box = drawn("box", (260, 90), (120, 250))
+    assert isinstance(box, Box)
+    inside = ((pixels >= (120, 90)) & (pixels <= (260, 250))).all(1)
+    assert (box.contains(capture.means) == inside).mean() > (0.9999 if orthographic else 0.93)  # a box is no cone
+    outline = project_points(camera, box_edges(box).reshape(-1, 3))[0]
+    assert outline[:, 0].min() < 121 and outline[:, 0].max() > 259
+
+    middle, rim = (200.0, 150.0), (200.0, 150.0 + (pixels[:, 1].max() - pixels[:, 1].min()) / 2)
+    sphere = drawn("sphere", middle, rim)
+    assert isinstance(sphere, Sphere)
+    assert np.linalg.norm(np.array(sphere.centre) - 5) < 0.1 and abs(sphere.radius - 1) < 0.06
+    assert shape_of("sphere", camera, [middle, (201.0, 151.0)], capture, 6.0) is None
+    aside = drawn("sphere", (10.0, 10.0), (40.0, 10.0))  # nothing is seen there
+    assert isinstance(aside, Sphere)
+    assert abs((np.array(aside.centre) - camera.position) @ camera.forward - 6) < 1e-6
+
+
+def test_what_is_shown_is_what_is_left_with_the_marked_tinted() -> None:
+    capture, tint = ball(), (1.0, 0.0, 0.0)
+    isolation: Isolation = (keep_only(Box((4, 4, 4), (6, 6, 5))),)
+    steps = (Step("add", Sphere((5, 5, 4), 0.5)), Step("grow"), INVERT, Step("subtract", Sphere((5, 5, 4), 0.2)))
+    fresh = view_of(capture, isolation, steps[:1], tint)
+    assert len(fresh.left) == int((~removed(capture, isolation)).sum()) and 0 < fresh.marked.sum() < len(fresh.left)
+    rgb = sh_to_rgb(fresh.shown.sh[:, 0])
+    assert np.allclose(rgb[fresh.marked], (0.85, 0.15, 0.15), atol=1e-6) and np.allclose(rgb[~fresh.marked], 0.5)
+    step_by_step = view_of(capture, (), (), tint)
+    assert step_by_step.shown is capture
+    for count in range(5):
+        step_by_step = view_of(capture, isolation, steps[:count], tint, step_by_step)
+    whole = view_of(capture, isolation, steps, tint)
+    assert np.array_equal(step_by_step.marked, whole.marked) and whole.is_for(capture, isolation, steps, tint)
+
+
+def test_a_project_from_before_isolation_has_none(tmp_path: Path) -> None:
+    path = tmp_path / "p.fruitninja"
+    save_project(path, full(tmp_path))
+    record = json.loads(path.read_text())
+    del record["isolation"], record["marked"]
+    path.write_text(json.dumps(record | {"fruitninja": 1}))
+    assert load_project(path).document.isolation == load_project(path).document.marked == ()
+
+
+def test_a_result_of_another_part_of_the_capture_is_not_shown(tmp_path: Path) -> None:
+    isolation: Isolation = (keep_only(Box((0, 0, 0), (1, 1, 1 / 3))), (Step("add", Detected("floor")),))
+    document = Document(scene=tmp_path / "melon.ply")
+    (tmp_path / "melon-inside").mkdir()
+    result = tmp_path / "melon-inside" / "melon.ply"
+    save_trained(result, atoms(), Meta(isolation=tuple(isolation_record(isolation))))
+    training = Session().training
+    assert training.result_for(document) is None
+    assert training.result_for(Document(scene=document.scene, isolation=isolation)) == result
+    save_trained(result, atoms(), Meta())
+    assert training.result_for(document) == result
+    assert training.result_for(Document(scene=document.scene, isolation=isolation)) is None
+
+
+def test_nothing_is_removed_without_a_selection_and_not_everything() -> None:
+    capture = ball()
+    session = Session(history=History(Document(scene=Path("melon.ply"))))
+    session.object = LoadedScene(SceneRequest(Path("melon.ply")), capture)
+
+    def settle() -> None:
+        session.isolation.tick()
+        while session.isolation.pending:
+            time.sleep(0.01)
+        session.isolation.tick()
+
+    settle()
+    session.isolation.remove_marked()
+    assert "Nothing is selected" in session.message
+    session.isolation.invert()
+    session.isolation.keep_marked()
+    assert "One moment" in session.message
+    settle()
+    session.isolation.keep_marked()
+    assert "Everything is selected" in session.message and session.document.isolation == ()
+    session.undo()
+    assert session.document.marked == ()
+
+
+@pytest.mark.slow
+def test_the_window_and_the_trainer_make_the_same_skin_of_what_is_left(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("FRUITNINJA_HOME", str(tmp_path))  # the helper sets another one
+    document = melon_on_a_mat(tmp_path)
+    assert document.scene is not None
+    isolation: Isolation = ((Step("add", Detected("floor")),),)
+    picture = Family("radial", 3, (tmp_path / "a.png",))
+    request = Request(document.scene, (picture,), "draft", (0.0, 0.0, 1.0), isolation=isolation)
+    geometry, facts = prepare(request, Reporter(), lambda: None)
+    assert abs(facts["gaussians"] - (len(load(document.scene).gaussians) - MAT)) < 0.05 * MAT
+    loader = SceneLoader(SceneRequest(document.scene, "draft", isolation=isolation))
+    while not loader.ended:
+        loader.poll()
+        time.sleep(0.05)
+    assert not loader.error and loader.scene.atoms is not None
+    assert np.array_equal(loader.scene.atoms.surface.means, geometry.skin.means)
+    assert loader.scene.solid is not None and loader.scene.solid.radius < 1.5
