@@ -21,20 +21,19 @@ from PIL import Image
 
 from benchmarks.support.options import ROOT, out_folder, parser_of, write_json
 from engine.errors import InputError
-from engine.fit.scale_fit import fit_scales
 from engine.fit.sh_fit import fit_sh, surface_views
+from engine.fit.skin_fit import fit_skin
 from engine.io.files import atomic
 from engine.render.classic import rasterizer as classic
 from engine.render.cpu import opaque
 from engine.scene.atoms import Atoms
 from engine.scene.camera import cameras_around
 from engine.scene.gaussians import Gaussians
-from engine.solid.denoise_capture import without_haze
 from engine.solid.fill import fill
 from training.events import Reporter
 from training.families import Family
 from training.optimise.losses import psnr
-from training.pipeline import RESHAPE_SIZE, RESHAPE_VIEWS, prepare
+from training.pipeline import prepare
 from training.request import Request
 from training.settings import DETAILS, DetailName
 from training.views import BACKGROUND, ENTRIES, surface_cameras
@@ -46,38 +45,33 @@ VIEWS, SIZE = 12, 512
 TURN = 17.0
 """Degrees by which these cameras are turned from the fitted ones, so that no view is shared."""
 
-OUTLINE = 0.003
-"""Share of the Gaussians' centres beyond each side of the box that pictures show: all thin parts, and no stray."""
-
 SHOWN_EVERY = 3
 """Of the views, those that the picture shows."""
 
 
 def make_solid(path: Path, detail: DetailName) -> tuple[Gaussians, Atoms, NDArray[np.float64]]:
-    """The capture, the solid with its skin fitted as training does, and the up axis (3,). Raises InputError."""
+    """The capture without haze, the solid with its skin fitted as training does, and the up axis (3,). Raises
+    InputError."""
     request = Request(path, (Family("horizontal", 4),), detail=detail)  # the inside is not looked at
     geometry, _ = prepare(request, Reporter(), lambda: None)
     atoms = geometry.filled(fill(geometry.body, geometry.pitch, request.seed, geometry.skin))
-    fineness, body, up = request.fineness, geometry.body, geometry.up
-    cameras = surface_cameras(body, up, fineness.surface_views, fineness.surface)
-    atoms = fit_sh(atoms, surface_views(atoms, geometry.gaussians, cameras, ENTRIES)).atoms
-    if fineness.reshape:
-        cameras = surface_cameras(body, up, RESHAPE_VIEWS, RESHAPE_SIZE)
-        atoms = fit_scales(atoms, geometry.gaussians, cameras, fineness.reshape, request.seed)
-    return geometry.gaussians, atoms, up
+    fineness, capture, up = request.fineness, geometry.gaussians, geometry.up
+    cameras = surface_cameras(capture, up, fineness.surface_views, fineness.surface)
+    atoms = fit_sh(atoms, surface_views(atoms, capture, cameras, ENTRIES)).atoms
+    cameras = surface_cameras(capture, up, fineness.surface_views, fineness.skin_size)
+    atoms = fit_skin(atoms, capture, cameras, fineness.skin_steps, request.seed)
+    return capture, atoms, up
 
 
 def measure(path: Path, detail: DetailName, views: int) -> tuple[dict[str, Any], NDArray[np.float32]]:
     """The figures of one capture, and the picture (H, W, 3) of some views. Raises InputError."""
     begun = time.perf_counter()
     capture, atoms, up = make_solid(path, detail)
-    truth = without_haze(capture)[0]
-    firm = truth.means[truth.opacities > 0.3]
-    low, high = np.quantile(firm, OUTLINE, axis=0), np.quantile(firm, 1 - OUTLINE, axis=0)
+    low, high = capture.visible_bounds()
     radius = float(np.linalg.norm(high - low)) / 2
     rows, columns = [], []
     for k, camera in enumerate(cameras_around((low + high) / 2, radius, up, views, SIZE, turn=TURN)):
-        there = classic.render(truth, camera, BACKGROUND)
+        there = classic.render(capture, camera, BACKGROUND)
         here = opaque.render(atoms, camera, background=BACKGROUND)
         one, other = np.clip(there.rgb, 0, 1), np.clip(here.rgb, 0, 1)
         union, both = (there.alpha > 0.5) | (here.alpha > 0.5), (there.alpha > 0.5) & (here.alpha > 0.5)

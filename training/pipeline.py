@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from engine.errors import InputError
-from engine.fit.scale_fit import fit_scales
 from engine.fit.sh_fit import SurfaceView, fit_sh, surface_views
+from engine.fit.skin_fit import fit_skin
 from engine.io.files import remove_leftovers
 from engine.io.load import LoadedScene, load
 from engine.isolate.selection import isolated
-from engine.scene.atoms import Atoms, InteriorAtoms
+from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from engine.solid.fill import Colours, fill
 from engine.solid.solidify import atomise_surface, find_enclosure
 from engine.solid.up_axis.detect import UpAxis, detect_up
@@ -40,10 +40,6 @@ from training.results import save_results
 from training.views import ENTRIES, Section, Slice, sections, slices, surface_cameras
 
 __all__ = ["Pipeline", "prepare", "refit_surface", "run"]
-
-
-RESHAPE_VIEWS, RESHAPE_SIZE = 24, 256
-"""Views, and pixels along a side, for fitting the sizes of skin atoms: coarser pixels would not resolve them."""
 
 
 def run(request: Request, out: Path, reporter: Reporter, resume: bool, stopped: Callable[[], bool]) -> Path:
@@ -200,15 +196,14 @@ class Pipeline:
 
     def fit_skin(self, atoms: Atoms, geometry: Geometry) -> tuple[Atoms, list[SurfaceView]]:
         """The atoms with the skin fitted to the capture, and the views of the capture for training."""
-        request, fineness = self.request, self.request.fineness
+        fineness = self.request.fineness
         with self.reporter.stage("refit") as stage:
-            progress = [self.track_progress(stage, *part) for part in pairwise((0.0, 0.3, 0.6, 0.8, 1.0))]
-            cameras = surface_cameras(geometry.body, geometry.up, fineness.surface_views, fineness.surface)
+            progress = [self.track_progress(stage, *part) for part in pairwise((0.0, 0.1, 0.2, 0.9, 1.0))]
+            cameras = surface_cameras(geometry.gaussians, geometry.up, fineness.surface_views, fineness.surface)
             surfaces = surface_views(atoms, geometry.gaussians, cameras, ENTRIES, progress[0])
             atoms, held_out = refit_surface(atoms, surfaces, self.checkpoint, progress[1])
-            if fineness.reshape:
-                atoms = reshape_surface(atoms, geometry, request, self.checkpoint, progress[2])
-                surfaces = surface_views(atoms, geometry.gaussians, cameras, ENTRIES, progress[3])
+            atoms = fit_geometry(atoms, geometry, self.request, self.checkpoint, progress[2])
+            surfaces = surface_views(atoms, geometry.gaussians, cameras, ENTRIES, progress[3])
         self.facts |= {"sh_degree": atoms.surface.sh_degree, "refit_held_out_psnr_db": held_out}
         return atoms, surfaces
 
@@ -238,18 +233,18 @@ def prepare(
             reporter.warn(f"{request.scene.name}: up is {up.reason}: a guess; give --up if it is wrong")
     raise_if_stopped()
     with reporter.stage("atomise"):
-        skin, pitch = atomise_surface(gaussians, enclosure, request.fineness.cells)
+        skin, pitch = atomise_surface(enclosure, request.fineness.cells)
     facts = {
         "gaussians": len(gaussians),
         "gaussians_left_out": len(loaded.gaussians) - len(gaussians),
-        "gaussians_dropped": skin.dropped,
+        "gaussians_dropped": len(gaussians) - len(enclosure.shell) + skin.dropped,
         "gaussians_split": skin.split,
         "surface_atoms": len(skin.atoms),
         "volume": enclosure.body.volume,
         "pitch": pitch,
         "up": up.axis.tolist(),
     }
-    return Geometry(gaussians, skin.atoms, pitch, enclosure.body, up.axis), facts
+    return Geometry(enclosure.shell, skin.atoms, pitch, enclosure.body, up.axis), facts
 
 
 def find_up(request: Request, loaded: LoadedScene) -> UpAxis:
@@ -273,17 +268,16 @@ def refit_surface(
     return replace(atoms, surface=replace(atoms.surface, sh=arrays["sh"])), facts["held_out"]
 
 
-def reshape_surface(
+def fit_geometry(
     atoms: Atoms, geometry: Geometry, request: Request, checkpoint: Checkpoint, progress: Progress
 ) -> Atoms:
-    """The atoms with sizes and colours of the skin refined by gradient descent through the renderer."""
+    """The atoms with means, scales, rotations and colours of the skin refined by descent through the renderer."""
 
     def fit() -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-        cameras = surface_cameras(geometry.body, geometry.up, RESHAPE_VIEWS, RESHAPE_SIZE)
-        better = fit_scales(
-            atoms, geometry.gaussians, cameras, request.fineness.reshape, request.seed, progress
-        ).surface
-        return {"sh": better.sh, "scales": better.scales}, {}
+        fineness = request.fineness
+        cameras = surface_cameras(geometry.gaussians, geometry.up, fineness.surface_views, fineness.skin_size)
+        s = fit_skin(atoms, geometry.gaussians, cameras, fineness.skin_steps, request.seed, progress).surface
+        return {"means": s.means, "scales": s.scales, "quats": s.quats, "sh": s.sh}, {}
 
-    arrays, _ = checkpoint.load_or_make("shape", fit)
-    return replace(atoms, surface=replace(atoms.surface, **arrays))
+    arrays, _ = checkpoint.load_or_make("skin", fit)
+    return replace(atoms, surface=SurfaceAtoms(**arrays))

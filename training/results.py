@@ -89,7 +89,7 @@ def surface_psnr(geometry: Geometry, atoms: Atoms) -> float:
     """
     size = DETAILS["standard"].surface
     figures = []
-    for camera in surface_cameras(geometry.body, geometry.up, HELD_OUT_VIEWS, size, turn=61.0):
+    for camera in surface_cameras(geometry.gaussians, geometry.up, HELD_OUT_VIEWS, size, turn=61.0):
         target = np.clip(classic.render(geometry.gaussians, camera, BACKGROUND).rgb, 0, 1)
         figures.append(psnr(np.clip(opaque.render(atoms, camera, background=BACKGROUND).rgb, 0, 1), target))
     return float(np.mean(figures))

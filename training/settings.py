@@ -28,8 +28,10 @@ class Detail:
     """Surface views of the input that training draws from."""
     iterations: int
     """Most iterations of a run; the stop rule may end it sooner."""
-    reshape: int = 0
-    """Optimisation steps for the sizes of the skin's atoms; 0: sizes are not fitted."""
+    skin_steps: int
+    """Optimisation steps of the skin's means, scales, rotations and colours."""
+    skin_size: int
+    """Pixels of a square view of the capture that the skin is fitted to."""
 
 
 # The paper takes 120 to 200 iterations, 10 to 20 surface views in each, and labels of the diffusion model's size.
@@ -37,11 +39,37 @@ class Detail:
 # distance by half and saves no measurable time (benchmarks/presets).
 # Colours of the sample watermelon fitted to 60 views score 2 dB better on held-out views than those fitted to 24.
 DETAILS: dict[DetailName, Detail] = {
-    "draft": Detail(cells=64, fine=112, voxels=112, label=128, surface=128, surface_views=24, iterations=40),
+    "draft": Detail(
+        cells=64,
+        fine=112,
+        voxels=112,
+        label=128,
+        surface=128,
+        surface_views=24,
+        iterations=40,
+        skin_steps=40,
+        skin_size=384,
+    ),
     "standard": Detail(
-        cells=104, fine=192, voxels=192, label=256, surface=192, surface_views=60, iterations=120, reshape=20
+        cells=104,
+        fine=192,
+        voxels=192,
+        label=256,
+        surface=192,
+        surface_views=60,
+        iterations=120,
+        skin_steps=120,
+        skin_size=512,
     ),
     "high": Detail(
-        cells=160, fine=256, voxels=256, label=384, surface=256, surface_views=60, iterations=200, reshape=60
+        cells=160,
+        fine=256,
+        voxels=256,
+        label=384,
+        surface=256,
+        surface_views=60,
+        iterations=200,
+        skin_steps=300,
+        skin_size=640,
     ),
 }

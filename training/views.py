@@ -12,6 +12,7 @@ from engine.fit.view_weights import ViewWeights
 from engine.render.cpu.kernel_field import KernelField
 from engine.scene.atoms import Atoms
 from engine.scene.camera import Camera, cameras_around, equator, plane_points, section
+from engine.scene.gaussians import Gaussians
 from engine.scene.grid import Body
 from engine.scene.plane import Plane
 from training.families import Family
@@ -138,6 +139,9 @@ def make_condition(
     )
 
 
-def surface_cameras(body: Body, up: NDArray[np.float64], count: int, size: int, turn: float = 0.0) -> list[Camera]:
-    """Cameras from all around the body."""
-    return cameras_around(body.bounds().mean(0), body.radius, up, count, size, turn)
+def surface_cameras(
+    gaussians: Gaussians, up: NDArray[np.float64], count: int, size: int, turn: float = 0.0
+) -> list[Camera]:
+    """Cameras from all around what is shown of a capture."""
+    low, high = gaussians.visible_bounds()
+    return cameras_around((low + high) / 2, float(np.linalg.norm(high - low)) / 2, up, count, size, turn)

@@ -90,7 +90,7 @@ def _solidify(path: Path, gaussians: Gaussians, up: NDArray[np.float64], cells: 
     _write_line(stage="Finding the body", part=0.15)
     enclosure = find_enclosure(gaussians, cells, path.name)
     _write_line(stage="Making it solid", part=0.4)
-    atoms = solidify(gaussians, enclosure, cells, seed)
+    atoms = solidify(enclosure, cells, seed)
     plain = plain_inside(atoms.surface, atoms.interior, enclosure.body, atoms.pitch)
     atoms = replace(atoms, interior=replace(atoms.interior, rgb=plain))
     facts = {"notes": list(enclosure.notes), "trained": False}

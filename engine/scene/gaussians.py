@@ -11,6 +11,12 @@ __all__ = ["Gaussians"]
 
 Float = NDArray[np.float32]
 
+FIRM = 0.3
+"""Opacity from which a Gaussian alone decides what is seen."""
+
+STRAYS = 0.003
+"""Share of the firm Gaussians beyond either end of the visible box: strays, while a stem's tip has more."""
+
 
 @dataclass(frozen=True)
 class Gaussians:
@@ -45,6 +51,11 @@ class Gaussians:
     def sh_degree(self) -> int:
         """Degree of the spherical harmonics, 0..3."""
         return round(self.sh.shape[1] ** 0.5) - 1
+
+    def visible_bounds(self) -> NDArray[np.float64]:
+        """(2, 3). Opposite corners of the box of what pictures show, thin parts too; of all if nothing is firm."""
+        firm = self.means[self.opacities > FIRM] if (self.opacities > FIRM).any() else self.means
+        return np.quantile(firm.astype(np.float64), [STRAYS, 1 - STRAYS], axis=0)
 
     def __getitem__(self, rows: NDArray[np.bool_] | NDArray[np.integer] | slice) -> Gaussians:
         """The Gaussians of these rows: a mask (N,), indices (M,) or a slice."""

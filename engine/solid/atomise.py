@@ -12,40 +12,34 @@ from engine.scene.atoms import SurfaceAtoms
 from engine.scene.camera import cameras_around
 from engine.scene.gaussians import Gaussians
 from engine.scene.morton import morton_order
+from engine.solid.carving import share_in_front
 from engine.solid.contribution import contributions
-from engine.solid.denoise_capture import WALL_OPACITY
 from engine.solid.find_body import Enclosure
-from engine.solid.skin_holes import patch_holes
+from engine.solid.skin_cover import close_holes
 
 __all__ = ["Atomised", "atomise"]
 
-MIN_OPACITY = 0.04
-"""Opacity under which a Gaussian is haze whatever its size: seventeen in a row still let half of the light through."""
-
-MIN_CONTRIBUTION = 0.02
+MIN_CONTRIBUTION = 0.05
 """Opacity that compositing leaves a Gaussian in its best view, under which it is not part of the picture. On a capture
-of a donut this holds for a third of the Gaussians: drawn opaque, they would only mix their colours into the skin."""
-
-HAZE_OPACITY = 0.15
-"""Opacity under which a Gaussian larger than the pitch is haze: in compositing it never hides what is behind it."""
+of a donut this holds for a third of the Gaussians: drawn opaque, they would only mix their colours into the skin. Five
+times less makes more atoms and worse pictures, twice as much makes holes."""
 
 UP = np.array([0.0, 0.0, 1.0])
 """Axis of the views from all around; any would do."""
 
-VIEWS, VIEW_SIZE = 24, 192
-"""Views of the capture for the contributions, and their pixels along an edge."""
+VIEWS, VIEW_SIZE = 24, 384
+"""Views of the capture, and their pixels along an edge: a strut of a pixel or two must be seen to contribute."""
 
 MAX_DEPTH = 1.0
 """Pitches under the skin from which an atom is invisible: debris, or the buried part of a thick Gaussian."""
 
-MAX_HEIGHT = 0.75
-"""Pitches above the skin from which an atom is off it: a stem, a leaf, a mat, or a floater."""
+MAX_IN_FRONT = 0.5
+"""Part of an atom's weight in front of what the capture shows, from which it would hide more than it shows."""
 
-SHEET_OPACITY = 0.5
-"""Opacity field from which an atom off the skin stays: a ray loses 2/5 there, so the capture does show it."""
-
-COVERAGE = 2.0
-"""Target for the sum of unit kernels on the skin: with less, random gaps open between the atoms."""
+COVERAGE = 4.0
+"""Area of an atom over that of its Gaussian, per opacity that compositing leaves it, at most 1. The contributions in a
+pixel add up to its alpha, and unit kernels must add up to more to leave no gaps at random places: with half as much
+captures lose 0.3 to 0.5 dB after the fit."""
 
 SPACING = 1.6
 """Distance between the parts of a split Gaussian, in their standard deviations: their summed kernels ripple by 8 %."""
@@ -60,60 +54,52 @@ class Atomised:
 
     atoms: SurfaceAtoms
     dropped: int
-    """Gaussians left out as haze, floaters or debris inside."""
+    """Gaussians left out because nothing shows them, or as debris inside or veils in front."""
     split: int
     """Gaussians larger than the pitch, which became several atoms."""
 
 
-def atomise(gaussians: Gaussians, pitch: float, enclosure: Enclosure | None = None) -> Atomised:
-    """Atoms no larger than the pitch (the paper's atomic clipping) and opaque (its uniform opacification).
+def atomise(enclosure: Enclosure, pitch: float) -> Atomised:
+    """Atoms of the enclosure's shell, opaque (the paper's uniform opacification) and no larger than the pitch (its
+    atomic clipping).
 
-    A Gaussian of opacity a becomes an atom of at least a times its area across its thin axis, and of more where the
-    skin is thin (COVERAGE), so that it hides about as much as before. Gaussians larger than the pitch are split along
-    their principal axes into parts with the same mean and variance. With an enclosure, Gaussians are dropped that lie
-    under its skin, float off it without hiding anything, or contribute to no view of the capture; holes in the skin are
-    patched. The atoms are in Morton order. Bit-equal for the same input.
+    Everything that a picture of the shell shows stays, sheets without an inside too. Left out is what lies under the
+    skin, contributes to no view, or would hide the rest: an opaque veil hides what a translucent one let through. A
+    Gaussian's area across its thin axis shrinks with its contribution, so that what compositing made faint does not
+    tint its neighbours. Gaussians larger than the pitch are split along their principal axes into parts with the same
+    mean and variance. Holes in the skin of the body are closed. The atoms are in Morton order. Bit-equal for the same
+    input.
     """
     assert pitch > 0, pitch
-    body = None if enclosure is None else enclosure.body
-    haze = (gaussians.opacities < HAZE_OPACITY) & (gaussians.scales.max(axis=1, initial=0) > pitch)
-    keep = (gaussians.opacities >= MIN_OPACITY) & ~haze
-    if body is not None:  # a thick Gaussian may reach the skin from within without being part of it
-        keep &= body.at(gaussians.means) < MAX_DEPTH * pitch
-        cameras = cameras_around(body.bounds().mean(0), body.radius, UP, VIEWS, VIEW_SIZE)
-        keep &= contributions(gaussians, cameras) >= MIN_CONTRIBUTION
-    rows = np.flatnonzero(keep)
+    gaussians, body = enclosure.shell, enclosure.body
+    bounds = gaussians.visible_bounds()
+    cameras = cameras_around(bounds.mean(0), float(np.linalg.norm(np.ptp(bounds, axis=0))) / 2, UP, VIEWS, VIEW_SIZE)
+    contribution = contributions(gaussians, cameras)
+    # A thick Gaussian may reach the skin from within without being part of it.
+    rows = np.flatnonzero((contribution >= MIN_CONTRIBUTION) & (body.at(gaussians.means) < MAX_DEPTH * pitch))
     kept = gaussians[rows]
-    area = kept.opacities.copy()
-    if enclosure is not None and body is not None:
-        opacity = body.grid.sample(enclosure.opacity, kept.means)
-        area = np.clip(COVERAGE * area / np.maximum(opacity, 1e-6), area, 1)
     scales = kept.scales.copy()
-    thin = scales.argmin(axis=1)
-    shrink = np.repeat(np.sqrt(area)[:, None], 3, axis=1)
-    shrink[np.arange(len(kept)), thin] = 1.0
+    shrink = np.repeat(np.sqrt(np.minimum(COVERAGE * contribution[rows], 1))[:, None], 3, axis=1)
+    shrink[np.arange(len(kept)), scales.argmin(axis=1)] = 1.0
     scales *= shrink
     large = scales.max(axis=1, initial=0) > pitch
     source, part_means, part_scales = split(kept[large], scales[large], pitch)
     means = np.concatenate([kept.means[~large], part_means])
+    scales = np.concatenate([scales[~large], part_scales])
     origin = np.concatenate([rows[~large], rows[large][source]])
-    on_skin = np.ones(len(means), bool)
-    if enclosure is not None and body is not None:
-        depth, opacity = body.at(means), body.grid.sample(enclosure.opacity, means)
-        on_skin = (depth < MAX_DEPTH * pitch) & ((depth > -MAX_HEIGHT * pitch) | (opacity >= SHEET_OPACITY))
-    origin = origin[on_skin]
-    atoms = SurfaceAtoms(
-        means[on_skin],
-        np.concatenate([scales[~large], part_scales])[on_skin],
-        gaussians.quats[origin],
-        gaussians.sh[origin],
-    )
-    if enclosure is not None:
-        patches = patch_holes(atoms, enclosure.shell, enclosure.body, pitch, enclosure.opacity, WALL_OPACITY)
-        atoms = SurfaceAtoms(*(np.concatenate([getattr(a, f.name) for a in (atoms, patches)]) for f in fields(atoms)))
+
+    def atoms_of(chosen: NDArray[np.bool_]) -> SurfaceAtoms:
+        parents = origin[chosen]
+        return SurfaceAtoms(means[chosen], scales[chosen], gaussians.quats[parents], gaussians.sh[parents])
+
+    chosen = body.at(means) < MAX_DEPTH * pitch
+    chosen[chosen] = share_in_front(atoms_of(chosen), pitch, gaussians, cameras) <= MAX_IN_FRONT
+    atoms = atoms_of(chosen)
+    patches = close_holes(atoms, body, pitch)
+    atoms = SurfaceAtoms(*(np.concatenate([getattr(a, f.name) for a in (atoms, patches)]) for f in fields(atoms)))
     order = morton_order(atoms.means)
     atoms = SurfaceAtoms(*(getattr(atoms, f.name)[order] for f in fields(atoms)))
-    return Atomised(atoms, len(gaussians) - len(np.unique(origin)), int(large.sum()))
+    return Atomised(atoms, len(gaussians) - len(np.unique(origin[chosen])), int(large.sum()))
 
 
 def split(

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from engine.scene.atoms import InteriorAtoms, SurfaceAtoms
 from engine.scene.grid import Body
 from engine.solid.octree import COARSEST, leaf_levels
-from engine.solid.skin_holes import coverage_at, inward_normals
+from engine.solid.skin_cover import coverage_at, inward_normals
 
 Float = NDArray[np.float32]
 
@@ -24,7 +24,7 @@ JITTER = 0.2
 """Pitches. Hides the lattice in cuts along it, and keeps the sum of the weights above half everywhere inside."""
 
 COVERED = 0.25
-"""Weight of a surface atom, at the skin above an interior atom, from which the interior atom is hidden."""
+"""Sum of the surface atoms' weights, at the skin above an interior atom, from which the interior atom is hidden."""
 
 
 Colours = Callable[[NDArray[np.floating]], Float]

@@ -27,14 +27,14 @@ def find_enclosure(gaussians: Gaussians, cells: int, name: str) -> Enclosure:
     return find_body(gaussians, max(BODY_CELLS, cells), name)
 
 
-def atomise_surface(gaussians: Gaussians, enclosure: Enclosure, cells: int) -> tuple[Atomised, float]:
+def atomise_surface(enclosure: Enclosure, cells: int) -> tuple[Atomised, float]:
     """The body's surface atoms, and their pitch: the body's longest side over `cells`."""
     low, high = enclosure.body.bounds()
     pitch = float((high - low).max()) / cells
-    return atomise(gaussians, pitch, enclosure), pitch
+    return atomise(enclosure, pitch), pitch
 
 
-def solidify(gaussians: Gaussians, enclosure: Enclosure, cells: int, seed: int) -> Atoms:
+def solidify(enclosure: Enclosure, cells: int, seed: int) -> Atoms:
     """The body's surface atoms and an even grey interior. Bit-equal for the same input."""
-    surface, pitch = atomise_surface(gaussians, enclosure, cells)
+    surface, pitch = atomise_surface(enclosure, cells)
     return Atoms(surface.atoms, fill(enclosure.body, pitch, seed, surface.atoms), pitch)

@@ -240,9 +240,7 @@ def _composite_slice(
     return part
 
 
-def _picture(
-    frame: Frame, camera: Camera, background: Sequence[float]
-) -> tuple[NDArray[np.floating], ...]:
+def _picture(frame: Frame, camera: Camera, background: Sequence[float]) -> tuple[NDArray[np.floating], ...]:
     """rgb (H, W, 3), alpha, depth times weight and median depth (H, W), 0 where less than half of the light stops."""
     kind = frame.states.dtype
     shape = camera.height, camera.width

@@ -46,7 +46,7 @@ def prepare_unpainted(request: CustomRequest, out: Path) -> tuple[Geometry, Atom
     fineness = request.fineness
     geometry, _ = prepare(request, Reporter(), lambda: None)
     atoms = geometry.filled(fill(geometry.body, geometry.pitch, request.seed, geometry.skin))
-    cameras = surface_cameras(geometry.body, geometry.up, fineness.surface_views, fineness.surface)
+    cameras = surface_cameras(geometry.gaussians, geometry.up, fineness.surface_views, fineness.surface)
     views = surface_views(atoms, geometry.gaussians, cameras, ENTRIES)
     atoms, _ = refit_surface(atoms, views, Checkpoint(out / "checkpoint", request.fingerprint()), lambda _: None)
     return geometry, atoms, {"surface_psnr_db": surface_psnr(geometry, atoms), "iterations": 0, "refinement_rounds": 0}

@@ -1,4 +1,4 @@
-"""Finds holes between the atoms of a skin and patches them."""
+"""How well the atoms of a skin cover it, and atoms for its holes."""
 
 from __future__ import annotations
 
@@ -7,11 +7,10 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from engine.scene.atoms import SurfaceAtoms
-from engine.scene.gaussians import Gaussians
 from engine.scene.grid import Body
 from engine.scene.rotations import rotation_matrices
 
-__all__ = ["coverage_at", "inward_normals", "patch_holes", "sample_skin"]
+__all__ = ["close_holes", "coverage_at", "inward_normals", "sample_skin"]
 
 Float = NDArray[np.float32]
 
@@ -30,10 +29,11 @@ PATCH_SIGMA = 0.5
 PATCH_THICKNESS = 0.2
 """Pitches. Flat like the skin."""
 
-COVERED = 0.7
-"""Weight of a single atom from which a point of the skin counts as covered. A pixel takes its depth from atoms at half
-their height or more (CORE_Q), and the tested points lie apart. Several faint atoms may add up to a colour, but what
-lies behind them would show through."""
+COVERED = 0.5
+"""Sum of weights from which a point of the skin counts as covered, as in a pixel of the opaque image."""
+
+COLOURED_BY = 8
+"""Nearest atoms that colour a patch: those around the hole."""
 
 
 def inward_normals(body: Body, points: NDArray[np.floating]) -> NDArray[np.float64]:
@@ -61,58 +61,46 @@ def sample_skin(body: Body, spacing: float) -> NDArray[np.float64]:
 def coverage_at(
     surface: SurfaceAtoms, points: NDArray[np.floating], normals: NDArray[np.floating], pitch: float
 ) -> Float:
-    """(N,). Greatest weight of any atom at points of the skin (N, 3) with normals (N, 3). Range [0, 1].
+    """(N,). Sum of the weights of the atoms at points of the skin (N, 3) with normals (N, 3).
 
     Atoms are widened by BEHIND across the skin; along it they keep their size, so that gaps show.
     """
+    total = np.zeros(len(points), np.float32)
     if not len(surface) or not len(points):
-        return np.zeros(len(points), np.float32)
+        return total
     count = min(NEIGHBOURS, len(surface))
     rows = KDTree(surface.means).query(points, k=count)[1].reshape(-1, count)
     axes = rotation_matrices(surface.quats)
-    most = np.zeros(len(points), np.float32)
     for neighbour in rows.T:
         frame = axes[neighbour]
         across = np.einsum("nij,ni->nj", frame, normals)
         local = np.einsum("nij,ni->nj", frame, points - surface.means[neighbour])
         variance = surface.scales[neighbour] ** 2 + (BEHIND * pitch * across) ** 2
-        most = np.maximum(most, np.exp(-0.5 * (local**2 / variance).sum(1)).astype(np.float32))
-    return most
+        total += np.exp(-0.5 * (local**2 / variance).sum(1)).astype(np.float32)
+    return total
 
 
-def patch_holes(
-    surface: SurfaceAtoms,
-    gaussians: Gaussians,
-    body: Body,
-    pitch: float,
-    opacity: Float,  # opacity field of the Gaussians on the body's grid
-    least: float,
-) -> SurfaceAtoms:
-    """Flat atoms over holes between the surface atoms where the capture has a skin of opacity `least` or more.
+def close_holes(surface: SurfaceAtoms, body: Body, pitch: float) -> SurfaceAtoms:
+    """Flat atoms over holes between the surface atoms, in the colours of the atoms around.
 
-    Nothing is added where the capture itself is open (a missing bottom). A patch takes the mean colour of the Gaussians
-    around it.
+    Where the capture is open (a missing bottom) they are the skin of what closes the body.
     """
     points = sample_skin(body, pitch / DENSITY**0.5)
     normals = -inward_normals(body, points)
-    samples = [body.grid.sample(opacity, points + step * body.grid.cell * normals) for step in (-1, 0, 1)]
-    opaque = np.max(samples, axis=0) >= least
-    points, normals = points[opaque], normals[opaque]
-    uncovered = coverage_at(surface, points, normals, pitch) < COVERED
-    points, normals = points[uncovered], normals[uncovered]
+    open_ = coverage_at(surface, points, normals, pitch) < COVERED
+    points, normals = points[open_], normals[open_]
     n = len(points)
     # A half turn about the bisector of z and the normal takes one to the other.
     half = normals + np.where(normals[:, 2:] < -0.999, [1.0, 0, 1], [0.0, 0, 1])
     quats = np.column_stack([np.zeros(n), half / np.linalg.norm(half, axis=1, keepdims=True)])
     sigma = np.array([PATCH_SIGMA, PATCH_SIGMA, PATCH_THICKNESS]) * pitch
     sh = np.zeros((n, surface.sh.shape[1], 3), np.float32)
-    if n and len(gaussians):
-        count = min(NEIGHBOURS, len(gaussians))
-        distance, rows = KDTree(gaussians.means).query(points, k=count)
-        distance, rows = distance.reshape(n, -1), rows.reshape(n, -1)
-        reach = gaussians.scales[rows].max(-1) + pitch / 2
-        weight = gaussians.opacities[rows] * np.exp(-0.5 * (distance / reach) ** 2) + 1e-9
-        sh[:, 0] = np.einsum("nk,nkc->nc", weight / weight.sum(1, keepdims=True), gaussians.sh[rows, 0])
+    if n and len(surface):
+        count = min(COLOURED_BY, len(surface))
+        distance, rows = KDTree(surface.means).query(points, k=count)
+        weight = 1 / np.maximum(distance.reshape(n, -1), 1e-3 * pitch) ** 2
+        near = surface.sh[rows.reshape(n, -1), 0]
+        sh[:, 0] = np.einsum("nk,nkc->nc", weight / weight.sum(1, keepdims=True), near)
     return SurfaceAtoms(
         points.astype(np.float32), np.tile(sigma.astype(np.float32), (n, 1)), quats.astype(np.float32), sh
     )

@@ -1,0 +1,86 @@
+"""Finds atoms that stand before what a capture shows: veils and fringes, which compositing lets one see through.
+
+The surface of a capture is the median depth of a picture, where half of the light is stopped; beside its outline there
+is none. An opaque atom in front of that surface, in more of its pixels than not, hides what the capture shows.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from engine.render.classic.rasterizer import render_with_median
+from engine.render.cpu.falloff import falloff
+from engine.render.cpu.outside import draw
+from engine.render.cpu.splats import TILE, WEIGHT, Splats
+from engine.render.cpu.tiles import AREA, fill_rays, fragments, rows_of
+from engine.scene.atoms import SurfaceAtoms
+from engine.scene.camera import Camera
+from engine.scene.constants import CUTOFF_Q
+from engine.scene.gaussians import Gaussians
+from engine.scene.piece import Piece
+from engine.threads import for_each
+
+__all__ = ["share_in_front"]
+
+SLACK = 1.5
+"""Pitches in front of the median depth at which an atom still belongs to the surface: the depth of the layer within
+which the opaque image blends its atoms."""
+
+BANDS = 4
+"""Parts of a picture that are counted separately, then together. Fixed, so that the number of threads does not change
+the bits."""
+
+
+def share_in_front(
+    surface: SurfaceAtoms, pitch: float, gaussians: Gaussians, cameras: Sequence[Camera]
+) -> NDArray[np.float32]:
+    """(S,). Of the weight with which each atom may show, the part in front of the capture's surface. Range [0, 1].
+
+    Weight behind the surface is not counted; an atom that is behind it in all views has 0.
+    """
+    splats = Splats(surface.means, surface.scales, surface.quats)
+    colours = np.zeros((len(surface), 3), np.float32)
+    sums = np.zeros((len(surface), 2), np.float64)
+    for camera in cameras:
+        median = render_with_median(gaussians, camera)[1]
+        tiled = draw(splats, [colours], camera, [Piece()], pitch).tiled
+        parts = np.zeros((BANDS, len(surface), 2), np.float32)
+        for_each(_count, BANDS, tiled, median, np.float32(SLACK * pitch), parts)
+        sums += parts.sum(0)
+    total = sums.sum(1)
+    return np.where(total > 0, sums[:, 0] / np.maximum(total, 1e-12), 0).astype(np.float32)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _count(band, tiled, median, slack, parts):
+    """Adds to one of parts (BANDS, N, 2) each splat's weight in front of the median depth (H, W) and at it."""
+    height, width = median.shape
+    out = parts[band]
+    kind = tiled.records.dtype.type
+    near, lane = kind(tiled.cam.near), np.empty((4, AREA), kind)
+    px, py, h, z = lane[0], lane[1], lane[2], lane[3]
+    base, slope = np.empty((len(tiled.planes), AREA), kind), np.empty((len(tiled.planes), AREA), kind)
+    cutoff = kind(0.5 * CUTOFF_Q)
+    for tile in range(band, len(tiled.tile_starts) - 1, len(parts)):
+        left, top = tile % tiled.columns * TILE, tile // tiled.columns * TILE
+        fill_rays(tiled, tile, px, py, base, slope)
+        for pair in range(tiled.tile_starts[tile], tiled.tile_starts[tile + 1]):
+            i = tiled.splat_ids[pair]
+            r = tiled.records[i]
+            start, end = rows_of(r, math.sqrt(CUTOFF_Q), left, top)
+            if start == end:
+                continue
+            fragments(r, tiled.spans[i], near, px, py, base, slope, start, end, h, z)
+            for k in range(start, end):
+                x, y = left + k % TILE, top + k // TILE
+                if h[k] > cutoff or x >= width or y >= height:
+                    continue
+                if z[k] < median[y, x] - slack:
+                    out[i, 0] += falloff(h[k]) * r[WEIGHT]
+                elif z[k] <= median[y, x] + slack:
+                    out[i, 1] += falloff(h[k]) * r[WEIGHT]
