@@ -21,8 +21,6 @@ from PIL import Image
 
 from benchmarks.support.options import ROOT, out_folder, parser_of, write_json
 from engine.errors import InputError
-from engine.fit.sh_fit import fit_sh, surface_views
-from engine.fit.skin_fit import fit_skin
 from engine.io.files import atomic
 from engine.render.classic import rasterizer as classic
 from engine.render.cpu import opaque
@@ -36,7 +34,8 @@ from training.optimise.losses import psnr
 from training.pipeline import prepare
 from training.request import Request
 from training.settings import DETAILS, DetailName
-from training.views import BACKGROUND, ENTRIES, surface_cameras
+from training.skin import match_skin
+from training.views import BACKGROUND
 
 SAMPLES = ("watermelon", "orange", "bread")
 
@@ -55,12 +54,8 @@ def make_solid(path: Path, detail: DetailName) -> tuple[Gaussians, Atoms, NDArra
     request = Request(path, (Family("horizontal", 4),), detail=detail)  # the inside is not looked at
     geometry, _ = prepare(request, Reporter(), lambda: None)
     atoms = geometry.filled(fill(geometry.body, geometry.pitch, request.seed, geometry.skin))
-    fineness, capture, up = request.fineness, geometry.gaussians, geometry.up
-    cameras = surface_cameras(capture, up, fineness.surface_views, fineness.surface)
-    atoms = fit_sh(atoms, surface_views(atoms, capture, cameras, ENTRIES)).atoms
-    cameras = surface_cameras(capture, up, fineness.surface_views, fineness.skin_size)
-    atoms = fit_skin(atoms, capture, cameras, fineness.skin_steps, request.seed)
-    return capture, atoms, up
+    capture, up = geometry.gaussians, geometry.up
+    return capture, match_skin(atoms, capture, up, request.fineness, request.seed), up
 
 
 def measure(path: Path, detail: DetailName, views: int) -> tuple[dict[str, Any], NDArray[np.float32]]:

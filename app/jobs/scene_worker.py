@@ -26,7 +26,6 @@ from engine.io.trained import load_trained, sidecar_path
 from engine.isolate.record import read_isolation
 from engine.isolate.selection import Isolation, removed
 from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
-from engine.scene.camera import cameras_around
 from engine.scene.gaussians import Gaussians
 from engine.scene.grid import Body
 from engine.scene.sh import sh_to_rgb
@@ -38,9 +37,8 @@ PLAIN = (0.83, 0.82, 0.80)
 SKIN_PITCHES = 2.0
 """Depth under the skin, in pitches, over which its colour fades into the plain one: a cut shows a rim, like a shell."""
 
-FIT_VIEWS, FIT_SIZE, FIT_ENTRIES = 24, 160, 16
-"""Views of the capture that the skin's colours are fitted to, pixels of their sides, and atoms stored for each pixel:
-the numbers of a draft run, good enough to look at until training fits the colours better."""
+SKIN_DETAIL = DETAILS["draft"]
+"""How well the skin is fitted: good enough to look at until training fits it better, and done in seconds."""
 
 
 def main() -> None:
@@ -84,8 +82,8 @@ def _load_capture(path: Path, folder: Path, seed: int, isolation: Isolation) -> 
 
 
 def _solidify(path: Path, gaussians: Gaussians, up: NDArray[np.float64], cells: int, seed: int, folder: Path) -> None:
-    from engine.fit.sh_fit import fit_sh, surface_views
     from engine.solid.solidify import find_enclosure, solidify
+    from training.skin import match_skin
 
     _write_line(stage="Finding the body", part=0.15)
     enclosure = find_enclosure(gaussians, cells, path.name)
@@ -97,9 +95,7 @@ def _solidify(path: Path, gaussians: Gaussians, up: NDArray[np.float64], cells: 
     _send_atoms(folder, atoms, facts)
     # From here on it can be cut; what follows only makes its skin look like the capture.
     _write_line(stage="Matching the skin", part=0.9)
-    cameras = cameras_around(enclosure.body.bounds().mean(0), enclosure.body.radius, up, FIT_VIEWS, FIT_SIZE)
-    views = surface_views(atoms, gaussians, cameras, FIT_ENTRIES)
-    _send_atoms(folder, fit_sh(atoms, views).atoms, facts)
+    _send_atoms(folder, match_skin(atoms, enclosure.shell, up, SKIN_DETAIL, seed), facts)
 
 
 def plain_inside(surface: SurfaceAtoms, interior: InteriorAtoms, body: Body, pitch: float) -> NDArray[np.float32]:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from engine.scene.atoms import InteriorAtoms, SurfaceAtoms
 from engine.scene.grid import Body
 from engine.solid.octree import COARSEST, leaf_levels
-from engine.solid.skin_cover import coverage_at, inward_normals
+from engine.solid.skin_cover import COVERED, coverage_at, inward_normals
 
 Float = NDArray[np.float32]
 
@@ -22,10 +22,6 @@ surface atoms."""
 
 JITTER = 0.2
 """Pitches. Hides the lattice in cuts along it, and keeps the sum of the weights above half everywhere inside."""
-
-COVERED = 0.25
-"""Sum of the surface atoms' weights, at the skin above an interior atom, from which the interior atom is hidden."""
-
 
 Colours = Callable[[NDArray[np.floating]], Float]
 """Colours (N, 3) at world points (N, 3), also slightly outside the body."""

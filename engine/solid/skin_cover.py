@@ -10,7 +10,7 @@ from engine.scene.atoms import SurfaceAtoms
 from engine.scene.grid import Body
 from engine.scene.rotations import rotation_matrices
 
-__all__ = ["close_holes", "coverage_at", "inward_normals", "sample_skin"]
+__all__ = ["COVERED", "close_holes", "coverage_at", "inward_normals", "sample_skin"]
 
 Float = NDArray[np.float32]
 

@@ -7,7 +7,6 @@ import json
 import os
 import sys
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -254,7 +253,7 @@ def short(monkeypatch: pytest.MonkeyPatch) -> None:
     """A run of a second or two, in which nothing is left out."""
     for name, value in SMALL.items():
         monkeypatch.setattr(name, value)
-    monkeypatch.setattr("training.request.DETAILS", {"draft": replace(SHORT, reshape=1)})
+    monkeypatch.setattr("training.request.DETAILS", {"draft": SHORT})
     monkeypatch.setattr("training.optimise.training_loop.CHECKPOINT_SECONDS", 1e9)
 
 

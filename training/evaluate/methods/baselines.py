@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from engine.fit.sh_fit import surface_views
 from engine.io.trained import Meta, save_trained
 from engine.scene import sh
 from engine.scene.atoms import Atoms, SurfaceAtoms
@@ -21,7 +20,6 @@ from engine.scene.grid import Body
 from engine.scene.plane import Plane
 from engine.solid.fill import fill
 from sample_scenes.solids import Solid
-from training.checkpoint import Checkpoint
 from training.evaluate.cuts import Cut
 from training.evaluate.methods.ablations import make_denoiser
 from training.evaluate.methods.method import MethodResult, cut_renderer, run_pipeline
@@ -29,12 +27,13 @@ from training.evaluate.scenes import CustomRequest, EvaluationScene
 from training.events import Reporter
 from training.families import Family
 from training.labels import blank_label
-from training.pipeline import Pipeline, prepare, refit_surface
+from training.pipeline import Pipeline, prepare
 from training.priors.prior import Progress, Volume
 from training.priors.sds import distill
 from training.request import Geometry
 from training.results import surface_psnr
-from training.views import ENTRIES, Extent, make_condition, surface_cameras
+from training.skin import match_skin
+from training.views import Extent, make_condition
 
 __all__ = ["inpainting", "oracle", "physgaussian"]
 
@@ -43,12 +42,9 @@ Float = NDArray[np.float32]
 
 def prepare_unpainted(request: CustomRequest, out: Path) -> tuple[Geometry, Atoms, dict[str, Any]]:
     """The filled solid with a fitted skin but an untrained interior."""
-    fineness = request.fineness
     geometry, _ = prepare(request, Reporter(), lambda: None)
     atoms = geometry.filled(fill(geometry.body, geometry.pitch, request.seed, geometry.skin))
-    cameras = surface_cameras(geometry.gaussians, geometry.up, fineness.surface_views, fineness.surface)
-    views = surface_views(atoms, geometry.gaussians, cameras, ENTRIES)
-    atoms, _ = refit_surface(atoms, views, Checkpoint(out / "checkpoint", request.fingerprint()), lambda _: None)
+    atoms = match_skin(atoms, geometry.gaussians, geometry.up, request.fineness, request.seed)
     return geometry, atoms, {"surface_psnr_db": surface_psnr(geometry, atoms), "iterations": 0, "refinement_rounds": 0}
 
 
