@@ -82,8 +82,12 @@ def _load_capture(path: Path, folder: Path, seed: int, isolation: Isolation) -> 
 
 
 def _solidify(path: Path, gaussians: Gaussians, up: NDArray[np.float64], cells: int, seed: int, folder: Path) -> None:
+    import torch
+
     from engine.solid.solidify import find_enclosure, solidify
     from training.skin import match_skin
+
+    torch.set_num_threads(1)  # the kernels use all cores; torch's own threads would compete with them
 
     _write_line(stage="Finding the body", part=0.15)
     enclosure = find_enclosure(gaussians, cells, path.name)

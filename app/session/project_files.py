@@ -9,7 +9,7 @@ from app.model.autosave import UnsavedWork
 from app.model.document import Document
 from app.model.history import History
 from app.model.project import SUFFIX, Outside, Project, Viewing, load_project, save_project
-from app.model.question import Choice
+from app.session.question import Choice
 from app.session.scene_controller import SceneController
 from app.session.training_controller import TrainingController
 from app.session.workspace import PICTURE_SUFFIXES, Workspace

@@ -21,10 +21,10 @@ from app.model.history import History
 from app.model.knife import Stroke, slice_object
 from app.model.pieces import PlacedPiece, Solid, pieces
 from app.model.project import Viewing
-from app.model.question import Choice, Question
 from app.model.rigid_transform import Motion, Vec3, vec3
 from app.model.settings import Settings, load_settings, save_settings
 from app.model.upright import face_normal, turn_between
+from app.session.question import Choice, Question
 from engine.scene.atoms import Atoms
 from engine.scene.camera import Camera
 from engine.scene.gaussians import Gaussians

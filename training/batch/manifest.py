@@ -15,6 +15,7 @@ The keys are the options of `fruitninja-train`; a scene's own key takes the plac
 
 from __future__ import annotations
 
+import os
 import re
 import tomllib
 import unicodedata
@@ -217,7 +218,7 @@ class _ManifestReader:
         if not name:
             return None
         path = self.resolved(name)
-        if not (path.is_dir() if folder else path.is_file()):
+        if not (os.path.isdir(path) if folder else os.path.isfile(path)):  # pathlib raises for a name that is too long
             raise InputError(f"{path}: no such {'folder' if folder else 'file'}")
         return path
 

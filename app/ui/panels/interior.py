@@ -11,7 +11,7 @@ from imgui_bundle import icons_fontawesome_6 as icon
 
 from app.jobs.training_job import Job, missing_for_training
 from app.model.document import Training
-from app.model.question import Choice
+from app.session.question import Choice
 from app.session.session import Session
 from app.ui.dialogs.file_dialogs import FileDialogs
 from app.ui.panels.progress import curves, previews

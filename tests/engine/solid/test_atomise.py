@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import torch
 
 from engine.fit.skin_fit import fit_skin
 from engine.io.load import load
@@ -169,6 +170,7 @@ def test_the_opaque_object_looks_like_the_capture() -> None:
 
 
 def test_fitting_the_skin_makes_unseen_views_better() -> None:
+    torch.set_num_threads(1)  # as training does: the kernels use all cores
     scene, pitch = skin(1500, 0.09, 0.6), 0.06
     atoms = solid(on_body(scene, pitch, ball()), pitch)
     up = np.array([0.0, 0, 1])
