@@ -1,6 +1,6 @@
 """How much the solid looks like the capture that it was made from, at views that nothing was fitted to.
 
-    python -m benchmarks.fidelity [--quick] [-o docs/charts] [--detail standard] [CAPTURE ...]
+    python -m benchmarks.fidelity [--quick] [-o docs/charts] [--detail draft,standard,high] [CAPTURE ...]
 
 The capture, without the haze and floaters that are meant to go, is drawn as 3DGS; the solid as opaque atoms, after all
 that training does to its skin. Means over twelve views of the PSNR over the union of both silhouettes, of the PSNR over
@@ -12,9 +12,11 @@ from __future__ import annotations
 
 import sys
 import time
+from itertools import product
 from pathlib import Path
 from typing import Any
 
+import matplotlib as mpl
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
@@ -36,6 +38,9 @@ from training.request import Request
 from training.settings import DETAILS, DetailName
 from training.skin import match_skin
 from training.views import BACKGROUND
+
+mpl.use("Agg")
+from matplotlib import pyplot as plt
 
 SAMPLES = ("watermelon", "orange", "bread")
 
@@ -62,6 +67,7 @@ def measure(path: Path, detail: DetailName, views: int) -> tuple[dict[str, Any],
     """The figures of one capture, and the picture (H, W, 3) of some views. Raises InputError."""
     begun = time.perf_counter()
     capture, atoms, up = make_solid(path, detail)
+    seconds = time.perf_counter() - begun
     low, high = capture.visible_bounds()
     radius = float(np.linalg.norm(high - low)) / 2
     rows, columns = [], []
@@ -81,38 +87,59 @@ def measure(path: Path, detail: DetailName, views: int) -> tuple[dict[str, Any],
         "union_db": round(union_db, 2),
         "opaque_db": round(opaque_db, 2),
         "silhouette_iou": round(iou, 4),
-        "seconds": round(time.perf_counter() - begun, 1),
+        "seconds": round(seconds, 1),
     }
     return figures, np.concatenate(columns, axis=1)
+
+
+def draw_chart(found: dict[str, dict[str, Any]], path: Path) -> None:
+    """A line for each capture through its levels of detail."""
+    figure, axes = plt.subplots(1, 2, figsize=(9, 3.8), sharey=True)
+    for axis, key, name in zip(axes, ("surface_atoms", "seconds"), ("atoms of the skin", "seconds"), strict=True):
+        for capture, rows in found.items():
+            points = list(rows.values())
+            axis.plot([p[key] for p in points], [p["union_db"] for p in points], "o-", label=capture.split(".")[0])
+        axis.set(xlabel=name, xscale="log")
+        axis.grid(alpha=0.3)
+    axes[0].set_ylabel("PSNR at unseen views, dB")
+    axes[1].legend(fontsize=7)
+    figure.tight_layout()
+    with atomic(path) as temporary:
+        figure.savefig(temporary, format="png", dpi=100)
+    plt.close(figure)
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Measures every capture; 1 where one was refused."""
     parser = parser_of(__doc__, "the first capture in draft, two views")
     parser.add_argument("captures", type=Path, nargs="*", metavar="CAPTURE")
-    parser.add_argument("--detail", default="standard", choices=list(DETAILS))
+    parser.add_argument("--detail", default="standard", help="one or several, with commas: " + ",".join(DETAILS))
     options = parser.parse_args(arguments)
     folder = out_folder(options)
     paths = options.captures or [ROOT / f"sample_scenes/{name}/{name}.ply" for name in SAMPLES]
-    detail: DetailName = options.detail
+    unknown = set(options.detail.split(",")) - DETAILS.keys()
+    if unknown:
+        parser.error(f"--detail {','.join(sorted(unknown))}: unknown; choose {', '.join(DETAILS)}")
+    details = [detail for detail in DETAILS if detail in options.detail.split(",")]
     views = VIEWS
     if options.quick:
-        paths, detail, views = paths[:1], "draft", 2
-    found: dict[str, Any] = {}
+        paths, details, views = paths[:1], ["draft"], 2
+    found: dict[str, dict[str, Any]] = {path.name: {} for path in paths}
     refused = False
-    for path in paths:
+    for path, detail in product(paths, details):
         try:
-            found[path.name], picture = measure(path, detail, views)
+            found[path.name][detail], picture = measure(path, detail, views)
         except InputError as error:
             print(error, file=sys.stderr)
-            found[path.name], refused = {"refused": True}, True
+            refused = True
             continue
-        print(path.name, found[path.name], flush=True)
+        print(path.name, detail, found[path.name][detail], flush=True)
         if folder:
             with atomic(folder / f"fidelity_{path.stem}.png") as temporary:
                 Image.fromarray((picture * 255 + 0.5).astype(np.uint8)).save(temporary, format="PNG", optimize=True)
     if folder:
-        write_json(folder / "fidelity.json", {"detail": detail, "views": views, "captures": found})
+        write_json(folder / "fidelity.json", {"views": views, "captures": found})
+        draw_chart(found, folder / "fidelity.png")
     return 1 if refused else 0
 
 
