@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -27,8 +28,11 @@ times less makes more atoms and worse pictures, twice as much makes holes."""
 UP = np.array([0.0, 0.0, 1.0])
 """Axis of the views from all around; any would do."""
 
-VIEWS, VIEW_SIZE = 24, 384
-"""Views of the capture, and their pixels along an edge: a strut of a pixel or two must be seen to contribute."""
+VIEWS = 24
+"""Views of the capture."""
+
+PITCH_PIXELS, MOST_PIXELS = 2.5, 384
+"""Pixels of these views to a pitch, and most along an edge: a strut of a pitch or less must be seen to contribute."""
 
 MAX_DEPTH = 1.0
 """Pitches under the skin from which an atom is invisible: debris, or the buried part of a thick Gaussian."""
@@ -72,8 +76,10 @@ def atomise(enclosure: Enclosure, pitch: float) -> Atomised:
     """
     assert pitch > 0, pitch
     gaussians, body = enclosure.shell, enclosure.body
-    bounds = gaussians.visible_bounds()
-    cameras = cameras_around(bounds.mean(0), float(np.linalg.norm(np.ptp(bounds, axis=0))) / 2, UP, VIEWS, VIEW_SIZE)
+    low, high = gaussians.visible_bounds()
+    radius = float(np.linalg.norm(high - low)) / 2
+    size = min(math.ceil(PITCH_PIXELS * 2 * radius / pitch), MOST_PIXELS)
+    cameras = cameras_around((low + high) / 2, radius, UP, VIEWS, size)
     contribution = contributions(gaussians, cameras)
     # A thick Gaussian may reach the skin from within without being part of it.
     rows = np.flatnonzero((contribution >= MIN_CONTRIBUTION) & (body.at(gaussians.means) < MAX_DEPTH * pitch))
