@@ -1,8 +1,10 @@
 // Normalises the sums of pieces that lie together and composites them into the frame by depth.
 #include "camera.glsl"
 
-uniform sampler2D splats;    // weighted rgb, weight
-uniform sampler2D sharpness; // weighted sharpness
+#include "outside_look.glsl"
+
+uniform sampler2D splats;    // layer: weighted rgb, weight
+uniform sampler2D edges;     // layer: weighted sharpness; behind it: weight, weighted sharpness
 uniform sampler2D front;     // linear depth
 #ifdef FACES
 uniform sampler2D faces;     // rgb, coverage
@@ -24,10 +26,8 @@ void main() {
     vec4 sum = texelFetch(splats, at, 0);
     float stored = texelFetch(front, at, 0).r;
     float z = stored < 1.0 ? stored / depth_range.y + depth_range.x : NOTHING;
-    float weight = max(sum.a, MIN_WEIGHT);
-    vec3 colour = sum.rgb / weight;
-    float alpha = clamp(0.5 + (sum.a - 0.5) * texelFetch(sharpness, at, 0).r / weight, 0.0, 1.0);
-    if (sum.a <= MIN_WEIGHT) alpha = 0.0;
+    vec3 colour = sum.rgb / max(sum.a, MIN_WEIGHT);
+    float alpha = outside_alpha(sum.a, texelFetch(edges, at, 0).xyz);
     vec3 over = alpha * colour; // premultiplied
 #ifdef FACES
     vec4 face = texelFetch(faces, at, 0);

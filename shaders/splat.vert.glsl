@@ -11,7 +11,6 @@ in vec2 corner; // -1 or 1
 
 #ifndef CLASSIC
 uniform float reach;        // in standard deviations: all of the splat, or its core
-uniform float behind;       // world units behind the front depth that still pass
 #endif
 
 flat out vec4 centre;
@@ -45,7 +44,7 @@ void main() {
     gl_Position = vec4(to_ndc(centre.xy + u), 0.0, 1.0);
 #else
     // w = 1 makes depth linear over the quad, which is what the splat's is: the early depth test stays on.
-    float z = centre.z + dot(depth_slope, u) - behind;
+    float z = centre.z + dot(depth_slope, u);
     gl_Position = vec4(to_ndc(centre.xy + u), linear_depth(z) * 2.0 - 1.0, 1.0);
 #endif
 #endif

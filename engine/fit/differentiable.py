@@ -20,7 +20,8 @@ from engine.render.cpu.kernel_field import KernelField
 from engine.render.cpu.outside import Outside, camera_planes, draw
 from engine.render.cpu.ray_entry import enter, face_edge
 from engine.render.cpu.splats import GRADIENT, Splats, project_backward
-from engine.render.cpu.tiles import CHUNKS, accumulate_backward, resolve_backward
+from engine.render.cpu.tiles import CHUNKS, accumulate_backward
+from engine.render.cpu.weights import resolve_backward
 from engine.render.projection import camera_record
 from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from engine.scene.camera import Camera

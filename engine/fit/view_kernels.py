@@ -8,9 +8,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from engine.render.cpu.falloff import falloff
 from engine.render.cpu.splats import DEPTH, DEPTH_EXTENT, TILE, WEIGHT
 from engine.render.cpu.tiles import AREA, FAR, TILES_PER_TASK, fill_rays, fragments, rows_of
+from engine.render.cpu.weights import falloff
 from engine.scene.constants import CUTOFF_Q, MIN_WEIGHT
 
 __all__ = [

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from engine.scene import sh
@@ -35,6 +37,30 @@ def ball(pitch: float, seed: int = 0, exposed: int = 0, degree: int = 1, radius:
         rgb[np.linalg.norm(points - seed_point, axis=1) < 0.04 * radius] = [0.08, 0.05, 0.03]
     means, sigmas, rgb = (a.astype(np.float32) for a in (points, np.full(len(points), pitch / 2), rgb))
     return Atoms(skin, InteriorAtoms(means, sigmas, rgb, exposed), pitch)
+
+
+def with_leaf(
+    atoms: Atoms, centre: tuple[float, float, float] = (0.8, 0.46, 0.65), radius: float = 0.2, spacing: float = 0.6
+) -> Atoms:
+    """The atoms and a flat red leaf that faces the origin, of discs `spacing` pitches apart: something in front."""
+    normal = np.array(centre) / np.linalg.norm(centre)
+    across = np.cross(normal, (0.0, 0.0, 1.0))
+    across /= np.linalg.norm(across)
+    steps = np.arange(-int(radius / (spacing * atoms.pitch)), int(radius / (spacing * atoms.pitch)) + 1)
+    a, b = (spacing * atoms.pitch * grid.reshape(-1, 1) for grid in np.meshgrid(steps, steps))
+    means = (centre + a * across + b * np.cross(normal, across))[np.hypot(a, b)[:, 0] <= radius]
+    skin = atoms.surface
+    coefficients = np.zeros((len(means), *skin.sh.shape[1:]))
+    coefficients[:, 0] = sh.rgb_to_sh(np.array([0.8, 0.1, 0.1]))
+    turn = np.array([1 + normal[2], -normal[1], normal[0], 0.0])
+    leaf = (
+        means,
+        np.tile(np.array([0.6, 0.6, 0.12]) * atoms.pitch, (len(means), 1)),
+        np.tile(turn / np.linalg.norm(turn), (len(means), 1)),
+        coefficients,
+    )
+    both = zip((skin.means, skin.scales, skin.quats, skin.sh), leaf, strict=True)
+    return replace(atoms, surface=SurfaceAtoms(*(np.concatenate(pair).astype(np.float32) for pair in both)))
 
 
 def scatter(surface: int, interior: int, seed: int = 0, exposed: int = 0, degree: int = 2) -> Atoms:

@@ -136,15 +136,24 @@ def splats(atoms: Atoms, camera: Camera, planes: Sequence[Plane]) -> tuple[Doubl
     for kept, q, z, _, _, _ in fragments:
         front = np.where(kept & (q <= CORE_Q), np.minimum(front, z), front)
     total, edge, colour = np.zeros(size), np.zeros(size), np.zeros((*size, 3))
+    behind, behind_edge = np.zeros(size), np.zeros(size)
     for kept, q, z, rho, sharp, c in fragments:
-        w = np.where(kept & (z <= front + EPSILON_PITCHES * atoms.pitch), rho * np.exp(-q / 2), 0)
-        total += w
-        edge += w * sharp
-        colour += w[..., None] * c
-    some = total > MIN_WEIGHT
-    safe = np.where(some, total, 1)
-    alpha = np.where(some, np.clip(0.5 + (total - 0.5) * edge / safe, 0, 1), 0)
-    return colour / safe[..., None], alpha, front
+        w = np.where(kept, rho * np.exp(-q / 2), 0)
+        in_layer = z <= front + EPSILON_PITCHES * atoms.pitch
+        total += np.where(in_layer, w, 0)
+        edge += np.where(in_layer, w, 0) * sharp
+        colour += np.where(in_layer, w, 0)[..., None] * c
+        behind += np.where(in_layer, 0, w)
+        behind_edge += np.where(in_layer, 0, w) * sharp
+    alpha = 1 - (1 - coverage(total, edge)) * (1 - coverage(behind, behind_edge))
+    some = total > MIN_WEIGHT  # without a layer there is no colour, whatever lies behind
+    return colour / np.where(some, total, 1)[..., None], np.where(some, alpha, 0), front
+
+
+def coverage(weight: NDArray[np.floating], edge: NDArray[np.floating]) -> Double:
+    """(H, W). Covered part of a pixel, range [0, 1], from sums of weights and of weights times sharpness (H, W)."""
+    some = weight > MIN_WEIGHT
+    return np.where(some, np.clip(0.5 + (weight - 0.5) * edge / np.where(some, weight, 1), 0, 1), 0)
 
 
 def faces(atoms: Atoms, camera: Camera, planes: Sequence[Plane], light: bool) -> tuple[Double, Double, Double]:

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from engine.render.cpu.splats import RECORD, TILE, Splats, project
-from engine.render.cpu.tiles import CHUNKS, TILES_PER_TASK, TiledSplats, accumulate, resolve, tile_lists
+from engine.render.cpu.tiles import CHUNKS, TILES_PER_TASK, TiledSplats, accumulate, tile_lists
+from engine.render.cpu.weights import SUMS, resolve
 from engine.render.projection import camera_record
 from engine.scene import sh
 from engine.scene.atoms import Atoms
@@ -30,7 +31,7 @@ class Outside:
     front: NDArray[np.floating]
     """(H, W). Depth of the nearest core, inf if there is none."""
     sums: NDArray[np.floating]
-    """(H, W, 5). Weight, weight times sharpness, weight times RGB."""
+    """(H, W, SUMS). Of the layer behind the front and of what follows, as `engine.render.cpu.weights` describes."""
 
     @property
     def tasks(self) -> int:
@@ -89,7 +90,7 @@ def draw(
     pieces: Sequence[Piece],
     pitch: float,
 ) -> Outside:
-    """Projects the splats once per piece and sums the fragments near the front."""
+    """Projects the splats once per piece and sums their fragments, pixel by pixel."""
     kind, count = splats.means.dtype, len(splats.means)
     views = [piece.camera(camera) for piece in pieces]
     planes = np.concatenate(
@@ -111,7 +112,7 @@ def draw(
     cam = camera_record(camera)
     tiled = TiledSplats(cam, planes, records, spans, tile_starts, splat_ids, columns, EPSILON_PITCHES * pitch)
     front = np.empty((camera.height, camera.width), kind)
-    outside = Outside(tiled, front, np.empty((*front.shape, 5), kind))
+    outside = Outside(tiled, front, np.empty((*front.shape, SUMS), kind))
     stacked = np.ascontiguousarray(np.concatenate(colours) if len(colours) > 1 else colours[0], kind)
     for_each(accumulate, outside.tasks, tiled, stacked, front, outside.sums)
     return outside

@@ -31,6 +31,7 @@ from engine.render.cpu.software_holes import fill_holes, seen_through, tile_dept
 from engine.render.cpu.software_sections import BAND, SECTION, AtomBatch, SectionView, bin_bands, sections
 from engine.render.cpu.splats import RECORD, TILE, Splats
 from engine.render.cpu.tiles import CHUNKS, TILES_PER_TASK, TiledSplats, accumulate, tile_lists
+from engine.render.cpu.weights import SUMS
 from engine.render.culling.draw_options import DrawOptions
 from engine.render.culling.groups import Group, Rect, visible_groups
 from engine.render.culling.piece_faces import Face, atoms_at_face, scale_of, visible_faces
@@ -158,10 +159,10 @@ class SoftwareMode:
         face: NDArray[np.float32],  # [H, W, 4] or NO_FACE
         depths: NDArray[np.float32],  # [H, W] depths of the faces, if any
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Front depth (H, W) and sums (H, W, 5) of the outside."""
+        """Front depth (H, W) and sums (H, W, SUMS) of the outside."""
         shape, rect, options = group.shape, group.rect, group.options
         front = self._buffer("front", shape, np.float32)
-        sums = self._buffer("sums", (*shape, 5), np.float32)
+        sums = self._buffer("sums", (*shape, SUMS), np.float32)
         chosen, culled = [], []
         for splats in group.solid.splats(options.interior_only):
             all_chunks = [np.ones(len(splats.chunks), bool)]
@@ -178,7 +179,7 @@ class SoftwareMode:
         ends = self._buffer("ends", shape, np.float32)
         limits = self._buffer("limits", (lines, columns), np.float32)
         left_open, right_open = rect[0] > 0, rect[0] + rect[2] < group.view.camera.width
-        for_each(tile_depths, lines, front, len(face) > 0, face, depths, left_open, right_open, ends, limits)
+        for_each(tile_depths, lines, front, sums, len(face) > 0, face, depths, left_open, right_open, ends, limits)
         chosen = []
         for splats, k, rows in culled:
             seen = self._buffer("seen", (len(rows),), np.bool_)

@@ -13,9 +13,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from engine.render.cpu.falloff import FUSED, falloff
 from engine.render.cpu.ray_entry import PieceBounds, coverage_of, enter_row, facing_of
 from engine.render.cpu.software_sections import BAND
+from engine.render.cpu.weights import FUSED, falloff
 from engine.render.projection import CameraRecord
 from engine.scene.constants import FACE_AMBIENT, FACE_LAMP
 

@@ -9,9 +9,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from engine.render.cpu.falloff import FUSED
 from engine.render.cpu.software_sections import BAND
 from engine.render.cpu.splats import Splats, project
+from engine.render.cpu.weights import BEHIND, FUSED
 from engine.render.projection import CameraRecord
 from engine.scene.constants import MIN_WEIGHT
 from engine.scene.sh import fill_basis
@@ -52,7 +52,7 @@ class GroupLayers(NamedTuple):
     """Corner of the rectangle, pixels."""
     y: int
     sums: NDArray[np.float32]
-    """(h, w, 5). Weight, weight times sharpness, weight times RGB of the outside."""
+    """(h, w, SUMS). Of the outside, as `engine.render.cpu.weights` describes."""
     front: NDArray[np.float32]
     """(h, w). Depth of the nearest core, world units."""
     has_faces: bool
@@ -188,7 +188,10 @@ def resolve_row(row, group, nothing, lane):
         z = min(front[k], nothing)
         each = one / max(weight, np.float32(MIN_WEIGHT))
         alpha = min(max(half + (weight - half) * sums[k, 1] * each, zero), one)
-        alpha = alpha if weight > np.float32(MIN_WEIGHT) else zero
+        rest = sums[k, BEHIND]
+        behind = half + (rest - half) * sums[k, BEHIND + 1] / max(rest, np.float32(MIN_WEIGHT))
+        behind = min(max(behind, zero), one) if rest > np.float32(MIN_WEIGHT) else zero
+        alpha = alpha + (one - alpha) * behind if weight > np.float32(MIN_WEIGHT) else zero
         each *= alpha
         red, green, blue = each * sums[k, 2], each * sums[k, 3], each * sums[k, 4]
         cover = face[k, 3] if has_faces else zero

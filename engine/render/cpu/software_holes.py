@@ -2,7 +2,8 @@
 
 Leaving out atoms that face away from the eye (engine.render.culling.backface) is right if the skin in front of them is
 closed. Skins of captures have pinholes: pixels without a core, or with one from far behind. Each culled atom is
-tested against the depth of the tiles that it touches, and pixels where one passes are recomputed from all atoms.
+tested against the depth of the tiles that it touches, and pixels where one passes are recomputed from all atoms. Where
+the skin in front covers a pixel only in part, culled atoms count among what lies behind it.
 """
 
 from __future__ import annotations
@@ -13,16 +14,23 @@ import numpy as np
 from numba import njit
 
 from engine.render.cpu.splats import SHARPNESS, TILE, WEIGHT
-from engine.render.cpu.tiles import AREA, FAR, fill_rays, fragments
-from engine.scene.constants import CORE_Q, CUTOFF_Q, FACE_OPAQUE
+from engine.render.cpu.tiles import AREA, FAR, add_behind, fill_rays, fragments
+from engine.render.cpu.weights import BEHIND, SUMS, outside_alpha
+from engine.scene.constants import CORE_Q, CUTOFF_Q, FACE_OPAQUE, MIN_WEIGHT
 
 __all__ = ["fill_holes", "seen_through", "tile_depths"]
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def tile_depths(line, front, faces, face, depths, left_open, right_open, ends, limits):
-    """Fills a line of tiles of ends (H, W), the depth behind which nothing is visible, and of limits (lines, columns),
-    the largest end in each tile.
+def is_partly_covered(sums):
+    """Whether what lies behind the layer changes the alpha of a pixel with these sums (SUMS,)."""
+    return sums[0] > MIN_WEIGHT and outside_alpha(sums[0], sums[1], sums[BEHIND], sums[BEHIND + 1]) < 1.0
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def tile_depths(line, front, sums, faces, face, depths, left_open, right_open, ends, limits):
+    """Fills a line of tiles of ends (H, W), the depth behind which nothing shows its colour, and of limits (lines,
+    columns), the largest end in each tile; infinite for a tile with a partly covered pixel.
 
     A run of pixels without a front that ends at a side of the rectangle with nothing beyond (`left_open`,
     `right_open`) is outside the object and does not count. A run between two parts of the object does count, which
@@ -48,6 +56,8 @@ def tile_depths(line, front, faces, face, depths, left_open, right_open, ends, l
             most = limits[line, column]
             for x in range(np.uintp(column * TILE), np.uintp(min((column + 1) * TILE, width))):
                 most = max(most, ends[y, x])
+                if most < infinite and ends[y, x] == front[y, x] and is_partly_covered(sums[y, x]):
+                    most = infinite
             limits[line, column] = most
 
 
@@ -91,7 +101,8 @@ def deepest(limits, x0, x1, y0, y1):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def fill_holes(line, tiled, colours, hidden, hidden_colours, ends, front, sums):
-    """Recomputes front (H, W) and sums (H, W, 5) of a line of tiles where hidden atoms are visible.
+    """Recomputes front (H, W) and sums (H, W, SUMS) of a line of tiles where hidden atoms are visible, and adds those
+    that lie behind partly covered pixels.
 
     tiled and hidden: TiledSplats of what was drawn and of what was culled, with the same planes.
     """
@@ -101,6 +112,7 @@ def fill_holes(line, tiled, colours, hidden, hidden_colours, ends, front, sums):
     px, py, h, z, limit, nearest = lane[0], lane[1], lane[2], lane[3], lane[4], lane[5]
     base, slope = np.empty((len(tiled.planes), AREA), kind), np.empty((len(tiled.planes), AREA), kind)
     visible = np.empty(AREA, np.bool_)
+    behind = np.empty((2, AREA), kind)
     layer, infinite = kind(tiled.layer), kind(np.inf)
     core, cutoff = kind(0.5 * CORE_Q), kind(0.5 * CUTOFF_Q)
     for column in range(tiled.columns):
@@ -119,23 +131,34 @@ def fill_holes(line, tiled, colours, hidden, hidden_colours, ends, front, sums):
             for k in range(AREA):
                 visible[k] |= (h[k] <= cutoff) & (z[k] < infinite) & (z[k] <= limit[k])
                 nearest[k] = min(nearest[k], z[k] if h[k] <= core else infinite)
+        behind[:] = kind(0.0)
         for k in range(AREA):
             x, y = column * TILE + k % TILE, line * TILE + k // TILE
+            limit[k] = infinite
+            if x < width and y < height and not visible[k] and front[y, x] < infinite and ends[y, x] == front[y, x]:
+                limit[k] = front[y, x] + layer if is_partly_covered(sums[y, x]) else infinite
+        add_behind(hidden, tile, near, px, py, base, slope, h, z, limit, behind[0], behind[1])
+        for k in range(AREA):
+            x, y = column * TILE + k % TILE, line * TILE + k // TILE
+            if behind[0, k] > kind(0.0):
+                sums[y, x, BEHIND] += behind[0, k]
+                sums[y, x, BEHIND + 1] += behind[1, k]
             if not visible[k]:
                 continue
             last = nearest[k] + layer if nearest[k] < infinite else kind(FAR)
-            total = np.zeros(5, kind)
+            total = np.zeros(SUMS, kind)
             for pass_ in range(2):
                 drawn, rgb = (hidden, hidden_colours) if pass_ else (tiled, colours)
                 for pair in range(drawn.tile_starts[tile], drawn.tile_starts[tile + 1]):
                     i = drawn.splat_ids[pair]
                     r = drawn.records[i]
                     fragments(r, drawn.spans[i], near, px, py, base, slope, k, k + 1, h, z)
-                    if h[k] <= cutoff and z[k] <= last:
+                    if h[k] <= cutoff and z[k] < infinite:
                         g = math.exp(-h[k])
-                        total[0] += g * r[WEIGHT]
-                        total[1] += g * r[SHARPNESS]
-                        for c in range(3):
+                        first = 0 if z[k] <= last else BEHIND
+                        total[first] += g * r[WEIGHT]
+                        total[first + 1] += g * r[SHARPNESS]
+                        for c in range(3 if first == 0 else 0):
                             total[2 + c] += g * r[WEIGHT] * rgb[i, c]
             front[y, x] = nearest[k]
             sums[y, x] = total

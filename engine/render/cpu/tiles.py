@@ -1,5 +1,7 @@
 """The pixel loops of the opaque image's outside: a front depth, then sums over a thin layer behind it, tile by tile.
 
+Where the layer covers a pixel only in part, the splats behind it are summed as well (engine.render.cpu.weights).
+
 Arrays are float32 for pictures or float64 for checking derivatives. The inner loops hold no literals, which would widen
 float32, and run over whole rows of a tile without branches, so that each row compiles to vector instructions.
 """
@@ -15,7 +17,6 @@ from numba import njit
 from numpy.typing import NDArray
 
 from engine.render.classic.tiles import place_pairs
-from engine.render.cpu.falloff import FUSED, falloff
 from engine.render.cpu.splats import (
     DEPTH,
     DEPTH_EXTENT,
@@ -36,6 +37,7 @@ from engine.render.cpu.splats import (
     U,
     V,
 )
+from engine.render.cpu.weights import BEHIND, FUSED, SUMS, coverage, falloff
 from engine.render.projection import CameraRecord
 from engine.scene.constants import CORE_Q, CUTOFF_Q, MIN_WEIGHT
 from engine.threads import for_each
@@ -48,10 +50,9 @@ __all__ = [
     "TiledSplats",
     "accumulate",
     "accumulate_backward",
+    "add_behind",
     "fill_rays",
     "fragments",
-    "resolve",
-    "resolve_backward",
     "rows_of",
     "tile_lists",
 ]
@@ -64,6 +65,9 @@ TILES_PER_TASK = 32
 
 CHUNKS = 16
 """Tasks that the splats are split into. Fixed, so that the lists do not depend on the number of cores."""
+
+RECHECK = 8
+"""Splats behind the layer after which a tile is searched for pixels that need more: one search costs less than one."""
 
 FAR = 1e30
 """Depth limit of a pixel without a front: behind everything, yet before the infinite depth of clipped fragments."""
@@ -187,14 +191,17 @@ def fragments(r, span, near, px, py, base, slope, start, end, h, z):
 
 @njit(cache=True, error_model="numpy", nogil=True, fastmath=FUSED)
 def accumulate(task, tiled, colours, front, sums):
-    """Both passes over some tiles. Fills front (H, W), the depth of the nearest core, and sums (H, W, 5): weight,
-    weight times sharpness and weight times RGB of the fragments no more than the layer's depth behind the front."""
+    """All passes over some tiles. Fills front (H, W), the depth of the nearest core, and sums (H, W, SUMS).
+
+    The layer is what lies no more than its depth behind the front. Sums behind it are taken only as far as they matter:
+    not where the layer is empty or covers the whole pixel, and not beyond a coverage of 1.
+    """
     height, width = front.shape
     kind = tiled.records.dtype.type
     near, lane = kind(tiled.cam.near), np.empty((6, AREA), kind)
     px, py, h, z, nearest, limit = lane[0], lane[1], lane[2], lane[3], lane[4], lane[5]
     base, slope = np.empty((len(tiled.planes), AREA), kind), np.empty((len(tiled.planes), AREA), kind)
-    total = np.empty((5, AREA), kind)
+    total = np.empty((SUMS, AREA), kind)
     s0, s1, s2, s3, s4 = total[0], total[1], total[2], total[3], total[4]
     infinite, zero, layer = kind(np.inf), kind(0.0), kind(tiled.layer)
     core, cutoff = kind(0.5 * CORE_Q), kind(0.5 * CUTOFF_Q)
@@ -238,26 +245,83 @@ def accumulate(task, tiled, colours, front, sums):
                 s3[k] += w * green
                 s4[k] += w * blue
         for k in range(AREA):
+            partly = s0[k] > MIN_WEIGHT and coverage(s0[k], s1[k]) < 1.0
+            limit[k] = limit[k] if nearest[k] < infinite and partly else infinite
+        add_behind(tiled, tile, near, px, py, base, slope, h, z, limit, total[BEHIND], total[BEHIND + 1])
+        for k in range(AREA):
             x, y = left + k % TILE, top + k // TILE
             if x < width and y < height:
                 front[y, x] = nearest[k]
-                for c in range(5):
+                for c in range(SUMS):
                     sums[y, x, c] = total[c, k]
 
 
 @njit(cache=True, error_model="numpy")
+def _open_rows(limit):
+    """Least limit (AREA,) of a tile, and the range of pixels, whole rows, that holds all finite ones."""
+    least, first, last = limit.dtype.type(np.inf), AREA, 0
+    for k in range(AREA):
+        if limit[k] < np.inf:
+            least, first, last = min(least, limit[k]), min(first, k), k
+    return least, first // TILE * TILE, last // TILE * TILE + TILE
+
+
+@njit(cache=True, error_model="numpy", nogil=True, fastmath=FUSED)
+def add_behind(tiled, tile, near, px, py, base, slope, h, z, limit, weights, edges):
+    """Adds to weights and edges (AREA,) the weight, and weight times sharpness, of a tile's fragments behind limit
+    (AREA,), which is infinite for pixels that need none and becomes so for those that are covered.
+
+    px, py, base and slope as `fill_rays` fills them; h and z (AREA,) are scratch.
+    """
+    left, top = tile % tiled.columns * TILE, tile // tiled.columns * TILE
+    kind = tiled.records.dtype.type
+    zero, one, infinite, cutoff = kind(0.0), kind(1.0), kind(np.inf), kind(0.5 * CUTOFF_Q)
+    walked = 0
+    least, first, last = _open_rows(limit)
+    for pair in range(tiled.tile_starts[tile], tiled.tile_starts[tile + 1]):
+        if least == infinite:
+            break
+        i = tiled.splat_ids[pair]
+        r = tiled.records[i]
+        if r[DEPTH] + r[DEPTH_EXTENT] <= least:
+            continue
+        start, end = rows_of(r, math.sqrt(CUTOFF_Q), left, top)
+        start, end = max(start, first), min(end, last)
+        if start >= end:
+            continue
+        fragments(r, tiled.spans[i], near, px, py, base, slope, start, end, h, z)
+        weight, edge = r[WEIGHT], r[SHARPNESS]
+        for k in range(np.uintp(start), np.uintp(end)):
+            g = falloff(min(h[k], cutoff))
+            g = g if (h[k] <= cutoff) & (z[k] > limit[k]) & (z[k] < infinite) else zero
+            weights[k] += g * weight
+            edges[k] += g * edge
+            # No sharpness is below 1, so a weight of 1 is full coverage, and stays it whatever is added.
+            limit[k] = limit[k] if weights[k] < one else infinite
+        walked += 1
+        if walked % RECHECK == 0:
+            least, first, last = _open_rows(limit)
+
+
+@njit(cache=True, error_model="numpy")
 def _add_row(part, g, px, py, r, red, green, blue, at):
-    """Adds the gradients of one row of a tile to the lanes of the GRADIENT sums in `part`."""
+    """Adds the gradients of one row of a tile to the lanes of the GRADIENT sums in `part`.
+
+    These are followed there by the gradients of the SUMS, and by 1 for fragments of the layer, 0 for those behind it.
+    """
     given = np.uintp(GRADIENT * TILE) + at
+    zero = g.dtype.type(0)
     u0, u1, v0, v1, weight, edge = r[U], r[U_FRACTION], r[V], r[V_FRACTION], r[WEIGHT], r[SHARPNESS]
     for k in range(np.uintp(TILE)):
         d0, d1 = part[given + k], part[given + np.uintp(AREA) + k]
         d2, d3 = part[given + np.uintp(2 * AREA) + k], part[given + np.uintp(3 * AREA) + k]
-        d4 = part[given + np.uintp(4 * AREA) + k]
-        d_weight = d0 + red * d2 + green * d3 + blue * d4
+        d4, d5 = part[given + np.uintp(4 * AREA) + k], part[given + np.uintp(5 * AREA) + k]
+        d6, layer = part[given + np.uintp(6 * AREA) + k], part[given + np.uintp(SUMS * AREA) + k] > zero
+        d_weight = d0 + red * d2 + green * d3 + blue * d4 if layer else d5
+        d1 = d1 if layer else d6
         p = -g[at + k] * (weight * d_weight + edge * d1)
         dx, dy = (px[at + k] - u0) - u1, (py[at + k] - v0) - v1
-        w = g[at + k] * weight
+        w = g[at + k] * weight if layer else zero
         part[k] += p * dx
         part[np.uintp(TILE) + k] += p * dy
         part[np.uintp(2 * TILE) + k] += p * dx * dx
@@ -272,7 +336,7 @@ def _add_row(part, g, px, py, r, red, green, blue, at):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def accumulate_backward(task, tiled, colours, front, d_sums, first_rows, rows):
-    """Writes the gradient row of every pair of some tiles, given d_sums (H, W, 5) of `accumulate`.
+    """Writes the gradient row of every pair of some tiles, given d_sums (H, W, SUMS) of `accumulate`.
 
     A splat's pairs have adjacent rows from first_rows (N + 1,), tile after tile: they are summed in a fixed order.
     """
@@ -282,23 +346,27 @@ def accumulate_backward(task, tiled, colours, front, d_sums, first_rows, rows):
     px, py, h, z, limit = lane[0], lane[1], lane[2], lane[3], lane[4]
     base, slope = np.empty((len(tiled.planes), AREA), kind), np.empty((len(tiled.planes), AREA), kind)
     # One flat array: with twenty base pointers the compiler would have to assume that they overlap.
-    part = np.empty(GRADIENT * TILE + 5 * AREA, kind)
-    zero, layer, cutoff = kind(0.0), kind(tiled.layer), kind(0.5 * CUTOFF_Q)
+    part = np.empty(GRADIENT * TILE + (SUMS + 1) * AREA, kind)
+    in_layer = part[GRADIENT * TILE + SUMS * AREA :]
+    zero, one, infinite = kind(0.0), kind(1.0), kind(np.inf)
+    layer, cutoff = kind(tiled.layer), kind(0.5 * CUTOFF_Q)
     for tile in range(task * TILES_PER_TASK, min((task + 1) * TILES_PER_TASK, len(tiled.tile_starts) - 1)):
         column, line = tile % tiled.columns, tile // tiled.columns
         left, top = column * TILE, line * TILE
         if tiled.tile_starts[tile] == tiled.tile_starts[tile + 1]:
             continue
         fill_rays(tiled, tile, px, py, base, slope)
-        last = -kind(np.inf)
+        last = -infinite
         for k in range(AREA):
             x, y = left + k % TILE, top + k // TILE
-            limit[k] = -kind(np.inf)
-            if x < width and y < height:
-                limit[k] = front[y, x] + layer if front[y, x] < kind(np.inf) else kind(FAR)
-                last = max(last, limit[k])
-            for c in range(5):
-                part[GRADIENT * TILE + c * AREA + k] = d_sums[y, x, c] if x < width and y < height else zero
+            inside = x < width and y < height
+            limit[k] = -infinite
+            if inside:
+                limit[k] = front[y, x] + layer if front[y, x] < infinite else kind(FAR)
+                through = d_sums[y, x, BEHIND] != zero or d_sums[y, x, BEHIND + 1] != zero
+                last = max(last, infinite if through else limit[k])
+            for c in range(SUMS):
+                part[GRADIENT * TILE + c * AREA + k] = d_sums[y, x, c] if inside else zero
         for pair in range(tiled.tile_starts[tile], tiled.tile_starts[tile + 1]):
             i = tiled.splat_ids[pair]
             r = tiled.records[i]
@@ -312,7 +380,8 @@ def accumulate_backward(task, tiled, colours, front, d_sums, first_rows, rows):
             # From here on h holds exp(-q / 2).
             for k in range(np.uintp(start), np.uintp(end)):
                 g = falloff(min(h[k], cutoff))
-                h[k] = g if (h[k] <= cutoff) & (z[k] <= limit[k]) else zero
+                h[k] = g if (h[k] <= cutoff) & (z[k] < infinite) else zero
+                in_layer[k] = one if z[k] <= limit[k] else zero
             part[: GRADIENT * TILE] = zero
             for line_k in range(start // TILE, end // TILE):
                 _add_row(part, h, px, py, r, red, green, blue, np.uintp(line_k * TILE))
@@ -323,37 +392,3 @@ def accumulate_backward(task, tiled, colours, front, d_sums, first_rows, rows):
                 for k in range(c * TILE, (c + 1) * TILE):
                     total += part[k]
                 rows[at, c] = total
-
-
-@njit(cache=True, error_model="numpy", nogil=True)
-def resolve(y, sums, rgb, alpha):
-    """Fills row y of rgb (H, W, 3), weighted by alpha, and alpha (H, W) from the sums of `accumulate`."""
-    for x in range(sums.shape[1]):
-        weight = sums[y, x, 0]
-        cover = 0.0
-        if weight > MIN_WEIGHT:
-            cover = min(max(0.5 + (weight - 0.5) * (sums[y, x, 1] / weight), 0.0), 1.0)
-        alpha[y, x] = cover
-        for c in range(3):
-            rgb[y, x, c] = sums[y, x, 2 + c] / weight * cover if cover > 0.0 else 0.0
-
-
-@njit(cache=True, error_model="numpy", nogil=True)
-def resolve_backward(y, sums, d_rgb, d_alpha, d_sums):
-    """Fills row y of d_sums (H, W, 5): `resolve` backwards. An alpha clamped to 0 or 1 passes no gradient on."""
-    for x in range(sums.shape[1]):
-        d_sums[y, x, :] = 0
-        weight, edge = float(sums[y, x, 0]), float(sums[y, x, 1])
-        if not weight > MIN_WEIGHT:
-            continue
-        raw = 0.5 + (weight - 0.5) * (edge / weight)
-        cover = min(max(raw, 0.0), 1.0)
-        along = 0.0
-        for c in range(3):
-            along += d_rgb[y, x, c] * sums[y, x, 2 + c] / weight
-            d_sums[y, x, 2 + c] = d_rgb[y, x, c] * cover / weight
-        d_sums[y, x, 0] = -along * cover / weight
-        if 0.0 < raw < 1.0:
-            total = d_alpha[y, x] + along
-            d_sums[y, x, 0] += total * 0.5 * edge / (weight * weight)
-            d_sums[y, x, 1] = total * (1.0 - 0.5 / weight)

@@ -64,7 +64,7 @@ class OpaqueMode:
             values: dict[str, Any] = {
                 **view.uniforms,
                 "splats@0": sums.splats,
-                "sharpness@1": sums.sharpness,
+                "edges@1": sums.edges,
                 "front@2": sums.depth,
                 "faces@3": sums.faces,
                 "face_depths@4": sums.face_depths,
@@ -104,7 +104,6 @@ class OpaqueMode:
         runs = []
         for splats in solid.splats(options.interior_only):
             runs += self.surface.project(view, planes, splats, options)
-        sums.splat_fbo.depth_mask = False
         sums.splat_fbo.clear(viewport=rect)
         self.surface.draw(view, runs, sums, solid.pitch * options.disc_scale)
         return has_faces

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import moderngl
 import numpy as np
@@ -99,19 +100,19 @@ class SurfacePass:
         return runs
 
     def draw(self, view: View, runs: Sequence[Run], targets: Accumulators, pitch: float) -> None:
-        """Draws the front depth into the depth buffer, then the sums of everything within the layer behind it."""
+        """Draws the front depth into the depth buffer, then the sums of the layer behind it and of all that follows."""
         ctx = self.ctx
         targets.front_fbo.use()
         ctx.enable_only(moderngl.DEPTH_TEST | moderngl.PROGRAM_POINT_SIZE)
         ctx.depth_func = "<"
-        self._pass(view, runs, CORE, 0.0, visibility=True)
+        self._pass(view, runs, CORE, {}, visibility=True)
         targets.splat_fbo.use()
-        ctx.enable_only(moderngl.DEPTH_TEST | moderngl.PROGRAM_POINT_SIZE | moderngl.BLEND)
-        ctx.depth_func = "<="
+        ctx.enable_only(moderngl.PROGRAM_POINT_SIZE | moderngl.BLEND)
         ctx.blend_func = moderngl.ONE, moderngl.ONE
-        self._pass(view, runs, WHOLE, EPSILON_PITCHES * pitch, visibility=False)
+        values = {"front@0": targets.depth, "layer": EPSILON_PITCHES * pitch}
+        self._pass(view, runs, WHOLE, values, visibility=False)
 
-    def _pass(self, view: View, runs: Sequence[Run], reach: float, behind: float, visibility: bool) -> None:
+    def _pass(self, view: View, runs: Sequence[Run], reach: float, uniforms: dict[str, Any], visibility: bool) -> None:
         for run in runs:
             points = run.reach >= reach
             program = self.programs.get(
@@ -125,7 +126,7 @@ class SurfacePass:
                     "ORTHOGRAPHIC": int(view.camera.orthographic),
                 },
             )
-            values = {**view.uniforms, "reach": reach, "behind": behind, "plane_count": len(run.planes)}
+            values = {**view.uniforms, **uniforms, "reach": reach, "plane_count": len(run.planes)}
             if len(run.planes):
                 padded = np.zeros((MAX_PLANES, 4))
                 padded[: len(run.planes)] = run.planes

@@ -46,7 +46,7 @@ class Accumulators:
         self.depth.compare_func = ""  # read as a number, not compared
         self.depth.filter = moderngl.NEAREST, moderngl.NEAREST
         self.splats = ctx.texture(size, 4, dtype="f4")
-        self.sharpness = ctx.texture(size, 1, dtype="f4")
+        self.edges = ctx.texture(size, 4, dtype="f4")
         self.field = ctx.texture(size, 4, dtype="f4")
         self.faces = ctx.texture(size, 4, dtype="f2")
         self.face_depths = ctx.texture(size, 1, dtype="f4")
@@ -54,7 +54,8 @@ class Accumulators:
         self._distances: moderngl.Texture | None = None
         self._classic_fbo: moderngl.Framebuffer | None = None
         self.front_fbo = ctx.framebuffer([], self.depth)
-        self.splat_fbo = ctx.framebuffer([self.splats, self.sharpness], self.depth)
+        self.splat_fbo = ctx.framebuffer([self.splats, self.edges])
+        """Without the depth, which its shader reads."""
         self.field_fbo = ctx.framebuffer([self.field])
         self.face_fbo = ctx.framebuffer([self.faces, self.face_depths], self.depth)
         self.coverage_fbo = ctx.framebuffer([self.faces])
@@ -85,7 +86,7 @@ class Accumulators:
         for texture in (
             self.depth,
             self.splats,
-            self.sharpness,
+            self.edges,
             self.field,
             self.faces,
             self.face_depths,

@@ -11,10 +11,15 @@ import torch
 
 from engine.fit.differentiable import AtomTensors, opaque_image, sh_basis
 from engine.render.cpu.opaque import render
+from engine.render.cpu.outside import draw, splats_of, view_colours
+from engine.render.cpu.weights import BEHIND
 from engine.scene import sh
+from engine.scene.atoms import Atoms
 from engine.scene.camera import Camera, orbit, section
+from engine.scene.piece import Piece
 from engine.scene.plane import Plane
 from tests.helpers.solids import ball, scatter
+from tests.reference.opaque import coverage
 
 UP = (0.0, 0.0, 1.0)
 CUT = Plane.of((0, 0, 1), -0.1)
@@ -34,11 +39,24 @@ def test_it_is_the_same_picture() -> None:
         np.testing.assert_allclose(alpha.numpy(), truth.alpha, atol=1e-5)
 
 
+def things_behind_things(seed: int) -> Atoms:
+    """Small soft ellipsoids before larger ones, all at a slant, and a few interior atoms: edges inside silhouettes."""
+    atoms = scatter(24, 6, seed=seed, exposed=3, degree=3)
+    skin, towards = atoms.surface, -FAR.forward.astype(np.float32)
+    near, size = np.repeat([0.35, -0.3], 12)[:, None], np.repeat([0.05, 0.2], 12)[:, None]
+    means = 0.5 * (skin.means - skin.means @ towards[:, None] * towards) + near * towards
+    scales = skin.scales / skin.scales.max(1, keepdims=True) ** 0.5 * size
+    moved = replace(skin, means=means.astype(np.float32), scales=scales.astype(np.float32))
+    return replace(atoms, surface=moved)
+
+
 @pytest.mark.parametrize("planes", [[], [CUT]], ids=["whole", "cut"])
 @pytest.mark.parametrize("camera", [FAR, NEAR, STRAIGHT], ids=["far", "near", "straight"])
 @pytest.mark.parametrize("seed", [3, 4])
-def test_gradients_meet_finite_differences(camera: Camera, planes: list[Plane], seed: int) -> None:
-    atoms = AtomTensors.of(scatter(5, 6, seed=seed, exposed=3, degree=3), torch.float64)
+@pytest.mark.parametrize("made", ["scattered", "behind"])
+def test_gradients_meet_finite_differences(made: str, camera: Camera, planes: list[Plane], seed: int) -> None:
+    scene = things_behind_things(seed) if made == "behind" else scatter(5, 6, seed=seed, exposed=3, degree=3)
+    atoms = AtomTensors.of(scene, torch.float64)
     parameters = [getattr(atoms, name).requires_grad_() for name in PARAMETERS]
     rng = torch.Generator().manual_seed(seed)
     of_rgb = torch.rand(camera.height, camera.width, 3, generator=rng, dtype=torch.float64)
@@ -68,6 +86,23 @@ def test_gradients_meet_finite_differences(camera: Camera, planes: list[Plane], 
             entries += 1
     # A step may cross a jump (a fragment that enters, a front that changes); there no slope exists.
     assert wrong <= 0.03 * entries
+
+
+def test_gradients_reach_what_lies_behind() -> None:
+    """Where both the layer and what lies behind it cover a pixel in part, and of neither where it is covered."""
+    scene = things_behind_things(4)
+    camera = orbit((0, 0, 0), UP, 30, 35, 2.0, 44, 36)
+    sums = draw(splats_of(scene), [view_colours(scene, camera)], camera, [Piece(())], scene.pitch).sums
+    layer = coverage(sums[..., 0], sums[..., 1])
+    behind = coverage(sums[..., BEHIND], sums[..., BEHIND + 1])
+    open_twice = (layer > 0) & (layer < 1) & (behind > 0) & (behind < 1)
+    assert open_twice.sum() > 8
+    for pixels in (open_twice, layer == 1):
+        atoms = AtomTensors.of(scene)
+        scales = atoms.scales.requires_grad_()
+        opaque_image(atoms, camera)[1][torch.from_numpy(pixels)].sum().backward()
+        assert scales.grad is not None
+        assert bool(scales.grad[12:].any()) == (pixels is open_twice)
 
 
 def test_harmonics_are_the_engines() -> None:

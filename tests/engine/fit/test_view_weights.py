@@ -15,7 +15,7 @@ from engine.render.cpu.opaque import render
 from engine.scene.atoms import Atoms
 from engine.scene.camera import Camera, orbit, section
 from engine.scene.plane import Plane
-from tests.helpers.solids import ball, scatter
+from tests.helpers.solids import ball, scatter, with_leaf
 
 UP = (0.0, 0.0, 1.0)
 CUTS = [Plane.of((0, 0, 1), -0.1), Plane.of((1, 0.2, 0), -0.2)]
@@ -25,7 +25,11 @@ STRAIGHT = replace(CAMERA, orthographic=True, fx=35.0, fy=40.0)
 
 @pytest.mark.parametrize("planes", [[], CUTS])
 @pytest.mark.parametrize("camera", [CAMERA, STRAIGHT])
-@pytest.mark.parametrize("atoms", [ball(0.1, exposed=30), scatter(25, 30, exposed=8)], ids=["ball", "scatter"])
+@pytest.mark.parametrize(
+    "atoms",
+    [ball(0.1, exposed=30), with_leaf(ball(0.1), spacing=1.1), scatter(25, 30, exposed=8)],
+    ids=["ball", "leaf", "scatter"],
+)
 def test_w_times_colours_is_the_render(atoms: Atoms, camera: Camera, planes: list[Plane]) -> None:
     view = ViewWeights.surface(atoms, camera, planes)
     truth = render(atoms, camera, planes, (0.2, 0.5, 0.9))

@@ -18,7 +18,7 @@ from engine.scene.camera import Camera, look_at, section
 from engine.scene.piece import Piece
 from engine.scene.plane import Plane
 from tests.helpers.gl_scenes import around, draw, psnr, tight_ball
-from tests.helpers.solids import ball, scatter
+from tests.helpers.solids import ball, scatter, with_leaf
 from tests.reference.opaque import kernel_field, reference
 
 CUTS = {
@@ -47,7 +47,11 @@ def renderer(drawn_by: Renderer) -> Iterator[Renderer]:
         assert drawn_by.ctx.error == "GL_NO_ERROR"
 
 
-MADE = {"scatter": lambda: scatter(60, 60, exposed=15), "ball": lambda: ball(1 / 10, exposed=10)}
+MADE = {
+    "scatter": lambda: scatter(60, 60, exposed=15),
+    "ball": lambda: ball(1 / 10, exposed=10),
+    "leaf": lambda: with_leaf(ball(1 / 10), spacing=1.1),
+}
 
 
 @cache
@@ -215,16 +219,20 @@ def test_culling_changes_no_pixel(renderer: Renderer, distance: float) -> None:
                 assert np.abs(few.alpha - all_of_them.alpha).max() <= 1 / 255
 
 
-def test_what_stands_behind_pinholes_counts(renderer: Renderer) -> None:
-    """Skins of captures have holes finer than anything that is known of them before a frame."""
-    atoms = tight_ball(1 / 24)
+def with_pinholes(atoms: Atoms, share: float = 0.12, size: float = 0.75) -> Atoms:
+    """A share of the skin's atoms left out, the rest a little smaller and of random colours."""
     rng = np.random.default_rng(4)
-    kept = rng.random(len(atoms.surface)) > 0.12
+    kept = rng.random(len(atoms.surface)) > share
     s = atoms.surface
     sh = s.sh.copy()
     sh[:, 0] = rng.uniform(-1.5, 1.5, (len(s), 3))
-    scales = s.scales * np.array([0.75, 0.75, 1], np.float32)
-    renderer.set_atoms(replace(atoms, surface=SurfaceAtoms(s.means[kept], scales[kept], s.quats[kept], sh[kept])))
+    scales = s.scales * np.array([size, size, 1], np.float32)
+    return replace(atoms, surface=SurfaceAtoms(s.means[kept], scales[kept], s.quats[kept], sh[kept]))
+
+
+def test_what_stands_behind_pinholes_counts(renderer: Renderer) -> None:
+    """Skins of captures have holes finer than anything that is known of them before a frame."""
+    renderer.set_atoms(with_pinholes(tight_ball(1 / 24)))
     assert (renderer._solid.skin.culling.min_cosine <= 1).mean() > 0.5  # type: ignore[union-attr]
     leaks = 0
     for k, distance in enumerate((0.4, 0.7, 1.0, 1.5, 3.0)):
@@ -258,6 +266,30 @@ def test_silhouettes_of_a_piece_before_another_let_no_background_through(rendere
     edge = behind & (front > 0.02) & (front < 0.98)
     assert edge.sum() > 10
     assert np.abs(light.rgb - dark.rgb)[behind].max() <= 2 / 255
+
+
+def test_inner_edges_let_no_background_through(renderer: Renderer) -> None:
+    """At a leaf's edge the ball behind it covers what the leaf leaves open."""
+    alone = tight_ball(1 / 24)
+    atoms = with_leaf(alone, (0.66, 0.38, 0.53), spacing=1.1)
+    for camera in (around(30, 35, 0.8, 200, 150), around(80, 35, 1.0, 200, 150), around(210, -35, 1.0, 200, 150)):
+        renderer.set_atoms(alone)
+        covered = draw(renderer, camera).alpha > 0.999
+        renderer.set_atoms(atoms)
+        light, dark = (draw(renderer, camera, background=b) for b in ((1, 1, 1), (0, 0, 0)))
+        assert covered.sum() > 2000
+        assert np.abs(light.rgb - dark.rgb)[covered].max() <= 1 / 255
+
+
+def test_culling_leaves_out_nothing_that_covers_an_edge(renderer: Renderer) -> None:
+    """Where the skin in front covers a pixel in part, the far side of the ball covers the rest."""
+    renderer.set_atoms(with_leaf(with_pinholes(tight_ball(1 / 24), 0.5, 0.6), (0.66, 0.38, 0.53), spacing=1.1))
+    assert (renderer._solid.skin.culling.min_cosine <= 1).mean() > 0.9  # type: ignore[union-attr]
+    for camera in (around(30, 35, 0.8, 200, 150), around(80, 35, 1.0, 80, 60)):
+        for planes in ((), (Plane.of((0.3, 0, 1), -0.2),)):
+            few, all_of_them = (draw(renderer, camera, Piece(planes), cull=cull) for cull in (True, False))
+            assert np.abs(few.rgb - all_of_them.rgb).max() <= 1 / 255
+            assert np.abs(few.alpha - all_of_them.alpha).max() <= 1 / 255
 
 
 def test_zoom_sweep(renderer: Renderer) -> None:

@@ -19,7 +19,9 @@ from numpy.typing import NDArray
 
 from engine.render.cpu import splats as record
 from engine.render.cpu.ray_entry import coverage, coverage_of, enter, facing_of
+from engine.render.cpu.software_frame import GroupLayers, resolve_row
 from engine.render.cpu.splats import RECORD, Splats, project
+from engine.render.cpu.weights import BEHIND, SUMS, outside_alpha
 from engine.render.culling.view import View
 from engine.render.gl import Renderer
 from engine.render.gl.context import CONSTANTS, layout, write_uniforms
@@ -29,6 +31,7 @@ from engine.scene.camera import Camera
 from engine.scene.constants import FACE_AMBIENT, FACE_LAMP
 from engine.scene.rotations import normalised_quats, rotation_matrices
 from shaders import source
+from tests.reference.opaque import coverage as covered_by
 
 Double = NDArray[np.float64]
 
@@ -133,6 +136,33 @@ def test_face_coverage(renderer: Renderer) -> None:
     edge = np.float32(pitch / 2)
     kernel = [coverage_of(d, f, edge) for d, f in zip(density, footprint, strict=True)]
     assert np.allclose(kernel, expected, atol=CLOSE)
+
+
+def test_outside_alpha(renderer: Renderer) -> None:
+    """From nothing to more than enough, in the layer and behind it; also the software frame's version."""
+    rng = np.random.default_rng(2)
+    weights = (rng.uniform(0.2, 1, (COUNT, 2)) * (rng.random((COUNT, 2)) > 0.1)).astype(np.float32)
+    edges = (weights * rng.uniform(1, 2, (COUNT, 2))).astype(np.float32)
+    main = (
+        "in vec2 weights; in vec2 edges; out float alpha;"
+        "void main() { alpha = outside_alpha(weights.x, vec3(edges.x, weights.y, edges.y)); }"
+    )
+    table = {"weights": weights, "edges": edges}
+    (alpha,) = evaluate(renderer, glsl("outside_look.glsl", main=main), table, {"alpha": 1})
+    parts = covered_by(weights.astype(np.float64), edges.astype(np.float64))
+    expected = np.where(weights[:, 0] > 0, 1 - (1 - parts[:, 0]) * (1 - parts[:, 1]), 0)
+    assert ((parts > 0) & (parts < 1)).all(1).sum() > 10
+    assert np.allclose(alpha[:, 0], expected, atol=CLOSE)
+
+    sums = np.zeros((1, COUNT, SUMS), np.float32)
+    sums[0][:, [0, BEHIND]], sums[0][:, [1, BEHIND + 1]] = weights, edges
+    kernel = [outside_alpha(row[0], row[1], row[BEHIND], row[BEHIND + 1]) for row in sums[0]]
+    assert np.allclose(kernel, expected, atol=CLOSE)
+    depth, no_face = np.ones((1, COUNT), np.float32), np.zeros((1, 0, 4), np.float32)
+    layers = GroupLayers(0, 0, sums, depth, False, no_face, depth, np.float32(0), np.float32(0))
+    lane = np.empty((5, COUNT), np.float32)
+    resolve_row(0, layers, np.float32(constants.NOTHING), lane)
+    assert np.allclose(lane[1], expected, atol=CLOSE)
 
 
 @pytest.mark.parametrize("camera", cameras(), ids=["pinhole", "orthographic"])

@@ -16,7 +16,7 @@ from engine.scene.camera import Camera, look_at, orbit, section
 from engine.scene.piece import Piece
 from engine.scene.plane import Plane
 from engine.threads import cores, use_cores
-from tests.helpers.solids import ball, scatter
+from tests.helpers.solids import ball, scatter, with_leaf
 from tests.reference.opaque import kernel_field, reference
 
 UP = (0.0, 0.0, 1.0)
@@ -48,7 +48,7 @@ STRAIGHT = replace(view(40), orthographic=True, fx=35.0, fy=40.0)
 @pytest.mark.parametrize("planes", [[], CUTS[:1], CUTS], ids=["whole", "half", "quarter"])
 @pytest.mark.parametrize("camera", [view(), INSIDE, ON_PLANE, OFF_CENTRE, STRAIGHT])
 def test_meets_the_formula(camera: Camera, planes: list[Plane]) -> None:
-    for atoms in (ball(0.12, exposed=20), scatter(25, 30, exposed=8)):
+    for atoms in (ball(0.12, exposed=20), with_leaf(ball(0.12)), scatter(25, 30, exposed=8)):
         picture = render(atoms, camera, planes, (0.2, 0.5, 0.9), light=True)
         rgb, alpha, depth = reference(atoms, camera, planes, (0.2, 0.5, 0.9), light=True)
         assert psnr(picture.rgb, rgb) > 60
@@ -101,6 +101,29 @@ def test_a_cut_that_misses_changes_nothing() -> None:
     nothing = render(atoms, view(), [Plane.of((0, 0, 1), 0.9)])
     assert nothing.alpha.max() == 0
     assert np.isinf(nothing.depth).all()
+
+
+def test_inner_edges_let_no_background_through() -> None:
+    """At a leaf's edge the ball behind it covers what the leaf leaves open."""
+    alone, atoms = ball(0.06), with_leaf(ball(0.06), spacing=1.1)
+    for camera in (view(96), view(96, azimuth=42.0), replace(view(96), orthographic=True, fx=80.0, fy=80.0)):
+        light, dark = (render(atoms, camera, background=3 * (b,)) for b in (1.0, 0.0))
+        covered = render(alone, camera).alpha == 1
+        leaf = covered & (light.depth < render(alone, camera).depth - 0.2)
+        assert leaf.sum() > 100
+        assert light.alpha[covered].min() > 1 - 1e-6
+        np.testing.assert_allclose(light.rgb[covered], dark.rgb[covered], atol=1e-6)
+
+
+def test_what_lies_behind_gives_coverage_but_no_colour() -> None:
+    camera = view(96)
+    alone = ball(0.06)
+    picture = render(with_leaf(alone, spacing=1.1), camera)
+    black = replace(alone, surface=replace(alone.surface, sh=np.full_like(alone.surface.sh, -1e6)))
+    over_black = render(with_leaf(black, spacing=1.1), camera)
+    leaf = picture.depth < render(alone, camera).depth - 0.2
+    assert leaf.sum() > 100
+    np.testing.assert_array_equal(picture.rgb[leaf], over_black.rgb[leaf])
 
 
 def test_two_halves_put_back_together_are_the_whole() -> None:
