@@ -14,10 +14,10 @@ from numba import njit
 from numpy.typing import NDArray
 
 from engine.render.classic.rasterizer import render_with_median
-from engine.render.cpu.falloff import falloff
 from engine.render.cpu.outside import draw
 from engine.render.cpu.splats import TILE, WEIGHT, Splats
 from engine.render.cpu.tiles import AREA, fill_rays, fragments, rows_of
+from engine.render.cpu.weights import falloff
 from engine.scene.atoms import SurfaceAtoms
 from engine.scene.camera import Camera
 from engine.scene.constants import CUTOFF_Q
