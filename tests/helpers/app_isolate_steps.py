@@ -19,6 +19,7 @@ from engine.io.splats.ply import ply_data, read_ply
 from engine.scene.gaussians import Gaussians
 from engine.scene.sh import rgb_to_sh
 from tests.helpers.app_driver import Driver, drive
+from tests.helpers.quick_scene_worker import use_quick_worker
 
 Key = imgui.Key
 MAT = 6000
@@ -155,6 +156,7 @@ def main() -> None:
     """Runs it on the melon, once that is solid."""
     folder = Path(sys.argv[2])
     document = melon_on_a_mat(folder)
+    use_quick_worker()
 
     def run(driver: Driver) -> None:
         driver.until(lambda: driver.session.atoms is not None and driver.session.loader is None, 120, "the solid")

@@ -36,6 +36,7 @@ from engine.io.splats.ply import read_ply
 from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from tests.helpers.app_driver import Driver, drive
 from tests.helpers.app_upright import upright
+from tests.helpers.quick_scene_worker import use_quick_worker
 from tests.paths import HELPERS
 
 Key = imgui.Key
@@ -440,6 +441,7 @@ def main() -> None:
     elif name == "upright":
         at_once(folder, lambda driver: upright(driver, folder), (860, 560))
     else:
+        use_quick_worker()
         at_once(folder, soak, (640, 300))  # most frames are drawn by the processor: a small view is a quick one
     print("well")
 

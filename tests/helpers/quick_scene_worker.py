@@ -1,0 +1,26 @@
+"""The scene worker with a short fit of the skin, for window tests that look at other things."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import app.jobs.scene_loader as scene_loader
+import app.jobs.scene_worker as scene_worker
+from engine.processes import start_python
+
+__all__ = ["use_quick_worker"]
+
+
+def use_quick_worker() -> None:
+    """Scenes that this process loads from now on are prepared by this module."""
+
+    def start_quick(module: str, **options: Any) -> Any:
+        return start_python("tests.helpers.quick_scene_worker", **options)
+
+    scene_loader.start_python = start_quick  # type: ignore[assignment]
+
+
+if __name__ == "__main__":
+    scene_worker.SKIN_DETAIL = replace(scene_worker.SKIN_DETAIL, skin_steps=4, skin_size=96)
+    scene_worker.main()
