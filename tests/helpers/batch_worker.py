@@ -14,7 +14,7 @@ SIZES = {
     "skin_steps": 2, "skin_size": 48,
 }  # fmt: skip
 SHORT = replace(settings.DETAILS["draft"], **SIZES)
-DETAILS = {"draft": SHORT, "standard": replace(SHORT, iterations=40)}
+DETAILS = {"draft": SHORT, "standard": replace(SHORT, iterations=80)}
 
 SMALL = {
     "training.request.DETAILS": DETAILS,
