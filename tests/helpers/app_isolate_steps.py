@@ -19,7 +19,7 @@ from engine.io.splats.ply import ply_data, read_ply
 from engine.scene.gaussians import Gaussians
 from engine.scene.sh import rgb_to_sh
 from tests.helpers.app_driver import Driver, drive
-from tests.helpers.quick_scene_worker import use_quick_worker
+from tests.quick_scene_worker import use_quick_worker
 
 Key = imgui.Key
 MAT = 6000

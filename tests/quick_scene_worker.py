@@ -16,7 +16,7 @@ def use_quick_worker() -> None:
     """Scenes that this process loads from now on are prepared by this module."""
 
     def start_quick(module: str, **options: Any) -> Any:
-        return start_python("tests.helpers.quick_scene_worker", **options)
+        return start_python("tests.quick_scene_worker", **options)
 
     scene_loader.start_python = start_quick  # type: ignore[assignment]
 
