@@ -16,9 +16,12 @@ from safetensors.numpy import save_file
 from engine.errors import InputError
 from engine.io.files import atomic, remove
 
-__all__ = ["Checkpoint"]
+__all__ = ["CHECKPOINT_SECONDS", "Checkpoint"]
 
 Array = NDArray[Any]
+
+CHECKPOINT_SECONDS = 15.0
+"""Between two checkpoints of one stage: the most work that a kill can lose."""
 
 
 class Checkpoint:

@@ -18,11 +18,10 @@ from torch import Tensor
 
 from engine.errors import InputError
 from engine.fit.sh_fit import SurfaceView, fit_sh, surface_views
-from engine.fit.skin_fit import fit_skin
 from engine.io.files import remove_leftovers
 from engine.io.load import LoadedScene, load
 from engine.isolate.selection import isolated
-from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
+from engine.scene.atoms import Atoms, InteriorAtoms
 from engine.solid.fill import Colours, fill
 from engine.solid.solidify import atomise_surface, find_enclosure
 from engine.solid.up_axis.detect import UpAxis, detect_up
@@ -37,6 +36,7 @@ from training.priors.prior import Denoiser, Progress, VolumeSolver
 from training.priors.sds import distill
 from training.request import Geometry, Interrupted, Request
 from training.results import save_results
+from training.skin import fit_geometry
 from training.views import ENTRIES, Section, Slice, sections, slices, surface_cameras
 
 __all__ = ["Pipeline", "prepare", "refit_surface", "run"]
@@ -266,18 +266,3 @@ def refit_surface(
 
     arrays, facts = checkpoint.load_or_make("surface", fit)
     return replace(atoms, surface=replace(atoms.surface, sh=arrays["sh"])), facts["held_out"]
-
-
-def fit_geometry(
-    atoms: Atoms, geometry: Geometry, request: Request, checkpoint: Checkpoint, progress: Progress
-) -> Atoms:
-    """The atoms with means, scales, rotations and colours of the skin refined by descent through the renderer."""
-
-    def fit() -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-        fineness = request.fineness
-        cameras = surface_cameras(geometry.gaussians, geometry.up, fineness.surface_views, fineness.skin_size)
-        s = fit_skin(atoms, geometry.gaussians, cameras, fineness.skin_steps, request.seed, progress).surface
-        return {"means": s.means, "scales": s.scales, "quats": s.quats, "sh": s.sh}, {}
-
-    arrays, _ = checkpoint.load_or_make("skin", fit)
-    return replace(atoms, surface=SurfaceAtoms(**arrays))

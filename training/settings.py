@@ -58,7 +58,7 @@ DETAILS: dict[DetailName, Detail] = {
         surface=192,
         surface_views=60,
         iterations=120,
-        skin_steps=120,
+        skin_steps=240,
         skin_size=512,
     ),
     "high": Detail(
@@ -69,7 +69,7 @@ DETAILS: dict[DetailName, Detail] = {
         surface=256,
         surface_views=60,
         iterations=200,
-        skin_steps=300,
+        skin_steps=400,
         skin_size=640,
     ),
 }

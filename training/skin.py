@@ -2,25 +2,72 @@
 
 from __future__ import annotations
 
+import time
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
 from engine.fit.sh_fit import fit_sh, surface_views
-from engine.fit.skin_fit import fit_skin
-from engine.scene.atoms import Atoms
+from engine.fit.skin_fit import SkinFit
+from engine.scene.atoms import Atoms, SurfaceAtoms
 from engine.scene.gaussians import Gaussians
+from training.checkpoint import CHECKPOINT_SECONDS, Checkpoint
+from training.priors.prior import Progress
+from training.request import Geometry, Interrupted, Request
 from training.settings import Detail
 from training.views import ENTRIES, surface_cameras
 
-__all__ = ["match_skin"]
+__all__ = ["fit_geometry", "match_skin"]
+
+DRAWN = 0.2
+"""Part of the time of a fit that drawing the capture takes."""
 
 
 def match_skin(atoms: Atoms, gaussians: Gaussians, up: NDArray[np.float64], detail: Detail, seed: int) -> Atoms:
     """The atoms with a skin that looks like the capture: colours in closed form, then the geometry too.
 
-    Training does the same with a checkpoint after each step.
+    Training does the same with checkpoints.
     """
     cameras = surface_cameras(gaussians, up, detail.surface_views, detail.surface)
     atoms = fit_sh(atoms, surface_views(atoms, gaussians, cameras, ENTRIES)).atoms
     cameras = surface_cameras(gaussians, up, detail.surface_views, detail.skin_size)
-    return fit_skin(atoms, gaussians, cameras, detail.skin_steps, seed)
+    fit = SkinFit(atoms, gaussians, cameras, detail.skin_steps, seed)
+    while fit.step < fit.steps:
+        fit.advance()
+    return fit.result()
+
+
+def fit_geometry(
+    atoms: Atoms, geometry: Geometry, request: Request, checkpoint: Checkpoint, progress: Progress
+) -> Atoms:
+    """The atoms with means, scales, rotations and colours of the skin fitted to the capture. Bit-equal, resumed or not.
+
+    What `progress` raises to stop the run is passed on once the state is saved.
+    """
+    stored = checkpoint.load("skin")
+    if stored is None or "step" in stored[1]:
+        detail, gaussians = request.fineness, geometry.gaussians
+        cameras = surface_cameras(gaussians, geometry.up, detail.surface_views, detail.skin_size)
+        fit = SkinFit(atoms, gaussians, cameras, detail.skin_steps, request.seed, lambda part: progress(DRAWN * part))
+        if stored is not None:
+            fit.restore(stored[0], stored[1]["step"])
+        saved = time.perf_counter()
+
+        def save() -> None:
+            checkpoint.save("skin", fit.state(), {"step": fit.step})
+
+        while fit.step < fit.steps:
+            fit.advance()
+            try:
+                progress(DRAWN + (1 - DRAWN) * fit.step / fit.steps)
+            except Interrupted:
+                save()
+                raise
+            if time.perf_counter() - saved > CHECKPOINT_SECONDS:
+                save()
+                saved = time.perf_counter()
+        s = fit.result().surface
+        stored = {"means": s.means, "scales": s.scales, "quats": s.quats, "sh": s.sh}, {}
+        checkpoint.save("skin", *stored)
+    return replace(atoms, surface=SurfaceAtoms(**stored[0]))

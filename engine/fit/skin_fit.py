@@ -12,7 +12,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
+from engine.fit.adam_state import adam_state, restore_adam
 from engine.fit.differentiable import AtomTensors, opaque_image
 from engine.render.classic import rasterizer as classic
 from engine.render.cpu.opaque import render
@@ -21,15 +23,12 @@ from engine.scene.camera import Camera
 from engine.scene.gaussians import Gaussians
 from engine.scene.sh import C0
 
-__all__ = ["fit_skin"]
+__all__ = ["SkinFit"]
 
-MEAN_RATE = 0.03
-SCALE_RATE = 0.06
-QUAT_RATE = 0.015
-COLOUR_RATE = 0.03
+RATES = {"moves": 0.03, "sizes": 0.06, "quats": 0.015, "colours": 0.03}
 """Adam's initial learning rates; all fall to 0 as a cosine. A mean moves in units of its atom's middle scale: with
 steps of one length for all, the smallest atoms, which draw the details, are thrown about (2 dB on a capture of a box).
-Scales are logarithms; twice or half of any rate changes unseen views by less than 0.3 dB."""
+Sizes are logarithms of scales; twice or half of any rate changes unseen views by less than 0.3 dB."""
 
 BETAS = (0.9, 0.99)
 """Decay rates of Adam's moments; the second forgets faster than usual, as a fit has some hundred steps."""
@@ -70,72 +69,98 @@ class Target:
         return self.rgb + (1 - self.alpha) * torch.tensor(background, dtype=torch.float32)
 
 
-def fit_skin(
-    atoms: Atoms,
-    gaussians: Gaussians,
-    cameras: Sequence[Camera],
-    steps: int,
-    seed: int = 0,
-    progress: Callable[[float], None] = lambda part: None,
-) -> Atoms:
-    """The atoms with a skin fitted to the capture, without its haze, in the views of at least two cameras.
+class SkinFit:
+    """A fit of the skin to the capture, step by step. Bit-equal for the same input and seed, interrupted or not.
 
     Every other step has a random background, so that a translucent edge of the capture becomes an edge of the same
     place, not a band in the background's colour. Scales stay under the pitch, degree-0 colours in [0, 1]; the number
-    and the order of the atoms stay. If held-out views do not improve, the atoms are returned unchanged. Bit-equal for
-    the same input and seed.
+    and the order of the atoms stay.
     """
-    assert len(cameras) > 1, len(cameras)
-    targets = []
-    for index, camera in enumerate(cameras):
-        targets.append(Target.of(gaussians, camera))
-        progress(0.2 * (index + 1) / len(cameras))
-    held_out = targets[::HELD_OUT]
-    views = [target for index, target in enumerate(targets) if index % HELD_OUT]
-    interior = atoms.interior
-    exposed = slice(interior.exposed)
-    shown = InteriorAtoms(interior.means[exposed], interior.sigmas[exposed], interior.rgb[exposed], interior.exposed)
-    start = AtomTensors.of(replace(atoms, interior=shown))
-    unit = start.scales.median(dim=1, keepdim=True).values
-    low, high = math.log(SMALLEST * atoms.pitch), math.log(atoms.pitch)
-    moves = torch.zeros_like(start.means).requires_grad_()
-    sizes = start.scales.log().clamp(low, high).requires_grad_()
-    quats = start.quats.clone().requires_grad_()
-    colours = start.sh.clone().requires_grad_()
-    rates = ((moves, MEAN_RATE), (sizes, SCALE_RATE), (quats, QUAT_RATE), (colours, COLOUR_RATE))
-    # Without epsilon: the gradient of a mean picture error is far smaller than Adam's usual one.
-    optimiser = torch.optim.Adam([{"params": [p], "lr": rate} for p, rate in rates], betas=BETAS, eps=1e-15)
-    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, max(steps, 1))
 
-    def current() -> AtomTensors:
-        return replace(start, means=start.means + moves * unit, scales=sizes.exp(), quats=quats, sh=colours)
-
-    rng = np.random.default_rng(seed)
-    waiting: list[int] = []
-    for step in range(steps):
-        optimiser.zero_grad()
-        for _ in range(VIEWS_PER_STEP):
-            waiting = waiting or rng.permutation(len(views)).tolist()
-            view = views[waiting.pop()]
-            background = rng.random(3).tolist() if step % 2 else WHITE
-            image, _ = opaque_image(current(), view.camera, background=background)
-            torch.nn.functional.huber_loss(image, view.over(background), delta=HUBER).backward()
-        optimiser.step()
-        schedule.step()
-        with torch.no_grad():
-            sizes.clamp_(low, high)
-            colours[:, 0].clamp_(-0.5 / C0, 0.5 / C0)
-        progress(0.2 + 0.8 * (step + 1) / steps)
-    with torch.no_grad():
-        found = current()
-        surface = SurfaceAtoms(
-            found.means.numpy(),
-            np.minimum(found.scales.numpy(), np.float32(atoms.pitch)),
-            torch.nn.functional.normalize(found.quats, dim=1).numpy(),
-            found.sh.numpy().copy(),
+    def __init__(
+        self,
+        atoms: Atoms,
+        gaussians: Gaussians,
+        cameras: Sequence[Camera],
+        steps: int,
+        seed: int = 0,
+        progress: Callable[[float], None] = lambda part: None,
+    ) -> None:
+        """Draws the capture, without its haze, from at least two cameras."""
+        assert len(cameras) > 1, len(cameras)
+        targets = []
+        for index, camera in enumerate(cameras):
+            targets.append(Target.of(gaussians, camera))
+            progress((index + 1) / len(cameras))
+        self.atoms, self.steps, self.step = atoms, steps, 0
+        self.held_out = targets[::HELD_OUT]
+        self.views = [target for index, target in enumerate(targets) if index % HELD_OUT]
+        rng = np.random.default_rng(seed)
+        epochs = -(-steps * VIEWS_PER_STEP // len(self.views))
+        order = np.concatenate([rng.permutation(len(self.views)) for _ in range(epochs)] or [np.zeros(0, np.intp)])
+        self.order = order[: steps * VIEWS_PER_STEP].reshape(steps, VIEWS_PER_STEP)
+        self.backgrounds = rng.random((steps, VIEWS_PER_STEP, 3))
+        self.backgrounds[::2] = WHITE
+        interior = atoms.interior
+        exposed = slice(interior.exposed)
+        shown = InteriorAtoms(
+            interior.means[exposed], interior.sigmas[exposed], interior.rgb[exposed], interior.exposed
         )
-    fitted = replace(atoms, surface=surface)
-    return fitted if _error(fitted, held_out) < _error(atoms, held_out) else atoms
+        self.start = AtomTensors.of(replace(atoms, interior=shown))
+        self.unit = self.start.scales.median(dim=1, keepdim=True).values
+        self.range = math.log(SMALLEST * atoms.pitch), math.log(atoms.pitch)
+        self.parameters = {
+            "moves": torch.zeros_like(self.start.means),
+            "sizes": self.start.scales.log().clamp(*self.range),
+            "quats": self.start.quats.clone(),
+            "colours": self.start.sh.clone(),
+        }
+        groups = [{"params": [p.requires_grad_()], "lr": RATES[name]} for name, p in self.parameters.items()]
+        # Without epsilon: the gradient of a mean picture error is far smaller than Adam's usual one.
+        self.optimiser = torch.optim.Adam(groups, betas=BETAS, eps=1e-15)
+
+    def advance(self) -> None:
+        """One optimisation step."""
+        decay = 0.5 * (1 + math.cos(math.pi * self.step / self.steps))
+        for rate, group in zip(RATES.values(), self.optimiser.param_groups, strict=True):
+            group["lr"] = rate * decay
+        self.optimiser.zero_grad()
+        for index, background in zip(self.order[self.step], self.backgrounds[self.step].tolist(), strict=True):
+            view = self.views[index]
+            image, _ = opaque_image(self._current(), view.camera, background=background)
+            torch.nn.functional.huber_loss(image, view.over(background), delta=HUBER).backward()
+        self.optimiser.step()
+        with torch.no_grad():
+            self.parameters["sizes"].clamp_(*self.range)
+            self.parameters["colours"][:, 0].clamp_(-0.5 / C0, 0.5 / C0)
+        self.step += 1
+
+    def state(self) -> dict[str, NDArray[np.float32]]:
+        """All that changes from step to step, but the number of the step, for a checkpoint."""
+        return adam_state(self.parameters, self.optimiser)
+
+    def restore(self, state: dict[str, NDArray[np.float32]], step: int) -> None:
+        """Restores the state of a checkpoint made after `step` steps."""
+        restore_adam(state, step, self.parameters, self.optimiser)
+        self.step = step
+
+    def result(self) -> Atoms:
+        """The atoms with the skin as fitted so far; unchanged if held-out views did not improve."""
+        with torch.no_grad():
+            found = self._current()
+            surface = SurfaceAtoms(
+                found.means.numpy(),
+                np.minimum(found.scales.numpy(), np.float32(self.atoms.pitch)),
+                torch.nn.functional.normalize(found.quats, dim=1).numpy(),
+                found.sh.numpy().copy(),
+            )
+        fitted = replace(self.atoms, surface=surface)
+        return fitted if _error(fitted, self.held_out) < _error(self.atoms, self.held_out) else self.atoms
+
+    def _current(self) -> AtomTensors:
+        p = self.parameters
+        means = self.start.means + p["moves"] * self.unit
+        return replace(self.start, means=means, scales=p["sizes"].exp(), quats=p["quats"], sh=p["colours"])
 
 
 def _error(atoms: Atoms, held_out: Sequence[Target]) -> float:

@@ -23,6 +23,7 @@ SMALL = {
     "training.results.HELD_OUT_VIEWS": 1,
     "training.contact_sheet.TILE": 48,
     "training.optimise.training_loop.CHECKPOINT_SECONDS": 0.0,
+    "training.skin.CHECKPOINT_SECONDS": 0.0,
     "training.optimise.training_loop.MIN_IMPROVEMENT": -np.inf,  # all iterations, however soon it settles
 }
 

@@ -255,6 +255,7 @@ def short(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(name, value)
     monkeypatch.setattr("training.request.DETAILS", {"draft": SHORT})
     monkeypatch.setattr("training.optimise.training_loop.CHECKPOINT_SECONDS", 1e9)
+    monkeypatch.setattr("training.skin.CHECKPOINT_SECONDS", 1e9)
 
 
 FAILING = (

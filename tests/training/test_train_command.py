@@ -40,10 +40,10 @@ REQUEST = Request(
 # The command with its draft made tiny, for tests that have to end it from outside.
 SMALL_COMMAND = f"""
 import sys
-import training.optimise.training_loop, training.settings
+import training.optimise.training_loop, training.settings, training.skin
 from training.settings import Detail
 training.settings.DETAILS["draft"] = {TINY!r}
-training.optimise.training_loop.CHECKPOINT_SECONDS = 0.0
+training.optimise.training_loop.CHECKPOINT_SECONDS = training.skin.CHECKPOINT_SECONDS = 0.0
 from training.cli import main
 main()
 """

@@ -13,6 +13,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from engine.fit.adam_state import adam_state, restore_adam
 from engine.fit.sh_fit import SurfaceView
 from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from engine.scene.sh import C0
@@ -52,9 +53,6 @@ MAX_SH = 10.0
 # Decay rates of Adam's moments (Kingma and Ba 2015); the second forgets faster than their 0.999, as a run has 40 to 200
 # steps.
 BETAS = (0.9, 0.99)
-
-MOMENTS = ("exp_avg", "exp_avg_sq")
-"""Keys of the moments in the state of torch's Adam."""
 
 
 @dataclass(frozen=True)
@@ -122,20 +120,12 @@ class Trainer:
 
     def state(self) -> dict[str, NDArray[np.float32]]:
         """All state that changes while training, for a checkpoint: parameters and Adam's moments."""
-        state = {name: parameter.detach().numpy() for name, parameter in self.parameters.items()}
-        for name, parameter in self.parameters.items():
-            moments = self.optimiser.state.get(parameter, {})  # empty before the first step
-            state |= {f"{name}.{key}": moments[key].numpy() for key in MOMENTS if key in moments}
-        return state
+        return adam_state(self.parameters, self.optimiser)
 
     def restore(self, state: dict[str, NDArray[np.float32]], iteration: int, round_start: int) -> None:
         """Restores the state of a checkpoint."""
         self.iteration, self.round_start = iteration, round_start
-        for name, parameter in self.parameters.items():
-            parameter.data.copy_(torch.from_numpy(state[name]))
-            if f"{name}.{MOMENTS[0]}" in state:
-                moments = {key: torch.from_numpy(state[f"{name}.{key}"].copy()) for key in MOMENTS}
-                self.optimiser.state[parameter] = {"step": torch.tensor(float(iteration)), **moments}
+        restore_adam(state, iteration, self.parameters, self.optimiser)
 
     def result(self) -> Atoms:
         """The atoms with their current colours."""

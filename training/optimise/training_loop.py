@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from training.checkpoint import Checkpoint
+from training.checkpoint import CHECKPOINT_SECONDS, Checkpoint
 from training.events import Reporter, Stage
 from training.images import save_image
 from training.labels import refine_labels
@@ -20,9 +20,6 @@ from training.priors.prior import Denoiser, VolumeSolver
 from training.request import Interrupted, Request
 
 __all__ = ["train"]
-
-# Seconds between checkpoints: the most training that a kill can lose.
-CHECKPOINT_SECONDS = 15.0
 
 # Loss (0.3 MSE + 0.7 (1 - SSIM)) below which a section agrees with its label: the blur of atoms at standard detail
 # stays below it, two labels that disagree about a seed do not. The paper gives no threshold.

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from engine.fit.skin_fit import fit_skin
+from engine.fit.skin_fit import SkinFit
 from engine.io.load import load
 from engine.render.classic import rasterizer as classic
 from engine.render.cpu import opaque
@@ -174,7 +174,16 @@ def test_fitting_the_skin_makes_unseen_views_better() -> None:
     scene, pitch = skin(1500, 0.09, 0.6), 0.06
     atoms = solid(on_body(scene, pitch, ball()), pitch)
     up = np.array([0.0, 0, 1])
-    fitted = fit_skin(atoms, scene, cameras_around(np.zeros(3), 1.1, up, 24, 96), steps=40)
+
+    def fit(saved: tuple[dict[str, np.ndarray], int] | None = None, until: int = 40) -> SkinFit:
+        fit = SkinFit(atoms, scene, cameras_around(np.zeros(3), 1.1, up, 24, 96), steps=40)
+        if saved is not None:
+            fit.restore(*saved)
+        while fit.step < until:
+            fit.advance()
+        return fit
+
+    fitted = fit().result()
 
     def error(a: Atoms) -> float:
         unseen = cameras_around(np.zeros(3), 1.1, up, 6, 96, turn=23.0)
@@ -185,7 +194,8 @@ def test_fitting_the_skin_makes_unseen_views_better() -> None:
     assert error(fitted) < 0.8 * error(atoms)
     assert fitted.surface.scales.max() <= np.float32(pitch)
     assert np.abs(np.linalg.norm(fitted.surface.quats, axis=1) - 1).max() < 1e-5
-    again = fit_skin(atoms, scene, cameras_around(np.zeros(3), 1.1, up, 24, 96), steps=40)
+    stopped = fit(until=17)
+    again = fit((stopped.state(), stopped.step)).result()  # the same bits, interrupted or not
     for name in ("means", "scales", "quats", "sh"):
         assert np.array_equal(getattr(fitted.surface, name), getattr(again.surface, name))
 
