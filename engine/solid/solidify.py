@@ -6,11 +6,14 @@ show the colours of a training in progress.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from engine.scene.atoms import Atoms
 from engine.scene.gaussians import Gaussians
 from engine.solid.atomise import Atomised, atomise
 from engine.solid.fill import fill
 from engine.solid.find_body import Enclosure, find_body
+from engine.solid.gather import gathered
 
 __all__ = ["atomise_surface", "find_enclosure", "solidify"]
 
@@ -22,9 +25,15 @@ fraction of a cell."""
 def find_enclosure(gaussians: Gaussians, cells: int, name: str) -> Enclosure:
     """The body that a capture encloses, fine enough for `cells` atoms along its longest side.
 
+    A very large capture is gathered first (engine.solid.gather), so that its shell has about gather.MOST Gaussians.
     Raises InputError, which begins with `name`, if it encloses nothing.
     """
-    return find_body(gaussians, max(BODY_CELLS, cells), name)
+    shown = gathered(gaussians)
+    enclosure = find_body(shown, max(BODY_CELLS, cells), name)
+    if shown is gaussians:
+        return enclosure
+    note = f"{len(gaussians):,} Gaussians are more than a solid can show: they were gathered into {len(shown):,}"
+    return replace(enclosure, notes=(note, *enclosure.notes))
 
 
 def atomise_surface(enclosure: Enclosure, cells: int) -> tuple[Atomised, float]:
