@@ -10,7 +10,6 @@ from engine.errors import InputError
 from engine.io.file_axes import GLTF, MESH, PHOTOGRAPHED, STL, FileAxes, ply_axes
 from engine.io.files import open_file
 from engine.io.formats import MESH_SUFFIXES, SCENE_SUFFIXES
-from engine.io.meshes.mesh import read_mesh
 from engine.io.ply_header import read_header
 from engine.io.splats.ply import read_ply
 from engine.io.splats.splat import read_splat
@@ -98,5 +97,7 @@ def _reader(path: Path) -> tuple[Reader | None, FileAxes]:
 
 def _mesh(path: Path, seed: int) -> tuple[Gaussians, list[str]]:
     """A mesh with its surface sampled, and the warnings about it."""
+    from engine.io.meshes.mesh import read_mesh  # trimesh takes half a second, which captures need not wait for
+
     warnings: list[str] = []
     return read_mesh(path, seed=seed, warn=warnings.append), warnings

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from engine.scene.gather import gathered
 from engine.scene.gaussians import Gaussians
 from engine.scene.grid import Grid
-from engine.solid.gather import gathered
 from engine.solid.opacity_field import opacity_field
 
 __all__ = ["HAZE_OPACITY", "WALL_OPACITY", "grid_around", "haze_and_fragments", "without_haze"]

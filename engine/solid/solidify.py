@@ -9,11 +9,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 from engine.scene.atoms import Atoms
+from engine.scene.gather import gathered
 from engine.scene.gaussians import Gaussians
 from engine.solid.atomise import Atomised, atomise
 from engine.solid.fill import fill
 from engine.solid.find_body import Enclosure, find_body
-from engine.solid.gather import gathered
 
 __all__ = ["atomise_surface", "find_enclosure", "solidify"]
 
@@ -22,13 +22,18 @@ BODY_CELLS = 128
 fraction of a cell."""
 
 
+MOST_GAUSSIANS = 500_000
+"""Gaussians above which a capture is gathered, and about how many of its small ones are then left: the skin of an
+object so divided has cells of a 400th of its longest side. No ordinary capture is as large."""
+
+
 def find_enclosure(gaussians: Gaussians, cells: int, name: str) -> Enclosure:
     """The body that a capture encloses, fine enough for `cells` atoms along its longest side.
 
-    A very large capture is gathered first (engine.solid.gather), so that its shell has about gather.MOST Gaussians.
+    A very large capture is gathered first (engine.scene.gather), so that its shell has about MOST_GAUSSIANS.
     Raises InputError, which begins with `name`, if it encloses nothing.
     """
-    shown = gathered(gaussians)
+    shown = gathered(gaussians, MOST_GAUSSIANS)
     enclosure = find_body(shown, max(BODY_CELLS, cells), name)
     if shown is gaussians:
         return enclosure

@@ -1,7 +1,7 @@
-"""Gathers the Gaussians of a very large capture into fewer that look the same from where a solid is looked at.
+"""Gathers the Gaussians of a very large capture into fewer that look nearly the same.
 
-A scan of some millions has a dozen of them to an atom of the finest solid. Each step from here to the fitted skin costs
-time and memory by the Gaussian, and none of them sees a difference.
+A capture of some millions has a hundred of them to a squared pitch of a standard solid. What makes it solid costs time
+and memory by the Gaussian, and cannot tell them apart.
 """
 
 from __future__ import annotations
@@ -12,17 +12,13 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from engine.render.projection import rotation
 from engine.scene.gaussians import Gaussians
+from engine.scene.rotations import rotation_entries
 from engine.threads import for_each
 
-__all__ = ["MOST", "gathered"]
+__all__ = ["gathered"]
 
 Float = NDArray[np.float32]
-
-MOST = 500_000
-"""Gaussians above which a capture is gathered, and about how many it then has. An object's skin so divided has cells of
-a 400th of its longest side, four to the pitch of a standard solid; no ordinary capture is as large."""
 
 SAMPLE = 1 << 17
 """Gaussians that say where the object is: its ends are known to a thousandth."""
@@ -50,7 +46,7 @@ BLOCK = 1 << 14
 """Cells in a task."""
 
 
-def gathered(gaussians: Gaussians, most: int = MOST) -> Gaussians:
+def gathered(gaussians: Gaussians, most: int) -> Gaussians:
     """About `most` Gaussians that show the same as a larger capture; the same object if there are no more than that.
 
     All small ones in a cell of a lattice become one with their mean, their covariance, the light that they stop
@@ -148,6 +144,9 @@ def _merge(gaussians: Gaussians, rows: NDArray[np.intp], starts: NDArray[np.int6
     return Gaussians(means, scales, quats, np.minimum(opacities, np.float32(MOST_ALPHA)), sh)
 
 
+_rotation = njit(cache=True, error_model="numpy")(rotation_entries)
+
+
 @njit(cache=True, error_model="numpy", nogil=True)
 def _sum_groups(block, rows, starts, in_means, in_scales, in_quats, in_opacities, in_sh, means, covariances, light, sh):
     """Mean (3,), covariance (3, 3), stopped light and colours (K, 3) of each group of a block.
@@ -172,7 +171,7 @@ def _sum_groups(block, rows, starts, in_means, in_scales, in_quats, in_opacities
         for k in range(starts[g], starts[g + 1]):
             i = rows[k]
             weight = _light(i, in_scales, in_opacities) / total
-            e = rotation(
+            e = _rotation(
                 np.float64(in_quats[i, 0]), np.float64(in_quats[i, 1]), np.float64(in_quats[i, 2]),
                 np.float64(in_quats[i, 3]),
             )  # fmt: skip
