@@ -14,10 +14,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from safetensors.numpy import load_file
 
 from app.model.pieces import Solid
 from app.model.rigid_transform import Vec3
+from engine.io.mapped import map_arrays
 from engine.io.scratch import Scratch
 from engine.isolate.record import isolation_record
 from engine.isolate.selection import Isolation
@@ -27,6 +27,10 @@ from engine.scene.gaussians import Gaussians
 from training.settings import DetailName
 
 __all__ = ["LoadedScene", "SceneLoader", "SceneRequest"]
+
+
+LOOKED_AT = 300_000
+"""Centres that say how large a capture is. The window waits while they are looked at."""
 
 
 @dataclass(frozen=True)
@@ -60,10 +64,13 @@ class LoadedScene:
     """What the user should know about the scene, one line each."""
     trained: bool = False
     """Whether the inside has been trained."""
+    coarse: Gaussians | None = None
+    """Some of a large capture's Gaussians, enlarged, to be shown until all are there."""
 
 
 class SceneLoader:
-    """Loads one scene. `poll` brings it step by step: the capture first, then the atoms."""
+    """Loads one scene. `poll` brings it step by step: the capture first, a part before all of a large one, then the
+    atoms."""
 
     def __init__(self, request: SceneRequest) -> None:
         self.request = request
@@ -121,17 +128,18 @@ class SceneLoader:
         self._process.kill()
 
     def _take(self, what: str, arrays: dict[str, NDArray[Any]], facts: dict[str, Any]) -> None:
-        if what == "capture":
+        if what in ("coarse", "capture"):
+            gaussians = Gaussians(*(arrays[name] for name in ("means", "scales", "quats", "opacities", "sh")))
             x, y, z = facts["up"]
-            capture = Gaussians(*(arrays[name] for name in ("means", "scales", "quats", "opacities", "sh")))
-            # Most captures have a few stray Gaussians far away; they must not determine what fits the window.
-            means = capture.means[~arrays["removed"]]
-            low, high = np.percentile(means, [2, 98], axis=0) if len(means) else np.zeros((2, 3))
-            near = means[((means >= low) & (means <= high)).all(1)]
+            if what == "coarse":
+                self.scene = replace(self.scene, coarse=gaussians, solid=_extent(gaussians.means), up=(x, y, z))
+                return
+            step = -(-len(gaussians) // LOOKED_AT) or 1
             self.scene = replace(
                 self.scene,
-                capture=capture,
-                solid=Solid.of(near),
+                capture=gaussians,
+                coarse=None,
+                solid=_extent(gaussians.means[::step][~arrays["removed"][::step]]),
                 up=(x, y, z),
                 up_reason=facts["reason"],
                 notes=tuple(facts["warnings"]),
@@ -154,7 +162,7 @@ class SceneLoader:
                 line = json.loads(text)
             except ValueError:
                 continue  # a library that prints
-            arrays = load_file(line["file"]) if "file" in line else {}
+            arrays = map_arrays(Path(line["file"])) if "file" in line else {}
             ended = ended or bool(line.get("end"))
             self._queue.put((line, arrays))
         self._process.wait()
@@ -176,3 +184,10 @@ class SceneLoader:
         assert self._process.stderr is not None
         for line in self._process.stderr:
             self._errors = (self._errors + line)[-4096:]
+
+
+def _extent(means: NDArray[np.float32]) -> Solid:
+    """A solid of centres (N, 3), without the few that most captures have far away: they must not determine what fits
+    the window."""
+    low, high = np.percentile(means, [2, 98], axis=0) if len(means) else np.zeros((2, 3))
+    return Solid.of(means[((means >= low) & (means <= high)).all(1)])

@@ -18,10 +18,12 @@ from numpy.typing import NDArray
 from safetensors.numpy import save_file
 from scipy.spatial import cKDTree
 
+from app.jobs.coarse_picture import coarse_picture
 from app.jobs.warmup import warm_up
 from engine.errors import InputError
 from engine.io.fields import Fields
 from engine.io.files import WRITE_ERRORS, reason
+from engine.io.load import load
 from engine.io.trained import load_trained, sidecar_path
 from engine.isolate.record import read_isolation
 from engine.isolate.selection import Isolation, removed
@@ -29,6 +31,8 @@ from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from engine.scene.gaussians import Gaussians
 from engine.scene.grid import Body
 from engine.scene.sh import sh_to_rgb
+from engine.solid.find_body import Enclosure
+from engine.solid.up_axis.detect import detect_up
 from training.settings import DETAILS
 
 PLAIN = (0.83, 0.82, 0.80)
@@ -55,7 +59,13 @@ def main() -> None:
             if trained is not None:
                 _send_trained(Path(trained), folder, capture=False)
             else:
-                _solidify(path, gaussians, up, DETAILS[request["detail"]].cells, request["seed"], folder)
+                from engine.solid.solidify import find_enclosure  # after the capture is shown: it takes torch a second
+
+                cells = DETAILS[request["detail"]].cells
+                _write_line(stage="Finding the body", part=0.15)
+                enclosure = find_enclosure(gaussians, cells, path.name)
+                del gaussians  # a large capture is not needed beside its shell
+                _solidify(enclosure, up, cells, request["seed"], folder)
     except InputError as error:
         _write_line(error=str(error))
     except MemoryError:
@@ -64,11 +74,14 @@ def main() -> None:
 
 
 def _load_capture(path: Path, folder: Path, seed: int, isolation: Isolation) -> tuple[Gaussians, NDArray[np.float64]]:
-    """What the isolation leaves of the capture, and the up axis; sends all of the capture."""
-    from engine.io.load import load
-    from engine.solid.up_axis.detect import detect_up
-
+    """What the isolation leaves of the capture, and the up axis; sends the whole capture, a part first if large."""
     _write_line(stage=f"Reading {path.name}", part=0.02)
+    coarse = coarse_picture(path)
+    if coarse is not None:
+        rows = ~removed(coarse.gaussians, isolation)
+        if rows.any():
+            up = detect_up(coarse.gaussians, coarse.file_axes)
+            _send_arrays(folder, "coarse", _arrays(coarse.gaussians[rows]), {"up": up.axis.tolist()})
     loaded = load(path, seed)
     gaussians = loaded.gaussians
     up = detect_up(gaussians, loaded.file_axes)  # of the whole capture: a floor tells, even if it goes
@@ -78,19 +91,17 @@ def _load_capture(path: Path, folder: Path, seed: int, isolation: Isolation) -> 
     _send_arrays(folder, "capture", _arrays(gaussians) | {"removed": gone}, facts)
     if gone.all():
         raise InputError(f"{path.name}: nothing is left of the capture; undo, or bring something back")
-    return gaussians[~gone], up.axis
+    return gaussians[~gone] if gone.any() else gaussians, up.axis
 
 
-def _solidify(path: Path, gaussians: Gaussians, up: NDArray[np.float64], cells: int, seed: int, folder: Path) -> None:
+def _solidify(enclosure: Enclosure, up: NDArray[np.float64], cells: int, seed: int, folder: Path) -> None:
     import torch
 
-    from engine.solid.solidify import find_enclosure, solidify
+    from engine.solid.solidify import solidify
     from training.skin import match_skin
 
     torch.set_num_threads(1)  # the kernels use all cores; torch's own threads would compete with them
 
-    _write_line(stage="Finding the body", part=0.15)
-    enclosure = find_enclosure(gaussians, cells, path.name)
     _write_line(stage="Making it solid", part=0.4)
     atoms = solidify(enclosure, cells, seed)
     plain = plain_inside(atoms.surface, atoms.interior, enclosure.body, atoms.pitch)

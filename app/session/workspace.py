@@ -97,8 +97,11 @@ class Workspace:
 
     @property
     def shown_capture(self) -> Gaussians | None:
-        """The capture to be drawn, without what is no part of the object; None while that is not known."""
+        """The capture to be drawn, without what is no part of the object, or a part that stands for it; None while
+        neither is known."""
         capture = self.object.capture if self.object is not None else None
+        if self.object is not None and capture is None:
+            return self.object.coarse
         if self.capture_view is not None and self.capture_view.capture is capture:
             return self.capture_view.shown
         return None if self.document.isolation else capture

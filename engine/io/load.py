@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
 from engine.errors import InputError
 from engine.io.file_axes import GLTF, MESH, PHOTOGRAPHED, STL, FileAxes, ply_axes
 from engine.io.files import open_file
 from engine.io.formats import MESH_SUFFIXES, SCENE_SUFFIXES
-from engine.io.meshes.mesh import read_mesh
 from engine.io.ply_header import read_header
 from engine.io.splats.ply import read_ply
 from engine.io.splats.splat import read_splat
@@ -19,7 +17,10 @@ from engine.io.splats.spz import GZIP, read_spz
 from engine.io.unsupported import LONGEST, unsupported_kind
 from engine.scene.gaussians import Gaussians
 
-__all__ = ["LoadedScene", "load"]
+__all__ = ["LoadedScene", "load", "load_sample"]
+
+Reader = Callable[[Path, int | None], tuple[Gaussians, list[str]]]
+"""The Gaussians of a file, or at most so many of them, and a line on each thing left out."""
 
 TO_CONVERT = (".ksplat", ".sog", ".sogs")
 """Captures that only their own programs open."""
@@ -43,9 +44,31 @@ def load(path: str | Path, seed: int = 0) -> LoadedScene:
     The content decides what a .ply, .spz or .glb is, not the name. Raises InputError for any other file.
     """
     path = Path(path)
-    mesh = partial(_mesh, seed)
-    read: Callable[[Path], tuple[Gaussians, list[str]]]
-    axes: FileAxes
+    read, axes = _reader(path)
+    gaussians, warnings = _mesh(path, seed) if read is None else read(path, None)
+    return LoadedScene(gaussians, tuple(warnings), axes)
+
+
+def load_sample(path: str | Path, most: int) -> LoadedScene | None:
+    """At most `most` Gaussians of a capture, evenly chosen from its file and with SH of degree 0: what a first coarse
+    picture needs, in a small part of the time of `load`.
+
+    None for whatever `load` had better read itself: a mesh, a file in which too little can be used, and a scene so far
+    from zero that it is moved, since a sample might be moved elsewhere.
+    """
+    path = Path(path)
+    try:
+        read, axes = _reader(path)
+        if read is None:
+            return None
+        gaussians, warnings = read(path, most)
+    except InputError:  # `load` will say what is wrong with all of it
+        return None
+    return None if any(gaussians.origin) else LoadedScene(gaussians, tuple(warnings), axes)
+
+
+def _reader(path: Path) -> tuple[Reader | None, FileAxes]:
+    """What reads a capture, None for a mesh, and which axis is up in such files. Raises InputError for other files."""
     suffix = path.suffix.lower()
     with open_file(path) as file:
         start = file.read(LONGEST)
@@ -55,28 +78,26 @@ def load(path: str | Path, seed: int = 0) -> LoadedScene:
         raise InputError(f"{path}: this is {other}")
     if start[:3] == b"ply" and start[3:4] in (b"\n", b"\r", b" ", b"\t"):
         header = read_header(path)
-        is_mesh = header.faces > 0 and not header.is_splats
-        read, axes = (mesh, MESH) if is_mesh else (read_ply, ply_axes(header))
-    elif start[:4] == b"glTF" or (suffix in MESH_SUFFIXES and suffix != ".ply"):
+        return (None, MESH) if header.faces > 0 and not header.is_splats else (read_ply, ply_axes(header))
+    if start[:4] == b"glTF" or (suffix in MESH_SUFFIXES and suffix != ".ply"):
         is_gltf = start[:4] == b"glTF" or suffix in (".glb", ".gltf")
-        read, axes = mesh, GLTF if is_gltf else STL if suffix == ".stl" else MESH
-    elif start[:2] == GZIP:
-        read, axes = read_spz, PHOTOGRAPHED
-    elif suffix == ".splat":
-        read, axes = read_splat, PHOTOGRAPHED
-    elif suffix == ".ply":
-        read, axes = read_ply, {}  # not a .ply, as the reader will report
-    elif suffix == ".spz":
+        return None, GLTF if is_gltf else STL if suffix == ".stl" else MESH
+    if start[:2] == GZIP:
+        return read_spz, PHOTOGRAPHED
+    if suffix == ".splat":
+        return read_splat, PHOTOGRAPHED
+    if suffix == ".ply":
+        return read_ply, {}  # not a .ply, as the reader will report
+    if suffix == ".spz":
         raise InputError(f"{path}: not an .spz scene, which would be gzipped; export the capture again")
-    elif suffix in TO_CONVERT:
+    if suffix in TO_CONVERT:
         raise InputError(f"{path}: {suffix} files cannot be opened; export the capture as a .ply, .splat or .spz")
-    else:
-        raise InputError(f"{path}: not a scene; {', '.join(SCENE_SUFFIXES)} can be opened")
-    gaussians, warnings = read(path)
-    return LoadedScene(gaussians, tuple(warnings), axes)
+    raise InputError(f"{path}: not a scene; {', '.join(SCENE_SUFFIXES)} can be opened")
 
 
-def _mesh(seed: int, path: Path) -> tuple[Gaussians, list[str]]:
+def _mesh(path: Path, seed: int) -> tuple[Gaussians, list[str]]:
     """A mesh with its surface sampled, and the warnings about it."""
+    from engine.io.meshes.mesh import read_mesh  # trimesh takes half a second, which captures need not wait for
+
     warnings: list[str] = []
     return read_mesh(path, seed=seed, warn=warnings.append), warnings

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -59,7 +61,8 @@ def find_floor(gaussians: Gaussians) -> Plane | None:
     wall that the object leans against is one too. The same plane for the same capture, whatever its units.
     """
     haze, fragments = haze_and_fragments(gaussians)
-    skin = gaussians[~haze & ~fragments & (gaussians.opacities >= HAZE_OPACITY)]
+    plain = replace(gaussians, sh=gaussians.sh[:, :1])  # a large capture's colours need not be copied
+    skin = plain[~haze & ~fragments & (gaussians.opacities >= HAZE_OPACITY)]
     if len(skin) < 100:
         return None
     rng = np.random.default_rng(0)

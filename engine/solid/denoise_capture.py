@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from engine.scene.gather import gathered
 from engine.scene.gaussians import Gaussians
 from engine.scene.grid import Grid
 from engine.solid.opacity_field import opacity_field
@@ -32,6 +35,9 @@ FLOATER = 0.003
 COARSE = 64
 """Cells along the longest side of the grid that separates clusters."""
 
+MOST_SUMMED = 250_000
+"""Gaussians above which a capture is gathered before clusters are looked for: some ten for each cell of the skin."""
+
 MARGIN = 4
 """Cells around the outermost centres: room for the wall, and a way around it for the flood."""
 
@@ -45,14 +51,16 @@ def grid_around(gaussians: Gaussians, cells: int) -> Grid | None:
 
 def without_haze(gaussians: Gaussians) -> tuple[Gaussians, list[str]]:
     """The Gaussians that may be part of a skin, and a sentence on each kind that was left out."""
-    gaussians = gaussians[_visible(gaussians)]
+    visible = _visible(gaussians)
+    if not visible.all():
+        gaussians = gaussians[visible]
     haze, fragments = haze_and_fragments(gaussians)
     notes = []
     if haze.any():
         notes.append(f"{int(haze.sum())} large faint Gaussians (haze) were left out")
     if fragments.any():
         notes.append(f"{int(fragments.sum())} Gaussians apart from the object were left out")
-    return gaussians[~haze & ~fragments], notes
+    return gaussians[~haze & ~fragments] if notes else gaussians, notes
 
 
 def haze_and_fragments(gaussians: Gaussians) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
@@ -61,6 +69,7 @@ def haze_and_fragments(gaussians: Gaussians) -> tuple[NDArray[np.bool_], NDArray
     No Gaussian is both. Those that are invisible, or not finite, are haze.
     """
     haze, fragments = np.ones(len(gaussians), bool), np.zeros(len(gaussians), bool)
+    gaussians = replace(gaussians, sh=gaussians.sh[:, :1])  # most of the memory, and no matter here
     rows = np.flatnonzero(_visible(gaussians))
     if not len(rows):
         return haze, fragments
@@ -88,7 +97,8 @@ def _floaters(gaussians: Gaussians) -> NDArray[np.bool_]:
     grid = grid_around(gaussians, COARSE) if len(gaussians) else None
     if grid is None:
         return np.zeros(len(gaussians), bool)
-    regions, count = ndimage.label(opacity_field(gaussians, grid, grid.cell) >= WALL_OPACITY)
+    field = opacity_field(gathered(gaussians, MOST_SUMMED), grid, grid.cell)
+    regions, count = ndimage.label(field >= WALL_OPACITY)
     cells = np.clip(np.round(grid.index(gaussians.means)).astype(int), 0, np.array(grid.shape) - 1)
     cluster = regions[tuple(cells.T)]
     sizes = np.bincount(cluster, minlength=count + 1)

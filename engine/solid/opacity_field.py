@@ -22,6 +22,9 @@ CUTOFF = 3.0
 MIN_SIGMA = 1e-3
 """Cells. Least sigma: keeps the inverse covariance of a degenerate Gaussian finite."""
 
+BLOCK = 1 << 18
+"""Gaussians whose matrices are in memory at once, some 50 MB."""
+
 SLAB = 4
 """Cell layers that one thread sums at a time: few enough to balance the work. No two threads write to the same cell, so
 the sums have a fixed order and are bit-equal."""
@@ -48,6 +51,16 @@ def moments(
     The second over the first is the mean height of x over the tangent planes of the nearby Gaussians, in cells.
     """
     assert normals.shape == (len(gaussians), 3), normals.shape
+    weight = np.zeros(grid.shape, np.float32)
+    height = np.zeros(grid.shape, np.float32)
+    for first in range(0, len(gaussians), BLOCK):  # one after the other, which keeps the order of the sums
+        rows = slice(first, first + BLOCK)
+        _add_moments(weight, height, gaussians[rows], grid, widen, normals[rows])
+    return weight, height
+
+
+def _add_moments(weight: Float, height: Float, gaussians: Gaussians, grid: Grid, widen: float, normals: Float) -> None:
+    """Adds some Gaussians to both sums of `moments`."""
     sigma = np.maximum(gaussians.scales / np.float32(grid.cell), np.float32(max(widen / grid.cell, MIN_SIGMA)))
     axes = rotation_matrices(gaussians.quats)
     inverse = np.einsum("nij,nj,nkj->nik", axes, sigma**-2, axes)
@@ -55,10 +68,7 @@ def moments(
     reach = CUTOFF * np.sqrt(np.einsum("nij,nj->ni", axes**2, sigma**2))
     low = np.clip(np.ceil(centres - reach), 0, grid.shape).astype(np.int32)
     high = np.clip(np.floor(centres + reach) + 1, 0, grid.shape).astype(np.int32)
-    weight = np.zeros(grid.shape, np.float32)
-    height = np.zeros(grid.shape, np.float32)
     _accumulate(weight, height, centres, inverse, gaussians.opacities, normals, low, high)
-    return weight, height
 
 
 @njit(cache=True, parallel=True)

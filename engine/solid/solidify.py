@@ -6,7 +6,10 @@ show the colours of a training in progress.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from engine.scene.atoms import Atoms
+from engine.scene.gather import gathered
 from engine.scene.gaussians import Gaussians
 from engine.solid.atomise import Atomised, atomise
 from engine.solid.fill import fill
@@ -19,12 +22,23 @@ BODY_CELLS = 128
 fraction of a cell."""
 
 
+MOST_GAUSSIANS = 500_000
+"""Gaussians above which a capture is gathered, and about how many of its small ones are then left: the skin of an
+object so divided has cells of a 400th of its longest side. No ordinary capture is as large."""
+
+
 def find_enclosure(gaussians: Gaussians, cells: int, name: str) -> Enclosure:
     """The body that a capture encloses, fine enough for `cells` atoms along its longest side.
 
+    A very large capture is gathered first (engine.scene.gather), so that its shell has about MOST_GAUSSIANS.
     Raises InputError, which begins with `name`, if it encloses nothing.
     """
-    return find_body(gaussians, max(BODY_CELLS, cells), name)
+    shown = gathered(gaussians, MOST_GAUSSIANS)
+    enclosure = find_body(shown, max(BODY_CELLS, cells), name)
+    if shown is gaussians:
+        return enclosure
+    note = f"{len(gaussians):,} Gaussians are more than a solid can show: they were gathered into {len(shown):,}"
+    return replace(enclosure, notes=(note, *enclosure.notes))
 
 
 def atomise_surface(enclosure: Enclosure, cells: int) -> tuple[Atomised, float]:

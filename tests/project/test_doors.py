@@ -62,7 +62,6 @@ ALLOWED = {
     },
     "weights": {
         "app/jobs/live_colours.py",
-        "app/jobs/scene_loader.py",
         "training/checkpoint.py",
         "training/evaluate/cuts.py",
         "training/evaluate/features.py",

@@ -40,7 +40,11 @@ class IsolatePanel:
         heading("Isolate")
         if not isolation.available:
             text = "This object was opened with its inside; open the capture that it was made from."
-            secondary("Open a capture first." if session.object is None else text, wrap=True)
+            if session.object is None:
+                text = "Open a capture first."
+            elif session.object.coarse is not None:
+                text = "One moment: the rest of the capture is being read."
+            secondary(text, wrap=True)
             return
         width = imgui.get_content_region_avail().x
         index = segmented(

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +12,15 @@ from numpy.typing import NDArray
 from engine.errors import InputError
 from engine.io.files import open_file
 from engine.io.ply_header import Element, Header
-from engine.io.splats.rows import COLOUR, GEOMETRY, gaussians_from_rows, logits
+from engine.io.splats.rows import (
+    COLOUR,
+    GEOMETRY,
+    gaussians_from_rows,
+    logits,
+    read_rows,
+    row_blocks,
+    stride_for,
+)
 from engine.scene.gaussians import Gaussians
 from engine.scene.sh import rgb_to_sh
 
@@ -34,44 +44,79 @@ def is_compressed(header: Header) -> bool:
     return vertex is not None and not set(PACKED).isdisjoint(vertex.properties)
 
 
-def read_compressed_ply(path: Path, header: Header) -> tuple[Gaussians, list[str]]:
+def read_compressed_ply(path: Path, header: Header, most: int | None = None) -> tuple[Gaussians, list[str]]:
     """The Gaussians of a compressed .ply, and one line about each kind of row that had to be dropped.
 
-    `header` has been checked against the size of the file, so its counts may be allocated. Raises InputError if an
-    element is missing or of another type, or if the counts do not match.
+    `header` has been checked against the size of the file, so its counts may be allocated. With `most` no more than so
+    many, evenly chosen, with SH of degree 0. Raises InputError if an element is missing or of another type, or if the
+    counts do not match.
     """
     tables = _elements(path, header)
     vertex, chunk, rest = tables["vertex"], tables["chunk"], tables.get("sh")
-    n = len(vertex)
+    n = vertex.count
     if not n:
         raise InputError(f"{path}: the scene is empty, it has 0 Gaussians")
-    if len(chunk) != -(-n // CHUNK):
-        raise InputError(f"{path}: damaged: {n:,} Gaussians need {-(-n // CHUNK):,} chunks, it has {len(chunk):,}")
-    if rest is not None and len(rest) != n:
-        raise InputError(f"{path}: damaged: it has {n:,} Gaussians but spherical harmonics of {len(rest):,}")
+    if chunk.count != -(-n // CHUNK):
+        raise InputError(f"{path}: damaged: {n:,} Gaussians need {-(-n // CHUNK):,} chunks, it has {chunk.count:,}")
+    if rest is not None and rest.count != n:
+        raise InputError(f"{path}: damaged: it has {n:,} Gaussians but spherical harmonics of {rest.count:,}")
+    rest = rest if most is None else None
+    stride = stride_for(n, most)
+    columns = len(GEOMETRY) + len(COLOUR) + (0 if rest is None else len(rest.dtype.names or ()))
+    with open_file(path) as file:
+        bounds = chunk.read(path, file, range(chunk.count))
+        blocks = (
+            _block(
+                vertex.read(path, file, rows),
+                bounds[np.arange(rows.start, rows.stop, rows.step) // CHUNK],
+                None if rest is None else rest.read(path, file, rows),
+            )
+            for rows in row_blocks(n, stride)
+        )
+        return gaussians_from_rows(path, blocks, -(-n // stride), columns)
+
+
+def _block(vertex: NDArray[np.void], chunk: NDArray[np.void], rest: NDArray[np.void] | None) -> NDArray[np.float32]:
+    """(R, 14 + SH above degree 0). Rows as in a .ply, from packed ones, the chunk of each, and their SH if any."""
     names = () if rest is None else rest.dtype.names or ()
-    table = np.empty((n, len(GEOMETRY) + len(COLOUR) + len(names)), np.float32)
-    of = np.arange(n) // CHUNK
+    table = np.empty((len(vertex), len(GEOMETRY) + len(COLOUR) + len(names)), np.float32)
     colours = _bytes(vertex["packed_color"])
-    with np.errstate(
-        over="ignore", invalid="ignore"
-    ):  # chunks may hold anything; `gaussians_from_rows` drops what is no scene
-        table[:, :3] = _between(chunk, of, "{}_x {}_y {}_z", _elevens(vertex["packed_position"]))
+    # Chunks may hold anything; `gaussians_from_rows` drops what is no scene.
+    with np.errstate(over="ignore", invalid="ignore"):
+        table[:, :3] = _between(chunk, "{}_x {}_y {}_z", _elevens(vertex["packed_position"]))
         table[:, 3] = logits(colours[:, 3])
-        table[:, 4:7] = _between(chunk, of, "{}_scale_x {}_scale_y {}_scale_z", _elevens(vertex["packed_scale"]))
+        table[:, 4:7] = _between(chunk, "{}_scale_x {}_scale_y {}_scale_z", _elevens(vertex["packed_scale"]))
         table[:, 7:11] = _quaternions(vertex["packed_rotation"])
         if "min_r" in (chunk.dtype.names or ()):
-            table[:, 11:14] = rgb_to_sh(_between(chunk, of, "{}_r {}_g {}_b", colours[:, :3]))
+            table[:, 11:14] = rgb_to_sh(_between(chunk, "{}_r {}_g {}_b", colours[:, :3]))
         else:
             table[:, 11:14] = rgb_to_sh(colours[:, :3])
     if rest is not None:
         for i, name in enumerate(names):
             table[:, 14 + i] = _rest(rest[name])
-    return gaussians_from_rows(path, table)
+    return table
 
 
-def _elements(path: Path, header: Header) -> dict[str, NDArray[np.void]]:
-    """The rows of 'chunk', 'vertex' and, if present, 'sh', with the properties that the format requires."""
+@dataclass(frozen=True)
+class _Table:
+    """Where the rows of an element are."""
+
+    name: str
+    count: int
+    dtype: np.dtype[np.void]
+    offset: int
+    """Of its first row, bytes."""
+
+    def read(self, path: Path, file: BinaryIO, rows: range) -> NDArray[np.void]:
+        """These rows. Raises InputError if the file ends within them."""
+        table = read_rows(file, self.offset, self.dtype, rows)
+        if len(table) < len(rows):
+            raise InputError(f"{path}: truncated: it ends within the rows of '{self.name}'")
+        return table
+
+
+def _elements(path: Path, header: Header) -> dict[str, _Table]:
+    """The tables 'chunk', 'vertex' and, if present, 'sh', with the properties that the format requires."""
     if header.ascii:
         raise InputError(f"{path}: a compressed .ply must be binary; export the scene again")
     corners = [f"{end}_{what}" for end in ("min", "max") for what in ("x", "y", "z", "scale_x", "scale_y", "scale_z")]
@@ -90,7 +135,7 @@ def _elements(path: Path, header: Header) -> dict[str, NDArray[np.void]]:
         if element.dtype is None:
             raise InputError(f"{path}: '{element.name}' holds lists, which no compressed .ply has; export it again")
         if element.name in wanted and element.name not in tables:
-            tables[element.name] = _rows(path, element, offset, *wanted[element.name])
+            tables[element.name] = _table(path, element, offset, *wanted[element.name])
         offset += element.count * element.dtype.itemsize
     for name in wanted:
         if name not in tables:
@@ -98,26 +143,21 @@ def _elements(path: Path, header: Header) -> dict[str, NDArray[np.void]]:
     return tables
 
 
-def _rows(path: Path, element: Element, offset: int, names: list[str], kind: str) -> NDArray[np.void]:
-    """An element's rows. Raises InputError if a property is missing or of another type."""
+def _table(path: Path, element: Element, offset: int, names: list[str], kind: str) -> _Table:
+    """Where an element's rows are. Raises InputError if a property is missing or of another type."""
     assert element.dtype is not None
     for name in names:
         if name not in element.properties:
             raise InputError(f"{path}: no '{name}' property in '{element.name}'; this compressed .ply is not whole")
         if element.dtype[name].str[1:] != kind:
             raise InputError(f"{path}: '{name}' is not of the type that a compressed .ply has; export the scene again")
-    with open_file(path) as file:
-        file.seek(offset)
-        data = file.read(element.count * element.dtype.itemsize)
-    if len(data) < element.count * element.dtype.itemsize:
-        raise InputError(f"{path}: truncated: it ends within the rows of '{element.name}'")
-    return np.frombuffer(data, element.dtype)
+    return _Table(element.name, element.count, element.dtype, offset)
 
 
-def _between(chunk: NDArray[np.void], of: NDArray[np.intp], names: str, parts: Double) -> Double:
-    """(N, 3). Interpolates by `parts` (N, 3) between the two ends of each Gaussian's chunk."""
+def _between(chunk: NDArray[np.void], names: str, parts: Double) -> Double:
+    """(N, 3). Interpolates by `parts` (N, 3) between the two ends of each Gaussian's chunk (N,)."""
     low, high = (
-        np.stack([chunk[name] for name in names.format(*[end] * 3).split()], 1)[of].astype(np.float64)
+        np.stack([chunk[name] for name in names.format(*[end] * 3).split()], 1).astype(np.float64)
         for end in ("min", "max")
     )
     return low + (high - low) * parts

@@ -19,13 +19,19 @@ from engine.errors import InputError
 from engine.io.files import atomic, open_file
 from engine.io.ply_header import Element, Header, read_header
 from engine.io.splats.compressed_ply import is_compressed, read_compressed_ply
-from engine.io.splats.rows import COLOUR, GEOMETRY, gaussians_from_rows, logits
+from engine.io.splats.rows import (
+    BLOCK_ROWS,
+    COLOUR,
+    GEOMETRY,
+    gaussians_from_rows,
+    logits,
+    read_rows,
+    row_blocks,
+    stride_for,
+)
 from engine.scene.gaussians import Gaussians
 
 __all__ = ["ply_data", "read_ply", "write_ply"]
-
-BLOCK_ROWS = 1 << 14
-"""Rows read at once: 4 MB of SH-3 rows, which stay in the cache while the columns are extracted."""
 
 REST_COUNTS = {0: 0, 9: 1, 24: 2, 45: 3}
 """SH degree of each possible number of f_rest properties, 3 ((d+1)^2 - 1)."""
@@ -34,34 +40,26 @@ MAX_LOGIT = 16.6
 """Logit of the largest opacity under 1 that float32 has, 1 - 2^-24. Infinite logits break other viewers."""
 
 
-def read_ply(path: str | Path) -> tuple[Gaussians, list[str]]:
+def read_ply(path: str | Path, most: int | None = None) -> tuple[Gaussians, list[str]]:
     """The Gaussians of any 3DGS .ply, and one line about each kind of row that had to be dropped.
 
     SH degree 0..3, with or without normals and other properties and elements; ascii or binary of either endianness;
-    SuperSplat's compressed form too. `gaussians_from_rows` says what is dropped. Raises InputError if the file is no
-    3DGS scene or has no usable row.
+    SuperSplat's compressed form too. With `most` no more than so many, evenly chosen, with SH of degree 0.
+    `gaussians_from_rows` says what is dropped. Raises InputError if the file is no 3DGS scene or has no usable row.
     """
     path = Path(path)
     header = read_header(path)
     if is_compressed(header):
-        return read_compressed_ply(path, header)
+        return read_compressed_ply(path, header, most)
     vertex = _scene_element(path, header)
-    rest = _rest_count(path, vertex)
+    stride = stride_for(vertex.count, most)
+    rest = _rest_count(path, vertex) if most is None else 0
     names = [*GEOMETRY, *COLOUR, *(f"f_rest_{i}" for i in range(rest))]
-    table = np.empty((vertex.count, len(names)), np.float32)
     # Map coordinates have more digits than float32: they keep their precision until the scene is moved.
-    positions = table[:, :3]
-    if header.ascii or _wide(vertex, names[:3]):
-        positions = np.empty((vertex.count, 3), np.float64)
-    filled = 0
-    with open_file(path) as file, np.errstate(over="ignore", invalid="ignore"):  # what does not fit becomes Inf
-        for block in _blocks(path, file, header, vertex, names):
-            positions[filled : filled + len(block)] = block[:, :3]
-            table[filled : filled + len(block)] = block
-            filled += len(block)
-    if filled < vertex.count:
-        raise InputError(f"{path}: truncated: the header promises {vertex.count:,} Gaussians, {filled:,} are there")
-    return gaussians_from_rows(path, table, positions)
+    wide = header.ascii or _wide(vertex, names[:3])
+    with open_file(path) as file:
+        blocks = _blocks(path, file, header, vertex, names, stride)
+        return gaussians_from_rows(path, blocks, -(-vertex.count // stride), len(names), wide)
 
 
 def write_ply(path: str | Path, gaussians: Gaussians, comments: Sequence[str] = ()) -> None:
@@ -126,25 +124,36 @@ def _rest_count(path: Path, vertex: Element) -> int:
 
 
 def _blocks(
-    path: Path, file: BinaryIO, header: Header, vertex: Element, names: list[str]
+    path: Path, file: BinaryIO, header: Header, vertex: Element, names: list[str], stride: int
 ) -> Iterator[NDArray[np.floating]]:
-    """The named columns of the vertex element in blocks (R, len(names)); fewer rows if the file ends early."""
+    """The named columns of every `stride`-th row of the vertex element in blocks (R, len(names)).
+
+    Raises InputError if the file ends early.
+    """
     before = header.elements[: header.elements.index(vertex)]
+    filled = 0
     if header.ascii:
         file.seek(header.data)
         columns = [vertex.properties.index(name) for name in names]
-        yield from _ascii_blocks(path, file, sum(e.count for e in before), vertex.count, columns)
-        return
-    assert vertex.dtype is not None
-    file.seek(header.data)
-    for element in before:
-        if element.dtype is None:
-            _skip_lists(path, file, element)
-        else:
-            file.seek(element.count * element.dtype.itemsize, os.SEEK_CUR)
-    for first in range(0, vertex.count, BLOCK_ROWS):
-        data = file.read(min(BLOCK_ROWS, vertex.count - first) * vertex.dtype.itemsize)
-        yield _columns(np.frombuffer(data, vertex.dtype, len(data) // vertex.dtype.itemsize), names)
+        for lines in _ascii_blocks(path, file, sum(e.count for e in before), vertex.count, columns, stride):
+            filled += len(lines)
+            yield lines
+    else:
+        assert vertex.dtype is not None
+        file.seek(header.data)
+        for element in before:
+            if element.dtype is None:
+                _skip_lists(path, file, element)
+            else:
+                file.seek(element.count * element.dtype.itemsize, os.SEEK_CUR)
+        offset = file.tell()
+        for rows in row_blocks(vertex.count, stride):
+            block = _columns(read_rows(file, offset, vertex.dtype, rows), names)
+            filled += len(block)
+            yield block
+    if filled < -(-vertex.count // stride):
+        there = filled * stride
+        raise InputError(f"{path}: truncated: the header promises {vertex.count:,} Gaussians, {there:,} are there")
 
 
 def _wide(vertex: Element, names: Sequence[str]) -> bool:
@@ -177,17 +186,14 @@ def _skip_lists(path: Path, file: BinaryIO, element: Element) -> None:
 
 
 def _ascii_blocks(
-    path: Path, file: BinaryIO, skip: int, count: int, columns: list[int]
-) -> Iterator[NDArray[np.floating]]:
-    """These columns of `count` lines after the first `skip`; blank lines do not count."""
+    path: Path, file: BinaryIO, skip: int, count: int, columns: list[int], stride: int
+) -> Iterator[NDArray[np.float64]]:
+    """These columns of every `stride`-th of `count` lines after the first `skip`; blank lines do not count."""
     lines = (line for line in file if not line.isspace())
     next(itertools.islice(lines, skip, skip), None)
-    while count:
-        block = list(itertools.islice(lines, min(count, BLOCK_ROWS)))
-        if not block:
-            return
+    chosen = itertools.islice(lines, 0, count, stride)
+    while block := list(itertools.islice(chosen, BLOCK_ROWS)):
         try:
             yield np.loadtxt(block, np.float64, comments=None, usecols=columns, ndmin=2, encoding="latin-1")
         except ValueError as error:
             raise InputError(f"{path}: truncated or damaged: a row does not hold the numbers it should") from error
-        count -= len(block)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from pathlib import Path
+from typing import BinaryIO, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +13,16 @@ from engine.errors import InputError
 from engine.io.origin import Vector, origin_for
 from engine.scene.gaussians import Gaussians
 
-__all__ = ["COLOUR", "GEOMETRY", "gaussians_from_rows", "logits"]
+__all__ = [
+    "BLOCK_ROWS",
+    "COLOUR",
+    "GEOMETRY",
+    "gaussians_from_rows",
+    "logits",
+    "read_rows",
+    "row_blocks",
+    "stride_for",
+]
 
 Float = NDArray[np.float32]
 
@@ -19,6 +30,9 @@ GEOMETRY = ("x", "y", "z", "opacity", "scale_0", "scale_1", "scale_2", "rot_0", 
 COLOUR = ("f_dc_0", "f_dc_1", "f_dc_2")
 """The first columns of a row, in this order; SH above degree 0 follow, channel-major. As in INRIA's .ply, opacities are
 logits and scales are logs."""
+
+BLOCK_ROWS = 1 << 14
+"""Rows read at once: 4 MB of SH-3 rows, which stay in the cache while the columns are extracted."""
 
 MAX_LOG_SCALE = 30.0
 """Largest plausible |log scale|: e^-30 is below what float32 resolves in a scene of size 1; flat ones reach e^-25."""
@@ -56,27 +70,77 @@ REMEDIES = {
 
 
 def gaussians_from_rows(
-    path: Path, table: Float, positions: NDArray[np.floating] | None = None
+    path: Path, blocks: Iterable[NDArray[np.floating]], count: int, columns: int, wide: bool = False
 ) -> tuple[Gaussians, list[str]]:
-    """The Gaussians of rows (N, 14 + 3 ((d+1)^2 - 1)), and a line for the user on each kind of change to them.
+    """The Gaussians of `count` rows in blocks (R, columns), and a line for the user on each kind of change to them.
 
-    `positions` (N, 3) replace those of the table if the file has them in higher precision. Rows are dropped that have
-    NaN or Inf (except an infinite opacity logit, which means 0 or 1), a zero quaternion, or implausible sizes,
-    positions or colours. A scene so far from zero that float32 would round it is moved (engine.io.origin). Raises
-    InputError if most rows would be dropped, or if the scene is too small or too large for float32.
+    A row has 14 + 3 ((d+1)^2 - 1) columns. With `wide` the blocks are float64, and positions keep that precision until
+    the scene has been moved. Rows are dropped that have NaN or Inf (except an infinite opacity logit, which means 0 or
+    1), a zero quaternion, or implausible sizes, positions or colours. A scene so far from zero that float32 would round
+    it is moved (engine.io.origin). Raises InputError if most rows would be dropped, or if the scene is too small or
+    too large for float32. Beside the result and a block, memory is some ten numbers a row.
     """
-    positions = table[:, :3] if positions is None else positions
-    reasons = _flaws(table, positions)
+    rest = (columns - len(GEOMETRY) - len(COLOUR)) // 3
+    positions = np.empty((count, 3), np.float64 if wide else np.float32)
+    sizes = np.empty(count, np.float32)
+    scene = _Columns(
+        np.empty((count, 3), np.float32),
+        np.empty((count, 4), np.float32),
+        np.empty(count, np.float32),
+        np.empty((count, 1 + rest, 3), np.float32),
+    )
+    reasons = {reason: np.zeros(count, bool) for reason in REMEDIES}
+    filled = 0
+    # What does not fit becomes Inf, and exp(-logit) of a large negative logit, whose opacity then rightly is 0. What is
+    # made of a flawed row is never used.
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        for block in blocks:
+            rows = slice(filled, filled + len(block))
+            table = block.astype(np.float32, copy=False)
+            positions[rows] = block[:, :3]
+            sizes[rows] = table[:, 4:7].max(1)
+            for reason, flawed in _flaws(table, positions[rows]).items():
+                reasons[reason][rows] = flawed
+            _activate(table, scene, rows)
+            filled = rows.stop
+    assert filled == count, (filled, count)
     keep = ~np.logical_or.reduce(list(reasons.values()))
-    _mark_outliers(path, table, positions, keep, reasons)
+    _mark_outliers(path, sizes, positions, keep, reasons)
     keep = ~np.logical_or.reduce(list(reasons.values()))
-    origin, lines = _find_origin(path, table, positions, keep, reasons)
+    origin, lines = _find_origin(path, sizes, positions, keep, reasons)
+    keep, dropped = _select(path, reasons)
     if any(origin):
         positions = positions - np.asarray(origin)
-    keep, dropped = _select(path, reasons)
     with np.errstate(over="ignore"):
-        table[:, :3] = positions
-    return _activate(table if keep.all() else table[keep], origin), [*lines, *dropped]
+        means = positions.astype(np.float32, copy=False)
+    arrays = (_compact(array, keep) for array in (means, scene.scales, scene.quats, scene.opacities, scene.sh))
+    return Gaussians(*arrays, origin=origin), [*lines, *dropped]
+
+
+def stride_for(count: int, most: int | None) -> int:
+    """The step with which at most `most` rows are chosen evenly from `count`; 1 for all of them."""
+    return 1 if most is None else max(1, -(-count // most))
+
+
+def row_blocks(count: int, stride: int = 1) -> Iterator[range]:
+    """Every `stride`-th of `count` rows, in blocks."""
+    for first in range(0, count, BLOCK_ROWS * stride):
+        yield range(first, min(first + BLOCK_ROWS * stride, count), stride)
+
+
+def read_rows(file: BinaryIO, offset: int, dtype: np.dtype[np.void], rows: range) -> NDArray[np.void]:
+    """These rows of a table that begins at `offset`, in bytes; fewer if the file ends early."""
+    size = dtype.itemsize
+    if rows.step == 1:
+        file.seek(offset + rows.start * size)
+        data = file.read(len(rows) * size)
+    else:
+        parts = []
+        for row in rows:
+            file.seek(offset + row * size)
+            parts.append(file.read(size))
+        data = b"".join(parts)
+    return np.frombuffer(data, dtype, len(data) // size)
 
 
 def logits(opacities: NDArray[np.floating]) -> NDArray[np.floating]:
@@ -95,14 +159,13 @@ def _flaws(table: Float, positions: NDArray[np.floating]) -> dict[str, NDArray[n
         "NaN or Inf": ~(finite.all(1) & np.isfinite(positions).all(1)),
         "zero quaternions": ~quats.any(1),
         "absurd sizes": (np.abs(log_scales) > MAX_LOG_SCALE).any(1),
-        "absurd positions": np.zeros(len(table), bool),
         "absurd colours": (np.abs(sh) > MAX_SH).any(1),
     }
 
 
 def _mark_outliers(
     path: Path,
-    table: Float,
+    sizes: Float,  # [N] largest log scales
     positions: NDArray[np.floating],
     keep: NDArray[np.bool_],
     reasons: dict[str, NDArray[np.bool_]],
@@ -113,7 +176,7 @@ def _mark_outliers(
     """
     if keep.sum() < SPREAD_ROWS:
         return
-    distances = np.zeros(len(table))
+    distances = np.zeros(len(positions))
     with np.errstate(over="ignore"):
         distances[keep] = np.linalg.norm(positions[keep] - np.median(positions[keep], axis=0), axis=1)
     reach = float(np.median(distances[keep]))
@@ -125,12 +188,12 @@ def _mark_outliers(
             f"from {REACH[0]:g} to {REACH[1]:g} can be used"
         )
     reasons["absurd positions"] |= distances > MAX_SPREAD * reach
-    reasons["absurd sizes"] |= keep & (table[:, 4:7].max(1) > np.log(MAX_SPREAD * reach))
+    reasons["absurd sizes"] |= keep & (sizes > np.log(MAX_SPREAD * reach))
 
 
 def _find_origin(
     path: Path,
-    table: Float,
+    sizes: Float,  # [N] largest log scales
     positions: NDArray[np.floating],
     keep: NDArray[np.bool_],
     reasons: dict[str, NDArray[np.bool_]],
@@ -140,7 +203,7 @@ def _find_origin(
     The scales of the remaining rows are the size of a detail. Marked rows do not influence the origin.
     """
     while True:
-        detail = float(np.exp(np.median(table[keep, 4:7].max(1)))) if keep.any() else 0.0
+        detail = float(np.exp(np.median(sizes[keep]))) if keep.any() else 0.0
         origin, lines = origin_for(path, positions[keep], detail)
         far = np.zeros_like(keep)
         far[keep] = (np.abs(positions[keep] - np.asarray(origin)) > MAX_POSITION).any(1)
@@ -171,16 +234,34 @@ def _select(path: Path, reasons: dict[str, NDArray[np.bool_]]) -> tuple[NDArray[
     return keep, warnings
 
 
-def _activate(table: Float, origin: Vector) -> Gaussians:
-    """Gaussians from columns as in the file: logits, logs, quaternions of any length, channel-major SH."""
+class _Columns(NamedTuple):
+    """What becomes of the rows, but for the positions: arrays as in `Gaussians`."""
+
+    scales: Float
+    quats: Float
+    opacities: Float
+    sh: Float
+
+
+def _activate(table: Float, scene: _Columns, rows: slice) -> None:
+    """Fills rows of the scene from the file's: logits, logs, quaternions of any length, channel-major SH."""
     n, rest = len(table), table.shape[1] - len(GEOMETRY) - len(COLOUR)
-    with np.errstate(over="ignore"):  # exp(-logit) of a large negative logit is Inf, and the opacity then rightly 0
-        opacities = (1 / (1 + np.exp(-table[:, 3]))).astype(np.float32)
+    scene.opacities[rows] = 1 / (1 + np.exp(-table[:, 3]))
     quats = table[:, 7:11].astype(np.float64)
     quats /= np.linalg.norm(quats, axis=1, keepdims=True)
-    sh = np.empty((n, 1 + rest // 3, 3), np.float32)
-    sh[:, 0] = table[:, 11:14]
-    sh[:, 1:] = table[:, 14:].reshape(n, 3, rest // 3).transpose(0, 2, 1)
-    scales = np.exp(table[:, 4:7].astype(np.float64))
-    means = np.ascontiguousarray(table[:, :3])
-    return Gaussians(means, scales.astype(np.float32), quats.astype(np.float32), opacities, sh, origin=origin)
+    scene.quats[rows] = quats
+    scene.sh[rows, 0] = table[:, 11:14]
+    scene.sh[rows, 1:] = table[:, 14:].reshape(n, 3, rest // 3).transpose(0, 2, 1)
+    scene.scales[rows] = np.exp(table[:, 4:7].astype(np.float64))
+
+
+def _compact(array: Float, keep: NDArray[np.bool_]) -> Float:
+    """The rows of `keep` (N,), moved together within the array, so that a large scene is never there twice."""
+    if keep.all():
+        return array
+    filled = 0
+    for first in range(0, len(array), BLOCK_ROWS):
+        part = array[first : first + BLOCK_ROWS][keep[first : first + BLOCK_ROWS]]
+        array[filled : filled + len(part)] = part
+        filled += len(part)
+    return array[:filled]

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from engine.errors import InputError
 from engine.io.files import open_file
 from engine.io.splats.compressed_ply import with_largest
-from engine.io.splats.rows import gaussians_from_rows, logits
+from engine.io.splats.rows import gaussians_from_rows, logits, row_blocks, stride_for
 from engine.scene.gaussians import Gaussians
 from engine.scene.sh import basis
 
@@ -53,11 +53,12 @@ FLIP = np.array([1.0, -1.0, -1.0])
 """Axes are right, up, back in an .spz, and right, down, forward in the .ply that a capture comes as elsewhere."""
 
 
-def read_spz(path: str | Path) -> tuple[Gaussians, list[str]]:
+def read_spz(path: str | Path, most: int | None = None) -> tuple[Gaussians, list[str]]:
     """The Gaussians of an .spz in the axes of a .ply, and a line on each thing left out.
 
-    Raises InputError for other versions, and if the file is damaged or does not hold what its header promises. Memory
-    grows with the data that are there, never with the header's counts.
+    With `most` no more than so many, evenly chosen, with SH of degree 0; the other SH are not even unpacked. Raises
+    InputError for other versions, and if the file is damaged or does not hold what its header promises. Memory grows
+    with the data that are there, never with the header's counts.
     """
     path = Path(path)
     with open_file(path) as file:
@@ -77,10 +78,12 @@ def read_spz(path: str | Path) -> tuple[Gaussians, list[str]]:
             raise InputError(f"{path}: damaged: its header holds numbers that no .spz has")
         if not 0 < count <= MOST:
             raise InputError(f"{path}: {count:,} Gaussians; an .spz holds from 1 to {MOST:,}")
-        sizes = (9, 1, 3, 3, VERSIONS[version], DEGREES[degree])
+        sizes = (9, 1, 3, 3, VERSIONS[version], DEGREES[degree] if most is None else 0)
         data = bytearray()
         for block in chain([start[HEADER.size :]], stream):
             data += block
+            if most is not None and len(data) >= count * sum(sizes):
+                break
             if len(data) > count * sum(sizes) and not flags & EXTENDED:
                 raise InputError(f"{path}: damaged: there is more in it than the {count:,} Gaussians it promises")
     if len(data) < count * sum(sizes):
@@ -89,12 +92,16 @@ def read_spz(path: str | Path) -> tuple[Gaussians, list[str]]:
             f"{path}: truncated: {count:,} Gaussians are promised, it ends within their {ATTRIBUTES[within]}; "
             "copy or export it again"
         )
-    attributes = np.split(np.frombuffer(data, np.uint8, count * sum(sizes)), np.cumsum(sizes)[:-1] * count)
-    kept = min(degree, 3)
-    gaussians, warnings = gaussians_from_rows(
-        path, _table([a.reshape(count, -1) for a in attributes], version, bits, kept)
+    parts = np.split(np.frombuffer(data, np.uint8, count * sum(sizes)), np.cumsum(sizes)[:-1] * count)
+    attributes = [part.reshape(count, -1) for part in parts]
+    kept, stride = (min(degree, 3) if most is None else 0), stride_for(count, most)
+    blocks = (
+        _table([a[rows.start : rows.stop : rows.step] for a in attributes], version, bits, kept)
+        for rows in row_blocks(count, stride)
     )
-    if kept < degree:
+    columns = 14 + 3 * ((kept + 1) ** 2 - 1)
+    gaussians, warnings = gaussians_from_rows(path, blocks, -(-count // stride), columns)
+    if most is None and kept < degree:
         warnings.append(f"{path}: spherical harmonics of degree {degree} cut down to degree {kept}")
     return gaussians, warnings
 

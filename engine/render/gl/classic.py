@@ -26,6 +26,9 @@ __all__ = ["Capture"]
 
 Float = NDArray[np.float32]
 
+UPLOAD = 1 << 16
+"""Gaussians written at once, 16 MB at most: a large capture is not in memory a second time."""
+
 
 class Capture:
     """N Gaussians on the GPU, and their depth order."""
@@ -33,32 +36,45 @@ class Capture:
     def __init__(self, ctx: moderngl.Context, programs: Programs, pool: Pool, gaussians: Gaussians) -> None:
         self.ctx, self.programs, self.pool = ctx, programs, pool
         self.count = len(gaussians)
-        means = gaussians.means.astype(np.float64)
-        self.centre = (means.min(0) + means.max(0)) / 2 if self.count else np.zeros(3)
-        self.means = np.ascontiguousarray((means - self.centre).astype(np.float32))
+        means = gaussians.means
+        ends = np.stack([means.min(0), means.max(0)]).astype(np.float64) if self.count else np.zeros((2, 3))
+        self.centre = (ends[0] + ends[1]) / 2
+        self.means = np.empty((self.count, 3), np.float32)
         self.degree = gaussians.sh_degree
         self.vectors = -(-3 * gaussians.sh.shape[1] // 4)
-        shape = np.concatenate([self.means, gaussians.scales, gaussians.quats, gaussians.opacities[:, None]], 1).astype(
-            np.float32
-        )
-        packed = np.zeros((self.count, 4 * self.vectors), np.float32)
-        packed[:, : 3 * gaussians.sh.shape[1]] = gaussians.sh.reshape(self.count, 3 * gaussians.sh.shape[1])
-        self.geometry = ctx.buffer(shape) if self.count else ctx.buffer(reserve=44)
-        self.coefficients = ctx.buffer(packed) if self.count else ctx.buffer(reserve=16 * self.vectors)
+        self.geometry = ctx.buffer(reserve=44 * max(self.count, 1))
+        self.coefficients = ctx.buffer(reserve=16 * self.vectors * max(self.count, 1))
+        for first in range(0, self.count, UPLOAD):
+            self._upload(gaussians, slice(first, min(first + UPLOAD, self.count)))
         self._thread = ThreadPoolExecutor(1, "depth-order")
         self._order = np.zeros(0, np.uint32)
         self._order_key: tuple[object, ...] | None = None
         self._pending: tuple[tuple[object, ...], Future[NDArray[np.uint32]]] | None = None
+
+    def _upload(self, gaussians: Gaussians, rows: slice) -> None:
+        """Writes these rows into the buffers."""
+        g = gaussians[rows]
+        self.means[rows] = g.means - self.centre
+        shape = np.concatenate([self.means[rows], g.scales, g.quats, g.opacities[:, None]], 1)
+        packed = np.zeros((len(g), 4 * self.vectors), np.float32)
+        packed[:, : 3 * g.sh.shape[1]] = g.sh.reshape(len(g), -1)
+        self.geometry.write(shape, offset=44 * rows.start)
+        self.coefficients.write(packed, offset=16 * self.vectors * rows.start)
 
     @property
     def sorting(self) -> bool:
         """Whether the last frame was drawn in the order of an earlier camera: draw again when convenient."""
         return self._pending is not None
 
-    def draw(self, camera: Camera, targets: Accumulators, wait: bool) -> None:
-        """Fills the accumulators' `splats` (premultiplied colour, opacity) and `distances` (depth by weight)."""
+    def draw(self, camera: Camera, targets: Accumulators, wait: bool, level: int) -> None:
+        """Fills the accumulators' `splats` (premultiplied colour, opacity) and `distances` (depth by weight).
+
+        `level`: 0 draws every Gaussian; each further one half as many, enlarged so that they cover as much.
+        """
         view = View(camera, self.centre, 1.0)
         rows = self._ordered(view, wait)
+        if level:
+            rows = rows[rows % (1 << level) == 0]
         targets.classic_fbo.use()
         targets.classic_fbo.clear()
         if not len(rows):
@@ -66,7 +82,7 @@ class Capture:
         orthographic = int(camera.orthographic)
         defines = {"SH_DEGREE": self.degree, "SH_VECTORS": self.vectors, "CLASSIC": 1, "ORTHOGRAPHIC": orthographic}
         program = self.programs.get("project.vert.glsl", None, defines, varyings=RECORD)
-        write_uniforms(program, {**view.uniforms, "enlarge": 1.0})
+        write_uniforms(program, {**view.uniforms, "enlarge": 2.0 ** (level / 2)})
         self.pool.write_indices(rows)
         shape = {"mean": 3, "scale": 3, "quat": 4, "opacity": 1}
         streams = ((self.geometry, shape), (self.coefficients, {"sh": 4 * self.vectors}))

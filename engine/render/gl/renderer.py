@@ -178,7 +178,7 @@ class Renderer:
         frame.clear(background_rgb)
         if mode == "classic":
             if self._capture is not None:
-                self._capture.draw(camera, sums, wait)
+                self._capture.draw(camera, sums, wait, level)
                 rect = (0, 0, camera.width, camera.height)
                 values = resolve_values(sums, background_rgb)
                 self._screen.fill(frame.fbo, rect, "classic_resolve.frag.glsl", {}, values)
