@@ -1,6 +1,7 @@
 """How much the solid looks like the capture that it was made from, at views that nothing was fitted to.
 
-    python -m benchmarks.fidelity [--quick] [-o docs/charts] [--detail draft,standard,high] [CAPTURE ...]
+    python -m benchmarks.fidelity [--quick] [-o docs/charts] [--detail draft,standard,high] [--tolerance 0.05,0.1,0.2]
+        [CAPTURE ...]
 
 The capture, without the haze and floaters that are meant to go, is drawn as 3DGS; the solid as opaque atoms, after all
 that training does to its skin. Means over twelve views of the PSNR over the union of both silhouettes, of the PSNR over
@@ -12,6 +13,7 @@ from __future__ import annotations
 
 import sys
 import time
+from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -35,7 +37,7 @@ from training.families import Family
 from training.optimise.losses import psnr
 from training.pipeline import prepare
 from training.request import Request
-from training.settings import DETAILS, DetailName
+from training.settings import DETAILS, Detail, DetailName
 from training.skin import match_skin
 from training.views import BACKGROUND
 
@@ -53,20 +55,36 @@ SHOWN_EVERY = 3
 """Of the views, those that the picture shows."""
 
 
-def make_solid(path: Path, detail: DetailName) -> tuple[Gaussians, Atoms, NDArray[np.float64]]:
+@dataclass(frozen=True)
+class Tolerant(Request):
+    """A request at another tolerance than its level of detail has."""
+
+    tolerance: float | None = None
+
+    @property
+    def fineness(self) -> Detail:
+        fineness = super().fineness
+        return fineness if self.tolerance is None else replace(fineness, tolerance=self.tolerance)
+
+
+def make_solid(path: Path, detail: DetailName, tolerance: float | None) -> tuple[Gaussians, Atoms, NDArray[np.float64]]:
     """The capture without haze, the solid with its skin fitted as training does, and the up axis (3,). Raises
     InputError."""
-    request = Request(path, (Family("horizontal", 4),), detail=detail)  # the inside is not looked at
+    request = Tolerant(
+        path, (Family("horizontal", 4),), detail=detail, tolerance=tolerance
+    )  # the inside is not looked at
     geometry, _ = prepare(request, Reporter(), lambda: None)
     atoms = geometry.filled(fill(geometry.body, geometry.pitch, request.seed, geometry.skin))
     capture, up = geometry.gaussians, geometry.up
     return capture, match_skin(atoms, capture, up, request.fineness, request.seed), up
 
 
-def measure(path: Path, detail: DetailName, views: int) -> tuple[dict[str, Any], NDArray[np.float32]]:
+def measure(
+    path: Path, detail: DetailName, tolerance: float | None, views: int
+) -> tuple[dict[str, Any], NDArray[np.float32]]:
     """The figures of one capture, and the picture (H, W, 3) of some views. Raises InputError."""
     begun = time.perf_counter()
-    capture, atoms, up = make_solid(path, detail)
+    capture, atoms, up = make_solid(path, detail, tolerance)
     seconds = time.perf_counter() - begun
     low, high = capture.visible_bounds()
     radius = float(np.linalg.norm(high - low)) / 2
@@ -109,11 +127,19 @@ def draw_chart(found: dict[str, dict[str, Any]], path: Path) -> None:
     plt.close(figure)
 
 
+def tolerances(text: str) -> list[float]:
+    """Numbers separated by commas. Raises ValueError."""
+    return [float(part) for part in text.split(",")]
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Measures every capture; 1 where one was refused."""
     parser = parser_of(__doc__, "the first capture in draft, two views")
     parser.add_argument("captures", type=Path, nargs="*", metavar="CAPTURE")
     parser.add_argument("--detail", default="standard", help="one or several, with commas: " + ",".join(DETAILS))
+    parser.add_argument(
+        "--tolerance", type=tolerances, default=[None], help="one or several, with commas, in place of the detail's"
+    )
     options = parser.parse_args(arguments)
     folder = out_folder(options)
     paths = options.captures or [ROOT / f"sample_scenes/{name}/{name}.ply" for name in SAMPLES]
@@ -126,14 +152,15 @@ def main(arguments: list[str] | None = None) -> int:
         paths, details, views = paths[:1], ["draft"], 2
     found: dict[str, dict[str, Any]] = {path.name: {} for path in paths}
     refused = False
-    for path, detail in product(paths, details):
+    for path, detail, tolerance in product(paths, details, options.tolerance):
+        name = detail if tolerance is None else f"{detail} at {tolerance}"
         try:
-            found[path.name][detail], picture = measure(path, detail, views)
+            found[path.name][name], picture = measure(path, detail, tolerance, views)
         except InputError as error:
             print(error, file=sys.stderr)
             refused = True
             continue
-        print(path.name, detail, found[path.name][detail], flush=True)
+        print(path.name, name, found[path.name][name], flush=True)
         if folder:
             with atomic(folder / f"fidelity_{path.stem}.png") as temporary:
                 Image.fromarray((picture * 255 + 0.5).astype(np.uint8)).save(temporary, format="PNG", optimize=True)

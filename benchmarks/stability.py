@@ -213,7 +213,7 @@ def large(count: int = 2_000_000) -> dict[str, float]:
     body = enclosure.body
     step("body")
     pitch = float(np.ptp(body.bounds(), axis=0).max()) / DETAILS["standard"].cells
-    surface = atomise(enclosure, pitch).atoms
+    surface = atomise(enclosure, pitch, DETAILS["standard"].tolerance).atoms
     atoms = Atoms(surface, fill(body, pitch, 0, surface), pitch)
     step("atomise")
     row["atoms"] = len(atoms)

@@ -233,7 +233,7 @@ def prepare(
             reporter.warn(f"{request.scene.name}: up is {up.reason}: a guess; give --up if it is wrong")
     raise_if_stopped()
     with reporter.stage("atomise"):
-        skin, pitch = atomise_surface(enclosure, request.fineness.cells)
+        skin, pitch = atomise_surface(enclosure, request.fineness.cells, request.fineness.tolerance)
     facts = {
         "gaussians": len(gaussians),
         "gaussians_left_out": len(loaded.gaussians) - len(gaussians),

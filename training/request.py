@@ -43,7 +43,7 @@ __all__ = [
 
 PriorName = Literal["exemplar", "stable-diffusion"]
 
-FORMAT = 4
+FORMAT = 5
 """Version of the checkpoints; it grows with every change of them, so that no run resumes one of another version."""
 
 FILE_VERSION = 2

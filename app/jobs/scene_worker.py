@@ -33,7 +33,7 @@ from engine.scene.grid import Body
 from engine.scene.sh import sh_to_rgb
 from engine.solid.find_body import Enclosure
 from engine.solid.up_axis.detect import detect_up
-from training.settings import DETAILS
+from training.settings import DETAILS, Detail
 
 PLAIN = (0.83, 0.82, 0.80)
 """RGB of an untrained inside: a neutral material that nobody takes for a trained texture."""
@@ -61,11 +61,11 @@ def main() -> None:
             else:
                 from engine.solid.solidify import find_enclosure  # after the capture is shown: it takes torch a second
 
-                cells = DETAILS[request["detail"]].cells
+                detail = DETAILS[request["detail"]]
                 _write_line(stage="Finding the body", part=0.15)
-                enclosure = find_enclosure(gaussians, cells, path.name)
+                enclosure = find_enclosure(gaussians, detail.cells, path.name)
                 del gaussians  # a large capture is not needed beside its shell
-                _solidify(enclosure, up, cells, request["seed"], folder)
+                _solidify(enclosure, up, detail, request["seed"], folder)
     except InputError as error:
         _write_line(error=str(error))
     except MemoryError:
@@ -94,7 +94,7 @@ def _load_capture(path: Path, folder: Path, seed: int, isolation: Isolation) -> 
     return gaussians[~gone] if gone.any() else gaussians, up.axis
 
 
-def _solidify(enclosure: Enclosure, up: NDArray[np.float64], cells: int, seed: int, folder: Path) -> None:
+def _solidify(enclosure: Enclosure, up: NDArray[np.float64], detail: Detail, seed: int, folder: Path) -> None:
     import torch
 
     from engine.solid.solidify import solidify
@@ -103,7 +103,7 @@ def _solidify(enclosure: Enclosure, up: NDArray[np.float64], cells: int, seed: i
     torch.set_num_threads(1)  # the kernels use all cores; torch's own threads would compete with them
 
     _write_line(stage="Making it solid", part=0.4)
-    atoms = solidify(enclosure, cells, seed)
+    atoms = solidify(enclosure, detail.cells, detail.tolerance, seed)
     plain = plain_inside(atoms.surface, atoms.interior, enclosure.body, atoms.pitch)
     atoms = replace(atoms, interior=replace(atoms.interior, rgb=plain))
     facts = {"notes": list(enclosure.notes), "trained": False}

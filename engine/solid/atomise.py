@@ -20,11 +20,6 @@ from engine.solid.skin_cover import close_holes
 
 __all__ = ["Atomised", "atomise"]
 
-MIN_CONTRIBUTION = 0.05
-"""Opacity that compositing leaves a Gaussian in its best view, under which it is not part of the picture. On a capture
-of a donut this holds for a third of the Gaussians: drawn opaque, they would only mix their colours into the skin. Five
-times less makes more atoms and worse pictures, twice as much makes holes."""
-
 UP = np.array([0.0, 0.0, 1.0])
 """Axis of the views from all around; any would do."""
 
@@ -63,18 +58,19 @@ class Atomised:
     """Gaussians larger than the pitch, which became several atoms."""
 
 
-def atomise(enclosure: Enclosure, pitch: float) -> Atomised:
+def atomise(enclosure: Enclosure, pitch: float, tolerance: float) -> Atomised:
     """Atoms of the enclosure's shell, opaque (the paper's uniform opacification) and no larger than the pitch (its
     atomic clipping).
 
     Everything that a picture of the shell shows stays, sheets without an inside too. Left out is what lies under the
-    skin, contributes to no view, or would hide the rest: an opaque veil hides what a translucent one let through. A
+    skin, what compositing leaves less opacity than `tolerance`, range (0, 1), in every view, and what would hide the
+    rest: an opaque veil hides what a translucent one let through. A
     Gaussian's area across its thin axis shrinks with its contribution, so that what compositing made faint does not
     tint its neighbours. Gaussians larger than the pitch are split along their principal axes into parts with the same
     mean and variance. Holes in the skin of the body are closed. The atoms are in Morton order. Bit-equal for the same
     input.
     """
-    assert pitch > 0, pitch
+    assert pitch > 0 and 0 < tolerance < 1, (pitch, tolerance)
     gaussians, body = enclosure.shell, enclosure.body
     low, high = gaussians.visible_bounds()
     radius = float(np.linalg.norm(high - low)) / 2
@@ -82,7 +78,7 @@ def atomise(enclosure: Enclosure, pitch: float) -> Atomised:
     cameras = cameras_around((low + high) / 2, radius, UP, VIEWS, size)
     contribution = contributions(gaussians, cameras)
     # A thick Gaussian may reach the skin from within without being part of it.
-    rows = np.flatnonzero((contribution >= MIN_CONTRIBUTION) & (body.at(gaussians.means) < MAX_DEPTH * pitch))
+    rows = np.flatnonzero((contribution >= tolerance) & (body.at(gaussians.means) < MAX_DEPTH * pitch))
     kept = gaussians[rows]
     scales = kept.scales.copy()
     shrink = np.repeat(np.sqrt(np.minimum(COVERAGE * contribution[rows], 1))[:, None], 3, axis=1)

@@ -21,7 +21,6 @@ BODY_CELLS = 128
 """Least number of cells along the longest side of the grid on which the body is found; its depth is accurate to a
 fraction of a cell."""
 
-
 MOST_GAUSSIANS = 500_000
 """Gaussians above which a capture is gathered, and about how many of its small ones are then left: the skin of an
 object so divided has cells of a 400th of its longest side. No ordinary capture is as large."""
@@ -41,14 +40,14 @@ def find_enclosure(gaussians: Gaussians, cells: int, name: str) -> Enclosure:
     return replace(enclosure, notes=(note, *enclosure.notes))
 
 
-def atomise_surface(enclosure: Enclosure, cells: int) -> tuple[Atomised, float]:
-    """The body's surface atoms, and their pitch: the body's longest side over `cells`."""
+def atomise_surface(enclosure: Enclosure, cells: int, tolerance: float) -> tuple[Atomised, float]:
+    """The body's surface atoms (engine.solid.atomise), and their pitch: the body's longest side over `cells`."""
     low, high = enclosure.body.bounds()
     pitch = float((high - low).max()) / cells
-    return atomise(enclosure, pitch), pitch
+    return atomise(enclosure, pitch, tolerance), pitch
 
 
-def solidify(enclosure: Enclosure, cells: int, seed: int) -> Atoms:
+def solidify(enclosure: Enclosure, cells: int, tolerance: float, seed: int) -> Atoms:
     """The body's surface atoms and an even grey interior. Bit-equal for the same input."""
-    surface, pitch = atomise_surface(enclosure, cells)
+    surface, pitch = atomise_surface(enclosure, cells, tolerance)
     return Atoms(surface.atoms, fill(enclosure.body, pitch, seed, surface.atoms), pitch)

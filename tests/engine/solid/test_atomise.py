@@ -28,7 +28,7 @@ DATA = SHARED
 
 def on_body(scene: Gaussians, pitch: float, body: Body) -> Atomised:
     shell, _ = without_haze(scene)
-    return atomise(Enclosure(body, shell, opacity_field(shell, body.grid, WIDEN * body.grid.cell)), pitch)
+    return atomise(Enclosure(body, shell, opacity_field(shell, body.grid, WIDEN * body.grid.cell)), pitch, 0.05)
 
 
 def ball(cell: float = 0.05) -> Body:
