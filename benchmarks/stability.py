@@ -1,19 +1,16 @@
 """How far the method holds: a hole of growing size, a wrong axis, small pictures, few planes, long steps, other seeds.
 
-    python -m benchmarks.stability [--quick] [--large] [-o docs/charts]
+    python -m benchmarks.stability [--quick] [-o docs/charts]
 
 Small solids of known inside, so that the whole takes a few minutes; the curves show where a thing
 breaks and how, not how good it can be. Writes stability.png and, with the numbers, stability.json.
-With --large only what two million Gaussians cost, from the file to a picture, is measured and added to the numbers.
 """
 
 from __future__ import annotations
 
 import json
 import os
-import resource
 import tempfile
-import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -29,14 +26,9 @@ from benchmarks.interior import body_of, cut_planes, points_on
 from benchmarks.support.options import out_folder, parser_of, write_json
 from engine.errors import InputError
 from engine.io.files import atomic
-from engine.io.load import load
-from engine.io.splats.ply import write_ply
-from engine.render.cpu import opaque
 from engine.scene.atoms import Atoms, SurfaceAtoms
-from engine.scene.camera import cameras_around, section
+from engine.scene.camera import section
 from engine.scene.gaussians import Gaussians
-from engine.scene.plane import Plane
-from engine.solid.atomise import atomise
 from engine.solid.fill import fill
 from engine.solid.find_body import find_body
 from sample_scenes.exemplars import photograph, planes
@@ -47,7 +39,6 @@ from training.families import Family
 from training.optimise import trainer
 from training.optimise.trainer import Trainer
 from training.priors.exemplar import ExemplarPrior
-from training.settings import DETAILS
 from training.views import sections, slices
 
 mpl.use("Agg")
@@ -192,53 +183,18 @@ def fitted(size: int = 96, rate: float = 1.0, planes: int = 24, kind: type[Train
     }
 
 
-def large(count: int = 2_000_000) -> dict[str, float]:
-    """Seconds of processor time of each step from a .ply to a picture, and the peak of memory in GB."""
-    row: dict[str, float] = {"gaussians": count}
-    begun = time.process_time()
-
-    def step(name: str) -> None:
-        nonlocal begun
-        row[f"{name}_cpu_seconds"] = round(time.process_time() - begun, 1)
-        row[f"{name}_peak_gb"] = round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20, 2)
-        print(f"{name}: {row[f'{name}_cpu_seconds']} s, {row[f'{name}_peak_gb']} GB", flush=True)
-        begun = time.process_time()
-
-    with tempfile.TemporaryDirectory() as folder:
-        write_ply(Path(folder) / "large.ply", sphere(0, count))
-        step("write")
-        scene = load(Path(folder) / "large.ply").gaussians
-    step("load")
-    enclosure = find_body(scene)
-    body = enclosure.body
-    step("body")
-    pitch = float(np.ptp(body.bounds(), axis=0).max()) / DETAILS["standard"].cells
-    surface = atomise(enclosure, pitch, DETAILS["standard"].tolerance).atoms
-    atoms = Atoms(surface, fill(body, pitch, 0, surface), pitch)
-    step("atomise")
-    row["atoms"] = len(atoms)
-    camera = cameras_around(np.zeros(3), 1.0, np.array([0.0, 0.0, 1.0]), 1, 512)[0]
-    shown = opaque.render(atoms, camera, [Plane.of((1, 0, 0), 0.1)])
-    step("draw")
-    assert np.isfinite(shown.rgb).all()
-    row["covered"] = round(float(shown.alpha.mean()), 4)
-    return row
-
-
 def main(arguments: list[str] | None = None) -> None:
     """Runs all sweeps, and draws them."""
     parser = parser_of(__doc__, "the first two points of each curve")
-    parser.add_argument("--large", action="store_true", help="only what two million Gaussians cost")
     options = parser.parse_args(arguments)
     folder = out_folder(options)
-    figures = {"two_million": large()} if options.large else sweeps(2 if options.quick else None)
+    figures = sweeps(2 if options.quick else None)
     print(json.dumps(figures, indent=1))
     if folder:
         target = folder / "stability.json"
         known = json.loads(target.read_text()) if target.exists() else {}
         write_json(target, known | figures)
-        if not options.large:
-            draw(figures, folder / "stability.png")
+        draw(figures, folder / "stability.png")
 
 
 def sweeps(points: int | None) -> dict[str, Any]:

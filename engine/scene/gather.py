@@ -32,8 +32,9 @@ FEWEST_CELLS = 64
 ROUNDS = 8
 """Halvings of the range of cells, which find the count to 2 %."""
 
-SIZE = 0.5
-"""Cells. A Gaussian with a longer axis than this is left as it is."""
+SIZE = 1.5
+"""Cells. A Gaussian with a longer axis than this is left as it is: there are few of them. Smaller ones keep their shape
+when they are gathered, as their mean has their covariance."""
 
 SMOOTH = 0.45
 """Cells. Gathered on a sheet, a cell's Gaussians are about 0.29 cells wide, which would leave a ripple of a third;

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Sequence
 from dataclasses import replace
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 
 from app.model.rigid_transform import Vec3
 from app.session.workspace import Workspace
+from engine.render.cpu.software import is_software
 from engine.render.culling.draw_options import Mode
 from engine.render.gl.overlay import Lines, Sheet
 from engine.render.gl.renderer import Renderer
@@ -27,6 +29,10 @@ STEPS = ((1.0, 0), (0.75, 1), (0.5, 1), (0.5, 2), (0.35, 3))
 """How a moving view gets coarser: part of the pixels along a side, and level of detail, which halves the atoms each
 time. A GPU has too many atoms before it has too many pixels, a processor that draws the other way round."""
 
+MOST_IN_SOFTWARE = 2_000_000
+"""Gaussians of a capture that are drawn without a graphics card, where each million takes a second and 0.1 GB. Pictures
+for files have all of them."""
+
 MODES: dict[str, Mode] = {"capture": "classic", "solid": "opaque", "interior": "interior"}
 
 
@@ -38,6 +44,7 @@ class Painter:
         self._screen = None if ctx is None else ctx.detect_framebuffer(0)
         self.renderer = Renderer(ctx)
         self.ctx = self.renderer.ctx
+        self._in_software = is_software(self.ctx.info["GL_RENDERER"])
         self.milliseconds = 0.0
         """Moving average of the time of a frame while the view moves; before it has moved, of the last full frame."""
         self._timed = False
@@ -79,6 +86,8 @@ class Painter:
         if not self._upload(workspace):
             return None
         part, level = STEPS[self._step] if moving else STEPS[0]
+        if workspace.mode == "capture" and workspace.shown_capture is not None and self._in_software:
+            level = max(level, math.ceil(math.log2(max(len(workspace.shown_capture) / MOST_IN_SOFTWARE, 1))))
         light, mode = workspace.settings.face_light, workspace.mode
         key = (
             (mode, self._atoms, id(self._capture), background, light, part, level, moving),
