@@ -61,6 +61,8 @@ class IsolationController:
         self._bodies_of: tuple[Document, Gaussians] | None = None
         self._told_apart: set[Isolation] = set()
         """What was looked at for separate bodies: an undone split is not made again."""
+        self._asked = False
+        """Whether the user waits for the answer."""
 
     @property
     def available(self) -> bool:
@@ -181,8 +183,10 @@ class IsolationController:
         self.workspace.notify(REMOVED)
 
     def restore(self) -> None:
-        """Brings back all of the capture."""
-        self.workspace.change("Bring everything back", replace(self.workspace.document, isolation=(), marked=()))
+        """Brings back all of the capture, as one object with the cuts and settings of the active one."""
+        document = self.workspace.document
+        whole = replace(document, isolation=(), marked=(), number=0, name="", visible=True)
+        self.workspace.change_all("Bring everything back", (whole,))
 
     def _isolate(self, name: str, selection: Selection) -> None:
         workspace, document = self.workspace, self.workspace.document
@@ -206,6 +210,10 @@ class IsolationController:
         return False
 
     # Several objects
+
+    def find_objects(self) -> None:
+        """Makes separate bodies of the active object objects of their own."""
+        self._asked = True
 
     def split_marked(self) -> None:
         """Makes what is marked an object of its own."""
@@ -242,11 +250,11 @@ class IsolationController:
                 self._make_objects(selections)
             return
         opened = workspace.path is not None and workspace.history.cursor == 0
-        if view is None or opened or not self.available:
+        if view is None or not self.available or (opened and not self._asked):
             return
         if self._bodies_of is None or self._bodies_of[1] is not view.capture:
             self._told_apart.clear()  # another scene
-        if document.isolation not in self._told_apart:
+        if self._asked or document.isolation not in self._told_apart:
             self._told_apart.add(document.isolation)
             self._bodies_of = document, view.capture
             self._bodies = self._thread.submit(split_bodies, view.left)
@@ -258,7 +266,10 @@ class IsolationController:
         asked, capture = self._bodies_of
         shown = workspace.loaded.get(asked.number)
         same = [d for d in workspace.documents if d.number == asked.number and d.isolation == asked.isolation]
+        asked_for, self._asked = self._asked, False
         if len(selections) < 2 or not same or shown is None or shown.capture is not capture:
+            if asked_for:
+                workspace.notify("This is one object: no part of it stands apart and has an inside of its own.")
             return
         untouched = not workspace.history.changed
         self._split(f"{len(selections)} objects", same[0], selections)

@@ -36,7 +36,8 @@ class SceneController:
         was never loaded; the active one first, and none while one that is up to date is being made."""
         workspace = self.workspace
         documents = sorted(workspace.documents, key=lambda document: document is not workspace.document)
-        stale = [d for d in documents if d.scene is not None and d.isolation != self._isolations.get(d.number)]
+        made = {number: loaded.request.isolation for number, loaded in workspace.loaded.items()} | self._isolations
+        stale = [d for d in documents if d.scene is not None and d.isolation != made.get(d.number)]
         numbers = {document.number for document in documents} - {document.number for document in stale}
         waiting = workspace.loader is not None and self._loading in numbers
         return stale[0] if stale and not (waiting and len(documents) > 1) else None

@@ -362,9 +362,12 @@ class Workspace:
         self.change(name, document)
 
     def hide(self) -> None:
-        """Hides the selected pieces."""
+        """Hides the selected pieces, or the selected object."""
         if not self.selection:
-            self.notify("Select a piece first.")
+            if self.object_selected:
+                self.change_object("Hide object", self.active, replace(self.document, visible=False))
+            else:
+                self.notify("Select a piece first.")
             return
         self.change_placements("Hide", self.selection, lambda p: replace(p, visible=False))
         self.selection = frozenset()

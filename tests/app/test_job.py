@@ -256,6 +256,8 @@ def test_a_job_that_was_left_running_is_found_at_the_next_start(
             document.isolation,
             families=document.families,
             training=document.training,
+            number=document.number,
+            name=document.name,
         )
         second.files.open_document(job.document, Viewing(), None)
         assert second.training.job is not None and second.training.busy and "went on" in second.message

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -21,10 +22,12 @@ from app.session.session import Session
 from engine.isolate.selection import Sphere, Step, removed
 from engine.scene.atoms import Atoms
 from engine.scene.gaussians import Gaussians
-from tests.helpers.several import beside
-from tests.helpers.solids import ball
+from tests.helpers.solids import ball, beside
+from tests.paths import HELPERS
 
 EYE = OrbitCamera((0.5, 0.0, 0.0), -90.0, 0.0, 8.0)
+STUB = (sys.executable, str(HELPERS / "app_stub_trainer.py"))
+
 ACROSS = Stroke((0.0, 60.0), (160.0, 60.0))
 """From edge to edge: through both balls."""
 
@@ -127,6 +130,32 @@ def test_what_is_marked_becomes_an_object_of_its_own(session: Session) -> None:
     parts = [~removed(CAPTURE, document.isolation) for document in session.documents]
     assert np.array_equal(sum(part.astype(int) for part in parts), np.ones(len(CAPTURE)))
     assert parts[1].sum() == lid.contains(left.means).sum() and session.documents[1].training.seed == 3
+
+
+def test_two_objects_are_trained_at_the_same_time(session: Session, tmp_path: Path) -> None:
+    picture = tmp_path / "cut.png"
+    picture.touch()
+    (tmp_path / "two.ply").touch()
+    session.training.program = (*STUB, "--steps", "2000")
+    try:
+        for index in (0, 1):
+            session.activate(index)
+            session.change("Picture", session.document.with_exemplars("radial", (picture,)))
+            session.training.start()
+        assert not session.error and len(session.training.jobs) == 2
+        assert session.training.job is session.training.jobs[1] and session.training.job.document.number == 2
+        session.training.tick()
+        session.training.stop()
+        session.activate(0)
+        assert session.training.busy
+        session.files.save(tmp_path / "a.fruitninja")
+        session.files.close()
+        assert session.question is not None and "still running" in session.question.title
+    finally:
+        for job in session.training.jobs:
+            assert job.child is not None
+            job.child.kill()
+            job.child.wait()
 
 
 def test_each_object_has_its_own_result_and_the_project_keeps_all(session: Session, tmp_path: Path) -> None:

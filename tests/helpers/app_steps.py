@@ -315,7 +315,7 @@ def habits(driver: Driver, folder: Path) -> None:
 def soak(driver: Driver, actions: int = 2000) -> None:
     """Anything in any order: no error, nothing left on the GPU, nothing lost."""
     session, window, chance = driver.session, driver.window, random.Random(7)
-    start = session.document
+    start = session.documents
     held: list[dict[str, int]] = []
 
     def afresh() -> None:
@@ -398,10 +398,10 @@ def soak(driver: Driver, actions: int = 2000) -> None:
         rows = sum(len(p.rows) for p in session.pieces)
         assert rows <= len(session.solid.points)
     # The document goes all the way back, all the way forward, and through a file.
-    end = session.document
+    end = session.documents
     while session.history.undo():
         pass
-    assert session.document == start
+    assert session.documents == start
     while session.history.redo():
         pass
     session.jump(next(i for i, e in enumerate(session.history.entries) if e.state == end))

@@ -127,8 +127,9 @@ class Inspector:
         width = imgui.get_content_region_avail().x - px(104)
         if imgui.selectable(f"{mark}{document.title}###object", active, 0, ImVec2(width, px(22)))[0]:
             session.activate(index, not (active and session.object_selected))
-        renamed = imgui.is_item_hovered() and imgui.is_mouse_double_clicked(imgui.MouseButton_.left)
-        self._renamed, self._typing = (document.number, False) if renamed else (self._renamed, self._typing)
+        if imgui.is_item_hovered() and imgui.is_mouse_double_clicked(imgui.MouseButton_.left):
+            self._renamed, self._typing = document.number, False
+            session.activate(index)  # whatever its first click did
         imgui.pop_style_var()
         imgui.pop_style_color(2)
         tooltip("The selected object is the one that is cut; click again to cut all. Double click to name it.")

@@ -14,7 +14,7 @@ from engine.io.load import load
 from engine.isolate.bodies import find_bodies
 from engine.isolate.selection import removed, split_bodies
 from engine.scene.gaussians import Gaussians
-from tests.helpers.several import three_samples
+from tests.helpers.solids import three_samples
 from tests.paths import SAMPLES, SHARED
 from training.isolation_options import parse_body, parse_isolation, select_bodies
 
