@@ -275,7 +275,7 @@ class IsolationController:
         self._split(f"{len(selections)} objects", same[0], selections)
         if untouched and len(workspace.history.entries) == 2:  # as opened: nothing of the user's would be lost
             workspace.history.saved = workspace.documents
-        workspace.notify(f"There are {len(selections)} separate objects. Click one to work on it alone.")
+        workspace.notify(f"There are {len(selections)} separate objects. Select one in the list to cut it alone.")
 
     # Following the document
 

@@ -307,15 +307,15 @@ class Workspace:
             self.viewing = replace(self.viewing, mode="solid")
 
     def slice(self, camera: Camera, stroke: Stroke) -> None:
-        """Cuts the pieces that a finished knife stroke crosses, or says why it cut none."""
-        if self.atoms is None and (self.object_selected or not self.members):
+        """Cuts what a knife stroke crosses of the selected object, or of all while none is; or says why it cut none."""
+        met = dict.fromkeys(member.index for member in self.members)
+        alone = len(self.documents) == 1 or self.object_selected
+        targets = [index for index in met if index == self.active or not alone]
+        if not targets:
             waiting = self.loader is not None and not self.loader.ended
-            self.notify(
-                "The object is still being made solid. Cut in a moment." if waiting else "There is no solid to cut."
-            )
+            reason = "It is hidden. Show it to cut it." if self.atoms is not None else "There is no solid to cut."
+            self.notify("The object is still being made solid. Cut in a moment." if waiting else reason)
             return
-        several = len(self.documents) > 1 and not self.object_selected
-        targets = list(dict.fromkeys(m.index for m in self.members)) if several else [self.active]
         outcomes: dict[int, Outcome] = {}
         for index in targets:
             document, selected = self.documents[index], self.selection if index == self.active else frozenset[Key]()

@@ -116,6 +116,9 @@ def test_a_stroke_cuts_the_selected_object_or_all(session: Session) -> None:
     session.activate(1, False)
     session.slice(camera, ACROSS)
     assert [len(document.cuts) for document in session.documents] == [0, 1]  # what is hidden is not cut
+    session.activate(0)
+    session.slice(camera, ACROSS)
+    assert not session.documents[0].cuts and "hidden" in session.message
 
 
 def test_what_is_marked_becomes_an_object_of_its_own(session: Session) -> None:
