@@ -14,10 +14,11 @@ import typer
 from engine.command import Stop, Stopped, parse_numbers, print_result, run_command
 from engine.errors import InputError
 from engine.io.files import locked_folder
+from engine.io.load import load
 from engine.scene.plane import Plane
 from training.events import Reporter
 from training.families import COUNTS, Family, Kind
-from training.isolation_options import parse_isolation
+from training.isolation_options import parse_body, parse_isolation, select_bodies
 from training.pipeline import run
 from training.request import Interrupted, PriorName, Request, read_request
 from training.settings import DetailName
@@ -66,6 +67,13 @@ def train(
     no_floor: Annotated[
         bool, typer.Option("--no-floor", help="Leave out the table or mat under the object, if there is one.")
     ] = False,
+    body: Annotated[
+        str | None,
+        typer.Option(
+            help="Which of several separate bodies is the object: 1, the largest, 2, ... or all, each in a folder of "
+            "its own in the result's: 1, 2, ..."
+        ),
+    ] = None,
     detail: Annotated[str, typer.Option(help="draft, standard or high.")] = "standard",
     prior: Annotated[str, typer.Option(help="What draws the inside: exemplar or stable-diffusion.")] = "exemplar",
     model: Annotated[Path | None, typer.Option(help="Local folder of a Stable Diffusion depth model.")] = None,
@@ -99,16 +107,29 @@ def train(
             scene, exemplar or [], family or [], prompt or [], up, detail, prior, model, midas, thing, iterations, seed
         )
         requested = replace(requested, isolation=parse_isolation(keep or [], remove or [], no_floor))
+    runs = {out: requested} if body is None else runs_of_bodies(requested, parse_body(body), out)
     reporter = Reporter.open(events)
     stop.listen()
     with reporter, locked_folder(out):
         try:
-            result = run(requested, out, reporter, resume, stop.requested)
+            results = []
+            for folder, one in runs.items():
+                reporter.timings.clear()
+                results.append(run(one, folder, reporter, resume, stop.requested))
         except Interrupted as interrupted:
             message = f"stopped; go on with the same command and --resume ({interrupted})"
             raise Stopped(stop.number, message) from interrupted
     if events != "-":
-        print_result(f"{result}\n{out / 'cuts.png'}\n{out / 'report.json'}")
+        for result in results:
+            print_result(f"{result}\n{result.with_name('cuts.png')}\n{result.with_name('report.json')}")
+
+
+def runs_of_bodies(request: Request, body: int | None, out: Path) -> dict[Path, Request]:
+    """The run of one body of a request's scene, or of each, by the folder of its result."""
+    gaussians = load(request.scene, request.seed).gaussians
+    isolations = select_bodies(gaussians, request.isolation, body, request.scene.name)
+    folders = {number: out / str(number) if body is None else out for number in isolations}
+    return {folders[number]: replace(request, isolation=isolation) for number, isolation in isolations.items()}
 
 
 def refuse_options_beside_request(context: typer.Context) -> None:

@@ -1,4 +1,4 @@
-"""The options that say which part of a capture is the object: --keep, --remove, --no-floor."""
+"""The options that say which part of a capture is the object: --keep, --remove, --no-floor, --body."""
 
 from __future__ import annotations
 
@@ -6,10 +6,23 @@ from collections.abc import Sequence
 
 from engine.command import parse_numbers
 from engine.errors import InputError
-from engine.isolate.selection import Below, Box, Detected, Isolation, Selection, Shape, Sphere, Step, keep_only
+from engine.isolate.selection import (
+    Below,
+    Box,
+    Detected,
+    Isolation,
+    Selection,
+    Shape,
+    Sphere,
+    Step,
+    isolated,
+    keep_only,
+    split_bodies,
+)
+from engine.scene.gaussians import Gaussians
 from engine.scene.plane import Plane
 
-__all__ = ["parse_isolation"]
+__all__ = ["parse_body", "parse_isolation", "select_bodies"]
 
 FORMS = "box:x0,y0,z0,x1,y1,z1, sphere:x,y,z,radius or plane:a,b,c,d"
 
@@ -47,3 +60,24 @@ def parse_shape(text: str, option: str) -> Shape:
         a, b, c, d = parse_numbers(numbers, 4, complaint)
         return Below(Plane.of((a, b, c), d))
     raise InputError(complaint)
+
+
+def parse_body(text: str) -> int | None:
+    """The number of a body, from 1; None for all of them. Raises InputError for anything else."""
+    if text == "all":
+        return None
+    if not text.isascii() or not text.isdigit() or len(text) > 9 or int(text) < 1:
+        raise InputError(f"--body {text}: give a number from 1, or all")
+    return int(text)
+
+
+def select_bodies(gaussians: Gaussians, isolation: Isolation, body: int | None, name: str) -> dict[int, Isolation]:
+    """By its number, what leaves only one of the separate bodies that an isolation leaves; `body`: None for each.
+
+    Raises InputError, which begins with `name`, if there is no such body, or if nothing is left.
+    """
+    rest, _ = isolated(gaussians, isolation, name)
+    others: list[Isolation] = [(selection,) for selection in split_bodies(rest)] or [()]
+    if body is not None and body > len(others):
+        raise InputError(f"{name}: no body {body}; it has {len(others)}")
+    return {n: (*isolation, *other) for n, other in enumerate(others, 1) if body in (None, n)}

@@ -20,6 +20,7 @@ from engine.errors import InputError
 from engine.fit.sh_fit import SurfaceView, fit_sh, surface_views
 from engine.io.files import remove_leftovers
 from engine.io.load import LoadedScene, load
+from engine.isolate.bodies import find_bodies
 from engine.isolate.selection import isolated
 from engine.scene.atoms import Atoms, InteriorAtoms
 from engine.solid.fill import Colours, fill
@@ -222,6 +223,9 @@ def prepare(
         gaussians, notes = isolated(loaded.gaussians, request.isolation, request.scene.name)
         for note in notes:
             reporter.warn(f"{request.scene.name}: {note}")
+        bodies = len(find_bodies(gaussians).points)
+        if bodies > 1:
+            reporter.warn(f"{request.scene.name}: {bodies} separate bodies are taken for one; --body tells them apart")
     raise_if_stopped()
     with reporter.stage("body") as stage:
         enclosure = find_enclosure(gaussians, request.fineness.cells, request.scene.name)

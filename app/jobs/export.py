@@ -79,10 +79,10 @@ def sweep(plane: Plane, solid: Solid, count: int) -> Iterator[Plane]:
         yield Plane(plane.normal, -(low + (high - low) * float(part)))
 
 
-def section_picture(draw: Draw, plane: Plane, planes: Sequence[Plane], up: Vec3, solid: Solid, size: int) -> NDArray:
-    """(size, size, 4). A cut face seen straight on, to scale, with nothing around it."""
+def section_picture(draw: Draw, plane: Plane, uncut: Piece, up: Vec3, solid: Solid, size: int) -> NDArray:
+    """(size, size, 4). The cut face of an object, `uncut`, seen straight on, to scale, with nothing around it."""
     bounds = np.stack([solid.points.min(0), solid.points.max(0)]) if len(solid.points) else np.zeros((2, 3))
-    return draw(section(plane, np.asarray(up), bounds, size), [Piece((*planes, plane))])
+    return draw(section(plane, np.asarray(up), bounds, size), [replace(uncut, planes=(plane,))])
 
 
 def ffmpeg() -> str | None:
@@ -186,9 +186,12 @@ def piece_gaussians(atoms: Atoms, piece: PlacedPiece) -> Gaussians:
     return gaussians[inside]
 
 
-def save_pieces(path: Path, atoms: Atoms, pieces: Sequence[PlacedPiece]) -> int:
-    """Saves pieces in one 3DGS .ply; returns the number of Gaussians. Raises InputError if there are none."""
-    parts = [piece_gaussians(atoms, piece) for piece in pieces]
+def save_pieces(path: Path, pieces: Sequence[tuple[Atoms, PlacedPiece]]) -> int:
+    """Saves pieces, each with the atoms of its object, in one 3DGS .ply, with the harmonics that all of them have;
+    returns the number of Gaussians. Raises InputError if there are none."""
+    parts = [piece_gaussians(atoms, piece) for atoms, piece in pieces]
+    bands = min((part.sh.shape[1] for part in parts), default=1)
+    parts = [replace(part, sh=part.sh[:, :bands]) for part in parts]
     if not sum(len(part) for part in parts):
         raise InputError(f"{path}: nothing to save; no piece is shown")
     joined = Gaussians(

@@ -62,12 +62,15 @@ def missing_for_training(document: Document) -> str:
     return f"The picture {absent[0].name} is no longer there. Remove it or put it back." if absent else ""
 
 
-def default_out(scene: Path) -> Path:
-    """The default result folder: beside the scene, or in the app's state folder if the scene's folder is read-only."""
+def default_out(scene: Path, number: int = 0) -> Path:
+    """The default result folder: beside the scene, or in the app's state folder if the scene's folder is read-only.
+
+    `number`: of one of several objects, as in Document.
+    """
     folder = scene.parent
     if not os.access(folder, os.W_OK):
         folder = state_folder() / "results"
-    return folder / f"{scene.stem}-inside"
+    return folder / (f"{scene.stem}-inside" + (f"-{number}" if number else ""))
 
 
 def request_for(document: Document, up: Vec3) -> Request:
@@ -141,8 +144,10 @@ class Job:
             isolation=document.isolation,
             families=document.families,
             training=training,
+            number=document.number,
+            name=document.name,
         )
-        save_project(note_path(out).with_suffix(SUFFIX), Project(trained, Viewing()))
+        save_project(note_path(out).with_suffix(SUFFIX), Project((trained,), Viewing()))
         try:
             out.mkdir(parents=True, exist_ok=True)
             # The files are created anew: a link of the same name might lead anywhere.
@@ -172,7 +177,7 @@ class Job:
         path = note_path(out)
         try:
             note = json.loads(read_file(path, NOTE_LIMIT))
-            document = load_project(path.with_suffix(SUFFIX), outside=True).document  # the app wrote it itself
+            document = load_project(path.with_suffix(SUFFIX), outside=True).documents[0]  # the app wrote it itself
             out = document.training.out or out
             job = Job(document, int(note["pid"]), float(note["started"]), bool(note["stopped"]), Progress(out))
         except (InputError, ValueError, KeyError, TypeError, OverflowError, RecursionError):

@@ -66,7 +66,7 @@ class Autosave:
             return False
         self.next = now + EVERY
         save_project(self.file, project)
-        named = target or project.document.scene
+        named = target or project.documents[0].scene
         note = {"project": None if target is None else str(target), "when": time.time(), **_this_process()}
         note["name"] = named.stem if named else ""
         text = json.dumps(note)

@@ -1,4 +1,4 @@
-"""What is shown of a capture: what its isolation leaves, with the marked Gaussians tinted."""
+"""What is shown of a capture: what the isolations of its objects leave, with the marked Gaussians tinted."""
 
 from __future__ import annotations
 
@@ -27,21 +27,39 @@ class CaptureView:
     steps: Selection
     tint: Vec3
     """RGB of marked Gaussians. Range [0, 1]."""
+    beside: tuple[Isolation, ...]
+    """Of the other objects that are shown."""
     left: Gaussians
     """The K Gaussians that the isolation leaves."""
     marked: NDArray[np.bool_]
     """(K,). Which of them the steps select."""
     shown: Gaussians
-    """The same K in the colours to be drawn."""
+    """What is drawn: the same K with the marked ones tinted, then what the other objects keep."""
+    plain: Gaussians
+    """The same without a tint."""
+    others: Gaussians
+    """What the other objects keep."""
 
-    def is_for(self, capture: Gaussians, isolation: Isolation, steps: Selection, tint: Vec3) -> bool:
+    def is_for(
+        self,
+        capture: Gaussians,
+        isolation: Isolation,
+        steps: Selection,
+        tint: Vec3,
+        beside: tuple[Isolation, ...] = (),
+    ) -> bool:
         """Whether this is that view."""
-        same = self.capture is capture and self.tint == tint
+        same = self.capture is capture and self.tint == tint and self.beside == beside
         return same and self.isolation == isolation and self.steps == steps
 
 
 def view_of(
-    capture: Gaussians, isolation: Isolation, steps: Selection, tint: Vec3, before: CaptureView | None = None
+    capture: Gaussians,
+    isolation: Isolation,
+    steps: Selection,
+    tint: Vec3,
+    before: CaptureView | None = None,
+    beside: tuple[Isolation, ...] = (),
 ) -> CaptureView:
     """The view of a capture. `before`: any other view, whose results are taken over as far as they are the same."""
     if before is not None and before.capture is capture and before.isolation == isolation:
@@ -53,7 +71,25 @@ def view_of(
         marked = np.zeros(len(left), bool)
     for step in steps[done:]:
         marked = take_step(left, marked, step)
-    return CaptureView(capture, isolation, steps, tint, left, marked, tinted(left, marked, tint))
+    if before is not None and before.capture is capture and before.beside == beside:
+        others = before.others
+    else:
+        gone = np.ones(len(capture), bool)
+        for other in beside:
+            gone &= removed(capture, other)
+        others = capture[~gone]
+    plain = joined(left, others)
+    shown = joined(tinted(left, marked, tint), others) if marked.any() else plain
+    return CaptureView(capture, isolation, steps, tint, beside, left, marked, shown, plain, others)
+
+
+def joined(first: Gaussians, second: Gaussians) -> Gaussians:
+    """The Gaussians of both, which have equally many harmonics."""
+    if not len(second):
+        return first
+    names = ("means", "scales", "quats", "opacities", "sh")
+    arrays = (np.concatenate([getattr(first, name), getattr(second, name)]) for name in names)
+    return Gaussians(*arrays, origin=first.origin)
 
 
 def tinted(gaussians: Gaussians, marked: NDArray[np.bool_], tint: Vec3) -> Gaussians:

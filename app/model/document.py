@@ -1,4 +1,5 @@
-"""The document that the user edits: cuts, placements of the pieces, families of planes to train. Plain frozen data.
+"""The document of one object that the user edits: cuts, placements of the pieces, families of planes to train. Plain
+frozen data; a scene with several bodies has a document for each.
 
 Pieces are not stored but derived: every slice that is on divides the pieces that it was made for (`app.model.pieces`).
 So a cut can be moved, switched off or removed later, and the pieces keep their placements.
@@ -110,7 +111,7 @@ class Training:
 
 @dataclass(frozen=True)
 class Document:
-    """Everything that undo and the project file cover."""
+    """Everything of an object that undo and the project file cover."""
 
     scene: Path | None = None
     up: Vec3 | None = None
@@ -128,6 +129,16 @@ class Document:
     """Between the two sides of a slice, in radii of the object. Range [0, 2]."""
     explode: float = 0.0
     """How far pieces are moved away from the centre, relative to their distance from it. Range [0, 2]."""
+    number: int = 0
+    """0 for the only object of a scene; each of several has another number, from 1, that stays. It names the result."""
+    name: str = ""
+    """As the user calls it; empty: by its number."""
+    visible: bool = True
+
+    @property
+    def title(self) -> str:
+        """What the window calls the object."""
+        return self.name or f"Object {self.number}"
 
     # cuts
 

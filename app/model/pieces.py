@@ -15,7 +15,7 @@ from engine.scene.atoms import Atoms
 from engine.scene.piece import Piece
 from engine.scene.plane import Plane
 
-__all__ = ["PlacedPiece", "Solid", "pieces", "sections", "visible_pieces"]
+__all__ = ["Member", "PlacedPiece", "Solid", "pieces", "sections", "visible_pieces"]
 
 SAMPLE = 20_000
 """Points that represent the solid when a cut divides it: 27 along each axis of a cube."""
@@ -84,6 +84,15 @@ class PlacedPiece:
     def piece(self, extra: Sequence[Plane] = ()) -> Piece:
         """The renderers' piece, cut further by these planes in object space."""
         return Piece((*self.planes, *extra), self.motion.matrix)
+
+
+@dataclass(frozen=True)
+class Member:
+    """A piece of one of the objects, as it is drawn."""
+
+    index: int
+    """Of its object in the documents."""
+    piece: PlacedPiece
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""The project file: a document and its view, as readable JSON.
+"""The project file: the documents of a scene's objects and their view, as readable JSON.
 
 Paths are relative to the file's folder. A project that names files outside of that folder is refused until the user
 allows it: a file from a stranger must not choose what the app reads and writes.
@@ -27,11 +27,17 @@ from training.settings import DetailName
 
 __all__ = ["SUFFIX", "Outside", "Project", "ViewMode", "Viewing", "load_project", "save_project"]
 
-FORMAT = 2
+FORMAT = 3
 """Version of the file. Later ones are refused, so it grows with every change of meaning."""
 
+SINGLE_FORMAT = 2
+"""Latest version with only one object, whose fields are the file's own."""
+
 FIRST_FORMAT = 1
-"""Oldest version that is read: it had no parts of the capture left out, and is the same in all else."""
+"""Oldest version that is read: it had no parts of the capture left out, and is the same as the next in all else."""
+
+MOST_OBJECTS = 1000
+"""Of a project that is read: more than a capture shows."""
 
 SUFFIX = ".fruitninja"
 
@@ -66,7 +72,8 @@ class Viewing:
 class Project:
     """The content of a project file."""
 
-    document: Document
+    documents: tuple[Document, ...]
+    """Of its objects, at least one; all of the same scene, each with another number."""
     viewing: Viewing
 
 
@@ -100,11 +107,30 @@ def load_project(path: Path, outside: bool = False) -> Project:
 
 
 def _record(project: Project, folder: Path) -> dict[str, Any]:
-    document, view = project.document, project.viewing
-    training = document.training
+    view = project.viewing
     return {
         "fruitninja": FORMAT,
-        "scene": _relative(document.scene, folder),
+        "scene": _relative(project.documents[0].scene, folder),
+        "objects": [_object_record(document, folder) for document in project.documents],
+        "view": {
+            "mode": view.mode,
+            "background": view.background,
+            "target": view.eye.target,
+            "azimuth": view.eye.azimuth,
+            "elevation": view.eye.elevation,
+            "distance": view.eye.distance,
+            "fov": view.eye.fov,
+            "orthographic": view.eye.orthographic,
+        },
+    }
+
+
+def _object_record(document: Document, folder: Path) -> dict[str, Any]:
+    training = document.training
+    return {
+        "number": document.number,
+        "name": document.name,
+        "visible": document.visible,
         "up": document.up,
         "isolation": isolation_record(document.isolation),
         "marked": selection_record(document.marked),
@@ -144,16 +170,6 @@ def _record(project: Project, folder: Path) -> dict[str, Any]:
             "model": _relative(training.model, folder),
             "thing": training.thing,
         },
-        "view": {
-            "mode": view.mode,
-            "background": view.background,
-            "target": view.eye.target,
-            "azimuth": view.eye.azimuth,
-            "elevation": view.eye.elevation,
-            "distance": view.eye.distance,
-            "fov": view.eye.fov,
-            "orthographic": view.eye.orthographic,
-        },
     }
 
 
@@ -192,6 +208,20 @@ class _Reader(Fields):
             raise InputError(f"{self.path}: not a project: it has no 'fruitninja' version")
         if not FIRST_FORMAT <= version <= FORMAT:
             raise InputError(f"{self.path}: version {version}, this app reads {FORMAT}; update the app")
+        scene = self.file(fields, "scene")
+        if version <= SINGLE_FORMAT:
+            older = {"number": 0, "name": "", "visible": True, "isolation": [], "marked": []}
+            if version == FIRST_FORMAT:
+                fields = {key: value for key, value in fields.items() if key not in ("isolation", "marked")}
+            documents: tuple[Document, ...] = (self.document(older | fields, scene),)
+        else:
+            documents = self.each(fields, "objects", lambda raw: self.document(self.table(raw, "an object"), scene))
+            self.require(1 <= len(documents) <= MOST_OBJECTS, f"it has not 1 to {MOST_OBJECTS} objects")
+            numbers = {document.number for document in documents}
+            self.require(len(numbers) == len(documents), "two objects have the same number")
+        return Project(documents, self.viewing(self.table(fields.get("view"), "'view'")))
+
+    def document(self, fields: dict[str, Any], scene: Path | None) -> Document:
         cuts = self.each(fields, "cuts", self.cut)
         self.require(len({cut.id for cut in cuts}) == len(cuts), "two cuts have the same id")
         known = {cut.id for cut in cuts}
@@ -204,19 +234,21 @@ class _Reader(Fields):
             fields, "families", lambda raw: read_family(self, raw, lambda name: self.inside(name, "'exemplars'"))
         )
         self.require(len({f.kind for f in families}) == len(families), "a family is listed twice")
-        document = Document(
-            scene=self.file(fields, "scene"),
+        return Document(
+            scene=scene,
             up=self.unit(fields, "up"),
-            isolation=read_isolation(self, [] if version == FIRST_FORMAT else fields.get("isolation")),
-            marked=read_selection(self, [] if version == FIRST_FORMAT else fields.get("marked")),
+            isolation=read_isolation(self, fields.get("isolation")),
+            marked=read_selection(self, fields.get("marked")),
             cuts=cuts,
             placements=tuple(sorted(placements, key=lambda item: item[0])),
             families=families,
             training=self.training(self.table(fields.get("training"), "'training'")),
             gap=self.number(fields, "gap", 0, 2),
             explode=self.number(fields, "explode", 0, 2),
+            number=self.integer(fields, "number", 0),
+            name=self.text(fields, "name"),
+            visible=self.flag(fields, "visible"),
         )
-        return Project(document, self.viewing(self.table(fields.get("view"), "'view'")))
 
     def cut(self, raw: Any) -> Cut:
         fields = self.table(raw, "a cut")

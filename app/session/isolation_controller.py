@@ -13,11 +13,12 @@ from typing import Literal
 import numpy as np
 
 from app.model.capture_view import CaptureView, view_of
+from app.model.document import Document
 from app.model.marking import Marker, Point, shape_of
 from app.model.rigid_transform import Vec3
 from app.session.workspace import Workspace
 from engine.isolate.floor import find_floor
-from engine.isolate.selection import INVERT, MOST_STEPS, Below, Box, Detected, Isolation, Selection, Step
+from engine.isolate.selection import INVERT, MOST_STEPS, Below, Box, Detected, Isolation, Selection, Step, split_bodies
 from engine.scene.camera import Camera
 from engine.scene.gaussians import Gaussians
 from engine.solid.denoise_capture import haze_and_fragments
@@ -56,6 +57,12 @@ class IsolationController:
         self._view: Future[CaptureView] | None = None
         self._proposals: Future[tuple[Proposal, ...]] | None = None
         self._proposed_for: tuple[Gaussians, Isolation] | None = None
+        self._bodies: Future[tuple[Selection, ...]] | None = None
+        self._bodies_of: tuple[Document, Gaussians] | None = None
+        self._told_apart: set[Isolation] = set()
+        """What was looked at for separate bodies: an undone split is not made again."""
+        self._asked = False
+        """Whether the user waits for the answer."""
 
     @property
     def available(self) -> bool:
@@ -68,7 +75,7 @@ class IsolationController:
     @property
     def pending(self) -> bool:
         """Whether the thread is at work."""
-        return any(future is not None and not future.done() for future in (self._view, self._proposals))
+        return any(future is not None and not future.done() for future in (self._view, self._proposals, self._bodies))
 
     @property
     def view(self) -> CaptureView | None:
@@ -77,7 +84,14 @@ class IsolationController:
         document, shown = workspace.document, workspace.object
         if view is None or shown is None or shown.capture is None:
             return None
-        return view if view.is_for(shown.capture, document.isolation, document.marked, self.tint) else None
+        current = view.is_for(shown.capture, document.isolation, document.marked, self.tint, self._beside)
+        return view if current else None
+
+    @property
+    def _beside(self) -> tuple[Isolation, ...]:
+        """What the other objects that are shown leave out."""
+        workspace = self.workspace
+        return tuple(d.isolation for d in workspace.documents if d is not workspace.document and d.visible)
 
     @property
     def proposals(self) -> tuple[Proposal, ...] | None:
@@ -169,10 +183,19 @@ class IsolationController:
         self.workspace.notify(REMOVED)
 
     def restore(self) -> None:
-        """Brings back all of the capture."""
-        self.workspace.change("Bring everything back", replace(self.workspace.document, isolation=(), marked=()))
+        """Brings back all of the capture, as one object with the cuts and settings of the active one."""
+        document = self.workspace.document
+        whole = replace(document, isolation=(), marked=(), number=0, name="", visible=True)
+        self.workspace.change_all("Bring everything back", (whole,))
 
     def _isolate(self, name: str, selection: Selection) -> None:
+        workspace, document = self.workspace, self.workspace.document
+        if self._can_isolate(document):
+            workspace.change(name, replace(document, isolation=(*document.isolation, selection), marked=()))
+            workspace.notify(REMOVED)
+
+    def _can_isolate(self, document: Document) -> bool:
+        """Whether some of what is left is marked, but not all of it; says why if not."""
         workspace, view = self.workspace, self.view
         if view is None:
             workspace.notify("One moment: what is selected is still being found.")
@@ -180,12 +203,79 @@ class IsolationController:
             workspace.notify("Nothing is selected. Drag over the part that you mean.")
         elif view.marked.all():
             workspace.notify("Everything is selected. Select a part of it.")
-        elif len(workspace.document.isolation) >= MOST_STEPS:
+        elif len(document.isolation) >= MOST_STEPS:
             workspace.notify("Too much was removed step by step. Bring everything back and keep the object alone.")
         else:
-            isolation = (*workspace.document.isolation, selection)
-            workspace.change(name, replace(workspace.document, isolation=isolation, marked=()))
-            workspace.notify(REMOVED)
+            return True
+        return False
+
+    # Several objects
+
+    def find_objects(self) -> None:
+        """Makes separate bodies of the active object objects of their own."""
+        self._asked = True
+
+    def split_marked(self) -> None:
+        """Makes what is marked an object of its own."""
+        document = self.workspace.document
+        if self._can_isolate(document):
+            self._split("Split off", document, (document.marked, (*document.marked, INVERT)))
+
+    def _split(self, name: str, document: Document, removed: tuple[Selection, ...]) -> None:
+        """Puts objects in the place of one: each without one of the selections, with the settings of that one."""
+        workspace = self.workspace
+        others = [one for one in workspace.documents if one is not document]
+        used = {one.number for one in others}
+        free = [n for n in range(1, len(used) + len(removed) + 1) if n not in used]
+        new = []
+        for number, selection in zip(free, removed, strict=False):
+            out = document.training.out
+            out = None if out is None else out.with_name(f"{out.name}-{number}")
+            isolation, training = (*document.isolation, selection), replace(document.training, out=out)
+            parts = {"isolation": isolation, "marked": (), "number": number, "name": "", "training": training}
+            new.append(replace(document, **parts))  # type: ignore[arg-type]
+            if document.number in workspace.loaded:  # its capture is shown until it is solid
+                loaded = workspace.loaded[document.number]
+                workspace.loaded[number] = replace(loaded, atoms=None, trained=False)
+        index = workspace.documents.index(document)
+        workspace.change_all(name, (*workspace.documents[:index], *new, *workspace.documents[index + 1 :]))
+
+    def _tell_bodies_apart(self, document: Document) -> None:
+        """Has separate bodies of what is left looked for, and makes them objects; only once for the same parts, and not
+        of a project that was opened as it was saved."""
+        workspace, view = self.workspace, self.view
+        if self._bodies is not None:
+            if self._bodies.done():
+                selections, self._bodies = self._bodies.result(), None
+                self._make_objects(selections)
+            return
+        opened = workspace.path is not None and workspace.history.cursor == 0
+        if view is None or not self.available or (opened and not self._asked):
+            return
+        if self._bodies_of is None or self._bodies_of[1] is not view.capture:
+            self._told_apart.clear()  # another scene
+        if self._asked or document.isolation not in self._told_apart:
+            self._told_apart.add(document.isolation)
+            self._bodies_of = document, view.capture
+            self._bodies = self._thread.submit(split_bodies, view.left)
+
+    def _make_objects(self, selections: tuple[Selection, ...]) -> None:
+        """Makes the bodies that were found objects, if they are still those of an object."""
+        workspace = self.workspace
+        assert self._bodies_of is not None
+        asked, capture = self._bodies_of
+        shown = workspace.loaded.get(asked.number)
+        same = [d for d in workspace.documents if d.number == asked.number and d.isolation == asked.isolation]
+        asked_for, self._asked = self._asked, False
+        if len(selections) < 2 or not same or shown is None or shown.capture is not capture:
+            if asked_for:
+                workspace.notify("This is one object: no part of it stands apart and has an inside of its own.")
+            return
+        untouched = not workspace.history.changed
+        self._split(f"{len(selections)} objects", same[0], selections)
+        if untouched and len(workspace.history.entries) == 2:  # as opened: nothing of the user's would be lost
+            workspace.history.saved = workspace.documents
+        workspace.notify(f"There are {len(selections)} separate objects. Select one in the list to cut it alone.")
 
     # Following the document
 
@@ -199,12 +289,13 @@ class IsolationController:
         if shown is None or shown.capture is None:
             workspace.capture_view = None
             return
-        document = workspace.document
+        document, beside = workspace.document, self._beside
         isolation = document.isolation if self.available else ()
         marked = document.marked if self.available else ()
         before = workspace.capture_view
-        if before is None or not before.is_for(shown.capture, isolation, marked, self.tint):
-            self._view = self._thread.submit(view_of, shown.capture, isolation, marked, self.tint, before)
+        if before is None or not before.is_for(shown.capture, isolation, marked, self.tint, beside):
+            self._view = self._thread.submit(view_of, shown.capture, isolation, marked, self.tint, before, beside)
+        self._tell_bodies_apart(document)
 
 
 def find_proposals(capture: Gaussians) -> tuple[Proposal, ...]:

@@ -12,7 +12,7 @@ from app.model.project import SUFFIX, Outside, Project, Viewing, load_project, s
 from app.session.question import Choice
 from app.session.scene_controller import SceneController
 from app.session.training_controller import TrainingController
-from app.session.workspace import PICTURE_SUFFIXES, Workspace
+from app.session.workspace import PICTURE_SUFFIXES, Documents, Workspace
 from engine.errors import InputError
 
 __all__ = ["ProjectFiles"]
@@ -38,16 +38,26 @@ class ProjectFiles:
         self.after_saving(lambda: act(path))
 
     def open_document(self, document: Document, viewing: Viewing, path: Path | None) -> None:
-        """Replaces the session's document, finds its training job and loads its scene. `path`: its project file."""
+        """As `open_documents`, with one object."""
+        self.open_documents((document,), viewing, path)
+
+    def open_documents(self, documents: Documents, viewing: Viewing, path: Path | None) -> None:
+        """Replaces the session's documents, finds their training jobs and loads their scene. `path`: its project
+        file."""
         workspace = self.workspace
-        workspace.history = History(document)
+        workspace.history = History(documents)
+        workspace.active, workspace.object_selected = 0, False
         workspace.viewing, workspace.path = viewing, path
         workspace.selection, workspace.active_cut, workspace.tool = frozenset(), None, "select"
-        workspace.object, workspace.error = None, ""
+        workspace.error = ""
+        workspace.loaded.clear()
         workspace.geometry_version += 1
-        self.training.find_job(document)
-        if document.scene is not None:
-            self.scene.load(self.training.result_for(document))
+        self.scene.forget()
+        self.training.forget()
+        for document in documents:
+            self.training.find_job(document)
+        if workspace.document.scene is not None:
+            self.scene.load(self.training.result_for(workspace.document))
 
     def after_saving(self, act: Callable[[], None]) -> None:
         """Calls `act`: at once, or once the user has decided what becomes of unsaved changes."""
@@ -92,7 +102,7 @@ class ProjectFiles:
             self.workspace.show_error(error)
             return
         self.workspace.change_settings(settings)
-        self.open_document(project.document, project.viewing, path)
+        self.open_documents(project.documents, project.viewing, path)
 
     def recover(self, find_unsaved_work: UnsavedWork) -> None:
         """Opens the unsaved work of a session that crashed."""
@@ -101,7 +111,7 @@ class ProjectFiles:
         except InputError as error:
             self.workspace.show_error(error)
             return
-        self.open_document(project.document, project.viewing, find_unsaved_work.project)
+        self.open_documents(project.documents, project.viewing, find_unsaved_work.project)
         self.workspace.history.saved = None  # still unsaved
         self.workspace.notify("Your unsaved work is back. Save it to keep it.")
         find_unsaved_work.discard()
@@ -115,13 +125,13 @@ class ProjectFiles:
             return
         path = path if path.suffix == SUFFIX else path.with_name(path.name + SUFFIX)
         try:
-            save_project(path, Project(self.workspace.document, self.workspace.viewing))
+            save_project(path, Project(self.workspace.documents, self.workspace.viewing))
             # A project that the user saved here is opened again without a question.
             settings = self.workspace.settings.with_recent(path).with_trusted(path)
         except InputError as error:
             self.workspace.show_error(error)
             return
-        self.workspace.path, self.workspace.history.saved = path, self.workspace.document
+        self.workspace.path, self.workspace.history.saved = path, self.workspace.documents
         self.workspace.autosave.clear()
         self.workspace.change_settings(settings)
         self.workspace.notify(f"Saved {path.name}.")
@@ -132,13 +142,14 @@ class ProjectFiles:
         self.after_saving(self._ask_about_job)
 
     def _ask_about_job(self) -> None:
-        job = self.training.job
-        if job is None or job.phase not in ("running", "paused"):
+        running = [job for job in self.training.jobs if job.phase in ("running", "paused")]
+        if not running:
             self._close_now()
             return
 
         def stop() -> None:
-            job.stop()
+            for job in running:
+                job.stop()
             self._close_now()
 
         self.workspace.ask(

@@ -17,7 +17,7 @@ def recovered_jobs(session: Session) -> list[Job]:
         job = Job.find(Path(name))
         if job is None or not job.scene.is_file():
             continue
-        if session.training.job is not None and session.training.job.out == job.out:
+        if any(known.out == job.out for known in session.training.jobs):
             continue
         while job.poll():
             pass

@@ -1,4 +1,5 @@
-"""The scene of a session: reads it, makes it solid in the background, and puts it into the workspace step by step."""
+"""The scene of a session: reads it, makes its objects solid in the background, one after the other, and puts them into
+the workspace step by step."""
 
 from __future__ import annotations
 
@@ -6,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from app.jobs.scene_loader import SceneLoader, SceneRequest
+from app.model.document import Document
 from app.model.project import Viewing
 from app.session.workspace import Workspace
 from engine.errors import InputError
@@ -15,31 +17,47 @@ __all__ = ["SceneController"]
 
 
 class SceneController:
-    """Loads one scene at a time; a new one takes the place of the last."""
+    """Loads one object at a time; a new load takes the place of the last."""
 
     def __init__(self, workspace: Workspace) -> None:
         self.workspace = workspace
-        self._isolation: Isolation = ()
-        """What was left out when the scene was last loaded."""
+        self._isolations: dict[int, Isolation] = {}
+        """What was left out when each object was last loaded, by its number."""
+        self._loading = 0
+        """Number of the object that the loader loads."""
+
+    def forget(self) -> None:
+        """Another scene follows: nothing of it has been loaded."""
+        self._isolations.clear()
 
     @property
-    def outdated(self) -> bool:
-        """Whether the document leaves out other parts of the capture than the solid that is shown or being made."""
-        document = self.workspace.document
-        return document.scene is not None and document.isolation != self._isolation
-
-    def load(self, result: Path | None = None) -> None:
-        """Starts loading the document's scene; with a `result`, shows that finished training in its place."""
+    def outdated(self) -> Document | None:
+        """An object of whose capture other parts are left out than in the solid that is shown or being made, or that
+        was never loaded; the active one first, and none while one that is up to date is being made."""
         workspace = self.workspace
+        documents = sorted(workspace.documents, key=lambda document: document is not workspace.document)
+        made = {number: loaded.request.isolation for number, loaded in workspace.loaded.items()} | self._isolations
+        stale = [d for d in documents if d.scene is not None and d.isolation != made.get(d.number)]
+        numbers = {document.number for document in documents} - {document.number for document in stale}
+        waiting = workspace.loader is not None and self._loading in numbers
+        return stale[0] if stale and not (waiting and len(documents) > 1) else None
+
+    def load(self, result: Path | None = None, document: Document | None = None) -> None:
+        """Starts loading an object, the active one by default; with a `result`, shows that finished training in its
+        place."""
+        workspace = self.workspace
+        document = document or workspace.document
         if workspace.loader is not None:
             workspace.loader.cancel()
-        scene, training = workspace.document.scene, workspace.document.training
+            if self._loading != document.number:
+                self._isolations.pop(self._loading, None)  # its turn comes again
+        scene, training, isolation = document.scene, document.training, document.isolation
         assert scene is not None
-        isolation = workspace.document.isolation
-        if workspace.object is not None and isolation != workspace.object.request.isolation:
+        shown = workspace.loaded.get(document.number)
+        if shown is not None and isolation != shown.request.isolation:
             # The solid is of something else now; the capture is shown until there is another one.
-            workspace.object = replace(workspace.object, atoms=None, trained=False)
-        self._isolation = isolation
+            workspace.loaded[document.number] = replace(shown, atoms=None, trained=False)
+        self._isolations[document.number], self._loading = isolation, document.number
         try:
             workspace.loader = SceneLoader(SceneRequest(scene, training.detail, training.seed, result, isolation))
         except InputError as error:  # no space for temporary files
@@ -69,15 +87,17 @@ class SceneController:
 
     def _show(self, loader: SceneLoader) -> None:
         workspace = self.workspace
-        first = workspace.object is None or workspace.object.solid is None
+        before = workspace.loaded.get(self._loading)
+        first = all(one.solid is None for one in workspace.loaded.values())
         new = loader.scene
-        before = workspace.object
-        if before is not None and before.capture is not None:  # the same scene again: show it until there is more
-            if before.request.seed == new.request.seed:
-                new = replace(new, capture=before.capture)
-            if new.atoms is None and before.atoms is not None:
-                new = replace(before, request=new.request)
-        workspace.object = new
+        # The same scene again, or another object of it: one copy of the capture is shown until there is more.
+        same = (one for one in workspace.loaded.values() if one.request.scene == new.request.scene)
+        captures = [one.capture for one in same if one.request.seed == new.request.seed and one.capture is not None]
+        if captures and new.capture is not None:
+            new = replace(new, capture=captures[0])
+        if before is not None and before.capture is not None and new.atoms is None and before.atoms is not None:
+            new = replace(before, request=new.request)
+        workspace.loaded[self._loading] = new
         workspace.geometry_version += 1
         if first and workspace.viewing.eye == Viewing().eye:
             workspace.fit()
@@ -85,4 +105,6 @@ class SceneController:
             workspace.viewing = replace(workspace.viewing, mode="solid")
         if new.atoms is not None and not loader.announced:
             loader.announced = True
-            workspace.notify(f"{loader.request.scene.name} is solid now. Press K and drag across it to cut it.")
+            names = {document.number: document.title for document in workspace.documents}
+            name = names.get(self._loading) if len(names) > 1 else loader.request.scene.name
+            workspace.notify(f"{name} is solid now. Press K and drag across it to cut it.")

@@ -35,13 +35,14 @@ class Session(Workspace):
 
     def tick(self) -> None:
         """Takes over what background work has produced, and autosaves. Called once a frame."""
-        if self.scene.outdated:
-            self.training.prepare_again()
+        outdated = self.scene.outdated
+        if outdated is not None:
+            self.training.prepare_again(outdated)
         if self.scene.tick():
             self.training.recolour()
         self.isolation.tick()
         self.training.tick()
         try:
-            self.autosave.update(Project(self.document, self.viewing), self.history.changed, self.path)
+            self.autosave.update(Project(self.documents, self.viewing), self.history.changed, self.path)
         except InputError:
             self.autosave.next = time.monotonic() + AUTOSAVE_RETRY

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from app.jobs.live_colours import LiveColours
@@ -24,24 +24,47 @@ COLOURS_EVERY = 1.0
 """Seconds between two checks for newer colours: the trainer writes checkpoints seldom, and loading one takes time."""
 
 
+@dataclass
+class Followed:
+    """A job that is followed, and what was last seen of it."""
+
+    job: Job
+    colours: LiveColours
+    phase: str
+
+
 class TrainingController:
-    """Follows the one job that trains the session's scene."""
+    """Follows the jobs that train the session's objects, at most one for each."""
 
     def __init__(self, workspace: Workspace, scene: SceneController) -> None:
         self.workspace, self.scene = workspace, scene
-        self.job: Job | None = None
         self.program: tuple[str, ...] = ()
         """A command that runs in place of the trainer and writes the same events; for tests."""
-        self._live_colours: LiveColours | None = None
+        self._followed: dict[int, Followed] = {}
+        """By the object's number."""
         self._next_events = 0.0
         self._next_colours = 0.0
-        self._phase = ""
+
+    @property
+    def job(self) -> Job | None:
+        """The job that trains the active object, running or ended."""
+        followed = self._followed.get(self.workspace.document.number)
+        return None if followed is None else followed.job
+
+    @property
+    def jobs(self) -> list[Job]:
+        """The jobs of all objects."""
+        return [followed.job for followed in self._followed.values()]
+
+    def forget(self) -> None:
+        """Another scene follows: its jobs are other ones."""
+        self._followed.clear()
 
     def out(self, document: Document) -> Path | None:
         """The folder for the result of this document; None if it has no scene."""
         if document.scene is None:
             return None
-        return document.training.out or default_out(document.scene)
+        return document.training.out or default_out(document.scene, document.number)
 
     def result_for(self, document: Document) -> Path | None:
         """The finished result for what the document keeps of its scene, None while there is none."""
@@ -49,7 +72,7 @@ class TrainingController:
         if out is None or document.scene is None:
             return None
         path = out / f"{document.scene.stem}.ply"
-        if self.job is not None or not path.is_file() or not sidecar_path(path).is_file():
+        if document.number in self._followed or not path.is_file() or not sidecar_path(path).is_file():
             return None
         try:
             same = list(trained_isolation(path)) == isolation_record(document.isolation)
@@ -57,17 +80,16 @@ class TrainingController:
             same = True  # loading it will say what is wrong
         return path if same else None
 
-    def prepare_again(self) -> None:
-        """Makes the object solid again after other parts of the capture were left out."""
-        workspace, shown = self.workspace, self.workspace.object
-        result = self.result_for(workspace.document)
+    def prepare_again(self, document: Document) -> None:
+        """Makes an object solid again after other parts of its capture were left out."""
+        workspace, shown = self.workspace, self.workspace.loaded.get(document.number)
+        result = self.result_for(document)
         if shown is not None and shown.trained and result is None:
             workspace.notify("The inside belonged to another part of the capture. Give this one an inside of its own.")
-        self.scene.load(result)
+        self.scene.load(result, document)
 
     def find_job(self, document: Document) -> None:
         """Follows the job of a document that was just opened, if one is running or was interrupted."""
-        self.job, self._live_colours = None, None
         out = self.out(document)
         job = None if out is None else Job.find(out)
         if job is None or job.scene != document.scene:
@@ -76,13 +98,13 @@ class TrainingController:
             pass
         job.poll()
         if job.phase != "done":
-            self._follow(job)
+            self._follow(job, document.number)
             if job.phase in ("running", "paused"):
                 self.workspace.notify("Training went on while the window was closed.")
 
     @property
     def busy(self) -> bool:
-        """Whether a job of this scene is running or paused."""
+        """Whether the active object's job is running or paused."""
         return self.job is not None and self.job.phase in ("running", "paused")
 
     def start(self) -> None:
@@ -98,7 +120,7 @@ class TrainingController:
             workspace.show_error(error)
             return
         workspace.change_settings(workspace.settings.with_job(out))
-        self._follow(job)
+        self._follow(job, document.number)
         shown = workspace.object
         same = shown is not None and (shown.request.detail, shown.request.seed) == (
             document.training.detail,
@@ -113,7 +135,7 @@ class TrainingController:
         if self.job is None:
             return
         try:
-            self._follow(self.job.resume(self.program))
+            self._follow(self.job.resume(self.program), self.workspace.document.number)
         except InputError as error:
             self.workspace.show_error(error)
             return
@@ -137,52 +159,56 @@ class TrainingController:
             self.workspace.notify("Stopping. What was done is kept.")
 
     def dismiss(self) -> None:
-        """Stops following a job that has ended."""
+        """Stops following the active object's job, which has ended."""
         if self.job is not None and not self.busy:
-            self.job, self._live_colours = None, None
+            del self._followed[self.workspace.document.number]
 
     def tick(self) -> None:
-        """Reads the job's events and colours when they are due. Called once a frame."""
-        job, now = self.job, time.monotonic()
-        if job is None:
-            return
-        if now >= self._next_events:
+        """Reads the jobs' events and colours when they are due. Called once a frame."""
+        now = time.monotonic()
+        events, colours = now >= self._next_events, now >= self._next_colours
+        if events:
             self._next_events = now + EVENTS_EVERY
-            job.poll()
-            phase = job.phase
-            if phase != self._phase:
-                self._phase = phase
-                self._phase_changed(job, phase)
-        if now >= self._next_colours:
+        if colours:
             self._next_colours = now + COLOURS_EVERY
-            self._take_colours()
+        for number, followed in list(self._followed.items()):
+            if events:
+                followed.job.poll()
+                phase = followed.job.phase
+                if phase != followed.phase:
+                    followed.phase = phase
+                    self._phase_changed(followed.job, phase, number)
+            if colours and number in self._followed:
+                self._take_colours(followed, number)
 
     def recolour(self) -> None:
-        """Colours new atoms of the same object at once, rather than at the next checkpoint."""
-        if self._live_colours is not None:
-            self._live_colours.reset()
+        """Colours new atoms of the same objects at once, rather than at the next checkpoint."""
+        for followed in self._followed.values():
+            followed.colours.reset()
             self._next_colours = 0.0
 
-    def _follow(self, job: Job) -> None:
-        self.job, self._live_colours, self._phase = job, LiveColours(job.out), job.phase
+    def _follow(self, job: Job, number: int) -> None:
+        self._followed[number] = Followed(job, LiveColours(job.out), job.phase)
         self._next_events = self._next_colours = 0.0
 
-    def _phase_changed(self, job: Job, phase: str) -> None:
+    def _phase_changed(self, job: Job, phase: str, number: int) -> None:
         """When the job has ended: says how, and shows the result."""
         workspace = self.workspace
         if phase not in ("done", "failed", "stopped"):
             return
         workspace.change_settings(workspace.settings.without_job(job.out))
+        document = next((one for one in workspace.documents if one.number == number), None)
         if phase == "done":
-            self.job = None
-            result = self.result_for(workspace.document)
-            if result is None and job.document.isolation != workspace.document.isolation:
+            del self._followed[number]
+            result = None if document is None else self.result_for(document)
+            if document is None or (result is None and job.document.isolation != document.isolation):
                 workspace.notify(
                     "The inside is ready, but for what was the object when training began. Undo to see it."
                 )
                 return
-            workspace.notify("The inside is ready. Cut anywhere.")
-            self.scene.load(result)
+            of = f" of {document.title}" if len(workspace.documents) > 1 else ""
+            workspace.notify(f"The inside{of} is ready. Cut anywhere.")
+            self.scene.load(result, document)
         elif phase == "failed":
             last = job.log_tail()
             workspace.show_error(
@@ -191,15 +217,15 @@ class TrainingController:
         else:
             workspace.notify("Stopped. Resume goes on from the last checkpoint.")
 
-    def _take_colours(self) -> None:
-        workspace, shown = self.workspace, self.workspace.object
-        if self._live_colours is None or shown is None or shown.atoms is None or shown.trained or self.job is None:
+    def _take_colours(self, followed: Followed, number: int) -> None:
+        workspace, shown = self.workspace, self.workspace.loaded.get(number)
+        if shown is None or shown.atoms is None or shown.trained:
             return
-        if self.job.document.isolation != shown.request.isolation:
+        if followed.job.document.isolation != shown.request.isolation:
             return  # its atoms are other ones
-        atoms = self._live_colours.newer(shown.atoms)
+        atoms = followed.colours.newer(shown.atoms)
         if atoms is not None:
-            workspace.object = replace(shown, atoms=atoms)
+            workspace.loaded[number] = replace(shown, atoms=atoms)
             workspace.colour_version += 1
             same = atoms.interior.means is shown.atoms.interior.means
             if not same or atoms.surface.sh.shape != shown.atoms.surface.sh.shape:

@@ -5,7 +5,7 @@ Nothing here opens a file or starts a process; the controllers do that and put t
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
@@ -18,8 +18,8 @@ from app.model.autosave import Autosave
 from app.model.capture_view import CaptureView
 from app.model.document import Cut, Document, Key, Part, Placement
 from app.model.history import History
-from app.model.knife import Stroke, slice_object
-from app.model.pieces import PlacedPiece, Solid, pieces
+from app.model.knife import Outcome, Stroke, slice_object
+from app.model.pieces import Member, PlacedPiece, Solid, pieces, sections
 from app.model.project import Viewing
 from app.model.rigid_transform import Motion, Vec3, vec3
 from app.model.settings import Settings, load_settings, save_settings
@@ -28,10 +28,11 @@ from app.session.question import Choice, Question
 from engine.scene.atoms import Atoms
 from engine.scene.camera import Camera
 from engine.scene.gaussians import Gaussians
+from engine.scene.piece import Piece
 from engine.scene.plane import Plane
 from training.families import Kind
 
-__all__ = ["PICTURE_SUFFIXES", "TOOLS", "Tool", "Workspace"]
+__all__ = ["PICTURE_SUFFIXES", "TOOLS", "Documents", "Tool", "Workspace"]
 
 Tool = Literal["select", "knife", "plane", "move", "turn", "upright", "isolate"]
 TOOLS: tuple[Tool, ...] = ("select", "knife", "plane", "move", "turn", "upright", "isolate")
@@ -41,16 +42,23 @@ PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".bmp")
 
 EMPTY = Solid.of(np.zeros((0, 3)))
 
+Documents = tuple[Document, ...]
+"""The documents of a scene's objects, at least one. Each has another number."""
+
 
 @dataclass
 class Workspace:
-    """The document and its history, how it is viewed, what is selected, and what the user reads."""
+    """The objects' documents and their history, how they are viewed, what is selected, and what the user reads."""
 
     settings: Settings = field(default_factory=load_settings)
-    history: History[Document] = field(default_factory=lambda: History(Document()))
+    history: History[Documents] = field(default_factory=lambda: History((Document(),)))
     viewing: Viewing = field(default_factory=Viewing)
-    object: LoadedScene | None = None
-    """What is loaded of the scene so far."""
+    active: int = 0
+    """Index of the object that the panels show and that is edited."""
+    object_selected: bool = False
+    """Whether the user has selected the active one of several objects: the knife then cuts no other one."""
+    loaded: dict[int, LoadedScene] = field(default_factory=dict)
+    """What is loaded of each object so far, by its number."""
     capture_view: CaptureView | None = None
     """What of the capture is shown; found in the background, so that it may be that of an earlier document."""
     loader: SceneLoader | None = None
@@ -75,20 +83,48 @@ class Workspace:
     autosave: Autosave = field(default_factory=Autosave)
     folder: Path = field(default_factory=Path.home)
     """The user's current folder: dialogs begin here."""
-    _pieces: tuple[Document, Solid, list[PlacedPiece]] | None = field(default=None, repr=False)
-    """The pieces, and the document and solid that they were found for."""
+    _pieces: dict[int, tuple[Document, Solid, list[PlacedPiece]]] = field(default_factory=dict, repr=False)
+    """By the object's number its pieces, and the document and solid that they were found for."""
 
     # Derived state
 
     @property
-    def document(self) -> Document:
-        """The document at the history's cursor."""
+    def documents(self) -> Documents:
+        """The documents at the history's cursor."""
         return self.history.state
 
     @property
+    def document(self) -> Document:
+        """The document of the active object."""
+        return self.documents[self.active]
+
+    @property
+    def object(self) -> LoadedScene | None:
+        """What is loaded of the active object so far."""
+        return self.loaded.get(self.document.number)
+
+    @object.setter
+    def object(self, loaded: LoadedScene | None) -> None:
+        if loaded is None:
+            self.loaded.pop(self.document.number, None)
+        else:
+            self.loaded[self.document.number] = loaded
+
+    @property
     def solid(self) -> Solid:
-        """The points of the object, none before it is loaded."""
-        return self.object.solid if self.object is not None and self.object.solid is not None else EMPTY
+        """The points of the active object, none before it is loaded."""
+        return self.solid_of(self.document)
+
+    def solid_of(self, document: Document) -> Solid:
+        """The points of an object, none before it is loaded."""
+        loaded = self.loaded.get(document.number)
+        return loaded.solid if loaded is not None and loaded.solid is not None else EMPTY
+
+    @property
+    def solids(self) -> dict[int, Atoms]:
+        """The atoms of the objects that are solid, by the objects' numbers, in the order of the documents."""
+        loaded = {document.number: self.loaded.get(document.number) for document in self.documents}
+        return {number: one.atoms for number, one in loaded.items() if one is not None and one.atoms is not None}
 
     @property
     def atoms(self) -> Atoms | None:
@@ -108,10 +144,20 @@ class Workspace:
 
     @property
     def up(self) -> Vec3:
-        """The object's up axis: as chosen, or as detected."""
-        if self.document.up is not None:
-            return self.document.up
-        return self.object.up if self.object is not None else (0.0, 0.0, 1.0)
+        """The active object's up axis: as chosen, or as detected."""
+        return self.up_of(self.document)
+
+    @property
+    def view_up(self) -> Vec3:
+        """Which way is up in the view: that of the first object."""
+        return self.up_of(self.documents[0])
+
+    def up_of(self, document: Document) -> Vec3:
+        """An object's up axis: as chosen, or as detected."""
+        if document.up is not None:
+            return document.up
+        loaded = self.loaded.get(document.number)
+        return loaded.up if loaded is not None else (0.0, 0.0, 1.0)
 
     @property
     def mode(self) -> str:
@@ -120,11 +166,42 @@ class Workspace:
 
     @property
     def pieces(self) -> list[PlacedPiece]:
-        """The object's pieces, including hidden ones."""
-        cached = self._pieces
-        if cached is None or cached[0] is not self.document or cached[1] is not self.solid:
-            cached = self._pieces = (self.document, self.solid, pieces(self.document, self.solid))
+        """The active object's pieces, including hidden ones."""
+        return self.pieces_of(self.document)
+
+    def pieces_of(self, document: Document) -> list[PlacedPiece]:
+        """An object's pieces, including hidden ones."""
+        cached, solid = self._pieces.get(document.number), self.solid_of(document)
+        if cached is None or cached[0] is not document or cached[1] is not solid:
+            cached = self._pieces[document.number] = (document, solid, pieces(document, solid))
         return cached[2]
+
+    @property
+    def members(self) -> list[Member]:
+        """The visible pieces of all visible objects that are solid, in the order in which they are drawn."""
+        solids = self.solids
+        return [
+            Member(index, piece)
+            for index, document in enumerate(self.documents)
+            if document.visible and document.number in solids
+            for piece in self.pieces_of(document)
+            if piece.visible
+        ]
+
+    def is_cut(self, member: Member) -> bool:
+        """Whether a stroke of the knife cuts this piece where it crosses it: it is selected, or nothing is."""
+        if member.index != self.active:
+            return not self.object_selected
+        return not self.selection or member.piece.key in self.selection
+
+    def drawn(self, members: Sequence[Member]) -> list[Piece]:
+        """The renderer's pieces for members, without what the sections of their objects hide."""
+        order = {number: k for k, number in enumerate(self.solids)}
+        documents = self.documents
+        return [
+            replace(m.piece.piece(sections(documents[m.index])), solid=order[documents[m.index].number])
+            for m in members
+        ]
 
     @property
     def title(self) -> str:
@@ -160,36 +237,62 @@ class Workspace:
     # Editing
 
     def change(self, name: str, document: Document, merge: str = "") -> bool:
+        """Changes the active object; consecutive steps with the same `merge` tag are undone as one."""
+        return self.change_all(name, self._with(self.active, document), merge)
+
+    def change_object(self, name: str, index: int, document: Document, merge: str = "") -> bool:
+        """Changes one of the objects."""
+        return self.change_all(name, self._with(index, document), merge)
+
+    def _with(self, index: int, document: Document) -> Documents:
+        return (*self.documents[:index], document, *self.documents[index + 1 :])
+
+    def change_all(self, name: str, documents: Documents, merge: str = "") -> bool:
         """Adds a step to the history; consecutive steps with the same `merge` tag are undone as one."""
-        before = self.up
-        done = self.history.do(name, document, merge)
-        self._prune_selection()
-        self._follow_up(before)
+        before, up = self.documents, self.view_up
+        done = self.history.do(name, documents, merge)
+        self._follow(before, up)
         return done
 
     def undo(self) -> None:
         """One step back."""
-        before, name = self.up, self.history.entries[self.history.cursor].name
-        self.notify(f"Undone: {name}." if self.history.undo() else "Nothing to undo.")
-        self._prune_selection()
-        self._follow_up(before)
+        name = self.history.entries[self.history.cursor].name
+        done = self._go(self.history.cursor - 1)
+        self.notify(f"Undone: {name}." if done else "Nothing to undo.")
 
     def redo(self) -> None:
         """One step forward again."""
-        before = self.up
-        if self.history.redo():
+        if self._go(self.history.cursor + 1):
             self.notify(f"Done again: {self.history.entries[self.history.cursor].name}.")
         else:
             self.notify("Nothing to redo.")
-        self._prune_selection()
-        self._follow_up(before)
 
     def jump(self, index: int) -> None:
         """Goes to an entry of the history, by its index."""
-        before = self.up
-        self.history.jump(index)
+        self._go(index)
+
+    def _go(self, index: int) -> bool:
+        before, up = self.documents, self.view_up
+        done = self.history.jump(index)
+        if done and len(before) == len(self.documents):  # show what has changed
+            changed = [k for k, pair in enumerate(zip(before, self.documents, strict=True)) if pair[0] != pair[1]]
+            if changed and self.active not in changed:
+                self.activate(changed[0], self.object_selected)
+        self._follow(before, up)
+        return done
+
+    def _follow(self, before: Documents, up: Vec3) -> None:
+        """Brings what is not in the history into line with the documents."""
+        if len(before) != len(self.documents):
+            self.activate(0, False)
         self._prune_selection()
-        self._follow_up(before)
+        self._follow_up(up)
+
+    def activate(self, index: int, selected: bool = True) -> None:
+        """Makes an object the active one. `selected`: as in `object_selected`."""
+        self.object_selected = selected
+        if index != self.active:
+            self.active, self.selection, self.active_cut = index, frozenset(), None
 
     def _prune_selection(self) -> None:
         """Drops pieces and cuts that the document no longer has."""
@@ -207,19 +310,28 @@ class Workspace:
             self.viewing = replace(self.viewing, mode="solid")
 
     def slice(self, camera: Camera, stroke: Stroke) -> None:
-        """Cuts the pieces that a finished knife stroke crosses, or says why it cut none."""
-        if self.atoms is None:
+        """Cuts what a knife stroke crosses of the selected object, or of all while none is; or says why it cut none."""
+        met = dict.fromkeys(member.index for member in self.members)
+        alone = len(self.documents) == 1 or self.object_selected
+        targets = [index for index in met if index == self.active or not alone]
+        if not targets:
             waiting = self.loader is not None and not self.loader.ended
-            self.notify(
-                "The object is still being made solid. Cut in a moment." if waiting else "There is no solid to cut."
-            )
+            reason = "It is hidden. Show it to cut it." if self.atoms is not None else "There is no solid to cut."
+            self.notify("The object is still being made solid. Cut in a moment." if waiting else reason)
             return
-        outcome = slice_object(self.document, self.solid, camera, stroke, self.up, self.selection)
-        if outcome.document is not None:
+        outcomes: dict[int, Outcome] = {}
+        for index in targets:
+            document, selected = self.documents[index], self.selection if index == self.active else frozenset[Key]()
+            up, solid = self.up_of(document), self.solid_of(document)
+            outcomes[index] = slice_object(document, solid, camera, stroke, up, selected)
+        cut = {index: outcome.document for index, outcome in outcomes.items() if outcome.document is not None}
+        if cut:
             self.viewing = replace(self.viewing, mode="solid" if self.mode == "capture" else self.mode)
-            self.change("Cut", outcome.document)
+            self.change_all("Cut", tuple(cut.get(k, document) for k, document in enumerate(self.documents)))
+            self.activate(self.active if self.active in cut else min(cut), self.object_selected)
             self.active_cut = self.document.cuts[-1].id
-        self.notify(outcome.message)
+        first = next(iter(cut), targets[0])
+        self.notify(outcomes[first].message if len(cut) < 2 else f"Cut {len(cut)} objects.")
 
     def add_plane(self, plane: Plane | None = None) -> None:
         """Adds a section plane; by default the one across the up axis through the centre."""
@@ -253,9 +365,12 @@ class Workspace:
         self.change(name, document)
 
     def hide(self) -> None:
-        """Hides the selected pieces."""
+        """Hides the selected pieces, or the selected object."""
         if not self.selection:
-            self.notify("Select a piece first.")
+            if self.object_selected:
+                self.change_object("Hide object", self.active, replace(self.document, visible=False))
+            else:
+                self.notify("Select a piece first.")
             return
         self.change_placements("Hide", self.selection, lambda p: replace(p, visible=False))
         self.selection = frozenset()
@@ -279,7 +394,7 @@ class Workspace:
         """Turns the object by a rotation (3, 3) about its centre: which way is up changes, and the view with it."""
         up = turn.T @ np.asarray(self.up)
         eye = self.viewing.eye.turned_with(turn, self.solid.centre, self.up)
-        if self.change(name, replace(self.document, up=vec3(up / np.linalg.norm(up))), merge):
+        if self.change(name, replace(self.document, up=vec3(up / np.linalg.norm(up))), merge) and not self.active:
             self.viewing = replace(self.viewing, eye=eye)  # exactly as turned, also about the up axis
 
     def set_up(self, name: str, up: ArrayLike) -> None:
@@ -288,10 +403,10 @@ class Workspace:
         self.change(name, replace(self.document, up=vec3(axis / np.linalg.norm(axis))))
 
     def _follow_up(self, before: Vec3) -> None:
-        """Where the up axis is another than before, moves the view so that the object is seen to turn the short way."""
-        if self.up != before:
-            turn = turn_between(np.asarray(self.up), np.asarray(before))
-            eye = self.viewing.eye.turned_with(turn, self.solid.centre, before)
+        """Where the view's up is another than before, moves it so that the object is seen to turn the short way."""
+        if self.view_up != before:
+            turn = turn_between(np.asarray(self.view_up), np.asarray(before))
+            eye = self.viewing.eye.turned_with(turn, self.solid_of(self.documents[0]).centre, before)
             self.viewing = replace(self.viewing, eye=eye)
 
     def stand_on(self, point: NDArray[np.float64], eye: NDArray[np.float64]) -> None:
@@ -323,8 +438,14 @@ class Workspace:
     # Viewing
 
     def fit(self, aspect: float = 1.0) -> None:
-        """Fits all visible pieces into a picture of this aspect (width / height)."""
-        parts = [piece.motion.apply(self.solid.points[piece.rows]) for piece in self.pieces if piece.visible]
-        box = Solid.of(np.concatenate(parts)) if parts and sum(len(p) for p in parts) else self.solid
+        """Fits all visible pieces of all visible objects into a picture of this aspect (width / height)."""
+        parts = [
+            piece.motion.apply(self.solid_of(document).points[piece.rows])
+            for document in self.documents
+            if document.visible
+            for piece in self.pieces_of(document)
+            if piece.visible
+        ]
+        box = Solid.of(np.concatenate(parts)) if sum(len(part) for part in parts) else self.solid
         eye = self.viewing.eye.fitted(vec3(box.centre), box.radius, aspect)
         self.viewing = replace(self.viewing, eye=eye)

@@ -105,19 +105,19 @@ def check_meant_project(record: Any, folder: Path) -> bool:
     except Outside:
         inside = None
     if inside is not None:
-        for name in named(inside.document):
+        for name in (path for document in inside.documents for path in named(document)):
             assert os.path.realpath(name).startswith(os.path.realpath(folder)), f"it leads out: {name}"
     project = refused(lambda: load_project(path, outside=True), folder)
     if project is None:
         return False
-    document = project.document
+    document = project.documents[0]
     shown = pieces(document, BOX)
     assert all(np.isfinite(piece.motion.matrix).all() for piece in shown), "a piece lies nowhere"
     more = document.with_cut((Part(Plane.of((0, 0, 1), 0.1)),))
     fewer = more.without_cut(more.cuts[0].id)
     for changed in (more, fewer, document.reassembled()):
         pieces(changed, BOX)
-        again = replace(project, document=changed)
+        again = replace(project, documents=(changed,))
         save_project(folder / "b.fruitninja", again)
         kept = load_project(folder / "b.fruitninja", outside=True)
         assert kept == again, "saved and loaded it is another project"
@@ -192,7 +192,7 @@ def check_job(value: tuple[bytes, bytes], folder: Path) -> bool:
     asked = Document(scene=folder / "a.ply", training=Training(out=out))
     with mock.patch.dict(os.environ, FRUITNINJA_HOME=str(home)):
         note = note_path(out)
-        save_project(note.with_suffix(SUFFIX), Project(asked, Viewing()))
+        save_project(note.with_suffix(SUFFIX), Project((asked,), Viewing()))
         note.write_bytes(value[0])
         found = refused(lambda: Job.find(out), out, home)
     job = found or Job(asked, 0, 0.0, ended=True)

@@ -89,7 +89,7 @@ def whole_project(folder: Path) -> Project:
     document = document.with_family(Family("custom", 1, custom=(Plane.of((3, 1, 2), 0.4),)))
     training = Training("high", "stable-diffusion", 7, 50, folder / "out", folder / "model", "bread")
     return Project(
-        Document(**vars(document) | {"training": training}),
+        (Document(**vars(document) | {"training": training}),),
         Viewing(OrbitCamera((0.1, 1e9, -3.0)), "capture", (0.1, 0.2, 0.3)),
     )
 
@@ -110,7 +110,7 @@ def check_project(data: bytes, folder: Path) -> bool:
         return False
     save_project(folder / "b.fruitninja", project)
     assert load_project(folder / "b.fruitninja", outside=True) == project
-    for cut in project.document.cuts:
+    for cut in project.documents[0].cuts:
         for part in cut.parts:
             assert np.isfinite([*cut.plane(part).normal, cut.plane(part).offset]).all()
     return True

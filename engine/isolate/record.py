@@ -11,6 +11,7 @@ from engine.isolate.selection import (
     MOST_CORNERS,
     MOST_STEPS,
     Below,
+    BodyAt,
     Box,
     Detected,
     Isolation,
@@ -58,6 +59,8 @@ def _shape_record(shape: Shape) -> dict[str, Any]:
         return {"shape": "sphere", "centre": list(shape.centre), "radius": shape.radius}
     if isinstance(shape, Below):
         return {"shape": "below", "plane": [*shape.plane.normal, shape.plane.offset]}
+    if isinstance(shape, BodyAt):
+        return {"shape": "body", "point": list(shape.point)}
     if isinstance(shape, Detected):
         return {"shape": shape.kind}
     view = shape.view
@@ -79,7 +82,7 @@ def _read_step(reader: Fields, value: Any) -> Step:
 
 
 def _read_shape(reader: Fields, record: dict[str, Any]) -> Shape:
-    kind = reader.choice(record, "shape", ("box", "sphere", "lasso", "below", *DETECTED))
+    kind = reader.choice(record, "shape", ("box", "sphere", "lasso", "below", "body", *DETECTED))
     if kind == "box":
         low, high = (_vector(reader, record, key) for key in ("low", "high"))
         reader.require(all(a <= b for a, b in zip(low, high, strict=True)), "'low' of a box is above its 'high'")
@@ -90,6 +93,8 @@ def _read_shape(reader: Fields, record: dict[str, Any]) -> Shape:
         a, b, c, d = reader.numbers(record.get("plane"), 4, "'plane'")
         reader.require(abs(math.hypot(a, b, c) - 1) < UNIT_TOLERANCE, "the normal of a plane has not length 1")
         return Below(Plane((a, b, c), d))
+    if kind == "body":
+        return BodyAt(_vector(reader, record, "point"))
     if kind != "lasso":
         return Detected(kind)
     corners = reader.each(record, "corners", lambda corner: _pair(reader, corner, "a corner of a lasso"))

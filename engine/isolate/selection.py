@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from engine.errors import InputError
+from engine.isolate.bodies import find_bodies
 from engine.isolate.floor import find_floor
 from engine.isolate.touching import grow
 from engine.scene.gaussians import Gaussians
@@ -28,6 +29,7 @@ __all__ = [
     "MOST_CORNERS",
     "MOST_STEPS",
     "Below",
+    "BodyAt",
     "Box",
     "Detected",
     "DetectedKind",
@@ -42,6 +44,7 @@ __all__ = [
     "isolated",
     "keep_only",
     "removed",
+    "split_bodies",
     "take_step",
 ]
 
@@ -161,7 +164,16 @@ class Detected:
     kind: DetectedKind
 
 
-Shape = Box | Sphere | Lasso | Below | Detected
+@dataclass(frozen=True)
+class BodyAt:
+    """The separate body (engine.isolate.bodies) to which the Gaussian nearest to a point belongs; everything if there
+    is only one body."""
+
+    point: Vec3
+    """World units."""
+
+
+Shape = Box | Sphere | Lasso | Below | Detected | BodyAt
 
 Operation = Literal["add", "subtract", "invert", "grow"]
 """`grow` adds what touches the selected Gaussians, and what touches that."""
@@ -191,6 +203,14 @@ Isolation = tuple[Selection, ...]
 def keep_only(*shapes: Shape) -> Selection:
     """The selection of everything outside of the shapes: removed, it leaves only what one of them contains."""
     return (*(Step("add", shape) for shape in shapes), INVERT)
+
+
+def split_bodies(gaussians: Gaussians) -> tuple[Selection, ...]:
+    """For each separate body of a capture the selection of everything else, those with the most Gaussians first.
+
+    Empty if there are fewer than two: removing nothing leaves the only one.
+    """
+    return tuple(keep_only(BodyAt(point)) for point in find_bodies(gaussians).points)
 
 
 def take_step(gaussians: Gaussians, selected: NDArray[np.bool_], step: Step) -> NDArray[np.bool_]:
@@ -244,6 +264,8 @@ def _removed_in_turn(gaussians: Gaussians, isolation: Isolation) -> Iterator[NDA
 
 def _contained(gaussians: Gaussians, shape: Shape) -> NDArray[np.bool_]:
     """(N,). Which Gaussians a shape means; their centres count."""
+    if isinstance(shape, BodyAt):
+        return _body_at(gaussians, shape.point)
     if not isinstance(shape, Detected):
         return shape.contains(gaussians.means)
     if shape.kind == "floor":
@@ -251,3 +273,12 @@ def _contained(gaussians: Gaussians, shape: Shape) -> NDArray[np.bool_]:
         return np.zeros(len(gaussians), bool) if floor is None else Below(floor).contains(gaussians.means)
     haze, fragments = haze_and_fragments(gaussians)
     return haze if shape.kind == "haze" else fragments
+
+
+def _body_at(gaussians: Gaussians, point: Vec3) -> NDArray[np.bool_]:
+    """(N,). Which Gaussians belong to the same separate body as the one nearest to a point."""
+    labels = find_bodies(gaussians).labels
+    if not labels.any():
+        return np.ones(len(gaussians), bool)
+    squares = ((gaussians.means.astype(np.float64) - point) ** 2).sum(1)
+    return labels == labels[np.where(np.isfinite(squares), squares, np.inf).argmin()]

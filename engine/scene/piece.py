@@ -15,12 +15,14 @@ __all__ = ["Piece"]
 
 @dataclass(frozen=True)
 class Piece:
-    """A convex part of the object's space with a rigid motion. All pieces of an object share its atoms."""
+    """A convex part of an object's space with a rigid motion. All pieces of an object share its atoms."""
 
     planes: tuple[Plane, ...] = ()
     """Half-spaces in object coordinates; the piece is the intersection of their kept sides. Empty: the whole object."""
     transform: NDArray[np.float64] = field(default_factory=lambda: np.eye(4))
     """(4, 4). Rigid. World point = transform @ object point."""
+    solid: int = 0
+    """Which of the solids that are drawn it is a piece of."""
 
     def camera(self, camera: Camera) -> Camera:
         """The same view with object coordinates as world coordinates."""

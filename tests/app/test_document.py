@@ -267,13 +267,13 @@ def test_a_stranger_s_names_of_cuts_are_counted_on_only_where_they_are_numbers(n
 def test_a_cut_after_the_largest_id_can_be_saved(tmp_path: Path) -> None:
     document = Document().with_cut((Part(Plane.of((0, 0, 1), 0.0)),))
     document = document.changed_cut(1, lambda cut: replace(cut, id=1 << 53)).with_cut((Part(Plane.of((1, 0, 0), 0.0)),))
-    save_project(tmp_path / "a.fruitninja", Project(document, Viewing()))
-    assert load_project(tmp_path / "a.fruitninja").document == document
+    save_project(tmp_path / "a.fruitninja", Project((document,), Viewing()))
+    assert load_project(tmp_path / "a.fruitninja").documents[0] == document
 
 
 def test_a_name_that_no_file_can_have_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "a.fruitninja"
-    save_project(path, Project(Document(scene=tmp_path / "melon.ply"), Viewing()))
+    save_project(path, Project((Document(scene=tmp_path / "melon.ply"),), Viewing()))
     path.write_text(path.read_text(encoding="utf-8").replace("melon", "\\ud800"), encoding="utf-8")
     with pytest.raises(InputError, match="'scene' is no path"):
         load_project(path)

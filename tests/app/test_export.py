@@ -38,11 +38,11 @@ def test_exported_pieces_add_up_to_the_object_and_open_again(tmp_path: Path) -> 
     document = replace(Document().with_cut((Part(Plane.of((1, 1, 0), 0.1)),)), gap=0.0)
     parts = pieces(document, Solid.of_atoms(solid))
     assert sum(len(piece_gaussians(solid, part)) for part in parts) == len(solid)
-    count = save_pieces(tmp_path / "all.ply", solid, parts)
+    count = save_pieces(tmp_path / "all.ply", [(solid, part) for part in parts])
     again, _ = read_ply(tmp_path / "all.ply")
     assert len(again) == count == len(solid) and (again.opacities > 0.99).all()
     with pytest.raises(InputError, match="nothing to save"):
-        save_pieces(tmp_path / "none.ply", solid, [])
+        save_pieces(tmp_path / "none.ply", [])
 
 
 def test_a_turned_piece_is_seen_as_before_from_the_turned_side() -> None:

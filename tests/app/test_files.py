@@ -28,13 +28,13 @@ def test_a_project_comes_back_as_it_was(tmp_path: Path) -> None:
     moved = tmp_path / "elsewhere"
     moved.mkdir()
     (tmp_path / "melon.fruitninja").rename(moved / "melon.fruitninja")
-    assert load_project(moved / "melon.fruitninja").document.scene == moved / "scenes" / "melon.ply"
+    assert load_project(moved / "melon.fruitninja").documents[0].scene == moved / "scenes" / "melon.ply"
 
 
 def test_a_project_does_not_reach_out_of_its_folder_unasked(tmp_path: Path) -> None:
     inside, path = tmp_path / "in", tmp_path / "in" / "p.fruitninja"
     inside.mkdir()
-    project = Project(Document(scene=tmp_path / "secret.ply"), Viewing())
+    project = Project((Document(scene=tmp_path / "secret.ply"),), Viewing())
     save_project(path, project)
     with pytest.raises(Outside, match="secret") as caught:
         load_project(path)
@@ -52,7 +52,7 @@ def test_a_path_outside_is_not_even_looked_at_before_the_user_allows_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "in" / "p.fruitninja"
-    save_project(path, Project(Document(scene=tmp_path / "server" / "share.ply"), Viewing()))
+    save_project(path, Project((Document(scene=tmp_path / "server" / "share.ply"),), Viewing()))
     looked: list[str] = []
     resolve = Path.resolve
     monkeypatch.setattr(Path, "resolve", lambda self, strict=False: looked.append(str(self)) or resolve(self))
@@ -79,7 +79,7 @@ def test_another_project_in_the_place_of_a_trusted_one_is_asked_about_again(
     session.files.save(path)
     session.files.open(path)
     assert session.question is None and not session.error and len(session.settings.trusted) == 1
-    save_project(path, Project(Document(scene=tmp_path / "secret.ply"), Viewing()))
+    save_project(path, Project((Document(scene=tmp_path / "secret.ply"),), Viewing()))
     session.files.open(path)
     assert session.question is not None and "secret.ply" in session.question.text
     session.answer(session.question.choices[0])
@@ -89,33 +89,38 @@ def test_another_project_in_the_place_of_a_trusted_one_is_asked_about_again(
 
 
 BREAK: dict[str, Callable[[dict], object]] = {
-    "version": lambda r: r.update(fruitninja=3),
+    "version": lambda r: r.update(fruitninja=4),
     "no version": lambda r: r.pop("fruitninja"),
-    "no cuts": lambda r: r.pop("cuts"),
-    "cuts are text": lambda r: r.update(cuts="abc"),
-    "twice": lambda r: r["cuts"].append(r["cuts"][0]),
-    "normal": lambda r: r["cuts"][0]["parts"][0].update(plane=[2, 0, 0, 0]),
-    "big": lambda r: r["cuts"][0].update(shift=1e300),
-    "bool for a number": lambda r: r.update(gap=True),
-    "kind": lambda r: r["cuts"][0].update(kind="os.system"),
-    "unknown cut": lambda r: r["pieces"][0].update(key=[[99, 1]]),
-    "side": lambda r: r["pieces"][0].update(key=[[1, 2]]),
-    "turn": lambda r: r["pieces"][0].update(turn=[0, 0, 0, 0]),
-    "family": lambda r: r["families"][0].update(count=0),
-    "range": lambda r: r["families"][0].update(range=[0.5, 0.1]),
-    "range of one": lambda r: r["families"][0].update(range=[0.5]),
-    "family twice": lambda r: r["families"].append(r["families"][0]),
-    "picture": lambda r: r["families"][0].update(exemplars=[3]),
-    "nul in a text": lambda r: r["training"].update(thing="a\0b"),
-    "half a character": lambda r: r["cuts"][0].update(name="\ud800"),
+    "no cuts": lambda r: r["objects"][0].pop("cuts"),
+    "cuts are text": lambda r: r["objects"][0].update(cuts="abc"),
+    "twice": lambda r: r["objects"][0]["cuts"].append(r["objects"][0]["cuts"][0]),
+    "normal": lambda r: r["objects"][0]["cuts"][0]["parts"][0].update(plane=[2, 0, 0, 0]),
+    "big": lambda r: r["objects"][0]["cuts"][0].update(shift=1e300),
+    "bool for a number": lambda r: r["objects"][0].update(gap=True),
+    "kind": lambda r: r["objects"][0]["cuts"][0].update(kind="os.system"),
+    "unknown cut": lambda r: r["objects"][0]["pieces"][0].update(key=[[99, 1]]),
+    "side": lambda r: r["objects"][0]["pieces"][0].update(key=[[1, 2]]),
+    "turn": lambda r: r["objects"][0]["pieces"][0].update(turn=[0, 0, 0, 0]),
+    "family": lambda r: r["objects"][0]["families"][0].update(count=0),
+    "range": lambda r: r["objects"][0]["families"][0].update(range=[0.5, 0.1]),
+    "range of one": lambda r: r["objects"][0]["families"][0].update(range=[0.5]),
+    "family twice": lambda r: r["objects"][0]["families"].append(r["objects"][0]["families"][0]),
+    "picture": lambda r: r["objects"][0]["families"][0].update(exemplars=[3]),
+    "nul in a text": lambda r: r["objects"][0]["training"].update(thing="a\0b"),
+    "half a character": lambda r: r["objects"][0]["cuts"][0].update(name="\ud800"),
     "half a character in a path": lambda r: r.update(scene="\ud800"),
     "nul": lambda r: r.update(scene="a\0b"),
     "elevation": lambda r: r["view"].update(elevation=91),
     "distance": lambda r: r["view"].update(distance=0),
     "mode": lambda r: r["view"].update(mode="x-ray"),
-    "prior": lambda r: r["training"].update(prior="magic"),
-    "seed": lambda r: r["training"].update(seed=-1),
+    "prior": lambda r: r["objects"][0]["training"].update(prior="magic"),
+    "seed": lambda r: r["objects"][0]["training"].update(seed=-1),
     "view": lambda r: r.update(view=None),
+    "no objects": lambda r: r.update(objects=[]),
+    "an object that is none": lambda r: r["objects"].append(3),
+    "number": lambda r: r["objects"][0].update(number=-1),
+    "number twice": lambda r: r["objects"][1].update(number=1),
+    "visible": lambda r: r["objects"][1].update(visible="no"),
 }
 
 

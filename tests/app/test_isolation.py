@@ -97,13 +97,19 @@ def test_what_is_shown_is_what_is_left_with_the_marked_tinted() -> None:
     assert np.array_equal(step_by_step.marked, whole.marked) and whole.is_for(capture, isolation, steps, tint)
 
 
-def test_a_project_from_before_isolation_has_none(tmp_path: Path) -> None:
+def test_a_project_of_an_earlier_version_has_one_object(tmp_path: Path) -> None:
     path = tmp_path / "p.fruitninja"
     save_project(path, full(tmp_path))
     record = json.loads(path.read_text())
-    del record["isolation"], record["marked"]
-    path.write_text(json.dumps(record | {"fruitninja": 1}))
-    assert load_project(path).document.isolation == load_project(path).document.marked == ()
+    fields = record.pop("objects")[0]
+    for name in ("number", "name", "visible"):
+        del fields[name]
+    single = replace(full(tmp_path).documents[0], number=0, name="", visible=True)
+    path.write_text(json.dumps(record | fields | {"fruitninja": 2}))
+    assert load_project(path).documents == (single,)
+    del fields["isolation"], fields["marked"]
+    path.write_text(json.dumps(record | fields | {"fruitninja": 1}))
+    assert load_project(path).documents == (replace(single, isolation=(), marked=()),)
 
 
 def test_a_result_of_another_part_of_the_capture_is_not_shown(tmp_path: Path) -> None:
@@ -122,7 +128,7 @@ def test_a_result_of_another_part_of_the_capture_is_not_shown(tmp_path: Path) ->
 
 def test_nothing_is_removed_without_a_selection_and_not_everything() -> None:
     capture = ball()
-    session = Session(history=History(Document(scene=Path("melon.ply"))))
+    session = Session(history=History((Document(scene=Path("melon.ply")),)))
     session.object = LoadedScene(SceneRequest(Path("melon.ply")), capture)
 
     def settle() -> None:

@@ -193,7 +193,7 @@ def test_half_a_line_is_read_when_it_is_whole(tmp_path: Path) -> None:
 
 
 def test_the_request_is_the_documents(tmp_path: Path) -> None:
-    document, up = full(tmp_path).document, (0.0, -1.0, 0.0)
+    document, up = full(tmp_path).documents[0], (0.0, -1.0, 0.0)
     with pytest.raises(InputError, match="no longer there"):
         request_for(document, up)
     for name in "abc":
@@ -234,8 +234,8 @@ def test_a_job_that_was_left_running_is_found_at_the_next_start(
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).touch()
     first = Session(autosave=Autosave(tmp_path))
-    monkeypatch.setattr(first.scene, "load", lambda result=None: None)
-    first.files.open_document(project.document, Viewing(), None)
+    monkeypatch.setattr(first.scene, "load", lambda result=None, document=None: None)
+    first.files.open_document(project.documents[0], Viewing(), None)
     first.training.program = (*STUB, "--steps", "2000")
     first.training.start()
     assert first.training.job is not None, first.error
@@ -245,17 +245,19 @@ def test_a_job_that_was_left_running_is_found_at_the_next_start(
     assert first.closing and first.training.job.phase == "running"
 
     second = Session(autosave=Autosave(tmp_path))
-    monkeypatch.setattr(second.scene, "load", lambda result=None: None)
+    monkeypatch.setattr(second.scene, "load", lambda result=None, document=None: None)
     try:
         (job,) = recovered_jobs(second)
         assert job.phase == "running"
-        document = project.document
+        document = project.documents[0]
         assert job.document == Document(
             document.scene,
             document.up,
             document.isolation,
             families=document.families,
             training=document.training,
+            number=document.number,
+            name=document.name,
         )
         second.files.open_document(job.document, Viewing(), None)
         assert second.training.job is not None and second.training.busy and "went on" in second.message
@@ -287,7 +289,7 @@ def test_what_lies_in_a_result_folder_starts_and_ends_no_process(tmp_path: Path)
             (out / name).symlink_to(secret)
         assert Job.find(out) is None
         session = Session(autosave=Autosave(tmp_path))
-        session.scene.load = lambda result=None: None
+        session.scene.load = lambda result=None, document=None: None
         session.files.open_document(document, Viewing(), None)
         assert session.training.job is None
         session.training.resume()

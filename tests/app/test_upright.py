@@ -99,8 +99,8 @@ def test_stand_on_a_face_is_one_step_that_can_be_undone_and_saved(side, tmp_path
     assert np.dot(session.up, -side) > np.cos(np.radians(0.3))
     after = session.viewing.eye.camera(64, 64, session.up)
     assert np.asarray(session.up) @ after.forward == pytest.approx(np.array([0, 0, 1.0]) @ before.forward)
-    save_project(tmp_path / "cube.fruitninja", Project(session.document, session.viewing))
-    assert load_project(tmp_path / "cube.fruitninja").document == session.document
+    save_project(tmp_path / "cube.fruitninja", Project(session.documents, session.viewing))
+    assert load_project(tmp_path / "cube.fruitninja").documents[0] == session.document
     if session.history.cursor:  # it may have stood on this face already
         session.undo()
     assert session.document.up is None and session.up == (0, 0, 1)

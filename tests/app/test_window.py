@@ -56,6 +56,11 @@ def test_a_user_isolates_the_object_and_takes_it_back(tmp_path: Path) -> None:
     assert len(list((tmp_path / "shots").glob("*.png"))) == 5
 
 
+def test_two_objects_are_selected_cut_named_and_hidden(tmp_path: Path) -> None:
+    run("several", tmp_path, "app_isolate_steps.py")
+    assert len(list((tmp_path / "shots").glob("*.png"))) == 5
+
+
 def test_two_thousand_random_actions_leave_nothing_behind(tmp_path: Path) -> None:
     run("soak", tmp_path)
 

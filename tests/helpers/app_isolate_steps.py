@@ -1,4 +1,5 @@
-"""A script that isolates an object in the real window; tests/app/test_window.py runs it in a process, with FOLDER."""
+"""Scripts for the real window: an object is isolated, and two objects are worked on; tests/app/test_window.py runs one
+in a process, with its name and FOLDER."""
 
 from __future__ import annotations
 
@@ -10,19 +11,30 @@ from pathlib import Path
 import numpy as np
 from imgui_bundle import imgui
 
+from app.jobs.scene_loader import LoadedScene, SceneRequest
+from app.model.camera_control import OrbitCamera
 from app.model.document import Document, Training
+from app.model.history import History
+from app.model.pieces import Solid
 from app.model.project import Viewing
 from app.model.samples import sample_document
 from app.model.settings import Settings
 from app.session.session import Session
 from engine.io.splats.ply import ply_data, read_ply
+from engine.isolate.selection import Sphere, keep_only
+from engine.scene.atoms import Atoms
 from engine.scene.gaussians import Gaussians
 from engine.scene.sh import rgb_to_sh
 from tests.helpers.app_driver import Driver, drive
+from tests.helpers.app_steps import ground
+from tests.helpers.solids import ball
 from tests.quick_scene_worker import use_quick_worker
 
 Key = imgui.Key
 MAT = 6000
+
+LEFT, RIGHT, NOTHING = (0.3, 0.5), (0.7, 0.5), (0.5, 0.9)
+"""In parts of the viewport: on the first object, on the second, beside both."""
 
 
 def melon_on_a_mat(folder: Path) -> Document:
@@ -152,21 +164,117 @@ def isolate(driver: Driver, folder: Path) -> None:
     assert left() == total
 
 
+def two_balls(session: Session, scene: Path) -> None:
+    """Puts two balls into the session, as if they had just been opened and made solid."""
+    captures, solids = [], []
+    for x in (-0.7, 0.7):
+        atoms = ball(1 / 12, degree=0)
+        shift = np.array((x, 0, 0), np.float32)
+        surface = replace(atoms.surface, means=atoms.surface.means + shift)
+        solids.append(Atoms(surface, replace(atoms.interior, means=atoms.interior.means + shift), atoms.pitch))
+        captures.append(surface)
+    arrays = (np.concatenate([getattr(one, name) for one in captures]) for name in ("means", "scales", "quats", "sh"))
+    means, scales, quats, sh = arrays
+    capture = Gaussians(means, scales, quats, np.ones(len(means), np.float32), sh)
+    balls = [keep_only(Sphere((x, 0.0, 0.0), 0.69)) for x in (-0.7, 0.7)]
+    session.history = History(
+        tuple(Document(scene, isolation=(one,), number=n) for n, one in enumerate(balls, 1)), "Open"
+    )
+    for document, atoms in zip(session.documents, solids, strict=True):
+        request = SceneRequest(scene, isolation=document.isolation)
+        session.loaded[document.number] = LoadedScene(request, capture, atoms, Solid.of_atoms(atoms))
+        session.scene._isolations[document.number] = document.isolation
+    session.geometry_version += 1
+    session.viewing = Viewing(OrbitCamera(azimuth=-90.0, elevation=10.0, distance=4.0), "solid")
+
+
+def several(driver: Driver, folder: Path) -> None:
+    """Selected in the view and in the list, cut alone and together, named, hidden and shown again."""
+    session, shots = driver.session, folder / "shots"
+
+    def click(at: tuple[float, float], double: bool = False) -> None:
+        driver.context.mouse_move_to_pos(driver.point(*at))
+        driver.context.mouse_double_click() if double else driver.context.mouse_click()
+        driver.frames(3)
+
+    def cuts() -> list[int]:
+        return [len(document.cuts) for document in session.documents]
+
+    assert len(session.members) == 2 and not session.object_selected
+    click(RIGHT)
+    assert session.active == 1 and session.object_selected
+    driver.picture(shots / "1_selected.png")
+    driver.press(Key.k)
+    driver.drag((0.02, 0.45), (0.98, 0.45), hold=lambda: driver.picture(shots / "2_stroke.png"))
+    driver.still()
+    assert cuts() == [0, 1], session.message
+    driver.press(Key.mod_ctrl | Key.z)
+    driver.press(Key.v)
+    click(NOTHING)
+    assert not session.object_selected and session.active == 1
+    driver.press(Key.k)
+    driver.drag((0.02, 0.45), (0.98, 0.45))
+    driver.still()
+    assert cuts() == [1, 1] and len(session.members) == 4 and session.message == "Cut 2 objects."
+    driver.picture(shots / "3_both_cut.png")
+
+    # A piece of one, with the pieces of the other in the same list of what is drawn.
+    driver.press(Key.v)
+    click((LEFT[0], 0.6))
+    (key,) = session.selection
+    assert session.active == 0 and key[0][0] == session.documents[0].cuts[0].id
+
+    # The list: named with a double click, hidden by its eye; the picture follows.
+    driver.click("//Inspector/$$2/###object")
+    assert session.active == 1 and session.object_selected
+    driver.context.item_double_click("//Inspector/$$2/###object")
+    driver.frames(3)
+    driver.context.key_chars_replace_enter("Lemon")
+    driver.frames(3)
+    assert session.documents[1].title == "Lemon", session.documents[1]
+    before = ground(driver.view())
+    driver.press(Key.h)
+    driver.still()
+    after = ground(driver.view())
+    driver.picture(shots / "4_hidden.png")
+    half = before.shape[1] // 2
+    assert not session.documents[1].visible and after[:, half + 20 :].mean() > before[:, half + 20 :].mean() + 0.1
+    assert np.array_equal(after[100:-60, 40 : half - 40], before[100:-60, 40 : half - 40])
+    driver.picture(shots / "4_hidden.png")
+    driver.press(Key.mod_ctrl | Key.z)
+    driver.still()
+    assert session.documents[1].visible and np.array_equal(ground(driver.view())[100:-60], before[100:-60])
+
+    # The capture shows both, whichever is selected.
+    session.viewing = replace(session.viewing, mode="capture")
+    driver.until(lambda: session.isolation.view is not None, 30, "the capture")
+    driver.still()
+    driver.picture(shots / "5_capture.png")
+    assert session.shown_capture is not None and session.object is not None
+    assert len(session.shown_capture) == len(session.object.capture)
+
+
 def main() -> None:
-    """Runs it on the melon, once that is solid."""
-    folder = Path(sys.argv[2])
+    """Runs one of them: `isolate` on the melon, once that is solid, or `several` on two balls."""
+    name, folder = sys.argv[1], Path(sys.argv[2])
     document = melon_on_a_mat(folder)
     use_quick_worker()
 
     def run(driver: Driver) -> None:
         driver.until(lambda: driver.session.atoms is not None and driver.session.loader is None, 120, "the solid")
         driver.still()
-        isolate(driver, folder)
+        (isolate if name == "isolate" else several)(driver, folder)
         assert not driver.session.error, driver.session.error
         assert driver.window.ctx.error == "GL_NO_ERROR"
 
-    session = Session(settings=Settings(window=(1000, 680)))
-    drive(session, run, lambda session: session.files.open_document(document, Viewing(mode="capture"), None))
+    def start(session: Session) -> None:
+        if name == "isolate":
+            session.files.open_document(document, Viewing(mode="capture"), None)
+        else:
+            two_balls(session, folder / "two.ply")
+
+    size = (1000, 680) if name == "isolate" else (900, 560)
+    drive(Session(settings=Settings(window=size)), run, start)
     print("well")
 
 

@@ -11,14 +11,14 @@ from app.model.camera_control import OrbitCamera
 from app.model.document import Document, Part, Training
 from app.model.project import Project, Viewing
 from app.model.rigid_transform import Motion
-from engine.isolate.selection import Box, Lasso, Step, View, keep_only
+from engine.isolate.selection import BodyAt, Box, Lasso, Step, View, keep_only
 from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from engine.scene.plane import Plane
 from training.families import Family
 
 
 def full(folder: Path) -> Project:
-    """A project in which nothing has its default."""
+    """A project of two objects, in the first of which nothing has its default."""
     document = Document(scene=folder / "scenes" / "melon.ply", up=(0.0, -1.0, 0.0), gap=0.3, explode=0.1 + 0.2)
     document = document.with_cut((Part(Plane.of((1, 2, 3), 0.1)),))
     document = document.with_cut((Part(Plane.of((-1, 1 / 3, 0), 0.7), ((1, -1),)), Part(Plane.of((0, 1, 0), 0.2))))
@@ -39,7 +39,9 @@ def full(folder: Path) -> Project:
     box = Box((-1.0, 0.0, 0.1), (1.0, 1 / 3, 2.0), (0.0, 0.0, 0.0, 1.0))
     document = replace(document, isolation=(keep_only(box),), marked=(lasso, Step("grow")))
     eye = OrbitCamera((0.1, 1e9, -3.0), 12.5, -90.0, 1 / 3, 50.0, True)
-    return Project(document, Viewing(eye, "capture", (0.1, 0.2, 0.3)))
+    document = replace(document, number=1, name="Käse", visible=False)
+    other = Document(document.scene, isolation=(keep_only(BodyAt((0.1, 1 / 3, -2.0))),), number=7, name="Brot")
+    return Project((document, other), Viewing(eye, "capture", (0.1, 0.2, 0.3)))
 
 
 def atoms(degree: int = 0) -> Atoms:

@@ -94,7 +94,7 @@ def at_once(
     atoms = Atoms(surface, interior, pitch)
 
     def start(session: Session) -> None:
-        session.history = History(document)
+        session.history = History((document,))
         session.object = LoadedScene(SceneRequest(document.scene), capture, atoms, Solid.of_atoms(atoms))  # type: ignore[arg-type]
         session.geometry_version += 1
         session.fit()
@@ -298,7 +298,7 @@ def habits(driver: Driver, folder: Path) -> None:
     assert dialogs.prompt is None and family is not None and len(family.exemplars) == 2
 
     # Leaving while a job runs.
-    session.history.saved = session.document
+    session.history.saved = session.documents
     session.training.program = (sys.executable, str(STUB), "--steps", "4000")
     session.training.start()
     job = session.training.job
@@ -315,7 +315,7 @@ def habits(driver: Driver, folder: Path) -> None:
 def soak(driver: Driver, actions: int = 2000) -> None:
     """Anything in any order: no error, nothing left on the GPU, nothing lost."""
     session, window, chance = driver.session, driver.window, random.Random(7)
-    start = session.document
+    start = session.documents
     held: list[dict[str, int]] = []
 
     def afresh() -> None:
@@ -398,18 +398,18 @@ def soak(driver: Driver, actions: int = 2000) -> None:
         rows = sum(len(p.rows) for p in session.pieces)
         assert rows <= len(session.solid.points)
     # The document goes all the way back, all the way forward, and through a file.
-    end = session.document
+    end = session.documents
     while session.history.undo():
         pass
-    assert session.document == start
+    assert session.documents == start
     while session.history.redo():
         pass
     session.jump(next(i for i, e in enumerate(session.history.entries) if e.state == end))
     path = Path(os.environ["FRUITNINJA_HOME"]) / "soak.fruitninja"
-    save_project(path, Project(session.document, session.viewing))
+    save_project(path, Project(session.documents, session.viewing))
     again = load_project(path, outside=True)
-    assert again == Project(session.document, session.viewing)
-    assert [p.key for p in pieces(again.document, session.solid)] == [p.key for p in session.pieces]
+    assert again == Project(session.documents, session.viewing)
+    assert [p.key for p in pieces(again.documents[0], session.solid)] == [p.key for p in session.pieces]
     afresh()
     before, after = held
     assert all(after[kind] <= before[kind] + SLACK for kind in ("Buffer", "Texture", "Framebuffer")), held

@@ -1,13 +1,17 @@
-"""Small solids of atoms for the tests."""
+"""Small solids of atoms for the tests, and scenes of several bodies."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from engine.io.load import load
 from engine.scene import sh
 from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
+from engine.scene.gaussians import Gaussians
+from tests.paths import SAMPLES
 
 
 def ball(pitch: float, seed: int = 0, exposed: int = 0, degree: int = 1, radius: float = 0.5) -> Atoms:
@@ -85,3 +89,23 @@ def scatter(surface: int, interior: int, seed: int = 0, exposed: int = 0, degree
         exposed,
     )
     return Atoms(skin, inside, 0.1)
+
+
+def beside(*scenes: Gaussians, places: Sequence[Sequence[float]], size: float = 1.0) -> Gaussians:
+    """The scenes in one, each scaled to a longest side of `size` around its place (3,); as many harmonics as the one
+    with the fewest has."""
+    bands = min(scene.sh.shape[1] for scene in scenes)
+    columns = []
+    for scene, place in zip(scenes, places, strict=True):
+        low, high = scene.visible_bounds()
+        factor = np.float32(size / (high - low).max())
+        means = ((scene.means - (low + high) / 2) * factor + np.asarray(place)).astype(np.float32)
+        columns.append((means, scene.scales * factor, scene.quats, scene.opacities, scene.sh[:, :bands]))
+    return Gaussians(*(np.concatenate(column) for column in zip(*columns, strict=True)))
+
+
+def three_samples() -> tuple[Gaussians, list[int]]:
+    """The three samples beside each other, and how many Gaussians each has."""
+    scenes = [load(SAMPLES / name / f"{name}.ply").gaussians for name in ("watermelon", "orange", "bread")]
+    places = ((0, 0, 0), (1.3, 0, 0), (0.6, 1.3, 0))
+    return beside(*scenes, places=places), [len(scene) for scene in scenes]

@@ -73,7 +73,7 @@ def exports(folder: Path) -> None:
     save_animation(folder / "film.gif", iter([RGBA, RGBA[::-1]]))
     save_animation(folder / "film.webp", iter([RGBA, RGBA[::-1]]))
     solid = atoms()
-    save_pieces(folder / "pieces.ply", solid, pieces(Document(), Solid.of_atoms(solid)))
+    save_pieces(folder / "pieces.ply", [(solid, piece) for piece in pieces(Document(), Solid.of_atoms(solid))])
 
 
 def trained(folder: Path) -> None:

@@ -5,14 +5,13 @@ from __future__ import annotations
 import queue
 import threading
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from app.jobs.export import save_animation, save_pieces, save_still, section_picture, sweep, turntable
-from app.model.pieces import sections
 from app.session.session import Session
 from app.ui.view.painter import Painter
 from engine.errors import InputError
@@ -106,16 +105,19 @@ class Exporter:
         eye = session.viewing.eye
         if options.kind == "turntable":
             shown = self._shown()
-            frames = (self._draw(camera, shown) for camera in turntable(eye, session.up, size, options.frames))
+            frames = (self._draw(camera, shown) for camera in turntable(eye, session.view_up, size, options.frames))
         else:
             cut = next((c for c in session.document.cuts if c.id == session.active_cut), None)
             cut = cut or (session.document.cuts[-1] if session.document.cuts else None)
             if cut is None:
                 raise InputError("The sweep needs a plane. Add one first.")
-            plane, camera = cut.plane(cut.parts[0]), eye.camera(*size, session.up)
+            plane, camera = cut.plane(cut.parts[0]), eye.camera(*size, session.view_up)
             if np.asarray(plane.normal) @ camera.forward > 0:
                 plane = plane.flipped()  # the open side faces the camera
-            frames = (self._draw(camera, [Piece((step,))]) for step in sweep(plane, session.solid, options.frames))
+            frames = (
+                self._draw(camera, [replace(self._uncut(), planes=(step,))])
+                for step in sweep(plane, session.solid, options.frames)
+            )
         self._frames, self._count, self._done, self.path = iter(frames), options.frames, 0, path
         self._error, self._cancelled, self._sink = "", False, queue.Queue(maxsize=8)
         self._thread = threading.Thread(target=self._write, args=(path,), daemon=True)
@@ -144,30 +146,34 @@ class Exporter:
         if cut is None:
             raise InputError("A section needs a cut. Cut the object or add a plane first.")
         picture = section_picture(
-            self._draw, cut.plane(cut.parts[0]), (), session.up, session.solid, max(options.width, 64)
+            self._draw, cut.plane(cut.parts[0]), self._uncut(), session.up, session.solid, max(options.width, 64)
         )
         save_still(path, picture, options.transparent)
         session.notify(f"Saved {path.name}.")
 
     def _pieces(self, options: Options, path: Path) -> None:
         session = self.session
-        if session.atoms is None:
+        solids = session.solids
+        if not solids:
             raise InputError("There is no solid to save yet.")
-        pieces = [piece for piece in session.pieces if piece.visible]
+        pieces = [(solids[session.documents[m.index].number], m.piece) for m in session.members]
         if not options.separate:
-            count = save_pieces(path, session.atoms, pieces)
+            count = save_pieces(path, pieces)
             session.notify(f"Saved {count:,} Gaussians in {path.name}.")
             return
         for number, piece in enumerate(pieces, 1):
-            save_pieces(path.with_name(f"{path.stem}_{number}{path.suffix}"), session.atoms, [piece])
+            save_pieces(path.with_name(f"{path.stem}_{number}{path.suffix}"), [piece])
         session.notify(f"Saved {len(pieces)} pieces beside {path.stem}_1{path.suffix}.")
 
     def _camera(self, options: Options) -> Camera:
-        return self.session.viewing.eye.camera(options.width, options.height, self.session.up)
+        return self.session.viewing.eye.camera(options.width, options.height, self.session.view_up)
 
     def _shown(self) -> list[Piece]:
-        hide = sections(self.session.document)
-        return [piece.piece(hide) for piece in self.session.pieces if piece.visible]
+        return self.session.drawn(self.session.members)
+
+    def _uncut(self) -> Piece:
+        """All of the active object, alone and in its place."""
+        return Piece(solid=list(self.session.solids).index(self.session.document.number))
 
     def _draw(self, camera: Camera, pieces: Sequence[Piece]) -> Frame:
         return self.painter.picture(self.session, camera, pieces)

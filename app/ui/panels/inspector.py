@@ -10,7 +10,7 @@ import numpy as np
 from imgui_bundle import ImVec2, imgui
 from imgui_bundle import icons_fontawesome_6 as icon
 
-from app.model.document import Cut
+from app.model.document import Cut, Document
 from app.model.pieces import PlacedPiece
 from app.model.rigid_transform import Vec3
 from app.session.session import Session
@@ -52,6 +52,10 @@ class Inspector:
         """Id of a cut, and a, b, c, d as typed so far."""
         self._up: list[float] | None = None
         """The up axis as typed so far, while its list is open."""
+        self._renamed: int | None = None
+        """Number of the object whose name is typed."""
+        self._typing = False
+        """Whether the field for it has been drawn, and has the keyboard."""
 
     def show(self) -> None:
         """One frame."""
@@ -77,6 +81,8 @@ class Inspector:
         imgui.same_line(imgui.get_content_region_avail().x - px(78))
         imgui.set_next_item_width(px(90))
         self._up_axis()
+        if len(session.documents) > 1:
+            self._objects()
         if session.loader is not None:
             loader = session.loader
             thin_bar(loader.fraction)
@@ -85,6 +91,52 @@ class Inspector:
             imgui.same_line(imgui.get_content_region_avail().x - px(56))
             if imgui.button("Cancel##preparing", ImVec2(px(68), 0)):
                 session.scene.cancel()
+
+    def _objects(self) -> None:
+        """The list of several objects: shown or hidden, selected, named."""
+        for index, document in enumerate(self.session.documents):
+            imgui.push_id(document.number)
+            self._listed_object(index, document)
+            imgui.pop_id()
+
+    def _listed_object(self, index: int, document: Document) -> None:
+        session = self.session
+        if icon_button(f"{eye_icon(document.visible)}##seen", 22, quiet=True):
+            name = "Hide object" if document.visible else "Show object"
+            session.change_object(name, index, replace(document, visible=not document.visible))
+        tooltip("Hide it" if document.visible else "Show it")
+        imgui.same_line()
+        if self._renamed == document.number:
+            imgui.set_next_item_width(-1)
+            if not self._typing:
+                imgui.set_keyboard_focus_here()
+            changed, text = imgui.input_text("##name", document.name or document.title)
+            if changed:
+                session.change_object("Name", index, replace(document, name=text.strip()), merge=f"name {index}")
+            ended = self._typing and not imgui.is_item_active()
+            self._typing, self._renamed = not ended, None if ended else self._renamed
+            return
+        active = index == session.active
+        loaded = session.loaded.get(document.number)
+        solid = loaded is not None and loaded.atoms is not None
+        inside = "with an inside" if loaded is not None and loaded.trained else "" if solid else "not solid yet"
+        imgui.push_style_color(imgui.Col_.text, rgba(palette().text if document.visible else palette().second))
+        imgui.push_style_color(imgui.Col_.header, rgba(palette().field, 1.0 if active else 0.0))
+        imgui.push_style_var(imgui.StyleVar_.selectable_text_align, ImVec2(0.0, 0.5))
+        mark = f"{icon.ICON_FA_CHECK}  " if active and session.object_selected else ""
+        width = imgui.get_content_region_avail().x - px(104)
+        if imgui.selectable(f"{mark}{document.title}###object", active, 0, ImVec2(width, px(22)))[0]:
+            session.activate(index, not (active and session.object_selected))
+        if imgui.is_item_hovered() and imgui.is_mouse_double_clicked(imgui.MouseButton_.left):
+            self._renamed, self._typing = document.number, False
+            session.activate(index)  # whatever its first click did
+        imgui.pop_style_var()
+        imgui.pop_style_color(2)
+        tooltip("The selected object is the one that is cut; click again to cut all. Double click to name it.")
+        if inside:
+            imgui.same_line()
+            imgui.align_text_to_frame_padding()
+            secondary(inside)
 
     def _up_axis(self) -> None:
         """Which way is up: one of six axes, as detected, by a face, or in numbers, which count when the list closes."""

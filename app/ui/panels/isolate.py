@@ -92,6 +92,9 @@ class IsolatePanel:
             if imgui.button("Remove", ImVec2(half, px(32))):
                 isolation.remove_marked()
             tooltip("Remove what is selected", "Del")
+            if imgui.button("Make it an object of its own", ImVec2(-1, 0)):
+                isolation.split_marked()
+            tooltip("Two objects: what is selected, and the rest")
 
     def _proposals(self) -> None:
         proposals = self.session.isolation.proposals

@@ -1,4 +1,4 @@
-"""Draws the workspace's object with the GL renderer: frames of the viewport when something has changed, and exports."""
+"""Draws the workspace's objects with the GL renderer: frames of the viewport when something changes, and exports."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from engine.render.cpu.software import is_software
 from engine.render.culling.draw_options import Mode
 from engine.render.gl.overlay import Lines, Sheet
 from engine.render.gl.renderer import Renderer
+from engine.scene.atoms import Atoms
 from engine.scene.camera import Camera
 from engine.scene.piece import Piece
 
@@ -57,8 +58,10 @@ class Painter:
         """Fraction of the pixels along a side that the last frame was drawn with."""
         self._capture: object = None
         """The capture that the GPU has."""
-        self._atoms: tuple[int, int] | None = None
-        """Geometry and colour version of the atoms that the GPU has."""
+        self._atoms: tuple[int, int, tuple[int, ...]] | None = None
+        """Geometry and colour version of the atoms that the GPU has, and the numbers of their objects."""
+        self._solids: list[Atoms] = []
+        """Those atoms."""
         self._key: object = None
         """Everything that the last frame depends on, without the overlay."""
         self._picture: moderngl.Texture | None = None
@@ -77,7 +80,7 @@ class Painter:
         over: Sequence[Lines | Sheet] = (),
         moving: bool = False,
     ) -> moderngl.Texture | None:
-        """A frame of the workspace's object; None if there is nothing to draw. Valid until the next call.
+        """A frame of the workspace's objects; None if there is nothing to draw. Valid until the next call.
 
         `over`: lines and sheets drawn over the object. `moving`: the view changes from frame to frame, so that speed
         matters more than detail.
@@ -155,30 +158,31 @@ class Painter:
             self._screen.use()
 
     def _upload(self, workspace: Workspace, tinted: bool = True) -> bool:
-        """Uploads the workspace's object unless the GPU has it; False if there is nothing to draw.
+        """Uploads the workspace's objects unless the GPU has them; False if there is nothing to draw.
 
         `tinted`: with what is marked of the capture in another colour.
         """
-        shown = workspace.object
-        if shown is None:
+        if workspace.object is None:
             return False
         if workspace.mode == "capture":
             capture, view = workspace.shown_capture, workspace.capture_view
             if not tinted and view is not None and capture is view.shown:
-                capture = view.left
+                capture = view.plain
             if capture is None:
                 return False
             if capture is not self._capture:
                 self.renderer.set_capture(capture)
                 self._capture, self._key = capture, None
             return True
-        assert shown.atoms is not None
-        atoms = (workspace.geometry_version, workspace.colour_version)
-        if self._atoms is None or self._atoms[0] != workspace.geometry_version:
-            self.renderer.set_atoms(shown.atoms)
-        elif self._atoms[1] != workspace.colour_version:
-            self.renderer.update_colours(shown.atoms.surface.sh, shown.atoms.interior.rgb)
-        self._atoms = atoms
+        solids = workspace.solids
+        atoms = (workspace.geometry_version, workspace.colour_version, tuple(solids))
+        if self._atoms is None or (self._atoms[0], self._atoms[2]) != (atoms[0], atoms[2]):
+            self.renderer.set_atoms(*solids.values())
+        elif self._atoms[1] != atoms[1]:
+            for k, (before, now) in enumerate(zip(self._solids, solids.values(), strict=True)):
+                if now is not before:
+                    self.renderer.update_colours(now.surface.sh, now.interior.rgb, k)
+        self._atoms, self._solids = atoms, list(solids.values())
         return True
 
     def release(self) -> None:

@@ -1,4 +1,5 @@
-"""Lines on the object where planes intersect it: those of families, and the one of the knife's stroke."""
+"""Lines on objects where planes intersect them: those of families, and the one of the knife's stroke; the sheet of the
+active section."""
 
 from __future__ import annotations
 
@@ -8,14 +9,14 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from app.model.document import Key
+from app.model.document import Cut, Document, Key
 from app.model.outline import body_of_atoms, body_of_shell, contours
-from app.model.pieces import PlacedPiece
+from app.model.pieces import Member, PlacedPiece
 from app.session.workspace import Workspace
-from app.ui.theme import palette, px, rgba
-from engine.render.gl.overlay import Lines
+from app.ui.theme import palette, px, rgb, rgba
+from engine.render.gl.overlay import Lines, Sheet
 from engine.scene.grid import Body
-from engine.scene.plane import Plane
+from engine.scene.plane import Plane, frame
 from training.families import Family
 
 __all__ = ["PlaneLines"]
@@ -28,11 +29,11 @@ OUTSET = 0.6
 
 
 class PlaneLines:
-    """Lines on the workspace's object, found again only if the object or a family has changed."""
+    """Lines on the workspace's objects, found again only if an object or a family has changed."""
 
     def __init__(self, workspace: Workspace) -> None:
         self.workspace = workspace
-        self._body: tuple[object, Body] | None = None
+        self._bodies: dict[int, tuple[object, Body]] = {}
         self._families: dict[tuple[str, Key], tuple[object, NDArray[np.float64]]] = {}
 
     def families(self, kinds: Collection[str], pieces: Sequence[PlacedPiece], scale: float) -> list[Lines]:
@@ -50,29 +51,53 @@ class PlaneLines:
                 result.append(lines(ends, colour, 0.75, px(1.2) * scale, 0.1))
         return result
 
-    def cut(self, plane: Plane, pieces: Sequence[PlacedPiece], scale: float) -> list[Lines]:
-        """Where a plane in world space intersects pieces."""
-        found = [
-            moved(piece, contours(self.body, [piece.motion.inverse().carried(plane)], piece.planes, OUTSET))
-            for piece in pieces
-        ]
+    def cut(self, plane: Plane, members: Sequence[Member], scale: float) -> list[Lines]:
+        """Where a plane in world space intersects pieces of objects."""
+        found = []
+        for member in members:
+            piece, body = member.piece, self.body_of(self.workspace.documents[member.index])
+            found.append(moved(piece, contours(body, [piece.motion.inverse().carried(plane)], piece.planes, OUTSET)))
         ends = np.concatenate([np.zeros((0, 2, 3)), *found])
         return [lines(ends, palette().accent, 0.95, px(2.4) * scale, 0.4)]
 
-    @property
-    def body(self) -> Body:
-        """The body of the object that is shown: of the solid, or what the capture encloses."""
+    def sheets(self) -> list[Sheet]:
+        """The active section plane as a translucent sheet."""
+        solid, cut = self.workspace.solid, self._active_section()
+        if cut is None:
+            return []
+        plane = cut.plane(cut.parts[0])
+        e1, e2, n = frame(plane.normal)
+        foot = solid.centre - n * float(plane.distance(solid.centre))
+        side = 1.1 * solid.radius
+        corners = np.stack([foot + side * (a * e1 + b * e2) for a, b in ((1, 1), (-1, 1), (-1, -1), (1, -1))])
+        return [Sheet(corners, (*rgb(palette().text), 0.05), hidden=0.0)]
+
+    def _active_section(self) -> Cut | None:
         workspace = self.workspace
-        key = (workspace.geometry_version, workspace.atoms is None, id(workspace.solid))
-        if self._body is None or self._body[0] != key:
-            atoms = workspace.atoms
-            body = body_of_shell(workspace.solid.points) if atoms is None else body_of_atoms(atoms)
-            self._body = (key, body)
-        return self._body[1]
+        if (
+            workspace.active_cut is None
+            or workspace.tool == "knife"
+            or workspace.atoms is None
+            or workspace.mode == "capture"
+        ):
+            return None
+        cut = workspace.document.cut(workspace.active_cut)
+        return cut if cut.kind == "section" and cut.on else None
+
+    def body_of(self, document: Document) -> Body:
+        """The body of an object that is shown: of the solid, or what the capture encloses."""
+        workspace, number = self.workspace, document.number
+        loaded, solid = workspace.loaded.get(number), workspace.solid_of(document)
+        atoms = None if loaded is None else loaded.atoms
+        key = (workspace.geometry_version, atoms is None, id(solid))
+        if number not in self._bodies or self._bodies[number][0] != key:
+            body = body_of_shell(solid.points) if atoms is None else body_of_atoms(atoms)
+            self._bodies[number] = (key, body)
+        return self._bodies[number][1]
 
     def _of(self, family: Family, piece: PlacedPiece) -> NDArray[np.float64]:
         """(S, 2, 3). Lines of a family on one piece, in object space."""
-        body, place = self.body, (family.kind, piece.key)
+        body, place = self.body_of(self.workspace.document), (family.kind, piece.key)
         key = (replace(family, exemplars=(), prompt=""), piece.planes, id(body), self.workspace.up)
         cached = self._families.get(place)
         if cached is None or cached[0] != key:

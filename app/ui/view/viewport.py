@@ -11,9 +11,9 @@ from imgui_bundle import ImVec2, imgui
 from numpy.typing import NDArray
 
 from app.model.camera_control import OrbitCamera, project_points
-from app.model.document import Cut, Key
+from app.model.document import Document, Key
 from app.model.knife import SHORTEST, Stroke, plane_of
-from app.model.pieces import PlacedPiece, sections
+from app.model.pieces import Member, PlacedPiece
 from app.model.project import VIEW_MODES
 from app.model.rigid_transform import STILL, Motion
 from app.model.upright import point_under
@@ -30,7 +30,6 @@ from app.ui.widgets import segmented
 from engine.render.gl.overlay import Lines, Sheet
 from engine.scene.camera import Camera
 from engine.scene.piece import Piece
-from engine.scene.plane import frame
 
 __all__ = ["Viewport"]
 
@@ -86,7 +85,11 @@ class Viewport:
 
     def __init__(self, session: Session, painter: Painter) -> None:
         self.session, self.painter = session, painter
-        self.piece_animation, self.camera_animation = PieceAnimation(), CameraAnimation()
+        self.camera_animation = CameraAnimation()
+        self.piece_animations: dict[int, PieceAnimation] = {}
+        """By the object's number."""
+        self._members: list[Member] = []
+        """What the last frame shows, in the order in which it was drawn."""
         self.drag: Drag | None = None
         self.show_families: frozenset[str] = frozenset()
         self.menu_requested = False
@@ -106,13 +109,14 @@ class Viewport:
     @property
     def moving(self) -> bool:
         """Whether an animation is running, so that frames must be drawn without an event."""
-        return self.piece_animation.moving or self.camera_animation.now() is not None
+        sliding = any(animation.moving for animation in self.piece_animations.values())
+        return sliding or self.camera_animation.now() is not None
 
     def camera(self, scale: float = 1.0) -> Camera:
         """The camera of the picture, in window units times `scale`."""
         eye = self.camera_animation.now() or self.session.viewing.eye
         width, height = (max(1, round(side * scale)) for side in self.size)
-        return eye.camera(width, height, self.session.up)
+        return eye.camera(width, height, self.session.view_up)
 
     def go(self, eye: OrbitCamera) -> None:
         """Moves the camera there, animated."""
@@ -133,17 +137,17 @@ class Viewport:
         self.size = (max(16, round(available.x)), max(16, round(available.y)))
         size = ImVec2(*self.size)
         scale = float(imgui.get_io().display_framebuffer_scale.x) or 1.0
-        pieces = self.piece_animation.placed(session.pieces)
-        hide = sections(session.document)
-        shown = [piece.piece(hide) for piece in pieces if piece.visible]
+        pieces = self._placed_pieces(session.document)
+        self._members = self._placed_members(pieces)
+        shown = session.drawn(self._members)
         background = session.viewing.background or rgb(palette().view)
         draw = imgui.get_window_draw_list()
         corner = ImVec2(self.origin.x + size.x, self.origin.y + size.y)
         moving = self._is_moving(shown)
         over: list[Lines | Sheet] = [
-            *self._sheets(),
+            *self.plane_lines.sheets(),
             *self.plane_lines.families(self.show_families, pieces, scale),
-            *self._knife_lines(pieces, scale),
+            *self._knife_lines(scale),
             *self.box_handles.edges(scale),
         ]
         texture = self.painter.frame(session, self.camera(scale), shown, background, over, moving)
@@ -165,7 +169,7 @@ class Viewport:
         busy = self._handled and on_handles()
         busy = self.box_handles.show(camera, self.origin, self.drag is None and hovered) or busy
         if not busy:
-            self._mouse(camera, hovered, active, pieces)
+            self._mouse(camera, hovered, active)
         if self.drag is not None and self.drag.kind in ("stroke", "plane"):
             self._draw_stroke()
         if self.drag is not None and self.drag.kind == "mark" and not self.drag.cancelled:
@@ -174,6 +178,21 @@ class Viewport:
         if hovered and self.drag is None and not busy:
             self._hint()
         imgui.pop_clip_rect()
+
+    def _placed_pieces(self, document: Document) -> list[PlacedPiece]:
+        """An object's pieces where they are drawn now."""
+        animation = self.piece_animations.setdefault(document.number, PieceAnimation())
+        return animation.placed(self.session.pieces_of(document))
+
+    def _placed_members(self, pieces: list[PlacedPiece]) -> list[Member]:
+        """The visible pieces of all visible objects where they are drawn now; `pieces`: those of the active one."""
+        session, result = self.session, []
+        solids = session.solids
+        for index, document in enumerate(session.documents):
+            if document.visible and document.number in solids:
+                placed = pieces if index == session.active else self._placed_pieces(document)
+                result += [Member(index, piece) for piece in placed if piece.visible]
+        return result
 
     def _is_moving(self, shown: Sequence[Piece]) -> bool:
         """Whether the view is changing: the camera moves, or pieces or planes are dragged."""
@@ -193,13 +212,13 @@ class Viewport:
         mouse = imgui.get_mouse_pos()
         return mouse.x - self.origin.x, mouse.y - self.origin.y
 
-    def _mouse(self, camera: Camera, hovered: bool, active: bool, pieces: list[PlacedPiece]) -> None:
+    def _mouse(self, camera: Camera, hovered: bool, active: bool) -> None:
         session, io, at = self.session, imgui.get_io(), self._at()
         if hovered and io.mouse_wheel and self.drag is None:
-            eye = session.viewing.eye.zoomed(io.mouse_wheel, at, self.size, session.up, session.solid.radius)
+            eye = session.viewing.eye.zoomed(io.mouse_wheel, at, self.size, session.view_up, session.solid.radius)
             session.viewing = replace(session.viewing, eye=eye)
         if active and self.drag is None:
-            self._begin(camera, at, pieces)
+            self._begin(camera, at)
         drag = self.drag
         if drag is None:
             return
@@ -211,7 +230,7 @@ class Viewport:
                 session.viewing = replace(session.viewing, eye=eye.turned(dx, dy))
         elif drag.kind == "pan":
             if dx or dy:
-                session.viewing = replace(session.viewing, eye=eye.panned(dx, dy, self.size[1], session.up))
+                session.viewing = replace(session.viewing, eye=eye.panned(dx, dy, self.size[1], session.view_up))
         elif drag.kind in ("move", "turn") and (dx or dy):
             self._drag_pieces(camera, drag, dx, dy)
         elif drag.kind == "mark" and (dx or dy):
@@ -220,10 +239,10 @@ class Viewport:
             drag.cancelled = True
             session.notify("Not selected." if drag.kind == "mark" else "Not cut.")
         if not active:
-            self._end(camera, drag, at, pieces)
+            self._end(camera, drag, at)
             self.drag = None
 
-    def _begin(self, camera: Camera, at: tuple[float, float], pieces: list[PlacedPiece]) -> None:
+    def _begin(self, camera: Camera, at: tuple[float, float]) -> None:
         session, io = self.session, imgui.get_io()
         left = imgui.is_mouse_down(imgui.MouseButton_.left)
         kind = "orbit"
@@ -237,14 +256,15 @@ class Viewport:
             if session.tool in ("knife", "plane"):
                 kind = "stroke" if session.tool == "knife" else "plane"
             elif session.tool in ("move", "turn"):
-                key, point = self._pick(at, pieces)
-                if key is not None and point is not None:
+                member, point = self._pick(at)
+                if member is not None and point is not None:
+                    key = self._activate(member)
                     kind, depth = session.tool, float((point - camera.position) @ camera.forward)
                     keys = session.selection if key in session.selection else frozenset([key])
                     session.selection = keys
         self.drag = Drag(kind, at, at, keys, depth, path=[at])
 
-    def _end(self, camera: Camera, drag: Drag, at: tuple[float, float], pieces: list[PlacedPiece]) -> None:
+    def _end(self, camera: Camera, drag: Drag, at: tuple[float, float]) -> None:
         session, io = self.session, imgui.get_io()
         moved = float(np.hypot(at[0] - drag.start[0], at[1] - drag.start[1]))
         if drag.kind == "stroke" and not drag.cancelled:
@@ -261,11 +281,16 @@ class Viewport:
         elif drag.kind in ("move", "turn"):
             session.history.settle()
         elif drag.kind == "orbit" and moved < SHORTEST:
-            self._click(camera, at, pieces)
+            self._click(at)
 
-    def _click(self, camera: Camera, at: tuple[float, float], pieces: list[PlacedPiece]) -> None:
+    def _click(self, at: tuple[float, float]) -> None:
         session = self.session
-        key, _ = self._pick(at, pieces)
+        member, _ = self._pick(at)
+        key = None
+        if member is not None:
+            key = self._activate(member)
+        elif session.tool != "upright" and session.mode != "capture":
+            session.object_selected = False
         if imgui.is_mouse_released(imgui.MouseButton_.right):
             if key is not None and key not in session.selection:
                 session.selection = frozenset([key])
@@ -276,17 +301,20 @@ class Viewport:
         elif imgui.get_io().key_ctrl and key is not None:
             session.selection = session.selection ^ {key}
         else:
-            session.selection = frozenset() if key is None or len(pieces) < 2 else frozenset([key])
+            session.selection = frozenset() if key is None or len(session.pieces) < 2 else frozenset([key])
 
-    def _pick(
-        self, at: tuple[float, float], pieces: list[PlacedPiece]
-    ) -> tuple[Key | None, NDArray[np.float64] | None]:
-        """Key of the piece at a point of the picture, and the world point (3,) there."""
+    def _activate(self, member: Member) -> Key:
+        """Selects the object that a piece belongs to; returns the key of the piece in it."""
+        self.session.activate(member.index, len(self.session.documents) > 1)
+        return member.piece.key
+
+    def _pick(self, at: tuple[float, float]) -> tuple[Member | None, NDArray[np.float64] | None]:
+        """The piece at a point of the picture, and the world point (3,) there."""
         if self.session.mode == "capture":
             return None, None
         scale = float(imgui.get_io().display_framebuffer_scale.x) or 1.0
         number, point = self.painter.pick(at[0] * scale, at[1] * scale)
-        shown = [piece.key for piece in pieces if piece.visible]
+        shown = self._members
         return (shown[number], point) if number is not None and number < len(shown) else (None, None)
 
     def stand_on(self, at: tuple[float, float]) -> None:
@@ -300,8 +328,10 @@ class Viewport:
             opaque = shown.capture.opacities > SOLID_OPACITY
             point = point_under(shown.capture.means[opaque], camera, at)
         else:
-            key, point = self._pick(at, session.pieces)
-            motion = next((piece.motion for piece in session.pieces if piece.key == key), STILL).inverse()
+            member, point = self._pick(at)
+            if member is not None:
+                self._activate(member)
+                motion = member.piece.motion.inverse()
         if point is None:
             session.notify("Click on the object: on the face that it stands on.")
             return
@@ -322,47 +352,33 @@ class Viewport:
 
     # The overlay
 
-    def _sheets(self) -> list[Sheet]:
-        """The active section plane as a translucent sheet."""
-        session, cut = self.session, self._active_section()
-        if cut is None:
-            return []
-        plane = cut.plane(cut.parts[0])
-        e1, e2, n = frame(plane.normal)
-        foot = session.solid.centre - n * float(plane.distance(session.solid.centre))
-        side = 1.1 * session.solid.radius
-        corners = np.stack([foot + side * (a * e1 + b * e2) for a, b in ((1, 1), (-1, 1), (-1, -1), (1, -1))])
-        return [Sheet(corners, (*rgb(palette().text), 0.05), hidden=0.0)]
-
-    def _active_section(self) -> Cut | None:
-        session = self.session
-        if session.active_cut is None or session.tool == "knife" or session.atoms is None or session.mode == "capture":
-            return None
-        cut = session.document.cut(session.active_cut)
-        return cut if cut.kind == "section" and cut.on else None
-
     def _draw_selection(self, camera: Camera, pieces: list[PlacedPiece]) -> None:
-        """Brackets around each selected piece."""
+        """Brackets around each selected piece, or around the selected one of several objects."""
         session = self.session
+        visible = [piece for piece in pieces if piece.visible and len(piece.rows)]
+        draw = imgui.get_window_draw_list()
+        if not session.selection and session.object_selected and session.document.visible and visible:
+            points = np.concatenate([piece.motion.apply(session.solid.points[piece.rows]) for piece in visible])
+            pixels = project_points(camera, points)[0] + np.array([self.origin.x, self.origin.y])
+            brackets(draw, pixels.min(0) - px(10), pixels.max(0) + px(10))
         if len(pieces) < 2:
             return
-        draw = imgui.get_window_draw_list()
-        for piece in pieces:
-            if piece.key not in session.selection or not piece.visible or not len(piece.rows):
+        for piece in visible:
+            if piece.key not in session.selection:
                 continue
             pixels, _ = project_points(camera, piece.motion.apply(session.solid.points[piece.rows]))
             pixels = pixels + np.array([self.origin.x, self.origin.y])
             brackets(draw, pixels.min(0) - px(10), pixels.max(0) + px(10))
 
-    def _knife_lines(self, pieces: Sequence[PlacedPiece], scale: float) -> list[Lines]:
+    def _knife_lines(self, scale: float) -> list[Lines]:
         """Where the plane of the stroke would cut each piece."""
         session, drag = self.session, self.drag
-        if drag is None or drag.kind not in ("stroke", "plane") or drag.cancelled or session.atoms is None:
+        if drag is None or drag.kind not in ("stroke", "plane") or drag.cancelled or not session.solids:
             return []
         stroke = Stroke(drag.start, self._at(), imgui.get_io().key_shift)
         plane = plane_of(self.camera(), stroke, session.up, session.solid.centre)
-        met = [piece for piece in pieces if not session.selection or piece.key in session.selection]
-        return [] if plane is None else self.plane_lines.cut(plane, [piece for piece in met if piece.visible], scale)
+        met = [member for member in self._members if session.is_cut(member)]
+        return [] if plane is None else self.plane_lines.cut(plane, met, scale)
 
     def _draw_stroke(self) -> None:
         """The stroke itself, with a hint on how to end it."""
@@ -395,9 +411,9 @@ class Viewport:
                 session.viewing = replace(session.viewing, mode=VIEW_MODES[chosen])
         if self.size[0] > px(420):
             middle = ImVec2(self.origin.x + self.size[0] - px(62), self.origin.y + px(62))
-            axis = axis_cube(camera, session.up, middle, px(92))
+            axis = axis_cube(camera, session.view_up, middle, px(92))
             if axis is not None:
-                self.go(session.viewing.eye.along(axis, session.up))
+                self.go(session.viewing.eye.along(axis, session.view_up))
         lines = self.counts()
         draw = imgui.get_window_draw_list()
         height = imgui.get_text_line_height()
@@ -413,10 +429,10 @@ class Viewport:
             capture = self.session.shown_capture
             what = f"{len(capture):,} Gaussians" if capture is not None else ""
         else:
-            assert shown.atoms is not None
-            count = sum(piece.visible for piece in self.session.pieces)
+            count = len(self._members)
             pieces = f"    {count} pieces" if count != 1 else ""
-            total = len(shown.atoms) if self.session.mode == "solid" else len(shown.atoms.interior)
+            solids = self.session.solids.values()
+            total = sum(len(one) if self.session.mode == "solid" else len(one.interior) for one in solids)
             what = f"{total:,} atoms{pieces}"
         taken = self.painter.milliseconds
         return f"{what}    {taken:.0f} ms" if taken else what

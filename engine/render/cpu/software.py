@@ -79,7 +79,7 @@ class _Group:
 
 
 class SoftwareMode:
-    """Draws a solid's pieces into a frame."""
+    """Draws pieces of solids into a frame."""
 
     def __init__(self) -> None:
         self.grids = GridCache()
@@ -97,7 +97,7 @@ class SoftwareMode:
 
     def draw(
         self,
-        solid: Solid,
+        solids: Sequence[Solid],
         camera: Camera,
         pieces: Sequence[Piece],
         groups: Sequence[Group],
@@ -120,7 +120,7 @@ class SoftwareMode:
         drawn: Rect = (0, 0, 0, 0)
         visible = [
             _Group(solid, options, number, view, _camera_of(view, rect), planes, rect)
-            for number, view, planes, rect in visible_groups(solid, camera, pieces, groups)
+            for number, solid, view, planes, rect in visible_groups(solids, camera, pieces, groups)
         ]
         for group in visible:
             drawn = union(drawn, group.rect)

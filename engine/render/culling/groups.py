@@ -1,4 +1,4 @@
-"""Groups of pieces with the same transform, and the part of the picture that each can touch."""
+"""Groups of pieces of one solid with the same transform, and the part of the picture that each can touch."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ __all__ = ["MAX_PLANES", "Group", "Rect", "group_pieces", "visible_groups"]
 
 Double = NDArray[np.float64]
 Group = tuple[Double, list[int]]
-"""A transform (4, 4) and the indices of the pieces that have it."""
+"""A transform (4, 4) and the indices of the pieces of one solid that have it."""
 
 Rect = tuple[int, int, int, int]
 """x, y, width, height in pixels, from the top left."""
@@ -29,11 +29,11 @@ MAX_PLANES = 64
 
 
 def group_pieces(pieces: Sequence[Piece]) -> list[Group]:
-    """The pieces by transform; those with the same one fit together as in the uncut object."""
+    """The pieces by solid and transform; those with the same ones fit together as in the uncut object."""
     groups: list[Group] = []
     for i, piece in enumerate(pieces):
         for transform, members in groups:
-            if np.array_equal(transform, piece.transform):
+            if piece.solid == pieces[members[0]].solid and np.array_equal(transform, piece.transform):
                 members.append(i)
                 break
         else:
@@ -42,17 +42,19 @@ def group_pieces(pieces: Sequence[Piece]) -> list[Group]:
 
 
 def visible_groups(
-    solid: Solid, camera: Camera, pieces: Sequence[Piece], groups: Sequence[Group]
-) -> Iterator[tuple[int, View, list[Double], Rect]]:
-    """The visible groups, farthest first: number, view, each piece's planes (P, 4), rectangle of the picture."""
-    depth = [float((camera.viewmat @ transform @ np.append(solid.centre, 1))[2]) for transform, _ in groups]
+    solids: Sequence[Solid], camera: Camera, pieces: Sequence[Piece], groups: Sequence[Group]
+) -> Iterator[tuple[int, Solid, View, list[Double], Rect]]:
+    """The visible groups, farthest first: number, solid, view, each piece's planes (P, 4), rectangle of the picture."""
+    owners = [solids[pieces[members[0]].solid] for _, members in groups]
+    centres = [transform @ np.append(solid.centre, 1) for solid, (transform, _) in zip(owners, groups, strict=True)]
+    depth = [float((camera.viewmat @ centre)[2]) for centre in centres]
     for number in np.argsort(depth)[::-1].tolist():
-        transform, members = groups[number]
+        (transform, members), solid = groups[number], owners[number]
         view = View(Piece((), transform).camera(camera), solid.centre, solid.radius)
         planes = [left for m in members if (left := bounding_planes(pieces[m], solid)) is not None]
         rect = bounds_on_screen(view, planes, solid) if planes else None
         if rect is not None:
-            yield number, view, planes, rect
+            yield number, solid, view, planes, rect
 
 
 def bounding_planes(piece: Piece, solid: Solid) -> Double | None:

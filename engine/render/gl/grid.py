@@ -47,7 +47,7 @@ class Grid:
 
 
 class GridCache:
-    """The grids of one set of interior atoms."""
+    """The grids of sets of interior atoms."""
 
     def __init__(self, ctx: moderngl.Context, programs: Programs, pool: Pool, buffers: Buffers) -> None:
         self.ctx, self.programs, self.pool, self.buffers = ctx, programs, pool, buffers
@@ -61,7 +61,7 @@ class GridCache:
     def get(self, plane: Double, spheres: Spheres, options: DrawOptions) -> Grid | None:
         """The grid of a plane (4,) in centred object space; None if the atoms' sizes do not allow one."""
         plane = plane if plane[np.argmax(np.abs(plane[:3]))] > 0 else -plane  # both orientations share it
-        key = (*plane.tolist(), options.level)
+        key = (id(spheres), *plane.tolist(), options.level)  # which the renderer holds until it clears
         if key not in self._cache:
             self._cache[key] = self._make(plane, spheres, options)
         self._cache.move_to_end(key)

@@ -1,9 +1,9 @@
-"""Opaque mode: pieces of a solid, drawn group by group and composited by depth.
+"""Opaque mode: pieces of solids, drawn group by group and composited by depth.
 
-Pieces with the same transform fit together as in the uncut object: their splats share the same sums, so that joined
-pieces give exactly the uncut object, without a seam that lets the background through. Each group is resolved by itself
-and composited over or under the frame so far, pixel by pixel, because a silhouette in front has to be anti-aliased
-against the piece behind it, not against the background.
+Pieces of a solid with the same transform fit together as in the uncut object: their splats share the same sums, so that
+joined pieces give exactly the uncut object, without a seam that lets the background through. Each group is resolved by
+itself and composited over or under the frame so far, pixel by pixel, because a silhouette in front has to be
+anti-aliased against the piece behind it, not against the background.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ Double = NDArray[np.float64]
 
 
 class OpaqueMode:
-    """Draws a solid's pieces into a frame."""
+    """Draws pieces of solids into a frame."""
 
     def __init__(self, ctx: moderngl.Context, programs: Programs, pool: Pool, screen: Screen) -> None:
         self.ctx, self.screen = ctx, screen
@@ -46,7 +46,7 @@ class OpaqueMode:
 
     def draw(
         self,
-        solid: Solid,
+        solids: Sequence[Solid],
         camera: Camera,
         pieces: Sequence[Piece],
         groups: Sequence[Group],
@@ -59,7 +59,7 @@ class OpaqueMode:
         self.section.grids.begin()
         frame, scratch = frames
         empty = True
-        for number, view, planes, rect in visible_groups(solid, camera, pieces, groups):
+        for number, solid, view, planes, rect in visible_groups(solids, camera, pieces, groups):
             faces = self._sum_group(view, planes, solid, sums, rect, options)
             values: dict[str, Any] = {
                 **view.uniforms,

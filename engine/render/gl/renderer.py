@@ -1,4 +1,4 @@
-"""The real-time renderer: a solid of atoms, cut into pieces, or a capture, drawn with OpenGL 3.3 into a texture.
+"""The real-time renderer: solids of atoms, cut into pieces, or a capture, drawn with OpenGL 3.3 into a texture.
 
 Standalone (offscreen) or inside a window's context. If OpenGL runs in software, CPU kernels draw the solid.
 """
@@ -66,7 +66,7 @@ def current(method: Method) -> Method:
 
 
 class Renderer:
-    """Draws one object. Not thread-safe: all calls from the thread that owns the context.
+    """Draws objects. Not thread-safe: all calls from the thread that owns the context.
 
     A foreign context keeps its bound framebuffer; everything it had enabled is disabled afterwards, see `current`.
     """
@@ -86,7 +86,9 @@ class Renderer:
         by_shaders = not is_software(self.ctx.info["GL_RENDERER"]) if shaders is None else shaders
         self._software = None if by_shaders else SoftwareMode()
         self._overlays = OverlayPass(self.ctx, self._programs)
-        self._solid: Solid | None = None
+        self._solids: list[Solid] = []
+        self._made_of: list[Atoms | None] = []
+        """The atoms that each solid shows; None if it has been recoloured."""
         self._capture: Capture | None = None
         self._frames: list[Frame] = []
         self._sums: Accumulators | None = None
@@ -106,10 +108,12 @@ class Renderer:
     # Content
 
     @current
-    def set_atoms(self, atoms: Atoms) -> None:
-        """Sets the solid to draw."""
-        self._release_solid()
-        self._solid = Solid(atoms)
+    def set_atoms(self, *atoms: Atoms) -> None:
+        """Sets the solids to draw: `Piece.solid` is an index into them. Those that were set before are kept."""
+        known = {id(made_of): solid for made_of, solid in zip(self._made_of, self._solids, strict=True)}
+        solids = [known.get(id(one)) or Solid(one) for one in atoms]
+        self._release_solids()
+        self._solids, self._made_of = solids, list(atoms)
 
     @current
     def set_capture(self, gaussians: Gaussians) -> None:
@@ -122,10 +126,11 @@ class Renderer:
         self,
         sh: NDArray[np.float32] | None = None,  # [S, (d+1)^2, 3]
         rgb: NDArray[np.float32] | None = None,  # [I, 3]
+        solid: int = 0,
     ) -> None:
-        """Replaces the colours of the surface or interior atoms (or both), in the order of `set_atoms`."""
-        assert self._solid is not None, "no atoms yet"
-        self._solid.update(sh, rgb)
+        """Replaces the colours of a solid's surface or interior atoms (or both), in the order of `set_atoms`."""
+        self._solids[solid].update(sh, rgb)
+        self._made_of[solid] = None
         if rgb is not None:
             self._clear_grids()
 
@@ -165,10 +170,10 @@ class Renderer:
         background_rgb = np.asarray(background, np.float64)
         frame, sums = self._frames[0], self._sums
         assert sums is not None
-        if self._software is not None and mode != "classic" and self._solid is not None:
+        if self._software is not None and mode != "classic" and self._solids:
             options = DrawOptions(mode == "interior", light, exact, level, cull)
             changed, halves = self._software.draw(
-                self._solid, camera, self._pieces, self._groups, background_rgb, options
+                self._solids, camera, self._pieces, self._groups, background_rgb, options
             )
             if changed[2] and changed[3]:
                 frame.colour.write(halves, viewport=changed)
@@ -182,10 +187,10 @@ class Renderer:
                 rect = (0, 0, camera.width, camera.height)
                 values = resolve_values(sums, background_rgb)
                 self._screen.fill(frame.fbo, rect, "classic_resolve.frag.glsl", {}, values)
-        elif self._solid is not None:
+        elif self._solids:
             options = DrawOptions(mode == "interior", light, exact, level, cull)
             self._opaque.draw(
-                self._solid, camera, self._pieces, self._groups, self._frames, sums, background_rgb, options
+                self._solids, camera, self._pieces, self._groups, self._frames, sums, background_rgb, options
             )
         return frame.colour
 
@@ -204,8 +209,8 @@ class Renderer:
         self._overlaid.colour_fbo.use()  # first: a copy obeys the scissor of what was bound
         self.ctx.copy_framebuffer(self._overlaid.colour_fbo, frame.colour_fbo)
         self._overlaid.colour_fbo.use()
-        centre = np.zeros(3) if self._solid is None else self._solid.centre
-        pitch = 0.0 if self._solid is None else self._solid.pitch
+        centre = self._solids[0].centre if self._solids else np.zeros(3)
+        pitch = max((solid.pitch for solid in self._solids), default=0.0)
         self._upload_info()
         self._overlays.draw(View(camera, centre, 1.0), items, frame.info, pitch)
         return self._overlaid.colour
@@ -283,11 +288,11 @@ class Renderer:
             self._overlaid.release()
             self._overlaid = None
 
-    def _release_solid(self) -> None:
+    def _release_solids(self) -> None:
         self._pool.clear()
         self._clear_grids()
         self._opaque.clear()
-        self._solid = None
+        self._solids, self._made_of = [], []
 
     def _clear_grids(self) -> None:
         self._opaque.section.grids.clear()
@@ -308,7 +313,7 @@ class Renderer:
 
     @current
     def _release(self) -> None:
-        self._release_solid()
+        self._release_solids()
         self._release_capture()
         self._release_targets()
         self._overlays.release()

@@ -21,6 +21,7 @@ from engine.isolate.record import isolation_record, read_isolation
 from engine.isolate.selection import (
     INVERT,
     Below,
+    BodyAt,
     Box,
     Detected,
     Isolation,
@@ -185,6 +186,7 @@ EVERYTHING: Isolation = (
     (
         Step("add", Lasso(View((1, 2, 3), quat(TURN), (0.5, 0.25), True), ((-1, 0.1), (1 / 3, 0), (0, 1)))),
         Step("add", BELOW),
+        Step("add", BodyAt((1.5, 0.0, -2.0))),
         *(Step("add", Detected(kind)) for kind in ("floor", "fragments", "haze")),
     ),
 )
@@ -207,6 +209,7 @@ BREAK: dict[str, Callable[[Any], object]] = {
     "corners of a lasso": lambda r: r[1][0].update(corners=[[0, 0], [1, 1]]),
     "half": lambda r: r[1][0].update(half=[0, 1]),
     "normal": lambda r: r[1][1].update(plane=[1, 1, 1, 0]),
+    "point": lambda r: r[1][2].update(point=[1, 2]),
     "step": lambda r: r.append(["add"]),
     "selection": lambda r: r.append({}),
     "endless": lambda r: r.extend([[]] * 1001),

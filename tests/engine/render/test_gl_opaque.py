@@ -206,7 +206,7 @@ def test_order_does_not_matter(renderer: Renderer) -> None:
 @pytest.mark.parametrize("distance", [0.6, 1.0, 3.0])
 def test_culling_changes_no_pixel(renderer: Renderer, distance: float) -> None:
     renderer.set_atoms(tight_ball(1 / 24))
-    assert (renderer._solid.skin.culling.min_cosine <= 1).mean() > 0.9  # type: ignore[union-attr]
+    assert (renderer._solids[0].skin.culling.min_cosine <= 1).mean() > 0.9
     for azimuth, elevation in ((30, 35), (200, -20), (0, 80)):
         camera = around(azimuth, elevation, distance, 200, 150)
         for planes in ((), (Plane.of((0, 0, 1), 0),), CUTS["three cuts"], (Plane.of((0, 0, 1), -0.45),)):
@@ -233,7 +233,7 @@ def with_pinholes(atoms: Atoms, share: float = 0.12, size: float = 0.75) -> Atom
 def test_what_stands_behind_pinholes_counts(renderer: Renderer) -> None:
     """Skins of captures have holes finer than anything that is known of them before a frame."""
     renderer.set_atoms(with_pinholes(tight_ball(1 / 24)))
-    assert (renderer._solid.skin.culling.min_cosine <= 1).mean() > 0.5  # type: ignore[union-attr]
+    assert (renderer._solids[0].skin.culling.min_cosine <= 1).mean() > 0.5
     leaks = 0
     for k, distance in enumerate((0.4, 0.7, 1.0, 1.5, 3.0)):
         camera = around(50 * k, 60 - 30 * k, distance, 200, 150)
@@ -251,7 +251,7 @@ def test_a_shell_with_a_hole_hides_nothing(renderer: Renderer) -> None:
     s = atoms.surface
     rest = s.means[:, 2] < 0.4
     renderer.set_atoms(replace(atoms, surface=SurfaceAtoms(s.means[rest], s.scales[rest], s.quats[rest], s.sh[rest])))
-    assert (renderer._solid.skin.culling.min_cosine > 1).all()  # type: ignore[union-attr]
+    assert (renderer._solids[0].skin.culling.min_cosine > 1).all()
 
 
 def test_silhouettes_of_a_piece_before_another_let_no_background_through(renderer: Renderer) -> None:
@@ -284,7 +284,7 @@ def test_inner_edges_let_no_background_through(renderer: Renderer) -> None:
 def test_culling_leaves_out_nothing_that_covers_an_edge(renderer: Renderer) -> None:
     """Where the skin in front covers a pixel in part, the far side of the ball covers the rest."""
     renderer.set_atoms(with_leaf(with_pinholes(tight_ball(1 / 24), 0.5, 0.6), (0.66, 0.38, 0.53), spacing=1.1))
-    assert (renderer._solid.skin.culling.min_cosine <= 1).mean() > 0.9  # type: ignore[union-attr]
+    assert (renderer._solids[0].skin.culling.min_cosine <= 1).mean() > 0.9
     for camera in (around(30, 35, 0.8, 200, 150), around(80, 35, 1.0, 80, 60)):
         for planes in ((), (Plane.of((0.3, 0, 1), -0.2),)):
             few, all_of_them = (draw(renderer, camera, Piece(planes), cull=cull) for cull in (True, False))

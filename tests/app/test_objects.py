@@ -1,0 +1,170 @@
+"""Several objects in a session: found, cut, hidden, undone, split by hand, saved, each with its own result."""
+
+from __future__ import annotations
+
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from app.jobs.scene_loader import LoadedScene, SceneRequest
+from app.jobs.training_job import default_out
+from app.model.camera_control import OrbitCamera
+from app.model.document import Document, Training
+from app.model.history import History
+from app.model.knife import Stroke
+from app.model.pieces import Solid
+from app.model.project import Project, Viewing, load_project, save_project
+from app.session.session import Session
+from engine.isolate.selection import Sphere, Step, removed
+from engine.scene.atoms import Atoms
+from engine.scene.gaussians import Gaussians
+from tests.helpers.solids import ball, beside
+from tests.paths import HELPERS
+
+EYE = OrbitCamera((0.5, 0.0, 0.0), -90.0, 0.0, 8.0)
+STUB = (sys.executable, str(HELPERS / "app_stub_trainer.py"))
+
+ACROSS = Stroke((0.0, 60.0), (160.0, 60.0))
+"""From edge to edge: through both balls."""
+
+
+def shell() -> Gaussians:
+    skin = ball(1 / 16, degree=0).surface
+    return Gaussians(skin.means, skin.scales * 1.5, skin.quats, np.ones(len(skin), np.float32), skin.sh)
+
+
+CAPTURE = beside(shell(), shell(), places=((0, 0, 0), (1.5, 0, 0)))
+
+
+def moved(atoms: Atoms, x: float) -> Atoms:
+    shift = np.array((x, 0, 0), np.float32)
+    surface = replace(atoms.surface, means=atoms.surface.means + shift)
+    return replace(atoms, surface=surface, interior=replace(atoms.interior, means=atoms.interior.means + shift))
+
+
+def settle(session: Session) -> None:
+    session.isolation.tick()
+    for _ in range(6):
+        while session.isolation.pending:
+            time.sleep(0.01)
+        session.isolation.tick()
+
+
+@pytest.fixture
+def session(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Session:
+    monkeypatch.setenv("FRUITNINJA_HOME", str(tmp_path))
+    scene = tmp_path / "two.ply"
+    made = Session(history=History((Document(scene=scene),)), viewing=Viewing(EYE, "solid"))
+    made.object = LoadedScene(SceneRequest(scene), CAPTURE, None, Solid.of(CAPTURE.means))
+    settle(made)
+    return made
+
+
+def make_solid(session: Session) -> None:
+    for index, document in enumerate(session.documents):
+        left = CAPTURE[~removed(CAPTURE, document.isolation)]
+        atoms = moved(ball(1 / 12, degree=0), float(left.means[:, 0].mean()))
+        request = SceneRequest(Path("two.ply"), isolation=document.isolation)
+        session.loaded[document.number] = LoadedScene(request, CAPTURE, atoms, Solid.of_atoms(atoms))
+        session.activate(index, False)
+
+
+def test_separate_bodies_become_objects_once_and_undo_makes_them_one(session: Session) -> None:
+    assert [document.number for document in session.documents] == [1, 2] and "2 separate objects" in session.message
+    assert not session.history.changed  # nothing was lost if it were closed now
+    kept = [~removed(CAPTURE, document.isolation) for document in session.documents]
+    assert np.array_equal(kept[0], ~kept[1]) and kept[0].sum() == len(CAPTURE) // 2
+    assert len(session.shown_capture or ()) == len(CAPTURE)
+    session.change_object("Hide object", 1, replace(session.documents[1], visible=False))
+    settle(session)
+    assert len(session.shown_capture or ()) == len(CAPTURE) // 2
+    session.undo()
+    session.undo()
+    settle(session)
+    assert [document.number for document in session.documents] == [0]
+    session.redo()
+    settle(session)
+    assert len(session.documents) == 2
+
+
+def test_a_project_that_was_saved_as_one_object_stays_one(session: Session, tmp_path: Path) -> None:
+    other = Session(history=History((Document(scene=tmp_path / "two.ply"),)), path=tmp_path / "a.fruitninja")
+    other.object = LoadedScene(SceneRequest(tmp_path / "two.ply"), CAPTURE, None, Solid.of(CAPTURE.means))
+    settle(other)
+    assert len(other.documents) == 1
+
+
+def test_a_stroke_cuts_the_selected_object_or_all(session: Session) -> None:
+    make_solid(session)
+    camera = EYE.camera(160, 120, session.view_up)
+    session.slice(camera, ACROSS)
+    assert [len(document.cuts) for document in session.documents] == [1, 1] and session.message == "Cut 2 objects."
+    session.undo()
+    assert not any(document.cuts for document in session.documents)
+    session.activate(1)
+    session.slice(camera, ACROSS)
+    assert [len(document.cuts) for document in session.documents] == [0, 1] and session.message == "Cut into two."
+    session.activate(0)
+    assert [session.is_cut(member) for member in session.members] == [True, False, False]
+    session.undo()  # what was undone is shown
+    assert session.active == 1 and len(session.members) == 2
+    session.change_object("Hide object", 0, replace(session.documents[0], visible=False))
+    session.activate(1, False)
+    session.slice(camera, ACROSS)
+    assert [len(document.cuts) for document in session.documents] == [0, 1]  # what is hidden is not cut
+    session.activate(0)
+    session.slice(camera, ACROSS)
+    assert not session.documents[0].cuts and "hidden" in session.message
+
+
+def test_what_is_marked_becomes_an_object_of_its_own(session: Session) -> None:
+    session.activate(0)
+    left = CAPTURE[~removed(CAPTURE, session.document.isolation)]
+    centre = left.means.mean(0).astype(float)
+    lid = Sphere((float(centre[0]), float(centre[1]), float(centre[2]) + 0.5), 0.4)
+    session.change("Select", replace(session.document, marked=(Step("add", lid),), training=Training(seed=3)))
+    settle(session)
+    session.isolation.split_marked()
+    assert [document.number for document in session.documents] == [1, 3, 2]
+    parts = [~removed(CAPTURE, document.isolation) for document in session.documents]
+    assert np.array_equal(sum(part.astype(int) for part in parts), np.ones(len(CAPTURE)))
+    assert parts[1].sum() == lid.contains(left.means).sum() and session.documents[1].training.seed == 3
+
+
+def test_two_objects_are_trained_at_the_same_time(session: Session, tmp_path: Path) -> None:
+    picture = tmp_path / "cut.png"
+    picture.touch()
+    (tmp_path / "two.ply").touch()
+    session.training.program = (*STUB, "--steps", "2000")
+    try:
+        for index in (0, 1):
+            session.activate(index)
+            session.change("Picture", session.document.with_exemplars("radial", (picture,)))
+            session.training.start()
+        assert not session.error and len(session.training.jobs) == 2
+        assert session.training.job is session.training.jobs[1] and session.training.job.document.number == 2
+        session.training.tick()
+        session.training.stop()
+        session.activate(0)
+        assert session.training.busy
+        session.files.save(tmp_path / "a.fruitninja")
+        session.files.close()
+        assert session.question is not None and "still running" in session.question.title
+    finally:
+        for job in session.training.jobs:
+            assert job.child is not None
+            job.child.kill()
+            job.child.wait()
+
+
+def test_each_object_has_its_own_result_and_the_project_keeps_all(session: Session, tmp_path: Path) -> None:
+    outs = {session.training.out(document) for document in session.documents}
+    assert outs == {default_out(tmp_path / "two.ply", n) for n in (1, 2)} and len(outs) == 2
+    session.change_object("Name", 0, replace(session.documents[0], name="Apple", up=(0.0, 1.0, 0.0)))
+    session.change_object("Hide object", 1, replace(session.documents[1], visible=False))
+    save_project(tmp_path / "a.fruitninja", Project(session.documents, session.viewing))
+    assert load_project(tmp_path / "a.fruitninja").documents == session.documents
