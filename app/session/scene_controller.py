@@ -25,10 +25,13 @@ class SceneController:
         """What was left out when each object was last loaded, by its number."""
         self._loading = 0
         """Number of the object that the loader loads."""
+        self._interrupted: set[int] = set()
+        """Numbers of the objects whose load another one has ended: their turn comes again."""
 
     def forget(self) -> None:
         """Another scene follows: nothing of it has been loaded."""
         self._isolations.clear()
+        self._interrupted.clear()
 
     @property
     def outdated(self) -> Document | None:
@@ -37,7 +40,12 @@ class SceneController:
         workspace = self.workspace
         documents = sorted(workspace.documents, key=lambda document: document is not workspace.document)
         made = {number: loaded.request.isolation for number, loaded in workspace.loaded.items()} | self._isolations
-        stale = [d for d in documents if d.scene is not None and d.isolation != made.get(d.number)]
+        stale = [
+            document
+            for document in documents
+            if document.scene is not None
+            and (document.number in self._interrupted or document.isolation != made.get(document.number))
+        ]
         numbers = {document.number for document in documents} - {document.number for document in stale}
         waiting = workspace.loader is not None and self._loading in numbers
         return stale[0] if stale and not (waiting and len(documents) > 1) else None
@@ -49,8 +57,8 @@ class SceneController:
         document = document or workspace.document
         if workspace.loader is not None:
             workspace.loader.cancel()
-            if self._loading != document.number:
-                self._isolations.pop(self._loading, None)  # its turn comes again
+            self._interrupted.add(self._loading)
+        self._interrupted.discard(document.number)
         scene, training, isolation = document.scene, document.training, document.isolation
         assert scene is not None
         shown = workspace.loaded.get(document.number)

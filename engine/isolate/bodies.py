@@ -5,7 +5,7 @@ A body is what hangs together and has an inside. Leaves, strings and specks have
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,6 +59,7 @@ def find_bodies(gaussians: Gaussians) -> Bodies:
 
     What touches is one body. The same bodies for the same Gaussians in the same order, whatever their units.
     """
+    gaussians = replace(gaussians, sh=gaussians.sh[:, :1])  # colours play no part, and copies of them take gigabytes
     alone = Bodies(np.zeros(len(gaussians), np.intp), ())
     haze, fragments = haze_and_fragments(gaussians)
     rows = np.flatnonzero(~haze & ~fragments & (gaussians.opacities >= HAZE_OPACITY))

@@ -135,6 +135,38 @@ def test_what_is_marked_becomes_an_object_of_its_own(session: Session) -> None:
     assert parts[1].sum() == lid.contains(left.means).sum() and session.documents[1].training.seed == 3
 
 
+def test_a_load_that_another_one_ended_has_its_turn_again(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[int] = []
+
+    class Loader:
+        """Notes what is asked for, and never ends by itself."""
+
+        def __init__(self, request: SceneRequest) -> None:
+            self.request, self.ended, self.error, self.announced = request, False, "", False
+            asked.append([d.isolation for d in session.documents].index(request.isolation) + 1)
+
+        def poll(self) -> bool:
+            return False
+
+        def cancel(self) -> None:
+            self.ended = True
+
+    monkeypatch.setattr("app.session.scene_controller.SceneLoader", Loader)
+    make_solid(session)
+    assert session.scene.outdated is None
+    for document in session.documents:  # as when two trainings end at once
+        session.scene.load(None, document)
+    assert asked == [1, 2] and session.scene.outdated is None  # the second goes on
+    assert session.loader is not None
+    session.loader.cancel()
+    session.tick()
+    session.tick()
+    assert asked == [1, 2, 1]
+    session.loader.cancel()
+    session.tick()
+    assert session.scene.outdated is None and session.loader is None
+
+
 def test_two_objects_are_trained_at_the_same_time(session: Session, tmp_path: Path) -> None:
     picture = tmp_path / "cut.png"
     picture.touch()

@@ -117,9 +117,6 @@ class Inspector:
             self._typing, self._renamed = not ended, None if ended else self._renamed
             return
         active = index == session.active
-        loaded = session.loaded.get(document.number)
-        solid = loaded is not None and loaded.atoms is not None
-        inside = "with an inside" if loaded is not None and loaded.trained else "" if solid else "not solid yet"
         imgui.push_style_color(imgui.Col_.text, rgba(palette().text if document.visible else palette().second))
         imgui.push_style_color(imgui.Col_.header, rgba(palette().field, 1.0 if active else 0.0))
         imgui.push_style_var(imgui.StyleVar_.selectable_text_align, ImVec2(0.0, 0.5))
@@ -133,10 +130,18 @@ class Inspector:
         imgui.pop_style_var()
         imgui.pop_style_color(2)
         tooltip("The selected object is the one that is cut; click again to cut all. Double click to name it.")
-        if inside:
-            imgui.same_line()
-            imgui.align_text_to_frame_padding()
-            secondary(inside)
+        imgui.same_line()
+        imgui.align_text_to_frame_padding()
+        secondary(self._state(document))
+
+    def _state(self, document: Document) -> str:
+        """How far an object is, in a word or two; empty for a solid without an inside."""
+        if any(job.document.number == document.number and not job.ended for job in self.session.training.jobs):
+            return "in training"
+        loaded = self.session.loaded.get(document.number)
+        if loaded is None or loaded.atoms is None:
+            return "not solid yet"
+        return "with an inside" if loaded.trained else ""
 
     def _up_axis(self) -> None:
         """Which way is up: one of six axes, as detected, by a face, or in numbers, which count when the list closes."""

@@ -11,12 +11,15 @@ from numpy.typing import NDArray
 
 from engine.errors import InputError
 from engine.io.load import load
+from engine.io.splats.ply import write_ply
 from engine.isolate.bodies import find_bodies
 from engine.isolate.selection import removed, split_bodies
 from engine.scene.gaussians import Gaussians
 from tests.helpers.solids import three_samples
 from tests.paths import SAMPLES, SHARED
+from training.cli import runs_of_bodies
 from training.isolation_options import parse_body, parse_isolation, select_bodies
+from training.request import Request
 
 Points = NDArray[np.float64]
 
@@ -89,12 +92,15 @@ def test_a_real_capture_of_one_object_is_one_body(path: Path) -> None:
     assert find_bodies(rest).points == ()
 
 
-def test_the_command_line_names_a_body_by_its_number() -> None:
+def test_the_command_line_names_a_body_by_its_number(tmp_path: Path) -> None:
     scene = gaussians(LARGE, SMALL)
     floor = parse_isolation([], ["plane:0,0,1,1.5"], no_floor=False)  # of which there is nothing
-    every = select_bodies(scene, floor, None, "a.ply")
-    assert list(every) == [1, 2] and select_bodies(scene, floor, 2, "a.ply") == {2: every[2]}
-    assert np.array_equal(removed(scene, every[2]), np.arange(5000) < 4000)
+    write_ply(tmp_path / "a.ply", scene, [])
+    request = Request(tmp_path / "a.ply", (), isolation=floor)
+    first, second = runs_of_bodies(request, None, tmp_path).items()
+    assert (first[0], second[0]) == (tmp_path / "1", tmp_path / "2")
+    assert np.array_equal(removed(scene, second[1].isolation), np.arange(5000) < 4000)
+    assert runs_of_bodies(request, 1, tmp_path) == {tmp_path: first[1]}
     assert select_bodies(gaussians(LARGE), (), None, "a.ply") == {1: ()}
     with pytest.raises(InputError, match=r"^a\.ply: no body 3; it has 2$"):
         select_bodies(scene, (), 3, "a.ply")
