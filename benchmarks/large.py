@@ -73,7 +73,7 @@ def opened(path: Path) -> dict[str, Any]:
             peaks = {name: max(peak, size >> 20) for (name, peak), size in zip(peaks.items(), found, strict=True)}
         except psutil.Error:
             pass  # it has ended
-        if loader.poll() and not loader.ended:
+        if loader.poll():
             scene = loader.scene
             shown = scene.coarse is not None, scene.capture is not None, scene.atoms is not None
             name = "skin" if "solid_seconds" in row else ("coarse", "capture", "solid")[max(np.flatnonzero(shown))]
