@@ -15,6 +15,7 @@ from engine.command import Stop, Stopped, parse_numbers, print_result, run_comma
 from engine.errors import InputError
 from engine.io.files import locked_folder
 from engine.io.load import load
+from engine.io.picture_file import PICTURE_SUFFIXES
 from engine.scene.plane import Plane
 from training.events import Reporter
 from training.families import COUNTS, Family, Kind
@@ -41,8 +42,12 @@ def train(
         Path | None, typer.Argument(help="A capture (.ply, .splat, .spz), or a textured mesh (.obj, .glb, .ply).")
     ] = None,
     exemplar: Annotated[
-        list[str] | None, typer.Option(help="A picture of a cut face: horizontal=A.png, radial=B.jpg, parallel=C.png.")
+        list[str] | None,
+        typer.Option(help="A picture of a cut face, or a folder of them: horizontal=A.png, radial=B.jpg, parallel=C/."),
     ] = None,
+    same: Annotated[
+        bool, typer.Option("--same", help="The pictures are of one and the same thing; believe them where they meet.")
+    ] = False,
     family: Annotated[
         list[str] | None,
         typer.Option(
@@ -106,7 +111,7 @@ def train(
         requested = request_from_options(
             scene, exemplar or [], family or [], prompt or [], up, detail, prior, model, midas, thing, iterations, seed
         )
-        requested = replace(requested, isolation=parse_isolation(keep or [], remove or [], no_floor))
+        requested = replace(requested, isolation=parse_isolation(keep or [], remove or [], no_floor), same=same)
     runs = {out: requested} if body is None else runs_of_bodies(requested, parse_body(body), out)
     reporter = Reporter.open(events)
     stop.listen()
@@ -309,9 +314,14 @@ def parse_pictures(exemplars: list[str]) -> dict[Kind, list[Path]]:
     pictures: dict[Kind, list[Path]] = {}
     for text in exemplars:
         kind, path = parse_pair(text, "--exemplar")
-        if not Path(path).is_file():
+        found = [Path(path)]
+        if found[0].is_dir():
+            found = sorted(file for file in found[0].iterdir() if file.suffix.lower() in PICTURE_SUFFIXES)
+            if not found:
+                raise InputError(f"{path}: no picture in this folder (exemplars of the {kind} family)")
+        elif not found[0].is_file():
             raise InputError(f"{path}: no such file (exemplar of the {kind} family)")
-        pictures.setdefault(kind, []).append(Path(path))
+        pictures.setdefault(kind, []).extend(found)
     return pictures
 
 

@@ -36,7 +36,7 @@ Float = NDArray[np.float32]
 def make_prior(request: Request) -> Denoiser | VolumeSolver:
     """The prior of a request. Raises InputError if its model or its packages are missing."""
     if request.prior == "exemplar":
-        return ExemplarPrior()
+        return ExemplarPrior(request.same)
     if request.model is None:
         raise InputError("--prior stable-diffusion needs a model; give its local folder with --model")
     from training.priors.diffusion import StableDiffusionPrior  # an extra, and slow to import

@@ -46,7 +46,7 @@ PriorName = Literal["exemplar", "stable-diffusion"]
 FORMAT = 5
 """Version of the checkpoints; it grows with every change of them, so that no run resumes one of another version."""
 
-FILE_VERSION = 2
+FILE_VERSION = 3
 """Version of request files. Any other is refused, so it grows with every change of meaning."""
 
 LIMIT = 1 << 20
@@ -81,6 +81,8 @@ class Request:
     """What the object is called in prompts; None: the name of the scene's file."""
     isolation: Isolation = ()
     """What of the scene is no part of the object; () for nothing."""
+    same: bool = False
+    """Whether the pictures are known to be of one thing; `exemplar` then believes them where they meet."""
 
     @property
     def files(self) -> list[Path]:
@@ -120,6 +122,7 @@ class Request:
             "midas": _absolute(self.midas),
             "thing": self.thing,
             "isolation": isolation_record(self.isolation),
+            "same": self.same,
         }
         return json.dumps(record, indent=1, allow_nan=False) + "\n"
 
@@ -207,6 +210,7 @@ def read_request(path: Path) -> Request:
         midas=optional("midas"),
         thing=None if record["thing"] is None else reader.text(record, "thing"),
         isolation=read_isolation(reader, record["isolation"]),
+        same=reader.flag(record, "same"),
     )
     if request.prior == "exemplar":
         reader.require(not (request.model or request.midas), "'model' and 'midas' belong to prior stable-diffusion")

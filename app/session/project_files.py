@@ -12,8 +12,9 @@ from app.model.project import SUFFIX, Outside, Project, Viewing, load_project, s
 from app.session.question import Choice
 from app.session.scene_controller import SceneController
 from app.session.training_controller import TrainingController
-from app.session.workspace import PICTURE_SUFFIXES, Documents, Workspace
+from app.session.workspace import Documents, Workspace
 from engine.errors import InputError
+from engine.io.picture_file import PICTURE_SUFFIXES
 
 __all__ = ["ProjectFiles"]
 

@@ -25,6 +25,7 @@ from app.model.rigid_transform import Motion, Vec3, vec3
 from app.model.settings import Settings, load_settings, save_settings
 from app.model.upright import face_normal, turn_between
 from app.session.question import Choice, Question
+from engine.io.picture_file import PICTURE_SUFFIXES
 from engine.scene.atoms import Atoms
 from engine.scene.camera import Camera
 from engine.scene.gaussians import Gaussians
@@ -32,13 +33,10 @@ from engine.scene.piece import Piece
 from engine.scene.plane import Plane
 from training.families import Kind
 
-__all__ = ["PICTURE_SUFFIXES", "TOOLS", "Documents", "Tool", "Workspace"]
+__all__ = ["TOOLS", "Documents", "Tool", "Workspace"]
 
 Tool = Literal["select", "knife", "plane", "move", "turn", "upright", "isolate"]
 TOOLS: tuple[Tool, ...] = ("select", "knife", "plane", "move", "turn", "upright", "isolate")
-
-PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".bmp")
-"""ProjectFiles that are taken for pictures of cut faces."""
 
 EMPTY = Solid.of(np.zeros((0, 3)))
 

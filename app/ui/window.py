@@ -19,7 +19,6 @@ from app.model.project import Viewing
 from app.model.settings import settings_folder
 from app.session.recovered_jobs import describe_job, dismiss_job, recovered_jobs
 from app.session.session import Session
-from app.session.workspace import PICTURE_SUFFIXES
 from app.ui.commands import press_shortcuts
 from app.ui.dialogs.export_window import ExportWindow
 from app.ui.dialogs.exporter import Exporter
@@ -32,6 +31,7 @@ from app.ui.theme import Fonts, apply, load_fonts, palette, px, rgba, u32
 from app.ui.view.painter import Painter
 from app.ui.view.viewport import Viewport
 from app.ui.widgets import font, main_button, secondary
+from engine.io.picture_file import PICTURE_SUFFIXES
 
 __all__ = ["Window"]
 

@@ -21,12 +21,23 @@ from PIL import Image
 from engine.errors import InputError
 from engine.io.files import open_file
 
-__all__ = ["PICTURES", "check_size", "decoding", "open_picture", "read_pixels", "restricted_decoders"]
+__all__ = [
+    "PICTURES",
+    "PICTURE_SUFFIXES",
+    "check_size",
+    "decoding",
+    "open_picture",
+    "read_pixels",
+    "restricted_decoders",
+]
 
 KINDS = ("PNG", "JPEG", "WEBP", "BMP", "GIF", "TIFF", "AVIF")
 """Formats by Pillow's names: those of cameras, browsers and painting programs, none of which can hold a program."""
 
 PICTURES = f"{', '.join(KINDS[:-1])} or {KINDS[-1]}"
+
+PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".bmp")
+"""Ends of names, in lower case, by which pictures of cut faces are picked out of a folder or of dropped files."""
 
 MAX_PIXELS = 89_478_485
 """Pillow's own limit: a quarter of a gigabyte at three bytes per pixel."""

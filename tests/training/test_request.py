@@ -29,7 +29,17 @@ def full(folder: Path) -> Request:
     up = (0.0, -0.6, 0.8)
     isolation = (keep_only(Box((-1, -1, -1), (1, 1, 1 / 3))), (Step("add", Detected("floor")), Step("grow")))
     return Request(
-        folder / "melon.ply", families, "high", up, 2**53, 50, "stable-diffusion", *folders, "rye bread", isolation
+        folder / "melon.ply",
+        families,
+        "high",
+        up,
+        2**53,
+        50,
+        "stable-diffusion",
+        *folders,
+        "rye bread",
+        isolation,
+        True,
     )
 
 
@@ -54,7 +64,7 @@ def test_a_relative_request_is_written_with_absolute_paths(tmp_path: Path, monke
 
 
 BREAK: dict[str, Callable[[dict], object]] = {
-    "version": lambda r: r.update(fruitninja_request=3),
+    "version": lambda r: r.update(fruitninja_request=4),
     "no version": lambda r: r.pop("fruitninja_request"),
     "version is a flag": lambda r: r.update(fruitninja_request=True),
     "unknown field": lambda r: r.update(command="rm"),

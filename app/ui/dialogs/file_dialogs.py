@@ -13,10 +13,10 @@ from imgui_bundle import ImVec2, imgui
 from imgui_bundle import portable_file_dialogs as pfd
 
 from app.model.project import SUFFIX
-from app.session.workspace import PICTURE_SUFFIXES
 from app.ui.theme import px
 from app.ui.widgets import main_button, secondary
 from engine.io.formats import SCENE_SUFFIXES
+from engine.io.picture_file import PICTURE_SUFFIXES
 
 __all__ = ["FileDialogs"]
 

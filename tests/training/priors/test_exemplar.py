@@ -73,7 +73,7 @@ def test_carpels_stay_carpels_and_end(tmp_path: Path) -> None:
         Family("horizontal", 40, (save(tmp_path / "across.png", across),)),
         Family("radial", 30, (save(tmp_path / "along.png", along),)),
     ]
-    volume = ExemplarPrior().solve(ball(32), UP, families, 64, 0, quiet)
+    volume = ExemplarPrior(same=True).solve(ball(32), UP, families, 64, 0, quiet)
     turns = np.linspace(0, 2 * np.pi, 200)
     for radius in (0.2, 0.28, 0.33):
         out, off = radius * np.cos(bend(turns)), radius * np.sin(bend(turns))

@@ -19,6 +19,10 @@ __all__ = ["ExemplarPrior", "Picture", "read_picture"]
 class ExemplarPrior:
     """Places what the pictures of a family show at the corresponding positions in the body."""
 
+    def __init__(self, same: bool = False) -> None:
+        """`same`: the pictures are known to be of one thing; otherwise that is found out."""
+        self.same = same
+
     def solve(
         self,
         body: Body,
@@ -32,4 +36,4 @@ class ExemplarPrior:
 
         Raises InputError if no family has a picture, or one shows no cut face.
         """
-        return solve(body, up, families, voxels, seed, progress)
+        return solve(body, up, families, voxels, seed, progress, self.same)

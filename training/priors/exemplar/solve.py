@@ -36,6 +36,9 @@ from training.priors.exemplar.lighting import colour_gain
 from training.priors.exemplar.morph import match_slices
 from training.priors.exemplar.patches import FIXED, POLAR, RADIAL
 from training.priors.exemplar.pictures import Picture, read_picture, resolved_share
+from training.priors.exemplar.quilting.agreement import show_one_thing
+from training.priors.exemplar.quilting.disc import Disc, ball_coordinates
+from training.priors.exemplar.quilting.quilt import make_quilt
 from training.priors.exemplar.scatter import scatter_details
 from training.priors.exemplar.sharpen import sharpen
 from training.priors.prior import Progress, Volume
@@ -51,19 +54,27 @@ distance is best at 144, which also needs 0.4 times the atoms of 192."""
 
 
 def solve(
-    body: Body, up: NDArray[np.float64], families: Sequence[Family], voxels: int, seed: int, progress: Progress
+    body: Body,
+    up: NDArray[np.float64],
+    families: Sequence[Family],
+    voxels: int,
+    seed: int,
+    progress: Progress,
+    same: bool = False,
 ) -> Volume:
     """The interior on a grid of `voxels` cells along the body's longest side, or fewer. Bit-equal for a seed.
 
-    Fewer where the pictures resolve less (CELLS_PER_RESOLVED_PIXEL). Raises InputError if no family has an exemplar
-    or a picture cannot be used.
+    Fewer where the pictures resolve less (CELLS_PER_RESOLVED_PIXEL). Pictures of a round thing that do not agree where
+    they meet are quilted, unless they are the `same` thing's; others continue layer by layer. Raises InputError if no
+    family has an exemplar or a picture cannot be used.
     """
     families = [f.as_standard_kind(body, up) for f in families if f.exemplars]
     if not families:
         raise InputError("no exemplar pictures: give at least one family a photograph of a cut face")
     rng = np.random.default_rng(seed)
     progress(0.0)
-    pictures = _match_lighting([[read_picture(p, f.kind) for p in f.exemplars] for f in families])
+    taken = [[read_picture(p, f.kind) for p in f.exemplars] for f in families]
+    pictures = _match_lighting(taken)
     space = make_space(body, up, voxels)
     cells = _needed_cells(space, families, pictures, voxels)
     if cells < voxels:
@@ -75,6 +86,15 @@ def solve(
         rgb = space.scatter(interpolate_slices(space, view_along(space, views[0].basis, False), stack))
         sharpen(space, rgb, views)
         return _make_volume(space, rgb, progress)
+    if space.is_round and {view.kind for view in views} == {POLAR, RADIAL}:
+        discs = _discs(views, taken)  # in their own light, which is part of the question
+        if not same and not show_one_thing(discs[POLAR], discs[RADIAL]):
+            log.info("the pictures are of different things: followed each in its own plane, and mixed between")
+            quilt = make_quilt(discs[POLAR], discs[RADIAL], seed, lambda part: progress(0.1 + 0.6 * part))
+            rgb = space.scatter(quilt.read(ball_coordinates(space)))
+            progress(0.8)
+            sharpen(space, rgb, views)
+            return _make_volume(space, rgb, progress)
     layers = [[decompose(scaled, view.kind) for scaled in view.pictures] for view in views]
     progress(0.2)
     colours, height_mask = _extrude_layers(space, views, layers, rng, lambda part: progress(0.2 + 0.5 * part))
@@ -84,6 +104,11 @@ def solve(
     gain = sharpen(space, rgb, views)
     log.info("%d details strewn, edges sharpened by %.2f", count, gain)
     return _make_volume(space, rgb, progress)
+
+
+def _discs(views: list[View], pictures: list[list[Picture]]) -> dict[Frame, list[Disc]]:
+    """The pictures of each frame as unit discs."""
+    return {view.kind: [Disc.of(p) for p in own] for view, own in zip(views, pictures, strict=True)}
 
 
 def _match_lighting(families: list[list[Picture]]) -> list[list[Picture]]:

@@ -1,0 +1,154 @@
+"""Insides from photographs of different individuals: laws of DESIGN 5.1, on solids of our own and on photographs."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from tests.helpers.exemplar_faces import UP, ball, save
+from tests.paths import SAMPLES, SHARED
+from training.families import Family
+from training.priors.exemplar import ExemplarPrior, read_picture
+from training.priors.exemplar.quilting import quilt
+from training.priors.exemplar.quilting.agreement import disagreement, show_one_thing
+from training.priors.exemplar.quilting.disc import Disc, disc_grid
+from training.priors.exemplar.quilting.quilt import Quilt, make_quilt
+
+FLESH, SHEET, SEED = np.array([0.9, 0.5, 0.2]), np.array([1.0, 0.9, 0.7]), np.array([0.15, 0.1, 0.05])
+PAIRS = [("apple_h1", "apple_v1"), ("pomegranate_h1", "pomegranate_v4")]
+
+
+@pytest.fixture(autouse=True)
+def _coarse(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Seams on few cells: colours are read at every point all the same."""
+    monkeypatch.setattr(quilt, "LEVELS", (16, 32))
+
+
+def photograph(name: str) -> Disc:
+    """One of the photographs; skips where they are not beside the repository."""
+    path = SHARED / "photos/fruit" / f"{name}.png"
+    if not path.exists():
+        pytest.skip("the photographs are not beside the repository")
+    return Disc.of(read_picture(path, "horizontal" if "_h" in name else "radial"))
+
+
+def quilted(*pictures: Disc, seed: int = 0) -> Quilt:
+    """The quilt of horizontal pictures and, last, a radial one."""
+    return make_quilt(pictures[:-1], pictures[-1:], seed, lambda part: None)
+
+
+def segmented(seeds: bool, light: float = 1.0) -> Disc:
+    """A face with nine sheets from core to rind and, between them, seeds."""
+    x, y = disc_grid()
+    radius, angle = np.hypot(x, y), np.arctan2(y, x) * 9 / (2 * np.pi)
+    rgb = np.broadcast_to(FLESH, (*x.shape, 3)).copy()
+    off = np.abs(angle - np.round(angle)) * 2 * np.pi / 9 * radius
+    rgb[(off < 0.02) & (radius < 0.92)] = SHEET
+    between = np.abs(angle - np.floor(angle) - 0.5) * 2 * np.pi / 9 * radius
+    if seeds:
+        rgb[np.hypot((radius - 0.55) / 1.5, between) < 0.05] = SEED
+    rgb[radius > 0.94] = SHEET
+    return Disc((rgb * light).astype(np.float32))
+
+
+def level(height: float, count: int = 8_000) -> NDArray[np.float32]:
+    """(M, 3). Points of a horizontal cut through the unit ball, under the rind."""
+    rng = np.random.default_rng(0)
+    radius, angle = 0.75 * np.sqrt(rng.uniform(size=count)), rng.uniform(0, 2 * np.pi, count)
+    return np.stack([radius * np.cos(angle), radius * np.sin(angle), np.full(count, height)], -1).astype(np.float32)
+
+
+def far_from(a: NDArray[np.float32], b: NDArray[np.float32]) -> float:
+    """Share of places whose colours differ visibly."""
+    return float((np.linalg.norm(a - b, axis=1) > 0.08).mean())
+
+
+@pytest.mark.parametrize("pair", PAIRS)
+def test_photographs_come_back_in_their_own_planes(pair: tuple[str, str]) -> None:
+    across, along = map(photograph, pair)
+    made = quilted(across, along)
+    points = level(0)
+    assert far_from(made.read(points), across.read(points[:, 0], points[:, 1])) < 0.02
+    upright = points[:, [0, 2, 1]]
+    shown = made.labels[1].sources[0].disc.read(points[:, 0], points[:, 1])
+    away = np.abs(upright[:, 2]) > 0.1  # where the two meet, the horizontal one is followed
+    assert far_from(made.read(upright[away]), shown[away]) < 0.05
+
+
+def test_sheets_run_through_and_seeds_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(quilt, "LEVELS", (32, 64))  # the sheets are a twenty-fifth of a radius thick
+    x, y = disc_grid()
+    plain = np.where((np.hypot(x, y) > 0.94)[..., None], SHEET, FLESH) * [0.8, 0.9, 1.0]  # another light
+    made = quilted(segmented(seeds=True), Disc(plain.astype(np.float32)))
+    dark, pale = [], []
+    for height in (0.0, 0.3, -0.4):
+        points = level(height)
+        radius = np.hypot(points[:, 0], points[:, 1])
+        shown = made.read(points[(radius > 0.25) & (radius < 0.6)])
+        dark.append((shown[:, 0] < 0.4).mean())
+        pale.append((shown[:, 2] > 0.4).mean())
+    assert dark[0] > 0.08
+    assert max(dark[1:]) < 0.3 * dark[0]
+    assert min(pale[1:]) > 0.55 * pale[0]  # they may bend
+
+
+def test_every_picture_is_used_and_a_seed_decides() -> None:
+    x, y = disc_grid()
+    faces = [
+        Disc((FLESH * (1 + 0.2 * np.sin(n * 6 * x + y))[..., None]).clip(0, 1).astype(np.float32)) for n in range(4)
+    ]
+    made, again, other = (make_quilt(faces[:3], faces[3:], seed, lambda part: None) for seed in (1, 1, 2))
+    points = level(0.3)
+    assert (made.read(points) == again.read(points)).all()
+    assert far_from(made.read(points), other.read(points)) > 0.1
+    used = {
+        n for label in made.labels if label.is_horizontal for n in label.chunks.places(quilt.Ball.of(_all())).picture
+    }
+    assert used == set(range(3))
+
+
+def _all() -> NDArray[np.float32]:
+    return np.concatenate([level(z, 1000) for z in np.linspace(-0.9, 0.9, 30)])
+
+
+def test_a_little_more_light_changes_little() -> None:
+    across, along = map(photograph, PAIRS[0])
+    points = level(0.2)
+    before = quilted(across, along).read(points)
+    after = quilted(across, replace(along, rgb=np.clip(along.rgb * np.float32(1.05), 0, 1))).read(points)
+    assert far_from(before, after) < 0.05
+
+
+def test_pictures_of_one_thing_agree_where_they_meet() -> None:
+    def sample(name: str) -> Disc:
+        kind = "horizontal" if name.startswith("horizontal") else "radial"
+        return Disc.of(read_picture(SAMPLES / "orange" / f"{name}.png", kind))  # type: ignore[arg-type]
+
+    one, two = sample("horizontal_1"), sample("radial_1")
+    assert show_one_thing([one], [two])
+    redder = replace(two, rgb=np.clip(two.rgb * np.array([1, 0.8, 0.6], np.float32), 0, 1))
+    assert disagreement(one, redder) > 2 * disagreement(one, two)
+    assert not show_one_thing([one], [two, redder])
+
+
+@pytest.mark.parametrize("pair", [("orange_h6", "orange_v4"), PAIRS[1]])
+def test_photographs_of_two_fruits_do_not(pair: tuple[str, str]) -> None:
+    across, along = map(photograph, pair)
+    assert not show_one_thing([across], [along])
+
+
+def test_what_is_known_to_be_one_thing_is_believed(tmp_path: Path) -> None:
+    """`same` takes the other way for the very same pictures."""
+    x = np.abs((np.mgrid[:128, :128] + 0.5) / 64 - 1)
+    inside = np.hypot(*x)[..., None] < 0.8
+    faces = [np.where(inside, colour, 1.0) for colour in (FLESH, FLESH * [1, 0.6, 0.6])]
+    families = [
+        Family(kind, 4, (save(tmp_path / f"{kind}.png", face),))  # type: ignore[arg-type]
+        for kind, face in zip(("horizontal", "radial"), faces, strict=True)
+    ]
+    ways = [ExemplarPrior(same).solve(ball(), UP, families, 24, 0, lambda part: None).rgb for same in (False, True)]
+    assert (ways[0] != ways[1]).any()

@@ -1,0 +1,225 @@
+"""Chunks of the unit ball that hold photographs: where in which picture each point of a chunk reads.
+
+A horizontal picture fills slabs across the axis, a radial one sectors around it, each about as thick as the things in
+pictures are long. A chunk is turned, mirrored or shifted at random, so that no two show the same; only the planes in
+which the pictures were taken show them as they are.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+__all__ = ["Ball", "Chunks", "OwnAzimuths", "OwnHeight", "Places", "Sectors", "Slabs", "smooth_noise"]
+
+SLABS, SLAB_SPACING = 4, 0.5
+"""Sets of slabs, and distance in radii between slabs of one set: together an eighth of a radius, as seeds are long."""
+
+SECTOR_SETS, SECTORS = 4, 5
+"""Sets of sectors, and sectors around the axis of one set: at half the radius, again an eighth of a radius."""
+
+WAVE, WAVE_LENGTH = 0.08, 0.4
+"""Standard deviation and length in radii of the waves in a chunk's middle plane: no seam is straight."""
+
+DRIFT, DRIFT_LENGTHS = 0.06, (0.5, 0.5, 0.16)
+"""Standard deviation, and lengths across and along the axis, of the drift of places: texture is no bundle of rods."""
+
+SECTOR_DRIFT, SECTOR_DRIFT_LENGTHS = 0.04, (0.25, 0.25, 0.35)
+"""The same for sectors, short around the axis."""
+
+SHIFT = 0.05
+"""Standard deviation in radii of the shift of a sector's places."""
+
+CORE = 0.3
+"""Radius below which places drift and sectors are shifted less, to none at the axis: a core is in the middle."""
+
+OWN_AZIMUTHS = 3
+"""Most radial pictures that have a plane of their own; more would leave no room for variety near the axis."""
+
+DRIFT_ONSET = 0.05
+"""Distance in radii from a picture's own plane at which it drifts as much as elsewhere."""
+
+RIND = (0.05, 0.25)
+"""Depths in radii between which the rind ends: in it places keep to their depth, and chunks are avoided."""
+
+GOLDEN_ANGLE = 2.399
+"""Turn in radians from one slab of a set to the next, which comes back to no earlier one."""
+
+_NOISE_EXTENT = 1.3
+
+
+@dataclass(frozen=True)
+class Ball:
+    """Points in the unit ball with what chunks ask of them; all float32."""
+
+    points: NDArray[np.float32]
+    """(M, 3). Along e1, e2, up."""
+    radius: NDArray[np.float32]
+    """(M,). Distance from the axis."""
+    length: NDArray[np.float32]
+    """(M,). Distance from the middle."""
+    angle: NDArray[np.float32]
+    """(M,). Around the axis, radians."""
+    rind: NDArray[np.float32]
+    """(M,). Range [0, 1]: 1 in the rind, 0 deep inside."""
+    level: NDArray[np.float32]
+    """(M, 2). The place in a horizontal picture at the same angle: equally deep near the skin, at the same share of
+    the radius deeper."""
+
+    @classmethod
+    def of(cls, points: NDArray[np.float32]) -> Ball:
+        x, y, z = points.T
+        radius = np.hypot(x, y)
+        length = np.linalg.norm(points, axis=1)
+        share = np.minimum(radius / np.sqrt(np.maximum(1 - z * z, 1e-4)), 1.15)
+        deep = _smoothstep((1 - length - 0.08) / 0.22)
+        level = (length * (1 - deep) + share * deep) / np.maximum(radius, 1e-4)
+        rind = 1 - _smoothstep((1 - length - RIND[0]) / (RIND[1] - RIND[0]))
+        angle = np.arctan2(y, x)
+        fields = (radius, length, angle, rind, points[:, :2] * level[:, None])
+        return cls(points, *(f.astype(np.float32) for f in fields))
+
+
+@dataclass(frozen=True)
+class Places:
+    """What each of M points reads."""
+
+    picture: NDArray[np.int64]
+    """(M,). Number of the picture in its family."""
+    x: NDArray[np.float32]
+    """(M,). On the picture's disc."""
+    y: NDArray[np.float32]
+    distance: NDArray[np.float32]
+    """(M,). From the plane in which the chunk shows the picture as it is, in radii."""
+
+
+class Chunks(Protocol):
+    """A set of chunks that fills the ball with pictures of one family."""
+
+    def places(self, ball: Ball) -> Places:
+        """What the points of the ball read."""
+        ...
+
+
+class OwnHeight:
+    """The first horizontal picture as it was taken, half way up; away from there it drifts."""
+
+    def __init__(self, rng: np.random.Generator) -> None:
+        self.drift = Noise(DRIFT_LENGTHS, 2, rng)
+
+    def places(self, ball: Ball) -> Places:
+        flat = ball.points * np.array([1, 1, 0], np.float32)
+        distance = np.abs(ball.points[:, 2])
+        onset = np.minimum(distance / DRIFT_ONSET, 1)[:, None]
+        x, y = _drifted(
+            ball.level[:, 0], ball.level[:, 1], ball, onset * (self.drift.at(ball.points) - self.drift.at(flat))
+        )
+        return Places(np.zeros(len(ball.points), np.int64), x, y, distance)
+
+
+class OwnAzimuths:
+    """The first radial pictures as they were taken, evenly spread over half a turn; the first at angle 0."""
+
+    def __init__(self, pictures: int, rng: np.random.Generator) -> None:
+        self.count = min(pictures, OWN_AZIMUTHS)
+        self.drift = Noise(SECTOR_DRIFT_LENGTHS, 2, rng)
+
+    def places(self, ball: Ball) -> Places:
+        step = np.pi / self.count
+        nearest = np.round(ball.angle / step).astype(np.int64)
+        plane = nearest * step
+        off = ball.radius * np.sin(ball.angle - plane)
+        # Half a turn on is the same plane, seen from the other side.
+        side = np.where(nearest // self.count % 2 == 0, 1, -1).astype(np.float32)
+        x, y = ball.radius * np.cos(plane), ball.radius * np.sin(plane)
+        flat = np.stack([x, y, ball.points[:, 2]], -1).astype(np.float32)
+        free = ((1 - ball.rind) * np.minimum(ball.radius / CORE, 1))[:, None]
+        onset = np.minimum(np.abs(off) / DRIFT_ONSET, 1)[:, None]
+        moved = SECTOR_DRIFT * free * onset * (self.drift.at(ball.points) - self.drift.at(flat))
+        u, v = side * ball.radius + moved[:, 0], ball.points[:, 2] + moved[:, 1]
+        return Places(nearest % self.count, *(a.astype(np.float32) for a in (u, v, np.abs(off))))
+
+
+class Slabs:
+    """Slabs across the axis; each shows a horizontal picture turned and perhaps mirrored, and drifting a little."""
+
+    def __init__(self, number: int, pictures: int, rng: np.random.Generator) -> None:
+        self.number, self.pictures = number, pictures
+        self.turn, self.mirror = rng.uniform(0, 2 * np.pi), rng.choice([-1.0, 1.0])
+        self.offset = (number + rng.uniform()) / SLABS * SLAB_SPACING
+        self.wave, self.drift = Noise((WAVE_LENGTH,) * 3, 1, rng), Noise(DRIFT_LENGTHS, 2, rng)
+
+    def places(self, ball: Ball) -> Places:
+        height = ball.points[:, 2] - self.offset + WAVE * self.wave.at(ball.points)[:, 0]
+        slab = np.round(height / SLAB_SPACING).astype(np.int64)
+        turn = self.turn + slab * GOLDEN_ANGLE
+        c, s = np.cos(turn), np.sin(turn)
+        u, v = ball.level.T
+        x, y = c * u - s * self.mirror * v, s * u + c * self.mirror * v
+        x, y = _drifted(x, y, ball, self.drift.at(ball.points))
+        picture = (self.number + slab * SLABS) % self.pictures
+        distance = np.abs(height - slab * SLAB_SPACING)
+        return Places(picture, x, y, distance.astype(np.float32))
+
+
+class Sectors:
+    """Sectors around the axis; each shows a radial picture shifted and perhaps mirrored, and drifting a little."""
+
+    def __init__(self, number: int, pictures: int, rng: np.random.Generator) -> None:
+        self.number, self.pictures = number, pictures
+        self.turn = rng.uniform(0, SECTORS)
+        self.mirror = rng.choice([-1.0, 1.0], SECTORS)
+        self.shift = rng.standard_normal((SECTORS, 2)) * SHIFT
+        self.wave, self.drift = Noise((WAVE_LENGTH,) * 3, 1, rng), Noise(SECTOR_DRIFT_LENGTHS, 2, rng)
+
+    def places(self, ball: Ball) -> Places:
+        turn = ball.angle / (2 * np.pi) * SECTORS + self.turn + WAVE * SECTORS / 4 * self.wave.at(ball.points)[:, 0]
+        sector = np.floor(turn).astype(np.int64) % SECTORS
+        off = np.abs(turn - np.floor(turn) - 0.5) / SECTORS * 2 * np.pi
+        distance = off * np.maximum(ball.radius, RIND[0])
+        free = (1 - ball.rind) * np.minimum(ball.radius / CORE, 1)
+        moved = free[:, None] * (self.shift[sector] + SECTOR_DRIFT * self.drift.at(ball.points))
+        x, y = self.mirror[sector] * ball.radius + moved[:, 0], ball.points[:, 2] + moved[:, 1]
+        picture = (self.number + sector * SECTOR_SETS) % self.pictures
+        return Places(picture, *(a.astype(np.float32) for a in (x, y, distance)))
+
+
+class Noise:
+    """Smooth random functions on the ball with mean 0 and standard deviation about 1."""
+
+    def __init__(self, lengths: tuple[float, ...], count: int, rng: np.random.Generator) -> None:
+        shape = [int(np.ceil(2 * _NOISE_EXTENT / length)) + 4 for length in lengths]
+        self._lengths = np.array(lengths, np.float32)
+        self._splines = [ndimage.spline_filter(rng.standard_normal(shape), 2, np.float32) for _ in range(count)]
+
+    def at(self, points: NDArray[np.float32]) -> NDArray[np.float32]:
+        """(M, count). The values at points (M, 3)."""
+        at = ((points + _NOISE_EXTENT) / self._lengths + 1.5).T
+        values = [ndimage.map_coordinates(s, at, order=2, mode="nearest", prefilter=False) for s in self._splines]
+        return np.asarray(
+            np.stack(values, -1) / 0.55, np.float32
+        )  # interpolation takes the rest of a standard deviation
+
+
+def _drifted(
+    x: NDArray[np.floating], y: NDArray[np.floating], ball: Ball, noise: NDArray[np.float32]
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Places in a horizontal picture, moved by noise (M, 2): half as far outwards as around, as rings of a picture
+    keep their radius, less in the core, and not in the rind."""
+    drift = DRIFT * (1 - ball.rind)[:, None] * noise / np.maximum(np.hypot(x, y), CORE)[:, None]
+    out, around = 0.5 * drift[:, 0], drift[:, 1]
+    return (x + x * out - y * around).astype(np.float32), (y + y * out + x * around).astype(np.float32)
+
+
+def smooth_noise(ball: Ball, length: float, rng: np.random.Generator) -> NDArray[np.float32]:
+    """(M,). One random function with this length in radii."""
+    return Noise((length,) * 3, 1, rng).at(ball.points)[:, 0]
+
+
+def _smoothstep(t: NDArray[np.floating]) -> NDArray[np.floating]:
+    t = np.clip(t, 0, 1)
+    return t * t * (3 - 2 * t)

@@ -1,0 +1,143 @@
+"""Cut faces as unit discs and the body as a unit ball, so that places in pictures and in the body can be compared.
+
+Each direction from the middle is stretched to its own edge: a cut through the middle of the ball is a disc, whatever
+the outlines of the body and of the photographed thing are.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from training.priors.exemplar.frames import Space
+from training.priors.exemplar.pictures import Picture
+
+__all__ = ["DISC_PIXELS", "REACH", "Disc", "ball_coordinates", "match_rings", "smooth_disc"]
+
+DISC_PIXELS = 560
+"""Pixels along a side of a disc's array: 510 across the disc, as fine as most photographs of the web."""
+
+REACH = 1.1
+"""Half a side of that array, in radii of the disc; beyond the disc the colours of the rim go on."""
+
+RIM = 0.985
+"""Radius from which the colour is that of the rim: the last pixels of a photographed edge are half background."""
+
+DIRECTIONS = 720
+"""Directions in which the outline of a picture is sampled."""
+
+LATITUDES, LONGITUDES = 90, 180
+"""Directions in which the skin of the body is sampled: two degrees, finer than any dent that a cut face shows."""
+
+RINGS = 12
+"""Rings in which the colours of two pictures are matched."""
+
+GAIN_RANGE = (0.6, 1.6)
+"""Range in which the spread of colours is matched: a ring that is plain in one picture may hold the other's seeds."""
+
+
+@dataclass(frozen=True)
+class Disc:
+    """A cut face stretched to the unit disc."""
+
+    rgb: NDArray[np.float32]
+    """(DISC_PIXELS, DISC_PIXELS, 3), indexed [x, y] with y upwards, over [-REACH, REACH]."""
+
+    @classmethod
+    def of(cls, picture: Picture) -> Disc:
+        """The face of a picture. Its middle is the mask's centroid."""
+        rows, columns = np.nonzero(picture.mask)
+        row, column = rows.mean(), columns.mean()
+        angles = np.arange(DIRECTIONS) / DIRECTIONS * 2 * np.pi
+        reach = np.arange(0, np.hypot(*picture.mask.shape), 0.5)
+        at = [row - reach[:, None] * np.sin(angles), column + reach[:, None] * np.cos(angles)]
+        hit = ndimage.map_coordinates(picture.mask.astype(np.float32), at, order=1) > 0.5
+        rim = reach[len(reach) - 1 - np.argmax(hit[::-1], axis=0)]
+        rim = ndimage.gaussian_filter1d(ndimage.median_filter(rim, 13, mode="wrap"), 3, mode="wrap")
+        x, y = disc_grid()
+        angle = np.arctan2(y, x) % (2 * np.pi)
+        r = np.interp(angle, angles, rim, period=2 * np.pi) * np.minimum(np.hypot(x, y), RIM)
+        sigma = max(0.5 * rim.mean() * 2 * REACH / DISC_PIXELS - 0.4, 0.0)  # against aliasing
+        rgb = ndimage.gaussian_filter(picture.rgb, (sigma, sigma, 0))
+        return cls(_sample(rgb, row - r * np.sin(angle), column + r * np.cos(angle)))
+
+    def read(self, x: NDArray[np.floating], y: NDArray[np.floating]) -> NDArray[np.float32]:
+        """(M, 3). Colours at places (M,), (M,)."""
+        return _sample(self.rgb, *to_pixels(x, y, len(self.rgb)))
+
+
+def disc_grid() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The places x and y of a disc's pixels, both (DISC_PIXELS, DISC_PIXELS)."""
+    axis = ((np.arange(DISC_PIXELS) + 0.5) / DISC_PIXELS * 2 - 1) * REACH
+    x, y = np.meshgrid(axis, axis, indexing="ij")
+    return x, y
+
+
+def to_pixels(
+    x: NDArray[np.floating], y: NDArray[np.floating], pixels: int
+) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+    """Places on the disc as indices into an array of `pixels` along a side."""
+    scale = pixels / (2 * REACH)
+    return (x + REACH) * scale - 0.5, (y + REACH) * scale - 0.5
+
+
+def smooth_disc(disc: Disc, sigma: float) -> Disc:
+    """The disc blurred by a Gaussian of this standard deviation in radii."""
+    pixels = sigma * DISC_PIXELS / (2 * REACH)
+    return Disc(ndimage.gaussian_filter(disc.rgb, (pixels, pixels, 0), truncate=3))
+
+
+def match_rings(disc: Disc, to: Disc) -> Disc:
+    """The disc with the colours' median and spread of another, ring by ring: two photographs have two lights, and
+    what two fruits have in common lies at the same depth."""
+    radius = np.hypot(*disc_grid())
+    edges = np.linspace(0, 1, RINGS + 1)
+    middles = (edges[1:] + edges[:-1]) / 2
+    ring = np.digitize(radius, edges) - 1
+    medians, spreads = (
+        np.array([[f(d.rgb[ring == n], axis=0) for n in range(RINGS)] for d in (disc, to)]) for f in (np.median, np.std)
+    )
+    out = np.empty_like(disc.rgb)
+    for c in range(3):
+
+        def along(values: NDArray[np.floating], c: int = c) -> NDArray[np.float64]:
+            smooth = ndimage.gaussian_filter1d(values[:, c], 1.0, mode="nearest")
+            return np.asarray(np.interp(radius, middles, smooth), np.float64)
+
+        gain = np.clip(along(spreads[1]) / np.maximum(along(spreads[0]), 0.02), *GAIN_RANGE)
+        out[..., c] = along(medians[1]) + (disc.rgb[..., c] - along(medians[0])) * gain
+    return Disc(np.clip(out, 0, 1))
+
+
+def ball_coordinates(space: Space) -> NDArray[np.float32]:
+    """(N, 3). The voxels in the unit ball, along e1, e2, up: the distance from the body's centre over that of the skin
+    in the same direction."""
+    latitude = ((np.arange(LATITUDES) + 0.5) / LATITUDES - 0.5) * np.pi
+    longitude = (np.arange(LONGITUDES) + 0.5) / LONGITUDES * 2 * np.pi
+    b, a = np.meshgrid(latitude, longitude, indexing="ij")
+    rays = np.stack([np.cos(b) * np.cos(a), np.cos(b) * np.sin(a), np.sin(b)], -1) @ space.basis
+    distance = np.linalg.norm(space.planar, axis=1)
+    reach = np.arange(0, distance.max() + 2, 0.5)
+    skin = np.zeros(b.shape)
+    for n, r in enumerate(reach):
+        at = space.centre + r * rays
+        inside = ndimage.map_coordinates(space.body.depth, np.moveaxis(at, -1, 0), order=1, mode="nearest") > 0
+        skin[inside] = reach[n]
+    skin = np.pad(np.maximum(skin, 1.0), ((1, 1), (1, 1)), mode="edge")
+    skin[:, 0], skin[:, -1] = skin[:, -2], skin[:, 1]
+    skin = ndimage.gaussian_filter(skin, 0.7)
+    up = np.arcsin(np.clip(space.planar[:, 2] / np.maximum(distance, 1e-6), -1, 1))
+    around = np.arctan2(space.planar[:, 1], space.planar[:, 0]) % (2 * np.pi)
+    at = np.stack([(up / np.pi + 0.5) * LATITUDES + 0.5, around / (2 * np.pi) * LONGITUDES + 0.5])
+    rim = ndimage.map_coordinates(skin, at, order=1, mode="nearest")
+    return (space.planar / rim[:, None]).astype(np.float32)
+
+
+def _sample(rgb: NDArray[np.float32], rows: NDArray[np.floating], columns: NDArray[np.floating]) -> NDArray[np.float32]:
+    """(..., 3). Bilinear colours at places in pixels."""
+    at = np.stack([rows, columns])
+    channels = [ndimage.map_coordinates(rgb[..., c], at, order=1, mode="nearest", output=np.float32) for c in range(3)]
+    return np.stack(channels, -1)

@@ -1,0 +1,119 @@
+"""What of a cut face goes on beside it: the one law of shape (DESIGN section 5.1, law 3).
+
+A closed thing is about as tall as it is long, and a sheet that joins core and rind runs through. Neither looks at a
+colour's name: the median over a disc of radius t is what remains of a picture at distance t, as it rounds off and then
+removes things narrower than that.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from training.priors.exemplar.quilting.disc import DISC_PIXELS, REACH, Disc, disc_grid, to_pixels
+
+__all__ = ["Persistence", "find_sheets"]
+
+DISTANCES = (0.02, 0.04, 0.07, 0.11, 0.16, 0.22)
+"""Distances in radii at which the medians are taken; seeds, pores and carpels have half widths in this range."""
+
+REDUCTION = 4
+"""Pixels of the disc per pixel that is compared with a median: what a median removes is several times wider."""
+
+MEDIAN_PIXELS = 4
+"""Radius in pixels from which a median is taken on a coarser picture."""
+
+SHEET_LENGTH = 0.42
+"""Length in radii along which a sheet is followed: longer than seeds and carpels, and shorter than the flesh."""
+
+BENDS = np.radians(np.linspace(-8, 8, 9))
+"""Angles by which a sheet may lean over that length."""
+
+SHEET_QUANTILE = 0.25
+"""Of the contrast along the length. A mean would take seeds and carpels, strong but short, for sheets."""
+
+ANGLES, RADII = 360, 128
+"""Samples around and along the radius when sheets are looked for."""
+
+CONTRAST_ANGLES = 21
+"""Samples around over whose median a sheet stands out: about 20 degrees."""
+
+SHEET_RADII = (0.12, 0.93)
+"""Radii between which sheets are: inside is the core, outside the rind."""
+
+
+class Persistence:
+    """How far the colours of a disc are from what remains of them at a distance from its plane."""
+
+    def __init__(self, disc: Disc) -> None:
+        small = _reduced(disc.rgb, REDUCTION)
+        steps = [np.zeros(small.shape[:2], np.float32)]
+        for distance in DISTANCES:
+            # Just fine enough for a disc of a few pixels: wide medians of a fine picture would take seconds.
+            pixels = distance * DISC_PIXELS / (2 * REACH)
+            n = max(REDUCTION, REDUCTION * int(pixels / (REDUCTION * MEDIAN_PIXELS)))
+            radius = pixels / n
+            reach = int(np.ceil(radius))
+            y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1]
+            around = np.hypot(x, y) <= radius + 0.3
+            coarse = _reduced(disc.rgb, n)
+            medians = np.stack(
+                [ndimage.median_filter(coarse[..., c], footprint=around, mode="nearest") for c in range(3)], -1
+            )
+            axis = (np.arange(len(small)) + 0.5) * REDUCTION / n - 0.5
+            at = np.stack(np.meshgrid(axis, axis, indexing="ij"))
+            remains = [ndimage.map_coordinates(medians[..., c], at, order=1, mode="nearest") for c in range(3)]
+            steps.append(np.linalg.norm(small - np.stack(remains, -1), axis=-1))
+        self._gone = np.stack(steps).astype(np.float32)
+
+    def gone(
+        self, x: NDArray[np.floating], y: NDArray[np.floating], distance: NDArray[np.floating]
+    ) -> NDArray[np.float32]:
+        """(M,). RGB distance between the colours at places (M,), (M,) and what remains at distances (M,), in radii."""
+        step = np.interp(distance, (0, *DISTANCES), np.arange(len(DISTANCES) + 1))
+        at = np.stack([step, *to_pixels(x, y, self._gone.shape[1])])
+        return ndimage.map_coordinates(self._gone, at, order=1, mode="nearest", output=np.float32)
+
+
+def _reduced(rgb: NDArray[np.float32], n: int) -> NDArray[np.float32]:
+    """The means of blocks of n x n pixels."""
+    even = [side // n * n for side in rgb.shape[:2]]
+    blocks = rgb[: even[0], : even[1]].reshape(even[0] // n, n, even[1] // n, n, 3)
+    return np.asarray(blocks.mean((1, 3)), np.float32)
+
+
+def find_sheets(disc: Disc) -> NDArray[np.float32]:
+    """(DISC_PIXELS, DISC_PIXELS). How surely a horizontal face shows a sheet from core to rind. Range [0, 1]."""
+    angle = np.arange(ANGLES) / ANGLES * 2 * np.pi
+    radius = (np.arange(RADII) + 0.5) / RADII
+    x, y = radius[:, None] * np.cos(angle), radius[:, None] * np.sin(angle)
+    smooth = Disc(ndimage.gaussian_filter(disc.rgb, (1.2, 1.2, 0)))
+    polar = smooth.read(x, y)
+    ground = [ndimage.median_filter(polar[..., c], size=(1, CONTRAST_ANGLES), mode="wrap") for c in range(3)]
+    contrast = polar - np.stack(ground, -1)
+    length = int(SHEET_LENGTH * RADII)
+    along = np.arange(-(length // 2), length // 2 + 1, 2)
+    padded = np.pad(contrast, ((length, length), (0, 0), (0, 0)), mode="edge")
+    found = np.zeros((RADII, ANGLES), np.float32)
+    for bend in BENDS:
+        turns = np.round(bend * along / length * ANGLES / (2 * np.pi)).astype(int)
+        line = np.stack(
+            [np.roll(padded[length + a : length + a + RADII], -t, axis=1) for a, t in zip(along, turns, strict=True)]
+        )
+        mean = line.mean(0)
+        size = np.linalg.norm(mean, axis=-1)
+        direction = mean / np.maximum(size, 1e-6)[..., None]
+        steady = np.quantile((line * direction).sum(-1), SHEET_QUANTILE, axis=0)
+        # What the line passes over must itself stand out, or sheets would grow beyond their ends.
+        found = np.maximum(found, np.where((contrast * direction).sum(-1) > 0.3 * size, steady, 0))
+    flesh = contrast[int(0.2 * RADII) : int(0.8 * RADII)]
+    surely = np.clip(found / (np.linalg.norm(flesh, axis=-1).std() + 0.01) - 0.5, 0, 1)
+    surely[(radius < SHEET_RADII[0]) | (radius > SHEET_RADII[1])] = 0
+    px, py = disc_grid()
+    turn = np.arctan2(py, px) % (2 * np.pi) / (2 * np.pi) * ANGLES
+    at = np.stack([np.hypot(px, py) * RADII - 0.5, turn])
+    closed = np.concatenate([surely, surely[:, :1]], axis=1)
+    sheets = ndimage.map_coordinates(closed, at, order=1, cval=0, output=np.float32)
+    assert sheets.shape == (DISC_PIXELS, DISC_PIXELS)
+    return sheets

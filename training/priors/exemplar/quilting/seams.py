@@ -1,0 +1,138 @@
+"""Kernels that choose a label for every cell of a grid so that seams run where the labels' colours agree."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+
+__all__ = ["improve_labels", "majority", "nearest_colour"]
+
+NO_SEAM = np.float32(0.01)
+"""Cost of a seam between equal colours, so that no label is changed for nothing."""
+
+_HALF = np.float32(0.5)
+_F1 = np.float32(1)
+
+
+@njit(cache=True, parallel=True)
+def improve_labels(
+    labels: NDArray[np.int32],  # [M], changed in place
+    number: NDArray[np.int32],  # [X, Y, Z] row of each cell, -1 outside
+    cells: NDArray[np.int32],  # [M, 3]
+    colours: NDArray[np.float32],  # [K, M, 3] of every label at every cell
+    costs: NDArray[np.float32],  # [K, M]
+    weight: float,
+    parity: int,
+) -> None:
+    """One step of iterated conditional modes (Besag 1986) over an eighth of the cells, those of one parity.
+
+    The seam between two neighbours costs the difference of their labels' colours at both (Kwatra et al. 2003).
+    Neighbours are the six beside a cell and the eight at its corners: with six alone, seams follow the grid.
+    No two cells of one parity are neighbours, so any number of threads gives the same labels.
+    """
+    count = len(colours)
+    strength = np.float32(weight)
+    for m in prange(len(cells)):
+        i, j, k = cells[m, 0], cells[m, 1], cells[m, 2]
+        if (i & 1) + 2 * (j & 1) + 4 * (k & 1) != parity:
+            continue
+        energy = np.empty(count, np.float32)
+        for a in range(count):
+            energy[a] = costs[a, m]
+        for d in range(14):
+            share = _F1
+            if d < 6:
+                step = 1 if d & 1 else -1
+                x, y, z = i, j, k
+                if d < 2:
+                    x += step
+                elif d < 4:
+                    y += step
+                else:
+                    z += step
+            else:
+                share = _HALF
+                x = i + (1 if d & 1 else -1)
+                y = j + (1 if (d - 6) >> 1 & 1 else -1)
+                z = k + (1 if (d - 6) >> 2 & 1 else -1)
+            if min(x, y, z) < 0 or x >= number.shape[0] or y >= number.shape[1] or z >= number.shape[2]:
+                continue
+            n = number[x, y, z]
+            if n < 0:
+                continue
+            other = labels[n]
+            for a in range(count):
+                if a == other:
+                    continue
+                here = np.float32(0)
+                there = np.float32(0)
+                for c in range(3):
+                    u = colours[a, m, c] - colours[other, m, c]
+                    v = colours[a, n, c] - colours[other, n, c]
+                    here += u * u
+                    there += v * v
+                energy[a] += share * strength * (np.sqrt(here) + np.sqrt(there) + NO_SEAM)
+        labels[m] = energy.argmin()
+
+
+@njit(cache=True, parallel=True)
+def nearest_colour(
+    colours: NDArray[np.float32],  # [M, 3]
+    x: NDArray[np.float32],  # [M] first pixel index
+    y: NDArray[np.float32],  # [M] second pixel index
+    mirrored: NDArray[np.float32],  # [M] first pixel index on the other side of the axis
+    picture: NDArray[np.float32],  # [W, H, 3]
+    step: float,
+    out: NDArray[np.float32],  # [M]
+) -> None:
+    """Smallest squared distance of each colour to those of a picture on 5x5 points, `step` pixels apart, around a
+    place and around its mirror image."""
+    width, height = picture.shape[0], picture.shape[1]
+    for m in prange(len(colours)):
+        best = np.float32(9)
+        for side in range(2):
+            middle = x[m] if side == 0 else mirrored[m]
+            for i in range(-2, 3):
+                for j in range(-2, 3):
+                    u = min(max(int(middle + i * step), 0), width - 1)
+                    v = min(max(int(y[m] + j * step), 0), height - 1)
+                    gap = np.float32(0)
+                    for c in range(3):
+                        d = picture[u, v, c] - colours[m, c]
+                        gap += d * d
+                    best = min(best, gap)
+        out[m] = best
+
+
+@njit(cache=True, parallel=True)
+def majority(
+    labels: NDArray[np.int32],  # [M]
+    number: NDArray[np.int32],  # [X, Y, Z] row of each cell, -1 outside
+    at: NDArray[np.float32],  # [P, 3] in cells, cell centres at whole numbers
+    count: int,
+    out: NDArray[np.int32],  # [P]
+) -> None:
+    """The label with the largest trilinear weight at each point; 0 where no cell is near."""
+    for p in prange(len(at)):
+        weights = np.zeros(count, np.float32)
+        for d in range(8):
+            weight = _F1
+            inside = True
+            n0, n1, n2 = 0, 0, 0
+            for a in range(3):
+                low = int(np.floor(at[p, a]))
+                part = at[p, a] - np.float32(low)
+                upper = d >> a & 1
+                weight *= part if upper else _F1 - part
+                low += upper
+                inside = inside and 0 <= low < number.shape[a]
+                if a == 0:
+                    n0 = low
+                elif a == 1:
+                    n1 = low
+                else:
+                    n2 = low
+            if inside and number[n0, n1, n2] >= 0:
+                weights[labels[number[n0, n1, n2]]] += weight
+        out[p] = weights.argmax()
