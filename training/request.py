@@ -27,6 +27,7 @@ from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from engine.scene.gaussians import Gaussians
 from engine.scene.grid import Body
 from engine.scene.plane import Plane
+from training.faces.mask_file import mask_beside
 from training.families import MAX_PLANES, Family, Kind
 from training.settings import DETAILS, Detail, DetailName
 
@@ -86,8 +87,9 @@ class Request:
 
     @property
     def files(self) -> list[Path]:
-        """The scene and all pictures."""
-        return [self.scene, *(path for family in self.families for path in family.exemplars)]
+        """The scene, all pictures, and the masks beside them."""
+        pictures = [path for family in self.families for path in family.exemplars]
+        return [self.scene, *pictures, *filter(None, map(mask_beside, pictures))]
 
     @property
     def fineness(self) -> Detail:

@@ -1,0 +1,114 @@
+"""What lies behind a cut face: one or two plain surfaces, lit or in shadow."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+__all__ = ["Background", "find_background"]
+
+MIN_CORNERS = 2
+"""Corners of the picture that each surface covers at least: a table and the wall behind it have two each. A face
+cropped by the border covers none, or the one it lies in."""
+
+BAND = 0.03
+"""Of the picture's shorter side, the width of the border from which the background is learnt."""
+
+MIN_SHARE = 0.1
+"""Of the border, the least that a second surface covers. What is less cannot own two corners and the side between."""
+
+NOISE = 0.012, 0.04
+"""Least and greatest spread of a surface's colours that is believed. Three steps of 8 bits are what JPEG leaves on
+white; beyond a spread of a tenth of the range (wood, cloth) three of them would reach into any face."""
+
+TOLERANCE = 3.0
+"""Spreads by which a pixel of the background may differ in colour: 99.7 % of a normal distribution."""
+
+LIT = 2 * TOLERANCE
+"""The same for light and colour together: light is less even than colour."""
+
+DEEPEST = 0.2
+"""Of its light, the least that a shadow leaves a surface. Contact shadows under real fruit leave 0.25 and more; what
+is darker has no colour left to tell it by."""
+
+DARK = 0.2
+"""Brightest channel of a surface so dark that a shadow on it is black."""
+
+
+@dataclass(frozen=True)
+class Background:
+    """The surfaces behind a face, as far as the border of the picture tells."""
+
+    lit: NDArray[np.bool_]
+    """(H, W). Pixels that have a surface's colour in full light."""
+    shaded: NDArray[np.bool_]
+    """(H, W). Those and the ones that have that colour dimmed by a shadow."""
+    corners: NDArray[np.bool_]
+    """(4,). Corners of the picture that show a surface; clockwise from the top left."""
+
+
+def find_background(rgb: NDArray[np.float32]) -> Background | None:
+    """The background of a picture (H, W, 3), range [0, 1]; None if the border shows none.
+
+    A shadow takes light away and leaves the colour: its pixels are a surface's times one number.
+    """
+    height, width = rgb.shape[:2]
+    band = max(2, round(BAND * min(height, width)))
+    border = np.ones((height, width), bool)
+    border[band:-band, band:-band] = False
+    smooth = ndimage.gaussian_filter(rgb, (1, 1, 0))
+    lit, shaded, corners = np.zeros((height, width), bool), np.zeros((height, width), bool), np.zeros(4, bool)
+    for _ in range(2):
+        rest = border & ~shaded
+        if rest.sum() < MIN_SHARE * border.sum():
+            break
+        surface, spread = _fit_surface(rgb, rest)
+        # The light that is left, by least squares; the small number stands in where black leaves nothing to divide by.
+        shade = np.clip((smooth * surface).sum(-1) / ((surface * surface).sum(-1) + 1e-3), 0, 1)
+        differs = np.linalg.norm(smooth - shade[..., None] * surface, axis=-1)
+        own = (differs < TOLERANCE * spread) & ((shade > DEEPEST) | (surface.max(-1) < DARK))
+        own_corners = _corners(own, band)
+        if own_corners.sum() < MIN_CORNERS:
+            break
+        lit |= np.linalg.norm(smooth - surface, axis=-1) < LIT * spread
+        shaded |= own
+        corners |= own_corners
+    return Background(lit, shaded, corners) if corners.any() else None
+
+
+def _corners(own: NDArray[np.bool_], band: int) -> NDArray[np.bool_]:
+    """(4,). Corners of the picture, squares of side `band`, that mostly belong to `own` (H, W)."""
+    first, last = slice(None, band), slice(-band, None)
+    places = ((first, first), (first, last), (last, last), (last, first))
+    return np.array([own[place].mean() > 0.5 for place in places])
+
+
+def _fit_surface(rgb: NDArray[np.float32], where: NDArray[np.bool_]) -> tuple[NDArray[np.float64], float]:
+    """The smooth colour surface (H, W, 3) that fits most of `where` (H, W), and the spread of colours around it.
+
+    Starts from the most frequent colour, then alternates a least-squares fit with the selection of inliers.
+    """
+    height, width = rgb.shape[:2]
+    y, x = np.meshgrid(np.linspace(-1, 1, height), np.linspace(-1, 1, width), indexing="ij")
+    basis = np.stack([np.ones_like(x), x, y, x * y, x * x, y * y], -1)
+    colours = rgb[where]
+    bins = np.round(colours / 0.06).astype(np.int64)  # about as wide as the noise of a plain wall
+    values, counts = np.unique(bins, axis=0, return_counts=True)
+    mode = colours[(np.abs(bins - values[counts.argmax()]) <= 1).all(1)].mean(0)
+    surface = np.broadcast_to(mode, rgb.shape).astype(np.float64)
+    spread = NOISE[1]
+    for terms in (1, 3, 6):
+        gap = np.linalg.norm(rgb - surface, axis=-1)
+        near = where & (gap < max(4 * spread, 0.06))
+        if near.sum() < 20:  # too few to fit six terms to
+            break
+        # Ridge regression: unregularised, the curved terms diverge over the middle, where there are no border pixels.
+        a = basis[near][:, :terms]
+        ridge = 1e-2 * len(a) * np.diag([0.0, *[1.0] * (terms - 1)])
+        surface = basis[..., :terms] @ np.linalg.solve(a.T @ a + ridge, a.T @ rgb[near])
+        spread = float(np.sqrt(np.square(rgb[near] - surface[near]).sum(-1).mean()))
+        spread = float(np.clip(spread, *NOISE))
+    return np.clip(surface, 0, 1), spread

@@ -1,0 +1,245 @@
+"""Finds the pixels of a cut face in a photograph.
+
+Three steps, each for what the one before cannot see. The background is known from the picture's border, and a shadow
+from being a dimmed copy of it; what neither explains is a first guess. GrabCut (Rother et al. 2004) then learns the
+colours of both sides. Where the outline found so far follows no edge, as in a reflection or in light that shines
+through the fruit, the strongest edge near it is taken instead.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+from scipy.spatial import ConvexHull
+
+from engine.errors import InputError
+from training.faces.background import find_background
+
+__all__ = ["find_mask", "largest_component"]
+
+MIN_SHARE = 0.02
+"""Of the picture, the least that a cut face covers; what is smaller is a crumb on an empty table."""
+
+MAX_BORDER_SHARE = 0.25
+"""Of a face's width, how much of one side of the picture it may lie on. A round face with such a chord lacks 1.6 % of
+its width, which nobody sees; a stalk or a crumb at the border is narrower still."""
+
+MIN_SOLIDITY = 0.7
+"""Of its convex hull, the least that a cut face fills. The 29 photographs with hand-checked masks fill 0.93 and more;
+what is found of a pale face that two sides cut off is its rind, an arc that fills less than half."""
+
+MIN_KEPT = 0.5
+"""Of the convex hull of the first guess, the least that a face covers. A guess is larger by shadows and reflections,
+which are smaller than what casts them; of a pale face that is cut off it is the rind, and the face found a seed."""
+
+UNSURE = 1.5
+"""Pixels by which a found outline may be off: a face that lacks no more lacks nothing. Of a face W pixels wide that is
+a chord of sqrt(4 UNSURE W), which in small pictures is more than the share above."""
+
+CORE = 0.3
+"""Depth, over the greatest, below which colours teach GrabCut nothing. Seeds and stones are as dark as shadows; what
+decides is how the face looks near its outline. Rinds and crusts are thinner, so flesh is still learnt."""
+
+SURE = 0.5
+"""Depth, over the greatest, below which a pixel is certainly the face's: a first guess that is wrong by half its
+radius is no guess."""
+
+ROUNDS = 3
+"""Alternations of GrabCut in each of two runs; its energy hardly falls after the third (Rother et al. 2004, fig. 5)."""
+
+REACH = 0.12
+"""Depth, over the greatest, by which an outline may move to a stronger edge; a reflection or translucent rim is
+narrower. More would reach the far side of a thick rind."""
+
+EDGE_GAIN = 2.0
+"""How many times cheaper the other outline has to be, as pixels over the edge strength along them, before the found
+one moves. Where both follow an edge they differ by less, either way."""
+
+MIXED = 3
+"""Pixels on either side of an outline in which the lens mixes face and background."""
+
+SEPARATE = 0.1
+"""Least RGB distance between face and background for the share of each in a mixed pixel to be known through noise."""
+
+
+def find_mask(rgb: NDArray[np.float32], name: object) -> NDArray[np.bool_]:
+    """(H, W). The cut face in a picture (H, W, 3), range [0, 1]. Equal pictures give equal masks.
+
+    Raises InputError, naming the picture `name`, if the face reaches the picture's border, or if there is none.
+    """
+    cut_off = InputError(
+        f"{name}: the cut face, or something beside it, reaches the picture's border; take all of it with plain "
+        "background around it, or cut it out"
+    )
+    background = find_background(rgb)
+    if background is None:
+        raise cut_off
+    behind = background.shaded
+    guess, whole = (largest_component(ndimage.binary_opening(~m, iterations=2)) for m in (behind, background.lit))
+    if guess.sum() < MIN_KEPT * whole.sum():
+        # A shadow is smaller than what casts it: this is a grey face, or a grey picture.
+        guess, behind = whole, background.lit
+    if guess.mean() < MIN_SHARE:
+        raise InputError(f"{name}: no cut face stands out from the background; use a plain background, or cut it out")
+    # A reflection lies on one side of a face; what reaches two sides is the face.
+    second = sorted(_along_sides(~behind))[-2]
+    mask = _move_to_edges(rgb, _grab_cut(rgb, guess))
+    mask = _settle_mixed_pixels(rgb, mask)
+    if mask.mean() < MIN_SHARE:
+        raise InputError(f"{name}: no cut face stands out from the background; use a plain background, or cut it out")
+    reaching = mask | (~behind & _like_the_face(rgb, mask))
+    across = max(np.ptp(places) + 1 for places in np.nonzero(mask))
+    allowed = max(MAX_BORDER_SHARE * across, (4 * UNSURE * across) ** 0.5)
+    if max(_along_border(reaching, background.corners), second) > allowed or _solidity(mask) < MIN_SOLIDITY:
+        raise cut_off
+    if mask.sum() < MIN_KEPT * guess.sum() / _solidity(guess):
+        raise cut_off
+    return mask
+
+
+def largest_component(found: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """The largest connected component with its holes filled: a hole is a dark or white part of the face."""
+    parts, count = ndimage.label(found)
+    if count == 0:
+        return np.zeros_like(found)
+    sizes = np.bincount(parts.ravel())
+    sizes[0] = 0
+    return ndimage.binary_fill_holes(parts == sizes.argmax())
+
+
+def _grab_cut(rgb: NDArray[np.float32], guess: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """(H, W). The guess corrected by what colours either side has, and by where they change.
+
+    The border of the picture is background, whatever is seen there: so are the colours of a reflection that reaches it.
+    """
+    cv2.setNumThreads(1)  # sums of several threads would differ from run to run
+    border = np.ones(guess.shape, bool)
+    border[2:-2, 2:-2] = False
+    found = guess
+    for run in range(2):
+        labels = np.where(found, cv2.GC_PR_FGD, cv2.GC_PR_BGD).astype(np.uint8)
+        labels[border] = cv2.GC_BGD
+        depth = _depth(found)
+        if run:
+            labels[depth > SURE * depth.max()] = cv2.GC_FGD
+        if (found | (labels == cv2.GC_BGD)).all() or not found.any():
+            return found
+        taught = _nearest(rgb, depth <= CORE * depth.max())
+        cv2.setRNGSeed(0)  # it starts its clusters at random
+        cv2.grabCut(
+            np.ascontiguousarray(taught * 255 + 0.5).astype(np.uint8),
+            labels,
+            (0, 0, 0, 0),  # unused: the labels say where to start
+            np.zeros((1, 65)),
+            np.zeros((1, 65)),
+            ROUNDS,
+            cv2.GC_INIT_WITH_MASK,
+        )
+        face = (labels == cv2.GC_FGD) | (labels == cv2.GC_PR_FGD)
+        found = largest_component(ndimage.binary_opening(face, iterations=2))
+    return found
+
+
+def _move_to_edges(rgb: NDArray[np.float32], found: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """(H, W). The mask with the parts of its outline that follow no edge moved to the strongest one within REACH.
+
+    A watershed (Beucher and Lantuejoul 1979) between what is surely inside and surely outside is the rival outline.
+    Which one a part takes is decided as for geodesic active contours (Caselles et al. 1997): the one that is shorter
+    where a pixel counts the less, the stronger its edge is.
+    """
+    if not found.any():
+        return found
+    depth, away = _depth(found), ndimage.distance_transform_edt(~found)
+    reach = REACH * depth.max()
+    steps = [ndimage.gaussian_gradient_magnitude(rgb[..., c], 1.5) for c in range(3)]
+    strength = np.sqrt(np.square(steps).sum(0))
+    markers = np.where(depth > reach, 1, np.where(away > reach, 2, 0)).astype(np.int16)
+    border = np.ones(found.shape, bool)
+    border[1:-1, 1:-1] = False
+    markers[border & ~found] = 2
+    levels = (strength / max(float(strength.max()), 1e-6) * 65535).astype(np.uint16)
+    rival = ndimage.watershed_ift(levels, markers) == 1
+    parts, _ = ndimage.label(rival ^ found)
+    width = ndimage.distance_transform_edt(parts > 0)
+    cost = 1 / (strength + 0.005)  # an edge of one 8-bit step a pixel is none
+    moved = found.copy()
+    for number, box in enumerate(ndimage.find_objects(parts), start=1):
+        grown = tuple(slice(max(side.start - 2, 0), side.stop + 2) for side in box)
+        part, ours, theirs = parts[grown] == number, found[grown], rival[grown]
+        if width[grown][part].max() < MIXED:
+            continue  # both lie on one edge
+        rims = [inside & ~ndimage.binary_erosion(inside, border_value=1) for inside in (ours, theirs)]
+        apart = ndimage.binary_dilation(part) & ~ndimage.binary_dilation(rims[0] & rims[1], iterations=MIXED)
+        costs = [cost[grown][rim & apart].sum() for rim in rims]
+        if min(costs) > 0 and costs[0] > EDGE_GAIN * costs[1]:
+            moved[grown][part] = theirs[part]
+    return largest_component(ndimage.binary_opening(moved, iterations=2))
+
+
+def _settle_mixed_pixels(rgb: NDArray[np.float32], mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """(H, W). The mask with each pixel near its outline on the side of which it shows more."""
+    if not mask.any():
+        return mask
+    signed = ndimage.distance_transform_edt(mask) - ndimage.distance_transform_edt(~mask)
+    smooth = ndimage.gaussian_filter(rgb, (0.7, 0.7, 0))  # less than the lens does, enough for grain
+    if not (signed > MIXED).any() or not (signed < -MIXED).any():
+        return mask
+    face, behind = _nearest(smooth, signed > MIXED), _nearest(smooth, signed < -MIXED)
+    contrast = np.square(face - behind).sum(-1)
+    share = ((rgb - behind) * (face - behind)).sum(-1) / np.maximum(contrast, 1e-4)
+    known = (np.abs(signed) < MIXED) & (contrast > SEPARATE**2)
+    settled = ndimage.median_filter(np.where(known, share > 0.5, mask).astype(np.uint8), 5) > 0
+    return largest_component(settled)
+
+
+def _like_the_face(rgb: NDArray[np.float32], mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """(H, W). Pixels outside the mask with the colour of the face nearby: no edge parts them from it."""
+    smooth = ndimage.gaussian_filter(rgb, (1.5, 1.5, 0))
+    return np.linalg.norm(smooth - _nearest(smooth, ndimage.binary_erosion(mask, iterations=2)), axis=-1) < SEPARATE
+
+
+def _depth(mask: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """(H, W). Distance of each pixel of a mask from its outside, in pixels; beyond the picture is outside."""
+    return ndimage.distance_transform_edt(np.pad(mask, 1))[1:-1, 1:-1]
+
+
+def _nearest(rgb: NDArray[np.float32], known: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """(H, W, 3). The picture with every pixel that is not `known` replaced by the nearest one that is."""
+    nearest = ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
+    return rgb[nearest[0], nearest[1]]
+
+
+def _solidity(mask: NDArray[np.bool_]) -> float:
+    """Part of its convex hull that a mask (H, W), not empty, fills. Range (0, 1]."""
+    rims = mask & ~ndimage.binary_erosion(mask)
+    corners = np.argwhere(rims)[:, None] + np.array([[0, 0], [0, 1], [1, 0], [1, 1]])  # of pixels, so none is flat
+    return float(mask.sum() / ConvexHull(corners.reshape(-1, 2)).volume)
+
+
+def _along_sides(found: NDArray[np.bool_]) -> list[int]:
+    """(4). Pixels between the first and the last `found` (H, W) on each side of the picture without its corners;
+    clockwise from the top."""
+    rims = ndimage.binary_opening(found, iterations=2)
+    sides = [rims[2, 2:-2], rims[2:-2, -3], rims[-3, 2:-2], rims[2:-2, 2]]
+    return [int(np.ptp(np.flatnonzero(side))) + 1 if side.any() else 0 for side in sides]
+
+
+def _along_border(found: NDArray[np.bool_], plain: NDArray[np.bool_]) -> int:
+    """Pixels of the longest piece of the picture's border between two that are `found` (H, W) and no corner that is
+    background, `plain` (4,), between them.
+
+    Of a pale face that the border cuts off only the rind may stand out: it lies at the two ends of this piece.
+    """
+    # One pixel in: the outermost ring is taken for background.
+    sides = [found[1, 1:-1], found[1:-1, -2], found[-2, -2:0:-1], found[-2:0:-1, 1]]  # clockwise from the top left
+    first = int(np.argmax(plain))  # one at least is background
+    pieces: list[NDArray[np.bool_]] = []
+    for k in range(4):
+        side = sides[(first + k) % 4]
+        if plain[(first + k) % 4]:
+            pieces.append(side)
+        else:
+            pieces[-1] = np.concatenate([pieces[-1], side])
+    return max(int(np.ptp(np.flatnonzero(piece))) + 1 if piece.any() else 0 for piece in pieces)
