@@ -12,12 +12,13 @@ from scipy import ndimage
 
 from engine.errors import InputError
 from engine.io.picture_file import open_picture
+from training.faces.axis import find_axis
 from training.faces.mask_file import mask_beside
 from training.faces.outline import find_mask, largest_component
 from training.families import Kind
 from training.priors.exemplar.lighting import flatten_light
 
-__all__ = ["Picture", "read_picture", "resolved_share"]
+__all__ = ["Picture", "find_face", "read_picture", "resolved_share"]
 
 MAX_SIDE = 768
 """Longer side in pixels to which larger pictures are reduced: a solve on 256 voxels uses no more."""
@@ -33,6 +34,9 @@ REGIONS = 16
 
 MIXED = 2
 """Pixels inside an outline that the lens mixes with the background."""
+
+MIN_LEAN = 5.0
+"""Degrees by which a core line leans before the picture is turned: below, it is as likely the search that is wrong."""
 
 MIN_TRANSPARENT = 0.005
 """Of a picture, the least that is transparent for its alpha channel to be a cut-out: many opaque pictures have one,
@@ -54,11 +58,13 @@ def read_picture(path: str | Path, kind: Kind) -> Picture:
     """Reads a photograph of a cut face of one kind of family.
 
     A mask file beside the photograph (`mask_beside`), or else its alpha channel, is believed; without either the face
-    is searched for. Raises InputError if a file cannot be read or no cut face stands out.
+    is searched for. A radial cut that leans is turned upright. Raises InputError if a file cannot be read or no cut
+    face stands out.
     """
     path = Path(path)
-    rgb, cut_out = _read(path)
-    mask = find_mask(rgb, path) if cut_out is None else largest_component(cut_out)
+    rgb, mask = find_face(path)
+    if kind == "radial" and mask.any():
+        rgb, mask = _upright(rgb, mask)
     rows, columns = np.nonzero(mask)
     if len(rows) == 0 or min(np.ptp(rows), np.ptp(columns)) + 1 < MIN_SIDE:
         raise InputError(
@@ -68,6 +74,15 @@ def read_picture(path: str | Path, kind: Kind) -> Picture:
     margin = 2 + round(0.03 * max(np.ptp(rows), np.ptp(columns)))
     mask, rgb = (_crop(a, rows, columns, margin) for a in (mask, rgb))
     return Picture(path, fill_outside(flatten_light(rgb, mask, kind), mask), mask)
+
+
+def find_face(path: Path) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """(H, W, 3) a photograph's colours in [0, 1], at most MAX_SIDE pixels long, and (H, W) its cut face.
+
+    Raises InputError as `read_picture`.
+    """
+    rgb, cut_out = _read(path)
+    return rgb, find_mask(rgb, path) if cut_out is None else largest_component(cut_out)
 
 
 def resolved_share(picture: Picture) -> float:
@@ -106,6 +121,17 @@ def fill_outside(rgb: NDArray[np.float32], mask: NDArray[np.bool_]) -> NDArray[n
     core = ndimage.binary_erosion(mask, iterations=MIXED, border_value=0)
     nearest = ndimage.distance_transform_edt(~core, return_distances=False, return_indices=True)
     return rgb[nearest[0], nearest[1]]
+
+
+def _upright(rgb: NDArray[np.float32], mask: NDArray[np.bool_]) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """The picture turned so that its core line is upright, if it leans by more than is sure; and its mask."""
+    (x0, y0), (x1, y1) = find_axis(rgb, mask)
+    lean = float(np.degrees(np.arctan2(x0 - x1, y1 - y0)))
+    if abs(lean) < MIN_LEAN:
+        return rgb, mask
+    filled = np.pad(fill_outside(rgb, mask), ((1, 1), (1, 1), (0, 0)), mode="edge")
+    turned = ndimage.rotate(filled, lean, order=1, mode="nearest")
+    return turned, ndimage.rotate(np.pad(mask, 1).astype(np.float32), lean, order=1) > 0.5
 
 
 def _crop(a: NDArray, rows: NDArray, columns: NDArray, margin: int) -> NDArray:

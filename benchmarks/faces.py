@@ -1,0 +1,111 @@
+"""Cut faces found in photographs, beside masks and axes marked by hand.
+
+    python -m benchmarks.faces [--quick] [-o FOLDER] [photographs]
+
+The folder of photographs holds `masks/` and `list.csv` (by default ../shared/data/photos/fruit). Prints for each the
+intersection over union with its mask, the distance of core or core line from the marks in per cent of the width, the
+kind of cut it seems to be, and the seconds of processor time; writes outlines and axes on the photographs.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import time
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw
+
+from benchmarks.support.options import ROOT, parser_of
+from engine.errors import InputError
+from engine.io.files import atomic, read_file
+from engine.io.picture_file import read_pixels
+from training.faces.axis import find_axis, find_core, guess_cut
+from training.priors.exemplar.pictures import find_face
+
+__all__ = ["axis_error", "overlap"]
+
+TILE = 320
+"""Pixels of a photograph on the sheet."""
+
+
+def overlap(found: NDArray[np.bool_], truth: NDArray[np.bool_]) -> float:
+    """Intersection over union of two masks (H, W). Range [0, 1]."""
+    return float((found & truth).sum() / (found | truth).sum())
+
+
+def axis_error(rgb: NDArray[np.float32], mask: NDArray[np.bool_], row: dict[str, str]) -> float:
+    """Distance of the found core, or of the found core line from the two marks, over the face's width; 0 for slices."""
+    width = float(np.ptp(np.nonzero(mask)[1]) + 1)
+    if row["family"] == "horizontal":
+        x, y = find_core(mask)
+        return float(np.hypot(x - float(row["core_x"]), y - float(row["core_y"]))) / width
+    if row["family"] != "radial":
+        return 0.0
+    marks = np.array([[float(row[f"axis_{end}_{c}"]) for c in "xy"] for end in ("stem", "blossom")])
+    first, last = find_axis(rgb, mask)
+    along = (last - first) / np.linalg.norm(last - first)
+    return float(np.abs((marks - first) @ [along[1], -along[0]]).max()) / width
+
+
+def drawn(pixels: NDArray[np.uint8], mask: NDArray[np.bool_], kind: str) -> Image.Image:
+    """The photograph with the found outline in green, its core or core line in blue."""
+    image = Image.fromarray(pixels)
+    rim = Image.fromarray(mask ^ np.pad(mask, 1)[2:, 1:-1] | mask ^ np.pad(mask, 1)[1:-1, 2:])
+    image.paste((0, 220, 0), mask=rim)
+    pen = ImageDraw.Draw(image)
+    if kind == "horizontal":
+        x, y = find_core(mask)
+        pen.ellipse((x - 6, y - 6, x + 6, y + 6), outline=(0, 0, 255), width=3)
+    elif kind == "radial":
+        pen.line([tuple(end) for end in find_axis((pixels / 255).astype(np.float32), mask)], fill=(0, 0, 255), width=3)
+    return image.resize((TILE, TILE), Image.Resampling.LANCZOS)
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Measures a folder of photographs."""
+    parser = parser_of(__doc__, "four photographs")
+    folder = ROOT.parent / "shared/data/photos/fruit"
+    parser.add_argument(
+        "photographs", nargs="?", type=Path, default=folder, help=f"default: {folder.parent.name}/fruit"
+    )
+    options = parser.parse_args(arguments)
+    if not (options.photographs / "list.csv").is_file():
+        parser.error(f"{options.photographs}: no list.csv")
+    listed = read_file(options.photographs / "list.csv", 1 << 20).decode()
+    rows = list(csv.DictReader(io.StringIO(listed)))[:: 8 if options.quick else 1]
+    overlaps, tiles = [], []
+    print(f"{'picture':20} {'IoU':>6} {'axis %':>6} {'seems':>10} {'sure':>5} {'s':>5}")
+    for row in rows:
+        path = options.photographs / row["path"]
+        pixels, truth = read_pixels(path), read_pixels(options.photographs / "masks" / row["path"])[..., 0] > 127
+        start = time.process_time()
+        try:
+            rgb, mask = find_face(path)
+        except InputError as error:
+            print(f"{path.stem:20} {error}")
+            overlaps.append(0.0)
+            continue
+        seconds = time.process_time() - start
+        guess = guess_cut(rgb, mask)
+        overlaps.append(overlap(mask, truth))
+        away = 100 * axis_error(rgb, mask, row)
+        said = f"{guess.kind:>10} {guess.sureness:5.2f} {seconds:5.2f}"
+        print(f"{path.stem:20} {overlaps[-1]:6.4f} {away:6.1f} {said}")
+        tiles.append(np.asarray(drawn(pixels, mask, row["family"])))
+    values = np.array(overlaps)
+    print(
+        f"median {np.median(values):.4f}, least {values.min():.4f}, {(values < 0.97).sum()} of {len(values)} under 0.97"
+    )
+    if options.out and tiles:
+        options.out.mkdir(parents=True, exist_ok=True)
+        tiles += [np.full_like(tiles[0], 255)] * (-len(tiles) % 6)
+        sheet = np.concatenate([np.concatenate(tiles[i : i + 6], 1) for i in range(0, len(tiles), 6)])
+        with atomic(options.out / "faces.png") as path:
+            Image.fromarray(sheet).save(path, format="PNG")
+
+
+if __name__ == "__main__":
+    main()

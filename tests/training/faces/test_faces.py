@@ -1,0 +1,120 @@
+"""The cut face in a photograph: outline, axis, kind of cut, and a mask that came with it."""
+
+from __future__ import annotations
+
+import csv
+import io
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from PIL import Image
+from scipy import ndimage
+
+from benchmarks.faces import axis_error, overlap
+from engine.errors import InputError
+from tests.helpers.exemplar_faces import disc, save
+from tests.paths import SAMPLES, SHARED
+from training.faces.axis import find_axis, guess_cut
+from training.faces.outline import find_mask
+from training.priors.exemplar.pictures import MIN_LEAN, find_face, read_picture
+
+FOLDER = SHARED / "photos/fruit"
+
+HARD = {
+    "apple_h2": "a red reflection that reaches the border",
+    "apple_h4": "wood",
+    "orange_h4": "three pixels from the border",
+    "orange_v4": "light that shines through",
+    "watermelon_h11": "a hard shadow",
+}
+
+
+@cache
+def photographed(name: str) -> tuple[NDArray[np.float32], NDArray[np.bool_], dict[str, str]]:
+    """A photograph, its mask by hand, and its row of the list."""
+    if not FOLDER.exists():
+        pytest.skip("the photographs are not beside the repository")
+    with Image.open(FOLDER / f"{name}.png") as picture, Image.open(FOLDER / f"masks/{name}.png") as mask:
+        rgb, truth = np.asarray(picture.convert("RGB"), np.float32) / np.float32(255), np.asarray(mask.convert("L")) > 127
+    rows = {row["path"]: row for row in csv.DictReader(io.StringIO((FOLDER / "list.csv").read_text()))}
+    return rgb, truth, rows[f"{name}.png"]
+
+
+@pytest.mark.parametrize("name", HARD)
+def test_photographs(name: str) -> None:
+    rgb, truth, row = photographed(name)
+    mask = find_mask(rgb, name)
+    assert overlap(mask, truth) > 0.97
+    assert axis_error(rgb, mask, row) < 0.03
+
+
+@pytest.mark.parametrize("change", ["dark", "warm", "noise", "wood", "small"])
+def test_another_light_or_table_changes_little(change: str) -> None:
+    rgb, truth, _ = photographed("watermelon_h8")
+    rng = np.random.default_rng(0)
+    if change == "dark":
+        rgb = (rgb / 2).astype(np.float32)
+    elif change == "warm":
+        rgb = (rgb * [1, 0.85, 0.65]).astype(np.float32)
+    elif change == "noise":
+        rgb = np.clip(rgb + rng.normal(0, 0.04, rgb.shape), 0, 1).astype(np.float32)
+    elif change == "wood":
+        grain = ndimage.gaussian_filter(rng.normal(size=truth.shape), (1, 25))
+        shade = 1 - 0.5 * ndimage.gaussian_filter(np.roll(truth, (16, 12), (0, 1)).astype(float), 8)
+        wood = np.array([0.55, 0.4, 0.28]) * ((1 + 0.12 * grain / grain.std()) * shade)[..., None]
+        rgb = np.where(truth[..., None], rgb, np.clip(wood, 0, 1)).astype(np.float32)
+    else:
+        rgb, truth = rgb[::4, ::4], truth[::4, ::4]
+    assert overlap(find_mask(rgb, change), truth) > 0.97
+
+
+def test_a_grey_face_is_no_shadow() -> None:
+    face, mask = disc(200, seeds=6, radius=0.7)
+    grey = np.repeat(face.mean(-1, keepdims=True), 3, axis=-1).astype(np.float32)
+    assert overlap(find_mask(grey, "grey"), mask) > 0.97
+
+
+def test_equal_pictures_have_equal_masks() -> None:
+    face, _ = disc(160, seeds=5)
+    np.testing.assert_array_equal(find_mask(face, "a"), find_mask(face.copy(), "b"))
+
+
+@pytest.mark.parametrize("name", ["orange/horizontal_1", "orange/radial_1", "watermelon/radial_1", "bread/parallel_1"])
+def test_solids_of_our_own_are_found_to_the_pixel(name: str) -> None:
+    rgb, mask = find_face(SAMPLES / f"{name}.png")
+    assert overlap(mask, ndimage.binary_fill_holes((rgb < 0.99).any(-1))) > 0.985
+    if "radial" in name:
+        (x0, y0), (x1, y1) = find_axis(rgb, mask)
+        assert abs(np.degrees(np.arctan2(x0 - x1, y1 - y0))) < MIN_LEAN  # and stays as it is drawn
+
+
+def test_a_leaning_core_line_is_found_and_the_picture_turned(tmp_path: Path) -> None:
+    y, x = (np.mgrid[:200, :200] + 0.5) / 100 - 1
+    turn = np.radians(12)
+    across, along = x * np.cos(turn) + y * np.sin(turn), y * np.cos(turn) - x * np.sin(turn)
+    mask = np.hypot(across / 0.6, along / 0.75) < 1
+    face = np.where(mask[..., None], [0.9, 0.6, 0.1], 1.0).astype(np.float32)
+    face[mask & (np.abs(across) < 0.05)] = [0.95, 0.9, 0.8]
+    for side in (-1, 1):
+        seed = np.hypot((across - side * 0.2) / 0.05, (along - 0.2) / 0.15) < 1
+        face[seed] = [0.2, 0.1, 0.05]
+    (x0, y0), (x1, y1) = find_axis(face, mask)
+    assert np.degrees(np.arctan2(x0 - x1, y1 - y0)) == pytest.approx(12, abs=2)
+    upright = read_picture(save(tmp_path / "leaning.png", face), "radial")
+    assert overlap(upright.mask, upright.mask[:, ::-1]) > 0.95
+    assert guess_cut(upright.rgb, upright.mask).kind == "radial"
+    assert guess_cut(*disc(200, seeds=5)).kind == "horizontal"
+
+
+def test_a_mask_beside_the_photograph_wins(tmp_path: Path) -> None:
+    face, mask = disc(120)
+    path = save(tmp_path / "melon.png", face)
+    half = mask & (np.arange(120) < 60)[:, None]
+    Image.fromarray(half).save(tmp_path / "melon.mask.png")
+    np.testing.assert_array_equal(find_face(path)[1], half)
+    Image.fromarray(half[:50]).save(tmp_path / "melon.mask.png")
+    with pytest.raises(InputError, match=r"melon\.mask\.png: 120x50 pixels, but melon\.png has 120x120"):
+        find_face(path)
