@@ -70,7 +70,7 @@ def find_background(rgb: NDArray[np.float32]) -> Background | None:
         shade = np.clip((smooth * surface).sum(-1) / ((surface * surface).sum(-1) + 1e-3), 0, 1)
         differs = np.linalg.norm(smooth - shade[..., None] * surface, axis=-1)
         own = (differs < TOLERANCE * spread) & ((shade > DEEPEST) | (surface.max(-1) < DARK))
-        own_corners = _corners(own, band)
+        own_corners = _corners(own & ~shaded, band)  # a curved surface may end in the first one's colour
         if own_corners.sum() < MIN_CORNERS:
             break
         lit |= np.linalg.norm(smooth - surface, axis=-1) < LIT * spread

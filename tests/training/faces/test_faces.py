@@ -38,7 +38,10 @@ def photographed(name: str) -> tuple[NDArray[np.float32], NDArray[np.bool_], dic
     if not FOLDER.exists():
         pytest.skip("the photographs are not beside the repository")
     with Image.open(FOLDER / f"{name}.png") as picture, Image.open(FOLDER / f"masks/{name}.png") as mask:
-        rgb, truth = np.asarray(picture.convert("RGB"), np.float32) / np.float32(255), np.asarray(mask.convert("L")) > 127
+        rgb, truth = (
+            np.asarray(picture.convert("RGB"), np.float32) / np.float32(255),
+            np.asarray(mask.convert("L")) > 127,
+        )
     rows = {row["path"]: row for row in csv.DictReader(io.StringIO((FOLDER / "list.csv").read_text()))}
     return rgb, truth, rows[f"{name}.png"]
 
