@@ -1,7 +1,7 @@
 """What is fuzzed, and what is held against each input: one clear line, or something finite that survives a round trip.
 
 Each target starts from a file that is right, changes its structure with values chosen to hurt, and then some of its
-bytes. `tests/test_fuzz.py` runs a fixed few thousand of them, `benchmarks/fuzz.py` as many as one likes.
+bytes. `tests/test_fuzz.py` runs a fixed few thousand of them, `benchmarks/readers/fuzz.py` as many as one likes.
 """
 
 from __future__ import annotations

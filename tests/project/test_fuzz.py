@@ -1,6 +1,6 @@
 """Whatever is fed to the readers: one clear line, or something finite that survives a round trip.
 
-The inputs are always the same few thousand; `python -m benchmarks.fuzz` makes as many others as one likes.
+The inputs are always the same few thousand; `python -m benchmarks.readers.fuzz` makes as many others as one likes.
 """
 
 from __future__ import annotations

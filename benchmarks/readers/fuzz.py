@@ -1,6 +1,6 @@
 """Fuzzes every reader with as many inputs as one likes, with little memory and a watch on the time.
 
-    python -m benchmarks.fuzz [--quick] [--inputs 50000] [--seed 0] [--only TARGET]
+    python -m benchmarks.readers.fuzz [--quick] [--inputs 50000] [--seed 0] [--only TARGET]
 
 Prints one JSON line for each target: inputs, how many of them were accepted, the slowest, and what broke, if anything.
 """
