@@ -28,7 +28,7 @@ from tests.helpers.app_driver import Driver, drive
 
 ROOT = Path(__file__).resolve().parents[1]
 Key = imgui.Key
-PICTURE_SUFFIXES = ROOT / "docs" / "pictures"
+PICTURES = ROOT / "docs" / "pictures"
 OUT = ROOT / "out" / "screenshots"
 SIZE = (1440, 900)
 
@@ -83,7 +83,7 @@ def take(detail: str, theme: str, only: str) -> None:
                 session.viewing = replace(session.viewing, eye=eye)
                 driver.still()
             if name[0] in only:
-                driver.picture(PICTURE_SUFFIXES / f"{name}.png")
+                driver.picture(PICTURES / f"{name}.png")
                 print(f"{name}.png", flush=True)
 
         # The hollow input.
