@@ -7,8 +7,10 @@ arrays go into safetensors files that the lines name.
 
 from __future__ import annotations
 
+import importlib
 import json
 import sys
+import threading
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -41,8 +43,9 @@ PLAIN = (0.83, 0.82, 0.80)
 SKIN_PITCHES = 2.0
 """Depth under the skin, in pitches, over which its colour fades into the plain one: a cut shows a rim, like a shell."""
 
-SKIN_DETAIL = DETAILS["draft"]
-"""How well the skin is fitted: good enough to look at until training fits it better, and done in seconds."""
+DRAFT = DETAILS["draft"]
+"""How fine the first solid is, which can be cut while the finer one is made, and how well the skin is fitted: good
+enough to look at until training fits it better, and done in seconds."""
 
 
 def main() -> None:
@@ -59,7 +62,7 @@ def main() -> None:
             if trained is not None:
                 _send_trained(Path(trained), folder, capture=False)
             else:
-                from engine.solid.solidify import find_enclosure  # after the capture is shown: it takes torch a second
+                from engine.solid.solidify import find_enclosure  # after the capture is shown, as it needs torch
 
                 detail = DETAILS[request["detail"]]
                 _write_line(stage="Finding the body", part=0.15)
@@ -82,6 +85,8 @@ def _load_capture(path: Path, folder: Path, seed: int, isolation: Isolation) -> 
         if rows.any():
             up = detect_up(coarse.gaussians, coarse.file_axes)
             _send_arrays(folder, "coarse", _arrays(coarse.gaussians[rows]), {"up": up.axis.tolist()})
+    # Making it solid needs torch, which takes a second to import: beside the reading, but after a coarse picture.
+    threading.Thread(target=importlib.import_module, args=("torch",), daemon=True).start()
     loaded = load(path, seed)
     gaussians = loaded.gaussians
     up = detect_up(gaussians, loaded.file_axes)  # of the whole capture: a floor tells, even if it goes
@@ -102,15 +107,23 @@ def _solidify(enclosure: Enclosure, up: NDArray[np.float64], detail: Detail, see
 
     torch.set_num_threads(1)  # the kernels use all cores; torch's own threads would compete with them
 
-    _write_line(stage="Making it solid", part=0.4)
-    atoms = solidify(enclosure, detail.cells, detail.tolerance, seed)
-    plain = plain_inside(atoms.surface, atoms.interior, enclosure.body, atoms.pitch)
-    atoms = replace(atoms, interior=replace(atoms.interior, rgb=plain))
     facts = {"notes": list(enclosure.notes), "trained": False}
-    _send_atoms(folder, atoms, facts)
-    # From here on it can be cut; what follows only makes its skin look like the capture.
-    _write_line(stage="Matching the skin", part=0.9)
-    _send_atoms(folder, match_skin(atoms, enclosure.shell, up, SKIN_DETAIL, seed), facts)
+
+    def make_solid(detail: Detail) -> Atoms:
+        atoms = solidify(enclosure, detail.cells, detail.tolerance, seed)
+        plain = plain_inside(atoms.surface, atoms.interior, enclosure.body, atoms.pitch)
+        atoms = replace(atoms, interior=replace(atoms.interior, rgb=plain))
+        _send_atoms(folder, atoms, facts)
+        return atoms
+
+    _write_line(stage="Making it solid", part=0.3)
+    if detail.cells > DRAFT.cells:
+        make_solid(DRAFT)
+        # From here on it can be cut; what follows only makes it look like the capture.
+        _write_line(stage="Making it finer", part=0.4)
+    atoms = make_solid(detail)
+    _write_line(stage="Matching the skin", part=0.6)
+    _send_atoms(folder, match_skin(atoms, enclosure.shell, up, DRAFT, seed), facts)
 
 
 def plain_inside(surface: SurfaceAtoms, interior: InteriorAtoms, body: Body, pitch: float) -> NDArray[np.float32]:

@@ -76,7 +76,7 @@ def atomise(enclosure: Enclosure, pitch: float, tolerance: float) -> Atomised:
     radius = float(np.linalg.norm(high - low)) / 2
     size = min(math.ceil(PITCH_PIXELS * 2 * radius / pitch), MOST_PIXELS)
     cameras = cameras_around((low + high) / 2, radius, UP, VIEWS, size)
-    contribution = contributions(gaussians, cameras)
+    contribution, medians = contributions(gaussians, cameras)
     # A thick Gaussian may reach the skin from within without being part of it.
     rows = np.flatnonzero((contribution >= tolerance) & (body.at(gaussians.means) < MAX_DEPTH * pitch))
     kept = gaussians[rows]
@@ -95,7 +95,7 @@ def atomise(enclosure: Enclosure, pitch: float, tolerance: float) -> Atomised:
         return SurfaceAtoms(means[chosen], scales[chosen], gaussians.quats[parents], gaussians.sh[parents])
 
     chosen = body.at(means) < MAX_DEPTH * pitch
-    chosen[chosen] = share_in_front(atoms_of(chosen), pitch, gaussians, cameras) <= MAX_IN_FRONT
+    chosen[chosen] = share_in_front(atoms_of(chosen), pitch, cameras, medians) <= MAX_IN_FRONT
     atoms = atoms_of(chosen)
     patches = close_holes(atoms, body, pitch)
     atoms = SurfaceAtoms(*(np.concatenate([getattr(a, f.name) for a in (atoms, patches)]) for f in fields(atoms)))

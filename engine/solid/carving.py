@@ -13,7 +13,6 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from engine.render.classic.rasterizer import render_with_median
 from engine.render.cpu.outside import draw
 from engine.render.cpu.splats import TILE, WEIGHT, Splats
 from engine.render.cpu.tiles import AREA, fill_rays, fragments, rows_of
@@ -21,7 +20,6 @@ from engine.render.cpu.weights import falloff
 from engine.scene.atoms import SurfaceAtoms
 from engine.scene.camera import Camera
 from engine.scene.constants import CUTOFF_Q
-from engine.scene.gaussians import Gaussians
 from engine.scene.piece import Piece
 from engine.threads import for_each
 
@@ -37,17 +35,17 @@ the bits."""
 
 
 def share_in_front(
-    surface: SurfaceAtoms, pitch: float, gaussians: Gaussians, cameras: Sequence[Camera]
+    surface: SurfaceAtoms, pitch: float, cameras: Sequence[Camera], medians: Sequence[NDArray[np.float32]]
 ) -> NDArray[np.float32]:
     """(S,). Of the weight with which each atom may show, the part in front of the capture's surface. Range [0, 1].
 
-    Weight behind the surface is not counted; an atom that is behind it in all views has 0.
+    The surface is given by the median depth (H, W) of the capture from each of the cameras. Weight behind it is not
+    counted; an atom that is behind it in all views has 0.
     """
     splats = Splats(surface.means, surface.scales, surface.quats)
     colours = np.zeros((len(surface), 3), np.float32)
     sums = np.zeros((len(surface), 2), np.float64)
-    for camera in cameras:
-        median = render_with_median(gaussians, camera)[1]
+    for camera, median in zip(cameras, medians, strict=True):
         tiled = draw(splats, [colours], camera, [Piece()], pitch).tiled
         parts = np.zeros((BANDS, len(surface), 2), np.float32)
         for_each(_count, BANDS, tiled, median, np.float32(SLACK * pitch), parts)

@@ -6,11 +6,10 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-import torch
 from numba import njit
 from numpy.typing import NDArray
 
-from engine.render.classic.rasterizer import rasterize
+from engine.render.classic.rasterizer import composite_weights
 from engine.render.projection import (
     camera_point,
     camera_record,
@@ -26,26 +25,25 @@ from engine.scene.gaussians import Gaussians
 __all__ = ["contributions"]
 
 
-def contributions(gaussians: Gaussians, cameras: Sequence[Camera]) -> NDArray[np.float32]:
-    """(N,). The opacity that compositing leaves each Gaussian in the view that shows it best. Range [0, 1].
+def contributions(
+    gaussians: Gaussians, cameras: Sequence[Camera]
+) -> tuple[NDArray[np.float32], list[NDArray[np.float32]]]:
+    """The opacity (N,) that compositing leaves each Gaussian in the view that shows it best, range [0, 1], and each
+    view's median depth (H, W), inf where less than half of the light is stopped.
 
-    In one view this is the Gaussian's weight in the classic picture, summed over the pixels (alpha times the
+    In one view the opacity is the Gaussian's weight in the classic picture, summed over the pixels (alpha times the
     transmittance in front of it), over the area 2 pi sqrt(det C) of its footprint. A Gaussian alone in front of the
     camera keeps its own opacity; one hidden behind others has 0.
     """
-    means, scales, quats, opacities = (
-        torch.from_numpy(np.ascontiguousarray(array, np.float32))
-        for array in (gaussians.means, gaussians.scales, gaussians.quats, gaussians.opacities)
+    means, scales, quats = (
+        np.ascontiguousarray(array, np.float32) for array in (gaussians.means, gaussians.scales, gaussians.quats)
     )
-    best = np.zeros(len(gaussians), np.float32)
+    best, medians = np.zeros(len(gaussians), np.float32), []
     for camera in cameras:
-        # A picture is linear in the colours, so its derivative by one of them is that Gaussian's weight.
-        colours = torch.zeros(len(gaussians), 3, requires_grad=True)
-        rasterize(means, scales, quats, opacities, colours, camera)[0][..., 0].sum().backward()
-        assert colours.grad is not None
-        area = _footprint_areas(camera_record(camera), means.numpy(), scales.numpy(), quats.numpy())
-        best = np.maximum(best, colours.grad.numpy()[:, 0] / area)
-    return np.minimum(best, 1)
+        weights, median = composite_weights(gaussians, camera)
+        best = np.maximum(best, weights / _footprint_areas(camera_record(camera), means, scales, quats))
+        medians.append(median)
+    return np.minimum(best, 1), medians
 
 
 @njit(cache=True, error_model="numpy")

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from engine.scene.atoms import SurfaceAtoms
 from engine.scene.grid import Body
 from engine.scene.rotations import rotation_matrices
+from engine.threads import cores, for_each
 
 __all__ = ["COVERED", "close_holes", "coverage_at", "inward_normals", "sample_skin"]
 
@@ -23,6 +27,9 @@ BEHIND = 0.5
 DENSITY = 2.0
 """Points per squared pitch of skin that are tested for a hole, and so the most patches that a hole gets."""
 
+CHUNK = 4096
+"""Points that one call of the kernel looks at."""
+
 PATCH_SIGMA = 0.5
 """Pitches. Kernels of patches at this DENSITY then add up to 3."""
 
@@ -31,6 +38,10 @@ PATCH_THICKNESS = 0.2
 
 COVERED = 0.5
 """Sum of weights from which a point of the skin counts as covered, as in a pixel of the opaque image."""
+
+CLOSED = 0.6
+"""Sum of weights under which a point of the skin gets a patch: more than COVERED, so that between two such points none
+falls under it."""
 
 COLOURED_BY = 8
 """Nearest atoms that colour a patch: those around the hole."""
@@ -69,15 +80,29 @@ def coverage_at(
     if not len(surface) or not len(points):
         return total
     count = min(NEIGHBOURS, len(surface))
-    rows = KDTree(surface.means).query(points, k=count)[1].reshape(-1, count)
-    axes = rotation_matrices(surface.quats)
-    for neighbour in rows.T:
-        frame = axes[neighbour]
-        across = np.einsum("nij,ni->nj", frame, normals)
-        local = np.einsum("nij,ni->nj", frame, points - surface.means[neighbour])
-        variance = surface.scales[neighbour] ** 2 + (BEHIND * pitch * across) ** 2
-        total += np.exp(-0.5 * (local**2 / variance).sum(1)).astype(np.float32)
+    rows = KDTree(surface.means).query(points, k=count, workers=cores())[1].reshape(-1, count)
+    axes = np.ascontiguousarray(rotation_matrices(surface.quats))
+    arrays = points, normals, rows, surface.means, axes, surface.scales
+    for_each(_add_weights, -(-len(points) // CHUNK), *arrays, BEHIND * pitch, total)
     return total
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _add_weights(chunk, points, normals, rows, means, axes, scales, behind, total):
+    """Writes one CHUNK of the sums (N,): of the kernels of the atoms in rows (N, K), widened by `behind` along the
+    normals."""
+    for i in range(chunk * CHUNK, min((chunk + 1) * CHUNK, len(points))):
+        weight = 0.0
+        for atom in rows[i]:
+            q = 0.0
+            for axis in range(3):
+                local = across = 0.0
+                for k in range(3):
+                    local += axes[atom, k, axis] * (points[i, k] - means[atom, k])
+                    across += axes[atom, k, axis] * normals[i, k]
+                q += local * local / (scales[atom, axis] ** 2 + (behind * across) ** 2)
+            weight += math.exp(-0.5 * q)
+        total[i] = weight
 
 
 def close_holes(surface: SurfaceAtoms, body: Body, pitch: float) -> SurfaceAtoms:
@@ -87,7 +112,7 @@ def close_holes(surface: SurfaceAtoms, body: Body, pitch: float) -> SurfaceAtoms
     """
     points = sample_skin(body, pitch / DENSITY**0.5)
     normals = -inward_normals(body, points)
-    open_ = coverage_at(surface, points, normals, pitch) < COVERED
+    open_ = coverage_at(surface, points, normals, pitch) < CLOSED
     points, normals = points[open_], normals[open_]
     n = len(points)
     # A half turn about the bisector of z and the normal takes one to the other.

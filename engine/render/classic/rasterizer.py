@@ -30,7 +30,7 @@ from engine.scene.gaussians import Gaussians
 from engine.scene.image import Picture
 from engine.threads import for_each
 
-__all__ = ["rasterize", "render", "render_with_median"]
+__all__ = ["composite_weights", "rasterize", "render"]
 
 SLICES = 16
 """Slices of a large scene: enough that the front ones hide most of the rest, few enough that each fills the cores."""
@@ -56,25 +56,40 @@ LINE = 64
 
 def render(gaussians: Gaussians, camera: Camera, background: Sequence[float] = (0.0, 0.0, 0.0)) -> Picture:
     """The Gaussians seen by the camera over a background (3,); depth is the mean depth of what covers the pixel."""
-    return render_with_median(gaussians, camera, background)[0]
-
-
-def render_with_median(
-    gaussians: Gaussians, camera: Camera, background: Sequence[float] = (0.0, 0.0, 0.0)
-) -> tuple[Picture, NDArray[np.float32]]:
-    """`render`, and the median depth (H, W): of the Gaussian that takes the transmittance under a half, else inf."""
-    # Contiguous and writeable, so that the kernels compiled for training fit.
-    means, scales, quats, opacities, sh = (
-        np.require(array, np.float32, ("C", "W"))
-        for array in (gaussians.means, gaussians.scales, gaussians.quats, gaussians.opacities, gaussians.sh)
-    )
-    scene = Scene(means, scales, quats, opacities, sh, plain=False)
-    rgb, alpha, depth, median = _picture(_composite(scene, camera)[0], camera, background)
+    scene = _scene(gaussians, gaussians.sh, plain=False)
+    rgb, alpha, depth, _ = _picture(_composite(scene, camera)[0], camera, background)
     covered = alpha > 0
     depth[covered] /= alpha[covered]
     depth[~covered] = np.inf
+    return Picture(rgb, alpha, depth)
+
+
+def composite_weights(gaussians: Gaussians, camera: Camera) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """What each Gaussian adds to the picture, and where the picture's surface is.
+
+    The weights (N,), alpha times the transmittance in front, summed over the pixels; and the median depth (H, W), of
+    the Gaussian that takes the transmittance under a half, else inf.
+    """
+    # A picture is linear in the colours, so its derivative by one of them is that Gaussian's weight.
+    scene = _scene(gaussians, np.zeros((len(gaussians), 1, 3), np.float32), plain=True)
+    frame, slices = _composite(scene, camera)
+    rgb, alpha, depth, median = _picture(frame, camera, (0.0, 0.0, 0.0))
+    gradient = PictureGradient(
+        np.zeros_like(rgb), np.zeros_like(alpha), np.zeros_like(depth), False, np.zeros(3, np.float32)
+    )
+    gradient.rgb[..., 0] = 1
+    weights = _backward(scene, frame, slices, gradient)[4][:, 0, 0]
     median[median == 0] = np.inf
-    return Picture(rgb, alpha, depth), median
+    return weights, median
+
+
+def _scene(gaussians: Gaussians, colours: NDArray[np.float32], plain: bool) -> Scene:
+    """The Gaussians in other colours, contiguous and writeable, so that the kernels compiled for training fit."""
+    means, scales, quats, opacities, shown = (
+        np.require(array, np.float32, ("C", "W"))
+        for array in (gaussians.means, gaussians.scales, gaussians.quats, gaussians.opacities, colours)
+    )
+    return Scene(means, scales, quats, opacities, shown, plain)
 
 
 def rasterize(

@@ -109,7 +109,7 @@ def test_a_veil_goes_and_what_it_veiled_is_seen() -> None:
     scene = joined(skin(12000, 0.03, 0.99), veil)
     made = on_body(scene, 0.05, ball())
     cameras = cameras_around(np.zeros(3), 1.4, np.array([0.0, 0, 1]), 6, 128)
-    assert contributions(veil, cameras).min() > 0.05  # it is seen
+    assert contributions(veil, cameras)[0].min() > 0.05  # it is seen
     assert np.linalg.norm(made.atoms.means, axis=1).max() < 1.1
     film = joined(skin(12000, 0.03, 0.99), skin(12000, 0.06, 0.9, radius=1.3, seed=1))
     outer = on_body(film, 0.05, Body(ball().grid, ball().depth + np.float32(0.3)))
@@ -122,7 +122,7 @@ def test_weight_in_views_decides_not_opacity_alone() -> None:
     floater.means[:] = [0, -1.6, 0.2]  # seen before anything else, and no part of the object
     scene = joined(skin(12000, 0.03, 0.9), lining, floater)
     cameras = cameras_around(np.zeros(3), 1.1, np.array([0.0, 0, 1]), 12, 128)
-    weight = contributions(scene, cameras)
+    weight = contributions(scene, cameras)[0]
     assert abs(weight[-1] - 0.99) < 0.03
     assert np.median(weight[:12000]) > 0.1 > 0.02 > np.median(weight[12000:15000])
     made = on_body(scene, 0.05, ball())
@@ -213,4 +213,4 @@ def test_captures_keep_their_skin_whole(name: str) -> None:
     pitch = float(np.ptp(body.bounds(), axis=0).max()) / 64
     made = on_body(scene, pitch, body)
     interior = fill(body, pitch, surface=made.atoms)
-    assert interior.exposed < 0.003 * len(interior)
+    assert interior.exposed < 0.002 * len(interior)

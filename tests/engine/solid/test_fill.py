@@ -237,9 +237,11 @@ def test_atoms_in_an_open_bottom_come_first() -> None:
     scene = sphere(hole=45)
     body = find_body(scene, cells=64).body
     atoms = fill(body, 1 / 12, surface=SurfaceAtoms(scene.means, scene.scales, scene.quats, scene.sh))
-    lid = -np.cos(np.radians(45))
-    seen, rest = atoms.means[: atoms.exposed], atoms.means[atoms.exposed :]
-    assert 0.4 * np.pi * 0.5 * 144 < atoms.exposed < 1.5 * np.pi * 0.5 * 144
-    assert (seen[:, 2] < lid + 1.5 / 12).all()
-    assert ((rest[:, 2] < lid + 1 / 24) & (np.hypot(*rest[:, :2].T) < 0.6)).sum() == 0
+    lid, radius = -np.cos(np.radians(45)), np.hypot(*atoms.means[:, :2].T)
+    outermost = (body.at(atoms.means) < 1 / 12) & (atoms.means[:, 2] < lid + 2 / 12)
+    exposed = np.arange(len(atoms)) < atoms.exposed
+    assert (outermost & (radius < 0.6)).sum() > 0.5 * np.pi * 0.6**2 * 144
+    assert exposed[outermost & (radius < 0.6)].all()
+    assert not exposed[~outermost].any()
+    assert radius[exposed].max() < np.sin(np.radians(45)) + 1 / 24
     assert fill(body, 1 / 12).exposed == 0
