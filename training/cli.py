@@ -18,6 +18,7 @@ from engine.io.load import load
 from engine.io.picture_file import PICTURE_SUFFIXES
 from engine.scene.plane import Plane
 from training.events import Reporter
+from training.faces.mask_file import is_mask
 from training.families import COUNTS, Family, Kind
 from training.isolation_options import parse_body, parse_isolation, select_bodies
 from training.pipeline import run
@@ -316,7 +317,8 @@ def parse_pictures(exemplars: list[str]) -> dict[Kind, list[Path]]:
         kind, path = parse_pair(text, "--exemplar")
         found = [Path(path)]
         if found[0].is_dir():
-            found = sorted(file for file in found[0].iterdir() if file.suffix.lower() in PICTURE_SUFFIXES)
+            files = sorted(found[0].iterdir())
+            found = [file for file in files if file.suffix.lower() in PICTURE_SUFFIXES and not is_mask(file)]
             if not found:
                 raise InputError(f"{path}: no picture in this folder (exemplars of the {kind} family)")
         elif not found[0].is_file():

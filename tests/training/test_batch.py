@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -419,6 +420,18 @@ def test_defaults_give_way_to_a_scenes_own(tmp_path: Path) -> None:
     ]
     assert broken.request.scene == tmp_path / "broken.ply"
     assert melon.request.up == (0.0, 0.0, 1.0)
+
+
+def test_a_folder_of_pictures_of_one_thing(tmp_path: Path) -> None:
+    (tmp_path / "a.ply").touch()
+    (tmp_path / "cuts").mkdir()
+    for name in ("one.png", "two.png", "two.mask.png"):
+        shutil.copy(SCENES / "orange/horizontal_1.png", tmp_path / "cuts" / name)
+    manifest = tmp_path / "all.toml"
+    manifest.write_text('[[scene]]\nscene = "a.ply"\nexemplar = { horizontal = "cuts" }\nsame = true\n')
+    (scene,) = read_manifest(manifest)
+    assert scene.request.same
+    assert [path.name for path in scene.request.families[0].exemplars] == ["one.png", "two.png"]  # no mask
 
 
 def test_a_scene_says_what_of_its_capture_is_the_object(tmp_path: Path) -> None:

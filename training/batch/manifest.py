@@ -2,7 +2,7 @@
 
     [defaults]                                  # for every scene that does not override them
     up = "z"
-    exemplar = { horizontal = "slice.png" }     # a picture or a list of them for each family
+    exemplar = { horizontal = "slice.png" }     # a picture, a folder of them, or a list
 
     [[scene]]
     scene = "captures/melon.ply"                # relative to the manifest, as all paths
@@ -27,7 +27,7 @@ from typing import Any, cast, get_args
 from engine.errors import InputError, one_line
 from engine.io.files import read_file
 from engine.io.picture_file import open_picture
-from training.cli import parse_axis, parse_families
+from training.cli import parse_axis, parse_families, parse_pictures
 from training.isolation_options import parse_isolation
 from training.request import PriorName, Request
 from training.settings import DetailName
@@ -59,8 +59,8 @@ DEVICE = re.compile(r"(con|prn|aux|nul|com[0-9¹²³]|lpt[0-9¹²³]) *(\..*)?",
 RESERVED = re.compile(r"batch\.json|.*\.lock", re.IGNORECASE)
 """Files that a batch writes beside the folders."""
 
-KEYS = ("scene", "name", "exemplar", "family", "prompt", "up", "keep", "remove", "no_floor", "detail", "prior", "model",
-        "midas", "object", "iterations", "seed")  # fmt: skip
+KEYS = ("scene", "name", "exemplar", "family", "prompt", "up", "keep", "remove", "no_floor", "same", "detail", "prior",
+        "model", "midas", "object", "iterations", "seed")  # fmt: skip
 PER_SCENE_KEYS = ("scene", "name")
 """Keys that scenes cannot share."""
 
@@ -195,6 +195,7 @@ class _ManifestReader:
                 midas,
                 _string(fields, "object", "") or None,
                 parse_isolation(_strings(fields, "keep"), _strings(fields, "remove"), _flag(fields, "no_floor")),
+                _flag(fields, "same"),
             ),
         )
 
@@ -207,8 +208,10 @@ class _ManifestReader:
                 if not isinstance(name, str) or not name:
                     raise InputError(f"exemplar of {_abbreviate(kind)}: give a picture or a list of pictures")
                 path = self.resolved(name)
-                with open_picture(path):
-                    pass
+                for pictures in parse_pictures([f"{kind}={path}"]).values():
+                    for picture in pictures:
+                        with open_picture(picture):
+                            pass
                 result.append(f"{kind}={path}")
         return result
 
