@@ -30,6 +30,8 @@ class Detail:
     """Surface views of the input that training draws from."""
     iterations: int
     """Most iterations of a run; the stop rule may end it sooner."""
+    skin_views: int
+    """Views of the capture that the skin is fitted to."""
     skin_steps: int
     """Optimisation steps of the skin's means, scales, rotations and colours."""
     skin_size: int
@@ -52,7 +54,8 @@ DETAILS: dict[DetailName, Detail] = {
         surface=128,
         surface_views=24,
         iterations=40,
-        skin_steps=40,
+        skin_views=48,
+        skin_steps=80,
         skin_size=384,
     ),
     "standard": Detail(
@@ -64,7 +67,8 @@ DETAILS: dict[DetailName, Detail] = {
         surface=192,
         surface_views=60,
         iterations=120,
-        skin_steps=240,
+        skin_views=120,
+        skin_steps=480,
         skin_size=512,
     ),
     "high": Detail(
@@ -76,7 +80,8 @@ DETAILS: dict[DetailName, Detail] = {
         surface=256,
         surface_views=60,
         iterations=200,
-        skin_steps=400,
+        skin_views=120,
+        skin_steps=800,
         skin_size=640,
     ),
 }

@@ -31,7 +31,7 @@ def match_skin(atoms: Atoms, gaussians: Gaussians, up: NDArray[np.float64], deta
     """
     cameras = surface_cameras(gaussians, up, detail.surface_views, detail.surface)
     atoms = fit_sh(atoms, surface_views(atoms, gaussians, cameras, ENTRIES)).atoms
-    cameras = surface_cameras(gaussians, up, detail.surface_views, detail.skin_size)
+    cameras = surface_cameras(gaussians, up, detail.skin_views, detail.skin_size)
     fit = SkinFit(atoms, gaussians, cameras, detail.skin_steps, seed)
     while fit.step < fit.steps:
         fit.advance()
@@ -48,7 +48,7 @@ def fit_geometry(
     stored = checkpoint.load("skin")
     if stored is None or "step" in stored[1]:
         detail, gaussians = request.fineness, geometry.gaussians
-        cameras = surface_cameras(gaussians, geometry.up, detail.surface_views, detail.skin_size)
+        cameras = surface_cameras(gaussians, geometry.up, detail.skin_views, detail.skin_size)
         fit = SkinFit(atoms, gaussians, cameras, detail.skin_steps, request.seed, lambda part: progress(DRAWN * part))
         if stored is not None:
             fit.restore(stored[0], stored[1]["step"])

@@ -11,7 +11,7 @@ from training import settings
 
 SIZES = {
     "cells": 16, "fine": 20, "voxels": 24, "label": 48, "surface": 48, "surface_views": 4, "iterations": 2,
-    "skin_steps": 2, "skin_size": 48,
+    "skin_views": 6, "skin_steps": 2, "skin_size": 48,
 }  # fmt: skip
 SHORT = replace(settings.DETAILS["draft"], **SIZES)
 DETAILS = {"draft": SHORT, "standard": replace(SHORT, iterations=80)}

@@ -29,8 +29,8 @@ from training.settings import Detail
 
 SCENE = SAMPLES / "watermelon"
 TINY = Detail(
-    cells=20, tolerance=0.1, fine=28, voxels=32, label=48, surface=48, surface_views=6, iterations=9, skin_steps=2,
-    skin_size=48,
+    cells=20, tolerance=0.1, fine=28, voxels=32, label=48, surface=48, surface_views=6, iterations=9, skin_views=6,
+    skin_steps=2, skin_size=48,
 )  # fmt: skip
 REQUEST = Request(
     SCENE / "watermelon.ply",
