@@ -1,4 +1,4 @@
-"""Training of one scene: from a hollow capture to a solid with an inside (DESIGN section 4), stage by stage.
+"""Training of one scene: from a hollow capture to a solid with an inside, stage by stage.
 
 Every long stage leaves a checkpoint; an interrupted run resumes from it with a bit-equal result.
 """

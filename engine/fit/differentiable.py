@@ -1,8 +1,8 @@
 """The opaque image as a torch function, differentiable in the colours, means, scales and quaternions of the atoms.
 
 Discrete choices have no derivative: the front depth, which atoms lie in the layer behind it, what planes clip, and
-which atoms reach a face point are constants in the backward pass. Away from these jumps the gradient is exact (DESIGN,
-section 6). Float32, or float64 for checking.
+which atoms reach a face point are constants in the backward pass. Away from these jumps the gradient is exact.
+Float32, or float64 for checking.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Fits the surface colours after atomising, so that the opaque object looks like the capture (DESIGN, section 4.2).
+"""Fits the surface colours after atomising, so that the opaque object looks like the capture.
 
 Geometry is frozen, so a view is linear in the spherical harmonics and the fit is linear least squares: conjugate
 gradients on the normal equations, two sparse products per view and step.

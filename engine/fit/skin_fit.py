@@ -1,7 +1,7 @@
 """Fits the skin to the capture: means, scales, rotations and colours of the surface atoms together.
 
 An atom is opaque where a Gaussian of the capture was translucent, so what lies in front, how large it is and what it is
-mixed with have to be found anew. Adam through the differentiable opaque image does it (DESIGN, section 4.2).
+mixed with have to be found anew. Adam through the differentiable opaque image does it.
 """
 
 from __future__ import annotations

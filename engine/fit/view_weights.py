@@ -1,4 +1,4 @@
-"""Frozen geometry: a view as a sparse matrix, picture = W colours (DESIGN, sections 3 and 6).
+"""Frozen geometry: a view as a sparse matrix, picture = W colours.
 
 While only colours are trained, a view needs its geometry once. `ViewWeights` is exact: it gives what `opaque.render`
 gives, up to float32 rounding. `ViewWeights.truncated` keeps the largest entries of each pixel and is an approximation.

@@ -1,6 +1,6 @@
 """Which cells of a grid a shell encloses, where the shell may have holes.
 
-Three rules, each for the cases that the one before leaves open (DESIGN, section 4, item 3):
+Three rules, each for the cases that the one before leaves open:
 
 1. Flood. Cells that no path reaches from outside without crossing a wall are inside, whatever they hold.
 2. Rays. A ball too big for a hole finds the hollow behind it. The hollow is inside if rays from its cells hit walls

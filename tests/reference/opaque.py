@@ -1,4 +1,4 @@
-"""The opaque image (DESIGN, section 3) in plain float64 numpy: dense and obvious. The renderers are held to it."""
+"""The opaque image in plain float64 numpy: dense and obvious. The renderers are held to it."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ from training.views import BACKGROUND, Section
 
 __all__ = ["Losses", "Trainer"]
 
-# The paper's alpha for each kind of view (DESIGN section 4.6): labels are trusted for structure, surface views to the
+# The paper's alpha for each kind of view: labels are trusted for structure, surface views to the
 # pixel.
 SECTION_ALPHA = 0.3
 SURFACE_ALPHA = 0.6

@@ -1,4 +1,4 @@
-"""Classic 3DGS on the CPU: sorted alpha compositing of EWA splats, forward and backward (DESIGN, sections 3 and 6).
+"""Classic 3DGS on the CPU: sorted alpha compositing of EWA splats, forward and backward.
 
 It shows captures unchanged, renders the surface views that training follows, and is what accuracy is measured with.
 Kerbl et al. 2023 with the constants of INRIA's renderer: 0.3 px^2 low-pass, alpha at most 0.99, alpha under 1/255

@@ -1,4 +1,4 @@
-"""The kernel field: colour and density inside the object (DESIGN, section 3).
+"""The kernel field: colour and density inside the object.
 
 c(p) = sum w_i c_i / sum w_i and D(p) = sum w_i, w_i = exp(-q_i / 2), cut off at three standard deviations. A distant
 pixel covers many atoms: every axis is then at least half a pixel's footprint long and the weight is reduced by the

@@ -1,4 +1,4 @@
-"""The opaque image (DESIGN, section 3): surface splatting outside, the kernel field on cut faces. CPU, float32.
+"""The opaque image: surface splatting outside, the kernel field on cut faces. CPU, float32.
 
 The result is linear in the colours and does not depend on the order of the atoms. Pieces that lie together share one
 front, so that the skins of two halves add up to the whole skin.

@@ -1,4 +1,4 @@
-"""Cut faces in software: the kernel field on each plane, summed pixel by pixel (DESIGN, section 3).
+"""Cut faces in software: the kernel field on each plane, summed pixel by pixel.
 
 The section of an ellipsoid with a plane is a Gaussian in the plane. With coordinates s, t in the plane for atoms and
 pixels alike, an atom costs a quadratic and an exponential per pixel, in rows that compile to vector instructions.

@@ -1,4 +1,4 @@
-"""The cut faces of the opaque image (DESIGN, section 3): the kernel field where each pixel's ray enters a piece.
+"""The cut faces of the opaque image: the kernel field where each pixel's ray enters a piece.
 
 Interior atoms come from the plane's grid. What a grid cannot hold is summed pixel by pixel: thin atoms of the skin, and
 all atoms if they are smaller than a pixel.

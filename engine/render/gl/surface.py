@@ -1,4 +1,4 @@
-"""The outside of the opaque image (DESIGN, section 3): front depth, then weighted sums."""
+"""The outside of the opaque image: front depth, then weighted sums."""
 
 from __future__ import annotations
 

@@ -1,8 +1,7 @@
 """A denoising prior from exemplars, for comparisons: the posterior mean over their patches.
 
 Kamb and Ganguli (2024) show that a denoiser with a local receptive field is a softmax over training patches. Here the
-field is 7x7 pixels, the patches are those of the exemplars, restricted to similar positions in the body (DESIGN section
-5.1, step 2).
+field is 7x7 pixels, the patches are those of the exemplars, restricted to similar positions in the body.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The default prior: interiors from photographs of cut faces, offline (DESIGN section 5.1)."""
+"""The default prior: interiors from photographs of cut faces, offline."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Extrudes the layers of a picture along the axis that it does not show.
 
 Structures run straight through; the texture drifts sideways, so that it is as fine along the axis as the pictures
-show; details are left to `scatter`. Radial pictures then correct the result by height (DESIGN 5.1, step 3).
+show; details are left to `scatter`. Radial pictures then correct the result by height.
 """
 
 from __future__ import annotations

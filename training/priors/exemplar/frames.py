@@ -1,7 +1,7 @@
 """Coordinates of voxels in the body and of pixels in their pictures, with their local frames.
 
 Voxels and pixels share gate coordinates, in units of a gate cell: saturating depth under the skin, relative radius,
-and height (DESIGN section 5.1, steps 1 and 2). A voxel may only take from pixels with similar gate coordinates.
+and height. A voxel may only take from pixels with similar gate coordinates.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ __all__ = [
 ]
 
 DEPTH_SCALE = 0.15
-"""Depth in inradii over which the depth coordinate saturates (DESIGN 5.1, step 2)."""
+"""Depth in inradii over which the depth coordinate saturates."""
 
 DEPTH_CELLS, RADIUS_CELLS, HEIGHT_CELLS = 7.0, 7.0, 4.0
 """Gate cells over the range of each coordinate: fine enough for rings, coarse enough for seeds at any height."""
@@ -191,7 +191,7 @@ def rim_of(planar: NDArray[np.float32], radius: NDArray[np.float32]) -> NDArray[
 
 
 def depth_gate(depth: NDArray[np.floating]) -> NDArray[np.float32]:
-    """Gate coordinate of a depth in inradii: fine in the rind, saturated in the middle (DESIGN 5.1, step 2)."""
+    """Gate coordinate of a depth in inradii: fine in the rind, saturated in the middle."""
     return ((1 - np.exp(-np.asarray(depth, np.float32) / DEPTH_SCALE)) * DEPTH_CELLS).astype(np.float32)
 
 

@@ -3,7 +3,7 @@
 A horizontal picture is reliable at its own height only. Where the radial pictures show the same colour at that height
 and radius, they are able to detect the structure, so it is removed at heights where they do not show it: an apple's
 carpels end. Where they show nothing there, or cross the structure only by chance, they carry no evidence and the
-structure runs through from pole to pole, like an orange's membranes (DESIGN section 5.1, step 6).
+structure runs through from pole to pole, like an orange's membranes.
 """
 
 from __future__ import annotations

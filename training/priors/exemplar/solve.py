@@ -1,6 +1,6 @@
 """Solves for the interior of a body from pictures of its cut faces.
 
-DESIGN section 5.1 starts from a layout and lets patches of all families vote on it. Here the layout is built from
+Solid texture synthesis (Kopf et al. 2007) lets patches of all families vote on a volume. Here a layout is built from
 layers that continue differently along an axis (`decompose`), and is so close to the pictures that voting only blurs
 it: on the orange at 144 voxels two rounds of voting raised the patch distance from 1.1 to 2.0 times that of another
 true orange and lowered the sharpness from 0.84 to 0.64, at seven times the cost. So there is no voting.

@@ -1,4 +1,4 @@
-"""What of a cut face goes on beside it: the one law of shape (DESIGN section 5.1, law 3).
+"""What of a cut face goes on beside it: the one law of shape.
 
 A closed thing is about as tall as it is long, and a sheet that joins core and rind runs through. Neither looks at a
 colour's name: the median over a disc of radius t is what remains of a picture at distance t, as it rounds off and then
