@@ -1,4 +1,4 @@
-"""Insides from photographs of different individuals: the laws that they keep, on solids of our own and on photographs."""
+"""Insides from photographs of different individuals: their laws, on solids of our own and on photographs."""
 
 from __future__ import annotations
 
