@@ -45,7 +45,12 @@ class Wanted:
         if other is None:
             return False
         arrays = self.rgb is other.rgb and self.atoms is other.atoms
-        return arrays and (self.marks, self.family, self.up) == (other.marks, other.family, other.up)
+        return arrays and (self.marks, self.plane_key) == (other.marks, other.plane_key)
+
+    @property
+    def plane_key(self) -> tuple[Family, Vec3]:
+        """All that the own plane depends on, besides the object."""
+        return replace(self.family, exemplars=(), prompt="", marks=()), self.up
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,24 +76,21 @@ class PlacementPreview:
         self._plane: tuple[object, OwnPlane] | None = None
 
     def update(self, wanted: Wanted) -> Placed | None:
-        """Starts what is wanted, unless it is there or being made; returns the last that is there. Never waits."""
+        """Starts what is wanted, unless it is there or being made; returns the last that is there of the same picture.
+
+        Never waits.
+        """
         if self._running is not None and self._running[1].done():
             self._done = (self._running[0], self._running[1].result())
             self._running = None
         if self._running is None and not wanted.equals(None if self._done is None else self._done[0]):
             self._running = (wanted, self._worker.submit(self._place, wanted))
-        return None if self._done is None else self._done[1]
+        return None if self._done is None or self._done[0].rgb is not wanted.rgb else self._done[1]
 
     @property
     def busy(self) -> bool:
         """Whether a placement is being made."""
         return self._running is not None
-
-    def forget(self) -> None:
-        """Drops what is there: another picture is next."""
-        self._done = None
-        if self._running is not None and not self._running[1].cancel():
-            self._running = (replace(self._running[0]), self._running[1])
 
     def close(self) -> None:
         """Starts nothing more."""
@@ -123,8 +125,7 @@ class PlacementPreview:
         """The own plane of the family in the object, found again only if either has changed."""
         if self._body is None or self._body[0] is not atoms:
             self._body, self._plane = (atoms, body_of_atoms(atoms)), None
-        family = replace(wanted.family, exemplars=(), prompt="", marks=())
-        key = (family, wanted.up)
+        key = wanted.plane_key
         if self._plane is None or self._plane[0] != key:
-            self._plane = (key, find_own_plane(self._body[1], np.asarray(wanted.up, np.float64), family))
+            self._plane = (key, find_own_plane(self._body[1], np.asarray(wanted.up, np.float64), key[0]))
         return self._plane[1]
