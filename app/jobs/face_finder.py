@@ -39,6 +39,11 @@ class FoundFace:
     """Why there is no outline, in a line; empty if there is one."""
 
     @property
+    def verdict(self) -> str:
+        """The problem in a few words."""
+        return "no cut face was found" if self.rgb.size else self.problem
+
+    @property
     def size(self) -> tuple[int, int]:
         """Width and height in pixels."""
         return self.rgb.shape[1], self.rgb.shape[0]

@@ -201,9 +201,10 @@ class FaceController:
         told = [(*entry, face) for entry, face in zip(self._new, faces, strict=True) if face is not None]
         # One that the user should look at comes first.
         kind, path, face = min(told, key=lambda entry: not _is_doubtful(entry[0], entry[2]))
-        text = face.problem or (f"it {describe_guess(face.guess)}" if face.guess is not None else "")
+        text = face.verdict if face.problem else (f"it {describe_guess(face.guess)}" if face.guess is not None else "")
         more = f" {len(told) - 1} more were added." if len(told) > 1 else ""
         self.hint, self._new = Hint(kind, path, f"{path.name}: {text}.{more}"), []
+        self.workspace.notify(self.hint.text)
 
     def release(self) -> None:
         """Ends the background work."""

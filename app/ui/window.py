@@ -263,7 +263,7 @@ class Window:
             texts.append((f"Unsaved work on {name} was kept.", "Bring it back", self._recover, self._discard))
         if self.recovered_jobs:
             texts.append((describe_job(self.recovered_jobs[0]), "Show it", self._show_job, self._dismiss_job))
-        if session.faces.hint is not None:
+        if session.faces.hint is not None and session.faces.open_face is None:
             hint = session.faces.hint
             look = partial(session.faces.edit, hint.kind, hint.path)
             texts.append((hint.text, "Look at it", look, session.faces.dismiss_hint))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
-from itertools import pairwise
 from pathlib import Path
 
 import moderngl
@@ -17,10 +16,10 @@ from app.model.face_edit import Outline, nearest_point
 from app.model.face_words import describe_guess
 from app.session.face_controller import OpenFace
 from app.session.session import Session
-from app.ui.theme import Fonts, palette, px, u32
+from app.ui.theme import Fonts, palette, px, rgba, u32
 from app.ui.view.painter import Painter
 from app.ui.view.placement_view import PlacementView
-from app.ui.widgets import font, main_button, secondary, segmented, thin_bar, tooltip
+from app.ui.widgets import font, secondary, segmented, thin_bar, tooltip
 from training.faces.marks import UNMARKED, Place
 from training.families import Kind
 
@@ -41,6 +40,9 @@ TOOL_HINTS = (
 
 REACH = 11.0
 """Pixels at 96 DPI from a point of which the pointer takes hold of it."""
+
+DOTS = 28.0
+"""Pixels at 96 DPI between the points of an outline that are shown as dots. All others can be dragged as well."""
 
 BRUSH_RANGE = (0.008, 0.15)
 """Radius of the brush in heights of the picture: from a few pixels to a third of a face."""
@@ -77,27 +79,23 @@ class FaceEditor:
             self._change_picture(face)
         if face is None:
             return False
-        imgui.set_cursor_pos(ImVec2(px(16), px(14)))
-        imgui.push_style_var(imgui.StyleVar_.window_padding, ImVec2(0, 0))
+        edge, gap = px(16), px(12)
         available = imgui.get_content_region_avail()
-        imgui.begin_child("##face", ImVec2(available.x - px(16), available.y - px(14)))
-        self._head(face)
-        bottom = imgui.get_frame_height() + px(10)
-        space = imgui.get_content_region_avail()
-        height, gap = max(px(80), space.y - bottom), px(12)
-        width = round(0.56 * (space.x - gap))
+        self._head(face, edge, available.x - edge)
+        bottom = imgui.get_frame_height() + px(10) + edge
+        full, height = available.x - 2 * edge, max(px(80), available.y - imgui.get_cursor_pos_y() - bottom)
+        width = round(0.56 * (full - gap))
+        imgui.set_cursor_pos_x(edge)
         start = imgui.get_cursor_screen_pos()
         self._picture(face, ImVec2(width, height))
         imgui.set_cursor_screen_pos(ImVec2(start.x + width + gap, start.y))
-        right = ImVec2(space.x - width - gap, height)
+        right = ImVec2(full - width - gap, height)
         self.placement.show(face, right)
         imgui.set_cursor_screen_pos(ImVec2(start.x, start.y + height + px(10)))
         self._tools(face, width)
         imgui.set_cursor_screen_pos(ImVec2(start.x + width + gap, start.y + height + px(10)))
         imgui.align_text_to_frame_padding()
         secondary("Where it goes in the object. Drag to look around.")
-        imgui.end_child()
-        imgui.pop_style_var()
         if imgui.is_key_pressed(imgui.Key.escape) and not imgui.is_popup_open("", imgui.PopupFlags_.any_popup):
             session.faces.close()
         return True
@@ -114,50 +112,56 @@ class FaceEditor:
         self.tool, self._grip = 0, None
         self._shown = None if face is None else face.path
 
-    def _head(self, face: OpenFace) -> None:
-        """Name and buttons; what it seems to be, and what it is taken for."""
+    def _head(self, face: OpenFace, left: float, right: float) -> None:
+        """Name and buttons; what it seems to be, and what it is taken for. `left` and `right`: its edges."""
         session = self.session
-        again, done = f"{icon.ICON_FA_ARROW_ROTATE_LEFT}  Find again", "Done"
+        again, done = f"{icon.ICON_FA_ARROW_ROTATE_LEFT}  Find again", f"{icon.ICON_FA_CHECK}  Done"
         widths = [imgui.calc_text_size(text).x + px(28) for text in (again, done)]
-        right = imgui.get_content_region_avail().x
+        imgui.set_cursor_pos(ImVec2(left, px(14)))
         imgui.align_text_to_frame_padding()
         with font(Fonts.bold):
             imgui.text_unformatted(face.path.name)
         imgui.same_line(right - sum(widths) - px(8))
         imgui.begin_disabled(face.given == UNMARKED)
-        if imgui.button(again, ImVec2(widths[0], px(32))):
+        if imgui.button(again, ImVec2(widths[0], 0)):
             face.find_again()
         imgui.end_disabled()
         tooltip("Drop your corrections")
         imgui.same_line(right - widths[1])
-        if main_button(done, widths[1]):
+        if imgui.button(done, ImVec2(widths[1], 0)):
             session.faces.close()
         tooltip("Back to the object. Your corrections are kept.", "Esc")
+        imgui.set_cursor_pos_x(left)
         imgui.align_text_to_frame_padding()
-        found = face.found
-        if found is None:
-            secondary("Looking for the cut face...")
-        elif found.problem:
-            symbol, p = icon.ICON_FA_TRIANGLE_EXCLAMATION, palette()
-            at = imgui.get_cursor_screen_pos()
-            imgui.get_window_draw_list().add_text(ImVec2(at.x, at.y + px(5)), u32(p.trouble), symbol)
-            imgui.set_cursor_pos_x(imgui.get_cursor_pos_x() + px(24))
-            drawn = "" if face.given.outline is not None else " Paint it with Add."
-            secondary(f"{found.problem[:1].upper()}{found.problem[1:]}.{drawn}", wrap=True)
-        elif found.guess is not None:
-            secondary(f"It {describe_guess(found.guess)}.")
+        self._verdict(face)
         if face.kind in KINDS:
             names = list(KINDS)
-            wide = min(px(372), right)
-            if found is None or not found.problem:
-                imgui.same_line(max(0.0, right - wide))
-            else:
-                imgui.set_cursor_pos_x(max(0.0, right - wide))
+            wide = min(px(372), right - left)
+            imgui.same_line(left)
+            if right - wide < imgui.get_item_rect_max().x - imgui.get_window_pos().x + px(12):  # too narrow for one row
+                imgui.new_line()
+            imgui.set_cursor_pos_x(right - wide)
             index = names.index(face.kind)
             chosen = segmented("kind", list(KINDS.values()), index, wide, KIND_HINTS)
             if chosen != index:
                 face.set_kind(names[chosen])
         imgui.dummy(ImVec2(0, px(2)))
+
+    def _verdict(self, face: OpenFace) -> None:
+        """What the face seems to be, or why there is none."""
+        found = face.found
+        if found is None:
+            secondary("Looking for the cut face...")
+        elif found.problem:
+            imgui.push_style_color(imgui.Col_.text, rgba(palette().trouble))
+            imgui.text_unformatted(icon.ICON_FA_TRIANGLE_EXCLAMATION)
+            imgui.pop_style_color()
+            imgui.same_line(0, px(8))
+            painted = " Paint it with Add." if found.rgb.size and face.given.outline is None else ""
+            secondary(f"{found.verdict[:1].upper()}{found.verdict[1:]}.{painted}")
+            tooltip(f"{found.problem[:1].upper()}{found.problem[1:]}.")
+        elif found.guess is not None:
+            secondary(f"It {describe_guess(found.guess)}.")
 
     # The picture
 
@@ -249,16 +253,22 @@ class FaceEditor:
         if outline is None:
             return
         p, points = palette(), [self._screen(place) for place in outline]
-        closed = [*points, points[0]]
-        for colour, thickness in ((u32("#000000", 0.45), px(3.6)), (u32(p.accent), px(1.8))):
-            for start, end in pairwise(closed):
-                draw.add_line(start, end, colour, thickness)
+        for colour, thickness in ((u32("#000000", 0.4), px(3.6)), (u32(p.accent), px(1.8))):
+            draw.path_clear()
+            for point in points:
+                draw.path_line_to(point)
+            draw.path_stroke(colour, thickness, imgui.ImDrawFlags_.closed)
         if self.tool:
             return
+        since = DOTS  # not every point, or a wavy outline would be all dots
         for index, point in enumerate(points):
+            last = points[index - 1]
+            since += float(np.hypot(point.x - last.x, point.y - last.y)) / px(1)
             held = grip == ("outline", index)
-            draw.add_circle_filled(point, px(5.5 if held else 3.2), u32("#000000", 0.5))
-            draw.add_circle_filled(point, px(4.5 if held else 2.2), u32(p.accent if held else "#FFFFFF"))
+            if since >= DOTS or held:
+                draw.add_circle_filled(point, px(6 if held else 3.8), u32("#000000", 0.5))
+                draw.add_circle_filled(point, px(5 if held else 2.8), u32(p.accent if held else "#FFFFFF"))
+                since = 0.0
 
     def _axis(self, draw: imgui.ImDrawList, face: OpenFace, grip: Grip | None) -> None:
         points = [self._screen(place) for place in self._axis_points(face)]

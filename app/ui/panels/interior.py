@@ -223,7 +223,7 @@ class InteriorPanel:
         for path in family.exemplars:
             face = session.faces.finder.get(path)
             if face is not None and face.problem and family.marks_of(path).outline is None:
-                secondary(f"{path.name}: {face.problem}.", wrap=True)
+                secondary(f"{path.name}: {face.verdict}.", wrap=True)
 
     def _picture_state(self, path: Path, at: ImVec2, side: float) -> None:
         """What the last item, a picture, seems to show; a sign on it if it shows no face."""
