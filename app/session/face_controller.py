@@ -200,7 +200,7 @@ class FaceController:
             return
         told = [(*entry, face) for entry, face in zip(self._new, faces, strict=True) if face is not None]
         # One that the user should look at comes first.
-        kind, path, face = min(told, key=lambda entry: not _is_doubtful(entry[0], entry[2]))
+        kind, path, face = max(told, key=lambda entry: _doubt(entry[0], entry[2]))
         text = face.verdict if face.problem else (f"it {describe_guess(face.guess)}" if face.guess is not None else "")
         more = f" {len(told) - 1} more were added." if len(told) > 1 else ""
         self.hint, self._new = Hint(kind, path, f"{path.name}: {text}.{more}"), []
@@ -212,9 +212,11 @@ class FaceController:
         self.placement.close()
 
 
-def _is_doubtful(kind: Kind, face: FoundFace) -> bool:
-    """Whether a face is missing or seems to belong to another family."""
-    return face.guess is None or (face.guess.kind != kind and kind != "custom")
+def _doubt(kind: Kind, face: FoundFace) -> int:
+    """2 for a face that is missing, 1 for one that seems to belong to another family than it does, else 0."""
+    if face.guess is None:
+        return 2
+    return int(face.guess.kind != kind and kind != "custom")
 
 
 def _inside(place: Place) -> Place:

@@ -18,8 +18,11 @@ SMOOTH = 0.0015
 """Of a face's width, how far a polygon may be from its outline: forty points around a circle, which a hand can move,
 and 0.998 of its pixels."""
 
-LEAST = 0.75
+LEAST = 0.6
 """The same in pixels, at least: no outline is known better."""
+
+BLUR = 1.0
+"""Pixels by which a mask is blurred first; corners lose a third of a pixel."""
 
 
 def polygon_mask(outline: tuple[Place, ...], height: int, width: int) -> NDArray[np.bool_]:
@@ -33,7 +36,11 @@ def polygon_mask(outline: tuple[Place, ...], height: int, width: int) -> NDArray
 def mask_polygon(mask: NDArray[np.bool_]) -> tuple[Place, ...] | None:
     """The outline of the largest part of a mask (H, W), with as few points as show it; None if it has none."""
     height, width = mask.shape
-    fine = np.pad(mask, 1).astype(np.uint8).repeat(OVER, axis=0).repeat(OVER, axis=1)
+    padded = np.pad(mask, 1).astype(np.float32)
+    # Blurred, or the polygon would follow the steps of the pixels.
+    soft = cv2.GaussianBlur(padded, (0, 0), BLUR, borderType=cv2.BORDER_REPLICATE)
+    size = padded.shape[1] * OVER, padded.shape[0] * OVER
+    fine = (cv2.resize(soft, size, interpolation=cv2.INTER_LINEAR) > 0.5).astype(np.uint8)
     found, _ = cv2.findContours(fine, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     if not found:
         return None
