@@ -11,15 +11,33 @@ from training.faces.marks import Place
 from training.faces.outline import largest_component
 from training.faces.polygon import mask_polygon, polygon_mask
 
-__all__ = ["BrushStroke", "Outline", "drag_point", "nearest_point"]
+__all__ = ["BrushStroke", "Outline", "drag_point", "nearest_point", "refine"]
 
 Outline = tuple[Place, ...]
 
 SOFT = 0.05
 """Of an outline's length, how far on either side of a dragged point others follow it."""
 
+MOST_REFINED = 500
+"""Points from which an outline gets no more: they are close enough together wherever it was dragged."""
+
 MOST_AWAY = 0.9
 """A dragged point's neighbours follow it by less than this part of its way, so that it leads."""
+
+
+def refine(outline: Outline, aspect: float) -> Outline:
+    """With more points on the long sides, so that those near a dragged one can follow it in a curve.
+
+    `aspect`: width of the picture over its height.
+    """
+    if len(outline) > MOST_REFINED:
+        return outline
+    points = np.array(outline)
+    sides = np.roll(points, -1, axis=0) - points
+    steps = np.hypot(*(sides * (aspect, 1)).T)
+    parts = np.maximum(np.ceil(steps / max(SOFT / 6 * float(steps.sum()), 1e-9) - 1e-6).astype(int), 1)
+    finer = [point + np.arange(n)[:, None] / n * side for point, side, n in zip(points, sides, parts, strict=True)]
+    return tuple((float(x), float(y)) for x, y in np.concatenate(finer))
 
 
 def drag_point(outline: Outline, index: int, to: Place, aspect: float, soft: bool = True) -> Outline:

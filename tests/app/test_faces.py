@@ -18,7 +18,7 @@ from app.jobs.scene_loader import LoadedScene, SceneRequest
 from app.jobs.training_job import request_for
 from app.model.autosave import Autosave
 from app.model.document import Document
-from app.model.face_edit import BrushStroke, drag_point, nearest_point
+from app.model.face_edit import BrushStroke, drag_point, nearest_point, refine
 from app.model.face_words import describe_guess
 from app.model.history import History
 from app.model.pieces import Solid
@@ -115,6 +115,10 @@ def test_a_dragged_point_takes_its_neighbours_along_unless_it_goes_alone() -> No
     assert tuple(moved[0]) == to and 0.05 < steps[1] < 0.1 and steps[1] == pytest.approx(steps[-1]) and steps[2] > 0
     assert steps[5:-5].max() == 0 and np.array_equal(alone[1:], np.array(CIRCLE)[1:]) and tuple(alone[0]) == to
     assert np.array(drag_point(CIRCLE, 0, (7.0, -3.0), 1.0)).max() <= 1
+    corners = ((0.1, 0.1), (0.9, 0.1), (0.9, 0.9), (0.1, 0.9))
+    finer = refine(corners, 1.0)
+    assert len(finer) >= 100 and set(corners) <= set(finer) and len(refine(finer, 1.0)) == len(finer)
+    assert np.array_equal(polygon_mask(finer, 60, 60), polygon_mask(corners, 60, 60))
 
 
 def test_the_brush_adds_and_takes_away_and_never_takes_all() -> None:

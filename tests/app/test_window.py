@@ -61,6 +61,11 @@ def test_two_objects_are_selected_cut_named_and_hidden(tmp_path: Path) -> None:
     assert len(list((tmp_path / "shots").glob("*.png"))) == 5
 
 
+def test_a_picture_is_looked_at_and_corrected_before_training(tmp_path: Path) -> None:
+    run("faces", tmp_path, "app_face_steps.py")
+    assert len(list((tmp_path / "shots").glob("faces_*.png"))) == 5
+
+
 def test_two_thousand_random_actions_leave_nothing_behind(tmp_path: Path) -> None:
     run("soak", tmp_path)
 

@@ -19,13 +19,13 @@ from engine.io.fields import Fields
 from engine.io.files import read_file
 from engine.io.strict_json import parse
 
-__all__ = ["UNMARKED", "Marks", "Place", "axis_beside", "marks_record", "read_axis_file", "read_marks"]
+__all__ = ["MOST_POINTS", "UNMARKED", "Marks", "Place", "axis_beside", "marks_record", "read_axis_file", "read_marks"]
 
 Place = tuple[float, float]
 """(x, y), parts of a picture's width and height. Range [0, 1]."""
 
 MOST_POINTS = 2000
-"""Of an outline that is read; a hand-drawn one has a hundred."""
+"""Of an outline; one around a face has a hundred."""
 
 LIMIT = 1 << 12
 """Bytes of the largest axis file that is read; a real one has a hundred."""

@@ -12,7 +12,7 @@ from imgui_bundle import ImVec2, imgui
 from imgui_bundle import icons_fontawesome_6 as icon
 from numpy.typing import NDArray
 
-from app.model.face_edit import Outline, nearest_point
+from app.model.face_edit import Outline, nearest_point, refine
 from app.model.face_words import describe_guess
 from app.session.face_controller import OpenFace
 from app.session.session import Session
@@ -212,7 +212,7 @@ class FaceEditor:
             return None
         near = self._near(face, at) if hovered or active else None
         if imgui.is_item_activated() and near is not None:
-            self._grip = (near, face.marks.outline or ())
+            self._grip = self._take(face, near)
         if self._grip is None:
             return near
         (what, index), before = self._grip
@@ -227,6 +227,15 @@ class FaceEditor:
             else:
                 face.drag_end(index, at)
         return what, index
+
+    def _take(self, face: OpenFace, near: Grip) -> tuple[Grip, Outline]:
+        """What is dragged, and the outline to begin with."""
+        outline = face.marks.outline or ()
+        if near[0] != "outline" or imgui.get_io().key_alt:
+            return near, outline
+        aspect = self.side.x / self.side.y
+        finer = refine(outline, aspect)
+        return ("outline", nearest_point(finer, outline[near[1]], aspect)[0]), finer
 
     def _near(self, face: OpenFace, at: Place) -> Grip | None:
         """The point within reach of a place; the axis lies above the outline."""
@@ -252,7 +261,7 @@ class FaceEditor:
         outline = face.marks.outline
         if outline is None:
             return
-        p, points = palette(), [self._screen(place) for place in outline]
+        p, points = palette(), [self.to_screen(place) for place in outline]
         for colour, thickness in ((u32("#000000", 0.4), px(3.6)), (u32(p.accent), px(1.8))):
             draw.path_clear()
             for point in points:
@@ -271,7 +280,7 @@ class FaceEditor:
                 since = 0.0
 
     def _axis(self, draw: imgui.ImDrawList, face: OpenFace, grip: Grip | None) -> None:
-        points = [self._screen(place) for place in self._axis_points(face)]
+        points = [self.to_screen(place) for place in self._axis_points(face)]
         colour = u32("#7FC4FF")  # bright on flesh of any colour, in both themes
         if len(points) == 2:
             draw.add_line(points[0], points[1], u32("#000000", 0.45), px(4))
@@ -311,7 +320,8 @@ class FaceEditor:
 
     # Places
 
-    def _screen(self, place: Place) -> ImVec2:
+    def to_screen(self, place: Place) -> ImVec2:
+        """Where a place in the picture is on the screen."""
         return ImVec2(self.low.x + place[0] * self.side.x, self.low.y + place[1] * self.side.y)
 
     def _place(self, at: ImVec2) -> Place:

@@ -36,6 +36,8 @@ class PlacementView:
         self._seen: Kind | None = None
         """The kind of cut that the camera was turned to."""
         self._moved = -10.0
+        self.low, self.size = ImVec2(0, 0), ImVec2(1, 1)
+        """Top left corner and size on the screen."""
 
     def forget(self) -> None:
         """The next picture is looked at from the front again."""
@@ -44,6 +46,7 @@ class PlacementView:
     def show(self, face: OpenFace, size: ImVec2) -> None:
         """One frame, from the cursor on."""
         low = imgui.get_cursor_screen_pos()
+        self.low, self.size = low, size
         high = ImVec2(low.x + size.x, low.y + size.y)
         draw = imgui.get_window_draw_list()
         draw.add_rect_filled(low, high, u32(palette().view), px(5))

@@ -67,8 +67,9 @@ def read_picture(path: str | Path, kind: Kind, marks: Marks = UNMARKED) -> Pictu
     cut that leans is turned upright. Raises InputError if a file cannot be read or no cut face stands out.
     """
     path = Path(path)
+    marks = _with_axis_file(marks, path)
     rgb, mask = find_face(path, marks)
-    return make_picture(path, rgb, mask, kind, _with_axis_file(marks, path))
+    return make_picture(path, rgb, mask, kind, marks)
 
 
 def make_picture(path: Path, rgb: NDArray[np.float32], mask: NDArray[np.bool_], kind: Kind, marks: Marks) -> Picture:
