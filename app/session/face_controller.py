@@ -11,8 +11,8 @@ from pathlib import Path
 
 from app.jobs.face_finder import FaceFinder, FoundFace
 from app.jobs.placement_preview import Placed, PlacementPreview, Wanted
-from app.model.face_edit import BrushStroke, Outline, drag_point
-from app.model.face_words import describe_guess
+from app.model.faces.edit import BrushStroke, Outline, drag_point
+from app.model.faces.words import describe_guess
 from app.model.history import History
 from app.session.workspace import Documents, Workspace
 from training.faces.marks import UNMARKED, Marks, Place

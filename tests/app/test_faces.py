@@ -18,8 +18,8 @@ from app.jobs.scene_loader import LoadedScene, SceneRequest
 from app.jobs.training_job import request_for
 from app.model.autosave import Autosave
 from app.model.document import Document
-from app.model.face_edit import BrushStroke, drag_point, nearest_point, refine
-from app.model.face_words import describe_guess
+from app.model.faces.edit import BrushStroke, drag_point, nearest_point, refine
+from app.model.faces.words import describe_guess
 from app.model.history import History
 from app.model.pieces import Solid
 from app.model.project import Project, Viewing, load_project, save_project

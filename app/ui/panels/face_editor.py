@@ -12,8 +12,8 @@ from imgui_bundle import ImVec2, imgui
 from imgui_bundle import icons_fontawesome_6 as icon
 from numpy.typing import NDArray
 
-from app.model.face_edit import Outline, nearest_point, refine
-from app.model.face_words import describe_guess
+from app.model.faces.edit import Outline, nearest_point, refine
+from app.model.faces.words import describe_guess
 from app.session.face_controller import OpenFace
 from app.session.session import Session
 from app.ui.theme import Fonts, palette, px, rgba, u32
@@ -95,7 +95,8 @@ class FaceEditor:
         self._tools(face, width)
         imgui.set_cursor_screen_pos(ImVec2(start.x + width + gap, start.y + height + px(10)))
         imgui.align_text_to_frame_padding()
-        secondary("Where it goes in the object. Drag to look around.")
+        words = "Where it goes in the object", "Where it goes in the object. Drag to look around."
+        secondary(words[imgui.calc_text_size(words[1]).x < right.x])
         if imgui.is_key_pressed(imgui.Key.escape) and not imgui.is_popup_open("", imgui.PopupFlags_.any_popup):
             session.faces.close()
         return True
@@ -140,7 +141,9 @@ class FaceEditor:
             imgui.same_line(left)
             if right - wide < imgui.get_item_rect_max().x - imgui.get_window_pos().x + px(12):  # too narrow for one row
                 imgui.new_line()
-            imgui.set_cursor_pos_x(right - wide)
+                imgui.set_cursor_pos_x(left)
+            else:
+                imgui.set_cursor_pos_x(right - wide)
             index = names.index(face.kind)
             chosen = segmented("kind", list(KINDS.values()), index, wide, KIND_HINTS)
             if chosen != index:

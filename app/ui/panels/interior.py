@@ -11,7 +11,7 @@ from imgui_bundle import icons_fontawesome_6 as icon
 
 from app.jobs.training_job import Job, missing_for_training
 from app.model.document import Training
-from app.model.face_words import CUT_NAMES, describe_guess
+from app.model.faces.words import CUT_NAMES, describe_guess
 from app.session.question import Choice
 from app.session.session import Session
 from app.ui.dialogs.file_dialogs import FileDialogs

@@ -14,12 +14,12 @@ CUT_NAMES: dict[Kind, str] = {
     "custom": "a cut",
 }
 
-SURE, FAIRLY_SURE = 0.9, 0.65
-"""Probabilities from which a guess is called so: of twenty that are sure at most two are wrong; below the second, two
-kinds of cut are nearly as likely."""
+FAIRLY_SURE = 0.85
+"""Sureness from which a guess is called so. Of 29 photographs and 12 pictures of our own, 11 of 13 above it are right,
+and the others are level cuts of a loaf, which look like slices of one; below it 6 of 28 are wrong."""
 
 
 def describe_guess(guess: CutGuess) -> str:
     """As in 'looks like a cut across the core, fairly sure'."""
-    sure = "sure" if guess.sureness >= SURE else "fairly sure" if guess.sureness >= FAIRLY_SURE else "not sure"
+    sure = "fairly sure" if guess.sureness >= FAIRLY_SURE else "not sure"
     return f"looks like {CUT_NAMES[guess.kind]}, {sure}"
