@@ -1,4 +1,5 @@
-// A line of constant width on the screen (LINE: one instance each), or a corner of a flat sheet.
+// A line of constant width on the screen (LINE: one instance each), or a corner of a flat sheet, plain or with a
+// picture on it (PICTURE).
 #include "camera.glsl"
 
 #ifdef LINE
@@ -8,16 +9,24 @@ in vec3 end;
 #else
 in vec3 position;
 #endif
+#ifdef PICTURE
+in vec2 place; // in the picture, 0 to 1
+#else
 in vec4 rgba;
+#endif
 
 uniform float width; // pixels
 
 out float depth;
-out vec4 tint;
+out vec4 tint; // PICTURE: the place in it, twice
 noperspective out float across; // pixels from the line's middle
 
 void main() {
+#ifdef PICTURE
+    tint = vec4(place, place);
+#else
     tint = rgba;
+#endif
     across = 0.0;
 #ifdef LINE
     vec3 a = (view * vec4(start, 1.0)).xyz, b = (view * vec4(end, 1.0)).xyz;

@@ -1,4 +1,4 @@
-"""The five pictures of the README, from the real window: `make screenshots`.
+"""The six pictures of the README, from the real window: `make screenshots`.
 
 Runs the app under a virtual X server where there is no display, opens the watermelon, shows its families, trains it,
 cuts it, and saves what the window shows into docs/pictures/. A finished training result in out/screenshots is used
@@ -38,7 +38,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument("--detail", default="standard", choices=("draft", "standard", "high"))
     parser.add_argument("--fresh", action="store_true", help="train again even if there is a result")
-    parser.add_argument("--only", default="12345", help="numbers of the pictures to take: 145")
+    parser.add_argument("--only", default="123456", help="numbers of the pictures to take: 145")
     parser.add_argument("--theme", default="dark", choices=("dark", "light"))
     options = parser.parse_args()
     if not os.environ.get("DISPLAY") and sys.platform.startswith("linux"):
@@ -97,6 +97,17 @@ def take(detail: str, theme: str, only: str) -> None:
         window.interior.open = "horizontal"
         shot("5_families")
         view.show_families, window.interior.open = frozenset(), None
+
+        # A picture, before anything is trained.
+        radial = session.document.family("radial")
+        if "6" in only and radial is not None:
+            window.interior.open = "radial"
+            session.faces.edit("radial", radial.exemplars[0])
+            face = session.faces.open_face
+            driver.until(lambda: face is not None and face.placed is not None and not session.faces.busy, 60, "a face")
+            shot("6_picture")
+            session.faces.close()
+            window.interior.open = None
 
         # Training, seen through an opened object.
         if kept.exists():

@@ -13,6 +13,7 @@ from engine.errors import InputError
 from engine.scene.camera import equator
 from engine.scene.grid import Body
 from engine.scene.plane import Plane
+from training.faces.marks import UNMARKED, Marks
 
 __all__ = ["COUNTS", "Family", "Kind"]
 
@@ -48,6 +49,8 @@ class Family:
     """The planes of a `custom` family."""
     span: tuple[float, float] = (0.0, 1.0)
     """Part of the body's extent along the normal, or of the 180 degrees of a `radial` family, that the planes cover."""
+    marks: tuple[tuple[Path, Marks], ...] = ()
+    """What the user says of the faces in some of the exemplars, by path."""
 
     def __post_init__(self) -> None:
         if self.kind not in get_args(Kind):
@@ -61,6 +64,17 @@ class Family:
             raise InputError(f"family '{self.kind}': range {low:g}..{high:g}; give parts of the whole, as in 0.2..0.8")
         if self.kind == "custom" and not self.custom:
             raise InputError("family 'custom': no planes; give each as custom:a,b,c,d")
+
+    def marks_of(self, exemplar: Path) -> Marks:
+        """What the user says of the face in one of the pictures."""
+        return dict(self.marks).get(exemplar, UNMARKED)
+
+    def with_marks(self, exemplar: Path, marks: Marks) -> Family:
+        """With the marks of one picture in place of those it had."""
+        others = {path: kept for path, kept in self.marks if path != exemplar and path in self.exemplars}
+        if marks != UNMARKED:
+            others[exemplar] = marks
+        return replace(self, marks=tuple(sorted(others.items())))
 
     def normal(self, body: Body, up: NDArray[np.float64]) -> NDArray[np.float64]:
         """(3,). The common normal of a horizontal or parallel family."""

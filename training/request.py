@@ -27,6 +27,7 @@ from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from engine.scene.gaussians import Gaussians
 from engine.scene.grid import Body
 from engine.scene.plane import Plane
+from training.faces.marks import Marks, axis_beside, marks_record, read_marks
 from training.faces.mask_file import mask_beside
 from training.families import MAX_PLANES, Family, Kind
 from training.settings import DETAILS, Detail, DetailName
@@ -47,7 +48,7 @@ PriorName = Literal["exemplar", "stable-diffusion"]
 FORMAT = 5
 """Version of the checkpoints; it grows with every change of them, so that no run resumes one of another version."""
 
-FILE_VERSION = 3
+FILE_VERSION = 4
 """Version of request files. Any other is refused, so it grows with every change of meaning."""
 
 LIMIT = 1 << 20
@@ -87,9 +88,10 @@ class Request:
 
     @property
     def files(self) -> list[Path]:
-        """The scene, all pictures, and the masks beside them."""
+        """The scene, all pictures, and the masks and axes beside them."""
         pictures = [path for family in self.families for path in family.exemplars]
-        return [self.scene, *pictures, *filter(None, map(mask_beside, pictures))]
+        beside = [found(path) for found in (mask_beside, axis_beside) for path in pictures]
+        return [self.scene, *pictures, *filter(None, beside)]
 
     @property
     def fineness(self) -> Detail:
@@ -143,6 +145,7 @@ def family_record(family: Family, path_text: Callable[[Path], str | None]) -> di
         "axis": family.axis,
         "range": family.span,
         "planes": [[*plane.normal, plane.offset] for plane in family.custom],
+        "marks": [{"picture": path_text(path)} | marks_record(marks) for path, marks in family.marks],
     }
 
 
@@ -155,8 +158,17 @@ def read_family(reader: Fields, value: Any, read_path: Callable[[Any], Path]) ->
     count = reader.integer(record, "count", 0, MAX_PLANES)
     prompt, axis = reader.text(record, "prompt"), reader.unit(record, "axis")
     low, high = reader.numbers(record.get("range", [0.0, 1.0]), 2, "'range'")  # older projects have none
+
+    def marked(value: Any) -> tuple[Path, Marks]:
+        entry = reader.table(value, "a picture's marks")
+        path = read_path(entry.get("picture"))
+        reader.require(path in exemplars, "marks belong to none of the family's pictures")
+        return path, read_marks(reader, entry)
+
+    marks = reader.each({"marks": []} | record, "marks", marked)  # older projects have none
+    reader.require(len(dict(marks)) == len(marks), "a picture's marks are listed twice")
     try:
-        return Family(kind, count, exemplars, prompt, axis, planes, (low, high))
+        return Family(kind, count, exemplars, prompt, axis, planes, (low, high), marks)
     except InputError as error:
         raise InputError(f"{reader.path}: not a {reader.kind}: {error}") from error
 

@@ -92,6 +92,7 @@ def request_for(document: Document, up: Vec3) -> Request:
         model=training.model if diffusion else None,
         thing=(training.thing or None) if diffusion else None,
         isolation=document.isolation,
+        same=training.same and not diffusion,
     )
 
 

@@ -18,6 +18,7 @@ from app.model.rigid_transform import STILL, Motion, Vec3
 from engine.io.fields import LARGEST_INTEGER
 from engine.isolate.selection import Isolation, Selection
 from engine.scene.plane import Plane
+from training.faces.marks import UNMARKED, Marks
 from training.families import COUNTS, Family, Kind
 from training.request import PriorName
 from training.settings import DetailName
@@ -107,6 +108,8 @@ class Training:
     """Folder of the diffusion model, for `stable-diffusion`."""
     thing: str = ""
     """What the object is called in prompts; empty: the name of the scene's file."""
+    same: bool = False
+    """Whether the user knows the pictures to be of one thing."""
 
 
 @dataclass(frozen=True)
@@ -224,6 +227,29 @@ class Document:
         family = self.family(kind) or Family(kind, COUNTS[kind])
         new = tuple(path for path in dict.fromkeys(paths) if path not in family.exemplars)
         return self.with_family(replace(family, exemplars=(*family.exemplars, *new)))
+
+    def without_exemplar(self, kind: Kind, path: Path) -> Document:
+        """Without one of a family's pictures, and what was said of its face."""
+        family = self.family(kind)
+        if family is None:
+            return self
+        others = tuple(other for other in family.exemplars if other != path)
+        return self.with_family(replace(family.with_marks(path, UNMARKED), exemplars=others))
+
+    def moved_exemplar(self, path: Path, kind: Kind, to: Kind) -> Document:
+        """With a picture in another family; its outline and axis go with it."""
+        family = self.family(kind)
+        if family is None or kind == to:
+            return self
+        document = self.without_exemplar(kind, path).with_exemplars(to, (path,))
+        return document.with_marks(to, path, family.marks_of(path))
+
+    def with_marks(self, kind: Kind, path: Path, marks: Marks) -> Document:
+        """With what the user says of the face in one of a family's pictures."""
+        family = self.family(kind)
+        if family is None or path not in family.exemplars:
+            return self
+        return self.with_family(family.with_marks(path, marks))
 
 
 def agrees(scope: Key, key: Key) -> bool:

@@ -27,7 +27,7 @@ from training.settings import DetailName
 
 __all__ = ["SUFFIX", "Outside", "Project", "ViewMode", "Viewing", "load_project", "save_project"]
 
-FORMAT = 3
+FORMAT = 4
 """Version of the file. Later ones are refused, so it grows with every change of meaning."""
 
 SINGLE_FORMAT = 2
@@ -169,6 +169,7 @@ def _object_record(document: Document, folder: Path) -> dict[str, Any]:
             "out": _relative(training.out, folder),
             "model": _relative(training.model, folder),
             "thing": training.thing,
+            "same": training.same,
         },
     }
 
@@ -288,6 +289,7 @@ class _Reader(Fields):
             out=self.file(fields, "out"),
             model=self.file(fields, "model"),
             thing=self.text(fields, "thing"),
+            same=self.flag({"same": False} | fields, "same"),  # older projects do not have it
         )
 
     def viewing(self, fields: dict[str, Any]) -> Viewing:

@@ -9,6 +9,7 @@ import time
 from dataclasses import dataclass
 
 from app.model.project import Project
+from app.session.face_controller import FaceController
 from app.session.isolation_controller import IsolationController
 from app.session.project_files import ProjectFiles
 from app.session.scene_controller import SceneController
@@ -25,12 +26,13 @@ AUTOSAVE_RETRY = 60.0
 @dataclass
 class Session(Workspace):
     """The workspace with its controllers: `scene` loads, `isolation` says what of it is the object, `training` trains,
-    `files` opens, saves and closes."""
+    `faces` finds the faces in pictures, `files` opens, saves and closes."""
 
     def __post_init__(self) -> None:
         self.scene = SceneController(self)
         self.training = TrainingController(self, self.scene)
         self.isolation = IsolationController(self)
+        self.faces = FaceController(self)
         self.files = ProjectFiles(self, self.scene, self.training)
 
     def tick(self) -> None:
@@ -42,6 +44,7 @@ class Session(Workspace):
             self.training.recolour()
         self.isolation.tick()
         self.training.tick()
+        self.faces.tick()
         try:
             self.autosave.update(Project(self.documents, self.viewing), self.history.changed, self.path)
         except InputError:

@@ -431,7 +431,7 @@ class Workspace:
         if kind is None:
             kind = self.document.families[0].kind if self.document.families else "horizontal"
         self.change(f"Picture for {kind}", self.document.with_exemplars(kind, paths))
-        self.notify(f"{paths[0].name} shows a {kind} cut. Choose another family for it with a right click.")
+        self.notify(f"Looking for the cut face in {paths[0].name}.")
 
     # Viewing
 

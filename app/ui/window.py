@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,7 @@ from app.ui.dialogs.export_window import ExportWindow
 from app.ui.dialogs.exporter import Exporter
 from app.ui.dialogs.file_dialogs import FileDialogs
 from app.ui.menus import Menus
+from app.ui.panels.face_editor import FaceEditor
 from app.ui.panels.inspector import Inspector
 from app.ui.panels.interior import InteriorPanel
 from app.ui.panels.thumbnails import Thumbnails
@@ -119,6 +121,7 @@ class Window:
         self.thumbnails = Thumbnails(self.ctx)
         self.dialogs = FileDialogs(self.session.folder)
         self.viewport = Viewport(self.session, self.painter)
+        self.face_editor = FaceEditor(self.session, self.painter)
         self.exporter = Exporter(self.session, self.painter)
         self.export = ExportWindow(self.exporter, self.dialogs)
         self.menus = Menus(self.session, self.viewport, self.dialogs, self.export)
@@ -137,6 +140,8 @@ class Window:
         width, height = (max(200, round(side / px(1))) for side in glfw.get_window_size(self.window))
         self.session.change_settings(replace(self.session.settings, window=(width, height)))  # at 96 DPI
         glfw.set_drop_callback(self.window, None)  # type: ignore[arg-type]
+        self.session.faces.release()
+        self.face_editor.release()
         self.thumbnails.release()
         self.painter.release()
 
@@ -149,6 +154,7 @@ class Window:
         busy = (
             preparing
             or session.isolation.pending
+            or session.faces.busy
             or self.exporter.busy
             or self.viewport.moving
             or self.painter.unfinished
@@ -209,9 +215,13 @@ class Window:
         flags = imgui.WindowFlags_.no_scrollbar | imgui.WindowFlags_.no_scroll_with_mouse
         imgui.begin("Object", None, flags | imgui.WindowFlags_.no_move | imgui.WindowFlags_.no_title_bar)
         imgui.pop_style_var()
-        self._guard(self.viewport.show)
+        self._guard(self._object_or_picture)
         self._guard(self._viewport_body)
         imgui.end()
+
+    def _object_or_picture(self) -> None:
+        if not self.face_editor.show():
+            self.viewport.show()
 
     def _viewport_body(self) -> None:
         self._notices()
@@ -253,6 +263,10 @@ class Window:
             texts.append((f"Unsaved work on {name} was kept.", "Bring it back", self._recover, self._discard))
         if self.recovered_jobs:
             texts.append((describe_job(self.recovered_jobs[0]), "Show it", self._show_job, self._dismiss_job))
+        if session.faces.hint is not None and session.faces.open_face is None:
+            hint = session.faces.hint
+            look = partial(session.faces.edit, hint.kind, hint.path)
+            texts.append((hint.text, "Look at it", look, session.faces.dismiss_hint))
         if session.error:
             texts.append((session.error, "", None, lambda: setattr(session, "error", "")))
         y = view.origin.y + view.size[1] - px(46)

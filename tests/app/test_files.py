@@ -7,6 +7,7 @@ import os
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -88,8 +89,14 @@ def test_another_project_in_the_place_of_a_trusted_one_is_asked_about_again(
     assert session.question is None and len(session.settings.trusted) == 1
 
 
+def marks(record: dict[str, Any]) -> dict[str, Any]:
+    """The first marks of a project's record."""
+    entry: dict[str, Any] = record["objects"][0]["families"][0]["marks"][0]
+    return entry
+
+
 BREAK: dict[str, Callable[[dict], object]] = {
-    "version": lambda r: r.update(fruitninja=4),
+    "version": lambda r: r.update(fruitninja=5),
     "no version": lambda r: r.pop("fruitninja"),
     "no cuts": lambda r: r["objects"][0].pop("cuts"),
     "cuts are text": lambda r: r["objects"][0].update(cuts="abc"),
@@ -102,6 +109,10 @@ BREAK: dict[str, Callable[[dict], object]] = {
     "side": lambda r: r["objects"][0]["pieces"][0].update(key=[[1, 2]]),
     "turn": lambda r: r["objects"][0]["pieces"][0].update(turn=[0, 0, 0, 0]),
     "family": lambda r: r["objects"][0]["families"][0].update(count=0),
+    "outline": lambda r: marks(r).update(outline=[[0, 0], [1, 1]]),
+    "place": lambda r: marks(r).update(core=[0.5, 1.5]),
+    "line": lambda r: marks(r).update(line=[[0.5, 0.5], [0.5, 0.5]]),
+    "marks": lambda r: marks(r).update(picture="other.png"),
     "range": lambda r: r["objects"][0]["families"][0].update(range=[0.5, 0.1]),
     "range of one": lambda r: r["objects"][0]["families"][0].update(range=[0.5]),
     "family twice": lambda r: r["objects"][0]["families"].append(r["objects"][0]["families"][0]),

@@ -46,7 +46,7 @@ def test_a_dense_screen_dropped_files_dialogs_and_leaving(tmp_path: Path) -> Non
 
 
 def test_the_object_is_stood_on_a_face_and_turned(tmp_path: Path) -> None:
-    run("upright", tmp_path)
+    run("upright", tmp_path, "app_scripts.py")
     assert len(list((tmp_path / "shots").glob("upright_*.png"))) == 4
 
 
@@ -59,6 +59,11 @@ def test_a_user_isolates_the_object_and_takes_it_back(tmp_path: Path) -> None:
 def test_two_objects_are_selected_cut_named_and_hidden(tmp_path: Path) -> None:
     run("several", tmp_path, "app_isolate_steps.py")
     assert len(list((tmp_path / "shots").glob("*.png"))) == 5
+
+
+def test_a_picture_is_looked_at_and_corrected_before_training(tmp_path: Path) -> None:
+    run("faces", tmp_path, "app_scripts.py")
+    assert len(list((tmp_path / "shots").glob("faces_*.png"))) == 5
 
 
 def test_two_thousand_random_actions_leave_nothing_behind(tmp_path: Path) -> None:

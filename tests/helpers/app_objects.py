@@ -14,6 +14,7 @@ from app.model.rigid_transform import Motion
 from engine.isolate.selection import BodyAt, Box, Lasso, Step, View, keep_only
 from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from engine.scene.plane import Plane
+from training.faces.marks import Marks
 from training.families import Family
 
 
@@ -27,12 +28,16 @@ def full(folder: Path) -> Project:
     motion = Motion.about((0.1, 0.2, 0.3), (1, 1, 1), 33.3)
     document = document.placed(((1, 1),), lambda p: replace(p, motion=motion, visible=False, removed=True, name="lid"))
     document = document.with_exemplars("horizontal", (folder / "a.png", folder / "b.png"))
+    outline = ((0.1, 0.2), (0.9, 1 / 3), (0.5, 1.0))
+    marks = Marks(outline, (0.5, 1 / 3), ((0.5, 0.0), (2 / 3, 1.0)))
+    document = document.with_marks("horizontal", folder / "b.png", marks)
     document = document.with_family(
         Family("parallel", 12, (folder / "c.png",), "rye bread", (0.0, 1.0, 0.0), (), (0.1, 2 / 3))
     )
     document = document.with_family(Family("custom", 1, custom=(Plane.of((3, 1, 2), 0.4),)))
     document = replace(
-        document, training=Training("high", "stable-diffusion", 7, 50, folder / "out", folder / "model", "rye bread")
+        document,
+        training=Training("high", "stable-diffusion", 7, 50, folder / "out", folder / "model", "rye bread", True),
     )
     view = View((0.1, 1 / 3, -2.0), (0.6, 0.0, 0.8, 0.0), (0.5, 0.4))
     lasso = Step("add", Lasso(view, ((-1.0, 0.0), (1.0, 0.1), (0.0, 0.9))))

@@ -35,7 +35,6 @@ from app.ui.window import Window
 from engine.io.splats.ply import read_ply
 from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from tests.helpers.app_driver import Driver, drive
-from tests.helpers.app_upright import upright
 from tests.paths import HELPERS
 from tests.quick_scene_worker import use_quick_worker
 
@@ -438,8 +437,6 @@ def main() -> None:
         opened(folder, lambda driver: steps(driver, folder))
     elif name == "habits":
         at_once(folder, lambda driver: habits(driver, folder), (800, 560), twice_as_dense)
-    elif name == "upright":
-        at_once(folder, lambda driver: upright(driver, folder), (860, 560))
     else:
         use_quick_worker()
         at_once(folder, soak, (640, 300))  # most frames are drawn by the processor: a small view is a quick one

@@ -14,14 +14,16 @@ from engine.isolate.selection import Box, Detected, Step, keep_only
 from engine.scene.plane import Plane
 from tests.paths import SAMPLES
 from training import cli
+from training.faces.marks import Marks
 from training.families import Family
 from training.request import Request, read_request
 
 
 def full(folder: Path) -> Request:
     """A request in which no field has its default."""
+    marks = ((folder / "b é.png", Marks(((0.1, 0.2), (0.9, 1 / 3), (0.5, 1.0)), (0.5, 1 / 3))),)
     families = (
-        Family("horizontal", 7, (folder / "a.png", folder / "b é.png"), "a slice", span=(0.1, 2 / 3)),
+        Family("horizontal", 7, (folder / "a.png", folder / "b é.png"), "a slice", span=(0.1, 2 / 3), marks=marks),
         Family("parallel", 12, (folder / "c.png",), "Käse", (0.6, 0.0, 0.8)),
         Family("custom", 2, custom=(Plane.of((1, 2, 3), 0.1), Plane.of((0, 0, -1), 1e-17))),
     )
@@ -64,7 +66,7 @@ def test_a_relative_request_is_written_with_absolute_paths(tmp_path: Path, monke
 
 
 BREAK: dict[str, Callable[[dict], object]] = {
-    "version": lambda r: r.update(fruitninja_request=4),
+    "version": lambda r: r.update(fruitninja_request=5),
     "no version": lambda r: r.pop("fruitninja_request"),
     "version is a flag": lambda r: r.update(fruitninja_request=True),
     "unknown field": lambda r: r.update(command="rm"),

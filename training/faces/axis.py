@@ -11,7 +11,7 @@ from scipy import ndimage
 
 from training.families import Kind
 
-__all__ = ["CutGuess", "find_axis", "find_core", "guess_cut"]
+__all__ = ["CutGuess", "find_axis", "find_core", "guess_cut", "line_ends"]
 
 SIDE = 96
 """Pixels to which a face is reduced: symmetry is a matter of its layout, and finer detail never repeats."""
@@ -82,10 +82,10 @@ def find_axis(rgb: NDArray[np.float32], mask: NDArray[np.bool_]) -> NDArray[np.f
     turn = np.radians(lean)
     along = np.array([-np.sin(turn), np.cos(turn)])
     on_line = middle + scale * shift * np.array([np.cos(turn), np.sin(turn)])
-    return _ends(mask, on_line, along)
+    return line_ends(mask, on_line, along)
 
 
-def _ends(mask: NDArray[np.bool_], on_line: NDArray[np.float64], along: NDArray[np.float64]) -> NDArray[np.float64]:
+def line_ends(mask: NDArray[np.bool_], on_line: NDArray[np.float64], along: NDArray[np.float64]) -> NDArray[np.float64]:
     """(2, 2). Where a line through a point in a direction enters and leaves the face, its stalk left out."""
     radius = max(1, round(STALK * (np.ptp(np.nonzero(mask)[1]) + 1)))
     steps = np.arange(-max(mask.shape), max(mask.shape) + 1.0)

@@ -11,6 +11,7 @@ from imgui_bundle import icons_fontawesome_6 as icon
 
 from app.jobs.training_job import Job, missing_for_training
 from app.model.document import Training
+from app.model.faces.words import CUT_NAMES, describe_guess
 from app.session.question import Choice
 from app.session.session import Session
 from app.ui.dialogs.file_dialogs import FileDialogs
@@ -58,6 +59,10 @@ RANGE_HINTS: dict[Kind, str] = {
 }
 AXIS_CHOICES = {"longest side": None, "x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 DETAIL_HINTS = ("A first look, in a minute", "For most objects", "Fine structures; takes longest")
+SAME_HINT = (
+    "One fruit, cut twice: then both pictures are followed exactly where their cuts meet. Leave it off for pictures of "
+    "different fruits of a kind, or if you do not know."
+)
 PRIORS: dict[PriorName, str] = {"exemplar": "From the pictures", "stable-diffusion": "From words, by diffusion"}
 
 
@@ -198,9 +203,10 @@ class InteriorPanel:
             self._thumbnail(path, side)
             imgui.set_cursor_screen_pos(at)
             imgui.set_next_item_allow_overlap()
-            imgui.invisible_button("picture", ImVec2(side, side))
+            if imgui.invisible_button("picture", ImVec2(side, side)):
+                session.faces.edit(family.kind, path)
             hovered = imgui.is_item_hovered(imgui.HoveredFlags_.allow_when_overlapped_by_item)
-            tooltip(f"{path.name}\nClick the cross to remove it; right click to move it to another family.")
+            self._picture_state(path, at, side)
             self._move_menu(family, path)
             imgui.set_cursor_screen_pos(ImVec2(at.x + side - px(18), at.y + px(2)))
             pressed = hovered and imgui.small_button(f"{icon.ICON_FA_XMARK}")
@@ -208,23 +214,45 @@ class InteriorPanel:
             imgui.end_group()
             imgui.pop_id()
             if pressed:
-                others = tuple(p for p in family.exemplars if p != path)
-                session.change("Remove picture", session.document.with_family(replace(family, exemplars=others)))
+                session.change("Remove picture", session.document.without_exemplar(family.kind, path))
                 return
             imgui.same_line()
         if icon_button(f"{icon.ICON_FA_PLUS}##add", 46):
             self.dialogs.open_pictures(lambda paths: session.add_pictures(family.kind, paths))
         tooltip("Add a picture of a cut face")
+        for path in family.exemplars:
+            face = session.faces.finder.get(path)
+            if face is not None and face.problem and family.marks_of(path).outline is None:
+                secondary(f"{path.name}: {face.verdict}.", wrap=True)
+
+    def _picture_state(self, path: Path, at: ImVec2, side: float) -> None:
+        """What the last item, a picture, seems to show; a sign on it if it shows no face."""
+        face = self.session.faces.finder.get(path)
+        family = self.session.document.family(self.open) if self.open is not None else None
+        corrected = family is not None and family.marks_of(path).outline is not None
+        lines = [path.name]
+        if face is None:
+            lines.append("Looking for the cut face...")
+        elif corrected:
+            lines.append("With the outline that you corrected.")
+        elif face.problem:
+            lines.append(f"{face.problem[:1].upper()}{face.problem[1:]}.")
+            low, p = ImVec2(at.x + px(2), at.y + side - px(20)), palette()
+            draw = imgui.get_window_draw_list()
+            draw.add_rect_filled(low, ImVec2(low.x + px(20), low.y + px(18)), u32(p.panel, 0.8), px(4))
+            draw.add_text(ImVec2(low.x + px(3), low.y + px(1)), u32(p.trouble), icon.ICON_FA_TRIANGLE_EXCLAMATION)
+        elif face.guess is not None:
+            lines.append(f"It {describe_guess(face.guess)}.")
+        lines.append("Click to see where it goes and to correct its outline; right click to move it.")
+        tooltip("\n".join(lines))
 
     def _move_menu(self, family: Family, path: Path) -> None:
         session = self.session
         if not imgui.begin_popup_context_item("move"):
             return
         for kind in get_args(Kind):
-            if kind not in (family.kind, "custom") and imgui.menu_item_simple(f"It shows a {kind} cut"):
-                others = tuple(p for p in family.exemplars if p != path)
-                document = session.document.with_family(replace(family, exemplars=others))
-                session.change("Move picture", document.with_exemplars(kind, (path,)))
+            if kind not in (family.kind, "custom") and imgui.menu_item_simple(f"It shows {CUT_NAMES[kind]}"):
+                session.change("Move picture", session.document.moved_exemplar(path, family.kind, kind))
         imgui.end_popup()
 
     def _add(self) -> None:
@@ -260,6 +288,11 @@ class InteriorPanel:
             if chosen != current:
                 detail: DetailName = names[chosen]
                 self._change_training("Detail", replace(training, detail=detail))
+            if sum(bool(family.exemplars) for family in session.document.families) > 1 and training.prior == "exemplar":
+                changed, same = imgui.checkbox("The pictures are of one and the same thing", training.same)
+                if changed:
+                    self._change_training("One thing", replace(training, same=same))
+                tooltip(SAME_HINT)
             if imgui.tree_node_ex("More", imgui.TreeNodeFlags_.span_avail_width):
                 self._more(training)
                 imgui.tree_pop()

@@ -15,7 +15,7 @@ from app.model.rigid_transform import Vec3
 from app.session.workspace import Workspace
 from engine.render.cpu.software import is_software
 from engine.render.culling.draw_options import Mode
-from engine.render.gl.overlay import Lines, Sheet
+from engine.render.gl.overlay import Lines, Overlay
 from engine.render.gl.renderer import Renderer
 from engine.scene.atoms import Atoms
 from engine.scene.camera import Camera
@@ -77,13 +77,13 @@ class Painter:
         camera: Camera,
         pieces: Sequence[Piece],
         background: Vec3,
-        over: Sequence[Lines | Sheet] = (),
+        over: Sequence[Overlay] = (),
         moving: bool = False,
     ) -> moderngl.Texture | None:
         """A frame of the workspace's objects; None if there is nothing to draw. Valid until the next call.
 
-        `over`: lines and sheets drawn over the object. `moving`: the view changes from frame to frame, so that speed
-        matters more than detail.
+        `over`: lines, sheets and pictures drawn over the object. `moving`: the view changes from frame to frame, so
+        that speed matters more than detail.
         """
         atoms, capture = self._atoms, self._capture
         if not self._upload(workspace):
@@ -99,7 +99,12 @@ class Painter:
             tuple((piece.planes, piece.transform.tobytes()) for piece in pieces),
         )
         overlay_key = tuple(
-            (i.rgba, (i.corners if isinstance(i, Sheet) else i.ends).tobytes(), i.hidden, getattr(i, "width", 0.0))
+            (
+                i.rgba if isinstance(i.rgba, tuple) else id(i.rgba),
+                (i.ends if isinstance(i, Lines) else i.corners).tobytes(),
+                i.hidden,
+                getattr(i, "width", 0.0),
+            )
             for i in over
         )
         if key != self._key or self._texture is None or (mode == "capture" and self.renderer.sorting):

@@ -98,7 +98,7 @@ class PlaneLines:
     def _of(self, family: Family, piece: PlacedPiece) -> NDArray[np.float64]:
         """(S, 2, 3). Lines of a family on one piece, in object space."""
         body, place = self.body_of(self.workspace.document), (family.kind, piece.key)
-        key = (replace(family, exemplars=(), prompt=""), piece.planes, id(body), self.workspace.up)
+        key = (replace(family, exemplars=(), prompt="", marks=()), piece.planes, id(body), self.workspace.up)
         cached = self._families.get(place)
         if cached is None or cached[0] != key:
             planes = family.planes(body, np.asarray(self.workspace.up, np.float64))

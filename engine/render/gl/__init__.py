@@ -2,7 +2,7 @@
 
 from engine.render.culling.draw_options import Mode
 from engine.render.gl.context import GLMissing
-from engine.render.gl.overlay import Lines, Sheet
+from engine.render.gl.overlay import Lines, PictureSheet, Sheet
 from engine.render.gl.renderer import Renderer
 
-__all__ = ["GLMissing", "Lines", "Mode", "Renderer", "Sheet"]
+__all__ = ["GLMissing", "Lines", "Mode", "PictureSheet", "Renderer", "Sheet"]

@@ -23,7 +23,7 @@ from engine.render.gl.batches import Pool
 from engine.render.gl.classic import Capture, resolve_values
 from engine.render.gl.context import Programs, offscreen_context
 from engine.render.gl.opaque import OpaqueMode
-from engine.render.gl.overlay import Lines, OverlayPass, Sheet
+from engine.render.gl.overlay import Overlay, OverlayPass
 from engine.render.gl.screen import Screen
 from engine.render.gl.targets import Accumulators, Frame
 from engine.scene.atoms import Atoms
@@ -200,8 +200,8 @@ class Renderer:
         return self._capture is not None and self._capture.sorting
 
     @current
-    def overlay(self, items: Sequence[Lines | Sheet]) -> moderngl.Texture:
-        """The last frame with lines and sheets over it, in a separate texture: the frame itself stays unchanged."""
+    def overlay(self, items: Sequence[Overlay]) -> moderngl.Texture:
+        """The last frame with an overlay, in a separate texture: the frame itself stays unchanged."""
         assert self._camera is not None, "nothing rendered yet"
         camera, frame = self._camera, self._frames[0]
         if self._overlaid is None:

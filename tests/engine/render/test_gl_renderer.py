@@ -15,7 +15,7 @@ from scipy import ndimage
 
 from engine.errors import InputError
 from engine.render.culling.draw_options import Mode
-from engine.render.gl import Lines, Renderer, Sheet
+from engine.render.gl import Lines, PictureSheet, Renderer, Sheet
 from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from engine.scene.camera import Camera
 from engine.scene.gaussians import Gaussians
@@ -151,6 +151,23 @@ def test_overlays(renderer: Renderer) -> None:
     assert np.allclose(shown[pixel(camera, (0.6, 0.6, 0.45))], [0, 0, 0.5, 1], atol=0.01)
     assert (shown[..., 3] == 1).all()
     assert np.array_equal(renderer.read().rgb, before)
+
+
+def test_a_picture_lies_on_a_face_and_is_hidden_behind_it(renderer: Renderer) -> None:
+    renderer.set_atoms(tight_ball(1 / 24))
+    camera = around(0, 0, 1.5)
+    before = draw(renderer, camera, background=(0, 0, 0)).rgb
+    quarters = np.array([[[255, 0, 0, 255], [0, 255, 0, 255]], [[0, 0, 255, 255], [255, 255, 255, 0]]], np.uint8)
+    # Seen from x: y to the right, z up; as high as the frame, before the ball and behind it.
+    corners = np.array([[0, -0.8, 0.8], [0, 0.8, 0.8], [0, 0.8, -0.8], [0, -0.8, -0.8]])
+    for x, hides in ((0.7, True), (-0.7, False)):
+        texture = renderer.overlay([PictureSheet(corners + np.array([x, 0, 0]), quarters.repeat(8, 0).repeat(8, 1))])
+        shown = np.frombuffer(texture.read(), np.float16).reshape(90, 120, 4).astype(np.float32)
+        for y, z, colour in ((-0.2, 0.2, (1, 0, 0)), (0.2, 0.2, (0, 1, 0)), (-0.2, -0.2, (0, 0, 1)), (0.2, -0.2, None)):
+            at = pixel(camera, (x, y, z))
+            expected = before[at] if colour is None or not hides else colour
+            assert np.allclose(shown[at][:3], expected, atol=0.01)
+    assert np.allclose(shown[pixel(camera, (-0.7, -0.7, 0.7))], [1, 0, 0, 1], atol=0.01)  # beside the ball
 
 
 def test_an_overlay_shows_the_whole_frame(renderer: Renderer) -> None:

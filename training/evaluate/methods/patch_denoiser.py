@@ -60,7 +60,7 @@ class PatchDenoiser:
         key = (family, step)
         if key not in self._patches:
             kind = {"horizontal": POLAR, "radial": RADIAL}.get(family.kind, FIXED)
-            pictures = [read_picture(p, family.kind) for p in family.exemplars]
+            pictures = [read_picture(p, family.kind, family.marks_of(p)) for p in family.exemplars]
             self._patches[key] = prepare(pictures, kind, float(np.exp(0.02 * step)), _inradius(condition))
         return (noisy - denoised(noisy, sigma, condition, self._patches[key])) / max(sigma, 1e-6)
 

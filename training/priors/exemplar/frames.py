@@ -14,7 +14,7 @@ from scipy import ndimage
 
 from engine.scene.camera import equator
 from engine.scene.grid import Body, Grid
-from training.priors.exemplar.patches import OVER, POLAR, RADIAL
+from training.priors.exemplar.patches import FIXED, OVER, POLAR, RADIAL
 from training.priors.exemplar.pictures import Picture, fill_outside
 
 __all__ = [
@@ -276,6 +276,9 @@ def scale_picture(picture: Picture, inradius: float, kind: Frame, cells: float) 
         middle = (columns.mean() / OVER, rows.mean() / OVER)
     else:
         middle = ((columns.min() + columns.max()) / 2 / OVER, (rows.min() + rows.max()) / 2 / OVER)
+    if picture.core is not None and kind != FIXED:
+        x, y = ((place * scale - 0.5 + pad) / OVER for place in picture.core)
+        middle = (x, y if kind == POLAR else middle[1])
     half = (float(np.ptp(columns)) / 2 / OVER, float(np.ptp(rows)) / 2 / OVER)
     rims = _rims(mask, middle)
     insets = _insets(depth * np.float32(inradius), middle, rims)

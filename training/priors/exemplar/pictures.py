@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -12,13 +12,15 @@ from scipy import ndimage
 
 from engine.errors import InputError
 from engine.io.picture_file import open_picture
-from training.faces.axis import find_axis
+from training.faces.axis import find_axis, find_core, line_ends
+from training.faces.marks import UNMARKED, Marks, Place, axis_beside, read_axis_file
 from training.faces.mask_file import mask_beside
 from training.faces.outline import find_mask, largest_component
+from training.faces.polygon import polygon_mask
 from training.families import Kind
 from training.priors.exemplar.lighting import flatten_light
 
-__all__ = ["Picture", "find_face", "read_picture", "resolved_share"]
+__all__ = ["Picture", "axis_of", "find_face", "make_picture", "read_photograph", "read_picture", "resolved_share"]
 
 MAX_SIDE = 768
 """Longer side in pixels to which larger pictures are reduced: a solve on 256 voxels uses no more."""
@@ -52,19 +54,37 @@ class Picture:
     """(H, W, 3). Range [0, 1]; outside the mask the nearest colour inside."""
     mask: NDArray[np.bool_]
     """(H, W). The cut face."""
+    core: tuple[float, float] | None = None
+    """(x, y) in pixels. The point that belongs on the body's axis: the core of a horizontal cut; of a radial one, where
+    the line that the user gave is level with the face's middle. None: the middle itself."""
 
 
-def read_picture(path: str | Path, kind: Kind) -> Picture:
+def read_picture(path: str | Path, kind: Kind, marks: Marks = UNMARKED) -> Picture:
     """Reads a photograph of a cut face of one kind of family.
 
-    A mask file beside the photograph (`mask_beside`), or else its alpha channel, is believed; without either the face
-    is searched for. A radial cut that leans is turned upright. Raises InputError if a file cannot be read or no cut
-    face stands out.
+    The outline in `marks`, or else a mask file beside the photograph (`mask_beside`), or else its alpha channel, is
+    believed; without any the face is searched for. Likewise the axis in `marks`, or in a file (`axis_beside`). A radial
+    cut that leans is turned upright. Raises InputError if a file cannot be read or no cut face stands out.
     """
     path = Path(path)
-    rgb, mask = find_face(path)
+    marks = _with_axis_file(marks, path)
+    rgb, mask = find_face(path, marks)
+    return make_picture(path, rgb, mask, kind, marks)
+
+
+def make_picture(path: Path, rgb: NDArray[np.float32], mask: NDArray[np.bool_], kind: Kind, marks: Marks) -> Picture:
+    """The face (H, W, 3), (H, W) of a photograph cut out and turned, as `read_picture` does it, with the axis in
+    `marks`. Raises InputError if it is too small."""
+    core = None
     if kind == "radial" and mask.any():
-        rgb, mask = _upright(rgb, mask)
+        if marks.line is None:
+            rgb, mask = _upright(rgb, mask)
+        else:
+            rgb, mask, core = _upright_along(rgb, mask, marks.line)
+    elif kind == "horizontal" and mask.any():
+        core = find_core(mask)
+        if marks.core is not None:
+            core = marks.core[0] * mask.shape[1], marks.core[1] * mask.shape[0]
     rows, columns = np.nonzero(mask)
     if len(rows) == 0 or min(np.ptp(rows), np.ptp(columns)) + 1 < MIN_SIDE:
         raise InputError(
@@ -73,16 +93,45 @@ def read_picture(path: str | Path, kind: Kind) -> Picture:
         )
     margin = 2 + round(0.03 * max(np.ptp(rows), np.ptp(columns)))
     mask, rgb = (_crop(a, rows, columns, margin) for a in (mask, rgb))
-    return Picture(path, fill_outside(flatten_light(rgb, mask, kind), mask), mask)
+    if core is not None:
+        core = core[0] - float(columns.min()) + margin, core[1] - float(rows.min()) + margin
+    return Picture(path, fill_outside(flatten_light(rgb, mask, kind), mask), mask, core)
 
 
-def find_face(path: Path) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+def _with_axis_file(marks: Marks, path: Path) -> Marks:
+    """Marks with what they lack of the axis from the file beside the photograph, if there is one."""
+    beside = axis_beside(path)
+    if beside is None:
+        return marks
+    found = read_axis_file(beside)
+    return replace(marks, core=marks.core or found.core, line=marks.line or found.line)
+
+
+def find_face(path: Path, marks: Marks = UNMARKED) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """(H, W, 3) a photograph's colours in [0, 1], at most MAX_SIDE pixels long, and (H, W) its cut face.
 
     Raises InputError as `read_picture`.
     """
-    rgb, cut_out = _read(path)
+    rgb, cut_out = read_photograph(path)
+    if marks.outline is not None:
+        cut_out = polygon_mask(marks.outline, *rgb.shape[:2])
     return rgb, find_mask(rgb, path) if cut_out is None else largest_component(cut_out)
+
+
+def axis_of(rgb: NDArray[np.float32], mask: NDArray[np.bool_], kind: Kind) -> Marks:
+    """The axis by which the face (H, W, 3), (H, W) of a picture without marks is placed; none in a slice."""
+    height, width = mask.shape
+    if kind == "horizontal":
+        x, y = find_core(mask)
+        return Marks(core=(x / width, y / height))
+    if kind != "radial":
+        return UNMARKED
+    lean = np.radians(_believed_lean(rgb, mask))
+    rows, columns = np.nonzero(mask)
+    middle = np.array([columns.mean() + 0.5, rows.mean() + 0.5])
+    ends = line_ends(mask, middle, np.array([-np.sin(lean), np.cos(lean)])) / (width, height)
+    (x0, y0), (x1, y1) = np.clip(ends, 0, 1).tolist()
+    return Marks(line=((x0, y0), (x1, y1)))
 
 
 def resolved_share(picture: Picture) -> float:
@@ -125,10 +174,41 @@ def fill_outside(rgb: NDArray[np.float32], mask: NDArray[np.bool_]) -> NDArray[n
 
 def _upright(rgb: NDArray[np.float32], mask: NDArray[np.bool_]) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """The picture turned so that its core line is upright, if it leans by more than is sure; and its mask."""
-    (x0, y0), (x1, y1) = find_axis(rgb, mask)
-    lean = float(np.degrees(np.arctan2(x0 - x1, y1 - y0)))
-    if abs(lean) < MIN_LEAN:
-        return rgb, mask
+    lean = _believed_lean(rgb, mask)
+    return _turned(rgb, mask, lean) if lean else (rgb, mask)
+
+
+def _believed_lean(rgb: NDArray[np.float32], mask: NDArray[np.bool_]) -> float:
+    """Degrees by which the core line that is found leans, 0 where that is less than is sure."""
+    lean = _lean(*find_axis(rgb, mask))
+    return lean if abs(lean) >= MIN_LEAN else 0.0
+
+
+def _upright_along(
+    rgb: NDArray[np.float32], mask: NDArray[np.bool_], line: tuple[Place, Place]
+) -> tuple[NDArray[np.float32], NDArray[np.bool_], tuple[float, float]]:
+    """The picture turned so that a line is upright, its mask, and the point of the line level with its middle."""
+    size = np.array(mask.shape[::-1])
+    first, last = np.array(line) * size
+    lean = _lean(first, last)
+    turned, turned_mask = _turned(rgb, mask, lean)
+    # A turn counter-clockwise, as seen, about the middle of the picture.
+    x, y = (first + last) / 2 - size / 2
+    across = x * np.cos(np.radians(lean)) + y * np.sin(np.radians(lean))
+    rows = np.nonzero(turned_mask)[0]
+    middle = float(rows.mean()) + 0.5 if len(rows) else 0.0
+    return turned, turned_mask, (float(across) + turned_mask.shape[1] / 2, middle)
+
+
+def _lean(upper: NDArray[np.float64], lower: NDArray[np.float64]) -> float:
+    """Degrees by which a line between two ends (x, y) leans to the right."""
+    return float(np.degrees(np.arctan2(upper[0] - lower[0], lower[1] - upper[1])))
+
+
+def _turned(
+    rgb: NDArray[np.float32], mask: NDArray[np.bool_], lean: float
+) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """A picture and its mask turned counter-clockwise by an angle in degrees; large enough for all of it."""
     filled = np.pad(fill_outside(rgb, mask), ((1, 1), (1, 1), (0, 0)), mode="edge")
     turned = ndimage.rotate(filled, lean, order=1, mode="nearest")
     return turned, ndimage.rotate(np.pad(mask, 1).astype(np.float32), lean, order=1) > 0.5
@@ -141,8 +221,11 @@ def _crop(a: NDArray, rows: NDArray, columns: NDArray, margin: int) -> NDArray:
     return np.pad(box, around, mode="constant" if a.dtype == bool else "edge")
 
 
-def _read(path: Path) -> tuple[NDArray[np.float32], NDArray[np.bool_] | None]:
-    """(H, W, 3) colours in [0, 1], and (H, W) the cut-out that comes with them, if any."""
+def read_photograph(path: Path) -> tuple[NDArray[np.float32], NDArray[np.bool_] | None]:
+    """(H, W, 3) colours in [0, 1], at most MAX_SIDE pixels long, and (H, W) the cut-out that comes with them, if any.
+
+    Raises InputError if the file is no picture, or too small.
+    """
     with open_picture(path) as opened:
         image = ImageOps.exif_transpose(opened)
         if image.mode[:1] in "IF":  # 16 and 32 bits of grey

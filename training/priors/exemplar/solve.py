@@ -73,7 +73,7 @@ def solve(
         raise InputError("no exemplar pictures: give at least one family a photograph of a cut face")
     rng = np.random.default_rng(seed)
     progress(0.0)
-    taken = [[read_picture(p, f.kind) for p in f.exemplars] for f in families]
+    taken = [[read_picture(p, f.kind, f.marks_of(p)) for p in f.exemplars] for f in families]
     pictures = _match_lighting(taken)
     space = make_space(body, up, voxels)
     cells = _needed_cells(space, families, pictures, voxels)

@@ -48,9 +48,11 @@ class Disc:
 
     @classmethod
     def of(cls, picture: Picture) -> Disc:
-        """The face of a picture. Its middle is the mask's centroid."""
+        """The face of a picture. Its middle is the core, or the mask's centroid."""
         rows, columns = np.nonzero(picture.mask)
         row, column = rows.mean(), columns.mean()
+        if picture.core is not None:
+            column, row = picture.core[0] - 0.5, picture.core[1] - 0.5
         angles = np.arange(DIRECTIONS) / DIRECTIONS * 2 * np.pi
         reach = np.arange(0, np.hypot(*picture.mask.shape), 0.5)
         at = [row - reach[:, None] * np.sin(angles), column + reach[:, None] * np.cos(angles)]

@@ -1,0 +1,129 @@
+"""Finds the faces in pictures in the background, once for each content."""
+
+from __future__ import annotations
+
+import hashlib
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from engine.errors import InputError
+from engine.io.files import open_file
+from training.faces.axis import CutGuess, guess_cut
+from training.faces.marks import UNMARKED, Marks, axis_beside, read_axis_file
+from training.faces.mask_file import mask_beside
+from training.faces.outline import find_mask, largest_component
+from training.faces.polygon import mask_polygon
+from training.priors.exemplar.pictures import axis_of, read_photograph
+
+__all__ = ["FaceFinder", "FoundFace", "find_face_in"]
+
+CAPACITY = 40
+"""Faces that are kept, about 2 MB each: more pictures than a project has."""
+
+
+@dataclass(frozen=True, eq=False)
+class FoundFace:
+    """What a picture shows, as far as it is found without the user."""
+
+    rgb: NDArray[np.uint8]
+    """(H, W, 3). The picture as training reads it; (0, 0, 3) if it cannot be read."""
+    marks: Marks = UNMARKED
+    """The outline, and the axis for either kind of cut; none where no face is found."""
+    guess: CutGuess | None = None
+    """What kind of cut it seems to be."""
+    problem: str = ""
+    """Why there is no outline, in a line; empty if there is one."""
+
+    @property
+    def verdict(self) -> str:
+        """The problem in a few words."""
+        return "no cut face was found" if self.rgb.size else self.problem
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height in pixels."""
+        return self.rgb.shape[1], self.rgb.shape[0]
+
+    @property
+    def aspect(self) -> float:
+        """Width over height."""
+        return self.rgb.shape[1] / max(self.rgb.shape[0], 1)
+
+
+def find_face_in(path: Path) -> FoundFace:
+    """The face in a picture file. Never raises: what is wrong is said in the result."""
+    rgb = np.zeros((0, 0, 3), np.uint8)
+    try:
+        colours, cut_out = read_photograph(path)
+        rgb = (colours * 255 + 0.5).astype(np.uint8)
+        mask = find_mask(colours, path) if cut_out is None else largest_component(cut_out)
+        outline = mask_polygon(mask)
+        if outline is None:
+            return FoundFace(rgb, problem="its mask is empty")
+        beside = axis_beside(path)
+        given = UNMARKED if beside is None else read_axis_file(beside)
+        core, line = axis_of(colours, mask, "horizontal").core, axis_of(colours, mask, "radial").line
+        return FoundFace(rgb, Marks(outline, given.core or core, given.line or line), guess_cut(colours, mask))
+    except InputError as error:
+        return FoundFace(rgb, problem=str(error).removeprefix(f"{path}: "))
+
+
+class FaceFinder:
+    """A thread that finds one face after the other, and what it has found."""
+
+    def __init__(self) -> None:
+        self._worker = ThreadPoolExecutor(1, "faces")
+        self._faces: dict[Path, tuple[object, Future[FoundFace]]] = {}
+        self._contents: dict[str, FoundFace] = {}
+        """By the hash of the picture and what lies beside it; only the thread uses it."""
+
+    def get(self, path: Path) -> FoundFace | None:
+        """What is found in a picture file; None while it is being looked at, which this starts. Never waits."""
+        stamp = tuple(_stamp(file) for file in (path, mask_beside(path), axis_beside(path)))
+        entry = self._faces.pop(path, None)
+        if entry is None or entry[0] != stamp:
+            entry = (stamp, self._worker.submit(self._find, path))
+        self._faces[path] = entry
+        while len(self._faces) > CAPACITY:
+            self._faces.pop(next(iter(self._faces)))[1].cancel()
+        return entry[1].result() if entry[1].done() else None
+
+    def _find(self, path: Path) -> FoundFace:
+        key = _content(path)
+        face = self._contents.pop(key, None) or find_face_in(path)
+        self._contents[key] = face
+        while len(self._contents) > CAPACITY:
+            self._contents.pop(next(iter(self._contents)))
+        return face
+
+    def close(self) -> None:
+        """Lets what is being looked at end, and looks at nothing more."""
+        self._worker.shutdown(wait=False, cancel_futures=True)
+
+
+def _stamp(path: Path | None) -> tuple[int, int]:
+    try:
+        state = None if path is None else path.stat()
+    except OSError:
+        state = None
+    return (0, 0) if state is None else (state.st_mtime_ns, state.st_size)
+
+
+def _content(path: Path) -> str:
+    """Hash of a picture file and of the mask and axis beside it; of its path if it cannot be read."""
+    digest = hashlib.sha256()
+    for file in (path, mask_beside(path), axis_beside(path)):
+        digest.update(b"\0")
+        if file is None:
+            continue
+        try:
+            with open_file(file) as opened:
+                while block := opened.read(1 << 20):
+                    digest.update(block)
+        except (OSError, InputError):
+            digest.update(str(file).encode("utf-8", "replace"))
+    return digest.hexdigest()

@@ -1,0 +1,90 @@
+"""Where a picture is placed in a body, before anything is solved: bent to the body's outline on its own plane."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from engine.scene.grid import Body
+from engine.scene.plane import Plane
+from training.families import Family, Kind
+from training.priors.exemplar.frames import make_space
+from training.priors.exemplar.pictures import Picture
+from training.priors.exemplar.quilting.disc import Disc, ball_coordinates
+
+__all__ = ["OwnPlane", "bend_picture", "find_own_plane"]
+
+PIXELS = 320
+"""Along a side of a bent picture: about as many as it covers of half a window."""
+
+VOXELS = 64
+"""Cells along the body's longest side in which its outline is found; finer ones move it by less than a pixel."""
+
+MARGIN = 1.04
+"""Half a side of the square around the body, over the body's reach."""
+
+
+@dataclass(frozen=True)
+class OwnPlane:
+    """The cut through a body's centre that a family's pictures show, and the places of its points in a picture."""
+
+    kind: Kind
+    """How its pictures are read: of planes that were chosen one by one, as those of the kind they are like."""
+    plane: Plane
+    """Its normal points at who looks at the face."""
+    centre: NDArray[np.float64]
+    """(3,). Of the body, world units."""
+    corners: NDArray[np.float64]
+    """(4, 3). Of a square on the plane around the body: top left, top right, bottom right, bottom left; world units."""
+    places: NDArray[np.float32]
+    """(PIXELS, PIXELS, 2). In the unit disc of a picture, x to the right and y up; rows from the top."""
+    inside: NDArray[np.float32]
+    """(PIXELS, PIXELS). Part of each pixel that is inside the body. Range [0, 1]."""
+
+
+def find_own_plane(body: Body, up: NDArray[np.float64], family: Family) -> OwnPlane:
+    """The own plane of a family: half way up, upright through the axis, or across a straight body's middle."""
+    space = make_space(body, up, VOXELS)
+    grid = space.body.grid
+    centre = grid.origin + (space.centre + 0.5) * grid.cell
+    family = family.as_standard_kind(body, up)
+    if family.kind == "horizontal":
+        right, high = space.basis[0], space.basis[1]
+    elif family.kind == "radial":
+        right, high = space.basis[0], space.up
+    else:
+        normal = family.normal(body, space.up)
+        high = space.up - normal * (normal @ space.up)
+        high = high / np.linalg.norm(high) if np.linalg.norm(high) > 1e-3 else space.basis[1]
+        right = np.cross(high, normal)
+    axes = np.stack([right, high])
+    filled = grid.centres()[space.body.depth > 0]
+    reach = MARGIN * float(np.abs((filled - centre) @ axes.T).max(initial=grid.cell))
+    steps = ((np.arange(PIXELS) + 0.5) / PIXELS * 2 - 1) * reach
+    x, y = np.meshgrid(steps, -steps)
+    points = np.stack([x, y], -1).reshape(-1, 2) @ axes
+    ball = ball_coordinates(replace(space, planar=(points @ space.basis.T / grid.cell).astype(np.float32)))
+    places = ball @ (space.basis @ axes.T)
+    depth = space.body.at(centre + points).astype(np.float64)
+    inside = np.clip(depth * PIXELS / (2 * reach) + 0.5, 0, 1)
+    corners = centre + reach * np.array([[-1, 1], [1, 1], [1, -1], [-1, -1]]) @ axes
+    return OwnPlane(
+        family.kind,
+        Plane.through(centre, np.cross(right, high)),
+        centre,
+        corners,
+        places.reshape(PIXELS, PIXELS, 2).astype(np.float32),
+        inside.reshape(PIXELS, PIXELS).astype(np.float32),
+    )
+
+
+def bend_picture(picture: Picture, plane: OwnPlane) -> NDArray[np.uint8]:
+    """(PIXELS, PIXELS, 4). What the body shows on a picture's own plane, with straight alpha, 0 outside of the body.
+
+    By the law that training places it: each direction from the core is stretched to the body's outline.
+    """
+    x, y = np.moveaxis(plane.places, -1, 0)
+    rgb = Disc.of(picture).read(x.ravel(), y.ravel()).reshape(*x.shape, 3)
+    return (np.concatenate([np.clip(rgb, 0, 1), plane.inside[..., None]], -1) * 255 + 0.5).astype(np.uint8)
