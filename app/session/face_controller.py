@@ -50,6 +50,12 @@ class OpenFace:
         )
 
     @property
+    def cut(self) -> Kind:
+        """How the picture is read: one of planes that were chosen one by one as the kind that these are like."""
+        plane = self.placed.plane if self.placed is not None else None
+        return plane.kind if self.kind == "custom" and plane is not None else self.kind
+
+    @property
     def given(self) -> Marks:
         """What the user has said of the face."""
         family = self.family
@@ -113,7 +119,7 @@ class OpenFace:
     def _set_outline(self, name: str, outline: Outline, merge: str) -> None:
         """With this outline. A core line that was found stays where it is shown."""
         marks = replace(self.given, outline=outline)
-        if self.kind == "radial" and marks.line is None:
+        if self.cut == "radial" and marks.line is None:
             marks = replace(marks, line=self.marks.line)
         self._set(name, marks, merge)
 
