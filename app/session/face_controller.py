@@ -64,9 +64,10 @@ class OpenFace:
     @property
     def known(self) -> Marks:
         """What is known of the face without placing it: as given, or else as found."""
-        given, found = self.given, self.found.marks if self.found is not None else UNMARKED
+        given = self.given
+        found, beside = (UNMARKED, UNMARKED) if self.found is None else (self.found.marks, self.found.beside)
         # The core of a corrected outline is that of the outline, and training finds it there.
-        core = given.core or (found.core if given.outline is None else None)
+        core = given.core or beside.core or (found.core if given.outline is None else None)
         return Marks(given.outline or found.outline, core, given.line or found.line)
 
     @property
