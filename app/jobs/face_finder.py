@@ -33,6 +33,8 @@ class FoundFace:
     """(H, W, 3). The picture as training reads it; (0, 0, 3) if it cannot be read."""
     marks: Marks = UNMARKED
     """The outline, and the axis for either kind of cut; none where no face is found."""
+    beside: Marks = UNMARKED
+    """The axis in a file beside the picture, which is part of `marks` too."""
     guess: CutGuess | None = None
     """What kind of cut it seems to be."""
     problem: str = ""
@@ -67,7 +69,8 @@ def find_face_in(path: Path) -> FoundFace:
         beside = axis_beside(path)
         given = UNMARKED if beside is None else read_axis_file(beside)
         core, line = axis_of(colours, mask, "horizontal").core, axis_of(colours, mask, "radial").line
-        return FoundFace(rgb, Marks(outline, given.core or core, given.line or line), guess_cut(colours, mask))
+        marks = Marks(outline, given.core or core, given.line or line)
+        return FoundFace(rgb, marks, given, guess_cut(colours, mask))
     except InputError as error:
         return FoundFace(rgb, problem=str(error).removeprefix(f"{path}: "))
 

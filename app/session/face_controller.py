@@ -50,6 +50,12 @@ class OpenFace:
         )
 
     @property
+    def cut(self) -> Kind:
+        """How the picture is read: one of planes that were chosen one by one as the kind that these are like."""
+        plane = self.placed.plane if self.placed is not None else None
+        return plane.kind if self.kind == "custom" and plane is not None else self.kind
+
+    @property
     def given(self) -> Marks:
         """What the user has said of the face."""
         family = self.family
@@ -58,9 +64,10 @@ class OpenFace:
     @property
     def known(self) -> Marks:
         """What is known of the face without placing it: as given, or else as found."""
-        given, found = self.given, self.found.marks if self.found is not None else UNMARKED
+        given = self.given
+        found, beside = (UNMARKED, UNMARKED) if self.found is None else (self.found.marks, self.found.beside)
         # The core of a corrected outline is that of the outline, and training finds it there.
-        core = given.core or (found.core if given.outline is None else None)
+        core = given.core or beside.core or (found.core if given.outline is None else None)
         return Marks(given.outline or found.outline, core, given.line or found.line)
 
     @property
@@ -113,7 +120,7 @@ class OpenFace:
     def _set_outline(self, name: str, outline: Outline, merge: str) -> None:
         """With this outline. A core line that was found stays where it is shown."""
         marks = replace(self.given, outline=outline)
-        if self.kind == "radial" and marks.line is None:
+        if self.cut == "radial" and marks.line is None:
             marks = replace(marks, line=self.marks.line)
         self._set(name, marks, merge)
 

@@ -170,6 +170,14 @@ def test_a_face_is_found_once_for_its_content(tmp_path: Path, melon: Path, monke
     wait(session, lambda: session.faces.finder.get(copy))
     found = session.faces.finder.get(copy)
     assert found is not None and found.marks.core == (0.4, 0.6) and len(seen) == 2
+    # As for training, the file is believed for any outline.
+    session.change("copy", session.document.moved_exemplar(melon, "horizontal", "radial"))
+    session.add_pictures("horizontal", (copy,))
+    session.change("outline", session.document.with_marks("horizontal", copy, Marks(CIRCLE)))
+    session.faces.edit("horizontal", copy)
+    session.faces.tick()
+    face = session.faces.open_face
+    assert face is not None and face.marks == Marks(CIRCLE, (0.4, 0.6), found.marks.line)
 
 
 def test_corrections_are_undone_saved_and_reach_the_request(tmp_path: Path, melon: Path) -> None:

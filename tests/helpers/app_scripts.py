@@ -186,8 +186,11 @@ def faces(driver: Driver, folder: Path) -> None:
     driver.picture(shots / "faces_3_dragged.png")
     # The brush.
     driver.click("//Object/Take away##face tool")
-    drag((0.5, 0.02), (0.0, 40.0))
-    assert face.given.outline is not None and min(y for _, y in face.given.outline) > min(y for _, y in moved)
+    top = min(moved, key=lambda place: place[1])
+    drag((top[0], top[1] - 0.02), (0.0, 30.0))
+    painted = face.given.outline
+    assert painted is not None and overlap(painted, moved) < 0.998
+    assert polygon_mask(painted, 300, 300).sum() < polygon_mask(moved, 300, 300).sum() - 50
     driver.picture(shots / "faces_4_brush.png")
     # Undo, one step for each drag; the picture's kind; what is kept.
     for _ in range(2):

@@ -16,6 +16,7 @@ from app.model.faces.edit import Outline, nearest_point, refine
 from app.model.faces.words import describe_guess
 from app.session.face_controller import OpenFace
 from app.session.session import Session
+from app.session.workspace import Tool
 from app.ui.theme import Fonts, palette, px, rgba, u32
 from app.ui.view.painter import Painter
 from app.ui.view.placement_view import PlacementView
@@ -69,6 +70,8 @@ class FaceEditor:
         self._shown: Path | None = None
         self._mode = ""
         """How the object was viewed before the editor was opened."""
+        self._with: Tool = "select"
+        """The tool of the viewport then. Another one is used on the object, so that choosing it closes the editor."""
         self.low, self.side = ImVec2(0, 0), ImVec2(1, 1)
         """Top left corner and size of the picture on the screen."""
 
@@ -78,6 +81,10 @@ class FaceEditor:
         if (None if face is None else face.path) != self._shown:
             self._change_picture(face)
         if face is None:
+            return False
+        if session.tool != self._with:
+            session.faces.close()
+            self._change_picture(None)
             return False
         edge, gap = px(16), px(12)
         available = imgui.get_content_region_avail()
@@ -105,9 +112,9 @@ class FaceEditor:
         """Follows the session to another picture, or back to the object."""
         session = self.session
         if self._shown is None:
-            self._mode = session.viewing.mode
+            self._mode, self._with = session.viewing.mode, session.tool
             session.viewing = replace(session.viewing, mode="solid")
-        if face is None:
+        if face is None and session.tool == self._with:
             session.viewing = replace(session.viewing, mode=self._mode)
         self.placement.forget()
         self.tool, self._grip = 0, None
@@ -247,7 +254,7 @@ class FaceEditor:
         if ends:
             index, away = nearest_point(tuple(ends), at, aspect)
             if away < 1.3 * reach:
-                return ("core" if face.kind == "horizontal" else "line"), index
+                return ("core" if face.cut == "horizontal" else "line"), index
         if marks.outline is None:
             return None
         index, away = nearest_point(marks.outline, at, aspect)
@@ -256,9 +263,9 @@ class FaceEditor:
     def _axis_points(self, face: OpenFace) -> list[Place]:
         """The core of a horizontal cut, both ends of the core line of a radial one, none in a slice."""
         marks = face.marks
-        if face.kind == "horizontal":
+        if face.cut == "horizontal":
             return [marks.core] if marks.core is not None else []
-        return list(marks.line) if face.kind == "radial" and marks.line is not None else []
+        return list(marks.line) if face.cut == "radial" and marks.line is not None else []
 
     def _outline(self, draw: imgui.ImDrawList, face: OpenFace, grip: Grip | None) -> None:
         outline = face.marks.outline

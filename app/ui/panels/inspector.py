@@ -281,7 +281,8 @@ class Inspector:
         session = self.session
         family = session.document.family("custom")
         planes = (*(family.custom if family else ()), plane)
-        new = Family("custom", len(planes), family.exemplars if family else (), custom=planes)
+        single = family or Family("custom", 1, custom=planes)
+        new = replace(single, count=len(planes), custom=planes)
         session.change("Train plane", session.document.with_family(new))
         session.notify("Added to the family of single planes. Give it a picture.")
 

@@ -10,9 +10,10 @@ from PIL import Image
 from scipy import ndimage
 
 from engine.errors import InputError
-from tests.helpers.exemplar_faces import FLESH, SEED, UP, ball, disc, save
+from tests.helpers.exemplar_faces import FLESH, SEED, UP, ball, disc, quiet, save
 from training.faces.marks import UNMARKED, Marks
 from training.families import Family
+from training.priors.exemplar import ExemplarPrior
 from training.priors.exemplar.frames import make_space, scale_to_voxels
 from training.priors.exemplar.patches import POLAR, RADIAL
 from training.priors.exemplar.pictures import axis_of, find_face, read_picture
@@ -54,6 +55,17 @@ def test_the_core_that_is_given_is_the_middle_of_the_disc(tmp_path: Path) -> Non
         scaled = scale_to_voxels(picture, make_space(ball(), UP, 24), POLAR, 400.0)
         at_core = scaled.read(np.array([scaled.middle[0]]), np.array([scaled.middle[1]]))[0]
         assert (np.abs(at_core - SEED).max() < 0.1) == (radius == 0)
+
+
+def test_the_core_that_is_given_lies_on_the_axis_of_the_solved_body(tmp_path: Path) -> None:
+    spot = (0.6, 0.42)
+    path = marked(tmp_path, *spot)
+    for marks, is_dark in (((), False), (((path, Marks(core=spot)),), True)):
+        family = Family("horizontal", 3, (path,), marks=marks)
+        rgb = ExemplarPrior().solve(ball(32), UP, [family], 32, 0, quiet).rgb
+        middle = rgb.shape[0] // 2
+        on_axis = rgb[middle - 1 : middle + 1, middle - 1 : middle + 1, middle].mean()
+        assert (on_axis < 0.6 * FLESH.mean()) == is_dark
 
 
 def test_a_radial_cut_is_turned_by_the_line_that_is_given(tmp_path: Path) -> None:
