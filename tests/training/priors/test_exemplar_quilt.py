@@ -9,13 +9,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from engine.scene.grid import Body, Grid
 from tests.helpers.exemplar_faces import UP, ball, save
 from tests.paths import SAMPLES, SHARED
 from training.families import Family
 from training.priors.exemplar import ExemplarPrior, read_picture
+from training.priors.exemplar.frames import make_space
 from training.priors.exemplar.quilting import quilt
 from training.priors.exemplar.quilting.agreement import disagreement, show_one_thing
-from training.priors.exemplar.quilting.disc import Disc, disc_grid
+from training.priors.exemplar.quilting.disc import Disc, ball_coordinates, disc_grid
 from training.priors.exemplar.quilting.quilt import Quilt, make_quilt
 
 FLESH, SHEET, SEED = np.array([0.9, 0.5, 0.2]), np.array([1.0, 0.9, 0.7]), np.array([0.15, 0.1, 0.05])
@@ -93,7 +95,24 @@ def test_sheets_run_through_and_seeds_end(monkeypatch: pytest.MonkeyPatch) -> No
         pale.append((shown[:, 2] > 0.4).mean())
     assert dark[0] > 0.08
     assert max(dark[1:]) < 0.3 * dark[0]
-    assert min(pale[1:]) > 0.55 * pale[0]  # they may bend
+    assert min(pale[1:]) > 0.7 * pale[0]
+
+
+def test_pictures_share_their_middle_with_the_body() -> None:
+    """A body wider above has the centroid of its cuts above its middle; heights of pictures start there."""
+    grid = Grid.around(np.array([[-1.0, -1, -1], [1, 1, 1]]), 1 / 16, 4)
+    x, y, z = np.moveaxis(grid.centres(), -1, 0)
+    wide = 1 + 0.3 * z  # half an ellipse's width at each height
+    depth = 1 - np.sqrt((x / wide) ** 2 + (y / wide) ** 2 + z**2)
+    space = make_space(Body(grid, (0.8 * depth).astype(np.float32)), UP, 32)
+    points, height = ball_coordinates(space)
+    inside = np.sqrt(1 - np.linspace(-1, 1, 2001) ** 2) * (1 + 0.3 * np.linspace(-1, 1, 2001))
+    centroid = (inside * np.linspace(-1, 1, 2001)).sum() / inside.sum()
+    assert height == pytest.approx(-centroid, abs=0.02)
+    middle = np.abs(space.planar).max(1) < 0.6
+    assert np.abs(points[middle, 2] - height).max() < 0.05
+    skin = space.depth < 0.01
+    assert np.linalg.norm(points[skin], axis=1) == pytest.approx(1, abs=0.12)
 
 
 def test_every_picture_is_used_and_a_seed_decides() -> None:

@@ -133,14 +133,17 @@ class Quilt:
         return out
 
 
-def make_quilt(horizontal: Sequence[Disc], radial: Sequence[Disc], seed: int, progress: Progress) -> Quilt:
-    """The quilt of horizontal and radial pictures, each 0 or more and one at least together. Bit-equal for a seed."""
+def make_quilt(
+    horizontal: Sequence[Disc], radial: Sequence[Disc], seed: int, progress: Progress, height: float = 0.0
+) -> Quilt:
+    """The quilt of horizontal and radial pictures, each 0 or more and one at least together; the first horizontal one
+    at a height in the unit ball. Bit-equal for a seed."""
     first = [*horizontal, *radial][0]
     across, along = (
         [_source(disc if disc is first else match_rings(disc, first), family is horizontal) for disc in family]
         for family in (horizontal, radial)
     )
-    labels = _make_labels(across, along, seed)
+    labels = _make_labels(across, along, height, seed)
     chosen = number = None
     for step, size in enumerate(LEVELS):
         progress(step / len(LEVELS))
@@ -168,11 +171,12 @@ def _source(disc: Disc, is_horizontal: bool) -> _Source:
     return _Source(disc, smooth_disc(disc, BLUR), Persistence(disc), Disc(np.repeat(sheets[..., None], 3, -1)))
 
 
-def _make_labels(across: list[_Source], along: list[_Source], seed: int) -> list[_Label]:
+def _make_labels(across: list[_Source], along: list[_Source], height: float, seed: int) -> list[_Label]:
     """Own planes first, then random chunks."""
     labels = []
     if across:
-        labels.append(_Label(OwnHeight(np.random.default_rng([seed, 3])), across, True, True))
+        own = OwnHeight(height, across[0].sheets, np.random.default_rng([seed, 3]))
+        labels.append(_Label(own, across, True, True))
     if along:
         labels.append(_Label(OwnAzimuths(len(along), np.random.default_rng([seed, 4])), along, False, True))
     if across:
