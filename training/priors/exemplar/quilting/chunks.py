@@ -125,7 +125,7 @@ class OwnHeight:
     def places(self, ball: Ball) -> Places:
         flat = np.stack([*ball.points[:, :2].T, np.full(len(ball.points), self.height)], -1)
         distance = np.abs(ball.points[:, 2] - self.height)
-        at = np.stack(to_pixels(*ball.level.T, len(self.held)))
+        at = np.stack(to_pixels(ball.level[:, 0], ball.level[:, 1], len(self.held)))
         held = ndimage.map_coordinates(self.held, at, order=1, mode="nearest", output=np.float32)
         onset = ((1 - held) * np.minimum(distance / DRIFT_ONSET, 1))[:, None]
         x, y = _drifted(

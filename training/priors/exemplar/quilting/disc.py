@@ -15,7 +15,16 @@ from scipy import ndimage
 from training.priors.exemplar.frames import Space
 from training.priors.exemplar.pictures import Picture
 
-__all__ = ["DISC_PIXELS", "REACH", "Disc", "ball_coordinates", "match_rings", "smooth_disc"]
+__all__ = [
+    "DISC_PIXELS",
+    "REACH",
+    "Disc",
+    "ball_coordinates",
+    "even_around",
+    "even_sides",
+    "match_rings",
+    "smooth_disc",
+]
 
 DISC_PIXELS = 560
 """Pixels along a side of a disc's array: 510 across the disc, as fine as most photographs of the web."""
@@ -69,6 +78,11 @@ class Disc:
         return _sample(self.rgb, *to_pixels(x, y, len(self.rgb)))
 
 
+TONE_ANGLE, TONE_LENGTH = 0.4, 0.15
+"""Standard deviations in radians around, and in radii, of the blur that separates tones from details: wider than
+seeds, sheets and the arms of a star."""
+
+
 def disc_grid() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """The places x and y of a disc's pixels, both (DISC_PIXELS, DISC_PIXELS)."""
     axis = ((np.arange(DISC_PIXELS) + 0.5) / DISC_PIXELS * 2 - 1) * REACH
@@ -110,6 +124,26 @@ def match_rings(disc: Disc, to: Disc) -> Disc:
         gain = np.clip(along(spreads[1]) / np.maximum(along(spreads[0]), 0.02), *GAIN_RANGE)
         out[..., c] = along(medians[1]) + (disc.rgb[..., c] - along(medians[0])) * gain
     return Disc(np.clip(out, 0, 1))
+
+
+def even_around(disc: Disc) -> Disc:
+    """A horizontal face whose tones follow the radius alone, and whose details are as they were: light, ripeness and
+    an outline that is off the middle would show as patches wherever two of its turns meet."""
+    angle = np.arange(DIRECTIONS) / DIRECTIONS * 2 * np.pi
+    radius = np.linspace(0, 1, DISC_PIXELS // 4)[:, None]
+    polar = disc.read(radius * np.cos(angle), radius * np.sin(angle))
+    tones = ndimage.gaussian_filter1d(polar, TONE_ANGLE * DIRECTIONS / (2 * np.pi), axis=1, mode="wrap")
+    excess = ndimage.gaussian_filter1d(tones - tones.mean(1, keepdims=True), 1.5, axis=0, mode="nearest")
+    x, y = disc_grid()
+    at = np.hypot(x, y) * (len(radius) - 1), np.arctan2(y, x) % (2 * np.pi) * DIRECTIONS / (2 * np.pi)
+    closed = np.concatenate([excess, excess[:, :1]], axis=1)
+    return Disc(np.clip(disc.rgb - _sample(closed, *at), 0, 1))
+
+
+def even_sides(disc: Disc) -> Disc:
+    """A radial face both of whose sides have the same tones, and whose details are as they were."""
+    tones = smooth_disc(disc, TONE_LENGTH).rgb
+    return Disc(np.clip(disc.rgb + (tones[::-1] - tones) / 2, 0, 1))
 
 
 def ball_coordinates(space: Space) -> tuple[NDArray[np.float32], float]:
