@@ -90,8 +90,9 @@ def solve(
         discs = _discs(views, taken)  # in their own light, which is part of the question
         if not same and not show_one_thing(discs[POLAR], discs[RADIAL]):
             log.info("the pictures are of different things: followed each in its own plane, and mixed between")
-            quilt = make_quilt(discs[POLAR], discs[RADIAL], seed, lambda part: progress(0.1 + 0.6 * part))
-            rgb = space.scatter(quilt.read(ball_coordinates(space)))
+            points, height = ball_coordinates(space)
+            quilt = make_quilt(discs[POLAR], discs[RADIAL], seed, lambda part: progress(0.1 + 0.6 * part), height)
+            rgb = space.scatter(quilt.read(points))
             progress(0.8)
             sharpen(space, rgb, views)
             return _make_volume(space, rgb, progress)

@@ -14,6 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from training.priors.exemplar.quilting.disc import REACH, Disc, to_pixels
+
 __all__ = ["Ball", "Chunks", "OwnAzimuths", "OwnHeight", "Places", "Sectors", "Slabs", "smooth_noise"]
 
 SLABS, SLAB_SPACING = 4, 0.5
@@ -39,6 +41,10 @@ CORE = 0.3
 
 OWN_AZIMUTHS = 3
 """Most radial pictures that have a plane of their own; more would leave no room for variety near the axis."""
+
+SHEET_HOLD = 0.04
+"""Radii around a sheet within which its picture does not drift: a sheet runs straight through (law 3), and what lies
+beside it is not folded over it."""
 
 DRIFT_ONSET = 0.05
 """Distance in radii from a picture's own plane at which it drifts as much as elsewhere."""
@@ -106,15 +112,22 @@ class Chunks(Protocol):
 
 
 class OwnHeight:
-    """The first horizontal picture as it was taken, half way up; away from there it drifts."""
+    """The first horizontal picture as it was taken, at one height; away from there it drifts, but for its sheets."""
 
-    def __init__(self, rng: np.random.Generator) -> None:
+    def __init__(self, height: float, sheets: Disc, rng: np.random.Generator) -> None:
+        """`sheets`: how surely each place shows a sheet, the same in all three channels."""
+        self.height = np.float32(height)
+        pixels = len(sheets.rgb) / (2 * REACH)
+        wide = ndimage.maximum_filter(sheets.rgb[..., 0], int(2 * SHEET_HOLD * pixels) | 1)
+        self.held = ndimage.gaussian_filter(wide, SHEET_HOLD * pixels)
         self.drift = Noise(DRIFT_LENGTHS, 2, rng)
 
     def places(self, ball: Ball) -> Places:
-        flat = ball.points * np.array([1, 1, 0], np.float32)
-        distance = np.abs(ball.points[:, 2])
-        onset = np.minimum(distance / DRIFT_ONSET, 1)[:, None]
+        flat = np.stack([*ball.points[:, :2].T, np.full(len(ball.points), self.height)], -1)
+        distance = np.abs(ball.points[:, 2] - self.height)
+        at = np.stack(to_pixels(ball.level[:, 0], ball.level[:, 1], len(self.held)))
+        held = ndimage.map_coordinates(self.held, at, order=1, mode="nearest", output=np.float32)
+        onset = ((1 - held) * np.minimum(distance / DRIFT_ONSET, 1))[:, None]
         x, y = _drifted(
             ball.level[:, 0], ball.level[:, 1], ball, onset * (self.drift.at(ball.points) - self.drift.at(flat))
         )

@@ -15,7 +15,16 @@ from scipy import ndimage
 from training.priors.exemplar.frames import Space
 from training.priors.exemplar.pictures import Picture
 
-__all__ = ["DISC_PIXELS", "REACH", "Disc", "ball_coordinates", "match_rings", "smooth_disc"]
+__all__ = [
+    "DISC_PIXELS",
+    "REACH",
+    "Disc",
+    "ball_coordinates",
+    "even_around",
+    "even_sides",
+    "match_rings",
+    "smooth_disc",
+]
 
 DISC_PIXELS = 560
 """Pixels along a side of a disc's array: 510 across the disc, as fine as most photographs of the web."""
@@ -71,6 +80,11 @@ class Disc:
         return _sample(self.rgb, *to_pixels(x, y, len(self.rgb)))
 
 
+TONE_ANGLE, TONE_LENGTH = 0.4, 0.15
+"""Standard deviations in radians around, and in radii, of the blur that separates tones from details: wider than
+seeds, sheets and the arms of a star."""
+
+
 def disc_grid() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """The places x and y of a disc's pixels, both (DISC_PIXELS, DISC_PIXELS)."""
     axis = ((np.arange(DISC_PIXELS) + 0.5) / DISC_PIXELS * 2 - 1) * REACH
@@ -114,28 +128,55 @@ def match_rings(disc: Disc, to: Disc) -> Disc:
     return Disc(np.clip(out, 0, 1))
 
 
-def ball_coordinates(space: Space) -> NDArray[np.float32]:
-    """(N, 3). The voxels in the unit ball, along e1, e2, up: the distance from the body's centre over that of the skin
-    in the same direction."""
+def even_around(disc: Disc) -> Disc:
+    """A horizontal face whose tones follow the radius alone, and whose details are as they were: light, ripeness and
+    an outline that is off the middle would show as patches wherever two of its turns meet."""
+    angle = np.arange(DIRECTIONS) / DIRECTIONS * 2 * np.pi
+    radius = np.linspace(0, 1, DISC_PIXELS // 4)[:, None]
+    polar = disc.read(radius * np.cos(angle), radius * np.sin(angle))
+    tones = ndimage.gaussian_filter1d(polar, TONE_ANGLE * DIRECTIONS / (2 * np.pi), axis=1, mode="wrap")
+    excess = ndimage.gaussian_filter1d(tones - tones.mean(1, keepdims=True), 1.5, axis=0, mode="nearest")
+    x, y = disc_grid()
+    at = np.hypot(x, y) * (len(radius) - 1), np.arctan2(y, x) % (2 * np.pi) * DIRECTIONS / (2 * np.pi)
+    closed = np.concatenate([excess, excess[:, :1]], axis=1)
+    return Disc(np.clip(disc.rgb - _sample(closed, *at), 0, 1))
+
+
+def even_sides(disc: Disc) -> Disc:
+    """A radial face both of whose sides have the same tones, and whose details are as they were."""
+    tones = smooth_disc(disc, TONE_LENGTH).rgb
+    return Disc(np.clip(disc.rgb + (tones[::-1] - tones) / 2, 0, 1))
+
+
+def ball_coordinates(space: Space) -> tuple[NDArray[np.float32], float]:
+    """(N, 3) the voxels in the unit ball, along e1, e2, up: the distance from the middle over that of the skin in the
+    same direction; and the height in it of the plane half way up the body.
+
+    The middle is the centroid of the cuts through the axis, as that of a picture is its centroid: were it half way
+    up, a body that is wider above would show its pictures shifted.
+    """
+    along = 1 / np.maximum(space.radius, 0.5)  # a cut's share of a voxel, as cuts crowd at the axis
+    rise = float((space.planar[:, 2] * along).sum() / along.sum())
+    planar = space.planar - np.array([0, 0, rise], np.float32)
     latitude = ((np.arange(LATITUDES) + 0.5) / LATITUDES - 0.5) * np.pi
     longitude = (np.arange(LONGITUDES) + 0.5) / LONGITUDES * 2 * np.pi
     b, a = np.meshgrid(latitude, longitude, indexing="ij")
     rays = np.stack([np.cos(b) * np.cos(a), np.cos(b) * np.sin(a), np.sin(b)], -1) @ space.basis
-    distance = np.linalg.norm(space.planar, axis=1)
+    distance = np.linalg.norm(planar, axis=1)
     reach = np.arange(0, distance.max() + 2, 0.5)
     skin = np.zeros(b.shape)
     for n, r in enumerate(reach):
-        at = space.centre + r * rays
+        at = space.centre + rise * space.basis[2] + r * rays
         inside = ndimage.map_coordinates(space.body.depth, np.moveaxis(at, -1, 0), order=1, mode="nearest") > 0
         skin[inside] = reach[n]
     skin = np.pad(np.maximum(skin, 1.0), ((1, 1), (1, 1)), mode="edge")
     skin[:, 0], skin[:, -1] = skin[:, -2], skin[:, 1]
     skin = ndimage.gaussian_filter(skin, 0.7)
-    up = np.arcsin(np.clip(space.planar[:, 2] / np.maximum(distance, 1e-6), -1, 1))
-    around = np.arctan2(space.planar[:, 1], space.planar[:, 0]) % (2 * np.pi)
+    up = np.arcsin(np.clip(planar[:, 2] / np.maximum(distance, 1e-6), -1, 1))
+    around = np.arctan2(planar[:, 1], planar[:, 0]) % (2 * np.pi)
     at = np.stack([(up / np.pi + 0.5) * LATITUDES + 0.5, around / (2 * np.pi) * LONGITUDES + 0.5])
     rim = ndimage.map_coordinates(skin, at, order=1, mode="nearest")
-    return (space.planar / rim[:, None]).astype(np.float32)
+    return (planar / rim[:, None]).astype(np.float32), -rise / float(skin[LATITUDES // 2].mean())
 
 
 def _sample(rgb: NDArray[np.float32], rows: NDArray[np.floating], columns: NDArray[np.floating]) -> NDArray[np.float32]:

@@ -27,7 +27,15 @@ from training.priors.exemplar.quilting.chunks import (
     Slabs,
     smooth_noise,
 )
-from training.priors.exemplar.quilting.disc import REACH, Disc, match_rings, smooth_disc, to_pixels
+from training.priors.exemplar.quilting.disc import (
+    REACH,
+    Disc,
+    even_around,
+    even_sides,
+    match_rings,
+    smooth_disc,
+    to_pixels,
+)
 from training.priors.exemplar.quilting.persistence import Persistence, find_sheets
 from training.priors.exemplar.quilting.seams import improve_labels, majority, nearest_colour
 from training.priors.prior import Progress
@@ -82,6 +90,9 @@ OWN_COST, OWN_BAND = 3.0, 0.03
 OWN_PLANE = 100.0
 """Gain in the cells at the plane itself: it shows the picture (law 1)."""
 
+OWN_TONES = 0.1
+"""Distance in radii over which a picture's own tones pass into even ones."""
+
 SEAM_COST = 0.0075
 """Weight of a seam over the width of a cell in radii."""
 
@@ -94,6 +105,8 @@ class _Source:
     """A picture and what the law of shape says of it."""
 
     disc: Disc
+    even: Disc
+    """With even tones, for chunks away from the picture's own plane."""
     blurred: Disc
     persistence: Persistence
     sheets: Disc
@@ -106,6 +119,14 @@ class _Label:
     sources: list[_Source]
     is_horizontal: bool
     is_own: bool
+
+    def read(self, places: Places) -> NDArray[np.float32]:
+        """(M, 3). What the places show: own planes the picture as it is, all else its details in even tones."""
+        even = _read(places, [s.even for s in self.sources])
+        if not self.is_own:
+            return even
+        share = np.exp(-np.square(places.distance / OWN_TONES))[:, None]
+        return even + share * (_read(places, [s.disc for s in self.sources]) - even)
 
 
 @dataclass(frozen=True)
@@ -129,18 +150,21 @@ class Quilt:
             for n, label in enumerate(self.labels):
                 rows = np.flatnonzero(nearest == n)
                 ball = Ball.of(block[rows])
-                out[start + rows] = _read(label.chunks.places(ball), [s.disc for s in label.sources])
+                out[start + rows] = label.read(label.chunks.places(ball))
         return out
 
 
-def make_quilt(horizontal: Sequence[Disc], radial: Sequence[Disc], seed: int, progress: Progress) -> Quilt:
-    """The quilt of horizontal and radial pictures, each 0 or more and one at least together. Bit-equal for a seed."""
+def make_quilt(
+    horizontal: Sequence[Disc], radial: Sequence[Disc], seed: int, progress: Progress, height: float = 0.0
+) -> Quilt:
+    """The quilt of horizontal and radial pictures, each 0 or more and one at least together; the first horizontal one
+    at a height in the unit ball. Bit-equal for a seed."""
     first = [*horizontal, *radial][0]
     across, along = (
         [_source(disc if disc is first else match_rings(disc, first), family is horizontal) for disc in family]
         for family in (horizontal, radial)
     )
-    labels = _make_labels(across, along, seed)
+    labels = _make_labels(across, along, height, seed)
     chosen = number = None
     for step, size in enumerate(LEVELS):
         progress(step / len(LEVELS))
@@ -165,14 +189,16 @@ def make_quilt(horizontal: Sequence[Disc], radial: Sequence[Disc], seed: int, pr
 
 def _source(disc: Disc, is_horizontal: bool) -> _Source:
     sheets = find_sheets(disc) if is_horizontal else np.zeros(disc.rgb.shape[:2], np.float32)
-    return _Source(disc, smooth_disc(disc, BLUR), Persistence(disc), Disc(np.repeat(sheets[..., None], 3, -1)))
+    even = even_around(disc) if is_horizontal else even_sides(disc)
+    return _Source(disc, even, smooth_disc(disc, BLUR), Persistence(disc), Disc(np.repeat(sheets[..., None], 3, -1)))
 
 
-def _make_labels(across: list[_Source], along: list[_Source], seed: int) -> list[_Label]:
+def _make_labels(across: list[_Source], along: list[_Source], height: float, seed: int) -> list[_Label]:
     """Own planes first, then random chunks."""
     labels = []
     if across:
-        labels.append(_Label(OwnHeight(np.random.default_rng([seed, 3])), across, True, True))
+        own = OwnHeight(height, across[0].sheets, np.random.default_rng([seed, 3]))
+        labels.append(_Label(own, across, True, True))
     if along:
         labels.append(_Label(OwnAzimuths(len(along), np.random.default_rng([seed, 4])), along, False, True))
     if across:
@@ -203,7 +229,7 @@ def _costs(
     sheets_here = np.zeros(len(ball.points), np.float32)
     for n, label in enumerate(labels):
         places = label.chunks.places(ball)
-        colours[n] = _read(places, [s.disc for s in label.sources])
+        colours[n] = label.read(places)
         gone = _gone(places, label.sources)
         capped = label.is_own or not label.is_horizontal
         cost = DISTANCE_COST * (np.minimum(places.distance, FAR) if capped else places.distance)
