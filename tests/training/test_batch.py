@@ -422,34 +422,28 @@ def test_defaults_give_way_to_a_scenes_own(tmp_path: Path) -> None:
     assert melon.request.up == (0.0, 0.0, 1.0)
 
 
-def test_a_folder_of_pictures_of_one_thing(tmp_path: Path) -> None:
+def test_a_scene_says_what_is_the_object_and_how_its_pictures_are_related(tmp_path: Path) -> None:
     (tmp_path / "a.ply").touch()
     (tmp_path / "cuts").mkdir()
-    for name in ("one.png", "two.png", "two.mask.png"):
-        shutil.copy(SCENES / "orange/horizontal_1.png", tmp_path / "cuts" / name)
+    for picture in ("one.png", "two.png", "two.mask.png"):
+        shutil.copy(SCENES / "orange/horizontal_1.png", tmp_path / "cuts" / picture)
     manifest = tmp_path / "all.toml"
-    manifest.write_text('[[scene]]\nscene = "a.ply"\nexemplar = { horizontal = "cuts" }\nsame = true\n')
-    (scene,) = read_manifest(manifest)
-    assert scene.request.same
-    assert [path.name for path in scene.request.families[0].exemplars] == ["one.png", "two.png"]  # no mask
-
-
-def test_a_scene_says_what_of_its_capture_is_the_object(tmp_path: Path) -> None:
-    (tmp_path / "a.ply").touch()
-    manifest = tmp_path / "all.toml"
-    text = f"""
+    text = """
         [[scene]]
         scene = "a.ply"
-        exemplar = {{ horizontal = "{SCENES}/orange/horizontal_1.png" }}
+        exemplar = { horizontal = "cuts" }
         keep = ["box:1,0,0,0,1,1"]
         no_floor = true
+        same = true
     """
     manifest.write_text(text)
     (scene,) = read_manifest(manifest)
+    assert scene.request.same
+    assert [path.name for path in scene.request.families[0].exemplars] == ["one.png", "two.png"]  # and no mask
     assert scene.request.isolation == (
         keep_only(Box((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))),
         (Step("add", Detected("floor")),),
     )
-    manifest.write_text(text.replace("true", '"yes"').replace("box:1", "cone:1"))
+    manifest.write_text(text.replace("floor = true", 'floor = "yes"').replace("box:1", "cone:1"))
     with pytest.raises(ManifestErrors, match=r"keep cone:1,0,0,0,1,1: give box|no_floor: give true or false"):
         read_manifest(manifest)

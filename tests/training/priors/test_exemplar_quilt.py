@@ -18,7 +18,7 @@ from training.priors.exemplar import ExemplarPrior, read_picture
 from training.priors.exemplar.frames import make_space
 from training.priors.exemplar.quilting import quilt
 from training.priors.exemplar.quilting.agreement import disagreement, show_one_thing
-from training.priors.exemplar.quilting.disc import Disc, ball_coordinates, disc_grid, even_around, even_sides
+from training.priors.exemplar.quilting.disc import BallMap, Disc, disc_grid, even_around, even_sides
 from training.priors.exemplar.quilting.quilt import Quilt, make_quilt
 
 FLESH, SHEET, SEED = np.array([0.9, 0.5, 0.2]), np.array([1.0, 0.9, 0.7]), np.array([0.15, 0.1, 0.05])
@@ -112,7 +112,8 @@ def test_pictures_share_their_middle_with_the_body() -> None:
     wide = 1 + 0.3 * z  # half an ellipse's width at each height
     depth = 1 - np.sqrt((x / wide) ** 2 + (y / wide) ** 2 + z**2)
     space = make_space(Body(grid, (0.8 * depth).astype(np.float32)), UP, 32)
-    points, height = ball_coordinates(space)
+    ball = BallMap.of(space)
+    points, height = ball.to_ball(space.planar), ball.height
     inside = np.sqrt(1 - np.linspace(-1, 1, 2001) ** 2) * (1 + 0.3 * np.linspace(-1, 1, 2001))
     centroid = (inside * np.linspace(-1, 1, 2001)).sum() / inside.sum()
     assert height == pytest.approx(-centroid, abs=0.02)

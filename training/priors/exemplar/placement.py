@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,8 @@ from engine.scene.plane import Plane
 from training.families import Family, Kind
 from training.priors.exemplar.frames import make_space
 from training.priors.exemplar.pictures import Picture
-from training.priors.exemplar.quilting.disc import Disc, ball_coordinates
+from training.priors.exemplar.quilting.chunks import Ball
+from training.priors.exemplar.quilting.disc import BallMap, Disc
 
 __all__ = ["OwnPlane", "bend_picture", "find_own_plane"]
 
@@ -65,8 +66,9 @@ def find_own_plane(body: Body, up: NDArray[np.float64], family: Family) -> OwnPl
     steps = ((np.arange(PIXELS) + 0.5) / PIXELS * 2 - 1) * reach
     x, y = np.meshgrid(steps, -steps)
     points = np.stack([x, y], -1).reshape(-1, 2) @ axes
-    ball = ball_coordinates(replace(space, planar=(points @ space.basis.T / grid.cell).astype(np.float32)))
-    places = ball @ (space.basis @ axes.T)
+    ball = BallMap.of(space).to_ball((points @ space.basis.T / grid.cell).astype(np.float32))
+    # A level cut that is not through the ball's middle is a smaller disc, which its picture fills.
+    places = Ball.of(ball).level if family.kind == "horizontal" else ball @ (space.basis @ axes.T)
     depth = space.body.at(centre + points).astype(np.float64)
     inside = np.clip(depth * PIXELS / (2 * reach) + 0.5, 0, 1)
     corners = centre + reach * np.array([[-1, 1], [1, 1], [1, -1], [-1, -1]]) @ axes

@@ -37,7 +37,7 @@ from training.priors.exemplar.morph import match_slices
 from training.priors.exemplar.patches import FIXED, POLAR, RADIAL
 from training.priors.exemplar.pictures import Picture, read_picture, resolved_share
 from training.priors.exemplar.quilting.agreement import show_one_thing
-from training.priors.exemplar.quilting.disc import Disc, ball_coordinates
+from training.priors.exemplar.quilting.disc import BallMap, Disc
 from training.priors.exemplar.quilting.quilt import make_quilt
 from training.priors.exemplar.scatter import scatter_details
 from training.priors.exemplar.sharpen import sharpen
@@ -90,9 +90,9 @@ def solve(
         discs = _discs(views, taken)  # in their own light, which is part of the question
         if not same and not show_one_thing(discs[POLAR], discs[RADIAL]):
             log.info("the pictures are of different things: followed each in its own plane, and mixed between")
-            points, height = ball_coordinates(space)
-            quilt = make_quilt(discs[POLAR], discs[RADIAL], seed, lambda part: progress(0.1 + 0.6 * part), height)
-            rgb = space.scatter(quilt.read(points))
+            ball = BallMap.of(space)
+            quilt = make_quilt(discs[POLAR], discs[RADIAL], seed, lambda part: progress(0.1 + 0.6 * part), ball.height)
+            rgb = space.scatter(quilt.read(ball.to_ball(space.planar)))
             progress(0.8)
             sharpen(space, rgb, views)
             return _make_volume(space, rgb, progress)

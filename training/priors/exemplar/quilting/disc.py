@@ -18,8 +18,8 @@ from training.priors.exemplar.pictures import Picture
 __all__ = [
     "DISC_PIXELS",
     "REACH",
+    "BallMap",
     "Disc",
-    "ball_coordinates",
     "even_around",
     "even_sides",
     "match_rings",
@@ -148,35 +148,53 @@ def even_sides(disc: Disc) -> Disc:
     return Disc(np.clip(disc.rgb + (tones[::-1] - tones) / 2, 0, 1))
 
 
-def ball_coordinates(space: Space) -> tuple[NDArray[np.float32], float]:
-    """(N, 3) the voxels in the unit ball, along e1, e2, up: the distance from the middle over that of the skin in the
-    same direction; and the height in it of the plane half way up the body.
+@dataclass(frozen=True)
+class BallMap:
+    """A body as the unit ball: each direction from the middle is stretched to the skin.
 
     The middle is the centroid of the cuts through the axis, as that of a picture is its centroid: were it half way
     up, a body that is wider above would show its pictures shifted.
     """
-    along = 1 / np.maximum(space.radius, 0.5)  # a cut's share of a voxel, as cuts crowd at the axis
-    rise = float((space.planar[:, 2] * along).sum() / along.sum())
-    planar = space.planar - np.array([0, 0, rise], np.float32)
-    latitude = ((np.arange(LATITUDES) + 0.5) / LATITUDES - 0.5) * np.pi
-    longitude = (np.arange(LONGITUDES) + 0.5) / LONGITUDES * 2 * np.pi
-    b, a = np.meshgrid(latitude, longitude, indexing="ij")
-    rays = np.stack([np.cos(b) * np.cos(a), np.cos(b) * np.sin(a), np.sin(b)], -1) @ space.basis
-    distance = np.linalg.norm(planar, axis=1)
-    reach = np.arange(0, distance.max() + 2, 0.5)
-    skin = np.zeros(b.shape)
-    for n, r in enumerate(reach):
-        at = space.centre + rise * space.basis[2] + r * rays
-        inside = ndimage.map_coordinates(space.body.depth, np.moveaxis(at, -1, 0), order=1, mode="nearest") > 0
-        skin[inside] = reach[n]
-    skin = np.pad(np.maximum(skin, 1.0), ((1, 1), (1, 1)), mode="edge")
-    skin[:, 0], skin[:, -1] = skin[:, -2], skin[:, 1]
-    skin = ndimage.gaussian_filter(skin, 0.7)
-    up = np.arcsin(np.clip(planar[:, 2] / np.maximum(distance, 1e-6), -1, 1))
-    around = np.arctan2(planar[:, 1], planar[:, 0]) % (2 * np.pi)
-    at = np.stack([(up / np.pi + 0.5) * LATITUDES + 0.5, around / (2 * np.pi) * LONGITUDES + 0.5])
-    rim = ndimage.map_coordinates(skin, at, order=1, mode="nearest")
-    return (planar / rim[:, None]).astype(np.float32), -rise / float(skin[LATITUDES // 2].mean())
+
+    rise: float
+    """Cells from half way up the body to the middle."""
+    skin: NDArray[np.float64]
+    """(LATITUDES + 2, LONGITUDES + 2). Distance of the skin from the middle in cells, with a margin on each side."""
+
+    @classmethod
+    def of(cls, space: Space) -> BallMap:
+        """The map of a body."""
+        along = 1 / np.maximum(space.radius, 0.5)  # a cut's share of a voxel, as cuts crowd at the axis
+        rise = float((space.planar[:, 2] * along).sum() / along.sum())
+        latitude = ((np.arange(LATITUDES) + 0.5) / LATITUDES - 0.5) * np.pi
+        longitude = (np.arange(LONGITUDES) + 0.5) / LONGITUDES * 2 * np.pi
+        b, a = np.meshgrid(latitude, longitude, indexing="ij")
+        rays = np.stack([np.cos(b) * np.cos(a), np.cos(b) * np.sin(a), np.sin(b)], -1) @ space.basis
+        farthest = np.linalg.norm(space.planar - np.array([0, 0, rise]), axis=1).max()
+        reach = np.arange(0, farthest + 2, 0.5)
+        skin = np.zeros(b.shape)
+        for n, r in enumerate(reach):
+            at = space.centre + rise * space.basis[2] + r * rays
+            inside = ndimage.map_coordinates(space.body.depth, np.moveaxis(at, -1, 0), order=1, mode="nearest") > 0
+            skin[inside] = reach[n]
+        skin = np.pad(np.maximum(skin, 1.0), ((1, 1), (1, 1)), mode="edge")
+        skin[:, 0], skin[:, -1] = skin[:, -2], skin[:, 1]
+        return cls(rise, ndimage.gaussian_filter(skin, 0.7))
+
+    @property
+    def height(self) -> float:
+        """Of the plane half way up the body, in the ball."""
+        return -self.rise / float(self.skin[LATITUDES // 2].mean())
+
+    def to_ball(self, planar: NDArray[np.float32]) -> NDArray[np.float32]:
+        """(M, 3). Points (M, 3) along e1, e2 and up from half way up the axis, in cells, as points of the ball."""
+        planar = planar - np.array([0, 0, self.rise], np.float32)
+        distance = np.linalg.norm(planar, axis=1)
+        up = np.arcsin(np.clip(planar[:, 2] / np.maximum(distance, 1e-6), -1, 1))
+        around = np.arctan2(planar[:, 1], planar[:, 0]) % (2 * np.pi)
+        at = np.stack([(up / np.pi + 0.5) * LATITUDES + 0.5, around / (2 * np.pi) * LONGITUDES + 0.5])
+        rim = ndimage.map_coordinates(self.skin, at, order=1, mode="nearest")
+        return (planar / rim[:, None]).astype(np.float32)
 
 
 def _sample(rgb: NDArray[np.float32], rows: NDArray[np.floating], columns: NDArray[np.floating]) -> NDArray[np.float32]:
