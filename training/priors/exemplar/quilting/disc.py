@@ -82,7 +82,8 @@ class Disc:
 
 TONE_ANGLE, TONE_LENGTH = 0.4, 0.15
 """Standard deviations in radians around, and in radii, of the blur that separates tones from details: wider than
-seeds, sheets and the arms of a star."""
+seeds, sheets and the arms of a star. With even tones the patches of photographs are 1 to 11 % nearer to unseen ones
+(three seeds, three pairs)."""
 
 
 def disc_grid() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
