@@ -5,8 +5,8 @@
 
 The capture, without the haze and floaters that are meant to go, is drawn as 3DGS; the solid as opaque atoms, after all
 that training does to its skin. Means over twelve views of the PSNR over the union of both silhouettes, of the PSNR over
-what both show as opaque, and of the IoU of the silhouettes. Writes fidelity.json and, for each capture,
-fidelity_<capture>.png (the capture above, the solid below). Measures the samples if no capture is given.
+what both show as opaque, and of the IoU of the silhouettes. Writes fidelity.json, the
+chart fidelity.png and, for each capture, fidelity_<capture>.png (the capture above, the solid below). Measures the samples if no capture is given.
 """
 
 from __future__ import annotations
@@ -43,6 +43,7 @@ from training.views import BACKGROUND
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt
+from matplotlib.ticker import NullFormatter
 
 SAMPLES = ("watermelon", "orange", "bread")
 
@@ -118,6 +119,7 @@ def draw_chart(found: dict[str, dict[str, Any]], path: Path) -> None:
             points = list(rows.values())
             axis.plot([p[key] for p in points], [p["union_db"] for p in points], "o-", label=capture.split(".")[0])
         axis.set(xlabel=name, xscale="log")
+        axis.xaxis.set_minor_formatter(NullFormatter())
         axis.grid(alpha=0.3)
     axes[0].set_ylabel("PSNR at unseen views, dB")
     axes[1].legend(fontsize=7)

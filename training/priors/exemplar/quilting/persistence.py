@@ -98,15 +98,18 @@ def find_sheets(disc: Disc) -> NDArray[np.float32]:
     found = np.zeros((RADII, ANGLES), np.float32)
     for bend in BENDS:
         turns = np.round(bend * along / length * ANGLES / (2 * np.pi)).astype(int)
-        line = np.stack(
-            [np.roll(padded[length + a : length + a + RADII], -t, axis=1) for a, t in zip(along, turns, strict=True)]
-        )
+        steps = list(zip(along.tolist(), turns.tolist(), strict=True))
+        line = np.stack([np.roll(padded[length + a : length + a + RADII], -t, axis=1) for a, t in steps])
         mean = line.mean(0)
         size = np.linalg.norm(mean, axis=-1)
         direction = mean / np.maximum(size, 1e-6)[..., None]
         steady = np.quantile((line * direction).sum(-1), SHEET_QUANTILE, axis=0)
-        # What the line passes over must itself stand out, or sheets would grow beyond their ends.
-        found = np.maximum(found, np.where((contrast * direction).sum(-1) > 0.3 * size, steady, 0))
+        # All along a steady line is a sheet, but where the picture itself does not stand out it ends.
+        for a, t in steps:
+            here, there = slice(max(a, 0), RADII + min(a, 0)), slice(max(-a, 0), RADII + min(-a, 0))
+            out = np.roll(contrast[here], -t, axis=1)
+            surely = np.where((out * direction[there]).sum(-1) > 0.5 * size[there], steady[there], 0)
+            found[here] = np.maximum(found[here], np.roll(surely, t, axis=1))
     flesh = contrast[int(0.2 * RADII) : int(0.8 * RADII)]
     surely = np.clip(found / (np.linalg.norm(flesh, axis=-1).std() + 0.01) - 0.5, 0, 1)
     surely[(radius < SHEET_RADII[0]) | (radius > SHEET_RADII[1])] = 0
