@@ -5,8 +5,8 @@
 
 The capture, without the haze and floaters that are meant to go, is drawn as 3DGS; the solid as opaque atoms, after all
 that training does to its skin. Means over twelve views of the PSNR over the union of both silhouettes, of the PSNR over
-what both show as opaque, and of the IoU of the silhouettes. Writes fidelity.json, the
-chart fidelity.png and, for each capture, fidelity_<capture>.png (the capture above, the solid below). Measures the samples if no capture is given.
+what both show as opaque, and of the IoU of the silhouettes. Writes fidelity.json, the chart fidelity.png and, for each
+capture, fidelity_<capture>.png (the capture above, the solid below). Measures the samples if no capture is given.
 """
 
 from __future__ import annotations

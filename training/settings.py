@@ -42,9 +42,9 @@ class Detail:
 # Volume and lattice are equally fine: in draft a volume of 80 cells under a lattice of 112 raises the orange's patch
 # distance by half and saves no measurable time (benchmarks/presets).
 # Tolerances of 0.025, 0.05, 0.1 and 0.2 make 64, 49, 35 and 22 thousand skin atoms of a capture of a guitar, at 25.6,
-# 25.4, 25.3 and 24.4 dB in unseen views after a quarter of the standard steps. Standard is at the knee: high doubles the
-# atoms for 0 to 0.7 dB, draft is 4 to 7 dB under it in a quarter of the time (docs/charts/fidelity.png). With 60, 90 and
-# 120 views the guitar is at 26.8, 26.9 and 27.1 dB.
+# 25.4, 25.3 and 24.4 dB in unseen views after a quarter of the standard steps. Standard is at the knee: high doubles
+# the atoms for 0 to 0.7 dB, draft is 4 to 7 dB under it in a quarter of the time (docs/charts/fidelity.png). With 60,
+# 90 and 120 views the guitar is at 26.8, 26.9 and 27.1 dB.
 # Colours of the sample watermelon fitted to 60 views score 2 dB better on held-out views than those fitted to 24.
 DETAILS: dict[DetailName, Detail] = {
     "draft": Detail(
