@@ -16,7 +16,7 @@ from scipy import ndimage
 
 from training.priors.exemplar.quilting.disc import REACH, Disc, to_pixels
 
-__all__ = ["Ball", "Chunks", "OwnAzimuths", "OwnHeight", "Places", "Sectors", "Slabs", "smooth_noise"]
+__all__ = ["Ball", "Chunks", "Noise", "OwnAzimuths", "OwnHeight", "Places", "Sectors", "Slabs", "smooth_noise"]
 
 SLABS, SLAB_SPACING = 4, 0.5
 """Sets of slabs, and distance in radii between slabs of one set: together an eighth of a radius, as seeds are long."""
@@ -27,11 +27,12 @@ SECTOR_SETS, SECTORS = 4, 5
 WAVE, WAVE_LENGTH = 0.08, 0.4
 """Standard deviation and length in radii of the waves in a chunk's middle plane: no seam is straight."""
 
-DRIFT, DRIFT_LENGTHS = 0.06, (0.5, 0.5, 0.16)
-"""Standard deviation, and lengths across and along the axis, of the drift of places: texture is no bundle of rods."""
+DRIFT, DRIFT_LENGTHS = 0.03, (0.5, 0.5, 0.16)
+"""Standard deviation, and lengths across and along the axis, of the drift of places in slabs: more bends
+membranes into wavy lines, less shows seeds as rods."""
 
-SECTOR_DRIFT, SECTOR_DRIFT_LENGTHS = 0.04, (0.25, 0.25, 0.35)
-"""The same for sectors, short around the axis."""
+SECTOR_DRIFT, SECTOR_DRIFT_LENGTHS = 0.06, (0.25, 0.25, 0.35)
+"""The same for sectors, short around the axis, where they would show as rings."""
 
 SHIFT = 0.05
 """Standard deviation in radii of the shift of a sector's places."""

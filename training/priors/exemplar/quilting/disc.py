@@ -20,10 +20,14 @@ __all__ = [
     "REACH",
     "BallMap",
     "Disc",
+    "disc_grid",
+    "disc_median",
+    "enlarged",
     "even_around",
     "even_sides",
     "match_rings",
     "smooth_disc",
+    "to_pixels",
 ]
 
 DISC_PIXELS = 560
@@ -43,6 +47,12 @@ LATITUDES, LONGITUDES = 90, 180
 
 RINGS = 12
 """Rings in which the colours of two pictures are matched."""
+
+REDUCTION = 4
+"""Pixels of the disc per pixel of a median: what a median leaves is several times wider."""
+
+MEDIAN_PIXELS = 4
+"""Radius in pixels from which a median is taken on a coarser picture: wide ones of a fine picture take seconds."""
 
 GAIN_RANGE = (0.6, 1.6)
 """Range in which the spread of colours is matched: a ring that is plain in one picture may hold the other's seeds."""
@@ -105,6 +115,40 @@ def smooth_disc(disc: Disc, sigma: float) -> Disc:
     """The disc blurred by a Gaussian of this standard deviation in radii."""
     pixels = sigma * DISC_PIXELS / (2 * REACH)
     return Disc(ndimage.gaussian_filter(disc.rgb, (pixels, pixels, 0), truncate=3))
+
+
+def disc_median(values: NDArray[np.float32], radius: float) -> NDArray[np.float32]:
+    """(H / REDUCTION, W / REDUCTION, C). The medians of values (H, W, C) on a disc's pixels over a radius in radii."""
+    pixels = radius * DISC_PIXELS / (2 * REACH)
+    n = max(REDUCTION, REDUCTION * int(pixels / (REDUCTION * MEDIAN_PIXELS)))
+    reach = int(np.ceil(pixels / n))
+    y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1]
+    around = np.hypot(x, y) <= pixels / n + 0.3
+    coarse = reduced(values, n)
+    medians = [ndimage.median_filter(coarse[..., c], footprint=around, mode="nearest") for c in range(values.shape[2])]
+    if n == REDUCTION:
+        return np.stack(medians, -1)
+    return _resampled(np.stack(medians, -1), DISC_PIXELS // REDUCTION, REDUCTION / n)
+
+
+def reduced(values: NDArray[np.float32], n: int) -> NDArray[np.float32]:
+    """The means of blocks of n x n pixels of values (H, W, C)."""
+    even = [side // n * n for side in values.shape[:2]]
+    blocks = values[: even[0], : even[1]].reshape(even[0] // n, n, even[1] // n, n, -1)
+    return np.asarray(blocks.mean((1, 3)), np.float32)
+
+
+def enlarged(values: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(DISC_PIXELS, DISC_PIXELS, C). Values (H / REDUCTION, W / REDUCTION, C) between their pixels."""
+    return _resampled(values, DISC_PIXELS, 1 / REDUCTION)
+
+
+def _resampled(values: NDArray[np.float32], size: int, step: float) -> NDArray[np.float32]:
+    """(size, size, C). Values at pixels `step` of their own apart."""
+    axis = (np.arange(size) + 0.5) * step - 0.5
+    at = np.stack(np.meshgrid(axis, axis, indexing="ij"))
+    channels = [ndimage.map_coordinates(values[..., c], at, order=1, mode="nearest") for c in range(values.shape[2])]
+    return np.stack(channels, -1).astype(np.float32)
 
 
 def match_rings(disc: Disc, to: Disc) -> Disc:

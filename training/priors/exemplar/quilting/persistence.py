@@ -11,18 +11,25 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from training.priors.exemplar.quilting.disc import DISC_PIXELS, REACH, Disc, disc_grid, to_pixels
+from training.priors.exemplar.quilting.disc import (
+    DISC_PIXELS,
+    REACH,
+    REDUCTION,
+    Disc,
+    disc_grid,
+    disc_median,
+    reduced,
+    to_pixels,
+)
 
 __all__ = ["Persistence", "find_sheets"]
 
 DISTANCES = (0.02, 0.04, 0.07, 0.11, 0.16, 0.22)
 """Distances in radii at which the medians are taken; seeds, pores and carpels have half widths in this range."""
 
-REDUCTION = 4
-"""Pixels of the disc per pixel that is compared with a median: what a median removes is several times wider."""
-
-MEDIAN_PIXELS = 4
-"""Radius in pixels from which a median is taken on a coarser picture."""
+THIN, WIDE = 0.04, 0.16
+"""Distances in radii over which a sheet has gone, and with which that is compared: what is wider is a body of flesh or
+a hollow, which ends as closed things do."""
 
 SHEET_LENGTH = 0.42
 """Length in radii along which a sheet is followed: longer than seeds and carpels, and shorter than the flesh."""
@@ -47,25 +54,9 @@ class Persistence:
     """How far the colours of a disc are from what remains of them at a distance from its plane."""
 
     def __init__(self, disc: Disc) -> None:
-        small = _reduced(disc.rgb, REDUCTION)
-        steps = [np.zeros(small.shape[:2], np.float32)]
-        for distance in DISTANCES:
-            # Just fine enough for a disc of a few pixels: wide medians of a fine picture would take seconds.
-            pixels = distance * DISC_PIXELS / (2 * REACH)
-            n = max(REDUCTION, REDUCTION * int(pixels / (REDUCTION * MEDIAN_PIXELS)))
-            radius = pixels / n
-            reach = int(np.ceil(radius))
-            y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1]
-            around = np.hypot(x, y) <= radius + 0.3
-            coarse = _reduced(disc.rgb, n)
-            medians = np.stack(
-                [ndimage.median_filter(coarse[..., c], footprint=around, mode="nearest") for c in range(3)], -1
-            )
-            axis = (np.arange(len(small)) + 0.5) * REDUCTION / n - 0.5
-            at = np.stack(np.meshgrid(axis, axis, indexing="ij"))
-            remains = [ndimage.map_coordinates(medians[..., c], at, order=1, mode="nearest") for c in range(3)]
-            steps.append(np.linalg.norm(small - np.stack(remains, -1), axis=-1))
-        self._gone = np.stack(steps).astype(np.float32)
+        small = reduced(disc.rgb, REDUCTION)
+        gone = [np.linalg.norm(small - disc_median(disc.rgb, distance), axis=-1) for distance in DISTANCES]
+        self._gone = np.stack([np.zeros_like(gone[0]), *gone]).astype(np.float32)
 
     def gone(
         self, x: NDArray[np.floating], y: NDArray[np.floating], distance: NDArray[np.floating]
@@ -76,15 +67,11 @@ class Persistence:
         return ndimage.map_coordinates(self._gone, at, order=1, mode="nearest", output=np.float32)
 
 
-def _reduced(rgb: NDArray[np.float32], n: int) -> NDArray[np.float32]:
-    """The means of blocks of n x n pixels."""
-    even = [side // n * n for side in rgb.shape[:2]]
-    blocks = rgb[: even[0], : even[1]].reshape(even[0] // n, n, even[1] // n, n, 3)
-    return np.asarray(blocks.mean((1, 3)), np.float32)
+def find_sheets(disc: Disc, persistence: Persistence) -> NDArray[np.float32]:
+    """(DISC_PIXELS, DISC_PIXELS). How surely a horizontal face shows a thin sheet from core to rind. Range [0, 1].
 
-
-def find_sheets(disc: Disc) -> NDArray[np.float32]:
-    """(DISC_PIXELS, DISC_PIXELS). How surely a horizontal face shows a sheet from core to rind. Range [0, 1]."""
+    `persistence`: of the same face.
+    """
     angle = np.arange(ANGLES) / ANGLES * 2 * np.pi
     radius = (np.arange(RADII) + 0.5) / RADII
     x, y = radius[:, None] * np.cos(angle), radius[:, None] * np.sin(angle)
@@ -118,5 +105,6 @@ def find_sheets(disc: Disc) -> NDArray[np.float32]:
     at = np.stack([np.hypot(px, py) * RADII - 0.5, turn])
     closed = np.concatenate([surely, surely[:, :1]], axis=1)
     sheets = ndimage.map_coordinates(closed, at, order=1, cval=0, output=np.float32)
-    assert sheets.shape == (DISC_PIXELS, DISC_PIXELS)
-    return sheets
+    thin, wide = (persistence.gone(px.ravel(), py.ravel(), np.full(px.size, d)) for d in (THIN, WIDE))
+    share = np.clip(2 * thin / (wide + 0.02) - 0.5, 0, 1).reshape(px.shape)
+    return sheets * ndimage.gaussian_filter(share, THIN / 4 * DISC_PIXELS / (2 * REACH))

@@ -3,7 +3,8 @@
 Every cell of a grid in the unit ball has a label: a set of chunks whose picture it shows. The labels minimise the sum
 of what a label costs at a cell (its distance from the plane that the picture shows, what does not persist so far from
 it, colours that the radial pictures do not show there) and of seams, which are free where both sides agree. Colours
-are read, never averaged, so an inside is as sharp as its pictures.
+are read, never averaged, so an inside is as sharp as its pictures. Chunks hold the things of pictures; their texture
+is that of thin layers (`texture`).
 """
 
 from __future__ import annotations
@@ -38,6 +39,7 @@ from training.priors.exemplar.quilting.disc import (
 )
 from training.priors.exemplar.quilting.persistence import Persistence, find_sheets
 from training.priors.exemplar.quilting.seams import improve_labels, majority, nearest_colour
+from training.priors.exemplar.quilting.texture import Parts, TextureField, take_apart
 from training.priors.prior import Progress
 
 __all__ = ["Quilt", "make_quilt"]
@@ -91,7 +93,8 @@ OWN_PLANE = 100.0
 """Gain in the cells at the plane itself: it shows the picture (law 1)."""
 
 OWN_TONES = 0.1
-"""Distance in radii over which a picture's own tones pass into even ones."""
+"""Distance in radii over which a picture's own tones pass into even ones: away from its plane, and in it where another
+picture's plane crosses, as there both are to be seen."""
 
 SEAM_COST = 0.0075
 """Weight of a seam over the width of a cell in radii."""
@@ -107,6 +110,8 @@ class _Source:
     disc: Disc
     even: Disc
     """With even tones, for chunks away from the picture's own plane."""
+    parts: Parts
+    """Of the even one."""
     blurred: Disc
     persistence: Persistence
     sheets: Disc
@@ -120,13 +125,29 @@ class _Label:
     is_horizontal: bool
     is_own: bool
 
-    def read(self, places: Places) -> NDArray[np.float32]:
-        """(M, 3). What the places show: own planes the picture as it is, all else its details in even tones."""
-        even = _read(places, [s.even for s in self.sources])
+    def read_things(self, places: Places, crossing: NDArray[np.float32]) -> NDArray[np.float32]:
+        """(M, 3). The things that the places show, in the pictures' own tones near their own planes.
+
+        `crossing` (M,): distances in radii from the other family's own planes.
+        """
+        things = _read(places, [s.parts.things for s in self.sources])
         if not self.is_own:
-            return even
-        share = np.exp(-np.square(places.distance / OWN_TONES))[:, None]
-        return even + share * (_read(places, [s.disc for s in self.sources]) - even)
+            return things
+        share = np.exp(-np.square(places.distance / OWN_TONES)) - np.exp(-np.square(crossing / OWN_TONES))
+        tones = _read(places, [s.disc for s in self.sources]) - _read(places, [s.even for s in self.sources])
+        return things + np.maximum(share, 0)[:, None] * tones
+
+    def read(
+        self, places: Places, crossing: NDArray[np.float32], texture: NDArray[np.float32], layer: float
+    ) -> NDArray[np.float32]:
+        """(M, 3). What the places show, with texture (M, 3): within a `layer` of own planes that of the picture."""
+        rgb = self.read_things(places, crossing)
+        strength = _read(places, [s.parts.strength for s in self.sources])
+        if not self.is_own:
+            return rgb + strength * texture
+        own = np.exp(-np.square(places.distance / layer))[:, None]
+        here = _read(places, [s.parts.texture for s in self.sources])
+        return rgb + strength * (own * here + np.sqrt(1 - own * own) * texture)
 
 
 @dataclass(frozen=True)
@@ -138,9 +159,10 @@ class Quilt:
     """(X, Y, Z). Row of each cell of the finest grid, -1 outside."""
     chosen: NDArray[np.int32]
     """(M,). Label of each cell."""
+    texture: TextureField
 
     def read(self, points: NDArray[np.float32]) -> NDArray[np.float32]:
-        """(M, 3). Colours at points (M, 3) of the unit ball along e1, e2, up."""
+        """(M, 3). Colours at points (M, 3) of the unit ball along e1, e2, up. Range [0, 1]."""
         out = np.empty((len(points), 3), np.float32)
         for start in range(0, len(points), BLOCK):
             block = points[start : start + BLOCK]
@@ -150,8 +172,9 @@ class Quilt:
             for n, label in enumerate(self.labels):
                 rows = np.flatnonzero(nearest == n)
                 ball = Ball.of(block[rows])
-                out[start + rows] = label.read(label.chunks.places(ball))
-        return out
+                places, crossing = label.chunks.places(ball), _crossing(self.labels, label, ball)
+                out[start + rows] = label.read(places, crossing, self.texture.at(ball), self.texture.thickness)
+        return np.clip(out, 0, 1)
 
 
 def make_quilt(
@@ -184,13 +207,16 @@ def make_quilt(
     assert number is not None and chosen is not None
     shares = np.bincount(chosen, minlength=len(labels)) / len(chosen)
     log.info("quilted of %d sets of chunks, shares %s", len(labels), np.round(shares, 2).tolist())
-    return Quilt(labels, number, chosen)
+    texture = TextureField([s.parts.texture for s in across or along], np.random.default_rng([seed, 5]))
+    return Quilt(labels, number, chosen, texture)
 
 
 def _source(disc: Disc, is_horizontal: bool) -> _Source:
-    sheets = find_sheets(disc) if is_horizontal else np.zeros(disc.rgb.shape[:2], np.float32)
+    persistence = Persistence(disc)
+    sheets = find_sheets(disc, persistence) if is_horizontal else np.zeros(disc.rgb.shape[:2], np.float32)
     even = even_around(disc) if is_horizontal else even_sides(disc)
-    return _Source(disc, even, smooth_disc(disc, BLUR), Persistence(disc), Disc(np.repeat(sheets[..., None], 3, -1)))
+    held = Disc(np.repeat(sheets[..., None], 3, -1))
+    return _Source(disc, even, take_apart(even), smooth_disc(disc, BLUR), persistence, held)
 
 
 def _make_labels(across: list[_Source], along: list[_Source], height: float, seed: int) -> list[_Label]:
@@ -229,7 +255,7 @@ def _costs(
     sheets_here = np.zeros(len(ball.points), np.float32)
     for n, label in enumerate(labels):
         places = label.chunks.places(ball)
-        colours[n] = label.read(places)
+        colours[n] = label.read_things(places, _crossing(labels, label, ball))
         gone = _gone(places, label.sources)
         capped = label.is_own or not label.is_horizontal
         cost = DISTANCE_COST * (np.minimum(places.distance, FAR) if capped else places.distance)
@@ -255,6 +281,14 @@ def _costs(
             cost = cost + GONE_COST * gone + SECTOR_COST + 0.5 * SHEET_COST * sheets_here
         costs[n] = cost
     return costs, colours
+
+
+def _crossing(labels: list[_Label], label: _Label, ball: Ball) -> NDArray[np.float32]:
+    """(M,). Distance in radii from the own planes of the family that is not the label's; infinite without one."""
+    for other in labels:
+        if label.is_own and other.is_own and other.is_horizontal != label.is_horizontal:
+            return other.chunks.places(ball).distance
+    return np.full(len(ball.points), np.inf, np.float32)
 
 
 def _read(places: Places, discs: list[Disc]) -> NDArray[np.float32]:
