@@ -6,13 +6,14 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from engine.scene.camera import Camera, equator, section
 from engine.scene.plane import Plane
 from sample_scenes.solids import Solid
 from training.families import Kind
 
-__all__ = ["crop", "photograph", "planes"]
+__all__ = ["crop", "photograph", "planes", "snapshot"]
 
 FRAME = 0.85
 """Longer side of the face over that of the picture."""
@@ -28,6 +29,16 @@ AZIMUTHS = (25.0, 100.0, 155.0)
 
 ALONG = (-0.35, 0.1, 0.55)
 """Positions of parallel faces, as fractions of the half length."""
+
+
+WHITE_BALANCE = (1.06, 1.0, 0.82)
+"""Gains of a lamp's light on a picture taken for daylight."""
+
+SQUASHED = 0.9
+"""Height of a snapshot's face over that of the solid's: no two fruits have one outline."""
+
+SHADOW, SHADOW_OFFSET, SHADOW_BLUR = 0.35, (0.03, 0.02), 0.015
+"""Darkness of a drop shadow, and its offset down and to the right and its blur over the picture's side."""
 
 
 def planes(solid: Solid, kind: Kind) -> list[Plane]:
@@ -61,3 +72,16 @@ def photograph(solid: Solid, plane: Plane, size: int) -> NDArray[np.uint8]:
     """(size, size, 3). The face over white, antialiased, 8 bits."""
     rgb, _ = solid.slice(plane, crop(solid, plane, size), supersample=SUPERSAMPLE)
     return (np.clip(rgb, 0, 1) * 255 + 0.5).astype(np.uint8)
+
+
+def snapshot(solid: Solid, plane: Plane, size: int) -> NDArray[np.uint8]:
+    """(size, size, 3). The face as somebody else takes it: in lamplight, squashed, over its drop shadow."""
+    rgb, inside = solid.slice(plane, crop(solid, plane, size), supersample=SUPERSAMPLE)
+    at = np.stack(np.mgrid[:size, :size]).astype(np.float64)
+    at[0] = (at[0] - (size - 1) / 2) / SQUASHED + (size - 1) / 2
+    face = np.stack([ndimage.map_coordinates(rgb[..., c], at, order=1, cval=1.0) for c in range(3)], -1)
+    cover = ndimage.map_coordinates(inside.astype(np.float64), at, order=1)[..., None]
+    shifted = ndimage.shift(cover[..., 0], np.array(SHADOW_OFFSET) * size, order=1)
+    ground = 1 - SHADOW * ndimage.gaussian_filter(shifted, SHADOW_BLUR * size)[..., None]
+    lit = np.where(cover > 0, face * WHITE_BALANCE, 1)
+    return (np.clip(cover * lit + (1 - cover) * ground, 0, 1) * 255 + 0.5).astype(np.uint8)

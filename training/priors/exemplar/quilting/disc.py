@@ -25,7 +25,9 @@ __all__ = [
     "enlarged",
     "even_around",
     "even_sides",
-    "match_rings",
+    "match_light",
+    "reduced",
+    "ring_medians",
     "smooth_disc",
     "to_pixels",
 ]
@@ -54,8 +56,9 @@ REDUCTION = 4
 MEDIAN_PIXELS = 4
 """Radius in pixels from which a median is taken on a coarser picture: wide ones of a fine picture take seconds."""
 
-GAIN_RANGE = (0.6, 1.6)
-"""Range in which the spread of colours is matched: a ring that is plain in one picture may hold the other's seeds."""
+ALIKE, LEAST_ALIKE = 0.15, 0.001
+"""Standard deviation of the RGB distance over which colours are moved alike, and the weight of all others, which
+decides where a colour is like none."""
 
 
 @dataclass(frozen=True)
@@ -151,26 +154,23 @@ def _resampled(values: NDArray[np.float32], size: int, step: float) -> NDArray[n
     return np.stack(channels, -1).astype(np.float32)
 
 
-def match_rings(disc: Disc, to: Disc) -> Disc:
-    """The disc with the colours' median and spread of another, ring by ring: two photographs have two lights, and
-    what two fruits have in common lies at the same depth."""
-    radius = np.hypot(*disc_grid())
-    edges = np.linspace(0, 1, RINGS + 1)
-    middles = (edges[1:] + edges[:-1]) / 2
-    ring = np.digitize(radius, edges) - 1
-    medians, spreads = (
-        np.array([[f(d.rgb[ring == n], axis=0) for n in range(RINGS)] for d in (disc, to)]) for f in (np.median, np.std)
-    )
-    out = np.empty_like(disc.rgb)
-    for c in range(3):
+def match_light(disc: Disc, to: Disc) -> Disc:
+    """The disc in the light of another one. What two fruits have in common lies at the same depth, so the medians of
+    their rings are pairs of colours; each colour is moved as the ring colours like it are, whatever ring it is in: a
+    white core stays white beside flesh that is yellow in one light and orange in the other."""
+    colours, wanted = ring_medians(disc, RINGS), ring_medians(to, RINGS)
+    moved, weights = np.zeros_like(disc.rgb), np.zeros((*disc.rgb.shape[:2], 1), np.float32)
+    for n, (colour, target) in enumerate(zip(colours, wanted, strict=True)):
+        alike = np.exp(-np.square(disc.rgb - colour).sum(-1, keepdims=True) / (2 * ALIKE**2)) + LEAST_ALIKE
+        weights += (2 * n + 1) * alike  # the ring's area
+        moved += (2 * n + 1) * alike * (target - colour)
+    return Disc(np.clip(disc.rgb + moved / weights, 0, 1))
 
-        def along(values: NDArray[np.floating], c: int = c) -> NDArray[np.float64]:
-            smooth = ndimage.gaussian_filter1d(values[:, c], 1.0, mode="nearest")
-            return np.asarray(np.interp(radius, middles, smooth), np.float64)
 
-        gain = np.clip(along(spreads[1]) / np.maximum(along(spreads[0]), 0.02), *GAIN_RANGE)
-        out[..., c] = along(medians[1]) + (disc.rgb[..., c] - along(medians[0])) * gain
-    return Disc(np.clip(out, 0, 1))
+def ring_medians(disc: Disc, rings: int) -> NDArray[np.float32]:
+    """(rings, 3). The median colours of rings of the same width from the middle to the rim."""
+    ring = (np.hypot(*disc_grid()) * rings).astype(int)
+    return np.array([np.median(disc.rgb[ring == n], axis=0) for n in range(rings)], np.float32)
 
 
 def even_around(disc: Disc) -> Disc:

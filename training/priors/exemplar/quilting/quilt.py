@@ -31,9 +31,11 @@ from training.priors.exemplar.quilting.chunks import (
 from training.priors.exemplar.quilting.disc import (
     REACH,
     Disc,
+    disc_grid,
     even_around,
     even_sides,
-    match_rings,
+    match_light,
+    ring_medians,
     smooth_disc,
     to_pixels,
 )
@@ -65,6 +67,14 @@ FAR = 0.15
 
 GONE_COST = 4.0
 """Cost of a unit of colour that does not persist (law 3)."""
+
+CLOSED_GAIN = 8.0
+"""Gain of a unit of colour by which a closed thing stands out where it persists. Without it there are too few: a
+closed thing costs the seams of its ends, and flesh none. Patches of a melon with this gain at 0, 5 and 8 are 7.6, 3.4
+and 2.5 times as far from the truth as another true one, of an orange 2.1, 2.1 and 1.9 times."""
+
+FINE_RINGS, LARGEST = 64, 0.16
+"""Rings from whose median colours things stand out, and their largest half width in radii."""
 
 UNSEEN_COST = 20.0
 """Cost of the squared distance, to at most UNSEEN_MOST, to the nearest colour that radial pictures show nearby."""
@@ -112,6 +122,8 @@ class _Source:
     """With even tones, for chunks away from the picture's own plane."""
     parts: Parts
     """Of the even one."""
+    closed: Disc
+    """How far closed things stand out, the same in all three channels."""
     blurred: Disc
     persistence: Persistence
     sheets: Disc
@@ -184,7 +196,7 @@ def make_quilt(
     at a height in the unit ball. Bit-equal for a seed."""
     first = [*horizontal, *radial][0]
     across, along = (
-        [_source(disc if disc is first else match_rings(disc, first), family is horizontal) for disc in family]
+        [_source(disc if disc is first else match_light(disc, first), family is horizontal) for disc in family]
         for family in (horizontal, radial)
     )
     labels = _make_labels(across, along, height, seed)
@@ -216,7 +228,19 @@ def _source(disc: Disc, is_horizontal: bool) -> _Source:
     sheets = find_sheets(disc, persistence) if is_horizontal else np.zeros(disc.rgb.shape[:2], np.float32)
     even = even_around(disc) if is_horizontal else even_sides(disc)
     held = Disc(np.repeat(sheets[..., None], 3, -1))
-    return _Source(disc, even, take_apart(even), smooth_disc(disc, BLUR), persistence, held)
+    closed = _closed_things(even, persistence)
+    return _Source(disc, even, take_apart(even), closed, smooth_disc(disc, BLUR), persistence, held)
+
+
+def _closed_things(disc: Disc, persistence: Persistence) -> Disc:
+    """How far the colours of closed things are from those of their ring and of what is around them."""
+    x, y = disc_grid()
+    medians = ring_medians(disc, FINE_RINGS)
+    at = np.hypot(x, y) * FINE_RINGS - 0.5
+    ring = np.stack([np.interp(at, np.arange(FINE_RINGS), medians[:, c]) for c in range(3)], -1)
+    around = persistence.gone(x.ravel(), y.ravel(), np.full(x.size, LARGEST)).reshape(x.shape)
+    stands_out = np.minimum(np.linalg.norm(disc.rgb - ring, axis=-1), around)
+    return Disc(np.repeat(stands_out[..., None], 3, -1).astype(np.float32))
 
 
 def _make_labels(across: list[_Source], along: list[_Source], height: float, seed: int) -> list[_Label]:
@@ -266,7 +290,8 @@ def _costs(
             own_plane = OWN_PLANE if label.is_horizontal else OWN_PLANE / 2  # on the line where they meet
             cost = cost - OWN_COST * near - own_plane * (places.distance < 0.75 * cell)
         else:
-            cost = cost + RIND_COST * ball.rind
+            closed = _read(places, [s.closed for s in label.sources])[:, 0]
+            cost = cost + RIND_COST * ball.rind - CLOSED_GAIN * np.maximum(closed - gone, 0) * (1 - ball.rind)
         if label.is_horizontal:
             sheet = _read(places, [s.sheets for s in label.sources])[:, 0]
             cost = cost + GONE_COST * gone * (1 - sheet) + (-SHEET_COST if label.is_own else SHEET_COST) * sheet
