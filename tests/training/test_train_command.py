@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 from PIL import Image
 
-import training.optimise.training_loop
 import training.settings
 from engine.io.load import load
 from engine.io.trained import load_trained
@@ -38,12 +37,16 @@ REQUEST = Request(
     detail="draft",
     up=(0.0, 0.0, 1.0),
 )
+SHEET_TILE = 48
+"""Pixels of a square of the contact sheet, whose cuts took longer to draw than all else in so small a run."""
+
 # The command with its draft made tiny, for tests that have to end it from outside.
 SMALL_COMMAND = f"""
 import sys
-import training.optimise.training_loop, training.settings, training.skin
+import training.contact_sheet, training.optimise.training_loop, training.settings, training.skin
 from training.settings import Detail
 training.settings.DETAILS["draft"] = {TINY!r}
+training.contact_sheet.TILE = {SHEET_TILE}
 training.optimise.training_loop.CHECKPOINT_SECONDS = training.skin.CHECKPOINT_SECONDS = 0.0
 from training.cli import main
 main()
@@ -55,16 +58,21 @@ ARGUMENTS = [
 ]
 
 
+def make_tiny(patch: pytest.MonkeyPatch) -> None:
+    patch.setitem(training.settings.DETAILS, "draft", TINY)
+    patch.setattr("training.contact_sheet.TILE", SHEET_TILE)
+
+
 @pytest.fixture(autouse=True)
 def tiny(monkeypatch):
-    monkeypatch.setitem(training.settings.DETAILS, "draft", TINY)
+    make_tiny(monkeypatch)
 
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
     out = tmp_path_factory.mktemp("whole")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(training.settings.DETAILS, "draft", TINY)
+        make_tiny(patch)
         run(REQUEST, out, Reporter(), False, lambda: False)
     return out
 
