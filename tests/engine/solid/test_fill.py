@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,12 +14,13 @@ from scipy.spatial import KDTree
 from engine.errors import InputError
 from engine.scene.atoms import SurfaceAtoms
 from engine.scene.gaussians import Gaussians
-from engine.scene.grid import Grid
+from engine.scene.grid import Body, Grid
 from engine.scene.rotations import rotation_matrices
 from engine.solid.distance_transform import nearest
 from engine.solid.fill import fill
 from engine.solid.find_body import find_body
 from engine.solid.opacity_field import opacity_field
+from engine.solid.skin_cover import project_onto_skin
 from tests.paths import SHARED
 
 MESHES = SHARED / "meshes"
@@ -182,6 +184,19 @@ def test_everything_in_the_outer_shell_is_solid() -> None:
     assert abs(body.volume / (4 / 3 * np.pi) - 1) < 0.01
 
 
+def test_what_is_cut_through_wide_gaussians_ends_inside_the_grid() -> None:
+    scene = lathe(np.array([[0.5, -1], [0.5, 1], [0, 1]]), 15000, closed=False)
+    cut = scene.means[:, 2] < -0.9
+    scales = np.where(cut[:, None], np.float32(0.2), scene.scales)  # debris that reaches far beyond the cut
+    body = find_body(replace(scene, scales=scales), cells=64).body
+    border = np.ones(body.grid.shape, bool)
+    border[1:-1, 1:-1, 1:-1] = False
+    assert body.depth[border].max() < 0
+    low, high = body.bounds()
+    atoms = fill(body, 0.04)
+    assert ((atoms.means > low) & (atoms.means < high)).all()
+
+
 def test_what_flies_around_does_not_coarsen_the_grid() -> None:
     rng = np.random.default_rng(0)
     n = 200
@@ -231,6 +246,14 @@ def test_atoms_stay_under_the_skin_and_leave_no_gap() -> None:
     )
     squared = ((probe[:, None] - atoms.means[None]) ** 2).sum(-1) / (pitch / 2) ** 2
     assert np.exp(-0.5 * squared).sum(1).min() > 0.98
+
+
+def test_points_are_projected_onto_the_skin() -> None:
+    ball = sphere()
+    body = find_body(ball, cells=64).body
+    for steep in (0.5, 1.0, 1.5):  # the depth need not be a distance close to the skin
+        points = project_onto_skin(Body(body.grid, body.depth * np.float32(steep)), 0.95 * ball.means)
+        assert np.abs(np.linalg.norm(points, axis=1) - 1).max() < 0.1 * body.grid.cell, steep
 
 
 def test_atoms_in_an_open_bottom_come_first() -> None:
