@@ -12,6 +12,7 @@ from scipy.ndimage import distance_transform_edt
 from scipy.spatial import KDTree
 
 from engine.errors import InputError
+from engine.io.load import load
 from engine.scene.atoms import SurfaceAtoms
 from engine.scene.gaussians import Gaussians
 from engine.scene.grid import Body, Grid
@@ -21,7 +22,7 @@ from engine.solid.fill import fill
 from engine.solid.find_body import find_body
 from engine.solid.opacity_field import opacity_field
 from engine.solid.skin_cover import project_onto_skin
-from tests.paths import SHARED
+from tests.paths import SAMPLES, SHARED
 
 MESHES = SHARED / "meshes"
 
@@ -161,6 +162,15 @@ def test_a_sphere_with_a_hole_is_closed_flat(hole: float, towards: tuple[float, 
     truth = 4 / 3 * np.pi - np.pi * h**2 * (3 - h) / 3
     assert abs(found.body.volume / truth - 1) < 0.03
     assert hole < 20 or any("open" in note for note in found.notes)
+
+
+def test_half_of_a_melon_is_filled() -> None:
+    melon = load(SAMPLES / "watermelon" / "watermelon.ply").gaussians
+    middle = melon.visible_bounds()[:, 0].mean()
+    whole, half = find_body(melon, 64).body, find_body(melon[melon.means[:, 0] > middle]).body
+    points = whole.grid.centres()[whole.inside]
+    # Its thick fuzzy wall has pockets, from which the paper's rule alone fills a lump and leaves the rest a bowl.
+    assert (half.at(points[points[:, 0] > middle]) > 0).mean() > 0.6
 
 
 def test_a_cup_keeps_its_hollow() -> None:
