@@ -29,8 +29,9 @@ MAX_BALL = 0.55
 the longest side: such a ball fits through no hole, not even the missing bottom of a cake."""
 
 SUBSTANTIAL = 0.1
-"""Share of the cells that the largest ball cannot reach. Once so many are inside, wide balls would only find gaps
-between leaves."""
+"""Share of the cells that the largest ball cannot reach. Where narrow balls find so many inside, wide ones would only
+find gaps between leaves. What a wide ball finds does not count: of a bowl it is the bottom, and a wider one has to
+find the rest."""
 
 MIN_POCKET = 1000
 """Cells. Smallest hollow that a wide ball may close; for a narrow ball it is half of the cube around the ball."""
@@ -65,13 +66,16 @@ def enclosed_cells(wall: Mask) -> tuple[Mask, float]:
     hollow = np.zeros_like(wall)
     largest = MAX_BALL * max(wall.shape)
     substantial = SUBSTANTIAL * np.count_nonzero(~_swept_by_ball(wall, largest))
+    narrow = 0  # cells that narrow balls find inside
     radius = MIN_BALL
     while radius < 2 * largest:
         radius = min(radius, largest)
-        if radius >= WIDE_BALL and np.count_nonzero(inside & ~wall) > substantial:
+        if radius >= WIDE_BALL and narrow > substantial:
             break
         hollow |= _hollows(~_swept_by_ball(wall, radius) & ~inside, wall, inside, radius)
         inside |= hollow
+        if radius < WIDE_BALL:
+            narrow = int(np.count_nonzero(inside & ~wall))
         radius *= 2
     if not hollow.any():
         return inside, 0.0
@@ -117,9 +121,10 @@ def _hollows(unreached: Mask, wall: Mask, inside: Mask, radius: float) -> Mask:
     free = ndimage.uniform_filter((~wall).astype(np.float32), 5)
     local = ndimage.uniform_filter(((hits >= LOCAL_AXES_HIT) & ~wall).astype(np.float32), 5)
     chosen &= local >= 0.5 * free
-    # The ball bulges into a wide hole: cells there that the paper's rule takes for inside join the hollow again.
+    # The ball bulges into a wide hole by at most its radius, sqrt(3) times as many faces along a diagonal: cells there
+    # that the paper's rule takes for inside join the hollow again.
     joining = (hits >= AXES_HIT) & (odd >= AXES_HIT) & ~inside
-    return ndimage.binary_propagation(chosen, mask=chosen | joining)
+    return ndimage.binary_dilation(chosen, iterations=int(np.ceil(3**0.5 * radius)), mask=chosen | joining)
 
 
 def _open_shares(pockets: NDArray[np.int32], count: int, closed: Mask) -> NDArray[np.float64]:

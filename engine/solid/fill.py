@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from engine.scene.atoms import InteriorAtoms, SurfaceAtoms
 from engine.scene.grid import Body
 from engine.solid.octree import COARSEST, leaf_levels
-from engine.solid.skin_cover import COVERED, coverage_at, inward_normals
+from engine.solid.skin_cover import COVERED, coverage_at, inward_normals, project_onto_skin
 
 Float = NDArray[np.float32]
 
@@ -92,7 +92,6 @@ def _exposed(
     exposed = np.zeros(len(means), bool)
     depth = body.at(means)
     outer = np.flatnonzero(depth < 2 * sigmas)
-    inward = inward_normals(body, means[outer])
-    skin = means[outer] - inward * depth[outer, None]
-    exposed[outer] = coverage_at(surface, skin, -inward, pitch) < COVERED
+    skin = project_onto_skin(body, means[outer])
+    exposed[outer] = coverage_at(surface, skin, -inward_normals(body, skin), pitch) < COVERED
     return exposed

@@ -30,6 +30,10 @@ WALL_HALF = 1.2
 """Cells. Half the thickness of the wall of a well covered sheet: half a cell times sqrt(2 ln(d / sigma_th)), 0.8 at
 d = 1, 1.3 at d = 8. The skin is the border of the outside, shifted inwards by this."""
 
+BORDER = 2
+"""Cells. This wide a border of the grid is outside: Gaussians wider than its margin reach beyond it, and the body must
+not. The skin is found inwards of it by WALL_HALF at least, and moved outwards again by at most 1.5."""
+
 MIN_SIZE = 0.01
 """Share of the largest hollow's cells. Smaller hollows are gaps between leaves or debris, not bodies."""
 
@@ -83,11 +87,14 @@ def find_body(gaussians: Gaussians, cells: int = 128, name: str = "scene") -> En
 
 
 def _walls(opacity: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """(X, Y, Z). Opaque cells, and slightly opaque ones connected to them."""
+    """(X, Y, Z). Opaque cells, and slightly opaque ones connected to them, none in the grid's border."""
     regions, count = ndimage.label(opacity >= WALL_OPACITY)
     cores = np.zeros(count + 1, bool)
     cores[regions[opacity >= CORE_OPACITY]] = True
-    return cores[regions]
+    wall = np.zeros(opacity.shape, bool)
+    inner = (slice(BORDER, -BORDER),) * 3
+    wall[inner] = cores[regions[inner]]
+    return wall
 
 
 def _trim_outer_wall(closed: NDArray[np.bool_], wall: NDArray[np.bool_]) -> NDArray[np.bool_]:

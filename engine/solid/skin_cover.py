@@ -14,12 +14,19 @@ from engine.scene.grid import Body
 from engine.scene.rotations import rotation_matrices
 from engine.threads import cores, for_each
 
-__all__ = ["COVERED", "close_holes", "coverage_at", "inward_normals", "sample_skin"]
+__all__ = ["COVERED", "close_holes", "coverage_at", "inward_normals", "project_onto_skin", "sample_skin"]
 
 Float = NDArray[np.float32]
 
 NEIGHBOURS = 24
 """Nearest atoms that may cover a point: more than overlap anywhere on a usual skin."""
+
+NEWTON_STEPS = 3
+"""Steps onto the skin. Of the outermost interior atoms of three captures 51 % are farther than a tenth of a pitch from
+it after one step, 16 % after two, 7 % after three: the rest lies along creases."""
+
+MIN_SLOPE = 0.5
+"""Least slope of the depth in such a step, so that none is longer than twice the depth."""
 
 BEHIND = 0.5
 """Pitches. Distance in front of or behind the skin from which an atom still covers it; the blended layer is thicker."""
@@ -49,9 +56,25 @@ COLOURED_BY = 8
 
 def inward_normals(body: Body, points: NDArray[np.floating]) -> NDArray[np.float64]:
     """(N, 3). Unit directions into the body at points (N, 3); zero on its medial axis."""
-    step = np.eye(3) * body.grid.cell
-    slope = np.stack([body.at(points + s) - body.at(points - s) for s in step], axis=1).astype(np.float64)
+    slope = _slope(body, points)
     return slope / np.maximum(np.linalg.norm(slope, axis=1, keepdims=True), 1e-12)
+
+
+def project_onto_skin(body: Body, points: NDArray[np.floating]) -> NDArray[np.float64]:
+    """(N, 3). The points of the skin under or above points (N, 3) that are close to it: Newton's method."""
+    feet = points.astype(np.float64)
+    for _ in range(NEWTON_STEPS):
+        slope = _slope(body, feet)
+        squared = np.maximum((slope**2).sum(axis=1, keepdims=True), MIN_SLOPE**2)
+        feet -= slope * body.at(feet)[:, None] / squared
+    return feet
+
+
+def _slope(body: Body, points: NDArray[np.floating]) -> NDArray[np.float64]:
+    """(N, 3). Gradient of the depth at points (N, 3); its length is 1 but where the depth was smoothed."""
+    step = np.eye(3) * body.grid.cell
+    rise = np.stack([body.at(points + s) - body.at(points - s) for s in step], axis=1)
+    return rise.astype(np.float64) / (2 * body.grid.cell)
 
 
 def sample_skin(body: Body, spacing: float) -> NDArray[np.float64]:
@@ -63,10 +86,7 @@ def sample_skin(body: Body, spacing: float) -> NDArray[np.float64]:
         layer = np.stack(np.meshgrid([x], axes[1], axes[2], indexing="ij"), -1).reshape(-1, 3)
         depth = body.at(layer)
         parts.append(layer[(depth > 0) & (depth <= spacing)])
-    points = np.concatenate(parts)
-    for _ in range(2):
-        points = points - inward_normals(body, points) * body.at(points)[:, None]
-    return points
+    return project_onto_skin(body, np.concatenate(parts))
 
 
 def coverage_at(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,15 +12,17 @@ from scipy.ndimage import distance_transform_edt
 from scipy.spatial import KDTree
 
 from engine.errors import InputError
+from engine.io.load import load
 from engine.scene.atoms import SurfaceAtoms
 from engine.scene.gaussians import Gaussians
-from engine.scene.grid import Grid
+from engine.scene.grid import Body, Grid
 from engine.scene.rotations import rotation_matrices
 from engine.solid.distance_transform import nearest
 from engine.solid.fill import fill
 from engine.solid.find_body import find_body
 from engine.solid.opacity_field import opacity_field
-from tests.paths import SHARED
+from engine.solid.skin_cover import project_onto_skin
+from tests.paths import SAMPLES, SHARED
 
 MESHES = SHARED / "meshes"
 
@@ -161,6 +164,15 @@ def test_a_sphere_with_a_hole_is_closed_flat(hole: float, towards: tuple[float, 
     assert hole < 20 or any("open" in note for note in found.notes)
 
 
+def test_half_of_a_melon_is_filled() -> None:
+    melon = load(SAMPLES / "watermelon" / "watermelon.ply").gaussians
+    middle = melon.visible_bounds()[:, 0].mean()
+    whole, half = find_body(melon, 64).body, find_body(melon[melon.means[:, 0] > middle]).body
+    points = whole.grid.centres()[whole.inside]
+    # Its thick fuzzy wall has pockets, from which the paper's rule alone fills a lump and leaves the rest a bowl.
+    assert (half.at(points[points[:, 0] > middle]) > 0).mean() > 0.6
+
+
 def test_a_cup_keeps_its_hollow() -> None:
     profile = np.array([[0, 0], [0.5, 0], [0.5, 1], [0.4, 1], [0.4, 0.1], [0, 0.1]])
     body = find_body(lathe(profile, 30000), cells=96).body
@@ -180,6 +192,19 @@ def test_a_box_without_a_bottom_on_a_mat_is_filled_to_the_mat() -> None:
 def test_everything_in_the_outer_shell_is_solid() -> None:
     body = find_body(joined(sphere(), sphere(6000, radius=0.5)), cells=64).body
     assert abs(body.volume / (4 / 3 * np.pi) - 1) < 0.01
+
+
+def test_what_is_cut_through_wide_gaussians_ends_inside_the_grid() -> None:
+    scene = lathe(np.array([[0.5, -1], [0.5, 1], [0, 1]]), 15000, closed=False)
+    cut = scene.means[:, 2] < -0.9
+    scales = np.where(cut[:, None], np.float32(0.2), scene.scales)  # debris that reaches far beyond the cut
+    body = find_body(replace(scene, scales=scales), cells=64).body
+    border = np.ones(body.grid.shape, bool)
+    border[1:-1, 1:-1, 1:-1] = False
+    assert body.depth[border].max() < 0
+    low, high = body.bounds()
+    atoms = fill(body, 0.04)
+    assert ((atoms.means > low) & (atoms.means < high)).all()
 
 
 def test_what_flies_around_does_not_coarsen_the_grid() -> None:
@@ -231,6 +256,14 @@ def test_atoms_stay_under_the_skin_and_leave_no_gap() -> None:
     )
     squared = ((probe[:, None] - atoms.means[None]) ** 2).sum(-1) / (pitch / 2) ** 2
     assert np.exp(-0.5 * squared).sum(1).min() > 0.98
+
+
+def test_points_are_projected_onto_the_skin() -> None:
+    ball = sphere()
+    body = find_body(ball, cells=64).body
+    for steep in (0.5, 1.0, 1.5):  # the depth need not be a distance close to the skin
+        points = project_onto_skin(Body(body.grid, body.depth * np.float32(steep)), 0.95 * ball.means)
+        assert np.abs(np.linalg.norm(points, axis=1) - 1).max() < 0.1 * body.grid.cell, steep
 
 
 def test_atoms_in_an_open_bottom_come_first() -> None:
