@@ -68,10 +68,10 @@ FAR = 0.15
 GONE_COST = 4.0
 """Cost of a unit of colour that does not persist (law 3)."""
 
-CLOSED_GAIN = 8.0
-"""Gain of a unit of colour by which a closed thing stands out where it persists. Without it there are too few: a
-closed thing costs the seams of its ends, and flesh none. Patches of a melon with this gain at 0, 5 and 8 are 7.6, 3.4
-and 2.5 times as far from the truth as another true one, of an orange 2.1, 2.1 and 1.9 times."""
+FIRST_GAIN, GAIN_STEP, MOST_GAIN = 2.0, 1.5, 12.0
+"""Gain of a unit of colour by which a closed thing stands out: at first, by what factor a sweep changes it at most so
+that there is as much as the pictures show, and at most. Without it there is too little: a closed thing costs the seams
+of its ends, and flesh none."""
 
 FINE_RINGS, LARGEST = 64, 0.16
 """Rings from whose median colours things stand out, and their largest half width in radii."""
@@ -200,25 +200,31 @@ def make_quilt(
         for family in (horizontal, radial)
     )
     labels = _make_labels(across, along, height, seed)
+    wanted = _closed_share(along or across, not along)
+    gain = FIRST_GAIN
     chosen = number = None
     for step, size in enumerate(LEVELS):
         progress(step / len(LEVELS))
         coarse, before = number, chosen
         number, cells, points = _grid(size)
         ball = Ball.of(points)
-        costs, colours = _costs(labels, along, ball, 2 / size, seed)
+        at_cells = _costs(labels, along, ball, 2 / size, seed)
         if coarse is None or before is None:
-            chosen = costs.argmin(0).astype(np.int32)
+            chosen = at_cells.costs.argmin(0).astype(np.int32)
         else:
             chosen = np.empty(len(points), np.int32)
             at = ((points + 1) * np.float32(LEVELS[step - 1] / 2) + np.float32(MARGIN - 0.5)).astype(np.float32)
             majority(before, coarse, at, len(labels), chosen)
         for _ in range(STEPS):
+            shown = float(np.take_along_axis(at_cells.closed, chosen[None], 0).mean())
+            gain = min(gain * float(np.clip(wanted / max(shown, 1e-6), 1 / GAIN_STEP, GAIN_STEP)), MOST_GAIN)
+            costs = at_cells.costs - gain * at_cells.gains
             for parity in range(8):
-                improve_labels(chosen, number, cells, colours, costs, SEAM_COST * size, parity)
+                improve_labels(chosen, number, cells, at_cells.colours, costs, SEAM_COST * size, parity)
     assert number is not None and chosen is not None
     shares = np.bincount(chosen, minlength=len(labels)) / len(chosen)
     log.info("quilted of %d sets of chunks, shares %s", len(labels), np.round(shares, 2).tolist())
+    log.info("closed things %.4f of %.4f, gain %.2f", shown, wanted, gain)
     texture = TextureField([s.parts.texture for s in across or along], np.random.default_rng([seed, 5]))
     return Quilt(labels, number, chosen, texture)
 
@@ -241,6 +247,17 @@ def _closed_things(disc: Disc, persistence: Persistence) -> Disc:
     around = persistence.gone(x.ravel(), y.ravel(), np.full(x.size, LARGEST)).reshape(x.shape)
     stands_out = np.minimum(np.linalg.norm(disc.rgb - ring, axis=-1), around)
     return Disc(np.repeat(stands_out[..., None], 3, -1).astype(np.float32))
+
+
+def _closed_share(sources: list[_Source], is_horizontal: bool) -> float:
+    """Mean of how far closed things stand out, under the rind, over the ball as radial pictures show it or over a
+    horizontal cut."""
+    x, y = disc_grid()
+    radius = np.hypot(x, y)
+    level = np.stack([x, np.zeros_like(x), y], -1).reshape(-1, 3)
+    rind = Ball.of(level.astype(np.float32)).rind.reshape(x.shape)
+    weight = np.where(radius < 1, 1.0 if is_horizontal else np.abs(x), 0)
+    return float(np.mean([((1 - rind) * s.closed.rgb[..., 0] * weight).sum() / weight.sum() for s in sources]))
 
 
 def _make_labels(across: list[_Source], along: list[_Source], height: float, seed: int) -> list[_Label]:
@@ -270,19 +287,33 @@ def _grid(size: int) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.f
     return number, np.argwhere(inside).astype(np.int32), grid[inside]
 
 
-def _costs(
-    labels: list[_Label], along: list[_Source], ball: Ball, cell: float, seed: int
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """(K, M) costs and (K, M, 3) colours of all labels at all points."""
-    costs = np.empty((len(labels), len(ball.points)), np.float32)
-    colours = np.empty((*costs.shape, 3), np.float32)
+@dataclass(frozen=True)
+class _Cells:
+    """What K labels cost and show at M cells."""
+
+    costs: NDArray[np.float32]
+    """(K, M)."""
+    gains: NDArray[np.float32]
+    """(K, M). Colour by which closed things stand out where they persist and other pictures show such colours."""
+    closed: NDArray[np.float32]
+    """(K, M). Colour by which closed things stand out, under the rind."""
+    colours: NDArray[np.float32]
+    """(K, M, 3)."""
+
+
+def _costs(labels: list[_Label], along: list[_Source], ball: Ball, cell: float, seed: int) -> _Cells:
+    """What all labels cost and show at all points; `cell` is the distance of points in radii."""
+    shape = len(labels), len(ball.points)
+    out = _Cells(*(np.zeros(shape, np.float32) for _ in range(3)), np.empty((*shape, 3), np.float32))
     sheets_here = np.zeros(len(ball.points), np.float32)
     for n, label in enumerate(labels):
         places = label.chunks.places(ball)
-        colours[n] = label.read_things(places, _crossing(labels, label, ball))
+        out.colours[n] = label.read_things(places, _crossing(labels, label, ball))
+        out.closed[n] = _read(places, [s.closed for s in label.sources])[:, 0] * (1 - ball.rind)
         gone = _gone(places, label.sources)
         capped = label.is_own or not label.is_horizontal
         cost = DISTANCE_COST * (np.minimum(places.distance, FAR) if capped else places.distance)
+        gain = np.maximum(out.closed[n] - gone, 0)
         near = np.zeros(len(cost))
         if label.is_own:
             band = OWN_BAND * np.exp(0.4 * smooth_noise(ball, 0.3, np.random.default_rng([seed, 2, n])))
@@ -290,8 +321,7 @@ def _costs(
             own_plane = OWN_PLANE if label.is_horizontal else OWN_PLANE / 2  # on the line where they meet
             cost = cost - OWN_COST * near - own_plane * (places.distance < 0.75 * cell)
         else:
-            closed = _read(places, [s.closed for s in label.sources])[:, 0]
-            cost = cost + RIND_COST * ball.rind - CLOSED_GAIN * np.maximum(closed - gone, 0) * (1 - ball.rind)
+            cost = cost + RIND_COST * ball.rind
         if label.is_horizontal:
             sheet = _read(places, [s.sheets for s in label.sources])[:, 0]
             cost = cost + GONE_COST * gone * (1 - sheet) + (-SHEET_COST if label.is_own else SHEET_COST) * sheet
@@ -302,10 +332,11 @@ def _costs(
                 # A sheet may well lie beside a radial cut.
                 surprise = np.minimum(_unseen(seen, along, ball), UNSEEN_MOST)
                 cost = cost + UNSEEN_COST * surprise * (1 - near) * (1 - sheet)
+                gain = gain * (1 - surprise / UNSEEN_MOST)
         else:
             cost = cost + GONE_COST * gone + SECTOR_COST + 0.5 * SHEET_COST * sheets_here
-        costs[n] = cost
-    return costs, colours
+        out.costs[n], out.gains[n] = cost, gain
+    return out
 
 
 def _crossing(labels: list[_Label], label: _Label, ball: Ball) -> NDArray[np.float32]:
