@@ -47,8 +47,9 @@ DIRECTIONS = 720
 LATITUDES, LONGITUDES = 90, 180
 """Directions in which the skin of the body is sampled: two degrees, finer than any dent that a cut face shows."""
 
-RINGS = 12
-"""Rings in which the colours of two pictures are matched."""
+RINGS, CORE_RINGS = 12, 3
+"""Rings in which the colours of two pictures are matched, and how many of them are the core: too small for a median to
+tell light from what is there."""
 
 REDUCTION = 4
 """Pixels of the disc per pixel of a median: what a median leaves is several times wider."""
@@ -56,9 +57,12 @@ REDUCTION = 4
 MEDIAN_PIXELS = 4
 """Radius in pixels from which a median is taken on a coarser picture: wide ones of a fine picture take seconds."""
 
-ALIKE, LEAST_ALIKE = 0.15, 0.001
-"""Standard deviation of the RGB distance over which colours are moved alike, and the weight of all others, which
-decides where a colour is like none."""
+ALIKE, NEAR = 0.15, 0.05
+"""Standard deviations of the RGB distance, and in the rind of the distance in radii, over which colours are moved
+alike."""
+
+RIND_RADIUS = 0.8
+"""Radius from which a face may show its rind."""
 
 
 @dataclass(frozen=True)
@@ -156,15 +160,21 @@ def _resampled(values: NDArray[np.float32], size: int, step: float) -> NDArray[n
 
 def match_light(disc: Disc, to: Disc) -> Disc:
     """The disc in the light of another one. What two fruits have in common lies at the same depth, so the medians of
-    their rings are pairs of colours; each colour is moved as the ring colours like it are, whatever ring it is in: a
-    white core stays white beside flesh that is yellow in one light and orange in the other."""
-    colours, wanted = ring_medians(disc, RINGS), ring_medians(to, RINGS)
-    moved, weights = np.zeros_like(disc.rgb), np.zeros((*disc.rgb.shape[:2], 1), np.float32)
-    for n, (colour, target) in enumerate(zip(colours, wanted, strict=True)):
-        alike = np.exp(-np.square(disc.rgb - colour).sum(-1, keepdims=True) / (2 * ALIKE**2)) + LEAST_ALIKE
-        weights += (2 * n + 1) * alike  # the ring's area
-        moved += (2 * n + 1) * alike * (target - colour)
-    return Disc(np.clip(disc.rgb + moved / weights, 0, 1))
+    their rings are pairs of colours, and each colour is moved as the rings that are like it: a white core stays white
+    beside flesh that is yellow in one light and orange in the other. In the rind the depth decides as well."""
+    colours, wanted = (ring_medians(d, RINGS)[CORE_RINGS:] for d in (disc, to))
+    depth = np.maximum(np.hypot(*disc_grid()), RIND_RADIUS)
+    rings = np.arange(CORE_RINGS, RINGS)
+    middles = np.maximum((rings + 0.5) / RINGS, RIND_RADIUS)
+    unlike = np.stack(
+        [
+            np.square(disc.rgb - colour).sum(-1) / ALIKE**2 + np.square((depth - middle) / NEAR)
+            for colour, middle in zip(colours, middles, strict=True)
+        ]
+    )
+    weights = np.exp((unlike.min(0) - unlike) / 2) * (2 * rings + 1)[:, None, None]  # a ring's area
+    moved = np.tensordot(weights, wanted - colours, (0, 0)) / weights.sum(0)[..., None]
+    return Disc(np.clip(disc.rgb + moved, 0, 1).astype(np.float32))
 
 
 def ring_medians(disc: Disc, rings: int) -> NDArray[np.float32]:
