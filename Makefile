@@ -9,6 +9,9 @@ SHELL := /bin/bash
 # The Visible Human's thigh, where its data lie beside the project.
 THIGH := $(if $(wildcard ../shared/data/volumes/vhm_thigh_rgba.npz),$(shell echo ,thigh))
 
+# Scenes whose pictures show other individuals than the capture, as people have them.
+OTHERS := watermelon_others,orange_others,apple_others,pomegranate_others
+
 # All methods but those that draw label by label, which take minutes a scene: the three samples have these too.
 METHODS := ours,physgaussian,inpainting,no_clipping,no_opacity,no_smoothing,no_refinement,uniform,oracle
 
@@ -34,11 +37,11 @@ test: $(READY)
 bench: $(READY)
 	@tools/ensure_gl.sh
 	$(BIN)/fruitninja-evaluate --cuts 24 -o out/evaluation \
-		--scenes watermelon,orange,bread,apple,pomegranate,cake$(THIGH) --methods $(METHODS)
+		--scenes $(OTHERS),watermelon,orange,bread,apple,pomegranate,cake$(THIGH) --methods $(METHODS)
 	cp out/evaluation/report.json docs/charts/evaluation_scenes.json
 	$(BIN)/fruitninja-evaluate --cuts 24 -o out/evaluation
 	cp out/evaluation/report.json docs/charts/evaluation.json
-	$(BIN)/python -m benchmarks.oblique_cuts --scenes watermelon,orange,bread$(THIGH)
+	$(BIN)/python -m benchmarks.oblique_cuts --scenes $(OTHERS),watermelon,orange,bread$(THIGH)
 	$(BIN)/python -m benchmarks.label_makers
 	$(BIN)/python -m benchmarks.interior
 	$(BIN)/python -m benchmarks.fidelity

@@ -47,7 +47,10 @@ def another(truth: Path, scene: str) -> dict[str, float] | None:
 def main(arguments: list[str] | None = None) -> int:
     """Runs the scenes asked for and writes what was measured; 1 where a part failed."""
     parser = parser_of(__doc__, "one scene in draft, few cuts")
-    parser.add_argument("--scenes", default="watermelon,orange,bread,thigh")
+    parser.add_argument(
+        "--scenes",
+        default="watermelon_others,orange_others,apple_others,pomegranate_others,watermelon,orange,bread,thigh",
+    )
     parser.add_argument("--detail", default="standard", choices=["draft", "standard", "high"])
     options = parser.parse_args(arguments)
     folder = out_folder(options)

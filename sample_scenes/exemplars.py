@@ -77,7 +77,7 @@ def photograph(solid: Solid, plane: Plane, size: int) -> NDArray[np.uint8]:
 def snapshot(solid: Solid, plane: Plane, size: int) -> NDArray[np.uint8]:
     """(size, size, 3). The face as somebody else takes it: in lamplight, squashed, over its drop shadow."""
     rgb, inside = solid.slice(plane, crop(solid, plane, size), supersample=SUPERSAMPLE)
-    at = np.stack(np.mgrid[:size, :size]).astype(np.float64)
+    at = np.mgrid[:size, :size].astype(np.float64)
     at[0] = (at[0] - (size - 1) / 2) / SQUASHED + (size - 1) / 2
     face = np.stack([ndimage.map_coordinates(rgb[..., c], at, order=1, cval=1.0) for c in range(3)], -1)
     cover = ndimage.map_coordinates(inside.astype(np.float64), at, order=1)[..., None]

@@ -22,7 +22,9 @@ __all__ = ["main"]
 
 def evaluate(
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for report.html, report.json and what they need.")],
-    scenes: Annotated[str, typer.Option(help=f"With commas between: {','.join(SCENES)}.")] = "watermelon,orange,bread",
+    scenes: Annotated[
+        str, typer.Option(help=f"With commas between: {','.join(SCENES)}.")
+    ] = "watermelon_others,orange_others,watermelon,orange,bread",
     methods: Annotated[str, typer.Option(help=f"With commas between: {','.join(METHODS)}.")] = ",".join(METHODS),
     detail: Annotated[str, typer.Option(help="draft, standard or high.")] = "draft",
     cuts: Annotated[int, typer.Option(min=6, help="Random cuts of each scene, the paper's 120 for its table 2.")] = 120,

@@ -33,7 +33,7 @@ from training.evaluate.metrics import (
     patch_distance,
     sharpness,
 )
-from training.evaluate.scenes import EvaluationScene, load_scene
+from training.evaluate.scenes import OTHERS, EvaluationScene, load_scene
 from training.images import to_image
 from training.settings import DETAILS, DetailName
 
@@ -179,7 +179,7 @@ def distances(
     if clip is not None:
         clip_model = Clip(clip)
         unit = clip_model.features(list(pictures))
-        thing = "red velvet cake" if scene == "cake" else scene
+        thing = "red velvet cake" if scene == "cake" else scene.removesuffix(OTHERS)
         facts["clip_random"] = round(clip_model.score(unit[sets["random"]], f"the cross-section of a {thing}"), 2)
         facts["clip_cosine_random"] = round(mean_cosine(unit[sets["random"]]), 4)
         kinds = sorted({cuts[number].canonical for number in sets["canonical"]})

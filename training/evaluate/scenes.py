@@ -1,12 +1,14 @@
 """Scenes with a known inside: a captured shell, pictures of a few cut faces, and the truth at every cut.
 
-The sample solids, and one that nature made: `thigh`, true-colour slices of a human thigh (Visible Human Male), where
-the file with them is at hand.
+First what people have: the capture of one fruit, a horizontal picture of a second and a radial one of a third, which
+somebody else took in other light (`orange_others` and so on). Then the sample solids with pictures of their own, and
+one that nature made: `thigh`, true-colour slices of a human thigh (Visible Human Male), where the file with them is at
+hand.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +22,7 @@ from engine.io.splats.ply import write_ply
 from engine.scene.grid import Body, Grid
 from engine.scene.plane import Plane
 from engine.solid.distance_transform import nearest
-from sample_scenes.exemplars import photograph
+from sample_scenes.exemplars import photograph, planes, snapshot
 from sample_scenes.make import SHIPPED, make
 from sample_scenes.shell import Look, shell
 from sample_scenes.solids import SOLIDS, Solid
@@ -29,10 +31,15 @@ from training.priors.prior import Volume
 from training.request import Request
 from training.settings import DETAILS, Detail
 
-__all__ = ["SCENES", "CustomRequest", "EvaluationScene", "load_scene", "thigh"]
+__all__ = ["OTHERS", "SCENES", "CustomRequest", "EvaluationScene", "load_scene", "thigh"]
 
 THIGH = "thigh"
-SCENES = (*SOLIDS, THIGH)
+
+OTHERS = "_others"
+"""End of the name of a scene whose pictures show other individuals than its capture, each taken by somebody else."""
+
+ROUND = ("watermelon", "orange", "apple", "pomegranate")
+SCENES = (*(name + OTHERS for name in ROUND), *SOLIDS, THIGH)
 
 SHIPPED_AT = Path(__file__).parents[2] / "sample_scenes"
 THIGH_AT = Path(__file__).parents[3] / "shared/data/volumes/vhm_thigh_rgba.npz"
@@ -81,6 +88,8 @@ def load_scene(name: str, folder: Path) -> EvaluationScene:
     """
     if name == THIGH:
         return _thigh_subject(folder)
+    if name.removesuffix(OTHERS) in ROUND and name.endswith(OTHERS):
+        return _others(name, folder)
     if name not in SOLIDS:
         raise InputError(f"--scenes {name}: no such scene; choose {', '.join(SCENES)}")
     solid = SOLIDS[name](0)
@@ -94,6 +103,20 @@ def load_scene(name: str, folder: Path) -> EvaluationScene:
         for kind, path in pictures.items()
     )
     return EvaluationScene(name, solid, SOLIDS[name](1), scene, families)
+
+
+def _others(name: str, folder: Path) -> EvaluationScene:
+    """The shell of one fruit with pictures of two others; seeds 0 and 1 are the truth and another one."""
+    own = load_scene(name.removesuffix(OTHERS), folder)
+    pictures = {kind: folder / name / f"{kind}.png" for kind in COUNTS if kind in own.solid.families}
+    for (kind, path), seed, take in zip(pictures.items(), (2, 3), (photograph, snapshot), strict=True):
+        if not path.is_file():
+            other = SOLIDS[own.name](seed)
+            image = Image.fromarray(take(other, planes(other, kind)[0], PICTURE))
+            with atomic(path) as temporary:
+                image.save(temporary, format="PNG", optimize=True)
+    families = tuple(Family(kind, COUNTS[kind], (path,)) for kind, path in pictures.items())
+    return replace(own, name=name, families=families)
 
 
 def _axis(solid: Solid) -> tuple[float, float, float]:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from engine.scene.grid import Body, Grid
 from tests.helpers.exemplar_faces import UP, ball, save
@@ -18,8 +19,10 @@ from training.priors.exemplar import ExemplarPrior, read_picture
 from training.priors.exemplar.frames import make_space
 from training.priors.exemplar.quilting import quilt
 from training.priors.exemplar.quilting.agreement import disagreement, show_one_thing
-from training.priors.exemplar.quilting.disc import BallMap, Disc, disc_grid, even_around, even_sides
+from training.priors.exemplar.quilting.disc import BallMap, Disc, disc_grid, even_around, even_sides, match_light
+from training.priors.exemplar.quilting.persistence import Persistence, find_sheets
 from training.priors.exemplar.quilting.quilt import Quilt, make_quilt
+from training.priors.exemplar.quilting.texture import take_apart
 
 FLESH, SHEET, SEED = np.array([0.9, 0.5, 0.2]), np.array([1.0, 0.9, 0.7]), np.array([0.15, 0.1, 0.05])
 PAIRS = [("apple_h1", "apple_v1"), ("pomegranate_h1", "pomegranate_v4")]
@@ -81,10 +84,11 @@ def far_from(a: NDArray[np.float32], b: NDArray[np.float32]) -> float:
 def test_photographs_come_back_in_their_own_planes(pair: tuple[str, str]) -> None:
     across, made = photograph(pair[0]), quilt_of(pair)
     points = level(0)
-    assert far_from(made.read(points), across.read(points[:, 0], points[:, 1])) < 0.02
+    away = np.abs(points[:, 1]) > 0.1  # where the two meet, both have even tones and the horizontal one is followed
+    shown = across.read(points[:, 0], points[:, 1])
+    assert far_from(made.read(points[away]), shown[away]) < 0.02
     upright = points[:, [0, 2, 1]]
     shown = made.labels[1].sources[0].disc.read(points[:, 0], points[:, 1])
-    away = np.abs(upright[:, 2]) > 0.1  # where the two meet, the horizontal one is followed
     assert far_from(made.read(upright[away]), shown[away]) < 0.05
 
 
@@ -180,6 +184,81 @@ def test_what_is_known_to_be_one_thing_is_believed(tmp_path: Path) -> None:
     ]
     ways = [ExemplarPrior(same).solve(ball(), UP, families, 24, 0, lambda part: None).rgb for same in (False, True)]
     assert (ways[0] != ways[1]).any()
+
+
+def test_what_is_wide_is_no_sheet() -> None:
+    x, y = disc_grid()
+    inside = (np.hypot(x, y) > 0.1) & (np.hypot(x, y) < 0.94)
+    for half_width, least, most in ((0.02, 0.5, 1.0), (0.08, 0.0, 0.1)):
+        line = inside & (np.abs(y) < half_width) & (x > 0)
+        face = Disc(np.where(line[..., None], SHEET, FLESH).astype(np.float32))
+        held = find_sheets(face, Persistence(face))
+        middle = (np.abs(y) < 0.01) & (x > 0.3) & (x < 0.8)
+        assert least <= held[middle].mean() <= most
+
+
+def grainy() -> Disc:
+    """Flesh with a texture of some thousandths of a radius and one large dark thing."""
+    x, y = disc_grid()
+    noise = ndimage.gaussian_filter(np.random.default_rng(0).standard_normal(x.shape), 1.5)
+    rgb = FLESH + 0.1 * (noise / noise.std())[..., None]
+    rgb[np.hypot(x - 0.5, y) < 0.12] = SEED
+    return Disc(np.clip(rgb, 0, 1).astype(np.float32))
+
+
+def test_texture_is_what_no_thing_is() -> None:
+    face = grainy()
+    parts = take_apart(face)
+    whole = parts.things.rgb + parts.strength.rgb * parts.texture.rgb
+    assert np.abs(whole - face.rgb).max() < 1e-5
+    x, y = disc_grid()
+    flesh, thing = (np.hypot(x, y) < 0.35), (np.hypot(x - 0.5, y) < 0.1)
+    assert parts.things.rgb[flesh].std(0).max() < 0.5 * face.rgb[flesh].std(0).max()
+    assert np.abs(parts.things.rgb[thing] - SEED).max() < 0.02
+
+
+def test_texture_changes_along_the_axis_as_it_does_in_a_picture() -> None:
+    made = quilted(grainy(), Disc(grainy().rgb[::-1].copy()))
+    points = level(0.27)[:4000] * [0.4, 0.4, 1]  # away from the dark thing
+    rows = {step: made.read((points + np.array([0, 0, step])).astype(np.float32)).mean(-1) for step in (0.0, 0.005, 0.05)}
+    near, far = (np.corrcoef(rows[0.0], rows[step])[0, 1] for step in (0.005, 0.05))
+    assert near > 0.7
+    assert far < 0.3
+    true = grainy().read(points[:, 0], points[:, 1]).mean(-1)
+    assert rows[0.0].std() == pytest.approx(true.std(), rel=0.25)
+
+
+def test_light_is_told_from_what_is_there() -> None:
+    """Lamplight on flesh and rind goes; a white core that the other picture lacks stays white."""
+    x, y = disc_grid()
+    radius = np.hypot(x, y)
+    plain = np.where((radius > 0.85)[..., None], 0.95, FLESH)
+    cored = np.where((np.abs(x) < 0.08)[..., None], 0.95, plain) * [1.0, 0.9, 0.7]
+    made = match_light(Disc(cored.astype(np.float32)), Disc(plain.astype(np.float32))).rgb
+    flesh, core = (np.abs(x) > 0.1) & (radius < 0.8), (np.abs(x) < 0.07) & (radius < 0.8)
+    assert np.abs(made[flesh] - FLESH).max() < 0.02
+    assert np.abs(made[core] - 0.95).max() < 0.1
+    again = match_light(Disc(plain.astype(np.float32)), Disc(plain.astype(np.float32))).rgb
+    assert np.abs(again - plain).max() < 1e-5
+
+
+def test_closed_things_are_as_many_as_the_pictures_show() -> None:
+    def seeded(seed: int) -> Disc:
+        x, y = disc_grid()
+        rgb = np.broadcast_to(FLESH, (*x.shape, 3)).copy()
+        for a, b in np.random.default_rng(seed).uniform(-0.7, 0.7, (20, 2)):
+            rgb[np.hypot(x - a, y - b) < 0.06] = SEED
+        return Disc(rgb.astype(np.float32))
+
+    across, along = seeded(1), seeded(2)
+    made = quilted(across, along)
+    points = np.random.default_rng(0).uniform(-0.95, 0.95, (60_000, 3)).astype(np.float32)
+    points = points[np.linalg.norm(points, axis=1) < 0.95]
+    shown = (made.read(points)[:, 0] < 0.5).mean()
+    x, y = disc_grid()
+    weight = np.where(np.hypot(x, y) < 0.95, np.abs(x), 0)  # of a radial picture's places in the ball
+    wanted = ((along.rgb[..., 0] < 0.5) * weight).sum() / weight.sum()
+    assert 0.5 * wanted < shown < 2 * wanted
 
 
 def test_even_tones_keep_details() -> None:

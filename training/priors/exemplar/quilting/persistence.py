@@ -27,9 +27,12 @@ __all__ = ["Persistence", "find_sheets"]
 DISTANCES = (0.02, 0.04, 0.07, 0.11, 0.16, 0.22)
 """Distances in radii at which the medians are taken; seeds, pores and carpels have half widths in this range."""
 
-THIN, WIDE = 0.04, 0.16
-"""Distances in radii over which a sheet has gone, and with which that is compared: what is wider is a body of flesh or
-a hollow, which ends as closed things do."""
+THIN, WIDE = 0.07, 0.16
+"""Distances in radii over which a sheet has gone, and with which that is compared: the median over a disc takes away a
+line that is as wide as 0.8 of its radius. What is wider is flesh or a hollow, which ends as closed things do."""
+
+BORDER = 0.01
+"""Radii over which a sheet's surety is smoothed across its edges."""
 
 SHEET_LENGTH = 0.42
 """Length in radii along which a sheet is followed: longer than seeds and carpels, and shorter than the flesh."""
@@ -107,4 +110,4 @@ def find_sheets(disc: Disc, persistence: Persistence) -> NDArray[np.float32]:
     sheets = ndimage.map_coordinates(closed, at, order=1, cval=0, output=np.float32)
     thin, wide = (persistence.gone(px.ravel(), py.ravel(), np.full(px.size, d)) for d in (THIN, WIDE))
     share = np.clip(2 * thin / (wide + 0.02) - 0.5, 0, 1).reshape(px.shape)
-    return sheets * ndimage.gaussian_filter(share, THIN / 4 * DISC_PIXELS / (2 * REACH))
+    return sheets * ndimage.gaussian_filter(share, BORDER * DISC_PIXELS / (2 * REACH))

@@ -304,16 +304,17 @@ class _Cells:
 def _costs(labels: list[_Label], along: list[_Source], ball: Ball, cell: float, seed: int) -> _Cells:
     """What all labels cost and show at all points; `cell` is the distance of points in radii."""
     shape = len(labels), len(ball.points)
-    out = _Cells(*(np.zeros(shape, np.float32) for _ in range(3)), np.empty((*shape, 3), np.float32))
+    costs, gains, closed = (np.empty(shape, np.float32) for _ in range(3))
+    out = _Cells(costs, gains, closed, np.empty((*shape, 3), np.float32))
     sheets_here = np.zeros(len(ball.points), np.float32)
     for n, label in enumerate(labels):
         places = label.chunks.places(ball)
         out.colours[n] = label.read_things(places, _crossing(labels, label, ball))
-        out.closed[n] = _read(places, [s.closed for s in label.sources])[:, 0] * (1 - ball.rind)
+        closed[n] = _read(places, [s.closed for s in label.sources])[:, 0] * (1 - ball.rind)
         gone = _gone(places, label.sources)
         capped = label.is_own or not label.is_horizontal
         cost = DISTANCE_COST * (np.minimum(places.distance, FAR) if capped else places.distance)
-        gain = np.maximum(out.closed[n] - gone, 0)
+        gain = np.maximum(closed[n] - gone, 0)
         near = np.zeros(len(cost))
         if label.is_own:
             band = OWN_BAND * np.exp(0.4 * smooth_noise(ball, 0.3, np.random.default_rng([seed, 2, n])))
@@ -335,7 +336,7 @@ def _costs(labels: list[_Label], along: list[_Source], ball: Ball, cell: float, 
                 gain = gain * (1 - surprise / UNSEEN_MOST)
         else:
             cost = cost + GONE_COST * gone + SECTOR_COST + 0.5 * SHEET_COST * sheets_here
-        out.costs[n], out.gains[n] = cost, gain
+        costs[n], gains[n] = cost, gain
     return out
 
 
