@@ -12,6 +12,7 @@ import pytest
 import engine.solid.solidify
 import training.contact_sheet
 import training.evaluate.cuts
+import training.evaluate.scenes
 import training.families
 import training.results
 import training.settings
@@ -32,6 +33,9 @@ from training.evaluate.report import write_report
 from training.evaluate.scenes import THIGH_AT, load_scene, thigh
 from training.evaluate.tables import table
 from training.pipeline import Pipeline
+from training.priors.exemplar import read_picture
+from training.priors.exemplar.quilting.agreement import show_one_thing
+from training.priors.exemplar.quilting.disc import Disc
 from training.settings import DETAILS
 
 TINY = replace(DETAILS["draft"], cells=16, fine=20, voxels=24, label=32, surface=32, surface_views=6, iterations=4)
@@ -98,6 +102,18 @@ def test_a_world_point_is_read_where_its_pixel_is(bread, cuts: list[Cut]):
 
 
 @pytest.mark.skipif(not THIGH_AT.is_file(), reason="the slices of the thigh are not at hand")
+def test_pictures_of_others_are_of_others_in_other_light(tmp_path, monkeypatch):
+    """Their faces are found in spite of shadows, and no horizontal one agrees with its radial one."""
+    monkeypatch.setattr(training.evaluate.scenes, "PICTURE", 160)
+    scene = load_scene("orange_others", tmp_path)
+    own = load_scene("orange", tmp_path)
+    assert scene.scene == own.scene and scene.name == "orange_others"
+    pictures = {family.kind: read_picture(family.exemplars[0], family.kind) for family in scene.families}
+    rows, columns = np.nonzero(pictures["radial"].mask)
+    assert np.ptp(rows) / np.ptp(columns) < 0.9  # squashed, and without the shadow below
+    assert not show_one_thing(*([Disc.of(pictures[kind])] for kind in ("horizontal", "radial")))
+
+
 def test_the_thigh_is_a_solid_like_the_others():
     solid = thigh(THIGH_AT)
     low, high = solid.bounds

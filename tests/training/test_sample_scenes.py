@@ -15,7 +15,7 @@ from engine.scene import sh
 from engine.scene.camera import Camera, orbit, section
 from engine.scene.plane import Plane
 from sample_scenes import make
-from sample_scenes.exemplars import SUPERSAMPLE, crop, photograph, planes
+from sample_scenes.exemplars import SUPERSAMPLE, crop, photograph, planes, snapshot
 from sample_scenes.shell import LOOKS, NEARLY_OPAQUE, Look, shell
 from sample_scenes.solids import SOLIDS, Solid, directions
 
@@ -176,3 +176,16 @@ def assert_closed(solid: Solid, gaussians) -> None:
     distance = np.linalg.norm(in_plane / firm.scales[near][..., :2], axis=-1).min(axis=1)
     assert np.quantile(distance, 0.999) < 1.18
     assert distance.max() < 1.6
+
+
+def test_a_snapshot_is_squashed_in_lamplight_and_has_a_shadow() -> None:
+    solid = SOLIDS["orange"](3)
+    plane = planes(solid, "radial")[0]
+    day, lamp = (take(solid, plane, 64) / 255 for take in (photograph, snapshot))
+    middle = np.s_[22:42, 22:42]
+    gain = lamp[middle].mean((0, 1)) / day[middle].mean((0, 1))
+    assert gain[2] / gain[0] == pytest.approx(0.82, abs=0.08)  # red is clipped
+    tall = [np.ptp(np.nonzero((face.std(-1) > 0.05).any(1))[0]) for face in (day, lamp)]
+    assert tall[1] / tall[0] == pytest.approx(0.9, abs=0.04)
+    below = lamp[-10:].min()
+    assert 0.6 < below < 0.9 and day[-4:].min() == 1

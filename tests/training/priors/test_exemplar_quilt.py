@@ -220,7 +220,9 @@ def test_texture_is_what_no_thing_is() -> None:
 def test_texture_changes_along_the_axis_as_it_does_in_a_picture() -> None:
     made = quilted(grainy(), Disc(grainy().rgb[::-1].copy()))
     points = level(0.27)[:4000] * [0.4, 0.4, 1]  # away from the dark thing
-    rows = {step: made.read((points + np.array([0, 0, step])).astype(np.float32)).mean(-1) for step in (0.0, 0.005, 0.05)}
+    rows = {
+        step: made.read((points + np.array([0, 0, step])).astype(np.float32)).mean(-1) for step in (0.0, 0.005, 0.05)
+    }
     near, far = (np.corrcoef(rows[0.0], rows[step])[0, 1] for step in (0.005, 0.05))
     assert near > 0.7
     assert far < 0.3
