@@ -47,7 +47,7 @@ DIRECTIONS = 720
 LATITUDES, LONGITUDES = 90, 180
 """Directions in which the skin of the body is sampled: two degrees, finer than any dent that a cut face shows."""
 
-RINGS, CORE_RINGS = 12, 3
+RINGS, CORE_RINGS = 24, 6
 """Rings in which the colours of two pictures are matched, and how many of them are the core: too small for a median to
 tell light from what is there."""
 
