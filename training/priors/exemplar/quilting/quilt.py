@@ -210,13 +210,13 @@ def make_quilt(
         ball = Ball.of(points)
         at_cells = _costs(labels, along, ball, 2 / size, seed)
         if coarse is None or before is None:
-            chosen = at_cells.costs.argmin(0).astype(np.int32)
+            chosen = at_cells.costs.argmin(1).astype(np.int32)
         else:
             chosen = np.empty(len(points), np.int32)
             at = ((points + 1) * np.float32(LEVELS[step - 1] / 2) + np.float32(MARGIN - 0.5)).astype(np.float32)
             majority(before, coarse, at, len(labels), chosen)
         for _ in range(STEPS):
-            shown = float(np.take_along_axis(at_cells.closed, chosen[None], 0).mean())
+            shown = float(np.take_along_axis(at_cells.closed, chosen[:, None], 1).mean())
             gain = min(gain * float(np.clip(wanted / max(shown, 1e-6), 1 / GAIN_STEP, GAIN_STEP)), MOST_GAIN)
             costs = at_cells.costs - gain * at_cells.gains
             for parity in range(8):
@@ -292,29 +292,29 @@ class _Cells:
     """What K labels cost and show at M cells."""
 
     costs: NDArray[np.float32]
-    """(K, M)."""
+    """(M, K)."""
     gains: NDArray[np.float32]
-    """(K, M). Colour by which closed things stand out where they persist and other pictures show such colours."""
+    """(M, K). Colour by which closed things stand out where they persist and other pictures show such colours."""
     closed: NDArray[np.float32]
-    """(K, M). Colour by which closed things stand out, under the rind."""
+    """(M, K). Colour by which closed things stand out, under the rind."""
     colours: NDArray[np.float32]
-    """(K, M, 3)."""
+    """(M, K, 3)."""
 
 
 def _costs(labels: list[_Label], along: list[_Source], ball: Ball, cell: float, seed: int) -> _Cells:
     """What all labels cost and show at all points; `cell` is the distance of points in radii."""
-    shape = len(labels), len(ball.points)
+    shape = len(ball.points), len(labels)
     costs, gains, closed = (np.empty(shape, np.float32) for _ in range(3))
     out = _Cells(costs, gains, closed, np.empty((*shape, 3), np.float32))
     sheets_here = np.zeros(len(ball.points), np.float32)
     for n, label in enumerate(labels):
         places = label.chunks.places(ball)
-        out.colours[n] = label.read_things(places, _crossing(labels, label, ball))
-        closed[n] = _read(places, [s.closed for s in label.sources])[:, 0] * (1 - ball.rind)
+        out.colours[:, n] = label.read_things(places, _crossing(labels, label, ball))
+        closed[:, n] = _read(places, [s.closed for s in label.sources])[:, 0] * (1 - ball.rind)
         gone = _gone(places, label.sources)
         capped = label.is_own or not label.is_horizontal
         cost = DISTANCE_COST * (np.minimum(places.distance, FAR) if capped else places.distance)
-        gain = np.maximum(closed[n] - gone, 0)
+        gain = np.maximum(closed[:, n] - gone, 0)
         near = np.zeros(len(cost))
         if label.is_own:
             band = OWN_BAND * np.exp(0.4 * smooth_noise(ball, 0.3, np.random.default_rng([seed, 2, n])))
@@ -336,7 +336,7 @@ def _costs(labels: list[_Label], along: list[_Source], ball: Ball, cell: float, 
                 gain = gain * (1 - surprise / UNSEEN_MOST)
         else:
             cost = cost + GONE_COST * gone + SECTOR_COST + 0.5 * SHEET_COST * sheets_here
-        costs[n], gains[n] = cost, gain
+        costs[:, n], gains[:, n] = cost, gain
     return out
 
 

@@ -20,8 +20,8 @@ def improve_labels(
     labels: NDArray[np.int32],  # [M], changed in place
     number: NDArray[np.int32],  # [X, Y, Z] row of each cell, -1 outside
     cells: NDArray[np.int32],  # [M, 3]
-    colours: NDArray[np.float32],  # [K, M, 3] of every label at every cell
-    costs: NDArray[np.float32],  # [K, M]
+    colours: NDArray[np.float32],  # [M, K, 3] of every label at every cell
+    costs: NDArray[np.float32],  # [M, K]
     weight: float,
     parity: int,
 ) -> None:
@@ -31,7 +31,7 @@ def improve_labels(
     Neighbours are the six beside a cell and the eight at its corners: with six alone, seams follow the grid.
     No two cells of one parity are neighbours, so any number of threads gives the same labels.
     """
-    count = len(colours)
+    count = colours.shape[1]
     strength = np.float32(weight)
     for m in prange(len(cells)):
         i, j, k = cells[m, 0], cells[m, 1], cells[m, 2]
@@ -39,7 +39,7 @@ def improve_labels(
             continue
         energy = np.empty(count, np.float32)
         for a in range(count):
-            energy[a] = costs[a, m]
+            energy[a] = costs[m, a]
         for d in range(14):
             share = _F1
             if d < 6:
@@ -68,8 +68,8 @@ def improve_labels(
                 here = np.float32(0)
                 there = np.float32(0)
                 for c in range(3):
-                    u = colours[a, m, c] - colours[other, m, c]
-                    v = colours[a, n, c] - colours[other, n, c]
+                    u = colours[m, a, c] - colours[m, other, c]
+                    v = colours[n, a, c] - colours[n, other, c]
                     here += u * u
                     there += v * v
                 energy[a] += share * strength * (np.sqrt(here) + np.sqrt(there) + NO_SEAM)
