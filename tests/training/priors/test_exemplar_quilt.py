@@ -19,7 +19,15 @@ from training.priors.exemplar import ExemplarPrior, read_picture
 from training.priors.exemplar.frames import make_space
 from training.priors.exemplar.quilting import quilt
 from training.priors.exemplar.quilting.agreement import disagreement, show_one_thing
-from training.priors.exemplar.quilting.disc import BallMap, Disc, disc_grid, even_around, even_sides, match_light
+from training.priors.exemplar.quilting.disc import (
+    DISC_PIXELS,
+    BallMap,
+    Disc,
+    disc_grid,
+    even_around,
+    even_sides,
+    match_light,
+)
 from training.priors.exemplar.quilting.persistence import Persistence, find_sheets
 from training.priors.exemplar.quilting.quilt import Quilt, make_quilt
 from training.priors.exemplar.quilting.texture import take_apart
@@ -90,6 +98,26 @@ def test_photographs_come_back_in_their_own_planes(pair: tuple[str, str]) -> Non
     upright = points[:, [0, 2, 1]]
     shown = made.labels[1].sources[0].disc.read(points[:, 0], points[:, 1])
     assert far_from(made.read(upright[away]), shown[away]) < 0.05
+
+
+def test_no_plane_cuts_a_bar_out_of_another() -> None:
+    made = quilt_of(PAIRS[0])
+    x = np.linspace(-0.7, 0.7, 4_000)
+    radial = made.labels[1].sources[0].even
+    for off in (-0.015, 0.015):
+        upright = np.stack([x, np.zeros_like(x), np.full_like(x, off)], -1).astype(np.float32)
+        assert far_from(made.read(upright), radial.read(upright[:, 0], upright[:, 2])) < 0.1
+
+
+def test_tones_make_no_step_at_seams(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(quilt, "match_light", lambda disc, _: disc)  # light that could not be matched
+    made = quilted(*(Disc(np.full((DISC_PIXELS, DISC_PIXELS, 3), value, np.float32)) for value in (0.5, 0.56)))
+    rng = np.random.default_rng(0)
+    points = np.concatenate([level(height) for height in rng.uniform(-0.5, 0.5, 10)])
+    near = points + rng.uniform(-0.005, 0.005, points.shape).astype(np.float32)
+    shown = made.read(points)
+    assert shown.std() > 0.01  # both are used
+    assert np.abs(made.read(near) - shown).max() < 0.015
 
 
 def test_sheets_run_through_and_seeds_end(monkeypatch: pytest.MonkeyPatch) -> None:

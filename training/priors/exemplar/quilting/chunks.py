@@ -210,7 +210,8 @@ class Noise:
         shape = [int(np.ceil(2 * _NOISE_EXTENT / length)) + 4 for length in lengths]
         self._lengths = np.array(lengths, np.float32)
         splines = [ndimage.spline_filter(rng.standard_normal(shape), 2, np.float32) for _ in range(count)]
-        self._splines = np.stack(splines, -1) / np.float32(0.55)  # interpolation takes the rest of a standard deviation
+        # Interpolation takes the rest of a standard deviation.
+        self._splines = (np.stack(splines, -1) / 0.55).astype(np.float32)
 
     def at(self, points: NDArray[np.float32]) -> NDArray[np.float32]:
         """(M, count). The values at points (M, 3)."""

@@ -3,8 +3,8 @@
 Every cell of a grid in the unit ball has a label: a set of chunks whose picture it shows. The labels minimise the sum
 of what a label costs at a cell (its distance from the plane that the picture shows, what does not persist so far from
 it, colours that the radial pictures do not show there) and of seams, which are free where both sides agree. Colours
-are read, never averaged, so an inside is as sharp as its pictures. Chunks hold the things of pictures; their texture
-is that of thin layers (`texture`).
+are read, never averaged, so an inside is as sharp as its pictures; only tones pass into one another at seams. Chunks
+hold the things of pictures; their texture is that of thin layers (`texture`).
 """
 
 from __future__ import annotations
@@ -15,33 +15,28 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from training.priors.exemplar.quilting.chunks import (
     SECTOR_SETS,
     SLABS,
     Ball,
-    Chunks,
     OwnAzimuths,
     OwnHeight,
-    Places,
     Sectors,
     Slabs,
     smooth_noise,
 )
 from training.priors.exemplar.quilting.disc import (
+    ALIKE,
     REACH,
     Disc,
-    disc_grid,
-    even_around,
-    even_sides,
     match_light,
-    ring_medians,
-    smooth_disc,
     to_pixels,
 )
-from training.priors.exemplar.quilting.persistence import Persistence, find_sheets
+from training.priors.exemplar.quilting.labels import Label, Source, closed_share, read_discs
 from training.priors.exemplar.quilting.seams import improve_labels, majority, nearest_colour
-from training.priors.exemplar.quilting.texture import Parts, TextureField, take_apart
+from training.priors.exemplar.quilting.texture import TextureField
 from training.priors.prior import Progress
 
 __all__ = ["Quilt", "make_quilt"]
@@ -73,9 +68,6 @@ FIRST_GAIN, GAIN_STEP, MOST_GAIN = 2.0, 1.5, 12.0
 that there is as much as the pictures show, and at most. Without it there is too little: a closed thing costs the seams
 of its ends, and flesh none."""
 
-FINE_RINGS, LARGEST = 64, 0.16
-"""Rings from whose median colours things stand out, and their largest half width in radii."""
-
 UNSEEN_COST = 20.0
 """Cost of the squared distance, to at most UNSEEN_MOST, to the nearest colour that radial pictures show nearby."""
 
@@ -83,9 +75,6 @@ UNSEEN_MOST = 0.1
 
 NEARBY = 0.035
 """Step in radii of the 5x5 points that count as nearby: two fruits have their seeds a tenth of a radius apart."""
-
-BLUR = 0.02
-"""Standard deviation in radii of the blur under which colours are looked for nearby: texture is none of them."""
 
 SHEET_COST = 6.0
 """Cost of cutting off a sheet or of growing one where none starts: more than any seam."""
@@ -102,9 +91,15 @@ OWN_COST, OWN_BAND = 3.0, 0.03
 OWN_PLANE = 100.0
 """Gain in the cells at the plane itself: it shows the picture (law 1)."""
 
-OWN_TONES = 0.1
-"""Distance in radii over which a picture's own tones pass into even ones: away from its plane, and in it where another
-picture's plane crosses, as there both are to be seen."""
+TONE_BLEND = 0.04
+"""Standard deviation in radii over which the tones of two chunks pass into one another at their seam."""
+
+OWN_WEIGHT, OWN_ALONE = 4.0, 0.015
+"""Further weight of a picture's tones in its own plane, and distance in radii from it within which they are alone: less
+than to the nearest seam, so that it is none."""
+
+CROSSING = 2
+"""Cells from own planes of both families within which the nearer one is shown."""
 
 SEAM_COST = 0.0075
 """Weight of a seam over the width of a cell in radii."""
@@ -114,64 +109,17 @@ BLOCK = 400_000
 
 
 @dataclass(frozen=True)
-class _Source:
-    """A picture and what the law of shape says of it."""
-
-    disc: Disc
-    even: Disc
-    """With even tones, for chunks away from the picture's own plane."""
-    parts: Parts
-    """Of the even one."""
-    closed: Disc
-    """How far closed things stand out, the same in all three channels."""
-    blurred: Disc
-    persistence: Persistence
-    sheets: Disc
-    """The same surety in all three channels; 0 for radial pictures."""
-
-
-@dataclass(frozen=True)
-class _Label:
-    chunks: Chunks
-    sources: list[_Source]
-    is_horizontal: bool
-    is_own: bool
-
-    def read_things(self, places: Places, crossing: NDArray[np.float32]) -> NDArray[np.float32]:
-        """(M, 3). The things that the places show, in the pictures' own tones near their own planes.
-
-        `crossing` (M,): distances in radii from the other family's own planes.
-        """
-        things = _read(places, [s.parts.things for s in self.sources])
-        if not self.is_own:
-            return things
-        share = np.exp(-np.square(places.distance / OWN_TONES)) - np.exp(-np.square(crossing / OWN_TONES))
-        tones = _read(places, [s.disc for s in self.sources]) - _read(places, [s.even for s in self.sources])
-        return things + np.maximum(share, 0)[:, None] * tones
-
-    def read(
-        self, places: Places, crossing: NDArray[np.float32], texture: NDArray[np.float32], layer: float
-    ) -> NDArray[np.float32]:
-        """(M, 3). What the places show, with texture (M, 3): within a `layer` of own planes that of the picture."""
-        rgb = self.read_things(places, crossing)
-        strength = _read(places, [s.parts.strength for s in self.sources])
-        if not self.is_own:
-            return rgb + strength * texture
-        own = np.exp(-np.square(places.distance / layer))[:, None]
-        here = _read(places, [s.parts.texture for s in self.sources])
-        return rgb + strength * (own * here + np.sqrt(1 - own * own) * texture)
-
-
-@dataclass(frozen=True)
 class Quilt:
     """The inside as a function on the unit ball."""
 
-    labels: list[_Label]
+    labels: list[Label]
     number: NDArray[np.int32]
     """(X, Y, Z). Row of each cell of the finest grid, -1 outside."""
     chosen: NDArray[np.int32]
     """(M,). Label of each cell."""
     texture: TextureField
+    tones: NDArray[np.float32]
+    """(3, X, Y, Z). Tones at the cells without steps at seams."""
 
     def read(self, points: NDArray[np.float32]) -> NDArray[np.float32]:
         """(M, 3). Colours at points (M, 3) of the unit ball along e1, e2, up. Range [0, 1]."""
@@ -181,12 +129,31 @@ class Quilt:
             nearest = np.empty(len(block), np.int32)
             at = ((block + 1) * np.float32(LEVELS[-1] / 2) + np.float32(MARGIN - 0.5)).astype(np.float32)
             majority(self.chosen, self.number, at, len(self.labels), nearest)
+            self._share_crossing(nearest, block)
+            tones = np.stack([ndimage.map_coordinates(t, at.T, order=1) for t in self.tones], -1)
             for n, label in enumerate(self.labels):
                 rows = np.flatnonzero(nearest == n)
                 ball = Ball.of(block[rows])
                 places, crossing = label.chunks.places(ball), _crossing(self.labels, label, ball)
-                out[start + rows] = label.read(places, crossing, self.texture.at(ball), self.texture.thickness)
+                rgb = label.read(places, crossing, self.texture.at(ball), self.texture.thickness)
+                moved = tones[rows] - label.read_tones(places, crossing)
+                moved *= np.exp(-np.square(moved).sum(-1, keepdims=True) / (2 * ALIKE**2))
+                if label.is_own:
+                    moved *= 1 - np.exp(-np.square(places.distance / OWN_ALONE))[:, None]
+                out[start + rows] = rgb + moved
         return np.clip(out, 0, 1)
+
+    def _share_crossing(self, nearest: NDArray[np.int32], points: NDArray[np.float32]) -> None:
+        """Gives points (M, 3) close to own planes of both families to the nearer one, in place: as cells, one plane
+        would cut a bar out of the other."""
+        own = [(n, label.chunks) for n, label in enumerate(self.labels) if label.is_own]
+        if len(own) < 2:
+            return
+        rows = np.flatnonzero(np.isin(nearest, [n for n, _ in own]))
+        ball = Ball.of(points[rows])
+        distances = np.stack([chunks.places(ball).distance for _, chunks in own])
+        both = distances.max(0) < CROSSING * 2 / LEVELS[-1]
+        nearest[rows[both]] = np.array([n for n, _ in own], np.int32)[distances[:, both].argmin(0)]
 
 
 def make_quilt(
@@ -196,11 +163,11 @@ def make_quilt(
     at a height in the unit ball. Bit-equal for a seed."""
     first = [*horizontal, *radial][0]
     across, along = (
-        [_source(disc if disc is first else match_light(disc, first), family is horizontal) for disc in family]
+        [Source.of(disc if disc is first else match_light(disc, first), family is horizontal) for disc in family]
         for family in (horizontal, radial)
     )
     labels = _make_labels(across, along, height, seed)
-    wanted = _closed_share(along or across, not along)
+    wanted = closed_share(along or across, not along)
     gain = FIRST_GAIN
     chosen = number = None
     for step, size in enumerate(LEVELS):
@@ -226,54 +193,46 @@ def make_quilt(
     log.info("quilted of %d sets of chunks, shares %s", len(labels), np.round(shares, 2).tolist())
     log.info("closed things %.4f of %.4f, gain %.2f", shown, wanted, gain)
     texture = TextureField([s.parts.texture for s in across or along], np.random.default_rng([seed, 5]))
-    return Quilt(labels, number, chosen, texture)
+    return Quilt(labels, number, chosen, texture, _blended_tones(labels, ball, number, chosen))
 
 
-def _source(disc: Disc, is_horizontal: bool) -> _Source:
-    persistence = Persistence(disc)
-    sheets = find_sheets(disc, persistence) if is_horizontal else np.zeros(disc.rgb.shape[:2], np.float32)
-    even = even_around(disc) if is_horizontal else even_sides(disc)
-    held = Disc(np.repeat(sheets[..., None], 3, -1))
-    closed = _closed_things(even, persistence)
-    return _Source(disc, even, take_apart(even), closed, smooth_disc(disc, BLUR), persistence, held)
+def _blended_tones(
+    labels: list[Label], ball: Ball, number: NDArray[np.int32], chosen: NDArray[np.int32]
+) -> NDArray[np.float32]:
+    """(3, X, Y, Z). The labels' tones, which pass into one another at seams: the lower of two bands of a
+    multiresolution spline (Burt and Adelson 1983)."""
+    inside = number >= 0
+    blended = np.zeros((len(ball.points), 3), np.float32)
+    weights = np.zeros((len(ball.points), 1), np.float32)
+    for n, label in enumerate(labels):
+        here = np.zeros(number.shape, np.float32)
+        here[inside] = chosen == n
+        weight = ndimage.gaussian_filter(here, TONE_BLEND * LEVELS[-1] / 2)[inside]
+        places = label.chunks.places(ball)
+        if label.is_own:
+            weight *= 1 + OWN_WEIGHT * np.exp(-np.square(places.distance / TONE_BLEND))
+        blended += weight[:, None] * label.read_tones(places, _crossing(labels, label, ball))
+        weights += weight[:, None]
+    total = np.zeros((3, *number.shape), np.float32)
+    total[:, inside] = (blended / np.maximum(weights, 1e-6)).T
+    nearest = ndimage.distance_transform_edt(~inside, return_distances=False, return_indices=True)
+    return total[:, *nearest]
 
 
-def _closed_things(disc: Disc, persistence: Persistence) -> Disc:
-    """How far the colours of closed things are from those of their ring and of what is around them."""
-    x, y = disc_grid()
-    medians = ring_medians(disc, FINE_RINGS)
-    at = np.hypot(x, y) * FINE_RINGS - 0.5
-    ring = np.stack([np.interp(at, np.arange(FINE_RINGS), medians[:, c]) for c in range(3)], -1)
-    around = persistence.gone(x.ravel(), y.ravel(), np.full(x.size, LARGEST)).reshape(x.shape)
-    stands_out = np.minimum(np.linalg.norm(disc.rgb - ring, axis=-1), around)
-    return Disc(np.repeat(stands_out[..., None], 3, -1).astype(np.float32))
-
-
-def _closed_share(sources: list[_Source], is_horizontal: bool) -> float:
-    """Mean of how far closed things stand out, under the rind, over the ball as radial pictures show it or over a
-    horizontal cut."""
-    x, y = disc_grid()
-    radius = np.hypot(x, y)
-    level = np.stack([x, np.zeros_like(x), y], -1).reshape(-1, 3)
-    rind = Ball.of(level.astype(np.float32)).rind.reshape(x.shape)
-    weight = np.where(radius < 1, 1.0 if is_horizontal else np.abs(x), 0)
-    return float(np.mean([((1 - rind) * s.closed.rgb[..., 0] * weight).sum() / weight.sum() for s in sources]))
-
-
-def _make_labels(across: list[_Source], along: list[_Source], height: float, seed: int) -> list[_Label]:
+def _make_labels(across: list[Source], along: list[Source], height: float, seed: int) -> list[Label]:
     """Own planes first, then random chunks."""
     labels = []
     if across:
         own = OwnHeight(height, across[0].sheets, np.random.default_rng([seed, 3]))
-        labels.append(_Label(own, across, True, True))
+        labels.append(Label(own, across, True, True))
     if along:
-        labels.append(_Label(OwnAzimuths(len(along), np.random.default_rng([seed, 4])), along, False, True))
+        labels.append(Label(OwnAzimuths(len(along), np.random.default_rng([seed, 4])), along, False, True))
     if across:
         slabs = [Slabs(k, len(across), np.random.default_rng([seed, 0, k])) for k in range(SLABS)]
-        labels += [_Label(s, across, True, False) for s in slabs]
+        labels += [Label(s, across, True, False) for s in slabs]
     if along:
         sectors = [Sectors(k, len(along), np.random.default_rng([seed, 1, k])) for k in range(SECTOR_SETS)]
-        labels += [_Label(s, along, False, False) for s in sectors]
+        labels += [Label(s, along, False, False) for s in sectors]
     return labels
 
 
@@ -301,7 +260,7 @@ class _Cells:
     """(M, K, 3)."""
 
 
-def _costs(labels: list[_Label], along: list[_Source], ball: Ball, cell: float, seed: int) -> _Cells:
+def _costs(labels: list[Label], along: list[Source], ball: Ball, cell: float, seed: int) -> _Cells:
     """What all labels cost and show at all points; `cell` is the distance of points in radii."""
     shape = len(ball.points), len(labels)
     costs, gains, closed = (np.empty(shape, np.float32) for _ in range(3))
@@ -310,8 +269,8 @@ def _costs(labels: list[_Label], along: list[_Source], ball: Ball, cell: float, 
     for n, label in enumerate(labels):
         places = label.chunks.places(ball)
         out.colours[:, n] = label.read_things(places, _crossing(labels, label, ball))
-        closed[:, n] = _read(places, [s.closed for s in label.sources])[:, 0] * (1 - ball.rind)
-        gone = _gone(places, label.sources)
+        closed[:, n] = read_discs(places, [s.closed for s in label.sources])[:, 0] * (1 - ball.rind)
+        gone = label.gone(places)
         capped = label.is_own or not label.is_horizontal
         cost = DISTANCE_COST * (np.minimum(places.distance, FAR) if capped else places.distance)
         gain = np.maximum(closed[:, n] - gone, 0)
@@ -324,12 +283,12 @@ def _costs(labels: list[_Label], along: list[_Source], ball: Ball, cell: float, 
         else:
             cost = cost + RIND_COST * ball.rind
         if label.is_horizontal:
-            sheet = _read(places, [s.sheets for s in label.sources])[:, 0]
+            sheet = read_discs(places, [s.sheets for s in label.sources])[:, 0]
             cost = cost + GONE_COST * gone * (1 - sheet) + (-SHEET_COST if label.is_own else SHEET_COST) * sheet
             if label.is_own:
                 sheets_here = sheet
             if along:
-                seen = _read(places, [s.blurred for s in label.sources])
+                seen = read_discs(places, [s.blurred for s in label.sources])
                 # A sheet may well lie beside a radial cut.
                 surprise = np.minimum(_unseen(seen, along, ball), UNSEEN_MOST)
                 cost = cost + UNSEEN_COST * surprise * (1 - near) * (1 - sheet)
@@ -340,7 +299,7 @@ def _costs(labels: list[_Label], along: list[_Source], ball: Ball, cell: float, 
     return out
 
 
-def _crossing(labels: list[_Label], label: _Label, ball: Ball) -> NDArray[np.float32]:
+def _crossing(labels: list[Label], label: Label, ball: Ball) -> NDArray[np.float32]:
     """(M,). Distance in radii from the own planes of the family that is not the label's; infinite without one."""
     for other in labels:
         if label.is_own and other.is_own and other.is_horizontal != label.is_horizontal:
@@ -348,25 +307,7 @@ def _crossing(labels: list[_Label], label: _Label, ball: Ball) -> NDArray[np.flo
     return np.full(len(ball.points), np.inf, np.float32)
 
 
-def _read(places: Places, discs: list[Disc]) -> NDArray[np.float32]:
-    """(M, 3). What the places show of these discs, one for each source."""
-    out = np.empty((len(places.x), 3), np.float32)
-    for n, disc in enumerate(discs):
-        rows = places.picture == n
-        out[rows] = disc.read(places.x[rows], places.y[rows])
-    return out
-
-
-def _gone(places: Places, sources: list[_Source]) -> NDArray[np.float32]:
-    """(M,). Colour that does not persist from the pictures' planes to the points."""
-    out = np.empty(len(places.x), np.float32)
-    for n, source in enumerate(sources):
-        rows = places.picture == n
-        out[rows] = source.persistence.gone(places.x[rows], places.y[rows], places.distance[rows])
-    return out
-
-
-def _unseen(seen: NDArray[np.float32], along: list[_Source], ball: Ball) -> NDArray[np.float32]:
+def _unseen(seen: NDArray[np.float32], along: list[Source], ball: Ball) -> NDArray[np.float32]:
     """(M,). Least squared distance of colours (M, 3) to those that any radial picture shows nearby."""
     least = np.full(len(seen), np.inf, np.float32)
     out = np.empty(len(seen), np.float32)

@@ -1,0 +1,152 @@
+"""What a chunk of a quilt shows: a photograph with what is known of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from training.priors.exemplar.quilting.chunks import Ball, Chunks, Places
+from training.priors.exemplar.quilting.disc import (
+    Disc,
+    disc_grid,
+    even_around,
+    even_sides,
+    ring_medians,
+    smooth_disc,
+)
+from training.priors.exemplar.quilting.persistence import Persistence, find_sheets
+from training.priors.exemplar.quilting.texture import Parts, take_apart
+
+__all__ = ["Label", "Source", "closed_share", "read_discs"]
+
+FINE_RINGS, LARGEST = 64, 0.16
+"""Rings from whose median colours things stand out, and their largest half width in radii."""
+
+BLUR = 0.02
+"""Standard deviation in radii of the blur under which colours are looked for nearby: texture is none of them."""
+
+TONE = 0.05
+"""Standard deviation in radii of the blur under which colours are tones: wider than seeds and texture."""
+
+OWN_TONES = 0.1
+"""Distance in radii over which a picture's own tones pass into even ones: away from its plane, and in it where another
+picture's plane crosses, as there both are to be seen."""
+
+
+@dataclass(frozen=True)
+class Source:
+    """A picture and what the law of shape says of it."""
+
+    disc: Disc
+    even: Disc
+    """With even tones, for chunks away from the picture's own plane."""
+    parts: Parts
+    """Of the even one."""
+    closed: Disc
+    """How far closed things stand out, the same in all three channels."""
+    blurred: Disc
+    tones: Disc
+    """Of the even one."""
+    persistence: Persistence
+    sheets: Disc
+    """The same surety in all three channels; 0 for radial pictures."""
+
+    @classmethod
+    def of(cls, disc: Disc, is_horizontal: bool) -> Source:
+        """What is known of a picture."""
+        persistence = Persistence(disc)
+        sheets = find_sheets(disc, persistence) if is_horizontal else np.zeros(disc.rgb.shape[:2], np.float32)
+        even = even_around(disc) if is_horizontal else even_sides(disc)
+        return cls(
+            disc,
+            even,
+            take_apart(even),
+            _closed_things(even, persistence),
+            smooth_disc(disc, BLUR),
+            smooth_disc(even, TONE),
+            persistence,
+            Disc(np.repeat(sheets[..., None], 3, -1)),
+        )
+
+
+@dataclass(frozen=True)
+class Label:
+    """A set of chunks and the pictures that it shows."""
+
+    chunks: Chunks
+    sources: list[Source]
+    is_horizontal: bool
+    is_own: bool
+
+    def read_things(self, places: Places, crossing: NDArray[np.float32]) -> NDArray[np.float32]:
+        """(M, 3). The things that the places show, in the pictures' own tones near their own planes.
+
+        `crossing` (M,): distances in radii from the other family's own planes.
+        """
+        return self._in_own_tones(read_discs(places, [s.parts.things for s in self.sources]), places, crossing)
+
+    def read_tones(self, places: Places, crossing: NDArray[np.float32]) -> NDArray[np.float32]:
+        """(M, 3). The tones of what the places show."""
+        return self._in_own_tones(read_discs(places, [s.tones for s in self.sources]), places, crossing)
+
+    def read(
+        self, places: Places, crossing: NDArray[np.float32], texture: NDArray[np.float32], layer: float
+    ) -> NDArray[np.float32]:
+        """(M, 3). What the places show, with texture (M, 3): within a `layer` of own planes that of the picture."""
+        rgb = self.read_things(places, crossing)
+        strength = read_discs(places, [s.parts.strength for s in self.sources])
+        if not self.is_own:
+            return rgb + strength * texture
+        own = np.exp(-np.square(places.distance / layer))[:, None]
+        here = read_discs(places, [s.parts.texture for s in self.sources])
+        return rgb + strength * (own * here + np.sqrt(1 - own * own) * texture)
+
+    def gone(self, places: Places) -> NDArray[np.float32]:
+        """(M,). Colour that does not persist from the pictures' planes to the places."""
+        out = np.empty(len(places.x), np.float32)
+        for n, source in enumerate(self.sources):
+            rows = places.picture == n
+            out[rows] = source.persistence.gone(places.x[rows], places.y[rows], places.distance[rows])
+        return out
+
+    def _in_own_tones(
+        self, even: NDArray[np.float32], places: Places, crossing: NDArray[np.float32]
+    ) -> NDArray[np.float32]:
+        if not self.is_own:
+            return even
+        share = np.exp(-np.square(places.distance / OWN_TONES)) - np.exp(-np.square(crossing / OWN_TONES))
+        tones = read_discs(places, [s.disc for s in self.sources]) - read_discs(places, [s.even for s in self.sources])
+        return even + np.maximum(share, 0)[:, None] * tones
+
+
+def _closed_things(disc: Disc, persistence: Persistence) -> Disc:
+    """How far the colours of closed things are from those of their ring and of what is around them."""
+    x, y = disc_grid()
+    medians = ring_medians(disc, FINE_RINGS)
+    at = np.hypot(x, y) * FINE_RINGS - 0.5
+    ring = np.stack([np.interp(at, np.arange(FINE_RINGS), medians[:, c]) for c in range(3)], -1)
+    around = persistence.gone(x.ravel(), y.ravel(), np.full(x.size, LARGEST)).reshape(x.shape)
+    stands_out = np.minimum(np.linalg.norm(disc.rgb - ring, axis=-1), around)
+    return Disc(np.repeat(stands_out[..., None], 3, -1).astype(np.float32))
+
+
+def closed_share(sources: list[Source], is_horizontal: bool) -> float:
+    """Mean of how far closed things stand out, under the rind, over the ball as radial pictures show it or over a
+    horizontal cut."""
+    x, y = disc_grid()
+    radius = np.hypot(x, y)
+    level = np.stack([x, np.zeros_like(x), y], -1).reshape(-1, 3)
+    rind = Ball.of(level.astype(np.float32)).rind.reshape(x.shape)
+    weight = np.where(radius < 1, 1.0 if is_horizontal else np.abs(x), 0)
+    return float(np.mean([((1 - rind) * s.closed.rgb[..., 0] * weight).sum() / weight.sum() for s in sources]))
+
+
+def read_discs(places: Places, discs: list[Disc]) -> NDArray[np.float32]:
+    """(M, 3). What the places show of these discs, one for each source."""
+    out = np.empty((len(places.x), 3), np.float32)
+    for n, disc in enumerate(discs):
+        rows = places.picture == n
+        out[rows] = disc.read(places.x[rows], places.y[rows])
+    return out
