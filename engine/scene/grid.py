@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,7 +72,7 @@ class Body:
         """Depth of the deepest point, world units."""
         return float(self.depth.max())
 
-    @property
+    @cached_property
     def radius(self) -> float:
         """Distance from the middle of the bounds to the farthest inside point, world units."""
         points = self.grid.centres()[self.inside] - self.bounds().mean(0)
