@@ -15,9 +15,9 @@ from engine.scene.plane import Plane
 from tests.helpers.exemplar_faces import FLESH, RIND, SEED, UP, ball, disc, quiet, save
 from training.families import Family
 from training.priors.exemplar import ExemplarPrior, read_picture
-from training.priors.exemplar.decompose import decompose
+from training.priors.exemplar.decompose import decompose, rind_depth
 from training.priors.exemplar.frames import make_space, rim_of, scale_to_voxels
-from training.priors.exemplar.patches import POLAR
+from training.priors.exemplar.patches import FIXED, POLAR
 from training.priors.prior import Volume
 
 
@@ -324,3 +324,32 @@ def test_decompose_tells_seeds_from_walls(tmp_path: Path) -> None:
     assert 5 <= len(layers.details) <= 7  # one or two touch the wall
     column, row = round(2 * (layers.source.middle[0] - 8)), round(2 * (layers.source.middle[1] - 1.2))
     assert layers.structure[row - 2 : row + 3, column].max() > 0.7
+
+
+def test_a_rind_goes_around(tmp_path: Path) -> None:
+    """Layers that end at the skin differ in colour along it, and are no rind."""
+    space = make_space(ball(), UP, 64)
+    area = space.widest_slice(space.planar[:, 2])
+    sandwich = np.ones((160, 240, 3))
+    for n, colour in enumerate([(0.8, 0.7, 0.4), (0.8, 0.2, 0.2), (0.9, 0.8, 0.2), (0.3, 0.6, 0.2), (0.8, 0.7, 0.4)]):
+        sandwich[20 + 24 * n : 44 + 24 * n, 20:220] = colour
+    layered = read_picture(save(tmp_path / "sandwich.png", sandwich), "parallel")
+    assert rind_depth(scale_to_voxels(layered, space, FIXED, area), FIXED) < 0.04
+    melon = read_picture(save(tmp_path / "melon.png", disc()[0]), "horizontal")
+    assert abs(rind_depth(scale_to_voxels(melon, space, POLAR, area), POLAR) - 0.12) < 0.04
+
+
+def test_rings_are_shells_that_run_along_the_axis(tmp_path: Path) -> None:
+    face, mask = disc(400)
+    y, x = (np.mgrid[:400, :400] + 0.5) / 200 - 1
+    rings = FLESH + 0.02 * np.sin(60 * np.hypot(x, y))[..., None]
+    face = np.where(mask[..., None], np.clip(rings, 0, 1), face)
+    wood = save(tmp_path / "wood.png", face)
+    volume = ExemplarPrior().solve(ball(32), UP, [Family("horizontal", 40, (wood,))], 128, 0, quiet)
+    share = np.linspace(0.15, 0.5, 120)
+    lines = []
+    for height in (-0.35, 0.0, 0.35):
+        radius = share * np.sqrt(1 - height**2)
+        lines.append(volume.at(np.stack([0.6 * radius, 0.8 * radius, np.full(120, height)], -1))[:, 0])
+    for line in (lines[0], lines[2]):
+        assert np.corrcoef(line, lines[1])[0, 1] > 0.8

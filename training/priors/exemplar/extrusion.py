@@ -21,7 +21,16 @@ from training.priors.exemplar.morph import SliceStack
 from training.priors.exemplar.patches import OVER
 from training.priors.prior import Progress
 
-__all__ = ["Axis", "correct_by_height", "draw_core_line", "extrude", "interpolate_slices", "revolve", "view_along"]
+__all__ = [
+    "Axis",
+    "Drift",
+    "correct_by_height",
+    "draw_core_line",
+    "extrude",
+    "interpolate_slices",
+    "revolve",
+    "view_along",
+]
 
 RINGS, RING_SAMPLES = 64, 1_500_000
 """Rings per slice, and voxels sampled for their median colours: some hundreds per ring."""
@@ -61,6 +70,33 @@ class Axis:
     """Whether slices may be rotated: a round outline does not fix the angle."""
 
 
+@dataclass(frozen=True)
+class Drift:
+    """How the texture of slices moves along the axis, so that it ends along it as it does in the slices."""
+
+    rate: float
+    """Cells per cell."""
+    share_a: float
+    """Share of the full swing along the picture's direction a, and along b: rings and stripes are cut shells and
+    sheets, which do not drift through themselves."""
+    share_b: float
+
+    @classmethod
+    def of(cls, carrier: Sequence[Layers], radial: Sequence[Layers], is_round: bool) -> Drift:
+        """The drift that gives the texture the slope along the axis which radial pictures show; without any, the
+        carrier's own mean slope, but that of rings around them."""
+        spread, a, b = np.mean([p.spread for p in carrier], axis=0)
+        share_a = share_b = 1.0
+        if radial:
+            deviation, _, steep = np.mean([p.spread for p in radial], axis=0)
+            wanted = steep / deviation
+        else:
+            share_a, share_b = min(b / a, 1.0), 1.0 if is_round else min(a / b, 1.0)
+            wanted = np.hypot(share_a * a, b) / np.sqrt(2) / spread
+        rate = wanted / (np.hypot(RADIAL_DRIFT * share_a * a, b) / spread)
+        return cls(float(np.clip(rate, 0.1, 1.5)), float(share_a), float(share_b))
+
+
 def view_along(space: Space, basis: NDArray[np.float64], is_round: bool) -> Axis:
     """The voxels in slices across the third row of `basis` (3, 3)."""
     planar = ((space.cells - space.centre) @ basis.T).astype(np.float32)
@@ -72,13 +108,13 @@ def extrude(
     space: Space,
     axis: Axis,
     layers: Sequence[Layers],
-    rate: float,
+    drift: Drift,
     height_mask: HeightMask | None,
     core: Core | None,
     rng: np.random.Generator,
     progress: Progress,
 ) -> NDArray[np.float32]:
-    """(N, 3). A picture extruded along an axis: ground and structures straight, texture drifting `rate` cells per cell.
+    """(N, 3). A picture extruded along an axis: ground and structures straight, texture drifting sideways.
 
     A voxel near the skin samples the picture at equal depth, a deeper one at the equal share of the slice's radius.
     """
@@ -91,6 +127,7 @@ def extrude(
     grain = float(np.clip(np.pi * of / slope_b, 2, 0.3 * inradius))
     is_stranded = slope_b > 1.8 * slope_a
     swing = 0.12 * inradius
+    swing_a, swing_b = swing * drift.share_a, swing * drift.share_b
     widest = space.widest
     for start in range(0, len(out), CHUNK):
         progress(start / len(out))
@@ -110,16 +147,16 @@ def extrude(
         colour = _bilinear(main.ground, *ground_position)
         # The texture drifts.
         phase = 0.3 * inradius * np.sin(angle + phases[0])
-        drift = swing * _triangle((level + phase) * RADIAL_DRIFT * rate / (4 * swing))
+        aside = swing_a * _triangle((level + phase) * RADIAL_DRIFT * drift.rate / (4 * swing))
         if axis.round:
             # One rotation for a whole slice, so that nothing is sheared; the rate is exact at half the radius.
-            other = angle + rate * level / (0.5 * inradius) + phases[3]
+            other = angle + drift.rate * level / (0.5 * inradius) + phases[3]
             if is_stranded:
                 other = angle + _strand_angles(angle, level, grain, round(np.pi * inradius / (2 * grain)), phases)
             u, v = _picture_position(space, main, other, share, np.maximum(depth, main.rind))
-            u, v = u + drift * np.cos(other), v - drift * np.sin(other)
+            u, v = u + aside * np.cos(other), v - aside * np.sin(other)
         else:
-            u, v = x + drift, y + swing * _triangle((level - phase) * rate / (4 * swing))
+            u, v = x + aside, y + swing_b * _triangle((level - phase) * drift.rate / (4 * swing))
         colour += _bilinear(main.texture, u, v)
         opacity, structure_rgb = _structure(main, x, y)
         # On a small slice the picture shrinks, but a membrane keeps its thickness.

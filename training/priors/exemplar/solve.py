@@ -22,7 +22,7 @@ from training.families import Family
 from training.priors.exemplar.core_line import extract_core
 from training.priors.exemplar.decompose import Layers, decompose
 from training.priors.exemplar.extrusion import (
-    RADIAL_DRIFT,
+    Drift,
     correct_by_height,
     draw_core_line,
     extrude,
@@ -180,9 +180,11 @@ def _extrude_layers(
         return revolve(space, layers[0][0], rng), None
     view = views[carrier]
     axis = view_along(space, view.basis, view.kind == POLAR)
-    rate = _drift(layers[carrier], layers[radial] if radial is not None else [])
+    drift = Drift.of(layers[carrier], layers[radial] if radial is not None else [], axis.round)
     log.info(
-        "carried along the %s axis, texture drifting %.2f cells a cell", "up" if view.kind == POLAR else "fixed", rate
+        "carried along the %s axis, texture drifting %.2f cells a cell",
+        "up" if view.kind == POLAR else "fixed",
+        drift.rate,
     )
     core, height_mask = None, None
     if radial is not None:
@@ -191,23 +193,10 @@ def _extrude_layers(
             core, first, layers[radial] = extract_core(layers[carrier][0], layers[radial])
             layers[carrier] = [first, *others]
         height_mask = make_height_mask(layers[carrier][0], layers[radial], rng)
-    colours = extrude(space, axis, layers[carrier], rate, height_mask, core, rng, progress)
+    colours = extrude(space, axis, layers[carrier], drift, height_mask, core, rng, progress)
     if radial is not None:
         correct_by_height(space, axis, colours, layers[carrier][0], layers[radial], height_mask)
     if core is not None:
         # Last: the radial layers no longer show the line and would correct it away.
         draw_core_line(space, axis, colours, layers[carrier][0], core)
     return np.clip(colours, 0, 1), height_mask
-
-
-def _drift(carrier: list[Layers], radial: list[Layers]) -> float:
-    """Sideways drift of the texture in cells per cell along the axis, which sets its slope along the axis.
-
-    The target slope is that of the radial pictures along the axis; without any, the mean slope of the carrier.
-    """
-    spread, a, b = np.mean([p.spread for p in carrier], axis=0)
-    wanted = np.sqrt((a * a + b * b) / 2) / spread
-    if radial:
-        deviation, _, steep = np.mean([p.spread for p in radial], axis=0)
-        wanted = steep / deviation
-    return float(np.clip(wanted / (np.sqrt((RADIAL_DRIFT * a) ** 2 + b * b) / spread), 0.1, 1.5))
