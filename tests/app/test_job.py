@@ -31,6 +31,7 @@ from engine.io.trained import load_trained
 from engine.scene.atoms import Atoms
 from tests.helpers.app_objects import atoms, full
 from tests.paths import HELPERS
+from tests.training.test_train_command import SMALL_COMMAND
 from training.families import Family
 from training.request import read_request
 
@@ -131,7 +132,7 @@ def test_a_real_training_speaks_as_the_window_listens(tmp_path: Path) -> None:
     training = Training("draft", iterations=2, out=tmp_path / "result")
     document = replace(sample_document("none"), families=(family,), training=training)
     out = tmp_path / "result"
-    job = Job.start(document, (0.0, 0.0, 1.0), out)
+    job = Job.start(document, (0.0, 0.0, 1.0), out, program=(sys.executable, "-c", SMALL_COMMAND))
     follow(job, lambda job: job.ended, 300)
     while job.poll():
         pass

@@ -60,7 +60,8 @@ def opened(folder: Path, script: Callable[[Driver], None], size: tuple[int, int]
     document = tiny(folder)
 
     def run(driver: Driver) -> None:
-        driver.until(lambda: driver.session.atoms is not None, 120, "the solid")
+        # The whole of it: the size of a solid decides its gap, and the first solid is a little smaller.
+        driver.until(lambda: driver.session.atoms is not None and driver.session.loader is None, 120, "the solid")
         driver.still()
         script(driver)
         assert not driver.session.error, driver.session.error
@@ -433,12 +434,12 @@ def gl_objects(driver: Driver) -> dict[str, int]:
 def main() -> None:
     """Runs one of them."""
     name, folder = sys.argv[1], Path(sys.argv[2])
+    use_quick_worker()
     if name == "steps":
         opened(folder, lambda driver: steps(driver, folder))
     elif name == "habits":
         at_once(folder, lambda driver: habits(driver, folder), (800, 560), twice_as_dense)
     else:
-        use_quick_worker()
         at_once(folder, soak, (640, 300))  # most frames are drawn by the processor: a small view is a quick one
     print("well")
 
