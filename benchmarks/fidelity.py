@@ -6,7 +6,8 @@
 The capture, without the haze and floaters that are meant to go, is drawn as 3DGS; the solid as opaque atoms, after all
 that training does to its skin. Means over twelve views of the PSNR over the union of both silhouettes, of the PSNR over
 what both show as opaque, and of the IoU of the silhouettes. Writes fidelity.json, the chart fidelity.png and, for each
-capture, fidelity_<capture>.png (the capture above, the solid below). Measures the samples if no capture is given.
+capture, fidelity_<capture>.png (the capture, the solid below it, and the solid cut in half with a plain inside).
+Measures the samples if no capture is given.
 """
 
 from __future__ import annotations
@@ -29,8 +30,9 @@ from engine.io.files import atomic
 from engine.render.classic import rasterizer as classic
 from engine.render.cpu import opaque
 from engine.scene.atoms import Atoms
-from engine.scene.camera import cameras_around
+from engine.scene.camera import Camera, cameras_around
 from engine.scene.gaussians import Gaussians
+from engine.scene.plane import Plane
 from engine.solid.fill import fill
 from training.events import Reporter
 from training.families import Family
@@ -51,6 +53,9 @@ VIEWS, SIZE = 12, 512
 
 TURN = 17.0
 """Degrees by which these cameras are turned from the fitted ones, so that no view is shared."""
+
+LEAN = 0.4
+"""Tangent of the angle by which a cut face is turned from the camera."""
 
 SHOWN_EVERY = 3
 """Of the views, those that the picture shows."""
@@ -98,7 +103,8 @@ def measure(
         solid = (there.alpha > 0.95) & (here.alpha > 0.5)
         rows.append((psnr(one[union], other[union]), psnr(one[solid], other[solid]), both.sum() / max(union.sum(), 1)))
         if k % SHOWN_EVERY == 1:
-            columns.append(np.concatenate([one, other]))
+            half = opaque.render(atoms, camera, [halving(camera, (low + high) / 2)], BACKGROUND)
+            columns.append(np.concatenate([one, other, np.clip(half.rgb, 0, 1)]))
     union_db, opaque_db, iou = (float(value) for value in np.mean(rows, axis=0))
     figures = {
         "gaussians": len(capture),
@@ -109,6 +115,11 @@ def measure(
         "seconds": round(seconds, 1),
     }
     return figures, np.concatenate(columns, axis=1)
+
+
+def halving(camera: Camera, centre: NDArray[np.float64]) -> Plane:
+    """A plane through the centre (3,) that removes the half towards the camera and leans to its side."""
+    return Plane.through(centre, LEAN * camera.viewmat[0, :3] - camera.forward)
 
 
 def draw_chart(found: dict[str, dict[str, Any]], path: Path) -> None:
