@@ -11,9 +11,12 @@ from PIL import Image
 from engine.io.files import atomic
 from engine.render.cpu import opaque
 from engine.render.cpu.kernel_field import KernelField
+from engine.render.face_detail import Detailed, detailed
 from engine.scene.atoms import Atoms
 from engine.scene.camera import equator, fit_distance, orbit, section
 from engine.scene.grid import Body
+from engine.scene.inside import Inside
+from engine.scene.piece import Piece
 from engine.scene.plane import Plane
 from training.images import to_image
 
@@ -49,8 +52,11 @@ def contact_sheet_planes(body: Body, up: NDArray[np.float64]) -> list[Plane]:
     return planes
 
 
-def save_contact_sheet(path: Path, atoms: Atoms, body: Body, up: NDArray[np.float64]) -> None:
-    """Writes six cuts in two rows: the opened object in perspective above, the cut face straight on below."""
+def save_contact_sheet(
+    path: Path, atoms: Atoms, body: Body, up: NDArray[np.float64], inside: Inside | None = None
+) -> None:
+    """Writes six cuts in two rows: the opened object in perspective above, the cut face straight on below; in all
+    details of the `inside` if that is known."""
     field = KernelField(atoms)
     centre = body.bounds().mean(0)
     sheet = Image.new("RGB", (TILE * len(CUTS), TILE * 2), "white")
@@ -59,9 +65,11 @@ def save_contact_sheet(path: Path, atoms: Atoms, body: Body, up: NDArray[np.floa
         # From the removed side and a little above, so that both the face and the skin around it are visible.
         elevation = max(18.0, 90.0 - tilt - 25.0)
         camera = orbit(centre, up, turn + 28.0, elevation, fit_distance(body.radius, fov, 1.0), TILE, TILE, fov)
-        opened = opaque.render(atoms, camera, [plane], light=True, field=field)
-        face = opaque.render(atoms, section(plane, up, body.bounds(), TILE, body.radius), [plane], field=field)
-        sheet.paste(to_image(opened.rgb), (TILE * index, 0))
-        sheet.paste(to_image(face.rgb), (TILE * index, TILE))
+        views = (camera, section(plane, up, body.bounds(), TILE, body.radius))
+        for row, (view, light) in enumerate(zip(views, (True, False), strict=True)):
+            picture = opaque.render(atoms, view, [plane], light=light, field=field)
+            if inside is not None:
+                picture = detailed(picture, view, [Piece((plane,))], [Detailed(inside, atoms.pitch)], light)
+            sheet.paste(to_image(picture.rgb), (TILE * index, TILE * row))
     with atomic(path) as temporary:
         sheet.save(temporary)

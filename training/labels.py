@@ -13,6 +13,7 @@ from torch import Tensor
 
 from engine.errors import InputError
 from engine.scene.atoms import Atoms
+from engine.scene.inside import Inside
 from engine.solid.fill import Colours
 from training.optimise.trainer import Trainer
 from training.priors.exemplar import ExemplarPrior
@@ -46,8 +47,8 @@ def make_prior(request: Request) -> Denoiser | VolumeSolver:
 
 def labels_from_volume(
     request: Request, geometry: Geometry, cuts: Sequence[Slice], prior: VolumeSolver, progress: Progress
-) -> tuple[list[Float], Colours, float]:
-    """Labels (H, W, 3) as cuts through one volume, its colour field for atoms, and its coarsening.
+) -> tuple[list[Float], Colours, float, Inside | None]:
+    """Labels (H, W, 3) as cuts through one volume, its colour field for atoms, its coarsening, and its function.
 
     The labels of all planes are consistent in space. The coarsening is the volume's cell over the requested one: more
     than 1 if the pictures resolve less, and then the atoms may be coarser too.
@@ -60,6 +61,7 @@ def labels_from_volume(
         labels,
         volume.at_cubic,
         1.0 if np.isclose(volume.body.grid.cell, requested_cell) else volume.body.grid.cell / requested_cell,
+        volume.inside,
     )
 
 

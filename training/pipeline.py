@@ -23,6 +23,7 @@ from engine.io.load import LoadedScene, load
 from engine.isolate.bodies import find_bodies
 from engine.isolate.selection import isolated
 from engine.scene.atoms import Atoms, InteriorAtoms
+from engine.scene.inside import Inside
 from engine.solid.fill import Colours, fill
 from engine.solid.solidify import atomise_surface, find_enclosure
 from engine.solid.up_axis.detect import UpAxis, detect_up
@@ -33,6 +34,7 @@ from training.optimise.deblur import deblur
 from training.optimise.smoothing import smooth
 from training.optimise.trainer import Trainer
 from training.optimise.training_loop import train
+from training.priors.inside_file import restore_inside
 from training.priors.prior import Denoiser, Progress, VolumeSolver
 from training.priors.sds import distill
 from training.request import Geometry, Interrupted, Request
@@ -41,6 +43,9 @@ from training.skin import fit_geometry
 from training.views import ENTRIES, Section, Slice, sections, slices, surface_cameras
 
 __all__ = ["Pipeline", "prepare", "refit_surface", "run"]
+
+INSIDE = "inside."
+"""Before the names of its arrays in the checkpoint of the labels."""
 
 
 def run(request: Request, out: Path, reporter: Reporter, resume: bool, stopped: Callable[[], bool]) -> Path:
@@ -66,6 +71,8 @@ class Pipeline:
         self.checkpoint = Checkpoint(out / "checkpoint", request.fingerprint())
         self.facts: dict[str, Any] = {}
         """What the report says of the run so far."""
+        self.inside: Inside | None = None
+        """What the prior has found, where that is a function."""
 
     def run(self, resume: bool) -> Path:
         """Runs all stages, from the last checkpoint if `resume`; returns the path of the trained scene."""
@@ -93,7 +100,9 @@ class Pipeline:
             self.checkpoint,
             self.stopped,
         )
-        return save_results(self.request, geometry, atoms, trainer, self.facts, history, self.out, self.reporter)
+        return save_results(
+            self.request, geometry, atoms, trainer, self.facts, history, self.out, self.reporter, self.inside
+        )
 
     # Steps that an evaluation may override
 
@@ -152,6 +161,9 @@ class Pipeline:
             arrays, made = self.checkpoint.load_or_make(
                 "labels", lambda: self.make_labels(geometry, cuts, prior, stage)
             )
+            if self.inside is None and "inside" in made:  # of a run that was interrupted
+                record = {name.removeprefix(INSIDE): a for name, a in arrays.items() if name.startswith(INSIDE)}
+                self.inside = restore_inside((record, made["inside"]))
             if made["cells"] < fineness.fine:
                 self.reporter.warn(
                     f"{name}: the pictures are good for an inside {made['cells']} atoms across, not {fineness.fine}; "
@@ -172,14 +184,18 @@ class Pipeline:
         request, progress = self.request, self.track_progress(stage, 0.0, 1.0)
         cells: float = request.fineness.fine
         if isinstance(prior, VolumeSolver):
-            labels, colours, coarsening = labels_from_volume(request, geometry, cuts, prior, progress)
+            labels, colours, coarsening, self.inside = labels_from_volume(request, geometry, cuts, prior, progress)
             cells /= coarsening
         else:
             labels, colours = self.distill_labels(geometry, cuts, prior, progress)
         interior = self.fill_interior(geometry, geometry.pitch * request.fineness.cells / cells, colours)
         rgb = deblur(geometry.filled(interior), interior.rgb)
         arrays = {"labels": np.stack(labels), "means": interior.means, "sigmas": interior.sigmas, "rgb": rgb}
-        return arrays, {"exposed": interior.exposed, "cells": round(cells)}
+        made = {"exposed": interior.exposed, "cells": round(cells)}
+        if self.inside is None:
+            return arrays, made
+        record, facts = self.inside.record()
+        return arrays | {INSIDE + name: array for name, array in record.items()}, made | {"inside": facts}
 
     def distill_labels(
         self, geometry: Geometry, cuts: Sequence[Slice], prior: Denoiser, progress: Progress

@@ -14,6 +14,7 @@ from engine.isolate.record import isolation_record
 from engine.render.classic import rasterizer as classic
 from engine.render.cpu import opaque
 from engine.scene.atoms import Atoms
+from engine.scene.inside import Inside
 from training.contact_sheet import save_contact_sheet
 from training.events import Reporter, to_json
 from training.optimise.losses import psnr
@@ -37,6 +38,7 @@ def save_results(
     history: dict[str, Any],
     out: Path,
     reporter: Reporter,
+    inside: Inside | None = None,
 ) -> Path:
     """Writes the solid, the contact sheet and the report; `start` is the solid before training. Returns its path."""
     atoms = trainer.result()
@@ -56,9 +58,9 @@ def save_results(
         origin = geometry.gaussians.origin
         left_out = tuple(isolation_record(request.isolation))
         meta = Meta(up, families, request.seed, request.prior, request.scene.name, origin, left_out)
-        save_trained(path, atoms, meta)
+        save_trained(path, atoms, meta, None if inside is None else inside.record())
         stage.progress(0.3)
-        save_contact_sheet(out / "cuts.png", atoms, geometry.body, geometry.up)
+        save_contact_sheet(out / "cuts.png", atoms, geometry.body, geometry.up, inside)
         stage.progress(0.7)
         before, after = (surface_psnr(geometry, version) for version in (start, atoms))
     report = {

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from app.model.pieces import Solid
 from app.model.rigid_transform import Vec3
+from engine.errors import InputError
 from engine.io.mapped import map_arrays
 from engine.io.scratch import Scratch
 from engine.isolate.record import isolation_record
@@ -24,6 +25,7 @@ from engine.isolate.selection import Isolation
 from engine.processes import start_python
 from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from engine.scene.gaussians import Gaussians
+from engine.scene.inside import Inside
 from training.settings import DetailName
 
 __all__ = ["LoadedScene", "SceneLoader", "SceneRequest"]
@@ -66,6 +68,8 @@ class LoadedScene:
     """Whether the inside has been trained."""
     coarse: Gaussians | None = None
     """Some of a large capture's Gaussians, enlarged, to be shown until all are there."""
+    inside: Inside | None = None
+    """What the faces of a trained object at rest are read from; None if its atoms are all there is."""
 
 
 class SceneLoader:
@@ -84,7 +88,7 @@ class SceneLoader:
         self.announced = False
         """Whether the user has read that the object can be cut."""
         self.scene = LoadedScene(request)
-        self._queue: queue.SimpleQueue[tuple[dict[str, Any], dict[str, NDArray[Any]]]] = queue.SimpleQueue()
+        self._queue: queue.SimpleQueue[tuple[dict[str, Any], dict[str, Any]]] = queue.SimpleQueue()
         self._scratch = Scratch("fruitninja-")
         pipe = subprocess.PIPE
         self._process = start_python("app.jobs.scene_worker", stdin=pipe, stdout=pipe, stderr=pipe)
@@ -127,7 +131,11 @@ class SceneLoader:
         self.ended = True
         self._process.kill()
 
-    def _take(self, what: str, arrays: dict[str, NDArray[Any]], facts: dict[str, Any]) -> None:
+    def _take(self, what: str, arrays: dict[str, Any], facts: dict[str, Any]) -> None:
+        if what == "inside":
+            notes = tuple(dict.fromkeys((*self.scene.notes, *facts["notes"])))
+            self.scene = replace(self.scene, inside=arrays["inside"], notes=notes)
+            return
         if what in ("coarse", "capture"):
             gaussians = Gaussians(*(arrays[name] for name in ("means", "scales", "quats", "opacities", "sh")))
             x, y, z = facts["up"]
@@ -165,6 +173,8 @@ class SceneLoader:
             arrays = map_arrays(Path(line["file"])) if "file" in line else {}
             ended = ended or bool(line.get("end"))
             self._queue.put((line, arrays))
+            if line.get("ready") == "atoms" and line["facts"]["trained"]:
+                self._read_inside()
         self._process.wait()
         if not ended:
             self._threads[1].join(1.0)
@@ -173,6 +183,18 @@ class SceneLoader:
             self._queue.put(({"error": f"{name}: opening it failed ({last[0]})", "end": True}, {}))
         atexit.unregister(self._clear)
         self._clear()
+
+    def _read_inside(self) -> None:
+        """Reads the inside of the trained object whose atoms have come."""
+        from training.priors.inside_file import read_inside  # its kernels are needed for trained objects only
+
+        self._queue.put(({"stage": "Reading the inside", "part": 0.9}, {}))
+        inside, notes = None, []
+        try:
+            inside = read_inside(self.request.trained or self.request.scene)
+        except InputError as error:
+            notes = [str(error)]
+        self._queue.put(({"ready": "inside", "facts": {"notes": notes}}, {"inside": inside}))
 
     def _clear(self) -> None:
         """Leaves neither a process nor files behind, even if the app ends while loading."""

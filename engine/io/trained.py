@@ -1,8 +1,9 @@
 """Saves and loads a trained object: a .ply that every 3DGS viewer opens, and a sidecar with what a .ply cannot hold.
 
 `apple.ply` holds the surface atoms, then the interior ones; `apple.fruitninja.json` holds their numbers and how the
-object was made. The sidecar identifies its .ply by size and checksum, so that neither a crash between the two files nor
-a mix-up of names joins parts of different objects.
+object was made. `apple.inside.safetensors`, where there is one, holds the inside as a function, finer than the atoms.
+The sidecar identifies both by size and checksum, so that neither a crash between the files nor a mix-up of names joins
+parts of different objects.
 """
 
 from __future__ import annotations
@@ -15,22 +16,40 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from safetensors import SafetensorError
+from safetensors.numpy import load, save_file
 
 from engine.errors import InputError
-from engine.io.files import atomic_together, open_file
+from engine.io.files import atomic_together, open_file, read_file, remove
 from engine.io.splats.ply import ply_data, read_ply
 from engine.io.strict_json import parse
 from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from engine.scene.gaussians import Gaussians
+from engine.scene.inside import InsideRecord
 from engine.scene.sh import rgb_to_sh, sh_to_rgb
 
-__all__ = ["FORMAT", "Meta", "load_trained", "save_trained", "sidecar_path", "trained_isolation"]
+__all__ = [
+    "FORMAT",
+    "Meta",
+    "inside_path",
+    "load_inside_record",
+    "load_trained",
+    "save_trained",
+    "sidecar_path",
+    "trained_isolation",
+]
 
 FORMAT = 1
 """Version of the sidecar. A reader refuses any other, so every change of meaning must increase it."""
 
+FACTS = "facts"
+"""Name of the array with an inside's facts, as JSON."""
+
 OPAQUE = 0.999
 """Opacity of an atom in the file. 1 has no finite logit; at 0.999 two atoms in a row transmit 1e-6."""
+
+INSIDE_LIMIT = 1 << 27
+"""Most bytes of an inside: forty pictures and their layout."""
 
 SIDECAR_LIMIT = 1 << 24
 """Most bytes of a sidecar; a real one has a few KB."""
@@ -60,8 +79,14 @@ def sidecar_path(path: str | Path) -> Path:
     return Path(path).with_suffix(".fruitninja.json")
 
 
-def save_trained(path: str | Path, atoms: Atoms, meta: Meta) -> None:
-    """Writes `path` and its sidecar, both or neither. Both are complete on disk before the first is replaced.
+def inside_path(path: str | Path) -> Path:
+    """The path of a trained .ply's inside: `apple.ply` has `apple.inside.safetensors`."""
+    return Path(path).with_suffix(".inside.safetensors")
+
+
+def save_trained(path: str | Path, atoms: Atoms, meta: Meta, inside: InsideRecord | None = None) -> None:
+    """Writes `path`, its sidecar and its inside, all or nothing. All are complete on disk before the first is replaced;
+    without an inside, one that was there is removed.
 
     Surface atoms come first; interior ones are spheres whose SH above degree 0 are zero. Raises InputError if
     writing fails.
@@ -72,7 +97,8 @@ def save_trained(path: str | Path, atoms: Atoms, meta: Meta) -> None:
     assert not broken, f"NaN or Inf in the atoms' {broken}"
     assert (gaussians.scales > 0).all(), "scales that are not above 0"
     data = ply_data(gaussians, _comments(meta))
-    with atomic_together(path, sidecar_path(path)) as (ply, sidecar):
+    more = [] if inside is None else [inside_path(path)]
+    with atomic_together(path, sidecar_path(path), *more) as (ply, sidecar, *function):
         data.write(str(ply))
         record = {
             "format": FORMAT,
@@ -88,11 +114,18 @@ def save_trained(path: str | Path, atoms: Atoms, meta: Meta) -> None:
             "prior": meta.prior,
             "source": meta.source,
         }
+        if inside is not None:
+            arrays, facts = inside
+            text = np.frombuffer(json.dumps(facts, allow_nan=False).encode(), np.uint8)
+            save_file({name: np.ascontiguousarray(a) for name, a in arrays.items()} | {FACTS: text}, function[0])
+            record |= {"inside_bytes": function[0].stat().st_size, "inside_crc32": _crc(function[0])}
         if any(meta.origin):
             record["origin"] = [float(v) for v in meta.origin]
         if meta.isolation:
             record["isolation"] = list(meta.isolation)
         sidecar.write_text(json.dumps(record, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    if inside is None:
+        remove(inside_path(path))
 
 
 def load_trained(path: str | Path) -> tuple[Atoms, Meta]:
@@ -141,6 +174,26 @@ def load_trained(path: str | Path) -> tuple[Atoms, Meta]:
         ),
         meta,
     )
+
+
+def load_inside_record(path: str | Path) -> InsideRecord | None:
+    """The record of a trained .ply's inside; None if it has none or was moved without it.
+
+    Raises InputError if the file is unreadable or belongs to another object.
+    """
+    path, file = Path(path), inside_path(path)
+    record = _Record(sidecar_path(path), path)
+    if "inside_crc32" not in record.fields or not file.exists():
+        return None
+    data = read_file(file, INSIDE_LIMIT)
+    if len(data) != record.count("inside_bytes") or zlib.crc32(data) != record.count("inside_crc32"):
+        raise InputError(f"{file}: damaged, or of another object than {path.name}; delete it, or train again")
+    try:
+        arrays = load(data)
+        facts = parse(arrays.pop(FACTS).tobytes())
+    except (SafetensorError, KeyError, ValueError) as error:
+        raise InputError(f"{file}: not the inside of a trained object; delete it, or train again") from error
+    return arrays, facts if isinstance(facts, dict) else {}
 
 
 def trained_isolation(path: Path) -> tuple[Any, ...]:

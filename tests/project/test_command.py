@@ -34,7 +34,7 @@ def working():
 """
 COMMANDS = {
     "fruitninja-render": """
-import engine.render.cli as cli
+import app.render_cli as cli
 cli.load_trained = lambda path: work("out/a.png")
 sys.argv[1:] = ["a.ply", "-o", "out/a.png"]
 """,
@@ -76,7 +76,7 @@ sys.argv[1:] = ["-o", "out"]
 # The commands take seconds to load: one process loads them all, and a fork of it is each command each time.
 SERVER = """
 import gc, json, os, sys
-import engine.render.cli, training.batch.cli, training.cli, training.evaluate.cli
+import app.render_cli, training.batch.cli, training.cli, training.evaluate.cli
 
 gc.freeze()  # a fork that ends need not look through all that was imported, which takes a second
 for line in sys.stdin:

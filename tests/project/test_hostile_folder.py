@@ -92,7 +92,7 @@ def test_the_window_opens_and_trains(folder: Path, tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_the_commands_train_and_draw(folder: Path, tmp_path: Path) -> None:
     run(folder, tmp_path, SMALL_COMMAND, *ARGUMENTS, "-o", "out", "--iterations", "1")
-    drawn = "from engine.render.cli import main\nmain()\n"
+    drawn = "from app.render_cli import main\nmain()\n"
     run(folder, tmp_path, drawn, "out/watermelon.ply", "-o", "cut.png", "--plane", "0,0,1,0", "--size", "64x64")
     assert (folder / "cut.png").is_file()
 

@@ -39,7 +39,7 @@ MAY_IMPORT = {
     "engine.render.classic": DRAWING,
     "engine.render.cpu": (*DRAWING, "engine.render.culling", "engine.render.classic"),
     "engine.render.gl": (*DRAWING, "engine.render.culling", "engine.render.classic", "engine.render.cpu", "shaders"),
-    "engine.render.cli": ("engine", "shaders"),
+    "engine.render.face_detail": (*DRAWING, "engine.render.cpu"),
     "engine.solid": (*FOUNDATION, "engine.scene", "engine.io", "engine.render"),
     "engine.isolate": (*FOUNDATION, "engine.scene", "engine.io", "engine.solid"),
     "engine.fit": (*FOUNDATION, "engine.scene", "engine.io", "engine.render", "engine.solid"),
@@ -51,6 +51,7 @@ MAY_IMPORT = {
     "app.session": ("app.model", "app.jobs", "engine", "training"),
     "app.ui": ("app.model", "app.jobs", "app.session", "engine", "training"),
     "app.main": ("app", "engine", "training"),
+    "app.render_cli": ("engine", "training"),
 }
 """Of each room, the project's own modules that it may import beside itself; the longest name that fits a module rules.
 

@@ -15,6 +15,7 @@ import pytest
 from PIL import Image
 
 import app.jobs.scene_worker
+from app import render_cli as cli
 from app.jobs.export import save_animation, save_pieces, save_still
 from app.model.document import Document
 from app.model.pieces import Solid, pieces
@@ -24,7 +25,6 @@ from engine.errors import InputError
 from engine.io.files import LineWriter
 from engine.io.scratch import atomic_folder
 from engine.io.trained import Meta, save_trained
-from engine.render import cli
 from engine.scene.image import Picture
 from tests.helpers.app_objects import atoms, full
 from tests.helpers.batch_worker import SHORT, SMALL

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Protocol, runtime_checkable
 
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from engine.scene.grid import Body
+from engine.scene.inside import Inside
 from training.families import Family
 
 __all__ = ["Condition", "Denoiser", "LatentDenoiser", "Progress", "Volume", "VolumeSolver"]
@@ -50,6 +51,8 @@ class Volume:
     """Grid and solid; the colours stand at its cell centres."""
     rgb: NDArray[np.float32]
     """(X, Y, Z, 3). Range [0, 1]; outside the solid the nearest inside colour, so that cuts have no dark rim."""
+    inside: Inside | None = field(default=None, kw_only=True)
+    """The function that the grid has been read from, where there is one."""
 
     def at(self, points: NDArray[np.floating]) -> NDArray[np.float32]:
         """(..., 3). Colours at world points (..., 3), trilinear."""

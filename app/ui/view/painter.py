@@ -15,6 +15,7 @@ from app.model.rigid_transform import Vec3
 from app.session.workspace import Workspace
 from engine.render.cpu.software import is_software
 from engine.render.culling.draw_options import Mode
+from engine.render.face_detail import Detailed, FaceDetail, detailed
 from engine.render.gl.overlay import Lines, Overlay
 from engine.render.gl.renderer import Renderer
 from engine.scene.atoms import Atoms
@@ -33,6 +34,9 @@ time. A GPU has too many atoms before it has too many pixels, a processor that d
 MOST_IN_SOFTWARE = 2_000_000
 """Gaussians of a capture that are drawn without a graphics card, where each million takes a second and 0.1 GB. Pictures
 for files have all of them."""
+
+SLICE = 0.025
+"""Seconds between two frames in which faces at rest are read: input does not wait noticeably."""
 
 MODES: dict[str, Mode] = {"capture": "classic", "solid": "opaque", "interior": "interior"}
 
@@ -70,6 +74,10 @@ class Painter:
         """The last frame."""
         self._overlay_key: object = None
         """Everything that the overlay of the last frame depends on."""
+        self._detail: FaceDetail | None = None
+        """The last frame while its faces are read from the insides of the objects."""
+        self._wants_detail = False
+        """Whether they are still to be read."""
 
     def frame(
         self,
@@ -92,8 +100,10 @@ class Painter:
         if workspace.mode == "capture" and workspace.shown_capture is not None and self._in_software:
             level = max(level, math.ceil(math.log2(max(len(workspace.shown_capture) / MOST_IN_SOFTWARE, 1))))
         light, mode = workspace.settings.face_light, workspace.mode
+        insides = details_of(workspace)
         key = (
             (mode, self._atoms, id(self._capture), background, light, part, level, moving),
+            tuple(id(detail.inside) if detail else None for detail in insides),
             camera.viewmat.tobytes(),
             repr(replace(camera, viewmat=np.zeros(0))),
             tuple((piece.planes, piece.transform.tobytes()) for piece in pieces),
@@ -122,12 +132,30 @@ class Painter:
                 self._step = max(self._step - 1, 0)
             self._key, self._scale, self._overlay_key = key, part, None
             self._picture = texture
+            self._detail, self._wants_detail = None, not moving and mode != "capture" and any(insides)
+        elif self._wants_detail:
+            self._add_detail(camera, pieces, insides, light)
         if overlay_key != self._overlay_key:
             self._texture = self.renderer.overlay(over) if over else self._picture
             self._restore_framebuffer()
             self._overlay_key = overlay_key
-        self.unfinished = moving or (mode == "capture" and self.renderer.sorting)  # drawing it ends the sorting
+        # Drawing it ends the sorting.
+        self.unfinished = moving or self._wants_detail or (mode == "capture" and self.renderer.sorting)
         return self._texture
+
+    def _add_detail(
+        self, camera: Camera, pieces: Sequence[Piece], insides: Sequence[Detailed | None], light: bool
+    ) -> None:
+        """Reads some of the faces of a view at rest; when all are read, the frame shows them."""
+        begin = time.perf_counter()
+        if self._detail is None:
+            self._detail = FaceDetail(self.renderer.read(), camera, pieces, insides, light)
+        while not self._detail.ended and time.perf_counter() - begin < SLICE:
+            self._detail.advance()
+        if self._detail.ended:
+            self._picture = self.renderer.replace(self._detail.rgb)
+            self._detail, self._wants_detail, self._overlay_key = None, False, None
+        self._restore_framebuffer()
 
     def _record_time(self, taken: float, moving: bool, uploaded: bool) -> None:
         """Records the milliseconds of a frame, unless the object had to be uploaded for it."""
@@ -150,9 +178,12 @@ class Painter:
         self._key = None
         if not self._upload(workspace, tinted=False):
             return np.zeros((camera.height, camera.width, 4), np.uint8)
-        self.renderer.render(camera, pieces, MODES[workspace.mode], (0.0, 0.0, 0.0), workspace.settings.face_light)
+        light = workspace.settings.face_light
+        self.renderer.render(camera, pieces, MODES[workspace.mode], (0.0, 0.0, 0.0), light)
         seen = self.renderer.read()
         self._restore_framebuffer()
+        if workspace.mode != "capture":
+            seen = detailed(seen, camera, pieces, details_of(workspace), light)
         alpha = np.clip(seen.alpha[..., None], 0, 1)
         rgb = np.where(alpha > 1e-3, seen.rgb / np.maximum(alpha, 1e-3), 0.0)
         return (np.clip(np.concatenate([rgb, alpha], 2), 0, 1) * 255 + 0.5).astype(np.uint8)
@@ -194,6 +225,15 @@ class Painter:
         """Frees all GPU memory."""
         self.renderer.release()
         self._texture = self._picture = None
+
+
+def details_of(workspace: Workspace) -> list[Detailed | None]:
+    """What the faces of each solid are read from at rest, in the order of the solids."""
+    loaded = workspace.loaded
+    return [
+        Detailed(inside, atoms.pitch) if (inside := loaded[number].inside) is not None else None
+        for number, atoms in workspace.solids.items()
+    ]
 
 
 def scaled(camera: Camera, part: float) -> Camera:

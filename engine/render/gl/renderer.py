@@ -93,6 +93,9 @@ class Renderer:
         self._frames: list[Frame] = []
         self._sums: Accumulators | None = None
         self._overlaid: Frame | None = None
+        self._replaced: Frame | None = None
+        """Other colours of the last frame, if `_is_replaced`."""
+        self._is_replaced = False
         self._camera: Camera | None = None
         self._pieces: Sequence[Piece] = WHOLE
         self._groups: list[Group] = []
@@ -164,6 +167,7 @@ class Renderer:
         """
         assert mode in ("opaque", "classic", "interior"), mode
         self._resize(camera.width, camera.height)
+        self._is_replaced = False
         self._pool.begin()
         self._camera, self._pieces = camera, list(pieces)
         self._groups = group_pieces(self._pieces)
@@ -207,13 +211,26 @@ class Renderer:
         if self._overlaid is None:
             self._overlaid = Frame(self.ctx, camera.width, camera.height)
         self._overlaid.colour_fbo.use()  # first: a copy obeys the scissor of what was bound
-        self.ctx.copy_framebuffer(self._overlaid.colour_fbo, frame.colour_fbo)
+        colours = self._replaced if self._is_replaced and self._replaced is not None else frame
+        self.ctx.copy_framebuffer(self._overlaid.colour_fbo, colours.colour_fbo)
         self._overlaid.colour_fbo.use()
         centre = self._solids[0].centre if self._solids else np.zeros(3)
         pitch = max((solid.pitch for solid in self._solids), default=0.0)
         self._upload_info()
         self._overlays.draw(View(camera, centre, 1.0), items, frame.info, pitch)
         return self._overlaid.colour
+
+    @current
+    def replace(self, rgb: NDArray[np.float32]) -> moderngl.Texture:
+        """Gives the last frame other colours (H, W, 3), in a separate texture and in overlays, until the next frame."""
+        height, width = rgb.shape[:2]
+        if self._replaced is None:
+            self._replaced = Frame(self.ctx, width, height)
+        halves = np.ones((height, width, 4), np.float16)
+        halves[..., :3] = rgb
+        self._replaced.colour.write(halves)
+        self._is_replaced = True
+        return self._replaced.colour
 
     # Reading
 
@@ -287,6 +304,9 @@ class Renderer:
         if self._overlaid is not None:
             self._overlaid.release()
             self._overlaid = None
+        if self._replaced is not None:
+            self._replaced.release()
+            self._replaced = None
 
     def _release_solids(self) -> None:
         self._pool.clear()

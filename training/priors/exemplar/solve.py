@@ -18,6 +18,7 @@ from scipy import ndimage
 
 from engine.errors import InputError
 from engine.scene.grid import Body
+from engine.scene.inside import Inside
 from training.families import Family
 from training.priors.exemplar.core_line import extract_core
 from training.priors.exemplar.decompose import Layers, decompose
@@ -32,6 +33,7 @@ from training.priors.exemplar.extrusion import (
 )
 from training.priors.exemplar.frames import Frame, Space, View, make_space, scale_to_voxels
 from training.priors.exemplar.height_mask import HeightMask, make_height_mask
+from training.priors.exemplar.inside import QuiltInside
 from training.priors.exemplar.lighting import colour_gain
 from training.priors.exemplar.morph import match_slices
 from training.priors.exemplar.patches import FIXED, POLAR, RADIAL
@@ -95,7 +97,8 @@ def solve(
             rgb = space.scatter(quilt.read(ball.to_ball(space.planar)))
             progress(0.8)
             sharpen(space, rgb, views)
-            return _make_volume(space, rgb, progress)
+            inside = QuiltInside.of(space, ball, quilt, discs[POLAR], discs[RADIAL], seed)
+            return _make_volume(space, rgb, progress, inside)
     layers = [[decompose(scaled, view.kind) for scaled in view.pictures] for view in views]
     progress(0.2)
     colours, height_mask = _extrude_layers(space, views, layers, rng, lambda part: progress(0.2 + 0.5 * part))
@@ -124,11 +127,11 @@ def _match_lighting(families: list[list[Picture]]) -> list[list[Picture]]:
     ]
 
 
-def _make_volume(space: Space, rgb: NDArray[np.float32], progress: Progress) -> Volume:
+def _make_volume(space: Space, rgb: NDArray[np.float32], progress: Progress, inside: Inside | None = None) -> Volume:
     """The grid as a volume, its outside filled from the nearest voxel inside."""
     progress(0.95)
     nearest = ndimage.distance_transform_edt(space.number < 0, return_distances=False, return_indices=True)
-    volume = Volume(space.body, rgb[tuple(nearest)])
+    volume = Volume(space.body, rgb[tuple(nearest)], inside=inside)
     progress(1.0)
     return volume
 

@@ -17,7 +17,18 @@ from scipy import ndimage
 
 from training.priors.exemplar.quilting.disc import REACH, Disc, to_pixels
 
-__all__ = ["Ball", "Chunks", "Noise", "OwnAzimuths", "OwnHeight", "Places", "Sectors", "Slabs", "smooth_noise"]
+__all__ = [
+    "Ball",
+    "Chunks",
+    "Noise",
+    "OwnAzimuths",
+    "OwnHeight",
+    "Places",
+    "Sectors",
+    "Slabs",
+    "smooth_noise",
+    "smoothstep",
+]
 
 SLABS, SLAB_SPACING = 4, 0.5
 """Sets of slabs, and distance in radii between slabs of one set: together an eighth of a radius, as seeds are long."""
@@ -84,9 +95,9 @@ class Ball:
         radius = np.hypot(x, y)
         length = np.linalg.norm(points, axis=1)
         share = np.minimum(radius / np.sqrt(np.maximum(1 - z * z, 1e-4)), 1.15)
-        deep = _smoothstep((1 - length - 0.08) / 0.22)
+        deep = smoothstep((1 - length - 0.08) / 0.22)
         level = (length * (1 - deep) + share * deep) / np.maximum(radius, 1e-4)
-        rind = 1 - _smoothstep((1 - length - RIND[0]) / (RIND[1] - RIND[0]))
+        rind = 1 - smoothstep((1 - length - RIND[0]) / (RIND[1] - RIND[0]))
         angle = np.arctan2(y, x)
         fields = (radius, length, angle, rind, points[:, :2] * level[:, None])
         return cls(points, *(f.astype(np.float32) for f in fields))
@@ -267,6 +278,7 @@ def smooth_noise(ball: Ball, length: float, rng: np.random.Generator) -> NDArray
     return Noise((length,) * 3, 1, rng).at(ball.points)[:, 0]
 
 
-def _smoothstep(t: NDArray[np.floating]) -> NDArray[np.floating]:
+def smoothstep(t: NDArray[np.floating]) -> NDArray[np.floating]:
+    """From 0 at 0 to 1 at 1, and level at and beyond both."""
     t = np.clip(t, 0, 1)
     return t * t * (3 - 2 * t)

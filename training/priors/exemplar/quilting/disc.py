@@ -91,7 +91,21 @@ class Disc:
         r = np.interp(angle, angles, rim, period=2 * np.pi) * np.minimum(np.hypot(x, y), RIM)
         sigma = max(0.5 * rim.mean() * 2 * REACH / DISC_PIXELS - 0.4, 0.0)  # against aliasing
         rgb = ndimage.gaussian_filter(picture.rgb, (sigma, sigma, 0))
-        return cls(_sample(rgb, row - r * np.sin(angle), column + r * np.cos(angle)))
+        found = _sample(rgb, row - r * np.sin(angle), column + r * np.cos(angle))
+        return cls.of_bytes(np.round(found * 255).astype(np.uint8))  # as finely as a file keeps it
+
+    @classmethod
+    def of_bytes(cls, rgb: NDArray[np.uint8]) -> Disc:
+        """The face of 8-bit colours."""
+        return cls(rgb.astype(np.float32) / np.float32(255))
+
+    def to_bytes(self) -> NDArray[np.uint8]:
+        """The 8-bit colours of a face made of such."""
+        return np.round(self.rgb * 255).astype(np.uint8)
+
+    def reduced(self, n: int) -> Disc:
+        """The disc with pixels n times as large; n divides DISC_PIXELS."""
+        return Disc(reduced(self.rgb, n))
 
     def read(self, x: NDArray[np.floating], y: NDArray[np.floating]) -> NDArray[np.float32]:
         """(..., 3). Colours at places (...), (...)."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,6 +52,12 @@ class Source:
     persistence: Persistence
     sheets: Disc
     """The same surety in all three channels; 0 for radial pictures."""
+
+    def reduced(self, n: int) -> Source:
+        """The same picture with pixels n times as large, as far as it is shown."""
+        parts = Parts(*(getattr(self.parts, part.name).reduced(n) for part in fields(Parts)))
+        shown = {name: getattr(self, name).reduced(n) for name in ("disc", "even", "tones")}
+        return replace(self, parts=parts, **shown)
 
     @classmethod
     def of(cls, disc: Disc, is_horizontal: bool) -> Source:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,7 @@ from training.priors.exemplar.quilting.chunks import (
     Sectors,
     Slabs,
     smooth_noise,
+    smoothstep,
 )
 from training.priors.exemplar.quilting.disc import (
     ALIKE,
@@ -35,11 +36,11 @@ from training.priors.exemplar.quilting.disc import (
     to_pixels,
 )
 from training.priors.exemplar.quilting.labels import Label, Source, closed_share, read_discs
-from training.priors.exemplar.quilting.seams import improve_labels, majority, nearest_colour
+from training.priors.exemplar.quilting.seams import improve_labels, nearest_colour, two_nearest
 from training.priors.exemplar.quilting.texture import TextureField
 from training.priors.prior import Progress
 
-__all__ = ["Quilt", "make_quilt"]
+__all__ = ["Quilt", "make_quilt", "restore_quilt"]
 
 log = logging.getLogger(__name__)
 
@@ -104,6 +105,10 @@ CROSSING = 2
 SEAM_COST = 0.0075
 """Weight of a seam over the width of a cell in radii."""
 
+SEAM_WIDTH = 0.6
+"""Difference of two labels' trilinear weights within which they pass into one another: two thirds of a cell, under a
+hundredth of a radius. Without it a seam shows as a crack as soon as a cell is many pixels wide."""
+
 BLOCK = 400_000
 """Points that are read at once."""
 
@@ -126,22 +131,38 @@ class Quilt:
         out = np.empty((len(points), 3), np.float32)
         for start in range(0, len(points), BLOCK):
             block = points[start : start + BLOCK]
-            nearest = np.empty(len(block), np.int32)
-            at = ((block + 1) * np.float32(LEVELS[-1] / 2) + np.float32(MARGIN - 0.5)).astype(np.float32)
-            majority(self.chosen, self.number, at, len(self.labels), nearest)
-            self._share_crossing(nearest, block)
+            at = _in_cells(block, LEVELS[-1])
+            best, shares = np.empty((len(block), 2), np.int32), np.empty((len(block), 2), np.float32)
+            two_nearest(self.chosen, self.number, at, len(self.labels), best, shares)
+            first = best[:, 0].copy()
+            self._share_crossing(first, block)
+            weight = 0.5 + 0.5 * smoothstep((shares[:, 0] - shares[:, 1]) / SEAM_WIDTH)
+            weight[first != best[:, 0]] = 1
             tones = np.stack([ndimage.map_coordinates(t, at.T, order=1) for t in self.tones], -1)
-            for n, label in enumerate(self.labels):
-                rows = np.flatnonzero(nearest == n)
-                ball = Ball.of(block[rows])
-                places, crossing = label.chunks.places(ball), _crossing(self.labels, label, ball)
-                rgb = label.read(places, crossing, self.texture.at(ball), self.texture.thickness)
-                moved = tones[rows] - label.read_tones(places, crossing)
-                moved *= np.exp(-np.square(moved).sum(-1, keepdims=True) / (2 * ALIKE**2))
-                if label.is_own:
-                    moved *= 1 - np.exp(-np.square(places.distance / OWN_ALONE))[:, None]
-                out[start + rows] = rgb + moved
+            rgb = np.zeros((len(block), 3), np.float32)
+            for labels, share in ((first, weight), (best[:, 1], 1 - weight)):
+                for n, label in enumerate(self.labels):
+                    rows = np.flatnonzero((labels == n) & (share > 0))
+                    rgb[rows] += share[rows, None] * self._shown(label, block[rows], tones[rows])
+            out[start : start + len(block)] = rgb
         return np.clip(out, 0, 1)
+
+    def _shown(self, label: Label, points: NDArray[np.float32], tones: NDArray[np.float32]) -> NDArray[np.float32]:
+        """(M, 3). What a label shows at points (M, 3), in the tones (M, 3) of its neighbourhood."""
+        ball = Ball.of(points)
+        places, crossing = label.chunks.places(ball), _crossing(self.labels, label, ball)
+        rgb = label.read(places, crossing, self.texture.at(ball), self.texture.thickness)
+        moved = tones - label.read_tones(places, crossing)
+        moved *= np.exp(-np.square(moved).sum(-1, keepdims=True) / (2 * ALIKE**2))
+        if label.is_own:
+            moved *= 1 - np.exp(-np.square(places.distance / OWN_ALONE))[:, None]
+        return rgb + moved
+
+    def reduced(self, n: int) -> Quilt:
+        """The same inside of pictures with pixels n times as large."""
+        sources = {id(source): source.reduced(n) for label in self.labels for source in label.sources}
+        labels = [replace(label, sources=[sources[id(source)] for source in label.sources]) for label in self.labels]
+        return replace(self, labels=labels, texture=self.texture.reduced(n))
 
     def _share_crossing(self, nearest: NDArray[np.int32], points: NDArray[np.float32]) -> None:
         """Gives points (M, 3) close to own planes of both families to the nearer one, in place: as cells, one plane
@@ -161,11 +182,7 @@ def make_quilt(
 ) -> Quilt:
     """The quilt of horizontal and radial pictures, each 0 or more and one at least together; the first horizontal one
     at a height in the unit ball. Bit-equal for a seed."""
-    first = [*horizontal, *radial][0]
-    across, along = (
-        [Source.of(disc if disc is first else match_light(disc, first), family is horizontal) for disc in family]
-        for family in (horizontal, radial)
-    )
+    across, along = _make_sources(horizontal, radial)
     labels = _make_labels(across, along, height, seed)
     wanted = closed_share(along or across, not along)
     gain = FIRST_GAIN
@@ -179,9 +196,9 @@ def make_quilt(
         if coarse is None or before is None:
             chosen = at_cells.costs.argmin(1).astype(np.int32)
         else:
-            chosen = np.empty(len(points), np.int32)
-            at = ((points + 1) * np.float32(LEVELS[step - 1] / 2) + np.float32(MARGIN - 0.5)).astype(np.float32)
-            majority(before, coarse, at, len(labels), chosen)
+            best, shares = np.empty((len(points), 2), np.int32), np.empty((len(points), 2), np.float32)
+            two_nearest(before, coarse, _in_cells(points, LEVELS[step - 1]), len(labels), best, shares)
+            chosen = best[:, 0].copy()
         for _ in range(STEPS):
             shown = float(np.take_along_axis(at_cells.closed, chosen[:, None], 1).mean())
             gain = min(gain * float(np.clip(wanted / max(shown, 1e-6), 1 / GAIN_STEP, GAIN_STEP)), MOST_GAIN)
@@ -192,8 +209,47 @@ def make_quilt(
     shares = np.bincount(chosen, minlength=len(labels)) / len(chosen)
     log.info("quilted of %d sets of chunks, shares %s", len(labels), np.round(shares, 2).tolist())
     log.info("closed things %.4f of %.4f, gain %.2f", shown, wanted, gain)
-    texture = TextureField([s.parts.texture for s in across or along], np.random.default_rng([seed, 5]))
+    return _assembled(labels, across or along, seed, number, chosen, ball)
+
+
+def restore_quilt(
+    horizontal: Sequence[Disc], radial: Sequence[Disc], seed: int, height: float, chosen: NDArray[np.int32]
+) -> Quilt:
+    """The quilt that `make_quilt` found: `chosen` (M,) as it has it, the rest as it was given. Raises
+    ValueError if `chosen` is not the labels of its cells."""
+    across, along = _make_sources(horizontal, radial)
+    number, _, points = _grid(LEVELS[-1])
+    labels = _make_labels(across, along, height, seed)
+    if chosen.shape != (len(points),) or not 0 <= chosen.min() <= chosen.max() < len(labels):
+        raise ValueError("no label for each cell")
+    return _assembled(labels, across or along, seed, number, chosen, Ball.of(points))
+
+
+def _make_sources(horizontal: Sequence[Disc], radial: Sequence[Disc]) -> tuple[list[Source], list[Source]]:
+    """What is known of the pictures, all in the light of the first."""
+    first = [*horizontal, *radial][0]
+    across, along = (
+        [Source.of(disc if disc is first else match_light(disc, first), family is horizontal) for disc in family]
+        for family in (horizontal, radial)
+    )
+    return across, along
+
+
+def _assembled(
+    labels: list[Label],
+    textured: list[Source],
+    seed: int,
+    number: NDArray[np.int32],
+    chosen: NDArray[np.int32],
+    ball: Ball,
+) -> Quilt:
+    texture = TextureField([source.parts.texture for source in textured], np.random.default_rng([seed, 5]))
     return Quilt(labels, number, chosen, texture, _blended_tones(labels, ball, number, chosen))
+
+
+def _in_cells(points: NDArray[np.float32], size: int) -> NDArray[np.float32]:
+    """(M, 3). Points (M, 3) of the ball on a grid of `size` cells across it, cell centres at whole numbers."""
+    return ((points + 1) * np.float32(size / 2) + np.float32(MARGIN - 0.5)).astype(np.float32)
 
 
 def _blended_tones(

@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-__all__ = ["improve_labels", "majority", "nearest_colour"]
+__all__ = ["improve_labels", "nearest_colour", "two_nearest"]
 
 NO_SEAM = np.float32(0.01)
 """Cost of a seam between equal colours, so that no label is changed for nothing."""
@@ -106,14 +106,15 @@ def nearest_colour(
 
 
 @njit(cache=True, parallel=True)
-def majority(
+def two_nearest(
     labels: NDArray[np.int32],  # [M]
     number: NDArray[np.int32],  # [X, Y, Z] row of each cell, -1 outside
     at: NDArray[np.float32],  # [P, 3] in cells, cell centres at whole numbers
     count: int,
-    out: NDArray[np.int32],  # [P]
+    out: NDArray[np.int32],  # [P, 2]
+    shares: NDArray[np.float32],  # [P, 2]
 ) -> None:
-    """The label with the largest trilinear weight at each point; 0 where no cell is near."""
+    """The two labels with the largest trilinear weights at each point, and these weights; 0 where no cell is near."""
     for p in prange(len(at)):
         weights = np.zeros(count, np.float32)
         for d in range(8):
@@ -135,4 +136,7 @@ def majority(
                     n2 = low
             if inside and number[n0, n1, n2] >= 0:
                 weights[labels[number[n0, n1, n2]]] += weight
-        out[p] = weights.argmax()
+        for n in range(2):
+            best = weights.argmax()
+            out[p, n], shares[p, n] = best, max(weights[best], np.float32(0))
+            weights[best] = -1

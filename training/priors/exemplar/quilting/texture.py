@@ -9,6 +9,7 @@ thin layer of the ball has texture from elsewhere in the pictures. Two layers ar
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -91,6 +92,12 @@ class TextureField:
         self._mirrors = rng.choice([-1.0, 1.0], layers)
         self._pictures = rng.integers(0, len(textures), layers)
         self._wave = Noise((WAVE_LENGTH,) * 3, 1, rng)
+
+    def reduced(self, n: int) -> TextureField:
+        """The same texture without what pixels n times as large do not show."""
+        coarse = copy(self)
+        coarse.textures = [texture.reduced(n) for texture in self.textures]
+        return coarse
 
     def at(self, ball: Ball) -> NDArray[np.float32]:
         """(M, 3). The texture at the points."""

@@ -16,12 +16,14 @@ from engine.errors import InputError
 from engine.io.files import atomic
 from engine.io.trained import load_trained
 from engine.render.cpu.opaque import render
+from engine.render.face_detail import Detailed, detailed
 from engine.render.gl import GLMissing, Renderer
 from engine.scene.atoms import Atoms
 from engine.scene.camera import Camera, equator, fit_distance, orbit
 from engine.scene.image import Picture
 from engine.scene.piece import Piece
 from engine.scene.plane import Plane
+from training.priors.inside_file import read_inside
 
 __all__ = ["default_angles", "main"]
 
@@ -57,6 +59,9 @@ def render_command(
     atoms, meta = load_trained(trained)
     view = camera_for(atoms, meta.up, planes, angles, width, height)
     picture, who = draw(atoms, view, planes)
+    inside = read_inside(trained) if planes else None
+    if inside is not None:
+        picture = detailed(picture, view, [Piece(planes)], [Detailed(inside, atoms.pitch)], light=False)
     image = Image.fromarray((np.clip(picture.rgb, 0, 1) * 255 + 0.5).astype(np.uint8))
     with atomic(out) as temporary:
         image.save(temporary, format="PNG")

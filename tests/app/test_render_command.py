@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from app import render_cli as cli
+from app.render_cli import default_angles, main
 from engine.io.trained import Meta, save_trained
-from engine.render import cli
-from engine.render.cli import default_angles, main
 from engine.render.gl import GLMissing
 from engine.scene.plane import Plane
 from tests.helpers.solids import ball
