@@ -21,6 +21,9 @@ from engine.isolate.selection import Sphere, Step
 from engine.render.gl import GLMissing
 from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from engine.scene.gaussians import Gaussians
+from engine.scene.piece import Piece
+from engine.scene.plane import Plane
+from tests.helpers.solids import Waves, waves
 
 EYE = OrbitCamera(azimuth=30.0, elevation=20.0, distance=5.0)
 
@@ -140,3 +143,36 @@ def test_a_camera_of_fewer_pixels_sees_the_same() -> None:
         assert (small.width, small.height) == (105, 71)
         before, after = project_points(camera, points)[0], project_points(small, points)[0]
         assert np.allclose(before / (301, 203), after / (105, 71))
+
+
+def test_a_face_at_rest_is_read_from_the_inside(painter: Painter, session: Session) -> None:
+    """Some of it between two frames; in motion and without an inside the atoms are all there is."""
+    camera = EYE.camera(300, 200, session.up)
+    half = [Piece((Plane.through((0, 0, 0), camera.position),))]
+
+    def frame(moving: bool = False) -> np.ndarray:
+        texture = painter.frame(session, camera, half, (0.0, 0.0, 0.0), moving=moving)
+        assert texture is not None
+        return np.frombuffer(texture.read(), np.float16).astype(float).reshape(texture.height, texture.width, 4)
+
+    plain = frame()
+    assert not painter.unfinished and session.object is not None
+    assert session.atoms is not None
+    session.object = replace(session.object, inside=Waves())
+    first = frame()
+    assert painter.unfinished and np.array_equal(first, plain)
+    for _ in range(50):
+        if painter.unfinished:
+            sharp = frame()
+    assert not painter.unfinished and np.array_equal(frame(), sharp)
+    saved = painter.picture(session, camera, half)[..., :3] / 255
+    changed = np.abs(sharp - plain).max(-1) > 0.1
+    assert 0.05 < changed.mean() < 0.6 and changed[100, 150]
+    assert np.abs(sharp[..., :3] - saved)[changed].max() < 0.01
+    assert sharp[100, 150, 0] == pytest.approx(waves(np.zeros((1, 3)))[0, 0], abs=0.3)
+    frame(moving=True)
+    assert np.array_equal(frame(), plain)  # and then detail again
+    with_lines = painter.frame(session, camera, half, (0.0, 0.0, 0.0), [])
+    assert with_lines is not None
+    session.object = replace(session.object, inside=None)
+    assert np.array_equal(frame(), plain) and not painter.unfinished

@@ -14,7 +14,7 @@ from app.render_cli import default_angles, main
 from engine.io.trained import Meta, save_trained
 from engine.render.gl import GLMissing
 from engine.scene.plane import Plane
-from tests.helpers.solids import ball
+from tests.helpers.solids import Waves, ball
 
 
 @pytest.fixture(scope="module")
@@ -67,6 +67,18 @@ def test_the_cpu_draws_the_same_where_there_is_no_egl(
         pytest.skip(first)
     a, b = (np.asarray(Image.open(tmp_path / name)).astype(float) for name in ("a.png", "b.png"))
     assert 20 * np.log10(255 / np.sqrt(((a - b) ** 2).mean())) > 40
+
+
+def test_faces_are_read_from_the_inside(
+    trained: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    common = (trained, "--size", "160x90", "--plane", "0.2,0,1,0.05", "-o")
+    assert run(monkeypatch, *common, tmp_path / "a.png") == 0
+    monkeypatch.setattr(cli, "read_inside", lambda path: Waves())
+    assert run(monkeypatch, *common, tmp_path / "b.png") == 0
+    a, b = (np.asarray(Image.open(tmp_path / name)).astype(int) for name in ("a.png", "b.png"))
+    changed = np.abs(a - b).max(-1) > 20
+    assert 0.05 < changed.mean() < 0.6 and changed[40, 80] and not changed[:, :20].any()
 
 
 @pytest.mark.parametrize(

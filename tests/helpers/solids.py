@@ -1,4 +1,4 @@
-"""Small solids of atoms for the tests, and scenes of several bodies."""
+"""Small solids of atoms for the tests, scenes of several bodies, and an inside of waves."""
 
 from __future__ import annotations
 
@@ -6,11 +6,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from engine.io.load import load
 from engine.scene import sh
 from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from engine.scene.gaussians import Gaussians
+from engine.scene.inside import InsideRecord
 from tests.paths import SAMPLES
 
 
@@ -109,3 +111,22 @@ def three_samples() -> tuple[Gaussians, list[int]]:
     scenes = [load(SAMPLES / name / f"{name}.ply").gaussians for name in ("watermelon", "orange", "bread")]
     places = ((0, 0, 0), (1.3, 0, 0), (0.6, 1.3, 0))
     return beside(*scenes, places=places), [len(scene) for scene in scenes]
+
+
+class Waves:
+    """Waves much shorter than a pitch; it counts what is asked of it."""
+
+    def __init__(self) -> None:
+        self.footprints: list[float] = []
+
+    def at(self, points: NDArray[np.floating], footprint: float) -> NDArray[np.float32]:
+        self.footprints.append(footprint)
+        return waves(points)
+
+    def record(self) -> InsideRecord:
+        raise NotImplementedError
+
+
+def waves(points: NDArray[np.floating]) -> NDArray[np.float32]:
+    phase = points @ np.array([[90.0, 10, 0], [0, 70, 20], [30, 0, 60]]).T
+    return (0.5 + 0.5 * np.sin(phase)).astype(np.float32)

@@ -134,13 +134,12 @@ class Quilt:
             at = _in_cells(block, LEVELS[-1])
             best, shares = np.empty((len(block), 2), np.int32), np.empty((len(block), 2), np.float32)
             two_nearest(self.chosen, self.number, at, len(self.labels), best, shares)
-            first = best[:, 0].copy()
-            self._share_crossing(first, block)
-            weight = 0.5 + 0.5 * smoothstep((shares[:, 0] - shares[:, 1]) / SEAM_WIDTH)
-            weight[first != best[:, 0]] = 1
+            apart = shares[:, 0] - shares[:, 1]
+            self._share_crossing(best, apart, block)
+            weight = 0.5 + 0.5 * smoothstep(apart / SEAM_WIDTH)
             tones = np.stack([ndimage.map_coordinates(t, at.T, order=1) for t in self.tones], -1)
             rgb = np.zeros((len(block), 3), np.float32)
-            for labels, share in ((first, weight), (best[:, 1], 1 - weight)):
+            for labels, share in ((best[:, 0], weight), (best[:, 1], 1 - weight)):
                 for n, label in enumerate(self.labels):
                     rows = np.flatnonzero((labels == n) & (share > 0))
                     rgb[rows] += share[rows, None] * self._shown(label, block[rows], tones[rows])
@@ -164,17 +163,19 @@ class Quilt:
         labels = [replace(label, sources=[sources[id(source)] for source in label.sources]) for label in self.labels]
         return replace(self, labels=labels, texture=self.texture.reduced(n))
 
-    def _share_crossing(self, nearest: NDArray[np.int32], points: NDArray[np.float32]) -> None:
-        """Gives points (M, 3) close to own planes of both families to the nearer one, in place: as cells, one plane
-        would cut a bar out of the other."""
-        own = [(n, label.chunks) for n, label in enumerate(self.labels) if label.is_own]
+    def _share_crossing(self, best: NDArray[np.int32], apart: NDArray[np.float32], points: NDArray[np.float32]) -> None:
+        """Gives points (M, 3) close to own planes of both families to the nearer one: as cells, one plane would cut a
+        bar out of the other. Changes the nearest two labels (M, 2) and how far they are apart (M,)."""
+        own = np.array([n for n, label in enumerate(self.labels) if label.is_own], np.int32)
         if len(own) < 2:
             return
-        rows = np.flatnonzero(np.isin(nearest, [n for n, _ in own]))
+        rows = np.flatnonzero(np.isin(best[:, 0], own))
         ball = Ball.of(points[rows])
-        distances = np.stack([chunks.places(ball).distance for _, chunks in own])
+        distances = np.stack([self.labels[n].chunks.places(ball).distance for n in own])
         both = distances.max(0) < CROSSING * 2 / LEVELS[-1]
-        nearest[rows[both]] = np.array([n for n, _ in own], np.int32)[distances[:, both].argmin(0)]
+        order = distances[:, both].argsort(0)
+        nearer, farther = np.take_along_axis(distances[:, both], order, 0)
+        best[rows[both]], apart[rows[both]] = own[order].T, (farther - nearer) / (farther + nearer + 1e-9)
 
 
 def make_quilt(
