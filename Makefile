@@ -43,6 +43,7 @@ bench: $(READY)
 	cp out/evaluation/report.json docs/charts/evaluation.json
 	$(BIN)/python -m benchmarks.oblique_cuts --scenes $(OTHERS),watermelon,orange,bread$(THIGH)
 	$(BIN)/python -m benchmarks.label_makers
+	$(BIN)/python -m benchmarks.face_detail
 	$(BIN)/python -m benchmarks.interior
 	$(BIN)/python -m benchmarks.fidelity
 	$(BIN)/python -m benchmarks.presets
