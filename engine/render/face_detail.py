@@ -23,8 +23,8 @@ from engine.scene.piece import Piece
 
 __all__ = ["Detailed", "FaceDetail", "detailed"]
 
-BLOCK = 25_000
-"""Points that are read at once: 20 milliseconds on two cores, so that a window can read some between two frames."""
+BLOCK = 50_000
+"""Points that are read at once: 40 milliseconds on two cores, so that a window can read some between two frames."""
 
 TOLERANCE = 0.1
 """Pitches between the depth of a pixel and that of a face for it to show the face: far more than rounding, far less

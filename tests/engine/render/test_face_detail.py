@@ -86,7 +86,7 @@ def test_parted_pieces_read_in_their_own_space(drawn_by: str) -> None:
 
 
 def test_it_is_read_in_small_parts_and_only_where_there_is_an_inside() -> None:
-    atoms, camera = ball(PITCH), straight(400)
+    atoms, camera = ball(PITCH), straight(640)
     plain = opaque.render(atoms, camera, [PLANE])
     pieces = [Piece((PLANE,))]
     work = FaceDetail(plain, camera, pieces, [Detailed(Waves(), PITCH)], False)

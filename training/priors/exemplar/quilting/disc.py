@@ -27,6 +27,7 @@ __all__ = [
     "even_around",
     "even_sides",
     "match_light",
+    "read_trilinear",
     "reduced",
     "ring_medians",
     "smooth_disc",
@@ -289,6 +290,31 @@ def _read_bilinear(
             low = rgb[i, j, c] + b * (rgb[i, j + 1, c] - rgb[i, j, c])
             high = rgb[i + 1, j, c] + b * (rgb[i + 1, j + 1, c] - rgb[i + 1, j, c])
             out[m, c] = low + a * (high - low)
+
+
+@njit(cache=True, parallel=True)
+def read_trilinear(
+    values: NDArray[np.float32],  # [X, Y, Z, C]
+    at: NDArray[np.float32],  # [M, 3] in cells, cell centres at whole numbers
+    out: NDArray[np.float32],  # [M, C]
+) -> None:
+    """Values between the cells of a grid; beyond its border those of the border."""
+    for m in prange(len(at)):
+        first = np.empty(3, np.int64)
+        part = np.empty(3, np.float32)
+        for a in range(3):
+            place = min(max(at[m, a], np.float32(0)), np.float32(values.shape[a] - 1))
+            first[a] = min(int(place), values.shape[a] - 2)
+            part[a] = place - np.float32(first[a])
+        i, j, k = first
+        for c in range(values.shape[3]):
+            out[m, c] = np.float32(0)
+            for d in range(8):
+                x, y, z = d & 1, d >> 1 & 1, d >> 2
+                weight = part[0] if x else np.float32(1) - part[0]
+                weight *= part[1] if y else np.float32(1) - part[1]
+                weight *= part[2] if z else np.float32(1) - part[2]
+                out[m, c] += weight * values[i + x, j + y, k + z, c]
 
 
 def _sample(rgb: NDArray[np.float32], rows: NDArray[np.floating], columns: NDArray[np.floating]) -> NDArray[np.float32]:

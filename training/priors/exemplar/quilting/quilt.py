@@ -33,6 +33,7 @@ from training.priors.exemplar.quilting.disc import (
     REACH,
     Disc,
     match_light,
+    read_trilinear,
     to_pixels,
 )
 from training.priors.exemplar.quilting.labels import Label, Source, closed_share, read_discs
@@ -124,7 +125,7 @@ class Quilt:
     """(M,). Label of each cell."""
     texture: TextureField
     tones: NDArray[np.float32]
-    """(3, X, Y, Z). Tones at the cells without steps at seams."""
+    """(X, Y, Z, 3). Tones at the cells without steps at seams."""
 
     def read(self, points: NDArray[np.float32]) -> NDArray[np.float32]:
         """(M, 3). Colours at points (M, 3) of the unit ball along e1, e2, up. Range [0, 1]."""
@@ -137,7 +138,8 @@ class Quilt:
             apart = shares[:, 0] - shares[:, 1]
             self._share_crossing(best, apart, block)
             weight = 0.5 + 0.5 * smoothstep(apart / SEAM_WIDTH)
-            tones = np.stack([ndimage.map_coordinates(t, at.T, order=1) for t in self.tones], -1)
+            tones = np.empty((len(block), 3), np.float32)
+            read_trilinear(self.tones, at, tones)
             rgb = np.zeros((len(block), 3), np.float32)
             for labels, share in ((best[:, 0], weight), (best[:, 1], 1 - weight)):
                 for n, label in enumerate(self.labels):
@@ -256,7 +258,7 @@ def _in_cells(points: NDArray[np.float32], size: int) -> NDArray[np.float32]:
 def _blended_tones(
     labels: list[Label], ball: Ball, number: NDArray[np.int32], chosen: NDArray[np.int32]
 ) -> NDArray[np.float32]:
-    """(3, X, Y, Z). The labels' tones, which pass into one another at seams: the lower of two bands of a
+    """(X, Y, Z, 3). The labels' tones, which pass into one another at seams: the lower of two bands of a
     multiresolution spline (Burt and Adelson 1983)."""
     inside = number >= 0
     blended = np.zeros((len(ball.points), 3), np.float32)
@@ -270,10 +272,10 @@ def _blended_tones(
             weight *= 1 + OWN_WEIGHT * np.exp(-np.square(places.distance / TONE_BLEND))
         blended += weight[:, None] * label.read_tones(places, _crossing(labels, label, ball))
         weights += weight[:, None]
-    total = np.zeros((3, *number.shape), np.float32)
-    total[:, inside] = (blended / np.maximum(weights, 1e-6)).T
+    total = np.zeros((*number.shape, 3), np.float32)
+    total[inside] = blended / np.maximum(weights, 1e-6)
     nearest = ndimage.distance_transform_edt(~inside, return_distances=False, return_indices=True)
-    return total[:, *nearest]
+    return total[tuple(nearest)]
 
 
 def _make_labels(across: list[Source], along: list[Source], height: float, seed: int) -> list[Label]:

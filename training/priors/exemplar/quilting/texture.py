@@ -112,6 +112,8 @@ class TextureField:
         u, v = ball.level.T
         x, y = c * u - s * mirror * v, s * u + c * mirror * v
         picture = self._pictures[layer]
+        if len(self.textures) == 1:
+            return self.textures[0].read(x, y) * share[:, None].astype(np.float32)
         out = np.empty((len(x), 3), np.float32)
         for n, texture in enumerate(self.textures):
             rows = np.flatnonzero(picture == n)
