@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
+from app.jobs.scene_loader import LoadedScene
 from app.model.autosave import UnsavedWork
 from app.model.document import Document
 from app.model.history import History
@@ -22,6 +24,17 @@ PATHS_LISTED = 6
 """ProjectFiles outside of a project's folder that the question names; more would not fit the window."""
 
 
+@dataclass(frozen=True)
+class _Opened:
+    """What is open while something else is being read in its place."""
+
+    history: History[Documents]
+    viewing: Viewing
+    path: Path | None
+    active: int
+    loaded: dict[int, LoadedScene]
+
+
 class ProjectFiles:
     """The document's way from and to files."""
 
@@ -29,6 +42,8 @@ class ProjectFiles:
         self.workspace, self.scene, self.training = workspace, scene, training
         self.choose_path: Callable[[Callable[[Path], None]], None] | None = None
         """Opens the window's dialog for a new project's path, and calls its argument with the path chosen."""
+        self._before: _Opened | None = None
+        """What comes back if the scene that is being read cannot be."""
 
     def open(self, path: Path) -> None:
         """Opens a scene or a project, after asking about unsaved changes, or adds a picture to a family."""
@@ -46,6 +61,10 @@ class ProjectFiles:
         """Replaces the session's documents, finds their training jobs and loads their scene. `path`: its project
         file."""
         workspace = self.workspace
+        if workspace.object is not None:
+            self._before = _Opened(
+                workspace.history, workspace.viewing, workspace.path, workspace.active, dict(workspace.loaded)
+            )
         workspace.history = History(documents)
         workspace.active, workspace.object_selected = 0, False
         workspace.viewing, workspace.path = viewing, path
@@ -59,6 +78,24 @@ class ProjectFiles:
             self.training.find_job(document)
         if workspace.document.scene is not None:
             self.scene.load(self.training.result_for(workspace.document))
+
+    def tick(self) -> None:
+        """Goes back to what was open if the scene in its place could not be read. Called once a frame."""
+        workspace, before = self.workspace, self._before
+        if before is None or workspace.loader is not None:
+            return
+        self._before = None
+        if workspace.object is not None:
+            return
+        error = workspace.error
+        self.scene.forget()
+        self.training.forget()
+        workspace.history, workspace.viewing, workspace.path = before.history, before.viewing, before.path
+        workspace.active, workspace.loaded = before.active, before.loaded
+        workspace.geometry_version += 1
+        for document in workspace.documents:
+            self.training.find_job(document)
+        workspace.show_error(error)
 
     def after_saving(self, act: Callable[[], None]) -> None:
         """Calls `act`: at once, or once the user has decided what becomes of unsaved changes."""
@@ -113,6 +150,7 @@ class ProjectFiles:
             self.workspace.show_error(error)
             return
         self.open_documents(project.documents, project.viewing, find_unsaved_work.project)
+        self._before = None  # it stays, whether its scene can be read or not
         self.workspace.history.saved = None  # still unsaved
         self.workspace.notify("Your unsaved work is back. Save it to keep it.")
         find_unsaved_work.discard()

@@ -42,6 +42,7 @@ class Session(Workspace):
             self.training.prepare_again(outdated)
         if self.scene.tick():
             self.training.recolour()
+        self.files.tick()
         self.isolation.tick()
         self.training.tick()
         self.faces.tick()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -11,14 +12,18 @@ from typing import Any
 
 import pytest
 
+from app.jobs.scene_loader import LoadedScene, SceneRequest
 from app.model.autosave import Autosave, find_unsaved_work
-from app.model.document import Document
+from app.model.document import Document, Part
+from app.model.history import History
+from app.model.pieces import Solid
 from app.model.project import Outside, Project, Viewing, load_project, save_project
 from app.model.settings import Settings, load_settings, save_settings
 from app.session.session import Session
 from app.ui.dialogs.file_dialogs import FileDialogs
 from engine.errors import InputError
-from tests.helpers.app_objects import full
+from engine.scene.plane import Plane
+from tests.helpers.app_objects import atoms, full
 
 
 def test_a_project_comes_back_as_it_was(tmp_path: Path) -> None:
@@ -219,3 +224,38 @@ def test_dialogs_of_the_system_open_and_are_cancelled(tmp_path: Path, monkeypatc
         dialogs.open_pictures(got.append)
         dialogs.show()
     assert got == [Path("a.spz"), Path("b.png"), (Path("c.png"), Path("d.png"))]
+
+
+def test_what_cannot_be_read_leaves_what_is_open(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("FRUITNINJA_HOME", str(tmp_path))
+    session, solid = Session(), atoms()
+    document = Document(scene=tmp_path / "melon.ply")
+    session.history = History((document,))
+    session.object = LoadedScene(SceneRequest(tmp_path / "melon.ply"), None, solid, Solid.of_atoms(solid), trained=True)
+    session.change("Cut", document.with_cut((Part(Plane.of((0, 0, 1), 0.0)),)))
+    shown, history, path = session.object, session.history, tmp_path / "melon.fruitninja"
+    session.path = path
+
+    def opened(name: str) -> None:
+        session.files.open(tmp_path / name)
+        if session.question is not None:  # about the cut
+            session.answer(session.question.choices[1])
+        end = time.monotonic() + 60
+        while session.loader is not None or session.files._before is not None:
+            session.tick()
+            time.sleep(0.02)
+            assert time.monotonic() < end
+
+    (tmp_path / "words.ply").write_text("a text, and no capture")
+    (tmp_path / "half.splat").write_bytes(b"\0" * 33)
+    for name in ("words.ply", "half.splat"):
+        opened(name)
+        assert name in session.error
+        assert session.history is history and session.history.changed and session.path == path
+        assert session.object is shown and len(session.pieces) == 2 and session.document.scene == document.scene
+        session.tick()
+        assert session.loader is None  # nothing is made again
+        session.error = ""
+    save_project(tmp_path / "gone.fruitninja", Project((Document(scene=tmp_path / "gone.ply"),), Viewing()))
+    opened("gone.fruitninja")
+    assert "gone.ply" in session.error and session.object is shown and session.path == path
