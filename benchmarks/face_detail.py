@@ -51,6 +51,9 @@ SIZE, FINE_SIZE = 512, 768
 CORE = 0.75
 """Radius in the ball within which a face is measured: the rind would dominate its sharpness."""
 
+BESIDE = 0.2
+"""Distance from the axis of what the closer views look at, over the radius of the ball around the object."""
+
 OBLIQUE = (0.5, -0.3, 1.0)
 HALF_A_WINDOW = 1280 * 720 // 2
 FRAMES = 60
@@ -69,10 +72,14 @@ def trained(name: str, detail: DetailName, folder: Path) -> tuple[Path, tuple[fl
 
 
 def views(atoms: Atoms, plane: Plane, up: NDArray[np.float64], size: int, zooms: tuple[float, ...]) -> list[Camera]:
-    """Cameras straight onto a plane."""
+    """Cameras straight onto a plane; the closer ones look beside the axis, where flesh and seeds are."""
     bounds = atoms.bounds
     radius = float(np.linalg.norm(bounds[1] - bounds[0])) / 2
-    return [section(plane, up, bounds, size, radius / zoom) for zoom in zooms]
+    cameras = [section(plane, up, bounds, size, radius / zoom) for zoom in zooms]
+    return [
+        camera if zoom == 1 else replace(camera, cx=camera.cx - BESIDE * radius * camera.fx)
+        for camera, zoom in zip(cameras, zooms, strict=True)
+    ]
 
 
 def faces(
