@@ -75,9 +75,10 @@ def views(atoms: Atoms, plane: Plane, up: NDArray[np.float64], size: int, zooms:
     """Cameras straight onto a plane; the closer ones look beside the axis, where flesh and seeds are."""
     bounds = atoms.bounds
     radius = float(np.linalg.norm(bounds[1] - bounds[0])) / 2
+    aside = BESIDE * radius / np.sqrt(2)
     cameras = [section(plane, up, bounds, size, radius / zoom) for zoom in zooms]
     return [
-        camera if zoom == 1 else replace(camera, cx=camera.cx - BESIDE * radius * camera.fx)
+        camera if zoom == 1 else replace(camera, cx=camera.cx - aside * camera.fx, cy=camera.cy - aside * camera.fy)
         for camera, zoom in zip(cameras, zooms, strict=True)
     ]
 
