@@ -1,4 +1,4 @@
-"""Every reader there is, each given any file: what `benchmarks.corpus` runs in processes of its own.
+"""Every reader there is, each given any file: what `benchmarks.readers.corpus` runs in processes of its own.
 
 A process reads requests, one JSON line each, from standard input and answers on standard output. What readers print
 goes to standard error, which the other side keeps. A request is a reader and a file; the answer says what came of it.

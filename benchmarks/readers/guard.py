@@ -1,7 +1,7 @@
 """What opening a file must never do: start a process, use the network, write, load a library, or read elsewhere.
 
-Python tells an audit hook of all of it before it happens. Native code is not seen; `benchmarks.corpus` looks at what
-that leaves behind.
+Python tells an audit hook of all of it before it happens. Native code is not seen; `benchmarks.readers.corpus` looks at
+what that leaves behind.
 """
 
 from __future__ import annotations

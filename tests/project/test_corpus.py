@@ -64,7 +64,7 @@ def test_a_folder_is_read_with_every_reader_and_told_of_without_its_place(tmp_pa
     shutil.copy(ROOT / "sample_scenes/orange/horizontal_1.png", folder / "orange.png")
     (folder / "nothing.ply").write_text("ply is what this is called\n")
     out = tmp_path / "table.json"
-    command = [sys.executable, "-m", "benchmarks.corpus", str(folder), "-o", str(out), "--workers", "1"]
+    command = [sys.executable, "-m", "benchmarks.readers.corpus", str(folder), "-o", str(out), "--workers", "1"]
     subprocess.run(command, check=False, cwd=ROOT, env=os.environ | {"PYTHONPATH": str(ROOT)}, timeout=300)
     record = json.loads(out.read_text(encoding="utf-8"))
     assert record["folders"] == {"from somebody": 2}

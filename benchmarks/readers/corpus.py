@@ -1,6 +1,6 @@
 """Every file of some folders through every reader: none may crash, hang, lie, print, write, or start anything.
 
-    python -m benchmarks.corpus DIR... [--quick] [-o out/corpus.json] [--workers 2]
+    python -m benchmarks.readers.corpus DIR... [--quick] [-o out/corpus.json] [--workers 2]
 
 Each reader runs in a process that is replaced when it dies or hangs; `benchmarks.readers.all_readers` has the readers
 and what is held against them. Writes what was loaded, what was refused with which words, and what failed, as JSON and,
@@ -34,7 +34,7 @@ from engine.io.files import atomic
 from engine.io.trained import Meta, save_trained, sidecar_path
 from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 
 HANG = 30.0
 """Seconds that a file may take: nobody waits longer to be told that it cannot be opened."""
