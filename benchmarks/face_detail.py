@@ -6,7 +6,8 @@ Scenes with pictures of other individuals, whose insides are quilted. In the pla
 (RMS Laplacian) over that of the picture drawn as large, and SSIM with it at 768 pixels. Then the seconds to read a face
 that fills half of a 1280x720 window; bytes of the two files; and the difference of one frame to the next while a plane
 moves by a tenth of a cell: what is read from places and prefiltered does not flicker. Writes face_detail.json, the
-chart face_detail.png and an oblique cut of each scene as face_detail_<scene>.png (atoms above, the inside below).
+chart face_detail.png and an oblique cut of each scene as face_detail_<scene>.png (atoms above, the inside below). What
+is trained is kept in out/face_detail; delete it to measure anew.
 """
 
 from __future__ import annotations

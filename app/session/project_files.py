@@ -95,6 +95,8 @@ class ProjectFiles:
         workspace.geometry_version += 1
         for document in workspace.documents:
             self.training.find_job(document)
+        if workspace.atoms is None:  # it was still being made solid
+            self.scene.load(self.training.result_for(workspace.document))
         workspace.show_error(error)
 
     def after_saving(self, act: Callable[[], None]) -> None:

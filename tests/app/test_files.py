@@ -19,6 +19,7 @@ from app.model.history import History
 from app.model.pieces import Solid
 from app.model.project import Outside, Project, Viewing, load_project, save_project
 from app.model.settings import Settings, load_settings, save_settings
+from app.session.project_files import _Opened
 from app.session.session import Session
 from app.ui.dialogs.file_dialogs import FileDialogs
 from engine.errors import InputError
@@ -259,3 +260,12 @@ def test_what_cannot_be_read_leaves_what_is_open(tmp_path: Path, monkeypatch: py
     save_project(tmp_path / "gone.fruitninja", Project((Document(scene=tmp_path / "gone.ply"),), Viewing()))
     opened("gone.fruitninja")
     assert "gone.ply" in session.error and session.object is shown and session.path == path
+
+    # What was still being made solid is made solid again.
+    session.object = replace(shown, atoms=None, trained=False)
+    again: list[Path | None] = []
+    monkeypatch.setattr(session.scene, "load", again.append)
+    session.files._before = _Opened(history, session.viewing, path, 0, dict(session.loaded))
+    session.loaded.clear()
+    session.files.tick()
+    assert again == [None] and session.object is not None and session.history is history

@@ -6,11 +6,13 @@ import json
 import os
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -265,9 +267,11 @@ def listening() -> set[tuple[str, int]]:
     return {tuple(c.laddr) for c in found if c.status == psutil.CONN_LISTEN}
 
 
-@pytest.mark.filterwarnings("ignore:Port 8787")  # somebody else's; Dask asks for it before it is told to close it
 def test_a_cluster_of_its_own_listens_to_this_machine_alone() -> None:
-    """One port each for the scheduler, two workers and their two guards; no web pages."""
+    """One port each for the scheduler, two workers and their two guards; no web pages, and no word of a taken port."""
+    with socket.socket() as dask, suppress(OSError):
+        dask.bind(("127.0.0.1", 8787))  # Dask's own; where it fails, somebody else has it
+        dask.listen()
     before = listening()
     with cluster_client(None, 2, 2, 0.1) as client:
         client.submit(double, 1).result()

@@ -53,6 +53,8 @@ def cluster_client(scheduler: str | None, count: int | None, tasks: int, gigabyt
                 n_workers=count,
                 threads_per_worker=1,
                 host="127.0.0.1",
+                # A free port: Dask takes 8787 otherwise, and warns where two batches begin at once.
+                scheduler_kwargs={"dashboard": False, "dashboard_address": "127.0.0.1:0"},
                 dashboard_address=None,
                 local_directory=str(scratch.path),
                 memory_limit=0,  # no spilling to disk, and no nanny that kills a worker whose scene is large
