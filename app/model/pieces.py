@@ -20,6 +20,13 @@ __all__ = ["Member", "PlacedPiece", "Solid", "pieces", "sections", "visible_piec
 SAMPLE = 20_000
 """Points that represent the solid when a cut divides it: 27 along each axis of a cube."""
 
+KEPT = 0.5
+"""Part of the gap that is left at least between any two of many pieces: the whole of it would take three times as many
+steps, for a difference that is not seen among a hundred pieces. Few pieces keep nearly all of it."""
+
+MOST_STEPS = 300
+"""Of moving pieces apart. 14 cuts through everything, which make 280 pieces, take 150."""
+
 
 @dataclass(frozen=True)
 class Solid:
@@ -102,8 +109,6 @@ class _Fragment:
     key: Key
     planes: tuple[Plane, ...]
     rows: NDArray[np.intp]
-    parting: NDArray[np.float64]
-    """(3,). Sum of the signed normals of its cuts: the direction in which the gap moves it."""
 
 
 def pieces(document: Document, solid: Solid) -> list[PlacedPiece]:
@@ -111,7 +116,7 @@ def pieces(document: Document, solid: Solid) -> list[PlacedPiece]:
 
     A cut divides a piece only if the solid has points on both sides; otherwise the piece stays as it is.
     """
-    fragments = [_Fragment(WHOLE, (), np.arange(len(solid.points)), np.zeros(3))]
+    fragments = [_Fragment(WHOLE, (), np.arange(len(solid.points)))]
     for cut in document.cuts:
         if cut.kind != "slice" or not cut.on:
             continue
@@ -121,14 +126,15 @@ def pieces(document: Document, solid: Solid) -> list[PlacedPiece]:
             sides = None if plane is None else _divide(fragment, plane, cut.id, solid)
             divided += sides or [fragment]
         fragments = divided
+    offsets = document.gap * solid.radius * _parted(fragments) if document.gap else np.zeros((len(fragments), 3))
     result = []
-    for number, fragment in enumerate(fragments, 1):
+    for number, (fragment, offset) in enumerate(zip(fragments, offsets, strict=True), 1):
         placement = document.placement(fragment.key)
         if placement.removed:
             continue
         centre = solid.points[fragment.rows].mean(0) if len(fragment.rows) else solid.centre
         outwards = document.explode * (centre - solid.centre) if fragment.key else np.zeros(3)
-        apart = Motion.by(fragment.parting * (document.gap / 2 * solid.radius) + outwards)
+        apart = Motion.by(offset + outwards)
         name = placement.name or (f"Piece {number}" if fragment.key else "Whole")
         motion = placement.motion.after(apart)
         result.append(PlacedPiece(fragment.key, name, fragment.planes, motion, placement.visible, fragment.rows))
@@ -140,16 +146,43 @@ def _divide(fragment: _Fragment, plane: Plane, cut_id: int, solid: Solid) -> lis
     removed = plane.distance(solid.points[fragment.rows]) > 0
     if len(fragment.rows) and (removed.all() or not removed.any()):
         return None
-    normal = np.asarray(plane.normal)
     return [
-        _Fragment(
-            (*fragment.key, (cut_id, side)),
-            (*fragment.planes, half),
-            fragment.rows[rows],
-            fragment.parting + side * normal,
-        )
+        _Fragment((*fragment.key, (cut_id, side)), (*fragment.planes, half), fragment.rows[rows])
         for side, half, rows in ((-1, plane, ~removed), (1, plane.flipped(), removed))
     ]
+
+
+def _parted(fragments: Sequence[_Fragment]) -> NDArray[np.float64]:
+    """(F, 3). How far each piece is moved so that no two are nearer than a gap of 1, for all gaps proportionally.
+
+    Any two pieces were parted by one cut, the first that has them on different sides, and are convex: they do not
+    overlap if they keep apart along its normal. Each begins half a gap away from all of its own cuts, which is right
+    for one cut or for slices side by side. Of oblique cuts the later ones push pieces back over the earlier ones: these
+    are then moved apart by what is missing, on average over those in the way, until all keep apart. Such averaged
+    projections converge, since there are places where all keep apart: pieces moved away from the centre far enough.
+    """
+    count = len(fragments)
+    sides: dict[Key, tuple[list[int], list[int]]] = {}
+    for number, fragment in enumerate(fragments):
+        for depth, (_, side) in enumerate(fragment.key):
+            sides.setdefault(fragment.key[:depth], ([], []))[side > 0].append(number)
+    normals = np.zeros((count, count, 3))  # towards the row's piece from the column's
+    offsets = np.zeros((count, 3))
+    for key, (low, high) in sides.items():
+        normal = np.asarray(fragments[low[0]].planes[len(key)].normal)
+        normals[np.ix_(high, low)], normals[np.ix_(low, high)] = normal, -normal
+        offsets[low] -= normal / 2
+        offsets[high] += normal / 2
+    for _ in range(MOST_STEPS):
+        along = np.matmul(normals, offsets[:, :, None])[:, :, 0]
+        missing = 1.0 - (along + along.T)
+        np.fill_diagonal(missing, 0.0)
+        if missing.max() <= 1.0 - KEPT:
+            break
+        np.maximum(missing, 0.0, out=missing)
+        pushing = np.maximum(np.count_nonzero(missing, axis=1), 1)
+        offsets += 1 / pushing[:, None] * np.matmul(missing[:, None], normals)[:, 0]
+    return offsets
 
 
 def sections(document: Document) -> tuple[Plane, ...]:

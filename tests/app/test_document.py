@@ -277,3 +277,23 @@ def test_a_name_that_no_file_can_have_is_refused(tmp_path: Path) -> None:
     path.write_text(path.read_text(encoding="utf-8").replace("melon", "\\ud800"), encoding="utf-8")
     with pytest.raises(InputError, match="'scene' is no path"):
         load_project(path)
+
+
+@pytest.mark.parametrize("count", [7, 12])  # of oblique cuts: some 40 pieces, and some 170
+def test_pieces_of_many_cuts_do_not_overlap(count: int) -> None:
+    random, document = np.random.default_rng(count), Document()
+    for normal in random.normal(size=(count, 3)):
+        document = document.with_cut((Part(Plane.of(normal, random.uniform(-0.5, 0.5))),))
+    points = random.uniform(-1, 1, (30_000, 3))  # others than those that the pieces were divided by
+    points = points[np.linalg.norm(points, axis=1) < 1]
+    beyond = {cut.id: cut.parts[0].plane.distance(points) > 0 for cut in document.cuts}
+    forks: dict[tuple[object, ...], dict[int, list[np.ndarray]]] = {}
+    for piece in pieces(document, BALL):
+        inside = np.all([beyond[cut] == (side > 0) for cut, side in piece.key], axis=0)
+        for depth, (cut, side) in enumerate(piece.key):
+            fork = forks.setdefault((piece.key[:depth], cut), {-1: [], 1: []})
+            fork[side].append(piece.motion.apply(points[inside]) @ document.cut(cut).parts[0].plane.normal)
+    assert len(forks) > 5 * count - 10
+    for fork in forks.values():  # whatever a cut has parted stays on its two sides
+        kept, removed = (np.concatenate(fork[side]) for side in (-1, 1))
+        assert kept.max(initial=-np.inf) < removed.min(initial=np.inf)
