@@ -23,6 +23,7 @@ from engine.io.scratch import Scratch
 from engine.isolate.record import isolation_record
 from engine.isolate.selection import Isolation
 from engine.processes import start_python
+from engine.render.culling.solid import Solid as Drawn
 from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from engine.scene.gaussians import Gaussians
 from engine.scene.inside import Inside
@@ -32,7 +33,7 @@ __all__ = ["LoadedScene", "SceneLoader", "SceneRequest"]
 
 
 LOOKED_AT = 300_000
-"""Centres that say how large a capture is. The window waits while they are looked at."""
+"""Centres that say how large a capture is."""
 
 
 @dataclass(frozen=True)
@@ -68,6 +69,8 @@ class LoadedScene:
     """Whether the inside has been trained."""
     coarse: Gaussians | None = None
     """Some of a large capture's Gaussians, enlarged, to be shown until all are there."""
+    drawn: Drawn | None = None
+    """The atoms as they are drawn, made where the window does not wait for it."""
     inside: Inside | None = None
     """What the faces of a trained object at rest are read from; None if its atoms are all there is."""
 
@@ -140,26 +143,31 @@ class SceneLoader:
             gaussians = Gaussians(*(arrays[name] for name in ("means", "scales", "quats", "opacities", "sh")))
             x, y, z = facts["up"]
             if what == "coarse":
-                self.scene = replace(self.scene, coarse=gaussians, solid=_extent(gaussians.means), up=(x, y, z))
+                self.scene = replace(self.scene, coarse=gaussians, solid=arrays["solid"], up=(x, y, z))
                 return
-            step = -(-len(gaussians) // LOOKED_AT) or 1
             self.scene = replace(
                 self.scene,
                 capture=gaussians,
                 coarse=None,
-                solid=_extent(gaussians.means[::step][~arrays["removed"][::step]]),
+                solid=self.scene.solid if self.scene.atoms is not None else arrays["solid"],
                 up=(x, y, z),
                 up_reason=facts["reason"],
                 notes=tuple(facts["warnings"]),
             )
             return
-        surface = SurfaceAtoms(arrays["means"], arrays["scales"], arrays["quats"], arrays["sh"])
-        interior = InteriorAtoms(arrays["inside"], arrays["sigmas"], arrays["rgb"], facts["exposed"])
-        atoms = Atoms(surface, interior, facts["pitch"])
+        drawn: Drawn = arrays["drawn"]
         notes = tuple(dict.fromkeys((*self.scene.notes, *facts["notes"])))
         self.scene = replace(
-            self.scene, atoms=atoms, solid=Solid.of_atoms(atoms), notes=notes, trained=facts["trained"]
+            self.scene,
+            atoms=drawn.atoms,
+            drawn=drawn,
+            solid=arrays["solid"],
+            notes=notes,
+            trained=facts["trained"],
         )
+        if "up" in facts:  # of a trained object, which comes before its capture
+            x, y, z = facts["up"]
+            self.scene = replace(self.scene, up=(x, y, z), up_reason=facts["reason"])
 
     def _listen(self) -> None:
         """Reads the lines, and the files that they name, in a thread of its own."""
@@ -170,7 +178,7 @@ class SceneLoader:
                 line = json.loads(text)
             except ValueError:
                 continue  # a library that prints
-            arrays = map_arrays(Path(line["file"])) if "file" in line else {}
+            arrays = _prepared(line, map_arrays(Path(line["file"]))) if "file" in line else {}
             ended = ended or bool(line.get("end"))
             self._queue.put((line, arrays))
             if line.get("ready") == "atoms" and line["facts"]["trained"]:
@@ -206,6 +214,19 @@ class SceneLoader:
         assert self._process.stderr is not None
         for line in self._process.stderr:
             self._errors = (self._errors + line)[-4096:]
+
+
+def _prepared(line: dict[str, Any], arrays: dict[str, Any]) -> dict[str, Any]:
+    """With what takes time to make of the arrays, made in the thread that reads them."""
+    if line["ready"] == "atoms":
+        surface = SurfaceAtoms(arrays["means"], arrays["scales"], arrays["quats"], arrays["sh"])
+        interior = InteriorAtoms(arrays["inside"], arrays["sigmas"], arrays["rgb"], line["facts"]["exposed"])
+        atoms = Atoms(surface, interior, line["facts"]["pitch"])
+        return {"drawn": Drawn(atoms), "solid": Solid.of_atoms(atoms)}
+    means = arrays["means"]
+    step = -(-len(means) // LOOKED_AT) or 1
+    means = means[::step]
+    return arrays | {"solid": _extent(means[~arrays["removed"][::step]] if "removed" in arrays else means)}
 
 
 def _extent(means: NDArray[np.float32]) -> Solid:

@@ -143,14 +143,14 @@ def plain_inside(surface: SurfaceAtoms, interior: InteriorAtoms, body: Body, pit
 def _send_trained(path: Path, folder: Path, capture: bool) -> None:
     _write_line(stage=f"Reading {path.name}", part=0.3)
     atoms, meta = load_trained(path)
-    if capture:
+    axis: dict[str, Any] = {"up": list(meta.up), "reason": "as trained"} if capture else {}
+    _send_atoms(folder, atoms, {"notes": [], "trained": True, **axis})
+    if capture:  # after the atoms: a trained object is shown solid, and drawing it as it is on file takes longer
         from engine.io.splats.ply import read_ply
 
         gaussians, _ = read_ply(path)
-        facts = {"up": list(meta.up), "reason": "as trained", "warnings": []}
         nothing = np.zeros(len(gaussians), bool)
-        _send_arrays(folder, "capture", _arrays(gaussians) | {"removed": nothing}, facts)
-    _send_atoms(folder, atoms, {"notes": [], "trained": True})
+        _send_arrays(folder, "capture", _arrays(gaussians) | {"removed": nothing}, {**axis, "warnings": []})
 
 
 def _send_atoms(folder: Path, atoms: Atoms, facts: dict[str, Any]) -> None:

@@ -19,6 +19,7 @@ from app.session.session import Session
 from app.ui.view.painter import STEPS, Painter, scaled
 from engine.isolate.selection import Sphere, Step
 from engine.render.gl import GLMissing
+from engine.render.gl.classic import PORTION, UPLOAD
 from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from engine.scene.gaussians import Gaussians
 from engine.scene.piece import Piece
@@ -99,7 +100,7 @@ def test_slow_moves_are_drawn_coarser_and_rest_is_drawn_in_full(
         texture = painter.frame(session, camera, shown, (0.0, 0.0, 0.0), moving=True)
         assert texture is not None and painter.unfinished
         sizes.append(texture.size[0])
-    assert sizes == [160, 120, 80, 80, 56, 56]
+    assert sizes == [160, 120, 80, 80, 56, 32]
     texture = painter.frame(session, camera, shown, (0.0, 0.0, 0.0))
     assert texture is not None and texture.size == (160, 120) and not painter.unfinished
     monkeypatch.setattr("app.ui.view.painter.SLOW", 1e9)
@@ -120,6 +121,35 @@ def test_another_capture_takes_the_place_of_the_one_before(painter: Painter, ses
             assert painter.frame(session, EYE.camera(64, 48, session.up), [], (0.0, 0.0, 0.0)) is not None
 
 
+def test_a_capture_is_uploaded_and_drawn_in_slices(
+    painter: Painter, session: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without a graphics card a frame of a large capture takes seconds: events are handled meanwhile."""
+    random = np.random.default_rng(0)
+    n = 3 * UPLOAD
+    means = random.normal(size=(n, 3)).astype(np.float32) * 0.3
+    quats = np.tile(np.array([1, 0, 0, 0], np.float32), (n, 1))
+    sizes, colours = np.full((n, 3), 0.004, np.float32), random.normal(size=(n, 1, 3)).astype(np.float32)
+    capture = Gaussians(means, sizes, quats, np.full(n, 0.5, np.float32), colours)
+    session.object = replace(session.object, capture=capture)  # type: ignore[type-var]
+    session.viewing = Viewing(EYE, "capture")
+    camera = EYE.camera(128, 96, session.up)
+    monkeypatch.setattr("app.ui.view.painter.SLICE", 1e-9)  # as little as can be done in a frame
+    monkeypatch.setattr(painter, "_in_software", True)
+    painter._capture = None
+    frames, sizes_seen = 0, []
+    while not frames or painter.unfinished:
+        texture = painter.frame(session, camera, [], (0.0, 0.0, 0.0))
+        sizes_seen.append(None if texture is None else texture.size[0])
+        frames += 1
+    assert sizes_seen[:2] == [None, None] and frames > n / PORTION
+    assert set(sizes_seen[2:-1]) == {round(128 * STEPS[-1][0])} and sizes_seen[-1] == 128
+    gradual = painter.renderer.read()
+    painter.renderer.render(camera, [], "classic", (0.0, 0.0, 0.0))
+    at_once = painter.renderer.read()
+    assert np.array_equal(gradual.rgb, at_once.rgb) and gradual.rgb.max() > 0.1
+
+
 def test_what_is_marked_is_tinted_in_the_window_and_not_in_a_saved_picture(painter: Painter, session: Session) -> None:
     s, red = ball().surface, (1.0, 0.0, 0.0)
     session.viewing = Viewing(EYE, "capture")
@@ -130,6 +160,8 @@ def test_what_is_marked_is_tinted_in_the_window_and_not_in_a_saved_picture(paint
     session.capture_view = view_of(capture, (), (Step("add", Sphere((0, 0, 0), 9.0)),), red)
     assert np.array_equal(painter.picture(session, camera, []), plain)
     texture = painter.frame(session, camera, [], (0.0, 0.0, 0.0))
+    while painter.unfinished:
+        texture = painter.frame(session, camera, [], (0.0, 0.0, 0.0))
     assert texture is not None
     frame = painter.renderer.read().rgb
     assert frame[24, 32, 0] > plain[24, 32, 0] / 255 + 0.2 and frame[24, 32, 1] < plain[24, 32, 1] / 255 - 0.1

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import threading
 import time
 from collections.abc import Sequence
 from dataclasses import replace
@@ -11,6 +12,7 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
+from app.jobs.warmup import load_kernels
 from app.model.rigid_transform import Vec3
 from app.session.workspace import Workspace
 from engine.render.cpu.software import is_software
@@ -27,7 +29,7 @@ __all__ = ["Painter"]
 SLOW, QUICK = 60.0, 20.0
 """Milliseconds of a frame above which a moving view is drawn coarser, and below which it is drawn finer again."""
 
-STEPS = ((1.0, 0), (0.75, 1), (0.5, 1), (0.5, 2), (0.35, 3))
+STEPS = ((1.0, 0), (0.75, 1), (0.5, 1), (0.5, 2), (0.35, 3), (0.2, 4))
 """How a moving view gets coarser: part of the pixels along a side, and level of detail, which halves the atoms each
 time. A GPU has too many atoms before it has too many pixels, a processor that draws the other way round."""
 
@@ -36,7 +38,8 @@ MOST_IN_SOFTWARE = 2_000_000
 for files have all of them."""
 
 SLICE = 0.025
-"""Seconds between two frames in which faces at rest are read: input does not wait noticeably."""
+"""Seconds between two frames in which faces at rest are read, or a capture is uploaded or drawn without a graphics
+card: input does not wait noticeably."""
 
 MODES: dict[str, Mode] = {"capture": "classic", "solid": "opaque", "interior": "interior"}
 
@@ -74,6 +77,12 @@ class Painter:
         """The last frame."""
         self._overlay_key: object = None
         """Everything that the overlay of the last frame depends on."""
+        self._loading: threading.Thread | None = None
+        """Loads the kernels that draw a solid without a graphics card."""
+        self._uploading = False
+        """Whether something is to be uploaded or loaded before what is shown can be drawn."""
+        self._wants_capture = False
+        """Whether the last frame is a coarse one of a capture, and the whole one is to be drawn."""
         self._detail: FaceDetail | None = None
         """The last frame while its faces are read from the insides of the objects."""
         self._wants_detail = False
@@ -94,11 +103,14 @@ class Painter:
         that speed matters more than detail.
         """
         atoms, capture = self._atoms, self._capture
-        if not self._upload(workspace):
+        self._uploading = False
+        if not self._upload(workspace, SLICE):
+            self.unfinished = self._uploading
             return None
-        part, level = STEPS[self._step] if moving else STEPS[0]
-        if workspace.mode == "capture" and workspace.shown_capture is not None and self._in_software:
-            level = max(level, math.ceil(math.log2(max(len(workspace.shown_capture) / MOST_IN_SOFTWARE, 1))))
+        gradual = workspace.mode == "capture" and self._in_software and not moving
+        part, level = STEPS[-1] if gradual else STEPS[self._step] if moving else STEPS[0]
+        thinned = self._thinned(workspace)
+        level = max(level, thinned)
         light, mode = workspace.settings.face_light, workspace.mode
         insides = details_of(workspace)
         key = (
@@ -133,6 +145,9 @@ class Painter:
             self._key, self._scale, self._overlay_key = key, part, None
             self._picture = texture
             self._detail, self._wants_detail = None, not moving and mode != "capture" and any(insides)
+            self._wants_capture = gradual
+        elif self._wants_capture:
+            self._refine_capture(camera, background, thinned)
         elif self._wants_detail:
             self._add_detail(camera, pieces, insides, light)
         if overlay_key != self._overlay_key:
@@ -140,8 +155,24 @@ class Painter:
             self._restore_framebuffer()
             self._overlay_key = overlay_key
         # Drawing it ends the sorting.
-        self.unfinished = moving or self._wants_detail or (mode == "capture" and self.renderer.sorting)
+        self.unfinished = moving or self._wants_detail or self._wants_capture or self._uploading
+        self.unfinished |= mode == "capture" and self.renderer.sorting
         return self._texture
+
+    def _thinned(self, workspace: Workspace) -> int:
+        """The level of detail at which as many Gaussians of the capture are drawn as can be without a graphics card."""
+        capture = workspace.shown_capture
+        if workspace.mode != "capture" or capture is None or not self._in_software:
+            return 0
+        return math.ceil(math.log2(max(len(capture) / MOST_IN_SOFTWARE, 1)))
+
+    def _refine_capture(self, camera: Camera, background: Vec3, level: int) -> None:
+        """Draws some more of a capture at rest; when all is drawn, the frame shows it."""
+        texture = self.renderer.refine(camera, background, level, SLICE)
+        if texture is not None:
+            self._picture, self._scale = texture, 1.0
+            self._wants_capture, self._overlay_key = False, None
+        self._restore_framebuffer()
 
     def _add_detail(
         self, camera: Camera, pieces: Sequence[Piece], insides: Sequence[Detailed | None], light: bool
@@ -176,7 +207,7 @@ class Painter:
     def picture(self, workspace: Workspace, camera: Camera, pieces: Sequence[Piece]) -> NDArray[np.uint8]:
         """(H, W, 4). A picture for a file, with straight alpha; makes the next frame be drawn again."""
         self._key = None
-        if not self._upload(workspace, tinted=False):
+        if not self._upload(workspace, math.inf, tinted=False):
             return np.zeros((camera.height, camera.width, 4), np.uint8)
         light = workspace.settings.face_light
         self.renderer.render(camera, pieces, MODES[workspace.mode], (0.0, 0.0, 0.0), light)
@@ -193,12 +224,14 @@ class Painter:
         if self._screen is not None:
             self._screen.use()
 
-    def _upload(self, workspace: Workspace, tinted: bool = True) -> bool:
+    def _upload(self, workspace: Workspace, seconds: float, tinted: bool = True) -> bool:
         """Uploads the workspace's objects unless the GPU has them; False if there is nothing to draw.
 
-        `tinted`: with what is marked of the capture in another colour.
+        `tinted`: with what is marked of the capture in another colour. `seconds`: after which the rest of a capture
+        waits for the next frame; what was drawn before it still is.
         """
         if workspace.object is None:
+            self._capture = None  # of another scene than the one that comes
             return False
         if workspace.mode == "capture":
             capture, view = workspace.shown_capture, workspace.capture_view
@@ -207,19 +240,33 @@ class Painter:
             if capture is None:
                 return False
             if capture is not self._capture:
-                self.renderer.set_capture(capture)
+                if not self.renderer.set_capture(capture, seconds):
+                    self._uploading = True
+                    return self._capture is not None
                 self._capture, self._key = capture, None
             return True
+        if self._in_software and self._screen is not None and tinted and not self._kernels_loaded():
+            self._uploading = True
+            return False
         solids = workspace.solids
         atoms = (workspace.geometry_version, workspace.colour_version, tuple(solids))
         if self._atoms is None or (self._atoms[0], self._atoms[2]) != (atoms[0], atoms[2]):
-            self.renderer.set_atoms(*solids.values())
+            ready = [workspace.loaded[number].drawn for number in solids]
+            pairs = zip(ready, solids.values(), strict=True)
+            self.renderer.set_atoms(*(r if r is not None and r.atoms is one else one for r, one in pairs))
         elif self._atoms[1] != atoms[1]:
             for k, (before, now) in enumerate(zip(self._solids, solids.values(), strict=True)):
                 if now is not before:
                     self.renderer.update_colours(now.surface.sh, now.interior.rgb, k)
         self._atoms, self._solids = atoms, list(solids.values())
         return True
+
+    def _kernels_loaded(self) -> bool:
+        """Whether a solid can be drawn without waiting for its kernels; the first call begins to load them."""
+        if self._loading is None:
+            self._loading = threading.Thread(target=load_kernels, daemon=True)
+            self._loading.start()
+        return not self._loading.is_alive()
 
     def release(self) -> None:
         """Frees all GPU memory."""

@@ -99,8 +99,8 @@ def make(plane: Double, spheres: Spheres, options: DrawOptions) -> Grid | None:
     records, boxes = np.empty((len(plan.rows), SECTION), np.float32), np.empty((len(plan.rows), 4), np.int32)
     for_each(sections, CHUNKS, -(-len(plan.rows) // CHUNKS), atoms, section_view, records, boxes)
     # Linear interpolation convolves with a hat function: narrow the atoms by its variance, keeping reach and sum.
-    widened = 1 / (1 - 2 * records[:, 2:3] * cell * cell / 6)
-    records[:, 2:10] *= widened
+    with np.errstate(all="ignore"):  # nothing is written of atoms that the plane misses
+        records[:, 2:10] *= 1 / (1 - 2 * records[:, 2:3] * cell * cell / 6)
     records[:, 3] = 0
     band_starts, section_ids = bin_bands(boxes, -(-height // BAND))
     grid = np.empty((height, width, 4), np.float32)

@@ -46,7 +46,8 @@ class Solid:
         culling = replace(culling, low=culling.low - self.centre)
         self.skin = Ellipsoids(self._shifted(skin.means), skin.scales, skin.quats, skin.sh, culling)
         self.inside = Spheres(self._shifted(inside.means), inside.sigmas, inside.rgb)
-        self._atoms = atoms
+        self.atoms = atoms
+        """What it was made of; their colours may have been replaced since."""
         self._exposed = self._as_splats(np.arange(inside.exposed)) if inside.exposed else None
         self._boundary: Ellipsoids | None = None
         self._boundary_rows = np.zeros(0, np.intp)
@@ -57,7 +58,7 @@ class Solid:
 
     def _as_splats(self, rows: NDArray[np.integer], scale: float = 1.0) -> Ellipsoids:
         """Interior atoms as splats of the outside."""
-        inside = self._atoms.interior
+        inside = self.atoms.interior
         unit = np.tile(np.array([1, 0, 0, 0], np.float32), (len(rows), 1))
         scales = np.repeat(np.float32(scale) * inside.sigmas[rows, None], 3, 1)
         return Ellipsoids(self._shifted(inside.means[rows]), scales, unit, sh.rgb_to_sh(inside.rgb[rows, None]))
@@ -67,7 +68,7 @@ class Solid:
         if not interior_only:
             return [self.skin] if self._exposed is None else [self.skin, self._exposed]
         if self._boundary is None:
-            inside = self._atoms.interior
+            inside = self.atoms.interior
             self._boundary_rows = np.flatnonzero(boundary_atoms(inside.means, inside.sigmas))
             self._boundary = self._as_splats(self._boundary_rows, BOUNDARY_SCALE)
             self._boundary.update(sh.rgb_to_sh(self._rgb[self._boundary_rows, None]))

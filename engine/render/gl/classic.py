@@ -5,6 +5,7 @@ The camera never waits for the sort: a frame uses the newest order, and `sorting
 
 from __future__ import annotations
 
+import time
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
@@ -17,17 +18,20 @@ from engine.render.culling.view import View
 from engine.render.gl.batches import Pool
 from engine.render.gl.context import Programs, write_uniforms
 from engine.render.gl.surface import RECORD
-from engine.render.gl.targets import Accumulators
+from engine.render.gl.targets import Accumulators, Frame
 from engine.render.projection import CameraRecord, camera_record
 from engine.scene.camera import Camera
 from engine.scene.gaussians import Gaussians
 
-__all__ = ["Capture"]
+__all__ = ["Capture", "GradualFrame"]
 
 Float = NDArray[np.float32]
 
 UPLOAD = 1 << 16
 """Gaussians written at once, 16 MB at most: a large capture is not in memory a second time."""
+
+PORTION = 1024
+"""Gaussians drawn at once of a frame that is drawn gradually: some ms where OpenGL runs in software."""
 
 
 class Capture:
@@ -35,6 +39,7 @@ class Capture:
 
     def __init__(self, ctx: moderngl.Context, programs: Programs, pool: Pool, gaussians: Gaussians) -> None:
         self.ctx, self.programs, self.pool = ctx, programs, pool
+        self.gaussians = gaussians
         self.count = len(gaussians)
         means = gaussians.means
         ends = np.stack([means.min(0), means.max(0)]).astype(np.float64) if self.count else np.zeros((2, 3))
@@ -44,16 +49,26 @@ class Capture:
         self.vectors = -(-3 * gaussians.sh.shape[1] // 4)
         self.geometry = ctx.buffer(reserve=44 * max(self.count, 1))
         self.coefficients = ctx.buffer(reserve=16 * self.vectors * max(self.count, 1))
-        for first in range(0, self.count, UPLOAD):
-            self._upload(gaussians, slice(first, min(first + UPLOAD, self.count)))
+        self._uploaded = 0
         self._thread = ThreadPoolExecutor(1, "depth-order")
         self._order = np.zeros(0, np.uint32)
         self._order_key: tuple[object, ...] | None = None
         self._pending: tuple[tuple[object, ...], Future[NDArray[np.uint32]]] | None = None
 
-    def _upload(self, gaussians: Gaussians, rows: slice) -> None:
+    def upload(self, seconds: float) -> bool:
+        """Uploads more of the Gaussians for a time; True once all are there, before which nothing can be drawn."""
+        end = time.perf_counter() + seconds
+        while self._uploaded < self.count:
+            last = min(self._uploaded + UPLOAD, self.count)
+            self._write(slice(self._uploaded, last))
+            self._uploaded = last
+            if time.perf_counter() > end:
+                break
+        return self._uploaded == self.count
+
+    def _write(self, rows: slice) -> None:
         """Writes these rows into the buffers."""
-        g = gaussians[rows]
+        g = self.gaussians[rows]
         self.means[rows] = g.means - self.centre
         shape = np.concatenate([self.means[rows], g.scales, g.quats, g.opacities[:, None]], 1)
         packed = np.zeros((len(g), 4 * self.vectors), np.float32)
@@ -71,14 +86,22 @@ class Capture:
 
         `level`: 0 draws every Gaussian; each further one half as many, enlarged so that they cover as much.
         """
-        view = View(camera, self.centre, 1.0)
-        rows = self._ordered(view, wait)
-        if level:
-            rows = rows[rows % (1 << level) == 0]
+        rows = self.rows(camera, wait, level)
         targets.classic_fbo.use()
         targets.classic_fbo.clear()
+        self.add(rows, camera, targets, level)
+
+    def rows(self, camera: Camera, wait: bool, level: int) -> NDArray[np.uint32]:
+        """What is drawn, nearest first; arguments as in `draw`."""
+        rows = self._ordered(View(camera, self.centre, 1.0), wait)
+        return rows[rows % (1 << level) == 0] if level else rows
+
+    def add(self, rows: NDArray[np.uint32], camera: Camera, targets: Accumulators, level: int) -> None:
+        """Draws these rows behind what the targets have."""
         if not len(rows):
             return
+        view = View(camera, self.centre, 1.0)
+        targets.classic_fbo.use()
         orthographic = int(camera.orthographic)
         defines = {"SH_DEGREE": self.degree, "SH_VECTORS": self.vectors, "CLASSIC": 1, "ORTHOGRAPHIC": orthographic}
         program = self.programs.get("project.vert.glsl", None, defines, varyings=RECORD)
@@ -96,7 +119,7 @@ class Capture:
         batch.draw(program, RECORD, points=False)
 
     def _ordered(self, view: View, wait: bool) -> NDArray[np.uint32]:
-        """Rows, nearest first: for this camera if `wait` or there is no order yet, else in the newest order."""
+        """Rows, nearest first: for this camera if `wait`, else in the newest order, which is none at first."""
         cam = camera_record(view.camera)
         cam = cam._replace(translation=tuple(view.matrix[:3, 3].tolist()))
         key = cam.rotation, cam.translation, cam.orthographic, cam.near
@@ -105,7 +128,7 @@ class Capture:
             self._pending = None
         if key != self._order_key and self._pending is None:
             self._pending = (key, self._thread.submit(self._sort, cam))
-            if wait or self._order_key is None:
+            if wait:
                 self._order_key, self._order = key, self._pending[1].result()
                 self._pending = None
         return self._order
@@ -119,6 +142,35 @@ class Capture:
         self.pool.clear_sources()
         self.geometry.release()
         self.coefficients.release()
+
+
+class GradualFrame:
+    """A frame of a capture drawn nearest first, a part of it at a time, beside the frame that is shown meanwhile."""
+
+    def __init__(self, capture: Capture, camera: Camera, level: int) -> None:
+        self.capture, self.camera, self.level = capture, camera, level
+        self.frame = Frame(capture.ctx, camera.width, camera.height)
+        self.sums = Accumulators(capture.ctx, camera.width, camera.height)
+        self._rows = capture.rows(camera, True, level)
+        self.sums.classic_fbo.use()
+        self.sums.classic_fbo.clear()
+
+    def advance(self, seconds: float) -> bool:
+        """Draws for a time; True once the accumulators have all of it."""
+        end = time.perf_counter() + seconds
+        while len(self._rows):
+            self.capture.pool.begin()
+            self.capture.add(self._rows[:PORTION], self.camera, self.sums, self.level)
+            self._rows = self._rows[PORTION:]
+            self.capture.ctx.finish()  # otherwise the work would only be queued
+            if time.perf_counter() > end:
+                break
+        return not len(self._rows)
+
+    def release(self) -> None:
+        """Frees the textures."""
+        self.frame.release()
+        self.sums.release()
 
 
 def resolve_values(targets: Accumulators, background: NDArray[np.float64]) -> dict[str, Any]:

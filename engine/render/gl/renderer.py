@@ -5,6 +5,7 @@ Standalone (offscreen) or inside a window's context. If OpenGL runs in software,
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from functools import wraps
 from types import TracebackType
@@ -20,7 +21,7 @@ from engine.render.culling.groups import Group, group_pieces
 from engine.render.culling.solid import Solid
 from engine.render.culling.view import View
 from engine.render.gl.batches import Pool
-from engine.render.gl.classic import Capture, resolve_values
+from engine.render.gl.classic import Capture, GradualFrame, resolve_values
 from engine.render.gl.context import Programs, offscreen_context
 from engine.render.gl.opaque import OpaqueMode
 from engine.render.gl.overlay import Overlay, OverlayPass
@@ -90,6 +91,9 @@ class Renderer:
         self._made_of: list[Atoms | None] = []
         """The atoms that each solid shows; None if it has been recoloured."""
         self._capture: Capture | None = None
+        self._next_capture: Capture | None = None
+        """One that is being uploaded."""
+        self._gradual: GradualFrame | None = None
         self._frames: list[Frame] = []
         self._sums: Accumulators | None = None
         self._overlaid: Frame | None = None
@@ -111,18 +115,34 @@ class Renderer:
     # Content
 
     @current
-    def set_atoms(self, *atoms: Atoms) -> None:
-        """Sets the solids to draw: `Piece.solid` is an index into them. Those that were set before are kept."""
+    def set_atoms(self, *atoms: Atoms | Solid) -> None:
+        """Sets the solids to draw: `Piece.solid` is an index into them. Those that were set before are kept.
+
+        A `Solid` has been made of atoms already, as in another thread: that of a million atoms takes half a second.
+        """
         known = {id(made_of): solid for made_of, solid in zip(self._made_of, self._solids, strict=True)}
-        solids = [known.get(id(one)) or Solid(one) for one in atoms]
+        made_of = [one.atoms if isinstance(one, Solid) else one for one in atoms]
+        ready = [one if isinstance(one, Solid) else None for one in atoms]
+        solids = [known.get(id(one)) or made or Solid(one) for one, made in zip(made_of, ready, strict=True)]
         self._release_solids()
-        self._solids, self._made_of = solids, list(atoms)
+        self._solids, self._made_of = solids, list(made_of)
 
     @current
-    def set_capture(self, gaussians: Gaussians) -> None:
-        """Sets the capture, which classic mode draws."""
+    def set_capture(self, gaussians: Gaussians, seconds: float = math.inf) -> bool:
+        """Sets the capture, which classic mode draws.
+
+        Uploads it for at most about this time. False if there is more to upload: the capture before is still drawn, and
+        another call goes on.
+        """
+        if self._next_capture is None or self._next_capture.gaussians is not gaussians:
+            if self._next_capture is not None:
+                self._next_capture.release()
+            self._next_capture = Capture(self.ctx, self._programs, self._pool, gaussians)
+        if not self._next_capture.upload(seconds):
+            return False
         self._release_capture()
-        self._capture = Capture(self.ctx, self._programs, self._pool, gaussians)
+        self._capture, self._next_capture = self._next_capture, None
+        return True
 
     @current
     def update_colours(
@@ -166,6 +186,7 @@ class Renderer:
         Raises InputError if a piece has more than groups.MAX_PLANES planes that cut it.
         """
         assert mode in ("opaque", "classic", "interior"), mode
+        self._release_gradual()
         self._resize(camera.width, camera.height)
         self._is_replaced = False
         self._pool.begin()
@@ -188,14 +209,38 @@ class Renderer:
         if mode == "classic":
             if self._capture is not None:
                 self._capture.draw(camera, sums, wait, level)
-                rect = (0, 0, camera.width, camera.height)
-                values = resolve_values(sums, background_rgb)
-                self._screen.fill(frame.fbo, rect, "classic_resolve.frag.glsl", {}, values)
+                self._resolve_classic(frame, sums, background_rgb)
         elif self._solids:
             options = DrawOptions(mode == "interior", light, exact, level, cull)
             self._opaque.draw(
                 self._solids, camera, self._pieces, self._groups, self._frames, sums, background_rgb, options
             )
+        return frame.colour
+
+    def _resolve_classic(self, frame: Frame, sums: Accumulators, background: NDArray[np.float64]) -> None:
+        rect = (0, 0, *frame.colour.size)
+        self._screen.fill(frame.fbo, rect, "classic_resolve.frag.glsl", {}, resolve_values(sums, background))
+
+    @current
+    def refine(self, camera: Camera, background: ArrayLike, level: int, seconds: float) -> moderngl.Texture | None:
+        """Draws a part of a classic frame for about this time; None until it is whole, and takes the place of the last.
+
+        The first call after any other frame begins it; arguments as in `render`. Until it is whole the last frame can
+        be shown, picked and overlaid.
+        """
+        assert self._capture is not None, "no capture is set"
+        if self._gradual is None:
+            self._gradual = GradualFrame(self._capture, camera, level)
+        if not self._gradual.advance(seconds):
+            return None
+        frame, sums = self._gradual.frame, self._gradual.sums
+        self._gradual = None
+        background_rgb = np.asarray(background, np.float64)
+        frame.clear(background_rgb)
+        self._resolve_classic(frame, sums, background_rgb)
+        self._release_targets()
+        self._frames, self._sums = [frame, Frame(self.ctx, camera.width, camera.height)], sums
+        self._camera, self._is_replaced = camera, False
         return frame.colour
 
     @property
@@ -319,7 +364,13 @@ class Renderer:
         if self._software is not None:
             self._software.grids.clear()
 
+    def _release_gradual(self) -> None:
+        if self._gradual is not None:
+            self._gradual.release()
+            self._gradual = None
+
     def _release_capture(self) -> None:
+        self._release_gradual()
         self._pool.clear()
         if self._capture is not None:
             self._capture.release()
@@ -335,6 +386,8 @@ class Renderer:
     def _release(self) -> None:
         self._release_solids()
         self._release_capture()
+        if self._next_capture is not None:
+            self._next_capture.release()
         self._release_targets()
         self._overlays.release()
         self._opaque.release()
