@@ -59,6 +59,8 @@ class LoadedScene:
     atoms: Atoms | None = None
     solid: Solid | None = None
     """The points of the atoms, or of the capture before there are atoms."""
+    outline: Solid | None = None
+    """The points of the capture, with what it has beside the body: a mat, leaves. None until they are known."""
     up: Vec3 = (0.0, 0.0, 1.0)
     """Detected up axis, unit vector."""
     up_reason: str = ""
@@ -73,6 +75,12 @@ class LoadedScene:
     """The atoms as they are drawn, made where the window does not wait for it."""
     inside: Inside | None = None
     """What the faces of a trained object at rest are read from; None if its atoms are all there is."""
+
+    @property
+    def extent(self) -> NDArray[np.float64]:
+        """(N, 3). Points of what is seen of the capture; none while nothing is."""
+        seen = self.outline or self.solid
+        return np.zeros((0, 3)) if seen is None else seen.points
 
 
 class SceneLoader:
@@ -150,6 +158,7 @@ class SceneLoader:
                 capture=gaussians,
                 coarse=None,
                 solid=self.scene.solid if self.scene.atoms is not None else arrays["solid"],
+                outline=arrays["solid"],
                 up=(x, y, z),
                 up_reason=facts["reason"],
                 notes=tuple(facts["warnings"]),

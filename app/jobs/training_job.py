@@ -190,7 +190,9 @@ class Job:
 
     @property
     def phase(self) -> str:
-        """'running', 'paused', 'done', 'stopped' or 'failed'."""
+        """'running', 'paused', 'stopping', 'done', 'stopped' or 'failed'."""
+        if not self.ended and self.stopped:
+            return "stopping"
         if not self.ended:
             return "paused" if self._is_paused() else "running"
         if self.progress.result is not None:

@@ -15,7 +15,7 @@ from engine.scene.atoms import Atoms
 from engine.scene.piece import Piece
 from engine.scene.plane import Plane
 
-__all__ = ["Member", "PlacedPiece", "Solid", "pieces", "sections", "visible_pieces"]
+__all__ = ["Member", "PlacedPiece", "Solid", "pieces", "sections", "shown_points", "visible_pieces"]
 
 SAMPLE = 20_000
 """Points that represent the solid when a cut divides it: 27 along each axis of a cube."""
@@ -188,6 +188,14 @@ def _parted(fragments: Sequence[_Fragment]) -> NDArray[np.float64]:
 def sections(document: Document) -> tuple[Plane, ...]:
     """The planes of all sections that are on; what is on their removed side is hidden."""
     return tuple(cut.plane(cut.parts[0]) for cut in document.cuts if cut.kind == "section" and cut.on)
+
+
+def shown_points(piece: PlacedPiece, solid: Solid, hidden: Sequence[Plane]) -> NDArray[np.float64]:
+    """(M, 3). The points of a piece that are on the kept side of all planes `hidden`, where the piece is placed."""
+    points = solid.points[piece.rows]
+    for plane in hidden:
+        points = points[plane.distance(points) <= 0]
+    return piece.motion.apply(points)
 
 
 def visible_pieces(document: Document, solid: Solid) -> list[PlacedPiece]:

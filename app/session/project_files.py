@@ -48,7 +48,10 @@ class ProjectFiles:
     def open(self, path: Path) -> None:
         """Opens a scene or a project, after asking about unsaved changes, or adds a picture to a family."""
         if path.suffix.lower() in PICTURE_SUFFIXES:
-            self.workspace.add_pictures(None, (path,))
+            if self.workspace.document.scene is None:
+                self.workspace.notify("Open an object first, then add pictures of its cut faces.")
+            else:
+                self.workspace.add_pictures(None, (path,))
             return
         act = self._open_project if path.suffix == SUFFIX else self._open_scene
         self.after_saving(lambda: act(path))

@@ -28,7 +28,7 @@ def recovered_jobs(session: Session) -> list[Job]:
 def describe_job(job: Job) -> str:
     """How the job stands, in a sentence for the user."""
     name = job.scene.stem
-    states = {"running": "is still running", "paused": "is paused", "done": "has finished"}
+    states = {"running": "is still running", "paused": "is paused", "stopping": "is stopping", "done": "has finished"}
     return f"Training of {name} {states.get(job.phase, 'ended early')}."
 
 

@@ -8,10 +8,12 @@ from pathlib import Path
 
 from app.jobs.scene_loader import SceneLoader, SceneRequest
 from app.model.document import Document
+from app.model.knife import Stroke
 from app.model.project import Viewing
 from app.session.workspace import Workspace
 from engine.errors import InputError
 from engine.isolate.selection import Isolation
+from engine.scene.camera import Camera
 
 __all__ = ["SceneController"]
 
@@ -21,6 +23,8 @@ class SceneController:
 
     def __init__(self, workspace: Workspace) -> None:
         self.workspace = workspace
+        self.strokes: list[tuple[Camera, Stroke]] = []
+        """Of the knife, through an object that is not solid yet: they are done when it is."""
         self._isolations: dict[int, Isolation] = {}
         """What was left out when each object was last loaded, by its number."""
         self._loading = 0
@@ -30,6 +34,7 @@ class SceneController:
 
     def forget(self) -> None:
         """Another scene follows: nothing of it has been loaded."""
+        self.strokes.clear()
         self._isolations.clear()
         self._interrupted.clear()
 
@@ -77,6 +82,7 @@ class SceneController:
         if self.workspace.loader is not None:
             self.workspace.loader.cancel()
             self.workspace.loader = None
+            self.strokes.clear()
             self.workspace.notify("Stopped.")
 
     def tick(self) -> bool:

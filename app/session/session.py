@@ -8,6 +8,7 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 
+from app.model.knife import Stroke
 from app.model.project import Project
 from app.session.face_controller import FaceController
 from app.session.isolation_controller import IsolationController
@@ -16,6 +17,7 @@ from app.session.scene_controller import SceneController
 from app.session.training_controller import TrainingController
 from app.session.workspace import Workspace
 from engine.errors import InputError
+from engine.scene.camera import Camera
 
 __all__ = ["Session"]
 
@@ -35,6 +37,19 @@ class Session(Workspace):
         self.faces = FaceController(self)
         self.files = ProjectFiles(self, self.scene, self.training)
 
+    @property
+    def being_made(self) -> bool:
+        """Whether nothing can be cut yet, and the object is being made solid."""
+        return self.loader is not None and not self.loader.ended and not self.members and self.atoms is None
+
+    def slice(self, camera: Camera, stroke: Stroke) -> None:
+        """As in Workspace; a stroke through what is still being made solid is done when it is."""
+        if not self.being_made:
+            super().slice(camera, stroke)
+            return
+        self.scene.strokes.append((camera, stroke))
+        self.notify("The object is still being made solid. It will be cut there.")
+
     def tick(self) -> None:
         """Takes over what background work has produced, and autosaves. Called once a frame."""
         outdated = self.scene.outdated
@@ -42,10 +57,16 @@ class Session(Workspace):
             self.training.prepare_again(outdated)
         if self.scene.tick():
             self.training.recolour()
+        if self.scene.strokes and not self.being_made:
+            strokes, self.scene.strokes = self.scene.strokes, []
+            for camera, stroke in strokes:
+                super().slice(camera, stroke)
         self.files.tick()
         self.isolation.tick()
         self.training.tick()
         self.faces.tick()
+        if self.closing:
+            return  # and does not keep what the user did not want to be saved
         try:
             self.autosave.update(Project(self.documents, self.viewing), self.history.changed, self.path)
         except InputError:

@@ -99,13 +99,13 @@ class TrainingController:
         job.poll()
         if job.phase != "done":
             self._follow(job, document.number)
-            if job.phase in ("running", "paused"):
+            if not job.ended:
                 self.workspace.notify("Training went on while the window was closed.")
 
     @property
     def busy(self) -> bool:
-        """Whether the active object's job is running or paused."""
-        return self.job is not None and self.job.phase in ("running", "paused")
+        """Whether the active object's job is running, paused or about to stop."""
+        return self.job is not None and self.job.phase in ("running", "paused", "stopping")
 
     def start(self) -> None:
         """Trains the document as it is now."""

@@ -19,7 +19,7 @@ from app.model.capture_view import CaptureView
 from app.model.document import Cut, Document, Key, Part, Placement
 from app.model.history import History
 from app.model.knife import Outcome, Stroke, slice_object
-from app.model.pieces import Member, PlacedPiece, Solid, pieces, sections
+from app.model.pieces import Member, PlacedPiece, Solid, pieces, sections, shown_points
 from app.model.project import Viewing
 from app.model.rigid_transform import Motion, Vec3, vec3
 from app.model.settings import Settings, load_settings, save_settings
@@ -313,9 +313,8 @@ class Workspace:
         alone = len(self.documents) == 1 or self.object_selected
         targets = [index for index in met if index == self.active or not alone]
         if not targets:
-            waiting = self.loader is not None and not self.loader.ended
-            reason = "It is hidden. Show it to cut it." if self.atoms is not None else "There is no solid to cut."
-            self.notify("The object is still being made solid. Cut in a moment." if waiting else reason)
+            hidden = self.atoms is not None
+            self.notify("It is hidden. Show it to cut it." if hidden else "There is no solid to cut.")
             return
         outcomes: dict[int, Outcome] = {}
         for index in targets:
@@ -436,14 +435,16 @@ class Workspace:
     # Viewing
 
     def fit(self, aspect: float = 1.0) -> None:
-        """Fits all visible pieces of all visible objects into a picture of this aspect (width / height)."""
+        """Fits what is shown of all visible objects into a picture of this aspect (width / height)."""
+        seen = [document for document in self.documents if document.visible]
         parts = [
-            piece.motion.apply(self.solid_of(document).points[piece.rows])
-            for document in self.documents
-            if document.visible
+            shown_points(piece, self.solid_of(document), sections(document))
+            for document in seen
             for piece in self.pieces_of(document)
             if piece.visible
         ]
+        if self.mode == "capture":
+            parts = [loaded.extent for d in seen if (loaded := self.loaded.get(d.number)) is not None]
         box = Solid.of(np.concatenate(parts)) if sum(len(part) for part in parts) else self.solid
         eye = self.viewing.eye.fitted(vec3(box.centre), box.radius, aspect)
         self.viewing = replace(self.viewing, eye=eye)

@@ -68,7 +68,7 @@ class Menus:
             return s.tool == "isolate" and bool(s.document.marked)
 
         def can_start() -> bool:
-            return opened() and not training.busy and not (s.object is not None and s.object.trained)
+            return s.object is not None and not s.object.trained and not training.busy
 
         def can_resume() -> bool:
             return training.job is not None and not training.busy

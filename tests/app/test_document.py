@@ -15,7 +15,7 @@ from app.model.camera_control import OrbitCamera, project_points
 from app.model.document import WHOLE, Document, Part, Placement
 from app.model.history import History
 from app.model.knife import Stroke, plane_of, slice_object
-from app.model.pieces import Solid, pieces, sections, visible_pieces
+from app.model.pieces import Solid, pieces, sections, shown_points, visible_pieces
 from app.model.project import Project, Viewing, load_project, save_project
 from app.model.rigid_transform import STILL, Motion
 from engine.errors import InputError
@@ -161,6 +161,9 @@ def test_sections_hide_but_do_not_divide() -> None:
     moved = document.changed_cut(1, lambda cut: replace(cut, shift=0.25))
     assert sections(moved) == (Plane((0.0, 0.0, 1.0), -0.25),)
     assert sections(document.changed_cut(1, lambda cut: replace(cut, on=False))) == ()
+    (whole,) = pieces(moved, BALL)
+    seen = shown_points(whole, BALL, sections(moved))  # what a frame goes around
+    assert seen[:, 2].max() <= 0.25 < BALL.points[:, 2].max() and len(seen) > 0.5 * len(BALL.points)
 
 
 # The knife

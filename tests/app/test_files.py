@@ -180,6 +180,22 @@ def test_unsaved_work_survives_a_crash(tmp_path: Path) -> None:
     assert find_unsaved_work(tmp_path) == [] and not list(tmp_path.iterdir())
 
 
+def test_what_the_user_does_not_save_is_not_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("FRUITNINJA_HOME", str(tmp_path))
+    session = Session(history=History((Document(scene=tmp_path / "melon.ply"),)))
+    monkeypatch.setattr(session.scene, "load", lambda *_: None)
+    session.object = LoadedScene(SceneRequest(tmp_path / "melon.ply"))
+    session.change("Up", replace(session.document, up=(0.0, 1.0, 0.0)))
+    session.tick()
+    assert session.autosave.file.exists()
+    session.files.close()
+    assert session.question is not None
+    session.answer(next(choice for choice in session.question.choices if choice.label == "Don't save"))
+    session.autosave.next = 0.0  # as if the window took long to close
+    session.tick()
+    assert session.closing and not session.autosave.file.exists()
+
+
 def test_settings_survive_and_a_broken_file_does_no_harm(tmp_path: Path) -> None:
     path = tmp_path / "settings.json"
     settings = Settings("light", face_light=False, seen_hint=True).with_recent(tmp_path / "a").with_job(tmp_path / "b")

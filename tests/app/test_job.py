@@ -87,7 +87,10 @@ def test_a_job_is_found_again_paused_and_stopped_and_goes_on(tmp_path: Path) -> 
     assert found.progress.iteration == held
     found.unpause()
     follow(found, lambda job: job.progress.iteration > held)
+    found.pause()
+    follow(found, lambda job: job.phase == "paused")
     found.stop()
+    assert found.phase == "stopping"  # at once, not running again until it has ended
     follow(job, lambda job: job.ended)
     follow(found, lambda job: job.ended)
     assert found.phase == "stopped" and "stopped" in found.log_tail()[-1]

@@ -73,6 +73,29 @@ def make_solid(session: Session) -> None:
         session.activate(index, False)
 
 
+def test_strokes_through_what_is_not_solid_yet_are_done_when_it_is(
+    session: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Loading:
+        ended, announced, error, scene = False, False, "", LoadedScene(SceneRequest(Path("two.ply")))
+
+        def poll(self) -> bool:
+            return False
+
+    session.loader = Loading()  # type: ignore[assignment]
+    monkeypatch.setattr(session.scene, "load", lambda *_: None)
+    camera = EYE.camera(160, 120, session.view_up)
+    for height in (50.0, 70.0):
+        session.slice(camera, Stroke((0.0, height), (160.0, height)))
+    assert not any(document.cuts for document in session.documents) and "will be cut" in session.message
+    make_solid(session)
+    session.tick()
+    assert [len(document.cuts) for document in session.documents] == [2, 2]
+    assert [entry.name for entry in session.history.entries][-2:] == ["Cut", "Cut"]
+    session.tick()
+    assert len(session.history.entries) == 4  # once
+
+
 def test_separate_bodies_become_objects_once_and_undo_makes_them_one(session: Session) -> None:
     assert [document.number for document in session.documents] == [1, 2] and "2 separate objects" in session.message
     assert not session.history.changed  # nothing was lost if it were closed now

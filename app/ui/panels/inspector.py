@@ -14,10 +14,11 @@ from app.model.document import Cut, Document
 from app.model.pieces import PlacedPiece
 from app.model.rigid_transform import Vec3
 from app.session.session import Session
+from app.ui.panels.footer import Footer
 from app.ui.panels.interior import InteriorPanel
 from app.ui.panels.isolate import IsolatePanel
 from app.ui.theme import palette, px, rgba
-from app.ui.widgets import eye_icon, float_slider, heading, icon_button, secondary, thin_bar, tooltip
+from app.ui.widgets import eye_icon, float_slider, heading, icon_button, secondary, tooltip
 from engine.errors import InputError
 from engine.scene.plane import Plane
 from training.families import Family
@@ -48,6 +49,7 @@ class Inspector:
     def __init__(self, session: Session, interior: InteriorPanel) -> None:
         self.session, self.interior = session, interior
         self.isolate = IsolatePanel(session)
+        self.footer = Footer(session)
         self._numbers: tuple[int, list[float]] | None = None
         """Id of a cut, and a, b, c, d as typed so far."""
         self._up: list[float] | None = None
@@ -59,11 +61,15 @@ class Inspector:
 
     def show(self) -> None:
         """One frame."""
+        above = imgui.get_content_region_avail().y - self.footer.height
+        imgui.begin_child("##sections", ImVec2(0, max(above, px(80))))
         self._object()
         if self.session.tool == "isolate":
             self.isolate.show()
         self._cuts()
         self.interior.show()
+        imgui.end_child()
+        self.footer.show()
 
     # Object
 
@@ -83,14 +89,6 @@ class Inspector:
         self._up_axis()
         if len(session.documents) > 1:
             self._objects()
-        if session.loader is not None:
-            loader = session.loader
-            thin_bar(loader.fraction)
-            imgui.align_text_to_frame_padding()
-            secondary(loader.stage)
-            imgui.same_line(imgui.get_content_region_avail().x - px(56))
-            if imgui.button("Cancel##preparing", ImVec2(px(68), 0)):
-                session.scene.cancel()
 
     def _objects(self) -> None:
         """The list of several objects: shown or hidden, selected, named."""

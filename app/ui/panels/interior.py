@@ -22,16 +22,13 @@ from app.ui.view.viewport import Viewport
 from app.ui.widgets import (
     disabled,
     eye_icon,
-    format_duration,
     heading,
     icon_button,
     int_slider,
     main_button,
     range_slider,
-    right_text,
     secondary,
     segmented,
-    thin_bar,
     tooltip,
 )
 from training.families import COUNTS, Family, Kind
@@ -350,39 +347,21 @@ class InteriorPanel:
         self.session.change(name, replace(self.session.document, training=training), merge)
 
     def _run(self) -> None:
-        """The button for training, or the progress of the running job."""
+        """The button for training, or what the running job shows beside its progress (`app.ui.panels.footer`)."""
         session, training = self.session, self.session.training
         job = training.job
-        missing = missing_for_training(session.document)
-        if job is None:
-            trained = session.object is not None and session.object.trained
-            with disabled(bool(missing)):
-                if trained and imgui.button(f"{icon.ICON_FA_ARROWS_ROTATE}  Train again", ImVec2(-1, px(32))):
-                    self._confirm_restart()
-                elif not trained and main_button(f"{icon.ICON_FA_PLAY}  Give it an inside"):
-                    training.start()
-            if missing:
-                secondary(missing, wrap=True)
+        if job is not None:
+            self._details(job)
             return
-        phase = job.phase
-        square = px(32)
-        full = imgui.get_content_region_avail().x
-        if phase in ("running", "paused"):
-            label = f"{icon.ICON_FA_PAUSE}  Pause" if phase == "running" else f"{icon.ICON_FA_PLAY}  Go on"
-            if main_button(label, full - square - px(8)):
-                training.toggle_pause()
-            imgui.same_line()
-            if imgui.button(f"{icon.ICON_FA_STOP}##stop", ImVec2(square, square)):
-                training.stop()
-            tooltip("Stop. What was done is kept and can be resumed.")
-        else:
-            if main_button(f"{icon.ICON_FA_PLAY}  Resume", full - px(108)):
-                training.resume()
-            imgui.same_line()
-            if imgui.button("Start again", ImVec2(px(100), square)):
-                training.dismiss()
+        missing = missing_for_training(session.document) if session.object is not None else "Open an object first."
+        trained = session.object is not None and session.object.trained
+        with disabled(bool(missing)):
+            if trained and imgui.button(f"{icon.ICON_FA_ARROWS_ROTATE}  Train again", ImVec2(-1, px(32))):
+                self._confirm_restart()
+            elif not trained and main_button(f"{icon.ICON_FA_PLAY}  Give it an inside"):
                 training.start()
-        self._progress(job, phase)
+        if missing:
+            secondary(missing, wrap=True)
 
     def _confirm_restart(self) -> None:
         """Asks for confirmation: the new result replaces the one that is shown."""
@@ -393,17 +372,9 @@ class InteriorPanel:
             Choice("Train again", session.training.start, main=True),
         )
 
-    def _progress(self, job: Job, phase: str) -> None:
+    def _details(self, job: Job) -> None:
         progress = job.progress
-        thin_bar(progress.fraction, paused=phase != "running")
-        if phase == "running":
-            detail = f" {progress.iteration} of {progress.iterations}" if progress.stage == "train" else ""
-            secondary(f"{progress.title}{detail}")
-            if progress.remaining is not None:
-                right_text(f"{format_duration(progress.remaining)} left")
-        else:
-            secondary({"paused": "Paused", "stopped": "Stopped", "failed": "Ended early"}.get(phase, "Done"))
-        if phase == "failed":
+        if job.phase == "failed":
             for line in job.log_tail()[-3:]:
                 secondary(line, wrap=True)
         if len(progress.section) > 1:

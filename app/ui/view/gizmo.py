@@ -9,6 +9,7 @@ from imgui_bundle import ImVec2, imgui, imguizmo
 from numpy.typing import NDArray
 
 from app.model.document import Part
+from app.model.pieces import sections, shown_points
 from app.model.rigid_transform import Motion
 from app.session.session import Session
 from engine.scene.camera import Camera
@@ -38,9 +39,12 @@ def _piece_handles(session: Session, camera: Camera, origin: ImVec2, size: ImVec
     chosen = [piece for piece in session.pieces if piece.key in session.selection and piece.visible]
     if not chosen:
         return False
-    points = [piece.motion.apply(session.solid.points[piece.rows]) for piece in chosen]
+    hidden = sections(session.document)
+    points = np.concatenate([shown_points(piece, session.solid, hidden) for piece in chosen])
+    if not len(points):
+        return False
     place = np.eye(4)
-    place[:3, 3] = np.concatenate(points).mean(0)
+    place[:3, 3] = points.mean(0)
     operation = gizmo.OPERATION.translate if session.tool == "move" else gizmo.OPERATION.rotate
     moved = _manipulate("piece", camera, origin, size, operation, gizmo.MODE.world, place)
     if moved is not None:

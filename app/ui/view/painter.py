@@ -159,6 +159,11 @@ class Painter:
         self.unfinished |= mode == "capture" and self.renderer.sorting
         return self._texture
 
+    @property
+    def shown(self) -> moderngl.Texture | None:
+        """The last frame, which `frame` has returned; None before the first."""
+        return self._texture
+
     def _thinned(self, workspace: Workspace) -> int:
         """The level of detail at which as many Gaussians of the capture are drawn as can be without a graphics card."""
         capture = workspace.shown_capture

@@ -10,7 +10,7 @@ import numpy as np
 from imgui_bundle import ImVec2, imgui
 from numpy.typing import NDArray
 
-from app.model.camera_control import OrbitCamera, project_points
+from app.model.camera_control import OrbitCamera
 from app.model.document import Document, Key
 from app.model.knife import SHORTEST, Stroke, plane_of
 from app.model.pieces import Member, PlacedPiece
@@ -20,12 +20,13 @@ from app.model.upright import point_under
 from app.session.session import Session
 from app.ui.theme import palette, px, rgb, u32
 from app.ui.view.animation import CameraAnimation, PieceAnimation
-from app.ui.view.annotations import brackets, label, marker_outline
+from app.ui.view.annotations import label, marker_outline
 from app.ui.view.axis_cube import axis_cube
 from app.ui.view.box_handles import BoxHandles
 from app.ui.view.gizmo import handles, on_handles
 from app.ui.view.painter import Painter
 from app.ui.view.plane_lines import PlaneLines
+from app.ui.view.selection import selection_frames
 from app.ui.widgets import segmented
 from engine.render.gl.overlay import Lines, Sheet
 from engine.scene.camera import Camera
@@ -99,6 +100,8 @@ class Viewport:
         """Width and height of the picture, in the window's units."""
         self.origin = ImVec2(0, 0)
         self.plane_lines = PlaneLines(session)
+        self._behind = False
+        """Whether there is input that the last frame has not dealt with: ImGui takes a press and a release in turn."""
         self._handled = False
         """Whether handles were drawn in the last frame."""
         self.box_handles = BoxHandles(session)
@@ -108,9 +111,9 @@ class Viewport:
 
     @property
     def moving(self) -> bool:
-        """Whether an animation is running, so that frames must be drawn without an event."""
+        """Whether an animation is running or input waits, so that frames must be drawn without an event."""
         sliding = any(animation.moving for animation in self.piece_animations.values())
-        return sliding or self.camera_animation.now() is not None
+        return sliding or self._behind or self.camera_animation.now() is not None
 
     def camera(self, scale: float = 1.0) -> Camera:
         """The camera of the picture, in window units times `scale`."""
@@ -150,7 +153,10 @@ class Viewport:
             *self._knife_lines(scale),
             *self.box_handles.edges(scale),
         ]
-        texture = self.painter.frame(session, self.camera(scale), shown, background, over, moving)
+        self._behind = bool(len(imgui.get_current_context().input_events_queue))
+        texture = self.painter.shown
+        if not self._behind or texture is None:  # else keys come faster than frames: first all that was pressed
+            texture = self.painter.frame(session, self.camera(scale), shown, background, over, moving)
         if texture is None:
             draw.add_rect_filled(self.origin, corner, u32(palette().view))
         else:
@@ -164,7 +170,7 @@ class Viewport:
             imgui.set_next_item_allow_overlap()
             imgui.invisible_button("##canvas", size, ANY_BUTTON)
             hovered, active = imgui.is_item_hovered(), imgui.is_item_active()
-        self._draw_selection(camera, pieces)
+        selection_frames(session, camera, pieces, self.origin)
         self._handled = self.drag is None and handles(session, camera, self.origin, size)
         busy = self._handled and on_handles()
         busy = self.box_handles.show(camera, self.origin, self.drag is None and hovered) or busy
@@ -351,24 +357,6 @@ class Viewport:
         session.place("Move" if drag.kind == "move" else "Turn", drag.keys, motion, merge="drag")
 
     # The overlay
-
-    def _draw_selection(self, camera: Camera, pieces: list[PlacedPiece]) -> None:
-        """Brackets around each selected piece, or around the selected one of several objects."""
-        session = self.session
-        visible = [piece for piece in pieces if piece.visible and len(piece.rows)]
-        draw = imgui.get_window_draw_list()
-        if not session.selection and session.object_selected and session.document.visible and visible:
-            points = np.concatenate([piece.motion.apply(session.solid.points[piece.rows]) for piece in visible])
-            pixels = project_points(camera, points)[0] + np.array([self.origin.x, self.origin.y])
-            brackets(draw, pixels.min(0) - px(10), pixels.max(0) + px(10))
-        if len(pieces) < 2:
-            return
-        for piece in visible:
-            if piece.key not in session.selection:
-                continue
-            pixels, _ = project_points(camera, piece.motion.apply(session.solid.points[piece.rows]))
-            pixels = pixels + np.array([self.origin.x, self.origin.y])
-            brackets(draw, pixels.min(0) - px(10), pixels.max(0) + px(10))
 
     def _knife_lines(self, scale: float) -> list[Lines]:
         """Where the plane of the stroke would cut each piece."""
