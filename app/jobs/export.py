@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shutil
 import subprocess
 import tempfile
@@ -11,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
+from PIL import Image, ImageDraw, ImageFont
 
 from app.model.camera_control import OrbitCamera
 from app.model.pieces import PlacedPiece, Solid
@@ -43,6 +44,15 @@ Draw = Callable[[Camera, Sequence[Piece]], NDArray[np.uint8]]
 """Draws pieces as (H, W, 4) RGBA with straight alpha."""
 
 ANIMATIONS = (".webp", ".gif", ".mp4")
+
+COARSE = 256
+"""Pixels of the picture in which a cut face is looked for before it is drawn large."""
+
+SLICE_RADII = 0.02
+"""Thickness of the slice that is drawn of a cut face, in radii of the object."""
+
+SCALE_RGB = (128, 128, 128)
+"""Of the scale: readable on white, and on black behind a transparent picture."""
 
 OPACITY = 0.999
 """Opacity of an exported atom: files store its logit, and that of 1 is infinite."""
@@ -79,10 +89,46 @@ def sweep(plane: Plane, solid: Solid, count: int) -> Iterator[Plane]:
         yield Plane(plane.normal, -(low + (high - low) * float(part)))
 
 
-def section_picture(draw: Draw, plane: Plane, uncut: Piece, up: Vec3, solid: Solid, size: int) -> NDArray:
-    """(size, size, 4). The cut face of an object, `uncut`, seen straight on, to scale, with nothing around it."""
+def section_picture(draw: Draw, plane: Plane, uncut: Piece, up: Vec3, solid: Solid, size: int) -> NDArray[np.uint8]:
+    """(H, W, 4). The cut face of an object, `uncut`, seen straight on, with a scale below and nothing else around it.
+
+    The face fills the picture: its longer side is `size` pixels less a margin. Raises InputError if the plane meets
+    nothing.
+    """
     bounds = np.stack([solid.points.min(0), solid.points.max(0)]) if len(solid.points) else np.zeros((2, 3))
-    return draw(section(plane, np.asarray(up), bounds, size), [replace(uncut, planes=(plane,))])
+    # A thin slice: what bulges out behind the face would be seen around it.
+    behind = Plane(plane.flipped().normal, -plane.offset - SLICE_RADII * solid.radius)
+    slice_ = [replace(uncut, planes=(plane, behind))]
+    camera = section(plane, np.asarray(up), bounds, COARSE)
+    rows, columns = (np.flatnonzero((draw(camera, slice_)[..., 3] > 127).any(axis)) for axis in (1, 0))
+    if not len(rows):
+        raise InputError("This plane does not meet the object, so that there is no face to save.")
+    ends = np.array([[columns[0], rows[0]], [columns[-1] + 1, rows[-1] + 1]], float)
+    margin = max(4, round(0.02 * size))
+    zoom = (size - 2 * margin) / float(np.ptp(ends, axis=0).max())
+    width, height = (round(zoom * side) + 2 * margin for side in np.ptp(ends, axis=0))
+    cx, cy = (np.array([camera.cx, camera.cy]) - ends.mean(0)) * zoom + (width / 2, height / 2)
+    scale = camera.fx * zoom
+    close = replace(camera, fx=scale, fy=scale, cx=float(cx), cy=float(cy), width=width, height=height)
+    return np.concatenate([draw(close, slice_), scale_bar(width, scale)])
+
+
+def scale_bar(width: int, scale: float) -> NDArray[np.uint8]:
+    """(H, width, 4). A bar of a round length in the units of the file, with its number; `scale`: pixels to a unit."""
+    longest = 0.4 * width / scale
+    power = 10.0 ** math.floor(math.log10(longest))
+    length = max(step * power for step in (1, 2, 5) if step * power <= longest)
+    line = max(2, width // 300)
+    text = max(11, width // 40)
+    image = Image.new("RGBA", (width, 2 * text + 2 * line))
+    pen, left, bottom = ImageDraw.Draw(image), max(4, round(0.02 * width)), text // 2 + 2 * line
+    right = left + round(length * scale)
+    pen.rectangle((left, bottom - line, right, bottom - 1), fill=SCALE_RGB)
+    for x in (left, right - line):
+        pen.rectangle((x, bottom - 3 * line, x + line, bottom - 1), fill=SCALE_RGB)
+    place = (right + text // 2, bottom)
+    pen.text(place, f"{length:g} units", fill=SCALE_RGB, font=ImageFont.load_default(text), anchor="ls")
+    return np.asarray(image)
 
 
 def ffmpeg() -> str | None:

@@ -21,7 +21,7 @@ from engine.io.picture_file import PICTURE_SUFFIXES
 __all__ = ["ProjectFiles"]
 
 PATHS_LISTED = 6
-"""ProjectFiles outside of a project's folder that the question names; more would not fit the window."""
+"""Files outside of a project's folder that the question names; more would not fit the window."""
 
 
 @dataclass(frozen=True)
@@ -135,7 +135,7 @@ class ProjectFiles:
             names = "\n".join(str(p) for p in error.paths[:PATHS_LISTED])
             names += "\n..." if len(error.paths) > PATHS_LISTED else ""
             self.workspace.ask(
-                "ProjectFiles outside of the project's folder",
+                "Files outside of the project's folder",
                 f"{path.name} uses files that are not in its folder:\n{names}\n"
                 "Open it only if you know where it is from.",
                 Choice("Open anyway", lambda: self._open_project(path, outside=True)),

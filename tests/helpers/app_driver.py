@@ -75,7 +75,15 @@ class Driver:
 
     def click(self, reference: str) -> None:
         """An item, by ImGui's path."""
-        self.context.item_click(reference)
+        self.context.item_click(self.item(reference))
+
+    def item(self, reference: str) -> str:
+        """A path that ImGui finds: what scrolls of the inspector is a window in it."""
+        name = "//Inspector/"
+        if not reference.startswith(name):
+            return reference
+        self.context.set_ref(self.context.window_info(f"{name}##sections").id_)
+        return reference.removeprefix(name)
 
     def press(self, chord: int) -> None:
         """Keys."""

@@ -227,7 +227,7 @@ def several(driver: Driver, folder: Path) -> None:
     # The list: named with a double click, hidden by its eye; the picture follows.
     driver.click("//Inspector/$$2/###object")
     assert session.active == 1 and session.object_selected
-    driver.context.item_double_click("//Inspector/$$2/###object")
+    driver.context.item_double_click(driver.item("//Inspector/$$2/###object"))
     driver.frames(3)
     driver.context.key_chars_replace_enter("Lemon")
     driver.frames(3)

@@ -25,7 +25,7 @@ HINTS = {
     "picture": "What the window shows, in any size.",
     "turntable": "Once around the object.",
     "sweep": "The active plane on its way through the object and back.",
-    "section": "The active cut looked at straight on, nothing around it.",
+    "section": "The active cut looked at straight on, with a scale and nothing around it.",
     "pieces": "Opens in every 3DGS viewer. Cut faces there are as fine as the atoms.",
 }
 SUFFIXES = {"picture": ".png", "section": ".png", "pieces": ".ply"}
@@ -96,7 +96,7 @@ class ExportWindow:
             current = forms.index(o.form) if o.form in forms else 0
             o.form = forms[imgui.combo("##form", current, [f[1:].upper() for f in forms])[1]]
         if o.kind == "pieces":
-            row("ProjectFiles")
+            row("Files")
             o.separate = imgui.checkbox("one for each piece", o.separate)[1]
         imgui.dummy(ImVec2(0, px(6)))
         if main_button("Choose where...", px(150)):
