@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 from dataclasses import replace
 from functools import partial
-from itertools import zip_longest
 from pathlib import Path
 
 from imgui_bundle import ImVec2, imgui
@@ -19,21 +18,36 @@ from app.session.workspace import TOOLS, Tool
 from app.ui.commands import Command, Ctrl, Key, Shift
 from app.ui.dialogs.export_window import ExportWindow
 from app.ui.dialogs.file_dialogs import FileDialogs
-from app.ui.theme import Fonts, apply, palette, px, rgba
+from app.ui.theme import Fonts, apply, palette, px, rgba, u32
 from app.ui.view.viewport import Viewport
-from app.ui.widgets import font, icon_button, secondary, tooltip
+from app.ui.widgets import font, icon_button, key_caps, knife_icon, secondary, tooltip
 
 __all__ = ["Menus"]
 
 TOOL_ICONS: dict[Tool, tuple[str, str, str]] = {
     "select": (icon.ICON_FA_ARROW_POINTER, "Select pieces; drag to look around", "V"),
-    "knife": (icon.ICON_FA_UTENSILS, "Knife: drag across the object to cut it", "K"),
+    "knife": ("", "Knife: drag across the object to cut it", "K"),
     "plane": (icon.ICON_FA_LAYER_GROUP, "Plane: drag to open the object along a plane", "P"),
     "move": (icon.ICON_FA_UP_DOWN_LEFT_RIGHT, "Move pieces", "M"),
     "turn": (icon.ICON_FA_ROTATE, "Turn pieces", "T"),
     "upright": (icon.ICON_FA_ARROWS_DOWN_TO_LINE, "Upright: click the face it stands on, or turn it", "U"),
     "isolate": (icon.ICON_FA_CROP_SIMPLE, "Isolate: say what of the capture is the object", "I"),
 }
+
+POINTER = (
+    ("Drag", "Look around, or use the tool"),
+    ("Right drag", "Look around"),
+    ("Alt+Drag", "Look around with any tool"),
+    ("Middle drag", "Shift the picture"),
+    ("Shift+Right drag", "Shift the picture"),
+    ("Wheel", "Nearer, to the pointer"),
+    ("Ctrl+Click", "Select several pieces"),
+    ("Shift", "Level and upright, while cutting"),
+    ("Esc", "Do not cut, while cutting"),
+    ("Shift", "Select more, while isolating"),
+    ("Alt", "Select less, while isolating"),
+)
+"""What the pointer does, for the list of shortcuts."""
 
 
 class Menus:
@@ -185,8 +199,12 @@ class Menus:
         imgui.push_style_var(imgui.StyleVar_.item_spacing, ImVec2(px(8), px(8)))
         for tool in TOOLS:
             symbol, hint, keys = TOOL_ICONS[tool]
-            if icon_button(f"{symbol}##{tool}", 38, active=self.session.tool == tool):
+            active = self.session.tool == tool
+            if icon_button(f"{symbol}##{tool}", 38, active=active):
                 self.session.select_tool(tool)
+            if tool == "knife":
+                colour = u32(palette().on_accent if active else palette().text)
+                knife_icon(imgui.get_window_draw_list(), imgui.get_item_rect_min(), imgui.get_item_rect_max(), colour)
             tooltip(hint, keys)
         imgui.dummy(ImVec2(0, px(2)))
         if icon_button(f"{icon.ICON_FA_EXPAND}##fit", 38):
@@ -225,34 +243,37 @@ class Menus:
         with font(Fonts.bold):
             imgui.text_unformatted("Shortcuts")
         imgui.separator()
-        mouse = (
-            ("Drag", "look around, or use the tool"),
-            ("Right drag", "look around"),
-            ("Middle or Shift+right drag", "shift the picture"),
-            ("Wheel", "nearer, to the pointer"),
-            ("Alt+drag", "look around with any tool"),
-            ("Shift while cutting", "level and upright cuts"),
-            ("Esc while cutting", "do not cut"),
-            ("Shift or Alt while isolating", "select more or less"),
-            ("Ctrl+click", "select several pieces"),
-        )
-        left = [(c.keys, c.label) for c in self.commands if c.keys and c.menu in ("File", "Edit", "Cut", "Help")]
-        right = [(c.keys, c.label) for c in self.commands if c.keys and c.menu in ("Tools", "View")]
-        if imgui.begin_table("##keys", 6, imgui.TableFlags_.sizing_fixed_fit):
-            for row in zip_longest(mouse, right, left, fillvalue=("", "")):
-                imgui.table_next_row()
-                for keys, label in row:
-                    imgui.table_next_column()
-                    secondary(f"{keys}   ")
-                    imgui.table_next_column()
-                    imgui.text_unformatted(f"{label.removesuffix('...')}        ")
-            imgui.end_table()
+        columns = [
+            [("Pointer", [*POINTER])],
+            [(menu, self._keys(menu)) for menu in ("Tools", "View")],
+            [(menu, self._keys(menu)) for menu in ("File", "Edit", "Cut", "Help")],
+        ]
+        for number, groups in enumerate(columns):
+            if number:
+                imgui.same_line(0, px(36))
+            imgui.begin_group()
+            for title, rows in groups:
+                secondary(title)
+                if imgui.begin_table(f"##{title}", 2, imgui.TableFlags_.sizing_fixed_fit):
+                    for keys, label in rows:
+                        imgui.table_next_row()
+                        imgui.table_next_column()
+                        key_caps(keys)
+                        imgui.table_next_column()
+                        imgui.text_unformatted(label)
+                    imgui.end_table()
+                imgui.dummy(ImVec2(0, px(4)))
+            imgui.end_group()
         outside = imgui.is_mouse_clicked(imgui.MouseButton_.left) and not imgui.is_window_hovered()
         if outside or imgui.is_key_pressed(imgui.Key.escape):
             self.shortcuts_shown = False
         imgui.end()
         imgui.pop_style_var()
         imgui.pop_style_color()
+
+    def _keys(self, menu: str) -> list[tuple[str, str]]:
+        """Shortcuts and names of a menu's commands, in the menu's order."""
+        return [(c.keys, c.label.removesuffix("...")) for c in self.commands if c.keys and c.menu == menu]
 
     # Actions
 

@@ -17,6 +17,8 @@ __all__ = [
     "heading",
     "icon_button",
     "int_slider",
+    "key_caps",
+    "knife_icon",
     "main_button",
     "range_slider",
     "secondary",
@@ -27,8 +29,9 @@ __all__ = [
 
 
 def tooltip(text: str, keys: str = "") -> None:
-    """Shows what the last item does, and its shortcut, while the pointer is on it."""
+    """Shows what the last item does, and its shortcut, while the pointer is on it: where it covers no other item."""
     if imgui.is_item_hovered(imgui.HoveredFlags_.for_tooltip | imgui.HoveredFlags_.allow_when_disabled):
+        _place_tooltip()
         imgui.push_style_var(imgui.StyleVar_.window_padding, ImVec2(px(9), px(6)))
         if imgui.begin_tooltip():
             imgui.push_text_wrap_pos(px(300))
@@ -39,6 +42,51 @@ def tooltip(text: str, keys: str = "") -> None:
                 imgui.text_disabled(keys)
             imgui.end_tooltip()
         imgui.pop_style_var()
+
+
+def _place_tooltip() -> None:
+    """Beside a narrow window, on the side with more room; in a wide one below the item."""
+    low, high, space = imgui.get_item_rect_min(), imgui.get_item_rect_max(), px(8)
+    left, width, middle = imgui.get_window_pos().x, imgui.get_window_size().x, (low.y + high.y) / 2
+    screen = imgui.get_main_viewport()
+    if width > px(600):
+        imgui.set_next_window_pos(ImVec2(low.x, high.y + space))
+    elif left - screen.pos.x > screen.size.x - (left + width - screen.pos.x):
+        imgui.set_next_window_pos(ImVec2(left - space, middle), imgui.Cond_.always, ImVec2(1, 0.5))
+    else:
+        imgui.set_next_window_pos(
+            ImVec2(left + width + space, middle), imgui.Cond_.always, ImVec2(0, 0.5)
+        )
+
+
+def key_caps(keys: str) -> None:
+    """A shortcut as keys: 'Ctrl+Z' as two of them."""
+    p, draw, inset = palette(), imgui.get_window_draw_list(), ImVec2(px(6), px(2))
+    for number, key in enumerate(keys.split("+")):
+        if number:
+            imgui.same_line(0, px(4))
+        size = imgui.calc_text_size(key)
+        low = imgui.get_cursor_screen_pos()
+        high = ImVec2(low.x + size.x + 2 * inset.x, low.y + size.y + 2 * inset.y)
+        draw.add_rect_filled(low, high, u32(p.field), px(4))
+        draw.add_rect(low, high, u32(p.line), px(4))
+        draw.add_line(ImVec2(low.x + px(3), high.y), ImVec2(high.x - px(3), high.y), u32(p.pressed), px(2))
+        draw.add_text(ImVec2(low.x + inset.x, low.y + inset.y), u32(p.text), key)
+        imgui.dummy(ImVec2(high.x - low.x, high.y - low.y))
+
+
+def knife_icon(draw: imgui.ImDrawList, low: ImVec2, high: ImVec2, colour: int) -> None:
+    """A kitchen knife in a square, its blade up to the left: no icon of the font looks like one."""
+    side = high.x - low.x
+
+    def at(x: float, y: float) -> ImVec2:
+        return ImVec2(low.x + x * side, low.y + y * side)
+
+    draw.path_line_to(at(0.24, 0.24))
+    draw.path_bezier_quadratic_curve_to(at(0.25, 0.52), at(0.50, 0.66))
+    draw.path_line_to(at(0.60, 0.56))
+    draw.path_fill_convex(colour)
+    draw.add_line(at(0.60, 0.61), at(0.75, 0.76), colour, 0.105 * side)
 
 
 @contextmanager

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -14,6 +15,7 @@ from imgui_bundle import ImVec2, ImVec4, hello_imgui, imgui, imguizmo, implot
 from imgui_bundle import icons_fontawesome_6 as icon
 from imgui_bundle.glfw_utils import glfw_window_hello_imgui
 
+from app.jobs.scene_loader import SceneLoader
 from app.jobs.training_job import Job
 from app.model.autosave import UnsavedWork, find_unsaved_work
 from app.model.project import Viewing
@@ -32,7 +34,7 @@ from app.ui.panels.thumbnails import Thumbnails
 from app.ui.theme import Fonts, apply, load_fonts, palette, px, rgba, u32
 from app.ui.view.painter import Painter
 from app.ui.view.viewport import Viewport
-from app.ui.widgets import font, main_button, secondary
+from app.ui.widgets import font, main_button, secondary, thin_bar
 from engine.io.picture_file import PICTURE_SUFFIXES
 
 __all__ = ["Window"]
@@ -42,6 +44,9 @@ IDLE_FRAMES = 6.0
 
 INSPECTOR = 344.0
 """Width of the inspector at 96 DPI; it stays the same when the window grows."""
+
+READ_IN = 12.0
+"""Seconds until a message leaves the status line: it is of what was done last, not of what is shown for long."""
 
 GUI_ERRORS = 3
 """Consecutive frames with an error after which the window gives up, rather than show the error for ever."""
@@ -59,6 +64,8 @@ class Window:
         """Jobs of earlier sessions that the user has not been told about yet."""
         self.params = self._params()
         self._failures = 0
+        self._said, self._said_at = "", 0.0
+        """The last message in the status line, and when it came."""
 
     def run(self) -> None:
         """Shows the window until it is closed."""
@@ -91,6 +98,7 @@ class Window:
         callbacks.show_gui = lambda: self._guard(self._gui)
         callbacks.show_menus = lambda: self._guard(self.menus.show)
         callbacks.show_status = self._status
+        callbacks.before_imgui_render = close_menus
         toolbar = hello_imgui.EdgeToolbar()
         toolbar.show_toolbar = lambda: self._guard(self.menus.toolbar)
         toolbar.options = hello_imgui.EdgeToolbarOptions(size_em=4.0, window_padding_em=ImVec2(0.72, 0.75))
@@ -228,12 +236,20 @@ class Window:
         self.menus.context_menu()
         if self.session.document.scene is None:
             self._welcome()
+        elif self.session.object is None and self.session.loader is not None:
+            self._opening(self.session.loader)
 
     def _inspector(self) -> None:
         self._guard(self.inspector.show)
 
     def _status(self) -> None:
-        message = self.session.message or "Drop a capture on the window, or open one with Ctrl+O."
+        message, now = self.session.message, time.monotonic()
+        if message is not self._said:
+            self._said, self._said_at = message, now
+        if now - self._said_at > READ_IN:
+            message = ""
+        if self.session.document.scene is None:
+            message = message or "Drop a capture on the window, or open one with Ctrl+O."
         imgui.text_unformatted(message)
 
     def _welcome(self) -> None:
@@ -252,6 +268,18 @@ class Window:
         if imgui.button("Try the watermelon", ImVec2(width, px(32))):
             self.menus.open_sample("watermelon")
         imgui.end_group()
+
+    def _opening(self, loader: SceneLoader) -> None:
+        """What is being opened, while there is nothing of it to show."""
+        view, width = self.viewport, px(300)
+        left = view.origin.x + (view.size[0] - width) / 2
+        imgui.set_cursor_screen_pos(ImVec2(left, view.origin.y + view.size[1] / 2 - px(30)))
+        imgui.begin_child("##opening", ImVec2(width, px(80)))
+        with font(Fonts.bold):
+            imgui.text_unformatted(loader.request.scene.name)
+        thin_bar(loader.fraction)
+        secondary(loader.stage)
+        imgui.end_child()
 
     def _notices(self) -> None:
         """Cards at the bottom of the viewport: unsaved work, jobs of earlier sessions, errors."""
@@ -362,3 +390,9 @@ class Window:
         imgui.pop_style_var()
         if chosen is not None:
             self.session.answer(chosen)
+
+
+def close_menus() -> None:
+    """Closes menus and lists at Esc, which ImGui does only where the keyboard moves between items."""
+    if imgui.is_key_pressed(imgui.Key.escape) and not imgui.is_any_item_active():
+        imgui.internal.close_popups_except_modals()

@@ -82,7 +82,7 @@ class Driver:
         name = "//Inspector/"
         if not reference.startswith(name):
             return reference
-        self.context.set_ref(self.context.window_info(f"{name}##sections").id_)
+        self.context.set_ref(imgui.test_engine.TestRef(self.context.window_info(f"{name}##sections").id_))
         return reference.removeprefix(name)
 
     def press(self, chord: int) -> None:
