@@ -74,6 +74,11 @@ class Cut:
         """The plane of a part, including the shift."""
         return Plane(part.plane.normal, part.plane.offset - self.shift)
 
+    def with_plane(self, plane: Plane) -> Cut:
+        """A cut of one part along another plane, in object space."""
+        (part,) = self.parts
+        return replace(self, parts=(replace(part, plane=plane),), shift=0.0)
+
     def plane_for(self, key: Key) -> Plane | None:
         """The plane that divides this piece; None if the cut was made for other pieces."""
         for part in self.parts:

@@ -13,10 +13,10 @@ from app.model.camera_control import project_points, ray
 from app.model.document import Document, Key, Part
 from app.model.pieces import PlacedPiece, Solid, visible_pieces
 from app.model.rigid_transform import Vec3
-from engine.scene.camera import Camera
+from engine.scene.camera import Camera, equator
 from engine.scene.plane import Plane
 
-__all__ = ["Outcome", "Stroke", "plane_of", "slice_object", "snapped_plane"]
+__all__ = ["Outcome", "PlaneAngles", "Stroke", "plane_of", "plane_through", "slice_object", "snapped_plane"]
 
 SHORTEST = 6.0
 """Pixels of the shortest stroke: a shorter drag is a click, and its direction is noise."""
@@ -162,3 +162,39 @@ def _joined(parts: list[Part]) -> tuple[Part, ...]:
 
 def _pieces(count: int) -> str:
     return "one piece" if count == 1 else f"{count} pieces"
+
+
+@dataclass(frozen=True)
+class PlaneAngles:
+    """A plane in words that need no equation."""
+
+    distance: float
+    """From the object's centre along the normal, world units."""
+    tilt: float
+    """Degrees between the normal and the up axis: 0 for a level plane, 90 for an upright one. Range [0, 180]."""
+    turn: float
+    """Degrees of the normal about the up axis, from the first vector of `equator`; 0 for a level plane."""
+
+    @staticmethod
+    def of(plane: Plane, up: NDArray[np.float64], centre: NDArray[np.floating]) -> PlaneAngles:
+        """Of a plane beside an object with this unit up axis (3,) and centre (3,)."""
+        normal = np.asarray(plane.normal)
+        e1, e2 = equator(up)
+        along, x, y = float(normal @ up), float(normal @ e1), float(normal @ e2)
+        flat = math.hypot(x, y)
+        turn = math.degrees(math.atan2(y, x)) if flat > 1e-9 else 0.0
+        return PlaneAngles(-float(plane.distance(centre)), math.degrees(math.atan2(flat, along)), turn)
+
+    def plane(self, up: NDArray[np.float64], centre: NDArray[np.floating]) -> Plane:
+        """The plane that it describes."""
+        tilt, turn = math.radians(self.tilt), math.radians(self.turn)
+        e1, e2 = equator(up)
+        normal = math.cos(tilt) * up + math.sin(tilt) * (math.cos(turn) * e1 + math.sin(turn) * e2)
+        return Plane.through(centre + self.distance * normal, normal)
+
+
+def plane_through(a: NDArray[np.float64], b: NDArray[np.float64], c: NDArray[np.float64]) -> Plane | None:
+    """The plane through three points (3,); None if they lie in a line."""
+    normal = np.cross(b - a, c - a)
+    longest = max(float(np.linalg.norm(side)) for side in (b - a, c - a, c - b))
+    return Plane.through((a + b + c) / 3, normal) if np.linalg.norm(normal) > 1e-3 * longest**2 else None

@@ -92,7 +92,7 @@ class Menus:
 
         axis_keys = (("1", Key._1), ("3", Key._3), ("2", Key._2), ("4", Key._4), ("6", Key._6), ("5", Key._5))
         look = [Command("View", "Fit", view.fit, "F", Key.f, opened)]
-        for name, (keys, chord) in zip(AXIS_VIEWS, axis_keys, strict=True):
+        for name, (keys, chord) in sorted(zip(AXIS_VIEWS, axis_keys, strict=True), key=lambda view: view[1][0]):
             look.append(
                 Command("View", name.title(), partial(self._look_from, name), keys, chord, separated=name == "front")
             )

@@ -54,9 +54,7 @@ def _place_tooltip() -> None:
     elif left - screen.pos.x > screen.size.x - (left + width - screen.pos.x):
         imgui.set_next_window_pos(ImVec2(left - space, middle), imgui.Cond_.always, ImVec2(1, 0.5))
     else:
-        imgui.set_next_window_pos(
-            ImVec2(left + width + space, middle), imgui.Cond_.always, ImVec2(0, 0.5)
-        )
+        imgui.set_next_window_pos(ImVec2(left + width + space, middle), imgui.Cond_.always, ImVec2(0, 0.5))
 
 
 def key_caps(keys: str) -> None:

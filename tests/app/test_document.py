@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from app.model.camera_control import OrbitCamera, project_points
 from app.model.document import WHOLE, Document, Part, Placement
 from app.model.history import History
-from app.model.knife import Stroke, plane_of, slice_object
+from app.model.knife import PlaneAngles, Stroke, plane_of, plane_through, slice_object
 from app.model.pieces import Solid, pieces, sections, shown_points, visible_pieces
 from app.model.project import Project, Viewing, load_project, save_project
 from app.model.rigid_transform import STILL, Motion
@@ -210,6 +210,24 @@ def test_one_stroke_cuts_moved_pieces_where_they_lie() -> None:
     assert np.allclose(heights, [0.0, 0.3], atol=1e-9)
     only = slice_object(lifted, BALL, camera, stroke, UP, [first]).document
     assert only is not None and len(visible_pieces(only, BALL)) == 3
+
+
+@settings(max_examples=40, deadline=None)
+@given(planes, directions, directions)
+def test_a_plane_is_a_distance_and_two_angles_or_three_points(
+    plane: Plane, axis: tuple[float, float, float], centre: tuple[float, float, float]
+) -> None:
+    up, middle, normal = np.array(axis) / np.linalg.norm(axis), np.array(centre), np.array(plane.normal)
+    angles = PlaneAngles.of(plane, up, middle)
+    assert np.allclose(plane.distance(middle + angles.distance * normal), 0, atol=1e-9)
+    assert np.isclose(np.cos(np.radians(angles.tilt)), normal @ up, atol=1e-9)
+    again = angles.plane(up, middle)
+    assert np.allclose((*again.normal, again.offset), (*plane.normal, plane.offset), atol=1e-7)
+    points = BALL.points[:3] - plane.distance(BALL.points[:3])[:, None] * normal
+    through = plane_through(*points)
+    if through is not None:
+        assert np.allclose(through.distance(points), 0, atol=1e-9)
+    assert plane_through(points[0], points[1], 2 * points[1] - points[0]) is None
 
 
 def test_snapping_gives_the_objects_own_planes() -> None:

@@ -26,7 +26,7 @@ HINTS = {
     "turntable": "Once around the object.",
     "sweep": "The active plane on its way through the object and back.",
     "section": "The active cut looked at straight on, with a scale and nothing around it.",
-    "pieces": "Opens in every 3DGS viewer. Cut faces there are as fine as the atoms.",
+    "pieces": "Opens in every 3DGS viewer. Cut faces there are as fine as its points.",
 }
 SUFFIXES = {"picture": ".png", "section": ".png", "pieces": ".ply"}
 LARGEST = 8192

@@ -14,14 +14,12 @@ from app.model.document import Cut, Document
 from app.model.pieces import PlacedPiece
 from app.model.rigid_transform import Vec3
 from app.session.session import Session
+from app.ui.panels.cut_details import CutDetails
 from app.ui.panels.footer import Footer
 from app.ui.panels.interior import InteriorPanel
 from app.ui.panels.isolate import IsolatePanel
 from app.ui.theme import palette, px, rgba
 from app.ui.widgets import eye_icon, float_slider, heading, icon_button, secondary, tooltip
-from engine.errors import InputError
-from engine.scene.plane import Plane
-from training.families import Family
 
 __all__ = ["Inspector"]
 
@@ -50,8 +48,7 @@ class Inspector:
         self.session, self.interior = session, interior
         self.isolate = IsolatePanel(session)
         self.footer = Footer(session)
-        self._numbers: tuple[int, list[float]] | None = None
-        """Id of a cut, and a, b, c, d as typed so far."""
+        self.details = CutDetails(session, interior.viewport)
         self._up: list[float] | None = None
         """The up axis as typed so far, while its list is open."""
         self._renamed: int | None = None
@@ -211,7 +208,7 @@ class Inspector:
             session.active_cut = None if active else cut.id
         imgui.pop_style_var()
         imgui.pop_style_color(2)
-        tooltip("Click for its numbers")
+        tooltip("Click to say where it lies")
         imgui.same_line()
         self._slider(cut)
         imgui.same_line()
@@ -221,7 +218,7 @@ class Inspector:
             return
         tooltip("Remove: what it parted is one again" if cut.kind == "slice" else "Remove")
         if active and session.active_cut == cut.id:
-            self._details(cut)
+            self.details.show(cut)
         imgui.pop_id()
 
     def _slider(self, cut: Cut) -> None:
@@ -234,55 +231,6 @@ class Inspector:
         if changed:
             shift = cut.shift + (new - place) * solid.radius
             session.change_cut(f"Move {cut.name}", cut.id, lambda c: replace(c, shift=shift), merge=f"cut {cut.id}")
-
-    def _details(self, cut: Cut) -> None:
-        """The plane equation of the active cut, and buttons for what can be done with it."""
-        session = self.session
-        imgui.indent(px(32))
-        plane = cut.plane(cut.parts[0])
-        values = [*plane.normal, plane.offset]
-        if len(cut.parts) == 1:
-            editing = self._numbers[1] if self._numbers is not None and self._numbers[0] == cut.id else values
-            imgui.set_next_item_width(-1)
-            changed, editing = imgui.input_float4("##numbers", editing, "%.3f")
-            if changed:
-                self._numbers = (cut.id, list(editing))
-            if imgui.is_item_deactivated_after_edit() and self._numbers is not None:
-                self._set_numbers(cut, self._numbers[1])
-            if not imgui.is_item_active():
-                self._numbers = None
-            tooltip("a, b, c, d of the plane a x + b y + c z + d = 0; the side below 0 stays")
-        if imgui.button("Flip"):
-            session.change_cut("Flip", cut.id, flipped)
-        tooltip("Keep the other side" if cut.kind == "section" else "Swap the sides of the cut")
-        imgui.same_line()
-        if cut.kind == "section":
-            if imgui.button("Slice here"):
-                session.change_cut("Slice", cut.id, lambda c: replace(c, kind="slice"))
-            tooltip("Part the object along this plane")
-            imgui.same_line()
-        if imgui.button("Train here"):
-            self._train(plane)
-        tooltip("Add this plane to the ones that are trained")
-        imgui.unindent(px(32))
-
-    def _set_numbers(self, cut: Cut, values: list[float]) -> None:
-        try:
-            plane = Plane.of(values[:3], values[3])
-        except InputError:
-            self.session.notify("a, b, c must not all be zero.")
-            return
-        part = replace(cut.parts[0], plane=plane)
-        self.session.change_cut(f"Set {cut.name}", cut.id, lambda c: replace(c, parts=(part,), shift=0.0))
-
-    def _train(self, plane: Plane) -> None:
-        session = self.session
-        family = session.document.family("custom")
-        planes = (*(family.custom if family else ()), plane)
-        single = family or Family("custom", 1, custom=planes)
-        new = replace(single, count=len(planes), custom=planes)
-        session.change("Train plane", session.document.with_family(new))
-        session.notify("Added to the family of single planes. Give it a picture.")
 
     # Pieces
 
@@ -328,9 +276,3 @@ class Inspector:
             session.delete()
         tooltip("Delete the piece", "Del")
         imgui.pop_id()
-
-
-def flipped(cut: Cut) -> Cut:
-    """The cut with its two sides swapped."""
-    parts = tuple(replace(part, plane=cut.plane(part).flipped()) for part in cut.parts)
-    return replace(cut, parts=parts, shift=0.0)

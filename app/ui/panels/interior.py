@@ -180,7 +180,7 @@ class InteriorPanel:
         secondary("In words")
         imgui.same_line(label)
         imgui.set_next_item_width(-1)
-        changed, text = imgui.input_text_with_hint("##prompt", "optional, for priors that read", family.prompt)
+        changed, text = imgui.input_text_with_hint("##prompt", "optional, if drawn from words", family.prompt)
         if changed:
             change("Words", replace(family, prompt=text), merge=f"prompt {kind}")
         self._pictures(family)
@@ -308,7 +308,7 @@ class InteriorPanel:
         current = names.index(training.prior) if training.prior in names else 0
         changed, index = imgui.combo("##prior", current, list(PRIORS.values()))
         if changed:
-            self._change_training("Prior", replace(training, prior=names[index]))
+            self._change_training("Drawn", replace(training, prior=names[index]))
         if training.prior == "stable-diffusion":
             row("Model")
             if imgui.button(training.model.name if training.model else "Choose a folder...", ImVec2(-1, 0)):

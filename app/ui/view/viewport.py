@@ -26,6 +26,7 @@ from app.ui.view.box_handles import BoxHandles
 from app.ui.view.gizmo import handles, on_handles
 from app.ui.view.painter import Painter
 from app.ui.view.plane_lines import PlaneLines
+from app.ui.view.point_picker import PointPicker
 from app.ui.view.selection import selection_frames
 from app.ui.widgets import segmented
 from engine.render.gl.overlay import Lines, Sheet
@@ -100,6 +101,7 @@ class Viewport:
         """Width and height of the picture, in the window's units."""
         self.origin = ImVec2(0, 0)
         self.plane_lines = PlaneLines(session)
+        self.point_picker = PointPicker(session)
         self._behind = False
         """Whether there is input that the last frame has not dealt with: ImGui takes a press and a release in turn."""
         self._handled = False
@@ -180,6 +182,7 @@ class Viewport:
             self._draw_stroke()
         if self.drag is not None and self.drag.kind == "mark" and not self.drag.cancelled:
             marker_outline(draw, session.isolation.marker, self.drag.path, self.origin)
+        self.point_picker.show(camera, self.origin, hovered and self.drag is None)
         self._overlays(camera)
         if hovered and self.drag is None and not busy:
             self._hint()
@@ -291,7 +294,10 @@ class Viewport:
 
     def _click(self, at: tuple[float, float]) -> None:
         session = self.session
-        member, _ = self._pick(at)
+        member, point = self._pick(at)
+        if self.point_picker.cut_id is not None and imgui.is_mouse_released(imgui.MouseButton_.left):
+            self.point_picker.click(member, point)
+            return
         key = None
         if member is not None:
             key = self._activate(member)
@@ -409,7 +415,7 @@ class Viewport:
         draw.add_text(at, u32(p.second), lines)
 
     def counts(self) -> str:
-        """What is shown, how many Gaussians or atoms it has, and the time of a frame, in a line."""
+        """What is shown, how many Gaussians or points it has, and the time of a frame, in a line."""
         shown = self.session.object
         if shown is None:
             return ""
@@ -421,7 +427,7 @@ class Viewport:
             pieces = f"    {count} pieces" if count != 1 else ""
             solids = self.session.solids.values()
             total = sum(len(one) if self.session.mode == "solid" else len(one.interior) for one in solids)
-            what = f"{total:,} atoms{pieces}"
+            what = f"{total:,} points{pieces}"
         taken = self.painter.milliseconds
         return f"{what}    {taken:.0f} ms" if taken else what
 

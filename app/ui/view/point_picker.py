@@ -1,0 +1,74 @@
+"""Three points that are clicked on the object, for the plane through them."""
+
+from __future__ import annotations
+
+import numpy as np
+from imgui_bundle import ImVec2, imgui
+from numpy.typing import NDArray
+
+from app.model.camera_control import project_points
+from app.model.knife import plane_through
+from app.model.pieces import Member
+from app.session.session import Session
+from app.ui.theme import palette, px, u32
+from app.ui.view.annotations import label
+from engine.scene.camera import Camera
+
+__all__ = ["PointPicker"]
+
+
+class PointPicker:
+    """Collects the points, then moves the cut."""
+
+    def __init__(self, session: Session) -> None:
+        self.session = session
+        self.cut_id: int | None = None
+        """The cut that is to go through the points; None while none are picked."""
+        self.points: list[NDArray[np.float64]] = []
+        """Each (3,), in object space."""
+        self._seen: list[NDArray[np.float64]] = []
+        """The same in world space."""
+
+    def begin(self, cut_id: int) -> None:
+        """From now on clicks on the object are points."""
+        self.cut_id, self.points, self._seen = cut_id, [], []
+        self.session.select_tool("select")
+        self.session.notify("Click three points on the object. Esc: leave the plane as it is.")
+
+    def cancel(self) -> None:
+        """Clicks select again."""
+        self.cut_id, self.points, self._seen = None, [], []
+
+    def click(self, member: Member | None, point: NDArray[np.float64] | None) -> None:
+        """A click on a piece, at a world point (3,)."""
+        session = self.session
+        if member is None or point is None or member.index != session.active:
+            session.notify("Click on the object.")
+            return
+        self.points.append(member.piece.motion.inverse().apply(point))
+        self._seen.append(point)
+        if len(self.points) < 3:
+            return
+        plane, cut_id = plane_through(*self.points), self.cut_id
+        self.cancel()
+        if plane is None:
+            session.notify("The three points lie in a line. Click three others.")
+        elif cut_id is not None:
+            session.change_cut("Through three points", cut_id, lambda cut: cut.with_plane(plane))
+
+    def show(self, camera: Camera, origin: ImVec2, hovered: bool) -> None:
+        """Draws the points; Esc or the end of the cut ends the picking."""
+        if self.cut_id is None:
+            return
+        gone = all(cut.id != self.cut_id for cut in self.session.document.cuts)
+        if gone or imgui.is_key_pressed(imgui.Key.escape) or self.session.tool != "select":
+            self.cancel()
+            return
+        draw = imgui.get_window_draw_list()
+        for point in self._seen:
+            ((x, y),) = project_points(camera, point[None])[0].tolist()
+            draw.add_circle_filled(ImVec2(x + origin.x, y + origin.y), px(6.5), u32("#000000", 0.35))
+            draw.add_circle_filled(ImVec2(x + origin.x, y + origin.y), px(5), u32(palette().accent))
+        if hovered:
+            mouse = imgui.get_mouse_pos()
+            label(draw, ImVec2(mouse.x + px(24), mouse.y + px(12)), f"Point {len(self.points) + 1} of 3")
