@@ -35,6 +35,7 @@ __all__ = [
     "save_animation",
     "save_pieces",
     "save_still",
+    "scale_bar",
     "section_picture",
     "sweep",
     "turntable",

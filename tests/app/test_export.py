@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from PIL import Image
 
 from app.jobs.export import (
@@ -19,6 +20,8 @@ from app.jobs.export import (
     save_animation,
     save_pieces,
     save_still,
+    scale_bar,
+    section_picture,
     sweep,
     turntable,
 )
@@ -28,6 +31,8 @@ from app.model.pieces import PlacedPiece, Solid, pieces
 from app.model.rigid_transform import Motion
 from engine.errors import InputError
 from engine.io.splats.ply import read_ply
+from engine.scene.camera import Camera, plane_points
+from engine.scene.piece import Piece
 from engine.scene.plane import Plane
 from engine.scene.sh import colours
 from tests.helpers.app_objects import atoms
@@ -120,3 +125,34 @@ def test_a_turntable_closes_and_a_sweep_passes_through_everything() -> None:
     solid = Solid.of(np.random.default_rng(0).uniform(-1, 1, (500, 3)))
     kept = [(plane.distance(solid.points) <= 0).mean() for plane in sweep(Plane.of((0, 1, 1), 0), solid, 12)]
     assert max(kept) > 0.97 and min(kept) < 0.03 and max(abs(np.diff([*kept, kept[0]]))) < 0.4
+
+
+def test_a_cut_face_fills_its_picture_with_a_scale_below() -> None:
+    """An ellipsoid off its centre: the face is an ellipse of known axes, and the scale is as long as it says."""
+    axes = np.array([1.0, 0.6, 0.8])
+    points = np.random.default_rng(0).normal(size=(4000, 3))
+    solid = Solid.of((points / np.linalg.norm(points, axis=1, keepdims=True)) * axes + 5.0)
+    plane = Plane((0.0, 0.0, 1.0), -5.4)  # halfway up: the face has sqrt(3)/2 of the axes
+
+    def draw(camera: Camera, drawn: Sequence[Piece]) -> NDArray[np.uint8]:
+        assert drawn[0].planes[0] == plane and camera.orthographic
+        inside = (((plane_points(camera, plane) - 5.0) / axes) ** 2).sum(2) <= 1
+        return np.repeat((inside * 255).astype(np.uint8)[..., None], 4, 2)
+
+    picture = section_picture(draw, plane, Piece(), (0.0, 0.0, 1.0), solid, 500)
+    face = picture[: picture.shape[0] - scale_bar(picture.shape[1], 100.0).shape[0]]
+    assert max(face.shape[:2]) == 500 and abs(min(face.shape[:2]) - (480 * 0.6 + 20)) <= 6
+    alpha = face[..., 3] == 255
+    for axis in (0, 1):
+        ends = np.flatnonzero(alpha.any(axis))
+        assert abs(ends[0] - 10) <= 4 and abs(face.shape[1 - axis] - 1 - ends[-1] - 10) <= 4  # a margin all around
+    bar = (picture[len(face) :, : face.shape[1] // 2, 3] > 0)[:, 10:]
+    pixels = int(np.logical_and.accumulate(bar, 1).sum(1).max())  # of the line that begins at the margin
+    unit = 480 / (2 * np.sqrt(0.75))
+    assert any(abs(pixels - length * unit) <= 4 for length in (0.1, 0.2, 0.5))
+    with pytest.raises(InputError, match="does not meet"):
+        section_picture(draw_nothing, plane, Piece(), (0.0, 0.0, 1.0), solid, 500)
+
+
+def draw_nothing(camera: Camera, _: Sequence[Piece]) -> NDArray[np.uint8]:
+    return np.zeros((camera.height, camera.width, 4), np.uint8)

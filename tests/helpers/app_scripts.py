@@ -6,6 +6,7 @@ from __future__ import annotations
 import shutil
 import sys
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -111,6 +112,35 @@ def upright(driver: Driver, folder: Path) -> None:
     driver.still()
     drag_ring(driver, piece.motion.apply(session.solid.points[piece.rows]).mean(0))
     assert session.pieces[0].motion != piece.motion and session.history.entries[-1].name == "Turn"
+    session.jump(0)
+    driver.press(Key.v)
+    plane_through_three_points(driver)
+
+
+def plane_through_three_points(driver: Driver) -> None:
+    """Adds a plane, clicks three points that it then goes through, and takes it away; a menu that Esc closes."""
+    session, window = driver.session, driver.window
+    session.add_plane()
+    driver.still()
+    cut, view_ = session.document.cuts[-1], window.viewport
+    driver.click(f"//Inspector/$${cut.id}/Three points")
+    picked = []
+    for at in ((0.3, 0.7), (0.7, 0.65), (0.4, 0.85)):
+        driver.context.mouse_move_to_pos(driver.point(*at))
+        pixel = at[0] * view_.size[0], at[1] * view_.size[1]
+        member, place = driver.between_frames(partial(view_._pick, pixel))
+        assert member is not None and place is not None
+        picked.append(member.piece.motion.inverse().apply(place))
+        driver.context.mouse_click(0)
+        driver.frames(3)
+    plane = session.document.cut(cut.id).parts[0].plane
+    assert np.abs(plane.distance(np.stack(picked))).max() < 1e-5 and plane.distance(session.solid.centre) <= 0
+    driver.context.mouse_click(1)
+    driver.frames(3)
+    assert imgui.is_popup_open("", imgui.PopupFlags_.any_popup)
+    driver.press(Key.escape)
+    assert not imgui.is_popup_open("", imgui.PopupFlags_.any_popup)
+    session.remove_cut(cut.id)
 
 
 def drag_ring(driver: Driver, centre: NDArray[np.float64]) -> None:

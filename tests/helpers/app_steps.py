@@ -327,21 +327,8 @@ def soak(driver: Driver, actions: int = 2000) -> None:
         held.append(gl_objects(driver))
 
     keys = [
-        Key.k,
-        Key.p,
-        Key.m,
-        Key.t,
-        Key.v,
-        Key.f,
-        Key.h,
-        Key._1,
-        Key._2,
-        Key._3,
-        Key._6,
-        Key.o,
-        Key.delete,
-        Key.escape,
-    ]
+        Key.k, Key.p, Key.m, Key.t, Key.v, Key.f, Key.h, Key._1, Key._2, Key._3, Key._6, Key.o, Key.delete, Key.escape,
+    ]  # fmt: skip
     keys += [Key.mod_ctrl | Key.z, Key.mod_ctrl | Key.mod_shift | Key.z, Key.mod_ctrl | Key.a, Key.mod_ctrl | Key.g]
 
     def place() -> tuple[float, float]:

@@ -61,8 +61,8 @@ class CutDetails:
         speed = self.session.solid.radius / 200  # a drag across the panel moves it by about a radius
         for name, value, step, low, high, form, hint in (
             ("distance", now.distance, speed, 0.0, 0.0, "%.3f", "From the middle of the object, in units of the file"),
-            ("tilt", now.tilt, 0.5, 0.0, 180.0, "%.1f deg", "Against the level: 0 is a level cut, 90 an upright one"),
-            ("turn", now.turn, 0.5, -180.0, 180.0, "%.1f deg", "About the upright axis"),
+            ("tilt", now.tilt, 0.5, 0.0, 180.0, "%.1f°", "Against the level: 0 is a level cut, 90 an upright one"),
+            ("turn", now.turn, 0.5, -180.0, 180.0, "%.1f°", "About the upright axis"),
         ):
             imgui.align_text_to_frame_padding()
             secondary(name.title())

@@ -54,7 +54,9 @@ class PointPicker:
         if plane is None:
             session.notify("The three points lie in a line. Click three others.")
         elif cut_id is not None:
-            session.change_cut("Through three points", cut_id, lambda cut: cut.with_plane(plane))
+            kept = plane if plane.distance(session.solid.centre) <= 0 else plane.flipped()
+            session.change_cut("Through three points", cut_id, lambda cut: cut.with_plane(kept))
+            session.notify("The plane goes through the three points.")
 
     def show(self, camera: Camera, origin: ImVec2, hovered: bool) -> None:
         """Draws the points; Esc or the end of the cut ends the picking."""
