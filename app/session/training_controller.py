@@ -210,6 +210,7 @@ class TrainingController:
             workspace.notify(f"The inside{of} is ready. Cut anywhere.")
             self.scene.load(result, document)
         elif phase == "failed":
+            workspace.notify("Training ended early. Resume goes on from the last checkpoint.")
             last = job.log_tail()
             workspace.show_error(
                 "Training ended early: " + (last[-1].removeprefix("fruitninja-train: ") if last else "no reason given")

@@ -68,6 +68,7 @@ class CutDetails:
             secondary(name.title())
             imgui.same_line(px(108))
             imgui.set_next_item_width(-1)
+            value = value if abs(value) >= 5e-4 else 0.0  # and not "-0.000"
             changed, new = imgui.drag_float(f"##{name}", value, step, low, high, form)
             tooltip(f"{hint}. Drag, or double click to type.")
             if changed and np.isfinite(new):
