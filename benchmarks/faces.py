@@ -22,7 +22,8 @@ from benchmarks.support.options import ROOT, parser_of
 from engine.errors import InputError
 from engine.io.files import atomic, read_file
 from engine.io.picture_file import read_pixels
-from training.faces.axis import find_axis, find_core, guess_cut
+from training.faces.axis import find_core, guess_cut
+from training.faces.core_line import find_core_line
 from training.priors.exemplar.pictures import find_face
 
 __all__ = ["axis_error", "overlap"]
@@ -45,7 +46,7 @@ def axis_error(rgb: NDArray[np.float32], mask: NDArray[np.bool_], row: dict[str,
     if row["family"] != "radial":
         return 0.0
     marks = np.array([[float(row[f"axis_{end}_{c}"]) for c in "xy"] for end in ("stem", "blossom")])
-    first, last = find_axis(rgb, mask)
+    first, last = find_core_line(rgb, mask).ends
     along = (last - first) / np.linalg.norm(last - first)
     return float(np.abs((marks - first) @ [along[1], -along[0]]).max()) / width
 
@@ -60,7 +61,8 @@ def drawn(pixels: NDArray[np.uint8], mask: NDArray[np.bool_], kind: str) -> Imag
         x, y = find_core(mask)
         pen.ellipse((x - 6, y - 6, x + 6, y + 6), outline=(0, 0, 255), width=3)
     elif kind == "radial":
-        pen.line([tuple(end) for end in find_axis((pixels / 255).astype(np.float32), mask)], fill=(0, 0, 255), width=3)
+        line = find_core_line((pixels / 255).astype(np.float32), mask)
+        pen.line([tuple(end) for end in line.ends], fill=(0, 0, 255), width=3)
     return image.resize((TILE, TILE), Image.Resampling.LANCZOS)
 
 

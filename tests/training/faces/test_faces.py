@@ -17,9 +17,10 @@ from benchmarks.faces import axis_error, overlap
 from engine.errors import InputError
 from tests.helpers.exemplar_faces import disc, save
 from tests.paths import SAMPLES, SHARED
-from training.faces.axis import find_axis, guess_cut
+from training.faces.axis import guess_cut
+from training.faces.core_line import find_core_line
 from training.faces.outline import find_mask
-from training.priors.exemplar.pictures import MIN_LEAN, find_face, read_picture
+from training.priors.exemplar.pictures import find_face, read_picture
 
 FOLDER = SHARED / "photos/fruit"
 
@@ -90,8 +91,9 @@ def test_solids_of_our_own_are_found_to_the_pixel(name: str) -> None:
     rgb, mask = find_face(SAMPLES / f"{name}.png")
     assert overlap(mask, ndimage.binary_fill_holes((rgb < 0.99).any(-1))) > 0.985
     if "radial" in name:
-        (x0, y0), (x1, y1) = find_axis(rgb, mask)
-        assert abs(np.degrees(np.arctan2(x0 - x1, y1 - y0))) < MIN_LEAN  # and stays as it is drawn
+        (x0, y0), (x1, y1) = find_core_line(rgb, mask).ends
+        assert abs(np.degrees(np.arctan2(x0 - x1, y1 - y0))) < 5
+        assert (x0 + x1) / 2 == pytest.approx(rgb.shape[1] / 2, abs=0.02 * rgb.shape[1])
 
 
 def test_a_leaning_core_line_is_found_and_the_picture_turned(tmp_path: Path) -> None:
@@ -104,7 +106,7 @@ def test_a_leaning_core_line_is_found_and_the_picture_turned(tmp_path: Path) -> 
     for side in (-1, 1):
         seed = np.hypot((across - side * 0.2) / 0.05, (along - 0.2) / 0.15) < 1
         face[seed] = [0.2, 0.1, 0.05]
-    (x0, y0), (x1, y1) = find_axis(face, mask)
+    (x0, y0), (x1, y1) = find_core_line(face, mask).ends
     assert np.degrees(np.arctan2(x0 - x1, y1 - y0)) == pytest.approx(12, abs=2)
     upright = read_picture(save(tmp_path / "leaning.png", face), "radial")
     assert overlap(upright.mask, upright.mask[:, ::-1]) > 0.95

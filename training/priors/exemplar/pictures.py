@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -12,8 +13,9 @@ from scipy import ndimage
 
 from engine.errors import InputError
 from engine.io.picture_file import open_picture
-from training.faces.axis import find_axis, find_core, line_ends
-from training.faces.marks import UNMARKED, Marks, Place, axis_beside, read_axis_file
+from training.faces.axis import find_core
+from training.faces.core_line import find_core_line
+from training.faces.marks import UNMARKED, Marks, axis_beside, read_axis_file
 from training.faces.mask_file import mask_beside
 from training.faces.outline import find_mask, largest_component
 from training.faces.polygon import polygon_mask
@@ -37,8 +39,8 @@ REGIONS = 16
 MIXED = 2
 """Pixels inside an outline that the lens mixes with the background."""
 
-MIN_LEAN = 5.0
-"""Degrees by which a core line leans before the picture is turned: below, it is as likely the search that is wrong."""
+MIN_LEAN = 1.0
+"""Degrees by which a core line leans before the picture is turned: below, to turn it blurs more than it rights."""
 
 MIN_TRANSPARENT = 0.005
 """Of a picture, the least that is transparent for its alpha channel to be a cut-out: many opaque pictures have one,
@@ -56,7 +58,7 @@ class Picture:
     """(H, W). The cut face."""
     core: tuple[float, float] | None = None
     """(x, y) in pixels. The point that belongs on the body's axis: the core of a horizontal cut; of a radial one, where
-    the line that the user gave is level with the face's middle. None: the middle itself."""
+    the core line is level with the face's middle. None: the middle itself."""
 
 
 def read_picture(path: str | Path, kind: Kind, marks: Marks = UNMARKED) -> Picture:
@@ -77,10 +79,8 @@ def make_picture(path: Path, rgb: NDArray[np.float32], mask: NDArray[np.bool_], 
     `marks`. Raises InputError if it is too small."""
     core = None
     if kind == "radial" and mask.any():
-        if marks.line is None:
-            rgb, mask = _upright(rgb, mask)
-        else:
-            rgb, mask, core = _upright_along(rgb, mask, marks.line)
+        line = find_core_line(rgb, mask).ends if marks.line is None else np.array(marks.line) * mask.shape[::-1]
+        rgb, mask, core = _upright(rgb, mask, line)
     elif kind == "horizontal" and mask.any():
         core = find_core(mask)
         if marks.core is not None:
@@ -126,10 +126,7 @@ def axis_of(rgb: NDArray[np.float32], mask: NDArray[np.bool_], kind: Kind) -> Ma
         return Marks(core=(x / width, y / height))
     if kind != "radial":
         return UNMARKED
-    lean = np.radians(_believed_lean(rgb, mask))
-    rows, columns = np.nonzero(mask)
-    middle = np.array([columns.mean() + 0.5, rows.mean() + 0.5])
-    ends = line_ends(mask, middle, np.array([-np.sin(lean), np.cos(lean)])) / (width, height)
+    ends = find_core_line(rgb, mask).ends / (width, height)
     (x0, y0), (x1, y1) = np.clip(ends, 0, 1).tolist()
     return Marks(line=((x0, y0), (x1, y1)))
 
@@ -172,37 +169,20 @@ def fill_outside(rgb: NDArray[np.float32], mask: NDArray[np.bool_]) -> NDArray[n
     return rgb[nearest[0], nearest[1]]
 
 
-def _upright(rgb: NDArray[np.float32], mask: NDArray[np.bool_]) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """The picture turned so that its core line is upright, if it leans by more than is sure; and its mask."""
-    lean = _believed_lean(rgb, mask)
-    return _turned(rgb, mask, lean) if lean else (rgb, mask)
-
-
-def _believed_lean(rgb: NDArray[np.float32], mask: NDArray[np.bool_]) -> float:
-    """Degrees by which the core line that is found leans, 0 where that is less than is sure."""
-    lean = _lean(*find_axis(rgb, mask))
-    return lean if abs(lean) >= MIN_LEAN else 0.0
-
-
-def _upright_along(
-    rgb: NDArray[np.float32], mask: NDArray[np.bool_], line: tuple[Place, Place]
+def _upright(
+    rgb: NDArray[np.float32], mask: NDArray[np.bool_], line: NDArray[np.float64]
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_], tuple[float, float]]:
-    """The picture turned so that a line is upright, its mask, and the point of the line level with its middle."""
-    size = np.array(mask.shape[::-1])
-    first, last = np.array(line) * size
-    lean = _lean(first, last)
-    turned, turned_mask = _turned(rgb, mask, lean)
-    # A turn counter-clockwise, as seen, about the middle of the picture.
-    x, y = (first + last) / 2 - size / 2
-    across = x * np.cos(np.radians(lean)) + y * np.sin(np.radians(lean))
+    """The picture turned so that a line (2, 2) in it is upright, its mask, and the point of the line level with the
+    middle of the face."""
+    (x0, y0), (x1, y1) = line.tolist()
+    lean = math.degrees(math.atan2(x0 - x1, y1 - y0))  # to the right
+    turned, turned_mask = _turned(rgb, mask, lean) if abs(lean) >= MIN_LEAN else (rgb, mask)
     rows = np.nonzero(turned_mask)[0]
     middle = float(rows.mean()) + 0.5 if len(rows) else 0.0
-    return turned, turned_mask, (float(across) + turned_mask.shape[1] / 2, middle)
-
-
-def _lean(upper: NDArray[np.float64], lower: NDArray[np.float64]) -> float:
-    """Degrees by which a line between two ends (x, y) leans to the right."""
-    return float(np.degrees(np.arctan2(upper[0] - lower[0], lower[1] - upper[1])))
+    # A turn counter-clockwise, as seen, about the middle of the picture.
+    x, y = line.mean(0) - np.array(mask.shape[::-1]) / 2
+    across = x * math.cos(math.radians(lean)) + y * math.sin(math.radians(lean))
+    return turned, turned_mask, (across + turned_mask.shape[1] / 2, middle)
 
 
 def _turned(

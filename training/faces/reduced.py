@@ -1,0 +1,44 @@
+"""A cut face reduced to a few pixels, in which symmetry is looked for: it is a matter of a face's layout, and finer
+detail never repeats."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+__all__ = ["SIDE", "contrast_layers", "reduce_face"]
+
+SIDE = 96
+"""Pixels along a side of a reduced face."""
+
+
+def reduce_face(
+    rgb: NDArray[np.float32], mask: NDArray[np.bool_], tall: float = 1.0
+) -> tuple[NDArray[np.float32], NDArray[np.float64], float]:
+    """(SIDE, SIDE, 4) the layers of a face (H, W, 3), (H, W); the middle (x, y) of the box around the face in pixels;
+    and pixels of the picture in one of these.
+
+    `tall`: how many times wider and lower than it is the face is drawn.
+    """
+    rows, columns = np.nonzero(mask)
+    middle = np.array([columns.min() + columns.max() + 1, rows.min() + rows.max() + 1]) / 2
+    side = 1.2 * max(np.ptp(rows) / tall, np.ptp(columns) * tall)  # room to turn in
+    half = side / 2 * np.array([1 / tall, tall])
+    box = (*(middle - half), *(middle + half))
+    layers = contrast_layers(rgb, mask) * np.array([1, 1, 1, 2], np.float32)
+    channels = [
+        Image.fromarray(np.ascontiguousarray(layers[..., c])).transform(
+            (SIDE * 4, SIDE * 4), Image.Transform.EXTENT, box, Image.Resampling.BILINEAR
+        )
+        for c in range(4)
+    ]
+    small = [np.asarray(c.resize((SIDE, SIDE), Image.Resampling.BOX)) for c in channels]
+    return np.stack(small, -1), middle, side / SIDE
+
+
+def contrast_layers(rgb: NDArray[np.float32], mask: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """(H, W, 4). Colours less their mean over the face, then the mask with the weight of their contrast; 0 outside."""
+    colours = rgb[mask]
+    layers = np.concatenate([rgb - colours.mean(0), np.full((*mask.shape, 1), colours.std(axis=0).mean())], -1)
+    return np.where(mask[..., None], layers, 0).astype(np.float32)
