@@ -72,6 +72,9 @@ class CoreLine:
     spread: float
     """Standard deviation of the less sure end across the line, pixels. 0.01 to 0.05 of the face's width where the
     picture tells, about 0.1 where it does not."""
+    evidence: float
+    """Logarithm of how many times more than elsewhere the rim shows at the two ends, summed. 2 to 14 in radial cuts, 0
+    to 3 in others."""
 
 
 def find_core_line(rgb: NDArray[np.float32], mask: NDArray[np.bool_]) -> CoreLine:
@@ -103,10 +106,11 @@ def find_core_line(rgb: NDArray[np.float32], mask: NDArray[np.bool_]) -> CoreLin
     share = np.exp(odds - odds.max())
     share /= share.sum()
     first, last = ((share[..., None] * end).sum((0, 1)) for end in ends)
+    shown = [evidence[np.hypot(*(places - end).T).argmin()] for end in (first, last)]
     along = (last - first) / max(float(np.linalg.norm(last - first)), 1e-9)
     normal = np.array([along[1], -along[0]])
     variance = max(float((share * np.square((end - first) @ normal)).sum()) for end in ends)
-    return CoreLine(_line_ends(mask, first, along), variance**0.5)
+    return CoreLine(_line_ends(mask, first, along), variance**0.5, float(np.log1p(shown).sum()))
 
 
 def _line_ends(mask: NDArray[np.bool_], point: NDArray[np.float64], along: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -38,7 +38,13 @@ def reduce_face(
 
 
 def contrast_layers(rgb: NDArray[np.float32], mask: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """(H, W, 4). Colours less their mean over the face, then the mask with the weight of their contrast; 0 outside."""
-    colours = rgb[mask]
-    layers = np.concatenate([rgb - colours.mean(0), np.full((*mask.shape, 1), colours.std(axis=0).mean())], -1)
+    """(H, W, 4). Colours less a plane through those of the face, as light from one side has it, then the mask with the
+    weight of their contrast; 0 outside."""
+    y, x = np.indices(mask.shape, np.float32)
+    plane = np.stack([np.ones_like(x), x / mask.shape[1], y / mask.shape[0]], -1)
+    basis = plane[mask].astype(np.float64)
+    # By the normal equations: of a face one pixel wide several planes are the best.
+    fitted, *_ = np.linalg.lstsq(basis.T @ basis, basis.T @ rgb[mask], rcond=None)
+    colours = rgb - plane @ fitted.astype(np.float32)
+    layers = np.concatenate([colours, np.full((*mask.shape, 1), colours[mask].std(axis=0).mean())], -1)
     return np.where(mask[..., None], layers, 0).astype(np.float32)

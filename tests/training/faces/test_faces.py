@@ -114,6 +114,27 @@ def test_a_leaning_core_line_is_found_and_the_picture_turned(tmp_path: Path) -> 
     assert guess_cut(*disc(200, seeds=5)).kind == "horizontal"
 
 
+@pytest.mark.parametrize("name", ["orange_v2", "apple_h1", "watermelon_v1", "bread_1"])
+def test_light_from_one_side_changes_no_kind(name: str) -> None:
+    rgb, truth, row = photographed(name)
+    light = np.linspace(0.6, 1.1, rgb.shape[1])[:, None]
+    lit = np.clip(rgb * light, 0, 1).astype(np.float32)
+    assert guess_cut(rgb, truth).kind == guess_cut(lit, truth).kind == row["family"]
+
+
+def test_a_lopsided_face_has_its_core_line_where_the_rim_says() -> None:
+    y, x = (np.mgrid[:200, :200] + 0.5) / 100 - 1
+    mask = np.hypot(np.where(x > 0, x / 0.8, x / 0.6), y / 0.75) < 1
+    face = np.where(mask[..., None], [0.9, 0.6, 0.1], 1.0).astype(np.float32)
+    plain = find_core_line(face, mask)
+    for end in (-0.7, 0.7):
+        face[mask & (np.hypot(x / 0.06, (y - end) / 0.1) < 1)] = [0.3, 0.2, 0.05]
+    marked = find_core_line(face, mask)
+    np.testing.assert_allclose(marked.ends[:, 0], 100, atol=4)
+    assert marked.spread < 4 < plain.spread  # pixels of 140
+    assert marked.evidence > 2 * plain.evidence + 2
+
+
 def test_a_mask_beside_the_photograph_wins(tmp_path: Path) -> None:
     face, mask = disc(120)
     path = save(tmp_path / "melon.png", face)
