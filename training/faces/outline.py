@@ -16,6 +16,7 @@ from scipy.spatial import ConvexHull
 
 from engine.errors import InputError
 from training.faces.background import find_background
+from training.faces.completion import find_oval
 
 __all__ = ["find_mask", "largest_component"]
 
@@ -67,7 +68,8 @@ SEPARATE = 0.1
 def find_mask(rgb: NDArray[np.float32], name: object) -> NDArray[np.bool_]:
     """(H, W). The cut face in a picture (H, W, 3), range [0, 1]. Equal pictures give equal masks.
 
-    Raises InputError, naming the picture `name`, if the face reaches the picture's border, or if there is none.
+    Of a round face that the border cuts off a little of, the part that the picture shows; `complete_face` completes it.
+    Raises InputError, naming the picture `name`, if the border cuts off more, or if there is no face.
     """
     cut_off = InputError(
         f"{name}: the cut face, or something beside it, reaches the picture's border; take all of it with plain "
@@ -92,7 +94,8 @@ def find_mask(rgb: NDArray[np.float32], name: object) -> NDArray[np.bool_]:
     reaching = mask | (~behind & _like_the_face(rgb, mask))
     across = max(np.ptp(places) + 1 for places in np.nonzero(mask))
     allowed = max(MAX_BORDER_SHARE * across, (4 * UNSURE * across) ** 0.5)
-    if max(_along_border(reaching, background.corners), second) > allowed or _solidity(mask) < MIN_SOLIDITY:
+    crosses = max(_along_border(reaching, background.corners), second) > allowed
+    if _solidity(mask) < MIN_SOLIDITY or (crosses and find_oval(mask) is None):
         raise cut_off
     if mask.sum() < MIN_KEPT * guess.sum() / _solidity(guess):
         raise cut_off

@@ -14,6 +14,7 @@ from scipy import ndimage
 from engine.errors import InputError
 from engine.io.picture_file import open_picture
 from training.faces.axis import find_core
+from training.faces.completion import complete_face
 from training.faces.core_line import find_core_line
 from training.faces.marks import UNMARKED, Marks, axis_beside, read_axis_file
 from training.faces.mask_file import mask_beside
@@ -77,14 +78,15 @@ def read_picture(path: str | Path, kind: Kind, marks: Marks = UNMARKED) -> Pictu
 def make_picture(path: Path, rgb: NDArray[np.float32], mask: NDArray[np.bool_], kind: Kind, marks: Marks) -> Picture:
     """The face (H, W, 3), (H, W) of a photograph cut out and turned, as `read_picture` does it, with the axis in
     `marks`. Raises InputError if it is too small."""
-    core = None
+    core, size = None, mask.shape[::-1]
+    rgb, mask, added = complete_face(rgb, mask)
     if kind == "radial" and mask.any():
-        line = find_core_line(rgb, mask).ends if marks.line is None else np.array(marks.line) * mask.shape[::-1]
+        line = find_core_line(rgb, mask).ends if marks.line is None else np.array(marks.line) * size + added
         rgb, mask, core = _upright(rgb, mask, line)
     elif kind == "horizontal" and mask.any():
         core = find_core(mask)
         if marks.core is not None:
-            core = marks.core[0] * mask.shape[1], marks.core[1] * mask.shape[0]
+            core = marks.core[0] * size[0] + added[0], marks.core[1] * size[1] + added[1]
     rows, columns = np.nonzero(mask)
     if len(rows) == 0 or min(np.ptp(rows), np.ptp(columns)) + 1 < MIN_SIDE:
         raise InputError(
@@ -120,15 +122,13 @@ def find_face(path: Path, marks: Marks = UNMARKED) -> tuple[NDArray[np.float32],
 
 def axis_of(rgb: NDArray[np.float32], mask: NDArray[np.bool_], kind: Kind) -> Marks:
     """The axis by which the face (H, W, 3), (H, W) of a picture without marks is placed; none in a slice."""
-    height, width = mask.shape
-    if kind == "horizontal":
-        x, y = find_core(mask)
-        return Marks(core=(x / width, y / height))
-    if kind != "radial":
+    size = mask.shape[::-1]
+    if not mask.any() or kind not in ("horizontal", "radial"):
         return UNMARKED
-    ends = find_core_line(rgb, mask).ends / (width, height)
-    (x0, y0), (x1, y1) = np.clip(ends, 0, 1).tolist()
-    return Marks(line=((x0, y0), (x1, y1)))
+    rgb, mask, added = complete_face(rgb, mask)
+    found = np.array([find_core(mask)]) if kind == "horizontal" else find_core_line(rgb, mask).ends
+    places = [(float(x), float(y)) for x, y in np.clip((found - added) / size, 0, 1)]
+    return Marks(core=places[0]) if kind == "horizontal" else Marks(line=(places[0], places[1]))
 
 
 def resolved_share(picture: Picture) -> float:
