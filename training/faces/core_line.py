@@ -80,7 +80,7 @@ class CoreLine:
 def find_core_line(rgb: NDArray[np.float32], mask: NDArray[np.bool_]) -> CoreLine:
     """The core line of a radial cut (H, W, 3), range [0, 1], and (H, W), not empty.
 
-    Within 3 % of the width of marks by eye on 9 of 12 photographs, and within 6 % on all.
+    Within 3 % of the width of marks by eye on 9 of 12 photographs, and 6.1 % at most.
     """
     small, middle, scale = reduce_face(rgb, mask)
     leans = np.arange(-MAX_LEAN, MAX_LEAN + 1, 1.5)
