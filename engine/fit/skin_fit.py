@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from engine.fit.adam_state import adam_state, restore_adam
+from engine.fit.adam import Adam
 from engine.fit.differentiable import AtomTensors, opaque_image
 from engine.render.classic import rasterizer as classic
 from engine.render.cpu.opaque import render
@@ -112,20 +112,15 @@ class SkinFit:
             "quats": self.start.quats.clone(),
             "colours": self.start.sh.clone(),
         }
-        groups = [{"params": [p.requires_grad_()], "lr": RATES[name]} for name, p in self.parameters.items()]
         # Without epsilon: the gradient of a mean picture error is far smaller than Adam's usual one.
-        self.optimiser = torch.optim.Adam(groups, betas=BETAS, eps=1e-15)
+        self.adam = Adam(self.parameters, RATES, BETAS, eps=1e-15)
 
     def advance(self) -> None:
         """One optimisation step."""
         decay = 0.5 * (1 + math.cos(math.pi * self.step / self.steps))
-        for rate, group in zip(RATES.values(), self.optimiser.param_groups, strict=True):
-            group["lr"] = rate * decay
-        self.optimiser.zero_grad()
         view, background = self.views[self.order[self.step]], self.backgrounds[self.step].tolist()
         image, _ = opaque_image(self._current(), view.camera, background=background)
-        torch.nn.functional.huber_loss(image, view.over(background), delta=HUBER).backward()
-        self.optimiser.step()
+        self.adam.step(torch.nn.functional.huber_loss(image, view.over(background), delta=HUBER), decay)
         with torch.no_grad():
             self.parameters["sizes"].clamp_(*self.range)
             self.parameters["colours"][:, 0].clamp_(-0.5 / C0, 0.5 / C0)
@@ -133,11 +128,11 @@ class SkinFit:
 
     def state(self) -> dict[str, NDArray[np.float32]]:
         """All that changes from step to step, but the number of the step, for a checkpoint."""
-        return adam_state(self.parameters, self.optimiser)
+        return self.adam.state()
 
     def restore(self, state: dict[str, NDArray[np.float32]], step: int) -> None:
         """Restores the state of a checkpoint made after `step` steps."""
-        restore_adam(state, step, self.parameters, self.optimiser)
+        self.adam.restore(state, step)
         self.step = step
 
     def result(self) -> Atoms:

@@ -13,7 +13,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from engine.fit.adam_state import adam_state, restore_adam
+from engine.fit.adam import Adam
 from engine.fit.sh_fit import SurfaceView
 from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from engine.scene.sh import C0
@@ -83,19 +83,13 @@ class Trainer:
         self.initial = atoms.interior.rgb
         sh = torch.from_numpy(atoms.surface.sh)
         self.parameters = {
-            "rgb": torch.from_numpy(atoms.interior.rgb.copy()).requires_grad_(),
-            "sh0": sh[:, :1].clone().requires_grad_(),
-            "bands": sh[:, 1:].clone().requires_grad_(),
+            "rgb": torch.from_numpy(atoms.interior.rgb.copy()),
+            "sh0": sh[:, :1].clone(),
+            "bands": sh[:, 1:].clone(),
         }
         """Interior colours (I, 3), SH coefficients of degree 0 (S, 1, 3) and of the higher bands (S, K - 1, 3)."""
-        self.optimiser = torch.optim.Adam(
-            [
-                {"params": [self.parameters["rgb"]], "rate": INTERIOR_RATE},
-                {"params": [self.parameters["sh0"]], "rate": SURFACE_RATE / C0},
-                {"params": [self.parameters["bands"]], "rate": BANDS_RATE},
-            ],
-            betas=BETAS,
-        )
+        rates = {"rgb": INTERIOR_RATE, "sh0": SURFACE_RATE / C0, "bands": BANDS_RATE}
+        self.adam = Adam(self.parameters, rates, BETAS)
         self.max_sh = max(MAX_SH, float(np.abs(atoms.surface.sh).max(initial=0)))
         # An interior atom is trained if some section shows it.
         self.trained: NDArray[np.bool_] = np.zeros(len(atoms.interior), bool)
@@ -120,12 +114,12 @@ class Trainer:
 
     def state(self) -> dict[str, NDArray[np.float32]]:
         """All state that changes while training, for a checkpoint: parameters and Adam's moments."""
-        return adam_state(self.parameters, self.optimiser)
+        return self.adam.state()
 
     def restore(self, state: dict[str, NDArray[np.float32]], iteration: int, round_start: int) -> None:
         """Restores the state of a checkpoint."""
         self.iteration, self.round_start = iteration, round_start
-        restore_adam(state, iteration, self.parameters, self.optimiser)
+        self.adam.restore(state, iteration)
 
     def result(self) -> Atoms:
         """The atoms with their current colours."""
@@ -164,13 +158,9 @@ class Trainer:
             render = torch.where(opaque, view.weights.picture(sh, rgb, BACKGROUND), target)
             surface_loss = surface_loss + reconstruction(render, target, SURFACE_ALPHA)
         surface_loss = surface_loss / max(len(views), 1)
-        self.optimiser.zero_grad()
-        (section_loss + surface_loss).backward()
         self.iteration += 1
         decay = 0.5 ** ((self.iteration - self.round_start) / (HALF_LIFE_EPOCHS * self.steps_per_epoch))
-        for group in self.optimiser.param_groups:
-            group["lr"] = group["rate"] * decay
-        self.optimiser.step()
+        self.adam.step(section_loss + surface_loss, decay)
         with torch.no_grad():
             rgb.clamp_(0, 1)
             for name in ("sh0", "bands"):
