@@ -269,9 +269,8 @@ def listening() -> set[tuple[str, int]]:
 
 def test_a_cluster_of_its_own_listens_to_this_machine_alone() -> None:
     """One port each for the scheduler, two workers and their two guards; no web pages, and no word of a taken port."""
-    with socket.socket() as dask, suppress(OSError):
-        dask.bind(("127.0.0.1", 8787))  # Dask's own; where it fails, somebody else has it
-        dask.listen()
+    with socket.socket() as dask, suppress(OSError):  # where it fails, somebody else has it
+        dask.bind(("127.0.0.1", 8787))
     before = listening()
     with cluster_client(None, 2, 2, 0.1) as client:
         client.submit(double, 1).result()
@@ -444,10 +443,8 @@ def test_a_scene_says_what_is_the_object_and_how_its_pictures_are_related(tmp_pa
     (scene,) = read_manifest(manifest)
     assert scene.request.same
     assert [path.name for path in scene.request.families[0].exemplars] == ["one.png", "two.png"]  # and no mask
-    assert scene.request.isolation == (
-        keep_only(Box((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))),
-        (Step("add", Detected("floor")),),
-    )
+    kept = keep_only(Box((0.0, 0.0, 0.0), (1.0, 1.0, 1.0)))
+    assert scene.request.isolation == (kept, (Step("add", Detected("floor")),))
     manifest.write_text(text.replace("floor = true", 'floor = "yes"').replace("box:1", "cone:1"))
     with pytest.raises(ManifestErrors, match=r"keep cone:1,0,0,0,1,1: give box|no_floor: give true or false"):
         read_manifest(manifest)
