@@ -31,8 +31,7 @@ test: $(READY)
 	@tools/ensure_gl.sh window
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/mypy
-	$(BIN)/python -m pytest -n 2 --dist worksteal
+	@$(BIN)/mypy & $(BIN)/python -m pytest -n 2 --dist worksteal; tests=$$?; wait $$! && exit $$tests
 
 bench: $(READY)
 	@tools/ensure_gl.sh
@@ -64,7 +63,7 @@ screenshots: $(READY)
 $(READY): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --upgrade pip
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev,bench,diffusion]'
+	$(BIN)/python -m pip install --quiet --no-compile --constraint constraints.txt --editable '.[dev,bench,diffusion]'
 	@touch $(READY)
 
 clean:
