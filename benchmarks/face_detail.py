@@ -38,8 +38,8 @@ from training.evaluate.metrics import face_ssim, sharpness
 from training.evaluate.scenes import load_scene
 from training.events import Reporter
 from training.pipeline import run
-from training.priors.exemplar.inside import QuiltInside
 from training.priors.exemplar.quilting.chunks import Ball
+from training.priors.exemplar.quilting.inside import QuiltInside
 from training.priors.inside_file import read_inside
 from training.request import Request
 from training.settings import DetailName

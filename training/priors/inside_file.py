@@ -7,14 +7,22 @@ from pathlib import Path
 from engine.errors import InputError
 from engine.io.trained import inside_path, load_inside_record
 from engine.scene.inside import Inside, InsideRecord
-from training.priors.exemplar.inside import QuiltInside
+from training.priors.exemplar.layering.inside import LayeredInside
+from training.priors.exemplar.quilting.inside import QuiltInside
+from training.priors.exemplar.record import RecordReader
 
 __all__ = ["read_inside", "restore_inside"]
+
+KINDS: dict[str, type[LayeredInside] | type[QuiltInside]] = {"layers": LayeredInside, "quilt": QuiltInside}
 
 
 def restore_inside(record: InsideRecord) -> Inside:
     """The inside of a record, with the same bits. Raises ValueError if it is none."""
-    return QuiltInside.restored(*record)
+    arrays, facts = record
+    kind = facts.get("kind")
+    if not isinstance(kind, str) or kind not in KINDS:
+        raise ValueError("another kind of inside")
+    return KINDS[kind].restored(RecordReader(arrays, facts))
 
 
 def read_inside(path: str | Path) -> Inside | None:

@@ -15,8 +15,8 @@ from engine.scene.plane import Plane
 from tests.helpers.exemplar_faces import FLESH, RIND, SEED, UP, ball, disc, quiet, save
 from training.families import Family
 from training.priors.exemplar import ExemplarPrior, read_picture
-from training.priors.exemplar.decompose import decompose, rind_depth
 from training.priors.exemplar.frames import make_space, rim_of, scale_to_voxels
+from training.priors.exemplar.layering.decompose import decompose, rind_depth
 from training.priors.exemplar.patches import FIXED, POLAR
 from training.priors.prior import Volume
 

@@ -18,9 +18,9 @@ from training.events import Reporter
 from training.families import Family
 from training.pipeline import run
 from training.priors.exemplar.frames import make_space
-from training.priors.exemplar.inside import QuiltInside
 from training.priors.exemplar.quilting import quilt
 from training.priors.exemplar.quilting.disc import DISC_PIXELS, REACH, BallMap, Disc, disc_grid
+from training.priors.exemplar.quilting.inside import QuiltInside
 from training.priors.exemplar.quilting.quilt import make_quilt
 from training.priors.inside_file import read_inside, restore_inside
 from training.request import Interrupted, Request

@@ -16,6 +16,7 @@ from engine.scene.camera import equator
 from engine.scene.grid import Body, Grid
 from training.priors.exemplar.patches import FIXED, OVER, POLAR, RADIAL
 from training.priors.exemplar.pictures import Picture, fill_outside
+from training.priors.exemplar.sampling import read_bilinear
 
 __all__ = [
     "ANGLES",
@@ -24,12 +25,15 @@ __all__ = [
     "MIN_SLICE_SHARE",
     "RADIUS_CELLS",
     "Frame",
+    "Outline",
     "ScaledPicture",
     "Space",
     "View",
     "depth_gate",
     "make_space",
+    "read_rims",
     "rim_of",
+    "rim_table",
     "scale_picture",
     "scale_to_voxels",
     "voxel_gate",
@@ -86,6 +90,8 @@ class Space:
     """(N,). Height along the up axis, range [-1, 1] over the body."""
     normal: NDArray[np.float32]
     """(N, 3). Outward direction of the nearest skin, along e1, e2, up."""
+    half_height: float
+    """Of the body along the up axis, in cells."""
     shell: tuple[NDArray[np.int32], NDArray[np.int32]]
     """Flat indices of voxels outside but within MARGIN of the body, and of the nearest voxel inside of each."""
 
@@ -98,6 +104,12 @@ class Space:
     def widest(self) -> float:
         """Largest distance of the skin from the axis in cells, as a 95th percentile so that crumbs do not count."""
         return float(np.percentile(self.rim[self.depth < 0.1], 95)) if (self.depth < 0.1).any() else 1.0
+
+    @property
+    def points(self) -> NDArray[np.float64]:
+        """(N, 3). World points of the voxels."""
+        grid = self.body.grid
+        return np.asarray(grid.origin) + (self.cells + 0.5) * grid.cell
 
     def fill(self, rgb: NDArray[np.float32]) -> None:
         """Gives voxels just outside the body the colour of the nearest one inside, in place."""
@@ -169,12 +181,21 @@ def make_space(body: Body, up: NDArray[np.float64], voxels: int) -> Space:
         rim_of(planar, radius),
         np.clip(planar[:, 2] / half, -1, 1),
         slopes.astype(np.float32),
+        float(half),
         (reach.astype(np.int32), source.astype(np.int32)),
     )
 
 
 def rim_of(planar: NDArray[np.float32], radius: NDArray[np.float32]) -> NDArray[np.float32]:
-    """(N,). The largest radius among the voxels of the same height and angle, in cells."""
+    """(N,). The largest radius among the voxels (N, 3) of the same height and angle, in cells."""
+    level = np.round(planar[:, 2] - planar[:, 2].min()).astype(int)
+    angle = np.arctan2(planar[:, 1], planar[:, 0]) / (2 * np.pi) % 1
+    return read_rims(rim_table(planar, radius), level, angle, radius)
+
+
+def rim_table(planar: NDArray[np.float32], radius: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(L, ANGLES + 2). The largest radius among voxels (N, 3) by height in cells above the lowest and by angle, closed
+    on both sides."""
     level = np.round(planar[:, 2] - planar[:, 2].min()).astype(int)
     angle = np.arctan2(planar[:, 1], planar[:, 0]) / (2 * np.pi) % 1
     turn = (angle * ANGLES).astype(int) % ANGLES
@@ -185,8 +206,15 @@ def rim_of(planar: NDArray[np.float32], radius: NDArray[np.float32]) -> NDArray[
     rims = np.where(rims > 0.8 * wide, rims, wide)
     rims = ndimage.gaussian_filter(rims, (0.7, 2.0), mode=("nearest", "wrap"))
     # Interpolated between angles: without, an oblique outline would show teeth under the skin.
-    closed = np.pad(rims, ((0, 0), (1, 1)), mode="wrap")
-    rim = ndimage.map_coordinates(closed, np.stack([level, angle * ANGLES + 0.5]), order=1, mode="nearest")
+    return np.pad(rims, ((0, 0), (1, 1)), mode="wrap")
+
+
+def read_rims(
+    rims: NDArray[np.float32], level: NDArray[np.floating], turn: NDArray[np.floating], radius: NDArray[np.float32]
+) -> NDArray[np.float32]:
+    """(M,). Distance of the skin by a `rim_table`, at levels in cells and angles in turns, of points this far from the
+    axis themselves."""
+    rim = read_bilinear(rims[..., None], level, turn * ANGLES + 0.5)[:, 0]
     return np.maximum(rim, np.maximum(radius, 0.5))
 
 
@@ -196,7 +224,36 @@ def depth_gate(depth: NDArray[np.floating]) -> NDArray[np.float32]:
 
 
 @dataclass(frozen=True)
-class ScaledPicture:
+class Outline:
+    """The edge of a cut face in a picture."""
+
+    middle: tuple[float, float]
+    """Centre (x, y) in cells."""
+    half: tuple[float, float]
+    """Half width and half height of the cut face in cells."""
+    rims: NDArray[np.float32]
+    """(ANGLES,). Distance of the edge from the centre, counter-clockwise from the right, in cells."""
+    insets: NDArray[np.float32]
+    """(ANGLES, L). Distance from the edge towards the centre, in cells, at which the depth reaches l * INSET_STEP
+    cells."""
+
+    def rim(self, angle: NDArray[np.floating]) -> NDArray[np.float32]:
+        """(...). Distance of the edge from the centre at angles in radians."""
+        turn = np.asarray(angle) / (2 * np.pi) * ANGLES - 0.5
+        return np.interp(turn, np.arange(ANGLES), self.rims, period=ANGLES).astype(np.float32)
+
+    def inset(self, angle: NDArray[np.floating], depth: NDArray[np.floating]) -> NDArray[np.float32]:
+        """(...). Distance from the edge towards the centre, at angles in radians, of points `depth` cells under it.
+
+        Larger than the depth itself at a corner, such as a loaf's.
+        """
+        turn = (np.asarray(angle) / (2 * np.pi) * ANGLES - 0.5) % ANGLES
+        closed = np.concatenate([self.insets, self.insets[:1]])[..., None]
+        return read_bilinear(closed, turn.ravel(), (np.asarray(depth) / INSET_STEP).ravel()).reshape(turn.shape)
+
+
+@dataclass(frozen=True)
+class ScaledPicture(Outline):
     """A picture resampled to the scale of the voxels: `OVER` pixels per cell."""
 
     rgb: NDArray[np.float32]
@@ -209,15 +266,6 @@ class ScaledPicture:
     """(P, 3). Their gate coordinates."""
     depth: NDArray[np.float32]
     """(H, W). Under the edge, over the body's inradius; 0 outside."""
-    middle: tuple[float, float]
-    """Centre (x, y) in cells."""
-    half: tuple[float, float]
-    """Half width and half height of the cut face in cells."""
-    rims: NDArray[np.float32]
-    """(ANGLES,). Distance of the edge from the centre, counter-clockwise from the right, in cells."""
-    insets: NDArray[np.float32]
-    """(ANGLES, L). Distance from the edge towards the centre, in cells, at which the depth reaches l * INSET_STEP
-    cells."""
 
     def read(self, x: NDArray[np.floating], y: NDArray[np.floating]) -> NDArray[np.float32]:
         """(..., 3). Bilinear colours at (x, y) in cells."""
@@ -229,21 +277,6 @@ class ScaledPicture:
             ],
             axis=-1,
         )
-
-    def rim(self, angle: NDArray[np.floating]) -> NDArray[np.float32]:
-        """(...). Distance of the edge from the centre at angles in radians."""
-        turn = np.asarray(angle) / (2 * np.pi) * ANGLES - 0.5
-        return ndimage.map_coordinates(self.rims, turn[None], order=1, mode="grid-wrap", output=np.float32)
-
-    def inset(self, angle: NDArray[np.floating], depth: NDArray[np.floating]) -> NDArray[np.float32]:
-        """(...). Distance from the edge towards the centre, at angles in radians, of points `depth` cells under it.
-
-        Larger than the depth itself at a corner, such as a loaf's.
-        """
-        turn = np.asarray(angle) / (2 * np.pi) * ANGLES - 0.5
-        at = np.stack([turn % ANGLES, np.asarray(depth) / INSET_STEP])
-        closed = np.concatenate([self.insets, self.insets[:1]])
-        return ndimage.map_coordinates(closed, at, order=1, mode="nearest", output=np.float32)
 
 
 @dataclass(frozen=True)
@@ -273,9 +306,9 @@ def scale_picture(picture: Picture, inradius: float, kind: Frame, cells: float) 
     depth = np.maximum(ndimage.distance_transform_edt(mask) - 0.5, 0).astype(np.float32) / np.float32(OVER * inradius)
     rows, columns = np.nonzero(mask)
     if kind == POLAR:
-        middle = (columns.mean() / OVER, rows.mean() / OVER)
+        middle = (float(columns.mean()) / OVER, float(rows.mean()) / OVER)
     else:
-        middle = ((columns.min() + columns.max()) / 2 / OVER, (rows.min() + rows.max()) / 2 / OVER)
+        middle = (float(columns.min() + columns.max()) / 2 / OVER, float(rows.min() + rows.max()) / 2 / OVER)
     if picture.core is not None and kind != FIXED:
         x, y = ((place * scale - 0.5 + pad) / OVER for place in picture.core)
         middle = (x, y if kind == POLAR else middle[1])
@@ -302,7 +335,7 @@ def scale_picture(picture: Picture, inradius: float, kind: Frame, cells: float) 
     else:
         ab = np.stack([one, zero, zero, -one], -1)
         gate = np.stack([d, zero, zero], -1)
-    return ScaledPicture(rgb, xy, ab.astype(np.float32), gate.astype(np.float32), depth, middle, half, rims, insets)
+    return ScaledPicture(middle, half, rims, insets, rgb, xy, ab.astype(np.float32), gate.astype(np.float32), depth)
 
 
 def voxel_gate(space: Space, kind: Frame) -> NDArray[np.float32]:

@@ -20,28 +20,25 @@ from engine.errors import InputError
 from engine.scene.grid import Body
 from engine.scene.inside import Inside
 from training.families import Family
-from training.priors.exemplar.core_line import extract_core
-from training.priors.exemplar.decompose import Layers, decompose
-from training.priors.exemplar.extrusion import (
-    Drift,
-    correct_by_height,
-    draw_core_line,
-    extrude,
-    interpolate_slices,
-    revolve,
-    view_along,
-)
 from training.priors.exemplar.frames import Frame, Space, View, make_space, scale_to_voxels
-from training.priors.exemplar.height_mask import HeightMask, make_height_mask
-from training.priors.exemplar.inside import QuiltInside
+from training.priors.exemplar.layering.core_line import extract_core
+from training.priors.exemplar.layering.correction import RING_SAMPLES, Correction
+from training.priors.exemplar.layering.decompose import Layers, decompose
+from training.priors.exemplar.layering.extrusion import Drift, Extrusion
+from training.priors.exemplar.layering.height_mask import HeightMask, make_height_mask
+from training.priors.exemplar.layering.inside import LayeredInside
+from training.priors.exemplar.layering.morph import Slices, match_slices
+from training.priors.exemplar.layering.places import Shape
+from training.priors.exemplar.layering.revolution import Revolution
+from training.priors.exemplar.layering.scatter import scatter_details
+from training.priors.exemplar.layering.sheet import Sheet
 from training.priors.exemplar.lighting import colour_gain
-from training.priors.exemplar.morph import match_slices
 from training.priors.exemplar.patches import FIXED, POLAR, RADIAL
 from training.priors.exemplar.pictures import Picture, read_picture, resolved_share
 from training.priors.exemplar.quilting.agreement import show_one_thing
 from training.priors.exemplar.quilting.disc import BallMap, Disc
+from training.priors.exemplar.quilting.inside import QuiltInside
 from training.priors.exemplar.quilting.quilt import make_quilt
-from training.priors.exemplar.scatter import scatter_details
 from training.priors.exemplar.sharpen import sharpen
 from training.priors.prior import Progress, Volume
 
@@ -85,9 +82,10 @@ def solve(
     views = [_make_view(space, family, own_pictures) for family, own_pictures in zip(families, pictures, strict=True)]
     if len(views) == 1 and views[0].kind != RADIAL and (stack := match_slices(views[0].pictures)) is not None:
         log.info("the pictures are slices of one thing, in order along %s", np.round(views[0].basis[2], 2).tolist())
-        rgb = space.scatter(interpolate_slices(space, view_along(space, views[0].basis, False), stack))
+        inside = LayeredInside.of(space, Slices(Shape.of(space, views[0].basis, False), stack))
+        rgb = space.scatter(inside.at(space.points, float(space.body.grid.cell)))
         sharpen(space, rgb, views)
-        return _make_volume(space, rgb, progress)
+        return _make_volume(space, rgb, progress, inside)
     if space.is_round and {view.kind for view in views} == {POLAR, RADIAL}:
         discs = _discs(views, taken)  # in their own light, which is part of the question
         if not same and not show_one_thing(discs[POLAR], discs[RADIAL]):
@@ -97,17 +95,20 @@ def solve(
             rgb = space.scatter(quilt.read(ball.to_ball(space.planar)))
             progress(0.8)
             sharpen(space, rgb, views)
-            inside = QuiltInside.of(space, ball, quilt, discs[POLAR], discs[RADIAL], seed)
-            return _make_volume(space, rgb, progress, inside)
+            quilted = QuiltInside.of(space, ball, quilt, discs[POLAR], discs[RADIAL], seed)
+            return _make_volume(space, rgb, progress, quilted)
     layers = [[decompose(scaled, view.kind) for scaled in view.pictures] for view in views]
     progress(0.2)
-    colours, height_mask = _extrude_layers(space, views, layers, rng, lambda part: progress(0.2 + 0.5 * part))
-    rgb = space.scatter(colours)
-    count = scatter_details(rgb, space, views, layers, height_mask, rng, lambda part: progress(0.7 + 0.1 * part))
+    course, height_mask = _lay_course(space, views, layers, rng)
+    inside = LayeredInside.of(space, course)
+    progress(0.4)
+    rgb = space.scatter(inside.at(space.points, 0))
+    progress(0.7)
+    stamps = scatter_details(rgb, space, views, layers, height_mask, rng, lambda part: progress(0.7 + 0.1 * part))
     space.fill(rgb)
     gain = sharpen(space, rgb, views)
-    log.info("%d details strewn, edges sharpened by %.2f", count, gain)
-    return _make_volume(space, rgb, progress)
+    log.info("%d details strewn, edges sharpened by %.2f", len(stamps.rows), gain)
+    return _make_volume(space, rgb, progress, replace(inside, stamps=stamps))
 
 
 def _discs(views: list[View], pictures: list[list[Picture]]) -> dict[Frame, list[Disc]]:
@@ -127,7 +128,7 @@ def _match_lighting(families: list[list[Picture]]) -> list[list[Picture]]:
     ]
 
 
-def _make_volume(space: Space, rgb: NDArray[np.float32], progress: Progress, inside: Inside | None = None) -> Volume:
+def _make_volume(space: Space, rgb: NDArray[np.float32], progress: Progress, inside: Inside) -> Volume:
     """The grid as a volume, its outside filled from the nearest voxel inside."""
     progress(0.95)
     nearest = ndimage.distance_transform_edt(space.number < 0, return_distances=False, return_indices=True)
@@ -168,22 +169,24 @@ def _frame_and_area(space: Space, family: Family) -> tuple[Frame, NDArray[np.flo
     return kind, basis, space.widest_slice((space.cells - space.centre) @ basis[2])
 
 
-def _extrude_layers(
-    space: Space, views: list[View], layers: list[list[Layers]], rng: np.random.Generator, progress: Progress
-) -> tuple[NDArray[np.float32], HeightMask | None]:
-    """(N, 3) colours: one family's pictures extruded through the body and corrected by the radial ones.
+def _lay_course(
+    space: Space, views: list[View], layers: list[list[Layers]], rng: np.random.Generator
+) -> tuple[Extrusion | Revolution, HeightMask | None]:
+    """How the layers of one family's pictures go on through the body, corrected by the radial ones.
 
-    Also returns the height mask of its structures, None without radial pictures or structures.
+    Also returns the height mask of its structures, None without radial pictures or structures. Changes `layers` where
+    they show the line around a core, which is drawn for itself.
     """
     kinds = [v.kind for v in views]
     carrier = next((kinds.index(kind) for kind in (POLAR, FIXED) if kind in kinds), None)
     radial = kinds.index(RADIAL) if RADIAL in kinds else None
     if carrier is None:
         log.info("radial pictures alone: turned about the axis")
-        return revolve(space, layers[0][0], rng), None
+        shape = Shape.of(space, space.basis, True)
+        return Revolution.of(shape, Sheet.of(layers[0][0]), float(np.median(space.rim)), rng), None
     view = views[carrier]
-    axis = view_along(space, view.basis, view.kind == POLAR)
-    drift = Drift.of(layers[carrier], layers[radial] if radial is not None else [], axis.round)
+    shape = Shape.of(space, view.basis, view.kind == POLAR)
+    drift = Drift.of(layers[carrier], layers[radial] if radial is not None else [], shape)
     log.info(
         "carried along the %s axis, texture drifting %.2f cells a cell",
         "up" if view.kind == POLAR else "fixed",
@@ -196,10 +199,13 @@ def _extrude_layers(
             core, first, layers[radial] = extract_core(layers[carrier][0], layers[radial])
             layers[carrier] = [first, *others]
         height_mask = make_height_mask(layers[carrier][0], layers[radial], rng)
-    colours = extrude(space, axis, layers[carrier], drift, height_mask, core, rng, progress)
-    if radial is not None:
-        correct_by_height(space, axis, colours, layers[carrier][0], layers[radial], height_mask)
-    if core is not None:
-        # Last: the radial layers no longer show the line and would correct it away.
-        draw_core_line(space, axis, colours, layers[carrier][0], core)
-    return np.clip(colours, 0, 1), height_mask
+    main, phases = layers[carrier][0], rng.uniform(0, 2 * np.pi, 8)
+    course = Extrusion(shape, Sheet.of(main), drift, phases, height_mask, core)
+    if radial is None:
+        return course, height_mask
+    # Random, not strided: in a straight body a stride would skip whole levels.
+    some = np.random.default_rng(0).integers(len(space.cells), size=min(len(space.cells), RING_SAMPLES))
+    places = shape.places((space.cells[some] - space.centre).astype(np.float64))
+    sheets = [Sheet.of(parts) for parts in layers[radial]]
+    correction = Correction.of(sheets, shape, main.source, places, course.uncorrected(places))
+    return replace(course, correction=correction), height_mask

@@ -9,12 +9,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit, prange
 from numpy.typing import NDArray
 from scipy import ndimage
 
 from training.priors.exemplar.frames import Space
 from training.priors.exemplar.pictures import Picture
+from training.priors.exemplar.sampling import read_bilinear, reduced
 
 __all__ = [
     "DISC_PIXELS",
@@ -27,8 +27,6 @@ __all__ = [
     "even_around",
     "even_sides",
     "match_light",
-    "read_trilinear",
-    "reduced",
     "ring_medians",
     "smooth_disc",
     "to_pixels",
@@ -111,10 +109,8 @@ class Disc:
     def read(self, x: NDArray[np.floating], y: NDArray[np.floating]) -> NDArray[np.float32]:
         """(..., 3). Colours at places (...), (...)."""
         at = np.broadcast_arrays(*to_pixels(x, y, len(self.rgb)))
-        rows, columns = (np.ascontiguousarray(a, np.float32).ravel() for a in at)
-        out = np.empty((len(rows), 3), np.float32)
-        _read_bilinear(self.rgb, rows, columns, out)
-        return out.reshape(*at[0].shape, 3)
+        rows, columns = (a.ravel() for a in at)
+        return read_bilinear(self.rgb, rows, columns).reshape(*at[0].shape, 3)
 
 
 TONE_ANGLE, TONE_LENGTH = 0.4, 0.15
@@ -156,13 +152,6 @@ def disc_median(values: NDArray[np.float32], radius: float) -> NDArray[np.float3
     if n == REDUCTION:
         return np.stack(medians, -1)
     return _resampled(np.stack(medians, -1), DISC_PIXELS // REDUCTION, REDUCTION / n)
-
-
-def reduced(values: NDArray[np.float32], n: int) -> NDArray[np.float32]:
-    """The means of blocks of n x n pixels of values (H, W, C)."""
-    even = [side // n * n for side in values.shape[:2]]
-    blocks = values[: even[0], : even[1]].reshape(even[0] // n, n, even[1] // n, n, -1)
-    return np.asarray(blocks.mean((1, 3)), np.float32)
 
 
 def enlarged(values: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -270,51 +259,6 @@ class BallMap:
         at = np.stack([(up / np.pi + 0.5) * LATITUDES + 0.5, around / (2 * np.pi) * LONGITUDES + 0.5])
         rim = ndimage.map_coordinates(self.skin, at, order=1, mode="nearest")
         return (planar / rim[:, None]).astype(np.float32)
-
-
-@njit(cache=True, parallel=True)
-def _read_bilinear(
-    rgb: NDArray[np.float32],  # [W, H, 3]
-    rows: NDArray[np.float32],  # [M] first pixel index
-    columns: NDArray[np.float32],  # [M] second pixel index
-    out: NDArray[np.float32],  # [M, 3]
-) -> None:
-    """Bilinear colours at places in pixels; beyond the border those of the border. An eighth of SciPy's time."""
-    width, height = rgb.shape[0], rgb.shape[1]
-    for m in prange(len(rows)):
-        u = min(max(rows[m], np.float32(0)), np.float32(width - 1))
-        v = min(max(columns[m], np.float32(0)), np.float32(height - 1))
-        i, j = min(int(u), width - 2), min(int(v), height - 2)
-        a, b = u - np.float32(i), v - np.float32(j)
-        for c in range(3):
-            low = rgb[i, j, c] + b * (rgb[i, j + 1, c] - rgb[i, j, c])
-            high = rgb[i + 1, j, c] + b * (rgb[i + 1, j + 1, c] - rgb[i + 1, j, c])
-            out[m, c] = low + a * (high - low)
-
-
-@njit(cache=True, parallel=True)
-def read_trilinear(
-    values: NDArray[np.float32],  # [X, Y, Z, C]
-    at: NDArray[np.float32],  # [M, 3] in cells, cell centres at whole numbers
-    out: NDArray[np.float32],  # [M, C]
-) -> None:
-    """Values between the cells of a grid; beyond its border those of the border."""
-    for m in prange(len(at)):
-        first = np.empty(3, np.int64)
-        part = np.empty(3, np.float32)
-        for a in range(3):
-            place = min(max(at[m, a], np.float32(0)), np.float32(values.shape[a] - 1))
-            first[a] = min(int(place), values.shape[a] - 2)
-            part[a] = place - np.float32(first[a])
-        i, j, k = first
-        for c in range(values.shape[3]):
-            out[m, c] = np.float32(0)
-            for d in range(8):
-                x, y, z = d & 1, d >> 1 & 1, d >> 2
-                weight = part[0] if x else np.float32(1) - part[0]
-                weight *= part[1] if y else np.float32(1) - part[1]
-                weight *= part[2] if z else np.float32(1) - part[2]
-                out[m, c] += weight * values[i + x, j + y, k + z, c]
 
 
 def _sample(rgb: NDArray[np.float32], rows: NDArray[np.floating], columns: NDArray[np.floating]) -> NDArray[np.float32]:

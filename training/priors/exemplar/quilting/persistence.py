@@ -18,9 +18,9 @@ from training.priors.exemplar.quilting.disc import (
     Disc,
     disc_grid,
     disc_median,
-    reduced,
     to_pixels,
 )
+from training.priors.exemplar.sampling import reduced
 
 __all__ = ["Persistence", "find_sheets"]
 

@@ -33,12 +33,12 @@ from training.priors.exemplar.quilting.disc import (
     REACH,
     Disc,
     match_light,
-    read_trilinear,
     to_pixels,
 )
 from training.priors.exemplar.quilting.labels import Label, Source, closed_share, read_discs
 from training.priors.exemplar.quilting.seams import improve_labels, nearest_colour, two_nearest
 from training.priors.exemplar.quilting.texture import TextureField
+from training.priors.exemplar.sampling import read_trilinear
 from training.priors.prior import Progress
 
 __all__ = ["Quilt", "make_quilt", "restore_quilt"]

@@ -16,8 +16,11 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.cluster.vq import kmeans2
 
-from training.priors.exemplar.decompose import Layers
+from engine.scene.inside import InsideRecord
+from training.priors.exemplar.layering.decompose import Layers
 from training.priors.exemplar.patches import OVER
+from training.priors.exemplar.record import RecordReader
+from training.priors.exemplar.sampling import read_bilinear
 
 __all__ = ["HeightMask", "make_height_mask"]
 
@@ -77,18 +80,20 @@ class HeightMask:
 
     def at(
         self,
-        colours: NDArray[np.float32],
-        centrality: NDArray[np.float32],  # [M, 2]
+        colours: NDArray[np.float32],  # [M, 3]
+        x: NDArray[np.floating],  # [M]
+        y: NDArray[np.floating],  # [M]
         radius: NDArray[np.floating],
         height: NDArray[np.floating],
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """(M,), (M, 3). Remaining opacity and colours of structures.
 
-        Takes colours (M, 3) and centralities (M, 2) of the picture, radii over the body's largest (M,) and heights
+        Takes colours (M, 3) of the picture at places in it in cells, radii over the body's largest (M,) and heights
         (M,) in [-1, 1]. A structure closes towards its ends like an ellipsoid. So does an enclosed seed, which is
         replaced by the colour of its structure.
         """
         i, j = _cells(radius, height)
+        centrality = read_bilinear(self.centrality, y * OVER, x * OVER)
         kind = ((colours[:, None] - self.palette) ** 2).sum(-1).argmin(1)
         opacity = self.opacity[kind, i, j] * _ellipsoid_opacity(self.ends[i], height, centrality[:, 0])
         presence = np.where(self.ends[i, 1] > self.ends[i, 0], self.presence[kind, i, j], 1)
@@ -101,6 +106,33 @@ class HeightMask:
     def explains(self, radius: NDArray[np.floating], height: NDArray[np.floating]) -> NDArray[np.bool_]:
         """(M,). Whether the radial pictures show a structure there that has been extruded already."""
         return self.explained[_cells(radius, height)]
+
+    def record(self) -> InsideRecord:
+        """Arrays and facts from which `restored` makes the same."""
+        return {name: np.asarray(getattr(self, name), dtype) for name, (dtype, _) in self._stored((0, 0)).items()}, {}
+
+    @classmethod
+    def restored(cls, record: RecordReader, pixels: tuple[int, int]) -> HeightMask:
+        """That of a `record`, for a picture of (H, W) pixels. Raises ValueError if it is none."""
+        arrays = {name: record.array(name, dtype, shape) for name, (dtype, shape) in cls._stored(pixels).items()}
+        if arrays["main_colour"].min() < 0 or arrays["main_colour"].max() >= COLOURS:
+            raise ValueError("a wrong main_colour")
+        return cls(**arrays)
+
+    @staticmethod
+    def _stored(pixels: tuple[int, int]) -> dict[str, tuple[type, tuple[int, ...]]]:
+        """Type and shape of each array."""
+        return {
+            "palette": (np.float32, (COLOURS, 3)),
+            "opacity": (np.float32, (COLOURS, RADII, HEIGHTS)),
+            "presence": (np.float32, (COLOURS, RADII, HEIGHTS)),
+            "ends": (np.float32, (RADII, 2)),
+            "main_colour": (np.int64, (RADII,)),
+            "enclosed": (np.bool_, (COLOURS, RADII)),
+            "enclosed_ends": (np.float32, (RADII, 2)),
+            "centrality": (np.float32, (*pixels, 2)),
+            "explained": (np.bool_, (RADII, HEIGHTS)),
+        }
 
 
 def _ellipsoid_opacity(
@@ -197,7 +229,7 @@ def make_height_mask(carrier: Layers, radial: Sequence[Layers], rng: np.random.G
         palette,
         opacity,
         presence,
-        np.where(in_reach[:, None], ends[source_row], 0),
+        np.where(in_reach[:, None], ends[source_row], np.float32(0)),
         main_colour,
         enclosed,
         enclosed_ends,

@@ -6,13 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from training.priors.exemplar.decompose import Detail, Layers
 from training.priors.exemplar.frames import Space, View, voxel_gate
-from training.priors.exemplar.height_mask import HeightMask
-from training.priors.exemplar.patches import OVER, POLAR, RADIAL, frame_at
+from training.priors.exemplar.layering.decompose import Detail, Layers
+from training.priors.exemplar.layering.height_mask import HeightMask
+from training.priors.exemplar.layering.stamps import COLUMNS, Crops, Stamps, paint
+from training.priors.exemplar.patches import POLAR, RADIAL, frame_at
 from training.priors.prior import Progress
 
 __all__ = ["scatter_details"]
@@ -25,9 +25,6 @@ MEAN_SECTION = np.pi / 4
 
 SAME_COLOUR = 0.25
 """Largest RGB distance between the ground at a new place and in the picture: no crumbs in the cream."""
-
-MAX_GROUND_DISTANCE = 0.5
-"""RGB distance from its ground beyond which a detail is not painted: a crumb is cut off at the cream."""
 
 MAX_TRIES = 20
 """Positions tried for a detail before it may touch another."""
@@ -91,25 +88,23 @@ def scatter_details(
     height_mask: HeightMask | None,
     rng: np.random.Generator,
     progress: Progress,
-) -> int:
-    """Paints the details of all pictures into the grid, in place, and returns their number.
+) -> Stamps:
+    """Paints the details of all pictures into the grid, in place, and returns them.
 
     A detail is taken for a section of an object whose length across the picture follows the aspect of the other
     families' details or, without any, equals its width. A plane crosses an object of length L with probability L / H,
     so a face showing n of them stands for n H / L in the body.
     """
     templates = _make_templates(space, views, layers, height_mask)
-    if not templates:
-        return 0
+    shown = [(layers[t.view][t.layers], layers[t.view][t.layers].details[t.detail]) for t in templates]
+    crops = Crops.of(shown)
     order = np.argsort([-k.across for k in templates], kind="stable")
-    total = 0
+    rows, crop = [np.zeros((0, COLUMNS), np.float32)], []
     grid = _Occupancy(space)
     for done, n in enumerate(order):
         progress(done / len(order))
-        template = templates[n]
+        template, (parts, detail) = templates[n], shown[n]
         whole, part = divmod(template.copies, 1)
-        parts = layers[template.view][template.layers]
-        detail = parts.details[template.detail]
         size = max(*detail.half, template.across)
         for _ in range(int(whole) + (rng.random() < part)):
             choice = template.places.draw(template.gate, MAX_TRIES, rng)
@@ -119,26 +114,14 @@ def scatter_details(
                 continue
             at = grid.place(choice, size)
             view = views[template.view]
-            _paint(
-                rgb,
-                space.number,
-                space.cells[at].astype(np.float32) + rng.uniform(-0.5, 0.5, 3).astype(np.float32),
-                view.kind,
-                view.basis.astype(np.float32),
-                space.centre,
-                parts.source.rgb,
-                parts.detail,
-                parts.labels,
-                detail.label,
-                np.float32(detail.x),
-                np.float32(detail.y),
-                np.float32(detail.reach),
-                parts.source.ab[detail.pixel],
-                np.float32(template.across),
-                detail.ground,
-            )
-            total += 1
-    return total
+            point = space.cells[at].astype(np.float32) + rng.uniform(-0.5, 0.5, 3).astype(np.float32)
+            frame = frame_at(view.kind, view.basis.astype(np.float32), space.centre, *point)
+            in_picture = detail.x, detail.y, detail.reach, *parts.source.ab[detail.pixel]
+            row = np.array([*point, *frame, *in_picture, template.across, *detail.ground], np.float32)
+            paint(rgb, space.number, row, crops, n)
+            rows.append(row[None])
+            crop.append(n)
+    return Stamps(crops, np.concatenate(rows), np.array(crop, np.int32))
 
 
 class _Occupancy:
@@ -239,70 +222,3 @@ def _near_known_details(
             for detail in parts.details:
                 near_detail |= (np.abs(gates - parts.source.gate[detail.pixel]) <= 0.8).all(1)
     return near_detail
-
-
-@njit(cache=True)
-def _paint(
-    rgb: NDArray[np.float32],  # in out [X, Y, Z, 3]
-    number: NDArray[np.int32],  # [X, Y, Z] -1 outside the body
-    point: NDArray[np.float32],  # [3] where the detail's centre goes, cells
-    kind: int,
-    basis: NDArray[np.float32],  # [3, 3] as `frame_at`
-    centre: NDArray[np.float32],  # [3] as `frame_at`
-    picture: NDArray[np.float32],  # [H, W, 3]
-    opacity: NDArray[np.float32],  # [H, W] of details
-    labels: NDArray[np.int32],  # [H, W] which detail each pixel belongs to
-    label: int,
-    x: np.float32,  # centre in the picture, cells
-    y: np.float32,
-    reach: np.float32,  # radius of a circle around the detail, cells
-    ab: NDArray[np.float32],  # [4] directions a and b in the picture
-    across: np.float32,  # half length along the picture's normal, cells
-    ground: NDArray[np.float32],  # [3]
-) -> None:
-    """Paints one detail: its picture in its plane, shrinking like an ellipsoid across it, over its own ground only."""
-    ax, ay, az, bx, by, bz = frame_at(kind, basis, centre, point[0], point[1], point[2])
-    nx, ny, nz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
-    grow = np.float32(1.15)  # sections are smaller than what they cut
-    far = max(reach * grow, across) + 1
-    height, width = opacity.shape
-    low0, high0 = max(int(point[0] - far), 0), min(int(point[0] + far) + 2, number.shape[0])
-    low1, high1 = max(int(point[1] - far), 0), min(int(point[1] + far) + 2, number.shape[1])
-    low2, high2 = max(int(point[2] - far), 0), min(int(point[2] + far) + 2, number.shape[2])
-    for i in range(low0, high0):
-        for j in range(low1, high1):
-            for k in range(low2, high2):
-                if number[i, j, k] < 0:
-                    continue
-                if (
-                    (rgb[i, j, k, 0] - ground[0]) ** 2
-                    + (rgb[i, j, k, 1] - ground[1]) ** 2
-                    + (rgb[i, j, k, 2] - ground[2]) ** 2
-                ) > MAX_GROUND_DISTANCE * MAX_GROUND_DISTANCE:
-                    continue
-                dx, dy, dz = np.float32(i) - point[0], np.float32(j) - point[1], np.float32(k) - point[2]
-                w = (dx * nx + dy * ny + dz * nz) / across
-                if w * w >= np.float32(0.98):
-                    continue
-                scale = grow * np.sqrt(np.float32(1) - w * w)
-                s = (dx * ax + dy * ay + dz * az) / scale
-                t = (dx * bx + dy * by + dz * bz) / scale
-                if s * s + t * t > reach * reach:
-                    continue
-                px, py = x + s * ab[0] + t * ab[2], y + s * ab[1] + t * ab[3]
-                column, row = px * np.float32(OVER), py * np.float32(OVER)
-                c, r = int(column), int(row)
-                if c < 0 or r < 0 or c >= width - 1 or r >= height - 1:
-                    continue
-                u, v = column - np.float32(c), row - np.float32(r)
-                if labels[int(row + np.float32(0.5)), int(column + np.float32(0.5))] != label:
-                    continue
-                for channel in range(3):
-                    colour = np.float32(0)
-                    alpha = np.float32(0)
-                    for m in range(2):
-                        for n in range(2):
-                            weight = (v if m else 1 - v) * (u if n else 1 - u)
-                            colour += weight * picture[r + m, c + n, channel]
-                            alpha += weight * opacity[r + m, c + n]
-                    rgb[i, j, k, channel] += alpha * (colour - rgb[i, j, k, channel])

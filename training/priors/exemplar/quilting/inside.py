@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -14,14 +13,15 @@ from engine.scene.inside import InsideRecord
 from training.priors.exemplar.frames import Space
 from training.priors.exemplar.quilting.disc import DISC_PIXELS, REACH, BallMap, Disc
 from training.priors.exemplar.quilting.quilt import Quilt, restore_quilt
+from training.priors.exemplar.record import MOST_SHEETS, RecordReader
 
 __all__ = ["QuiltInside"]
 
 COARSEST = 16
 """Times as large as a photograph's pixels are those of its coarsest version: a power of two that divides it."""
 
-MOST_PICTURES = 40
-"""Pictures of a file: 20 of each family."""
+FAMILIES = "horizontal", "radial"
+"""Names of the arrays that hold the pictures."""
 
 
 @dataclass(frozen=True)
@@ -69,56 +69,26 @@ class QuiltInside:
 
     def record(self) -> InsideRecord:
         """Arrays and JSON facts from which `restored` makes the same inside."""
-        families = {"horizontal": self.horizontal, "radial": self.radial}
-        empty = np.zeros((0, DISC_PIXELS, DISC_PIXELS, 3), np.uint8)
+        families = zip(FAMILIES, (self.horizontal, self.radial), strict=True)
         arrays: dict[str, NDArray[Any]] = {
-            name: np.stack([disc.to_bytes() for disc in discs]) if discs else empty for name, discs in families.items()
+            name: np.stack([disc.to_bytes() for disc in discs]) for name, discs in families
         }
         arrays |= {"chosen": self.quilt.chosen.astype(np.uint8), "skin": self.ball.skin}
         arrays |= {"origin": self.origin, "basis": self.basis}
         return arrays, {"kind": "quilt", "seed": self.seed, "rise": self.ball.rise, "cell": self.cell}
 
     @classmethod
-    def restored(cls, arrays: dict[str, NDArray[Any]], facts: dict[str, Any]) -> QuiltInside:
+    def restored(cls, record: RecordReader) -> QuiltInside:
         """The inside of a `record`. Raises ValueError if it is none."""
-        if facts.get("kind") != "quilt":
-            raise ValueError("another kind of inside")
-        seed, rise, cell = facts.get("seed"), _number(facts, "rise"), _number(facts, "cell")
-        if type(seed) is not int or seed < 0 or cell <= 0:
-            raise ValueError("a wrong number")
-        shapes = {"skin": (None, None), "origin": (3,), "basis": (3, 3)}
-        skin, origin, basis = (_finite(arrays, name, shape) for name, shape in shapes.items())
+        skin = record.array("skin", np.float64, (None, None))
         if min(skin.shape) < 4 or max(skin.shape) > 1000 or skin.min() <= 0:
             raise ValueError("a wrong skin")
-        families = []
-        for name in ("horizontal", "radial"):
-            pictures = arrays.get(name)
-            if pictures is None or pictures.dtype != np.uint8 or pictures.shape[1:] != (DISC_PIXELS, DISC_PIXELS, 3):
-                raise ValueError("a wrong picture")
-            families.append([Disc.of_bytes(rgb) for rgb in pictures])
-        horizontal, radial = families
-        chosen = arrays.get("chosen")
-        if chosen is None or chosen.dtype != np.uint8 or not 0 < len(horizontal) + len(radial) <= MOST_PICTURES:
-            raise ValueError("no layout, or no picture")
-        ball = BallMap(rise, skin)
+        families = [record.array(name, np.uint8, (None, DISC_PIXELS, DISC_PIXELS, 3)) for name in FAMILIES]
+        if sum(len(family) for family in families) > MOST_SHEETS:
+            raise ValueError("too many pictures")
+        horizontal, radial = ([Disc.of_bytes(rgb) for rgb in family] for family in families)
+        chosen, seed = record.array("chosen", np.uint8, (None,)), record.count("seed", 1 << 63)
+        ball = BallMap(record.number("rise"), skin)
         quilt = restore_quilt(horizontal, radial, seed, ball.height, chosen.astype(np.int32))
-        return cls(quilt, horizontal, radial, seed, ball, origin, basis, cell)
-
-
-def _number(facts: dict[str, Any], name: str) -> float:
-    value: Any = facts.get(name)
-    if type(value) not in (int, float) or not math.isfinite(value):
-        raise ValueError(f"no {name}")
-    return float(value)
-
-
-def _finite(arrays: dict[str, NDArray[Any]], name: str, shape: tuple[int | None, ...]) -> NDArray[np.float64]:
-    """An array of numbers of this shape; None is any length."""
-    array = arrays.get(name)
-    if array is None or array.dtype != np.float64 or len(array.shape) != len(shape):
-        raise ValueError(f"no {name}")
-    if any(wanted not in (None, side) for wanted, side in zip(shape, array.shape, strict=True)):
-        raise ValueError(f"a wrong {name}")
-    if not np.isfinite(array).all():
-        raise ValueError(f"{name} is not finite")
-    return array
+        origin, basis = record.array("origin", np.float64, (3,)), record.array("basis", np.float64, (3, 3))
+        return cls(quilt, horizontal, radial, seed, ball, origin, basis, record.number("cell", 1e-12))

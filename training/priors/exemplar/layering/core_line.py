@@ -14,9 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from training.priors.exemplar.decompose import Layers
-from training.priors.exemplar.frames import ANGLES, Space
+from engine.scene.inside import InsideRecord
+from training.priors.exemplar.frames import ANGLES
+from training.priors.exemplar.layering.decompose import Layers
+from training.priors.exemplar.layering.places import Places
 from training.priors.exemplar.patches import OVER
+from training.priors.exemplar.record import RecordReader
+from training.priors.exemplar.sampling import read_bilinear
 
 __all__ = ["Core", "extract_core"]
 
@@ -55,13 +59,14 @@ class Core:
     """(H, W). Opacity of the line in the horizontal picture."""
 
     def shell(
-        self, space: Space, part: slice, angle: NDArray[np.floating]
+        self, places: Places, widest: float, angle: NDArray[np.floating]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """(M,), (M,), (M,). For voxels at angles (M,): signed distance beyond the shell, the shell's distance from the
-        centre in that direction, and that of the ring in the horizontal picture. All in cells.
+        """(M,), (M,), (M,). For points at angles (M,): signed distance beyond the shell, the shell's distance from the
+        centre in that direction, and that of the ring in the horizontal picture. All in cells, as is how far the skin
+        is at its `widest`.
         """
-        across = space.radius[part] / space.widest * self.half[0]
-        up = space.height[part] * self.half[1]
+        across = places.radius / widest * self.half[0]
+        up = places.height * self.half[1]
         turn = (np.arctan2(up, across) / np.pi + 0.5) * (OUTLINE_ANGLES - 1)
         outline = np.interp(turn, np.arange(OUTLINE_ANGLES), self.outline)
         ring = np.interp(angle, (np.arange(ANGLES) + 0.5) / ANGLES * 2 * np.pi, self.ring, period=2 * np.pi)
@@ -69,6 +74,24 @@ class Core:
         away = np.hypot(across, up)
         wide = 1 + (ring / self.outline[OUTLINE_ANGLES // 2] - 1) * across / np.maximum(away, 1e-6)
         return away - outline * wide, outline * wide, ring
+
+    def line_at(self, x: NDArray[np.floating], y: NDArray[np.floating]) -> NDArray[np.float32]:
+        """(M, 1). Opacity of the line at places in the horizontal picture, cells."""
+        return read_bilinear(self.line[..., None], y * OVER, x * OVER)
+
+    def record(self) -> InsideRecord:
+        """Arrays and facts from which `restored` makes the same."""
+        return {"ring": self.ring, "outline": self.outline, "line": self.line}, {"half": list(self.half)}
+
+    @classmethod
+    def restored(cls, record: RecordReader, pixels: tuple[int, int]) -> Core:
+        """That of a `record`, for a picture of (H, W) pixels. Raises ValueError if it is none."""
+        return cls(
+            record.array("ring", np.float32, (ANGLES,)),
+            record.array("outline", np.float32, (OUTLINE_ANGLES,)),
+            record.pair("half"),
+            record.array("line", np.float32, pixels),
+        )
 
 
 def extract_core(carrier: Layers, radial: Sequence[Layers]) -> tuple[Core | None, Layers, list[Layers]]:

@@ -1,0 +1,103 @@
+"""The inside of a body whose pictures show one thing, read at any place, kept in a file and read from it again."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from engine.scene.inside import InsideRecord
+from training.priors.exemplar.frames import Space
+from training.priors.exemplar.layering.extrusion import Extrusion
+from training.priors.exemplar.layering.morph import Slices
+from training.priors.exemplar.layering.places import Shape
+from training.priors.exemplar.layering.revolution import Revolution
+from training.priors.exemplar.layering.stamps import Stamps
+from training.priors.exemplar.patches import OVER
+from training.priors.exemplar.record import RecordReader, nested
+
+__all__ = ["LayeredInside"]
+
+COARSEST = 16
+"""Times as large as a picture's pixels are those of its coarsest version."""
+
+BLOCK = 100_000
+"""Points that are read at once: bounds the memory of what is between."""
+
+COURSES: dict[str, type[Extrusion] | type[Revolution] | type[Slices]] = {
+    "extrusion": Extrusion,
+    "revolution": Revolution,
+    "slices": Slices,
+}
+"""How pictures go on, by their names in a file."""
+
+
+@dataclass(frozen=True)
+class LayeredInside:
+    """Layers of pictures that go on through a body, and the details that end in it."""
+
+    shape: Shape
+    course: Extrusion | Revolution | Slices
+    stamps: Stamps | None
+    origin: NDArray[np.float64]
+    """(3,). World point of the body's centre."""
+    grid_centre: NDArray[np.float64]
+    """(3,). The same point in cells of the grid that the details were placed in."""
+    cell: float
+    """World units."""
+    _reduced: dict[int, LayeredInside] = field(default_factory=dict, init=False, repr=False, compare=False)
+
+    @classmethod
+    def of(cls, space: Space, course: Extrusion | Revolution | Slices) -> LayeredInside:
+        """Pictures that go on so in a body, without details."""
+        grid, centre = space.body.grid, space.centre.astype(np.float64)
+        origin = np.asarray(grid.origin) + (centre + 0.5) * grid.cell
+        return cls(course.shape, course, None, origin, centre, float(grid.cell))
+
+    def at(self, points: NDArray[np.floating], footprint: float) -> NDArray[np.float32]:
+        """(N, 3). See `engine.scene.inside.Inside`."""
+        n = 1
+        while n < COARSEST and 2 * n * self.cell / OVER <= footprint:
+            n *= 2
+        if n not in self._reduced:
+            stamps = None if self.stamps is None else self.stamps.reduced(n)
+            self._reduced[n] = self if n == 1 else replace(self, course=self.course.reduced(n), stamps=stamps)
+        out = np.empty((len(points), 3), np.float32)
+        for start in range(0, len(points), BLOCK):
+            out[start : start + BLOCK] = self._reduced[n]._read(points[start : start + BLOCK])
+        return out
+
+    def _read(self, points: NDArray[np.floating]) -> NDArray[np.float32]:
+        """(M, 3). Colours at world points."""
+        cells = (points - self.origin) / self.cell
+        rgb = np.asarray(self.course.read(self.shape.places(cells)), np.float32)
+        if self.stamps is not None:
+            self.stamps.paint(rgb, (cells + self.grid_centre).astype(np.float32))
+        return np.clip(rgb, 0, 1)
+
+    def record(self) -> InsideRecord:
+        """Arrays and JSON facts from which `restored` makes the same inside."""
+        parts = {"shape": self.shape.record(), "course": self.course.record()}
+        if self.stamps is not None and len(self.stamps.rows):
+            parts["stamps"] = self.stamps.record()
+        arrays, facts = nested(parts)
+        way = next(name for name, kind in COURSES.items() if isinstance(self.course, kind))
+        arrays |= {"origin": self.origin, "grid_centre": self.grid_centre}
+        return arrays, facts | {"kind": "layers", "way": way, "cell": self.cell}
+
+    @classmethod
+    def restored(cls, record: RecordReader) -> LayeredInside:
+        """The inside of a `record`. Raises ValueError if it is none."""
+        way = record.facts.get("way")
+        if not isinstance(way, str) or way not in COURSES:
+            raise ValueError("another way that pictures go on")
+        shape = Shape.restored(record.part("shape"))
+        return cls(
+            shape,
+            COURSES[way].restored(record.part("course"), shape),
+            Stamps.restored(record.part("stamps")) if record.has("stamps") else None,
+            record.array("origin", np.float64, (3,)),
+            record.array("grid_centre", np.float64, (3,)),
+            record.number("cell", 1e-12),
+        )

@@ -1,0 +1,135 @@
+"""The layers of a picture as an inside reads them: at any place, at any fineness, and from a file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from engine.scene.inside import InsideRecord
+from training.priors.exemplar.frames import ANGLES, Outline
+from training.priors.exemplar.layering.decompose import Layers
+from training.priors.exemplar.patches import OVER
+from training.priors.exemplar.record import RecordReader
+from training.priors.exemplar.sampling import read_bilinear, reduced
+
+__all__ = ["DETAIL", "GROUND", "PICTURE", "STRUCTURE", "TEXTURE", "THROUGH", "Sheet"]
+
+GROUND, TEXTURE, STRUCTURE, THROUGH = slice(0, 3), slice(3, 6), slice(6, 7), slice(7, 10)
+"""Channels of a sheet: a smooth ground, its texture, the opacity and the colour of what runs through."""
+
+PICTURE, DETAIL = slice(10, 13), slice(13, 14)
+"""The picture itself, and the opacity of the details that end."""
+
+CHANNELS = 14
+
+MOST_PIXELS = 2048
+"""Along a side of a sheet in a file."""
+
+
+@dataclass(frozen=True)
+class Sheet(Outline):
+    """A decomposed picture (`Layers`). Its levels are whole steps of 1/255, as a file keeps them."""
+
+    rind: float
+    """Thickness of the layers along the skin, over the body's inradius."""
+    inradius: float
+    """Of the picture's face, over that of the body."""
+    thickness: float
+    """Typical half thickness of long structures, cells."""
+    channels: NDArray[np.float32]
+    """(H, W, 14). See the slices above."""
+    labels: NDArray[np.int32]
+    """(OVER pixels per cell). Number of the detail that each pixel belongs to, 0 for none."""
+    coarseness: int = 1
+    """Pixels of the picture per pixel of `channels`, along a side."""
+
+    @classmethod
+    def of(cls, layers: Layers) -> Sheet:
+        """A picture's layers."""
+        source = layers.source
+        opacities = layers.structure[..., None], layers.detail[..., None]
+        parts = layers.ground, layers.texture, opacities[0], layers.through, source.rgb, opacities[1]
+        levels = np.round(np.concatenate(parts, axis=-1) * 255).astype(np.int16)
+        return cls(
+            source.middle,
+            source.half,
+            source.rims,
+            source.insets,
+            layers.rind,
+            float(source.depth.max()),
+            layers.thickness,
+            _from_levels(levels),
+            layers.labels,
+        )
+
+    def reduced(self, n: int) -> Sheet:
+        """The sheet with pixels n times as large."""
+        return replace(self, channels=reduced(self.channels, n), coarseness=n)
+
+    def read(self, x: NDArray[np.floating], y: NDArray[np.floating], channels: slice) -> NDArray[np.float32]:
+        """(M, K). Some channels at places in cells."""
+        n = self.coarseness
+        # A pixel of the picture lies at a whole number, a large one at the mean of those that it covers.
+        rows, columns = ((at * OVER - (n - 1) / 2) / n for at in (y, x))
+        return read_bilinear(self.channels, rows, columns, channels)
+
+    def position(
+        self, angle: NDArray[np.floating], share: NDArray[np.floating], depth: NDArray[np.floating], inradius: float
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """(M,), (M,). Place in the picture, in cells, of points at an angle, share of the rim and depth in inradii of a
+        body of this inradius in cells: at equal depth near the skin, at the equal share of the rim below."""
+        rim = self.rim(angle)
+        by_depth = np.maximum(rim - self.inset(angle, depth * inradius), 0)
+        near = skin_weight(depth, self.rind)
+        r = near * by_depth + (1 - near) * share * rim
+        return self.middle[0] + r * np.cos(angle), self.middle[1] - r * np.sin(angle)
+
+    def record(self) -> InsideRecord:
+        """Arrays and facts from which `restored` makes the same sheet."""
+        levels = np.round(self.channels * 255).astype(np.int16)
+        signed = levels[..., TEXTURE]
+        plain = np.delete(levels, np.r_[TEXTURE], axis=-1).astype(np.uint8)
+        arrays: dict[str, NDArray[Any]] = {
+            "rims": self.rims,
+            "insets": self.insets,
+            "levels": plain,
+            "texture": signed,
+            "labels": self.labels,
+        }
+        facts = {"rind": self.rind, "inradius": self.inradius, "thickness": self.thickness}
+        return arrays, facts | {"middle": list(self.middle), "half": list(self.half)}
+
+    @classmethod
+    def restored(cls, record: RecordReader) -> Sheet:
+        """The sheet of a `record`. Raises ValueError if it is none."""
+        plain = record.array("levels", np.uint8, (None, None, CHANNELS - 3))
+        height, width = plain.shape[:2]
+        if not 2 <= min(height, width) <= max(height, width) <= MOST_PIXELS:
+            raise ValueError("a wrong size of a picture")
+        signed = record.array("texture", np.int16, (height, width, 3))
+        levels = np.concatenate([plain[..., :3], signed, plain[..., 3:]], axis=-1)
+        return cls(
+            record.pair("middle"),
+            record.pair("half"),
+            record.array("rims", np.float32, (ANGLES,)),
+            record.array("insets", np.float32, (ANGLES, None)),
+            record.number("rind", 0, 10),
+            record.number("inradius", 0, 10),
+            record.number("thickness", 0, 10),
+            _from_levels(levels),
+            record.array("labels", np.int32, (height, width)),
+        )
+
+
+def skin_weight(depth: NDArray[np.floating], rind: float) -> NDArray[np.floating]:
+    """1 within the rind, falling smoothly to 0 below it."""
+    t = np.clip((depth - 1.1 * rind) / (0.7 * rind + 0.1), 0, 1)
+    return 1 - t * t * (3 - 2 * t)
+
+
+def _from_levels(levels: NDArray[np.int16]) -> NDArray[np.float32]:
+    """Steps of 1/255 as numbers."""
+    return levels.astype(np.float32) / np.float32(255)

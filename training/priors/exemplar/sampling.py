@@ -1,0 +1,76 @@
+"""Values between the pixels of pictures and the cells of grids."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+
+__all__ = ["read_bilinear", "read_trilinear", "reduced"]
+
+
+def reduced(values: NDArray[np.float32], n: int) -> NDArray[np.float32]:
+    """The means of blocks of n x n pixels of values (H, W, C)."""
+    even = [side // n * n for side in values.shape[:2]]
+    blocks = values[: even[0], : even[1]].reshape(even[0] // n, n, even[1] // n, n, -1)
+    return np.asarray(blocks.mean((1, 3)), np.float32)
+
+
+def read_bilinear(
+    values: NDArray[np.float32],
+    rows: NDArray[np.floating],
+    columns: NDArray[np.floating],
+    channels: slice = slice(None),
+) -> NDArray[np.float32]:
+    """(M, K). Some channels of a picture (H, W, C), H and W at least 2, at places (M,), (M,) in pixels whose centres
+    are at whole numbers; beyond the border those of the border. An eighth of SciPy's time."""
+    first, last, _ = channels.indices(values.shape[2])
+    out = np.empty((len(rows), last - first), np.float32)
+    _read_bilinear(values, np.asarray(rows, np.float32), np.asarray(columns, np.float32), first, out)
+    return out
+
+
+@njit(cache=True, parallel=True)
+def _read_bilinear(
+    values: NDArray[np.float32],  # [H, W, C]
+    rows: NDArray[np.float32],  # [M]
+    columns: NDArray[np.float32],  # [M]
+    first: int,  # channel
+    out: NDArray[np.float32],  # [M, K]
+) -> None:
+    height, width = values.shape[0], values.shape[1]
+    for m in prange(len(rows)):
+        u = min(max(rows[m], np.float32(0)), np.float32(height - 1))
+        v = min(max(columns[m], np.float32(0)), np.float32(width - 1))
+        i, j = min(int(u), height - 2), min(int(v), width - 2)
+        a, b = u - np.float32(i), v - np.float32(j)
+        for k in range(out.shape[1]):
+            c = first + k
+            low = values[i, j, c] + b * (values[i, j + 1, c] - values[i, j, c])
+            high = values[i + 1, j, c] + b * (values[i + 1, j + 1, c] - values[i + 1, j, c])
+            out[m, k] = low + a * (high - low)
+
+
+@njit(cache=True, parallel=True)
+def read_trilinear(
+    values: NDArray[np.float32],  # [X, Y, Z, C]
+    at: NDArray[np.float32],  # [M, 3] in cells, cell centres at whole numbers
+    out: NDArray[np.float32],  # [M, C]
+) -> None:
+    """Values between the cells of a grid; beyond its border those of the border."""
+    for m in prange(len(at)):
+        first = np.empty(3, np.int64)
+        part = np.empty(3, np.float32)
+        for a in range(3):
+            place = min(max(at[m, a], np.float32(0)), np.float32(values.shape[a] - 1))
+            first[a] = min(int(place), values.shape[a] - 2)
+            part[a] = place - np.float32(first[a])
+        i, j, k = first
+        for c in range(values.shape[3]):
+            out[m, c] = np.float32(0)
+            for d in range(8):
+                x, y, z = d & 1, d >> 1 & 1, d >> 2
+                weight = part[0] if x else np.float32(1) - part[0]
+                weight *= part[1] if y else np.float32(1) - part[1]
+                weight *= part[2] if z else np.float32(1) - part[2]
+                out[m, c] += weight * values[i + x, j + y, k + z, c]
