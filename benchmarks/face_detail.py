@@ -2,7 +2,8 @@
 
     python -m benchmarks.face_detail [--quick] [-o docs/charts] [--detail standard] [--scenes orange_others,...]
 
-Scenes with pictures of other individuals, whose insides are quilted. In the plane of the horizontal picture: sharpness
+Scenes with pictures of other individuals, whose insides are quilted, and with two cuts of one thing, whose layers go
+on. In the plane of the horizontal picture: sharpness
 (RMS Laplacian) over that of the picture drawn as large, and SSIM with it at 768 pixels. Then the seconds to read a face
 that fills half of a 1280x720 window; bytes of the two files; and the difference of one frame to the next while a plane
 moves by a tenth of a cell: what is read from places and prefiltered does not flicker. Writes face_detail.json, the
@@ -32,13 +33,17 @@ from engine.render.cpu.kernel_field import KernelField
 from engine.render.face_detail import Detailed, detailed
 from engine.scene.atoms import Atoms
 from engine.scene.camera import Camera, plane_points, section
+from engine.scene.inside import Inside
 from engine.scene.piece import Piece
 from engine.scene.plane import Plane
 from training.evaluate.metrics import face_ssim, sharpness
 from training.evaluate.scenes import load_scene
 from training.events import Reporter
 from training.pipeline import run
+from training.priors.exemplar.layering.inside import LayeredInside
+from training.priors.exemplar.pictures import read_picture
 from training.priors.exemplar.quilting.chunks import Ball
+from training.priors.exemplar.quilting.disc import Disc
 from training.priors.exemplar.quilting.inside import QuiltInside
 from training.priors.inside_file import read_inside
 from training.request import Request
@@ -52,6 +57,10 @@ SIZE, FINE_SIZE = 512, 768
 CORE = 0.75
 """Radius in the ball within which a face is measured: the rind would dominate its sharpness."""
 
+Known = LayeredInside | QuiltInside
+
+SCENES = "watermelon_others,orange_others,apple_others,pomegranate_others,watermelon,orange"
+
 BESIDE = 0.2
 """Distance from the axis of what the closer views look at, over the radius of the ball around the object."""
 
@@ -60,8 +69,8 @@ HALF_A_WINDOW = 1280 * 720 // 2
 FRAMES = 60
 
 
-def trained(name: str, detail: DetailName, folder: Path) -> tuple[Path, tuple[float, float, float]]:
-    """The trained object of a scene, made unless it is there already, and its up axis."""
+def trained(name: str, detail: DetailName, folder: Path) -> tuple[Path, tuple[float, float, float], Disc]:
+    """The trained object of a scene, made unless it is there already, its up axis and its horizontal picture."""
     scene = load_scene(name, folder)
     out = folder / "trained" / detail / name
     path = out / f"{scene.scene.stem}.ply"
@@ -69,7 +78,8 @@ def trained(name: str, detail: DetailName, folder: Path) -> tuple[Path, tuple[fl
         families = tuple(replace(family, count=min(family.count, 8)) for family in scene.families)
         request = Request(scene.scene, families, detail, scene.solid.up)
         path = run(request, out, Reporter(), False, lambda: False)
-    return path, scene.solid.up
+    (pictures,) = (family.exemplars for family in scene.families if family.kind == "horizontal")
+    return path, scene.solid.up, Disc.of(read_picture(pictures[0], "horizontal"))
 
 
 def views(atoms: Atoms, plane: Plane, up: NDArray[np.float64], size: int, zooms: tuple[float, ...]) -> list[Camera]:
@@ -85,7 +95,7 @@ def views(atoms: Atoms, plane: Plane, up: NDArray[np.float64], size: int, zooms:
 
 
 def faces(
-    atoms: Atoms, inside: QuiltInside, field: KernelField, plane: Plane, camera: Camera
+    atoms: Atoms, inside: Inside, field: KernelField, plane: Plane, camera: Camera
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """The face of atoms and the face that is read, both (H, W, 3)."""
     plain = opaque.render(atoms, camera, [plane], field=field)
@@ -93,29 +103,36 @@ def faces(
     return np.clip(plain.rgb, 0, 1), np.clip(read.rgb, 0, 1)
 
 
-def photograph(inside: QuiltInside, points: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+def photograph(
+    inside: Known, picture: Disc, points: NDArray[np.float32]
+) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """The horizontal picture (H, W, 3) at places (H, W, 3) of its plane, and where it is measured (H, W)."""
-    planar = ((points.reshape(-1, 3) - inside.origin) @ inside.basis.T / inside.cell).astype(np.float32)
-    ball = Ball.of(inside.ball.to_ball(planar))
-    rgb = inside.horizontal[0].read(*ball.level.T)
-    return rgb.reshape(points.shape), (ball.length < CORE).reshape(points.shape[:2])
+    cells = (points.reshape(-1, 3).astype(np.float64) - inside.origin) / inside.cell
+    if isinstance(inside, QuiltInside):
+        ball = Ball.of(inside.ball.to_ball((cells @ inside.basis.T).astype(np.float32)))
+        level, length = ball.level, ball.length
+    else:
+        places = inside.shape.places(cells)
+        level = places.share[:, None] * np.stack([np.cos(places.angle), np.sin(places.angle)], -1)
+        length = np.maximum(places.share, np.abs(places.height))
+    return picture.read(*level.T).reshape(points.shape), (length < CORE).reshape(points.shape[:2])
 
 
 def measure(name: str, detail: DetailName, folder: Path) -> tuple[dict[str, Any], NDArray[np.float32]]:
     """The figures of a scene, and its oblique cut (H, W, 3) at all zooms."""
-    path, axis = trained(name, detail, folder)
+    path, axis, picture = trained(name, detail, folder)
     atoms, _ = load_trained(path)
     inside = read_inside(path)
-    assert isinstance(inside, QuiltInside), f"{name} was not quilted"
+    assert isinstance(inside, Known), f"{name} has no pictures"
     field, up = KernelField(atoms), np.asarray(axis, np.float64)
-    own = Plane.through(inside.origin, inside.basis[2])
+    own = Plane.through(inside.origin, up)
     sharp: dict[str, list[float]] = {"atoms": [], "inside": []}
     for camera in views(atoms, own, up, SIZE, ZOOMS):
-        truth, core = photograph(inside, plane_points(camera, own))
+        truth, core = photograph(inside, picture, plane_points(camera, own))
         for key, face in zip(sharp, faces(atoms, inside, field, own, camera), strict=True):
             sharp[key].append(round(sharpness(face, core) / sharpness(truth, core), 3))
     (camera,) = views(atoms, own, up, FINE_SIZE, (1.0,))
-    truth, core = photograph(inside, plane_points(camera, own))
+    truth, core = photograph(inside, picture, plane_points(camera, own))
     alike = [round(face_ssim(face, truth, core), 3) for face in faces(atoms, inside, field, own, camera)]
 
     oblique = Plane.through(inside.origin, OBLIQUE)
@@ -130,7 +147,7 @@ def measure(name: str, detail: DetailName, folder: Path) -> tuple[dict[str, Any]
     begin = time.perf_counter()
     inside.at(many, footprint)
     seconds = time.perf_counter() - begin
-    deep = points[photograph(inside, points[None])[1][0]]
+    deep = points[photograph(inside, picture, points[None])[1][0]]
     step = 0.1 * inside.cell * np.asarray(oblique.normal)
     change: dict[str, list[float]] = {"atoms": [], "inside": []}
     last: dict[str, NDArray[np.float32]] = {}
@@ -179,7 +196,7 @@ def draw_chart(found: dict[str, dict[str, Any]], path: Path) -> None:
 def main(arguments: list[str] | None = None) -> int:
     """Measures every scene."""
     parser = parser_of(__doc__, "one scene in draft")
-    parser.add_argument("--scenes", default="watermelon_others,orange_others,apple_others,pomegranate_others")
+    parser.add_argument("--scenes", default=SCENES)
     parser.add_argument("--detail", default="standard", choices=["draft", "standard", "high"])
     options = parser.parse_args(arguments)
     folder = out_folder(options)
