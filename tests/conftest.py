@@ -2,11 +2,27 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 
 import pytest
 
 from engine.render.gl import GLMissing, Renderer
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Spreads the slow tests over the processes of a parallel run, first in the part that each begins with: all would
+    wait for one that began last."""
+    processes = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
+    slow = [item for item in items if item.get_closest_marker("slow")]
+    others = [item for item in items if not item.get_closest_marker("slow")]
+    part = -(-len(items) // processes)
+    items.clear()
+    for n in range(processes):
+        first = slow[n::processes]
+        end = max(part - len(first), 0) if n < processes - 1 else len(others)
+        items += first + others[:end]
+        del others[:end]
 
 
 @pytest.fixture(scope="session")

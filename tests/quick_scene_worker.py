@@ -22,5 +22,7 @@ def use_quick_worker() -> None:
 
 
 if __name__ == "__main__":
-    scene_worker.DRAFT = replace(scene_worker.DRAFT, skin_views=12, skin_steps=4, skin_size=96)
+    scene_worker.DRAFT = replace(
+        scene_worker.DRAFT, skin_views=12, skin_steps=4, skin_size=96, surface_views=8, surface=64
+    )
     scene_worker.main()

@@ -150,6 +150,7 @@ def test_nothing_is_removed_without_a_selection_and_not_everything() -> None:
     assert session.document.marked == ()
 
 
+@pytest.mark.slow
 def test_the_window_and_the_trainer_make_the_same_skin_of_what_is_left(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

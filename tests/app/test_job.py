@@ -126,6 +126,7 @@ def test_a_killed_job_is_a_failed_one(tmp_path: Path) -> None:
     assert job.phase == "failed"
 
 
+@pytest.mark.slow
 def test_a_real_training_speaks_as_the_window_listens(tmp_path: Path) -> None:
     y, x = np.mgrid[:64, :64] - 31.5
     disc = (x**2 + y**2 < 28**2)[..., None]

@@ -36,15 +36,18 @@ def run(name: str, folder: Path, script: str = "app_steps.py") -> None:
     assert done.returncode == 0 and "well" in done.stdout, said[-3000:]
 
 
+@pytest.mark.slow
 def test_a_user_cuts_trains_saves_and_exports(tmp_path: Path) -> None:
     run("steps", tmp_path)
     assert len(list((tmp_path / "shots").glob("*.png"))) == 8
 
 
+@pytest.mark.slow
 def test_a_dense_screen_dropped_files_dialogs_and_leaving(tmp_path: Path) -> None:
     run("habits", tmp_path)
 
 
+@pytest.mark.slow
 def test_the_object_is_stood_on_a_face_and_turned(tmp_path: Path) -> None:
     run("upright", tmp_path, "app_scripts.py")
     assert len(list((tmp_path / "shots").glob("upright_*.png"))) == 4
@@ -61,11 +64,13 @@ def test_two_objects_are_selected_cut_named_and_hidden(tmp_path: Path) -> None:
     assert len(list((tmp_path / "shots").glob("*.png"))) == 5
 
 
+@pytest.mark.slow
 def test_a_picture_is_looked_at_and_corrected_before_training(tmp_path: Path) -> None:
     run("faces", tmp_path, "app_scripts.py")
     assert len(list((tmp_path / "shots").glob("faces_*.png"))) == 5
 
 
+@pytest.mark.slow
 def test_two_thousand_random_actions_leave_nothing_behind(tmp_path: Path) -> None:
     run("soak", tmp_path)
 

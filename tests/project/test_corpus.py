@@ -58,6 +58,7 @@ def test_words_for_programmers_are_told_from_words_for_people() -> None:
         assert words_wrong(words), words
 
 
+@pytest.mark.slow
 def test_a_folder_is_read_with_every_reader_and_told_of_without_its_place(tmp_path: Path) -> None:
     folder = tmp_path / "from somebody"
     folder.mkdir()

@@ -196,6 +196,7 @@ def tiny(monkeypatch):
     monkeypatch.setattr(training.evaluate.cuts, "SIZE", 64)
 
 
+@pytest.mark.slow
 def test_a_small_evaluation_goes_on_where_it_was_stopped(tiny, tmp_path, monkeypatch):
     small = cells(["bread"], ["ours", "physgaussian"], [0], "draft", 6, None, tmp_path)
     facts = run_cell(small[0], TINY)

@@ -96,6 +96,7 @@ def holds(said: io.StringIO, words: str) -> bool:
     return words in said.getvalue()
 
 
+@pytest.mark.slow
 def test_an_interrupted_run_ends_with_the_same_bits(whole, tmp_path):
     for reached in ('"stage": "labels", "part": 0.', '"stage": "views"', '"iteration": 2'):
         said = io.StringIO()

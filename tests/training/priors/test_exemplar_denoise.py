@@ -68,6 +68,7 @@ def test_denoiser_finds_the_noise(tmp_path: Path) -> None:
         np.testing.assert_allclose(found[~mask], noise[~mask], atol=1e-5)
 
 
+@pytest.mark.slow
 def test_search_is_nearly_exact(monkeypatch: pytest.MonkeyPatch) -> None:
     """Within 30 dB of a search through every patch that lies like the pixel, by all of its numbers."""
     family = Family("horizontal", 40, (SAMPLES / "orange" / "horizontal_1.png",))

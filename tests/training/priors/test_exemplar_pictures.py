@@ -127,6 +127,7 @@ def test_an_enlarged_picture_resolves_what_it_did_before(tmp_path: Path) -> None
     assert 1 / 4 < shares[1] < 0.6
 
 
+@pytest.mark.slow
 def test_the_volume_is_no_finer_than_the_pictures_need(tmp_path: Path) -> None:
     families = (Family("horizontal", 4, (save(tmp_path / "small.png", disc(40, seeds=6)[0]),)),)
     body, prior = ball(), ExemplarPrior()
@@ -214,6 +215,7 @@ def test_a_cut_out_face_may_fill_its_picture(tmp_path: Path) -> None:
     assert 0.5 < half.mask.mean() < 0.9
 
 
+@pytest.mark.slow
 def test_photographs_that_are_cut_off_by_more_are_refused(tmp_path: Path) -> None:
     folder = SHARED / "photos/fruit"
     if not folder.exists():

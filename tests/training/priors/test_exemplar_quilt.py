@@ -155,6 +155,7 @@ def test_pictures_share_their_middle_with_the_body() -> None:
     assert np.linalg.norm(points[skin], axis=1) == pytest.approx(1, abs=0.12)
 
 
+@pytest.mark.slow
 def test_every_picture_is_used_and_a_seed_decides() -> None:
     x, y = disc_grid()
     faces = [

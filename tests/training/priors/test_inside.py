@@ -128,6 +128,7 @@ def test_a_file_is_the_object_s_own(inside: QuiltInside, tmp_path: Path) -> None
     assert not inside_path(path).exists()
 
 
+@pytest.mark.slow
 def test_a_run_keeps_it_and_resumes_to_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name, value in SMALL.items():
         monkeypatch.setattr(name, value)

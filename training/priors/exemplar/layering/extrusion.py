@@ -164,6 +164,8 @@ class Extrusion:
         if drift.is_stranded:
             other = angle + self._strand_angles(angle, level, round(np.pi * inradius / (2 * drift.grain)))
         u, v = sheet.position(other, places.share, np.maximum(places.depth, sheet.rind), self.shape.inradius)
+        # Less at the axis, which would otherwise show a star: all directions meet there.
+        aside *= np.minimum(np.hypot(u - sheet.middle[0], v - sheet.middle[1]) / (2 * swing), 1)
         return u + aside * np.cos(other), v - aside * np.sin(other)
 
     def _strand_angles(
