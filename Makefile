@@ -31,7 +31,7 @@ test: $(READY)
 	@tools/ensure_gl.sh window
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	@$(BIN)/mypy & $(BIN)/python -m pytest -n 4 --dist worksteal; tests=$$?; wait $$! && exit $$tests
+	@$(BIN)/mypy & $(BIN)/python -m pytest -n 2 --dist worksteal; tests=$$?; wait $$! && exit $$tests
 
 bench: $(READY)
 	@tools/ensure_gl.sh

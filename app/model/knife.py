@@ -16,7 +16,16 @@ from app.model.rigid_transform import Vec3
 from engine.scene.camera import Camera, equator
 from engine.scene.plane import Plane
 
-__all__ = ["Outcome", "PlaneAngles", "Stroke", "plane_of", "plane_through", "slice_object", "snapped_plane"]
+__all__ = [
+    "Outcome",
+    "PlaneAngles",
+    "Stroke",
+    "plane_of",
+    "plane_through",
+    "slice_evenly",
+    "slice_object",
+    "snapped_plane",
+]
 
 SHORTEST = 6.0
 """Pixels of the shortest stroke: a shorter drag is a click, and its direction is noise."""
@@ -198,3 +207,28 @@ def plane_through(a: NDArray[np.float64], b: NDArray[np.float64], c: NDArray[np.
     normal = np.cross(b - a, c - a)
     longest = max(float(np.linalg.norm(side)) for side in (b - a, c - a, c - b))
     return Plane.through((a + b + c) / 3, normal) if np.linalg.norm(normal) > 1e-3 * longest**2 else None
+
+
+def slice_evenly(
+    document: Document, solid: Solid, normal: NDArray[np.float64], count: int, selected: Iterable[Key] = ()
+) -> Document | None:
+    """Cuts what is visible, or the selected pieces of it, into `count` slices of one thickness along a unit normal
+    (3,), from the first to the last point of all of them together. None if there is nothing to cut."""
+    chosen = set(selected)
+    visible = [piece for piece in visible_pieces(document, solid) if len(piece.rows)]
+    candidates = [piece for piece in visible if not chosen or piece.key in chosen] or visible
+    if not candidates:
+        return None
+    along = [piece.motion.apply(solid.points[piece.rows]) @ normal for piece in candidates]
+    low, high = min(float(a.min()) for a in along), max(float(a.max()) for a in along)
+    for height in np.linspace(low, high, count + 1)[1:-1]:
+        plane = Plane.through(height * normal, normal)
+        # Made for the pieces as they are now: each slice is a part of one of them, wherever it moves to.
+        parts = [
+            Part(piece.motion.inverse().carried(plane), piece.key)
+            for piece, a in zip(candidates, along, strict=True)
+            if a.min() < height < a.max()
+        ]
+        if parts:
+            document = document.with_cut(_joined(parts), "Slice")
+    return document

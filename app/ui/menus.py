@@ -18,6 +18,7 @@ from app.session.workspace import TOOLS, Tool
 from app.ui.commands import Command, Ctrl, Key, Shift
 from app.ui.dialogs.export_window import ExportWindow
 from app.ui.dialogs.file_dialogs import FileDialogs
+from app.ui.dialogs.slices_window import SlicesWindow
 from app.ui.theme import Fonts, apply, palette, px, rgba, u32
 from app.ui.view.viewport import Viewport
 from app.ui.widgets import font, icon_button, key_caps, knife_icon, secondary, tooltip
@@ -55,6 +56,7 @@ class Menus:
 
     def __init__(self, session: Session, viewport: Viewport, dialogs: FileDialogs, export: ExportWindow) -> None:
         self.session, self.viewport, self.dialogs, self.export = session, viewport, dialogs, export
+        self.slices = SlicesWindow(session)
         self.shortcuts_shown = False
         """Whether the list of shortcuts is open."""
         session.files.choose_path = lambda then: dialogs.save(
@@ -135,6 +137,7 @@ class Menus:
             Command("Edit", "Find separate objects", s.isolation.find_objects, enabled=lambda: s.isolation.available),
             *tools,
             Command("Cut", "Add plane", s.add_plane, "", 0, opened),
+            Command("Cut", "Slice evenly...", self.slices.open, enabled=lambda: s.atoms is not None),
             Command("Cut", "Put back together", s.reassemble, "Ctrl+G", Ctrl | Key.g, is_cut),
             Command("Cut", "Remove all cuts", self._remove_cuts, enabled=is_cut),
             Command("Interior", "Give it an inside", training.start, enabled=can_start),

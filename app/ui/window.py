@@ -215,6 +215,7 @@ class Window:
         press_shortcuts(self.menus.commands)
         self.menus.show_shortcuts()
         self.export.show()
+        self.menus.slices.show()
         self.dialogs.show()
         self._question()
 

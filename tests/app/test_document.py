@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from app.model.camera_control import OrbitCamera, project_points
 from app.model.document import WHOLE, Document, Part, Placement
 from app.model.history import History
-from app.model.knife import PlaneAngles, Stroke, plane_of, plane_through, slice_object
+from app.model.knife import PlaneAngles, Stroke, plane_of, plane_through, slice_evenly, slice_object
 from app.model.pieces import Solid, pieces, sections, shown_points, visible_pieces
 from app.model.project import Project, Viewing, load_project, save_project
 from app.model.rigid_transform import STILL, Motion
@@ -210,6 +210,29 @@ def test_one_stroke_cuts_moved_pieces_where_they_lie() -> None:
     assert np.allclose(heights, [0.0, 0.3], atol=1e-9)
     only = slice_object(lifted, BALL, camera, stroke, UP, [first]).document
     assert only is not None and len(visible_pieces(only, BALL)) == 3
+
+
+def test_slices_are_equally_thick_wherever_pieces_lie() -> None:
+    normal = np.array([0.6, 0.0, 0.8])
+    whole = slice_evenly(Document(), BALL, normal, 7)
+    assert whole is not None and len(whole.cuts) == 6
+    slices = pieces(whole, BALL)
+    assert sorted(np.concatenate([piece.rows for piece in slices])) == list(range(len(BALL.points)))
+    thickness = 2 * BALL.radius / 7
+    assert len(slices) == 7
+    assert all(np.ptp(BALL.points[piece.rows] @ normal) <= thickness * 1.001 for piece in slices)
+    # Two halves one above the other by a gap: slices go on from one into the other as they lie.
+    halves = slice_object(Document(), BALL, EYE.camera(400, 300, UP), Stroke((40, 150), (360, 150)), UP).document
+    assert halves is not None
+    first = pieces(halves, BALL)[0].key
+    across = slice_evenly(halves, BALL, np.array(UP), 4)
+    assert across is not None and len(visible_pieces(across, BALL)) in (4, 5)
+    only = slice_evenly(halves, BALL, np.array([1.0, 0, 0]), 3, [first])
+    assert only is not None and len(visible_pieces(only, BALL)) == 4
+    hidden = halves
+    for piece in pieces(halves, BALL):
+        hidden = hidden.placed(piece.key, lambda p: replace(p, visible=False))
+    assert slice_evenly(hidden, BALL, normal, 3) is None
 
 
 @settings(max_examples=40, deadline=None)

@@ -50,7 +50,7 @@ def test_a_dense_screen_dropped_files_dialogs_and_leaving(tmp_path: Path) -> Non
 @pytest.mark.slow
 def test_the_object_is_stood_on_a_face_and_turned(tmp_path: Path) -> None:
     run("upright", tmp_path, "app_scripts.py")
-    assert len(list((tmp_path / "shots").glob("upright_*.png"))) == 4
+    assert len(list((tmp_path / "shots").glob("upright_*.png"))) == 6
 
 
 @pytest.mark.slow

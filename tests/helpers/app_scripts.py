@@ -115,6 +115,29 @@ def upright(driver: Driver, folder: Path) -> None:
     session.jump(0)
     driver.press(Key.v)
     plane_through_three_points(driver)
+    slices_of_one_thickness(driver, folder)
+
+
+def slices_of_one_thickness(driver: Driver, folder: Path) -> None:
+    """Slices the object by the window for it, which Esc closes; one step of undo."""
+    session, window = driver.session, driver.window
+    for count in (0, 6):
+        window.menus.slices.open()
+        driver.frames(3)
+        window.menus.slices.count = count
+        driver.picture(folder / "shots" / "upright_5_slices.png")
+        if count:
+            driver.click("//$FOCUSED/Slice")
+        else:
+            driver.press(Key.escape)
+        driver.frames(3)
+        assert not imgui.is_popup_open("", imgui.PopupFlags_.any_popup)
+        assert len(session.pieces) == max(count, 1), session.message
+    assert session.history.entries[-1].name == "Slice evenly"
+    driver.still()
+    driver.picture(folder / "shots" / "upright_6_sliced.png")
+    session.undo()
+    assert len(session.pieces) == 1
 
 
 def plane_through_three_points(driver: Driver) -> None:

@@ -6,6 +6,7 @@ show; details are left to `scatter`. Radial pictures then correct the result by 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 
@@ -114,11 +115,11 @@ class Extrusion:
     def uncorrected(self, places: Places) -> NDArray[np.float32]:
         """(M, 3). What the picture alone says."""
         sheet, angle, share, depth, level = self.sheet, places.angle, places.share, places.depth, places.level
-        size = self.shape.inradius
+        phases, size = self.phases.tolist(), self.shape.inradius
         inradius = sheet.inradius * size
         if self.shape.is_round:
             wave = level / (0.55 * inradius)
-            slow, fast = wave + self.phases[4], 1.7 * wave + 5 * share + self.phases[5]
+            slow, fast = wave + phases[4], 1.7 * wave + 5 * share + phases[5]
             angle = angle + WAVINESS * (np.sin(slow) + np.sin(fast))
         x, y = sheet.position(angle, share, depth, size)
         under = (
@@ -151,7 +152,7 @@ class Extrusion:
         self, places: Places, angle: NDArray[np.floating], x: NDArray[np.floating], y: NDArray[np.floating]
     ) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
         """(M,), (M,). Where the texture of points is taken that show the picture at x and y."""
-        sheet, drift, phases, level = self.sheet, self.drift, self.phases, places.level
+        sheet, drift, phases, level = self.sheet, self.drift, self.phases.tolist(), places.level
         inradius = sheet.inradius * self.shape.inradius
         swing = SWING * inradius
         phase = 0.3 * inradius * np.sin(angle + phases[0])
@@ -176,7 +177,7 @@ class Extrusion:
         Strands run outwards from the axis, `count` around it and two grains high, with slightly wavy walls; each shows
         another part of the picture. A cut across them shows the ends of grains, where a drift would produce stripes.
         """
-        phases, grain = self.phases, self.drift.grain
+        phases, grain = self.phases.tolist(), self.drift.grain
         row = (
             level / (2 * grain) + 0.4 * np.sin((count // 2) * angle + phases[4]) + 0.25 * np.sin(5 * angle + phases[5])
         )
@@ -236,4 +237,4 @@ _RUNS = slice(STRUCTURE.start, THROUGH.stop)
 
 def triangle(phase: NDArray[np.floating]) -> NDArray[np.floating]:
     """Triangle wave of period 1 and range [-1, 1], rounded at its extremes."""
-    return np.arcsin(0.97 * np.sin(2 * np.pi * phase)) / np.arcsin(0.97)
+    return np.arcsin(0.97 * np.sin(2 * np.pi * phase)) / math.asin(0.97)

@@ -94,7 +94,7 @@ class Shape:
         smaller = min(areas[ends[inward]], areas[ends[-1 - inward]]) if len(ends) > 8 else 0
         depth = space.body.depth[::DEPTH_STEP, ::DEPTH_STEP, ::DEPTH_STEP] / space.body.grid.cell
         return cls(
-            space.inradius,
+            float(space.inradius),
             space.widest,
             space.half_height,
             space.basis,

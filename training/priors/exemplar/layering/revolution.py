@@ -46,7 +46,7 @@ class Revolution:
 
     def read(self, places: Places) -> NDArray[np.float32]:
         """(M, 3). Colours. Range [0, 1]."""
-        sheet, phases = self.sheet, self.phases
+        sheet, phases = self.sheet, self.phases.tolist()
         swing = SWING * sheet.inradius * self.shape.inradius
         x, y = radial_position(sheet, places, self.shape)
         turn = places.angle / (2 * np.pi)
