@@ -15,6 +15,7 @@ from typing import Any, get_args
 
 from app.model.camera_control import OrbitCamera
 from app.model.document import Cut, CutKind, Document, Key, Part, Placement, Training
+from app.model.measure.units import LENGTHS, UNITS, Unit
 from app.model.rigid_transform import Motion, Vec3
 from engine.errors import InputError
 from engine.io.fields import Fields
@@ -27,7 +28,7 @@ from training.settings import DetailName
 
 __all__ = ["SUFFIX", "Outside", "Project", "ViewMode", "Viewing", "load_project", "save_project"]
 
-FORMAT = 4
+FORMAT = 5
 """Version of the file. Later ones are refused, so it grows with every change of meaning."""
 
 SINGLE_FORMAT = 2
@@ -66,6 +67,12 @@ class Viewing:
     mode: ViewMode = "solid"
     background: Vec3 | None = None
     """RGB of the viewport. Range [0, 1]. None: the theme's own."""
+    slices: bool = False
+    """Whether three cut faces are shown beside the object."""
+    cross: Vec3 | None = None
+    """Where these cross, object space; None: in the middle of the object."""
+    unit: Unit = field(default_factory=Unit)
+    """What lengths are told in."""
 
 
 @dataclass(frozen=True)
@@ -121,6 +128,9 @@ def _record(project: Project, folder: Path) -> dict[str, Any]:
             "distance": view.eye.distance,
             "fov": view.eye.fov,
             "orthographic": view.eye.orthographic,
+            "slices": view.slices,
+            "cross": view.cross,
+            "unit": {"name": view.unit.name, "length": view.unit.length},
         },
     }
 
@@ -310,7 +320,20 @@ class _Reader(Fields):
             self.number(fields, "fov", 5, 120),
             self.flag(fields, "orthographic"),
         )
-        return Viewing(eye, self.choice(fields, "mode", VIEW_MODES), colour)
+        fields = {"slices": False, "cross": None, "unit": {"name": "units", "length": 1.0}} | fields  # older ones
+        cross, unit = fields["cross"], self.table(fields["unit"], "'unit'")
+        if cross is not None:
+            x, y, z = self.numbers(cross, 3, "'cross'")
+            cross = (x, y, z)
+        length = self.number(unit, "length", *LENGTHS)
+        return Viewing(
+            eye,
+            self.choice(fields, "mode", VIEW_MODES),
+            colour,
+            self.flag(fields, "slices"),
+            cross,
+            Unit(self.choice(unit, "name", UNITS), length),
+        )
 
     # values
 

@@ -20,6 +20,7 @@ from app.ui.dialogs.export_window import ExportWindow
 from app.ui.dialogs.file_dialogs import FileDialogs
 from app.ui.dialogs.slices_window import SlicesWindow
 from app.ui.theme import Fonts, apply, palette, px, rgba, u32
+from app.ui.view.slices import SliceViews
 from app.ui.view.viewport import Viewport
 from app.ui.widgets import font, icon_button, key_caps, knife_icon, secondary, tooltip
 
@@ -43,6 +44,8 @@ POINTER = (
     ("Shift+Right drag", "Shift the picture"),
     ("Wheel", "Nearer, to the pointer"),
     ("Ctrl+Click", "Select several pieces"),
+    ("Wheel", "The next cut, in a slice"),
+    ("Ctrl+Wheel", "Nearer, in a slice"),
     ("Shift", "Level and upright, while cutting"),
     ("Esc", "Do not cut, while cutting"),
     ("Shift", "Select more, while isolating"),
@@ -54,9 +57,11 @@ POINTER = (
 class Menus:
     """Makes the commands once and draws the menus from them."""
 
-    def __init__(self, session: Session, viewport: Viewport, dialogs: FileDialogs, export: ExportWindow) -> None:
-        self.session, self.viewport, self.dialogs, self.export = session, viewport, dialogs, export
-        self.slices = SlicesWindow(session)
+    def __init__(
+        self, session: Session, viewport: Viewport, slice_views: SliceViews, dialogs: FileDialogs, export: ExportWindow
+    ) -> None:
+        self.session, self.viewport, self.slice_views = session, viewport, slice_views
+        self.dialogs, self.export, self.slices = dialogs, export, SlicesWindow(session)
         self.shortcuts_shown = False
         """Whether the list of shortcuts is open."""
         session.files.choose_path = lambda then: dialogs.save(
@@ -99,6 +104,13 @@ class Menus:
                 Command("View", name.title(), partial(self._look_from, name), keys, chord, separated=name == "front")
             )
         look += [
+            Command(
+                "View", "Slices", self._toggle_slices, "S", Key.s, opened, lambda: s.viewing.slices, separated=True
+            ),
+            Command(
+                "View", "Measure", self._measure, "D", Key.d, lambda: s.atoms is not None,
+                lambda: s.viewing.slices and self.slice_views.measuring,
+            ),
             Command(
                 "View",
                 "Perspective",
@@ -210,6 +222,9 @@ class Menus:
                 knife_icon(imgui.get_window_draw_list(), imgui.get_item_rect_min(), imgui.get_item_rect_max(), colour)
             tooltip(hint, keys)
         imgui.dummy(ImVec2(0, px(2)))
+        if icon_button(f"{icon.ICON_FA_TABLE_CELLS_LARGE}##slices", 38, active=self.session.viewing.slices):
+            self._toggle_slices()
+        tooltip("Slices: three cut faces beside the object", "S")
         if icon_button(f"{icon.ICON_FA_EXPAND}##fit", 38):
             self.viewport.fit()
         tooltip("Fit the object into the picture", "F")
@@ -302,6 +317,16 @@ class Menus:
 
     def _remove_cuts(self) -> None:
         self.session.change("Remove all cuts", replace(self.session.document, cuts=(), placements=()))
+
+    def _toggle_slices(self) -> None:
+        session = self.session
+        session.viewing = replace(session.viewing, slices=not session.viewing.slices)
+        if not session.viewing.slices and self.slice_views.measuring:
+            self.slice_views.toggle_ruler()
+
+    def _measure(self) -> None:
+        self.session.viewing = replace(self.session.viewing, slices=True)
+        self.slice_views.toggle_ruler()
 
     def _toggle_perspective(self) -> None:
         eye = self.session.viewing.eye

@@ -33,7 +33,9 @@ class Palette:
     """Behind the object."""
     trouble: str = "#F2B84B"
     curve: str = "#7FA7D9"
-    """The second curve of a plot."""
+    """The second curve of a plot, the second of three planes."""
+    third: str = "#7CCB8F"
+    """The third of three planes: told apart from the flesh of most fruit."""
 
 
 DARK = Palette()
@@ -51,6 +53,7 @@ LIGHT = Palette(
     view="#ECEDEF",
     trouble="#A86A00",
     curve="#2F6DB5",
+    third="#1E7F45",
 )
 
 _current = DARK

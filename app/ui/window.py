@@ -33,6 +33,7 @@ from app.ui.panels.interior import InteriorPanel
 from app.ui.panels.thumbnails import Thumbnails
 from app.ui.theme import Fonts, apply, load_fonts, palette, px, rgba, u32
 from app.ui.view.painter import Painter
+from app.ui.view.slices import SliceViews, is_shown, quarters
 from app.ui.view.viewport import Viewport
 from app.ui.widgets import font, main_button, secondary, thin_bar
 from engine.io.picture_file import PICTURE_SUFFIXES
@@ -129,10 +130,11 @@ class Window:
         self.thumbnails = Thumbnails(self.ctx)
         self.dialogs = FileDialogs(self.session.folder)
         self.viewport = Viewport(self.session, self.painter)
+        self.slices = SliceViews(self.session, self.ctx)
         self.face_editor = FaceEditor(self.session, self.painter)
         self.exporter = Exporter(self.session, self.painter)
         self.export = ExportWindow(self.exporter, self.dialogs)
-        self.menus = Menus(self.session, self.viewport, self.dialogs, self.export)
+        self.menus = Menus(self.session, self.viewport, self.slices, self.dialogs, self.export)
         self.interior = InteriorPanel(self.session, self.viewport, self.thumbnails, self.dialogs)
         self.inspector = Inspector(self.session, self.interior)
         if implot.get_current_context() is None:
@@ -150,6 +152,7 @@ class Window:
         glfw.set_drop_callback(self.window, None)  # type: ignore[arg-type]
         self.session.faces.release()
         self.face_editor.release()
+        self.slices.release()
         self.thumbnails.release()
         self.painter.release()
 
@@ -164,6 +167,7 @@ class Window:
             or session.isolation.pending
             or session.faces.busy
             or self.exporter.busy
+            or self.slices.busy
             or self.viewport.moving
             or self.painter.unfinished
         )
@@ -229,8 +233,22 @@ class Window:
         imgui.end()
 
     def _object_or_picture(self) -> None:
-        if not self.face_editor.show():
+        if self.face_editor.show():
+            return
+        if not is_shown(self.session):
+            self.viewport.sliced = ()
             self.viewport.show()
+            return
+        available = imgui.get_content_region_avail()
+        first, *others = quarters(imgui.get_cursor_screen_pos(), (available.x, available.y))
+        self.slices.show(others)
+        self.viewport.sliced = self.slices.slices().planes
+        imgui.set_cursor_screen_pos(first[0])
+        imgui.begin_child(
+            "##3d", ImVec2(*first[1]), 0, imgui.WindowFlags_.no_scrollbar | imgui.WindowFlags_.no_scroll_with_mouse
+        )
+        self.viewport.show()
+        imgui.end_child()
 
     def _viewport_body(self) -> None:
         self._notices()

@@ -13,6 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from engine.render.cpu.kernel_field import KernelField
+from engine.render.cpu.opaque import face_layer
 from engine.render.cpu.outside import camera_planes
 from engine.render.cpu.ray_entry import enter, shade
 from engine.render.projection import camera_record
@@ -20,8 +22,9 @@ from engine.scene.camera import Camera
 from engine.scene.image import Picture
 from engine.scene.inside import Inside
 from engine.scene.piece import Piece
+from engine.scene.plane import Plane
 
-__all__ = ["Detailed", "FaceDetail", "detailed"]
+__all__ = ["Detailed", "FaceDetail", "detailed", "straight_face"]
 
 BLOCK = 50_000
 """Points that are read at once: 40 milliseconds on two cores, so that a window can read some between two frames."""
@@ -108,6 +111,14 @@ def detailed(
     while not work.ended:
         work.advance()
     return Picture(work.rgb, picture.alpha, picture.depth)
+
+
+def straight_face(field: KernelField, pitch: float, camera: Camera, plane: Plane) -> Picture:
+    """The cut face alone that a camera in front of a plane sees, over black, without light: of all that the atoms of
+    the field, which have this pitch, fill."""
+    hits = enter(camera_record(camera), camera_planes(camera, [plane]))
+    layer = face_layer(field, pitch, hits, (camera.height, camera.width), False)
+    return Picture(layer.rgb, layer.alpha, layer.depth)
 
 
 def _faces_of(picture: Picture, camera: Camera, piece: Piece, solid: Detailed, light: bool) -> list[_Face]:

@@ -9,6 +9,7 @@ import numpy as np
 
 from app.model.camera_control import OrbitCamera
 from app.model.document import Document, Part, Training
+from app.model.measure.units import Unit
 from app.model.project import Project, Viewing
 from app.model.rigid_transform import Motion
 from engine.isolate.selection import BodyAt, Box, Lasso, Step, View, keep_only
@@ -46,7 +47,9 @@ def full(folder: Path) -> Project:
     eye = OrbitCamera((0.1, 1e9, -3.0), 12.5, -90.0, 1 / 3, 50.0, True)
     document = replace(document, number=1, name="Käse", visible=False)
     other = Document(document.scene, isolation=(keep_only(BodyAt((0.1, 1 / 3, -2.0))),), number=7, name="Brot")
-    return Project((document, other), Viewing(eye, "capture", (0.1, 0.2, 0.3)))
+    return Project(
+        (document, other), Viewing(eye, "capture", (0.1, 0.2, 0.3), True, (0.5, 0.0, -1.0), Unit("cm", 12.5))
+    )
 
 
 def atoms(degree: int = 0) -> Atoms:

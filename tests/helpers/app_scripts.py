@@ -116,6 +116,7 @@ def upright(driver: Driver, folder: Path) -> None:
     driver.press(Key.v)
     plane_through_three_points(driver)
     slices_of_one_thickness(driver, folder)
+    slices_beside_it(driver, folder)
 
 
 def slices_of_one_thickness(driver: Driver, folder: Path) -> None:
@@ -164,6 +165,40 @@ def plane_through_three_points(driver: Driver) -> None:
     driver.press(Key.escape)
     assert not imgui.is_popup_open("", imgui.PopupFlags_.any_popup)
     session.remove_cut(cut.id)
+
+
+def slices_beside_it(driver: Driver, folder: Path) -> None:
+    """Three faces beside the object: a click moves the planes of the other two, the wheel its own; a distance."""
+    session, slices = driver.session, driver.window.slices
+    driver.press(Key.s)
+    driver.until(lambda: all(face and not face.coarse for face in slices.reader.faces), 60, "the faces")
+
+    def at(index: int, x: float, y: float) -> ImVec2:
+        origin, size = slices.boxes[index]
+        return ImVec2(origin.x + x * size[0], origin.y + y * size[1])
+
+    def click(index: int, x: float, y: float) -> None:
+        driver.context.mouse_move_to_pos(at(index, x, y))
+        driver.context.mouse_click(0)
+        driver.frames(3)
+
+    click(1, 0.6, 0.4)  # in front: right and up
+    before = slices.slices()
+    assert before.cross[0] > 0.1 and before.cross[2] > 0.1 and abs(before.cross[1] - session.solid.centre[1]) < 1e-9
+    driver.context.mouse_wheel_y(2)
+    driver.frames(2)
+    assert np.isclose(slices.slices().cross[1], before.cross[1] - 0.02 * before.radius)
+    driver.press(Key.d)
+    click(0, 0.4, 0.5)
+    click(0, 0.6, 0.5)
+    length = slices.measured.length if slices.measured is not None else None
+    assert length is not None
+    assert np.isclose(length, 0.2 * slices.boxes[0][1][0] / before.camera(0, slices.boxes[0][1]).fx, rtol=0.02)
+    driver.until(lambda: not slices.busy, 60, "the faces")
+    driver.picture(folder / "shots" / "slices.png")
+    assert "slices" not in {entry.name for entry in session.history.entries}
+    driver.press(Key.s)
+    assert not session.viewing.slices and not slices.measuring
 
 
 def drag_ring(driver: Driver, centre: NDArray[np.float64]) -> None:

@@ -35,6 +35,8 @@ class PlaneLines:
         self.workspace = workspace
         self._bodies: dict[int, tuple[object, Body]] = {}
         self._families: dict[tuple[str, Key], tuple[object, NDArray[np.float64]]] = {}
+        self._slices: dict[tuple[int, Plane, tuple[Plane, ...]], NDArray[np.float64]] = {}
+        """The lines of the last frame's slices, by the body, the plane and the planes of the piece."""
 
     def families(self, kinds: Collection[str], pieces: Sequence[PlacedPiece], scale: float) -> list[Lines]:
         """The planes that training uses for these kinds of families, on pieces where they are placed.
@@ -59,6 +61,26 @@ class PlaneLines:
             found.append(moved(piece, contours(body, [piece.motion.inverse().carried(plane)], piece.planes, OUTSET)))
         ends = np.concatenate([np.zeros((0, 2, 3)), *found])
         return [lines(ends, palette().accent, 0.95, px(2.4) * scale, 0.4)]
+
+    def slices(
+        self, planes: Sequence[Plane], colours: Sequence[str], pieces: Sequence[PlacedPiece], scale: float
+    ) -> list[Lines]:
+        """Planes of object space on the active object's pieces, each in its colour."""
+        if not planes:
+            return []
+        result, body = [], self.body_of(self.workspace.document)
+        kept, self._slices = self._slices, {}
+        for plane, colour in zip(planes, colours, strict=True):
+            found = []
+            for piece in pieces:
+                if piece.visible:
+                    key = (id(body), plane, piece.planes)
+                    ends = kept.get(key)
+                    self._slices[key] = contours(body, [plane], piece.planes, OUTSET) if ends is None else ends
+                    found.append(moved(piece, self._slices[key]))
+            ends = np.concatenate([np.zeros((0, 2, 3)), *found])
+            result.append(lines(ends, colour, 0.95, px(1.6) * scale, 0.15))
+        return result
 
     def sheets(self) -> list[Sheet]:
         """The active section plane as a translucent sheet."""

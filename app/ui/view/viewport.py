@@ -28,10 +28,12 @@ from app.ui.view.painter import Painter
 from app.ui.view.plane_lines import PlaneLines
 from app.ui.view.point_picker import PointPicker
 from app.ui.view.selection import selection_frames
+from app.ui.view.slices import slice_colours
 from app.ui.widgets import segmented
 from engine.render.gl.overlay import Lines, Sheet
 from engine.scene.camera import Camera
 from engine.scene.piece import Piece
+from engine.scene.plane import Plane
 
 __all__ = ["Viewport"]
 
@@ -94,6 +96,8 @@ class Viewport:
         """What the last frame shows, in the order in which it was drawn."""
         self.drag: Drag | None = None
         self.show_families: frozenset[str] = frozenset()
+        self.sliced: Sequence[Plane] = ()
+        """The planes of the slices beside the object, in object space."""
         self.menu_requested = False
         self.menu_point: tuple[float, float] | None = None
         """Where on the object the context menu was asked for, in the window's units."""
@@ -152,6 +156,7 @@ class Viewport:
         over: list[Lines | Sheet] = [
             *self.plane_lines.sheets(),
             *self.plane_lines.families(self.show_families, pieces, scale),
+            *self.plane_lines.slices(self.sliced, slice_colours(), pieces, scale),
             *self._knife_lines(scale),
             *self.box_handles.edges(scale),
         ]

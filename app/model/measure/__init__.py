@@ -1,0 +1,1 @@
+"""Three faces across each other, and what is measured on them."""

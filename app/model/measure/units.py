@@ -1,0 +1,40 @@
+"""Lengths as the user reads them: captures have no scale of their own until it is said once."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+__all__ = ["LENGTHS", "UNITS", "Unit", "UnitName", "round_length"]
+
+UnitName = Literal["units", "mm", "cm", "m", "in"]
+UNITS: tuple[UnitName, ...] = get_args(UnitName)
+
+LENGTHS = (1e-9, 1e9)
+"""Of a unit of the file: beyond, one of the two lengths it was found from is none."""
+
+POWERS = {1: "", 2: "²", 3: "³"}
+
+
+@dataclass(frozen=True)
+class Unit:
+    """What lengths are told in."""
+
+    name: UnitName = "units"
+    """'units': those of the file."""
+    length: float = 1.0
+    """How many of them a unit of the file is long. Range LENGTHS."""
+
+    def text(self, value: float, power: int = 1) -> str:
+        """A length, an area (`power` 2) or a volume (3) in units of the file, as text with three digits."""
+        value *= self.length**power
+        digits = 2 - math.floor(math.log10(abs(value))) if value else 0
+        shown = f"{value:.2e}" if not -7 < digits < 7 else f"{value:,.{max(digits, 0)}f}"
+        return f"{shown} {self.name}{POWERS[power]}"
+
+
+def round_length(longest: float) -> float:
+    """The longest of 1, 2, 5, 10, 20, ... that is not above `longest`, for a scale bar. Range (0, inf)."""
+    power = 10.0 ** math.floor(math.log10(longest))
+    return max(step * power for step in (1, 2, 5) if step * power <= longest)
