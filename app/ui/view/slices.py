@@ -172,12 +172,13 @@ class SliceViews:
         inset = px(12)
         at = ImVec2(origin.x + inset + px(16), origin.y + inset)
         middle = ImVec2(origin.x + inset + px(5), at.y + imgui.get_text_line_height() / 2)
-        draw.add_circle_filled(middle, px(4.5), u32(colour))
         along = float(np.asarray(slices.planes[index].normal) @ (np.asarray(slices.cross) - slices.centre))
-        draw.add_text(at, u32(p.text), SLICES[index])
-        after = ImVec2(at.x + imgui.calc_text_size(SLICES[index]).x + px(10), at.y)
+        text = SLICES[index]
         if size[0] > px(220):
-            draw.add_text(after, u32(p.second), self.session.viewing.unit.text(along))
+            text = f"{text}   {self.session.viewing.unit.text(along)}"
+        behind(draw, ImVec2(middle.x - px(4), at.y), ImVec2(at.x + imgui.calc_text_size(text).x, at.y))
+        draw.add_circle_filled(middle, px(4.5), u32(colour))
+        draw.add_text(at, u32(p.text), text)
         self._scale_bar(index, slices)
         if self.focus == index:
             draw.add_rect(origin, corner, u32(colour, 0.55), 0.0, px(1))
@@ -260,11 +261,11 @@ class SliceViews:
         right, low = origin.x + size[0] - px(14), origin.y + size[1] - px(14)
         left, tick = right - length * scale, px(4)
         text = f"{length:g} {unit.name}"
-        for colour, width in ((u32(p.view), px(4)), (u32(p.text), px(1.6))):
-            draw.add_line(ImVec2(left, low), ImVec2(right, low), colour, width)
-            for x in (left, right):
-                draw.add_line(ImVec2(x, low - tick), ImVec2(x, low + tick), colour, width)
         at = ImVec2(left - imgui.calc_text_size(text).x - px(10), low - imgui.get_text_line_height() / 2)
+        behind(draw, at, ImVec2(right, at.y))
+        draw.add_line(ImVec2(left, low), ImVec2(right, low), u32(p.text), px(1.6))
+        for x in (left, right):
+            draw.add_line(ImVec2(x, low - tick), ImVec2(x, low + tick), u32(p.text), px(1.6))
         draw.add_text(at, u32(p.text), text)
 
     def _distance(self, index: int, slices: Slices, measured: Measured) -> None:
@@ -296,6 +297,14 @@ class SliceViews:
             if held is not None:
                 held[1].release()
         self._textures = [None] * len(SLICES)
+
+
+def behind(draw: imgui.ImDrawList, start: ImVec2, end: ImVec2) -> None:
+    """A ground for a line of text between two points of its upper edge, so that a face does not make it unreadable."""
+    low = ImVec2(start.x - px(6), start.y - px(3))
+    draw.add_rect_filled(
+        low, ImVec2(end.x + px(6), end.y + imgui.get_text_line_height() + px(3)), u32(palette().view, 0.72), px(4)
+    )
 
 
 def crossing(index: int) -> tuple[int, int]:
