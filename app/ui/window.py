@@ -30,6 +30,7 @@ from app.ui.menus import Menus
 from app.ui.panels.face_editor import FaceEditor
 from app.ui.panels.inspector import Inspector
 from app.ui.panels.interior import InteriorPanel
+from app.ui.panels.measures import MeasuresPanel
 from app.ui.panels.thumbnails import Thumbnails
 from app.ui.theme import Fonts, apply, load_fonts, palette, px, rgba, u32
 from app.ui.view.painter import Painter
@@ -136,7 +137,8 @@ class Window:
         self.export = ExportWindow(self.exporter, self.dialogs)
         self.menus = Menus(self.session, self.viewport, self.slices, self.dialogs, self.export)
         self.interior = InteriorPanel(self.session, self.viewport, self.thumbnails, self.dialogs)
-        self.inspector = Inspector(self.session, self.interior)
+        self.measures = MeasuresPanel(self.session, self.slices)
+        self.inspector = Inspector(self.session, self.interior, self.measures)
         if implot.get_current_context() is None:
             implot.create_context()
         self.window = glfw_window_hello_imgui()
@@ -153,6 +155,7 @@ class Window:
         self.session.faces.release()
         self.face_editor.release()
         self.slices.release()
+        self.measures.measurer.close()
         self.thumbnails.release()
         self.painter.release()
 
@@ -168,6 +171,7 @@ class Window:
             or session.faces.busy
             or self.exporter.busy
             or self.slices.busy
+            or self.measures.measurer.busy
             or self.viewport.moving
             or self.painter.unfinished
         )

@@ -10,9 +10,11 @@ import pytest
 from numpy.typing import NDArray
 
 from app.jobs.slice_reader import Face, SliceReader, WantedFace
+from app.model.measure.extent import Filled, extent_of
 from app.model.measure.slices import SLICES, Slices
 from app.model.measure.units import Unit, round_length
 from engine.scene.inside import InsideRecord
+from engine.scene.plane import Plane
 from tests.helpers.solids import ball
 
 SIZE = (120, 90)
@@ -94,4 +96,19 @@ def test_lengths_are_told_in_the_unit_that_was_set() -> None:
     assert Unit().text(0.9561) == "0.956 units" and Unit().text(0.0) == "0 units"
     assert Unit("mm", 200.0).text(0.9561) == "191 mm"
     assert Unit("cm", 20.0).text(0.5, 3) == "4,000 cm³" and Unit("m", 1e-9).text(2.0, 2) == "2.00e-18 m²"
+    assert Unit("mm", 250.0).named("cm").text(1.0) == "25.0 cm" and Unit("mm", 250.0).named("units") == Unit()
     assert [round_length(x) for x in (0.99, 1.0, 4.9, 70.0)] == [0.5, 1.0, 2.0, 50.0]
+
+
+def test_a_piece_has_the_volume_and_the_surface_of_a_cap() -> None:
+    filled, plane = Filled.of(ball(0.06, radius=1.0)), Plane.of((1, 2, 3), -0.3 * np.sqrt(14))
+    whole, low, cap = (extent_of(filled, planes) for planes in ((), (plane,), (plane.flipped(),)))
+    radius = (3 * whole.volume / (4 * np.pi)) ** (1 / 3)
+    assert abs(radius - 1) < 0.03 and whole.faces == 0  # with the half of its skin that stands out
+    assert np.isclose(whole.skin, 4 * np.pi * radius**2, rtol=0.01)
+    assert np.isclose(low.volume + cap.volume, whole.volume, rtol=1e-6) and np.isclose(low.faces, cap.faces, rtol=1e-4)
+    height = radius - 0.3
+    assert np.isclose(cap.volume, np.pi * height**2 * (3 * radius - height) / 3, rtol=0.01)
+    assert np.isclose(cap.skin, 2 * np.pi * radius * height, rtol=0.01)
+    assert np.isclose(cap.faces, np.pi * (radius**2 - 0.3**2), rtol=0.01)
+    assert np.isclose(cap.surface, cap.skin + cap.faces)

@@ -194,7 +194,12 @@ def slices_beside_it(driver: Driver, folder: Path) -> None:
     length = slices.measured.length if slices.measured is not None else None
     assert length is not None
     assert np.isclose(length, 0.2 * slices.boxes[0][1][0] / before.camera(0, slices.boxes[0][1]).fx, rtol=0.02)
-    driver.until(lambda: not slices.busy, 60, "the faces")
+    measurer = driver.window.measures.measurer
+    driver.until(lambda: not (slices.busy or measurer.busy), 60, "the faces and the volume")
+    driver.context.item_input(driver.item("//Inspector/##distance"))
+    driver.context.key_chars_replace_enter("85")
+    driver.frames(2)
+    assert session.viewing.unit.name == "mm" and np.isclose(session.viewing.unit.length, 85 / length)
     driver.picture(folder / "shots" / "slices.png")
     assert "slices" not in {entry.name for entry in session.history.entries}
     driver.press(Key.s)

@@ -14,6 +14,8 @@ UNITS: tuple[UnitName, ...] = get_args(UnitName)
 LENGTHS = (1e-9, 1e9)
 """Of a unit of the file: beyond, one of the two lengths it was found from is none."""
 
+METRES: dict[UnitName, float] = {"mm": 0.001, "cm": 0.01, "m": 1.0, "in": 0.0254}
+
 POWERS = {1: "", 2: "²", 3: "³"}
 
 
@@ -25,6 +27,13 @@ class Unit:
     """'units': those of the file."""
     length: float = 1.0
     """How many of them a unit of the file is long. Range LENGTHS."""
+
+    def named(self, name: UnitName) -> Unit:
+        """The same lengths in another unit; those of the file have no other length than their own."""
+        if name == "units":
+            return Unit()
+        known = self.length * METRES[self.name] / METRES[name] if self.name in METRES else self.length
+        return Unit(name, min(max(known, LENGTHS[0]), LENGTHS[1]))
 
     def text(self, value: float, power: int = 1) -> str:
         """A length, an area (`power` 2) or a volume (3) in units of the file, as text with three digits."""

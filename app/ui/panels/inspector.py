@@ -18,6 +18,7 @@ from app.ui.panels.cut_details import CutDetails
 from app.ui.panels.footer import Footer
 from app.ui.panels.interior import InteriorPanel
 from app.ui.panels.isolate import IsolatePanel
+from app.ui.panels.measures import MeasuresPanel
 from app.ui.theme import palette, px, rgba
 from app.ui.widgets import eye_icon, float_slider, heading, icon_button, secondary, tooltip
 
@@ -44,8 +45,8 @@ def axis_name(axis: Vec3) -> str:
 class Inspector:
     """Draws the panel and passes edits on to the session."""
 
-    def __init__(self, session: Session, interior: InteriorPanel) -> None:
-        self.session, self.interior = session, interior
+    def __init__(self, session: Session, interior: InteriorPanel, measures: MeasuresPanel) -> None:
+        self.session, self.interior, self.measures = session, interior, measures
         self.isolate = IsolatePanel(session)
         self.footer = Footer(session)
         self.details = CutDetails(session, interior.viewport)
@@ -64,6 +65,7 @@ class Inspector:
         if self.session.tool == "isolate":
             self.isolate.show()
         self._cuts()
+        self.measures.show()
         self.interior.show()
         imgui.end_child()
         self.footer.show()

@@ -1,0 +1,62 @@
+"""Volume and surface of pieces, found in the background."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+
+from app.model.measure.extent import Extent, Filled, extent_of
+from engine.scene.atoms import Atoms
+from engine.scene.plane import Plane
+
+__all__ = ["Measurer"]
+
+Planes = tuple[Plane, ...]
+
+
+class Measurer:
+    """One piece at a time; what was found is kept while the object has the same geometry."""
+
+    def __init__(self) -> None:
+        self._worker = ThreadPoolExecutor(1, "measures")
+        self._running: tuple[Atoms, Planes, Future[Extent]] | None = None
+        self._found: dict[Planes, Extent] = {}
+        self._of: Atoms | None = None
+        """What was found is of these."""
+        self._filled: tuple[Atoms, Filled] | None = None
+
+    def extent(self, atoms: Atoms, pieces: Sequence[Planes]) -> Extent | None:
+        """Of pieces together, each bounded by its planes; None while it is not known. Never waits."""
+        if self._of is None or not _same(self._of, atoms):
+            self._of, self._found = atoms, {}
+        if self._running is not None and self._running[2].done():
+            measured, planes, future = self._running
+            if _same(measured, atoms):
+                self._found[planes] = future.result()
+            self._running = None
+        missing = [planes for planes in pieces if planes not in self._found]
+        if missing and self._running is None:
+            self._running = (atoms, missing[0], self._worker.submit(self._measure, atoms, missing[0]))
+        if missing:
+            return None
+        found = [self._found[planes] for planes in pieces]
+        return Extent(sum(e.volume for e in found), sum(e.skin for e in found), sum(e.faces for e in found))
+
+    @property
+    def busy(self) -> bool:
+        """Whether something is being measured."""
+        return self._running is not None
+
+    def close(self) -> None:
+        """Starts nothing more."""
+        self._worker.shutdown(wait=False, cancel_futures=True)
+
+    def _measure(self, atoms: Atoms, planes: Planes) -> Extent:
+        if self._filled is None or not _same(self._filled[0], atoms):
+            self._filled = (atoms, Filled.of(atoms))
+        return extent_of(self._filled[1], planes)
+
+
+def _same(one: Atoms, other: Atoms) -> bool:
+    """Whether two objects differ in colours at most."""
+    return one.interior.means is other.interior.means and one.surface.means is other.surface.means

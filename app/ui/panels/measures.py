@@ -1,0 +1,75 @@
+"""What is measured: volume and surface of what is selected, the last distance, and the unit that they are told in."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from imgui_bundle import imgui
+
+from app.jobs.measurer import Measurer
+from app.model.measure.units import LENGTHS, UNITS, Unit
+from app.session.session import Session
+from app.ui.theme import px
+from app.ui.view.slices import SliceViews
+from app.ui.widgets import heading, right_text, secondary, tooltip
+
+__all__ = ["MeasuresPanel"]
+
+
+class MeasuresPanel:
+    """A section of the inspector, while there are slices or something is selected."""
+
+    def __init__(self, session: Session, slices: SliceViews) -> None:
+        self.session, self.slices = session, slices
+        self.measurer = Measurer()
+
+    def show(self) -> None:
+        """One frame."""
+        session = self.session
+        atoms, selected = session.atoms, session.selection
+        if atoms is None or not (session.viewing.slices or selected):
+            return
+        heading("Measures")
+        unit = session.viewing.unit
+        pieces = [piece.planes for piece in session.pieces if piece.key in selected] or [()]
+        extent = self.measurer.extent(atoms, pieces)
+        what = f" of {len(pieces)} pieces" if len(pieces) > 1 else ""
+        for name, power in (("Volume", 3), ("Surface", 2)):
+            secondary(name + what)
+            if extent is None:
+                right_text("...")
+            else:
+                right_text(unit.text(extent.volume if power == 3 else extent.surface, power))
+                if power == 2:
+                    tooltip(f"Skin {unit.text(extent.skin, 2)}, cut faces {unit.text(extent.faces, 2)}")
+        self._distance(unit)
+
+    def _distance(self, unit: Unit) -> None:
+        """The last distance, which can be set to what it really is, and the unit."""
+        session, measured = self.session, self.slices.measured
+        length = None if measured is None else measured.length
+        imgui.align_text_to_frame_padding()
+        secondary("Distance")
+        if length is not None:
+            imgui.same_line(px(108))
+            imgui.set_next_item_width(imgui.get_content_region_avail().x - px(88))
+            changed, typed = imgui.input_float(
+                "##distance", length * unit.length, 0.0, 0.0, "%.4g", imgui.InputTextFlags_.enter_returns_true
+            )
+            tooltip("Type how long it really is, then Enter: everything is told at that scale.")
+            if changed and np.isfinite(typed) and length > 0 and LENGTHS[0] <= typed / length <= LENGTHS[1]:
+                known = "mm" if unit.name == "units" else unit.name
+                session.viewing = replace(session.viewing, unit=Unit(known, typed / length))
+        else:
+            imgui.same_line(px(108))
+            secondary("press D")
+            tooltip("Two clicks on a face measure it; then it can be set to what it really is.")
+        imgui.same_line(imgui.get_content_region_avail().x - px(66))
+        imgui.set_next_item_width(px(80))
+        if imgui.begin_combo("##unit", unit.name):
+            for name in UNITS:
+                if imgui.selectable(name, name == unit.name)[0]:
+                    session.viewing = replace(session.viewing, unit=unit.named(name))
+            imgui.end_combo()
+        tooltip("The unit that lengths are told in; kept with the project")
