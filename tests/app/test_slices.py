@@ -95,7 +95,8 @@ def test_faces_are_coarse_while_they_move_and_are_read_from_the_inside_at_rest()
 def test_lengths_are_told_in_the_unit_that_was_set() -> None:
     assert Unit().text(0.9561) == "0.956 units" and Unit().text(0.0) == "0 units"
     assert Unit("mm", 200.0).text(0.9561) == "191 mm"
-    assert Unit("cm", 20.0).text(0.5, 3) == "4,000 cm³" and Unit("m", 1e-9).text(2.0, 2) == "2.00e-18 m²"
+    assert Unit("cm", 20.0).text(0.5, 3) == "4,000 cm³" and Unit("mm", 100.0).text(1.2345678, 3) == "1,230,000 mm³"
+    assert Unit("m", 1e-9).text(2.0, 2) == "2.00e-18 m²"
     assert Unit("mm", 250.0).named("cm").text(1.0) == "25.0 cm" and Unit("mm", 250.0).named("units") == Unit()
     assert [round_length(x) for x in (0.99, 1.0, 4.9, 70.0)] == [0.5, 1.0, 2.0, 50.0]
 

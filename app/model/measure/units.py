@@ -39,7 +39,7 @@ class Unit:
         """A length, an area (`power` 2) or a volume (3) in units of the file, as text with three digits."""
         value *= self.length**power
         digits = 2 - math.floor(math.log10(abs(value))) if value else 0
-        shown = f"{value:.2e}" if not -7 < digits < 7 else f"{value:,.{max(digits, 0)}f}"
+        shown = f"{value:.2e}" if not -7 < digits < 7 else f"{round(value, digits):,.{max(digits, 0)}f}"
         return f"{shown} {self.name}{POWERS[power]}"
 
 

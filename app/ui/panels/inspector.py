@@ -83,7 +83,7 @@ class Inspector:
         secondary(document.scene.name)
         notes = session.object.notes if session.object is not None else ()
         tooltip("\n".join([str(document.scene), *notes]))
-        imgui.same_line(imgui.get_content_region_avail().x - px(78))
+        imgui.same_line(imgui.get_content_region_avail().x - px(90))
         imgui.set_next_item_width(px(90))
         self._up_axis()
         if len(session.documents) > 1:

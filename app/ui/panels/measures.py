@@ -65,7 +65,7 @@ class MeasuresPanel:
             imgui.same_line(px(108))
             secondary("press D")
             tooltip("Two clicks on a face measure it; then it can be set to what it really is.")
-        imgui.same_line(imgui.get_content_region_avail().x - px(66))
+        imgui.same_line(imgui.get_content_region_avail().x - px(80))
         imgui.set_next_item_width(px(80))
         if imgui.begin_combo("##unit", unit.name):
             for name in UNITS:
