@@ -26,7 +26,7 @@ class Palette:
     hover: str = "#3C3F44"
     pressed: str = "#474B51"
     text: str = "#E6E7E9"
-    second: str = "#8F949C"
+    second: str = "#A6ABB3"
     """Secondary text."""
     line: str = "#34373C"
     view: str = "#1F2023"
@@ -40,7 +40,7 @@ class Palette:
 
 DARK = Palette()
 LIGHT = Palette(
-    accent="#E9532F",
+    accent="#C93F1D",
     on_accent="#FFFFFF",
     ground="#E4E5E7",
     panel="#F4F4F5",
@@ -48,12 +48,12 @@ LIGHT = Palette(
     hover="#D5D8DC",
     pressed="#C6CACF",
     text="#1F2124",
-    second="#666B73",
+    second="#565B62",
     line="#D3D6DA",
     view="#ECEDEF",
-    trouble="#A86A00",
+    trouble="#8A5600",
     curve="#2F6DB5",
-    third="#1E7F45",
+    third="#1A7340",
 )
 
 _current = DARK

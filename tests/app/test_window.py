@@ -8,8 +8,10 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from app.ui.theme import DARK, LIGHT, Palette
 from tests.paths import HELPERS, ROOT
 
 
@@ -73,6 +75,23 @@ def test_a_picture_is_looked_at_and_corrected_before_training(tmp_path: Path) ->
 @pytest.mark.slow
 def test_two_thousand_random_actions_leave_nothing_behind(tmp_path: Path) -> None:
     run("soak", tmp_path)
+
+
+@pytest.mark.parametrize("p", [DARK, LIGHT])
+def test_text_stands_out_from_every_ground_that_it_is_on(p: Palette) -> None:
+    """By 4.5 or more, the contrast of WCAG 2 for text (relative luminance of sRGB)."""
+
+    def luminance(colour: str) -> float:
+        parts = np.array([int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5)])
+        linear = np.where(parts <= 0.04045, parts / 12.92, ((parts + 0.055) / 1.055) ** 2.4)
+        return float(linear @ (0.2126, 0.7152, 0.0722))
+
+    grounds = (p.ground, p.panel, p.field, p.hover, p.view)
+    pairs = [(text, ground) for text in (p.text, p.second) for ground in grounds]
+    pairs += [(p.text, p.pressed), (p.on_accent, p.accent), (p.trouble, p.panel), (p.curve, p.view), (p.third, p.view)]
+    for text, ground in pairs:
+        low, high = sorted((luminance(text), luminance(ground)))
+        assert (high + 0.05) / (low + 0.05) >= 4.5, (text, ground)
 
 
 def test_without_a_display_or_a_file_one_line_says_so(tmp_path: Path) -> None:
