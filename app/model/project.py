@@ -26,7 +26,7 @@ from engine.scene.plane import Plane
 from training.request import MOST_ITERATIONS, PriorName, family_record, read_family, read_plane
 from training.settings import DetailName
 
-__all__ = ["SUFFIX", "Outside", "Project", "ViewMode", "Viewing", "load_project", "save_project"]
+__all__ = ["FORMAT", "SUFFIX", "Outside", "Project", "ViewMode", "Viewing", "load_project", "save_project"]
 
 FORMAT = 5
 """Version of the file. Later ones are refused, so it grows with every change of meaning."""

@@ -17,7 +17,7 @@ from app.model.autosave import Autosave, find_unsaved_work
 from app.model.document import Document, Part
 from app.model.history import History
 from app.model.pieces import Solid
-from app.model.project import Outside, Project, Viewing, load_project, save_project
+from app.model.project import FORMAT, Outside, Project, Viewing, load_project, save_project
 from app.model.settings import Settings, load_settings, save_settings
 from app.session.project_files import _Opened
 from app.session.session import Session
@@ -102,7 +102,7 @@ def marks(record: dict[str, Any]) -> dict[str, Any]:
 
 
 BREAK: dict[str, Callable[[dict], object]] = {
-    "version": lambda r: r.update(fruitninja=5),
+    "version": lambda r: r.update(fruitninja=FORMAT + 1),
     "no version": lambda r: r.pop("fruitninja"),
     "no cuts": lambda r: r["objects"][0].pop("cuts"),
     "cuts are text": lambda r: r["objects"][0].update(cuts="abc"),
@@ -130,6 +130,8 @@ BREAK: dict[str, Callable[[dict], object]] = {
     "elevation": lambda r: r["view"].update(elevation=91),
     "distance": lambda r: r["view"].update(distance=0),
     "mode": lambda r: r["view"].update(mode="x-ray"),
+    "unit": lambda r: r["view"].update(unit={"name": "mm", "length": 0}),
+    "cross": lambda r: r["view"].update(cross=[0, 1]),
     "prior": lambda r: r["objects"][0]["training"].update(prior="magic"),
     "seed": lambda r: r["objects"][0]["training"].update(seed=-1),
     "view": lambda r: r.update(view=None),
