@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_dilation
+from scipy.ndimage import binary_dilation, binary_fill_holes
 
 from engine.scene.plane import Plane, frame
 
@@ -109,5 +109,6 @@ def _overhang(points: Points, plane: Plane, half: float) -> float:
     support, footprint = np.zeros((2, FOOTPRINT_CELLS + 1, FOOTPRINT_CELLS + 1), bool)
     support[tuple(cells[np.abs(height) < half].T)] = True
     footprint[tuple(cells[height > 2 * half].T)] = True
-    alone = support & ~binary_dilation(footprint, np.ones((3, 3)))
+    # Filled, as points are on the skin: of a bowl, the footprint is a ring.
+    alone = support & ~binary_fill_holes(binary_dilation(footprint, np.ones((3, 3))))
     return float(alone.sum() / max(support.sum(), 1))
