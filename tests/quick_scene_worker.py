@@ -1,4 +1,4 @@
-"""The scene worker with a short fit of the skin, for window tests that look at other things."""
+"""The scene worker with coarse solids and a short fit of their skin, for window tests that look at other things."""
 
 from __future__ import annotations
 
@@ -23,6 +23,7 @@ def use_quick_worker() -> None:
 
 if __name__ == "__main__":
     scene_worker.DRAFT = replace(
-        scene_worker.DRAFT, skin_views=12, skin_steps=4, skin_size=96, surface_views=8, surface=64
+        scene_worker.DRAFT, cells=40, skin_views=12, skin_steps=4, skin_size=96, surface_views=8, surface=64
     )
+    scene_worker.DETAILS = dict.fromkeys(scene_worker.DETAILS, scene_worker.DRAFT)
     scene_worker.main()
