@@ -34,6 +34,9 @@ BORDER = 2
 """Cells. This wide a border of the grid is outside: Gaussians wider than its margin reach beyond it, and the body must
 not. The skin is found inwards of it by WALL_HALF at least, and moved outwards again by at most 1.5."""
 
+SKIN = 3.0
+"""Cells. Farther out than this from the body nothing is a part of its skin: a wall is less than three cells thick."""
+
 MIN_SIZE = 0.01
 """Share of the largest hollow's cells. Smaller hollows are gaps between leaves or debris, not bodies."""
 
@@ -82,6 +85,10 @@ def find_body(gaussians: Gaussians, cells: int = 128, name: str = "scene") -> En
     if cap_faces >= 1e-3 * np.count_nonzero(inside ^ ndimage.binary_erosion(inside)):
         skin_faces = np.count_nonzero(inside) - np.count_nonzero(ndimage.binary_erosion(inside))
         notes.append(f"the shell is open: holes, {cap_faces / (cap_faces + skin_faces):.1%} of its skin, were closed")
+    opaque = opacity >= CORE_OPACITY
+    enclosing = np.count_nonzero(opaque & (depth > -SKIN * grid.cell)) / max(np.count_nonzero(opaque), 1)
+    if enclosing < 0.5:
+        notes.append(f"only {enclosing:.0%} of what is shown encloses an inside; the rest is a skin without one")
     body = Body(grid, np.ascontiguousarray(depth, np.float32))
     return Enclosure(body, shell, opacity, tuple(notes))
 

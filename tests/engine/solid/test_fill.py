@@ -194,6 +194,15 @@ def test_everything_in_the_outer_shell_is_solid() -> None:
     assert abs(body.volume / (4 / 3 * np.pi) - 1) < 0.01
 
 
+def test_what_encloses_little_of_what_is_shown_is_told() -> None:
+    mat = lathe(np.array([[0, -1.05], [4, -1.05]]), 20000, closed=False)
+    notes = find_body(joined(sphere(), mat), cells=96).notes
+    (told,) = [note for note in notes if "encloses an inside" in note]
+    share = int(told.removeprefix("only ").partition("%")[0])
+    assert abs(share - 100 * 4 / (4 + 16)) < 8  # areas of the ball and of the mat, over pi
+    assert not any("encloses an inside" in note for note in find_body(sphere(), cells=64).notes)
+
+
 def test_what_is_cut_through_wide_gaussians_ends_inside_the_grid() -> None:
     scene = lathe(np.array([[0.5, -1], [0.5, 1], [0, 1]]), 15000, closed=False)
     cut = scene.means[:, 2] < -0.9

@@ -127,7 +127,9 @@ def test_the_support_is_a_plane_that_reaches_beyond_the_object():
     assert float(plane.distance(shift)) == pytest.approx(0, abs=0.01)
     assert float(plane.distance(turn.apply(Z) + shift)) == pytest.approx(1, abs=0.01)
     assert plane == support_plane(turn.apply(scene) + shift, np.ones(len(scene)))
-    for alone in (box(), ball(), np.zeros((500, 3)), scene[:5]):
+    # Nothing stands on the cap of a bowl, and yet that is no table.
+    bowls = [points[points[:, 2] > height] for points in (ball(12000), ball(30000)) for height in (-0.3, 0.0, 0.2)]
+    for alone in (box(), ball(), *bowls, np.zeros((500, 3)), scene[:5]):
         assert support_plane(alone, np.ones(len(alone))) is None
     assert support_plane(scene, np.where(scene[:, 2] > 0, 1.0, 0.0)) is None
 
