@@ -86,7 +86,7 @@ def find_body(gaussians: Gaussians, cells: int = 128, name: str = "scene") -> En
         skin_faces = np.count_nonzero(inside) - np.count_nonzero(ndimage.binary_erosion(inside))
         notes.append(f"the shell is open: holes, {cap_faces / (cap_faces + skin_faces):.1%} of its skin, were closed")
     opaque = opacity >= CORE_OPACITY
-    enclosing = np.count_nonzero(opaque & (depth > -SKIN * grid.cell)) / max(np.count_nonzero(opaque), 1)
+    enclosing = float((depth[opaque] > -SKIN * grid.cell).mean())
     if enclosing < 0.5:
         notes.append(f"only {enclosing:.0%} of what is shown encloses an inside; the rest is a skin without one")
     body = Body(grid, np.ascontiguousarray(depth, np.float32))
