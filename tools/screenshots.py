@@ -170,7 +170,7 @@ def lay_open(session: Session) -> None:
     right, down = camera.viewmat[0, :3], camera.viewmat[1, :3]
     radius = session.solid.radius
     for piece, side in zip(session.pieces, (-1.0, 1.0), strict=True):
-        normal = piece.motion.rotation @ np.asarray(piece.planes[-1].normal)  # out of the face
+        normal = piece.motion.rotation @ np.asarray(piece.cells[0].faces[-1].normal)  # out of the face
         towards = -camera.forward + 0.25 * side * -right - 0.18 * down
         towards /= np.linalg.norm(towards)
         axis = np.cross(normal, towards)

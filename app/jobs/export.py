@@ -218,9 +218,7 @@ def piece_gaussians(atoms: Atoms, piece: PlacedPiece) -> Gaussians:
     surface, interior = atoms.surface, atoms.interior
     n = len(surface)
     means = np.concatenate([surface.means, interior.means]).astype(np.float64)
-    inside = np.ones(len(means), bool)
-    for plane in piece.planes:
-        inside &= plane.distance(means) <= 0
+    inside = np.logical_or.reduce([cell.contains(means) for cell in piece.cells])
     sh = np.zeros((len(means), surface.sh.shape[1], 3), np.float32)
     sh[:n] = rotated_sh(surface.sh, piece.motion)
     sh[n:, 0] = rgb_to_sh(interior.rgb)

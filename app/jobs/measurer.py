@@ -6,40 +6,38 @@ from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 
 from app.model.measure.extent import Extent, Filled, extent_of
+from app.model.pieces import Cell
 from engine.scene.atoms import Atoms
-from engine.scene.plane import Plane
 
 __all__ = ["Measurer"]
 
-Planes = tuple[Plane, ...]
-
 
 class Measurer:
-    """One piece at a time; what was found is kept while the object has the same geometry."""
+    """One cell at a time; what was found is kept while the object has the same geometry."""
 
     def __init__(self) -> None:
         self._worker = ThreadPoolExecutor(1, "measures")
-        self._running: tuple[Atoms, Planes, Future[Extent]] | None = None
-        self._found: dict[Planes, Extent] = {}
+        self._running: tuple[Atoms, Cell, Future[Extent]] | None = None
+        self._found: dict[Cell, Extent] = {}
         self._of: Atoms | None = None
         """What was found is of these."""
         self._filled: tuple[Atoms, Filled] | None = None
 
-    def extent(self, atoms: Atoms, pieces: Sequence[Planes]) -> Extent | None:
-        """Of pieces together, each bounded by its planes; None while it is not known. Never waits."""
+    def extent(self, atoms: Atoms, cells: Sequence[Cell]) -> Extent | None:
+        """Of cells together; None while it is not known. Never waits."""
         if self._of is None or not _same(self._of, atoms):
             self._of, self._found = atoms, {}
         if self._running is not None and self._running[2].done():
-            measured, planes, future = self._running
+            measured, cell, future = self._running
             if _same(measured, atoms):
-                self._found[planes] = future.result()
+                self._found[cell] = future.result()
             self._running = None
-        missing = [planes for planes in pieces if planes not in self._found]
+        missing = [cell for cell in cells if cell not in self._found]
         if missing and self._running is None:
             self._running = (atoms, missing[0], self._worker.submit(self._measure, atoms, missing[0]))
         if missing:
             return None
-        found = [self._found[planes] for planes in pieces]
+        found = [self._found[cell] for cell in cells]
         return Extent(sum(e.volume for e in found), sum(e.skin for e in found), sum(e.faces for e in found))
 
     @property
@@ -51,10 +49,10 @@ class Measurer:
         """Starts nothing more."""
         self._worker.shutdown(wait=False, cancel_futures=True)
 
-    def _measure(self, atoms: Atoms, planes: Planes) -> Extent:
+    def _measure(self, atoms: Atoms, cell: Cell) -> Extent:
         if self._filled is None or not _same(self._filled[0], atoms):
             self._filled = (atoms, Filled.of(atoms))
-        return extent_of(self._filled[1], planes)
+        return extent_of(self._filled[1], cell)
 
 
 def _same(one: Atoms, other: Atoms) -> bool:

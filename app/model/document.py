@@ -56,6 +56,9 @@ class Part:
     """In object space."""
     scope: Key = WHOLE
     """The piece that it cuts; WHOLE: every piece."""
+    walls: tuple[Plane, ...] = ()
+    """Half-spaces, in object space, on whose kept sides it cuts. A curved blade is a plane in each of several sectors,
+    which part nothing from one another."""
 
 
 @dataclass(frozen=True)
@@ -79,12 +82,15 @@ class Cut:
         (part,) = self.parts
         return replace(self, parts=(replace(part, plane=plane),), shift=0.0)
 
-    def plane_for(self, key: Key) -> Plane | None:
-        """The plane that divides this piece; None if the cut was made for other pieces."""
-        for part in self.parts:
-            if agrees(part.scope, key):
-                return self.plane(part)
-        return None
+    @property
+    def curved(self) -> bool:
+        """Whether it cuts pieces along more than one plane."""
+        return any(part.walls for part in self.parts)
+
+    def parts_for(self, key: Key) -> tuple[Part, ...]:
+        """The parts that divide this piece; none if the cut was made for other pieces."""
+        scope = next((part.scope for part in self.parts if agrees(part.scope, key)), None)
+        return tuple(replace(part, plane=self.plane(part)) for part in self.parts if part.scope == scope)
 
 
 @dataclass(frozen=True)
@@ -183,11 +189,7 @@ class Document:
     def without_cut(self, cut_id: int) -> Document:
         """Without a cut: the pieces on its two sides become one again, later cuts stay."""
         self.cut(cut_id)
-        cuts = tuple(
-            replace(cut, parts=_distinct(tuple(replace(p, scope=_without(p.scope, cut_id)) for p in cut.parts)))
-            for cut in self.cuts
-            if cut.id != cut_id
-        )
+        cuts = tuple(replace(cut, parts=_widened(cut.parts, cut_id)) for cut in self.cuts if cut.id != cut_id)
         placements = tuple((key, placement) for key, placement in self.placements if cut_id not in dict(key))
         return replace(self, cuts=cuts, placements=placements)
 
@@ -268,6 +270,10 @@ def _without(key: Key, cut_id: int) -> Key:
     return tuple(step for step in key if step[0] != cut_id)
 
 
-def _distinct(parts: tuple[Part, ...]) -> tuple[Part, ...]:
-    """The first part of each scope: when a cut is removed, two parts may end up with the same piece."""
-    return tuple({part.scope: part for part in reversed(parts)}.values())[::-1]
+def _widened(parts: tuple[Part, ...], cut_id: int) -> tuple[Part, ...]:
+    """The parts for pieces that a removed cut no longer divides; of those that then cut the same piece, the first."""
+    first: dict[Key, Key] = {}
+    for part in parts:
+        first.setdefault(_without(part.scope, cut_id), part.scope)
+    kept = [part for part in parts if first[_without(part.scope, cut_id)] == part.scope]
+    return tuple(replace(part, scope=_without(part.scope, cut_id)) for part in kept)

@@ -79,10 +79,13 @@ def _counted(points: Float, cell: float) -> tuple[NDArray[np.float32], Float]:
     return counts.reshape(shape).astype(np.float32), origin
 
 
-def contours(body: Body, planes: Sequence[Plane], within: Sequence[Plane] = (), outset: float = 0.0) -> Float:
-    """(S, 2, 3). Ends of line segments where planes intersect a body, or what the half-spaces `within` keep of it.
+def contours(
+    body: Body, planes: Sequence[Plane], within: Sequence[Sequence[Plane]] = ((),), outset: float = 0.0
+) -> Float:
+    """(S, 2, 3). Ends of line segments where planes intersect a body, or the part of it in any of the cells `within`.
 
-    In no order. Segments are as short as the body's cells, and run `outset` cells outside of the skin.
+    A cell is what half-spaces keep. Segments are in no order, as short as the body's cells, and run `outset` cells
+    outside of the skin.
     """
     low, high = body.bounds()
     centre, radius = (low + high) / 2, float(np.linalg.norm(high - low)) / 2 + body.grid.cell
@@ -97,8 +100,9 @@ def contours(body: Body, planes: Sequence[Plane], within: Sequence[Plane] = (), 
         flat = np.stack(np.meshgrid(steps, steps, indexing="ij"), 2)
         points = foot + flat @ axes
         depth = body.at(points).astype(np.float64) + outset * body.grid.cell
-        for half in within:
-            depth = np.minimum(depth, -half.distance(points))
+        if all(within):
+            kept = [np.min([-half.distance(points) for half in cell], axis=0) for cell in within]
+            depth = np.minimum(depth, np.max(kept, axis=0))
         found.append(foot + (_marched(depth) * body.grid.cell + steps[0]) @ axes)
     return np.concatenate(found)
 

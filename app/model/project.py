@@ -28,7 +28,7 @@ from training.settings import DetailName
 
 __all__ = ["FORMAT", "SUFFIX", "Outside", "Project", "ViewMode", "Viewing", "load_project", "save_project"]
 
-FORMAT = 5
+FORMAT = 6
 """Version of the file. Later ones are refused, so it grows with every change of meaning."""
 
 SINGLE_FORMAT = 2
@@ -151,7 +151,10 @@ def _object_record(document: Document, folder: Path) -> dict[str, Any]:
                 "kind": cut.kind,
                 "on": cut.on,
                 "shift": cut.shift,
-                "parts": [{"scope": part.scope, "plane": _plane(part.plane)} for part in cut.parts],
+                "parts": [
+                    {"scope": part.scope, "plane": _plane(part.plane), "walls": [_plane(wall) for wall in part.walls]}
+                    for part in cut.parts
+                ],
             }
             for cut in document.cuts
         ],
@@ -276,7 +279,8 @@ class _Reader(Fields):
 
     def part(self, raw: Any) -> Part:
         fields = self.table(raw, "a part of a cut")
-        return Part(read_plane(self, fields.get("plane")), self.key(fields.get("scope")))
+        walls = self.each({"walls": []} | fields, "walls", lambda wall: read_plane(self, wall))  # not in older projects
+        return Part(read_plane(self, fields.get("plane")), self.key(fields.get("scope")), walls)
 
     def placement(self, raw: Any) -> tuple[Key, Placement]:
         fields = self.table(raw, "a piece")

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -35,8 +35,8 @@ from training.families import Kind
 
 __all__ = ["TOOLS", "Documents", "Tool", "Workspace"]
 
-Tool = Literal["select", "knife", "plane", "move", "turn", "upright", "isolate"]
-TOOLS: tuple[Tool, ...] = ("select", "knife", "plane", "move", "turn", "upright", "isolate")
+Tool = Literal["select", "knife", "blade", "plane", "move", "turn", "upright", "isolate"]
+TOOLS: tuple[Tool, ...] = get_args(Tool)
 
 EMPTY = Solid.of(np.zeros((0, 3)))
 
@@ -193,12 +193,13 @@ class Workspace:
         return not self.selection or member.piece.key in self.selection
 
     def drawn(self, members: Sequence[Member]) -> list[Piece]:
-        """The renderer's pieces for members, without what the sections of their objects hide."""
+        """The renderer's pieces for members, one for each cell, without what the sections of their objects hide."""
         order = {number: k for k, number in enumerate(self.solids)}
         documents = self.documents
         return [
-            replace(m.piece.piece(sections(documents[m.index])), solid=order[documents[m.index].number])
+            replace(piece, solid=order[documents[m.index].number])
             for m in members
+            for piece in m.piece.drawn(sections(documents[m.index]))
         ]
 
     @property
@@ -304,7 +305,7 @@ class Workspace:
         self.tool = tool
         if tool == "isolate":
             self.viewing = replace(self.viewing, mode="capture")
-        if tool in ("knife", "plane") and self.viewing.mode == "capture":
+        if tool in ("knife", "blade", "plane") and self.viewing.mode == "capture":
             self.viewing = replace(self.viewing, mode="solid")
 
     def slice(self, camera: Camera, stroke: Stroke) -> None:
@@ -446,5 +447,4 @@ class Workspace:
         if self.mode == "capture":
             parts = [loaded.extent for d in seen if (loaded := self.loaded.get(d.number)) is not None]
         box = Solid.of(np.concatenate(parts)) if sum(len(part) for part in parts) else self.solid
-        eye = self.viewing.eye.fitted(vec3(box.centre), box.radius, aspect)
-        self.viewing = replace(self.viewing, eye=eye)
+        self.viewing = replace(self.viewing, eye=self.viewing.eye.fitted(vec3(box.centre), box.radius, aspect))

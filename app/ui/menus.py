@@ -29,6 +29,7 @@ __all__ = ["Menus"]
 TOOL_ICONS: dict[Tool, tuple[str, str, str]] = {
     "select": (icon.ICON_FA_ARROW_POINTER, "Select pieces; drag to look around", "V"),
     "knife": ("", "Knife: drag across the object to cut it", "K"),
+    "blade": (icon.ICON_FA_SCISSORS, "Blade: draw the line to cut along, or all around a shape", "B"),
     "plane": (icon.ICON_FA_LAYER_GROUP, "Plane: drag to open the object along a plane", "P"),
     "move": (icon.ICON_FA_UP_DOWN_LEFT_RIGHT, "Move pieces", "M"),
     "turn": (icon.ICON_FA_ROTATE, "Turn pieces", "T"),

@@ -12,9 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from app.model.camera_control import OrbitCamera, project_points
-from app.model.document import WHOLE, Document, Part, Placement
+from app.model.document import WHOLE, Document, Key, Part, Placement
 from app.model.history import History
-from app.model.knife import PlaneAngles, Stroke, plane_of, plane_through, slice_evenly, slice_object
+from app.model.knife import PlaneAngles, Stroke, blade_of, plane_of, plane_through, slice_evenly, slice_object
 from app.model.pieces import Solid, pieces, sections, shown_points, visible_pieces
 from app.model.project import Project, Viewing, load_project, save_project
 from app.model.rigid_transform import STILL, Motion
@@ -30,6 +30,32 @@ def ball(count: int = 3000) -> Solid:
 
 
 BALL = ball()
+EYE = OrbitCamera(distance=5.0, azimuth=-90.0, elevation=0.0)
+
+
+def drawn(path: np.ndarray) -> Stroke:
+    """A stroke along a line (N, 2)."""
+    corners = tuple((float(x), float(y)) for x, y in path)
+    return Stroke(corners[0], corners[-1], path=corners)
+
+
+def arc(middle: tuple[float, float], radius: float, first: float, last: float) -> np.ndarray:
+    """Part of a circle from one angle to another, degrees."""
+    turn = np.radians(np.linspace(first, last, 60))
+    return np.stack([middle[0] + radius * np.cos(turn), middle[1] + radius * np.sin(turn)], 1)
+
+
+def blade(path: np.ndarray, scope: Key = WHOLE) -> tuple[Part, ...]:
+    facets = blade_of(EYE.camera(400, 300, UP), drawn(path), UP, BALL.centre)
+    assert not isinstance(facets, str)
+    return tuple(Part(facet.plane, scope, facet.walls) for facet in facets)
+
+
+blades = st.builds(
+    lambda x, y, radius, first, sweep: arc((x, y), radius, first, first + sweep),
+    *(st.floats(150, 250), st.floats(100, 200), st.floats(40, 120), st.floats(0, 360)),
+    st.sampled_from([-358, -90, 45, 150, 358]),
+)
 directions = st.tuples(*[st.floats(-1, 1)] * 3).filter(lambda v: np.linalg.norm(v) > 0.1)
 planes = st.builds(Plane.of, directions, st.floats(-1.3, 1.3))
 motions = st.builds(
@@ -46,8 +72,12 @@ def changes(draw: st.DrawFn, document: Document) -> Document:
     ids = [cut.id for cut in document.cuts]
     keys = [piece.key for piece in pieces(document, BALL)]
     what = draw(
-        st.sampled_from(["cut", "section", *(["move", "toggle", "drop"] if ids else []), *(["lay"] if keys else [])])
+        st.sampled_from(
+            ["cut", "blade", "section", *(["move", "toggle", "drop"] if ids else []), *(["lay"] * bool(keys))]
+        )
     )
+    if what == "blade":
+        return document.with_cut(blade(draw(blades), draw(st.sampled_from([WHOLE, *keys]))))
     if what in ("cut", "section"):
         scope = draw(st.sampled_from([WHOLE, *keys]))
         kind: Literal["slice", "section"] = "slice" if what == "cut" else "section"
@@ -73,10 +103,13 @@ def test_pieces_are_a_partition_whatever_is_done(data: st.DataObject) -> None:
         rows = np.sort(np.concatenate([piece.rows for piece in found]))
         assert np.array_equal(rows, np.arange(len(BALL.points)))
         assert len({piece.key for piece in found}) == len(found)
+        owners = np.zeros(len(BALL.points), int)
         for piece in found:
             assert len(piece.rows)
-            for plane in piece.planes:  # the half-spaces and the points agree
-                assert (plane.distance(BALL.points[piece.rows]) <= 1e-9).all()
+            held = np.logical_or.reduce([cell.contains(BALL.points) for cell in piece.cells])
+            assert held[piece.rows].all()  # the half-spaces and the points agree
+            owners += held
+        assert (owners == 1).all()
 
 
 @settings(max_examples=60, deadline=None)
@@ -168,8 +201,6 @@ def test_sections_hide_but_do_not_divide() -> None:
 
 # The knife
 
-EYE = OrbitCamera(distance=5.0, azimuth=-90.0, elevation=0.0)
-
 
 @pytest.mark.parametrize("orthographic", [False, True])
 def test_the_plane_of_a_stroke_is_seen_as_the_stroke(orthographic: bool) -> None:
@@ -195,6 +226,52 @@ def test_the_knife_cuts_what_it_crosses_and_says_when_it_missed() -> None:
         Document(), BALL, camera, Stroke((5, 150), (20, 150)), UP
     )  # the line would cross, not the stroke
     assert beside.document is None
+
+
+@pytest.mark.parametrize("orthographic", [False, True])
+def test_a_blade_cuts_along_its_line_and_a_closed_one_punches(orthographic: bool) -> None:
+    """Each point is on the side of the line on which it is seen, whichever way the line was drawn."""
+    camera = replace(EYE, elevation=20.0, orthographic=orthographic).camera(400, 300, UP)
+    pixels, _ = project_points(camera, BALL.points)
+    bow, ring = arc((200, 450), 320, 240, 300), arc((215, 140), 50, 20, 375)
+    from_bow = np.linalg.norm(pixels - (200, 450), axis=1) - 320
+    from_ring = np.linalg.norm(pixels - (215, 140), axis=1) - 50
+    towards = camera.position / np.linalg.norm(camera.position)
+    for line, apart in ((bow, from_bow), (bow[::-1], -from_bow), (ring, from_ring), (ring[::-1], from_ring)):
+        cut = slice_object(Document(gap=0.1), BALL, camera, drawn(line), UP).document
+        assert cut is not None
+        kept, removed = pieces(cut, BALL)
+        for piece, sign in ((kept, -1), (removed, 1)):
+            assert (sign * apart[piece.rows] > -2).all()  # pixels: the line is seen through chords
+        gap = kept.motion.shift - np.asarray(removed.motion.shift)
+        assert np.linalg.norm(gap) == pytest.approx(0.1 * BALL.radius)
+        if apart is from_ring:
+            assert gap @ towards == pytest.approx(0.1 * BALL.radius, rel=1e-3)  # out to the user
+
+
+def test_a_line_that_is_no_blade_is_told() -> None:
+    camera = EYE.camera(400, 300, UP)
+    back, hidden = (
+        [[60, 150], [300, 160], [150, 170]],
+        [[60, 60], [340, 60], [340, 80], [80, 80], [80, 240], [60, 240], [60, 62]],
+    )
+    for line, word in ((back, "turned back"), (hidden, "hides"), ([[200, 150], [201, 151], [200, 151]], "short")):
+        told = slice_object(Document(), BALL, camera, drawn(np.array(line, float)), UP)
+        assert told.document is None and word in told.message
+
+
+def test_a_curved_cut_is_cut_again_taken_back_and_kept_in_a_project(tmp_path: Path) -> None:
+    bow = Document(gap=0.0).with_cut(blade(arc((200, 450), 320, 240, 300)))
+    stroke = Stroke((200, 20), (203, 280))
+    again = slice_object(bow, BALL, EYE.camera(400, 300, UP), stroke, UP).document
+    assert again is not None and len(pieces(again, BALL)) == 4
+    straight = slice_object(Document(gap=0.0), BALL, EYE.camera(400, 300, UP), stroke, UP).document
+    assert straight is not None
+    back = again.without_cut(bow.cuts[0].id)
+    assert [len(p.rows) for p in pieces(back, BALL)] == [len(p.rows) for p in pieces(straight, BALL)]
+    path = tmp_path / "curved.fruitninja"
+    save_project(path, Project((again,), Viewing()))
+    assert load_project(path).documents == (again,)
 
 
 def test_one_stroke_cuts_moved_pieces_where_they_lie() -> None:

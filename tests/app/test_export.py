@@ -27,7 +27,7 @@ from app.jobs.export import (
 )
 from app.model.camera_control import OrbitCamera
 from app.model.document import WHOLE, Document, Part
-from app.model.pieces import PlacedPiece, Solid, pieces
+from app.model.pieces import Cell, PlacedPiece, Solid, pieces
 from app.model.rigid_transform import Motion
 from engine.errors import InputError
 from engine.io.splats.ply import read_ply
@@ -58,7 +58,7 @@ def test_a_turned_piece_is_seen_as_before_from_the_turned_side() -> None:
     turned = rotated_sh(solid.surface.sh, motion)
     before, after = colours(solid.surface.sh, directions), colours(turned, directions @ motion.rotation.T)
     assert np.abs(before - after).max() < 1e-4
-    lying = PlacedPiece(WHOLE, "", (), motion, True, np.arange(0))
+    lying = PlacedPiece(WHOLE, "", (Cell(),), motion, True, np.arange(0))
     exported = piece_gaussians(solid, lying)
     own = Motion(tuple(solid.surface.quats[0].astype(np.float64).tolist())).rotation
     assert np.allclose(Motion(tuple(exported.quats[0].tolist())).rotation, motion.rotation @ own, atol=1e-5)

@@ -54,7 +54,7 @@ def test_a_plane_meets_a_ball_in_a_circle(ball: Body, height: float) -> None:
 
 def test_what_other_cuts_took_away_is_not_outlined(ball: Body) -> None:
     plane, other = Plane.through((0.3, 0.1, -0.2), (0, 0, 1)), Plane.through((0.3, 0.1, -0.2), (1, 0, 0))
-    lines = contours(ball, [plane], [other])
+    lines = contours(ball, [plane], [[other]])
     assert lines[..., 0].max() < 0.3 + 1e-6
     assert length(lines) == pytest.approx(np.pi + 2, rel=0.03)
 

@@ -72,7 +72,7 @@ def test_a_pixel_shows_the_point_that_is_picked_there(
 ) -> None:
     """At any number of pixels to a unit of the window, and however coarse the frame is drawn."""
     camera = EYE.camera(round(160 * density), round(120 * density), session.up)
-    shown = [piece.piece() for piece in pieces(session.document, session.solid)]
+    shown = [drawn for piece in pieces(session.document, session.solid) for drawn in piece.drawn()]
     painter._step = 3  # as after slow frames
     texture = painter.frame(session, camera, shown, (0.0, 0.0, 0.0), moving=moving)
     assert texture is not None
@@ -91,7 +91,7 @@ def test_a_pixel_shows_the_point_that_is_picked_there(
 def test_slow_moves_are_drawn_coarser_and_rest_is_drawn_in_full(
     painter: Painter, session: Session, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    shown = [piece.piece() for piece in pieces(session.document, session.solid)]
+    shown = [drawn for piece in pieces(session.document, session.solid) for drawn in piece.drawn()]
     painter._step = 0
     monkeypatch.setattr("app.ui.view.painter.SLOW", 0.0)
     sizes = []

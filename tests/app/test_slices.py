@@ -13,6 +13,7 @@ from app.jobs.slice_reader import Face, SliceReader, WantedFace
 from app.model.measure.extent import Filled, extent_of
 from app.model.measure.slices import SLICES, Slices
 from app.model.measure.units import Unit, round_length
+from app.model.pieces import Cell
 from engine.scene.inside import InsideRecord
 from engine.scene.plane import Plane
 from tests.helpers.solids import ball
@@ -103,7 +104,7 @@ def test_lengths_are_told_in_the_unit_that_was_set() -> None:
 
 def test_a_piece_has_the_volume_and_the_surface_of_a_cap() -> None:
     filled, plane = Filled.of(ball(0.06, radius=1.0)), Plane.of((1, 2, 3), -0.3 * np.sqrt(14))
-    whole, low, cap = (extent_of(filled, planes) for planes in ((), (plane,), (plane.flipped(),)))
+    whole, low, cap = (extent_of(filled, Cell(faces)) for faces in ((), (plane,), (plane.flipped(),)))
     radius = (3 * whole.volume / (4 * np.pi)) ** (1 / 3)
     assert abs(radius - 1) < 0.03 and whole.faces == 0  # with the half of its skin that stands out
     assert np.isclose(whole.skin, 4 * np.pi * radius**2, rtol=0.01)

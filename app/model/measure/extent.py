@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from app.model.pieces import Cell
 from engine.render.cpu.kernel_field import KernelField
 from engine.scene.atoms import Atoms
 from engine.scene.constants import SOLID_DENSITY
 from engine.scene.grid import Grid
-from engine.scene.plane import Plane
 
 __all__ = ["Extent", "Filled", "extent_of"]
 
@@ -71,14 +71,15 @@ class Filled:
         return Filled(cell, centres[some], share[some], slope[some].astype(np.float32))
 
 
-def extent_of(filled: Filled, planes: Sequence[Plane]) -> Extent:
-    """The part of what is filled on the kept side of all planes.
+def extent_of(filled: Filled, cell: Cell) -> Extent:
+    """The part of what is filled that is in a cell.
 
     The volume is the sum of the shares, times a smooth step across every plane. An area is the sum of a slope in place
     of its step: a share that rises from 0 to 1 across a surface has a slope that adds up to 1 along each line across.
+    Walls have no area: the piece goes on behind them.
     """
-    steps = [filled.share, *(_step(-plane.distance(filled.centres), filled.cell) for plane in planes)]
-    slopes = [filled.slope, *(_slope(plane.distance(filled.centres), filled.cell) for plane in planes)]
+    steps = [filled.share, *(_step(-plane.distance(filled.centres), filled.cell) for plane in cell.planes)]
+    slopes = [filled.slope, *(_slope(plane.distance(filled.centres), filled.cell) for plane in cell.faces)]
     areas = []
     for k, slope in enumerate(slopes):
         others = [step for i, step in enumerate(steps) if i != k]

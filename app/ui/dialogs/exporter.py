@@ -17,6 +17,7 @@ from app.ui.view.painter import Painter
 from engine.errors import InputError
 from engine.scene.camera import Camera
 from engine.scene.piece import Piece
+from engine.scene.plane import Plane
 
 __all__ = ["Exporter", "Options"]
 
@@ -107,11 +108,7 @@ class Exporter:
             shown = self._shown()
             frames = (self._draw(camera, shown) for camera in turntable(eye, session.view_up, size, options.frames))
         else:
-            cut = next((c for c in session.document.cuts if c.id == session.active_cut), None)
-            cut = cut or (session.document.cuts[-1] if session.document.cuts else None)
-            if cut is None:
-                raise InputError("The sweep needs a plane. Add one first.")
-            plane, camera = cut.plane(cut.parts[0]), eye.camera(*size, session.view_up)
+            plane, camera = self._plane(), eye.camera(*size, session.view_up)
             if np.asarray(plane.normal) @ camera.forward > 0:
                 plane = plane.flipped()  # the open side faces the camera
             frames = (
@@ -141,15 +138,19 @@ class Exporter:
 
     def _section(self, options: Options, path: Path) -> None:
         session = self.session
-        cut = next((c for c in session.document.cuts if c.id == session.active_cut), None)
-        cut = cut or (session.document.cuts[-1] if session.document.cuts else None)
-        if cut is None:
-            raise InputError("A section needs a cut. Cut the object or add a plane first.")
         picture = section_picture(
-            self._draw, cut.plane(cut.parts[0]), self._uncut(), session.up, session.solid, max(options.width, 64)
+            self._draw, self._plane(), self._uncut(), session.up, session.solid, max(options.width, 64)
         )
         save_still(path, picture, options.transparent)
         session.notify(f"Saved {path.name}.")
+
+    def _plane(self) -> Plane:
+        """Of the chosen cut, or of the last; raises InputError if none is straight."""
+        cuts = [cut for cut in self.session.document.cuts if not cut.curved]
+        if not cuts:
+            raise InputError("This needs a straight cut. Cut the object or add a plane first.")
+        cut = next((cut for cut in cuts if cut.id == self.session.active_cut), cuts[-1])
+        return cut.plane(cut.parts[0])
 
     def _pieces(self, options: Options, path: Path) -> None:
         session = self.session

@@ -40,6 +40,9 @@ class CutDetails:
         if imgui.button("Flip"):
             session.change_cut("Flip", cut.id, flipped)
         tooltip("Keep the other side" if cut.kind == "section" else "Swap the sides of the cut")
+        if cut.curved:
+            imgui.unindent(px(32))
+            return
         imgui.same_line()
         if cut.kind == "section":
             if imgui.button("Slice here"):

@@ -226,6 +226,11 @@ class Inspector:
     def _slider(self, cut: Cut) -> None:
         """A slider for the plane's distance from the object's centre, in radii."""
         session, solid = self.session, self.session.solid
+        if cut.curved:
+            secondary("curved")
+            imgui.same_line()
+            imgui.dummy(ImVec2(imgui.get_content_region_avail().x - px(40), px(1)))
+            return
         plane = cut.plane(cut.parts[0])
         place = -float(plane.distance(solid.centre)) / solid.radius
         width = imgui.get_content_region_avail().x - px(32)

@@ -9,6 +9,7 @@ from imgui_bundle import imgui
 
 from app.jobs.measurer import Measurer
 from app.model.measure.units import LENGTHS, UNITS, Unit
+from app.model.pieces import Cell
 from app.session.session import Session
 from app.ui.theme import px
 from app.ui.view.slices import SliceViews
@@ -32,8 +33,8 @@ class MeasuresPanel:
             return
         heading("Measures")
         unit = session.viewing.unit
-        pieces = [piece.planes for piece in session.pieces if piece.key in selected] or [()]
-        extent = self.measurer.extent(atoms, pieces)
+        pieces = [piece for piece in session.pieces if piece.key in selected]
+        extent = self.measurer.extent(atoms, [cell for piece in pieces for cell in piece.cells] or [Cell()])
         what = f" of {len(pieces)} pieces" if len(pieces) > 1 else ""
         for name, power in (("Volume", 3), ("Surface", 2)):
             secondary(name + what)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from app.model.document import Cut, Document, Key
 from app.model.outline import body_of_atoms, body_of_shell, contours
-from app.model.pieces import Member, PlacedPiece
+from app.model.pieces import Cell, Member, PlacedPiece
 from app.session.workspace import Workspace
 from app.ui.theme import palette, px, rgb, rgba
 from engine.render.gl.overlay import Lines, Sheet
@@ -35,8 +35,8 @@ class PlaneLines:
         self.workspace = workspace
         self._bodies: dict[int, tuple[object, Body]] = {}
         self._families: dict[tuple[str, Key], tuple[object, NDArray[np.float64]]] = {}
-        self._slices: dict[tuple[int, Plane, tuple[Plane, ...]], NDArray[np.float64]] = {}
-        """The lines of the last frame's slices, by the body, the plane and the planes of the piece."""
+        self._slices: dict[tuple[int, Plane, tuple[Cell, ...]], NDArray[np.float64]] = {}
+        """The lines of the last frame's slices, by the body, the plane and the cells of the piece."""
 
     def families(self, kinds: Collection[str], pieces: Sequence[PlacedPiece], scale: float) -> list[Lines]:
         """The planes that training uses for these kinds of families, on pieces where they are placed.
@@ -58,7 +58,9 @@ class PlaneLines:
         found = []
         for member in members:
             piece, body = member.piece, self.body_of(self.workspace.documents[member.index])
-            found.append(moved(piece, contours(body, [piece.motion.inverse().carried(plane)], piece.planes, OUTSET)))
+            found.append(
+                moved(piece, contours(body, [piece.motion.inverse().carried(plane)], halfspaces(piece), OUTSET))
+            )
         ends = np.concatenate([np.zeros((0, 2, 3)), *found])
         return [lines(ends, palette().accent, 0.95, px(2.4) * scale, 0.4)]
 
@@ -74,9 +76,9 @@ class PlaneLines:
             found = []
             for piece in pieces:
                 if piece.visible:
-                    key = (id(body), plane, piece.planes)
+                    key = (id(body), plane, piece.cells)
                     ends = kept.get(key)
-                    self._slices[key] = contours(body, [plane], piece.planes, OUTSET) if ends is None else ends
+                    self._slices[key] = contours(body, [plane], halfspaces(piece), OUTSET) if ends is None else ends
                     found.append(moved(piece, self._slices[key]))
             ends = np.concatenate([np.zeros((0, 2, 3)), *found])
             result.append(lines(ends, colour, 0.95, px(1.6) * scale, 0.15))
@@ -98,7 +100,7 @@ class PlaneLines:
         workspace = self.workspace
         if (
             workspace.active_cut is None
-            or workspace.tool == "knife"
+            or workspace.tool in ("knife", "blade")
             or workspace.atoms is None
             or workspace.mode == "capture"
         ):
@@ -120,13 +122,18 @@ class PlaneLines:
     def _of(self, family: Family, piece: PlacedPiece) -> NDArray[np.float64]:
         """(S, 2, 3). Lines of a family on one piece, in object space."""
         body, place = self.body_of(self.workspace.document), (family.kind, piece.key)
-        key = (replace(family, exemplars=(), prompt="", marks=()), piece.planes, id(body), self.workspace.up)
+        key = (replace(family, exemplars=(), prompt="", marks=()), piece.cells, id(body), self.workspace.up)
         cached = self._families.get(place)
         if cached is None or cached[0] != key:
             planes = family.planes(body, np.asarray(self.workspace.up, np.float64))
-            cached = (key, contours(body, planes[:: max(1, -(-len(planes) // MOST))], piece.planes, OUTSET))
+            cached = (key, contours(body, planes[:: max(1, -(-len(planes) // MOST))], halfspaces(piece), OUTSET))
             self._families[place] = cached
         return cached[1]
+
+
+def halfspaces(piece: PlacedPiece) -> list[tuple[Plane, ...]]:
+    """Of each cell of a piece."""
+    return [cell.planes for cell in piece.cells]
 
 
 def moved(piece: PlacedPiece, ends: NDArray[np.float64]) -> NDArray[np.float64]:

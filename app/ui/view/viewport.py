@@ -29,6 +29,7 @@ from app.ui.view.plane_lines import PlaneLines
 from app.ui.view.point_picker import PointPicker
 from app.ui.view.selection import selection_frames
 from app.ui.view.slices import slice_colours
+from app.ui.view.stroke import cut_lines, draw_stroke
 from app.ui.widgets import segmented
 from engine.render.gl.overlay import Lines, Sheet
 from engine.scene.camera import Camera
@@ -46,12 +47,20 @@ ANY_BUTTON = (
 HINTS = {
     "select": "",
     "knife": "Drag across the object to cut it",
+    "blade": "Draw a line to cut along, or all around what is to be punched out",
     "plane": "Drag to place a plane",
     "move": "Drag a piece to move it",
     "turn": "Drag a piece to turn it",
     "upright": "Click the face it stands on",
     "isolate": "Drag over a part of the capture to select it",
 }
+
+CUTTING = {
+    "stroke": "release to cut    Shift: snap",
+    "blade": "release to cut",
+    "plane": "release to place    Shift: snap",
+}
+"""What letting go does, by the kind of drag that draws a stroke."""
 
 REST = 0.2
 """Seconds after the last change of the view until it is drawn in full."""
@@ -73,7 +82,7 @@ class Drag:
     """What the pointer does while a button is pressed."""
 
     kind: str
-    """'stroke', 'plane', 'mark', 'orbit', 'pan', 'move' or 'turn'."""
+    """'stroke', 'blade', 'plane', 'mark', 'orbit', 'pan', 'move' or 'turn'."""
     start: tuple[float, float]
     last: tuple[float, float]
     keys: frozenset[Key] = frozenset()
@@ -81,7 +90,7 @@ class Drag:
     """Distance of the dragged point along the view direction, world units."""
     cancelled: bool = False
     path: list[tuple[float, float]] = field(default_factory=list)
-    """Where the pointer has been, for 'mark'."""
+    """Where the pointer has been, for 'mark' and 'blade'."""
 
 
 class Viewport:
@@ -153,11 +162,12 @@ class Viewport:
         draw = imgui.get_window_draw_list()
         corner = ImVec2(self.origin.x + size.x, self.origin.y + size.y)
         moving = self._is_moving(shown)
+        stroke = self._stroke() if session.solids else None
         over: list[Lines | Sheet] = [
             *self.plane_lines.sheets(),
             *self.plane_lines.families(self.show_families, pieces, scale),
             *self.plane_lines.slices(self.sliced, slice_colours(), pieces, scale),
-            *self._knife_lines(scale),
+            *(cut_lines(session, self.camera(), stroke, self._members, self.plane_lines, scale) if stroke else []),
             *self.box_handles.edges(scale),
         ]
         self._behind = bool(len(imgui.get_current_context().input_events_queue))
@@ -183,8 +193,9 @@ class Viewport:
         busy = self.box_handles.show(camera, self.origin, self.drag is None and hovered) or busy
         if not busy:
             self._mouse(camera, hovered, active)
-        if self.drag is not None and self.drag.kind in ("stroke", "plane"):
-            self._draw_stroke()
+        stroke = self._stroke()
+        if stroke is not None and self.drag is not None:
+            draw_stroke(stroke, self.origin, self.size[1], CUTTING[self.drag.kind])
         if self.drag is not None and self.drag.kind == "mark" and not self.drag.cancelled:
             marker_outline(draw, session.isolation.marker, self.drag.path, self.origin)
         self.point_picker.show(camera, self.origin, hovered and self.drag is None)
@@ -247,9 +258,9 @@ class Viewport:
                 session.viewing = replace(session.viewing, eye=eye.panned(dx, dy, self.size[1], session.view_up))
         elif drag.kind in ("move", "turn") and (dx or dy):
             self._drag_pieces(camera, drag, dx, dy)
-        elif drag.kind == "mark" and (dx or dy):
+        elif drag.kind in ("mark", "blade") and (dx or dy):
             drag.path.append(at)
-        if imgui.is_key_pressed(imgui.Key.escape) and drag.kind in ("stroke", "plane", "mark"):
+        if imgui.is_key_pressed(imgui.Key.escape) and drag.kind in (*CUTTING, "mark"):
             drag.cancelled = True
             session.notify("Not selected." if drag.kind == "mark" else "Not cut.")
         if not active:
@@ -267,8 +278,8 @@ class Viewport:
         if left and session.tool == "isolate":
             kind = "mark" if session.mode == "capture" and session.isolation.available else kind
         elif left and not io.key_alt:
-            if session.tool in ("knife", "plane"):
-                kind = "stroke" if session.tool == "knife" else "plane"
+            if session.tool in ("knife", "blade", "plane"):
+                kind = "stroke" if session.tool == "knife" else session.tool
             elif session.tool in ("move", "turn"):
                 member, point = self._pick(at)
                 if member is not None and point is not None:
@@ -281,11 +292,12 @@ class Viewport:
     def _end(self, camera: Camera, drag: Drag, at: tuple[float, float]) -> None:
         session, io = self.session, imgui.get_io()
         moved = float(np.hypot(at[0] - drag.start[0], at[1] - drag.start[1]))
-        if drag.kind == "stroke" and not drag.cancelled:
-            session.slice(camera, Stroke(drag.start, at, io.key_shift))
+        stroke = self._stroke()
+        if stroke is not None and drag.kind != "plane":
+            session.slice(camera, stroke)
             session.change_settings(replace(session.settings, seen_hint=True))
-        elif drag.kind == "plane" and not drag.cancelled:
-            plane = plane_of(camera, Stroke(drag.start, at, io.key_shift), session.up, session.solid.centre)
+        elif stroke is not None:
+            plane = plane_of(camera, stroke, session.up, session.solid.centre)
             if plane is not None:
                 towards = plane if np.asarray(plane.normal) @ camera.forward <= 0 else plane.flipped()
                 session.add_plane(towards)
@@ -331,7 +343,7 @@ class Viewport:
             return None, None
         scale = float(imgui.get_io().display_framebuffer_scale.x) or 1.0
         number, point = self.painter.pick(at[0] * scale, at[1] * scale)
-        shown = self._members
+        shown = [member for member in self._members for _ in member.piece.cells]
         return (shown[number], point) if number is not None and number < len(shown) else (None, None)
 
     def stand_on(self, at: tuple[float, float]) -> None:
@@ -369,32 +381,14 @@ class Viewport:
 
     # The overlay
 
-    def _knife_lines(self, scale: float) -> list[Lines]:
-        """Where the plane of the stroke would cut each piece."""
-        session, drag = self.session, self.drag
-        if drag is None or drag.kind not in ("stroke", "plane") or drag.cancelled or not session.solids:
-            return []
-        stroke = Stroke(drag.start, self._at(), imgui.get_io().key_shift)
-        plane = plane_of(self.camera(), stroke, session.up, session.solid.centre)
-        met = [member for member in self._members if session.is_cut(member)]
-        return [] if plane is None else self.plane_lines.cut(plane, met, scale)
-
-    def _draw_stroke(self) -> None:
-        """The stroke itself, with a hint on how to end it."""
-        drag, p = self.drag, palette()
-        assert drag is not None
-        if drag.cancelled:
-            return
-        draw = imgui.get_window_draw_list()
-        ends = [ImVec2(x + self.origin.x, y + self.origin.y) for x, y in (drag.start, self._at())]
-        draw.add_line(ends[0], ends[1], u32("#000000", 0.35), px(4))
-        draw.add_line(ends[0], ends[1], u32("#FFFFFF"), px(1.8))
-        for end in ends:
-            draw.add_circle_filled(end, px(4.5), u32(p.accent))
-        words = "release to cut" if drag.kind == "stroke" else "release to place"
-        low = ends[1].y + px(40) > self.origin.y + self.size[1]  # near the lower edge the hint is above
-        below = ImVec2(ends[1].x + px(14), ends[1].y + (-px(40) if low else px(6)))
-        label(draw, below, f"{words}    Shift: snap    Esc: cancel")
+    def _stroke(self) -> Stroke | None:
+        """The stroke that is being drawn."""
+        drag = self.drag
+        if drag is None or drag.kind not in CUTTING or drag.cancelled:
+            return None
+        if drag.kind == "blade":
+            return Stroke(drag.start, drag.path[-1], path=tuple(drag.path))
+        return Stroke(drag.start, drag.last, imgui.get_io().key_shift)
 
     def _overlays(self, camera: Camera) -> None:
         session, p = self.session, palette()
