@@ -42,9 +42,9 @@ STEEP = math.cos(math.radians(20.0))
 """Cosine of the angle between view direction and up axis above which the view counts as one from above or below."""
 
 
-UNSEEN = 1.0
-"""Pixels by which a blade may differ from the line that it was drawn along: nobody sees less, and no hand is steadier.
-A quarter of a circle of 200 pixels becomes six planes."""
+UNSEEN = 1.5
+"""Pixels by which a blade may differ from the line that it was drawn along: no hand is steadier. A quarter of a circle
+of 200 pixels becomes four planes."""
 
 MOST_PLANES = 24
 """Of one blade: a piece is drawn once for each. A line that needs more is smoothed until it needs no more."""

@@ -41,7 +41,7 @@ def run(name: str, folder: Path, script: str = "app_steps.py") -> None:
 @pytest.mark.slow
 def test_a_user_cuts_trains_saves_and_exports(tmp_path: Path) -> None:
     run("steps", tmp_path)
-    assert len(list((tmp_path / "shots").glob("*.png"))) == 8
+    assert len(list((tmp_path / "shots").glob("*.png"))) == 9
 
 
 @pytest.mark.slow

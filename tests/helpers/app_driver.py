@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import time
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TypeVar
 
@@ -71,6 +71,16 @@ class Driver:
         if hold is not None:
             hold()
         self.context.mouse_up(button)
+        self.frames(2)
+
+    def draw(self, path: Iterable[tuple[float, float]]) -> None:
+        """Along a line through the viewport, with the button held."""
+        start, *corners = path
+        self.context.mouse_move_to_pos(self.point(*start))
+        self.context.mouse_down(0)
+        for corner in corners:
+            self.context.mouse_move_to_pos(self.point(*corner))
+        self.context.mouse_up(0)
         self.frames(2)
 
     def click(self, reference: str) -> None:

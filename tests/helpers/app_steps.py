@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import math
 import os
 import random
 import sys
@@ -137,6 +138,17 @@ def steps(driver: Driver, folder: Path) -> None:
     assert len(session.document.cuts) == 1 and "missed" in session.message
     driver.drag((0.2, 0.5), (0.8, 0.5), hold=lambda: driver.press(Key.escape))
     assert len(session.document.cuts) == 1
+
+    # The blade: a line all around a shape punches it out of the half under it; a line that turns back is told.
+    driver.press(Key.b)
+    around = [(0.38 + 0.05 * math.cos(a), 0.45 + 0.08 * math.sin(a)) for a in np.linspace(0, 6.2, 13)]
+    driver.draw(around)
+    driver.still()
+    assert len(session.pieces) == 3 and session.document.cuts[-1].curved, session.message
+    driver.picture(shots / "3_punched.png")
+    driver.press(Key.mod_ctrl | Key.z)
+    driver.draw([(0.2, 0.4), (0.8, 0.5), (0.3, 0.6)])
+    assert len(session.pieces) == 2 and "turned back" in session.message
 
     # Grab a piece; look around; undo.
     driver.press(Key.m)
@@ -338,7 +350,8 @@ def soak(driver: Driver, actions: int = 2000) -> None:
         if len(session.document.cuts) < 3:
             (a, b), (c, d) = place(), place()
             w, h = window.viewport.size
-            session.slice(window.viewport.camera(), Stroke((a * w, b * h), (c * w, d * h), chance.random() < 0.3))
+            path = chance.choice([(), tuple((x * w, y * h) for x, y in (place(), place(), place(), place()))])
+            session.slice(window.viewport.camera(), Stroke((a * w, b * h), (c * w, d * h), chance.random() < 0.3, path))
 
     def cut() -> None:
         if session.document.cuts:
