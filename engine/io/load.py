@@ -13,7 +13,7 @@ from engine.io.formats import MESH_SUFFIXES, SCENE_SUFFIXES
 from engine.io.ply_header import read_header
 from engine.io.splats.ply import read_ply
 from engine.io.splats.splat import read_splat
-from engine.io.splats.spz import GZIP, read_spz
+from engine.io.splats.spz import GZIP, MAGIC, read_spz
 from engine.io.unsupported import LONGEST, unsupported_kind
 from engine.scene.gaussians import Gaussians
 
@@ -82,14 +82,14 @@ def _reader(path: Path) -> tuple[Reader | None, FileAxes]:
     if start[:4] == b"glTF" or (suffix in MESH_SUFFIXES and suffix != ".ply"):
         is_gltf = start[:4] == b"glTF" or suffix in (".glb", ".gltf")
         return None, GLTF if is_gltf else STL if suffix == ".stl" else MESH
-    if start[:2] == GZIP:
+    if start[:2] == GZIP or start[:4] == MAGIC:
         return read_spz, PHOTOGRAPHED
     if suffix == ".splat":
         return read_splat, PHOTOGRAPHED
     if suffix == ".ply":
         return read_ply, {}  # not a .ply, as the reader will report
     if suffix == ".spz":
-        raise InputError(f"{path}: not an .spz scene, which would be gzipped; export the capture again")
+        raise InputError(f"{path}: not an .spz scene; export the capture again")
     if suffix in TO_CONVERT:
         raise InputError(f"{path}: {suffix} files cannot be opened; export the capture as a .ply, .splat or .spz")
     raise InputError(f"{path}: not a scene; {', '.join(SCENE_SUFFIXES)} can be opened")

@@ -9,7 +9,6 @@ LONGEST = 64
 
 STARTS: tuple[tuple[bytes, str], ...] = (
     (b"version https://git-lfs", "a Git LFS pointer, not the file it stands for; fetch that with: git lfs pull"),
-    (b"NGSP", "an .spz scene of version 4 or unpacked; version 2 and 3, gzipped, can be opened, export it as one"),
     (b"PK\x03\x04", "a zip archive or an .sog capture; unpack it, or export the capture as a .ply"),
     (b"7z\xbc\xaf\x27\x1c", "a 7z archive; unpack it first"),
     (b"Rar!", "a RAR archive; unpack it first"),

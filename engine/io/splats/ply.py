@@ -33,8 +33,11 @@ from engine.scene.gaussians import Gaussians
 
 __all__ = ["ply_data", "read_ply", "write_ply"]
 
-REST_COUNTS = {0: 0, 9: 1, 24: 2, 45: 3}
+REST_COUNTS = {0: 0, 9: 1, 24: 2, 45: 3, 72: 4}
 """SH degree of each possible number of f_rest properties, 3 ((d+1)^2 - 1)."""
+
+MOST_RESTS = 45
+"""Of degree 3, the highest that is drawn."""
 
 MAX_LOGIT = 16.6
 """Logit of the largest opacity under 1 that float32 has, 1 - 2^-24. Infinite logits break other viewers."""
@@ -43,9 +46,10 @@ MAX_LOGIT = 16.6
 def read_ply(path: str | Path, most: int | None = None) -> tuple[Gaussians, list[str]]:
     """The Gaussians of any 3DGS .ply, and one line about each kind of row that had to be dropped.
 
-    SH degree 0..3, with or without normals and other properties and elements; ascii or binary of either endianness;
-    SuperSplat's compressed form too. With `most` no more than so many, evenly chosen, with SH of degree 0.
-    `gaussians_from_rows` says what is dropped. Raises InputError if the file is no 3DGS scene or has no usable row.
+    SH degree 0..4 (4 is cut to 3), with or without normals and other properties and elements; ascii or binary of
+    either endianness; SuperSplat's compressed form too. With `most` no more than so many, evenly chosen, with SH of
+    degree 0. `gaussians_from_rows` says what is dropped. Raises InputError if the file is no 3DGS scene or has no
+    usable row.
     """
     path = Path(path)
     header = read_header(path)
@@ -54,12 +58,17 @@ def read_ply(path: str | Path, most: int | None = None) -> tuple[Gaussians, list
     vertex = _scene_element(path, header)
     stride = stride_for(vertex.count, most)
     rest = _rest_count(path, vertex) if most is None else 0
-    names = [*GEOMETRY, *COLOUR, *(f"f_rest_{i}" for i in range(rest))]
+    kept, each = min(rest, MOST_RESTS) // 3, rest // 3  # of a channel, one after another
+    rests = [f"f_rest_{channel * each + i}" for channel in range(3) for i in range(kept)]
+    names = [*GEOMETRY, *COLOUR, *rests]
     # Map coordinates have more digits than float32: they keep their precision until the scene is moved.
     wide = header.ascii or _wide(vertex, names[:3])
     with open_file(path) as file:
         blocks = _blocks(path, file, header, vertex, names, stride)
-        return gaussians_from_rows(path, blocks, -(-vertex.count // stride), len(names), wide)
+        gaussians, warnings = gaussians_from_rows(path, blocks, -(-vertex.count // stride), len(names), wide)
+    if kept < each:
+        warnings.append(f"{path}: spherical harmonics of degree {REST_COUNTS[rest]} cut down to degree 3")
+    return gaussians, warnings
 
 
 def write_ply(path: str | Path, gaussians: Gaussians, comments: Sequence[str] = ()) -> None:
@@ -113,11 +122,9 @@ def _rest_count(path: Path, vertex: Element) -> int:
     missing = next((i for i in range(len(found)) if f"f_rest_{i}" not in found), None)
     if missing is not None:
         raise InputError(f"{path}: {len(found)} 'f_rest' properties, but no 'f_rest_{missing}'; export the scene again")
-    if len(found) == 72:
-        raise InputError(f"{path}: spherical harmonics of degree 4; export the scene with degree 3 or less")
     if len(found) not in REST_COUNTS:
         raise InputError(
-            f"{path}: {len(found)} 'f_rest' properties, where SH of degree 0 to 3 has 0, 9, 24 or 45; "
+            f"{path}: {len(found)} 'f_rest' properties, where SH of degree 0 to 4 has 0, 9, 24, 45 or 72; "
             "export the scene again"
         )
     return len(found)

@@ -1,15 +1,18 @@
-"""Niantic's .spz files, versions 2 and 3: gzipped, quantised, one attribute after another."""
+"""Niantic's .spz files, versions 1 to 4: quantised, attribute by attribute; gzipped, or each packed by zstd."""
 
 from __future__ import annotations
 
 import struct
 import zlib
 from collections.abc import Iterator
+from dataclasses import dataclass
+from io import SEEK_END
 from itertools import chain
 from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
+import zstandard
 from numpy.typing import NDArray
 
 from engine.errors import InputError
@@ -19,17 +22,30 @@ from engine.io.splats.rows import gaussians_from_rows, logits, row_blocks, strid
 from engine.scene.gaussians import Gaussians
 from engine.scene.sh import basis
 
-__all__ = ["GZIP", "read_spz"]
+__all__ = ["GZIP", "MAGIC", "read_spz"]
 
 GZIP = b"\x1f\x8b"
 """How a gzipped file begins."""
 
 MAGIC = b"NGSP"
-HEADER = struct.Struct("<4sIIBBBB")
-"""Magic, version, count, SH degree, fractional bits of positions, flags, and a byte that is 0."""
+"""How an .spz begins once it is unpacked; version 4 is packed inside and begins so as it is."""
 
-VERSIONS = {2: 3, 3: 4}
+HEADER = struct.Struct("<4sIIBBBB")
+"""Magic, version, count, SH degree, fractional bits of positions, flags, and a byte that is 0; in version 4 the number
+of streams."""
+
+TABLE_AT = struct.Struct("<16xQ8x")
+"""A header of version 4 goes on with the place of the table of contents: its bytes packed and unpacked, stream by
+stream. The streams follow the table."""
+
+POSITIONS = {1: 6, 2: 9, 3: 9, 4: 9}
+"""Bytes of a position in each version that is read: half floats in version 1, else fixed point."""
+
+ROTATIONS = {1: 3, 2: 3, 3: 4, 4: 4}
 """Bytes of a rotation in each version that is read."""
+
+WIDEST = 1 << 27
+"""Bytes. Widest window of a zstd stream, as in zstd's own program: a reader keeps as much in memory."""
 
 MOST = 10_000_000
 """Most Gaussians, as in Niantic's own reader. A few kilobytes of gzip could claim any number."""
@@ -53,6 +69,22 @@ FLIP = np.array([1.0, -1.0, -1.0])
 """Axes are right, up, back in an .spz, and right, down, forward in the .ply that a capture comes as elsewhere."""
 
 
+@dataclass(frozen=True)
+class _Header:
+    version: int
+    count: int
+    degree: int
+    bits: int
+    """Fractional bits of positions."""
+    flags: int
+    streams: int
+    """0 before version 4."""
+
+    def sizes(self, with_sh: bool) -> tuple[int, ...]:
+        """Bytes of a Gaussian's attributes."""
+        return POSITIONS[self.version], 1, 3, 3, ROTATIONS[self.version], DEGREES[self.degree] if with_sh else 0
+
+
 def read_spz(path: str | Path, most: int | None = None) -> tuple[Gaussians, list[str]]:
     """The Gaussians of an .spz in the axes of a .ply, and a line on each thing left out.
 
@@ -62,48 +94,120 @@ def read_spz(path: str | Path, most: int | None = None) -> tuple[Gaussians, list
     """
     path = Path(path)
     with open_file(path) as file:
-        stream = _inflated(path, file)
-        start = next(stream, b"")
-        if start[:4] != MAGIC:
-            other = "a .ply" if start[:3] == b"ply" else "something else"
-            raise InputError(f"{path}: not an .spz scene; it is gzipped, but {other} is in it; unpack it with gunzip")
-        if len(start) < HEADER.size:
-            raise InputError(f"{path}: truncated: it ends within its header; copy or export it again")
-        _, version, count, degree, bits, flags, zero = HEADER.unpack_from(start)
-        if version not in VERSIONS:
-            raise InputError(
-                f"{path}: .spz version {version}; versions 2 and 3 can be opened, export it as one of them"
-            )
-        if degree >= len(DEGREES) or bits > 23 or zero:
-            raise InputError(f"{path}: damaged: its header holds numbers that no .spz has")
-        if not 0 < count <= MOST:
-            raise InputError(f"{path}: {count:,} Gaussians; an .spz holds from 1 to {MOST:,}")
-        sizes = (9, 1, 3, 3, VERSIONS[version], DEGREES[degree] if most is None else 0)
-        data = bytearray()
-        for block in chain([start[HEADER.size :]], stream):
-            data += block
-            if most is not None and len(data) >= count * sum(sizes):
-                break
-            if len(data) > count * sum(sizes) and not flags & EXTENDED:
-                raise InputError(f"{path}: damaged: there is more in it than the {count:,} Gaussians it promises")
-    if len(data) < count * sum(sizes):
-        within = int(np.searchsorted(np.cumsum(sizes) * count, len(data), side="right"))
-        raise InputError(
-            f"{path}: truncated: {count:,} Gaussians are promised, it ends within their {ATTRIBUTES[within]}; "
-            "copy or export it again"
-        )
-    parts = np.split(np.frombuffer(data, np.uint8, count * sum(sizes)), np.cumsum(sizes)[:-1] * count)
-    attributes = [part.reshape(count, -1) for part in parts]
-    kept, stride = (min(degree, 3) if most is None else 0), stride_for(count, most)
+        start = file.read(HEADER.size)
+        file.seek(0)
+        if start[:4] == MAGIC and len(start) == HEADER.size and HEADER.unpack(start)[1] >= 4:
+            header = _header(path, start)
+            attributes = _streams(path, file, header, header.sizes(most is None))
+        else:
+            pieces = _inflated(path, file) if start[:2] == GZIP else iter(lambda: file.read(BLOCK), b"")
+            first = next(pieces, b"")
+            header = _header(path, first)
+            if header.version >= 4:
+                raise InputError(f"{path}: an .spz of version {header.version} that is gzipped; unpack it with gunzip")
+            pieces = chain([first[HEADER.size :]], pieces)
+            attributes = _one_after_another(path, pieces, header, header.sizes(most is None), most is None)
+    kept, stride = (min(header.degree, 3) if most is None else 0), stride_for(header.count, most)
     blocks = (
-        _table([a[rows.start : rows.stop : rows.step] for a in attributes], version, bits, kept)
-        for rows in row_blocks(count, stride)
+        _table([a[rows.start : rows.stop : rows.step] for a in attributes], header, kept)
+        for rows in row_blocks(header.count, stride)
     )
     columns = 14 + 3 * ((kept + 1) ** 2 - 1)
-    gaussians, warnings = gaussians_from_rows(path, blocks, -(-count // stride), columns)
-    if most is None and kept < degree:
-        warnings.append(f"{path}: spherical harmonics of degree {degree} cut down to degree {kept}")
+    gaussians, warnings = gaussians_from_rows(path, blocks, -(-header.count // stride), columns)
+    if most is None and kept < header.degree:
+        warnings.append(f"{path}: spherical harmonics of degree {header.degree} cut down to degree {kept}")
     return gaussians, warnings
+
+
+def _header(path: Path, start: bytes) -> _Header:
+    """What the unpacked header says, within what can be true."""
+    if start[:4] != MAGIC:
+        other = "a .ply" if start[:3] == b"ply" else "something else"
+        raise InputError(f"{path}: not an .spz scene; it is gzipped, but {other} is in it; unpack it with gunzip")
+    if len(start) < HEADER.size:
+        raise InputError(f"{path}: truncated: it ends within its header; copy or export it again")
+    header = _Header(*HEADER.unpack_from(start)[1:])
+    if header.version not in POSITIONS:
+        raise InputError(
+            f"{path}: .spz version {header.version}; versions 1 to 4 can be opened, export it as one of them"
+        )
+    streams_fit = header.streams >= 5 + (header.degree > 0) if header.version >= 4 else header.streams == 0
+    if header.degree >= len(DEGREES) or header.bits > 23 or not streams_fit:
+        raise InputError(f"{path}: damaged: its header holds numbers that no .spz has")
+    if not 0 < header.count <= MOST:
+        raise InputError(f"{path}: {header.count:,} Gaussians; an .spz holds from 1 to {MOST:,}")
+    return header
+
+
+def _one_after_another(
+    path: Path, pieces: Iterator[bytes], header: _Header, sizes: tuple[int, ...], to_the_end: bool
+) -> list[NDArray[np.uint8]]:
+    """(count, size) each: the attributes before version 4."""
+    data, promised = bytearray(), header.count * sum(sizes)
+    for block in pieces:
+        data += block
+        if not to_the_end and len(data) >= promised:
+            break
+        if len(data) > promised and not header.flags & EXTENDED:
+            raise InputError(f"{path}: damaged: there is more in it than the {header.count:,} Gaussians it promises")
+    if len(data) < promised:
+        raise _too_short(path, header, int(np.searchsorted(np.cumsum(sizes) * header.count, len(data), side="right")))
+    parts = np.split(np.frombuffer(data, np.uint8, promised), np.cumsum(sizes)[:-1] * header.count)
+    return [part.reshape(header.count, -1) for part in parts]
+
+
+def _streams(path: Path, file: BinaryIO, header: _Header, sizes: tuple[int, ...]) -> list[NDArray[np.uint8]]:
+    """(count, size) each: the attributes of version 4, a zstd frame for each."""
+    end = file.seek(0, SEEK_END)
+    file.seek(0)
+    start = file.read(TABLE_AT.size)
+    at = TABLE_AT.unpack(start)[0] if len(start) == TABLE_AT.size else end
+    table = struct.Struct(f"<{2 * header.streams}Q")
+    if at + table.size > end:
+        raise InputError(f"{path}: truncated: it ends within its table of contents; copy or export it again")
+    file.seek(at)
+    numbers = table.unpack(file.read(table.size))
+    attributes, place = [], at + table.size
+    for what, (size, packed, unpacked) in enumerate(zip(sizes, numbers[::2], numbers[1::2], strict=False)):
+        if size and unpacked != header.count * size:
+            raise InputError(
+                f"{path}: damaged: {unpacked:,} bytes of {ATTRIBUTES[what]}, "
+                f"where {header.count:,} Gaussians have {header.count * size:,}"
+            )
+        if place + packed > end:
+            raise _too_short(path, header, what)
+        data = bytearray()
+        if size:
+            file.seek(place)
+            data = _unpacked(path, file.read(packed), unpacked)
+            if len(data) < unpacked:
+                raise _too_short(path, header, what)
+            if len(data) > unpacked:
+                raise InputError(f"{path}: damaged: there is more in its {ATTRIBUTES[what]} than is promised")
+        place += packed
+        attributes.append(np.frombuffer(data, np.uint8).reshape(header.count, size))
+    if len(attributes) < len(sizes):  # without SH their stream may be absent
+        attributes.append(np.empty((header.count, 0), np.uint8))
+    return attributes
+
+
+def _unpacked(path: Path, packed: bytes, size: int) -> bytearray:
+    """The first zstd frame in `packed`: no more than a byte beyond `size` of it."""
+    data = bytearray()
+    try:
+        with zstandard.ZstdDecompressor(max_window_size=WIDEST).stream_reader(packed) as reader:
+            while piece := reader.read(min(8 * BLOCK, size + 1 - len(data))):
+                data += piece
+    except zstandard.ZstdError as error:
+        raise InputError(f"{path}: damaged: it cannot be unpacked; copy or export it again") from error
+    return data
+
+
+def _too_short(path: Path, header: _Header, within: int) -> InputError:
+    return InputError(
+        f"{path}: truncated: {header.count:,} Gaussians are promised, it ends within their {ATTRIBUTES[within]}; "
+        "copy or export it again"
+    )
 
 
 def _inflated(path: Path, file: BinaryIO) -> Iterator[bytes]:
@@ -120,18 +224,16 @@ def _inflated(path: Path, file: BinaryIO) -> Iterator[bytes]:
         raise InputError(f"{path}: damaged: it cannot be unpacked; copy or export it again") from error
 
 
-def _table(attributes: list[NDArray[np.uint8]], version: int, bits: int, degree: int) -> NDArray[np.float32]:
+def _table(attributes: list[NDArray[np.uint8]], header: _Header, degree: int) -> NDArray[np.float32]:
     """(N, 14 + 3 ((d+1)^2 - 1)). Rows as in a .ply."""
     positions, alphas, colours, scales, rotations, rest = attributes
     n, bands = len(positions), (degree + 1) ** 2
     table = np.empty((n, 14 + 3 * (bands - 1)), np.float32)
-    parts = positions.reshape(n, 3, 3).astype(np.int32)
-    fixed = parts[..., 0] | parts[..., 1] << 8 | parts[..., 2] << 16
-    fixed -= (fixed & 0x800000) << 1  # 24 bits with a sign
-    table[:, :3] = fixed / 2.0**bits * FLIP
+    table[:, :3] = _halves(positions) if header.version == 1 else _fixed_point(positions, header.bits)
+    table[:, :3] *= FLIP
     table[:, 3] = logits(alphas[:, 0] / 255)
     table[:, 4:7] = scales / 16.0 - 10.0
-    table[:, 7:11] = (_signs_first if version == 2 else _smallest_three)(rotations) * (1.0, *FLIP)
+    table[:, 7:11] = (_signs_first if header.version < 3 else _smallest_three)(rotations) * (1.0, *FLIP)
     table[:, 11:14] = (colours / 255 - 0.5) / COLOUR_SCALE
     coefficients = (rest[:, : 3 * (bands - 1)].reshape(n, bands - 1, 3) - 128.0) / 128.0
     coefficients *= _flipped_bands(degree)[1:, None]
@@ -139,15 +241,28 @@ def _table(attributes: list[NDArray[np.uint8]], version: int, bits: int, degree:
     return table
 
 
+def _halves(packed: NDArray[np.uint8]) -> NDArray[np.float16]:
+    """(N, 3). Positions of version 1."""
+    return np.ascontiguousarray(packed).view("<f2")
+
+
+def _fixed_point(packed: NDArray[np.uint8], bits: int) -> NDArray[np.float64]:
+    """(N, 3). Positions since version 2: 24 bits with a sign, `bits` of them below the point."""
+    parts = packed.reshape(-1, 3, 3).astype(np.int32)
+    fixed = parts[..., 0] | parts[..., 1] << 8 | parts[..., 2] << 16
+    fixed -= (fixed & 0x800000) << 1
+    return fixed / 2.0**bits
+
+
 def _signs_first(packed: NDArray[np.uint8]) -> NDArray[np.float64]:
-    """(N, 4), wxyz, of version 2: x, y and z as bytes about 127.5; w completes the unit quaternion and is positive."""
+    """(N, 4), wxyz, up to version 2: x, y, z as bytes about 127.5; w completes the unit quaternion and is positive."""
     xyz = packed / 127.5 - 1
     return np.concatenate([np.sqrt(np.maximum(1 - (xyz**2).sum(1), 0))[:, None], xyz], 1)
 
 
 def _smallest_three(packed: NDArray[np.uint8]) -> NDArray[np.float64]:
-    """(N, 4), wxyz, of version 3: of a little-endian word the top two bits name the largest of xyzw; the others follow
-    from the low end, the last first, nine bits each over 1 / sqrt(2) and a bit for the sign."""
+    """(N, 4), wxyz, since version 3: of a little-endian word the top two bits name the largest of xyzw; the others
+    follow from the low end, the last first, nine bits each over 1 / sqrt(2) and a bit for the sign."""
     words = np.ascontiguousarray(packed).view("<u4")[:, 0].astype(np.uint32)
     tens = np.stack([words >> shift & 1023 for shift in (20, 10, 0)], 1).astype(np.float64)
     others = np.where(tens >= 512, -(tens - 512), tens) / 511 / np.sqrt(2)
