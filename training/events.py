@@ -27,6 +27,8 @@ STAGES = {
     "views": "Placing views",
     "train": "Training",
     "save": "Saving",
+    "cuts": "Drawing the cuts",
+    "measure": "Measuring the skin",
     "finetune": "Learning the pictures",
 }
 """Identifier of each stage in events, and its title in displays."""

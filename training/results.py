@@ -43,7 +43,7 @@ def save_results(
     """Writes the solid, the contact sheet and the report; `start` is the solid before training. Returns its path."""
     atoms = trainer.result()
     path = out / f"{request.scene.stem}.ply"
-    with reporter.stage("save") as stage:
+    with reporter.stage("save"):
         families = tuple(
             {
                 "kind": family.kind,
@@ -59,9 +59,9 @@ def save_results(
         left_out = tuple(isolation_record(request.isolation))
         meta = Meta(up, families, request.seed, request.prior, request.scene.name, origin, left_out)
         save_trained(path, atoms, meta, None if inside is None else inside.record())
-        stage.progress(0.3)
+    with reporter.stage("cuts"):
         save_contact_sheet(out / "cuts.png", atoms, geometry.body, geometry.up, inside)
-        stage.progress(0.7)
+    with reporter.stage("measure"):
         before, after = (surface_psnr(geometry, version) for version in (start, atoms))
     report = {
         **facts,

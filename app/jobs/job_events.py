@@ -22,7 +22,9 @@ STAGE_WEIGHTS = {
     "refit": 0.3,
     "views": 0.07,
     "train": 0.12,
-    "save": 0.08,
+    "save": 0.02,
+    "cuts": 0.03,
+    "measure": 0.03,
 }
 
 MOST = 1000

@@ -84,6 +84,7 @@ def test_a_run_leaves_a_solid_a_sheet_and_a_report(whole):
     assert len(atoms.surface) == report["surface_atoms"] > 0
     assert len(atoms.interior) == report["interior_atoms"] > 1000
     assert report["surface_psnr_db"] > 18
+    assert {"train", "save", "cuts", "measure"} <= set(report["seconds"])
     assert len(load(whole / "watermelon.ply").gaussians) == len(atoms)
     assert np.asarray(Image.open(whole / "cuts.png")).std() > 10
     # The inside of a watermelon is red, the outside is not: an interior like the skin would fail here.
