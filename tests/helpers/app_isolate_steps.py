@@ -157,7 +157,6 @@ def isolate(driver: Driver, folder: Path) -> None:
     session.files.open(folder / "melon.fruitninja")
     driver.until(lambda: session.object is not None and session.object.capture is not None, 60, "the capture again")
     assert session.document == document and left() == kept
-    solid_again()
     driver.picture(shots / "isolate_5_kept.png")
     driver.press(Key.i)
     driver.click("//Inspector/Bring everything back")
