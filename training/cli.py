@@ -21,7 +21,6 @@ from training.events import Reporter
 from training.faces.mask_file import is_mask
 from training.families import COUNTS, Family, Kind
 from training.isolation_options import parse_body, parse_isolation, select_bodies
-from training.pipeline import run
 from training.request import Interrupted, PriorName, Request, read_request
 from training.settings import DetailName
 
@@ -114,6 +113,8 @@ def train(
         )
         requested = replace(requested, isolation=parse_isolation(keep or [], remove or [], no_floor), same=same)
     runs = {out: requested} if body is None else runs_of_bodies(requested, parse_body(body), out)
+    from training.pipeline import run  # torch comes with it: --help and a mistyped option need not wait for that
+
     reporter = Reporter.open(events)
     stop.listen()
     with reporter, locked_folder(out):

@@ -20,6 +20,7 @@ SMALL = {
     "training.request.DETAILS": DETAILS,
     "training.results.DETAILS": DETAILS,
     "engine.solid.solidify.BODY_CELLS": 32,
+    "training.priors.exemplar.pictures.MAX_SIDE": 192,
     "training.results.HELD_OUT_VIEWS": 1,
     "training.contact_sheet.TILE": 48,
     "training.optimise.training_loop.CHECKPOINT_SECONDS": 0.0,

@@ -191,6 +191,7 @@ def tiny(monkeypatch):
     monkeypatch.setitem(training.families.COUNTS, "horizontal", 5)
     monkeypatch.setitem(training.families.COUNTS, "parallel", 5)
     monkeypatch.setattr(engine.solid.solidify, "BODY_CELLS", 32)
+    monkeypatch.setattr("training.priors.exemplar.pictures.MAX_SIDE", 192)
     monkeypatch.setattr(training.contact_sheet, "TILE", 48)
     monkeypatch.setattr(training.results, "HELD_OUT_VIEWS", 1)
     monkeypatch.setattr(training.evaluate.cuts, "SIZE", 64)

@@ -37,16 +37,20 @@ REQUEST = Request(
     detail="draft",
     up=(0.0, 0.0, 1.0),
 )
-SHEET_TILE = 48
-"""Pixels of a square of the contact sheet, whose cuts took longer to draw than all else in so small a run."""
+SHEET_TILE, PICTURE, BODY = 48, 192, 32
+"""Pixels of a square of the contact sheet and of a photograph, and cells across the body: at their full sizes these
+would take longer than all else in so small a run."""
 
 # The command with its draft made tiny, for tests that have to end it from outside.
 SMALL_COMMAND = f"""
 import sys
-import training.contact_sheet, training.optimise.training_loop, training.settings, training.skin
+import engine.solid.solidify, training.contact_sheet, training.optimise.training_loop, training.settings, training.skin
+import training.priors.exemplar.pictures
 from training.settings import Detail
 training.settings.DETAILS["draft"] = {TINY!r}
 training.contact_sheet.TILE = {SHEET_TILE}
+training.priors.exemplar.pictures.MAX_SIDE = {PICTURE}
+engine.solid.solidify.BODY_CELLS = {BODY}
 training.optimise.training_loop.CHECKPOINT_SECONDS = training.skin.CHECKPOINT_SECONDS = 0.0
 from training.cli import main
 main()
@@ -61,6 +65,8 @@ ARGUMENTS = [
 def make_tiny(patch: pytest.MonkeyPatch) -> None:
     patch.setitem(training.settings.DETAILS, "draft", TINY)
     patch.setattr("training.contact_sheet.TILE", SHEET_TILE)
+    patch.setattr("training.priors.exemplar.pictures.MAX_SIDE", PICTURE)
+    patch.setattr("engine.solid.solidify.BODY_CELLS", BODY)
 
 
 @pytest.fixture(autouse=True)
