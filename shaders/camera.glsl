@@ -32,6 +32,10 @@ float linear_depth(float z) {
     return (z - depth_range.x) * depth_range.y;
 }
 
+float depth_at(float linear) {
+    return linear / depth_range.y + depth_range.x;
+}
+
 // World units that one pixel spans at depth z.
 float footprint_at(float z) {
 #ifdef ORTHOGRAPHIC

@@ -3,8 +3,10 @@
 
 #include "outside_look.glsl"
 
-uniform sampler2D splats;    // layer: weighted rgb, weight
-uniform sampler2D edges;     // layer: weighted sharpness; behind it: weight, weighted sharpness
+uniform sampler2D in_layer;  // weighted rgb, weight
+uniform sampler2D rims;      // the same before the layer
+uniform sampler2D behind;    // the same behind it, weighted by depth
+uniform sampler2D edges;     // weighted sharpness in the layer, before and behind it; weight behind it
 uniform sampler2D front;     // linear depth
 #ifdef FACES
 uniform sampler2D faces;     // rgb, coverage
@@ -23,12 +25,14 @@ layout(location = 1) out vec2 info; // depth; 2 * group + coverage, group -1 if 
 
 void main() {
     ivec2 at = ivec2(gl_FragCoord.xy);
-    vec4 sum = texelFetch(splats, at, 0);
+    vec4 here = texelFetch(in_layer, at, 0), rim = texelFetch(rims, at, 0), far = texelFetch(behind, at, 0);
+    vec4 edge = texelFetch(edges, at, 0);
     float stored = texelFetch(front, at, 0).r;
-    float z = stored < 1.0 ? stored / depth_range.y + depth_range.x : NOTHING;
-    vec3 colour = sum.rgb / max(sum.a, MIN_WEIGHT);
-    float alpha = outside_alpha(sum.a, texelFetch(edges, at, 0).xyz);
-    vec3 over = alpha * colour; // premultiplied
+    float z = stored < 1.0 ? depth_at(stored) : NOTHING;
+    vec3 shares = outside_shares(vec3(here.a, rim.a, edge.w), edge.xyz);
+    float alpha = shares.x + shares.y + shares.z;
+    vec3 over = shares.x / max(here.a, MIN_WEIGHT) * here.rgb + shares.y / max(rim.a, MIN_WEIGHT) * rim.rgb; // premultiplied
+    if (shares.z > 0.0) over += shares.z / far.a * far.rgb;
 #ifdef FACES
     vec4 face = texelFetch(faces, at, 0);
     float face_z = texelFetch(face_depths, at, 0).r;

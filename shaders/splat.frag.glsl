@@ -1,6 +1,7 @@
 // Pass 1 (VISIBILITY): the depth of an atom's core. Pass 2: weight, weighted colour and weighted sharpness in the layer
-// behind the front; weight and weighted sharpness behind the layer.
+// at the front, before it and behind it.
 #include "camera.glsl"
+#include "outside_look.glsl"
 
 flat in vec4 centre;
 flat in vec4 conic;
@@ -16,8 +17,10 @@ uniform vec4 planes[MAX_PLANES]; // camera space; distances are negative on the 
 uniform sampler2D front; // linear depth
 uniform float layer;     // its depth, world units
 
-layout(location = 0) out vec4 weighted; // layer: weighted rgb, weight
-layout(location = 1) out vec4 edges;    // layer: weighted sharpness; behind it: weight, weighted sharpness
+layout(location = 0) out vec4 in_layer; // weighted rgb, weight
+layout(location = 1) out vec4 before;
+layout(location = 2) out vec4 behind;   // by depth_weight too
+layout(location = 3) out vec4 edges;    // weighted sharpness in the layer, before and behind it; weight behind it
 #endif
 
 void main() {
@@ -43,8 +46,15 @@ void main() {
 #endif
 #else
     float g = centre.w * exp(-0.5 * q);
-    bool in_layer = linear_depth(z - layer) <= texelFetch(front, ivec2(gl_FragCoord.xy), 0).r;
-    weighted = in_layer ? vec4(g * colour, g) : vec4(0.0);
-    edges = in_layer ? vec4(g * conic.w, 0.0, 0.0, 0.0) : vec4(0.0, g, g * conic.w, 0.0);
+    float nearest = texelFetch(front, ivec2(gl_FragCoord.xy), 0).r;
+    bool is_behind = linear_depth(z - layer) > nearest;
+    bool is_before = nearest < 1.0 && linear_depth(z + layer) < nearest;
+    float far = is_behind ? depth_weight(z, depth_at(nearest), layer) : 0.0;
+    vec4 weighted = g * vec4(colour, 1.0);
+    vec3 places = vec3(!is_behind && !is_before, is_before, is_behind);
+    in_layer = places.x * weighted;
+    before = places.y * weighted;
+    behind = far * weighted;
+    edges = vec4(g * conic.w * places, g * places.z);
 #endif
 }

@@ -6,11 +6,10 @@ import math
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from engine.render.cpu.splats import DEPTH, DEPTH_EXTENT, TILE, WEIGHT
-from engine.render.cpu.tiles import AREA, FAR, TILES_PER_TASK, fill_rays, fragments, rows_of
-from engine.render.cpu.weights import falloff
+from engine.render.cpu.tiles import AREA, TILES_PER_TASK, fill_rays, fragments, rows_of
+from engine.render.cpu.weights import BEFORE, BEHIND, depth_weight, falloff, outside_shares
 from engine.scene.constants import CUTOFF_Q, MIN_WEIGHT
 
 __all__ = [
@@ -19,8 +18,8 @@ __all__ = [
     "apply_transposed",
     "count_splats",
     "fill_faces",
+    "fill_shares",
     "fill_splats",
-    "layer_limit",
     "mark_columns",
     "renumber",
     "row_sums",
@@ -31,42 +30,49 @@ ROWS = 4096
 """Rows of the matrix per task."""
 
 
-def layer_limit(front: NDArray[np.floating], layer: float) -> NDArray[np.floating]:
-    """(H, W). Depth behind which a fragment does not contribute to its pixel, from the front depth (H, W)."""
-    return np.where(np.isfinite(front), front + front.dtype.type(layer), front.dtype.type(FAR))
+@njit(cache=True, error_model="numpy", nogil=True)
+def fill_shares(y, sums, left, shares):
+    """Fills row y of shares (H, W, 3): how much of a pixel a unit of weight shows, in the layer, before and behind it,
+    from sums (H, W, SUMS) and what cut faces leave of the pixel, left (H, W)."""
+    for x in range(sums.shape[1]):
+        layer, before, behind = outside_shares(sums[y, x])
+        shares[y, x, 0] = left[y, x] * layer / max(sums[y, x, 0], MIN_WEIGHT)
+        shares[y, x, 1] = left[y, x] * before / max(sums[y, x, BEFORE], MIN_WEIGHT)
+        shares[y, x, 2] = left[y, x] * behind / sums[y, x, BEHIND + 5] if behind > 0.0 else 0.0
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def count_splats(task, tiled, limit, share, count):
-    """Adds to count (H, W) the fragments of every pixel whose share (H, W) of the picture is not zero."""
+def count_splats(task, tiled, front, shares, count):
+    """Adds to count (H, W) the fragments that the picture shows of every pixel, by its shares (H, W, 3)."""
     atoms, weights, cursor = np.empty(0, np.int32), np.empty(0, np.float32), np.empty((0, 0), np.int64)
-    _walk(task, tiled, limit, share, count, False, cursor, atoms, weights)
+    _walk(task, tiled, front, shares, count, False, cursor, atoms, weights)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def fill_splats(task, tiled, limit, share, cursor, atoms, weights):
-    """Writes the fragments that `count_splats` counts at cursor (H, W), which advances; weights times share."""
-    _walk(task, tiled, limit, share, np.empty((0, 0), np.int64), True, cursor, atoms, weights)
+def fill_splats(task, tiled, front, shares, cursor, atoms, weights):
+    """Writes the fragments that `count_splats` counts at cursor (H, W), which advances; weights times shares."""
+    _walk(task, tiled, front, shares, np.empty((0, 0), np.int64), True, cursor, atoms, weights)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _walk(task, tiled, limit, share, count, fill, cursor, atoms, weights):
+def _walk(task, tiled, front, shares, count, fill, cursor, atoms, weights):
     """The second pass of `engine.render.cpu.tiles.accumulate` over some tiles, fragment by fragment."""
-    height, width = limit.shape
+    height, width = front.shape
     kind = tiled.records.dtype.type
-    near, lane = kind(tiled.cam.near), np.empty((5, AREA), kind)
-    px, py, h, z, reach = lane[0], lane[1], lane[2], lane[3], lane[4]
+    near, lane = kind(tiled.cam.near), np.empty((4, AREA), kind)
+    px, py, h, z = lane[0], lane[1], lane[2], lane[3]
     base, slope = np.empty((len(tiled.planes), AREA), kind), np.empty((len(tiled.planes), AREA), kind)
-    cutoff = kind(0.5 * CUTOFF_Q)
+    infinite, cutoff, layer = kind(np.inf), kind(0.5 * CUTOFF_Q), kind(tiled.layer)
     for tile in range(task * TILES_PER_TASK, min((task + 1) * TILES_PER_TASK, len(tiled.tile_starts) - 1)):
         left, top = tile % tiled.columns * TILE, tile // tiled.columns * TILE
-        last = -kind(np.inf)
-        for k in range(AREA):
-            x, y = left + k % TILE, top + k // TILE
-            seen = x < width and y < height and share[y, x] > 0.0
-            reach[k] = limit[y, x] if seen else -kind(np.inf)
-            last = max(last, reach[k])
-        if last < 0.0 and last == -kind(np.inf):
+        last = -infinite
+        for y in range(top, min(top + TILE, height)):
+            for x in range(left, min(left + TILE, width)):
+                if shares[y, x, 2] > 0.0:
+                    last = infinite
+                elif shares[y, x, 0] > 0.0 or shares[y, x, 1] > 0.0:
+                    last = max(last, front[y, x] + layer)
+        if last == -infinite:
             continue
         fill_rays(tiled, tile, px, py, base, slope)
         for pair in range(tiled.tile_starts[tile], tiled.tile_starts[tile + 1]):
@@ -79,11 +85,21 @@ def _walk(task, tiled, limit, share, count, fill, cursor, atoms, weights):
                 continue
             fragments(r, tiled.spans[i], near, px, py, base, slope, start, end, h, z)
             for k in range(start, end):
-                if h[k] <= cutoff and z[k] <= reach[k]:
-                    x, y = left + k % TILE, top + k // TILE
+                x, y = left + k % TILE, top + k // TILE
+                if not (h[k] <= cutoff and z[k] < infinite and x < width and y < height):
+                    continue
+                nearest = front[y, x]
+                if z[k] > nearest + layer:
+                    share = shares[y, x, 2]
+                    share *= depth_weight(z[k], nearest, layer) if share > 0.0 else 0.0
+                elif z[k] < nearest - layer and nearest < infinite:
+                    share = shares[y, x, 1]
+                else:
+                    share = shares[y, x, 0]
+                if share > 0.0:
                     if fill:
                         atoms[cursor[y, x]] = i
-                        weights[cursor[y, x]] = falloff(h[k]) * r[WEIGHT] * share[y, x]
+                        weights[cursor[y, x]] = falloff(h[k]) * r[WEIGHT] * share
                         cursor[y, x] += 1
                     else:
                         count[y, x] += 1

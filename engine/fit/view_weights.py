@@ -20,8 +20,8 @@ from engine.fit.view_kernels import (
     apply_transposed,
     count_splats,
     fill_faces,
+    fill_shares,
     fill_splats,
-    layer_limit,
     mark_columns,
     renumber,
     row_sums,
@@ -34,7 +34,6 @@ from engine.render.projection import camera_record
 from engine.scene import sh as harmonics
 from engine.scene.atoms import Atoms
 from engine.scene.camera import Camera
-from engine.scene.constants import MIN_WEIGHT
 from engine.scene.piece import Piece
 from engine.scene.plane import Plane
 from engine.threads import for_each
@@ -79,22 +78,21 @@ class ViewWeights:
         piece = Piece(tuple(planes))
         outside = draw(splats_of(atoms), [view_colours(atoms, camera)], camera, [piece], atoms.pitch)
         cover = outside.resolved()[1]
-        weight = outside.sums[..., 0]
         faces = _faces(atoms, camera, planes, field) if planes else None
         left = np.ones_like(cover)
         if faces is not None:
             left.reshape(-1)[faces.hits.pixels] -= faces.alpha
-        share = np.where(weight > MIN_WEIGHT, left * cover / np.maximum(weight, MIN_WEIGHT), 0).astype(np.float32)
-        limit = layer_limit(outside.front, outside.tiled.layer)
+        shares = np.empty((*cover.shape, 3), np.float32)
+        for_each(fill_shares, len(cover), outside.sums, left, shares)
         count = np.zeros(cover.shape, np.int64)
-        for_each(count_splats, outside.tasks, outside.tiled, limit, share, count)
+        for_each(count_splats, outside.tasks, outside.tiled, outside.front, shares, count)
         counted = count.reshape(-1)
         if faces is not None:
             counted[faces.hits.pixels] += faces.counts
         offsets = np.concatenate([[0], np.cumsum(counted)])
         entries, weights = np.empty(offsets[-1], np.int32), np.empty(offsets[-1], np.float32)
         cursor = offsets[:-1].reshape(cover.shape).copy()
-        for_each(fill_splats, outside.tasks, outside.tiled, limit, share, cursor, entries, weights)
+        for_each(fill_splats, outside.tasks, outside.tiled, outside.front, shares, cursor, entries, weights)
         if faces is not None:
             faces.fill(cursor.reshape(-1), entries, weights)
         alpha = (1 - left * (1 - cover)).reshape(-1)

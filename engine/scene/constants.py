@@ -16,6 +16,7 @@ __all__ = [
     "FACE_AMBIENT",
     "FACE_LAMP",
     "FACE_OPAQUE",
+    "FADE_LAYERS",
     "JOINT_PITCHES",
     "LATTICE_DENSITY",
     "LOW_PASS",
@@ -31,11 +32,18 @@ LOW_PASS = 0.3
 CUTOFF_Q = 9.0
 """Squared Mahalanobis distance at which a kernel is cut off: three standard deviations, 1.1 % of its height."""
 
-CORE_Q = 2.0 * math.log(2.0)
-"""Squared Mahalanobis distance of half height: closer than this an atom hides what lies behind it."""
+CORE_Q = 2.0 * math.log(3.0)
+"""Squared Mahalanobis distance of a third of the height: the nearest atom that is so close is at the front. At half
+height a skin has gaps without one, which show the far side of the object as a mixture; at a fifth it would reach over
+what lies behind an edge."""
 
 EPSILON_PITCHES = 1.5
-"""Pitches. Depth of the blended layer behind the front: 1.5 scale caps blend neighbours but not opposite walls."""
+"""Pitches. Depth of the blended layer on either side of the front: 1.5 scale caps blend neighbours but not opposite
+walls."""
+
+FADE_LAYERS = 40
+"""Layers behind the front after which depth makes no more difference to the colour that shows: a quarter for each, and
+4^-40 is still a float32."""
 
 EDGE_SLOPE = 0.59
 """|slope| of exp(-x^2/2) at half height, sqrt(2 ln 2) / 2: an edge of sigma pixels sharpens by sigma / this."""

@@ -15,6 +15,7 @@ from engine.scene.constants import (
     CUTOFF_Q,
     EDGE_SLOPE,
     EPSILON_PITCHES,
+    FADE_LAYERS,
     LOW_PASS,
     MIN_WEIGHT,
     SOLID_DENSITY,
@@ -135,19 +136,29 @@ def splats(atoms: Atoms, camera: Camera, planes: Sequence[Plane]) -> tuple[Doubl
     front = np.full(size, np.inf)
     for kept, q, z, _, _, _ in fragments:
         front = np.where(kept & (q <= CORE_Q), np.minimum(front, z), front)
-    total, edge, colour = np.zeros(size), np.zeros(size), np.zeros((*size, 3))
-    behind, behind_edge = np.zeros(size), np.zeros(size)
-    for kept, q, z, rho, sharp, c in fragments:
-        w = np.where(kept, rho * np.exp(-q / 2), 0)
-        in_layer = z <= front + EPSILON_PITCHES * atoms.pitch
-        total += np.where(in_layer, w, 0)
-        edge += np.where(in_layer, w, 0) * sharp
-        colour += np.where(in_layer, w, 0)[..., None] * c
-        behind += np.where(in_layer, 0, w)
-        behind_edge += np.where(in_layer, 0, w) * sharp
-    alpha = 1 - (1 - coverage(total, edge)) * (1 - coverage(behind, behind_edge))
-    some = total > MIN_WEIGHT  # without a layer there is no colour, whatever lies behind
-    return colour / np.where(some, total, 1)[..., None], np.where(some, alpha, 0), front
+    layer = EPSILON_PITCHES * atoms.pitch
+    covered, shown = [], []  # (H, W) and (H, W, 3): in the layer, before it and behind it
+    for place in range(3):
+        weight, edge, colour, by_depth = np.zeros(size), np.zeros(size), np.zeros((*size, 3)), np.zeros(size)
+        for kept, q, z, rho, sharp, c in fragments:
+            before, behind = z < np.where(np.isfinite(front), front, -np.inf) - layer, z > front + layer
+            w = np.where(kept & (~before & ~behind, before, behind)[place], rho * np.exp(-q / 2), 0)
+            weight += w
+            edge += w * sharp
+            if place == 2:
+                deeper = np.floor(z / layer) - np.floor(np.where(np.isfinite(front), front, z) / layer)
+                w = w * 0.25 ** np.minimum(deeper, FADE_LAYERS)
+            by_depth += w
+            colour += w[..., None] * c
+        covered.append(coverage(weight, edge))
+        shown.append(colour / np.where(by_depth > 0, by_depth, 1)[..., None])
+        if place == 0:
+            some = weight > MIN_WEIGHT  # without a layer there is nothing, whatever lies behind
+    here, before, behind = covered
+    shares = np.stack([(1 - before) * here, before, (1 - before) * (1 - here) * behind])
+    alpha = np.where(some, shares.sum(0), 0)
+    colour = (shares[..., None] * np.stack(shown)).sum(0)
+    return colour / np.where(alpha > 0, alpha, 1)[..., None], alpha, front
 
 
 def coverage(weight: NDArray[np.floating], edge: NDArray[np.floating]) -> Double:

@@ -31,7 +31,7 @@ class Outside:
     front: NDArray[np.floating]
     """(H, W). Depth of the nearest core, inf if there is none."""
     sums: NDArray[np.floating]
-    """(H, W, SUMS). Of the layer behind the front and of what follows, as `engine.render.cpu.weights` describes."""
+    """(H, W, SUMS). Of the layer at the front, and before and behind it, as `engine.render.cpu.weights` describes."""
 
     @property
     def tasks(self) -> int:

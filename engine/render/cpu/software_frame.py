@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from engine.render.cpu.software_sections import BAND
 from engine.render.cpu.splats import Splats, project
-from engine.render.cpu.weights import BEHIND, FUSED
+from engine.render.cpu.weights import BEFORE, BEHIND, FUSED
 from engine.render.projection import CameraRecord
 from engine.scene.constants import MIN_WEIGHT
 from engine.scene.sh import fill_basis
@@ -183,17 +183,25 @@ def resolve_row(row, group, nothing, lane):
     sums, front, face, depths = group.sums[row], group.front[row], group.face[row], group.depths[row]
     has_faces, tolerance = group.has_faces, group.tolerance
     one, half, zero = np.float32(1), np.float32(0.5), np.float32(0)
+    least, tiny = np.float32(MIN_WEIGHT), np.float32(1e-37)
     for k in range(np.uintp(len(front))):
-        weight = sums[k, 0]
+        weight, first, rest = sums[k, 0], sums[k, BEFORE], sums[k, BEHIND]
         z = min(front[k], nothing)
-        each = one / max(weight, np.float32(MIN_WEIGHT))
-        alpha = min(max(half + (weight - half) * sums[k, 1] * each, zero), one)
-        rest = sums[k, BEHIND]
-        behind = half + (rest - half) * sums[k, BEHIND + 1] / max(rest, np.float32(MIN_WEIGHT))
-        behind = min(max(behind, zero), one) if rest > np.float32(MIN_WEIGHT) else zero
-        alpha = alpha + (one - alpha) * behind if weight > np.float32(MIN_WEIGHT) else zero
-        each *= alpha
-        red, green, blue = each * sums[k, 2], each * sums[k, 3], each * sums[k, 4]
+        each = one / max(weight, least)
+        layer = min(max(half + (weight - half) * sums[k, 1] * each, zero), one) if weight > least else zero
+        each_before = one / max(first, least)
+        before = min(max(half + (first - half) * sums[k, BEFORE + 1] * each_before, zero), one)
+        before = before if (first > least) & (weight > least) else zero
+        behind = min(max(half + (rest - half) * sums[k, BEHIND + 1] / max(rest, least), zero), one)
+        layer *= one - before
+        behind = (one - before - layer) * behind if (rest > least) & (weight > least) else zero
+        alpha = layer + before + behind
+        each *= layer
+        each_before *= before
+        each_behind = behind / max(sums[k, BEHIND + 5], tiny)
+        red = each * sums[k, 2] + each_before * sums[k, BEFORE + 2] + each_behind * sums[k, BEHIND + 2]
+        green = each * sums[k, 3] + each_before * sums[k, BEFORE + 3] + each_behind * sums[k, BEHIND + 3]
+        blue = each * sums[k, 4] + each_before * sums[k, BEFORE + 4] + each_behind * sums[k, BEHIND + 4]
         cover = face[k, 3] if has_faces else zero
         first = depths[k] <= z + tolerance
         # Without coverage the face layer holds arbitrary values.

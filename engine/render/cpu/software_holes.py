@@ -15,7 +15,7 @@ from numba import njit
 
 from engine.render.cpu.splats import SHARPNESS, TILE, WEIGHT
 from engine.render.cpu.tiles import AREA, FAR, add_behind, fill_rays, fragments
-from engine.render.cpu.weights import BEHIND, SUMS, outside_alpha
+from engine.render.cpu.weights import BEFORE, BEHIND, SUMS, coverage, depth_weight
 from engine.scene.constants import CORE_Q, CUTOFF_Q, FACE_OPAQUE, MIN_WEIGHT
 
 __all__ = ["fill_holes", "seen_through", "tile_depths"]
@@ -23,8 +23,8 @@ __all__ = ["fill_holes", "seen_through", "tile_depths"]
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def is_partly_covered(sums):
-    """Whether what lies behind the layer changes the alpha of a pixel with these sums (SUMS,)."""
-    return sums[0] > MIN_WEIGHT and outside_alpha(sums[0], sums[1], sums[BEHIND], sums[BEHIND + 1]) < 1.0
+    """Whether what lies behind the layer shows in a pixel with these sums (SUMS,)."""
+    return sums[0] > MIN_WEIGHT and coverage(sums[0], sums[1]) < 1.0 and coverage(sums[BEFORE], sums[BEFORE + 1]) < 1.0
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -108,11 +108,11 @@ def fill_holes(line, tiled, colours, hidden, hidden_colours, ends, front, sums):
     """
     height, width = front.shape
     kind = tiled.records.dtype.type
-    near, lane = kind(tiled.cam.near), np.empty((6, AREA), kind)
-    px, py, h, z, limit, nearest = lane[0], lane[1], lane[2], lane[3], lane[4], lane[5]
+    near, lane = kind(tiled.cam.near), np.empty((7, AREA), kind)
+    px, py, h, z, limit, nearest, shown = lane[0], lane[1], lane[2], lane[3], lane[4], lane[5], lane[6]
     base, slope = np.empty((len(tiled.planes), AREA), kind), np.empty((len(tiled.planes), AREA), kind)
     visible = np.empty(AREA, np.bool_)
-    behind = np.empty((2, AREA), kind)
+    behind = np.empty((SUMS, AREA), kind)
     layer, infinite = kind(tiled.layer), kind(np.inf)
     core, cutoff = kind(0.5 * CORE_Q), kind(0.5 * CUTOFF_Q)
     for column in range(tiled.columns):
@@ -137,14 +137,16 @@ def fill_holes(line, tiled, colours, hidden, hidden_colours, ends, front, sums):
             limit[k] = infinite
             if x < width and y < height and not visible[k] and front[y, x] < infinite and ends[y, x] == front[y, x]:
                 limit[k] = front[y, x] + layer if is_partly_covered(sums[y, x]) else infinite
-        add_behind(hidden, tile, near, px, py, base, slope, h, z, limit, behind[0], behind[1])
+                shown[k] = front[y, x]
+        add_behind(hidden, hidden_colours, tile, near, px, py, base, slope, h, z, shown, limit, behind)
         for k in range(AREA):
             x, y = column * TILE + k % TILE, line * TILE + k // TILE
-            if behind[0, k] > kind(0.0):
-                sums[y, x, BEHIND] += behind[0, k]
-                sums[y, x, BEHIND + 1] += behind[1, k]
+            if behind[BEHIND, k] > kind(0.0):
+                for c in range(BEHIND, SUMS):
+                    sums[y, x, c] += behind[c, k]
             if not visible[k]:
                 continue
+            begin = nearest[k] - layer if nearest[k] < infinite else -infinite
             last = nearest[k] + layer if nearest[k] < infinite else kind(FAR)
             total = np.zeros(SUMS, kind)
             for pass_ in range(2):
@@ -155,10 +157,14 @@ def fill_holes(line, tiled, colours, hidden, hidden_colours, ends, front, sums):
                     fragments(r, drawn.spans[i], near, px, py, base, slope, k, k + 1, h, z)
                     if h[k] <= cutoff and z[k] < infinite:
                         g = math.exp(-h[k])
-                        first = 0 if z[k] <= last else BEHIND
-                        total[first] += g * r[WEIGHT]
+                        w = g * r[WEIGHT]
+                        first = BEFORE if z[k] < begin else 0 if z[k] <= last else BEHIND
+                        total[first] += w
                         total[first + 1] += g * r[SHARPNESS]
-                        for c in range(3 if first == 0 else 0):
-                            total[2 + c] += g * r[WEIGHT] * rgb[i, c]
+                        if first == BEHIND:
+                            w *= depth_weight(z[k], nearest[k], layer)
+                            total[BEHIND + 5] += w
+                        for c in range(3):
+                            total[first + 2 + c] += w * rgb[i, c]
             front[y, x] = nearest[k]
             sums[y, x] = total

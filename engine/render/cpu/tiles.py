@@ -1,4 +1,5 @@
-"""The pixel loops of the opaque image's outside: a front depth, then sums over a thin layer behind it, tile by tile.
+"""The pixel loops of the opaque image's outside: a front depth, then sums over a thin layer there and
+what lies before it, tile by tile.
 
 Where the layer covers a pixel only in part, the splats behind it are summed as well (engine.render.cpu.weights).
 
@@ -37,7 +38,7 @@ from engine.render.cpu.splats import (
     U,
     V,
 )
-from engine.render.cpu.weights import BEHIND, FUSED, SUMS, coverage, falloff
+from engine.render.cpu.weights import BEFORE, BEHIND, FUSED, SUMS, coverage, depth_weight, falloff
 from engine.render.projection import CameraRecord
 from engine.scene.constants import CORE_Q, CUTOFF_Q, MIN_WEIGHT
 from engine.threads import for_each
@@ -66,9 +67,6 @@ TILES_PER_TASK = 32
 CHUNKS = 16
 """Tasks that the splats are split into. Fixed, so that the lists do not depend on the number of cores."""
 
-RECHECK = 8
-"""Splats behind the layer after which a tile is searched for pixels that need more: one search costs less than one."""
-
 FAR = 1e30
 """Depth limit of a pixel without a front: behind everything, yet before the infinite depth of clipped fragments."""
 
@@ -90,7 +88,7 @@ class TiledSplats(NamedTuple):
     columns: int
     """Tiles in a row of the picture."""
     layer: float
-    """Depth of the layer behind the front, world units."""
+    """Depth of the layer on either side of the front, world units."""
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -193,16 +191,17 @@ def fragments(r, span, near, px, py, base, slope, start, end, h, z):
 def accumulate(task, tiled, colours, front, sums):
     """All passes over some tiles. Fills front (H, W), the depth of the nearest core, and sums (H, W, SUMS).
 
-    The layer is what lies no more than its depth behind the front. Sums behind it are taken only as far as they matter:
-    not where the layer is empty or covers the whole pixel, and not beyond a coverage of 1.
+    The layer is what lies no more than its depth before or behind the front; without a front, everything. Sums behind
+    it are taken only where they matter: not where the layer is empty or covers the whole pixel.
     """
     height, width = front.shape
     kind = tiled.records.dtype.type
-    near, lane = kind(tiled.cam.near), np.empty((6, AREA), kind)
-    px, py, h, z, nearest, limit = lane[0], lane[1], lane[2], lane[3], lane[4], lane[5]
+    near, lane = kind(tiled.cam.near), np.empty((7, AREA), kind)
+    px, py, h, z, nearest, begin, limit = lane[0], lane[1], lane[2], lane[3], lane[4], lane[5], lane[6]
     base, slope = np.empty((len(tiled.planes), AREA), kind), np.empty((len(tiled.planes), AREA), kind)
     total = np.empty((SUMS, AREA), kind)
     s0, s1, s2, s3, s4 = total[0], total[1], total[2], total[3], total[4]
+    b0, b1, b2, b3, b4 = total[BEFORE], total[BEFORE + 1], total[BEFORE + 2], total[BEFORE + 3], total[BEFORE + 4]
     infinite, zero, layer = kind(np.inf), kind(0.0), kind(tiled.layer)
     core, cutoff = kind(0.5 * CORE_Q), kind(0.5 * CUTOFF_Q)
     for tile in range(task * TILES_PER_TASK, min((task + 1) * TILES_PER_TASK, len(tiled.tile_starts) - 1)):
@@ -222,6 +221,7 @@ def accumulate(task, tiled, colours, front, sums):
                 nearest[k] = min(nearest[k], z[k] if h[k] <= core else infinite)
         last = -infinite
         for k in range(AREA):
+            begin[k] = nearest[k] - layer if nearest[k] < infinite else -infinite
             limit[k] = nearest[k] + layer if nearest[k] < infinite else kind(FAR)
             last = max(last, limit[k])
         for pair in range(tiled.tile_starts[tile], tiled.tile_starts[tile + 1]):
@@ -238,16 +238,23 @@ def accumulate(task, tiled, colours, front, sums):
             for k in range(np.uintp(start), np.uintp(end)):
                 g = falloff(min(h[k], cutoff))
                 g = g if (h[k] <= cutoff) & (z[k] <= limit[k]) else zero
-                w = g * weight
+                first = g if z[k] < begin[k] else zero
+                g -= first
+                w, v = g * weight, first * weight
                 s0[k] += w
                 s1[k] += g * edge
                 s2[k] += w * red
                 s3[k] += w * green
                 s4[k] += w * blue
+                b0[k] += v
+                b1[k] += first * edge
+                b2[k] += v * red
+                b3[k] += v * green
+                b4[k] += v * blue
         for k in range(AREA):
             partly = s0[k] > MIN_WEIGHT and coverage(s0[k], s1[k]) < 1.0
             limit[k] = limit[k] if nearest[k] < infinite and partly else infinite
-        add_behind(tiled, tile, near, px, py, base, slope, h, z, limit, total[BEHIND], total[BEHIND + 1])
+        add_behind(tiled, colours, tile, near, px, py, base, slope, h, z, nearest, limit, total)
         for k in range(AREA):
             x, y = left + k % TILE, top + k // TILE
             if x < width and y < height:
@@ -267,20 +274,19 @@ def _open_rows(limit):
 
 
 @njit(cache=True, error_model="numpy", nogil=True, fastmath=FUSED)
-def add_behind(tiled, tile, near, px, py, base, slope, h, z, limit, weights, edges):
-    """Adds to weights and edges (AREA,) the weight, and weight times sharpness, of a tile's fragments behind limit
-    (AREA,), which is infinite for pixels that need none and becomes so for those that are covered.
+def add_behind(tiled, colours, tile, near, px, py, base, slope, h, z, nearest, limit, total):
+    """Adds to total (SUMS, AREA) the sums of a tile's fragments behind limit (AREA,), which is infinite for pixels that
+    need none; their front is at `nearest` (AREA,).
 
     px, py, base and slope as `fill_rays` fills them; h and z (AREA,) are scratch.
     """
     left, top = tile % tiled.columns * TILE, tile // tiled.columns * TILE
     kind = tiled.records.dtype.type
-    zero, one, infinite, cutoff = kind(0.0), kind(1.0), kind(np.inf), kind(0.5 * CUTOFF_Q)
-    walked = 0
+    infinite, cutoff, layer = kind(np.inf), kind(0.5 * CUTOFF_Q), kind(tiled.layer)
     least, first, last = _open_rows(limit)
+    if least == infinite:
+        return
     for pair in range(tiled.tile_starts[tile], tiled.tile_starts[tile + 1]):
-        if least == infinite:
-            break
         i = tiled.splat_ids[pair]
         r = tiled.records[i]
         if r[DEPTH] + r[DEPTH_EXTENT] <= least:
@@ -290,38 +296,32 @@ def add_behind(tiled, tile, near, px, py, base, slope, h, z, limit, weights, edg
         if start >= end:
             continue
         fragments(r, tiled.spans[i], near, px, py, base, slope, start, end, h, z)
-        weight, edge = r[WEIGHT], r[SHARPNESS]
         for k in range(np.uintp(start), np.uintp(end)):
-            g = falloff(min(h[k], cutoff))
-            g = g if (h[k] <= cutoff) & (z[k] > limit[k]) & (z[k] < infinite) else zero
-            weights[k] += g * weight
-            edges[k] += g * edge
-            # No sharpness is below 1, so a weight of 1 is full coverage, and stays it whatever is added.
-            limit[k] = limit[k] if weights[k] < one else infinite
-        walked += 1
-        if walked % RECHECK == 0:
-            least, first, last = _open_rows(limit)
+            if h[k] <= cutoff and limit[k] < z[k] < infinite:
+                g = falloff(h[k])
+                w = g * r[WEIGHT]
+                total[BEHIND, k] += w
+                total[BEHIND + 1, k] += g * r[SHARPNESS]
+                w *= kind(depth_weight(z[k], nearest[k], layer))
+                for c in range(3):
+                    total[BEHIND + 2 + c, k] += w * colours[i, c]
+                total[BEHIND + 5, k] += w
 
 
 @njit(cache=True, error_model="numpy")
-def _add_row(part, g, px, py, r, red, green, blue, at):
-    """Adds the gradients of one row of a tile to the lanes of the GRADIENT sums in `part`.
-
-    These are followed there by the gradients of the SUMS, and by 1 for fragments of the layer, 0 for those behind it.
-    """
-    given = np.uintp(GRADIENT * TILE) + at
-    zero = g.dtype.type(0)
+def _add_row(part, g, px, py, r, red, green, blue, given, at):
+    """Adds the gradients of one row of a tile to the lanes of the GRADIENT sums in `part`, which holds the gradients of
+    weight, weight times sharpness and weight times RGB from `given` on, AREA each."""
     u0, u1, v0, v1, weight, edge = r[U], r[U_FRACTION], r[V], r[V_FRACTION], r[WEIGHT], r[SHARPNESS]
+    given += at
     for k in range(np.uintp(TILE)):
         d0, d1 = part[given + k], part[given + np.uintp(AREA) + k]
         d2, d3 = part[given + np.uintp(2 * AREA) + k], part[given + np.uintp(3 * AREA) + k]
-        d4, d5 = part[given + np.uintp(4 * AREA) + k], part[given + np.uintp(5 * AREA) + k]
-        d6, layer = part[given + np.uintp(6 * AREA) + k], part[given + np.uintp(SUMS * AREA) + k] > zero
-        d_weight = d0 + red * d2 + green * d3 + blue * d4 if layer else d5
-        d1 = d1 if layer else d6
+        d4 = part[given + np.uintp(4 * AREA) + k]
+        d_weight = d0 + red * d2 + green * d3 + blue * d4
         p = -g[at + k] * (weight * d_weight + edge * d1)
         dx, dy = (px[at + k] - u0) - u1, (py[at + k] - v0) - v1
-        w = g[at + k] * weight if layer else zero
+        w = g[at + k] * weight
         part[k] += p * dx
         part[np.uintp(TILE) + k] += p * dy
         part[np.uintp(2 * TILE) + k] += p * dx * dx
@@ -342,13 +342,13 @@ def accumulate_backward(task, tiled, colours, front, d_sums, first_rows, rows):
     """
     height, width = front.shape
     kind = tiled.records.dtype.type
-    near, lane = kind(tiled.cam.near), np.empty((5, AREA), kind)
-    px, py, h, z, limit = lane[0], lane[1], lane[2], lane[3], lane[4]
+    near, lane = kind(tiled.cam.near), np.empty((7, AREA), kind)
+    px, py, h, z, nearest, begin, limit = lane[0], lane[1], lane[2], lane[3], lane[4], lane[5], lane[6]
     base, slope = np.empty((len(tiled.planes), AREA), kind), np.empty((len(tiled.planes), AREA), kind)
     # One flat array: with twenty base pointers the compiler would have to assume that they overlap.
-    part = np.empty(GRADIENT * TILE + (SUMS + 1) * AREA, kind)
-    in_layer = part[GRADIENT * TILE + SUMS * AREA :]
-    zero, one, infinite = kind(0.0), kind(1.0), kind(np.inf)
+    part = np.empty(GRADIENT * TILE + (SUMS + 5) * AREA, kind)
+    d_tile = part[GRADIENT * TILE :].reshape(SUMS + 5, AREA)  # the last five: as one splat's fragments see them
+    zero, infinite = kind(0.0), kind(np.inf)
     layer, cutoff = kind(tiled.layer), kind(0.5 * CUTOFF_Q)
     for tile in range(task * TILES_PER_TASK, min((task + 1) * TILES_PER_TASK, len(tiled.tile_starts) - 1)):
         column, line = tile % tiled.columns, tile // tiled.columns
@@ -360,13 +360,13 @@ def accumulate_backward(task, tiled, colours, front, d_sums, first_rows, rows):
         for k in range(AREA):
             x, y = left + k % TILE, top + k // TILE
             inside = x < width and y < height
-            limit[k] = -infinite
+            nearest[k], begin[k], limit[k] = infinite, -infinite, infinite
             if inside:
-                limit[k] = front[y, x] + layer if front[y, x] < infinite else kind(FAR)
-                through = d_sums[y, x, BEHIND] != zero or d_sums[y, x, BEHIND + 1] != zero
-                last = max(last, infinite if through else limit[k])
+                if front[y, x] < infinite:
+                    nearest[k], begin[k], limit[k] = front[y, x], front[y, x] - layer, front[y, x] + layer
+                last = max(last, infinite if np.any(d_sums[y, x, BEHIND:] != zero) else limit[k])
             for c in range(SUMS):
-                part[GRADIENT * TILE + c * AREA + k] = d_sums[y, x, c] if inside else zero
+                d_tile[c, k] = d_sums[y, x, c] if inside else zero
         for pair in range(tiled.tile_starts[tile], tiled.tile_starts[tile + 1]):
             i = tiled.splat_ids[pair]
             r = tiled.records[i]
@@ -378,13 +378,28 @@ def accumulate_backward(task, tiled, colours, front, d_sums, first_rows, rows):
             fragments(r, tiled.spans[i], near, px, py, base, slope, start, end, h, z)
             red, green, blue = colours[i, 0], colours[i, 1], colours[i, 2]
             # From here on h holds exp(-q / 2).
+            elsewhere = False
             for k in range(np.uintp(start), np.uintp(end)):
                 g = falloff(min(h[k], cutoff))
                 h[k] = g if (h[k] <= cutoff) & (z[k] < infinite) else zero
-                in_layer[k] = one if z[k] <= limit[k] else zero
+                elsewhere |= (h[k] > zero) & ((z[k] < begin[k]) | (z[k] > limit[k]))
+            given = GRADIENT * TILE
+            if elsewhere:
+                given += SUMS * AREA
+                for k in range(start, end):
+                    first, far = 0, kind(1.0)
+                    if z[k] < begin[k]:
+                        first = BEFORE
+                    elif z[k] > limit[k]:
+                        first = BEHIND
+                        far = kind(depth_weight(z[k], nearest[k], layer)) if h[k] > zero else zero
+                    for c in range(5):
+                        d_tile[SUMS + c, k] = d_tile[first + c, k] * (far if c > 1 else kind(1.0))
+                    if first == BEHIND:
+                        d_tile[SUMS, k] += far * d_tile[BEHIND + 5, k]
             part[: GRADIENT * TILE] = zero
             for line_k in range(start // TILE, end // TILE):
-                _add_row(part, h, px, py, r, red, green, blue, np.uintp(line_k * TILE))
+                _add_row(part, h, px, py, r, red, green, blue, np.uintp(given), np.uintp(line_k * TILE))
             span = tiled.spans[i]
             at = first_rows[i] + (line - span[2]) * (span[1] - span[0]) + column - span[0]
             for c in range(GRADIENT):

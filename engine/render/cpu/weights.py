@@ -1,8 +1,9 @@
 """The weight of a fragment, and what a pixel of the opaque image's outside makes of the sums of weights.
 
-A thin layer behind the front gives the pixel its colour. At an edge inside a silhouette the layer covers the pixel only
-in part, and what lies behind it covers the rest, so that a closed object lets no background through. What lies behind
-changes alpha alone. shaders/outside_look.glsl has the same laws.
+A thin layer at the front, the nearest core, gives a pixel its colour. Fragments before the layer have no core there:
+what they cover of the pixel hides the layer, be it the rim of a leaf or several atoms that only together close a gap.
+What both leave open shows what lies behind, so that edges inside a silhouette are smooth and a closed object lets no
+background through. shaders/outside_look.glsl has the same laws.
 """
 
 from __future__ import annotations
@@ -14,19 +15,31 @@ from numba import njit
 from numba.core import types
 from numba.extending import overload
 
-from engine.scene.constants import MIN_WEIGHT
+from engine.scene.constants import FADE_LAYERS, MIN_WEIGHT
 
-__all__ = ["BEHIND", "FUSED", "SUMS", "coverage", "falloff", "outside_alpha", "resolve", "resolve_backward"]
+__all__ = [
+    "BEFORE",
+    "BEHIND",
+    "FUSED",
+    "SUMS",
+    "coverage",
+    "coverage_backward",
+    "depth_weight",
+    "falloff",
+    "outside_shares",
+    "resolve",
+    "resolve_backward",
+]
 
 FUSED = {"contract"}
 """Lets a product and a sum be fused and rounded once: as accurate, a tenth faster, always the same on one machine."""
 
-BEHIND = 5
-"""Place of the first of the sums behind the layer."""
+BEFORE, BEHIND = 5, 10
+"""Places of the first of the sums before the layer, and of those behind it. The layer's own come first."""
 
-SUMS = BEHIND + 2
-"""Sums of a pixel: of the layer's fragments weight, weight times sharpness and weight times RGB; of those behind the
-layer weight and weight times sharpness."""
+SUMS = BEHIND + 6
+"""Sums of a pixel: of the fragments in the layer, before and behind it each weight, weight times sharpness and weight
+times RGB. RGB behind is weighted by `depth_weight` too, and the last sum is that of its weights."""
 
 
 def falloff(h: float) -> float:
@@ -71,24 +84,53 @@ def coverage_backward(weight, edge, given):
 
 
 @njit(cache=True, error_model="numpy")
-def outside_alpha(weight, edge, behind_weight, behind_edge):
-    """Alpha of a pixel from the sums of the layer and of what lies behind it, which cover it independently:
-    1 - alpha = (1 - layer) (1 - behind). Without a layer there is no colour, and the pixel is empty."""
-    if not weight > MIN_WEIGHT:
-        return 0.0
-    layer = coverage(weight, edge)
-    return layer + (1.0 - layer) * coverage(behind_weight, behind_edge)
+def depth_weight(z, front, layer):
+    """How much of the colour behind the layer is that of a fragment at depth z: a quarter for each layer's depth.
+
+    It is the nearest thing that shows, and there is no third pass to find it. Steps, so that no fragment has a gradient
+    by its depth, as it has none by its place in the layer.
+    """
+    return math.ldexp(1.0, -2 * int(min(math.floor(z / layer) - math.floor(front / layer), FADE_LAYERS)))
+
+
+@njit(cache=True, error_model="numpy")
+def outside_shares(sums):
+    """Shares of a pixel, range [0, 1], that show what is in the layer, before and behind it, from its sums (SUMS,).
+
+    They add up to alpha, 1 - (1 - before) (1 - layer) (1 - behind): each covers what the earlier ones leave, wherever
+    in the pixel that is. Without a layer there is nothing.
+    """
+    if not sums[0] > MIN_WEIGHT:
+        return 0.0, 0.0, 0.0
+    before = coverage(sums[BEFORE], sums[BEFORE + 1])
+    layer = (1.0 - before) * coverage(sums[0], sums[1])
+    return layer, before, (1.0 - before - layer) * coverage(sums[BEHIND], sums[BEHIND + 1])
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def resolve(y, sums, rgb, alpha):
     """Fills row y of rgb (H, W, 3), weighted by alpha, and alpha (H, W) from sums (H, W, SUMS)."""
     for x in range(sums.shape[1]):
-        weight = sums[y, x, 0]
-        covered = outside_alpha(weight, sums[y, x, 1], sums[y, x, BEHIND], sums[y, x, BEHIND + 1])
-        alpha[y, x] = covered
+        layer, before, behind = outside_shares(sums[y, x])
+        alpha[y, x] = layer + before + behind
         for c in range(3):
-            rgb[y, x, c] = sums[y, x, 2 + c] / weight * covered if covered > 0.0 else 0.0
+            colour = layer / sums[y, x, 0] * sums[y, x, 2 + c] if layer > 0.0 else 0.0
+            colour += before / sums[y, x, BEFORE] * sums[y, x, BEFORE + 2 + c] if before > 0.0 else 0.0
+            colour += behind / sums[y, x, BEHIND + 5] * sums[y, x, BEHIND + 2 + c] if behind > 0.0 else 0.0
+            rgb[y, x, c] = colour
+
+
+@njit(cache=True, error_model="numpy")
+def _mean_backward(sums, first, weight, share, d_rgb, d_sums):
+    """Adds to d_sums (SUMS,) the gradients of a mean colour, whose sums begin at `first` and whose weight is at
+    `weight`, given that of the share that shows it times the colour. Returns the derivative by the share."""
+    along = 0.0
+    if sums[weight] > MIN_WEIGHT:
+        for c in range(3):
+            along += d_rgb[c] * sums[first + c] / sums[weight]
+            d_sums[first + c] = d_rgb[c] * share / sums[weight]
+        d_sums[weight] -= along * share / sums[weight]
+    return along
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -96,19 +138,24 @@ def resolve_backward(y, sums, d_rgb, d_alpha, d_sums):
     """Fills row y of d_sums (H, W, SUMS): `resolve` backwards. A coverage clamped to 0 or 1 passes no gradient on."""
     for x in range(sums.shape[1]):
         d_sums[y, x, :] = 0
-        weight, edge = float(sums[y, x, 0]), float(sums[y, x, 1])
-        behind_weight, behind_edge = float(sums[y, x, BEHIND]), float(sums[y, x, BEHIND + 1])
-        if not weight > MIN_WEIGHT:
+        given, to = sums[y, x], d_sums[y, x]
+        if not given[0] > MIN_WEIGHT:
             continue
-        covered = outside_alpha(weight, edge, behind_weight, behind_edge)
-        along = 0.0
-        for c in range(3):
-            along += d_rgb[y, x, c] * sums[y, x, 2 + c] / weight
-            d_sums[y, x, 2 + c] = d_rgb[y, x, c] * covered / weight
-        total = d_alpha[y, x] + along
-        uncovered, open_behind = 1.0 - coverage(weight, edge), 1.0 - coverage(behind_weight, behind_edge)
-        d_weight, d_edge = coverage_backward(weight, edge, total * open_behind)
-        d_behind_weight, d_behind_edge = coverage_backward(behind_weight, behind_edge, total * uncovered)
-        d_sums[y, x, 0] = d_weight - along * covered / weight
-        d_sums[y, x, 1] = d_edge
-        d_sums[y, x, BEHIND], d_sums[y, x, BEHIND + 1] = d_behind_weight, d_behind_edge
+        layer, before, behind = outside_shares(given)
+        if layer == 1.0:  # most pixels: the colour of the layer, and nothing else in them changes anything
+            _mean_backward(given, 2, 0, layer, d_rgb[y, x], to)
+            continue
+        d_layer = d_alpha[y, x] + _mean_backward(given, 2, 0, layer, d_rgb[y, x], to)
+        d_before = d_alpha[y, x] + _mean_backward(given, BEFORE + 2, BEFORE, before, d_rgb[y, x], to)
+        d_behind = d_alpha[y, x] + _mean_backward(given, BEHIND + 2, BEHIND + 5, behind, d_rgb[y, x], to)
+        here, rest = coverage(given[0], given[1]), coverage(given[BEHIND], given[BEHIND + 1])
+        beyond = (1.0 - here) * rest * d_behind  # of what the fragments before the layer leave open
+        left = 1.0 - before
+        for first, gradient in (
+            (0, left * (d_layer - rest * d_behind)),
+            (BEFORE, d_before - here * d_layer - beyond),
+            (BEHIND, left * (1.0 - here) * d_behind),
+        ):
+            d_weight, d_edge = coverage_backward(given[first], given[first + 1], gradient)
+            to[first] += d_weight
+            to[first + 1] += d_edge

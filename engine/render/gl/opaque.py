@@ -63,8 +63,10 @@ class OpaqueMode:
             faces = self._sum_group(view, planes, solid, sums, rect, options)
             values: dict[str, Any] = {
                 **view.uniforms,
-                "splats@0": sums.splats,
+                "in_layer@0": sums.splats,
                 "edges@1": sums.edges,
+                "rims@7": sums.rims,
+                "behind@8": sums.behind,
                 "front@2": sums.depth,
                 "faces@3": sums.faces,
                 "face_depths@4": sums.face_depths,

@@ -46,6 +46,8 @@ class Accumulators:
         self.depth.compare_func = ""  # read as a number, not compared
         self.depth.filter = moderngl.NEAREST, moderngl.NEAREST
         self.splats = ctx.texture(size, 4, dtype="f4")
+        self.rims = ctx.texture(size, 4, dtype="f4")
+        self.behind = ctx.texture(size, 4, dtype="f4")
         self.edges = ctx.texture(size, 4, dtype="f4")
         self.field = ctx.texture(size, 4, dtype="f4")
         self.faces = ctx.texture(size, 4, dtype="f2")
@@ -54,7 +56,7 @@ class Accumulators:
         self._distances: moderngl.Texture | None = None
         self._classic_fbo: moderngl.Framebuffer | None = None
         self.front_fbo = ctx.framebuffer([], self.depth)
-        self.splat_fbo = ctx.framebuffer([self.splats, self.edges])
+        self.splat_fbo = ctx.framebuffer([self.splats, self.rims, self.behind, self.edges])
         """Without the depth, which its shader reads."""
         self.field_fbo = ctx.framebuffer([self.field])
         self.face_fbo = ctx.framebuffer([self.faces, self.face_depths], self.depth)
@@ -86,6 +88,8 @@ class Accumulators:
         for texture in (
             self.depth,
             self.splats,
+            self.rims,
+            self.behind,
             self.edges,
             self.field,
             self.faces,

@@ -21,7 +21,7 @@ from engine.render.cpu import splats as record
 from engine.render.cpu.ray_entry import coverage, coverage_of, enter, facing_of
 from engine.render.cpu.software_frame import GroupLayers, resolve_row
 from engine.render.cpu.splats import RECORD, Splats, project
-from engine.render.cpu.weights import BEHIND, SUMS, outside_alpha
+from engine.render.cpu.weights import BEFORE, BEHIND, SUMS, depth_weight, outside_shares, resolve
 from engine.render.culling.view import View
 from engine.render.gl import Renderer
 from engine.render.gl.context import CONSTANTS, layout, write_uniforms
@@ -138,31 +138,50 @@ def test_face_coverage(renderer: Renderer) -> None:
     assert np.allclose(kernel, expected, atol=CLOSE)
 
 
-def test_outside_alpha(renderer: Renderer) -> None:
-    """From nothing to more than enough, in the layer and behind it; also the software frame's version."""
+def test_outside_shares(renderer: Renderer) -> None:
+    """From nothing to more than enough, in the layer, before and behind it; also the software frame's version."""
     rng = np.random.default_rng(2)
-    weights = (rng.uniform(0.2, 1, (COUNT, 2)) * (rng.random((COUNT, 2)) > 0.1)).astype(np.float32)
-    edges = (weights * rng.uniform(1, 2, (COUNT, 2))).astype(np.float32)
-    main = (
-        "in vec2 weights; in vec2 edges; out float alpha;"
-        "void main() { alpha = outside_alpha(weights.x, vec3(edges.x, weights.y, edges.y)); }"
-    )
+    weights = (rng.uniform(0.2, 1, (COUNT, 3)) * (rng.random((COUNT, 3)) > 0.1)).astype(np.float32)
+    edges = (weights * rng.uniform(1, 2, (COUNT, 3))).astype(np.float32)
+    main = "in vec3 weights; in vec3 edges; out vec3 shares; void main() { shares = outside_shares(weights, edges); }"
     table = {"weights": weights, "edges": edges}
-    (alpha,) = evaluate(renderer, glsl("outside_look.glsl", main=main), table, {"alpha": 1})
-    parts = covered_by(weights.astype(np.float64), edges.astype(np.float64))
-    expected = np.where(weights[:, 0] > 0, 1 - (1 - parts[:, 0]) * (1 - parts[:, 1]), 0)
-    assert ((parts > 0) & (parts < 1)).all(1).sum() > 10
-    assert np.allclose(alpha[:, 0], expected, atol=CLOSE)
+    (shares,) = evaluate(renderer, glsl("outside_look.glsl", main=main), table, {"shares": 3})
+    here, before, behind = covered_by(weights.astype(np.float64), edges.astype(np.float64)).T
+    expected = np.stack([(1 - before) * here, before, (1 - before) * (1 - here) * behind], 1)
+    expected[weights[:, 0] == 0] = 0
+    assert ((expected > 0) & (expected < 1)).all(1).sum() > 10
+    assert np.allclose(shares, expected, atol=CLOSE)
 
     sums = np.zeros((1, COUNT, SUMS), np.float32)
-    sums[0][:, [0, BEHIND]], sums[0][:, [1, BEHIND + 1]] = weights, edges
-    kernel = [outside_alpha(row[0], row[1], row[BEHIND], row[BEHIND + 1]) for row in sums[0]]
+    places = [0, BEFORE, BEHIND]
+    sums[0][:, places], sums[0][:, [p + 1 for p in places]] = weights, edges
+    sums[0][:, [p + 2 + k for k, p in enumerate(places)]] = weights  # each shows a colour of its own
+    sums[0][:, BEHIND + 5] = weights[:, 2]
+    kernel = [outside_shares(row) for row in sums[0]]
     assert np.allclose(kernel, expected, atol=CLOSE)
+    rgb, alpha = np.empty((1, COUNT, 3), np.float32), np.empty((1, COUNT), np.float32)
+    resolve(0, sums, rgb, alpha)
     depth, no_face = np.ones((1, COUNT), np.float32), np.zeros((1, 0, 4), np.float32)
     layers = GroupLayers(0, 0, sums, depth, False, no_face, depth, np.float32(0), np.float32(0))
     lane = np.empty((5, COUNT), np.float32)
     resolve_row(0, layers, np.float32(constants.NOTHING), lane)
-    assert np.allclose(lane[1], expected, atol=CLOSE)
+    for found_rgb, found_alpha in ((rgb[0], alpha[0]), (lane[2:].T, lane[1])):
+        assert np.allclose(found_rgb, expected, atol=CLOSE)
+        assert np.allclose(found_alpha, expected.sum(1), atol=CLOSE)
+
+
+def test_depth_weight(renderer: Renderer) -> None:
+    """A quarter for each layer's depth, down to a bound; the same wherever a step begins."""
+    rng = np.random.default_rng(3)
+    layer = np.float32(0.25)
+    front = rng.uniform(-2, 9, COUNT).astype(np.float32)
+    z = front + (layer * rng.uniform(1, 60, COUNT)).astype(np.float32)
+    main = "in float z; in float nearest; out float weight; void main() { weight = depth_weight(z, nearest, 0.25); }"
+    (weight,) = evaluate(renderer, glsl("outside_look.glsl", main=main), {"z": z, "nearest": front}, {"weight": 1})
+    steps = np.minimum(z // layer - front // layer, constants.FADE_LAYERS)
+    assert 0 < (steps == constants.FADE_LAYERS).sum() < COUNT
+    assert np.array_equal(weight[:, 0], (0.25**steps).astype(np.float32))
+    assert np.array_equal([depth_weight(a, b, layer) for a, b in zip(z, front, strict=True)], 0.25**steps)
 
 
 @pytest.mark.parametrize("camera", cameras(), ids=["pinhole", "orthographic"])

@@ -115,15 +115,41 @@ def test_inner_edges_let_no_background_through() -> None:
         np.testing.assert_allclose(light.rgb[covered], dark.rgb[covered], atol=1e-6)
 
 
-def test_what_lies_behind_gives_coverage_but_no_colour() -> None:
-    camera = view(96)
-    alone = ball(0.06)
-    picture = render(with_leaf(alone, spacing=1.1), camera)
-    black = replace(alone, surface=replace(alone.surface, sh=np.full_like(alone.surface.sh, -1e6)))
-    over_black = render(with_leaf(black, spacing=1.1), camera)
-    leaf = picture.depth < render(alone, camera).depth - 0.2
-    assert leaf.sum() > 100
-    np.testing.assert_array_equal(picture.rgb[leaf], over_black.rgb[leaf])
+def skin(means: NDArray[np.floating], sigmas: NDArray[np.floating], light: NDArray[np.floating]) -> Atoms:
+    """Round atoms without an inside, black or, where `light` (N,) is 1, almost white."""
+    sh = np.where(light > 0, 1.5, -1e6).astype(np.float32)[:, None, None].repeat(3, 2)
+    scales = np.repeat(sigmas.astype(np.float32)[:, None], 3, 1)
+    quats = np.tile(np.array((1, 0, 0, 0), np.float32), (len(means), 1))
+    nothing = np.zeros((0, 3), np.float32)
+    inside = InteriorAtoms(nothing, nothing[:, 0], nothing)
+    return replace(ball(0.05), surface=SurfaceAtoms(means.astype(np.float32), scales, quats, sh), interior=inside)
+
+
+def test_an_edge_shows_what_it_covers_and_what_lies_behind_it() -> None:
+    """A dark half plane before a light plane: brightness across the edge is the share of a pixel that it leaves open,
+    and what lies behind both does not shine through."""
+    camera = section(Plane.of((0, 0, 1), 0.0), (0, 1, 0), np.array([[-1.0] * 3, [1.0] * 3]), 64)
+    side = np.arange(-2, 2, 0.05)  # more than the picture shows
+    x, y = (a.ravel() for a in np.meshgrid(side, side))
+    near, far, last = (np.stack([x, y, np.full_like(x, z)], 1) for z in (0.9, 0.3, -0.6))
+    means = np.concatenate([near[x <= 0], far, last])
+    light = np.repeat([0, 1, 0], [(x <= 0).sum(), len(x), len(x)])
+    rgb = render(skin(means, np.full(len(means), 0.035), light), camera).rgb[8:-8, :, 0].mean(0)
+    white = float(rgb[-12:].mean())
+    assert rgb[:12].max() < 1e-3 and white > 0.9
+    assert (np.diff(rgb) > -1e-3).all()
+    assert 1 <= ((rgb > 0.02 * white) & (rgb < 0.98 * white)).sum() <= 3  # the width of one antialiased edge
+
+
+def test_atoms_that_only_together_close_a_gap_hide_what_lies_behind() -> None:
+    """Between four atoms none has a core, but their weights add up to more than a half."""
+    camera = section(Plane.of((0, 0, 1), 0.0), (0, 1, 0), np.array([[-0.1] * 3, [0.1] * 3]), 33)
+    corners = [(x, y, 0.9) for x in (-0.05, 0.05) for y in (-0.05, 0.05)]
+    means, sigmas = np.array([*corners, (0, 0, 0)]), np.array([0.045] * 4 + [0.2])
+    atoms = skin(means, sigmas, np.array([1, 1, 1, 1, 0]))
+    picture = render(atoms, camera)
+    assert picture.depth[16, 16] == picture.depth.max()  # the nearest core is the far one's
+    assert picture.rgb[16, 16].min() > 0.9
 
 
 def test_two_halves_put_back_together_are_the_whole() -> None:
