@@ -16,7 +16,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         prog="fruitninja", description="Slice a 3DGS capture anywhere, and give it an inside."
     )
-    kinds = ".ply, .splat, .spz, .obj, .glb, ..."
+    kinds = ".ply, .splat, .spz, .sog, .obj, .glb, ..."
     parser.add_argument("path", nargs="?", type=Path, help=f"a scene ({kinds}) or a .fruitninja project")
     path: Path | None = parser.parse_args().path
     if path is not None and not path.is_file():

@@ -39,7 +39,8 @@ def train(
     context: typer.Context,
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the result.")],
     scene: Annotated[
-        Path | None, typer.Argument(help="A capture (.ply, .splat, .spz), or a textured mesh (.obj, .glb, .ply).")
+        Path | None,
+        typer.Argument(help="A capture (.ply, .splat, .spz, .sog, .ksplat) or a textured mesh (.obj, .glb)."),
     ] = None,
     exemplar: Annotated[
         list[str] | None,

@@ -284,7 +284,7 @@ class Window:
         imgui.begin_group()
         with font(Fonts.bold):
             imgui.text_unformatted("Open a capture to slice it")
-        secondary("or drop it here: .ply, .splat, .spz, .obj, .glb")
+        secondary("or drop it here: .ply, .splat, .spz, .sog, .ksplat, .obj, .glb")
         imgui.dummy(ImVec2(0, px(4)))
         if main_button(f"{icon.ICON_FA_FOLDER_OPEN}  Open...", width):
             self.dialogs.open_scene(self.session.files.open)

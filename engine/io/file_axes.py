@@ -19,7 +19,7 @@ FileAxes = Mapping[tuple[int, int, int], float]
 """Part of the files in which each axis, a unit vector, is up."""
 
 PHOTOGRAPHED: FileAxes = {(0, -1, 0): 0.4}
-"""A .splat, SuperSplat's .ply, and an .spz, which is stored with y up and is turned as it is read."""
+"""A .splat, .ksplat, SuperSplat's .ply and SOG, and an .spz, which is stored with y up and is turned as it is read."""
 
 ANY_PLY: FileAxes = {(0, -1, 0): 0.25, (0, 0, 1): 0.2}
 """A 3DGS .ply, which may come from photographs or from renders."""

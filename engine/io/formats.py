@@ -4,8 +4,8 @@ from __future__ import annotations
 
 __all__ = ["MESH_SUFFIXES", "SCENE_SUFFIXES", "SPLAT_SUFFIXES"]
 
-SPLAT_SUFFIXES = (".ply", ".splat", ".spz")
-"""Captures. A .ply may be SuperSplat's compressed form."""
+SPLAT_SUFFIXES = (".ply", ".splat", ".spz", ".sog", "meta.json", ".ksplat")
+"""Captures. A .ply may be SuperSplat's compressed form; an SOG in a folder is opened by its meta.json."""
 
 MESH_SUFFIXES = (".obj", ".glb", ".gltf", ".ply", ".stl")
 

@@ -11,7 +11,9 @@ from engine.io.file_axes import GLTF, MESH, PHOTOGRAPHED, STL, FileAxes, ply_axe
 from engine.io.files import open_file
 from engine.io.formats import MESH_SUFFIXES, SCENE_SUFFIXES
 from engine.io.ply_header import read_header
+from engine.io.splats.ksplat import read_ksplat
 from engine.io.splats.ply import read_ply
+from engine.io.splats.sog import META, is_zipped_sog, read_sog
 from engine.io.splats.splat import read_splat
 from engine.io.splats.spz import GZIP, MAGIC, read_spz
 from engine.io.unsupported import LONGEST, unsupported_kind
@@ -21,9 +23,6 @@ __all__ = ["LoadedScene", "load", "load_sample"]
 
 Reader = Callable[[Path, int | None], tuple[Gaussians, list[str]]]
 """The Gaussians of a file, or at most so many of them, and a line on each thing left out."""
-
-TO_CONVERT = (".ksplat", ".sog", ".sogs")
-"""Captures that only their own programs open."""
 
 
 @dataclass(frozen=True)
@@ -38,10 +37,10 @@ class LoadedScene:
 
 
 def load(path: str | Path, seed: int = 0) -> LoadedScene:
-    """The scene in a capture (.ply, SuperSplat's compressed .ply, .splat, .spz) or in a mesh (.obj, .glb, .gltf, .ply,
-    .stl), whose surface is sampled with `seed`.
+    """The scene in a capture (.ply, SuperSplat's compressed .ply, .splat, .spz, .sog or its meta.json, .ksplat) or in a
+    mesh (.obj, .glb, .gltf, .ply, .stl), whose surface is sampled with `seed`.
 
-    The content decides what a .ply, .spz or .glb is, not the name. Raises InputError for any other file.
+    The content decides what a .ply, .spz, .sog or .glb is, not the name. Raises InputError for any other file.
     """
     path = Path(path)
     read, axes = _reader(path)
@@ -74,6 +73,8 @@ def _reader(path: Path) -> tuple[Reader | None, FileAxes]:
         start = file.read(LONGEST)
     if not start:
         raise InputError(f"{path}: the file is empty; copy or download it again")
+    if path.name.lower().endswith(META) or (start[:4] == b"PK\x03\x04" and is_zipped_sog(path)):
+        return read_sog, PHOTOGRAPHED
     if other := unsupported_kind(start):
         raise InputError(f"{path}: this is {other}")
     if start[:3] == b"ply" and start[3:4] in (b"\n", b"\r", b" ", b"\t"):
@@ -86,12 +87,12 @@ def _reader(path: Path) -> tuple[Reader | None, FileAxes]:
         return read_spz, PHOTOGRAPHED
     if suffix == ".splat":
         return read_splat, PHOTOGRAPHED
+    if suffix == ".ksplat":
+        return read_ksplat, PHOTOGRAPHED
     if suffix == ".ply":
         return read_ply, {}  # not a .ply, as the reader will report
     if suffix == ".spz":
         raise InputError(f"{path}: not an .spz scene; export the capture again")
-    if suffix in TO_CONVERT:
-        raise InputError(f"{path}: {suffix} files cannot be opened; export the capture as a .ply, .splat or .spz")
     raise InputError(f"{path}: not a scene; {', '.join(SCENE_SUFFIXES)} can be opened")
 
 

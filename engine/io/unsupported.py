@@ -9,7 +9,7 @@ LONGEST = 64
 
 STARTS: tuple[tuple[bytes, str], ...] = (
     (b"version https://git-lfs", "a Git LFS pointer, not the file it stands for; fetch that with: git lfs pull"),
-    (b"PK\x03\x04", "a zip archive or an .sog capture; unpack it, or export the capture as a .ply"),
+    (b"PK\x03\x04", "a zip archive, but no SOG capture; unpack it first"),
     (b"7z\xbc\xaf\x27\x1c", "a 7z archive; unpack it first"),
     (b"Rar!", "a RAR archive; unpack it first"),
     (b"BZh", "packed by bzip2; unpack it first"),

@@ -276,7 +276,7 @@ BAD = {
     "no_chunks.ply": (PLY.replace(b"element chunk", b"element lumps"), "no 'chunk' element"),
     "ascii.ply": (PLY.replace(b"binary_little_endian", b"ascii") + b" " * N, "must be binary"),
     "nan.ply": (PLY[:ROWS] + b"\xff" * 216 + PLY[ROWS + 216 :], "none of the 600"),
-    "other.sog": (b"PK\x03\x04", "an .sog capture"),
+    "other.sog": (b"PK\x03\x04", "no SOG capture"),
     "other.txt": (b"hello", "not a scene"),
 }  # fmt: skip
 
