@@ -125,7 +125,7 @@ def _mean_backward(sums, first, weight, share, d_rgb, d_sums):
     """Adds to d_sums (SUMS,) the gradients of a mean colour, whose sums begin at `first` and whose weight is at
     `weight`, given that of the share that shows it times the colour. Returns the derivative by the share."""
     along = 0.0
-    if sums[weight] > MIN_WEIGHT:
+    if sums[weight] > 0.0:  # far behind the layer a weight by depth is tiny, but its colour is what shows
         for c in range(3):
             along += d_rgb[c] * sums[first + c] / sums[weight]
             d_sums[first + c] = d_rgb[c] * share / sums[weight]

@@ -53,9 +53,11 @@ def things_behind_things(seed: int) -> Atoms:
 @pytest.mark.parametrize("planes", [[], [CUT]], ids=["whole", "cut"])
 @pytest.mark.parametrize("camera", [FAR, NEAR, STRAIGHT], ids=["far", "near", "straight"])
 @pytest.mark.parametrize("seed", [3, 4])
-@pytest.mark.parametrize("made", ["scattered", "behind"])
+@pytest.mark.parametrize("made", ["scattered", "behind", "far behind"])
 def test_gradients_meet_finite_differences(made: str, camera: Camera, planes: list[Plane], seed: int) -> None:
-    scene = things_behind_things(seed) if made == "behind" else scatter(5, 6, seed=seed, exposed=3, degree=3)
+    scene = scatter(5, 6, seed=seed, exposed=3, degree=3) if made == "scattered" else things_behind_things(seed)
+    if made == "far behind":  # by forty layers: their weights by depth are as small as they become
+        scene = replace(scene, pitch=0.01)
     atoms = AtomTensors.of(scene, torch.float64)
     parameters = [getattr(atoms, name).requires_grad_() for name in PARAMETERS]
     rng = torch.Generator().manual_seed(seed)
