@@ -235,22 +235,31 @@ def accumulate(task, tiled, colours, front, sums):
             fragments(r, tiled.spans[i], near, px, py, base, slope, start, end, h, z)
             weight, edge = r[WEIGHT], r[SHARPNESS]
             red, green, blue = colours[i, 0], colours[i, 1], colours[i, 2]
+            shown, early = False, False
             for k in range(np.uintp(start), np.uintp(end)):
                 g = falloff(min(h[k], cutoff))
-                g = g if (h[k] <= cutoff) & (z[k] <= limit[k]) else zero
-                first = g if z[k] < begin[k] else zero
-                g -= first
-                w, v = g * weight, first * weight
-                s0[k] += w
-                s1[k] += g * edge
-                s2[k] += w * red
-                s3[k] += w * green
-                s4[k] += w * blue
-                b0[k] += v
-                b1[k] += first * edge
-                b2[k] += v * red
-                b3[k] += v * green
-                b4[k] += v * blue
+                matters = (h[k] <= cutoff) & (z[k] <= limit[k])
+                h[k] = g if matters else zero
+                shown |= matters
+                early |= matters & (z[k] < begin[k])
+            if early:
+                for k in range(np.uintp(start), np.uintp(end)):
+                    first = h[k] if z[k] < begin[k] else zero
+                    h[k] -= first
+                    w = first * weight
+                    b0[k] += w
+                    b1[k] += first * edge
+                    b2[k] += w * red
+                    b3[k] += w * green
+                    b4[k] += w * blue
+            if shown:
+                for k in range(np.uintp(start), np.uintp(end)):
+                    w = h[k] * weight
+                    s0[k] += w
+                    s1[k] += h[k] * edge
+                    s2[k] += w * red
+                    s3[k] += w * green
+                    s4[k] += w * blue
         for k in range(AREA):
             partly = s0[k] > MIN_WEIGHT and coverage(s0[k], s1[k]) < 1.0
             limit[k] = limit[k] if nearest[k] < infinite and partly else infinite
@@ -282,7 +291,7 @@ def add_behind(tiled, colours, tile, near, px, py, base, slope, h, z, nearest, l
     """
     left, top = tile % tiled.columns * TILE, tile // tiled.columns * TILE
     kind = tiled.records.dtype.type
-    infinite, cutoff, layer = kind(np.inf), kind(0.5 * CUTOFF_Q), kind(tiled.layer)
+    infinite, zero, cutoff, layer = kind(np.inf), kind(0.0), kind(0.5 * CUTOFF_Q), kind(tiled.layer)
     least, first, last = _open_rows(limit)
     if least == infinite:
         return
@@ -296,12 +305,20 @@ def add_behind(tiled, colours, tile, near, px, py, base, slope, h, z, nearest, l
         if start >= end:
             continue
         fragments(r, tiled.spans[i], near, px, py, base, slope, start, end, h, z)
+        shown = False
         for k in range(np.uintp(start), np.uintp(end)):
-            if h[k] <= cutoff and limit[k] < z[k] < infinite:
-                g = falloff(h[k])
-                w = g * r[WEIGHT]
+            g = falloff(min(h[k], cutoff))
+            matters = (h[k] <= cutoff) & (z[k] > limit[k]) & (z[k] < infinite)
+            h[k] = g if matters else zero
+            shown |= matters
+        if not shown:
+            continue
+        weight, edge = r[WEIGHT], r[SHARPNESS]
+        for k in range(np.uintp(start), np.uintp(end)):
+            if h[k] > zero:
+                w = h[k] * weight
                 total[BEHIND, k] += w
-                total[BEHIND + 1, k] += g * r[SHARPNESS]
+                total[BEHIND + 1, k] += h[k] * edge
                 w *= kind(depth_weight(z[k], nearest[k], layer))
                 for c in range(3):
                     total[BEHIND + 2 + c, k] += w * colours[i, c]
@@ -342,11 +359,12 @@ def accumulate_backward(task, tiled, colours, front, d_sums, first_rows, rows):
     """
     height, width = front.shape
     kind = tiled.records.dtype.type
-    near, lane = kind(tiled.cam.near), np.empty((7, AREA), kind)
+    near, lane = kind(tiled.cam.near), np.empty((9, AREA), kind)
     px, py, h, z, nearest, begin, limit = lane[0], lane[1], lane[2], lane[3], lane[4], lane[5], lane[6]
+    least, most = lane[7], lane[8]  # depths between which a fragment has a gradient
     base, slope = np.empty((len(tiled.planes), AREA), kind), np.empty((len(tiled.planes), AREA), kind)
     # One flat array: with twenty base pointers the compiler would have to assume that they overlap.
-    part = np.empty(GRADIENT * TILE + (SUMS + 5) * AREA, kind)
+    part = np.zeros(GRADIENT * TILE + (SUMS + 5) * AREA, kind)
     d_tile = part[GRADIENT * TILE :].reshape(SUMS + 5, AREA)  # the last five: as one splat's fragments see them
     zero, infinite = kind(0.0), kind(np.inf)
     layer, cutoff = kind(tiled.layer), kind(0.5 * CUTOFF_Q)
@@ -359,14 +377,16 @@ def accumulate_backward(task, tiled, colours, front, d_sums, first_rows, rows):
         last = -infinite
         for k in range(AREA):
             x, y = left + k % TILE, top + k // TILE
-            inside = x < width and y < height
-            nearest[k], begin[k], limit[k] = infinite, -infinite, infinite
-            if inside:
-                if front[y, x] < infinite:
-                    nearest[k], begin[k], limit[k] = front[y, x], front[y, x] - layer, front[y, x] + layer
-                last = max(last, infinite if np.any(d_sums[y, x, BEHIND:] != zero) else limit[k])
+            nearest[k], begin[k], limit[k], least[k], most[k] = infinite, -infinite, infinite, infinite, -infinite
+            if not (x < width and y < height):
+                continue
             for c in range(SUMS):
-                d_tile[c, k] = d_sums[y, x, c] if inside else zero
+                d_tile[c, k] = d_sums[y, x, c]
+            if front[y, x] < infinite:
+                nearest[k], begin[k], limit[k] = front[y, x], front[y, x] - layer, front[y, x] + layer
+            least[k] = -infinite if np.any(d_sums[y, x, BEFORE:BEHIND] != zero) else begin[k]
+            most[k] = kind(FAR) if np.any(d_sums[y, x, BEHIND:] != zero) else min(limit[k], kind(FAR))
+            last = max(last, most[k])
         for pair in range(tiled.tile_starts[tile], tiled.tile_starts[tile + 1]):
             i = tiled.splat_ids[pair]
             r = tiled.records[i]
@@ -378,21 +398,26 @@ def accumulate_backward(task, tiled, colours, front, d_sums, first_rows, rows):
             fragments(r, tiled.spans[i], near, px, py, base, slope, start, end, h, z)
             red, green, blue = colours[i, 0], colours[i, 1], colours[i, 2]
             # From here on h holds exp(-q / 2).
-            elsewhere = False
+            shown, elsewhere = False, False
             for k in range(np.uintp(start), np.uintp(end)):
                 g = falloff(min(h[k], cutoff))
-                h[k] = g if (h[k] <= cutoff) & (z[k] < infinite) else zero
-                elsewhere |= (h[k] > zero) & ((z[k] < begin[k]) | (z[k] > limit[k]))
+                matters = (h[k] <= cutoff) & (z[k] >= least[k]) & (z[k] <= most[k])
+                h[k] = g if matters else zero
+                shown |= matters
+                elsewhere |= matters & ((z[k] < begin[k]) | (z[k] > limit[k]))
+            if not shown:
+                continue
             given = GRADIENT * TILE
             if elsewhere:
                 given += SUMS * AREA
                 for k in range(start, end):
+                    if h[k] == zero:
+                        continue
                     first, far = 0, kind(1.0)
                     if z[k] < begin[k]:
                         first = BEFORE
                     elif z[k] > limit[k]:
-                        first = BEHIND
-                        far = kind(depth_weight(z[k], nearest[k], layer)) if h[k] > zero else zero
+                        first, far = BEHIND, kind(depth_weight(z[k], nearest[k], layer))
                     for c in range(5):
                         d_tile[SUMS + c, k] = d_tile[first + c, k] * (far if c > 1 else kind(1.0))
                     if first == BEHIND:
