@@ -9,11 +9,10 @@ from typing import Annotated
 import numpy as np
 import typer
 from numpy.typing import NDArray
-from PIL import Image
 
 from engine.command import parse_numbers, print_result, run_command
 from engine.errors import InputError
-from engine.io.files import atomic
+from engine.io.picture_file import save_png
 from engine.io.trained import load_trained
 from engine.render.cpu.opaque import render
 from engine.render.face_detail import Detailed, detailed
@@ -62,9 +61,7 @@ def render_command(
     inside = read_inside(trained) if planes else None
     if inside is not None:
         picture = detailed(picture, view, [Piece(planes)], [Detailed(inside, atoms.pitch)], light=False)
-    image = Image.fromarray((np.clip(picture.rgb, 0, 1) * 255 + 0.5).astype(np.uint8))
-    with atomic(out) as temporary:
-        image.save(temporary, format="PNG")
+    save_png(out, picture.rgb)
     print_result(f"{out} ({width}x{height}, drawn by {who})")
 
 

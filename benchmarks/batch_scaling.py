@@ -19,24 +19,18 @@ from pathlib import Path
 from typing import Any
 
 import dask
-import matplotlib as mpl
 import psutil
 
+from benchmarks.support.charts import ACCENT, QUIET, plt, save_chart
 from benchmarks.support.options import ROOT, out_folder, parser_of, write_json
-from engine.io.files import atomic
 from training.batch import Outcome, run_grid
 from training.batch.scene import scene_task
 from training.families import Family
 from training.request import Request
 
-mpl.use("Agg")
-from matplotlib import pyplot as plt
-
 ORANGE = ROOT / "sample_scenes/orange"
 SMALL_RUNS = ROOT / "tests/helpers/batch_worker.py"
 """What a worker of the tests runs first."""
-
-ACCENT, QUIET = "#FF6B4A", "#8F949C"
 
 
 def requests(count: int) -> list[Request]:
@@ -136,8 +130,7 @@ def draw(figures: dict[str, Any], path: Path) -> None:
     axis.set(xlabel="workers", ylabel="scenes per hour", xticks=workers, title="fruitninja-batch")
     axis.set_ylim(bottom=0)
     axis.legend(frameon=False, loc="lower right")
-    with atomic(path) as temporary:
-        figure.savefig(temporary, dpi=130, format="png")
+    save_chart(figure, path)
 
 
 if __name__ == "__main__":

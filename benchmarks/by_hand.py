@@ -10,22 +10,21 @@ by_hand.json and .png.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 from unittest import mock
 
-import matplotlib as mpl
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 from scipy import ndimage
 
 from benchmarks.cpu_renderer import scene, view
+from benchmarks.support.charts import ACCENT, plt, save_chart
 from benchmarks.support.options import out_folder, parser_of, write_json
-from engine.io.files import atomic
+from benchmarks.support.timing import timed
 from engine.render.classic import rasterizer as classic
 from engine.render.classic.blend import BLOCK, MIN_TRANSMITTANCE, UNTOUCHED, start_tile
 from engine.render.classic.records import Frame, Slice
@@ -33,9 +32,6 @@ from engine.render.classic.tiles import BLOCKS, SIDE, TAIL_BITS
 from engine.scene.constants import MAX_ALPHA
 from engine.solid.distance_transform import nearest
 from engine.threads import cores, for_each
-
-mpl.use("Agg")
-from matplotlib import pyplot as plt
 
 LOOPS, TASKS = 12, 16
 """Loops of a frame, and the tasks of each."""
@@ -113,10 +109,8 @@ def in_turns(ours: Callable[[], Any], other: Callable[[], Any], rounds: int) -> 
         run()  # compiled, and the data in the cache
     for _ in range(rounds):
         for name, run in (("ours", ours), ("other", other)):
-            wall, busy = time.perf_counter(), time.process_time()
-            run()
-            spent[name].append((time.perf_counter() - wall, (time.process_time() - busy) / cores()))
-    medians = {name: np.median(np.array(times), axis=0) * 1e3 for name, times in spent.items()}
+            spent[name].append(timed(run))
+    medians = {name: np.median(np.array(times), axis=0) * [1e3, 1e3 / cores()] for name, times in spent.items()}
     return {name: {"wall_ms": round(float(w), 3), "busy_ms": round(float(b), 3)} for name, (w, b) in medians.items()}
 
 
@@ -148,9 +142,9 @@ def thread_row(rounds: int) -> dict[str, Any]:
         return in_turns(ours, library, rounds)
 
 
-def lane_row(count: int, size: int, rounds: int) -> dict[str, Any]:
+def lane_row(size: int, rounds: int) -> dict[str, Any]:
     """Compositing of one picture, all else the same."""
-    means, scales, quats, opacities, colours = scene(count)
+    means, scales, quats, opacities, colours = scene(20_000)
     camera = view(size)
 
     def draw() -> None:
@@ -168,16 +162,14 @@ def chart(rows: dict[str, dict[str, Any]], path: Path) -> None:
     names = list(rows)
     ratios = [rows[name]["other"]["wall_ms"] / rows[name]["ours"]["wall_ms"] for name in names]
     figure, axes = plt.subplots(figsize=(8, 0.7 * len(names) + 1.2), layout="constrained")
-    axes.barh(names[::-1], ratios[::-1], color="#FF6B4A", height=0.55)
+    axes.barh(names[::-1], ratios[::-1], color=ACCENT, height=0.55)
     axes.axvline(1.0, color="#303337", linewidth=1)
     for place, (name, ratio) in enumerate(zip(names[::-1], ratios[::-1], strict=True)):
         ours, other = rows[name]["ours"]["wall_ms"], rows[name]["other"]["wall_ms"]
         axes.text(ratio, place, f"  {ratio:.1f}x  ({ours:.2f} against {other:.2f} ms)", va="center", fontsize=9)
     axes.set(xlim=(0, 1.6 * max(ratios)), xlabel="times longer by the plain form or the library")
     axes.spines[["top", "right"]].set_visible(False)
-    with atomic(path) as temporary:
-        figure.savefig(temporary, format="png", dpi=110)
-    plt.close(figure)
+    save_chart(figure, path)
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -189,7 +181,7 @@ def main(arguments: list[str] | None = None) -> None:
         "distance transform, 128^3 (SciPy)": distance_row(64 if quick else 128, rounds),
         "distance transform, 192^3 (SciPy)": distance_row(64 if quick else 192, rounds),
         f"{LOOPS} short loops (ThreadPoolExecutor)": thread_row(20 * rounds),
-        "classic, 20 k, 512^2 (plain loops)": lane_row(20_000, 256 if quick else 512, rounds),
+        "classic, 20 k, 512^2 (plain loops)": lane_row(256 if quick else 512, rounds),
     }
     for name, row in rows.items():
         print(f"{name}: {row}")

@@ -18,6 +18,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -25,8 +26,9 @@ import torch
 from torch import Tensor
 
 from benchmarks.support import torch_baseline
+from benchmarks.support.charts import ACCENT, plt, save_chart
 from benchmarks.support.options import ROOT, out_folder, parser_of, write_json
-from engine.io.files import atomic
+from benchmarks.support.timing import timed
 from engine.render.classic.rasterizer import rasterize
 from engine.scene.camera import Camera, orbit
 from engine.threads import cores, use_cores
@@ -89,14 +91,6 @@ Renderer = Callable[[list[Tensor], Camera, Tensor | None], Tensor]
 RENDERERS: dict[str, Renderer] = {"classic": ours, "torch": theirs}
 
 
-def timed(run: Renderer, parameters: list[Tensor], camera: Camera, gradient: Tensor | None) -> tuple[float, float]:
-    """Seconds on the wall and of the processor, one run."""
-    leaves = [parameter.detach().requires_grad_(gradient is not None) for parameter in parameters]
-    wall, busy = time.perf_counter(), time.process_time()
-    run(leaves, camera, gradient)
-    return time.perf_counter() - wall, time.process_time() - busy
-
-
 def measure(count: int, size: int, rounds: int) -> dict[str, object]:
     """Times and errors of one scene at one size."""
     camera, gradient, parameters = view(size), outer(size), scene(count)
@@ -117,7 +111,8 @@ def measure(count: int, size: int, rounds: int) -> dict[str, object]:
             for mode, g in (("forward", None), ("forward+backward", gradient)):
                 time.sleep(REST)
                 for _ in range(REPEATS if name == "classic" else 1):
-                    wall, busy = timed(run, parameters, camera, g)
+                    leaves = [parameter.detach().requires_grad_(g is not None) for parameter in parameters]
+                    wall, busy = timed(partial(run, leaves, camera, g))
                     least = best.get(f"{name} {mode}", (np.inf, np.inf))
                     best[f"{name} {mode}"] = min(least[0], wall), min(least[1], busy)
     for name, (wall, busy) in best.items():
@@ -141,13 +136,8 @@ def peak_memory(count: int, size: int) -> float:
 
 
 def chart(rows: list[dict[str, object]], path: Path) -> None:
-    import matplotlib as mpl
-
-    mpl.use("Agg")
-    from matplotlib import pyplot as plt
-
     figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.4), constrained_layout=True)
-    colours = {"classic": "#FF6B4A", "torch": "#5B6270"}
+    colours = {"classic": ACCENT, "torch": "#5B6270"}
     names = {"classic": "this renderer", "torch": "plain torch"}
     markers, sizes = {20_000: "o", 100_000: "s", 500_000: "D"}, {256: 36, 512: 90}
     for row in rows:
@@ -183,9 +173,7 @@ def chart(rows: list[dict[str, object]], path: Path) -> None:
     right.set_ylabel("seconds, forward+backward")
     right.legend(frameon=False, fontsize=8)
     right.set_title("Growth", loc="left", fontsize=11)
-    with atomic(path) as part:
-        figure.savefig(part, format="png", dpi=130)
-    plt.close(figure)
+    save_chart(figure, path)
 
 
 def main(arguments: list[str] | None = None) -> None:

@@ -20,13 +20,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 
+from benchmarks.support.charts import plt, save_chart
 from benchmarks.support.options import ROOT, out_folder, parser_of, write_json
-from engine.io.files import atomic
+from engine.io.picture_file import save_png
 from engine.io.trained import inside_path, load_trained
 from engine.render.cpu import opaque
 from engine.render.cpu.kernel_field import KernelField
@@ -48,9 +47,6 @@ from training.priors.exemplar.quilting.inside import QuiltInside
 from training.priors.inside_file import read_inside
 from training.request import Request
 from training.settings import DetailName
-
-mpl.use("Agg")
-from matplotlib import pyplot as plt
 
 ZOOMS = (1.0, 3.0, 8.0)
 SIZE, FINE_SIZE = 512, 768
@@ -188,9 +184,7 @@ def draw_chart(found: dict[str, dict[str, Any]], path: Path) -> None:
     axis.set_title("read from the inside (solid) and of atoms (dotted)", fontsize=9)
     axis.legend(fontsize=8)
     figure.tight_layout()
-    with atomic(path) as temporary:
-        figure.savefig(temporary, format="png", dpi=100)
-    plt.close(figure)
+    save_chart(figure, path)
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -210,8 +204,7 @@ def main(arguments: list[str] | None = None) -> int:
             found[name], sheet = measure(name, detail, work)
             print(name, found[name], flush=True)
             if folder:
-                with atomic(folder / f"face_detail_{name}.png") as temporary:
-                    Image.fromarray((sheet * 255 + 0.5).astype(np.uint8)).save(temporary, format="PNG", optimize=True)
+                save_png(folder / f"face_detail_{name}.png", sheet, optimize=True)
     if folder:
         write_json(folder / "face_detail.json", {"detail": detail, "scenes": found})
         draw_chart(found, folder / "face_detail.png")

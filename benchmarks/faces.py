@@ -20,8 +20,8 @@ from PIL import Image, ImageDraw
 
 from benchmarks.support.options import ROOT, parser_of
 from engine.errors import InputError
-from engine.io.files import atomic, read_file
-from engine.io.picture_file import read_pixels
+from engine.io.files import read_file
+from engine.io.picture_file import read_pixels, save_png
 from training.faces.axis import find_core, guess_cut
 from training.faces.core_line import find_core_line
 from training.priors.exemplar.pictures import find_face
@@ -105,8 +105,7 @@ def main(arguments: list[str] | None = None) -> None:
         options.out.mkdir(parents=True, exist_ok=True)
         tiles += [np.full_like(tiles[0], 255)] * (-len(tiles) % 6)
         sheet = np.concatenate([np.concatenate(tiles[i : i + 6], 1) for i in range(0, len(tiles), 6)])
-        with atomic(options.out / "faces.png") as path:
-            Image.fromarray(sheet).save(path, format="PNG")
+        save_png(options.out / "faces.png", sheet, optimize=True)
 
 
 if __name__ == "__main__":

@@ -19,14 +19,14 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
+from matplotlib.ticker import NullFormatter
 from numpy.typing import NDArray
-from PIL import Image
 
+from benchmarks.support.charts import plt, save_chart
 from benchmarks.support.options import ROOT, out_folder, parser_of, write_json
 from engine.errors import InputError
-from engine.io.files import atomic
+from engine.io.picture_file import save_png
 from engine.render.classic import rasterizer as classic
 from engine.render.cpu import opaque
 from engine.scene.atoms import Atoms
@@ -42,10 +42,6 @@ from training.request import Request
 from training.settings import DETAILS, Detail, DetailName
 from training.skin import match_skin
 from training.views import BACKGROUND
-
-mpl.use("Agg")
-from matplotlib import pyplot as plt
-from matplotlib.ticker import NullFormatter
 
 SAMPLES = ("watermelon", "orange", "bread")
 
@@ -135,9 +131,7 @@ def draw_chart(found: dict[str, dict[str, Any]], path: Path) -> None:
     axes[0].set_ylabel("PSNR at unseen views, dB")
     axes[1].legend(fontsize=7)
     figure.tight_layout()
-    with atomic(path) as temporary:
-        figure.savefig(temporary, format="png", dpi=100)
-    plt.close(figure)
+    save_chart(figure, path)
 
 
 def tolerances(text: str) -> list[float]:
@@ -175,8 +169,7 @@ def main(arguments: list[str] | None = None) -> int:
             continue
         print(path.name, name, found[path.name][name], flush=True)
         if folder:
-            with atomic(folder / f"fidelity_{path.stem}.png") as temporary:
-                Image.fromarray((picture * 255 + 0.5).astype(np.uint8)).save(temporary, format="PNG", optimize=True)
+            save_png(folder / f"fidelity_{path.stem}.png", picture, optimize=True)
     if folder:
         write_json(folder / "fidelity.json", {"views": views, "captures": found})
         draw_chart(found, folder / "fidelity.png")

@@ -12,19 +12,17 @@ from __future__ import annotations
 
 import json
 import resource
-import time
 from collections.abc import Callable
 from pathlib import Path
 
-import matplotlib as mpl
 import numpy as np
 import torch
 
-from benchmarks.support.fronts import front
+from benchmarks.support.charts import ACCENT, OTHER, QUIET, front, plt, save_chart
 from benchmarks.support.options import out_folder, parser_of, write_json
+from benchmarks.support.timing import timed
 from engine.fit.differentiable import AtomTensors, opaque_image
 from engine.fit.view_weights import ViewWeights
-from engine.io.files import atomic
 from engine.render.cpu.kernel_field import KernelField
 from engine.render.cpu.opaque import render
 from engine.scene import sh
@@ -33,9 +31,6 @@ from engine.scene.camera import Camera, orbit, section
 from engine.scene.plane import Plane
 from engine.threads import cores
 from training.views import ENTRIES
-
-mpl.use("Agg")
-from matplotlib import pyplot as plt
 
 KEPT = (4, 8, 16, 32, 64)
 CUT = Plane.of((0.3, 0.2, 1.0), -0.05)
@@ -81,13 +76,8 @@ def ball(count: int) -> Atoms:
 def seconds(run: Callable[[], object], times: int) -> tuple[float, float]:
     """Least wall seconds, and least processor seconds over cores, of several runs after a first."""
     run()
-    best, busy = np.inf, np.inf
-    for _ in range(times):
-        wall, cpu = time.perf_counter(), time.process_time()
-        run()
-        best = min(best, time.perf_counter() - wall)
-        busy = min(busy, (time.process_time() - cpu) / cores())
-    return best, busy
+    wall, busy = np.min([timed(run) for _ in range(times)], axis=0)
+    return float(wall), float(busy) / cores()
 
 
 def measure(atoms: Atoms, camera: Camera, kind: str, times: int) -> dict[str, object]:
@@ -164,11 +154,11 @@ def chart(rows: list[dict], path: Path) -> None:
         times = [1e3 * t for t in (*(row[f"keep {k}"]["busy"] for k in KEPT), row["exact busy"], row["full busy"])]
         decibels = [-row[f"keep {k}"]["error dB"] for k in KEPT] + [top, top]
         line = front(times, decibels)
-        panel.step([times[i] for i in line], [decibels[i] for i in line], where="post", color="#B0B5BA", zorder=1)
+        panel.step([times[i] for i in line], [decibels[i] for i in line], where="post", color=QUIET, zorder=1)
         for name, time_taken, decibel in zip(names, times, decibels, strict=True):
             used = name == str(ENTRIES)
             panel.plot(
-                time_taken, decibel, "D" if used else "o", color="#FF6B4A" if used else "#5B7A99", ms=9 - 3 * (not used)
+                time_taken, decibel, "D" if used else "o", color=ACCENT if used else OTHER, ms=9 - 3 * (not used)
             )
             last = name == names[-1]
             panel.annotate(
@@ -186,9 +176,7 @@ def chart(rows: list[dict], path: Path) -> None:
         f"Frozen geometry, {most[0]:,} atoms, {most[1]} x {most[1]} pixels, {cores()} cores: "
         "the K largest entries of a pixel, all of them, and the full renderer"
     )
-    with atomic(path) as temporary:
-        figure.savefig(temporary, format="png", dpi=130)
-    plt.close(figure)
+    save_chart(figure, path)
 
 
 def main(arguments: list[str] | None = None) -> None:

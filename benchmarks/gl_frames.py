@@ -20,20 +20,19 @@ from __future__ import annotations
 
 import json
 import math
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-import matplotlib as mpl
 import moderngl
 import numpy as np
 import torch
 
-from benchmarks.support.fronts import front
+from benchmarks.support.charts import ACCENT, QUIET, front, plt, save_chart
 from benchmarks.support.options import out_folder, parser_of, write_json
-from engine.io.files import atomic
+from benchmarks.support.timing import timed
 from engine.render.cpu.software import is_software
 from engine.render.gl import Renderer
 from engine.scene import sh
@@ -45,9 +44,6 @@ from engine.scene.plane import Plane
 from engine.threads import cores
 from tests.reference.classic import picture as classic_reference
 from tests.reference.opaque import reference
-
-mpl.use("Agg")
-from matplotlib import pyplot as plt
 
 SIZE = 1280, 720
 FOV = math.radians(35)
@@ -162,29 +158,19 @@ def point_cloud(renderer: Renderer, atoms: Atoms) -> Callable[[int], None]:
     return draw
 
 
-def timed(renderer: Renderer, draw: Callable[[int], object], times: int) -> dict[str, float]:
+def frame_times(renderer: Renderer, draw: Callable[[int], object], times: int) -> dict[str, float]:
     """Least milliseconds of a frame, wall and busy, after one that is not counted; slow frames are repeated less."""
-    draw(0)
-    renderer.ctx.finish()
-    best, busy, spent = math.inf, math.inf, 0.0
-    for step in range(1, times + 1):
-        wall, processor = time.perf_counter(), time.process_time()
+
+    def frame(step: int) -> None:
         draw(step)
         renderer.ctx.finish()
-        took = time.perf_counter() - wall
-        best, busy = min(best, took), min(busy, (time.process_time() - processor) / cores())
-        spent += took
-        if spent > 8:
-            break
-    return {"ms": round(1e3 * best, 2), "busy ms": round(1e3 * busy, 2)}
 
-
-def smaller(camera: Camera, part: float) -> Camera:
-    """The same view in fewer pixels."""
-    width, height = round(part * camera.width), round(part * camera.height)
-    x, y = width / camera.width, height / camera.height
-    fx, fy, cx, cy = camera.fx * x, camera.fy * y, camera.cx * x, camera.cy * y
-    return replace(camera, fx=fx, fy=fy, cx=cx, cy=cy, width=width, height=height)
+    frame(0)
+    spent: list[tuple[float, float]] = []
+    while len(spent) < times and sum(wall for wall, _ in spent) < 8:
+        spent.append(timed(partial(frame, len(spent) + 1)))
+    wall, busy = np.min(spent, axis=0)
+    return {"ms": round(1e3 * wall, 2), "busy ms": round(1e3 * busy / cores(), 2)}
 
 
 def speed(renderer: Renderer, shaders: Renderer, count: int, times: int) -> list[dict[str, object]]:
@@ -194,7 +180,7 @@ def speed(renderer: Renderer, shaders: Renderer, count: int, times: int) -> list
     rows: list[dict[str, object]] = []
 
     def add(mode: str, cut: str, draw: Callable[[int], object]) -> None:
-        rows.append({"atoms": count, "mode": mode, "cut": cut, **timed(renderer, draw, times)})
+        rows.append({"atoms": count, "mode": mode, "cut": cut, **frame_times(renderer, draw, times)})
         print(json.dumps(rows[-1]), flush=True)
 
     floor = point_cloud(renderer, atoms)
@@ -213,7 +199,7 @@ def speed(renderer: Renderer, shaders: Renderer, count: int, times: int) -> list
     for mode, (part, level) in COARSER.items():
 
         def coarse(step: int, part: float = part, level: int = level) -> None:
-            renderer.render(smaller(view(step), part), pieces, exact=False, level=level)
+            renderer.render(view(step).scaled(part), pieces, exact=False, level=level)
 
         coarse(0)
         add(mode, "one cut", coarse)
@@ -252,7 +238,7 @@ def accuracy(renderer: Renderer, shaders: Renderer, count: int) -> dict[str, flo
         figures[mode] = compared(renderer.read().rgb)
     for mode, (part, level) in COARSER.items():
         for _ in range(3):
-            renderer.render(smaller(camera, part), pieces, exact=False, level=level)
+            renderer.render(camera.scaled(part), pieces, exact=False, level=level)
         small = torch.as_tensor(renderer.read().rgb).permute(2, 0, 1)[None]
         large = torch.nn.functional.interpolate(small, (camera.height, camera.width), mode="bilinear")
         figures[mode] = compared(large[0].permute(1, 2, 0).numpy())
@@ -293,7 +279,7 @@ def psnr(a: np.ndarray, b: np.ndarray) -> float:
 
 def chart(rows: list[dict], figures: dict[str, float], who: str, path: Path) -> None:
     """Milliseconds against atoms for one cut, and accuracy against milliseconds for a million atoms."""
-    key = "ms" if is_gpu(who) else "busy ms"
+    key = "busy ms" if is_software(who) else "ms"
     counts = sorted({row["atoms"] for row in rows})
     most = min(counts[-1], 1_000_000)
     figure, (left, right) = plt.subplots(1, 2, figsize=(16, 5.6), constrained_layout=True)
@@ -303,7 +289,7 @@ def chart(rows: list[dict], figures: dict[str, float], who: str, path: Path) -> 
         return next((r[key] for r in rows if (r["atoms"], r["mode"], r["cut"]) == (count, mode, cut)), None)
 
     shades = plt.get_cmap("Greens")(np.linspace(0.75, 0.4, len(COARSER)))
-    colours = {"opaque": "#FF6B4A", "opaque, exact faces": "#B8432A", "opaque, no culling": "#F2A38F"}
+    colours = {"opaque": ACCENT, "opaque, exact faces": "#B8432A", "opaque, no culling": "#F2A38F"}
     colours |= {SHADERS: "#3C78D8", "classic": "#303337", **dict(zip(COARSER, shades, strict=True))}
     for mode, colour in colours.items():
         if mode in figures:
@@ -314,7 +300,7 @@ def chart(rows: list[dict], figures: dict[str, float], who: str, path: Path) -> 
     line = front(times, decibels)
     right.step(
         [times[i] for i in line], [decibels[i] for i in line],
-        where="post", color="#8F949C", lw=1.2, label="Pareto front", zorder=0,
+        where="post", color=QUIET, lw=1.2, label="Pareto front", zorder=0,
     )  # fmt: skip
     floor = of("points", most)
     assert floor is not None
@@ -333,13 +319,7 @@ def chart(rows: list[dict], figures: dict[str, float], who: str, path: Path) -> 
     for panel in (left, right):
         panel.grid(alpha=0.3)
     figure.suptitle(f"GL frames, 1280 x 720, {who}, {cores()} cores")
-    with atomic(path) as temporary:
-        figure.savefig(temporary, format="png", dpi=130)
-
-
-def is_gpu(who: str) -> bool:
-    """Whether the frames are drawn by something else than the processor."""
-    return not is_software(who)
+    save_chart(figure, path)
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -348,9 +328,9 @@ def main(arguments: list[str] | None = None) -> None:
     folder, quick = out_folder(options), options.quick
     with Renderer() as renderer:
         who = str(renderer.ctx.info["GL_RENDERER"])
-        shaders = renderer if is_gpu(who) else Renderer(renderer.ctx, shaders=True)
+        shaders = Renderer(renderer.ctx, shaders=True) if is_software(who) else renderer
         counts = [100_000] if quick else [100_000, 300_000, 1_000_000, 3_000_000]
-        if is_gpu(who) and not quick:
+        if not (quick or is_software(who)):
             counts.append(10_000_000)
         rows = [row for count in counts for row in speed(renderer, shaders, count, 2 if quick else 9)]
         figures = accuracy(renderer, shaders, 100_000 if quick else 1_000_000)

@@ -17,15 +17,14 @@ import time
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
 from scipy import ndimage
 
 from benchmarks.support.options import out_folder, parser_of, write_json
-from engine.io.files import atomic
-from engine.scene.camera import Camera, section
+from engine.io.picture_file import save_png
+from engine.scene.camera import plane_points, section
 from engine.scene.grid import Body, Grid
 from engine.scene.plane import Plane
-from sample_scenes.exemplars import photograph, planes
+from sample_scenes.exemplars import save_photographs
 from sample_scenes.solids import SOLIDS, Solid
 from training.evaluate.metrics import face_psnr, face_ssim, patch_distance, sharpness
 from training.families import COUNTS, Family
@@ -69,27 +68,15 @@ def cut_planes(solid: Solid) -> list[Plane]:
     return [Plane.through(centre + np.array(n) / np.linalg.norm(n) * offset * half, n) for n, offset in CUTS]
 
 
-def points_on(plane: Plane, camera: Camera) -> np.ndarray:
-    """(H, W, 3). Where an orthographic camera's pixels meet a plane that it looks straight at."""
-    x, y = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
-    right, down, forward = camera.viewmat[:3, :3]
-    start = camera.position + ((x - camera.cx) / camera.fx)[..., None] * right
-    start = start + ((y - camera.cy) / camera.fy)[..., None] * down
-    return start - plane.distance(start)[..., None] / (np.asarray(plane.normal) @ forward) * forward
-
-
 def measure(name: str, voxels: int, folder: Path | None) -> dict[str, float]:
     """Solves one solid, writes its sheet if there is a folder, and returns the figures, means over the cuts."""
     solid, other = SOLIDS[name](0), SOLIDS[name](1)
     body = body_of(solid)
     with tempfile.TemporaryDirectory() as pictures:
-        families = []
-        for kind in solid.families:
-            paths = []
-            for n, plane in enumerate(planes(solid, kind)):
-                paths.append(Path(pictures) / f"{kind}_{n}.png")
-                Image.fromarray(photograph(solid, plane, PHOTOGRAPH)).save(paths[-1])
-            families.append(Family(kind, COUNTS[kind], tuple(paths)))
+        families = [
+            Family(kind, COUNTS[kind], save_photographs(solid, kind, Path(pictures), PHOTOGRAPH))
+            for kind in solid.families
+        ]
         start, busy = time.perf_counter(), time.process_time()
         ours = ExemplarPrior().solve(body, np.asarray(solid.up), families, voxels, 0, lambda part: None)
         seconds, busy = time.perf_counter() - start, time.process_time() - busy
@@ -100,7 +87,7 @@ def measure(name: str, voxels: int, folder: Path | None) -> dict[str, float]:
         camera = section(plane, solid.up, solid.bounds, SIZE)
         true, inside = solid.slice(plane, camera, supersample=2)
         another, another_inside = other.slice(its, SIZE, supersample=2)
-        points = points_on(plane, camera)
+        points = plane_points(camera, plane)
         made, sampled = (np.where(inside[..., None], v.at(points), np.float32(1)) for v in (ours, truth))
         rows.append(
             {
@@ -116,9 +103,7 @@ def measure(name: str, voxels: int, folder: Path | None) -> dict[str, float]:
         )
         sheet.append(np.concatenate([true, made]))
     if folder:
-        picture = np.clip(np.concatenate(sheet, 1), 0, 1) * 255 + 0.5
-        with atomic(folder / f"interior_{name}.png") as path:
-            Image.fromarray(picture.astype(np.uint8)).save(path, format="PNG")
+        save_png(folder / f"interior_{name}.png", np.concatenate(sheet, 1), optimize=True)
     means = {key: round(float(np.mean([row[key] for row in rows])), 4) for key in rows[0]}
     return {"voxels": voxels, "seconds": round(seconds, 1), "busy": round(busy, 1), **means}
 

@@ -37,9 +37,9 @@ PAUSE = 0.05
 """Seconds between two looks at the processes."""
 
 
-def divided(gaussians: Gaussians, count: int, seed: int = 0) -> Gaussians:
+def divided(gaussians: Gaussians, count: int) -> Gaussians:
     """`count` Gaussians of SH degree 3 that look much like a smaller scene: each is drawn from one of its kernels."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     rows = np.arange(count) % len(gaussians)
     part = (len(gaussians) / count) ** 0.5  # of a side, so that areas add up to the same
     sh = rng.normal(0, REST, (count, 16, 3)).astype(np.float32)

@@ -21,12 +21,10 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 
-from benchmarks.support.fronts import front
+from benchmarks.support.charts import ACCENT, OTHER, QUIET, front, plt, save_chart
 from benchmarks.support.options import out_folder, parser_of, write_json
-from engine.io.files import atomic
 from engine.threads import cores
 from training.evaluate.cuts import load_truth, make_cuts
 from training.evaluate.measure import accuracy, other_solid_distance, render_cuts
@@ -34,12 +32,8 @@ from training.evaluate.methods.all_methods import METHODS
 from training.evaluate.scenes import load_scene
 from training.settings import DETAILS, Detail
 
-mpl.use("Agg")
-from matplotlib import pyplot as plt
-
 SCENES = ("orange", "bread", "watermelon")
 CUTS = 20
-ACCENT, OTHER = "#FF6B4A", "#5B7A99"
 
 COSTS = {"busy": "processor seconds over cores", "atoms": "atoms"}
 FIGURES = {
@@ -137,7 +131,7 @@ def draw(runs: dict[str, dict[str, Any]], path: Path) -> None:
     for panel, (up, across) in zip(panels.flat, itertools.product(FIGURES, COSTS), strict=True):
         x, y = [run[across] for run in runs.values()], [run[up] for run in runs.values()]
         line = best(runs, across, up)
-        panel.plot([x[i] for i in line], [y[i] for i in line], "-", color="#B0B5BA", zorder=1)
+        panel.plot([x[i] for i in line], [y[i] for i in line], "-", color=QUIET, zorder=1)
         for name, a, b in zip(runs, x, y, strict=True):
             preset = name in DETAILS
             panel.plot(a, b, "D" if preset else "o", color=ACCENT if preset else OTHER, markersize=9 if preset else 6)
@@ -155,9 +149,7 @@ def draw(runs: dict[str, dict[str, Any]], path: Path) -> None:
         "knobs are turned alone, from draft if not said"
     )
     figure.tight_layout()
-    with atomic(path) as temporary:
-        figure.savefig(temporary, format="png", dpi=110)
-    plt.close(figure)
+    save_chart(figure, path)
 
 
 def main(arguments: list[str] | None = None) -> None:

@@ -17,21 +17,19 @@ from pathlib import Path
 from typing import Any
 from unittest import mock
 
-import matplotlib as mpl
 import numpy as np
 import torch
-from PIL import Image
 
-from benchmarks.interior import body_of, cut_planes, points_on
+from benchmarks.interior import body_of, cut_planes
+from benchmarks.support.charts import ACCENT, QUIET, plt, save_chart
 from benchmarks.support.options import out_folder, parser_of, write_json
 from engine.errors import InputError
-from engine.io.files import atomic
 from engine.scene.atoms import Atoms, SurfaceAtoms
-from engine.scene.camera import section
+from engine.scene.camera import plane_points, section
 from engine.scene.gaussians import Gaussians
 from engine.solid.fill import fill
 from engine.solid.find_body import find_body
-from sample_scenes.exemplars import photograph, planes
+from sample_scenes.exemplars import save_photographs
 from sample_scenes.solids import SOLIDS, Solid
 from training.evaluate.methods.ablations import UnsmoothedTrainer
 from training.evaluate.metrics import face_psnr
@@ -40,9 +38,6 @@ from training.optimise import trainer
 from training.optimise.trainer import Trainer
 from training.priors.exemplar import ExemplarPrior
 from training.views import sections, slices
-
-mpl.use("Agg")
-from matplotlib import pyplot as plt
 
 VOXELS = 40
 CUT_SIZE = 120
@@ -59,8 +54,6 @@ PIXELS = (32, 48, 64, 96, 160, 320)
 FINE = 96
 """Cells of the volume that pictures of few pixels are to fill."""
 RATES = (0.01, 0.1, 1.0, 10.0, 100.0, 1e4, 1e8)
-
-ACCENT, QUIET = "#FF6B4A", "#8F949C"
 
 
 def sphere(hole: float, count: int = 8000) -> Gaussians:
@@ -82,7 +75,7 @@ def sphere(hole: float, count: int = 8000) -> Gaussians:
     )
 
 
-def holes(angles: Sequence[int] = HOLES) -> list[dict[str, Any]]:
+def holes(angles: Sequence[int]) -> list[dict[str, Any]]:
     """Volume found over that under a flat lid; refusals say so."""
     rows: list[dict[str, Any]] = []
     for hole in angles:
@@ -121,19 +114,13 @@ def labels_from_volume(
     body = body_of(solid, voxels)
     up = np.array([np.sin(np.radians(tilt)), 0.0, np.cos(np.radians(tilt))])
     with tempfile.TemporaryDirectory() as folder:
-        families = []
-        for kind in solid.families:
-            paths = []
-            for number, plane in enumerate(planes(solid, kind)):
-                paths.append(Path(folder) / f"{kind}_{number}.png")
-                Image.fromarray(photograph(solid, plane, pixels)).save(paths[-1])
-            families.append(Family(kind, 10, tuple(paths)))
+        families = [Family(kind, 10, save_photographs(solid, kind, Path(folder), pixels)) for kind in solid.families]
         volume = ExemplarPrior().solve(body, up, families, voxels, seed, lambda part: None)
     figures = []
     for plane in cut_planes(solid):
         camera = section(plane, solid.up, solid.bounds, CUT_SIZE)
         true, inside = solid.slice(plane, camera)
-        made = np.where(inside[..., None], volume.at(points_on(plane, camera)), np.float32(1))
+        made = np.where(inside[..., None], volume.at(plane_points(camera, plane)), np.float32(1))
         figures.append(face_psnr(made, true, inside))
     side = float(np.ptp(body.bounds(), axis=0).max())
     return {"psnr_db": round(float(np.mean(figures)), 3), "cells": round(side / volume.body.grid.cell)}
@@ -270,8 +257,7 @@ def draw(figures: dict[str, Any], path: Path) -> None:
     axis.set(title="Ten seeds", xlabel="seed", ylabel=psnr)
     axis.legend(frameon=False, fontsize=8)
     axis.margins(y=0.3)
-    with atomic(path) as temporary:
-        figure.savefig(temporary, dpi=130, format="png")
+    save_chart(figure, path)
 
 
 if __name__ == "__main__":

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from engine.io.picture_file import save_png
 from engine.scene.camera import Camera, equator, section
+from engine.scene.image import to_8bit
 from engine.scene.plane import Plane
 from sample_scenes.solids import Solid
 from training.families import Kind
 
-__all__ = ["crop", "photograph", "planes", "snapshot"]
+__all__ = ["crop", "photograph", "planes", "save_photographs", "snapshot"]
 
 FRAME = 0.85
 """Longer side of the face over that of the picture."""
@@ -71,7 +74,16 @@ def crop(solid: Solid, plane: Plane, size: int) -> Camera:
 def photograph(solid: Solid, plane: Plane, size: int) -> NDArray[np.uint8]:
     """(size, size, 3). The face over white, antialiased, 8 bits."""
     rgb, _ = solid.slice(plane, crop(solid, plane, size), supersample=SUPERSAMPLE)
-    return (np.clip(rgb, 0, 1) * 255 + 0.5).astype(np.uint8)
+    return to_8bit(rgb)
+
+
+def save_photographs(solid: Solid, kind: Kind, folder: Path, size: int) -> tuple[Path, ...]:
+    """Writes the photographs of a family of cuts, and returns their paths."""
+    paths = []
+    for number, plane in enumerate(planes(solid, kind), start=1):
+        paths.append(folder / f"{kind}_{number}.png")
+        save_png(paths[-1], photograph(solid, plane, size), optimize=True)
+    return tuple(paths)
 
 
 def snapshot(solid: Solid, plane: Plane, size: int) -> NDArray[np.uint8]:
@@ -84,4 +96,4 @@ def snapshot(solid: Solid, plane: Plane, size: int) -> NDArray[np.uint8]:
     shifted = ndimage.shift(cover[..., 0], np.array(SHADOW_OFFSET) * size, order=1)
     ground = 1 - SHADOW * ndimage.gaussian_filter(shifted, SHADOW_BLUR * size)[..., None]
     lit = np.where(cover > 0, face * WHITE_BALANCE, 1)
-    return (np.clip(cover * lit + (1 - cover) * ground, 0, 1) * 255 + 0.5).astype(np.uint8)
+    return to_8bit(cover * lit + (1 - cover) * ground)

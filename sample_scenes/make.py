@@ -11,12 +11,10 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
 
 from engine.errors import InputError
-from engine.io.files import atomic
 from engine.io.splats.ply import write_ply
-from sample_scenes.exemplars import photograph, planes
+from sample_scenes.exemplars import save_photographs
 from sample_scenes.shell import LOOKS, shell
 from sample_scenes.solids import SOLIDS
 
@@ -37,12 +35,7 @@ def make(name: str, folder: Path, seed: int = 0) -> list[Path]:
     comments = (f"sample scene {name}, seed {seed}", "Vertical Axis: z")
     write_ply(paths[0], shell(solid, LOOKS[name], rng), comments)
     for kind in solid.families:
-        for number, plane in enumerate(planes(solid, kind), start=1):
-            path = folder / name / f"{kind}_{number}.png"
-            image = Image.fromarray(photograph(solid, plane, SIZE))
-            with atomic(path) as temporary:
-                image.save(temporary, optimize=True)
-            paths.append(path)
+        paths += save_photographs(solid, kind, folder / name, SIZE)
     return paths
 
 

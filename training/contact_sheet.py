@@ -6,9 +6,8 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 
-from engine.io.files import atomic
+from engine.io.picture_file import save_png
 from engine.render.cpu import opaque
 from engine.render.cpu.kernel_field import KernelField
 from engine.render.face_detail import Detailed, detailed
@@ -18,7 +17,6 @@ from engine.scene.grid import Body
 from engine.scene.inside import Inside
 from engine.scene.piece import Piece
 from engine.scene.plane import Plane
-from training.images import to_image
 
 __all__ = ["contact_sheet_planes", "save_contact_sheet"]
 
@@ -59,17 +57,16 @@ def save_contact_sheet(
     details of the `inside` if that is known."""
     field = KernelField(atoms)
     centre = body.bounds().mean(0)
-    sheet = Image.new("RGB", (TILE * len(CUTS), TILE * 2), "white")
-    for index, (plane, (tilt, turn, _)) in enumerate(zip(contact_sheet_planes(body, up), CUTS, strict=True)):
+    tiles: list[list[NDArray[np.float32]]] = [[], []]
+    for plane, (tilt, turn, _) in zip(contact_sheet_planes(body, up), CUTS, strict=True):
         fov = np.radians(30.0)
         # From the removed side and a little above, so that both the face and the skin around it are visible.
         elevation = max(18.0, 90.0 - tilt - 25.0)
         camera = orbit(centre, up, turn + 28.0, elevation, fit_distance(body.radius, fov, 1.0), TILE, TILE, fov)
         views = (camera, section(plane, up, body.bounds(), TILE, body.radius))
-        for row, (view, light) in enumerate(zip(views, (True, False), strict=True)):
+        for row, view, light in zip(tiles, views, (True, False), strict=True):
             picture = opaque.render(atoms, view, [plane], light=light, field=field)
             if inside is not None:
                 picture = detailed(picture, view, [Piece((plane,))], [Detailed(inside, atoms.pitch)], light)
-            sheet.paste(to_image(picture.rgb), (TILE * index, TILE * row))
-    with atomic(path) as temporary:
-        sheet.save(temporary)
+            row.append(picture.rgb)
+    save_png(path, np.concatenate([np.concatenate(row, axis=1) for row in tiles]))

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from engine.errors import InputError
 from engine.io.files import open_file
+from engine.scene.image import to_8bit
 from training.faces.axis import CutGuess, guess_cut
 from training.faces.marks import UNMARKED, Marks, axis_beside, read_axis_file
 from training.faces.mask_file import mask_beside
@@ -61,7 +62,7 @@ def find_face_in(path: Path) -> FoundFace:
     rgb = np.zeros((0, 0, 3), np.uint8)
     try:
         colours, cut_out = read_photograph(path)
-        rgb = (colours * 255 + 0.5).astype(np.uint8)
+        rgb = to_8bit(colours)
         mask = find_mask(colours, path) if cut_out is None else largest_component(cut_out)
         outline = mask_polygon(mask)
         if outline is None:

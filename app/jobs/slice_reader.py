@@ -116,7 +116,7 @@ class SliceReader:
             self._field = (wanted.atoms, KernelField(wanted.atoms))
         camera = wanted.camera
         if task.coarse:
-            camera = _coarser(camera)
+            camera = camera.scaled(1 / COARSE)
         picture = self._of_atoms(self._field[1], camera, task)
         if picture is None:
             return None
@@ -128,7 +128,7 @@ class SliceReader:
                 if task.stale:
                     return None
             picture = replace(picture, rgb=work.rgb)
-        return Face(wanted, _straight(picture), task.coarse)
+        return Face(wanted, picture.straight_alpha(), task.coarse)
 
     def _of_atoms(self, field: KernelField, camera: Camera, task: _Task) -> Picture | None:
         """The face of the atoms, some rows at a time; None if it is no longer wanted."""
@@ -142,23 +142,3 @@ class SliceReader:
             np.concatenate([getattr(part, name) for part in parts]) for name in ("rgb", "alpha", "depth")
         )
         return Picture(rgb, alpha, depth)
-
-
-def _coarser(camera: Camera) -> Camera:
-    """The same view with fewer pixels."""
-    return replace(
-        camera,
-        fx=camera.fx / COARSE,
-        fy=camera.fy / COARSE,
-        cx=camera.cx / COARSE,
-        cy=camera.cy / COARSE,
-        width=-(-camera.width // COARSE),
-        height=-(-camera.height // COARSE),
-    )
-
-
-def _straight(picture: Picture) -> NDArray[np.uint8]:
-    """(H, W, 4). With straight alpha."""
-    alpha = np.clip(picture.alpha[..., None], 0, 1)
-    rgb = np.where(alpha > 1e-3, picture.rgb / np.maximum(alpha, 1e-3), 0.0)
-    return (np.clip(np.concatenate([rgb, alpha], 2), 0, 1) * 255 + 0.5).astype(np.uint8)

@@ -1,4 +1,4 @@
-"""The one place where picture files are decoded, by a few safe decoders.
+"""The one place where picture files are decoded, by a few safe decoders, and where PNG files are written.
 
 Pillow recognises some forty formats by content. PostScript is one of them: opening such a "picture" starts Ghostscript
 with a stranger's program. So any format outside KINDS is refused before a decoder sees it.
@@ -12,14 +12,15 @@ from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
 from threading import Lock
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
 from engine.errors import InputError
-from engine.io.files import open_file
+from engine.io.files import atomic, open_file
+from engine.scene.image import to_8bit
 
 __all__ = [
     "PICTURES",
@@ -29,6 +30,7 @@ __all__ = [
     "open_picture",
     "read_pixels",
     "restricted_decoders",
+    "save_png",
 ]
 
 KINDS = ("PNG", "JPEG", "WEBP", "BMP", "GIF", "TIFF", "AVIF")
@@ -89,6 +91,16 @@ def read_pixels(path: str | Path) -> NDArray[np.uint8]:
     """(H, W, 3). A picture's RGB values. Raises InputError as `open_picture`."""
     with open_picture(path) as image:
         return np.asarray(image.convert("RGB"))
+
+
+def save_png(path: Path, pixels: NDArray[Any], *, optimize: bool = False) -> None:
+    """Writes a picture (H, W, 3 or 4), bytes or numbers of range [0, 1]; smaller, but ten times as slow, if optimised.
+
+    Raises InputError if the file cannot be written.
+    """
+    image = Image.fromarray(pixels if pixels.dtype == np.uint8 else to_8bit(pixels))
+    with atomic(path) as temporary:
+        image.save(temporary, format="PNG", optimize=optimize)
 
 
 def check_size(image: Image.Image) -> Image.Image:

@@ -8,7 +8,7 @@ Pixel (i, j) covers [i, i+1) x [j, j+1) of the picture; its centre is (i + 0.5, 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -60,6 +60,12 @@ class Camera:
             self.orthographic,
             self.near,
         )
+
+    def scaled(self, part: float) -> Camera:
+        """The same view with a fraction of the pixels along each side."""
+        width, height = (max(16, round(side * part)) for side in (self.width, self.height))
+        x, y = width / self.width, height / self.height
+        return replace(self, fx=self.fx * x, fy=self.fy * y, cx=self.cx * x, cy=self.cy * y, width=width, height=height)
 
 
 def look_at(eye: ArrayLike, target: ArrayLike, up: ArrayLike) -> NDArray[np.float64]:

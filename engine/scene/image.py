@@ -1,4 +1,4 @@
-"""The result of a renderer."""
+"""The result of a renderer, and colours in 8 bits."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Picture"]
+__all__ = ["Picture", "to_8bit"]
 
 
 @dataclass(frozen=True)
@@ -26,3 +26,14 @@ class Picture:
         assert len(shape) == 2, shape
         assert self.rgb.shape == (*shape, 3), self.rgb.shape
         assert self.depth.shape == shape, self.depth.shape
+
+    def straight_alpha(self) -> NDArray[np.uint8]:
+        """(H, W, 4). A picture over black with straight alpha, as files and textures have it, in 8 bits."""
+        alpha = np.clip(self.alpha[..., None], 0, 1)
+        rgb = np.where(alpha > 1e-3, self.rgb / np.maximum(alpha, 1e-3), 0.0)
+        return to_8bit(np.concatenate([rgb, alpha], 2))
+
+
+def to_8bit(values: NDArray[np.floating]) -> NDArray[np.uint8]:
+    """Values of range [0, 1], clamped and rounded to bytes."""
+    return (np.clip(values, 0, 1) * 255 + 0.5).astype(np.uint8)

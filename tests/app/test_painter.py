@@ -16,7 +16,7 @@ from app.model.pieces import Solid, pieces
 from app.model.project import Viewing
 from app.model.settings import Settings
 from app.session.session import Session
-from app.ui.view.painter import STEPS, Painter, scaled
+from app.ui.view.painter import STEPS, Painter
 from engine.isolate.selection import Sphere, Step
 from engine.render.gl import GLMissing
 from engine.render.gl.classic import PORTION, UPLOAD
@@ -171,7 +171,7 @@ def test_a_camera_of_fewer_pixels_sees_the_same() -> None:
     points = np.random.default_rng(0).normal(size=(50, 3))
     for eye in (EYE, replace(EYE, orthographic=True)):
         camera = eye.camera(301, 203, (0.0, 0.0, 1.0))
-        small = scaled(camera, 0.35)
+        small = camera.scaled(0.35)
         assert (small.width, small.height) == (105, 71)
         before, after = project_points(camera, points)[0], project_points(small, points)[0]
         assert np.allclose(before / (301, 203), after / (105, 71))

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 
+from engine.io.picture_file import save_png
 from engine.scene.grid import Body, Grid
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -38,5 +38,5 @@ def disc(size: int = 160, seeds: int = 0, radius: float = 0.8) -> tuple[NDArray[
 
 def save(path: Path, picture: NDArray[np.floating]) -> Path:
     """Writes a picture in [0, 1] as a PNG."""
-    Image.fromarray((np.clip(picture, 0, 1) * 255 + 0.5).astype(np.uint8)).save(path)
+    save_png(path, picture)
     return path

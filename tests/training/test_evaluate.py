@@ -16,7 +16,7 @@ import training.evaluate.scenes
 import training.families
 import training.results
 import training.settings
-from benchmarks.presets import front
+from benchmarks.support.charts import front
 from engine.errors import InputError
 from sample_scenes.solids import directions
 from tests.helpers.tiny_diffusion import save_tokenizer

@@ -18,6 +18,7 @@ from safetensors.numpy import load_file, save_file
 from scipy import ndimage
 
 from engine.io.files import atomic
+from engine.io.picture_file import save_png
 from engine.io.trained import sidecar_path
 from engine.threads import cores
 from training.evaluate.cuts import Cut, Truth, intersection_points, load_truth, make_cuts
@@ -34,7 +35,6 @@ from training.evaluate.metrics import (
     sharpness,
 )
 from training.evaluate.scenes import OTHERS, EvaluationScene, load_scene
-from training.images import to_image
 from training.settings import DETAILS, DetailName
 
 __all__ = ["STRIP_CUTS", "fingerprint", "measure"]
@@ -210,6 +210,4 @@ def truth_features(truth: Truth, of: Callable[[Sequence[Float]], Features], path
 
 def save_strip(path: Path, pictures: Float) -> None:
     """Pictures (N, H, W, 3) side by side."""
-    strip = to_image(np.concatenate(list(pictures), axis=1))
-    with atomic(path) as temporary:
-        strip.save(temporary, optimize=True)
+    save_png(path, np.concatenate(list(pictures), axis=1), optimize=True)

@@ -13,11 +13,10 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 from scipy import ndimage
 
 from engine.errors import InputError
-from engine.io.files import atomic
+from engine.io.picture_file import save_png
 from engine.io.splats.ply import write_ply
 from engine.scene.grid import Body, Grid
 from engine.scene.plane import Plane
@@ -112,9 +111,7 @@ def _others(name: str, folder: Path) -> EvaluationScene:
     for (kind, path), seed, take in zip(pictures.items(), (2, 3), (photograph, snapshot), strict=True):
         if not path.is_file():
             other = SOLIDS[own.name](seed)
-            image = Image.fromarray(take(other, planes(other, kind)[0], PICTURE))
-            with atomic(path) as temporary:
-                image.save(temporary, format="PNG", optimize=True)
+            save_png(path, take(other, planes(other, kind)[0], PICTURE), optimize=True)
     families = tuple(Family(kind, COUNTS[kind], (path,)) for kind, path in pictures.items())
     return replace(own, name=name, families=families)
 
@@ -133,9 +130,7 @@ def _thigh_subject(folder: Path) -> EvaluationScene:
     for place, path in zip(THIGH_SLICES, pictures, strict=True):
         if not path.is_file():
             plane = Plane.through((low + high) / 2 + place * (high - low) / 2 * [0, 0, 1], (0.0, 0.0, 1.0))
-            image = Image.fromarray(photograph(solid, plane, PICTURE))
-            with atomic(path) as temporary:
-                image.save(temporary, optimize=True)
+            save_png(path, photograph(solid, plane, PICTURE), optimize=True)
     if not scene.is_file():
         write_ply(scene, shell(solid, THIGH_LOOK, np.random.default_rng(100)), comments=("thigh, up +z",))
     return EvaluationScene(THIGH, solid, None, scene, (Family("horizontal", COUNTS["horizontal"], pictures),))

@@ -11,9 +11,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from engine.io.picture_file import save_png
 from training.checkpoint import CHECKPOINT_SECONDS, Checkpoint
 from training.events import Reporter, Stage
-from training.images import save_image
 from training.labels import refine_labels
 from training.optimise.trainer import Losses, Trainer
 from training.priors.prior import Denoiser, VolumeSolver
@@ -127,6 +127,6 @@ def save_previews(trainer: Trainer, labels: Sequence[Tensor], out: Path, reporte
         for index in sorted({indices[len(indices) // 4], indices[len(indices) // 2]}):
             pair = np.concatenate([labels[index].numpy(), trainer.render(trainer.sections[index])], axis=1)
             path = out / "previews" / f"{kind}_{index:03d}.png"
-            save_image(path, pair)
+            save_png(path, pair)
             paths.append(path)
     reporter.emit("previews", paths=paths)

@@ -132,7 +132,7 @@ class Painter:
         if key != self._key or self._texture is None or (mode == "capture" and self.renderer.sorting):
             begin = time.perf_counter()
             texture = self.renderer.render(
-                scaled(camera, part), pieces, MODES[mode], background, light, exact=not moving, level=level, wait=False
+                camera.scaled(part), pieces, MODES[mode], background, light, exact=not moving, level=level, wait=False
             )
             self._restore_framebuffer()
             self.ctx.finish()
@@ -220,9 +220,7 @@ class Painter:
         self._restore_framebuffer()
         if workspace.mode != "capture":
             seen = detailed(seen, camera, pieces, details_of(workspace), light)
-        alpha = np.clip(seen.alpha[..., None], 0, 1)
-        rgb = np.where(alpha > 1e-3, seen.rgb / np.maximum(alpha, 1e-3), 0.0)
-        return (np.clip(np.concatenate([rgb, alpha], 2), 0, 1) * 255 + 0.5).astype(np.uint8)
+        return seen.straight_alpha()
 
     def _restore_framebuffer(self) -> None:
         """Binds the window's framebuffer again: ImGui draws into whichever is bound."""
@@ -286,14 +284,3 @@ def details_of(workspace: Workspace) -> list[Detailed | None]:
         Detailed(inside, atoms.pitch) if (inside := loaded[number].inside) is not None else None
         for number, atoms in workspace.solids.items()
     ]
-
-
-def scaled(camera: Camera, part: float) -> Camera:
-    """The same view with a fraction of the pixels along each side."""
-    if part == 1:
-        return camera
-    width, height = (max(16, round(side * part)) for side in (camera.width, camera.height))
-    x, y = width / camera.width, height / camera.height
-    return replace(
-        camera, fx=camera.fx * x, fy=camera.fy * y, cx=camera.cx * x, cy=camera.cy * y, width=width, height=height
-    )

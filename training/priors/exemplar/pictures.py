@@ -13,6 +13,7 @@ from scipy import ndimage
 
 from engine.errors import InputError
 from engine.io.picture_file import open_picture
+from engine.scene.image import to_8bit
 from training.faces.axis import find_core
 from training.faces.completion import complete_face
 from training.faces.core_line import find_core_line, line_ends
@@ -230,7 +231,7 @@ def read_photograph(path: Path) -> tuple[NDArray[np.float32], NDArray[np.bool_] 
         if image.mode[:1] in "IF":  # 16 and 32 bits of grey
             values = np.nan_to_num(np.asarray(image, np.float64), posinf=0, neginf=0)
             top = 65535.0 if values.max(initial=0) > 255 else max(1.0, float(values.max(initial=0)))
-            image = Image.fromarray((np.clip(values / top, 0, 1) * 255 + 0.5).astype(np.uint8))
+            image = Image.fromarray(to_8bit(values / top))
         if "A" in image.mode or "transparency" in image.info:
             image = image.convert("RGBA")
         if min(image.size) < MIN_SIDE:

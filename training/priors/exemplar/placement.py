@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from engine.scene.grid import Body
+from engine.scene.image import to_8bit
 from engine.scene.plane import Plane
 from training.families import Family, Kind
 from training.priors.exemplar.frames import make_space
@@ -89,4 +90,4 @@ def bend_picture(picture: Picture, plane: OwnPlane) -> NDArray[np.uint8]:
     """
     x, y = np.moveaxis(plane.places, -1, 0)
     rgb = Disc.of(picture).read(x.ravel(), y.ravel()).reshape(*x.shape, 3)
-    return (np.concatenate([np.clip(rgb, 0, 1), plane.inside[..., None]], -1) * 255 + 0.5).astype(np.uint8)
+    return to_8bit(np.concatenate([rgb, plane.inside[..., None]], -1))
