@@ -37,7 +37,7 @@ def main() -> None:
             session.files.open(path)
         else:
             document = running[0].document if running else sample_document()
-            session.files.open_document(document, Viewing(mode="capture"), None)
+            session.files.open_document(document, Viewing(mode="capture"))
 
     if not can_show():
         print(

@@ -42,6 +42,7 @@ from engine.scene.gaussians import Gaussians
 from engine.scene.piece import Piece
 from engine.scene.plane import Plane
 from engine.threads import cores
+from tests.helpers.solids import rows_of
 from tests.reference.classic import picture as classic_reference
 from tests.reference.opaque import reference
 
@@ -269,8 +270,7 @@ def true_window(atoms: Atoms, camera: Camera, planes: Sequence[Plane], x: int, y
     s, i = atoms.surface, atoms.interior
     a, b = near(s.means, 4 * float(s.scales.max())), near(i.means, 4 * float(i.sigmas.max()))
     b &= np.min([np.abs(p.distance(i.means)) for p in planes], axis=0) < 3.1 * i.sigmas.max()
-    skin = SurfaceAtoms(s.means[a], s.scales[a], s.quats[a], s.sh[a])
-    return reference(Atoms(skin, InteriorAtoms(i.means[b], i.sigmas[b], i.rgb[b]), atoms.pitch), part, planes)[0]
+    return reference(rows_of(atoms, a, b), part, planes)[0]
 
 
 def psnr(a: np.ndarray, b: np.ndarray) -> float:

@@ -24,13 +24,14 @@ from benchmarks.interior import body_of, cut_planes
 from benchmarks.support.charts import ACCENT, QUIET, plt, save_chart
 from benchmarks.support.options import out_folder, parser_of, write_json
 from engine.errors import InputError
-from engine.scene.atoms import Atoms, SurfaceAtoms
+from engine.scene.atoms import Atoms
 from engine.scene.camera import plane_points, section
 from engine.scene.gaussians import Gaussians
 from engine.solid.fill import fill
 from engine.solid.find_body import find_body
 from sample_scenes.exemplars import save_photographs
 from sample_scenes.solids import SOLIDS, Solid
+from tests.helpers.solids import NO_SURFACE
 from training.evaluate.methods.ablations import UnsmoothedTrainer
 from training.evaluate.metrics import face_psnr
 from training.families import Family
@@ -142,8 +143,7 @@ def fitted(size: int = 96, rate: float = 1.0, planes: int = 24, kind: type[Train
     body = body_of(solid, 32)
     pitch = float(np.ptp(body.bounds(), axis=0).max()) / 26
     interior = fill(body, pitch)
-    none = SurfaceAtoms(*(np.zeros(shape, np.float32) for shape in ((0, 3), (0, 3), (0, 4), (0, 1, 3))))
-    atoms = Atoms(none, replace(interior, rgb=np.full_like(interior.rgb, 0.5)), pitch)
+    atoms = Atoms(NO_SURFACE, replace(interior, rgb=np.full_like(interior.rgb, 0.5)), pitch)
     up = np.array([0.0, 0.0, 1.0])
     across = round(planes * 14 / 24)
     families = [Family("horizontal", across), Family("radial", planes - across)]

@@ -145,7 +145,7 @@ def take(detail: str, theme: str, only: str) -> None:
     drive(
         Session(settings=Settings(theme=theme, window=SIZE, seen_hint=True)),  # type: ignore[arg-type]
         script,
-        lambda session: session.files.open_document(document, Viewing(mode="capture"), None),
+        lambda session: session.files.open_document(document, Viewing(mode="capture")),
     )
 
 

@@ -23,8 +23,8 @@ class Entry(Generic[T]):
 class History(Generic[T]):
     """A list of states with a cursor, of unlimited length."""
 
-    def __init__(self, state: T, name: str = "Open") -> None:
-        self.entries: list[Entry[T]] = [Entry(name, state)]
+    def __init__(self, state: T) -> None:
+        self.entries: list[Entry[T]] = [Entry("Open", state)]
         self.cursor = 0
         self.saved: T | None = state
 

@@ -38,11 +38,12 @@ def sample_document(name: str = "watermelon") -> Document:
     return replace(document, training=replace(document.training, out=home))
 
 
-def _small_melon(count: int = 16_000) -> Path:
+def _small_melon() -> Path:
     """A hollow striped ellipsoid of flat Gaussians, generated once and saved in the app's state folder."""
     path = state_folder() / "melon.ply"
     if path.is_file():
         return path
+    count = 16_000
     index = np.arange(count) + 0.5
     z, turn = 1 - 2 * index / count, np.pi * (1 + 5**0.5) * index
     ring = np.sqrt(1 - z * z)

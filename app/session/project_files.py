@@ -56,9 +56,9 @@ class ProjectFiles:
         act = self._open_project if path.suffix == SUFFIX else self._open_scene
         self.after_saving(lambda: act(path))
 
-    def open_document(self, document: Document, viewing: Viewing, path: Path | None) -> None:
-        """As `open_documents`, with one object."""
-        self.open_documents((document,), viewing, path)
+    def open_document(self, document: Document, viewing: Viewing) -> None:
+        """As `open_documents`, with one object that no project has."""
+        self.open_documents((document,), viewing, None)
 
     def open_documents(self, documents: Documents, viewing: Viewing, path: Path | None) -> None:
         """Replaces the session's documents, finds their training jobs and loads their scene. `path`: its project
@@ -122,7 +122,7 @@ class ProjectFiles:
         if not path.is_file():
             self.workspace.show_error(f"{path}: no such file")
             return
-        self.open_document(Document(scene=path.absolute()), Viewing(mode="capture"), None)
+        self.open_document(Document(scene=path.absolute()), Viewing(mode="capture"))
         self.workspace.change_settings(self.workspace.settings.with_recent(path))
 
     def _open_project(self, path: Path, outside: bool = False) -> None:

@@ -388,11 +388,13 @@ class Workspace:
 
     # The up axis
 
-    def turn_object(self, name: str, turn: NDArray[np.float64], merge: str = "") -> None:
-        """Turns the object by a rotation (3, 3) about its centre: which way is up changes, and the view with it."""
+    def turn_object(self, turn: NDArray[np.float64]) -> None:
+        """Turns the object by a rotation (3, 3) about its centre, by its handles: which way is up changes, and the view
+        with it."""
         up = turn.T @ np.asarray(self.up)
         eye = self.viewing.eye.turned_with(turn, self.solid.centre, self.up)
-        if self.change(name, replace(self.document, up=vec3(up / np.linalg.norm(up))), merge) and not self.active:
+        turned = replace(self.document, up=vec3(up / np.linalg.norm(up)))
+        if self.change("Turn upright", turned, merge="handles") and not self.active:
             self.viewing = replace(self.viewing, eye=eye)  # exactly as turned, also about the up axis
 
     def set_up(self, name: str, up: ArrayLike) -> None:

@@ -303,7 +303,7 @@ class Menus:
         """Opens a sample scene with its pictures, ready to be trained."""
         session = self.session
         session.files.after_saving(
-            lambda: session.files.open_document(sample_document(name), replace(session.viewing, mode="capture"), None)
+            lambda: session.files.open_document(sample_document(name), replace(session.viewing, mode="capture"))
         )
 
     def _save_as(self) -> None:

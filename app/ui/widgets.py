@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
-from imgui_bundle import ImVec2, imgui
+from imgui_bundle import ImVec2, ImVec4, imgui
 from imgui_bundle import icons_fontawesome_6 as icon
 
 from app.ui.theme import Fonts, palette, px, rgba, u32
 
 __all__ = [
+    "cancel_button",
+    "colours",
     "disabled",
     "float_slider",
     "format_duration",
@@ -19,8 +21,11 @@ __all__ = [
     "int_slider",
     "key_caps",
     "knife_icon",
+    "list_row",
     "main_button",
+    "modal",
     "range_slider",
+    "row_label",
     "secondary",
     "segmented",
     "thin_bar",
@@ -106,6 +111,34 @@ def font(kind: imgui.ImFont | None) -> Iterator[None]:
     imgui.pop_font()
 
 
+@contextmanager
+def colours(**roles: ImVec4) -> Iterator[None]:
+    """Other colours in the block, by their names in `imgui.Col_`."""
+    for role, colour in roles.items():
+        imgui.push_style_color(getattr(imgui.Col_, role), colour)
+    yield
+    imgui.pop_style_color(len(roles))
+
+
+@contextmanager
+def modal(name: str, width: float) -> Iterator[bool]:
+    """A window in the middle, before all others, which the block fills; yields whether it is open."""
+    imgui.set_next_window_pos(imgui.get_main_viewport().get_center(), imgui.Cond_.always, ImVec2(0.5, 0.5))
+    imgui.set_next_window_size(ImVec2(px(width), 0))
+    imgui.push_style_var(imgui.StyleVar_.window_padding, ImVec2(px(18), px(16)))
+    flags = imgui.WindowFlags_.no_title_bar | imgui.WindowFlags_.no_resize
+    opened = imgui.begin_popup_modal(name, None, flags)[0]
+    yield opened
+    if opened:
+        imgui.end_popup()
+    imgui.pop_style_var()
+
+
+def cancel_button() -> bool:
+    """The button of a modal window that leaves it; also true at Esc."""
+    return imgui.button("Cancel", ImVec2(px(90), px(32))) or imgui.is_key_pressed(imgui.Key.escape)
+
+
 def heading(text: str) -> None:
     """The heading of a section of the inspector."""
     imgui.dummy(ImVec2(0, px(2)))
@@ -117,12 +150,24 @@ def heading(text: str) -> None:
 
 def secondary(text: str, wrap: bool = False) -> None:
     """Secondary text, in a weaker colour."""
-    imgui.push_style_color(imgui.Col_.text, rgba(palette().second))
-    if wrap:
-        imgui.text_wrapped(text)
-    else:
-        imgui.text_unformatted(text)
-    imgui.pop_style_color()
+    with colours(text=rgba(palette().second)):
+        imgui.text_wrapped(text) if wrap else imgui.text_unformatted(text)
+
+
+def row_label(text: str, width: float) -> None:
+    """What the next item is, at its left in a column `width` units wide; the item takes the rest of the row."""
+    imgui.align_text_to_frame_padding()
+    secondary(text)
+    imgui.same_line(px(width))
+    imgui.set_next_item_width(-1)
+
+
+def list_row(label: str, chosen: bool, width: float, height: float) -> bool:
+    """A line of a list, `width` of the screen and `height` units; whether it is clicked."""
+    imgui.push_style_var(imgui.StyleVar_.selectable_text_align, ImVec2(0.0, 0.5))
+    clicked = imgui.selectable(label, chosen, 0, ImVec2(width, px(height)))[0]
+    imgui.pop_style_var()
+    return clicked
 
 
 def right_text(text: str) -> None:
@@ -137,31 +182,23 @@ def icon_button(label: str, size: float, active: bool = False, quiet: bool = Fal
     """A square button with an icon; an active one is accented, a quiet one has no background until it is hovered."""
     p = palette()
     if active:
-        colours = (rgba(p.accent), rgba(p.accent), rgba(p.accent), rgba(p.on_accent))
+        button = hovered = pressed = rgba(p.accent)
     else:
-        colours = (rgba(p.field, 0.0 if quiet else 1.0), rgba(p.hover), rgba(p.pressed), rgba(p.text))
-    for role, colour in zip(("button", "button_hovered", "button_active", "text"), colours, strict=True):
-        imgui.push_style_color(getattr(imgui.Col_, role), colour)
+        button, hovered, pressed = rgba(p.field, 0.0 if quiet else 1.0), rgba(p.hover), rgba(p.pressed)
+    text = rgba(p.on_accent if active else p.text)
     imgui.push_style_var(imgui.StyleVar_.frame_padding, ImVec2(0, 0))
-    pressed = imgui.button(label, ImVec2(px(size), px(size)))
+    with colours(button=button, button_hovered=hovered, button_active=pressed, text=text):
+        clicked = imgui.button(label, ImVec2(px(size), px(size)))
     imgui.pop_style_var()
-    imgui.pop_style_color(4)
-    return pressed
+    return clicked
 
 
 def main_button(label: str, width: float = -1.0) -> bool:
     """A button for the main action."""
     p = palette()
-    for role, colour in (
-        ("button", rgba(p.accent)),
-        ("button_hovered", rgba(p.accent, 0.9)),
-        ("button_active", rgba(p.accent, 0.8)),
-        ("text", rgba(p.on_accent)),
-    ):
-        imgui.push_style_color(getattr(imgui.Col_, role), colour)
-    pressed = imgui.button(label, ImVec2(width, px(32)))
-    imgui.pop_style_color(4)
-    return pressed
+    usual, hovered, pressed = (rgba(p.accent, part) for part in (1.0, 0.9, 0.8))
+    with colours(button=usual, button_hovered=hovered, button_active=pressed, text=rgba(p.on_accent)):
+        return imgui.button(label, ImVec2(width, px(32)))
 
 
 def segmented(name: str, labels: Sequence[str], current: int, width: float, hints: Sequence[str] = ()) -> int:

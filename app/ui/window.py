@@ -32,11 +32,11 @@ from app.ui.panels.inspector import Inspector
 from app.ui.panels.interior import InteriorPanel
 from app.ui.panels.measures import MeasuresPanel
 from app.ui.panels.thumbnails import Thumbnails
-from app.ui.theme import Fonts, apply, load_fonts, palette, px, rgba, u32
+from app.ui.theme import Fonts, apply, load_fonts, palette, px, u32
 from app.ui.view.painter import Painter
 from app.ui.view.slices import SliceViews, is_shown, quarters
 from app.ui.view.viewport import Viewport
-from app.ui.widgets import font, main_button, secondary, thin_bar
+from app.ui.widgets import font, main_button, modal, secondary, thin_bar
 from engine.io.picture_file import PICTURE_SUFFIXES
 
 __all__ = ["Window"]
@@ -370,7 +370,7 @@ class Window:
         session, job = self.session, self.recovered_jobs[0]
 
         def show() -> None:
-            session.files.open_document(job.document, Viewing(mode="capture"), None)
+            session.files.open_document(job.document, Viewing(mode="capture"))
             self._dismiss_job()
 
         session.files.after_saving(show)
@@ -383,17 +383,13 @@ class Window:
         if question is None:
             return
         imgui.open_popup("Question")
-        imgui.set_next_window_pos(imgui.get_main_viewport().get_center(), imgui.Cond_.always, ImVec2(0.5, 0.5))
-        imgui.set_next_window_size(ImVec2(px(440), 0))
-        imgui.push_style_var(imgui.StyleVar_.window_padding, ImVec2(px(20), px(18)))
-        flags = imgui.WindowFlags_.no_title_bar | imgui.WindowFlags_.no_resize
         chosen = None
-        if imgui.begin_popup_modal("Question", None, flags)[0]:
+        with modal("Question", 440) as opened:
+            if not opened:
+                return
             with font(Fonts.bold):
                 imgui.text_unformatted(question.title)
-            imgui.push_style_color(imgui.Col_.text, rgba(palette().second))
-            imgui.text_wrapped(question.text)
-            imgui.pop_style_color()
+            secondary(question.text, wrap=True)
             imgui.dummy(ImVec2(0, px(6)))
             for choice in question.choices:
                 width = imgui.calc_text_size(choice.label).x + px(32)
@@ -409,8 +405,6 @@ class Window:
                 chosen = question.choices[-1]
             if chosen is not None:
                 imgui.close_current_popup()
-            imgui.end_popup()
-        imgui.pop_style_var()
         if chosen is not None:
             self.session.answer(chosen)
 

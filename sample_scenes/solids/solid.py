@@ -86,9 +86,9 @@ class Solid:
         return normals / np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-12)
 
     def slice(
-        self, plane: Plane, view: Camera | int, *, supersample: int = 1, background: float = 1.0
+        self, plane: Plane, view: Camera | int, *, supersample: int = 1
     ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-        """The cut face itself: RGB (H, W, 3) over the background grey, and the silhouette (H, W) at pixel centres.
+        """The cut face itself: RGB (H, W, 3) over white, and the silhouette (H, W) at pixel centres.
 
         Seen by a camera, or straight on in a square picture of this many pixels (`engine.scene.camera.section`).
         supersample s averages s x s points a pixel; at 1 the colours are those of the pixel centres, exactly.
@@ -105,7 +105,7 @@ class Solid:
                     rgb[index[part]] += self.colour(points[part])
                 cover[index] += 1
         rgb, cover = rgb / supersample**2, cover / supersample**2
-        picture = (rgb + background * (1 - cover[:, None])).astype(np.float32)
+        picture = (rgb + (1 - cover[:, None])).astype(np.float32)
         return picture.reshape(camera.height, camera.width, 3), self.silhouette(plane, camera)
 
     def silhouette(self, plane: Plane, camera: Camera) -> NDArray[np.bool_]:

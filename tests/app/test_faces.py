@@ -27,6 +27,7 @@ from app.model.settings import Settings
 from app.session.session import Session
 from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from tests.helpers.exemplar_faces import RIND, disc, save
+from tests.helpers.solids import unturned
 from training.faces.marks import UNMARKED, Marks
 from training.faces.polygon import mask_polygon, polygon_mask
 from training.families import Family
@@ -48,7 +49,7 @@ def ball_of_atoms(count: int = 24) -> Atoms:
     skin = SurfaceAtoms(
         np.eye(3, dtype=np.float32),
         np.full((3, 3), pitch, np.float32),
-        np.tile(np.array([1, 0, 0, 0], np.float32), (3, 1)),
+        unturned(3),
         np.zeros((3, 1, 3), np.float32),
     )
     return Atoms(skin, inside, pitch)

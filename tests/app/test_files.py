@@ -82,7 +82,7 @@ def test_another_project_in_the_place_of_a_trusted_one_is_asked_about_again(
     path = tmp_path / "in" / "p.fruitninja"
     session = Session(autosave=Autosave(tmp_path))
     monkeypatch.setattr(session.scene, "load", lambda result=None: None)
-    session.files.open_document(Document(scene=tmp_path / "melon.ply"), Viewing(), None)
+    session.files.open_document(Document(scene=tmp_path / "melon.ply"), Viewing())
     session.files.save(path)
     session.files.open(path)
     assert session.question is None and not session.error and len(session.settings.trusted) == 1

@@ -27,6 +27,7 @@ from engine.scene.gaussians import Gaussians
 from engine.scene.sh import sh_to_rgb
 from tests.helpers.app_isolate_steps import MAT, melon_on_a_mat
 from tests.helpers.app_objects import atoms, full
+from tests.helpers.solids import round_gaussians
 from training.events import Reporter
 from training.families import Family
 from training.pipeline import prepare
@@ -36,10 +37,7 @@ from training.request import Request
 def ball(count: int = 4000) -> Gaussians:
     """A unit ball's skin around (5, 5, 5), grey."""
     points = np.random.default_rng(0).normal(size=(count, 3))
-    points = (points / np.linalg.norm(points, axis=1, keepdims=True) + 5).astype(np.float32)
-    quats = np.tile(np.array((1, 0, 0, 0), np.float32), (count, 1))
-    full_opacity, grey = np.ones(count, np.float32), np.zeros((count, 4, 3), np.float32)
-    return Gaussians(points, np.full((count, 3), 0.03, np.float32), quats, full_opacity, grey)
+    return round_gaussians(points / np.linalg.norm(points, axis=1, keepdims=True) + 5, 0.03, bands=4)
 
 
 @pytest.mark.parametrize("orthographic", [False, True])

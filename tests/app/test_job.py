@@ -240,7 +240,7 @@ def test_a_job_that_was_left_running_is_found_at_the_next_start(
         (tmp_path / name).touch()
     first = Session(autosave=Autosave(tmp_path))
     monkeypatch.setattr(first.scene, "load", lambda result=None, document=None: None)
-    first.files.open_document(project.documents[0], Viewing(), None)
+    first.files.open_document(project.documents[0], Viewing())
     first.training.program = (*STUB, "--steps", "2000")
     first.training.start()
     assert first.training.job is not None, first.error
@@ -264,7 +264,7 @@ def test_a_job_that_was_left_running_is_found_at_the_next_start(
             number=document.number,
             name=document.name,
         )
-        second.files.open_document(job.document, Viewing(), None)
+        second.files.open_document(job.document, Viewing())
         assert second.training.job is not None and second.training.busy and "went on" in second.message
         assert recovered_jobs(second) == []  # it is the one that is shown
     finally:
@@ -295,7 +295,7 @@ def test_what_lies_in_a_result_folder_starts_and_ends_no_process(tmp_path: Path)
         assert Job.find(out) is None
         session = Session(autosave=Autosave(tmp_path))
         session.scene.load = lambda result=None, document=None: None
-        session.files.open_document(document, Viewing(), None)
+        session.files.open_document(document, Viewing())
         assert session.training.job is None
         session.training.resume()
         session.training.stop()

@@ -40,7 +40,7 @@ def test_the_window_shows_a_part_first(tmp_path: Path, monkeypatch: pytest.Monke
     write_ply(path, painted(300_000))
     assert path.stat().st_size > module.LEAST_FILE
     session = Session(autosave=Autosave(tmp_path))
-    session.files.open_document(Document(scene=path), Viewing(), None)
+    session.files.open_document(Document(scene=path), Viewing())
     shown: list[tuple[int, float]] = []
     end = time.monotonic() + 120
     while session.object is None or session.object.capture is None:

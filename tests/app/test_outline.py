@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from app.model.outline import body_of_atoms, body_of_shell, contours
-from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
+from engine.scene.atoms import Atoms, InteriorAtoms
 from engine.scene.grid import Body
 from engine.scene.plane import Plane
+from tests.helpers.solids import NO_SURFACE
 
 PITCH = 2 / 64
 
@@ -20,10 +21,8 @@ def filled(inside) -> Atoms:
     points = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), 3).reshape(-1, 3)
     points = points[inside(points)] + rng.uniform(-0.3, 0.3, (int(inside(points).sum()), 3)) * PITCH
     n = len(points)
-    none = np.zeros((0, 3), np.float32)
-    surface = SurfaceAtoms(none, none, np.zeros((0, 4), np.float32), np.zeros((0, 1, 3), np.float32))
     interior = InteriorAtoms(points.astype(np.float32), np.full(n, PITCH / 2, np.float32), np.ones((n, 3), np.float32))
-    return Atoms(surface, interior, PITCH)
+    return Atoms(NO_SURFACE, interior, PITCH)
 
 
 @pytest.fixture(scope="module")

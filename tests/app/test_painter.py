@@ -24,7 +24,7 @@ from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from engine.scene.gaussians import Gaussians
 from engine.scene.piece import Piece
 from engine.scene.plane import Plane
-from tests.helpers.solids import Waves, waves
+from tests.helpers.solids import Waves, round_gaussians, unturned, waves
 
 EYE = OrbitCamera(azimuth=30.0, elevation=20.0, distance=5.0)
 
@@ -39,8 +39,9 @@ def ball() -> Atoms:
     z, turn = 1 - 2 * index / 3000, np.pi * (1 + 5**0.5) * index
     ring = np.sqrt(1 - z * z)
     means = np.stack([ring * np.cos(turn), ring * np.sin(turn), z], 1).astype(np.float32)
-    quats = np.tile(np.array([1, 0, 0, 0], np.float32), (3000, 1))
-    surface = SurfaceAtoms(means, np.full((3000, 3), 0.05, np.float32), quats, np.zeros((3000, 1, 3), np.float32))
+    surface = SurfaceAtoms(
+        means, np.full((3000, 3), 0.05, np.float32), unturned(3000), np.zeros((3000, 1, 3), np.float32)
+    )
     return Atoms(surface, interior, 0.1)
 
 
@@ -127,10 +128,8 @@ def test_a_capture_is_uploaded_and_drawn_in_slices(
     """Without a graphics card a frame of a large capture takes seconds: events are handled meanwhile."""
     random = np.random.default_rng(0)
     n = 3 * UPLOAD
-    means = random.normal(size=(n, 3)).astype(np.float32) * 0.3
-    quats = np.tile(np.array([1, 0, 0, 0], np.float32), (n, 1))
-    sizes, colours = np.full((n, 3), 0.004, np.float32), random.normal(size=(n, 1, 3)).astype(np.float32)
-    capture = Gaussians(means, sizes, quats, np.full(n, 0.5, np.float32), colours)
+    capture = round_gaussians(random.normal(size=(n, 3)) * 0.3, 0.004, 0.5)
+    capture = replace(capture, sh=random.normal(size=(n, 1, 3)).astype(np.float32))
     session.object = replace(session.object, capture=capture)  # type: ignore[type-var]
     session.viewing = Viewing(EYE, "capture")
     camera = EYE.camera(128, 96, session.up)

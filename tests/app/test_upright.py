@@ -15,7 +15,7 @@ from app.model.project import Project, load_project, save_project
 from app.model.rigid_transform import vec3
 from app.model.upright import face_normal, point_under, turn_between
 from app.session.session import Session
-from engine.scene.gaussians import Gaussians
+from tests.helpers.solids import round_gaussians
 
 SIDES = [np.array(side, float) for side in ((0, 0, -1), (0, 0, 1), (1, 0, 0), (0, -1, 0))]
 
@@ -34,15 +34,7 @@ def cube(n=3000, noise=0.004):
 
 
 def session_with(points) -> Session:
-    n = len(points)
-    quats = np.tile(np.array([1, 0, 0, 0], np.float32), (n, 1))
-    capture = Gaussians(
-        points.astype(np.float32),
-        np.full((n, 3), 0.02, np.float32),
-        quats,
-        np.ones(n, np.float32),
-        np.zeros((n, 1, 3), np.float32),
-    )
+    capture = round_gaussians(points)
     session = Session()
     session.object = LoadedScene(SceneRequest(Path("cube.ply")), capture, None, Solid.of(capture.means))
     session.fit()
@@ -112,7 +104,7 @@ def test_a_drag_of_the_rings_is_one_step():
     session = session_with(cube())
     turn = Rotation.from_euler("x", 3, degrees=True).as_matrix()
     for _ in range(10):
-        session.turn_object("Turn upright", turn, merge="handles")
+        session.turn_object(turn)
     np.testing.assert_allclose(session.up, Rotation.from_euler("x", -30, degrees=True).apply([0, 0, 1]), atol=1e-9)
     assert len(session.history.entries) == 2
     session.set_up("Up", (3, 0, 4))

@@ -27,7 +27,7 @@ from engine.scene.gaussians import Gaussians
 from engine.scene.sh import rgb_to_sh
 from tests.helpers.app_driver import Driver, drive
 from tests.helpers.app_steps import ground
-from tests.helpers.solids import ball
+from tests.helpers.solids import ball, unturned
 from tests.quick_scene_worker import use_quick_worker
 
 Key = imgui.Key
@@ -51,7 +51,7 @@ def melon_on_a_mat(folder: Path) -> Document:
     mat = Gaussians(
         means.astype(np.float32),
         np.tile(np.array((0.04, 0.04, 0.004), np.float32), (MAT, 1)),
-        np.tile(np.array((1, 0, 0, 0), np.float32), (MAT, 1)),
+        unturned(MAT),
         np.full(MAT, 0.95, np.float32),
         sh,
     )
@@ -176,9 +176,7 @@ def two_balls(session: Session, scene: Path) -> None:
     means, scales, quats, sh = arrays
     capture = Gaussians(means, scales, quats, np.ones(len(means), np.float32), sh)
     balls = [keep_only(Sphere((x, 0.0, 0.0), 0.69)) for x in (-0.7, 0.7)]
-    session.history = History(
-        tuple(Document(scene, isolation=(one,), number=n) for n, one in enumerate(balls, 1)), "Open"
-    )
+    session.history = History(tuple(Document(scene, isolation=(one,), number=n) for n, one in enumerate(balls, 1)))
     for document, atoms in zip(session.documents, solids, strict=True):
         request = SceneRequest(scene, isolation=document.isolation)
         session.loaded[document.number] = LoadedScene(request, capture, atoms, Solid.of_atoms(atoms))
@@ -270,7 +268,7 @@ def main() -> None:
 
     def start(session: Session) -> None:
         if name == "isolate":
-            session.files.open_document(document, Viewing(mode="capture"), None)
+            session.files.open_document(document, Viewing(mode="capture"))
         else:
             two_balls(session, folder / "two.ply")
 

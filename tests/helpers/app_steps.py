@@ -71,7 +71,7 @@ def opened(folder: Path, script: Callable[[Driver], None], size: tuple[int, int]
     drive(
         Session(settings=Settings(window=size)),
         run,
-        lambda session: session.files.open_document(document, Viewing(), None),
+        lambda session: session.files.open_document(document, Viewing()),
     )
 
 

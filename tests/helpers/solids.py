@@ -15,6 +15,36 @@ from engine.scene.gaussians import Gaussians
 from engine.scene.inside import InsideRecord
 from tests.paths import SAMPLES
 
+NO_SURFACE = SurfaceAtoms(*(np.zeros((0, *shape), np.float32) for shape in ((3,), (3,), (4,), (1, 3))))
+NO_INTERIOR = InteriorAtoms(np.zeros((0, 3), np.float32), np.zeros(0, np.float32), np.zeros((0, 3), np.float32))
+
+
+def unturned(count: int) -> NDArray[np.float32]:
+    """(count, 4). Quaternions of no rotation."""
+    return np.tile(np.array([1, 0, 0, 0], np.float32), (count, 1))
+
+
+def round_gaussians(
+    means: NDArray[np.floating], scale: float = 0.02, opacity: float = 1.0, bands: int = 1
+) -> Gaussians:
+    """Grey balls of one size at means (N, 3), with so many bands of spherical harmonics."""
+    n = len(means)
+    scales, opacities = np.full((n, 3), scale, np.float32), np.full(n, opacity, np.float32)
+    return Gaussians(means.astype(np.float32), scales, unturned(n), opacities, np.zeros((n, bands, 3), np.float32))
+
+
+Rows = NDArray[np.bool_] | NDArray[np.integer] | slice
+
+
+def rows_of(atoms: Atoms, surface: Rows = slice(None), interior: Rows = slice(None)) -> Atoms:
+    """The atoms of these rows, none of them exposed."""
+    s, i = atoms.surface, atoms.interior
+    return Atoms(
+        SurfaceAtoms(s.means[surface], s.scales[surface], s.quats[surface], s.sh[surface]),
+        InteriorAtoms(i.means[interior], i.sigmas[interior], i.rgb[interior]),
+        atoms.pitch,
+    )
+
 
 def ball(pitch: float, seed: int = 0, exposed: int = 0, degree: int = 1, radius: float = 0.5) -> Atoms:
     """A striped skin of flat discs on a sphere around a jittered lattice with a rind, red flesh and dark seeds."""

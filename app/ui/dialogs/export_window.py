@@ -10,7 +10,7 @@ from app.jobs.export import ffmpeg
 from app.ui.dialogs.exporter import Exporter, Options
 from app.ui.dialogs.file_dialogs import FileDialogs
 from app.ui.theme import Fonts, px
-from app.ui.widgets import font, main_button, secondary, thin_bar
+from app.ui.widgets import cancel_button, font, main_button, modal, row_label, secondary, thin_bar
 
 __all__ = ["ExportWindow"]
 
@@ -54,14 +54,9 @@ class ExportWindow:
             return
         if self.requested:
             imgui.open_popup("Export")
-        imgui.set_next_window_pos(imgui.get_main_viewport().get_center(), imgui.Cond_.always, ImVec2(0.5, 0.5))
-        imgui.set_next_window_size(ImVec2(px(380), 0))
-        imgui.push_style_var(imgui.StyleVar_.window_padding, ImVec2(px(18), px(16)))
-        flags = imgui.WindowFlags_.no_title_bar | imgui.WindowFlags_.no_resize
-        if imgui.begin_popup_modal("Export", None, flags)[0]:
-            self._body()
-            imgui.end_popup()
-        imgui.pop_style_var()
+        with modal("Export", 380) as opened:
+            if opened:
+                self._body()
 
     def _body(self) -> None:
         o = self.options
@@ -69,40 +64,32 @@ class ExportWindow:
             imgui.text_unformatted(TITLES[o.kind])
         secondary(HINTS[o.kind], wrap=True)
         imgui.dummy(ImVec2(0, px(4)))
-        label = px(110)
-
-        def row(text: str) -> None:
-            imgui.align_text_to_frame_padding()
-            secondary(text)
-            imgui.same_line(label)
-            imgui.set_next_item_width(-1)
-
         if o.kind == "section":
-            row("Size")
+            row_label("Size", 110)
             o.width = bounded(imgui.input_int("##side", o.width, 100)[1])
         elif o.kind != "pieces":
-            row("Width")
+            row_label("Width", 110)
             o.width = bounded(imgui.input_int("##width", o.width, 100)[1])
-            row("Height")
+            row_label("Height", 110)
             o.height = bounded(imgui.input_int("##height", o.height, 100)[1])
         if o.kind in ("picture", "section"):
-            row("Background")
+            row_label("Background", 110)
             o.transparent = not imgui.checkbox("white##ground", not o.transparent)[1]
         if o.kind in ("turntable", "sweep"):
-            row("Frames")
+            row_label("Frames", 110)
             o.frames = min(max(2, imgui.input_int("##frames", o.frames, 10)[1]), 1000)
-            row("Format")
+            row_label("Format", 110)
             forms = [".webp", ".gif", *([".mp4"] if ffmpeg() else [])]
             current = forms.index(o.form) if o.form in forms else 0
             o.form = forms[imgui.combo("##form", current, [f[1:].upper() for f in forms])[1]]
         if o.kind == "pieces":
-            row("Files")
+            row_label("Files", 110)
             o.separate = imgui.checkbox("one for each piece", o.separate)[1]
         imgui.dummy(ImVec2(0, px(6)))
         if main_button("Choose where...", px(150)):
             self._choose()
         imgui.same_line()
-        if imgui.button("Cancel", ImVec2(px(90), px(32))) or imgui.is_key_pressed(imgui.Key.escape):
+        if cancel_button():
             self.requested = False
         if not self.requested:
             imgui.close_current_popup()

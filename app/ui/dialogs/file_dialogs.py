@@ -9,12 +9,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from imgui_bundle import ImVec2, imgui
+from imgui_bundle import imgui
 from imgui_bundle import portable_file_dialogs as pfd
 
 from app.model.project import SUFFIX
 from app.ui.theme import px
-from app.ui.widgets import main_button, secondary
+from app.ui.widgets import cancel_button, main_button, modal, secondary
 from engine.io.formats import SCENE_SUFFIXES
 from engine.io.picture_file import PICTURE_SUFFIXES
 
@@ -98,24 +98,22 @@ class FileDialogs:
 
     def _show_prompt(self, typed: PathPrompt) -> None:
         imgui.open_popup("Path")
-        imgui.set_next_window_pos(imgui.get_main_viewport().get_center(), imgui.Cond_.always, ImVec2(0.5, 0.5))
-        imgui.set_next_window_size(ImVec2(px(520), 0))
-        if not imgui.begin_popup_modal("Path", None, imgui.WindowFlags_.no_title_bar | imgui.WindowFlags_.no_resize)[0]:
-            return
-        imgui.text_unformatted(typed.title)
-        imgui.set_next_item_width(-1)
-        if imgui.is_window_appearing():
-            imgui.set_keyboard_focus_here()
-        entered, typed.text = imgui.input_text("##path", typed.text, imgui.InputTextFlags_.enter_returns_true)
-        secondary("Type a path. Installing zenity or kdialog brings the system's file dialog.", wrap=True)
         done = False
-        if main_button("OK", px(110)) or entered:
-            self.prompt, done = None, True
-        imgui.same_line()
-        if imgui.button("Cancel", ImVec2(px(90), px(32))) or imgui.is_key_pressed(imgui.Key.escape):
-            self.prompt = None
-        if self.prompt is None:
-            imgui.close_current_popup()
-        imgui.end_popup()
+        with modal("Path", 520) as opened:
+            if not opened:
+                return
+            imgui.text_unformatted(typed.title)
+            imgui.set_next_item_width(-1)
+            if imgui.is_window_appearing():
+                imgui.set_keyboard_focus_here()
+            entered, typed.text = imgui.input_text("##path", typed.text, imgui.InputTextFlags_.enter_returns_true)
+            secondary("Type a path. Installing zenity or kdialog brings the system's file dialog.", wrap=True)
+            if main_button("OK", px(110)) or entered:
+                self.prompt, done = None, True
+            imgui.same_line()
+            if cancel_button():
+                self.prompt = None
+            if self.prompt is None:
+                imgui.close_current_popup()
         if done and typed.text.strip():
             typed.then((self.folder / Path(typed.text.strip()).expanduser(),))

@@ -11,7 +11,7 @@ from app.model.knife import slice_evenly
 from app.session.session import Session
 from app.ui.panels.cut_details import presets
 from app.ui.theme import Fonts, px
-from app.ui.widgets import font, main_button, secondary
+from app.ui.widgets import cancel_button, font, main_button, modal, row_label, secondary
 
 __all__ = ["SlicesWindow"]
 
@@ -36,14 +36,9 @@ class SlicesWindow:
         """One frame."""
         if self.requested:
             imgui.open_popup("Slices")
-        imgui.set_next_window_pos(imgui.get_main_viewport().get_center(), imgui.Cond_.always, ImVec2(0.5, 0.5))
-        imgui.set_next_window_size(ImVec2(px(340), 0))
-        imgui.push_style_var(imgui.StyleVar_.window_padding, ImVec2(px(18), px(16)))
-        flags = imgui.WindowFlags_.no_title_bar | imgui.WindowFlags_.no_resize
-        if imgui.begin_popup_modal("Slices", None, flags)[0]:
-            self._body()
-            imgui.end_popup()
-        imgui.pop_style_var()
+        with modal("Slices", 340) as opened:
+            if opened:
+                self._body()
 
     def _body(self) -> None:
         with font(Fonts.bold):
@@ -54,24 +49,20 @@ class SlicesWindow:
         )
         imgui.dummy(ImVec2(0, px(4)))
         normals = presets(np.asarray(self.session.up))
-        for text in ("Slices", "Cuts"):
-            imgui.align_text_to_frame_padding()
-            secondary(text)
-            imgui.same_line(px(90))
-            imgui.set_next_item_width(-1)
-            if text == "Slices":
-                self.count = min(max(2, imgui.slider_int("##count", self.count, 2, MOST)[1]), MOST)
-            elif imgui.begin_combo("##across", self.across):
-                for name in normals:
-                    if imgui.selectable(name, name == self.across)[0]:
-                        self.across = name
-                imgui.end_combo()
+        row_label("Slices", 90)
+        self.count = min(max(2, imgui.slider_int("##count", self.count, 2, MOST)[1]), MOST)
+        row_label("Cuts", 90)
+        if imgui.begin_combo("##across", self.across):
+            for name in normals:
+                if imgui.selectable(name, name == self.across)[0]:
+                    self.across = name
+            imgui.end_combo()
         imgui.dummy(ImVec2(0, px(6)))
         if main_button("Slice", px(150)):
             self._slice(normals[self.across])
             self.requested = False
         imgui.same_line()
-        if imgui.button("Cancel", ImVec2(px(90), px(32))) or imgui.is_key_pressed(imgui.Key.escape):
+        if cancel_button():
             self.requested = False
         if not self.requested:
             imgui.close_current_popup()

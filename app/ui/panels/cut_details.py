@@ -13,7 +13,7 @@ from app.model.knife import PlaneAngles
 from app.session.session import Session
 from app.ui.theme import px
 from app.ui.view.viewport import Viewport
-from app.ui.widgets import secondary, tooltip
+from app.ui.widgets import row_label, tooltip
 from engine.errors import InputError
 from engine.scene.camera import equator
 from engine.scene.plane import Plane
@@ -67,10 +67,7 @@ class CutDetails:
             ("tilt", now.tilt, 0.5, 0.0, 180.0, "%.1f°", "Against the level: 0 is a level cut, 90 an upright one"),
             ("turn", now.turn, 0.5, -180.0, 180.0, "%.1f°", "About the upright axis"),
         ):
-            imgui.align_text_to_frame_padding()
-            secondary(name.title())
-            imgui.same_line(px(108))
-            imgui.set_next_item_width(-1)
+            row_label(name.title(), 108)
             value = value if abs(value) >= 5e-4 else 0.0  # and not "-0.000"
             changed, new = imgui.drag_float(f"##{name}", value, step, low, high, form)
             tooltip(f"{hint}. Drag, or double click to type.")

@@ -20,7 +20,7 @@ from app.session.workspace import Tool
 from app.ui.theme import Fonts, palette, px, rgba, u32
 from app.ui.view.painter import Painter
 from app.ui.view.placement_view import PlacementView
-from app.ui.widgets import font, secondary, segmented, thin_bar, tooltip
+from app.ui.widgets import colours, font, secondary, segmented, thin_bar, tooltip
 from training.faces.marks import UNMARKED, Place
 from training.families import Kind
 
@@ -163,9 +163,8 @@ class FaceEditor:
         if found is None:
             secondary("Looking for the cut face...")
         elif found.problem:
-            imgui.push_style_color(imgui.Col_.text, rgba(palette().trouble))
-            imgui.text_unformatted(icon.ICON_FA_TRIANGLE_EXCLAMATION)
-            imgui.pop_style_color()
+            with colours(text=rgba(palette().trouble)):
+                imgui.text_unformatted(icon.ICON_FA_TRIANGLE_EXCLAMATION)
             imgui.same_line(0, px(8))
             painted = " Paint it with Add." if found.rgb.size and face.given.outline is None else ""
             secondary(f"{found.verdict[:1].upper()}{found.verdict[1:]}.{painted}")

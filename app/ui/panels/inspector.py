@@ -20,7 +20,17 @@ from app.ui.panels.interior import InteriorPanel
 from app.ui.panels.isolate import IsolatePanel
 from app.ui.panels.measures import MeasuresPanel
 from app.ui.theme import palette, px, rgba
-from app.ui.widgets import eye_icon, float_slider, heading, icon_button, secondary, tooltip
+from app.ui.widgets import (
+    colours,
+    eye_icon,
+    float_slider,
+    heading,
+    icon_button,
+    list_row,
+    row_label,
+    secondary,
+    tooltip,
+)
 
 __all__ = ["Inspector"]
 
@@ -114,18 +124,15 @@ class Inspector:
             self._typing, self._renamed = not ended, None if ended else self._renamed
             return
         active = index == session.active
-        imgui.push_style_color(imgui.Col_.text, rgba(palette().text if document.visible else palette().second))
-        imgui.push_style_color(imgui.Col_.header, rgba(palette().field, 1.0 if active else 0.0))
-        imgui.push_style_var(imgui.StyleVar_.selectable_text_align, ImVec2(0.0, 0.5))
         mark = f"{icon.ICON_FA_CHECK}  " if active and session.object_selected else ""
         width = imgui.get_content_region_avail().x - px(104)
-        if imgui.selectable(f"{mark}{document.title}###object", active, 0, ImVec2(width, px(22)))[0]:
+        with colours(text=rgba(palette().text if document.visible else palette().second), header=rgba(palette().field)):
+            clicked = list_row(f"{mark}{document.title}###object", active, width, 22)
+        if clicked:
             session.activate(index, not (active and session.object_selected))
         if imgui.is_item_hovered() and imgui.is_mouse_double_clicked(imgui.MouseButton_.left):
             self._renamed, self._typing = document.number, False
             session.activate(index)  # whatever its first click did
-        imgui.pop_style_var()
-        imgui.pop_style_color(2)
         tooltip("The selected object is the one that is cut; click again to cut all. Double click to name it.")
         imgui.same_line()
         imgui.align_text_to_frame_padding()
@@ -203,13 +210,10 @@ class Inspector:
         )
         imgui.same_line()
         active = session.active_cut == cut.id
-        imgui.push_style_color(imgui.Col_.text, rgba(palette().text if cut.on else palette().second))
-        imgui.push_style_color(imgui.Col_.header, rgba(palette().field, 1.0 if active else 0.0))
-        imgui.push_style_var(imgui.StyleVar_.selectable_text_align, ImVec2(0.0, 0.5))
-        if imgui.selectable(cut.name, active, 0, ImVec2(px(76), px(24)))[0]:
+        with colours(text=rgba(palette().text if cut.on else palette().second), header=rgba(palette().field)):
+            clicked = list_row(cut.name, active, px(76), 24)
+        if clicked:
             session.active_cut = None if active else cut.id
-        imgui.pop_style_var()
-        imgui.pop_style_color(2)
         tooltip("Click to say where it lies")
         imgui.same_line()
         self._slider(cut)
@@ -248,9 +252,7 @@ class Inspector:
             ("Gap", "gap", document.gap, "How far the sides of a cut stand apart"),
             ("Explode", "explode", document.explode, "How far the pieces stand from the middle"),
         ):
-            imgui.align_text_to_frame_padding()
-            secondary(label)
-            imgui.same_line(px(76))
+            row_label(label, 76)
             changed, new = float_slider(f"##{name}", value, 0.0, 1.0 if name == "gap" else 2.0, hint)
             if changed:
                 changed_one = replace(document, gap=new) if name == "gap" else replace(document, explode=new)
@@ -272,11 +274,9 @@ class Inspector:
             )
         imgui.same_line()
         chosen = piece.key in session.selection
-        imgui.push_style_var(imgui.StyleVar_.selectable_text_align, ImVec2(0.0, 0.5))
-        if imgui.selectable(piece.name, chosen, 0, ImVec2(imgui.get_content_region_avail().x - px(30), px(22)))[0]:
+        if list_row(piece.name, chosen, imgui.get_content_region_avail().x - px(30), 22):
             only = frozenset([piece.key])
             session.selection = session.selection ^ only if imgui.get_io().key_ctrl else only
-        imgui.pop_style_var()
         imgui.same_line()
         if icon_button(f"{icon.ICON_FA_XMARK}##gone", 22, quiet=True):
             session.selection = frozenset([piece.key])

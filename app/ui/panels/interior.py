@@ -27,6 +27,7 @@ from app.ui.widgets import (
     int_slider,
     main_button,
     range_slider,
+    row_label,
     secondary,
     segmented,
     tooltip,
@@ -151,35 +152,24 @@ class InteriorPanel:
         def change(name: str, new: Family, merge: str = "") -> None:
             session.change(name, session.document.with_family(new), merge)
 
-        label = px(80)
         if kind != "custom":
-            imgui.align_text_to_frame_padding()
-            secondary("Planes")
-            imgui.same_line(label)
+            row_label("Planes", 80)
             changed, count = int_slider("##count", family.count, 1, 2 * COUNTS[kind])
             if changed:
                 change("Planes", replace(family, count=max(1, count)), merge=f"count {kind}")
-            imgui.align_text_to_frame_padding()
-            secondary("Range")
-            imgui.same_line(label)
+            row_label("Range", 80)
             changed, span = range_slider("##range", family.span, RANGE_HINTS[kind])
             if changed:
                 change("Range", replace(family, span=span), merge=f"range {kind}")
         if kind == "parallel":
-            imgui.align_text_to_frame_padding()
-            secondary("Along")
-            imgui.same_line(label)
+            row_label("Along", 80)
             names = list(AXIS_CHOICES)
             axes = list(AXIS_CHOICES.values())
             current = axes.index(family.axis) if family.axis in axes else 0
-            imgui.set_next_item_width(-1)
             changed, index = imgui.combo("##axis", current, names)
             if changed:
                 change("Axis", replace(family, axis=axes[index]))
-        imgui.align_text_to_frame_padding()
-        secondary("In words")
-        imgui.same_line(label)
-        imgui.set_next_item_width(-1)
+        row_label("In words", 80)
         changed, text = imgui.input_text_with_hint("##prompt", "optional, if drawn from words", family.prompt)
         if changed:
             change("Words", replace(family, prompt=text), merge=f"prompt {kind}")
@@ -295,45 +285,38 @@ class InteriorPanel:
                 imgui.tree_pop()
 
     def _more(self, training: Training) -> None:
-        session, label = self.session, px(84)
-
-        def row(text: str) -> None:
-            imgui.align_text_to_frame_padding()
-            secondary(text)
-            imgui.same_line(label)
-            imgui.set_next_item_width(-1)
-
-        row("Drawn")
+        session = self.session
+        row_label("Drawn", 84)
         names = list(PRIORS)
         current = names.index(training.prior) if training.prior in names else 0
         changed, index = imgui.combo("##prior", current, list(PRIORS.values()))
         if changed:
             self._change_training("Drawn", replace(training, prior=names[index]))
         if training.prior == "stable-diffusion":
-            row("Model")
+            row_label("Model", 84)
             if imgui.button(training.model.name if training.model else "Choose a folder...", ImVec2(-1, 0)):
                 self.dialogs.choose_folder(
                     "Folder of a Stable Diffusion depth model",
                     Path.home(),
                     lambda path: self._change_training("Model", replace(training, model=path)),
                 )
-            row("Object")
+            row_label("Object", 84)
             changed, thing = imgui.input_text_with_hint("##thing", "watermelon", training.thing)
             if changed:
                 self._change_training("Object", replace(training, thing=thing), merge="thing")
             tooltip("What it is, in a word or two")
-        row("Seed")
+        row_label("Seed", 84)
         changed, seed = imgui.input_int("##seed", training.seed)
         if changed:
             self._change_training("Seed", replace(training, seed=min(max(0, seed), 2**31 - 1)), merge="seed")
         tooltip("The same seed gives the same inside")
-        row("Iterations")
+        row_label("Iterations", 84)
         most = training.iterations if training.iterations is not None else DETAILS[training.detail].iterations
         changed, most = imgui.input_int("##iterations", most, 10)
         if changed:
             self._change_training("Iterations", replace(training, iterations=min(max(0, most), 100_000)), merge="most")
         tooltip("At most; training ends sooner where it has settled")
-        row("Result")
+        row_label("Result", 84)
         out = session.training.out(session.document)
         if imgui.button(out.name if out else "-", ImVec2(-1, 0)) and out is not None:
             self.dialogs.choose_folder(

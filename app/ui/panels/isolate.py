@@ -9,7 +9,7 @@ from app.model.marking import MARKERS, Marker
 from app.session.isolation_controller import How, Proposal
 from app.session.session import Session
 from app.ui.theme import palette, px, rgb
-from app.ui.widgets import disabled, heading, icon_button, main_button, secondary, segmented, tooltip
+from app.ui.widgets import disabled, heading, icon_button, list_row, main_button, secondary, segmented, tooltip
 
 __all__ = ["IsolatePanel"]
 
@@ -112,11 +112,8 @@ class IsolatePanel:
         session = self.session
         imgui.push_id(proposal.name)
         shown = session.document.marked == proposal.selection
-        imgui.push_style_var(imgui.StyleVar_.selectable_text_align, ImVec2(0.0, 0.5))
-        width = imgui.get_content_region_avail().x - px(118)
-        if imgui.selectable(proposal.name, shown, 0, ImVec2(width, px(24)))[0]:
+        if list_row(proposal.name, shown, imgui.get_content_region_avail().x - px(118), 24):
             session.isolation.clear() if shown else session.isolation.propose(proposal)
-        imgui.pop_style_var()
         tooltip(f"{proposal.hint}. Click to see it in the capture.")
         imgui.same_line()
         imgui.align_text_to_frame_padding()

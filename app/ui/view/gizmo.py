@@ -84,7 +84,7 @@ def _upright_handles(session: Session, camera: Camera, origin: ImVec2, size: ImV
     moved = _manipulate("upright", seen, origin, size, gizmo.OPERATION.rotate, gizmo.MODE.world, np.eye(4))
     gizmo.set_gizmo_size_clip_space(NARROW)
     if moved is not None:
-        session.turn_object("Turn upright", viewer.T @ moved[:3, :3] @ viewer, merge="handles")
+        session.turn_object(viewer.T @ moved[:3, :3] @ viewer)
     return True
 
 

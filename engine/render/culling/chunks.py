@@ -48,17 +48,17 @@ class Chunks:
         return np.stack([at - reach, at + reach], 1)
 
 
-def build(means: NDArray[np.float32], sigmas: NDArray[np.float32], chunk: int = CHUNK) -> Chunks:
+def build(means: NDArray[np.float32], sigmas: NDArray[np.float32]) -> Chunks:
     """Chunks of atoms with centres (N, 3) and largest standard deviations (N,)."""
     n = len(means)
     if n == 0:
         empty = np.zeros(0, np.int64)
         return Chunks(empty.astype(np.intp), empty, empty, np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
     order = morton_order(means)
-    first = np.arange(0, n, chunk)
-    count = np.minimum(chunk, n - first)
-    tail = n % chunk
-    whole = order[: n - tail].reshape(-1, chunk)[:, reversal(chunk)].ravel()
+    first = np.arange(0, n, CHUNK)
+    count = np.minimum(CHUNK, n - first)
+    tail = n % CHUNK
+    whole = order[: n - tail].reshape(-1, CHUNK)[:, reversal(CHUNK)].ravel()
     order = np.concatenate([whole, order[n - tail :][reversal(tail)]])
     points = means[order].astype(np.float64)
     least = np.minimum.reduceat(points, first)

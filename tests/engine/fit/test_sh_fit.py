@@ -7,8 +7,9 @@ import pytest
 
 from engine.fit.sh_fit import SurfaceView, fit_sh, predict
 from engine.fit.view_weights import ViewWeights
-from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
+from engine.scene.atoms import Atoms, SurfaceAtoms
 from engine.scene.camera import cameras_around
+from tests.helpers.solids import NO_INTERIOR, unturned
 
 
 def sphere(bands: int, seed: int) -> Atoms:
@@ -19,9 +20,7 @@ def sphere(bands: int, seed: int) -> Atoms:
     sh = rng.normal(0, 0.5, (len(means), bands, 3)).astype(np.float32)
     sh[:, 1:] = np.linspace(-0.6, 0.6, 3 * (bands - 1)).reshape(bands - 1, 3)  # a sheen, the same everywhere
     scales = np.full((len(means), 3), 0.04, np.float32)
-    quats = np.tile(np.array([1, 0, 0, 0], np.float32), (len(means), 1))
-    empty = InteriorAtoms(np.zeros((0, 3), np.float32), np.zeros(0, np.float32), np.zeros((0, 3), np.float32))
-    return Atoms(SurfaceAtoms(means, scales, quats, sh), empty, 0.05)
+    return Atoms(SurfaceAtoms(means, scales, unturned(len(means)), sh), NO_INTERIOR, 0.05)
 
 
 def views_of(atoms: Atoms, count: int = 36) -> list[SurfaceView]:

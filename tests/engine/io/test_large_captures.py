@@ -12,8 +12,8 @@ from safetensors.numpy import save_file
 from engine.io.load import load, load_sample
 from engine.io.mapped import map_arrays
 from engine.io.splats.ply import ply_data, read_ply, write_ply
-from engine.scene.gaussians import Gaussians
 from tests.engine.io.test_splat_formats import N, compressed, scene, splat, spz
+from tests.helpers.solids import round_gaussians
 
 MOST = 70
 STRIDE = 9
@@ -62,13 +62,7 @@ def test_what_cannot_be_sampled_is_left_to_the_whole_reading(tmp_path: Path) -> 
 def test_a_capture_is_read_in_little_more_memory_than_it_takes(tmp_path: Path) -> None:
     count = 200_000
     r = np.random.default_rng(2)
-    g = Gaussians(
-        r.normal(size=(count, 3)).astype(np.float32),
-        np.full((count, 3), 0.01, np.float32),
-        np.tile(np.array([1, 0, 0, 0], np.float32), (count, 1)),
-        np.full(count, 0.5, np.float32),
-        np.zeros((count, 16, 3), np.float32),
-    )
+    g = round_gaussians(r.normal(size=(count, 3)), 0.01, 0.5, bands=16)
     g.scales[7] = np.nan  # moving a row out must not copy the rest
     path = tmp_path / "large.ply"
     write_ply(path, g)

@@ -15,7 +15,7 @@ from engine.io.splats.ply import write_ply
 from engine.isolate.bodies import find_bodies
 from engine.isolate.selection import removed, split_bodies
 from engine.scene.gaussians import Gaussians
-from tests.helpers.solids import three_samples
+from tests.helpers.solids import round_gaussians, three_samples
 from tests.paths import SAMPLES, SHARED
 from training.cli import runs_of_bodies
 from training.isolation_options import parse_body, parse_isolation, select_bodies
@@ -33,11 +33,7 @@ def ball(count: int, radius: float, centre: tuple[float, float, float]) -> Point
 
 def gaussians(*parts: Points, scale: float = 0.03) -> Gaussians:
     """Opaque balls of one size."""
-    means = np.concatenate(parts).astype(np.float32)
-    n = len(means)
-    quats = np.tile(np.array([1, 0, 0, 0], np.float32), (n, 1))
-    scales = np.full((n, 3), scale, np.float32)
-    return Gaussians(means, scales, quats, np.ones(n, np.float32), np.zeros((n, 1, 3), np.float32))
+    return round_gaussians(np.concatenate(parts), scale)
 
 
 LARGE, SMALL = ball(4000, 1.0, (0, 0, 0)), ball(1000, 0.4, (2.0, 0, 0))

@@ -36,17 +36,10 @@ from engine.isolate.selection import (
 from engine.scene.camera import orbit
 from engine.scene.gaussians import Gaussians
 from engine.scene.plane import Plane
+from tests.helpers.solids import round_gaussians
 from tests.paths import SHARED
 
 Points = NDArray[np.float64]
-
-
-def gaussians(means: Points, scale: float = 0.02) -> Gaussians:
-    """Opaque balls of one size."""
-    n = len(means)
-    quats = np.tile(np.array([1, 0, 0, 0], np.float32), (n, 1))
-    scales = np.full((n, 3), scale, np.float32)
-    return Gaussians(means.astype(np.float32), scales, quats, np.ones(n, np.float32), np.zeros((n, 1, 3), np.float32))
 
 
 def quat(rotation: Rotation) -> tuple[float, float, float, float]:
@@ -54,7 +47,7 @@ def quat(rotation: Rotation) -> tuple[float, float, float, float]:
     return w, x, y, z
 
 
-CLOUD = gaussians(np.random.default_rng(3).normal(size=(5000, 3)))
+CLOUD = round_gaussians(np.random.default_rng(3).normal(size=(5000, 3)))
 TURN = Rotation.from_rotvec((0.3, -0.8, 0.5))
 BOX = Box((-0.5, -0.2, -1.0), (0.7, 0.9, 0.4), quat(TURN))
 SPHERE = Sphere((0.2, -0.3, 0.1), 0.8)
@@ -111,11 +104,11 @@ def test_a_selection_grows_over_its_blob_and_not_into_the_next() -> None:
     turn, across = np.arange(3000) * np.pi * (3 - math.sqrt(5)), np.sqrt(1 - height**2)
     ball = np.stack([across * np.cos(turn), across * np.sin(turn), height], 1)
     # The balls are 0.5 apart; on each, neighbours are 0.06 apart.
-    scene = gaussians(np.concatenate([ball, ball + np.array((2.5, 0, 0))]))
+    scene = round_gaussians(np.concatenate([ball, ball + np.array((2.5, 0, 0))]))
     seed = Step("add", Sphere((-1.0, 0.0, 0.0), 0.2))
     assert np.array_equal(removed(scene, ((seed, Step("grow")),)), np.arange(6000) < 3000)
     # A faint veil between them reaches both: it is no bridge.
-    veil = gaussians(np.concatenate([scene.means, [[1.25, 0, 0]]]))
+    veil = round_gaussians(np.concatenate([scene.means, [[1.25, 0, 0]]]))
     veil.scales[6000], veil.opacities[6000] = 0.3, 0.02
     assert removed(veil, ((seed, Step("grow")),))[:6000].sum() == 3000
 
@@ -134,7 +127,7 @@ def room(rotation: Rotation, reach: float = 1.6, legs: int = 0) -> Gaussians:
     angle, radius = rng.uniform(0, 2 * np.pi, count), reach * np.sqrt(rng.uniform(0, 1, count))
     disc = np.stack([radius * np.cos(angle), radius * np.sin(angle), rng.normal(0, 0.004, count)], 1)
     leg = np.stack([np.full(legs, 1.2), np.zeros(legs), rng.uniform(-1, 0, legs)], 1)
-    return gaussians(rotation.apply(np.concatenate([box, disc, leg])) + np.array((3, -2, 5)))
+    return round_gaussians(rotation.apply(np.concatenate([box, disc, leg])) + np.array((3, -2, 5)))
 
 
 @pytest.mark.parametrize(("reach", "legs"), [(1.1, 0), (1.6, 300), (8.0, 3000)])
@@ -159,7 +152,13 @@ def test_an_object_without_a_floor_keeps_its_foot() -> None:
     wall = np.stack([np.cos(around) * (1 + 0.2 * height), np.sin(around) * (1 + 0.2 * height), height], 1)
     inner = rng.uniform(-1, 1, (3000, 2))
     foot = np.c_[inner[(inner**2).sum(1) < 1], np.zeros(((inner**2).sum(1) < 1).sum())]
-    for scene in (box, gaussians(ball), gaussians(np.concatenate([wall, foot])), CLOUD, CLOUD[np.arange(3)]):
+    for scene in (
+        box,
+        round_gaussians(ball),
+        round_gaussians(np.concatenate([wall, foot])),
+        CLOUD,
+        CLOUD[np.arange(3)],
+    ):
         assert find_floor(scene) is None
 
 

@@ -22,6 +22,7 @@ from engine.render.projection import camera_record
 from engine.scene.camera import Camera, look_at, orbit
 from engine.scene.gaussians import Gaussians
 from engine.threads import cores, use_cores
+from tests.helpers.solids import round_gaussians
 from tests.paths import SHARED
 from tests.reference.classic import picture
 
@@ -151,10 +152,9 @@ def test_garden_positions_and_depths_against_a_pinhole() -> None:
         pytest.skip("the reference captures are not here")
     garden = np.load(path, allow_pickle=False)
     means = garden["means3d"]
-    n = len(means)
     width, height = int(garden["width"]), int(garden["height"])
-    quats, opacities = np.tile(np.array([1, 0, 0, 0], np.float32), (n, 1)), np.full(n, 0.02, np.float32)
-    arrays = (means, np.full((n, 3), 1e-3, np.float32), quats, opacities, np.zeros((n, 1, 3), np.float32))
+    g = round_gaussians(means, 1e-3, 0.02)
+    arrays = (means, g.scales, g.quats, g.opacities, g.sh)
     for view, k in zip(garden["viewmats"].astype(np.float64), garden["Ks"].astype(np.float64), strict=True):
         camera = Camera(view, k[0, 0], k[1, 1], k[0, 2], k[1, 2], width, height)
         frame, slices = classic._composite(Scene(*arrays, plain=True), camera)

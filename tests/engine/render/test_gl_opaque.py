@@ -13,12 +13,12 @@ import pytest
 
 from engine.render.cpu.kernel_field import KernelField
 from engine.render.gl import GLMissing, Renderer
-from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
+from engine.scene.atoms import Atoms, InteriorAtoms
 from engine.scene.camera import Camera, look_at, section
 from engine.scene.piece import Piece
 from engine.scene.plane import Plane
 from tests.helpers.gl_scenes import around, draw, psnr, tight_ball
-from tests.helpers.solids import ball, scatter, with_leaf
+from tests.helpers.solids import NO_SURFACE, ball, rows_of, scatter, with_leaf
 from tests.reference.opaque import kernel_field, reference
 
 CUTS = {
@@ -91,8 +91,7 @@ def test_cut_through_a_checkerboard(renderer: Renderer) -> None:
     dark = (np.floor(cells / 2).sum(1) % 2)[:, None]
     means, pitch = (cells / 30).astype(np.float32), 1 / 30
     rgb = (dark * [0.9, 0.9, 0.8] + (1 - dark) * [0.1, 0.2, 0.1]).astype(np.float32)
-    none = SurfaceAtoms(*(np.zeros((0, *shape), np.float32) for shape in ((3,), (3,), (4,), (1, 3))))
-    atoms = Atoms(none, InteriorAtoms(means, np.full(len(means), pitch / 2, np.float32), rgb), pitch)
+    atoms = Atoms(NO_SURFACE, InteriorAtoms(means, np.full(len(means), pitch / 2, np.float32), rgb), pitch)
     renderer.set_atoms(atoms)
     field = KernelField(atoms)
     plane = Plane.of((0.3, 0.2, 1), -0.03)
@@ -192,14 +191,8 @@ def test_order_does_not_matter(renderer: Renderer) -> None:
     once = draw(renderer, camera, *pieces)
     assert np.array_equal(draw(renderer, camera, *pieces).rgb, once.rgb)
     rng = np.random.default_rng(1)
-    s, i = atoms.surface, atoms.interior
-    a, b = rng.permutation(len(s)), rng.permutation(len(i))
-    mixed = Atoms(
-        SurfaceAtoms(s.means[a], s.scales[a], s.quats[a], s.sh[a]),
-        InteriorAtoms(i.means[b], i.sigmas[b], i.rgb[b]),
-        atoms.pitch,
-    )
-    renderer.set_atoms(mixed)
+    a, b = rng.permutation(len(atoms.surface)), rng.permutation(len(atoms.interior))
+    renderer.set_atoms(rows_of(atoms, a, b))
     assert np.abs(draw(renderer, camera, *pieces).rgb - once.rgb).max() <= 1 / 255
 
 
@@ -227,7 +220,7 @@ def with_pinholes(atoms: Atoms, share: float = 0.12, size: float = 0.75) -> Atom
     sh = s.sh.copy()
     sh[:, 0] = rng.uniform(-1.5, 1.5, (len(s), 3))
     scales = s.scales * np.array([size, size, 1], np.float32)
-    return replace(atoms, surface=SurfaceAtoms(s.means[kept], scales[kept], s.quats[kept], sh[kept]))
+    return rows_of(replace(atoms, surface=replace(s, scales=scales, sh=sh)), kept)
 
 
 def test_what_stands_behind_pinholes_counts(renderer: Renderer) -> None:
@@ -248,9 +241,7 @@ def test_what_stands_behind_pinholes_counts(renderer: Renderer) -> None:
 def test_a_shell_with_a_hole_hides_nothing(renderer: Renderer) -> None:
     """Through a hole in the skin the far side is seen from within, so no atom may be left out."""
     atoms = tight_ball(1 / 24)
-    s = atoms.surface
-    rest = s.means[:, 2] < 0.4
-    renderer.set_atoms(replace(atoms, surface=SurfaceAtoms(s.means[rest], s.scales[rest], s.quats[rest], s.sh[rest])))
+    renderer.set_atoms(rows_of(atoms, atoms.surface.means[:, 2] < 0.4))
     assert (renderer._solids[0].skin.culling.min_cosine > 1).all()
 
 

@@ -9,19 +9,10 @@ import numpy as np
 import pytest
 
 from engine.render.cpu.kernel_field import KernelField
-from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
+from engine.scene.atoms import Atoms, InteriorAtoms
 from engine.scene.constants import LATTICE_DENSITY
-from tests.helpers.solids import ball, scatter
+from tests.helpers.solids import ball, rows_of, scatter
 from tests.reference.opaque import kernel_field
-
-
-def rows(atoms: Atoms, surface: np.ndarray, interior: np.ndarray) -> Atoms:
-    s, i = atoms.surface, atoms.interior
-    return Atoms(
-        SurfaceAtoms(s.means[surface], s.scales[surface], s.quats[surface], s.sh[surface]),
-        InteriorAtoms(i.means[interior], i.sigmas[interior], i.rgb[interior]),
-        atoms.pitch,
-    )
 
 
 @pytest.mark.parametrize("atoms", [ball(0.1), scatter(40, 60), scatter(0, 30), scatter(30, 0)])
@@ -64,7 +55,7 @@ def test_a_filled_lattice_has_the_lattice_density_at_any_footprint() -> None:
     side = np.arange(-12, 13, dtype=np.float32)
     points = np.stack(np.meshgrid(side, side, side), -1).reshape(-1, 3)
     inside = InteriorAtoms(points, np.full(len(points), 0.5, np.float32), np.full_like(points, 0.4))
-    field = KernelField(rows(Atoms(scatter(0, 0).surface, inside, 1.0), np.arange(0), np.arange(len(points))))
+    field = KernelField(rows_of(Atoms(scatter(0, 0).surface, inside, 1.0), np.arange(0), np.arange(len(points))))
     ask = np.random.default_rng(3).uniform(-1, 1, (200, 3))
     for footprint in (0.0, 1.0, 3.0, 6.0):
         rgb, density = field.at(ask, footprint)
@@ -79,7 +70,7 @@ def test_order_and_strays_change_nothing() -> None:
     rng = np.random.default_rng(4)
     points = rng.uniform(-0.6, 0.6, (500, 3))
     rgb, density = KernelField(atoms).at(points, 0.01)
-    mixed = rows(atoms, rng.permutation(len(atoms.surface)), rng.permutation(len(atoms.interior)))
+    mixed = rows_of(atoms, rng.permutation(len(atoms.surface)), rng.permutation(len(atoms.interior)))
     again, d = KernelField(mixed).at(points, 0.01)
     np.testing.assert_allclose(again, rgb, atol=2e-6)
     np.testing.assert_allclose(d, density, atol=2e-6)

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from engine.render.cpu.kernel_field import KernelField
 from engine.render.cpu.opaque import render, render_pieces
-from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
+from engine.scene.atoms import Atoms, SurfaceAtoms
 from engine.scene.camera import Camera, look_at, orbit, section
 from engine.scene.piece import Piece
 from engine.scene.plane import Plane
 from engine.threads import cores, use_cores
-from tests.helpers.solids import ball, scatter, with_leaf
+from tests.helpers.solids import NO_INTERIOR, ball, rows_of, scatter, unturned, with_leaf
 from tests.reference.opaque import kernel_field, reference
 
 UP = (0.0, 0.0, 1.0)
@@ -119,10 +119,8 @@ def skin(means: NDArray[np.floating], sigmas: NDArray[np.floating], light: NDArr
     """Round atoms without an inside, black or, where `light` (N,) is 1, almost white."""
     sh = np.where(light > 0, 1.5, -1e6).astype(np.float32)[:, None, None].repeat(3, 2)
     scales = np.repeat(sigmas.astype(np.float32)[:, None], 3, 1)
-    quats = np.tile(np.array((1, 0, 0, 0), np.float32), (len(means), 1))
-    nothing = np.zeros((0, 3), np.float32)
-    inside = InteriorAtoms(nothing, nothing[:, 0], nothing)
-    return replace(ball(0.05), surface=SurfaceAtoms(means.astype(np.float32), scales, quats, sh), interior=inside)
+    surface = SurfaceAtoms(means.astype(np.float32), scales, unturned(len(means)), sh)
+    return replace(ball(0.05), surface=surface, interior=NO_INTERIOR)
 
 
 def test_an_edge_shows_what_it_covers_and_what_lies_behind_it() -> None:
@@ -194,12 +192,7 @@ def test_the_order_of_the_atoms_does_not_matter() -> None:
     atoms = ball(0.1)
     rng = np.random.default_rng(6)
     s, i = rng.permutation(len(atoms.surface)), rng.permutation(len(atoms.interior))
-    surface, interior = atoms.surface, atoms.interior
-    mixed = Atoms(
-        SurfaceAtoms(surface.means[s], surface.scales[s], surface.quats[s], surface.sh[s]),
-        InteriorAtoms(interior.means[i], interior.sigmas[i], interior.rgb[i]),
-        atoms.pitch,
-    )
+    mixed = rows_of(atoms, s, i)
     for planes in ([], CUTS):
         a, b = render(atoms, view(), planes), render(mixed, view(), planes)
         np.testing.assert_allclose(a.rgb, b.rgb, atol=5e-6)

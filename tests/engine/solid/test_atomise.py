@@ -10,7 +10,7 @@ from engine.fit.skin_fit import SkinFit
 from engine.io.load import load
 from engine.render.classic import rasterizer as classic
 from engine.render.cpu import opaque
-from engine.scene.atoms import Atoms, InteriorAtoms
+from engine.scene.atoms import Atoms
 from engine.scene.camera import cameras_around
 from engine.scene.gaussians import Gaussians
 from engine.scene.grid import Body, Grid
@@ -21,6 +21,7 @@ from engine.solid.denoise_capture import without_haze
 from engine.solid.find_body import WIDEN, Enclosure
 from engine.solid.opacity_field import opacity_field
 from engine.solid.skin_cover import coverage_at, sample_skin
+from tests.helpers.solids import NO_INTERIOR
 from tests.paths import SHARED
 
 DATA = SHARED
@@ -60,8 +61,7 @@ def joined(*parts: Gaussians) -> Gaussians:
 
 
 def solid(made: Atomised, pitch: float) -> Atoms:
-    empty = InteriorAtoms(np.zeros((0, 3), np.float32), np.zeros(0, np.float32), np.zeros((0, 3), np.float32))
-    return Atoms(made.atoms, empty, pitch)
+    return Atoms(made.atoms, NO_INTERIOR, pitch)
 
 
 def test_no_axis_is_longer_than_the_pitch() -> None:

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 from engine.render.cpu.kernel_field import KernelField
-from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
+from engine.scene.atoms import Atoms, InteriorAtoms
 from engine.scene.constants import LATTICE_DENSITY, SOLID_DENSITY
 from engine.scene.grid import Body, Grid
 from engine.solid.fill import fill
 from engine.solid.octree import BUDGET, leaf_levels
+from tests.helpers.solids import NO_SURFACE
 from training.optimise.deblur import deblur
 
 PITCH = 2 / 80
@@ -37,8 +38,7 @@ def fruit(points: np.ndarray) -> np.ndarray:
 
 
 def solid(inside: InteriorAtoms, colours=fruit) -> Atoms:
-    nothing = SurfaceAtoms(*(np.zeros((0, *n), np.float32) for n in ((3,), (3,), (4,), (1, 3))))
-    atoms = Atoms(nothing, inside, PITCH)
+    atoms = Atoms(NO_SURFACE, inside, PITCH)
     return replace(atoms, interior=replace(inside, rgb=deblur(atoms, colours(inside.means))))
 
 

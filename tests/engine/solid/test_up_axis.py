@@ -10,22 +10,15 @@ from scipy.spatial.transform import Rotation
 
 from engine.io.load import load
 from engine.io.splats.ply import write_ply
-from engine.scene.gaussians import Gaussians
 from engine.solid.support_plane import support_plane
 from engine.solid.up_axis.detect import detect_up
 from engine.solid.up_axis.evidence import DIRECTIONS, flat_base, resting_pose, symmetry
+from tests.helpers.solids import round_gaussians
 from tests.paths import SHARED
 
 Z = np.array([0.0, 0.0, 1.0])
 TURNS = [Rotation.identity(), *Rotation.random(3, random_state=7)]
 PHOTOGRAPHED = {(0, -1, 0): 0.4}
-
-
-def cloud(means, size=0.02):
-    n = len(means)
-    quats = np.tile(np.array([1, 0, 0, 0], np.float32), (n, 1))
-    scales = np.full((n, 3), size, np.float32)
-    return Gaussians(means.astype(np.float32), scales, quats, np.ones(n, np.float32), np.zeros((n, 1, 3), np.float32))
 
 
 def degrees(a, b):
@@ -75,32 +68,32 @@ def box(n=4000):
 @pytest.mark.parametrize("shape", [box, can, cone, lambda: ball() + Z])
 def test_up_is_away_from_the_table(shape, turn):
     table = np.concatenate([disc(2.0, 0.0, 20000), np.random.default_rng(4).normal(0, 0.5, (300, 3)) - [0, 0, 0.6]])
-    up = detect_up(cloud(turn.apply(np.concatenate([shape(), table]))), PHOTOGRAPHED)
+    up = detect_up(round_gaussians(turn.apply(np.concatenate([shape(), table]))), PHOTOGRAPHED)
     assert degrees(up.axis, turn.apply(Z)) < 1.5
     assert "away from what it stands on" in up.reason and up.certainty > 0.5
 
 
 @pytest.mark.parametrize("turn", TURNS)
 def test_without_a_table_a_cone_stands_on_its_base_and_a_can_upright(turn):
-    assert degrees(detect_up(cloud(turn.apply(cone())), {}).axis, turn.apply(Z)) < 2
-    axis = detect_up(cloud(turn.apply(can())), {}).axis
+    assert degrees(detect_up(round_gaussians(turn.apply(cone())), {}).axis, turn.apply(Z)) < 2
+    axis = detect_up(round_gaussians(turn.apply(can())), {}).axis
     assert min(degrees(axis, turn.apply(Z)), degrees(axis, -turn.apply(Z))) < 2
 
 
 def test_only_the_file_can_tell_for_a_ball():
     for axis in ((0, -1, 0), (0, 0, 1), (1, 0, 0)):
-        up = detect_up(cloud(ball()), {axis: 0.4})
+        up = detect_up(round_gaussians(ball()), {axis: 0.4})
         assert tuple(up.axis) == axis
         assert "files of this kind" in up.reason and up.certainty < 0.5
-    assert detect_up(cloud(ball()), {}).certainty < 0.1
-    assert tuple(detect_up(cloud(ball(50)), {(0, -1, 0): 0.4}).axis) == (0, -1, 0)
+    assert detect_up(round_gaussians(ball()), {}).certainty < 0.1
+    assert tuple(detect_up(round_gaussians(ball(50)), {(0, -1, 0): 0.4}).axis) == (0, -1, 0)
 
 
 def test_an_axis_of_the_file_is_taken_where_the_shape_is_no_more_exact():
     tilted = Rotation.from_euler("x", 1.0, degrees=True)
-    assert tuple(detect_up(cloud(tilted.apply(cone())), {}).axis) == (0, 0, 1)
+    assert tuple(detect_up(round_gaussians(tilted.apply(cone())), {}).axis) == (0, 0, 1)
     tilted = Rotation.from_euler("x", 20.0, degrees=True)
-    assert degrees(detect_up(cloud(tilted.apply(cone())), {}).axis, tilted.apply(Z)) < 1
+    assert degrees(detect_up(round_gaussians(tilted.apply(cone())), {}).axis, tilted.apply(Z)) < 1
 
 
 @pytest.mark.parametrize("shape", [ball, cone, box])
@@ -115,7 +108,7 @@ def test_evidence_is_a_density_and_a_ball_gives_none(shape):
 
 def test_a_flat_plate_and_a_line_have_an_up_axis():
     for points in (disc(1.0, 0.0, 4000), np.linspace(0, 1, 4000)[:, None] * np.ones(3)):
-        assert np.linalg.norm(detect_up(cloud(points), {}).axis) == pytest.approx(1)
+        assert np.linalg.norm(detect_up(round_gaussians(points), {}).axis) == pytest.approx(1)
 
 
 def test_the_support_is_a_plane_that_reaches_beyond_the_object():
@@ -136,7 +129,7 @@ def test_the_support_is_a_plane_that_reaches_beyond_the_object():
 
 @pytest.mark.parametrize(("comment", "axis"), [("Vertical Axis: z", (0, 0, 1)), ("Vertical axis: y", (0, -1, 0))])
 def test_a_ply_may_state_its_vertical_axis(tmp_path, comment, axis):
-    write_ply(tmp_path / "ball.ply", cloud(ball()), comments=(comment,))
+    write_ply(tmp_path / "ball.ply", round_gaussians(ball()), comments=(comment,))
     loaded = load(tmp_path / "ball.ply")
     assert tuple(detect_up(loaded.gaussians, loaded.file_axes).axis) == axis
 
