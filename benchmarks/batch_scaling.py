@@ -22,7 +22,8 @@ import dask
 import psutil
 
 from benchmarks.support.charts import ACCENT, QUIET, plt, save_chart
-from benchmarks.support.options import ROOT, out_folder, parser_of, write_json
+from benchmarks.support.options import ROOT, out_folder, parser_of
+from engine.io.files import write_json
 from training.batch import Outcome, run_grid
 from training.batch.scene import scene_task
 from training.families import Family

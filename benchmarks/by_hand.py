@@ -23,8 +23,9 @@ from scipy import ndimage
 
 from benchmarks.cpu_renderer import scene, view
 from benchmarks.support.charts import ACCENT, plt, save_chart
-from benchmarks.support.options import out_folder, parser_of, write_json
+from benchmarks.support.options import out_folder, parser_of
 from benchmarks.support.timing import timed
+from engine.io.files import write_json
 from engine.render.classic import rasterizer as classic
 from engine.render.classic.blend import BLOCK, MIN_TRANSMITTANCE, UNTOUCHED, start_tile
 from engine.render.classic.records import Frame, Slice

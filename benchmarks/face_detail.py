@@ -24,7 +24,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.support.charts import plt, save_chart
-from benchmarks.support.options import ROOT, out_folder, parser_of, write_json
+from benchmarks.support.options import ROOT, out_folder, parser_of
+from engine.io.files import write_json
 from engine.io.picture_file import save_png
 from engine.io.trained import inside_path, load_trained
 from engine.render.cpu import opaque

@@ -24,8 +24,9 @@ from matplotlib.ticker import NullFormatter
 from numpy.typing import NDArray
 
 from benchmarks.support.charts import plt, save_chart
-from benchmarks.support.options import ROOT, out_folder, parser_of, write_json
+from benchmarks.support.options import ROOT, out_folder, parser_of
 from engine.errors import InputError
+from engine.io.files import write_json
 from engine.io.picture_file import save_png
 from engine.render.classic import rasterizer as classic
 from engine.render.cpu import opaque

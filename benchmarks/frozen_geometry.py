@@ -19,10 +19,11 @@ import numpy as np
 import torch
 
 from benchmarks.support.charts import ACCENT, OTHER, QUIET, front, plt, save_chart
-from benchmarks.support.options import out_folder, parser_of, write_json
+from benchmarks.support.options import out_folder, parser_of
 from benchmarks.support.timing import timed
 from engine.fit.differentiable import AtomTensors, opaque_image
 from engine.fit.view_weights import ViewWeights
+from engine.io.files import write_json
 from engine.render.cpu.kernel_field import KernelField
 from engine.render.cpu.opaque import render
 from engine.scene import sh

@@ -31,17 +31,18 @@ import numpy as np
 import torch
 
 from benchmarks.support.charts import ACCENT, QUIET, front, plt, save_chart
-from benchmarks.support.options import out_folder, parser_of, write_json
+from benchmarks.support.options import out_folder, parser_of
 from benchmarks.support.timing import timed
+from engine.io.files import write_json
 from engine.render.cpu.software import is_software
 from engine.render.gl import Renderer
 from engine.scene import sh
 from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from engine.scene.camera import Camera, fit_distance, orbit
-from engine.scene.gaussians import Gaussians
 from engine.scene.piece import Piece
 from engine.scene.plane import Plane
 from engine.threads import cores
+from tests.helpers.gl_scenes import psnr
 from tests.helpers.solids import rows_of
 from tests.reference.classic import picture as classic_reference
 from tests.reference.opaque import reference
@@ -111,21 +112,6 @@ def melon(count: int) -> Atoms:
     surface = SurfaceAtoms(*(a.astype(np.float32) for a in (radius * normal, scales, quats, coefficients)))
     interior = InteriorAtoms(inner.astype(np.float32), sigmas.astype(np.float32), rgb.astype(np.float32))
     return Atoms(surface, interior, pitch)
-
-
-def as_capture(atoms: Atoms) -> Gaussians:
-    """The same atoms for classic mode, nearly opaque, SH of degree 1."""
-    s, i = atoms.surface, atoms.interior
-    unit = np.tile(np.array([1, 0, 0, 0], np.float32), (len(i), 1))
-    coefficients = np.zeros((len(i), s.sh.shape[1], 3), np.float32)
-    coefficients[:, 0] = sh.rgb_to_sh(i.rgb)
-    return Gaussians(
-        np.concatenate([s.means, i.means]),
-        np.concatenate([s.scales, np.repeat(i.sigmas[:, None], 3, 1)]),
-        np.concatenate([s.quats, unit]),
-        np.full(len(atoms), 0.99, np.float32),
-        np.concatenate([s.sh, coefficients]),
-    )
 
 
 def view(step: int, width: int = SIZE[0], height: int = SIZE[1]) -> Camera:
@@ -215,10 +201,10 @@ def speed(renderer: Renderer, shaders: Renderer, count: int, times: int) -> list
         shaders.set_atoms(atoms)
         add(SHADERS, "one cut", lambda step: shaders.render(view(step), pieces, exact=False))
         shaders.set_atoms(melon(200))
-    renderer.set_capture(as_capture(atoms))
+    renderer.set_capture(atoms.as_gaussians(0.99))
     add("classic", "uncut", lambda step: renderer.render(view(step), mode="classic"))
     add("points", "uncut again", floor)
-    renderer.set_capture(as_capture(melon(200)))
+    renderer.set_capture(melon(200).as_gaussians(0.99))
     return rows
 
 
@@ -229,7 +215,7 @@ def accuracy(renderer: Renderer, shaders: Renderer, count: int) -> dict[str, flo
 
     def compared(rgb: np.ndarray) -> float:
         parts = [rgb[y : y + WINDOW, x : x + WINDOW] for x, y in WINDOWS.values()]
-        return psnr(np.stack(parts), np.stack(truths))
+        return round(psnr(np.stack(parts), np.stack(truths)), 1)
 
     renderer.set_atoms(atoms)
     figures, pieces = {}, (Piece(planes),)
@@ -247,14 +233,14 @@ def accuracy(renderer: Renderer, shaders: Renderer, count: int) -> dict[str, flo
         shaders.set_atoms(atoms)
         shaders.render(camera, pieces, exact=False)
         figures[SHADERS] = compared(shaders.read().rgb)
-    capture = as_capture(melon(1500))
+    capture = melon(1500).as_gaussians(0.99)
     renderer.set_capture(capture)
     camera = view(0, 80, 60)
     values = (capture.means, capture.scales, capture.quats, capture.opacities, capture.sh)
     means, scales, quats, opacities, coefficients = (torch.as_tensor(v, dtype=torch.float64) for v in values)
     exact = classic_reference(means, scales, quats, opacities, coefficients, camera, (1.0, 1.0, 1.0))[0]
     renderer.render(camera, mode="classic")
-    figures["classic"] = psnr(renderer.read().rgb, exact.numpy())
+    figures["classic"] = round(psnr(renderer.read().rgb, exact.numpy()), 1)
     return figures
 
 
@@ -271,10 +257,6 @@ def true_window(atoms: Atoms, camera: Camera, planes: Sequence[Plane], x: int, y
     a, b = near(s.means, 4 * float(s.scales.max())), near(i.means, 4 * float(i.sigmas.max()))
     b &= np.min([np.abs(p.distance(i.means)) for p in planes], axis=0) < 3.1 * i.sigmas.max()
     return reference(rows_of(atoms, a, b), part, planes)[0]
-
-
-def psnr(a: np.ndarray, b: np.ndarray) -> float:
-    return round(float(-10 * np.log10(np.mean((a.astype(np.float64) - b) ** 2) + 1e-20)), 1)
 
 
 def chart(rows: list[dict], figures: dict[str, float], who: str, path: Path) -> None:

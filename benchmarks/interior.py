@@ -19,7 +19,8 @@ from pathlib import Path
 import numpy as np
 from scipy import ndimage
 
-from benchmarks.support.options import out_folder, parser_of, write_json
+from benchmarks.support.options import out_folder, parser_of
+from engine.io.files import write_json
 from engine.io.picture_file import save_png
 from engine.scene.camera import plane_points, section
 from engine.scene.grid import Body, Grid

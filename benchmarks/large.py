@@ -20,7 +20,8 @@ import numpy as np
 import psutil
 
 from app.jobs.scene_loader import SceneLoader, SceneRequest
-from benchmarks.support.options import ROOT, out_folder, parser_of, write_json
+from benchmarks.support.options import ROOT, out_folder, parser_of
+from engine.io.files import write_json
 from engine.io.load import load
 from engine.io.splats.ply import write_ply
 from engine.scene.gaussians import Gaussians

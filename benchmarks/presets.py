@@ -24,7 +24,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.support.charts import ACCENT, OTHER, QUIET, front, plt, save_chart
-from benchmarks.support.options import out_folder, parser_of, write_json
+from benchmarks.support.options import out_folder, parser_of
+from engine.io.files import write_json
 from engine.threads import cores
 from training.evaluate.cuts import load_truth, make_cuts
 from training.evaluate.measure import accuracy, other_solid_distance, render_cuts

@@ -22,16 +22,16 @@ import torch
 
 from benchmarks.interior import body_of, cut_planes
 from benchmarks.support.charts import ACCENT, QUIET, plt, save_chart
-from benchmarks.support.options import out_folder, parser_of, write_json
+from benchmarks.support.options import out_folder, parser_of
 from engine.errors import InputError
+from engine.io.files import write_json
 from engine.scene.atoms import Atoms
 from engine.scene.camera import plane_points, section
-from engine.scene.gaussians import Gaussians
 from engine.solid.fill import fill
 from engine.solid.find_body import find_body
 from sample_scenes.exemplars import save_photographs
 from sample_scenes.solids import SOLIDS, Solid
-from tests.helpers.solids import NO_SURFACE
+from tests.helpers.solids import NO_SURFACE, sphere
 from training.evaluate.methods.ablations import UnsmoothedTrainer
 from training.evaluate.metrics import face_psnr
 from training.families import Family
@@ -57,25 +57,6 @@ FINE = 96
 RATES = (0.01, 0.1, 1.0, 10.0, 100.0, 1e4, 1e8)
 
 
-def sphere(hole: float, count: int = 8000) -> Gaussians:
-    """The skin of the unit sphere, without the cap of this half angle in degrees."""
-    z = np.linspace(-1, 1, count)
-    angle = np.pi * (1 + 5**0.5) * np.arange(count)
-    normals = np.column_stack([np.sqrt(1 - z**2) * np.cos(angle), np.sqrt(1 - z**2) * np.sin(angle), z])
-    normals = normals[normals[:, 2] >= -np.cos(np.radians(hole)) - 1e-9]
-    half = normals + np.array([0, 0, 1 + 1e-6])
-    quats = np.column_stack([np.zeros(len(half)), half / np.linalg.norm(half, axis=1, keepdims=True)])
-    size = (4 * np.pi / count) ** 0.5
-    n = len(normals)
-    return Gaussians(
-        normals.astype(np.float32),
-        np.tile(np.array([size, size, size / 5], np.float32), (n, 1)),
-        quats.astype(np.float32),
-        np.full(n, 0.99, np.float32),
-        np.zeros((n, 1, 3), np.float32),
-    )
-
-
 def holes(angles: Sequence[int]) -> list[dict[str, Any]]:
     """Volume found over that under a flat lid; refusals say so."""
     rows: list[dict[str, Any]] = []
@@ -83,7 +64,7 @@ def holes(angles: Sequence[int]) -> list[dict[str, Any]]:
         h = 1 - np.cos(np.radians(hole))
         truth = 4 / 3 * np.pi - np.pi * h**2 * (3 - h) / 3
         try:
-            found = find_body(sphere(hole), cells=64)
+            found = find_body(sphere(8000, hole=hole), cells=64)
             row = {"volume": round(found.body.volume / truth, 4), "notes": list(found.notes)}
         except InputError as error:
             row = {"volume": None, "notes": [str(error)]}

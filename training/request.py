@@ -103,8 +103,7 @@ class Request:
         digest = hashlib.sha256(f"{FORMAT}".encode())
         for path in self.files:
             with open_file(path) as file:
-                while block := file.read(1 << 20):
-                    digest.update(block)
+                hashlib.file_digest(file, lambda: digest)  # goes on with this one
         for folder in filter(None, (self.model, self.midas)):
             for path in sorted(folder.rglob("*.safetensors")):  # gigabytes: size and time must do for their content
                 digest.update(f"{path.name} {path.stat().st_size} {path.stat().st_mtime_ns}".encode())

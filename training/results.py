@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from engine.io.files import atomic
+from engine.io.files import write_json
 from engine.io.trained import Meta, save_trained
 from engine.isolate.record import isolation_record
 from engine.render.classic import rasterizer as classic
@@ -77,9 +76,7 @@ def save_results(
         "losses": {"section": history["section"], "surface": history["surface"]},
         "seconds": {name: round(spent, 2) for name, spent in reporter.timings.items()},
     }
-    text = json.dumps(to_json(report), indent=1, allow_nan=False) + "\n"
-    with atomic(out / "report.json") as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    write_json(out / "report.json", to_json(report))
     reporter.emit("done", scene=path, sheet=out / "cuts.png", report=out / "report.json")
     return path
 

@@ -126,8 +126,7 @@ def _content(path: Path) -> str:
             continue
         try:
             with open_file(file) as opened:
-                while block := opened.read(1 << 20):
-                    digest.update(block)
+                hashlib.file_digest(opened, lambda: digest)  # goes on with this one
         except (OSError, InputError):
             digest.update(str(file).encode("utf-8", "replace"))
     return digest.hexdigest()

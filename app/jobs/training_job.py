@@ -26,7 +26,7 @@ from app.model.project import SUFFIX, Project, Viewing, load_project, save_proje
 from app.model.rigid_transform import Vec3
 from app.model.settings import state_folder
 from engine.errors import InputError, one_line
-from engine.io.files import atomic, open_file, read_file, reason
+from engine.io.files import atomic, open_file, read_file, reason, write_json
 from engine.processes import start_python
 from training.families import Family, Kind
 from training.request import Request
@@ -303,9 +303,7 @@ class Job:
 
     def _write_note(self) -> None:
         """Records which process runs the job."""
-        note = {"pid": self.pid, "started": self.started, "stopped": self.stopped}
-        with atomic(note_path(self.out)) as temporary:
-            temporary.write_text(json.dumps(note) + "\n", encoding="utf-8")
+        write_json(note_path(self.out), {"pid": self.pid, "started": self.started, "stopped": self.stopped})
 
 
 def note_path(out: Path) -> Path:

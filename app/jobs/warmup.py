@@ -21,6 +21,7 @@ from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from engine.scene.camera import orbit
 from engine.scene.piece import Piece
 from engine.scene.plane import Plane
+from engine.scene.rotations import facing
 
 __all__ = ["load_kernels", "warm_up"]
 
@@ -73,12 +74,10 @@ def ball() -> Atoms:
     n = 4000
     z, turn = np.linspace(-1, 1, n), np.pi * (1 + 5**0.5) * np.arange(n)
     out = np.column_stack([np.sqrt(1 - z**2) * np.cos(turn), np.sqrt(1 - z**2) * np.sin(turn), z])
-    half = out + np.array([0, 0, 1 + 1e-6])  # turns z to the normal
-    quats = np.column_stack([np.zeros(n), half / np.linalg.norm(half, axis=1, keepdims=True)])
     skin = SurfaceAtoms(
         out.astype(np.float32),
         np.tile(np.array([0.6, 0.6, 0.1], np.float32) * PITCH, (n, 1)),
-        quats.astype(np.float32),
+        facing(out).astype(np.float32),
         np.zeros((n, 1, 3), np.float32),
     )
     m = len(lattice)

@@ -14,7 +14,7 @@ import psutil
 from app.model.project import SUFFIX, Project, load_project, save_project
 from app.model.settings import state_folder
 from engine.errors import InputError
-from engine.io.files import atomic, read_file, remove
+from engine.io.files import read_file, remove, write_json
 
 __all__ = ["Autosave", "UnsavedWork", "find_unsaved_work"]
 
@@ -69,9 +69,7 @@ class Autosave:
         named = target or project.documents[0].scene
         note = {"project": None if target is None else str(target), "when": time.time(), **_this_process()}
         note["name"] = named.stem if named else ""
-        text = json.dumps(note)
-        with atomic(_note(self.file)) as temporary:
-            temporary.write_text(text, encoding="utf-8")
+        write_json(_note(self.file), note)
         self.last = project
         return True
 

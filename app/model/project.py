@@ -6,7 +6,6 @@ allows it: a file from a stranger must not choose what the app reads and writes.
 
 from __future__ import annotations
 
-import json
 import math
 import os
 from dataclasses import dataclass, field
@@ -19,7 +18,7 @@ from app.model.measure.units import LENGTHS, UNITS, Unit
 from app.model.rigid_transform import Motion, Vec3
 from engine.errors import InputError
 from engine.io.fields import Fields
-from engine.io.files import atomic, read_file
+from engine.io.files import read_file, write_json
 from engine.io.strict_json import parse
 from engine.isolate.record import isolation_record, read_isolation, read_selection, selection_record
 from engine.scene.plane import Plane
@@ -86,10 +85,7 @@ class Project:
 
 def save_project(path: Path, project: Project) -> None:
     """Writes the file completely or not at all. Raises InputError if that fails."""
-    folder = path.parent.resolve()
-    text = json.dumps(_record(project, folder), indent=1, allow_nan=False)
-    with atomic(path) as temporary:
-        temporary.write_text(text + "\n", encoding="utf-8")
+    write_json(path, _record(project, path.parent.resolve()))
 
 
 def load_project(path: Path, outside: bool = False) -> Project:

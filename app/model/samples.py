@@ -12,20 +12,16 @@ from app.model.document import Document
 from app.model.settings import state_folder
 from engine.io.splats.ply import write_ply
 from engine.scene.gaussians import Gaussians
+from engine.scene.rotations import facing
 from engine.scene.sh import rgb_to_sh
 from training.families import Family
 
-__all__ = ["sample_document", "sample_folder"]
-
-
-def sample_folder() -> Path:
-    """The folder of the sample scenes."""
-    return Path(app.__file__).parents[1] / "sample_scenes"
+__all__ = ["sample_document"]
 
 
 def sample_document(name: str = "watermelon") -> Document:
     """A document for a sample scene with its pictures. If the samples are not installed, a small melon is generated."""
-    scene = sample_folder() / name / f"{name}.ply"
+    scene = Path(app.__file__).parents[1] / "sample_scenes" / name / f"{name}.ply"
     if not scene.is_file():
         return Document(scene=_small_melon())
     document = Document(scene=scene)
@@ -52,17 +48,14 @@ def _small_melon() -> Path:
     wave = np.arctan2(unit[:, 1], unit[:, 0]) * 9 + 0.8 * np.sin(7 * z) + 0.5 * np.sin(3 * turn)
     dark = (0.5 + 0.5 * np.tanh(2.5 * np.sin(wave)))[:, None]
     rgb = (1 - dark) * (0.55, 0.68, 0.34) + dark * (0.13, 0.33, 0.16)
-    # Flat along the normal n: the rotation that takes z to n, about the axis z x n.
     normals = unit / (0.85, 0.85, 1.0)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    quats = np.stack([1 + normals[:, 2], -normals[:, 1], normals[:, 0], np.zeros(count)], 1)
-    quats /= np.linalg.norm(quats, axis=1, keepdims=True)
     size = 1.1 * (4 * np.pi * 0.8 / count) ** 0.5
     scales = np.tile(np.array([size, size, size / 6], np.float32), (count, 1))
     gaussians = Gaussians(
         means.astype(np.float32),
         scales,
-        quats.astype(np.float32),
+        facing(normals).astype(np.float32),
         np.full(count, 0.98, np.float32),
         rgb_to_sh(rgb).astype(np.float32)[:, None],
     )

@@ -13,7 +13,7 @@ from typing import Any, Literal
 
 from app.model.project import LIMIT
 from engine.errors import InputError
-from engine.io.files import atomic, read_file
+from engine.io.files import read_file, write_json
 
 __all__ = ["Settings", "load_settings", "save_settings", "settings_folder", "state_folder"]
 
@@ -114,9 +114,8 @@ def load_settings(path: Path | None = None) -> Settings:
 
 def save_settings(settings: Settings, path: Path | None = None) -> None:
     """Writes the settings. A full or read-only disk is ignored: losing them does little harm."""
-    text = json.dumps(asdict(settings), indent=1) + "\n"
-    with suppress(InputError), atomic(path or settings_folder() / "settings.json") as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    with suppress(InputError):
+        write_json(path or settings_folder() / "settings.json", asdict(settings))
 
 
 def _like(value: Any, default: Any) -> Any:

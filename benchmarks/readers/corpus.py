@@ -26,13 +26,12 @@ from collections import Counter, defaultdict
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from rich.progress import Progress
 
 from benchmarks.readers.all_readers import READERS, SOLID, Verdict
-from engine.io.files import atomic
+from engine.io.files import atomic, write_json
 from engine.io.trained import Meta, save_trained, sidecar_path
-from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
+from tests.helpers.solids import scatter
 
 ROOT = Path(__file__).parents[2]
 
@@ -151,13 +150,7 @@ def stamps(folder: Path) -> dict[str, tuple[int, int]]:
 
 def sound_solid(folder: Path) -> Path:
     """A small trained object."""
-    rng = np.random.default_rng(0)
-    quats = np.tile(np.array([1, 0, 0, 0], np.float32), (3, 1))
-    means, scales = (rng.random((3, 3)).astype(np.float32) + np.float32(0.1) for _ in range(2))
-    surface = SurfaceAtoms(means, scales, quats, rng.random((3, 4, 3)).astype(np.float32))
-    inner = [rng.random(shape).astype(np.float32) for shape in ((4, 3), 4, (4, 3))]
-    atoms = Atoms(surface, InteriorAtoms(inner[0], inner[1] + np.float32(0.1), inner[2], 1), 0.1)
-    save_trained(folder / SOLID, atoms, Meta(source="none"))
+    save_trained(folder / SOLID, scatter(3, 4, exposed=1), Meta(source="none"))
     return folder / SOLID
 
 
@@ -309,8 +302,7 @@ def main(arguments: list[str] | None = None) -> int:
     now = [stamps(folder) for folder in folders]
     changed = sorted({name for a, b in zip(before, now, strict=True) for name, _ in a.items() ^ b.items()})
     record = record_of(folders, found, [Path(name).name for name in changed])
-    with atomic(options.out) as temporary:
-        temporary.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+    write_json(options.out, record)
     with atomic(options.out.with_suffix(".md")) as temporary:
         temporary.write_text(table(record), encoding="utf-8")
     for failure in record["failures"]:

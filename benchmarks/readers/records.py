@@ -25,8 +25,8 @@ from app.model.project import SUFFIX, Outside, Project, Viewing, load_project, s
 from app.model.settings import load_settings
 from benchmarks.readers.inputs import CHANGES, documents, places, poisoned
 from benchmarks.readers.rules import refused
-from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from engine.scene.plane import Plane
+from tests.helpers.solids import scatter
 from training.families import Family
 from training.request import Request, read_request
 
@@ -207,15 +207,7 @@ def check_job(value: tuple[bytes, bytes], folder: Path) -> bool:
 # colours that a training wrote
 
 
-def solid() -> Atoms:
-    """Four atoms of each kind."""
-    quats = np.tile(np.array([1, 0, 0, 0], np.float32), (4, 1))
-    four = np.linspace(0.1, 0.9, 12, dtype=np.float32).reshape(4, 3)
-    surface = SurfaceAtoms(four, four, quats, np.ones((4, 1, 3), np.float32))
-    return Atoms(surface, InteriorAtoms(four, four[:, 0], four, 2), 0.1)
-
-
-ATOMS = solid()
+ATOMS = scatter(4, 4, exposed=2, degree=0)
 SHAPES = st.sampled_from(((4, 3), (4,), (4, 1, 3), (4, 4, 3), (5, 3), (0, 3), (0,), (), (4, 2), (4, 3, 1)))
 TYPES = st.sampled_from((np.float32, np.float32, np.float64, np.int32, np.bool_, np.float16))
 VALUES = st.sampled_from((0.5, 0.5, 0.0, -1.0, 3.0, np.nan, np.inf, 1e38))

@@ -43,9 +43,9 @@ from benchmarks.readers.rules import Target, refused
 from engine.io.load import load
 from engine.io.splats.ply import read_ply, write_ply
 from engine.io.trained import Meta, load_trained, save_trained, sidecar_path
-from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from engine.scene.grid import Body, Grid
 from engine.scene.plane import Plane
+from tests.helpers.solids import scatter
 from training.batch.manifest import read_manifest
 from training.checkpoint import Checkpoint
 from training.cli import parse_axis, parse_families
@@ -152,12 +152,7 @@ def check_checkpoint(data: bytes, folder: Path) -> bool:
 
 def trained_files() -> tuple[Any, bytes]:
     """A sidecar and its .ply."""
-    rng = np.random.default_rng(0)
-    quats = np.tile(np.array([1, 0, 0, 0], np.float32), (3, 1))
-    sh = rng.random((3, 4, 3)).astype(np.float32)
-    surface = SurfaceAtoms(rng.random((3, 3)).astype(np.float32), np.full((3, 3), 0.1, np.float32), quats, sh)
-    inner = [rng.random(shape).astype(np.float32) for shape in ((4, 3), 4, (4, 3))]
-    atoms = Atoms(surface, InteriorAtoms(inner[0], inner[1] + np.float32(0.1), inner[2], 1), 0.1)
+    atoms = scatter(3, 4, exposed=1)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "a.ply"
         save_trained(path, atoms, Meta(families=({"kind": "radial", "count": 3},), prior="exemplar", source="a.ply"))

@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.support.options import ROOT, out_folder, parser_of, write_json
+from benchmarks.support.options import ROOT, out_folder, parser_of
+from engine.io.files import write_json
 from engine.io.picture_file import read_pixels, save_png
 from training.evaluate.grid import cells, run_locally
 from training.settings import DETAILS, DetailName

@@ -3,13 +3,9 @@
 from __future__ import annotations
 
 import argparse
-import json
 from pathlib import Path
-from typing import Any
 
-from engine.io.files import atomic
-
-__all__ = ["CHARTS", "ROOT", "out_folder", "parser_of", "write_json"]
+__all__ = ["CHARTS", "ROOT", "out_folder", "parser_of"]
 
 ROOT = Path(__file__).parents[2]
 """Of the project."""
@@ -38,9 +34,3 @@ def out_folder(options: argparse.Namespace) -> Path | None:
     folder = Path(options.out)
     folder.mkdir(parents=True, exist_ok=True)
     return folder
-
-
-def write_json(path: Path, record: Any) -> None:
-    """Replaces a file of numbers as a whole. Raises ValueError where one is not finite: JSON has no word for it."""
-    with atomic(path) as temporary:
-        temporary.write_text(json.dumps(record, indent=1, allow_nan=False) + "\n", encoding="utf-8")

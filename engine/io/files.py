@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import secrets
@@ -9,8 +10,9 @@ import shutil
 import stat
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
+from io import BufferedReader
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any
 
 from filelock import FileLock, Timeout
 from safetensors import SafetensorError
@@ -28,6 +30,7 @@ __all__ = [
     "reason",
     "remove",
     "remove_leftovers",
+    "write_json",
 ]
 
 LEFTOVER = re.compile(r"\..+\.[a-z0-9_]{8}(\.\w+)?|\.tmp[A-Za-z0-9]{6}")
@@ -40,7 +43,7 @@ PATIENCE = 5.0
 """Seconds to wait for a folder: a killed process may hold it until its memory is freed."""
 
 
-def open_file(path: str | Path) -> BinaryIO:
+def open_file(path: str | Path) -> BufferedReader:
     """The file, open for reading bytes. Raises InputError if it is missing, not a regular file, or not readable."""
     path = Path(path)
     try:
@@ -153,6 +156,13 @@ def _hidden_name(path: Path) -> Path:
 def _remove(path: Path) -> None:
     with suppress(OSError):
         path.unlink(missing_ok=True)
+
+
+def write_json(path: str | Path, record: Any) -> None:
+    """Replaces a JSON file as a whole. Raises InputError as `atomic`, ValueError where a number is not finite."""
+    text = json.dumps(record, indent=1, allow_nan=False) + "\n"
+    with atomic(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
 
 
 class LineWriter:

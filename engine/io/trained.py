@@ -24,9 +24,8 @@ from engine.io.files import atomic_together, open_file, read_file, remove
 from engine.io.splats.ply import ply_data, read_ply
 from engine.io.strict_json import parse
 from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
-from engine.scene.gaussians import Gaussians
 from engine.scene.inside import InsideRecord
-from engine.scene.sh import rgb_to_sh, sh_to_rgb
+from engine.scene.sh import sh_to_rgb
 
 __all__ = [
     "FORMAT",
@@ -92,7 +91,7 @@ def save_trained(path: str | Path, atoms: Atoms, meta: Meta, inside: InsideRecor
     writing fails.
     """
     path = Path(path)
-    gaussians = _as_gaussians(atoms)
+    gaussians = atoms.as_gaussians(OPAQUE)
     broken = [name for name, values in vars(gaussians).items() if not np.isfinite(values).all()]
     assert not broken, f"NaN or Inf in the atoms' {broken}"
     assert (gaussians.scales > 0).all(), "scales that are not above 0"
@@ -207,25 +206,6 @@ def _comments(meta: Meta) -> list[str]:
     if any(meta.origin):
         comments.append("FruitNinja: add {:.12g} {:.12g} {:.12g} to be back in its coordinates".format(*meta.origin))
     return comments
-
-
-def _as_gaussians(atoms: Atoms) -> Gaussians:
-    """Surface atoms, then interior ones, as almost opaque Gaussians of the surface's SH degree."""
-    surface, interior = atoms.surface, atoms.interior
-    n, s = len(atoms), len(surface)
-    sh = np.zeros((n, surface.sh.shape[1], 3), np.float32)
-    sh[:s] = surface.sh
-    sh[s:, 0] = rgb_to_sh(interior.rgb)
-    quats = np.zeros((n, 4), np.float32)
-    quats[:s] = surface.quats
-    quats[s:, 0] = 1
-    return Gaussians(
-        np.concatenate([surface.means, interior.means]),
-        np.concatenate([surface.scales, np.repeat(interior.sigmas[:, None], 3, axis=1)]),
-        quats,
-        np.full(n, OPAQUE, np.float32),
-        sh,
-    )
 
 
 def _crc(path: Path) -> int:

@@ -11,6 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from engine.scene.gaussians import Gaussians
+from engine.scene.sh import rgb_to_sh
+
 __all__ = ["Atoms", "InteriorAtoms", "SurfaceAtoms"]
 
 Float = NDArray[np.float32]
@@ -85,6 +88,24 @@ class Atoms:
 
     def __len__(self) -> int:
         return len(self.surface) + len(self.interior)
+
+    def as_gaussians(self, opacity: float) -> Gaussians:
+        """Surface atoms, then interior ones, of one opacity, with as many harmonics as the surface has."""
+        surface, interior = self.surface, self.interior
+        n, s = len(self), len(surface)
+        coefficients = np.zeros((n, surface.sh.shape[1], 3), np.float32)
+        coefficients[:s] = surface.sh
+        coefficients[s:, 0] = rgb_to_sh(interior.rgb)
+        quats = np.zeros((n, 4), np.float32)
+        quats[:s] = surface.quats
+        quats[s:, 0] = 1
+        return Gaussians(
+            np.concatenate([surface.means, interior.means]),
+            np.concatenate([surface.scales, np.repeat(interior.sigmas[:, None], 3, axis=1)]),
+            quats,
+            np.full(n, opacity, np.float32),
+            coefficients,
+        )
 
     @property
     def bounds(self) -> Float:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["normalised_quats", "rotation_entries", "rotation_matrices"]
+__all__ = ["facing", "normalised_quats", "rotation_entries", "rotation_matrices"]
 
 
 def rotation_entries(w: Any, x: Any, y: Any, z: Any) -> tuple[Any, ...]:
@@ -31,6 +31,12 @@ def rotation_entries(w: Any, x: Any, y: Any, z: Any) -> tuple[Any, ...]:
 def rotation_matrices(quats: NDArray[np.floating]) -> NDArray[np.floating]:
     """(N, 3, 3). Rotation matrices of unit quaternions (N, 4), of the same float type."""
     return np.stack(rotation_entries(*quats.T), axis=-1).reshape(len(quats), 3, 3)
+
+
+def facing(normals: NDArray[np.floating]) -> NDArray[np.float64]:
+    """(N, 4). Rotations that take z to unit normals (N, 3): by half a turn about the direction half way between."""
+    half = normals + np.where(normals[:, 2:] < -0.999, [1.0, 0, 1], [0.0, 0, 1])  # at -z any direction across will do
+    return np.column_stack([np.zeros(len(half)), half / np.linalg.norm(half, axis=1, keepdims=True)])
 
 
 def normalised_quats(quats: NDArray[np.floating]) -> NDArray[np.float64]:

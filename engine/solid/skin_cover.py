@@ -11,7 +11,7 @@ from scipy.spatial import KDTree
 
 from engine.scene.atoms import SurfaceAtoms
 from engine.scene.grid import Body
-from engine.scene.rotations import rotation_matrices
+from engine.scene.rotations import facing, rotation_matrices
 from engine.threads import cores, for_each
 
 __all__ = ["COVERED", "close_holes", "coverage_at", "inward_normals", "project_onto_skin", "sample_skin"]
@@ -135,9 +135,6 @@ def close_holes(surface: SurfaceAtoms, body: Body, pitch: float) -> SurfaceAtoms
     open_ = coverage_at(surface, points, normals, pitch) < CLOSED
     points, normals = points[open_], normals[open_]
     n = len(points)
-    # A half turn about the bisector of z and the normal takes one to the other.
-    half = normals + np.where(normals[:, 2:] < -0.999, [1.0, 0, 1], [0.0, 0, 1])
-    quats = np.column_stack([np.zeros(n), half / np.linalg.norm(half, axis=1, keepdims=True)])
     sigma = np.array([PATCH_SIGMA, PATCH_SIGMA, PATCH_THICKNESS]) * pitch
     sh = np.zeros((n, surface.sh.shape[1], 3), np.float32)
     if n and len(surface):
@@ -147,5 +144,5 @@ def close_holes(surface: SurfaceAtoms, body: Body, pitch: float) -> SurfaceAtoms
         near = surface.sh[rows.reshape(n, -1), 0]
         sh[:, 0] = np.einsum("nk,nkc->nc", weight / weight.sum(1, keepdims=True), near)
     return SurfaceAtoms(
-        points.astype(np.float32), np.tile(sigma.astype(np.float32), (n, 1)), quats.astype(np.float32), sh
+        points.astype(np.float32), np.tile(sigma.astype(np.float32), (n, 1)), facing(normals).astype(np.float32), sh
     )

@@ -27,7 +27,7 @@ from engine.scene.gaussians import Gaussians
 from engine.scene.sh import rgb_to_sh
 from tests.helpers.app_driver import Driver, drive
 from tests.helpers.app_steps import ground
-from tests.helpers.solids import ball, unturned
+from tests.helpers.solids import ball, joined, unturned
 from tests.quick_scene_worker import use_quick_worker
 
 Key = imgui.Key
@@ -55,13 +55,7 @@ def melon_on_a_mat(folder: Path) -> Document:
         np.full(MAT, 0.95, np.float32),
         sh,
     )
-    both = Gaussians(
-        np.concatenate([melon.means, mat.means]),
-        np.concatenate([2 * melon.scales, mat.scales]),
-        np.concatenate([melon.quats, mat.quats]),
-        np.concatenate([melon.opacities, mat.opacities]),
-        np.concatenate([melon.sh, mat.sh]),
-    )
+    both = joined(replace(melon, scales=2 * melon.scales), mat)
     path = folder / "on_mat.ply"
     ply_data(both, []).write(str(path))
     return Document(scene=path, up=(0.0, 0.0, 1.0), training=Training(detail="draft", out=folder / "result"))

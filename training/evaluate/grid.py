@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import multiprocessing
 import signal
 from collections.abc import Callable, Sequence
@@ -13,11 +12,10 @@ from pathlib import Path
 from typing import Any
 
 from engine.errors import InputError
-from engine.io.files import atomic, read_file
 from engine.processes import safe_imports
 from training.batch.cluster import deferred_signals
 from training.batch.grid import Outcome, run_grid
-from training.batch.task import RESULT_LIMIT, Task
+from training.batch.task import Task
 from training.evaluate.measure import fingerprint, measure
 from training.settings import DETAILS, Detail, DetailName
 
@@ -51,14 +49,15 @@ class Cell:
         """Equal for equal figures."""
         return fingerprint(self.scene, self.method, self.seed, self.detail, self.cuts, self.clip)
 
+    @property
+    def task(self) -> Task:
+        """The call and its result file."""
+        arguments = {field.name: getattr(self, field.name) for field in fields(self)}
+        return Task(self.name, measure, arguments, self.result, self.fingerprint)
+
     def load_facts(self) -> dict[str, Any] | None:
         """The facts of an earlier evaluation with the same settings, None without any."""
-        try:
-            record = json.loads(read_file(self.result, RESULT_LIMIT))
-        except (OSError, ValueError):
-            return None
-        whole = isinstance(record, dict) and record.get("fingerprint") == self.fingerprint
-        return record.get("facts") if whole else None
+        return self.task.load_facts()
 
 
 def cells(
@@ -80,9 +79,7 @@ def run_cell(cell: Cell, numbers: Detail) -> dict[str, Any]:
     """Measures one cell and stores its facts; `numbers` is its level of detail, set in this process."""
     DETAILS[cell.detail] = numbers
     facts = measure(cell.scene, cell.method, cell.seed, cell.detail, cell.cuts, cell.clip, cell.out)
-    text = json.dumps({"fingerprint": cell.fingerprint, "facts": facts}, indent=1, allow_nan=False)
-    with atomic(cell.result) as temporary:
-        temporary.write_text(text + "\n", encoding="utf-8")
+    cell.task.save_facts(facts)
     return facts
 
 
@@ -120,15 +117,10 @@ def run_on_cluster(scheduler: str, grid: Sequence[Cell], on_change: Callable[[Ce
     Peak memory is then that of a worker over several cells. Raises InputError if there is no cluster.
     """
     named = {cell.name: cell for cell in grid}
-    tasks = [
-        Task(cell.name, measure, {field.name: getattr(cell, field.name) for field in fields(cell)}, cell.result,
-             cell.fingerprint)
-        for cell in grid
-    ]  # fmt: skip
 
     def report(outcome: Outcome, line: dict[str, Any]) -> None:
         if not line:
             on_change(named[outcome.task.name], outcome.status)
 
-    outcomes = run_grid(tasks, report, lambda: False, scheduler=scheduler)
+    outcomes = run_grid([cell.task for cell in grid], report, lambda: False, scheduler=scheduler)
     return {named[outcome.task.name]: outcome.error for outcome in outcomes if outcome.status == "failed"}

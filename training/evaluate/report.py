@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import io
-import json
 import os
 import platform
 from collections.abc import Sequence
@@ -14,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from engine.errors import InputError
-from engine.io.files import atomic
+from engine.io.files import atomic, write_json
 from engine.io.picture_file import open_picture
 from training.evaluate.cuts import CANONICAL
 from training.evaluate.grid import Cell
@@ -78,9 +77,7 @@ def write_report(grid: Sequence[Cell], failed: dict[Cell, str], out: Path) -> Pa
         "tables": {name: plain(of) for name, of in tables.items()},
         "failed": {cell.name: why for cell, why in failed.items()},
     }
-    text = json.dumps(record, indent=1, allow_nan=False) + "\n"
-    with atomic(out / "report.json") as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    write_json(out / "report.json", record)
     page = render(facts, tables, settings, scenes, failed, out)
     with atomic(out / "report.html") as temporary:
         temporary.write_text(page, encoding="utf-8")

@@ -39,12 +39,7 @@ class Column:
         return {"high": -value, "low": value, "one": abs(value - 1), "": 0.0}[self.better]
 
 
-def columns(*rows: Column) -> dict[str, Column]:
-    """By key."""
-    return {row.key: row for row in rows}
-
-
-COLUMNS = columns(
+_COLUMNS = (
     Column("psnr_db", "PSNR dB", "high", 2, what="over the pixels of the cut face"),
     Column("ssim", "SSIM", "high", 3, what="of the face's bounding box"),
     Column("patch", "Patch distance", "low", 3, what="sliced Wasserstein distance of 7x7 patches, times 100"),
@@ -70,6 +65,7 @@ COLUMNS = columns(
     Column("iterations", "Iterations", "", 0),
     Column("refinement_rounds", "Rounds", "", 0),
 )
+COLUMNS = {column.key: column for column in _COLUMNS}
 
 # The paper's three ablations: what is shown beside the full method.
 ABLATIONS: dict[str, tuple[str, ...]] = {
@@ -113,12 +109,8 @@ def table(facts: Facts, methods: Sequence[str], keys: Sequence[str], scenes: Seq
             value = values[m][i]
             texts.append("-" if value is None else f"{value * column.times:,.{column.digits}f}")
             distances = [column.distance_from_best(v) for r in rivals if (v := values[r][i]) is not None]
-            ranked = column.better != "" and m in rivals and value is not None and len(distances) > 1
-            best.append(
-                bool(
-                    ranked and column.distance_from_best(value if value is not None else 0.0) <= min(distances) + 1e-12
-                )
-            )
+            ranked = column.better != "" and m in rivals and len(distances) > 1
+            best.append(value is not None and ranked and column.distance_from_best(value) <= min(distances) + 1e-12)
         rows.append(Row(m, METHODS[m].title, texts, best))
     return Table(used_columns, rows, common)
 

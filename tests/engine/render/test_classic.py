@@ -10,7 +10,6 @@ from functools import partial
 import numpy as np
 import pytest
 import torch
-from safetensors.numpy import load_file
 from torch import Tensor
 
 import engine.render.classic.rasterizer as classic
@@ -22,6 +21,7 @@ from engine.render.projection import camera_record
 from engine.scene.camera import Camera, look_at, orbit
 from engine.scene.gaussians import Gaussians
 from engine.threads import cores, use_cores
+from tests.helpers.gl_scenes import brush_case
 from tests.helpers.solids import round_gaussians
 from tests.paths import SHARED
 from tests.reference.classic import picture
@@ -126,24 +126,10 @@ def test_gradcheck_on_both_sides_of_every_edge(side: int) -> None:
 
 
 def test_brush_tiny_case() -> None:
-    path = REFERENCE / "brush_tiny_case.safetensors"
-    if not path.exists():
-        pytest.skip("the reference pictures are not here")
-    case = load_file(path)
-    logits = case["opacities"].ravel().astype(np.float64)
-    gaussians = Gaussians(
-        case["means"],
-        np.exp(case["scales"]),
-        case["quats"] / np.linalg.norm(case["quats"], axis=1, keepdims=True),
-        (1 / (1 + np.exp(-logits))).astype(np.float32),
-        case["coeffs"],
-    )
-    height, width, _ = case["out_img"].shape
-    view = np.eye(4)
-    view[:3, 3] = -0.123, -0.456, 8.0
-    ours = render(gaussians, Camera(view, width / 2, width / 2, width / 2, height / 2, width, height))
-    assert np.abs(ours.rgb - case["out_img"][..., :3]).max() < 1e-5
-    assert np.abs(ours.alpha - case["out_img"][..., 3]).max() < 1e-5
+    gaussians, camera, true = brush_case()
+    ours = render(gaussians, camera)
+    assert np.abs(ours.rgb - true[..., :3]).max() < 1e-5
+    assert np.abs(ours.alpha - true[..., 3]).max() < 1e-5
 
 
 def test_garden_positions_and_depths_against_a_pinhole() -> None:

@@ -10,7 +10,6 @@ import moderngl
 import numpy as np
 import pytest
 import torch
-from safetensors.numpy import load_file
 from scipy import ndimage
 
 from engine.errors import InputError
@@ -21,7 +20,7 @@ from engine.scene.camera import Camera
 from engine.scene.gaussians import Gaussians
 from engine.scene.piece import Piece
 from engine.scene.plane import Plane
-from tests.helpers.gl_scenes import around, draw, psnr, tight_ball
+from tests.helpers.gl_scenes import around, brush_case, draw, psnr, tight_ball
 from tests.helpers.solids import ball
 from tests.paths import SHARED
 from tests.reference.classic import picture as classic_picture
@@ -233,20 +232,11 @@ def test_in_the_context_of_another(renderer: Renderer) -> None:
 
 
 def test_brush_tiny_case(renderer: Renderer) -> None:
-    path = REFERENCE / "brush_tiny_case.safetensors"
-    if not path.exists():
-        pytest.skip("the reference pictures are not here")
-    case = load_file(path)
-    quats = case["quats"] / np.linalg.norm(case["quats"], axis=1, keepdims=True)
-    opacities = (1 / (1 + np.exp(-case["opacities"].ravel().astype(np.float64)))).astype(np.float32)
-    renderer.set_capture(Gaussians(case["means"], np.exp(case["scales"]), quats, opacities, case["coeffs"]))
-    height, width, _ = case["out_img"].shape
-    view = np.eye(4)
-    view[:3, 3] = -0.123, -0.456, 8.0
-    camera = Camera(view, width / 2, width / 2, width / 2, height / 2, width, height)
+    gaussians, camera, true = brush_case()
+    renderer.set_capture(gaussians)
     ours = draw(renderer, camera, mode="classic", background=(0, 0, 0))
-    assert np.abs(ours.rgb - case["out_img"][..., :3]).max() <= 2 / 255
-    assert np.abs(ours.alpha - case["out_img"][..., 3]).max() <= 2 / 255
+    assert np.abs(ours.rgb - true[..., :3]).max() <= 2 / 255
+    assert np.abs(ours.alpha - true[..., 3]).max() <= 2 / 255
 
 
 def capture(count: int = 150, seed: int = 5) -> Gaussians:

@@ -16,15 +16,12 @@ from engine.scene.camera import Camera, look_at, orbit, section
 from engine.scene.piece import Piece
 from engine.scene.plane import Plane
 from engine.threads import cores, use_cores
+from tests.helpers.gl_scenes import psnr
 from tests.helpers.solids import NO_INTERIOR, ball, rows_of, scatter, unturned, with_leaf
 from tests.reference.opaque import kernel_field, reference
 
 UP = (0.0, 0.0, 1.0)
 CUTS = [Plane.of((0, 0, 1), -0.1), Plane.of((1, 0.2, 0), -0.2)]
-
-
-def psnr(a: NDArray[np.floating], b: NDArray[np.floating]) -> float:
-    return float(-10 * np.log10(np.mean((a.astype(np.float64) - b) ** 2) + 1e-20))
 
 
 def view(size: int = 48, distance: float = 2.0, azimuth: float = 30.0) -> Camera:

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from benchmarks.stability import sphere
 from engine.render.classic.rasterizer import render
 from engine.scene.camera import orbit
 from engine.scene.gather import gathered
 from engine.scene.gaussians import Gaussians
 from engine.scene.rotations import rotation_matrices
 from engine.scene.sh import rgb_to_sh
+from tests.helpers.solids import sphere
 
 
 def painted(count: int) -> Gaussians:
     """A sphere with soft bands of colour."""
-    ball = sphere(0, count)
+    ball = sphere(count)
     rgb = 0.5 + 0.4 * np.sin(3 * ball.means)
     ball.sh[:, 0] = rgb_to_sh(rgb.astype(np.float32))
     return ball

@@ -14,14 +14,14 @@ from engine.scene.atoms import Atoms
 from engine.scene.camera import cameras_around
 from engine.scene.gaussians import Gaussians
 from engine.scene.grid import Body, Grid
-from engine.scene.rotations import rotation_matrices
+from engine.scene.rotations import facing, rotation_matrices
 from engine.solid.atomise import Atomised, atomise, split
 from engine.solid.contribution import contributions
 from engine.solid.denoise_capture import without_haze
 from engine.solid.find_body import WIDEN, Enclosure
 from engine.solid.opacity_field import opacity_field
 from engine.solid.skin_cover import coverage_at, sample_skin
-from tests.helpers.solids import NO_INTERIOR
+from tests.helpers.solids import NO_INTERIOR, joined
 from tests.paths import SHARED
 
 DATA = SHARED
@@ -44,20 +44,13 @@ def skin(n: int, size: float, opacity: float, radius: float = 1.0, seed: int = 0
     rng = np.random.default_rng(seed)
     normals = rng.normal(size=(n, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    half = normals + np.array([0, 0, 1 + 1e-6])
-    quats = np.column_stack([np.zeros(n), half / np.linalg.norm(half, axis=1, keepdims=True)])
     return Gaussians(
         (radius * normals).astype(np.float32),
         np.tile(np.array([size, size, size / 6], np.float32), (n, 1)),
-        quats.astype(np.float32),
+        facing(normals).astype(np.float32),
         np.full(n, opacity, np.float32),
         normals[:, None].astype(np.float32),
     )
-
-
-def joined(*parts: Gaussians) -> Gaussians:
-    names = ("means", "scales", "quats", "opacities", "sh")
-    return Gaussians(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
 
 def solid(made: Atomised, pitch: float) -> Atoms:

@@ -22,35 +22,12 @@ from engine.solid.fill import fill
 from engine.solid.find_body import find_body
 from engine.solid.opacity_field import opacity_field
 from engine.solid.skin_cover import project_onto_skin
+from tests.helpers.solids import flat_gaussians, joined, sphere
 from tests.paths import SAMPLES, SHARED
 
 MESHES = SHARED / "meshes"
 
 needs_meshes = pytest.mark.skipif(not MESHES.exists(), reason="the shared meshes are not here")
-
-
-def shell(points: np.ndarray, normals: np.ndarray, size: float) -> Gaussians:
-    """Flat Gaussians, sigma `size` along the skin and a fifth of it across."""
-    n = len(points)
-    # The rotation that takes z to the normal: half way between the two, turned by 180 degrees.
-    half = normals + np.array([0, 0, 1 + 1e-6])
-    quats = np.column_stack([np.zeros(n), half / np.linalg.norm(half, axis=1, keepdims=True)])
-    return Gaussians(
-        points.astype(np.float32),
-        np.tile(np.array([size, size, size / 5], np.float32), (n, 1)),
-        quats.astype(np.float32),
-        np.full(n, 0.99, np.float32),
-        np.zeros((n, 1, 3), np.float32),
-    )
-
-
-def sphere(n: int = 12000, radius: float = 1.0, hole: float = 0.0, towards: tuple[float, float, float] = (0, 0, -1)):
-    """A sphere's skin without the cap of half angle `hole` degrees."""
-    z = np.linspace(-1, 1, n)
-    angle = np.pi * (1 + 5**0.5) * np.arange(n)
-    normals = np.column_stack([np.sqrt(1 - z**2) * np.cos(angle), np.sqrt(1 - z**2) * np.sin(angle), z])
-    normals = normals[normals @ (np.array(towards) / np.linalg.norm(towards)) <= np.cos(np.radians(hole)) + 1e-9]
-    return shell(radius * normals, normals, radius * (4 * np.pi / n) ** 0.5)
 
 
 def lathe(profile: np.ndarray, n: int, closed: bool = True) -> Gaussians:
@@ -71,12 +48,7 @@ def lathe(profile: np.ndarray, n: int, closed: bool = True) -> Gaussians:
     a = 2 * np.pi * rng.random(n)
     points = np.column_stack([rz[:, 0] * np.cos(a), rz[:, 0] * np.sin(a), rz[:, 1]])
     normals = np.column_stack([across[:, 0] * np.cos(a), across[:, 0] * np.sin(a), across[:, 1]])
-    return shell(points, normals, (areas.sum() / n) ** 0.5)
-
-
-def joined(*parts: Gaussians) -> Gaussians:
-    names = ("means", "scales", "quats", "opacities", "sh")
-    return Gaussians(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+    return flat_gaussians(points, normals, (areas.sum() / n) ** 0.5)
 
 
 def turns(mesh: trimesh.Trimesh, points: np.ndarray) -> np.ndarray:
@@ -130,7 +102,7 @@ def test_nearest_is_the_euclidean_distance() -> None:
 def test_meshes_fill_to_their_volume_and_no_farther(name: str) -> None:
     mesh = trimesh.load_mesh(MESHES / f"trimesh_{name}.STL")
     points, faces = trimesh.sample.sample_surface(mesh, 30000, seed=0)
-    body = find_body(shell(points, mesh.face_normals[faces], (mesh.area / 30000) ** 0.5)).body
+    body = find_body(flat_gaussians(points, mesh.face_normals[faces], (mesh.area / 30000) ** 0.5)).body
     assert abs(body.volume / mesh.volume - 1) < 0.01
     pitch = max(mesh.extents) / 64
     atoms = fill(body, pitch)
@@ -219,8 +191,8 @@ def test_what_is_cut_through_wide_gaussians_ends_inside_the_grid() -> None:
 def test_what_flies_around_does_not_coarsen_the_grid() -> None:
     rng = np.random.default_rng(0)
     n = 200
-    far = shell(100 * rng.normal(size=(n, 3)), np.tile([0.0, 0, 1], (n, 1)), 0.5)
-    near = shell(rng.uniform(1.3, 1.5, (20, 3)), np.tile([0.0, 0, 1], (20, 1)), 0.02)
+    far = flat_gaussians(100 * rng.normal(size=(n, 3)), np.tile([0.0, 0, 1], (n, 1)), 0.5)
+    near = flat_gaussians(rng.uniform(1.3, 1.5, (20, 3)), np.tile([0.0, 0, 1], (20, 1)), 0.02)
     found = find_body(joined(sphere(), far, near), cells=64)
     assert abs(found.body.volume / (4 / 3 * np.pi) - 1) < 0.01
     assert any(note.startswith("220 Gaussians") for note in found.notes)
@@ -239,7 +211,7 @@ def test_a_thin_plate_is_a_solid(thickness: float) -> None:
         lambda: sphere()[:0],
         lambda: sphere()[:3],
         lambda: lathe(np.array([[0, 0], [1.0, 0]]), 5000, closed=False),
-        lambda: shell(np.zeros((50, 3)), np.tile([0.0, 0, 1], (50, 1)), 1e-3),
+        lambda: flat_gaussians(np.zeros((50, 3)), np.tile([0.0, 0, 1], (50, 1)), 1e-3),
     ],
     ids=["none", "three", "flat", "coincident"],
 )

@@ -154,14 +154,12 @@ SLAB = 8
 
 def composited(atoms: Atoms, section: ViewWeights, plane: Plane, camera: Camera) -> Composited:
     """The view of a plane with opacities of atoms drawn uniformly from 0 to 1."""
-    s, i = atoms.surface, atoms.interior
-    means = np.concatenate([s.means, i.means])
-    opacities = np.random.default_rng(11).uniform(0, 1, len(means)).astype(np.float32)
-    distance = plane.distance(means)
+    gaussians = atoms.as_gaussians(1.0)
+    opacities = np.random.default_rng(11).uniform(0, 1, len(gaussians)).astype(np.float32)
+    distance = plane.distance(gaussians.means)
     rows = np.flatnonzero((distance <= 0) & (distance > -SLAB * atoms.pitch))
-    scales = np.concatenate([s.scales, np.repeat(i.sigmas[:, None], 3, 1)])
-    quats = np.concatenate([s.quats, np.tile(np.array([[1, 0, 0, 0]], np.float32), (len(i), 1))])
-    arrays = tuple(torch.from_numpy(np.ascontiguousarray(a[rows])) for a in (means, scales, quats, opacities))
+    values = (gaussians.means, gaussians.scales, gaussians.quats, opacities)
+    arrays = tuple(torch.from_numpy(np.ascontiguousarray(a[rows])) for a in values)
     known = {field.name: getattr(section, field.name) for field in fields(ViewWeights)}
     return Composited(**known, rows=rows, arrays=arrays, camera=camera)  # type: ignore[arg-type]
 
