@@ -237,14 +237,12 @@ class Workspace:
 
     def change(self, name: str, document: Document, merge: str = "") -> bool:
         """Changes the active object; consecutive steps with the same `merge` tag are undone as one."""
-        return self.change_all(name, self._with(self.active, document), merge)
+        return self.change_object(name, self.active, document, merge)
 
     def change_object(self, name: str, index: int, document: Document, merge: str = "") -> bool:
         """Changes one of the objects."""
-        return self.change_all(name, self._with(index, document), merge)
-
-    def _with(self, index: int, document: Document) -> Documents:
-        return (*self.documents[:index], document, *self.documents[index + 1 :])
+        documents = (*self.documents[:index], document, *self.documents[index + 1 :])
+        return self.change_all(name, documents, merge)
 
     def change_all(self, name: str, documents: Documents, merge: str = "") -> bool:
         """Adds a step to the history; consecutive steps with the same `merge` tag are undone as one."""
