@@ -18,7 +18,7 @@ MOMENTS = ("exp_avg", "exp_avg_sq")
 @dataclass
 class Adam:
     """torch's Adam by its functional form: making a `torch.optim.Optimizer` imports the compiler behind it, for two
-    seconds of every process that trains."""
+    seconds of every process that trains. Fused, it reads each array once and not ten times."""
 
     parameters: dict[str, torch.Tensor]
     """Leaves that require gradients; changed in place."""
@@ -48,8 +48,8 @@ class Adam:
             first, second = self._moments[name]
             adam(
                 [self.parameters[name]], [gradient], [first], [second], [], [self._steps[name]],
-                amsgrad=False, beta1=self.betas[0], beta2=self.betas[1], lr=self.rates[name] * decay, weight_decay=0.0,
-                eps=self.eps, maximize=False,
+                fused=True, amsgrad=False, beta1=self.betas[0], beta2=self.betas[1], lr=self.rates[name] * decay,
+                weight_decay=0.0, eps=self.eps, maximize=False,
             )  # fmt: skip
 
     def state(self) -> dict[str, NDArray[np.float32]]:

@@ -16,6 +16,7 @@ import torch
 from numpy.typing import NDArray
 
 from engine.fit.face_kernels import POINTS, field_backward, field_sums, transpose
+from engine.fit.harmonics import harmonic_colours
 from engine.render.cpu.kernel_field import KernelField
 from engine.render.cpu.outside import Outside, camera_planes, draw
 from engine.render.cpu.ray_entry import enter, face_edge
@@ -28,10 +29,10 @@ from engine.scene.camera import Camera
 from engine.scene.constants import SOLID_DENSITY
 from engine.scene.piece import Piece
 from engine.scene.plane import Plane
-from engine.scene.sh import BANDS, C0
+from engine.scene.sh import C0
 from engine.threads import for_each
 
-__all__ = ["AtomTensors", "opaque_image", "sh_basis"]
+__all__ = ["AtomTensors", "opaque_image"]
 
 
 @dataclass(frozen=True)
@@ -94,8 +95,7 @@ def opaque_image(
     scales = torch.cat([atoms.scales, atoms.sigmas[:, None].expand(-1, 3)])
     quats = torch.cat([atoms.quats, identity])
     count = len(atoms.means) + atoms.exposed
-    surface = (0.5 + torch.einsum("nk,nkc->nc", _basis(atoms, camera), atoms.sh)).clamp(min=0)
-    colours = torch.cat([surface, atoms.rgb[: atoms.exposed]])
+    colours = torch.cat([harmonic_colours(atoms.means, atoms.sh, camera), atoms.rgb[: atoms.exposed]])
     outside, cover = _Outside.apply(
         means[:count], scales[:count], quats[:count], colours, camera, tuple(planes), atoms.pitch
     )
@@ -105,27 +105,6 @@ def opaque_image(
     skin = (0.5 + C0 * atoms.sh[:, 0]).clamp(min=0)
     face, alpha = _face(means, scales, quats, torch.cat([skin, atoms.rgb]), atoms, camera, planes)
     return face + (1 - alpha)[..., None] * over, 1 - (1 - alpha) * (1 - cover)
-
-
-def _basis(atoms: AtomTensors, camera: Camera) -> torch.Tensor:
-    """(S, K). Spherical harmonics basis in the viewing direction of each surface atom."""
-    degree = round(atoms.sh.shape[1] ** 0.5) - 1
-    if camera.orthographic:
-        directions = torch.tensor(camera.forward, dtype=atoms.means.dtype).expand(len(atoms.means), 3)
-    else:
-        directions = torch.nn.functional.normalize(
-            atoms.means - torch.tensor(camera.position, dtype=atoms.means.dtype), dim=1
-        )
-    return sh_basis(directions, degree)
-
-
-def sh_basis(directions: torch.Tensor, degree: int) -> torch.Tensor:
-    """(N, (degree+1)^2). `engine.scene.sh.basis` for unit directions (N, 3), differentiable."""
-    x, y, z = directions.unbind(1)
-    rows = [torch.full_like(x, C0)]
-    for band in BANDS[:degree]:
-        rows += band(x, y, z)
-    return torch.stack(rows, dim=1)
 
 
 def _face(

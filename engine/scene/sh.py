@@ -8,7 +8,19 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-__all__ = ["BANDS", "C0", "C1", "C2", "C3", "basis", "colours", "fill_basis", "rgb_to_sh", "sh_to_rgb"]
+__all__ = [
+    "BANDS",
+    "C0",
+    "C1",
+    "C2",
+    "C3",
+    "basis",
+    "colours",
+    "direction_gradient",
+    "fill_basis",
+    "rgb_to_sh",
+    "sh_to_rgb",
+]
 
 C0 = 0.28209479177387814  # 1 / (2 sqrt(pi)), the constant function's normalisation
 C1 = 0.4886025119029199  # sqrt(3 / (4 pi))
@@ -78,6 +90,46 @@ def fill_basis(x, y, z, bands, out):
         out[4], out[5], out[6], out[7], out[8] = _band_2(x, y, z)
     if bands > 9:
         out[9], out[10], out[11], out[12], out[13], out[14], out[15] = _band_3(x, y, z)
+
+
+@njit(cache=True, error_model="numpy")
+def direction_gradient(x, y, z, bands, g):
+    """dL/d(x, y, z) of `fill_basis`, given dL/d(basis) g (16,)."""
+    gx = -C1 * g[3]
+    gy = -C1 * g[1]
+    gz = C1 * g[2]
+    if bands > 4:
+        gx += C2[0] * y * g[4] - 2.0 * C2[2] * x * g[6] + C2[3] * z * g[7] + 2.0 * C2[4] * x * g[8]
+        gy += C2[0] * x * g[4] + C2[1] * z * g[5] - 2.0 * C2[2] * y * g[6] - 2.0 * C2[4] * y * g[8]
+        gz += C2[1] * y * g[5] + 4.0 * C2[2] * z * g[6] + C2[3] * x * g[7]
+    if bands > 9:
+        xx, yy, zz = x * x, y * y, z * z
+        gx += (
+            C3[0] * 6.0 * x * y * g[9]
+            + C3[1] * y * z * g[10]
+            - C3[2] * 2.0 * x * y * g[11]
+            - C3[3] * 6.0 * x * z * g[12]
+            + C3[4] * (4.0 * zz - 3.0 * xx - yy) * g[13]
+            + C3[5] * 2.0 * x * z * g[14]
+            + C3[6] * 3.0 * (xx - yy) * g[15]
+        )
+        gy += (
+            C3[0] * 3.0 * (xx - yy) * g[9]
+            + C3[1] * x * z * g[10]
+            + C3[2] * (4.0 * zz - xx - 3.0 * yy) * g[11]
+            - C3[3] * 6.0 * y * z * g[12]
+            - C3[4] * 2.0 * x * y * g[13]
+            - C3[5] * 2.0 * y * z * g[14]
+            - C3[6] * 6.0 * x * y * g[15]
+        )
+        gz += (
+            C3[1] * x * y * g[10]
+            + C3[2] * 8.0 * y * z * g[11]
+            + C3[3] * (6.0 * zz - 3.0 * xx - 3.0 * yy) * g[12]
+            + C3[4] * 8.0 * x * z * g[13]
+            + C3[5] * (xx - yy) * g[14]
+        )
+    return gx, gy, gz
 
 
 def colours(

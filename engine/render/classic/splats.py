@@ -44,7 +44,7 @@ from engine.render.projection import (
     screen_covariance_backward,
 )
 from engine.scene.constants import ALPHA_STEPS, LOW_PASS
-from engine.scene.sh import C1, C2, C3, fill_basis
+from engine.scene.sh import direction_gradient, fill_basis
 
 __all__ = ["project", "project_backward"]
 
@@ -71,46 +71,6 @@ def _direction(cam, eye, x, y, z):
     length = math.sqrt(dx * dx + dy * dy + dz * dz)
     unit = 1.0 / length
     return dx * unit, dy * unit, dz * unit, length
-
-
-@njit(cache=True, error_model="numpy")
-def _sh_direction_gradient(x, y, z, bands, g):
-    """dL/d(x, y, z) of `sh.fill_basis`, given dL/d(basis) g (16,)."""
-    gx = -C1 * g[3]
-    gy = -C1 * g[1]
-    gz = C1 * g[2]
-    if bands > 4:
-        gx += C2[0] * y * g[4] - 2.0 * C2[2] * x * g[6] + C2[3] * z * g[7] + 2.0 * C2[4] * x * g[8]
-        gy += C2[0] * x * g[4] + C2[1] * z * g[5] - 2.0 * C2[2] * y * g[6] - 2.0 * C2[4] * y * g[8]
-        gz += C2[1] * y * g[5] + 4.0 * C2[2] * z * g[6] + C2[3] * x * g[7]
-    if bands > 9:
-        xx, yy, zz = x * x, y * y, z * z
-        gx += (
-            C3[0] * 6.0 * x * y * g[9]
-            + C3[1] * y * z * g[10]
-            - C3[2] * 2.0 * x * y * g[11]
-            - C3[3] * 6.0 * x * z * g[12]
-            + C3[4] * (4.0 * zz - 3.0 * xx - yy) * g[13]
-            + C3[5] * 2.0 * x * z * g[14]
-            + C3[6] * 3.0 * (xx - yy) * g[15]
-        )
-        gy += (
-            C3[0] * 3.0 * (xx - yy) * g[9]
-            + C3[1] * x * z * g[10]
-            + C3[2] * (4.0 * zz - xx - 3.0 * yy) * g[11]
-            - C3[3] * 6.0 * y * z * g[12]
-            - C3[4] * 2.0 * x * y * g[13]
-            - C3[5] * 2.0 * y * z * g[14]
-            - C3[6] * 6.0 * x * y * g[15]
-        )
-        gz += (
-            C3[1] * x * y * g[10]
-            + C3[2] * 8.0 * y * z * g[11]
-            + C3[3] * (6.0 * zz - 3.0 * xx - 3.0 * yy) * g[12]
-            + C3[4] * 8.0 * x * z * g[13]
-            + C3[5] * (xx - yy) * g[14]
-        )
-    return gx, gy, gz
 
 
 @njit(cache=True, error_model="numpy")
@@ -377,7 +337,7 @@ def project_backward(
                         g_colours[i, band, channel] = basis[band] * outer
                         g_basis[band] += colours[i, band, channel] * outer
             if bands > 1 and length > 0.0:
-                hx, hy, hz = _sh_direction_gradient(dx, dy, dz, bands, g_basis)
+                hx, hy, hz = direction_gradient(dx, dy, dz, bands, g_basis)
                 along = hx * dx + hy * dy + hz * dz
                 gx += (hx - along * dx) / length
                 gy += (hy - along * dy) / length

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 import torch
 
-from engine.fit.differentiable import AtomTensors, opaque_image, sh_basis
+from engine.fit.differentiable import AtomTensors, opaque_image
+from engine.fit.harmonics import harmonic_colours
 from engine.render.cpu.opaque import render
 from engine.render.cpu.outside import draw, splats_of, view_colours
 from engine.render.cpu.weights import BEHIND
@@ -107,11 +108,18 @@ def test_gradients_reach_what_lies_behind() -> None:
         assert bool(scales.grad[12:].any()) == (pixels is open_twice)
 
 
-def test_harmonics_are_the_engines() -> None:
-    way = np.random.default_rng(8).normal(size=(20, 3))
-    way /= np.linalg.norm(way, axis=1, keepdims=True)
+@pytest.mark.parametrize("camera", [FAR, STRAIGHT])
+def test_harmonic_colours_meet_the_harmonics_and_their_derivative(camera: Camera) -> None:
+    rng = np.random.default_rng(8)
     for degree in range(4):
-        np.testing.assert_allclose(sh_basis(torch.from_numpy(way), degree).numpy(), sh.basis(way, degree), atol=1e-14)
+        means, coefficients = rng.normal(size=(30, 3)), rng.normal(size=(30, (degree + 1) ** 2, 3))
+        way = means - camera.position if not camera.orthographic else np.tile(camera.forward, (30, 1))
+        way /= np.linalg.norm(way, axis=1, keepdims=True)
+        inputs = [torch.from_numpy(a).requires_grad_() for a in (means, coefficients)]
+        found = harmonic_colours(*inputs, camera)
+        np.testing.assert_allclose(found.detach().numpy(), sh.colours(coefficients, way), atol=1e-13)
+        assert (found == 0).any()
+        assert torch.autograd.gradcheck(lambda m, c: harmonic_colours(m, c, camera), inputs)
 
 
 def test_what_nobody_sees_has_no_gradient_and_what_is_odd_stays_finite() -> None:
