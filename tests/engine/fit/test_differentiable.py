@@ -115,7 +115,7 @@ def test_harmonic_colours_meet_the_harmonics_and_their_derivative(camera: Camera
         means, coefficients = rng.normal(size=(30, 3)), rng.normal(size=(30, (degree + 1) ** 2, 3))
         way = means - camera.position if not camera.orthographic else np.tile(camera.forward, (30, 1))
         way /= np.linalg.norm(way, axis=1, keepdims=True)
-        inputs = [torch.from_numpy(a).requires_grad_() for a in (means, coefficients)]
+        inputs = torch.from_numpy(means).requires_grad_(), torch.from_numpy(coefficients).requires_grad_()
         found = harmonic_colours(*inputs, camera)
         np.testing.assert_allclose(found.detach().numpy(), sh.colours(coefficients, way), atol=1e-13)
         assert (found == 0).any()
