@@ -26,6 +26,7 @@ from engine.io.strict_json import parse
 from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from engine.scene.inside import InsideRecord
 from engine.scene.sh import sh_to_rgb
+from engine.scene.solid_gaussians import as_gaussians
 
 __all__ = [
     "FORMAT",
@@ -33,6 +34,7 @@ __all__ = [
     "inside_path",
     "load_inside_record",
     "load_trained",
+    "provenance",
     "save_trained",
     "sidecar_path",
     "trained_isolation",
@@ -43,9 +45,6 @@ FORMAT = 1
 
 FACTS = "facts"
 """Name of the array with an inside's facts, as JSON."""
-
-OPAQUE = 0.999
-"""Opacity of an atom in the file. 1 has no finite logit; at 0.999 two atoms in a row transmit 1e-6."""
 
 INSIDE_LIMIT = 1 << 27
 """Most bytes of an inside: forty pictures and their layout."""
@@ -91,11 +90,11 @@ def save_trained(path: str | Path, atoms: Atoms, meta: Meta, inside: InsideRecor
     writing fails.
     """
     path = Path(path)
-    gaussians = atoms.as_gaussians(OPAQUE)
+    gaussians = as_gaussians(atoms)
     broken = [name for name, values in vars(gaussians).items() if not np.isfinite(values).all()]
     assert not broken, f"NaN or Inf in the atoms' {broken}"
     assert (gaussians.scales > 0).all(), "scales that are not above 0"
-    data = ply_data(gaussians, _comments(meta))
+    data = ply_data(gaussians, provenance(meta))
     more = [] if inside is None else [inside_path(path)]
     with atomic_together(path, sidecar_path(path), *more) as (ply, sidecar, *function):
         data.write(str(ply))
@@ -200,8 +199,8 @@ def trained_isolation(path: Path) -> tuple[Any, ...]:
     return _Record(sidecar_path(path), path).isolation()
 
 
-def _comments(meta: Meta) -> list[str]:
-    """Comments in the .ply for users of other viewers."""
+def provenance(meta: Meta) -> list[str]:
+    """Lines in a file for users of other viewers: what it was made from and where that lies."""
     comments = [f"FruitNinja: made from {meta.source}"] if meta.source else []
     if any(meta.origin):
         comments.append("FruitNinja: add {:.12g} {:.12g} {:.12g} to be back in its coordinates".format(*meta.origin))

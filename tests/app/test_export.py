@@ -15,8 +15,6 @@ from PIL import Image
 
 from app.jobs.export import (
     ffmpeg,
-    piece_gaussians,
-    rotated_sh,
     save_animation,
     save_pieces,
     save_still,
@@ -32,9 +30,11 @@ from app.model.rigid_transform import Motion
 from engine.errors import InputError
 from engine.io.splats.ply import read_ply
 from engine.scene.camera import Camera, plane_points
+from engine.scene.moved import rotated_sh
 from engine.scene.piece import Piece
 from engine.scene.plane import Plane
 from engine.scene.sh import colours
+from engine.scene.solid_gaussians import piece_gaussians
 from tests.helpers.app_objects import atoms
 
 
@@ -42,7 +42,7 @@ def test_exported_pieces_add_up_to_the_object_and_open_again(tmp_path: Path) -> 
     solid = atoms()
     document = replace(Document().with_cut((Part(Plane.of((1, 1, 0), 0.1)),)), gap=0.0)
     parts = pieces(document, Solid.of_atoms(solid))
-    assert sum(len(piece_gaussians(solid, part)) for part in parts) == len(solid)
+    assert sum(len(piece_gaussians(solid, part.drawn())) for part in parts) == len(solid)
     count = save_pieces(tmp_path / "all.ply", [(solid, part) for part in parts])
     again, _ = read_ply(tmp_path / "all.ply")
     assert len(again) == count == len(solid) and (again.opacities > 0.99).all()
@@ -55,11 +55,11 @@ def test_a_turned_piece_is_seen_as_before_from_the_turned_side() -> None:
     motion = Motion.about((0, 0, 0), (1, 2, 3), 77)
     directions = np.random.default_rng(2).normal(size=(300, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    turned = rotated_sh(solid.surface.sh, motion)
+    turned = rotated_sh(solid.surface.sh, motion.rotation)
     before, after = colours(solid.surface.sh, directions), colours(turned, directions @ motion.rotation.T)
     assert np.abs(before - after).max() < 1e-4
     lying = PlacedPiece(WHOLE, "", (Cell(),), motion, True, np.arange(0))
-    exported = piece_gaussians(solid, lying)
+    exported = piece_gaussians(solid, lying.drawn())
     own = Motion(tuple(solid.surface.quats[0].astype(np.float64).tolist())).rotation
     assert np.allclose(Motion(tuple(exported.quats[0].tolist())).rotation, motion.rotation @ own, atol=1e-5)
 

@@ -52,6 +52,7 @@ MAY_IMPORT = {
     "app.ui": ("app.model", "app.jobs", "app.session", "engine", "training"),
     "app.main": ("app", "engine", "training"),
     "app.render_cli": ("engine", "training"),
+    "app.export_cli": ("engine", "training"),
 }
 """Of each room, the project's own modules that it may import beside itself; the longest name that fits a module rules.
 

@@ -159,11 +159,11 @@ class Exporter:
             raise InputError("There is no solid to save yet.")
         pieces = [(solids[session.documents[m.index].number], m.piece) for m in session.members]
         if not options.separate:
-            count = save_pieces(path, pieces)
+            count = save_pieces(path, pieces, session.view_up)
             session.notify(f"Saved {count:,} Gaussians in {path.name}.")
             return
         for number, piece in enumerate(pieces, 1):
-            save_pieces(path.with_name(f"{path.stem}_{number}{path.suffix}"), [piece])
+            save_pieces(path.with_name(f"{path.stem}_{number}{path.suffix}"), [piece], session.view_up)
         session.notify(f"Saved {len(pieces)} pieces beside {path.stem}_1{path.suffix}.")
 
     def _camera(self, options: Options) -> Camera:
