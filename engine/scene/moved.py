@@ -56,7 +56,7 @@ def sh_rotation(rotation: NDArray[np.float64], degree: int) -> NDArray[np.float6
     return np.linalg.lstsq(basis(directions, degree), basis(directions @ rotation, degree), rcond=None)[0]
 
 
-def rotated_quats(quats: NDArray[np.float32], rotation: NDArray[np.float64]) -> NDArray[np.float32]:
+def rotated_quats(quats: NDArray[np.floating], rotation: NDArray[np.float64]) -> NDArray[np.float32]:
     """(N, 4). Quaternions wxyz (N, 4) after a rotation (3, 3)."""
     w, x, y, z = Rotation.from_matrix(rotation).as_quat(scalar_first=True).tolist()
     left = np.array([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])
@@ -64,7 +64,7 @@ def rotated_quats(quats: NDArray[np.float32], rotation: NDArray[np.float64]) -> 
 
 
 def upright(up: ArrayLike) -> NDArray[np.float64]:
-    """(3, 3). The shortest rotation that turns a unit vector to +y; of those from -y, as captures lie, the one about x."""
+    """(3, 3). The shortest rotation that turns a unit vector to +y; from -y, as captures lie, the one about x."""
     u = np.asarray(up, np.float64)
     if u[1] < -1 + 1e-9:
         return np.diag([1.0, -1.0, -1.0])

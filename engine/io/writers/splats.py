@@ -8,6 +8,10 @@ from pathlib import Path
 from engine.errors import InputError
 from engine.io.splats.ply import write_ply
 from engine.io.writers.about import About
+from engine.io.writers.gltf import write_glb
+from engine.io.writers.sog import write_sog
+from engine.io.writers.spz import write_spz
+from engine.io.writers.usd import write_usd
 from engine.scene.gaussians import Gaussians
 
 __all__ = ["SPLAT_WRITERS", "write_splats"]
@@ -19,7 +23,14 @@ def _ply(path: Path, gaussians: Gaussians, about: About) -> None:
     write_ply(path, gaussians, ["FruitNinja", *about.lines])
 
 
-SPLAT_WRITERS: dict[str, Writer] = {".ply": _ply}
+SPLAT_WRITERS: dict[str, Writer] = {
+    ".ply": _ply,
+    ".spz": write_spz,
+    ".sog": write_sog,
+    ".glb": write_glb,
+    ".usda": write_usd,
+    ".usdc": write_usd,
+}
 """What writes each suffix."""
 
 
