@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import struct
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +14,7 @@ from numpy.typing import NDArray
 
 from engine.errors import InputError
 from engine.io.files import atomic
+from engine.io.splats.rows import row_blocks
 from engine.io.splats.spz import COLOUR_SCALE, FLIP, HEADER, MAGIC, MOST, TABLE_AT, flipped_bands
 from engine.io.writers.about import About
 from engine.scene.gaussians import Gaussians
@@ -64,26 +67,39 @@ def spz_bytes(gaussians: Gaussians) -> bytes:
     """The content of the file."""
     n, degree = len(gaussians), gaussians.sh_degree
     bits = _fractional_bits(gaussians)
-    fixed = np.round(gaussians.means.astype(np.float64) * (2.0**bits * FLIP)).astype("<i4")
-    with np.errstate(divide="ignore"):
-        logs = np.log(gaussians.scales)
-    streams = [
-        np.ascontiguousarray(fixed.view(np.uint8).reshape(n, 3, 4)[..., :3]),
-        _bytes(255 * gaussians.opacities),
-        _bytes((gaussians.sh[:, 0] * COLOUR_SCALE + 0.5) * 255),
-        _bytes((logs - LOG_SCALES[0]) * 16),
-        _smallest_three(gaussians.quats * np.array([1, *FLIP], np.float32)),
-    ]
-    if degree:
-        coefficients = gaussians.sh[:, 1:] * flipped_bands(degree)[1:, None].astype(np.float32)
-        streams.append(_bytes(coefficients * 128 + 128))
-    packer = zstandard.ZstdCompressor(level=LEVEL)
-    packed = [packer.compress(memoryview(stream).cast("B")) for stream in streams]
+    widths = (9, 1, 3, 3, 4, 3 * ((degree + 1) ** 2 - 1))
+    streams = [np.empty((n, width), np.uint8) for width in widths if width]
+    for rows in row_blocks(n):
+        for stream, block in zip(streams, _block(gaussians[rows.start : rows.stop], bits), strict=False):
+            stream[rows.start : rows.stop] = block
+    with ThreadPoolExecutor() as pool:
+        packed = list(pool.map(_packed, streams))
     table = [size for stream, pack in zip(streams, packed, strict=True) for size in (len(pack), stream.nbytes)]
     head = bytearray(TABLE_AT.size)
     TABLE_AT.pack_into(head, 0, TABLE_AT.size)
     HEADER.pack_into(head, 0, MAGIC, VERSION, n, degree, bits, 0, len(streams))
     return b"".join([head, struct.pack(f"<{len(table)}Q", *table), *packed])
+
+
+def _block(g: Gaussians, bits: int) -> Iterator[NDArray[np.uint8]]:
+    """(R, width) each: the attributes of some rows, in file order."""
+    fixed = np.rint(g.means * (np.float64(2.0**bits) * FLIP)).astype("<i4")
+    yield fixed.view(np.uint8).reshape(len(g), 3, 4)[..., :3].reshape(len(g), 9)
+    yield _bytes(255 * g.opacities)[:, None]
+    yield _bytes((g.sh[:, 0] * COLOUR_SCALE + 0.5) * 255)
+    yield _bytes((np.log(g.scales) - LOG_SCALES[0]) * 16)
+    yield _smallest_three(g.quats * np.array([1, *FLIP], np.float32))
+    rest = g.sh[:, 1:]
+    if not rest.any():  # all of an inside, most of a solid
+        yield np.full((len(g), 3 * rest.shape[1]), 128, np.uint8)
+    else:
+        signs = flipped_bands(g.sh_degree)[1:, None].astype(np.float32)
+        yield _bytes(rest * (128 * signs) + 128).reshape(len(g), -1)
+
+
+def _packed(stream: NDArray[np.uint8]) -> bytes:
+    """A zstd frame."""
+    return zstandard.ZstdCompressor(level=LEVEL).compress(memoryview(stream).cast("B"))
 
 
 def _detail(gaussians: Gaussians) -> float:
