@@ -39,7 +39,7 @@ EPILOG = (
 
 
 def render_command(
-    trained: Annotated[Path, typer.Argument(help="A trained .ply with its sidecar, as fruitninja-train writes it.")],
+    trained: Annotated[Path, typer.Argument(help="A trained object with its sidecar, as fruitninja-train writes it.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="The picture (.png).")],
     plane: Annotated[list[str] | None, typer.Option(help="A cut a,b,c,d; give it again for more.")] = None,
     camera: Annotated[

@@ -49,11 +49,14 @@ def sh_rotation(rotation: NDArray[np.float64], degree: int) -> NDArray[np.float6
     """((d+1)^2, (d+1)^2). What a rotation (3, 3) does to coefficients.
 
     A rotation acts linearly on the basis, B(R^T d) = B(d) M. M is solved by least squares over more directions than
-    unknowns, which is exact because such an M exists. It holds for reflections too.
+    unknowns, which is exact because such an M exists. It holds for reflections too. A degree turns into itself alone,
+    so that what is zero in one stays zero.
     """
     directions = np.random.default_rng(0).normal(size=(DIRECTIONS, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    return np.linalg.lstsq(basis(directions, degree), basis(directions @ rotation, degree), rcond=None)[0]
+    matrix = np.linalg.lstsq(basis(directions, degree), basis(directions @ rotation, degree), rcond=None)[0]
+    degrees = np.repeat(np.arange(degree + 1), 2 * np.arange(degree + 1) + 1)
+    return np.where(degrees[:, None] == degrees, matrix, 0.0)
 
 
 def rotated_quats(quats: NDArray[np.floating], rotation: NDArray[np.float64]) -> NDArray[np.float32]:
@@ -65,7 +68,7 @@ def rotated_quats(quats: NDArray[np.floating], rotation: NDArray[np.float64]) ->
 
 def upright(up: ArrayLike) -> NDArray[np.float64]:
     """(3, 3). The shortest rotation that turns a unit vector to +y; from -y, as captures lie, the one about x."""
-    u = np.asarray(up, np.float64)
+    u = np.asarray(up, np.float64) / np.linalg.norm(up)
     if u[1] < -1 + 1e-9:
         return np.diag([1.0, -1.0, -1.0])
     # Rodrigues' formula for the axis u x y.

@@ -438,10 +438,11 @@ def test_a_scene_says_what_is_the_object_and_how_its_pictures_are_related(tmp_pa
         keep = ["box:1,0,0,0,1,1"]
         no_floor = true
         same = true
+        compact = true
     """
     manifest.write_text(text)
     (scene,) = read_manifest(manifest)
-    assert scene.request.same
+    assert scene.request.same and scene.request.compact
     assert [path.name for path in scene.request.families[0].exemplars] == ["one.png", "two.png"]  # and no mask
     kept = keep_only(Box((0.0, 0.0, 0.0), (1.0, 1.0, 1.0)))
     assert scene.request.isolation == (kept, (Step("add", Detected("floor")),))

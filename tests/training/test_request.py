@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -42,6 +43,7 @@ def full(folder: Path) -> Request:
         "rye bread",
         isolation,
         True,
+        True,
     )
 
 
@@ -59,6 +61,14 @@ def test_every_field_of_a_request_survives_its_file(tmp_path: Path) -> None:
     assert all(getattr(request, name) != getattr(default, name) for name in vars(request) if name != "scene")
 
 
+def test_the_form_of_the_result_makes_no_other_run(tmp_path: Path) -> None:
+    (tmp_path / "a.ply").write_bytes(b"ply")
+    standard = Request(tmp_path / "a.ply", (Family("radial", 3),))
+    compact = replace(standard, compact=True)
+    assert (standard.result_name, compact.result_name) == ("a.ply", "a.spz")
+    assert standard.fingerprint() == compact.fingerprint() != replace(compact, seed=1).fingerprint()
+
+
 def test_a_relative_request_is_written_with_absolute_paths(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     request = Request(Path("melon.ply"), (Family("radial", 3, (Path("a.png"),)),))
@@ -66,7 +76,7 @@ def test_a_relative_request_is_written_with_absolute_paths(tmp_path: Path, monke
 
 
 BREAK: dict[str, Callable[[dict], object]] = {
-    "version": lambda r: r.update(fruitninja_request=5),
+    "version": lambda r: r.update(fruitninja_request=6),
     "no version": lambda r: r.pop("fruitninja_request"),
     "version is a flag": lambda r: r.update(fruitninja_request=True),
     "unknown field": lambda r: r.update(command="rm"),

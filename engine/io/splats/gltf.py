@@ -8,9 +8,10 @@ import io
 import os
 from collections.abc import Iterator
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, BinaryIO
+from urllib.parse import unquote
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,7 +65,13 @@ def read_gltf(path: str | Path, most: int | None = None) -> tuple[Gaussians, lis
     _refuse_packed(path, tree)
     with ExitStack() as opened:
         buffers = _Buffers(path, tree, after, opened)
-        fields = [_Field.of(path, tree, buffers, place) for place in placements(path, tree)]
+        fields: list[_Field] = []
+        known: dict[int, _Field] = {}
+        for place in placements(path, tree):
+            shared = known.get(id(place.primitive))
+            field = _Field.of(path, tree, buffers, place) if shared is None else replace(shared, place=place)
+            known[id(place.primitive)] = field
+            fields.append(field)
         count = sum(field.count for field in fields)
         if not count:
             raise InputError(f"{path}: the scene is empty, it has 0 Gaussians")
@@ -144,9 +151,12 @@ class _Buffers:
             except binascii.Error as error:
                 raise _damaged(self.path) from error
             return io.BytesIO(data), 0, len(data)
-        if Path(uri).name != uri or "\\" in uri:
+        name = unquote(uri)
+        if Path(name).name != name or "\\" in name or "\0" in name:
             raise InputError(f"{self.path}: damaged: it names a file in another folder")
-        file = self.opened.enter_context(open_file(self.path.with_name(uri)))
+        if not self.path.with_name(name).is_file():
+            raise InputError(f"{self.path}: its file '{' '.join(name.split())[:80]}' is missing; put it beside it")
+        file = self.opened.enter_context(open_file(self.path.with_name(name)))
         return file, 0, os.fstat(file.fileno()).st_size
 
 
@@ -259,6 +269,8 @@ class _Field:
                 str(look.get("colorSpace", SRGB)),
                 place,
             )
+        except InputError:  # it is a ValueError, too
+            raise
         except (KeyError, IndexError, TypeError, ValueError) as error:
             raise _damaged(path) from error
         if any(c.count != field.count for c in (field.turns, field.scales, field.opacities, *field.sh)):

@@ -116,6 +116,8 @@ def _from_book(values: NDArray[np.floating]) -> tuple[Bytes, list[float]]:
         borders = np.concatenate([[0], np.searchsorted(ordered, (book[1:] + book[:-1]) / 2), [len(ordered)]])
         counts = np.diff(borders)
         book = np.where(counts > 0, np.diff(sums[borders]) / np.maximum(counts, 1), book)
+    if book[0] < 0 < book[-1]:
+        book[np.abs(book).argmin()] = 0.0  # what has no spherical harmonics gets none
     book = np.sort(book.astype(np.float32)).astype(np.float64)
     return np.searchsorted((book[1:] + book[:-1]) / 2, values).astype(np.uint8), book.tolist()
 

@@ -19,7 +19,7 @@ from engine.io.splats.spz import COLOUR_SCALE, FLIP, HEADER, MAGIC, MOST, TABLE_
 from engine.io.writers.about import About
 from engine.scene.gaussians import Gaussians
 
-__all__ = ["spz_bytes", "spz_misfit", "write_spz"]
+__all__ = ["spz_bytes", "spz_misfit", "spz_unit", "write_spz"]
 
 VERSION = 4
 
@@ -32,6 +32,9 @@ colour of a face by more than bytes of colour do."""
 
 MOST_BITS = 23
 """Fractional bits of a place, one byte less a sign in three."""
+
+MOST_OPACITY = 254
+"""Other programs take the logit of a byte, and that of 255 is infinite. Two atoms in a row then transmit 2e-5."""
 
 LOG_SCALES = (-10.0, 255 / 16 - 10)
 """What a byte of a size holds, natural logarithms of world units: 5e-5 to 376 units in steps of 6 %."""
@@ -52,14 +55,20 @@ def write_spz(path: Path, gaussians: Gaussians, about: About) -> None:
         temporary.write_bytes(data)
 
 
+def spz_unit(gaussians: Gaussians) -> float:
+    """The power of two, world units, in which an .spz can hold these Gaussians; 1 for all but tiny and huge details."""
+    low, high = (float(np.exp(end)) for end in LOG_SCALES)
+    detail = _detail(gaussians)
+    return 1.0 if 2 * low < detail < high / 2 else 2.0 ** round(math.log2(detail / math.sqrt(low * high)))
+
+
 def spz_misfit(gaussians: Gaussians) -> str:
     """Why these Gaussians cannot become an .spz, with what to do; empty: they can."""
     if len(gaussians) > MOST:
         return f"{len(gaussians):,} Gaussians; an .spz holds {MOST:,} at most: save a .ply"
-    low, high = (float(np.exp(end)) for end in LOG_SCALES)
-    detail = _detail(gaussians)
-    if not 2 * low < detail < high / 2:
-        return f"details of {detail:.2g} units; an .spz holds {low:.1g} to {high:.3g}: save a .ply"
+    if spz_unit(gaussians) != 1:
+        low, high = (float(np.exp(end)) for end in LOG_SCALES)
+        return f"details of {_detail(gaussians):.2g} units; an .spz holds {low:.1g} to {high:.3g}: save a .ply"
     return ""
 
 
@@ -85,7 +94,7 @@ def _block(g: Gaussians, bits: int) -> Iterator[NDArray[np.uint8]]:
     """(R, width) each: the attributes of some rows, in file order."""
     fixed = np.rint(g.means * (np.float64(2.0**bits) * FLIP)).astype("<i4")
     yield fixed.view(np.uint8).reshape(len(g), 3, 4)[..., :3].reshape(len(g), 9)
-    yield _bytes(255 * g.opacities)[:, None]
+    yield np.minimum(_bytes(255 * g.opacities), MOST_OPACITY)[:, None]
     yield _bytes((g.sh[:, 0] * COLOUR_SCALE + 0.5) * 255)
     yield _bytes((np.log(g.scales) - LOG_SCALES[0]) * 16)
     yield _smallest_three(g.quats * np.array([1, *FLIP], np.float32))
