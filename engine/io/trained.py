@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from safetensors import SafetensorError
 from safetensors.numpy import load, save_file
 
@@ -25,9 +26,11 @@ from engine.errors import InputError
 from engine.io.files import atomic_together, open_file, read_file, remove
 from engine.io.splats.ply import ply_data, read_ply
 from engine.io.splats.spz import read_spz
+from engine.io.splats.spz_sizes import refined_sizes, size_remainders
 from engine.io.strict_json import parse
 from engine.io.writers.spz import spz_bytes, spz_unit
 from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
+from engine.scene.gaussians import Gaussians
 from engine.scene.inside import InsideRecord
 from engine.scene.moved import moved
 from engine.scene.sh import sh_to_rgb
@@ -62,7 +65,7 @@ INSIDE_LIMIT = 1 << 27
 """Most bytes of an inside: forty pictures and their layout."""
 
 SIDECAR_LIMIT = 1 << 24
-"""Most bytes of a sidecar; a real one has a few KB."""
+"""Most bytes of a sidecar; a real one has a few KB, that of a compact object up to a byte an atom."""
 
 
 @dataclass(frozen=True)
@@ -120,7 +123,8 @@ def save_trained(path: str | Path, atoms: Atoms, meta: Meta, inside: InsideRecor
     first is replaced. Without an inside, one that was there is removed, and so is the object's other form.
 
     Surface atoms come first; interior ones are spheres whose SH above degree 0 are zero. An .spz is rounded as
-    `engine.io.writers.spz` says. Raises InputError if writing fails.
+    `engine.io.writers.spz` says, but for its sizes, whose remainders are in the sidecar. Raises InputError if
+    writing fails.
     """
     path = Path(path)
     gaussians = as_gaussians(atoms)
@@ -154,6 +158,8 @@ def save_trained(path: str | Path, atoms: Atoms, meta: Meta, inside: InsideRecor
             "prior": meta.prior,
             "source": meta.source,
         }
+        if compact:
+            record["sizes"] = size_remainders(np.concatenate(_sizes(gaussians, len(atoms.surface))) / unit)
         if unit != 1:
             record["unit"] = unit
         if inside is not None:
@@ -223,6 +229,8 @@ def load_trained(path: str | Path) -> tuple[Atoms, Meta]:
         raise InputError(f"{path}: its sidecar {record.path.name} belongs to another file; train the object again")
     gaussians, _ = read_spz(path) if _is_compact(path) else read_ply(path)
     record.require(len(gaussians) == surface + interior, f"its counts are not those of the .{_kind(path)}")
+    if "sizes" in record.fields:
+        gaussians = record.refined(gaussians, surface)
     if unit != 1:
         gaussians = moved(gaussians, np.eye(3), factor=unit)
     if any(gaussians.origin):  # an older object, trained far from zero
@@ -277,6 +285,11 @@ def provenance(meta: Meta) -> list[str]:
     return comments
 
 
+def _sizes(gaussians: Gaussians, surface: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """(3 S,) and (I,). The sizes of the surface's atoms, and of the interior's, which are spheres."""
+    return gaussians.scales[:surface].ravel(), gaussians.scales[surface:, 0]
+
+
 def _crc(path: Path) -> int:
     """CRC-32 of a file, read a megabyte at a time."""
     crc = 0
@@ -315,6 +328,17 @@ class _Record:
         """Whether the file has the size and the checksum of the sidecar's object."""
         kind = _kind(path)
         return path.stat().st_size == self.count(f"{kind}_bytes") and _crc(path) == self.count(f"{kind}_crc32")
+
+    def refined(self, gaussians: Gaussians, surface: int) -> Gaussians:
+        """The object with the sizes that its .spz has rounded; the first `surface` Gaussians are its surface."""
+        try:
+            sizes = refined_sizes(np.concatenate(_sizes(gaussians, surface)), self.of("sizes", str))
+        except InputError:
+            raise
+        except ValueError as error:
+            raise InputError(f"{self.path}: not a sidecar of a trained object: 'sizes' is damaged") from error
+        outer, inner = np.split(sizes, [3 * surface])
+        return replace(gaussians, scales=np.concatenate([outer.reshape(-1, 3), np.repeat(inner[:, None], 3, axis=1)]))
 
     def of(self, key: str, kind: type) -> Any:
         """The field, which must be exactly of this type."""

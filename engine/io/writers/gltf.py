@@ -75,7 +75,7 @@ def write_glb(path: Path, gaussians: Gaussians, about: About) -> None:
         file.write(struct.pack("<2I", len(text), JSON_CHUNK) + text)
         file.write(struct.pack("<2I", size, BINARY_CHUNK))
         for values in attributes.values():
-            file.write(memoryview(np.ascontiguousarray(values)).cast("B"))
+            file.write(np.ascontiguousarray(values).data)
 
 
 def _attributes(g: Gaussians) -> dict[str, NDArray[Any]]:

@@ -108,7 +108,7 @@ def _block(g: Gaussians, bits: int) -> Iterator[NDArray[np.uint8]]:
 
 def _packed(stream: NDArray[np.uint8]) -> bytes:
     """A zstd frame."""
-    return zstandard.ZstdCompressor(level=LEVEL).compress(memoryview(stream).cast("B"))
+    return zstandard.ZstdCompressor(level=LEVEL).compress(stream.data)
 
 
 def _detail(gaussians: Gaussians) -> float:

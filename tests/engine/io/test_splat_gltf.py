@@ -254,7 +254,9 @@ def test_what_cannot_be_opened_is_told_in_one_line(tmp_path: Path, monkeypatch: 
 def test_no_change_of_its_json_makes_more_than_a_refusal(tmp_path_factory: pytest.TempPathFactory, data: Any) -> None:
     content = json.loads(json.dumps(CONTENT))
     part = data.draw(st.sampled_from(sorted(content)))
-    junk = st.sampled_from([None, -1, 0, 3, 2**40, 10**400, 1.5, "x", [], [[]], {}, [0], {"mesh": 0}, True])
+    junk: st.SearchStrategy[Any] = st.sampled_from(
+        [None, -1, 0, 3, 2**40, 10**400, 1.5, "x", [], [[]], {}, [0], {"mesh": 0}, True]
+    )
     place: Any = content[part]
     while isinstance(place, (list, dict)) and place and data.draw(st.booleans()):
         keys = sorted(place) if isinstance(place, dict) else range(len(place))
