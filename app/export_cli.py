@@ -13,11 +13,11 @@ from engine.command import parse_plane, print_result, run_command
 from engine.errors import InputError
 from engine.io.trained import Meta, load_trained, provenance
 from engine.io.writers.about import About
+from engine.io.writers.solid_gaussians import piece_gaussians
 from engine.io.writers.splats import SPLAT_WRITERS, write_splats
 from engine.scene.atoms import Atoms
 from engine.scene.piece import Piece
 from engine.scene.plane import Plane
-from engine.scene.solid_gaussians import piece_gaussians
 
 __all__ = ["KINDS", "Export", "Kind", "main"]
 

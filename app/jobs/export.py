@@ -20,12 +20,12 @@ from app.model.rigid_transform import Vec3
 from engine.errors import InputError
 from engine.io.files import atomic
 from engine.io.writers.about import About
+from engine.io.writers.solid_gaussians import joined, piece_gaussians
 from engine.io.writers.splats import write_splats
 from engine.scene.atoms import Atoms
 from engine.scene.camera import Camera, section
 from engine.scene.piece import Piece
 from engine.scene.plane import Plane
-from engine.scene.solid_gaussians import joined, piece_gaussians
 
 __all__ = [
     "ANIMATIONS",

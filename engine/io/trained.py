@@ -28,13 +28,13 @@ from engine.io.splats.ply import ply_data, read_ply
 from engine.io.splats.spz import read_spz
 from engine.io.splats.spz_sizes import refined_sizes, size_remainders
 from engine.io.strict_json import parse
+from engine.io.writers.solid_gaussians import as_gaussians
 from engine.io.writers.spz import spz_bytes, spz_unit
 from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from engine.scene.gaussians import Gaussians
 from engine.scene.inside import InsideRecord
 from engine.scene.moved import moved
 from engine.scene.sh import sh_to_rgb
-from engine.scene.solid_gaussians import as_gaussians
 
 __all__ = [
     "COMPACT",

@@ -29,12 +29,12 @@ from app.model.pieces import Cell, PlacedPiece, Solid, pieces
 from app.model.rigid_transform import Motion
 from engine.errors import InputError
 from engine.io.splats.ply import read_ply
+from engine.io.writers.solid_gaussians import piece_gaussians
 from engine.scene.camera import Camera, plane_points
 from engine.scene.moved import rotated_sh
 from engine.scene.piece import Piece
 from engine.scene.plane import Plane
 from engine.scene.sh import colours
-from engine.scene.solid_gaussians import piece_gaussians
 from tests.helpers.app_objects import atoms
 
 

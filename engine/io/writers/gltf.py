@@ -70,12 +70,15 @@ def write_glb(path: Path, gaussians: Gaussians, about: About) -> None:
     }
     text = json.dumps(tree, allow_nan=False).encode()
     text += b" " * (-len(text) % 4)
-    with atomic(path) as temporary, temporary.open("wb") as file:
-        file.write(MAGIC + struct.pack("<2I", 2, 12 + 8 + len(text) + 8 + size))
-        file.write(struct.pack("<2I", len(text), JSON_CHUNK) + text)
-        file.write(struct.pack("<2I", size, BINARY_CHUNK))
-        for values in attributes.values():
-            file.write(np.ascontiguousarray(values).data)
+    parts = [
+        MAGIC,
+        struct.pack("<2I", 2, 12 + 8 + len(text) + 8 + size),
+        struct.pack("<2I", len(text), JSON_CHUNK),
+        text,
+    ]
+    parts += [struct.pack("<2I", size, BINARY_CHUNK), *(np.ascontiguousarray(v).data for v in attributes.values())]
+    with atomic(path) as temporary:
+        temporary.write_bytes(b"".join(parts))
 
 
 def _attributes(g: Gaussians) -> dict[str, NDArray[Any]]:

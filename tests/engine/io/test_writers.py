@@ -13,10 +13,10 @@ from scipy.spatial import cKDTree
 from engine.errors import InputError
 from engine.io.load import load
 from engine.io.writers.about import About
+from engine.io.writers.solid_gaussians import OPAQUE
 from engine.io.writers.splats import SPLAT_WRITERS, write_splats
 from engine.scene.gaussians import Gaussians
 from engine.scene.moved import moved, upright
-from engine.scene.solid_gaussians import OPAQUE
 from tests.engine.io.test_splat_formats import N, scene
 from tests.engine.io.test_splat_gltf import NAME, arrays, covariances
 
