@@ -192,7 +192,9 @@ def splat_tree() -> tuple[dict[str, Any], bytes]:
     }
     values |= {f"SH_DEGREE_1_COEF_{k}": (3, 0.1) for k in range(3)}
     name = "KHR_gaussian_splatting"
-    data, accessors, views = b"", [], []
+    data = b""
+    accessors: list[dict[str, Any]] = []
+    views: list[dict[str, Any]] = []
     for width, value in values.values():
         kind = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}[width]
         accessors.append({"bufferView": len(views), "componentType": 5126, "count": 2, "type": kind})

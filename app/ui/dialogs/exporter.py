@@ -35,6 +35,9 @@ class Options:
     transparent: bool = True
     frames: int = 90
     form: str = ".webp"
+    """Suffix of an animation."""
+    splats: str = ".ply"
+    """Suffix of pieces."""
     separate: bool = False
     """Whether each piece is saved in its own file."""
 

@@ -70,13 +70,8 @@ def write_glb(path: Path, gaussians: Gaussians, about: About) -> None:
     }
     text = json.dumps(tree, allow_nan=False).encode()
     text += b" " * (-len(text) % 4)
-    parts = [
-        MAGIC,
-        struct.pack("<2I", 2, 12 + 8 + len(text) + 8 + size),
-        struct.pack("<2I", len(text), JSON_CHUNK),
-        text,
-    ]
-    parts += [struct.pack("<2I", size, BINARY_CHUNK), *(np.ascontiguousarray(v).data for v in attributes.values())]
+    head = MAGIC + struct.pack("<4I", 2, 12 + 8 + len(text) + 8 + size, len(text), JSON_CHUNK) + text
+    parts = [head + struct.pack("<2I", size, BINARY_CHUNK), *(values.tobytes() for values in attributes.values())]
     with atomic(path) as temporary:
         temporary.write_bytes(b"".join(parts))
 
