@@ -40,7 +40,7 @@ def train(
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the result.")],
     scene: Annotated[
         Path | None,
-        typer.Argument(help="A capture (.ply, .splat, .spz, .sog, .ksplat) or a textured mesh (.obj, .glb)."),
+        typer.Argument(help="A capture (.ply, .splat, .spz, .sog, .ksplat, .glb) or a textured mesh (.obj, .glb)."),
     ] = None,
     exemplar: Annotated[
         list[str] | None,

@@ -15,8 +15,10 @@ from engine.isolate.selection import Box, Detected, Step, keep_only
 from engine.scene.plane import Plane
 from tests.paths import SAMPLES
 from training import cli
+from training.events import Reporter
 from training.faces.marks import Marks
 from training.families import Family
+from training.pipeline import run
 from training.request import Request, read_request
 
 
@@ -151,3 +153,30 @@ def test_the_command_takes_a_request_alone(
         cli.main()
     assert ended.value.code == 2 and complaint in capsys.readouterr().err
     assert not out.exists()
+
+
+def test_the_command_asks_for_a_compact_result(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[Request] = []
+
+    def pretend(request: Request, out: Path, *_: object) -> Path:
+        asked.append(request)
+        return out / request.result_name
+
+    monkeypatch.setattr("training.pipeline.run", pretend)
+    scene, picture = SAMPLES / "bread/bread.ply", SAMPLES / "bread/parallel_1.png"
+    words = ["fruitninja-train", str(scene), "-o", str(tmp_path), "--exemplar", f"parallel={picture}"]
+    for more in ([], ["--compact"]):
+        monkeypatch.setattr(sys, "argv", [*words, *more])
+        with pytest.raises(SystemExit, match=r"^0$"):
+            cli.main()
+    assert [request.result_name for request in asked] == ["bread.ply", "bread.spz"]
+
+
+@pytest.mark.parametrize("compact", [False, True])
+def test_a_result_never_replaces_its_capture(tmp_path: Path, compact: bool) -> None:
+    scene = tmp_path / ("a.spz" if compact else "a.ply")
+    scene.write_bytes(b"the capture")
+    request = Request(scene, (Family("radial", 3),), compact=compact)
+    with pytest.raises(InputError, match="would replace the capture itself"):
+        run(request, tmp_path, Reporter.open(None), False, lambda: False)
+    assert scene.read_bytes() == b"the capture"
