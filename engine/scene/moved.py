@@ -42,7 +42,11 @@ def rotated_sh(
     degree = round(sh.shape[1] ** 0.5) - 1
     if degree == 0 or np.array_equal(rotation, np.eye(3)):
         return sh
-    return np.einsum("jk,nkc->njc", sh_rotation(rotation, degree), sh).astype(np.float32)
+    matrix = sh_rotation(rotation, degree)[1:, 1:]
+    rows = np.flatnonzero(sh[:, 1:].any(axis=(1, 2)))  # an inside, most of a solid, looks the same from everywhere
+    result = sh.copy()
+    result[rows, 1:] = np.einsum("jk,nkc->njc", matrix, sh[rows, 1:])
+    return result
 
 
 def sh_rotation(rotation: NDArray[np.float64], degree: int) -> NDArray[np.float64]:
