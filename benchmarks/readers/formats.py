@@ -5,8 +5,8 @@
 Out: a solid of a million atoms is written by ours and read by others. In: others write it and ours reads. Others are
 gaussforge, pygltflib and usd-core (the extras dev and usd), and splat-transform where it is on the PATH (npm install -g
 @playcanvas/splat-transform). Errors are the largest over every tenth atom: of places in widths of the solid, of sizes
-as a part, of colours from 0 to 1, of turns in degrees, and of spherical harmonics. Seconds are of processor time. Writes
-formats.json.
+as a part, of colours from 0 to 1, of turns in degrees, and of spherical harmonics. Seconds are of processor time.
+Writes formats.json.
 """
 
 from __future__ import annotations

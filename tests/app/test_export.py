@@ -28,6 +28,7 @@ from app.model.document import WHOLE, Document, Part
 from app.model.pieces import Cell, PlacedPiece, Solid, pieces
 from app.model.rigid_transform import Motion
 from engine.errors import InputError
+from engine.io.load import load
 from engine.io.splats.ply import read_ply
 from engine.io.writers.solid_gaussians import piece_gaussians
 from engine.scene.camera import Camera, plane_points
@@ -46,6 +47,7 @@ def test_exported_pieces_add_up_to_the_object_and_open_again(tmp_path: Path) -> 
     count = save_pieces(tmp_path / "all.ply", [(solid, part) for part in parts])
     again, _ = read_ply(tmp_path / "all.ply")
     assert len(again) == count == len(solid) and (again.opacities > 0.99).all()
+    assert save_pieces(tmp_path / "half.spz", [(solid, parts[0])]) == len(load(tmp_path / "half.spz").gaussians) < count
     with pytest.raises(InputError, match="nothing to save"):
         save_pieces(tmp_path / "none.ply", [])
 
