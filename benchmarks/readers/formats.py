@@ -72,12 +72,16 @@ def solid(atoms: int) -> Gaussians:
 
 def errors(true: Gaussians, found: Gaussians) -> dict[str, Any]:
     """The largest of each kind, after the half turn that brings the places nearest, and how many atoms were read."""
-    count, true = len(found), true[:: max(1, len(true) // COMPARED)]
+    count, same = len(found), np.arange(0, len(true), max(1, len(true) // COMPARED))
+    in_order, true = count == len(true), true[same]
     tree = cKDTree(found.means)
     turned = {name: moved(true, np.diag(np.array(signs, np.float64))) for name, signs in FLIPS.items()}
     axes = min(FLIPS, key=lambda name: float(tree.query(turned[name].means[::100])[0].mean()))
     true = turned[axes]
     near, rows = tree.query(true.means)
+    if in_order:  # where places are coarser than atoms are dense, the nearest may be a neighbour
+        apart = np.linalg.norm(found.means[same] - true.means, axis=1)
+        near, rows = (apart, same) if apart.mean() < 2 * near.mean() + 1e-9 else (near, rows)
     found = found[rows]
     turn = np.abs((found.quats.astype(np.float64) * true.quats).sum(1)).clip(0, 1)
     firm = true.scales.max(1) > 1.02 * true.scales.min(1)  # a sphere has no turn
