@@ -24,7 +24,8 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from benchmarks.support.options import out_folder, parser_of, write_json
+from benchmarks.support.options import out_folder, parser_of
+from engine.io.files import write_json
 from engine.io.load import load
 from engine.io.splats.ply import write_ply
 from engine.io.writers.about import About

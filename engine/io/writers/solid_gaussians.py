@@ -1,4 +1,4 @@
-"""A solid, or pieces of it, as the Gaussians of a 3DGS file."""
+"""Pieces of a solid as the Gaussians of a 3DGS file."""
 
 from __future__ import annotations
 
@@ -11,31 +11,11 @@ from engine.scene.atoms import Atoms
 from engine.scene.gaussians import Gaussians
 from engine.scene.moved import moved
 from engine.scene.piece import Piece
-from engine.scene.sh import rgb_to_sh
 
-__all__ = ["OPAQUE", "as_gaussians", "joined", "piece_gaussians"]
+__all__ = ["OPAQUE", "joined", "piece_gaussians"]
 
 OPAQUE = 0.999
 """Opacity of an atom in a file. 1 has no finite logit; at 0.999 two atoms in a row transmit 1e-6."""
-
-
-def as_gaussians(atoms: Atoms) -> Gaussians:
-    """Surface atoms, then interior ones, as almost opaque Gaussians of the surface's SH degree."""
-    surface, interior = atoms.surface, atoms.interior
-    n, s = len(atoms), len(surface)
-    sh = np.zeros((n, surface.sh.shape[1], 3), np.float32)
-    sh[:s] = surface.sh
-    sh[s:, 0] = rgb_to_sh(interior.rgb)
-    quats = np.zeros((n, 4), np.float32)
-    quats[:s] = surface.quats
-    quats[s:, 0] = 1
-    return Gaussians(
-        np.concatenate([surface.means, interior.means]),
-        np.concatenate([surface.scales, np.repeat(interior.sigmas[:, None], 3, axis=1)]),
-        quats,
-        np.full(n, OPAQUE, np.float32),
-        sh,
-    )
 
 
 def piece_gaussians(atoms: Atoms, cells: Sequence[Piece]) -> Gaussians:
@@ -45,7 +25,7 @@ def piece_gaussians(atoms: Atoms, cells: Sequence[Piece]) -> Gaussians:
     Other viewers cannot divide an atom, so cut faces are as rough there as the atoms are large. Interior atoms are
     spheres and keep the identity as their rotation.
     """
-    gaussians = as_gaussians(atoms)
+    gaussians = atoms.as_gaussians(OPAQUE)
     means = gaussians.means.astype(np.float64)
     inside = np.zeros(len(means), bool)
     for cell in cells:
