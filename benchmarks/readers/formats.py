@@ -2,7 +2,7 @@
 
     python -m benchmarks.readers.formats [--quick] [-o docs/charts]
 
-Out: a solid of a million atoms is written by ours and read by others. In: others write twenty thousand atoms, since some
+Out: a solid of a million atoms is written by ours and read by others. In: others write twenty thousand, since some
 take minutes for a million, and ours reads them. Others are gaussforge, pygltflib and usd-core (the extras dev and usd),
 and splat-transform where it is on the PATH (npm install -g @playcanvas/splat-transform). Errors are the largest over
 every tenth atom: of places in widths of the solid, of sizes as a part, of colours from 0 to 1, of turns in degrees, and
