@@ -11,7 +11,10 @@ from scipy.spatial.transform import Rotation
 from engine.scene.gaussians import Gaussians
 from engine.scene.sh import basis
 
-__all__ = ["moved", "rotated_quats", "rotated_sh", "sh_rotation", "upright"]
+__all__ = ["Z_UP", "moved", "rotated_quats", "rotated_sh", "sh_rotation", "upright"]
+
+Z_UP = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+"""(3, 3). Rotation from y up to z up."""
 
 DIRECTIONS = 200
 """In which the basis is compared with the rotated one: more than ten times the unknowns of degree 3."""
