@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import shutil
 import subprocess
 import tempfile
@@ -18,6 +19,8 @@ from app.model.camera_control import OrbitCamera
 from app.model.pieces import PlacedPiece, Solid
 from app.model.rigid_transform import Vec3
 from engine.errors import InputError
+from engine.export.body import body_of
+from engine.export.colours import Colours
 from engine.io.files import atomic
 from engine.io.writers.about import About
 from engine.io.writers.solid_gaussians import joined, piece_gaussians
@@ -32,6 +35,7 @@ __all__ = [
     "Draw",
     "ffmpeg",
     "save_animation",
+    "save_meshes",
     "save_pieces",
     "save_still",
     "scale_bar",
@@ -217,3 +221,31 @@ def save_pieces(path: Path, pieces: Sequence[tuple[Atoms, PlacedPiece]], up: Vec
         raise InputError(f"{path}: nothing to save; no piece is shown")
     write_splats(path, gaussians, About(up))
     return len(gaussians)
+
+
+def save_meshes(
+    path: Path, pieces: Sequence[PlacedPiece], colours: Colours, up: Vec3, metres: float, wanted: Callable[[], bool]
+) -> int:
+    """Saves pieces of an object as closed meshes with textured cut faces, where they lie, in one file in the format of
+    its suffix; returns the number of triangles.
+
+    `up` is the view's, `metres` the length of a world unit. Nothing is written if the user does not want it any more.
+    Raises InputError if there are none, or without the packages that this needs.
+    """
+    from engine.export.meshes.cutting import Wanted
+    from engine.export.meshes.files import save_mesh
+    from engine.export.meshes.textured import textured_pieces
+
+    # Names of objects in other programs: a word each, and no two alike.
+    wanted_pieces = [
+        Wanted(
+            f"{'_'.join(re.findall(r'[A-Za-z0-9]+', piece.name)) or 'piece'}_{number}",
+            tuple(cell.planes for cell in piece.cells),
+            piece.motion.matrix,
+        )
+        for number, piece in enumerate(pieces, 1)
+    ]
+    made = textured_pieces(body_of(colours.atoms, str(path)), colours, wanted_pieces, None, str(path))
+    if wanted():
+        save_mesh(path, made, up, metres)
+    return sum(len(piece.triangles) for piece in made.pieces)

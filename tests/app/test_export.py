@@ -10,12 +10,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 from numpy.typing import NDArray
 from PIL import Image
 
 from app.jobs.export import (
     ffmpeg,
     save_animation,
+    save_meshes,
     save_pieces,
     save_still,
     scale_bar,
@@ -28,6 +30,7 @@ from app.model.document import WHOLE, Document, Part
 from app.model.pieces import Cell, PlacedPiece, Solid, pieces
 from app.model.rigid_transform import Motion
 from engine.errors import InputError
+from engine.export.colours import Colours
 from engine.io.load import load
 from engine.io.splats.ply import read_ply
 from engine.io.writers.solid_gaussians import piece_gaussians
@@ -37,6 +40,7 @@ from engine.scene.piece import Piece
 from engine.scene.plane import Plane
 from engine.scene.sh import colours
 from tests.helpers.app_objects import atoms
+from tests.helpers.solids import ball
 
 
 def test_exported_pieces_add_up_to_the_object_and_open_again(tmp_path: Path) -> None:
@@ -50,6 +54,23 @@ def test_exported_pieces_add_up_to_the_object_and_open_again(tmp_path: Path) -> 
     assert save_pieces(tmp_path / "half.spz", [(solid, parts[0])]) == len(load(tmp_path / "half.spz").gaussians) < count
     with pytest.raises(InputError, match="nothing to save"):
         save_pieces(tmp_path / "none.ply", [])
+
+
+def test_meshes_lie_where_the_pieces_lie(tmp_path: Path) -> None:
+    pytest.importorskip("manifold3d", reason="the export extra is not installed")
+    solid = ball(1 / 8)
+    document = replace(Document().with_cut((Part(Plane.of((1, 1, 0), 0.1)),)), gap=0.5)
+    parts = pieces(document, Solid.of_atoms(solid))
+    path = tmp_path / "all.glb"
+    save_meshes(path, parts, Colours(solid, None), (0, 1, 0), 2.0, lambda: False)
+    assert not path.exists()
+    save_meshes(path, parts, Colours(solid, None), (0, 1, 0), 2.0, lambda: True)
+    found = trimesh.load_scene(path).geometry
+    assert list(found) == ["Piece_1_1", "Piece_2_2"]
+    for mesh, part in zip(found.values(), parts, strict=True):
+        mesh.merge_vertices(merge_tex=True, merge_norm=True)
+        own = part.motion.apply(solid.interior.means[part.drawn()[0].planes[0].distance(solid.interior.means) <= 0])
+        assert mesh.is_watertight and np.abs(mesh.bounds / 2 - [own.min(0), own.max(0)]).max() < 2 * solid.pitch
 
 
 def test_a_turned_piece_is_seen_as_before_from_the_turned_side() -> None:

@@ -47,6 +47,29 @@ def test_two_halves_are_the_whole(
 
 
 @pytest.mark.parametrize(
+    ("name", "options", "said"),
+    [
+        ("a.glb", ["--as", "mesh", "--plane", "0,0,1,0", "--plane", "1,0,0,0", "--pieces"], "4 pieces, "),
+        ("a.obj", ["--plane", "0,0,1,0"], "triangles, texture "),
+        ("a.nrrd", ["--step", "0.1"], "a.labels.nrrd beside it; labels outside, inside"),
+        ("a.npz", ["--metres", "0.1"], "particles, volume 0.0004"),
+    ],
+)
+def test_other_kinds_say_what_they_hold(
+    name: str,
+    options: list[str],
+    said: str,
+    trained: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    pytest.importorskip("manifold3d", reason="the export extra is not installed")
+    assert run(monkeypatch, trained, "-o", tmp_path / name, *options) == 0
+    assert said in capsys.readouterr().out and (tmp_path / name).stat().st_size > 100
+
+
+@pytest.mark.parametrize(
     ("options", "line"),
     [
         (["-o", "a.doc"], "a.doc: an object is saved as .ply"),
@@ -54,6 +77,11 @@ def test_two_halves_are_the_whole(
         (["-o", "a.doc", "--as", "splats"], "a.doc: splats are saved as .ply"),
         (["-o", "a.ply", "--plane", "1,2,3"], "--plane 1,2,3: give four numbers a,b,c,d"),
         (["-o", "a.ply", "--plane", "1,0,0,9"], "a.ply: nothing to save"),
+        (["-o", "a.npz", "--pieces"], "--pieces: only meshes hold several"),
+        (["-o", "a.obj", "--step", "0"], "--step 0: give a length above 0"),
+        (["-o", "a.obj", "--metres", "nan"], "--metres nan: give a length above 0"),
+        (["-o", "a.nrrd", "--plane", "1,0,0,9"], "a.nrrd: nothing to save"),
+        (["-o", "a.npz", "--step", "1e-6"], "a.npz: 1.1e+18 voxels are too many"),
         (["-o", "melon.ply"], "melon.ply: this is the object itself"),
     ],
 )
