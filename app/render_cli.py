@@ -10,7 +10,7 @@ import numpy as np
 import typer
 from numpy.typing import NDArray
 
-from engine.command import parse_numbers, print_result, run_command
+from engine.command import parse_numbers, parse_plane, print_result, run_command
 from engine.errors import InputError
 from engine.io.picture_file import save_png
 from engine.io.trained import load_trained
@@ -39,7 +39,7 @@ EPILOG = (
 
 
 def render_command(
-    trained: Annotated[Path, typer.Argument(help="A trained .ply with its sidecar, as fruitninja-train writes it.")],
+    trained: Annotated[Path, typer.Argument(help="A trained object with its sidecar, as fruitninja-train writes it.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="The picture (.png).")],
     plane: Annotated[list[str] | None, typer.Option(help="A cut a,b,c,d; give it again for more.")] = None,
     camera: Annotated[
@@ -113,12 +113,6 @@ def default_angles(planes: tuple[Plane, ...], up: NDArray[np.floating]) -> tuple
         return 30.0, math.copysign(52.0, elevation)
     azimuth = math.degrees(math.atan2(float(out @ e2), float(out @ e1)))
     return azimuth + 20.0, min(elevation + 15.0, 65.0)
-
-
-def parse_plane(text: str) -> Plane:
-    """The plane a,b,c,d."""
-    a, b, c, d = parse_numbers(text, 4, f"--plane {text}: give four numbers a,b,c,d")
-    return Plane.of((a, b, c), d)
 
 
 def parse_size(text: str) -> tuple[int, int]:

@@ -14,8 +14,9 @@ import typer
 
 from engine.errors import InputError, one_line
 from engine.io.files import reason
+from engine.scene.plane import Plane
 
-__all__ = ["FAILED", "REFUSED", "Stop", "Stopped", "parse_numbers", "print_result", "run_command"]
+__all__ = ["FAILED", "REFUSED", "Stop", "Stopped", "parse_numbers", "parse_plane", "print_result", "run_command"]
 
 FAILED, REFUSED, SIGNALLED = 1, 2, 128
 """Exit statuses: part of the work or the machine failed; the input is bad or the result cannot be written; the user
@@ -70,6 +71,12 @@ def parse_numbers(text: str, count: int, complaint: str) -> list[float]:
     if len(numbers) != count or not all(map(math.isfinite, numbers)):
         raise InputError(complaint)
     return numbers
+
+
+def parse_plane(text: str) -> Plane:
+    """The plane a,b,c,d of a --plane. Raises InputError for anything else."""
+    a, b, c, d = parse_numbers(text, 4, f"--plane {text}: give four numbers a,b,c,d")
+    return Plane.of((a, b, c), d)
 
 
 def run_command(

@@ -40,7 +40,7 @@ def train(
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the result.")],
     scene: Annotated[
         Path | None,
-        typer.Argument(help="A capture (.ply, .splat, .spz, .sog, .ksplat) or a textured mesh (.obj, .glb)."),
+        typer.Argument(help="A capture (.ply, .splat, .spz, .sog, .ksplat, .glb) or a textured mesh (.obj, .glb)."),
     ] = None,
     exemplar: Annotated[
         list[str] | None,
@@ -91,6 +91,9 @@ def train(
     ] = None,
     iterations: Annotated[int | None, typer.Option(min=0, help="Most training iterations.")] = None,
     seed: Annotated[int, typer.Option(min=0, help="The same seed gives the same result.")] = 0,
+    compact: Annotated[
+        bool, typer.Option("--compact", help="The result as .spz, a tenth of a .ply's size, in place of the .ply.")
+    ] = False,
     request: Annotated[
         Path | None,
         typer.Option(help="A request.json, as the window writes it: the scene and all options above, in their place."),
@@ -112,7 +115,8 @@ def train(
         requested = request_from_options(
             scene, exemplar or [], family or [], prompt or [], up, detail, prior, model, midas, thing, iterations, seed
         )
-        requested = replace(requested, isolation=parse_isolation(keep or [], remove or [], no_floor), same=same)
+        isolation = parse_isolation(keep or [], remove or [], no_floor)
+        requested = replace(requested, isolation=isolation, same=same, compact=compact)
     runs = {out: requested} if body is None else runs_of_bodies(requested, parse_body(body), out)
     from training.pipeline import run  # torch comes with it: --help and a mistyped option need not wait for that
 

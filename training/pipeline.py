@@ -79,6 +79,9 @@ class Pipeline:
         for name in ("checkpoint", "previews"):
             if (self.out / name).is_symlink():  # files are removed and written there: a stranger may have laid the link
                 raise InputError(f"{self.out / name}: leads out of the result's folder; remove this link")
+        result = self.out / self.request.result_name
+        if result.exists() and result.samefile(self.request.scene):
+            raise InputError(f"{result}: the result would replace the capture itself; give another folder")
         remove_leftovers(self.out)
         if not resume:
             self.checkpoint.clear()

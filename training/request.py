@@ -21,6 +21,7 @@ from engine.errors import InputError
 from engine.io.fields import UNIT_TOLERANCE, Fields
 from engine.io.files import open_file, read_file
 from engine.io.strict_json import parse
+from engine.io.trained import COMPACT, STANDARD
 from engine.isolate.record import isolation_record, read_isolation
 from engine.isolate.selection import Isolation
 from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
@@ -48,7 +49,7 @@ PriorName = Literal["exemplar", "stable-diffusion"]
 FORMAT = 5
 """Version of the checkpoints; it grows with every change of them, so that no run resumes one of another version."""
 
-FILE_VERSION = 4
+FILE_VERSION = 5
 """Version of request files. Any other is refused, so it grows with every change of meaning."""
 
 LIMIT = 1 << 20
@@ -85,6 +86,13 @@ class Request:
     """What of the scene is no part of the object; () for nothing."""
     same: bool = False
     """Whether the pictures are known to be of one thing; `exemplar` then believes them where they meet."""
+    compact: bool = False
+    """Whether the result is an .spz, a tenth of a .ply's size."""
+
+    @property
+    def result_name(self) -> str:
+        """Name of the trained object's file in the result's folder."""
+        return f"{self.scene.stem}{COMPACT if self.compact else STANDARD}"
 
     @property
     def files(self) -> list[Path]:
@@ -99,7 +107,7 @@ class Request:
         return DETAILS[self.detail]
 
     def fingerprint(self) -> str:
-        """Hash of the input's content and all settings: equal requests give the same result."""
+        """Hash of the input's content and all settings but the result's form: equal requests give the same object."""
         digest = hashlib.sha256(f"{FORMAT}".encode())
         for path in self.files:
             with open_file(path) as file:
@@ -107,7 +115,9 @@ class Request:
         for folder in filter(None, (self.model, self.midas)):
             for path in sorted(folder.rglob("*.safetensors")):  # gigabytes: size and time must do for their content
                 digest.update(f"{path.name} {path.stat().st_size} {path.stat().st_mtime_ns}".encode())
-        digest.update(json.dumps(asdict(self), sort_keys=True, default=str).encode())
+        settings = asdict(self)
+        del settings["compact"]  # the same object in another form: a run that was stopped may end as either
+        digest.update(json.dumps(settings, sort_keys=True, default=str).encode())
         return digest.hexdigest()[:16]
 
     def to_json(self) -> str:
@@ -126,6 +136,7 @@ class Request:
             "thing": self.thing,
             "isolation": isolation_record(self.isolation),
             "same": self.same,
+            "compact": self.compact,
         }
         return json.dumps(record, indent=1, allow_nan=False) + "\n"
 
@@ -224,6 +235,7 @@ def read_request(path: Path) -> Request:
         thing=None if record["thing"] is None else reader.text(record, "thing"),
         isolation=read_isolation(reader, record["isolation"]),
         same=reader.flag(record, "same"),
+        compact=reader.flag(record, "compact"),
     )
     if request.prior == "exemplar":
         reader.require(not (request.model or request.midas), "'model' and 'midas' belong to prior stable-diffusion")

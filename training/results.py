@@ -41,7 +41,7 @@ def save_results(
 ) -> Path:
     """Writes the solid, the contact sheet and the report; `start` is the solid before training. Returns its path."""
     atoms = trainer.result()
-    path = out / f"{request.scene.stem}.ply"
+    path = out / request.result_name
     with reporter.stage("save"):
         families = tuple(
             {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import shutil
 import subprocess
 import tempfile
@@ -16,23 +17,25 @@ from PIL import Image, ImageDraw, ImageFont
 
 from app.model.camera_control import OrbitCamera
 from app.model.pieces import PlacedPiece, Solid
-from app.model.rigid_transform import Motion, Vec3
+from app.model.rigid_transform import Vec3
 from engine.errors import InputError
+from engine.export.body import body_of
+from engine.export.colours import Colours
 from engine.io.files import atomic
-from engine.io.splats.ply import write_ply
+from engine.io.writers.about import About
+from engine.io.writers.solid_gaussians import joined, piece_gaussians
+from engine.io.writers.splats import write_splats
 from engine.scene.atoms import Atoms
 from engine.scene.camera import Camera, section
-from engine.scene.gaussians import Gaussians
 from engine.scene.piece import Piece
 from engine.scene.plane import Plane
-from engine.scene.sh import basis, rgb_to_sh
 
 __all__ = [
     "ANIMATIONS",
     "Draw",
     "ffmpeg",
-    "piece_gaussians",
     "save_animation",
+    "save_meshes",
     "save_pieces",
     "save_still",
     "scale_bar",
@@ -54,9 +57,6 @@ SLICE_RADII = 0.02
 
 SCALE_RGB = (128, 128, 128)
 """Of the scale: readable on white, and on black behind a transparent picture."""
-
-OPACITY = 0.999
-"""Opacity of an exported atom: files store its logit, and that of 1 is infinite."""
 
 RATE = 25
 """Frames a second: as fluent as film, and half of what a file of more would take."""
@@ -213,59 +213,39 @@ def _blended(rgba: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return (rgba[..., :3] * alpha + 255 * (1 - alpha) + 0.5).astype(np.uint8)
 
 
-def piece_gaussians(atoms: Atoms, piece: PlacedPiece) -> Gaussians:
-    """A piece as Gaussians for a 3DGS file: the atoms whose centres are in it, moved and rotated with it.
-
-    Other viewers cannot divide an atom, so cut faces are as rough there as the atoms are large.
-    """
-    surface, interior = atoms.surface, atoms.interior
-    n = len(surface)
-    means = np.concatenate([surface.means, interior.means]).astype(np.float64)
-    inside = np.logical_or.reduce([cell.contains(means) for cell in piece.cells])
-    sh = np.zeros((len(means), surface.sh.shape[1], 3), np.float32)
-    sh[:n] = rotated_sh(surface.sh, piece.motion)
-    sh[n:, 0] = rgb_to_sh(interior.rgb)
-    quats = np.zeros((len(means), 4), np.float32)
-    quats[:n] = _rotated_quats(surface.quats, piece.motion)
-    quats[n:, 0] = 1
-    scales = np.concatenate([surface.scales, np.repeat(interior.sigmas[:, None], 3, axis=1)])
-    opacities = np.full(len(means), OPACITY, np.float32)
-    gaussians = Gaussians(piece.motion.apply(means).astype(np.float32), scales, quats, opacities, sh)
-    return gaussians[inside]
-
-
-def save_pieces(path: Path, pieces: Sequence[tuple[Atoms, PlacedPiece]]) -> int:
-    """Saves pieces, each with the atoms of its object, in one 3DGS .ply, with the harmonics that all of them have;
-    returns the number of Gaussians. Raises InputError if there are none."""
-    parts = [piece_gaussians(atoms, piece) for atoms, piece in pieces]
-    bands = min((part.sh.shape[1] for part in parts), default=1)
-    parts = [replace(part, sh=part.sh[:, :bands]) for part in parts]
-    if not sum(len(part) for part in parts):
+def save_pieces(path: Path, pieces: Sequence[tuple[Atoms, PlacedPiece]], up: Vec3 = (0.0, 0.0, 1.0)) -> int:
+    """Saves pieces, each with the atoms of its object, in one file of Gaussians in the format of its suffix, with the
+    harmonics that all of them have; returns the number of Gaussians. Raises InputError if there are none."""
+    gaussians = joined([piece_gaussians(atoms, piece.drawn()) for atoms, piece in pieces]) if pieces else None
+    if gaussians is None or not len(gaussians):
         raise InputError(f"{path}: nothing to save; no piece is shown")
-    joined = Gaussians(
-        *(np.concatenate([getattr(p, name) for p in parts]) for name in ("means", "scales", "quats", "opacities", "sh"))
-    )
-    write_ply(path, joined, ["FruitNinja"])
-    return len(joined)
+    write_splats(path, gaussians, About(up))
+    return len(gaussians)
 
 
-def rotated_sh(sh: NDArray[np.float32], motion: Motion) -> NDArray[np.float32]:
-    """(N, K, 3). Spherical harmonics rotated with their object: the colour seen along d is then seen along R d.
+def save_meshes(
+    path: Path, pieces: Sequence[PlacedPiece], colours: Colours, up: Vec3, metres: float, wanted: Callable[[], bool]
+) -> int:
+    """Saves pieces of an object as closed meshes with textured cut faces, where they lie, in one file in the format of
+    its suffix; returns the number of triangles.
 
-    A rotation acts linearly on the basis, B(R^T d) = B(d) M. M is solved by least squares over more directions than
-    unknowns, which is exact because such an M exists.
+    `up` is the view's, `metres` the length of a world unit. Nothing is written if the user does not want it any more.
+    Raises InputError if there are none, or without the packages that this needs.
     """
-    degree = round(sh.shape[1] ** 0.5) - 1
-    if degree == 0 or motion.turn == (1.0, 0.0, 0.0, 0.0):
-        return sh
-    directions = np.random.default_rng(0).normal(size=(200, 3))
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    matrix = np.linalg.lstsq(basis(directions, degree), basis(directions @ motion.rotation, degree), rcond=None)[0]
-    return np.einsum("jk,nkc->njc", matrix, sh).astype(np.float32)
+    from engine.export.meshes.cutting import Wanted
+    from engine.export.meshes.files import save_mesh
+    from engine.export.meshes.textured import textured_pieces
 
-
-def _rotated_quats(quats: NDArray[np.float32], motion: Motion) -> NDArray[np.float32]:
-    """(N, 4). Quaternions wxyz after the motion's rotation."""
-    w, x, y, z = motion.turn
-    left = np.array([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])
-    return (quats @ left.T).astype(np.float32)
+    # Names of objects in other programs: a word each, and no two alike.
+    wanted_pieces = [
+        Wanted(
+            f"{'_'.join(re.findall(r'[A-Za-z0-9]+', piece.name)) or 'piece'}_{number}",
+            tuple(cell.planes for cell in piece.cells),
+            piece.motion.matrix,
+        )
+        for number, piece in enumerate(pieces, 1)
+    ]
+    made = textured_pieces(body_of(colours.atoms, str(path)), colours, wanted_pieces, None, str(path))
+    if wanted():
+        save_mesh(path, made, up, metres)
+    return sum(len(piece.triangles) for piece in made.pieces)

@@ -26,7 +26,7 @@ from engine.errors import InputError
 from engine.io.fields import Fields
 from engine.io.files import WRITE_ERRORS, reason
 from engine.io.load import load
-from engine.io.trained import load_trained, sidecar_path
+from engine.io.trained import is_trained, load_trained
 from engine.isolate.record import read_isolation
 from engine.isolate.selection import Isolation, removed
 from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
@@ -54,7 +54,7 @@ def main() -> None:
     folder, path = Path(request["folder"]), Path(request["scene"])
     try:
         trained = request["trained"]
-        if sidecar_path(path).exists():
+        if is_trained(path):
             _send_trained(path, folder, capture=True)
         else:
             isolation = read_isolation(Fields(path, "request"), request["isolation"])
@@ -146,9 +146,7 @@ def _send_trained(path: Path, folder: Path, capture: bool) -> None:
     axis: dict[str, Any] = {"up": list(meta.up), "reason": "as trained"} if capture else {}
     _send_atoms(folder, atoms, {"notes": [], "trained": True, **axis})
     if capture:  # after the atoms: a trained object is shown solid, and drawing it as it is on file takes longer
-        from engine.io.splats.ply import read_ply
-
-        gaussians, _ = read_ply(path)
+        gaussians = load(path).gaussians
         nothing = np.zeros(len(gaussians), bool)
         _send_arrays(folder, "capture", _arrays(gaussians) | {"removed": nothing}, {**axis, "warnings": []})
 

@@ -12,7 +12,7 @@ from app.model.document import Document
 from app.session.scene_controller import SceneController
 from app.session.workspace import Workspace
 from engine.errors import InputError
-from engine.io.trained import sidecar_path, trained_isolation
+from engine.io.trained import find_trained, trained_isolation
 from engine.isolate.record import isolation_record
 
 __all__ = ["TrainingController"]
@@ -71,8 +71,8 @@ class TrainingController:
         out = self.out(document)
         if out is None or document.scene is None:
             return None
-        path = out / f"{document.scene.stem}.ply"
-        if document.number in self._followed or not path.is_file() or not sidecar_path(path).is_file():
+        path = find_trained(out, document.scene.stem)
+        if document.number in self._followed or path is None:
             return None
         try:
             same = list(trained_isolation(path)) == isolation_record(document.isolation)

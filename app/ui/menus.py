@@ -136,7 +136,8 @@ class Menus:
             Command("File", "Save turntable...", partial(export, "turntable"), enabled=opened),
             Command("File", "Save plane sweep...", partial(export, "sweep"), enabled=is_cut),
             Command("File", "Save cut face...", partial(export, "section"), enabled=is_cut),
-            Command("File", "Save pieces as .ply...", partial(export, "pieces"), enabled=lambda: s.atoms is not None),
+            Command("File", "Save pieces...", partial(export, "pieces"), enabled=lambda: s.atoms is not None),
+            Command("File", "Save pieces as meshes...", partial(export, "meshes"), enabled=lambda: s.atoms is not None),
             Command("File", "Quit", s.files.close, "Ctrl+Q", Ctrl | Key.q, separated=True),
             Command("Edit", "Undo", s.undo, "Ctrl+Z", Ctrl | Key.z, lambda: s.history.cursor > 0),
             Command(

@@ -34,6 +34,7 @@ from benchmarks.readers.rules import words_wrong
 from engine.errors import InputError
 from engine.io.load import load
 from engine.io.meshes.mesh import read_mesh
+from engine.io.splats.gltf import read_gltf
 from engine.io.splats.ply import read_ply
 from engine.io.splats.splat import read_splat
 from engine.io.splats.spz import read_spz
@@ -137,6 +138,7 @@ READERS = {
     "ply": Reader(lambda path, work: check_gaussians(read_ply(path)[0])),
     "splat": Reader(lambda path, work: check_gaussians(read_splat(path)[0])),
     "spz": Reader(lambda path, work: check_gaussians(read_spz(path)[0])),
+    "gltf": Reader(lambda path, work: check_gaussians(read_gltf(path)[0])),
     "trained object": Reader(read_object),
     "sidecar": Reader(lambda path, work: load_trained(work / SOLID), (sidecar_path(SOLID).name,)),
     "picture": Reader(read_exemplar),

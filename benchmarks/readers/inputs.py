@@ -179,10 +179,57 @@ SPZ_BYTES = st.builds(
     st.sampled_from((0, 1, 2, 255)),
     st.builds(lambda n, b: bytes([b]) * n, st.sampled_from((0, 38, 40, 56, 130, 4000)), st.integers(0, 255)),
 )
+
+
+def splat_tree() -> tuple[dict[str, Any], bytes]:
+    """Two Gaussians in a glTF, at two nodes: the JSON and the bytes."""
+    values = {
+        "POSITION": (3, 0.1),
+        "ROTATION": (4, 0.5),
+        "SCALE": (3, 0.02),
+        "OPACITY": (1, 0.9),
+        "SH_DEGREE_0_COEF_0": (3, 0.3),
+    }
+    values |= {f"SH_DEGREE_1_COEF_{k}": (3, 0.1) for k in range(3)}
+    name = "KHR_gaussian_splatting"
+    data = b""
+    accessors: list[dict[str, Any]] = []
+    views: list[dict[str, Any]] = []
+    for width, value in values.values():
+        kind = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}[width]
+        accessors.append({"bufferView": len(views), "componentType": 5126, "count": 2, "type": kind})
+        views.append({"buffer": 0, "byteOffset": len(data), "byteLength": 8 * width})
+        data += struct.pack(f"<{2 * width}f", *[value, *[value / 2] * (width - 1)] * 2)
+    names = {(key if key == "POSITION" else f"{name}:{key}"): k for k, key in enumerate(values)}
+    look = {"kernel": "ellipse", "colorSpace": "srgb_rec709_display"}
+    primitive = {"attributes": names, "mode": 0, "extensions": {name: look}}
+    turned = {"rotation": [0, 0.6, 0, 0.8], "scale": [2, 2, 2], "translation": [1, 0, 0], "mesh": 0}
+    tree = {"asset": {"version": "2.0"}, "extensionsUsed": [name], "scene": 0, "scenes": [{"nodes": [0, 1]}],
+            "nodes": [{"mesh": 0, "children": []}, turned], "meshes": [{"primitives": [primitive]}],
+            "accessors": accessors, "bufferViews": views, "buffers": [{"byteLength": len(data)}]}  # fmt: skip
+    return tree, data
+
+
+def glb(tree: Any, data: bytes) -> bytes:
+    """A .glb of this JSON."""
+    text = json.dumps(tree).encode("utf-8", "surrogatepass")
+    text += b" " * (-len(text) % 4)
+    head = struct.pack("<4s4I", b"glTF", 2, 28 + len(text) + len(data), len(text), 0x4E4F534A)
+    return head + text + struct.pack("<2I", len(data), 0x4E4942) + data
+
+
+SPLAT_TREE, SPLAT_DATA = splat_tree()
+GLB_BYTES = st.builds(
+    lambda changes, values, junk: broken(glb(poisoned(SPLAT_TREE, changes), broken(SPLAT_DATA, values)), junk),
+    CHANGES,
+    st.just([]) | JUNK,
+    st.just([]) | st.just([]) | JUNK,
+)
 SPLAT_ROW = struct.pack("<6f8B", 0.1, 0.2, 0.3, 0.01, 0.02, 0.03, 9, 99, 199, 255, 228, 128, 128, 128)
 CAPTURES = st.one_of(
     st.tuples(st.just("a.splat"), st.builds(lambda n, j: broken(SPLAT_ROW * n, j), st.integers(0, 120), JUNK)),
     st.tuples(st.just("a.spz"), st.builds(broken, SPZ_BYTES, st.just([]) | JUNK)),
     st.tuples(st.just("a.ply"), st.builds(broken, st.just(compressed()), JUNK)),
+    st.tuples(st.just("a.glb"), GLB_BYTES),
     st.tuples(st.sampled_from(("a.obj", "a.stl", "a.glb", "a.ksplat", "a")), st.binary(max_size=60)),
 )

@@ -150,26 +150,27 @@ def check_checkpoint(data: bytes, folder: Path) -> bool:
 # trained objects
 
 
-def trained_files() -> tuple[Any, bytes]:
-    """A sidecar and its .ply."""
+def trained_files(suffix: str) -> tuple[Any, bytes]:
+    """A sidecar and its .ply or .spz."""
     atoms = scatter(3, 4, exposed=1)
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "a.ply"
+        path = Path(folder) / f"a{suffix}"
         save_trained(path, atoms, Meta(families=({"kind": "radial", "count": 3},), prior="exemplar", source="a.ply"))
         return json.loads(sidecar_path(path).read_bytes()), path.read_bytes()
 
 
-SIDECAR, TRAINED = trained_files()
+SIDECAR, TRAINED = trained_files(".ply")
+COMPACT_SIDECAR, COMPACT_OBJECT = trained_files(".spz")
 
 
-def check_trained(value: tuple[bytes, bytes], folder: Path) -> bool:
-    path = folder / "t.ply"
+def check_trained(value: tuple[bytes, bytes], folder: Path, good: bytes = TRAINED, suffix: str = ".ply") -> bool:
+    path = folder / f"t{suffix}"
     sidecar_path(path).write_bytes(value[0])
     path.write_bytes(value[1])
     loaded = refused(lambda: load_trained(path), folder)
     if loaded is None:
         return False
-    assert value[1] == TRAINED, "another file's atoms"
+    assert value[1] == good, "another file's atoms"
     atoms, meta = loaded
     save_trained(folder / "u.ply", atoms, meta)
     again, meta_again = load_trained(folder / "u.ply")
@@ -315,7 +316,7 @@ def quiet(check: Callable[[Any, Path], bool]) -> Callable[[Any, Path], bool]:
 
 TARGETS: dict[str, Target] = {
     "ply": Target(plys(), quiet(check_scene), 0.3),
-    "captures": Target(CAPTURES, quiet(lambda value, folder: check_scene(value[1], folder, value[0])), 0.1),
+    "captures": Target(CAPTURES, quiet(lambda value, folder: check_scene(value[1], folder, value[0])), 0.15),
     "project": Target(documents(project_record()), quiet(check_project), 0.15),
     "checkpoint": Target(
         st.builds(broken, st.just(checkpoint_bytes()), JUNK)
@@ -330,6 +331,14 @@ TARGETS: dict[str, Target] = {
         ),
         quiet(check_trained),
         0.1,
+    ),
+    "compact": Target(
+        st.tuples(
+            documents(COMPACT_SIDECAR) | st.builds(lambda moves: json_bytes(meant(COMPACT_SIDECAR, moves)), MOVES),
+            st.just(COMPACT_OBJECT) | st.builds(broken, st.just(COMPACT_OBJECT), JUNK),
+        ),
+        quiet(lambda value, folder: check_trained(value, folder, COMPACT_OBJECT, ".spz")),
+        0.05,
     ),
     "arguments": Target(ARGUMENTS, quiet(check_arguments), 0.1),
     "plane": Target(planes(), quiet(check_plane), 0.05),

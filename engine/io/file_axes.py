@@ -33,7 +33,7 @@ STATED: dict[str, FileAxes] = {
 """A .ply with the comment 'Vertical Axis: z', which Nerfstudio and Brush write."""
 
 GLTF: FileAxes = {(0, 1, 0): 0.5}
-"""The standard says y."""
+"""The standard says y, of Gaussians as of meshes."""
 
 STL: FileAxes = {(0, 0, 1): 0.4}
 """For printers, whose bed is the xy plane."""

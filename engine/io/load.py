@@ -11,6 +11,7 @@ from engine.io.file_axes import GLTF, MESH, PHOTOGRAPHED, STL, FileAxes, ply_axe
 from engine.io.files import open_file
 from engine.io.formats import MESH_SUFFIXES, SCENE_SUFFIXES
 from engine.io.ply_header import read_header
+from engine.io.splats.gltf import holds_gaussians, read_gltf
 from engine.io.splats.ksplat import read_ksplat
 from engine.io.splats.ply import read_ply
 from engine.io.splats.sog import META, is_zipped_sog, read_sog
@@ -37,8 +38,8 @@ class LoadedScene:
 
 
 def load(path: str | Path, seed: int = 0) -> LoadedScene:
-    """The scene in a capture (.ply, SuperSplat's compressed .ply, .splat, .spz, .sog or its meta.json, .ksplat) or in a
-    mesh (.obj, .glb, .gltf, .ply, .stl), whose surface is sampled with `seed`.
+    """The scene in a capture (.ply, SuperSplat's compressed .ply, .splat, .spz, .sog or its meta.json, .ksplat, or
+    glTF with Gaussians) or in a mesh (.obj, .glb, .gltf, .ply, .stl), whose surface is sampled with `seed`.
 
     The content decides what a .ply, .spz, .sog or .glb is, not the name. Raises InputError for any other file.
     """
@@ -81,8 +82,9 @@ def _reader(path: Path) -> tuple[Reader | None, FileAxes]:
         header = read_header(path)
         return (None, MESH) if header.faces > 0 and not header.is_splats else (read_ply, ply_axes(header))
     if start[:4] == b"glTF" or (suffix in MESH_SUFFIXES and suffix != ".ply"):
-        is_gltf = start[:4] == b"glTF" or suffix in (".glb", ".gltf")
-        return None, GLTF if is_gltf else STL if suffix == ".stl" else MESH
+        if start[:4] == b"glTF" or suffix in (".glb", ".gltf"):
+            return read_gltf if holds_gaussians(path) else None, GLTF
+        return None, STL if suffix == ".stl" else MESH
     if start[:2] == GZIP or start[:4] == MAGIC:
         return read_spz, PHOTOGRAPHED
     if suffix == ".splat":

@@ -1,5 +1,7 @@
 """Saves and loads a trained object: a .ply that every 3DGS viewer opens, and a sidecar with what a .ply cannot hold.
 
+A compact object has an .spz in the place of the .ply, a tenth of its size.
+
 `apple.ply` holds the surface atoms, then the interior ones; `apple.fruitninja.json` holds their numbers and how the
 object was made. `apple.inside.safetensors`, where there is one, holds the inside as a function, finer than the atoms.
 The sidecar identifies both by size and checksum, so that neither a crash between the files nor a mix-up of names joins
@@ -16,23 +18,35 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from safetensors import SafetensorError
 from safetensors.numpy import load, save_file
 
 from engine.errors import InputError
 from engine.io.files import atomic_together, open_file, read_file, remove
 from engine.io.splats.ply import ply_data, read_ply
+from engine.io.splats.spz import read_spz
+from engine.io.splats.spz_sizes import refined_sizes, size_remainders
 from engine.io.strict_json import parse
+from engine.io.writers.solid_gaussians import OPAQUE
+from engine.io.writers.spz import spz_bytes, spz_unit
 from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
+from engine.scene.gaussians import Gaussians
 from engine.scene.inside import InsideRecord
+from engine.scene.moved import moved
 from engine.scene.sh import sh_to_rgb
 
 __all__ = [
+    "COMPACT",
     "FORMAT",
+    "STANDARD",
     "Meta",
+    "find_trained",
     "inside_path",
+    "is_trained",
     "load_inside_record",
     "load_trained",
+    "provenance",
     "save_trained",
     "sidecar_path",
     "trained_isolation",
@@ -41,17 +55,17 @@ __all__ = [
 FORMAT = 1
 """Version of the sidecar. A reader refuses any other, so every change of meaning must increase it."""
 
+STANDARD, COMPACT = ".ply", ".spz"
+"""The two forms of an object: the sidecar names the size and the checksum of one."""
+
 FACTS = "facts"
 """Name of the array with an inside's facts, as JSON."""
-
-OPAQUE = 0.999
-"""Opacity of an atom in the file. 1 has no finite logit; at 0.999 two atoms in a row transmit 1e-6."""
 
 INSIDE_LIMIT = 1 << 27
 """Most bytes of an inside: forty pictures and their layout."""
 
 SIDECAR_LIMIT = 1 << 24
-"""Most bytes of a sidecar; a real one has a few KB."""
+"""Most bytes of a sidecar; a real one has a few KB, that of a compact object up to a byte an atom."""
 
 
 @dataclass(frozen=True)
@@ -74,20 +88,42 @@ class Meta:
 
 
 def sidecar_path(path: str | Path) -> Path:
-    """The path of a trained .ply's sidecar: `apple.ply` has `apple.fruitninja.json`."""
+    """The path of a trained object's sidecar: `apple.ply` and `apple.spz` have `apple.fruitninja.json`."""
     return Path(path).with_suffix(".fruitninja.json")
 
 
 def inside_path(path: str | Path) -> Path:
-    """The path of a trained .ply's inside: `apple.ply` has `apple.inside.safetensors`."""
+    """The path of a trained object's inside: `apple.ply` has `apple.inside.safetensors`."""
     return Path(path).with_suffix(".inside.safetensors")
 
 
-def save_trained(path: str | Path, atoms: Atoms, meta: Meta, inside: InsideRecord | None = None) -> None:
-    """Writes `path`, its sidecar and its inside, all or nothing. All are complete on disk before the first is replaced;
-    without an inside, one that was there is removed.
+def is_trained(path: str | Path) -> bool:
+    """Whether a scene's file is a trained object: a .ply beside a sidecar, or an .spz that its sidecar is of.
 
-    Surface atoms come first; interior ones are spheres whose SH above degree 0 are zero. Raises InputError if
+    An object and its capture may lie in one folder, as apple.ply and apple.spz.
+    """
+    path = Path(path)
+    if not sidecar_path(path).exists() or path.suffix.lower() not in (STANDARD, COMPACT):
+        return False
+    try:
+        compact = "spz_bytes" in _Record(sidecar_path(path), path).fields
+    except InputError:
+        compact = False  # loading the .ply will say what is wrong with it
+    return compact == _is_compact(path)
+
+
+def find_trained(folder: Path, stem: str) -> Path | None:
+    """The object of this name in a folder, in either form; None if there is none."""
+    paths = (folder / f"{stem}{suffix}" for suffix in (STANDARD, COMPACT))
+    return next((path for path in paths if path.is_file() and is_trained(path)), None)
+
+
+def save_trained(path: str | Path, atoms: Atoms, meta: Meta, inside: InsideRecord | None = None) -> None:
+    """Writes `path`, a .ply or an .spz, its sidecar and its inside, all or nothing. All are complete on disk before the
+    first is replaced. Without an inside, one that was there is removed, and so is the object's other form.
+
+    Surface atoms come first; interior ones are spheres whose SH above degree 0 are zero. An .spz is rounded as
+    `engine.io.writers.spz` says, but for its sizes, whose remainders are in the sidecar. Raises InputError if
     writing fails.
     """
     path = Path(path)
@@ -95,14 +131,23 @@ def save_trained(path: str | Path, atoms: Atoms, meta: Meta, inside: InsideRecor
     broken = [name for name, values in vars(gaussians).items() if not np.isfinite(values).all()]
     assert not broken, f"NaN or Inf in the atoms' {broken}"
     assert (gaussians.scales > 0).all(), "scales that are not above 0"
-    data = ply_data(gaussians, _comments(meta))
+    kind, unit, compact = _kind(path), 1.0, _is_compact(path)
+    if compact:
+        unit = spz_unit(gaussians)
+        packed = spz_bytes(moved(gaussians, np.eye(3), factor=1 / unit))
+    else:
+        data = ply_data(gaussians, provenance(meta))
+    other = _other_form(path)
     more = [] if inside is None else [inside_path(path)]
-    with atomic_together(path, sidecar_path(path), *more) as (ply, sidecar, *function):
-        data.write(str(ply))
+    with atomic_together(path, sidecar_path(path), *more) as (scene, sidecar, *function):
+        if compact:
+            scene.write_bytes(packed)
+        else:
+            data.write(str(scene))
         record = {
             "format": FORMAT,
-            "ply_bytes": ply.stat().st_size,
-            "ply_crc32": _crc(ply),
+            f"{kind}_bytes": scene.stat().st_size,
+            f"{kind}_crc32": _crc(scene),
             "surface": len(atoms.surface),
             "interior": len(atoms.interior),
             "exposed": atoms.interior.exposed,
@@ -113,6 +158,10 @@ def save_trained(path: str | Path, atoms: Atoms, meta: Meta, inside: InsideRecor
             "prior": meta.prior,
             "source": meta.source,
         }
+        if compact:
+            record["sizes"] = size_remainders(np.concatenate(_sizes(gaussians, len(atoms.surface))) / unit)
+        if unit != 1:
+            record["unit"] = unit
         if inside is not None:
             arrays, facts = inside
             text = np.frombuffer(json.dumps(facts, allow_nan=False).encode(), np.uint8)
@@ -125,12 +174,34 @@ def save_trained(path: str | Path, atoms: Atoms, meta: Meta, inside: InsideRecor
         sidecar.write_text(json.dumps(record, indent=1, allow_nan=False) + "\n", encoding="utf-8")
     if inside is None:
         remove(inside_path(path))
+    if other is not None:
+        remove(other)
+
+
+def _is_compact(path: Path) -> bool:
+    return path.suffix.lower() == COMPACT
+
+
+def _kind(path: Path) -> str:
+    """The name in the sidecar of an object's form."""
+    return "spz" if _is_compact(path) else "ply"
+
+
+def _other_form(path: Path) -> Path | None:
+    """The other form of the object that is there now, if the sidecar is of it: any other file of that name is kept."""
+    other = path.with_suffix(STANDARD if _is_compact(path) else COMPACT)
+    try:
+        if other.is_file() and _Record(sidecar_path(other), other).is_of(other):
+            return other
+    except InputError:
+        pass
+    return None
 
 
 def load_trained(path: str | Path) -> tuple[Atoms, Meta]:
     """The object that `save_trained` wrote.
 
-    Raises InputError if the .ply is unreadable, or if its sidecar is missing, malformed or belongs to another file.
+    Raises InputError if the file is unreadable, or if its sidecar is missing, malformed or belongs to another file.
     """
     path = Path(path)
     with open_file(path):  # a missing scene is reported before its missing sidecar
@@ -152,10 +223,16 @@ def load_trained(path: str | Path) -> tuple[Atoms, Meta]:
     record.require(exposed <= interior, "'exposed' is more than 'interior'")
     record.require(abs(math.hypot(*up) - 1) < 1e-3, "'up' has not length 1")
     record.require(all(isinstance(f, dict) for f in meta.families), "'families' holds something else than families")
-    if path.stat().st_size != record.count("ply_bytes") or _crc(path) != record.count("ply_crc32"):
+    unit = record.number("unit") if "unit" in record.fields else 1.0
+    record.require(1e-30 < unit < 1e30, "'unit' is no length")
+    if not record.is_of(path):
         raise InputError(f"{path}: its sidecar {record.path.name} belongs to another file; train the object again")
-    gaussians, _ = read_ply(path)
-    record.require(len(gaussians) == surface + interior, "its counts are not those of the .ply")
+    gaussians, _ = read_spz(path) if _is_compact(path) else read_ply(path)
+    record.require(len(gaussians) == surface + interior, f"its counts are not those of the .{_kind(path)}")
+    if "sizes" in record.fields:
+        gaussians = record.refined(gaussians, surface)
+    if unit != 1:
+        gaussians = moved(gaussians, np.eye(3), factor=unit)
     if any(gaussians.origin):  # an older object, trained far from zero
         x, y, z = (a + b for a, b in zip(meta.origin, gaussians.origin, strict=True))
         meta = replace(meta, origin=(x, y, z))
@@ -176,7 +253,7 @@ def load_trained(path: str | Path) -> tuple[Atoms, Meta]:
 
 
 def load_inside_record(path: str | Path) -> InsideRecord | None:
-    """The record of a trained .ply's inside; None if it has none or was moved without it.
+    """The record of a trained object's inside; None if it has none or was moved without it.
 
     Raises InputError if the file is unreadable or belongs to another object.
     """
@@ -196,16 +273,21 @@ def load_inside_record(path: str | Path) -> InsideRecord | None:
 
 
 def trained_isolation(path: Path) -> tuple[Any, ...]:
-    """`Meta.isolation` of a trained .ply, without reading the object. Raises InputError if it has no good sidecar."""
+    """`Meta.isolation` of a trained object, without reading the object. Raises InputError if it has no good sidecar."""
     return _Record(sidecar_path(path), path).isolation()
 
 
-def _comments(meta: Meta) -> list[str]:
-    """Comments in the .ply for users of other viewers."""
+def provenance(meta: Meta) -> list[str]:
+    """Lines in a file for users of other viewers: what it was made from and where that lies."""
     comments = [f"FruitNinja: made from {meta.source}"] if meta.source else []
     if any(meta.origin):
         comments.append("FruitNinja: add {:.12g} {:.12g} {:.12g} to be back in its coordinates".format(*meta.origin))
     return comments
+
+
+def _sizes(gaussians: Gaussians, surface: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """(3 S,) and (I,). The sizes of the surface's atoms, and of the interior's, which are spheres."""
+    return gaussians.scales[:surface].ravel(), gaussians.scales[surface:, 0]
 
 
 def _crc(path: Path) -> int:
@@ -241,6 +323,22 @@ class _Record:
         """Raises InputError if the condition does not hold."""
         if not condition:
             raise InputError(f"{self.path}: not a sidecar of a trained object: {wrong}")
+
+    def is_of(self, path: Path) -> bool:
+        """Whether the file has the size and the checksum of the sidecar's object."""
+        kind = _kind(path)
+        return path.stat().st_size == self.count(f"{kind}_bytes") and _crc(path) == self.count(f"{kind}_crc32")
+
+    def refined(self, gaussians: Gaussians, surface: int) -> Gaussians:
+        """The object with the sizes that its .spz has rounded; the first `surface` Gaussians are its surface."""
+        try:
+            sizes = refined_sizes(np.concatenate(_sizes(gaussians, surface)), self.of("sizes", str))
+        except InputError:
+            raise
+        except ValueError as error:
+            raise InputError(f"{self.path}: not a sidecar of a trained object: 'sizes' is damaged") from error
+        outer, inner = np.split(sizes, [3 * surface])
+        return replace(gaussians, scales=np.concatenate([outer.reshape(-1, 3), np.repeat(inner[:, None], 3, axis=1)]))
 
     def of(self, key: str, kind: type) -> Any:
         """The field, which must be exactly of this type."""

@@ -10,14 +10,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 from numpy.typing import NDArray
 from PIL import Image
 
 from app.jobs.export import (
     ffmpeg,
-    piece_gaussians,
-    rotated_sh,
     save_animation,
+    save_meshes,
     save_pieces,
     save_still,
     scale_bar,
@@ -30,24 +30,47 @@ from app.model.document import WHOLE, Document, Part
 from app.model.pieces import Cell, PlacedPiece, Solid, pieces
 from app.model.rigid_transform import Motion
 from engine.errors import InputError
+from engine.export.colours import Colours
+from engine.io.load import load
 from engine.io.splats.ply import read_ply
+from engine.io.writers.solid_gaussians import piece_gaussians
 from engine.scene.camera import Camera, plane_points
+from engine.scene.moved import rotated_sh
 from engine.scene.piece import Piece
 from engine.scene.plane import Plane
 from engine.scene.sh import colours
 from tests.helpers.app_objects import atoms
+from tests.helpers.solids import ball
 
 
 def test_exported_pieces_add_up_to_the_object_and_open_again(tmp_path: Path) -> None:
     solid = atoms()
     document = replace(Document().with_cut((Part(Plane.of((1, 1, 0), 0.1)),)), gap=0.0)
     parts = pieces(document, Solid.of_atoms(solid))
-    assert sum(len(piece_gaussians(solid, part)) for part in parts) == len(solid)
+    assert sum(len(piece_gaussians(solid, part.drawn())) for part in parts) == len(solid)
     count = save_pieces(tmp_path / "all.ply", [(solid, part) for part in parts])
     again, _ = read_ply(tmp_path / "all.ply")
     assert len(again) == count == len(solid) and (again.opacities > 0.99).all()
+    assert save_pieces(tmp_path / "half.spz", [(solid, parts[0])]) == len(load(tmp_path / "half.spz").gaussians) < count
     with pytest.raises(InputError, match="nothing to save"):
         save_pieces(tmp_path / "none.ply", [])
+
+
+def test_meshes_lie_where_the_pieces_lie(tmp_path: Path) -> None:
+    pytest.importorskip("manifold3d", reason="the export extra is not installed")
+    solid = ball(1 / 8)
+    document = replace(Document().with_cut((Part(Plane.of((1, 1, 0), 0.1)),)), gap=0.5)
+    parts = pieces(document, Solid.of_atoms(solid))
+    path = tmp_path / "all.glb"
+    save_meshes(path, parts, Colours(solid, None), (0, 1, 0), 2.0, lambda: False)
+    assert not path.exists()
+    save_meshes(path, parts, Colours(solid, None), (0, 1, 0), 2.0, lambda: True)
+    found = trimesh.load_scene(path).geometry
+    assert list(found) == ["Piece_1_1", "Piece_2_2"]
+    for mesh, part in zip(found.values(), parts, strict=True):
+        mesh.merge_vertices(merge_tex=True, merge_norm=True)
+        own = part.motion.apply(solid.interior.means[part.drawn()[0].planes[0].distance(solid.interior.means) <= 0])
+        assert mesh.is_watertight and np.abs(mesh.bounds / 2 - [own.min(0), own.max(0)]).max() < 2 * solid.pitch
 
 
 def test_a_turned_piece_is_seen_as_before_from_the_turned_side() -> None:
@@ -55,11 +78,11 @@ def test_a_turned_piece_is_seen_as_before_from_the_turned_side() -> None:
     motion = Motion.about((0, 0, 0), (1, 2, 3), 77)
     directions = np.random.default_rng(2).normal(size=(300, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    turned = rotated_sh(solid.surface.sh, motion)
+    turned = rotated_sh(solid.surface.sh, motion.rotation)
     before, after = colours(solid.surface.sh, directions), colours(turned, directions @ motion.rotation.T)
     assert np.abs(before - after).max() < 1e-4
     lying = PlacedPiece(WHOLE, "", (Cell(),), motion, True, np.arange(0))
-    exported = piece_gaussians(solid, lying)
+    exported = piece_gaussians(solid, lying.drawn())
     own = Motion(tuple(solid.surface.quats[0].astype(np.float64).tolist())).rotation
     assert np.allclose(Motion(tuple(exported.quats[0].tolist())).rotation, motion.rotation @ own, atol=1e-5)
 

@@ -14,7 +14,7 @@ from app.model.measure.extent import Filled, extent_of
 from app.model.measure.slices import SLICES, Slices
 from app.model.measure.units import Unit, round_length
 from app.model.pieces import Cell
-from engine.scene.inside import InsideRecord
+from engine.scene.inside import InsideRecord, Kind
 from engine.scene.plane import Plane
 from tests.helpers.solids import ball
 
@@ -23,6 +23,11 @@ SIZE = (120, 90)
 
 class Places:
     """An inside whose colour is the place."""
+
+    detail = 0.01
+
+    def kinds(self, points: NDArray[np.floating]) -> NDArray[np.uint8]:
+        return np.full(len(points), Kind.INSIDE, np.uint8)
 
     def at(self, points: NDArray[np.floating], footprint: float) -> NDArray[np.float32]:
         return (points * 0.4 + 0.5).astype(np.float32)

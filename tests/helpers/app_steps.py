@@ -222,6 +222,8 @@ def steps(driver: Driver, folder: Path) -> None:
     assert picture.shape == (150, 200, 4) and picture[0, 0, 3] == 0 and picture[..., 3].max() == 255
     driver.between_frames(lambda: window.exporter.run(Options("pieces"), folder / "pieces.ply"))
     assert len(read_ply(folder / "pieces.ply")[0]) == len(session.atoms)
+    driver.between_frames(lambda: window.exporter.run(Options("meshes"), folder / "pieces.glb"))
+    driver.until(lambda: (folder / "pieces.glb").exists() and not window.exporter.busy, 60, "the meshes")
     driver.between_frames(lambda: window.exporter.run(Options("section", 120), folder / "face.png"))
     driver.between_frames(lambda: window.exporter.run(Options("turntable", 64, 64, frames=4), folder / "turn.webp"))
     driver.until(lambda: not window.exporter.busy, 20, "the turntable")

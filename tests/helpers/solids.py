@@ -12,8 +12,10 @@ from engine.io.load import load
 from engine.scene import sh
 from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from engine.scene.gaussians import Gaussians
-from engine.scene.inside import InsideRecord
+from engine.scene.grid import Body, Grid
+from engine.scene.inside import InsideRecord, Kind
 from engine.scene.rotations import facing
+from engine.solid.fill import fill
 from tests.paths import SAMPLES
 
 NO_SURFACE = SurfaceAtoms(*(np.zeros((0, *shape), np.float32) for shape in ((3,), (3,), (4,), (1, 3))))
@@ -105,6 +107,14 @@ def ball(pitch: float, seed: int = 0, exposed: int = 0, degree: int = 1, radius:
     return Atoms(skin, InteriorAtoms(means, sigmas, rgb, exposed), pitch)
 
 
+def filled_ball(pitch: float, radius: float = 0.5) -> Atoms:
+    """A `ball` that is filled as training fills a body, all grey inside."""
+    grid = Grid.around(np.array([[-radius] * 3, [radius] * 3]), pitch / 2, 4)
+    depth = radius - np.linalg.norm(grid.centres(), axis=-1)
+    atoms = ball(pitch, radius=radius)
+    return replace(atoms, interior=fill(Body(grid, depth.astype(np.float32)), pitch))
+
+
 def with_leaf(
     atoms: Atoms, centre: tuple[float, float, float] = (0.8, 0.46, 0.65), radius: float = 0.2, spacing: float = 0.6
 ) -> Atoms:
@@ -178,6 +188,10 @@ class Waves:
 
     def __init__(self) -> None:
         self.footprints: list[float] = []
+        self.detail = 0.01
+
+    def kinds(self, points: NDArray[np.floating]) -> NDArray[np.uint8]:
+        return np.where(points[:, 2] > 0, Kind.INSIDE, Kind.RIND).astype(np.uint8)
 
     def at(self, points: NDArray[np.floating], footprint: float) -> NDArray[np.float32]:
         self.footprints.append(footprint)

@@ -38,6 +38,11 @@ import app.render_cli as cli
 cli.load_trained = lambda path: work("out/a.png")
 sys.argv[1:] = ["a.ply", "-o", "out/a.png"]
 """,
+    "fruitninja-export": """
+import app.export_cli as cli
+cli.load_trained = lambda path: work("out/a.glb")
+sys.argv[1:] = ["a.ply", "-o", "out/a.ply"]
+""",
     "fruitninja-train": """
 import training.cli as cli
 cli.parse_families = lambda *_, **__: work("out/a.png")
@@ -76,7 +81,7 @@ sys.argv[1:] = ["-o", "out"]
 # The commands take seconds to load: one process loads them all, and a fork of it is each command each time.
 SERVER = """
 import gc, json, os, sys
-import app.render_cli, training.batch.cli, training.cli, training.evaluate.cli
+import app.export_cli, app.render_cli, training.batch.cli, training.cli, training.evaluate.cli
 
 gc.freeze()  # a fork that ends need not look through all that was imported, which takes a second
 for line in sys.stdin:

@@ -41,6 +41,7 @@ MAY_IMPORT = {
     "engine.render.gl": (*DRAWING, "engine.render.culling", "engine.render.classic", "engine.render.cpu", "shaders"),
     "engine.render.face_detail": (*DRAWING, "engine.render.cpu"),
     "engine.solid": (*FOUNDATION, "engine.scene", "engine.io", "engine.render"),
+    "engine.export": (*FOUNDATION, "engine.scene", "engine.io", "engine.render", "engine.solid"),
     "engine.isolate": (*FOUNDATION, "engine.scene", "engine.io", "engine.solid"),
     "engine.fit": (*FOUNDATION, "engine.scene", "engine.io", "engine.render", "engine.solid"),
     "training": ("engine",),
@@ -52,6 +53,7 @@ MAY_IMPORT = {
     "app.ui": ("app.model", "app.jobs", "app.session", "engine", "training"),
     "app.main": ("app", "engine", "training"),
     "app.render_cli": ("engine", "training"),
+    "app.export_cli": ("engine", "training"),
 }
 """Of each room, the project's own modules that it may import beside itself; the longest name that fits a module rules.
 
@@ -71,6 +73,7 @@ KEEPS_OFF = {
     "engine.render.cpu": NO_OPENGL,
     "engine.render.gl": ("imgui_bundle", "glfw"),
     "engine.solid": NO_OPENGL,
+    "engine.export": NO_OPENGL,
     "engine.isolate": NO_OPENGL,
     "engine.fit": NO_OPENGL,
     "training": NO_OPENGL,

@@ -18,7 +18,14 @@ from tests.helpers.hostile import hostile_folder, marks
 from tests.helpers.solids import ball
 from tests.paths import ROOT
 
-COMMANDS = ("fruitninja", "fruitninja-batch", "fruitninja-evaluate", "fruitninja-render", "fruitninja-train")
+COMMANDS = (
+    "fruitninja",
+    "fruitninja-batch",
+    "fruitninja-evaluate",
+    "fruitninja-export",
+    "fruitninja-render",
+    "fruitninja-train",
+)
 PACKAGES = ("app", "engine", "sample_scenes", "shaders", "training")
 
 OPEN = f"""

@@ -438,13 +438,13 @@ def test_a_scene_says_what_is_the_object_and_how_its_pictures_are_related(tmp_pa
         keep = ["box:1,0,0,0,1,1"]
         no_floor = true
         same = true
+        compact = true
     """
     manifest.write_text(text)
     (scene,) = read_manifest(manifest)
-    assert scene.request.same
+    assert scene.request.same and scene.request.compact
     assert [path.name for path in scene.request.families[0].exemplars] == ["one.png", "two.png"]  # and no mask
-    kept = keep_only(Box((0.0, 0.0, 0.0), (1.0, 1.0, 1.0)))
-    assert scene.request.isolation == (kept, (Step("add", Detected("floor")),))
+    assert scene.request.isolation == (keep_only(Box((0.0,) * 3, (1.0,) * 3)), (Step("add", Detected("floor")),))
     manifest.write_text(text.replace("floor = true", 'floor = "yes"').replace("box:1", "cone:1"))
     with pytest.raises(ManifestErrors, match=r"keep cone:1,0,0,0,1,1: give box|no_floor: give true or false"):
         read_manifest(manifest)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -14,8 +15,10 @@ from engine.isolate.selection import Box, Detected, Step, keep_only
 from engine.scene.plane import Plane
 from tests.paths import SAMPLES
 from training import cli
+from training.events import Reporter
 from training.faces.marks import Marks
 from training.families import Family
+from training.pipeline import run
 from training.request import Request, read_request
 
 
@@ -42,6 +45,7 @@ def full(folder: Path) -> Request:
         "rye bread",
         isolation,
         True,
+        True,
     )
 
 
@@ -59,6 +63,14 @@ def test_every_field_of_a_request_survives_its_file(tmp_path: Path) -> None:
     assert all(getattr(request, name) != getattr(default, name) for name in vars(request) if name != "scene")
 
 
+def test_the_form_of_the_result_makes_no_other_run(tmp_path: Path) -> None:
+    (tmp_path / "a.ply").write_bytes(b"ply")
+    standard = Request(tmp_path / "a.ply", (Family("radial", 3),))
+    compact = replace(standard, compact=True)
+    assert (standard.result_name, compact.result_name) == ("a.ply", "a.spz")
+    assert standard.fingerprint() == compact.fingerprint() != replace(compact, seed=1).fingerprint()
+
+
 def test_a_relative_request_is_written_with_absolute_paths(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     request = Request(Path("melon.ply"), (Family("radial", 3, (Path("a.png"),)),))
@@ -66,7 +78,7 @@ def test_a_relative_request_is_written_with_absolute_paths(tmp_path: Path, monke
 
 
 BREAK: dict[str, Callable[[dict], object]] = {
-    "version": lambda r: r.update(fruitninja_request=5),
+    "version": lambda r: r.update(fruitninja_request=6),
     "no version": lambda r: r.pop("fruitninja_request"),
     "version is a flag": lambda r: r.update(fruitninja_request=True),
     "unknown field": lambda r: r.update(command="rm"),
@@ -141,3 +153,30 @@ def test_the_command_takes_a_request_alone(
         cli.main()
     assert ended.value.code == 2 and complaint in capsys.readouterr().err
     assert not out.exists()
+
+
+def test_the_command_asks_for_a_compact_result(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[Request] = []
+
+    def pretend(request: Request, out: Path, *_: object) -> Path:
+        asked.append(request)
+        return out / request.result_name
+
+    monkeypatch.setattr("training.pipeline.run", pretend)
+    scene, picture = SAMPLES / "bread/bread.ply", SAMPLES / "bread/parallel_1.png"
+    words = ["fruitninja-train", str(scene), "-o", str(tmp_path), "--exemplar", f"parallel={picture}"]
+    for more in ([], ["--compact"]):
+        monkeypatch.setattr(sys, "argv", [*words, *more])
+        with pytest.raises(SystemExit, match=r"^0$"):
+            cli.main()
+    assert [request.result_name for request in asked] == ["bread.ply", "bread.spz"]
+
+
+@pytest.mark.parametrize("compact", [False, True])
+def test_a_result_never_replaces_its_capture(tmp_path: Path, compact: bool) -> None:
+    scene = tmp_path / ("a.spz" if compact else "a.ply")
+    scene.write_bytes(b"the capture")
+    request = Request(scene, (Family("radial", 3),), compact=compact)
+    with pytest.raises(InputError, match="would replace the capture itself"):
+        run(request, tmp_path, Reporter.open(None), False, lambda: False)
+    assert scene.read_bytes() == b"the capture"

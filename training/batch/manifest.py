@@ -60,7 +60,7 @@ RESERVED = re.compile(r"batch\.json|.*\.lock", re.IGNORECASE)
 """Files that a batch writes beside the folders."""
 
 KEYS = ("scene", "name", "exemplar", "family", "prompt", "up", "keep", "remove", "no_floor", "same", "detail", "prior",
-        "model", "midas", "object", "iterations", "seed")  # fmt: skip
+        "model", "midas", "object", "iterations", "seed", "compact")  # fmt: skip
 PER_SCENE_KEYS = ("scene", "name")
 """Keys that scenes cannot share."""
 
@@ -196,6 +196,7 @@ class _ManifestReader:
                 _string(fields, "object", "") or None,
                 parse_isolation(_strings(fields, "keep"), _strings(fields, "remove"), _flag(fields, "no_floor")),
                 _flag(fields, "same"),
+                _flag(fields, "compact"),
             ),
         )
 

@@ -25,7 +25,7 @@ def scene_task(name: str, request: Request, out: Path) -> Task:
     """The task that trains a scene into the folder `out`, a path valid on every worker."""
     fingerprint = request.fingerprint()
     arguments = {"request": request, "out": out, "fingerprint": fingerprint}
-    files = (out / f"{request.scene.stem}.ply", out / "cuts.png", out / "report.json")
+    files = (out / request.result_name, out / "cuts.png", out / "report.json")
     return Task(name, train_scene, arguments, out / "batch.json", fingerprint, files)
 
 

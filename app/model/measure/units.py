@@ -28,6 +28,11 @@ class Unit:
     length: float = 1.0
     """How many of them a unit of the file is long. Range LENGTHS."""
 
+    @property
+    def metres(self) -> float:
+        """Length of a unit of the file; one, as other programs take it, where nobody has said how long it is."""
+        return self.length * METRES[self.name] if self.name in METRES else 1.0
+
     def named(self, name: UnitName) -> Unit:
         """The same lengths in another unit; those of the file have no other length than their own."""
         if name == "units":

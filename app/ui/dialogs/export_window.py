@@ -11,6 +11,7 @@ from app.ui.dialogs.exporter import Exporter, Options
 from app.ui.dialogs.file_dialogs import FileDialogs
 from app.ui.theme import Fonts, px
 from app.ui.widgets import cancel_button, font, main_button, modal, row_label, secondary, thin_bar
+from engine.io.writers.splats import SPLAT_WRITERS
 
 __all__ = ["ExportWindow"]
 
@@ -20,15 +21,19 @@ TITLES = {
     "sweep": "Save plane sweep",
     "section": "Save cut face",
     "pieces": "Save pieces",
+    "meshes": "Save pieces as meshes",
 }
 HINTS = {
     "picture": "What the window shows, in any size.",
     "turntable": "Once around the object.",
     "sweep": "The active plane on its way through the object and back.",
     "section": "The active cut looked at straight on, with a scale and nothing around it.",
-    "pieces": "Opens in every 3DGS viewer. Cut faces there are as fine as its points.",
+    "pieces": "For other programs. Cut faces there are as fine as its points; every 3DGS viewer opens a .ply.",
+    "meshes": "Closed, with cut faces as fine as the pictures, for Blender, game engines and printers. The selected "
+    "pieces of this object, or all of them.",
 }
-SUFFIXES = {"picture": ".png", "section": ".png", "pieces": ".ply"}
+SUFFIXES = {"picture": ".png", "section": ".png"}
+MESHES = (".glb", ".obj", ".3mf")
 LARGEST = 8192
 """Pixels of a side; OpenGL drivers without a larger limit are common."""
 
@@ -67,7 +72,7 @@ class ExportWindow:
         if o.kind == "section":
             row_label("Size", 110)
             o.width = bounded(imgui.input_int("##side", o.width, 100)[1])
-        elif o.kind != "pieces":
+        elif o.kind not in ("pieces", "meshes"):
             row_label("Width", 110)
             o.width = bounded(imgui.input_int("##width", o.width, 100)[1])
             row_label("Height", 110)
@@ -83,8 +88,14 @@ class ExportWindow:
             current = forms.index(o.form) if o.form in forms else 0
             o.form = forms[imgui.combo("##form", current, [f[1:].upper() for f in forms])[1]]
         if o.kind == "pieces":
+            row_label("Format", 110)
+            splats = list(SPLAT_WRITERS)
+            o.splats = splats[imgui.combo("##splats", splats.index(o.splats), [s[1:].upper() for s in splats])[1]]
             row_label("Files", 110)
             o.separate = imgui.checkbox("one for each piece", o.separate)[1]
+        if o.kind == "meshes":
+            row_label("Format", 110)
+            o.meshes = MESHES[imgui.combo("##meshes", MESHES.index(o.meshes), [s[1:].upper() for s in MESHES])[1]]
         imgui.dummy(ImVec2(0, px(6)))
         if main_button("Choose where...", px(150)):
             self._choose()
@@ -96,7 +107,7 @@ class ExportWindow:
 
     def _choose(self) -> None:
         o = self.options
-        suffix = SUFFIXES.get(o.kind, o.form)
+        suffix = {"pieces": o.splats, "meshes": o.meshes}.get(o.kind) or SUFFIXES.get(o.kind, o.form)
         scene = self.exporter.session.document.scene
         stem = scene.stem if scene else "object"
         folder = scene.parent if scene else Path.home()

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import queue
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from app.jobs.export import save_animation, save_pieces, save_still, section_picture, sweep, turntable
+from app.jobs.export import save_animation, save_meshes, save_pieces, save_still, section_picture, sweep, turntable
 from app.session.session import Session
 from app.ui.view.painter import Painter
 from engine.errors import InputError
+from engine.export.colours import Colours
 from engine.scene.camera import Camera
 from engine.scene.piece import Piece
 from engine.scene.plane import Plane
@@ -29,14 +31,18 @@ class Options:
     """The options of the export window."""
 
     kind: str = "picture"
-    """'picture', 'turntable', 'sweep', 'section', 'pieces'."""
+    """'picture', 'turntable', 'sweep', 'section', 'pieces', 'meshes'."""
     width: int = 1600
     height: int = 1000
     transparent: bool = True
     frames: int = 90
     form: str = ".webp"
+    """Suffix of an animation."""
+    splats: str = ".ply"
+    """Suffix of pieces."""
     separate: bool = False
     """Whether each piece is saved in its own file."""
+    meshes: str = ".glb"
 
 
 class Exporter:
@@ -58,14 +64,16 @@ class Exporter:
 
     @property
     def busy(self) -> bool:
-        """Whether an animation is being saved."""
+        """Whether an animation or meshes are being saved."""
         return self._thread is not None
 
     def run(self, options: Options, path: Path) -> None:
-        """Saves at once, or starts saving an animation. Errors are shown by the session."""
+        """Saves at once, or starts saving an animation or meshes. Errors are shown by the session."""
         try:
             if options.kind == "pieces":
                 self._pieces(options, path)
+            elif options.kind == "meshes":
+                self._meshes(path)
             elif options.kind == "section":
                 self._section(options, path)
             elif options.kind == "picture":
@@ -97,7 +105,7 @@ class Exporter:
                 self.session.notify(f"Saved {name}." if not self._cancelled else "Stopped.")
 
     def cancel(self) -> None:
-        """Stops after this frame and leaves no file behind."""
+        """Stops after this frame, or before meshes are written, and leaves no file behind."""
         self._cancelled = True
 
     def _animate(self, options: Options, path: Path) -> None:
@@ -115,20 +123,26 @@ class Exporter:
                 self._draw(camera, [replace(self._uncut(), planes=(step,))])
                 for step in sweep(plane, session.solid, options.frames)
             )
-        self._frames, self._count, self._done, self.path = iter(frames), options.frames, 0, path
+        self._frames, self._count = iter(frames), options.frames
+        self._start(path, lambda: save_animation(path, self._drawn()))
+
+    def _start(self, path: Path, work: Callable[[], object]) -> None:
+        """Starts the thread that writes a file."""
+        self._done, self.fraction, self.path = 0, 0.0, path
         self._error, self._cancelled, self._sink = "", False, queue.Queue(maxsize=8)
-        self._thread = threading.Thread(target=self._write, args=(path,), daemon=True)
+        self._thread = threading.Thread(target=self._write, args=(path, work), daemon=True)
         self._thread.start()
 
-    def _write(self, path: Path) -> None:
-        def frames() -> Iterator[Frame]:
-            while (frame := self._sink.get()) is not None:
-                yield frame
-            if self._cancelled:
-                raise InputError("cancelled")
+    def _drawn(self) -> Iterator[Frame]:
+        """The frames that the window has drawn, for the thread that writes them."""
+        while (frame := self._sink.get()) is not None:
+            yield frame
+        if self._cancelled:
+            raise InputError("cancelled")
 
+    def _write(self, path: Path, work: Callable[[], object]) -> None:
         try:
-            save_animation(path, frames())
+            work()
         except InputError as error:
             self._error = "" if self._cancelled else str(error)
         except Exception as error:  # otherwise the window would wait for a dead thread
@@ -159,12 +173,30 @@ class Exporter:
             raise InputError("There is no solid to save yet.")
         pieces = [(solids[session.documents[m.index].number], m.piece) for m in session.members]
         if not options.separate:
-            count = save_pieces(path, pieces)
+            count = save_pieces(path, pieces, session.view_up)
             session.notify(f"Saved {count:,} Gaussians in {path.name}.")
             return
         for number, piece in enumerate(pieces, 1):
-            save_pieces(path.with_name(f"{path.stem}_{number}{path.suffix}"), [piece])
+            save_pieces(path.with_name(f"{path.stem}_{number}{path.suffix}"), [piece], session.view_up)
         session.notify(f"Saved {len(pieces)} pieces beside {path.stem}_1{path.suffix}.")
+
+    def _meshes(self, path: Path) -> None:
+        session = self.session
+        members = [m for m in session.members if m.index == session.active and session.is_cut(m)]
+        if session.atoms is None or not members:
+            raise InputError("There is no piece to save; show or select one.")
+        colours = Colours(session.atoms, session.loaded[session.document.number].inside)
+        work = partial(
+            save_meshes,
+            path,
+            [m.piece for m in members],
+            colours,
+            session.view_up,
+            session.viewing.unit.metres,
+            lambda: not self._cancelled,
+        )
+        self._frames = None
+        self._start(path, work)
 
     def _camera(self, options: Options) -> Camera:
         return self.session.viewing.eye.camera(options.width, options.height, self.session.view_up)

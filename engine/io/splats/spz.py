@@ -22,7 +22,7 @@ from engine.io.splats.rows import gaussians_from_rows, logits, row_blocks, strid
 from engine.scene.gaussians import Gaussians
 from engine.scene.sh import basis
 
-__all__ = ["GZIP", "MAGIC", "read_spz"]
+__all__ = ["COLOUR_SCALE", "FLIP", "GZIP", "HEADER", "MAGIC", "MOST", "TABLE_AT", "flipped_bands", "read_spz"]
 
 GZIP = b"\x1f\x8b"
 """How a gzipped file begins."""
@@ -236,7 +236,7 @@ def _table(attributes: list[NDArray[np.uint8]], header: _Header, degree: int) ->
     table[:, 7:11] = (_signs_first if header.version < 3 else _smallest_three)(rotations) * (1.0, *FLIP)
     table[:, 11:14] = (colours / 255 - 0.5) / COLOUR_SCALE
     coefficients = (rest[:, : 3 * (bands - 1)].reshape(n, bands - 1, 3) - 128.0) / 128.0
-    coefficients *= _flipped_bands(degree)[1:, None]
+    coefficients *= flipped_bands(degree)[1:, None]
     table[:, 14:] = coefficients.transpose(0, 2, 1).reshape(n, -1)  # channel-major, as a .ply has them
     return table
 
@@ -269,7 +269,7 @@ def _smallest_three(packed: NDArray[np.uint8]) -> NDArray[np.float64]:
     return with_largest((words >> 30).astype(np.intp), others)[:, [3, 0, 1, 2]]
 
 
-def _flipped_bands(degree: int) -> NDArray[np.float64]:
+def flipped_bands(degree: int) -> NDArray[np.float64]:
     """((d+1)^2,). 1 or -1: the factor of each SH coefficient when the axes are flipped."""
     direction = np.array([[0.36, 0.48, 0.8]])
     return np.sign(basis(direction, degree) * basis(direction * FLIP, degree))[0]

@@ -16,7 +16,7 @@ from plyfile import PlyData
 
 from engine.errors import InputError
 from engine.io import trained
-from engine.io.trained import Meta, load_trained, save_trained, sidecar_path
+from engine.io.trained import Meta, find_trained, is_trained, load_trained, save_trained, sidecar_path
 from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 
 META = Meta((0.0, -1.0, 0.0), ({"kind": "radial", "count": 30, "exemplars": ["b.png"]},), 7, "exemplar", "apple é.ply")
@@ -228,3 +228,57 @@ def test_atoms_that_no_reader_takes_are_not_saved(tmp_path: Path) -> None:
     with pytest.raises(AssertionError, match="scales"):
         save_trained(tmp_path / "a.ply", Atoms(flat, some(0, 3, 0).interior, 0.1), META)
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e-6, 1e7])  # sizes that an .spz has room for, and that it has not
+def test_a_compact_object_is_the_object_to_its_steps(tmp_path: Path, unit: float) -> None:
+    plain = some(40, 60, 2, 7)
+    surface = dataclasses.replace(
+        plain.surface,
+        means=plain.surface.means * np.float32(unit),
+        scales=plain.surface.scales * np.float32(unit),
+        sh=np.clip(plain.surface.sh, -1, 0.99),
+    )
+    interior = dataclasses.replace(
+        plain.interior,
+        means=plain.interior.means * np.float32(unit),
+        sigmas=plain.interior.sigmas * np.float32(unit),
+    )
+    atoms = Atoms(surface, interior, plain.pitch * unit)
+    path = tmp_path / "apple.spz"
+    save_trained(path, atoms, META)
+    back, meta = load_trained(path)
+    assert meta == META and back.pitch == atoms.pitch and back.interior.exposed == 7
+    for one, other in ((back.surface, surface), (back.interior, interior)):
+        np.testing.assert_allclose(one.means, other.means, atol=2e-4 * unit)
+    np.testing.assert_allclose(back.surface.scales, surface.scales, rtol=3e-4)
+    np.testing.assert_allclose(back.interior.sigmas, interior.sigmas, rtol=3e-4)
+    assert np.abs((back.surface.quats * surface.quats).sum(1)).min() > 1 - 1e-5
+    np.testing.assert_allclose(back.surface.sh[:, 1:], surface.sh[:, 1:], atol=1 / 127)
+    np.testing.assert_allclose(back.interior.rgb, interior.rgb, atol=0.004)
+
+
+@pytest.mark.parametrize("sizes", ["", "!", "AAAA", "é", 3, None, [1]])
+def test_damaged_sizes_of_a_compact_object_are_told(tmp_path: Path, sizes: Any) -> None:
+    path = tmp_path / "a.spz"
+    save_trained(path, some(3, 3, 0), META)
+    good = json.loads(sidecar_path(path).read_text())
+    sidecar_path(path).write_text(json.dumps({**good, "sizes": sizes}))
+    assert "sizes" in refusal(path)
+
+
+def test_an_object_has_one_form_and_no_other_file_is_taken_for_it(tmp_path: Path) -> None:
+    ply, spz = tmp_path / "a.ply", tmp_path / "a.spz"
+    save_trained(ply, some(3, 3, 0), META)
+    spz.write_bytes(b"NGSP of somebody else")  # the capture, say
+    assert is_trained(ply) and not is_trained(spz) and find_trained(tmp_path, "a") == ply
+    save_trained(ply, some(3, 3, 0, seed=1), META)
+    assert spz.exists()
+    save_trained(spz, some(3, 3, 0), META)
+    assert is_trained(spz) and not ply.exists() and find_trained(tmp_path, "a") == spz
+    data = bytearray(spz.read_bytes())
+    data[-1] ^= 1
+    spz.write_bytes(data)
+    assert "belongs to another file" in refusal(spz)
+    save_trained(ply, some(3, 3, 0), META)
+    assert spz.exists() and find_trained(tmp_path, "a") == ply and find_trained(tmp_path, "b") is None

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from engine.scene.inside import InsideRecord
+from engine.scene.inside import InsideRecord, Kind
 from training.priors.exemplar.frames import Space
 from training.priors.exemplar.layering.extrusion import Extrusion
 from training.priors.exemplar.layering.morph import Slices
@@ -24,6 +24,9 @@ COARSEST = 16
 
 BLOCK = 100_000
 """Points that are read at once: bounds the memory of what is between."""
+
+VISIBLE = 0.05
+"""Change of a colour from which a stamp shows: a seed's soft edge belongs to it up to a tenth of its contrast."""
 
 COURSES: dict[str, type[Extrusion] | type[Revolution] | type[Slices]] = {
     "extrusion": Extrusion,
@@ -55,10 +58,15 @@ class LayeredInside:
         origin = np.asarray(grid.origin) + (centre + 0.5) * grid.cell
         return cls(course.shape, course, None, origin, centre, float(grid.cell))
 
+    @property
+    def detail(self) -> float:
+        """World units. See `engine.scene.inside.Inside`."""
+        return self.cell / OVER
+
     def at(self, points: NDArray[np.floating], footprint: float) -> NDArray[np.float32]:
         """(N, 3). See `engine.scene.inside.Inside`."""
         n = 1
-        while n < COARSEST and 2 * n * self.cell / OVER <= footprint:
+        while n < COARSEST and 2 * n * self.detail <= footprint:
             n *= 2
         if n not in self._reduced:
             stamps = None if self.stamps is None else self.stamps.reduced(n)
@@ -75,6 +83,22 @@ class LayeredInside:
         if self.stamps is not None:
             self.stamps.paint(rgb, (cells + self.grid_centre).astype(np.float32))
         return np.clip(rgb, 0, 1)
+
+    def kinds(self, points: NDArray[np.floating]) -> NDArray[np.uint8]:
+        """(N,). See `engine.scene.inside.Inside`. A thing is what a stamp paints visibly; pictures that morph into one
+        another have no rind of their own."""
+        out = np.full(len(points), Kind.INSIDE, np.uint8)
+        for start in range(0, len(points), BLOCK):
+            cells = (points[start : start + BLOCK] - self.origin) / self.cell
+            places, block = self.shape.places(cells), out[start : start + BLOCK]
+            if not isinstance(self.course, Slices):
+                block[places.depth <= self.course.sheet.rind] = Kind.RIND
+            if self.stamps is not None:
+                plain = np.asarray(self.course.read(places), np.float32)
+                painted = plain.copy()
+                self.stamps.paint(painted, (cells + self.grid_centre).astype(np.float32))
+                block[np.abs(painted - plain).max(1) > VISIBLE] = Kind.THING
+        return out
 
     def record(self) -> InsideRecord:
         """Arrays and JSON facts from which `restored` makes the same inside."""

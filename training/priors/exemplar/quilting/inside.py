@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from engine.scene.inside import InsideRecord
+from engine.scene.inside import InsideRecord, Kind
 from training.priors.exemplar.frames import Space
 from training.priors.exemplar.quilting.disc import DISC_PIXELS, REACH, BallMap, Disc
 from training.priors.exemplar.quilting.quilt import Quilt, restore_quilt
@@ -56,16 +56,24 @@ class QuiltInside:
         origin = np.asarray(grid.origin) + (space.centre.astype(np.float64) + 0.5) * grid.cell
         return cls(quilt, horizontal, radial, seed, ball, origin, space.basis, float(grid.cell))
 
+    @property
+    def detail(self) -> float:
+        """World units. See `engine.scene.inside.Inside`."""
+        return 2 * REACH / DISC_PIXELS * float(self.ball.skin.mean()) * self.cell
+
     def at(self, points: NDArray[np.floating], footprint: float) -> NDArray[np.float32]:
         """(N, 3). See `engine.scene.inside.Inside`."""
         planar = ((points - self.origin) @ self.basis.T / self.cell).astype(np.float32)
-        pixel = 2 * REACH / DISC_PIXELS * float(self.ball.skin.mean()) * self.cell
         n = 1
-        while n < COARSEST and 2 * n * pixel <= footprint:
+        while n < COARSEST and 2 * n * self.detail <= footprint:
             n *= 2
         if n not in self._reduced:
             self._reduced[n] = self.quilt.reduced(n) if n > 1 else self.quilt
         return self._reduced[n].read(self.ball.to_ball(planar))
+
+    def kinds(self, points: NDArray[np.floating]) -> NDArray[np.uint8]:
+        """(N,). INSIDE everywhere: chunks of pictures carry their things along, and nobody said which these are."""
+        return np.full(len(points), Kind.INSIDE, np.uint8)
 
     def record(self) -> InsideRecord:
         """Arrays and JSON facts from which `restored` makes the same inside."""

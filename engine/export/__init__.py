@@ -1,0 +1,1 @@
+"""Solids for other programs: closed meshes with textured cut faces, volumes, particles."""

@@ -1,0 +1,17 @@
+"""What a written file says of itself beside its Gaussians."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+__all__ = ["About"]
+
+
+@dataclass(frozen=True)
+class About:
+    """Of one object."""
+
+    up: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    """Unit vector: formats whose axes are fixed get the object upright."""
+    lines: tuple[str, ...] = ()
+    """What it was made from, for people."""
