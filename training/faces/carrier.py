@@ -95,10 +95,14 @@ def find_seen_face(rgb: NDArray[np.float32], name: object) -> SeenFace:
             raise
         return SeenFace(on_it, _TAKEN_OFF)
     mask, note = _without_arm(mask)
+    if np.percentile(np.ptp(rgb[mask], axis=1), 95) < THIRD_COLOUR:
+        return SeenFace(mask, note)  # grey: there is no third colour, whatever it is
     for _ in range(LEVELS):
         within, skinned = _look_within(rgb, mask), skin_share(rgb, mask)
-        lies = 0 if within is None else int(within.skinned > 0.5) + int(within.shadow)
-        found = _search(rgb, within.region) if within is not None and skinned < BARE and lies else None
+        lies = 0 if within is None else int(within.skinned > HALF) + int(within.shadow)
+        # A shadow alone may be a hollow or a dark patch.
+        is_carrier = within is not None and skinned < BARE and within.skinned > HALF
+        found = _search(rgb, within.region) if within is not None and is_carrier else None
         if found is None:
             if skinned < HALF:
                 note = note or _BARE
@@ -153,7 +157,7 @@ def _on_what_crosses_the_border(rgb: NDArray[np.float32]) -> NDArray[np.bool_] |
         regions.append(ndimage.binary_opening(~background.shaded, iterations=2))
     for region in regions:
         within = _look_within(rgb, largest_component(region))
-        if within is not None and within.shadow and within.skinned > 0.5:
+        if within is not None and within.shadow and within.skinned > HALF:
             return _search(rgb, within.region)
     return None
 
