@@ -4,7 +4,8 @@
 
 The folder of photographs holds `masks/` and `list.csv` (by default ../shared/data/photos/fruit). Prints for each the
 intersection over union with its mask, the distance of core or core line from the marks in per cent of the width, the
-kind of cut it seems to be, and the seconds of processor time; writes outlines and axes on the photographs.
+kind of cut it seems to be, the seconds of processor time, and what the user is told to look at; writes outlines and
+axes on the photographs.
 """
 
 from __future__ import annotations
