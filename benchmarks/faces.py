@@ -4,7 +4,8 @@
 
 The folder of photographs holds `masks/` and `list.csv` (by default ../shared/data/photos/fruit). Prints for each the
 intersection over union with its mask, the distance of core or core line from the marks in per cent of the width, the
-kind of cut it seems to be, and the seconds of processor time; writes outlines and axes on the photographs.
+kind of cut it seems to be, the seconds of processor time, and what the user is told to look at; writes outlines and
+axes on the photographs.
 """
 
 from __future__ import annotations
@@ -85,17 +86,18 @@ def main(arguments: list[str] | None = None) -> None:
         pixels, truth = read_pixels(path), read_pixels(options.photographs / "masks" / row["path"])[..., 0] > 127
         start = time.process_time()
         try:
-            rgb, mask = find_face(path)
+            rgb, face = find_face(path)
         except InputError as error:
             print(f"{path.stem:20} {error}")
             overlaps.append(0.0)
             continue
+        mask = face.mask
         seconds = time.process_time() - start
         guess = guess_cut(rgb, mask)
         overlaps.append(overlap(mask, truth))
         away = 100 * axis_error(rgb, mask, row)
         said = f"{guess.kind:>10} {guess.sureness:5.2f} {seconds:5.2f}"
-        print(f"{path.stem:20} {overlaps[-1]:6.4f} {away:6.1f} {said}")
+        print(f"{path.stem:20} {overlaps[-1]:6.4f} {away:6.1f} {said} {face.note}".rstrip())
         tiles.append(np.asarray(drawn(pixels, mask, row["family"])))
     values = np.array(overlaps)
     print(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -46,15 +46,23 @@ def make_prior(request: Request) -> Denoiser | VolumeSolver:
 
 
 def labels_from_volume(
-    request: Request, geometry: Geometry, cuts: Sequence[Slice], prior: VolumeSolver, progress: Progress
+    request: Request,
+    geometry: Geometry,
+    cuts: Sequence[Slice],
+    prior: VolumeSolver,
+    progress: Progress,
+    warn: Callable[[str], None],
 ) -> tuple[list[Float], Colours, float, Inside | None]:
     """Labels (H, W, 3) as cuts through one volume, its colour field for atoms, its coarsening, and its function.
 
     The labels of all planes are consistent in space. The coarsening is the volume's cell over the requested one: more
-    than 1 if the pictures resolve less, and then the atoms may be coarser too.
+    than 1 if the pictures resolve less, and then the atoms may be coarser too. `warn` is told what the user should look
+    at in the pictures.
     """
     detail = request.fineness
     volume = prior.solve(geometry.body, geometry.up, request.families, detail.voxels, request.seed, progress)
+    for note in volume.notes:
+        warn(note)
     labels = [np.where(cut.condition.inside[..., None], volume.at(cut.points), np.float32(1.0)) for cut in cuts]
     requested_cell = geometry.pitch * detail.cells / detail.voxels
     return (

@@ -187,7 +187,9 @@ class Pipeline:
         request, progress = self.request, self.track_progress(stage, 0.0, 1.0)
         cells: float = request.fineness.fine
         if isinstance(prior, VolumeSolver):
-            labels, colours, coarsening, self.inside = labels_from_volume(request, geometry, cuts, prior, progress)
+            labels, colours, coarsening, self.inside = labels_from_volume(
+                request, geometry, cuts, prior, progress, self.reporter.warn
+            )
             cells /= coarsening
         else:
             labels, colours = self.distill_labels(geometry, cuts, prior, progress)

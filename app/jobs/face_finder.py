@@ -14,9 +14,10 @@ from engine.errors import InputError
 from engine.io.files import open_file
 from engine.scene.image import to_8bit
 from training.faces.axis import CutGuess, guess_cut
+from training.faces.carrier import SeenFace, find_seen_face
 from training.faces.marks import UNMARKED, Marks, axis_beside, read_axis_file
 from training.faces.mask_file import mask_beside
-from training.faces.outline import find_mask, largest_component
+from training.faces.outline import largest_component
 from training.faces.polygon import mask_polygon
 from training.priors.exemplar.pictures import axis_of, read_photograph
 
@@ -38,6 +39,8 @@ class FoundFace:
     """The axis in a file beside the picture, which is part of `marks` too."""
     guess: CutGuess | None = None
     """What kind of cut it seems to be."""
+    note: str = ""
+    """What the user should look at, in a line; empty if nothing."""
     problem: str = ""
     """Why there is no outline, in a line; empty if there is one."""
 
@@ -63,7 +66,8 @@ def find_face_in(path: Path) -> FoundFace:
     try:
         colours, cut_out = read_photograph(path)
         rgb = to_8bit(colours)
-        mask = find_mask(colours, path) if cut_out is None else largest_component(cut_out)
+        face = find_seen_face(colours, path) if cut_out is None else SeenFace(largest_component(cut_out))
+        mask = face.mask
         outline = mask_polygon(mask)
         if outline is None:
             return FoundFace(rgb, problem="its mask is empty")
@@ -71,7 +75,7 @@ def find_face_in(path: Path) -> FoundFace:
         given = UNMARKED if beside is None else read_axis_file(beside)
         core, line = axis_of(colours, mask, "horizontal").core, axis_of(colours, mask, "radial").line
         marks = Marks(outline, given.core or core, given.line or line)
-        return FoundFace(rgb, marks, given, guess_cut(colours, mask))
+        return FoundFace(rgb, marks, given, guess_cut(colours, mask), note=face.note)
     except InputError as error:
         return FoundFace(rgb, problem=str(error).removeprefix(f"{path}: "))
 

@@ -209,6 +209,7 @@ class FaceController:
         # One that the user should look at comes first.
         kind, path, face = max(told, key=lambda entry: _doubt(entry[0], entry[2]))
         text = face.verdict if face.problem else (f"it {describe_guess(face.guess)}" if face.guess is not None else "")
+        text = f"{text}; {face.note}" if face.note else text
         more = f" {len(told) - 1} more were added." if len(told) > 1 else ""
         self.hint, self._new = Hint(kind, path, f"{path.name}: {text}.{more}"), []
         self.workspace.notify(self.hint.text)
@@ -220,10 +221,11 @@ class FaceController:
 
 
 def _doubt(kind: Kind, face: FoundFace) -> int:
-    """2 for a face that is missing, 1 for one that seems to belong to another family than it does, else 0."""
+    """3 for a face that is missing, 2 for one that may be something else, 1 for one that seems to belong to another
+    family than it does, else 0."""
     if face.guess is None:
-        return 2
-    return int(face.guess.kind != kind and kind != "custom")
+        return 3
+    return 2 if face.note else int(face.guess.kind != kind and kind != "custom")
 
 
 def _inside(place: Place) -> Place:

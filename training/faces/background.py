@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-__all__ = ["Background", "find_background"]
+__all__ = ["Background", "find_background", "find_main_surface"]
 
 MIN_CORNERS = 2
 """Corners of the picture that each surface covers at least: a table and the wall behind it have two each. A face
@@ -56,9 +56,7 @@ def find_background(rgb: NDArray[np.float32]) -> Background | None:
     A shadow takes light away and leaves the colour: its pixels are a surface's times one number.
     """
     height, width = rgb.shape[:2]
-    band = max(2, round(BAND * min(height, width)))
-    border = np.ones((height, width), bool)
-    border[band:-band, band:-band] = False
+    band, border = _border(height, width)
     smooth = ndimage.gaussian_filter(rgb, (1, 1, 0))
     lit, shaded, corners = np.zeros((height, width), bool), np.zeros((height, width), bool), np.zeros(4, bool)
     for _ in range(2):
@@ -66,10 +64,7 @@ def find_background(rgb: NDArray[np.float32]) -> Background | None:
         if rest.sum() < MIN_SHARE * border.sum():
             break
         surface, spread = _fit_surface(rgb, rest)
-        # The light that is left, by least squares; the small number stands in where black leaves nothing to divide by.
-        shade = np.clip((smooth * surface).sum(-1) / ((surface * surface).sum(-1) + 1e-3), 0, 1)
-        differs = np.linalg.norm(smooth - shade[..., None] * surface, axis=-1)
-        own = (differs < TOLERANCE * spread) & ((shade > DEEPEST) | (surface.max(-1) < DARK))
+        own = _is_dimmed(smooth, surface, spread)
         own_corners = _corners(own & ~shaded, band)  # a curved surface may end in the first one's colour
         if own_corners.sum() < MIN_CORNERS:
             break
@@ -77,6 +72,29 @@ def find_background(rgb: NDArray[np.float32]) -> Background | None:
         shaded |= own
         corners |= own_corners
     return Background(lit, shaded, corners) if corners.any() else None
+
+
+def find_main_surface(rgb: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """(H, W). The pixels of the surface of which the border of a picture (H, W, 3) shows most, in any light. It need
+    not be a background."""
+    surface, spread = _fit_surface(rgb, _border(*rgb.shape[:2])[1])
+    return _is_dimmed(ndimage.gaussian_filter(rgb, (1, 1, 0)), surface, spread)
+
+
+def _border(height: int, width: int) -> tuple[int, NDArray[np.bool_]]:
+    """Width in pixels of the border from which the background is learnt, and its pixels (H, W)."""
+    band = max(2, round(BAND * min(height, width)))
+    border = np.ones((height, width), bool)
+    border[band:-band, band:-band] = False
+    return band, border
+
+
+def _is_dimmed(smooth: NDArray[np.float32], surface: NDArray[np.float64], spread: float) -> NDArray[np.bool_]:
+    """(H, W). Pixels of a picture (H, W, 3) that have a surface's colour (H, W, 3) or a part of its light."""
+    # The light that is left, by least squares; the small number stands in where black leaves nothing to divide by.
+    shade = np.clip((smooth * surface).sum(-1) / ((surface * surface).sum(-1) + 1e-3), 0, 1)
+    differs = np.linalg.norm(smooth - shade[..., None] * surface, axis=-1)
+    return (differs < TOLERANCE * spread) & ((shade > DEEPEST) | (surface.max(-1) < DARK))
 
 
 def _corners(own: NDArray[np.bool_], band: int) -> NDArray[np.bool_]:

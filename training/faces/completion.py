@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-__all__ = ["MIN_SEEN", "Oval", "complete_face", "find_oval"]
+__all__ = ["MIN_SEEN", "NEAR_BORDER", "Oval", "complete_face", "find_oval"]
 
 MIN_SEEN = 0.75
 """Of a face, the least that the picture shows for the rest to be completed: three quarters of a disc end where it is

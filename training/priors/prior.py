@@ -53,6 +53,8 @@ class Volume:
     """(X, Y, Z, 3). Range [0, 1]; outside the solid the nearest inside colour, so that cuts have no dark rim."""
     inside: Inside | None = field(default=None, kw_only=True)
     """The function that the grid has been read from, where there is one."""
+    notes: tuple[str, ...] = field(default=(), kw_only=True)
+    """What the user should look at in the pictures that it was made from, a line each."""
 
     def at(self, points: NDArray[np.floating]) -> NDArray[np.float32]:
         """(..., 3). Colours at world points (..., 3), trilinear."""

@@ -171,6 +171,8 @@ class FaceEditor:
             tooltip(f"{found.problem[:1].upper()}{found.problem[1:]}.")
         elif found.guess is not None:
             secondary(f"It {describe_guess(found.guess)}.")
+            if found.note and face.given.outline is None:
+                secondary(f"{found.note[:1].upper()}{found.note[1:]}.", wrap=True)
 
     # The picture
 

@@ -230,6 +230,8 @@ class InteriorPanel:
             draw.add_text(ImVec2(low.x + px(3), low.y + px(1)), u32(p.trouble), icon.ICON_FA_TRIANGLE_EXCLAMATION)
         elif face.guess is not None:
             lines.append(f"It {describe_guess(face.guess)}.")
+            if face.note:
+                lines.append(f"{face.note[:1].upper()}{face.note[1:]}.")
         lines.append("Click to see where it goes and to correct its outline; right click to move it.")
         tooltip("\n".join(lines))
 

@@ -37,9 +37,9 @@ def test_an_outline_wins_over_a_mask_and_over_what_is_found(tmp_path: Path) -> N
     box = Marks(((0.2, 0.2), (0.6, 0.2), (0.6, 0.9), (0.2, 0.9)))
     expected = np.zeros((100, 150), bool)
     expected[20:90, 30:90] = True
-    assert np.array_equal(find_face(path, box)[1], expected)
+    assert np.array_equal(find_face(path, box)[1].mask, expected)
     Image.fromarray(~expected).save(tmp_path / "plain.mask.png")
-    assert np.array_equal(find_face(path, box)[1], expected)
+    assert np.array_equal(find_face(path, box)[1].mask, expected)
 
 
 def test_the_core_that_is_given_is_the_middle_of_the_disc(tmp_path: Path) -> None:
@@ -106,11 +106,11 @@ def test_a_face_is_placed_by_the_same_law_with_the_axis_that_was_found_for_it(tm
     turned = np.hypot(0.94 * (x - 0.65) + 0.34 * (y - 0.5), 1.3 * (0.94 * (y - 0.5) - 0.34 * (x - 0.65))) / 0.42
     rgb = np.where((turned < 1)[..., None], np.stack([0.5 + 0.3 * turned, 0.5 * turned, 0.2 + 0 * turned], -1), 1.0)
     path = save(tmp_path / "oval.png", rgb)
-    found, mask = find_face(path)
+    rgb, face = find_face(path)
     for kind in ("horizontal", "radial"):
         plane = find_own_plane(ball(), UP, Family(kind, 1))
         by_itself, with_axis = (
             bend_picture(read_picture(path, kind, marks), plane).astype(int)
-            for marks in (UNMARKED, axis_of(found, mask, kind))
+            for marks in (UNMARKED, axis_of(rgb, face.mask, kind))
         )
         assert np.abs(by_itself - with_axis).mean() < 0.5

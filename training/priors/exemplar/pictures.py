@@ -15,11 +15,12 @@ from engine.errors import InputError
 from engine.io.picture_file import open_picture
 from engine.scene.image import to_8bit
 from training.faces.axis import find_core
+from training.faces.carrier import SeenFace, find_seen_face
 from training.faces.completion import complete_face
 from training.faces.core_line import find_core_line, line_ends
 from training.faces.marks import UNMARKED, Marks, axis_beside, read_axis_file
 from training.faces.mask_file import mask_beside
-from training.faces.outline import find_mask, largest_component
+from training.faces.outline import largest_component
 from training.faces.polygon import polygon_mask
 from training.families import Kind
 from training.priors.exemplar.lighting import flatten_light
@@ -62,6 +63,8 @@ class Picture:
     core: tuple[float, float] | None = None
     """(x, y) in pixels. The point that belongs on the body's axis: the core of a horizontal cut; of a radial one, where
     the line that the user gave is level with the face's middle. None: the middle itself."""
+    note: str = ""
+    """What the user should look at in the face that was found, in a line; empty if nothing."""
 
 
 def read_picture(path: str | Path, kind: Kind, marks: Marks = UNMARKED) -> Picture:
@@ -73,8 +76,8 @@ def read_picture(path: str | Path, kind: Kind, marks: Marks = UNMARKED) -> Pictu
     """
     path = Path(path)
     marks = _with_axis_file(marks, path)
-    rgb, mask = find_face(path, marks)
-    return make_picture(path, rgb, mask, kind, marks)
+    rgb, face = find_face(path, marks)
+    return replace(make_picture(path, rgb, face.mask, kind, marks), note=face.note)
 
 
 def make_picture(path: Path, rgb: NDArray[np.float32], mask: NDArray[np.bool_], kind: Kind, marks: Marks) -> Picture:
@@ -113,15 +116,15 @@ def _with_axis_file(marks: Marks, path: Path) -> Marks:
     return replace(marks, core=marks.core or found.core, line=marks.line or found.line)
 
 
-def find_face(path: Path, marks: Marks = UNMARKED) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """(H, W, 3) a photograph's colours in [0, 1], at most MAX_SIDE pixels long, and (H, W) its cut face.
+def find_face(path: Path, marks: Marks = UNMARKED) -> tuple[NDArray[np.float32], SeenFace]:
+    """(H, W, 3) a photograph's colours in [0, 1], at most MAX_SIDE pixels long, and its cut face.
 
     Raises InputError as `read_picture`.
     """
     rgb, cut_out = read_photograph(path)
     if marks.outline is not None:
         cut_out = polygon_mask(marks.outline, *rgb.shape[:2])
-    return rgb, find_mask(rgb, path) if cut_out is None else largest_component(cut_out)
+    return rgb, find_seen_face(rgb, path) if cut_out is None else SeenFace(largest_component(cut_out))
 
 
 def axis_of(rgb: NDArray[np.float32], mask: NDArray[np.bool_], kind: Kind) -> Marks:

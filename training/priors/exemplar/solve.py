@@ -73,6 +73,7 @@ def solve(
     rng = np.random.default_rng(seed)
     progress(0.0)
     taken = [[read_picture(p, f.kind, f.marks_of(p)) for p in f.exemplars] for f in families]
+    notes = tuple(f"{p.path}: {p.note}" for own in taken for p in own if p.note)
     pictures = _match_lighting(taken)
     space = make_space(body, up, voxels)
     cells = _needed_cells(space, families, pictures, voxels)
@@ -85,7 +86,7 @@ def solve(
         inside = LayeredInside.of(space, Slices(Shape.of(space, views[0].basis, False), stack))
         rgb = space.scatter(inside.at(space.points, float(space.body.grid.cell)))
         sharpen(space, rgb, views)
-        return _make_volume(space, rgb, progress, inside)
+        return _make_volume(space, rgb, progress, inside, notes)
     if space.is_round and {view.kind for view in views} == {POLAR, RADIAL}:
         discs = _discs(views, taken)  # in their own light, which is part of the question
         if not same and not show_one_thing(discs[POLAR], discs[RADIAL]):
@@ -96,7 +97,7 @@ def solve(
             progress(0.8)
             sharpen(space, rgb, views)
             quilted = QuiltInside.of(space, ball, quilt, discs[POLAR], discs[RADIAL], seed)
-            return _make_volume(space, rgb, progress, quilted)
+            return _make_volume(space, rgb, progress, quilted, notes)
     layers = [[decompose(scaled, view.kind) for scaled in view.pictures] for view in views]
     progress(0.2)
     course, height_mask = _lay_course(space, views, layers, rng)
@@ -108,7 +109,7 @@ def solve(
     space.fill(rgb)
     gain = sharpen(space, rgb, views)
     log.info("%d details strewn, edges sharpened by %.2f", len(stamps.rows), gain)
-    return _make_volume(space, rgb, progress, replace(inside, stamps=stamps))
+    return _make_volume(space, rgb, progress, replace(inside, stamps=stamps), notes)
 
 
 def _discs(views: list[View], pictures: list[list[Picture]]) -> dict[Frame, list[Disc]]:
@@ -128,11 +129,13 @@ def _match_lighting(families: list[list[Picture]]) -> list[list[Picture]]:
     ]
 
 
-def _make_volume(space: Space, rgb: NDArray[np.float32], progress: Progress, inside: Inside) -> Volume:
+def _make_volume(
+    space: Space, rgb: NDArray[np.float32], progress: Progress, inside: Inside, notes: tuple[str, ...]
+) -> Volume:
     """The grid as a volume, its outside filled from the nearest voxel inside."""
     progress(0.95)
     nearest = ndimage.distance_transform_edt(space.number < 0, return_distances=False, return_indices=True)
-    volume = Volume(space.body, rgb[tuple(nearest)], inside=inside)
+    volume = Volume(space.body, rgb[tuple(nearest)], inside=inside, notes=notes)
     progress(1.0)
     return volume
 

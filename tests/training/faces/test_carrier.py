@@ -1,0 +1,131 @@
+"""A cut face that lies on a plate or a board, or is reached by a finger: the face, or a line that says so."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from PIL import Image
+from scipy import ndimage
+
+from benchmarks.faces import overlap
+from tests.paths import SHARED
+from training.faces.carrier import find_seen_face, skin_share
+
+SIZE = 192
+FOLDER = SHARED / "photos/fruit"
+
+Y, X = (np.mgrid[:SIZE, :SIZE] + 0.5) / SIZE * 2 - 1
+RGB = NDArray[np.float32]
+Mask = NDArray[np.bool_]
+
+
+def over(under: NDArray, what: Mask, colour: NDArray | list[float]) -> NDArray:
+    """A thing laid over a picture, its edge mixed by the lens."""
+    share = ndimage.gaussian_filter(what.astype(float), 0.7)[..., None]
+    return under * (1 - share) + np.array(colour) * share
+
+
+def lay(under: NDArray, what: Mask, colour: NDArray | list[float]) -> NDArray:
+    """The same with the shadow that it throws."""
+    shade = ndimage.shift(ndimage.gaussian_filter(what.astype(float), 4), (5, 4), order=1)
+    return over(under * (1 - 0.5 * shade[..., None]), what, colour)
+
+
+def photographed(picture: NDArray) -> RGB:
+    """With the noise of a camera."""
+    return np.clip(picture + np.random.default_rng(0).normal(0, 0.01, picture.shape), 0, 1).astype(np.float32)
+
+
+def table() -> NDArray:
+    """Dark wood."""
+    grain = ndimage.gaussian_filter(np.random.default_rng(1).normal(size=(SIZE, SIZE)), (1, 20))
+    return np.array([0.42, 0.28, 0.17]) * (1 + 0.1 * grain / grain.std())[..., None]
+
+
+def fruit(under: NDArray) -> tuple[NDArray, Mask]:
+    """A face with a rind and a core, off the middle."""
+    r = np.hypot(X - 0.08, (Y + 0.05) * 1.05)
+    picture = lay(under, r < 0.5, [0.3, 0.45, 0.12])
+    picture = over(picture, r < 0.46, [0.95, 0.93, 0.75])
+    return over(picture, r < 0.12, [0.45, 0.3, 0.2]), r < 0.5
+
+
+CARRIERS = {
+    "plate": (np.hypot(X, Y) < 0.9, [0.93, 0.93, 0.92]),
+    "blue plate": (np.hypot(X, Y) < 0.9, [0.25, 0.4, 0.6]),
+    "board": ((np.abs(X) < 0.85) & (np.abs(Y) < 0.8), [0.78, 0.62, 0.42]),
+    "plate that the border cuts off": (np.hypot(X, Y) < 1.25, [0.93, 0.93, 0.92]),
+}
+
+
+@pytest.mark.parametrize("name", CARRIERS)
+def test_the_face_and_not_what_it_lies_on(name: str) -> None:
+    picture, truth = fruit(lay(table(), *CARRIERS[name]))
+    found = find_seen_face(photographed(picture), name)
+    assert overlap(found.mask, truth) > 0.95  # a pixel all around is 0.96
+    assert "plate or board, which is left out" in found.note
+
+
+def test_a_face_is_not_taken_for_a_plate_with_its_stone_on_it() -> None:
+    r = np.hypot(X, Y)
+    for skin in (0.02, 0.04):
+        picture = over(lay(table(), r < 0.75, [0.7, 0.15, 0.1]), r < 0.75 - skin, [0.96, 0.8, 0.4])
+        found = find_seen_face(photographed(over(picture, np.hypot(X, Y - 0.1) < 0.3, [0.45, 0.2, 0.12])), "peach")
+        assert overlap(found.mask, r < 0.75) > 0.95  # of a skin of two pixels, one is mixed
+        assert found.note == ""
+
+
+def test_half_an_egg_is_kept_and_the_user_told_that_it_may_be_a_plate() -> None:
+    egg = np.hypot(X / (1 - 0.15 * Y), Y / 1.2) < 0.65
+    picture = over(lay(table(), egg, [0.96, 0.95, 0.92]), np.hypot(X, Y - 0.1) < 0.3, [0.95, 0.7, 0.2])
+    found = find_seen_face(photographed(picture), "egg")
+    assert overlap(found.mask, egg) > 0.97
+    assert "hardly a skin or rind" in found.note
+
+
+def test_a_finger_from_the_border_is_left_out() -> None:
+    picture, truth = fruit(np.full((SIZE, SIZE, 3), 0.9))
+    finger = (np.abs(X) < 0.12) & (Y > 0.35)
+    found = find_seen_face(photographed(over(picture, finger, [0.8, 0.58, 0.48])), "held")
+    assert overlap(found.mask, truth) > 0.93  # where it lies on the face, it hides it
+    assert "reaches from the border" in found.note
+
+
+@pytest.mark.parametrize("level", [0.0, 0.03])
+def test_a_skin_is_a_third_colour_and_a_mixture_is_none(level: float) -> None:
+    thing = np.hypot(X, Y) < 0.7
+    shadow = np.clip(1.2 + X[..., None], 0.3, 1)  # light and shadow of the table are mixtures too
+    picture = over(np.array([0.4, 0.5, 0.7]) * shadow, thing, [0.9, 0.85, 0.8])
+    assert skin_share(photographed(picture), thing) == 0
+    if level:
+        rim = thing & (np.hypot(X, Y) > 0.7 - level)
+        assert skin_share(photographed(over(picture, rim, [0.7, 0.2, 0.1])), thing) == 1
+
+
+@cache
+def real(name: str) -> tuple[RGB, Mask]:
+    if not FOLDER.exists():
+        pytest.skip("the photographs are not beside the repository")
+    with Image.open(FOLDER / f"{name}.png") as picture, Image.open(FOLDER / f"masks/{name}.png") as mask:
+        rgb = np.asarray(picture.convert("RGB"), np.float32) / np.float32(255)
+        return rgb, np.asarray(mask.convert("L")) > 127
+
+
+@pytest.mark.parametrize("name", ["apple_h1", "orange_v3", "pomegranate_h3", "watermelon_v1"])
+def test_photographs_of_faces_have_a_skin(name: str) -> None:
+    assert skin_share(*real(name)) > 0.9
+
+
+@pytest.mark.parametrize("name", ["orange_h1"])
+def test_photographed_faces_on_a_plate(name: str) -> None:
+    rgb, mask = (cv2.resize(a.astype(np.float32), (SIZE, SIZE), interpolation=cv2.INTER_AREA) for a in real(name))
+    smaller = np.array([[0.6, 0, SIZE / 5], [0, 0.6, SIZE / 5]])
+    rgb, small = (cv2.warpAffine(a, smaller, (SIZE, SIZE)) for a in (rgb, mask))
+    picture = lay(lay(table(), *CARRIERS["plate"]), small > 0.5, rgb)
+    found = find_seen_face(photographed(picture), name)
+    assert overlap(found.mask, small > 0.5) > 0.95
+    assert found.note

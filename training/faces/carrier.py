@@ -1,0 +1,273 @@
+"""A face that lies on something: a plate, a board, a saucer on a table.
+
+What stands out from a picture's border is then the plate with the face on it. Whether it is, its edge says: a face ends
+in a skin, rind or crust, a third colour between its flesh and what is behind it; a plate ends in its own colour, and
+its edge is a mixture of plate and table. What lies on a plate gives itself away too: it has a skin of its own, and dims
+the plate beside it, where the parts of a fruit change its colour.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from engine.errors import InputError
+from training.faces.background import find_background, find_main_surface
+from training.faces.completion import NEAR_BORDER, find_oval
+from training.faces.outline import find_mask, largest_component
+
+__all__ = ["SeenFace", "find_seen_face", "skin_share"]
+
+LEVELS = 3
+"""Carriers on each other that are looked through: a slice on a plate on a board on a table."""
+
+BARE, HALF, SKINNED = 0.25, 0.5, 0.75
+"""Of an outline, how much of it may have a third colour and be a carrier's, under how much the user is told, and how
+much makes a skin. The side of a board or the rim of a dish shows on one side of it, a skin all around: of 26
+photographs on 0.81 and more, but for one whose mask leaves the skin out."""
+
+THIRD_COLOUR = 0.05
+"""RGB distance from all mixtures of two colours that makes a third. Of plates and boards the distance is 0.01 by noise
+of 3 8-bit steps and JPEG's; of the skins of 29 photographs 0.13 and more."""
+
+SECTORS = 36
+"""Parts of an outline in which it is looked for: enough noise is averaged in a tenth of a radian."""
+
+SKIN, FLESH = 0.05, (0.06, 0.12)
+"""Of a face's diameter, how deep a skin is looked for, and the depths from which the flesh under it is learnt. Most
+rinds are thicker: then the lens and the outermost peel are the third colour."""
+
+BEHIND = 4.0, 0.06
+"""Pixels and, of a face's diameter, the distance between which what is behind it is learnt."""
+
+RIM = 0.025
+"""Of a carrier's diameter, its edge, which is neither plate nor table."""
+
+COMPARED = 192
+"""Pixels along a carrier's longer side in which it is searched: a shadow and a skin of one hundredth are seen."""
+
+SHADE, TINT = 0.92, 0.03
+"""Of its light, what a carrier keeps at most in the shadow of what lies on it, and the RGB distance by which it may
+change colour there. Under soft light plates keep 0.79 to 0.9 and change by 0.01; the rinds of fruit change by 0.1."""
+
+ARM = 1.15
+"""How many times as thick as at the border an arm is anywhere."""
+
+SHADOWED = 15
+"""Per cent of the way around a face of which the shadow is believed: it falls to one side."""
+
+
+@dataclass(frozen=True)
+class SeenFace:
+    """A cut face in a picture."""
+
+    mask: NDArray[np.bool_]
+    """(H, W). Its pixels."""
+    note: str = ""
+    """What the user should look at, in a line; empty if nothing else explains the picture."""
+
+
+@dataclass(frozen=True)
+class _Within:
+    """What stands out from a region's own ground."""
+
+    region: NDArray[np.bool_]
+    """(H, W). The region without its edge."""
+    skinned: float
+    """Of the outline of what stands out, the part that has a skin. Range [0, 1]."""
+    shadow: bool
+    """Whether it throws a shadow."""
+
+
+def find_seen_face(rgb: NDArray[np.float32], name: object) -> SeenFace:
+    """The cut face in a picture (H, W, 3), range [0, 1], and whether it may be something else: as `find_mask`, but for
+    what it lies on. Raises InputError as that does."""
+    try:
+        mask = find_mask(rgb, name)
+    except InputError:
+        # Where a plate crosses the border, the face on it may well not.
+        on_it = _on_what_crosses_the_border(rgb)
+        if on_it is None:
+            raise
+        return SeenFace(on_it, _TAKEN_OFF)
+    mask, note = _without_arm(mask)
+    if np.percentile(np.ptp(rgb[mask], axis=1), 95) < THIRD_COLOUR:
+        return SeenFace(mask, note)  # grey: there is no third colour, whatever it is
+    for _ in range(LEVELS):
+        within, skinned = _look_within(rgb, mask), skin_share(rgb, mask)
+        lies = 0 if within is None else int(within.skinned > HALF) + int(within.shadow)
+        # A shadow alone may be a hollow or a dark patch.
+        is_carrier = within is not None and skinned < BARE and within.skinned > HALF
+        found = _search(rgb, within.region) if within is not None and is_carrier else None
+        if found is None:
+            if skinned < HALF:
+                note = note or _BARE
+            elif lies > (skinned >= SKINNED):
+                note = note or _MAY_BE
+            break
+        mask, note = found, _TAKEN_OFF
+    return SeenFace(mask, note)
+
+
+_LOOK = "see whether its outline is right"
+_ARM = f"what reaches from the border to the cut face is left out; {_LOOK}"
+_TAKEN_OFF = f"the cut face seems to lie on a plate or board, which is left out; {_LOOK}"
+_BARE = (
+    "hardly a skin or rind is seen around what was found, which may be a plate, a board, or only a part of the face; "
+    f"{_LOOK}"
+)
+_MAY_BE = f"what was found may be a plate or board with the cut face on it; {_LOOK}"
+
+
+def skin_share(rgb: NDArray[np.float32], mask: NDArray[np.bool_]) -> float:
+    """Of the outline of a thing (H, W) in a picture (H, W, 3), the part that has a third colour between the thing and
+    what is behind it. Range [0, 1]."""
+    depth, away = ndimage.distance_transform_edt(mask), ndimage.distance_transform_edt(~mask)
+    across = np.sqrt(4 / np.pi * mask.sum())
+    flesh = (depth > FLESH[0] * across) & (depth < FLESH[1] * across)
+    behind = (away > BEHIND[0]) & (away < max(2 * BEHIND[0], BEHIND[1] * across))
+    if not flesh.any() or not behind.any():
+        return 0.0
+    smooth = ndimage.gaussian_filter(rgb, (2, 2, 0))
+    band = (depth <= SKIN * across) & (away <= 1.5)
+    at = np.nonzero(band)
+    ends = [smooth[tuple(place[at] for place in _nearest(where))] for where in (flesh, behind)]
+    third = _from_mixtures(ndimage.gaussian_filter(rgb, (1, 1, 0))[at], *ends)
+    layer = np.round(depth[at]).astype(int)
+    sector = _sectors(mask, at, SECTORS)
+    shape = SECTORS, int(layer.max()) + 1
+    total, count = np.zeros(shape), np.zeros(shape)
+    np.add.at(total, (sector, layer), third)
+    np.add.at(count, (sector, layer), 1)
+    # A skin lies at one depth; of one or two pixels there is no mean.
+    most = np.where(count > 2, total / np.maximum(count, 1), 0).max(1)
+    return float((most > THIRD_COLOUR).mean())
+
+
+def _on_what_crosses_the_border(rgb: NDArray[np.float32]) -> NDArray[np.bool_] | None:
+    """(H, W). The face on a ground that has no corner of the picture, or that is itself seen in part; None if nothing
+    on it both has a skin and throws a shadow: it would be the seeds of a face that the border cuts off."""
+    regions = [find_main_surface(rgb)]
+    background = find_background(rgb)
+    if background is not None:
+        regions.append(ndimage.binary_opening(~background.shaded, iterations=2))
+    for region in regions:
+        within = _look_within(rgb, largest_component(region))
+        if within is not None and within.shadow and within.skinned > HALF:
+            return _search(rgb, within.region)
+    return None
+
+
+def _without_arm(mask: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], str]:
+    """The mask (H, W) without a finger, a fork or a stalk by which it reaches the border, and a note if there was one.
+
+    Where a face lies on the border itself, nothing of it is longer than half as long as it is wide there.
+    """
+    border = np.ones(mask.shape, bool)
+    border[NEAR_BORDER:-NEAR_BORDER, NEAR_BORDER:-NEAR_BORDER] = False
+    touching = mask & border
+    if not touching.any() or find_oval(mask) is not None:
+        return mask, ""
+    wide = max(int(np.ptp(places)) + 1 for places in np.nonzero(touching))
+    depth = ndimage.distance_transform_edt(np.pad(mask, 1))[1:-1, 1:-1]
+    broad = depth > ARM / 2 * wide
+    if not broad.any():
+        return mask, ""
+    parts, _ = ndimage.label(mask & (ndimage.distance_transform_edt(~broad) > ARM / 2 * wide))
+    arms = [n for n in np.unique(parts[touching]) if n and (parts == n).sum() > wide * wide / 2]
+    if not arms:
+        return mask, ""
+    return largest_component(mask & ~np.isin(parts, arms)), _ARM
+
+
+def _look_within(rgb: NDArray[np.float32], mask: NDArray[np.bool_]) -> _Within | None:
+    """What stands out within a thing (H, W) from the colours along its own edge; None if nothing does."""
+    if not mask.any():
+        return None
+    across = max(np.ptp(places) + 1 for places in np.nonzero(mask))
+    region = ndimage.binary_erosion(mask, iterations=max(3, round(RIM * across)), border_value=1)
+    if not region.any():
+        return None
+    rows, columns = np.nonzero(region)
+    # With room, as any picture has, to learn the ground from.
+    box = tuple(slice(max(a.min() - across // 8, 0), a.max() + 1 + across // 8) for a in (rows, columns))
+    own, picture = region[box], _alone(rgb, region)[box]
+    scale = min(1.0, COMPARED / max(own.shape))
+    size = max(16, round(own.shape[1] * scale)), max(16, round(own.shape[0] * scale))
+    small = np.asarray(cv2.resize(np.ascontiguousarray(picture), size, interpolation=cv2.INTER_AREA), np.float32)
+    own = cv2.resize(own.astype(np.float32), size, interpolation=cv2.INTER_AREA) > 0.5
+    try:
+        found = find_mask(small, "") & own
+    except InputError:
+        return None
+    if not found.any():
+        return None
+    return _Within(region, skin_share(small, found), _has_shadow(small, found, own))
+
+
+def _search(rgb: NDArray[np.float32], region: NDArray[np.bool_]) -> NDArray[np.bool_] | None:
+    """(H, W). What stands out from the colours of a region (H, W) within it, None if nothing does."""
+    try:
+        found = find_mask(_alone(rgb, region), "") & region
+    except InputError:
+        return None
+    return largest_component(found) if found.any() else None
+
+
+def _has_shadow(rgb: NDArray[np.float32], found: NDArray[np.bool_], ground: NDArray[np.bool_]) -> bool:
+    """Whether the ground (H, W) is dimmed, and keeps its colour, on some side of what is found on it (H, W)."""
+    across = np.sqrt(4 / np.pi * found.sum())
+    away = ndimage.distance_transform_edt(~found)
+    far, near = ground & (away > 0.2 * across), ground & (away > 2) & (away < 0.1 * across + 2)
+    if far.sum() < 0.1 * ground.sum() or not near.any():
+        return False  # a rind leaves no room for a shadow to end
+    y, x = np.indices(found.shape) / max(found.shape)
+    basis = np.stack([np.ones_like(x), x, y], -1)  # light from one side
+    lit = basis @ np.linalg.lstsq(basis[far], rgb[far], rcond=None)[0]
+    light = (rgb * lit).sum(-1) / ((lit * lit).sum(-1) + 1e-3)
+    tint = np.linalg.norm(rgb - light[..., None] * lit, axis=-1)
+    sector = _sectors(found, np.nonzero(near), SECTORS)
+    count = np.bincount(sector, minlength=SECTORS)
+    seen = count > 2
+    if not seen.any():
+        return False
+    lights, tints = (np.bincount(sector, a[near], SECTORS)[seen] / count[seen] for a in (light, tint))
+    return bool(np.percentile(lights, SHADOWED) < SHADE and np.median(tints) < TINT)
+
+
+def _from_mixtures(
+    colours: NDArray[np.float32], first: NDArray[np.float32], second: NDArray[np.float32]
+) -> NDArray[np.float64]:
+    """(N,). RGB distance of colours (N, 3) from the nearest sum of any amounts of two others (N, 3): of what a lens
+    mixes from two surfaces in any light."""
+    a, b, p = (c.astype(np.float64) for c in (first, second, colours))
+    aa, bb, ab, pa, pb = ((u * v).sum(-1) for u, v in ((a, a), (b, b), (a, b), (p, a), (p, b)))
+    size = aa * bb - ab * ab
+    plane = size > 1e-4 * aa * bb + 1e-9  # two colours of one hue span none
+    of_a, of_b = (pa * bb - pb * ab) / np.where(plane, size, 1), (pb * aa - pa * ab) / np.where(plane, size, 1)
+    alone = [
+        np.linalg.norm(p - (np.maximum(pc, 0) / np.maximum(cc, 1e-9))[:, None] * c, axis=-1)
+        for c, cc, pc in ((a, aa, pa), (b, bb, pb))
+    ]
+    both = np.linalg.norm(p - of_a[:, None] * a - of_b[:, None] * b, axis=-1)
+    return np.where(plane & (of_a >= 0) & (of_b >= 0), both, np.minimum(*alone))
+
+
+def _sectors(mask: NDArray[np.bool_], at: tuple[NDArray, ...], count: int) -> NDArray[np.int64]:
+    """(N,). In which of `count` equal angles about the middle of a mask (H, W) places (rows, columns) lie."""
+    y, x = (place - middle.mean() for place, middle in zip(at, np.nonzero(mask), strict=True))
+    return (np.arctan2(y, x) / (2 * np.pi) % 1 * count).astype(int) % count
+
+
+def _alone(rgb: NDArray[np.float32], region: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """(H, W, 3). The picture with the nearest colour of a region (H, W) outside it."""
+    return rgb[tuple(_nearest(region))]
+
+
+def _nearest(known: NDArray[np.bool_]) -> NDArray[np.int32]:
+    """(2, H, W). Row and column of the nearest place that is `known` (H, W)."""
+    return ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
