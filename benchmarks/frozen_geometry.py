@@ -116,7 +116,7 @@ def measure(atoms: Atoms, camera: Camera, kind: str, times: int) -> dict[str, ob
     known = colours[exact.used]
 
     def step(view: ViewWeights) -> Callable[[], object]:
-        return lambda: (view._apply(known), view._apply_transposed(grey))
+        return lambda: (view.apply_used(known), view.apply_transposed_used(grey))
 
     row: dict[str, object] = {"kind": kind, "atoms": len(atoms), "pixels": camera.width, "entries": len(exact.weights)}
     row["megabytes"] = round((exact.weights.nbytes + exact.atoms.nbytes + exact.offsets.nbytes) / 2**20, 1)

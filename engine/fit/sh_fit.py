@@ -12,12 +12,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from engine.fit.view_kernels import ATOMS, blend_bands, spread_bands
 from engine.fit.view_weights import ViewWeights
 from engine.render.classic import rasterizer as classic
 from engine.scene import sh
 from engine.scene.atoms import Atoms, SurfaceAtoms
 from engine.scene.camera import Camera
 from engine.scene.gaussians import Gaussians
+from engine.threads import for_each
 
 __all__ = ["ShFit", "SurfaceView", "fit_sh", "surface_views"]
 
@@ -129,13 +131,12 @@ def conjugate_gradients(views: Sequence[SurfaceView], atoms: Atoms, start: Float
     bands = start.shape[1]
     residual = np.zeros_like(start)
     weight = np.full((len(start), bands, 1), PRIOR_WEIGHT, np.float32)
-    for view in views:
-        image = predict(view, atoms, start)
-        difference = np.where(view.opaque[..., None], view.target - image, 0).astype(np.float32)
-        residual += apply_transposed(view, difference, bands)
-        rows, basis = visible_basis(view, bands)
-        total = view.weights.apply_transposed(np.repeat(view.opaque[..., None], 3, axis=2).astype(np.float32))
-        weight[rows, :, 0] += total[rows, :1] * basis**2
+    bases = [_basis(view, bands) for view in views]
+    for view, basis in zip(views, bases, strict=True):
+        add_transposed(view, basis, view.target - predict(view, atoms, start), residual)
+        opaque = np.repeat(view.opaque.reshape(-1, 1), 3, axis=1).astype(np.float32)
+        total = view.weights.apply_transposed_used(opaque)[: len(basis)]
+        weight[view.weights.used[: len(basis)], :, 0] += total[:, :1] * basis**2
     change = np.zeros_like(start)
     scaled = residual / weight
     direction = scaled.copy()
@@ -144,9 +145,8 @@ def conjugate_gradients(views: Sequence[SurfaceView], atoms: Atoms, start: Float
         if power <= 0:
             break
         product = PRIOR_WEIGHT * direction
-        for view in views:
-            image = apply(view, direction)
-            product += apply_transposed(view, np.where(view.opaque[..., None], image, 0), bands)
+        for view, basis in zip(views, bases, strict=True):
+            add_transposed(view, basis, apply(view, basis, direction), product)
         step = power / float(np.vdot(direction, product))
         change += np.float32(step) * direction
         residual -= np.float32(step) * product
@@ -157,39 +157,34 @@ def conjugate_gradients(views: Sequence[SurfaceView], atoms: Atoms, start: Float
     return start + change
 
 
-def visible_basis(view: SurfaceView, bands: int) -> tuple[NDArray[np.int32], Float]:
-    """Rows (n,) of the surface atoms in a view, and the basis (n, K) in their viewing directions."""
-    used = view.weights.used
-    rows = used[used < view.weights.surface_count]
-    return rows, sh.basis(view.weights.directions, round(bands**0.5) - 1).astype(np.float32)
+def _basis(view: SurfaceView, bands: int) -> Float:
+    """(U, K). The basis in the viewing directions of the surface atoms in a view, its first used columns."""
+    return sh.basis(view.weights.directions, round(bands**0.5) - 1).astype(np.float32)
 
 
-def apply(view: SurfaceView, coefficients: Float) -> Float:
+def apply(view: SurfaceView, basis: Float, coefficients: Float) -> Float:
     """(H, W, 3) = W B x."""
-    rows, basis = visible_basis(view, coefficients.shape[1])
-    colours = np.zeros((view.weights.columns, 3), np.float32)
-    colours[rows] = np.einsum("nk,nkc->nc", basis, coefficients[rows])
-    return view.weights.apply(colours)
+    colours = np.zeros((len(view.weights.used), 3), np.float32)
+    for_each(blend_bands, -(-len(basis) // ATOMS), view.weights.used, basis, coefficients, colours)
+    return view.weights.apply_used(colours).reshape(*view.opaque.shape, 3)
 
 
-def apply_transposed(view: SurfaceView, image: Float, bands: int) -> Float:
-    """(S, K, 3) = B^T W^T of a picture (H, W, 3)."""
-    rows, basis = visible_basis(view, bands)
-    colours = view.weights.apply_transposed(image)[rows]
-    coefficients = np.zeros((view.weights.surface_count, bands, 3), np.float32)
-    coefficients[rows] = basis[:, :, None] * colours[:, None, :]
-    return coefficients
+def add_transposed(view: SurfaceView, basis: Float, image: Float, total: Float) -> None:
+    """Adds B^T W^T of the opaque pixels of a picture (H, W, 3) to total (S, K, 3)."""
+    opaque = np.where(view.opaque[..., None], image, 0).astype(np.float32, copy=False)
+    colours = view.weights.apply_transposed_used(opaque.reshape(-1, 3))
+    for_each(spread_bands, -(-len(basis) // ATOMS), view.weights.used, basis, colours, total)
 
 
 def predict(view: SurfaceView, atoms: Atoms, coefficients: Float) -> Float:
     """(H, W, 3). The view with these coefficients (S, K, 3), over white."""
-    rows, basis = visible_basis(view, coefficients.shape[1])
-    colours = np.zeros((view.weights.columns, 3), np.float32)
-    first = view.weights.surface_count
-    colours[first : first + len(atoms.interior)] = atoms.interior.rgb
-    colours[rows] = np.maximum(0.5 + np.einsum("nk,nkc->nc", basis, coefficients[rows]), 0)
+    used, basis = view.weights.used, _basis(view, coefficients.shape[1])
+    colours = np.empty((len(used), 3), np.float32)
+    for_each(blend_bands, -(-len(basis) // ATOMS), used, basis, coefficients, colours)
+    colours[: len(basis)] = np.maximum(0.5 + colours[: len(basis)], 0)
+    colours[len(basis) :] = atoms.interior.rgb[used[len(basis) :] - view.weights.surface_count]
     uncovered = 1 - view.weights.alpha.reshape(*view.opaque.shape, 1)
-    return view.weights.apply(colours) + uncovered
+    return view.weights.apply_used(colours).reshape(*view.opaque.shape, 3) + uncovered
 
 
 def mean_squared_error(views: Sequence[SurfaceView], atoms: Atoms, coefficients: Float) -> float:

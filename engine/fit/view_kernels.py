@@ -13,9 +13,11 @@ from engine.render.cpu.weights import BEFORE, BEHIND, depth_weight, falloff, out
 from engine.scene.constants import CUTOFF_Q, MIN_WEIGHT
 
 __all__ = [
+    "ATOMS",
     "ROWS",
     "apply",
     "apply_transposed",
+    "blend_bands",
     "count_splats",
     "fill_faces",
     "fill_shares",
@@ -23,11 +25,15 @@ __all__ = [
     "mark_columns",
     "renumber",
     "row_sums",
+    "spread_bands",
     "truncate",
 ]
 
 ROWS = 4096
 """Rows of the matrix per task."""
+
+ATOMS = 4096
+"""Atoms in a task."""
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -205,3 +211,25 @@ def apply_transposed(band, offsets, atoms, weights, picture, parts):
             part[i, 0] += w * red
             part[i, 1] += w * green
             part[i, 2] += w * blue
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def blend_bands(task, used, basis, coefficients, colours):
+    """Fills some of the first U rows of colours: the sum over the bands of basis (U, K) times coefficients (S, K, 3) of
+    the atoms `used`."""
+    for n in range(task * ATOMS, min((task + 1) * ATOMS, len(basis))):
+        red, green, blue = np.float32(0), np.float32(0), np.float32(0)
+        for k in range(basis.shape[1]):
+            red += basis[n, k] * coefficients[used[n], k, 0]
+            green += basis[n, k] * coefficients[used[n], k, 1]
+            blue += basis[n, k] * coefficients[used[n], k, 2]
+        colours[n, 0], colours[n, 1], colours[n, 2] = red, green, blue
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def spread_bands(task, used, basis, colours, coefficients):
+    """The transpose of `blend_bands`: adds basis times colours to the coefficients. No atom is used twice."""
+    for n in range(task * ATOMS, min((task + 1) * ATOMS, len(basis))):
+        for k in range(basis.shape[1]):
+            for c in range(3):
+                coefficients[used[n], k, c] += basis[n, k] * colours[n, c]

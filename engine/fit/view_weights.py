@@ -130,12 +130,12 @@ class ViewWeights:
     def apply(self, colours: NDArray[np.floating]) -> Float:
         """(H, W, 3) = W colours (C, 3): weighted by alpha, over black."""
         assert colours.shape == (self.columns, 3), colours.shape
-        return self._apply(colours[self.used].astype(np.float32, copy=False)).reshape(self.height, self.width, 3)
+        return self.apply_used(colours[self.used].astype(np.float32, copy=False)).reshape(self.height, self.width, 3)
 
     def apply_transposed(self, picture: NDArray[np.floating]) -> Float:
         """(C, 3) = W^T picture (H, W, 3) or (P, 3)."""
         colours = np.zeros((self.columns, 3), np.float32)
-        colours[self.used] = self._apply_transposed(np.ascontiguousarray(picture.reshape(-1, 3), np.float32))
+        colours[self.used] = self.apply_transposed_used(np.ascontiguousarray(picture.reshape(-1, 3), np.float32))
         return colours
 
     def picture(
@@ -166,13 +166,15 @@ class ViewWeights:
         surface[outside] = harmonics.colours(atoms.surface.sh[outside], self.directions)
         return np.concatenate([surface, atoms.interior.rgb, base]).astype(np.float32)
 
-    def _apply(self, colours: Float) -> Float:
+    def apply_used(self, colours: Float) -> Float:
+        """(P, 3) = W times the colours (V, 3) of the used columns."""
         picture = np.empty((len(self.alpha), 3), np.float32)
         tasks = -(-len(self.alpha) // ROWS)
         for_each(apply, tasks, self.offsets, self.atoms, self.weights, np.ascontiguousarray(colours), picture)
         return picture
 
-    def _apply_transposed(self, picture: Float) -> Float:
+    def apply_transposed_used(self, picture: Float) -> Float:
+        """(V, 3). The used rows of W^T times a picture (P, 3)."""
         parts = np.empty((BANDS, len(self.used), 3), np.float32)
         for_each(apply_transposed, BANDS, self.offsets, self.atoms, self.weights, picture, parts)
         return parts.sum(0)
@@ -264,9 +266,9 @@ class _Product(torch.autograd.Function):
     @staticmethod
     def forward(context: Any, colours: torch.Tensor, view: ViewWeights) -> torch.Tensor:
         context.view = view
-        return torch.from_numpy(view._apply(colours.detach().float().numpy()))
+        return torch.from_numpy(view.apply_used(colours.detach().float().numpy()))
 
     @staticmethod
     def backward(context: Any, *gradients: torch.Tensor) -> tuple[torch.Tensor, None]:
         view: ViewWeights = context.view
-        return torch.from_numpy(view._apply_transposed(gradients[0].contiguous().float().numpy())), None
+        return torch.from_numpy(view.apply_transposed_used(gradients[0].contiguous().float().numpy())), None
