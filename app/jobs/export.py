@@ -7,7 +7,7 @@ import re
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from app.model.camera_control import OrbitCamera
 from app.model.pieces import PlacedPiece, Solid
 from app.model.rigid_transform import Vec3
 from engine.errors import InputError
@@ -32,6 +31,7 @@ from engine.scene.plane import Plane
 
 __all__ = [
     "ANIMATIONS",
+    "RATE",
     "Draw",
     "ffmpeg",
     "save_animation",
@@ -40,8 +40,6 @@ __all__ = [
     "save_still",
     "scale_bar",
     "section_picture",
-    "sweep",
-    "turntable",
 ]
 
 Draw = Callable[[Camera, Sequence[Piece]], NDArray[np.uint8]]
@@ -61,6 +59,12 @@ SCALE_RGB = (128, 128, 128)
 RATE = 25
 """Frames a second: as fluent as film, and half of what a file of more would take."""
 
+MOST_BYTES = 3 << 30
+"""Of the frames of a WebP or GIF, which are in memory together: what a machine with 8 GB can spare."""
+
+PALETTE_FRAMES = 8
+"""From which the colours of a GIF are taken: a sweep begins with skin alone and shows the flesh later."""
+
 Frames = Iterable[NDArray[np.uint8]]
 
 
@@ -74,23 +78,6 @@ def save_still(path: Path, rgba: NDArray[np.uint8], transparent: bool = True) ->
         image = image.convert("RGB")
     with atomic(path) as temporary:
         image.save(temporary)
-
-
-def turntable(eye: OrbitCamera, up: Vec3, size: tuple[int, int], count: int) -> Iterator[Camera]:
-    """Cameras on one full turn around the object, starting at the current view."""
-    for index in range(count):
-        turned = replace(eye, azimuth=eye.azimuth + 360.0 * index / count)
-        yield turned.camera(*size, up)
-
-
-def sweep(plane: Plane, solid: Solid, count: int) -> Iterator[Plane]:
-    """A plane that moves through the whole object and back, so that the animation loops."""
-    normal = np.asarray(plane.normal)
-    along = solid.points @ normal if len(solid.points) else np.zeros(1)
-    low, high = float(along.min()), float(along.max())
-    for index in range(count):
-        part = 0.5 + 0.49 * np.cos(2 * np.pi * index / count)
-        yield Plane(plane.normal, -(low + (high - low) * float(part)))
 
 
 def section_picture(draw: Draw, plane: Plane, uncut: Piece, up: Vec3, solid: Solid, size: int) -> NDArray[np.uint8]:
@@ -140,23 +127,29 @@ def ffmpeg() -> str | None:
     return shutil.which("ffmpeg")
 
 
-def save_animation(path: Path, frames: Frames) -> int:
-    """Saves frames (H, W, 4) as WebP, GIF or MP4, by the path's suffix; returns their number.
+def save_animation(path: Path, frames: Frames, rate: float = RATE) -> int:
+    """Saves frames (H, W, 4), `rate` a second, as WebP, GIF or MP4, by the path's suffix; returns their number.
 
     GIF and MP4 have no partial transparency, so frames are blended onto white. Raises InputError for any other
-    suffix, for MP4 without ffmpeg, and if there are no frames.
+    suffix, for MP4 without ffmpeg, if there are no frames, and for a WebP or GIF that does not fit into memory.
     """
     suffix = path.suffix.lower()
     if suffix not in ANIMATIONS:
         raise InputError(f"{path}: animations are saved as {', '.join(ANIMATIONS)}")
     if suffix == ".mp4":
-        return _save_mp4(path, frames)
-    images = [Image.fromarray(f if suffix == ".webp" else _blended(f)) for f in frames]
+        return _save_mp4(path, frames, rate)
+    images: list[Image.Image] = []
+    size = 0
+    for frame in frames:
+        images.append(Image.fromarray(frame if suffix == ".webp" else _blended(frame)))
+        size += frame.nbytes
+        if size > MOST_BYTES:
+            raise InputError(f"{path}: too long or too large for {suffix}; choose .mp4, or a smaller size")
     if not images:
         raise InputError(f"{path}: nothing to animate")
     if suffix == ".gif":
         # One palette for all frames, so that parts that do not move do not flicker.
-        palette = images[0].quantize(255, dither=Image.Dither.NONE)
+        palette = _palette(images)
         images = [image.quantize(palette=palette, dither=Image.Dither.FLOYDSTEINBERG) for image in images]
     with atomic(path) as temporary:
         images[0].save(
@@ -164,14 +157,21 @@ def save_animation(path: Path, frames: Frames) -> int:
             format=suffix[1:].upper(),
             save_all=True,
             append_images=images[1:],
-            duration=round(1000 / RATE),
+            duration=round(1000 / rate),
             loop=0,
             quality=85,
         )
     return len(images)
 
 
-def _save_mp4(path: Path, frames: Frames) -> int:
+def _palette(images: Sequence[Image.Image]) -> Image.Image:
+    """A picture with the 255 colours that suit some of the pictures, all of one size, best."""
+    step = -(-len(images) // PALETTE_FRAMES)
+    some = np.concatenate([np.asarray(image) for image in images[::step]])
+    return Image.fromarray(some).quantize(255, dither=Image.Dither.NONE)
+
+
+def _save_mp4(path: Path, frames: Frames, rate: float) -> int:
     program = ffmpeg()
     if program is None:
         raise InputError(f"{path}: MP4 needs ffmpeg, which is not installed; choose .webp or .gif")
@@ -185,7 +185,7 @@ def _save_mp4(path: Path, frames: Frames) -> int:
                 if writer is None:
                     size = f"{rgb.shape[1]}x{rgb.shape[0]}"
                     command = [program, "-y", "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", size]
-                    command += ["-r", str(RATE), "-i", "-", "-pix_fmt", "yuv420p", "-crf", "18", str(temporary)]
+                    command += ["-r", f"{rate:g}", "-i", "-", "-pix_fmt", "yuv420p", "-crf", "18", str(temporary)]
                     writer = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=errors)
                 assert writer.stdin is not None
                 writer.stdin.write(np.ascontiguousarray(rgb).tobytes())

@@ -22,10 +22,7 @@ from app.jobs.export import (
     save_still,
     scale_bar,
     section_picture,
-    sweep,
-    turntable,
 )
-from app.model.camera_control import OrbitCamera
 from app.model.document import WHOLE, Document, Part
 from app.model.pieces import Cell, PlacedPiece, Solid, pieces
 from app.model.rigid_transform import Motion
@@ -140,14 +137,6 @@ def test_mp4_is_written_by_ffmpeg_and_refused_in_words_without(tmp_path: Path, m
         save_animation(tmp_path / "c.mp4", stopped())
     left = [path.name for path in tmp_path.iterdir() if path.is_file() and path.name != "real.mp4"]
     assert left == ["a.mp4"]  # nothing of the failed ones
-
-
-def test_a_turntable_closes_and_a_sweep_passes_through_everything() -> None:
-    eyes = [camera.position for camera in turntable(OrbitCamera(), (0.0, 0.0, 1.0), (32, 32), 8)]
-    assert np.allclose(np.mean(eyes, axis=0)[:2], 0, atol=1e-9) and np.ptp([e[2] for e in eyes]) < 1e-9
-    solid = Solid.of(np.random.default_rng(0).uniform(-1, 1, (500, 3)))
-    kept = [(plane.distance(solid.points) <= 0).mean() for plane in sweep(Plane.of((0, 1, 1), 0), solid, 12)]
-    assert max(kept) > 0.97 and min(kept) < 0.03 and max(abs(np.diff([*kept, kept[0]]))) < 0.4
 
 
 def test_a_cut_face_fills_its_picture_with_a_scale_below() -> None:

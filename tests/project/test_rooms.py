@@ -52,7 +52,8 @@ MAY_IMPORT = {
     "app.session": ("app.model", "app.jobs", "engine", "training"),
     "app.ui": ("app.model", "app.jobs", "app.session", "engine", "training"),
     "app.main": ("app", "engine", "training"),
-    "app.render_cli": ("engine", "training"),
+    "app.film_cli": ("app.model", "app.jobs", "engine", "training"),
+    "app.render_cli": ("app.film_cli", "app.jobs", "engine", "training"),
     "app.export_cli": ("engine", "training"),
 }
 """Of each room, the project's own modules that it may import beside itself; the longest name that fits a module rules.

@@ -12,7 +12,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from app.jobs.export import save_animation, save_meshes, save_pieces, save_still, section_picture, sweep, turntable
+from app.jobs.export import RATE, save_animation, save_meshes, save_pieces, save_still, section_picture
+from app.model.film.motion import Keyframe, frames, seen
+from app.model.film.presets import sweep, turntable
 from app.session.session import Session
 from app.ui.view.painter import Painter
 from engine.errors import InputError
@@ -110,20 +112,24 @@ class Exporter:
 
     def _animate(self, options: Options, path: Path) -> None:
         session = self.session
-        size = (options.width, options.height)
+        size, seconds = (options.width, options.height), options.frames / RATE
         eye = session.viewing.eye
+        start = Keyframe(0.0, eye.azimuth, eye.elevation)
         if options.kind == "turntable":
             shown = self._shown()
-            frames = (self._draw(camera, shown) for camera in turntable(eye, session.view_up, size, options.frames))
+            drawn = (
+                self._draw(seen(eye, key).camera(*size, session.view_up), shown)
+                for key in frames(turntable(start, seconds), options.frames)
+            )
         else:
             plane, camera = self._plane(), eye.camera(*size, session.view_up)
             if np.asarray(plane.normal) @ camera.forward > 0:
                 plane = plane.flipped()  # the open side faces the camera
-            frames = (
-                self._draw(camera, [replace(self._uncut(), planes=(step,))])
-                for step in sweep(plane, session.solid, options.frames)
+            drawn = (
+                self._draw(camera, [replace(self._uncut(), planes=key.planes)])
+                for key in frames(sweep(start, seconds, plane, session.solid.points), options.frames)
             )
-        self._frames, self._count = iter(frames), options.frames
+        self._frames, self._count = drawn, options.frames
         self._start(path, lambda: save_animation(path, self._drawn()))
 
     def _start(self, path: Path, work: Callable[[], object]) -> None:

@@ -1,0 +1,61 @@
+"""A film as a folder of pictures, which goes on where it was stopped."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from engine.errors import InputError
+from engine.io.files import locked_folder, read_file, remove_leftovers, write_json
+from engine.io.picture_file import save_png
+from engine.io.strict_json import parse
+
+__all__ = ["save_frames"]
+
+SETTINGS = "film.json"
+
+LIMIT = 4 << 20
+"""Bytes of the settings: a film with all keyframes and planes that a file may have."""
+
+
+def save_frames(
+    folder: Path, settings: dict[str, Any], frames: Iterable[Callable[[], NDArray[np.uint8]]]
+) -> tuple[int, int]:
+    """Saves each frame (H, W, 3 or 4) as a PNG of its own in a folder; returns how many there are and how many of them
+    were drawn now.
+
+    `settings` is JSON of all that decides the frames: those that are there already with the same settings are not drawn
+    again. Raises InputError if the folder has other frames, or if it cannot be written.
+    """
+    with locked_folder(folder):
+        remove_leftovers(folder)
+        _claim(folder, settings)
+        count = drawn = 0
+        for count, draw in enumerate(frames, 1):
+            path = folder / f"frame_{count - 1:05d}.png"
+            if not path.exists():
+                save_png(path, draw())
+                drawn += 1
+    return count, drawn
+
+
+def _claim(folder: Path, settings: dict[str, Any]) -> None:
+    """Says in the folder what frames it has. Raises InputError if it has others."""
+    path = folder / SETTINGS
+    if path.exists():
+        try:
+            same = parse(read_file(path, LIMIT)) == settings
+        except InputError:
+            raise
+        except ValueError:
+            same = False
+        if not same:
+            raise InputError(f"{folder}: holds the frames of another film; give another folder, or remove them")
+    elif any(folder.glob("frame_*.png")):
+        raise InputError(f"{folder}: holds frames without {SETTINGS}, which says of what; give another folder")
+    else:
+        write_json(path, settings)

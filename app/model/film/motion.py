@@ -1,0 +1,122 @@
+"""The law of motion of every film: keyframes, and what a film shows at any time between them.
+
+Values run through their keyframes on piecewise cubic curves without overshoot (F. N. Fritsch and J. Butland, "A method
+for constructing local monotone piecewise cubic interpolants", SIAM J. Sci. Stat. Comput. 5, 1984): steady motion stays
+steady, and no value leaves the range of its neighbours. A film that ends as it began goes round without a jolt; any
+other begins and ends at rest, so that two keyframes alone are joined by a smoothstep.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.interpolate import PchipInterpolator
+
+from app.model.camera_control import OrbitCamera
+from app.model.document import DEFAULT_GAP, Document, Part
+from app.model.pieces import Solid, pieces
+from engine.scene.piece import Piece
+from engine.scene.plane import Plane
+
+__all__ = ["Film", "Keyframe", "frame_count", "frames", "placed", "seen"]
+
+SAME = 1e-6
+"""Degrees by which two azimuths may differ and be one: far more than rounding, far less than is seen."""
+
+
+@dataclass(frozen=True)
+class Keyframe:
+    """What a film shows at one moment."""
+
+    time: float
+    """Seconds from the beginning. Range [0, inf)."""
+    azimuth: float
+    """Degrees, see `engine.scene.camera.orbit`. The next keyframe's is reached the short way round."""
+    elevation: float
+    """Degrees. Range [-90, 90]."""
+    zoom: float = 1.0
+    """How much nearer the eye is than where the film is seen from at 1. Range (0, inf)."""
+    planes: tuple[Plane, ...] = ()
+    """Each hides what is on its removed side; as many in all keyframes of a film."""
+    explosion: float = 0.0
+    """How far the pieces are parted; 0 puts them together. Range [0, 2], as in a document."""
+
+
+@dataclass(frozen=True)
+class Film:
+    """Keyframes, and cuts that stay."""
+
+    keyframes: tuple[Keyframe, ...]
+    """At least two, by time, the first at 0. Normals of one plane turn by at most 90 degrees between two."""
+    cuts: tuple[Plane, ...] = ()
+    """Planes that divide the object into pieces, which the explosion parts."""
+
+    @property
+    def seconds(self) -> float:
+        """From the first keyframe to the last."""
+        return self.keyframes[-1].time
+
+    @property
+    def closed(self) -> bool:
+        """Whether it ends as it began, so that it can be shown again and again."""
+        first, last = self.keyframes[0], self.keyframes[-1]
+        turn = math.remainder(last.azimuth - first.azimuth, 360.0)
+        return abs(turn) < SAME and replace(last, time=first.time, azimuth=first.azimuth) == first
+
+
+def frame_count(film: Film, rate: float) -> int:
+    """Frames of a film at so many a second; at least two."""
+    return max(2, round(film.seconds * rate))
+
+
+def frames(film: Film, count: int, centre: ArrayLike = (0.0, 0.0, 0.0)) -> Iterator[Keyframe]:
+    """What each of `count` frames shows, at least two.
+
+    The frame after the last of a closed film would be its first again; an open one ends with its last keyframe. A
+    plane turns about the foot of the perpendicular from `centre` (3,), so that one through the centre stays there.
+    """
+    keys = film.keyframes
+    middle = np.asarray(centre, np.float64)
+    rows = np.array([_numbers(key, middle) for key in keys])
+    rows[:, 0] = np.unwrap(rows[:, 0], period=360.0)
+    times = np.array([key.time for key in keys])
+    # One keyframe more at each end gives the curves their slope there: that of the next round, or rest.
+    before, after = times[0] - (times[-1] - times[-2]), times[-1] + (times[1] - times[0])
+    first, last = (rows[-2] - rows[-1] + rows[0], rows[1] - rows[0] + rows[-1]) if film.closed else (rows[0], rows[-1])
+    curve = PchipInterpolator([before, *times, after], np.stack([first, *rows, last]))
+    for index in range(count):
+        time = film.seconds * index / (count if film.closed else count - 1)
+        yield _keyframe(time, curve(time), middle)
+
+
+def seen(eye: OrbitCamera, shown: Keyframe) -> OrbitCamera:
+    """The camera of a frame; `eye` is the one that a zoom of 1 means."""
+    return replace(eye, azimuth=shown.azimuth, elevation=shown.elevation, distance=eye.distance / shown.zoom)
+
+
+def placed(film: Film, shown: Keyframe, solid: Solid) -> list[Piece]:
+    """The pieces of a frame: parted as the window parts them, without what the frame's planes hide."""
+    cut = Document(gap=DEFAULT_GAP * shown.explosion, explode=shown.explosion)
+    for plane in film.cuts:
+        cut = cut.with_cut((Part(plane),))
+    return [drawn for piece in pieces(cut, solid) for drawn in piece.drawn(shown.planes)]
+
+
+def _numbers(key: Keyframe, centre: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(4 + 4 P,). What is interpolated: distances by their logarithm, planes as normal and distance of the centre."""
+    planes = [(*plane.normal, float(plane.distance(centre))) for plane in key.planes]
+    return np.concatenate([[key.azimuth, key.elevation, np.log(key.zoom), key.explosion], *planes])
+
+
+def _keyframe(time: float, row: NDArray[np.float64], centre: NDArray[np.float64]) -> Keyframe:
+    """The inverse of `_numbers`."""
+    azimuth, elevation, zoom, explosion = row[:4].tolist()
+    planes = []
+    for a, b, c, distance in row[4:].reshape(-1, 4).tolist():
+        normal = np.array([a, b, c]) / np.linalg.norm([a, b, c])
+        planes.append(Plane.of(normal, distance - float(normal @ centre)))
+    return Keyframe(time, azimuth, elevation, float(np.exp(zoom)), tuple(planes), explosion)
