@@ -22,11 +22,8 @@ LIMIT = 4 << 20
 """Bytes of the settings: a film with all keyframes and planes that a file may have."""
 
 
-def save_frames(
-    folder: Path, settings: dict[str, Any], frames: Iterable[Callable[[], NDArray[np.uint8]]]
-) -> tuple[int, int]:
-    """Saves each frame (H, W, 3 or 4) as a PNG of its own in a folder; returns how many there are and how many of them
-    were drawn now.
+def save_frames(folder: Path, settings: dict[str, Any], frames: Iterable[Callable[[], NDArray[np.uint8]]]) -> int:
+    """Saves each frame (H, W, 3 or 4) as a PNG of its own in a folder; returns how many of them were drawn now.
 
     `settings` is JSON of all that decides the frames: those that are there already with the same settings are not drawn
     again. Raises InputError if the folder has other frames, or if it cannot be written.
@@ -34,13 +31,13 @@ def save_frames(
     with locked_folder(folder):
         remove_leftovers(folder)
         _claim(folder, settings)
-        count = drawn = 0
-        for count, draw in enumerate(frames, 1):
-            path = folder / f"frame_{count - 1:05d}.png"
+        drawn = 0
+        for number, draw in enumerate(frames):
+            path = folder / f"frame_{number:05d}.png"
             if not path.exists():
                 save_png(path, draw())
                 drawn += 1
-    return count, drawn
+    return drawn
 
 
 def _claim(folder: Path, settings: dict[str, Any]) -> None:
