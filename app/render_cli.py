@@ -42,7 +42,10 @@ LARGEST = 16384
 MARGIN = 1.05
 """Distance without --camera: what fits exactly touches the edges."""
 
-NAMED = {"white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0), "transparent": None}
+Rgb = tuple[float, float, float]
+"""A colour, range [0, 1]."""
+
+NAMED: dict[str, Rgb | None] = {"white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0), "transparent": None}
 
 EPILOG = (
     "A plane keeps the side where a x + b y + c z + d is negative; several planes keep what all of them keep. "
@@ -50,7 +53,6 @@ EPILOG = (
     "A film into a folder goes on where it was stopped. docs/EXPORT.md has the form of keyframes."
 )
 
-Rgb = tuple[float, float, float]
 Draw = Callable[[Camera, Sequence[Piece], Rgb, bool], Picture]
 """Draws pieces over a colour, with or without light on their faces."""
 

@@ -40,7 +40,7 @@ MOST_KEYFRAMES, MOST_PLANES = 1000, 16
 """More than anybody writes by hand."""
 
 REQUIRED = {"time", "azimuth", "elevation"}
-OPTIONAL = {"zoom": 1.0, "planes": [], "explosion": 0.0}
+OPTIONAL: dict[str, Any] = {"zoom": 1.0, "planes": [], "explosion": 0.0}
 
 
 def read_film(path: Path) -> Film:

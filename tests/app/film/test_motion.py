@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -83,7 +84,8 @@ def test_a_film_is_read_again_and_a_bad_one_is_one_line(tmp_path: Path) -> None:
     film = Film((START, replace(START, time=3.0, azimuth=90.0, explosion=0.5)), (Plane.of((1, 0, 0), 0.25),))
     path.write_text(json.dumps(film_record(film)))
     assert read_film(path) == film
-    first, last = {"time": 0, "azimuth": 0, "elevation": 0}, {"time": 1, "azimuth": 0, "elevation": 0}
+    first: dict[str, Any] = {"time": 0, "azimuth": 0, "elevation": 0}
+    last: dict[str, Any] = {**first, "time": 1}
     for keys, wrong in (
         ([first], "1 keyframes"),
         ([first, {**last, "time": 0}], "not after"),
