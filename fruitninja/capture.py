@@ -104,4 +104,4 @@ class Capture:
 def load(path: PathLike, *, seed: int = 0) -> Capture:
     """A capture (.ply, .splat, .spz, .sog, .ksplat, .glb) or a textured mesh (.obj, .glb, .ply, .stl), whose surface is
     sampled with `seed`. Raises Error for any other file."""
-    return Capture(Path(path), load_scene(path, seed))
+    return Capture(Path(path), load_scene(Path(path), seed))
