@@ -17,7 +17,7 @@ import fruitninja
 from app.render_cli import main as render_command
 from engine.io.trained import Meta
 from fruitninja.solid import Whole
-from tests.helpers.solids import Waves, ball, waves
+from tests.helpers.solids import Waves, ball, filled_ball, waves
 from tests.paths import ROOT
 from tests.training.test_train_command import SCENE, make_tiny
 from training.events import Reporter
@@ -107,7 +107,7 @@ def test_every_example_runs(folder: Path, tmp_path: Path, monkeypatch: pytest.Mo
     assert len(list((tmp_path / "slices").glob("slice_*.png"))) == 3
 
 
-def test_a_run_ends_when_its_listener_raises(folder: Path, tmp_path: Path) -> None:
+def test_a_run_ends_when_its_listener_raises(tmp_path: Path) -> None:
     stages: list[str] = []
 
     def stop(stage: str, part: float) -> None:
@@ -125,7 +125,8 @@ def test_a_run_ends_when_its_listener_raises(folder: Path, tmp_path: Path) -> No
     assert torch.get_num_threads() == threads and not list(tmp_path.glob("*.*"))
 
 
-def test_volumes_are_those_of_a_ball_and_add_up(solid: fruitninja.Solid) -> None:
+def test_volumes_are_those_of_a_ball_and_add_up() -> None:
+    solid = fruitninja.Solid(Whole(filled_ball(PITCH), Meta(), None, Path("ball.ply")))
     whole = solid.volume
     assert whole == pytest.approx(4 / 3 * np.pi * 0.5**3, rel=0.03)
     cap = solid.cut((0, 0, -1, 0.2))  # above z = 0.2: height 0.3
