@@ -24,7 +24,7 @@ from training.isolation_options import parse_body, parse_isolation, select_bodie
 from training.request import Interrupted, PriorName, Request, read_request
 from training.settings import DetailName
 
-__all__ = ["main", "parse_families"]
+__all__ = ["main", "parse_axis", "parse_families"]
 
 CLASS_PART = 0.5
 """Fraction of a fine-tuning's time before its first step: drawing pictures of the class."""

@@ -7,7 +7,7 @@ from pathlib import Path
 __all__ = ["hostile_folder", "marks"]
 
 MODULES = (
-    *("app", "engine", "sample_scenes", "shaders", "training"),
+    *("app", "engine", "fruitninja", "sample_scenes", "shaders", "training"),
     *("dask", "distributed", "glfw", "imgui_bundle", "numba", "numpy", "safetensors", "torch", "yaml"),
     *("asyncio", "ctypes", "encodings", "json", "multiprocessing", "runpy", "struct", "threading"),
     *("sitecustomize", "usercustomize"),

@@ -40,7 +40,7 @@ sys.argv[1:] = ["a.ply", "-o", "out/a.png"]
 """,
     "fruitninja-export": """
 import app.export_cli as cli
-cli.load_trained = lambda path: work("out/a.glb")
+cli.open_solid = lambda path: work("out/a.glb")
 sys.argv[1:] = ["a.ply", "-o", "out/a.ply"]
 """,
     "fruitninja-train": """

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from tests.paths import ROOT
 
-PACKAGES = ("app", "engine", "sample_scenes", "shaders", "tools", "training")
+PACKAGES = ("app", "engine", "fruitninja", "sample_scenes", "shaders", "tools", "training")
 
 DANGEROUS = {
     "picture": r"(PIL\.)?Image\.open",

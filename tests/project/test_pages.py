@@ -9,7 +9,9 @@ import pytest
 from tests.paths import ROOT
 
 PAGES = ("CONTRIBUTING.md", "README.md", "docs/ARCHITECTURE.md", "docs/TRUST.md")
-PATH = re.compile(r"(?:app|benchmarks|docs|engine|sample_scenes|shaders|tests|tools|training)/[\w./]*")
+PATH = re.compile(
+    r"(?:app|benchmarks|docs|engine|examples|fruitninja|sample_scenes|shaders|tests|tools|training)/[\w./]*"
+)
 
 
 @pytest.mark.parametrize("page", PAGES)

@@ -14,7 +14,7 @@ import pytest
 
 from tests.paths import ROOT
 
-PACKAGES = ("app", "engine", "sample_scenes", "shaders", "training")
+PACKAGES = ("app", "engine", "fruitninja", "sample_scenes", "shaders", "training")
 """What is installed."""
 
 FILES_OF_A_ROOM = 14
@@ -47,14 +47,15 @@ MAY_IMPORT = {
     "training": ("engine",),
     "training.evaluate": ("engine", "sample_scenes", "training"),
     "sample_scenes": ("engine", "training.families"),
+    "fruitninja": ("engine", "training"),
     "app.model": ("engine", "training"),
     "app.jobs": ("app.model", "engine", "training"),
     "app.session": ("app.model", "app.jobs", "engine", "training"),
     "app.ui": ("app.model", "app.jobs", "app.session", "engine", "training"),
     "app.main": ("app", "engine", "training"),
     "app.film_cli": ("app.model", "app.jobs", "engine", "training"),
-    "app.render_cli": ("app.film_cli", "app.jobs", "engine", "training"),
-    "app.export_cli": ("engine", "training"),
+    "app.render_cli": ("app.film_cli", "app.jobs", "engine", "fruitninja", "training"),
+    "app.export_cli": ("engine", "fruitninja"),
 }
 """Of each room, the project's own modules that it may import beside itself; the longest name that fits a module rules.
 
@@ -78,6 +79,7 @@ KEEPS_OFF = {
     "engine.isolate": NO_OPENGL,
     "engine.fit": NO_OPENGL,
     "training": NO_OPENGL,
+    "fruitninja": NO_OPENGL,
     "sample_scenes": NO_OPENGL,
 }
 """Libraries that a room does without: a window, OpenGL, other processes."""
@@ -181,7 +183,7 @@ def test_a_circle_is_seen() -> None:
 def tracked_folders() -> dict[str, list[Path]]:
     """Python files of each folder of the project."""
     folders: dict[str, list[Path]] = {}
-    for top in (*PACKAGES, "tests", "tools", "benchmarks"):
+    for top in (*PACKAGES, "tests", "tools", "benchmarks", "examples"):
         for path in sorted((ROOT / top).rglob("*.py")):
             folders.setdefault(str(path.parent.relative_to(ROOT)), []).append(path)
     return folders

@@ -26,7 +26,7 @@ COMMANDS = (
     "fruitninja-render",
     "fruitninja-train",
 )
-PACKAGES = ("app", "engine", "sample_scenes", "shaders", "training")
+PACKAGES = ("app", "engine", "fruitninja", "sample_scenes", "shaders", "training")
 
 OPEN = f"""
 COMMANDS = {COMMANDS}

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app.export_cli import KINDS, main
+from app.export_cli import main
+from engine.export.kinds import KINDS
 from engine.io.load import load
 from engine.io.trained import Meta, load_trained, save_trained
 from tests.helpers.solids import ball
@@ -73,13 +74,13 @@ def test_other_kinds_say_what_they_hold(
     ("options", "line"),
     [
         (["-o", "a.doc"], "a.doc: an object is saved as .ply"),
-        (["-o", "a.ply", "--as", "soup"], "--as soup: unknown; choose splats"),
+        (["-o", "a.ply", "--as", "soup"], "'soup': no kind of export; choose splats"),
         (["-o", "a.doc", "--as", "splats"], "a.doc: splats are saved as .ply"),
         (["-o", "a.ply", "--plane", "1,2,3"], "--plane 1,2,3: give four numbers a,b,c,d"),
         (["-o", "a.ply", "--plane", "1,0,0,9"], "a.ply: nothing to save"),
-        (["-o", "a.npz", "--pieces"], "--pieces: only meshes hold several"),
-        (["-o", "a.obj", "--step", "0"], "--step 0: give a length above 0"),
-        (["-o", "a.obj", "--metres", "nan"], "--metres nan: give a length above 0"),
+        (["-o", "a.npz", "--pieces"], "a.npz: only a mesh holds several pieces"),
+        (["-o", "a.obj", "--step", "0"], "step 0: give a length above 0"),
+        (["-o", "a.obj", "--metres", "nan"], "metres nan: give a length above 0"),
         (["-o", "a.nrrd", "--plane", "1,0,0,9"], "a.nrrd: nothing to save"),
         (["-o", "a.npz", "--step", "1e-6"], "a.npz: 1.1e+18 voxels are too many"),
         (["-o", "melon.ply"], "melon.ply: this is the object itself"),

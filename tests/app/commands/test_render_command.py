@@ -10,10 +10,11 @@ import pytest
 from PIL import Image
 
 from app import render_cli as cli
-from app.render_cli import default_angles, main
+from app.render_cli import main
 from engine.io.trained import Meta, save_trained
 from engine.render.gl import GLMissing
 from engine.scene.plane import Plane
+from fruitninja.drawing import default_angles
 from tests.helpers.solids import Waves, ball
 
 
@@ -60,7 +61,7 @@ def test_the_cpu_draws_the_same_where_there_is_no_egl(
     def missing() -> None:
         raise GLMissing("no offscreen OpenGL")
 
-    monkeypatch.setattr(cli, "Renderer", missing)
+    monkeypatch.setattr("fruitninja.drawing.Renderer", missing)
     assert run(monkeypatch, *common, tmp_path / "b.png") == 0
     assert "drawn by the CPU renderer: no offscreen OpenGL" in capsys.readouterr().out
     if "OpenGL:" not in first:

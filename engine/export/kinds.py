@@ -1,0 +1,157 @@
+"""The ways to hand an object to other programs, and what is written in each."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from engine.errors import InputError
+from engine.export.body import body_of, skin_outside
+from engine.export.colours import Colours
+from engine.export.particles import particles_of, save_particles
+from engine.export.voxels import voxels_of
+from engine.io.trained import Meta, provenance
+from engine.io.writers.about import About
+from engine.io.writers.solid_gaussians import piece_gaussians
+from engine.io.writers.splats import SPLAT_WRITERS, write_splats
+from engine.scene.atoms import Atoms
+from engine.scene.grid import Body
+from engine.scene.inside import KIND_NAMES, Inside
+from engine.scene.piece import Piece
+from engine.scene.plane import Plane
+
+__all__ = ["KINDS", "SUFFIXES", "Export", "Kind", "kind_of", "write_export"]
+
+LEAST_TOLD = 0.01
+"""Part of the skin that is left out from which the user is told: less is stray atoms."""
+
+
+@dataclass(frozen=True)
+class Export:
+    """What is exported, and where to."""
+
+    source: Path
+    """The object's file; its name goes into messages and meshes."""
+    atoms: Atoms
+    inside: Inside | None
+    """None where the atoms are all there is."""
+    meta: Meta
+    planes: tuple[Plane, ...]
+    """What is left is on the kept side of all of them."""
+    out: Path
+    pieces: bool = False
+    """All that the planes divide it into is wanted, each piece by itself, and not only what they keep."""
+    step: float | None = None
+    """World units between texels, voxels or particles; None where the detail of the inside decides."""
+    metres: float = 1.0
+    """Length of a world unit."""
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A way to hand an object to other programs."""
+
+    suffixes: tuple[str, ...]
+    """Of the files that it can be written as."""
+    write: Callable[[Export], str]
+    """Writes the file; returns what is in it, for the line that the command ends with."""
+    divides: bool = False
+    """Whether all pieces may be asked for."""
+
+
+def write_export(export: Export, name: str | None = None) -> str:
+    """Writes the file as the kind of this name, or else as its suffix says; returns what is in it, in a line.
+
+    Raises InputError if they do not fit each other or the rest, and if the file cannot be written.
+    """
+    kind = kind_of(export.out, name)
+    if export.pieces and not kind.divides:
+        raise InputError(f"{export.out}: only a mesh holds several pieces; say mesh, or export each side by itself")
+    for word, length in (("step", export.step), ("metres", export.metres)):
+        if length is not None and not 0 < length < math.inf:
+            raise InputError(f"{word} {length:g}: give a length above 0")
+    if export.out.exists() and export.source.exists() and export.out.samefile(export.source):
+        raise InputError(f"{export.out}: this is the object itself; give another name")
+    return kind.write(export)
+
+
+def kind_of(out: Path, name: str | None) -> Kind:
+    """The kind of this name, or else of the file's suffix. Raises InputError if they do not fit."""
+    if name is not None and name not in KINDS:
+        raise InputError(f"'{name}': no kind of export; choose {', '.join(KINDS)}")
+    chosen = KINDS if name is None else {name: KINDS[name]}
+    for kind in chosen.values():
+        if out.name.lower().endswith(kind.suffixes):
+            return kind
+    suffixes = ", ".join(dict.fromkeys(suffix for kind in chosen.values() for suffix in kind.suffixes))
+    what = "an object is" if name is None else f"{name} are"
+    raise InputError(f"{out}: {what} saved as {suffixes}; give a name that ends so")
+
+
+def write_atoms(export: Export) -> str:
+    """The atoms whose centres are kept, as Gaussians."""
+    gaussians = piece_gaussians(export.atoms, [Piece(export.planes)])
+    about = About(export.meta.up, tuple(provenance(export.meta)))
+    write_splats(export.out, gaussians, about)
+    return f"{len(gaussians):,} Gaussians"
+
+
+def write_mesh(export: Export) -> str:
+    """Closed meshes with textured cut faces."""
+    from engine.export.meshes.cutting import Wanted
+    from engine.export.meshes.files import save_mesh
+    from engine.export.meshes.textured import textured_pieces
+
+    body, colours = solid_of(export)
+    wanted = export.planes if export.pieces else [Wanted(export.source.stem, (export.planes,))]
+    made = textured_pieces(body, colours, wanted, export.step, str(export.out))
+    save_mesh(export.out, made, export.meta.up, export.metres)
+    height, width = made.texture.shape[:2]
+    pieces = f"{len(made.pieces)} pieces, " if len(made.pieces) > 1 else ""
+    triangles = sum(len(piece.triangles) for piece in made.pieces)
+    volume = sum(piece.volume for piece in made.pieces) * export.metres**3
+    left = skin_outside(export.atoms, body)
+    without = f"; {left:.0%} of the skin has no inside and is left out" if left > LEAST_TOLD else ""
+    return f"{pieces}{triangles:,} triangles, texture {width}x{height}, volume {volume:.4g} m³{without}"
+
+
+def write_volume(export: Export) -> str:
+    """Colours and kinds in voxels."""
+    from engine.export.volumes.files import save_volume
+
+    voxels = voxels_of(*solid_of(export), export.planes, export.step, str(export.out))
+    files = save_volume(export.out, voxels, export.meta.up, export.metres)
+    told = [KIND_NAMES[n] for n in np.unique(voxels.kind)]
+    x, y, z = voxels.grid.shape
+    edge = f"{voxels.grid.cell * export.metres * 1000:.4g} mm"
+    beside = "".join(f", {file.name} beside it" for file in files[1:])
+    return f"{x} x {y} x {z} voxels of {edge}{beside}; labels {', '.join(told)}"
+
+
+def write_particles(export: Export) -> str:
+    """Particles for a simulation."""
+    step = export.step or export.atoms.pitch
+    particles = particles_of(voxels_of(*solid_of(export), export.planes, step, str(export.out)))
+    save_particles(export.out, particles, export.meta.up, export.metres)
+    volume = particles.volumes.sum() * export.metres**3
+    return f"{len(particles.points):,} particles, volume {volume:.4g} m³"
+
+
+def solid_of(export: Export) -> tuple[Body, Colours]:
+    """The object's body, and what it shows."""
+    return body_of(export.atoms, str(export.source)), Colours(export.atoms, export.inside)
+
+
+KINDS: dict[str, Kind] = {
+    "splats": Kind(tuple(SPLAT_WRITERS), write_atoms),
+    "mesh": Kind((".glb", ".obj", ".3mf"), write_mesh, divides=True),
+    "volume": Kind((".nii.gz", ".nii", ".nrrd", ".zarr", ".zip"), write_volume),
+    "particles": Kind((".npz", ".usda", ".usdc"), write_particles),
+}
+"""By name. Where several write a suffix, the first is meant unless another is named."""
+
+SUFFIXES = tuple(dict.fromkeys(suffix for kind in KINDS.values() for suffix in kind.suffixes))

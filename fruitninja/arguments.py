@@ -1,0 +1,73 @@
+"""What callers give in their own words, as the engine's types; Error where it cannot be."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Sequence
+from typing import cast, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from engine.errors import InputError
+from engine.isolate.selection import Below, Box, Isolation, Sphere, keep_only
+from engine.scene.plane import Plane
+from training.cli import parse_axis
+from training.settings import DetailName
+
+__all__ = ["PathLike", "PlaneLike", "Shape", "UpLike", "as_detail", "as_isolation", "as_plane", "as_points", "as_up"]
+
+PathLike = str | os.PathLike[str]
+
+PlaneLike = Plane | ArrayLike
+"""A plane, or its four numbers a, b, c, d: the kept side is a x + b y + c z + d <= 0."""
+
+UpLike = str | Sequence[float] | NDArray[np.floating]
+"""x, y, z, -x, -y, -z, or a vector (3,) of any non-zero length."""
+
+Shape = Box | Sphere | Below
+"""What --keep of the command can name."""
+
+
+def as_plane(given: PlaneLike) -> Plane:
+    """The plane. Raises InputError for anything but four finite numbers with a normal that is not zero."""
+    if isinstance(given, Plane):
+        return given
+    try:
+        numbers = np.asarray(given, np.float64)
+    except (TypeError, ValueError):
+        numbers = np.zeros(0)
+    if numbers.shape != (4,):
+        raise InputError(f"plane {given}: give four numbers a, b, c, d, or a Plane")
+    return Plane.of(numbers[:3], float(numbers[3]))
+
+
+def as_points(given: ArrayLike) -> NDArray[np.float64]:
+    """(N, 3). Raises InputError for another shape, or numbers that are not finite."""
+    try:
+        points = np.asarray(given, np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError("points: give an array of numbers (N, 3)") from error
+    if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
+        raise InputError(f"points of shape {points.shape}: give finite numbers (N, 3)")
+    return points
+
+
+def as_up(given: UpLike | None) -> tuple[float, float, float] | None:
+    """A unit vector; None stays None, for an axis that is detected. Raises InputError for what is no axis."""
+    if given is None:
+        return None
+    return parse_axis(given if isinstance(given, str) else ",".join(repr(float(value)) for value in given), "up")
+
+
+def as_detail(given: str) -> DetailName:
+    """The name of a level of detail. Raises InputError for another word."""
+    if given not in get_args(DetailName):
+        raise InputError(f"detail '{given}': unknown; choose {', '.join(get_args(DetailName))}")
+    return cast(DetailName, given)
+
+
+def as_isolation(keep: Iterable[Shape]) -> Isolation:
+    """What leaves only what one of the shapes contains; nothing is left out without a shape."""
+    shapes = tuple(keep)
+    return (keep_only(*shapes),) if shapes else ()

@@ -1,0 +1,107 @@
+"""A hollow capture, as it was loaded."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from engine.io.load import LoadedScene
+from engine.io.load import load as load_scene
+from engine.io.trained import Meta
+from engine.isolate.record import isolation_record
+from engine.isolate.selection import isolated
+from engine.scene.gaussians import Gaussians
+from engine.solid.up_axis.detect import detect_up
+from fruitninja.arguments import PathLike, Shape, UpLike, as_detail, as_isolation, as_up
+from fruitninja.solid import Solid, Whole
+from training.settings import DETAILS
+
+__all__ = ["Capture", "load"]
+
+
+@dataclass(frozen=True, eq=False)
+class Capture:
+    """A 3DGS capture, or a mesh whose surface was sampled as Gaussians: N of them, moved near the origin if they lay
+    far from it (`gaussians.origin`)."""
+
+    path: Path
+    """Its file."""
+    scene: LoadedScene
+
+    def __repr__(self) -> str:
+        return f"<Capture {self.path.name}: {len(self):,} Gaussians>"
+
+    def __len__(self) -> int:
+        return len(self.gaussians)
+
+    @property
+    def gaussians(self) -> Gaussians:
+        """All of its arrays."""
+        return self.scene.gaussians
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What was left out of the file or repaired, one line each."""
+        return self.scene.warnings
+
+    @property
+    def means(self) -> NDArray[np.float32]:
+        """(N, 3). Centres, units of the file."""
+        return self.gaussians.means
+
+    @property
+    def scales(self) -> NDArray[np.float32]:
+        """(N, 3). Standard deviations, units of the file."""
+        return self.gaussians.scales
+
+    @property
+    def quats(self) -> NDArray[np.float32]:
+        """(N, 4). Unit quaternions, wxyz."""
+        return self.gaussians.quats
+
+    @property
+    def opacities(self) -> NDArray[np.float32]:
+        """(N,). Range [0, 1]."""
+        return self.gaussians.opacities
+
+    @property
+    def sh(self) -> NDArray[np.float32]:
+        """(N, (d+1)^2, 3). Spherical harmonics of degree d = 0..3."""
+        return self.gaussians.sh
+
+    def solidify(
+        self, *, detail: str = "standard", up: UpLike | None = None, keep: Iterable[Shape] = (), seed: int = 0
+    ) -> Solid:
+        """A solid of it, grey inside, for cutting and measuring without pictures. Bit-equal for the same arguments.
+
+        `detail`: draft, standard or high. `up`: x, y, z, -x, -y, -z or a vector (3,); None: detected. `keep`: shapes
+        outside of which nothing is the object. Raises Error if it encloses nothing.
+        """
+        # torch comes with it: who only looks at solids need not wait for that
+        from engine.solid.solidify import find_enclosure, solidify
+
+        fineness, axis, isolation = DETAILS[as_detail(detail)], as_up(up), as_isolation(keep)
+        gaussians, _ = isolated(self.gaussians, isolation, self.path.name)
+        enclosure = find_enclosure(gaussians, fineness.cells, self.path.name)
+        if axis is None:  # of the whole capture: a floor tells, even if it goes
+            x, y, z = detect_up(self.gaussians, self.scene.file_axes).axis.tolist()
+            axis = x, y, z
+        atoms = solidify(enclosure, fineness.cells, fineness.tolerance, seed)
+        meta = Meta(
+            axis,
+            seed=seed,
+            source=self.path.name,
+            origin=self.gaussians.origin,
+            isolation=tuple(isolation_record(isolation)),
+        )
+        return Solid(Whole(atoms, meta, None, self.path))
+
+
+def load(path: PathLike, *, seed: int = 0) -> Capture:
+    """A capture (.ply, .splat, .spz, .sog, .ksplat, .glb) or a textured mesh (.obj, .glb, .ply, .stl), whose surface is
+    sampled with `seed`. Raises Error for any other file."""
+    return Capture(Path(path), load_scene(Path(path), seed))

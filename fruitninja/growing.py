@@ -1,0 +1,108 @@
+"""Training in this process: a capture and photographs of cut faces become a solid with an inside."""
+
+from __future__ import annotations
+
+import os
+import warnings
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from engine.errors import InputError
+from engine.io.files import locked_folder
+from fruitninja.arguments import PathLike, Shape, UpLike, as_detail, as_isolation, as_up
+from fruitninja.capture import Capture
+from fruitninja.solid import Solid, Whole, open_solid
+from training.cli import parse_families
+from training.events import Reporter
+from training.request import Request
+
+__all__ = ["Progress", "grow"]
+
+Progress = Callable[[str, float], None]
+"""Called with the name of a stage and the part of it that is done, range [0, 1]."""
+
+Pictures = PathLike | Sequence[PathLike]
+"""Pictures of cut faces, or folders of them; one needs no list."""
+
+
+def grow(
+    capture: Capture | PathLike,
+    *,
+    horizontal: Pictures = (),
+    radial: Pictures = (),
+    parallel: Pictures = (),
+    detail: str = "standard",
+    up: UpLike | None = None,
+    keep: Iterable[Shape] = (),
+    same: bool = False,
+    seed: int = 0,
+    out: PathLike | None = None,
+    progress: Progress | None = None,
+) -> Solid:
+    """A solid with an inside: what `fruitninja-train` makes, with the same bits.
+
+    `capture`: its file, or one that is loaded, which is read again. `horizontal`, `radial`, `parallel`: pictures of
+    cut faces of each family, at least one in all. `detail`: draft, standard or high. `up`: x, y, z, -x, -y, -z or a
+    vector (3,); None: detected. `keep`: shapes outside of which nothing is the object. `same`: the pictures are of one
+    and the same thing. `out`: a folder for all that the command leaves there; None: nothing is left.
+
+    `progress` may raise to end the run: what it raises is raised here, and no result is written. What else there is to
+    know comes as Python warnings. Raises Error for what cannot be used.
+    """
+    scene = capture.path if isinstance(capture, Capture) else Path(capture)
+    if not scene.is_file():
+        raise InputError(f"{scene}: no such file")
+    given = {"horizontal": horizontal, "radial": radial, "parallel": parallel}
+    exemplars = [f"{kind}={os.fspath(path)}" for kind, pictures in given.items() for path in _listed(pictures)]
+    if not exemplars:
+        raise InputError("no picture of a cut face; give at least one, as in horizontal=['cut.png']")
+    request = Request(
+        scene,
+        parse_families(exemplars, [], []),
+        as_detail(detail),
+        as_up(up),
+        seed,
+        isolation=as_isolation(keep),
+        same=same,
+    )
+    if out is not None:
+        return open_solid(_trained(request, Path(out), progress))
+    with TemporaryDirectory(prefix="fruitninja-") as folder:
+        made = open_solid(_trained(request, Path(folder), progress))
+        # Its file goes with the folder: what is said of it is said of the capture.
+        return Solid(Whole(made.atoms, made.meta, made.inside, scene))
+
+
+def _listed(pictures: Pictures) -> Sequence[PathLike]:
+    return [pictures] if isinstance(pictures, str | os.PathLike) else pictures
+
+
+def _trained(request: Request, out: Path, progress: Progress | None) -> Path:
+    """The path of the run's result."""
+    import torch  # takes a second, which those who only look at solids need not wait for
+
+    from training.pipeline import run
+
+    threads = torch.get_num_threads()
+    try:
+        with locked_folder(out):
+            return run(request, out, _Listener(progress), False, lambda: False)
+    finally:
+        torch.set_num_threads(threads)  # training leaves one, and the caller's own work may want them all
+
+
+class _Listener(Reporter):
+    """Hands the events of a run to its caller."""
+
+    def __init__(self, progress: Progress | None) -> None:
+        super().__init__()
+        self.listener = progress
+
+    def emit(self, event: str, **facts: Any) -> None:
+        """Calls back with a stage's progress, and makes a warning Python's own."""
+        if event == "warning":
+            warnings.warn(facts["message"], stacklevel=2)
+        elif event in ("stage", "progress") and self.listener is not None:
+            self.listener(facts["stage"], float(facts.get("part", 0.0)))

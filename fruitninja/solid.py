@@ -1,0 +1,276 @@
+"""A solid object, whole or what planes leave of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from PIL import Image
+
+from engine.errors import InputError
+from engine.export.body import body_of
+from engine.export.colours import Colours
+from engine.export.kinds import Export, write_export
+from engine.io.trained import COMPACT, STANDARD, Meta, is_trained, load_trained, save_trained
+from engine.render.cpu.kernel_field import KernelField
+from engine.scene.atoms import Atoms
+from engine.scene.camera import Camera
+from engine.scene.grid import Body
+from engine.scene.inside import Inside
+from engine.scene.piece import Piece
+from engine.scene.plane import Plane
+from fruitninja.arguments import PathLike, PlaneLike, as_plane, as_points
+from fruitninja.drawing import camera_for, check_size, default_angles, draw_section, drawing, frame
+from training.priors.inside_file import read_inside
+
+__all__ = ["Solid", "Whole", "open_solid"]
+
+NOTEBOOK = (512, 384)
+"""Pixels of the picture that a notebook shows: half the width of a page."""
+
+WHITE = (1.0, 1.0, 1.0)
+
+SLIVER = 1e-9
+"""Of the whole volume: what is less is rounding, no piece. As meshes are cut (engine.export.meshes.cutting)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Whole:
+    """What a solid and all its parts share."""
+
+    atoms: Atoms
+    meta: Meta
+    inside: Inside | None
+    """None where the atoms are all there is."""
+    source: Path
+    """The object's file, or the capture's that it was made from."""
+
+    @cached_property
+    def body(self) -> Body:
+        """The solid that the interior atoms fill."""
+        return body_of(self.atoms, str(self.source))
+
+    @cached_property
+    def field(self) -> KernelField:
+        """Colours of the atoms at any point."""
+        return KernelField(self.atoms)
+
+    @cached_property
+    def shown(self) -> Colours:
+        """Colours of the inside, where there is one, and of the atoms."""
+        return Colours(self.atoms, self.inside)
+
+
+class Solid:
+    """A solid object, or the part of it on the kept side of planes. It never changes: a cut returns another one.
+
+    Lengths are in units of the file that it was made from. Where a method takes a plane, four numbers a, b, c, d do:
+    the kept side is a x + b y + c z + d <= 0.
+    """
+
+    def __init__(self, whole: Whole, planes: Sequence[Plane] = ()) -> None:
+        """`fruitninja.open`, `fruitninja.grow` and `Capture.solidify` make solids."""
+        self._whole = whole
+        self.planes: tuple[Plane, ...] = tuple(planes)
+        """What is left is on the kept side of all of them."""
+
+    def __repr__(self) -> str:
+        atoms, cuts = self.atoms, f", cut by {len(self.planes)} planes" if self.planes else ""
+        inside = "" if self._whole.inside is None else " and an inside"
+        counts = f"{len(atoms.surface):,} surface and {len(atoms.interior):,} interior atoms"
+        return f"<Solid {self._whole.source.name}: {counts}{inside}{cuts}>"
+
+    def _repr_png_(self) -> bytes:
+        """The picture that a notebook shows."""
+        out = BytesIO()
+        Image.fromarray(self.render(size=NOTEBOOK)).save(out, format="PNG")
+        return out.getvalue()
+
+    # What it is
+
+    @property
+    def atoms(self) -> Atoms:
+        """The opaque particles of the whole object, also where it is cut: `atoms.surface` and `atoms.interior` hold
+        their arrays."""
+        return self._whole.atoms
+
+    @property
+    def inside(self) -> Inside | None:
+        """The inside as a function of the place; None where the atoms are all there is."""
+        return self._whole.inside
+
+    @property
+    def meta(self) -> Meta:
+        """What it was made from, and how."""
+        return self._whole.meta
+
+    @property
+    def up(self) -> NDArray[np.float64]:
+        """(3,). Unit vector."""
+        return np.array(self._whole.meta.up, np.float64)
+
+    @property
+    def bounds(self) -> NDArray[np.float64]:
+        """(2, 3). Least and greatest coordinates of what is left, by the centres of its atoms; zeros if none is."""
+        points = np.concatenate([self.atoms.surface.means, self.atoms.interior.means]).astype(np.float64)
+        for plane in self.planes:
+            points = points[plane.distance(points) <= 0]
+        return np.stack([points.min(0), points.max(0)]) if len(points) else np.zeros((2, 3))
+
+    @property
+    def volume(self) -> float:
+        """Units of the file cubed. Those of the two sides of a cut add up to that of what was cut.
+
+        A cell of the body counts for the part of it under the skin, times the part of it on the kept side of each
+        plane, both by the distance of its centre. Raises Error if there is nothing inside.
+        """
+        body = self._whole.body
+        grid = body.grid
+        share = np.clip(body.depth.astype(np.float64) / grid.cell + 0.5, 0, 1)
+        x, y, z = np.ogrid[tuple(slice(0, count) for count in grid.shape)]
+        for plane in self.planes:
+            (a, b, c), (u, v, w) = plane.normal, grid.origin / grid.cell + 0.5
+            cells = a * (x + u) + b * (y + v) + c * (z + w) + plane.offset / grid.cell
+            share *= np.clip(0.5 - cells, 0, 1)
+        return float(share.sum()) * grid.cell**3
+
+    # Cutting
+
+    def cut(self, *planes: PlaneLike) -> Solid:
+        """What is on the kept side of all planes."""
+        return Solid(self._whole, (*self.planes, *map(as_plane, planes)))
+
+    def pieces(self, *planes: PlaneLike) -> list[Solid]:
+        """All that planes divide it into, kept sides first, without what is empty."""
+        parts, least = [self], SLIVER * self.volume
+        for plane in map(as_plane, planes):
+            parts = [half for part in parts for half in (part.cut(plane), part.cut(plane.flipped()))]
+            parts = [part for part in parts if part.volume > least]
+        return parts
+
+    # Looking
+
+    def section(self, plane: PlaneLike, size: int = 512, width: float | None = None) -> NDArray[np.uint8]:
+        """(size, size, 4). The cut face in a plane, seen straight on from the removed side, without light.
+
+        RGB with straight alpha: transparent where the solid is not. Colours are read from the inside in all detail that
+        a pixel shows. `width`: of the picture, units of the file; None shows the whole object in any plane, at the same
+        scale in all of them. Up is upwards, and the middle is that of the whole object's bounds.
+        """
+        check_size(size, size)
+        if width is not None and not 0 < width < np.inf:
+            raise InputError(f"width {width:g}: give a length above 0")
+        whole = self._whole
+        picture = draw_section(
+            whole.field,
+            self.atoms.pitch,
+            self.inside,
+            as_plane(plane),
+            self.planes,
+            self.up,
+            self.atoms.bounds,
+            size,
+            width,
+        )
+        return picture.straight_alpha()
+
+    def colours(self, points: ArrayLike, footprint: float | None = None) -> NDArray[np.float32]:
+        """(N, 3). RGB of the inside at points (N, 3), whatever has been cut away. Range [0, 1].
+
+        `footprint`: units of the file, the size of the finest details wanted, such as the distance of neighbouring
+        points; None for all there are. Outside the solid the colours mean nothing.
+        """
+        given, shown = as_points(points), self._whole.shown
+        if footprint is not None and not 0 < footprint < np.inf:
+            raise InputError(f"footprint {footprint:g}: give a length above 0")
+        return shown.within(given, shown.detail if footprint is None else footprint)
+
+    def camera(
+        self,
+        azimuth: float | None = None,
+        elevation: float | None = None,
+        distance: float | None = None,
+        size: tuple[int, int] = (1280, 720),
+    ) -> Camera:
+        """The camera of `render`: angles in degrees about and above the middle of the whole object, distance in times
+        that from which it fits the picture, size the picture's width and height in pixels.
+
+        Without any of the three it frames what is left, and sees the cut faces.
+        """
+        check_size(*size)
+        if distance is not None and not 0 < distance < np.inf:
+            raise InputError(f"distance {distance:g}: give a number above 0; 1 fits the object into the picture")
+        angles = None
+        if not azimuth is elevation is distance is None:
+            around, above = default_angles(self.planes, self.up)
+            angles = [
+                around if azimuth is None else azimuth,
+                above if elevation is None else elevation,
+                1.0 if distance is None else distance,
+            ]
+        return camera_for(self.atoms, self.up, self.planes, angles, *size)
+
+    def render(
+        self,
+        camera: Camera | None = None,
+        *,
+        azimuth: float | None = None,
+        elevation: float | None = None,
+        distance: float | None = None,
+        size: tuple[int, int] = (1280, 720),
+    ) -> NDArray[np.uint8]:
+        """(H, W, 3). A picture over white, its cut faces in full detail: what `fruitninja-render` draws.
+
+        From a camera, whose picture has its own size, or else from that of `Solid.camera`.
+        """
+        view = self.camera(azimuth, elevation, distance, size) if camera is None else camera
+        inside = self.inside if self.planes else None
+        with drawing(self.atoms, bool(self.planes)) as (draw, _):
+            return frame(draw, self.atoms, inside, view, [Piece(self.planes)], WHITE, light=False)[..., :3]
+
+    # Files
+
+    def save(self, path: PathLike) -> None:
+        """Writes the object as a .ply, or an .spz of a tenth of its size, with what belongs beside it:
+        `fruitninja.open` and all programs here open it. Raises Error for a part of an object, which `export` writes."""
+        out, whole = Path(path), self._whole
+        if self.planes:
+            raise InputError(f"{out}: only a whole object is saved so; export what is left of it instead")
+        if out.suffix.lower() not in (STANDARD, COMPACT):
+            raise InputError(f"{out}: an object is saved as {STANDARD} or {COMPACT}; give a name that ends so")
+        if out.exists() and whole.source.exists() and out.samefile(whole.source) and not is_trained(out):
+            raise InputError(f"{out}: this is the capture itself; give another name")
+        save_trained(out, self.atoms, whole.meta, None if self.inside is None else self.inside.record())
+
+    def export(
+        self,
+        path: PathLike,
+        kind: str | None = None,
+        *,
+        pieces: bool = False,
+        step: float | None = None,
+        metres: float = 1.0,
+    ) -> str:
+        """Writes what is left for other programs; returns what is in the file, in a line.
+
+        `kind`: splats, mesh, volume or particles, where the name's ending does not tell. `pieces`: both sides of all
+        its planes, each an object of its own; meshes. `step`: units of the file between texels, voxels or particles.
+        `metres`: length of a unit. docs/EXPORT.md says what is in the files.
+        """
+        whole = self._whole
+        export = Export(
+            whole.source, self.atoms, self.inside, whole.meta, self.planes, Path(path), pieces, step, metres
+        )
+        return write_export(export, kind)
+
+
+def open_solid(path: PathLike) -> Solid:
+    """A solid from its file, a .ply or .spz with the files beside it. Raises Error if it is none, or damaged."""
+    path = Path(path)
+    atoms, meta = load_trained(path)
+    return Solid(Whole(atoms, meta, read_inside(path), path))
