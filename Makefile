@@ -58,6 +58,7 @@ screenshots: $(READY)
 	@tools/ensure_gl.sh window
 	$(BIN)/python -m tools.screenshots
 	$(BIN)/python -m tools.sheet
+	$(BIN)/python -m tools.film
 
 # Constraints are the versions the tests were run with; an editable install, so that a change needs no new one.
 $(READY): pyproject.toml constraints.txt

@@ -43,6 +43,7 @@ ALLOWED = {
         "app/jobs/training_job.py",
         "app/jobs/export.py",
         "engine/processes.py",
+        "tools/film.py",
         "tools/screenshots.py",
         "tools/sheet.py",
         "training/batch/cluster.py",
