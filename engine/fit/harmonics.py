@@ -6,14 +6,13 @@ of arrays as long as there are atoms, where a view shows a third of them and giv
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
 import torch
 from numba import njit
 
-from engine.render.projection import camera_record
+from engine.render.projection import camera_record, view_direction
 from engine.scene.camera import Camera
 from engine.scene.sh import direction_gradient, fill_basis
 from engine.threads import for_each
@@ -51,16 +50,6 @@ class _HarmonicColours(torch.autograd.Function):
         return (*(torch.from_numpy(o) for o in out), None)
 
 
-@njit(cache=True, error_model="numpy")
-def _direction(cam, eye, mean):
-    """(unit direction eye to atom, distance); an orthographic camera has one direction, distance 0."""
-    if cam.orthographic != 0.0:
-        return cam.rotation[6], cam.rotation[7], cam.rotation[8], 0.0
-    x, y, z = mean[0] - eye[0], mean[1] - eye[1], mean[2] - eye[2]
-    length = max(math.sqrt(x * x + y * y + z * z), 1e-12)
-    return x / length, y / length, z / length, length
-
-
 @njit(cache=True, error_model="numpy", nogil=True)
 def _colours(
     chunk,
@@ -74,7 +63,7 @@ def _colours(
     bands = sh.shape[1]
     basis = np.empty(16, np.float64)
     for i in range(chunk * CHUNK, min((chunk + 1) * CHUNK, len(means))):
-        x, y, z, _ = _direction(cam, eye, means[i])
+        x, y, z, _ = view_direction(cam, eye, means[i, 0], means[i, 1], means[i, 2])
         fill_basis(x, y, z, bands, basis)
         for channel in range(3):
             value = 0.5
@@ -100,7 +89,7 @@ def _colours_backward(
     for i in range(chunk * CHUNK, min((chunk + 1) * CHUNK, len(means))):
         if given[i, 0] == 0.0 and given[i, 1] == 0.0 and given[i, 2] == 0.0:
             continue
-        x, y, z, length = _direction(cam, eye, means[i])
+        x, y, z, length = view_direction(cam, eye, means[i, 0], means[i, 1], means[i, 2])
         fill_basis(x, y, z, bands, basis)
         g_basis[:] = 0.0
         for channel in range(3):

@@ -43,6 +43,7 @@ __all__ = [
     "screen_axes_backward",
     "screen_covariance",
     "screen_covariance_backward",
+    "view_direction",
 ]
 
 
@@ -113,6 +114,17 @@ def camera_point_backward(cam, gx, gy, gz):
         cam.rotation[1] * gx + cam.rotation[4] * gy + cam.rotation[7] * gz,
         cam.rotation[2] * gx + cam.rotation[5] * gy + cam.rotation[8] * gz,
     )
+
+
+@njit(cache=True, error_model="numpy")
+def view_direction(cam, eye, x, y, z):
+    """(unit direction eye to world point, distance); an orthographic camera has one direction, distance 0."""
+    if cam.orthographic != 0.0:
+        return cam.rotation[6], cam.rotation[7], cam.rotation[8], 0.0
+    dx, dy, dz = x - eye[0], y - eye[1], z - eye[2]
+    length = math.sqrt(dx * dx + dy * dy + dz * dz)
+    per_length = 1.0 / max(length, 1e-12)
+    return dx * per_length, dy * per_length, dz * per_length, length
 
 
 @njit(cache=True, error_model="numpy")

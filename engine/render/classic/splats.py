@@ -42,6 +42,7 @@ from engine.render.projection import (
     screen_axes_backward,
     screen_covariance,
     screen_covariance_backward,
+    view_direction,
 )
 from engine.scene.constants import ALPHA_STEPS, LOW_PASS
 from engine.scene.sh import direction_gradient, fill_basis
@@ -60,17 +61,6 @@ GIVEN = 11
 LOG2_E = 1.0 / math.log(2.0)
 ROOT_HALF_LOG2_E = math.sqrt(0.5 * LOG2_E)
 TWO_LN2 = 2.0 * math.log(2.0)
-
-
-@njit(cache=True, error_model="numpy")
-def _direction(cam, eye, x, y, z):
-    """(unit direction eye to Gaussian, distance); an orthographic camera has one direction, distance 0."""
-    if cam.orthographic != 0.0:
-        return cam.rotation[6], cam.rotation[7], cam.rotation[8], 0.0
-    dx, dy, dz = x - eye[0], y - eye[1], z - eye[2]
-    length = math.sqrt(dx * dx + dy * dy + dz * dz)
-    unit = 1.0 / length
-    return dx * unit, dy * unit, dz * unit, length
 
 
 @njit(cache=True, error_model="numpy")
@@ -215,7 +205,7 @@ def project(
         if scene.plain:
             record[RED], record[GREEN], record[BLUE] = colours[i, 0, 0], colours[i, 0, 1], colours[i, 0, 2]
         else:
-            dx, dy, dz, _ = _direction(cam, frame.eye, g[0, lane], g[1, lane], g[2, lane])
+            dx, dy, dz, _ = view_direction(cam, frame.eye, g[0, lane], g[1, lane], g[2, lane])
             fill_basis(dx, dy, dz, bands, basis)
             for channel in range(3):
                 value = 0.5
@@ -324,7 +314,7 @@ def project_backward(
         if scene.plain:
             g_colours[i, 0, 0], g_colours[i, 0, 1], g_colours[i, 0, 2] = red, green, blue
         else:
-            dx, dy, dz, length = _direction(cam, frame.eye, given[0, lane], given[1, lane], given[2, lane])
+            dx, dy, dz, length = view_direction(cam, frame.eye, given[0, lane], given[1, lane], given[2, lane])
             fill_basis(dx, dy, dz, bands, basis)
             g_basis[:] = 0.0
             for channel in range(3):

@@ -14,12 +14,12 @@ from PIL import Image
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from engine.errors import InputError
 from engine.io.load import load
 from engine.io.meshes.mesh import read_mesh
 from engine.io.picture_file import PICTURES
 from engine.scene.gaussians import Gaussians
 from engine.scene.sh import sh_to_rgb
+from tests.helpers.refusal import refusal
 from tests.paths import SHARED
 
 DATA = SHARED
@@ -216,7 +216,7 @@ def test_a_mesh_reads_only_its_own_folder(tmp_path: Path) -> None:
     outside = ("../secret.png", "..\\secret.png", f"{tmp_path}/secret.png", "link.png", "up/secret.png", "loop.png")
     for name in (*outside, "~/secret.png", "http://127.0.0.1/secret.png", "x" * 5000, "a\0.png"):
         (tmp_path / "in/s.mtl").write_text(f"newmtl m\nmap_Kd {name}\n")
-        assert "is missing" in refusal(lambda: read_mesh(path, 10), path), name
+        assert "is missing" in refusal(lambda: read_mesh(path, 10), f"{path}: "), name
     (tmp_path / "in/my textures").mkdir()
     Image.fromarray(ramp()).save(tmp_path / "in/my textures/s.png")
     (tmp_path / "in/s.mtl").write_text("newmtl m\nmap_Kd my textures/s.png\n")
@@ -237,16 +237,6 @@ def test_textures_with_foreign_paths_are_found(tmp_path: Path) -> None:
     path = square(tmp_path, ramp())
     (tmp_path / "s.mtl").write_text("newmtl m\nmap_Kd C:\\scans\\today\\s.png\n")
     assert np.ptp(rgb(read_mesh(path, 100))[:, 0]) > 0.5
-
-
-def refusal(read: Callable[[], object], path: Path) -> str:
-    with pytest.raises(InputError) as caught:
-        read()
-    line = str(caught.value)
-    assert line.startswith(f"{path}: ")
-    assert "\n" not in line
-    assert "Error" not in line
-    return line
 
 
 def no_texture(folder: Path) -> Path:
@@ -306,7 +296,7 @@ BAD: dict[str, tuple[Callable[[Path], Path], str]] = {
 def test_what_cannot_be_opened_gets_one_line(tmp_path: Path, case: str, capfd: pytest.CaptureFixture[str]) -> None:
     make, expected = BAD[case]
     path = make(tmp_path)
-    assert expected in refusal(lambda: load(path), path)
+    assert expected in refusal(lambda: load(path), f"{path}: ")
     assert capfd.readouterr() == ("", "")
 
 
@@ -351,4 +341,4 @@ def test_real_files_open_by_what_they_are() -> None:
     assert load(DATA / "splats/donut_mipsplatting.ply").warnings == ()
     assert len(load(DATA / "meshes/trimesh_bunny.ply").gaussians) == 60_000
     for name in ("photos/opencv_fruits.jpg", "volumes/vhm_thigh_rgba.npz"):
-        refusal(partial(load, DATA / name), DATA / name)
+        refusal(partial(load, DATA / name), f"{DATA / name}: ")

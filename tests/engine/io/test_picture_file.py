@@ -24,6 +24,7 @@ from PIL import EpsImagePlugin, Image, UnidentifiedImageError
 from engine.errors import InputError
 from engine.io.meshes.mesh import read_mesh
 from engine.io.picture_file import KINDS, open_picture, read_pixels, restricted_decoders
+from tests.helpers.refusal import refusal
 from tests.paths import ROOT
 from training.priors.exemplar.pictures import read_picture
 
@@ -36,13 +37,6 @@ def encoded(kind: str, size: tuple[int, int] = (40, 30)) -> bytes:
     rgb = np.stack([x * 5 % 256, y * 7 % 256, (x + y) % 256], axis=-1).astype(np.uint8)
     Image.fromarray(rgb).save(target, format=kind)
     return target.getvalue()
-
-
-def refusal(read: Callable[[], object]) -> str:
-    with pytest.raises(InputError) as caught:
-        read()
-    assert "\n" not in str(caught.value)
-    return str(caught.value)
 
 
 def test_pictures_are_opened_in_one_place() -> None:

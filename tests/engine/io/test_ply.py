@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import struct
 import tracemalloc
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +15,7 @@ from engine.errors import InputError
 from engine.io.ply_header import read_header
 from engine.io.splats.ply import read_ply, write_ply
 from engine.scene.gaussians import Gaussians
+from tests.helpers.refusal import refusal
 from tests.paths import SHARED
 
 DATA = SHARED
@@ -254,18 +254,6 @@ BAD_FILES: dict[str, tuple[bytes, str]] = {
     "not ascii": (header([*NAMES, "caf\xe9"], 1) + b"\0" * 60, "not ASCII"),
     "zeros": (b"ply\n" + b"\0" * 100, "broken .ply header"),
 }
-
-
-def refusal(read: Callable[[], object], name: str) -> str:
-    """The one line with which input is refused."""
-    with pytest.raises(InputError) as caught:
-        read()
-    line = str(caught.value)
-    assert line.startswith(name)
-    assert "\n" not in line
-    assert len(line) < len(name) + 160
-    assert not any(word in line for word in ("Error", "Traceback", "plyfile", "numpy", "dtype"))
-    return line
 
 
 @pytest.mark.parametrize("case", BAD_FILES)
