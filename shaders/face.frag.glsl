@@ -7,7 +7,8 @@
 uniform sampler2D grid;   // the field of the interior atoms on this plane
 uniform mat4 to_grid;     // camera space to texture coordinates
 #endif
-uniform sampler2D field;  // the sums made pixel by pixel
+uniform sampler2D field;  // the interior's sums, made pixel by pixel
+uniform sampler2D skin_field;
 uniform float edge_sigma; // half the pitch, world units
 uniform float light;      // 0 or 1
 
@@ -20,7 +21,9 @@ void main() {
 #ifdef GRID
     sum += texture(grid, (to_grid * vec4(p, 1.0)).xy);
 #endif
-    float coverage = face_coverage(sum.a, footprint_at(p.z), edge_sigma);
+    vec4 skin = texelFetch(skin_field, ivec2(gl_FragCoord.xy), 0);
+    float coverage = face_coverage(sum.a + skin.a, footprint_at(p.z), edge_sigma);
+    sum += skin_part(sum.a, skin.a) * skin;
     if (!(coverage > 0.0 && sum.a > 0.0 && p.z > near)) discard;
 #ifdef ORTHOGRAPHIC
     vec3 towards = vec3(0.0, 0.0, -1.0);

@@ -1,9 +1,14 @@
-// Coverage and light of a cut face: the laws of engine/render/cpu/ray_entry.py.
+// Coverage, colour and light of a cut face: the laws of engine/render/cpu/ray_entry.py.
 
 // Fraction of a pixel that is solid. World units: footprint of the pixel, edge_sigma half the pitch.
 float face_coverage(float density, float footprint, float edge_sigma) {
     float slope = max(1.0, edge_sigma / (EDGE_SLOPE * footprint)) / (2.0 * SOLID_DENSITY);
     return clamp(0.5 + (density - SOLID_DENSITY) * slope, 0.0, 1.0);
+}
+
+// Factor on the skin's weights in a face's colour, from the weight sums of interior and skin.
+float skin_part(float interior, float skin) {
+    return min(max(FILLED_DENSITY - interior, 0.0) / max(skin, 1e-20), 1.0);
 }
 
 // Brightness under a lamp at the eye, from unit vectors: the face's normal and the way to the eye.

@@ -26,7 +26,7 @@ from engine.render.cpu.weights import resolve_backward
 from engine.render.projection import camera_record
 from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from engine.scene.camera import Camera
-from engine.scene.constants import SOLID_DENSITY
+from engine.scene.constants import FILLED_DENSITY, SOLID_DENSITY
 from engine.scene.piece import Piece
 from engine.scene.plane import Plane
 from engine.scene.sh import C0
@@ -122,10 +122,18 @@ def _face(
     offsets, listed, _ = KernelField(atoms.atoms()).entries(hits.points, hits.footprint)
     footprint = torch.from_numpy(hits.footprint).to(kind)
     points = hits.points.astype(means.detach().numpy().dtype)
-    total, density = _Field.apply(means, scales, quats, colours, points, (0.5 * footprint).numpy(), offsets, listed)
+    sums = []
+    for of_kind in (listed >= len(atoms.means), listed < len(atoms.means)):  # the interior's, the skin's
+        some = np.concatenate([[0], np.cumsum(of_kind)])[offsets]
+        least = (0.5 * footprint).numpy()
+        sums += _Field.apply(means, scales, quats, colours, points, least, some, listed[of_kind])
+    total, interior, skin_total, skin = sums
+    density = interior + skin
+    part = ((FILLED_DENSITY - interior).clamp(min=0) / skin.clamp(min=1e-20)).clamp(max=1)  # as `skin_part`
+    total, mass = total + part[:, None] * skin_total, interior + part * skin
     edge = torch.from_numpy(face_edge(footprint.numpy(), atoms.pitch))
     covered = (0.5 + (density - SOLID_DENSITY) * edge).clamp(0, 1)
-    rgb = total * (covered / torch.where(density > 0, density, torch.ones_like(density)))[:, None]
+    rgb = total * (covered / torch.where(mass > 0, mass, torch.ones_like(mass)))[:, None]
     pixels = torch.from_numpy(hits.pixels)
     size = camera.height * camera.width
     face = torch.zeros(size, 3, dtype=kind).index_copy(0, pixels, rgb)

@@ -7,6 +7,7 @@ import math
 import numpy as np
 from numba import njit
 
+from engine.render.cpu.ray_entry import skin_part
 from engine.render.cpu.splats import DEPTH, DEPTH_EXTENT, TILE, WEIGHT
 from engine.render.cpu.tiles import AREA, TILES_PER_TASK, fill_rays, fragments, rows_of
 from engine.render.cpu.weights import BEFORE, BEHIND, depth_weight, falloff, outside_shares
@@ -24,9 +25,9 @@ __all__ = [
     "fill_splats",
     "mark_columns",
     "renumber",
-    "row_sums",
     "spread_bands",
     "truncate",
+    "weigh_faces",
 ]
 
 ROWS = 4096
@@ -139,13 +140,22 @@ def renumber(task, offsets, atoms, numbers):
 
 
 @njit(cache=True, nogil=True)
-def row_sums(task, offsets, weights, sums):
-    """Fills some of sums (P,) with the sum of each row."""
+def weigh_faces(task, offsets, atoms, surface_count, weights, density, mass):
+    """Fills density (P,), the sum of each row's weights, then scales the weights of the skin (`skin_part`) and fills
+    mass (P,), the sum of what is left."""
     for row in range(task * ROWS, min((task + 1) * ROWS, len(offsets) - 1)):
-        total = np.float32(0)
+        skin, interior = np.float32(0), np.float32(0)
         for e in range(offsets[row], offsets[row + 1]):
-            total += weights[e]
-        sums[row] = total
+            if atoms[e] < surface_count:
+                skin += weights[e]
+            else:
+                interior += weights[e]
+        part = skin_part(interior, skin)
+        for e in range(offsets[row], offsets[row + 1]):
+            if atoms[e] < surface_count:
+                weights[e] *= part
+        density[row] = skin + interior
+        mass[row] = interior + part * skin
 
 
 @njit(cache=True, error_model="numpy", nogil=True)

@@ -24,8 +24,8 @@ from engine.fit.view_kernels import (
     fill_splats,
     mark_columns,
     renumber,
-    row_sums,
     truncate,
+    weigh_faces,
 )
 from engine.render.cpu.kernel_field import KernelField
 from engine.render.cpu.outside import camera_planes, directions, draw, splats_of, view_colours
@@ -186,7 +186,7 @@ class _Faces:
 
     hits: Hits
     alpha: Float  # [K]
-    density: Float  # [K]
+    mass: Float  # [K] sum of the weights
     offsets: NDArray[np.int64]  # [K + 1]
     atoms: NDArray[np.int32]
     weights: Float
@@ -198,7 +198,7 @@ class _Faces:
 
     def fill(self, cursor: NDArray[np.int64], atoms: NDArray[np.int32], weights: Float) -> None:
         """Writes the entries at cursor (P,)."""
-        share = self.alpha / np.where(self.density > 0, self.density, 1)
+        share = self.alpha / np.where(self.mass > 0, self.mass, 1)
         for_each(
             fill_faces, -(-len(share) // ROWS), self.hits.pixels, self.offsets, self.atoms, self.weights,
             share.astype(np.float32), cursor, atoms, weights,
@@ -214,11 +214,12 @@ def _faces(atoms: Atoms, camera: Camera, planes: Sequence[Plane], field: KernelF
         offsets, columns, weights = field.entries_on(grid, float(hits.footprint[0]))
     else:
         offsets, columns, weights = field.entries(hits.points, hits.footprint)
-    density = np.empty(len(hits.pixels), np.float32)
-    for_each(row_sums, -(-len(density) // ROWS), offsets, weights, density)
+    density, mass = np.empty(len(hits.pixels), np.float32), np.empty(len(hits.pixels), np.float32)
+    tasks = -(-len(density) // ROWS)
+    for_each(weigh_faces, tasks, offsets, columns, len(atoms.surface), weights, density, mass)
     alpha = coverage(density, hits.footprint, atoms.pitch).astype(np.float32)
     columns[columns < len(atoms.surface)] += len(atoms)
-    return _Faces(hits, alpha, density, offsets, columns, weights)
+    return _Faces(hits, alpha, mass, offsets, columns, weights)
 
 
 def _drop_unused_columns(

@@ -17,6 +17,7 @@ __all__ = [
     "FACE_LAMP",
     "FACE_OPAQUE",
     "FADE_LAYERS",
+    "FILLED_DENSITY",
     "JOINT_PITCHES",
     "LATTICE_DENSITY",
     "LOW_PASS",
@@ -50,6 +51,10 @@ EDGE_SLOPE = 0.59
 
 LATTICE_DENSITY = (2.0 * math.pi) ** 1.5 / 8.0
 """Sum of the weights inside a lattice of spheres with sigma = pitch / 2."""
+
+FILLED_DENSITY = LATTICE_DENSITY / 2
+"""Weight sum of the interior's atoms from which they alone colour a cut face: that of a boundary plane of an even
+lattice. Skin that reaches farther in, or lies deeper, is not seen through what fills the body."""
 
 SOLID_DENSITY = LATTICE_DENSITY / 4
 """Weight sum from which a point counts as solid. A boundary plane of an even lattice has half of the lattice's, but

@@ -16,6 +16,7 @@ from engine.scene.constants import (
     EDGE_SLOPE,
     EPSILON_PITCHES,
     FADE_LAYERS,
+    FILLED_DENSITY,
     LOW_PASS,
     MIN_WEIGHT,
     SOLID_DENSITY,
@@ -54,18 +55,24 @@ def kernel_field(
     points: NDArray[np.floating],  # [P, 3]
     footprint: float | NDArray[np.floating] = 0.0,  # [] or [P], world units per pixel
 ) -> tuple[Double, Double]:
-    """Colour (P, 3) and density (P,): sums over all atoms; where the density is zero the colour is."""
+    """Colour (P, 3) and density (P,): sums over all atoms, in the colour those of the skin as far as the interior's are
+    less than FILLED_DENSITY; where the density is zero the colour is."""
     means, scales, axes, rgb = ellipsoids(atoms)
     points = np.asarray(points, np.float64)
     least = 0.5 * np.broadcast_to(np.asarray(footprint, np.float64), len(points))[:, None]
-    colour, density = np.zeros((len(points), 3)), np.zeros(len(points))
+    colour, density = np.zeros((2, len(points), 3)), np.zeros((2, len(points)))
     for i in range(len(means)):
+        kind = int(i < len(atoms.surface))
         used = np.maximum(scales[i], least)
         q = (((points - means[i]) @ axes[i] / used) ** 2).sum(1)
         w = np.where(q <= CUTOFF_Q, np.exp(-q / 2) * (scales[i] / used).prod(1), 0)
-        density += w
-        colour += w[:, None] * rgb[i]
-    return colour / np.where(density > 0, density, 1)[:, None], density
+        density[kind] += w
+        colour[kind] += w[:, None] * rgb[i]
+    interior, skin = density
+    missing = np.maximum(FILLED_DENSITY - interior, 0)
+    part = np.minimum(missing / np.where(skin > 0, skin, 1), 1)
+    mass = interior + part * skin
+    return (colour[0] + part[:, None] * colour[1]) / np.where(mass > 0, mass, 1)[:, None], density.sum(0)
 
 
 def rays(camera: Camera) -> tuple[Double, Double]:

@@ -11,6 +11,7 @@ import math
 import numpy as np
 from numba import njit
 
+from engine.render.cpu.ray_entry import skin_part
 from engine.scene.constants import CUTOFF_Q
 
 __all__ = [
@@ -18,9 +19,9 @@ __all__ = [
     "REACH",
     "ROWS",
     "atoms_near_plane",
+    "colour_faces",
     "count_terms",
     "count_terms_on",
-    "divide",
     "fill_terms",
     "fill_terms_on",
     "sort_by_cell",
@@ -193,12 +194,15 @@ def sum_terms(task, points, most, grid, colour, density):
 
 
 @njit(cache=True, nogil=True)
-def divide(task, colour, density):
-    """Divides the weighted colours of some points by their density."""
+def colour_faces(task, skin_colour, skin_density, colour, density):
+    """Adds the skin's sums at some points to the interior's, colour (P, 3) weighted and density (P,), and divides."""
     for p in range(task * POINTS, min((task + 1) * POINTS, len(density))):
-        if density[p] > 0:
+        part = skin_part(density[p], skin_density[p])
+        weight = density[p] + part * skin_density[p]
+        density[p] += skin_density[p]
+        if weight > 0:
             for k in range(3):
-                colour[p, k] /= density[p]
+                colour[p, k] = (colour[p, k] + part * skin_colour[p, k]) / weight
 
 
 @njit(cache=True, nogil=True)

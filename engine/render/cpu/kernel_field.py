@@ -21,9 +21,9 @@ from engine.render.cpu.field_kernels import (
     REACH,
     ROWS,
     atoms_near_plane,
+    colour_faces,
     count_terms,
     count_terms_on,
-    divide,
     fill_terms,
     fill_terms_on,
     sort_by_cell,
@@ -81,16 +81,17 @@ class KernelField:
 
     def __init__(self, atoms: Atoms) -> None:
         surface, interior = atoms.surface, atoms.interior
-        self.levels: list[Level] = []
+        self._skin: list[Level] = []
         rgb = sh.sh_to_rgb(surface.sh[:, 0])
         for rows in octaves(surface.scales.max(1, initial=0)):
             axes = axes_of(surface.quats[rows])
-            self.levels.append(level(rows, surface.means[rows], surface.scales[rows], axes, rgb[rows]))
+            self._skin.append(level(rows, surface.means[rows], surface.scales[rows], axes, rgb[rows]))
         axes = np.zeros((0, 3, 3), np.float32)
+        self._interior: list[Level] = []
         for rows in octaves(interior.sigmas):
             scales = np.repeat(interior.sigmas[rows, None], 3, 1)
             atom = rows + len(surface)
-            self.levels.append(level(atom, interior.means[rows], scales, axes, interior.rgb[rows]))
+            self._interior.append(level(atom, interior.means[rows], scales, axes, interior.rgb[rows]))
 
     def at(
         self,
@@ -99,15 +100,18 @@ class KernelField:
     ) -> tuple[Float, Float]:
         """Colour (P, 3) and density (P,) at world points; a footprint is a pixel's size there in world units.
 
-        A filled lattice has density LATTICE_DENSITY; where density is zero, so is colour.
+        The skin colours what the interior does not fill (`skin_part`). A filled lattice has density LATTICE_DENSITY;
+        where density is zero, so is colour.
         """
         points, most = prepared(points, footprint)
         tasks = -(-len(points) // POINTS)
-        colour, density = np.zeros((len(points), 3), np.float32), np.zeros(len(points), np.float32)
-        for grid in self.levels:
-            for_each(sum_terms, tasks, points, most, grid, colour, density)
-        for_each(divide, tasks, colour, density)
-        return colour, density
+        sums = []
+        for levels in (self._skin, self._interior):
+            sums += [np.zeros((len(points), 3), np.float32), np.zeros(len(points), np.float32)]
+            for grid in levels:
+                for_each(sum_terms, tasks, points, most, grid, *sums[-2:])
+        for_each(colour_faces, tasks, *sums)
+        return sums[2], sums[3]
 
     def entries(
         self,
@@ -118,12 +122,12 @@ class KernelField:
         points, most = prepared(points, footprint)
         tasks = -(-len(points) // POINTS)
         count = np.zeros(len(points) + 1, np.int64)
-        for grid in self.levels:
+        for grid in self._skin + self._interior:
             for_each(count_terms, tasks, points, most, grid, count)
         offsets = np.cumsum(count)
         cursor = offsets[:-1].copy()
         atom, weight = np.empty(offsets[-1], np.int32), np.empty(offsets[-1], np.float32)
-        for grid in self.levels:
+        for grid in self._skin + self._interior:
             for_each(fill_terms, tasks, points, most, grid, cursor, atom, weight)
         return offsets, atom, weight
 
@@ -140,7 +144,7 @@ class KernelField:
         flat, least = prepared(points.reshape(-1, 3), footprint)
         most, tasks = least[0], -(-height // ROWS)
         near = []
-        for grid in self.levels:
+        for grid in self._skin + self._interior:
             rows, boxes = np.empty(len(grid.shapes) + 1, np.int32), np.empty((len(grid.shapes) + 1, 4), np.int32)
             count_near = atoms_near_plane(grid, corner, across, down, most, rows, boxes)
             near.append((grid, rows[:count_near], boxes[:count_near]))

@@ -17,11 +17,22 @@ from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 from engine.render.projection import CameraRecord
-from engine.scene.constants import EDGE_SLOPE, FACE_AMBIENT, FACE_LAMP, SOLID_DENSITY
+from engine.scene.constants import EDGE_SLOPE, FACE_AMBIENT, FACE_LAMP, FILLED_DENSITY, SOLID_DENSITY
 from engine.scene.plane import Plane
 from engine.threads import for_each
 
-__all__ = ["Hits", "PieceBounds", "coverage", "coverage_of", "enter", "enter_row", "face_edge", "facing_of", "shade"]
+__all__ = [
+    "Hits",
+    "PieceBounds",
+    "coverage",
+    "coverage_of",
+    "enter",
+    "enter_row",
+    "face_edge",
+    "facing_of",
+    "shade",
+    "skin_part",
+]
 
 
 @dataclass(frozen=True)
@@ -103,6 +114,14 @@ def coverage_of(density, footprint, edge_sigma):
     slope, solid, unit = np.float32(EDGE_SLOPE), np.float32(SOLID_DENSITY), np.float32(0.5 / SOLID_DENSITY)
     edge = max(one, edge_sigma / (slope * footprint)) * unit
     return min(max(half + (density - solid) * edge, zero), one)
+
+
+@register_jitable(inline="always")
+def skin_part(interior, skin):
+    """Factor on the weight of the skin's atoms in the colour of a face, range [0, 1], from the weight sums of interior
+    and skin in float32: the skin adds what the interior lacks of FILLED_DENSITY."""
+    one, zero, tiny, filled = np.float32(1), np.float32(0), np.float32(1e-20), np.float32(FILLED_DENSITY)
+    return min(max(filled - interior, zero) / max(skin, tiny), one)
 
 
 def shade(hits: Hits) -> NDArray[np.float32]:

@@ -250,12 +250,13 @@ class SoftwareMode:
         records = self._buffer("sections", (count, SECTION), np.float32)
         boxes = self._buffer("boxes", (count, 4), np.int32)
         section_planes = self._buffer("section planes", (count,), np.int32)
+        is_skin = self._buffer("is skin", (count,), np.bool_)
         start = 0
         for f, store, rows in chosen:
             part = slice(start, start + len(rows))
             start += len(rows)
             e1, e2, _ = frame_of(f.plane[:3])
-            section_planes[part] = f.index
+            section_planes[part], is_skin[part] = f.index, store is solid.skin
             atoms = AtomBatch(rows, *store.arrays, scale_of(store, options))
             section_view = SectionView(f.plane, e1, e2, view.matrix, cam)
             for_each(sections, CHUNKS, -(-len(rows) // CHUNKS), atoms, section_view, records[part], boxes[part])
@@ -271,6 +272,7 @@ class SoftwareMode:
             records,
             boxes,
             section_planes,
+            is_skin,
             band_starts,
             section_ids,
             cells,

@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from engine.render.cpu.ray_entry import PieceBounds, coverage_of, enter_row, facing_of
+from engine.render.cpu.ray_entry import PieceBounds, coverage_of, enter_row, facing_of, skin_part
 from engine.render.cpu.software_sections import BAND
 from engine.render.cpu.weights import FUSED, falloff
 from engine.render.projection import CameraRecord
@@ -24,10 +24,11 @@ __all__ = ["GRID", "PieceFaces", "add_faces", "fill_grid"]
 GRID = 6
 """Numbers that describe a grid: 0 its first cell (-1: none), 1 2 height and width, 3 4 low s and t, 5 1 / cell."""
 
-PLANE, S, T, DEPTH, WEIGHT, RED, GREEN, BLUE, LIGHT = range(9)
-LANES = 9
+PLANE, S, T, DEPTH, WEIGHT, RED, GREEN, BLUE, SKIN, SKIN_RED, SKIN_GREEN, SKIN_BLUE, LIGHT = range(13)
+LANES = 13
 """Numbers of a pixel while its band is computed: plane (-1 none), its coordinates there, depth, sums of weight and of
-RGB by weight, light. One array: with several the compiler would have to assume that they overlap."""
+RGB by weight of the interior and of the skin, light. One array: with several the compiler would have to assume that
+they overlap."""
 
 
 class PieceFaces(NamedTuple):
@@ -43,6 +44,8 @@ class PieceFaces(NamedTuple):
     """(N, 4). Pixels that each section can touch, first and end in x and in y."""
     planes: NDArray[np.int32]
     """(N,). The plane of each section."""
+    skin: NDArray[np.bool_]
+    """(N,). Whether it is the section of a skin's atom."""
     band_starts: NDArray[np.int64]
     """(bands + 1,). Where the list of each band begins in `section_ids`."""
     section_ids: NDArray[np.int32]
@@ -112,10 +115,11 @@ def add_faces(
         for pair in range(faces.band_starts[band], faces.band_starts[band + 1]):
             i = faces.section_ids[pair]
             r = faces.sections[i]
-            plane = np.float32(faces.planes[i])
+            plane, sums = np.float32(faces.planes[i]), SKIN if faces.skin[i] else WEIGHT
             for y in range(max(boxes[i, 2], top), min(boxes[i, 3], bottom)):
                 at = (y - top) * width
-                add_row(r, plane, np.uintp(at + boxes[i, 0]), np.uintp(at + boxes[i, 1]), np.uintp(area), flat)
+                start, end = np.uintp(at + boxes[i, 0]), np.uintp(at + boxes[i, 1])
+                add_row(r, plane, start, end, np.uintp(area), np.uintp(sums * area), flat)
     else:
         lane[PLANE] = -1
     per_pixel = np.float32(1.0 / math.sqrt(cam.fx * cam.fy))
@@ -138,36 +142,39 @@ def finish_row(lane, per_pixel, orthographic, edge_sigma, fresh, face, depths):
     zero, tiny = np.float32(0), np.float32(1e-20)
     for k in range(np.uintp(len(depths))):
         deep = lane[DEPTH, k]
-        density = lane[WEIGHT, k] if lane[PLANE, k] >= zero else zero
+        interior, skin = lane[WEIGHT, k], lane[SKIN, k]
+        density = interior + skin if lane[PLANE, k] >= zero else zero
         footprint = per_pixel if orthographic else per_pixel * deep
         cover = coverage_of(density, footprint, edge_sigma)
         cover = cover if density > zero else zero
         kept = (cover > zero) & (fresh | (face[k, 3] <= zero) | (deep <= depths[k]))
-        each = lane[LIGHT, k] / max(density, tiny)
-        face[k, 0] = each * lane[RED, k] if kept else face[k, 0]
-        face[k, 1] = each * lane[GREEN, k] if kept else face[k, 1]
-        face[k, 2] = each * lane[BLUE, k] if kept else face[k, 2]
+        part = skin_part(interior, skin)
+        each = lane[LIGHT, k] / max(interior + part * skin, tiny)
+        face[k, 0] = each * (lane[RED, k] + part * lane[SKIN_RED, k]) if kept else face[k, 0]
+        face[k, 1] = each * (lane[GREEN, k] + part * lane[SKIN_GREEN, k]) if kept else face[k, 1]
+        face[k, 2] = each * (lane[BLUE, k] + part * lane[SKIN_BLUE, k]) if kept else face[k, 2]
         face[k, 3] = cover if kept else (zero if fresh else face[k, 3])
         depths[k] = deep if kept else depths[k]
 
 
 @njit(cache=True, error_model="numpy", nogil=True, fastmath=FUSED)
-def add_row(r, plane, start, end, area, lane):
-    """Adds one section of a plane to pixels start..end of a band's flattened lanes, which are `area` apart."""
+def add_row(r, plane, start, end, area, sums, lane):
+    """Adds one section of a plane to pixels start..end of a band's flattened lanes, which are `area` apart; its sums
+    begin at `sums`."""
     s0, t0, aa, ab, bb, limit = r[0], r[1], r[2], r[3], r[4], r[5]
     weight, red, green, blue = r[6], r[7], r[8], r[9]
     zero = r.dtype.type(0)
-    two, four, five = area + area, np.uintp(4) * area, np.uintp(5) * area
-    six, seven = np.uintp(6) * area, np.uintp(7) * area
+    two, red_sums = area + area, sums + area
+    green_sums, blue_sums = red_sums + area, red_sums + area + area
     for k in range(start, end):
         ds, dt = lane[area + k] - s0, lane[two + k] - t0
         h = ds * (aa * ds + ab * dt) + bb * dt * dt
         g = falloff(min(h, limit))
         g = g if (h <= limit) & (lane[k] == plane) else zero
-        lane[four + k] += g * weight
-        lane[five + k] += g * red
-        lane[six + k] += g * green
-        lane[seven + k] += g * blue
+        lane[sums + k] += g * weight
+        lane[red_sums + k] += g * red
+        lane[green_sums + k] += g * green
+        lane[blue_sums + k] += g * blue
 
 
 @njit(cache=True, error_model="numpy", nogil=True, fastmath=FUSED)
@@ -221,7 +228,8 @@ def fill_grid(band, low_s, low_t, cell, band_starts, section_ids, boxes, section
         i = section_ids[pair]
         for y in range(max(boxes[i, 2], top), min(boxes[i, 3], bottom)):
             start, end = (y - top) * width + boxes[i, 0], (y - top) * width + boxes[i, 1]
-            add_row(sections[i], plane, np.uintp(start), np.uintp(end), np.uintp(BAND * width), flat)
+            area = np.uintp(BAND * width)
+            add_row(sections[i], plane, np.uintp(start), np.uintp(end), area, np.uintp(WEIGHT) * area, flat)
     for row in range(bottom - top):
         for k in range(width):
             for m in range(4):

@@ -80,13 +80,16 @@ class SectionPass:
             minified = widest > float(spheres.reach.min(initial=np.inf)) / 3
             grids.append(None if options.exact or minified else self.grids.get(face.plane, spheres, options))
 
-        targets.field_fbo.clear(viewport=rect)
-        targets.field_fbo.use()
         ctx.enable_only(moderngl.BLEND | moderngl.PROGRAM_POINT_SIZE)
         ctx.blend_func = moderngl.ONE, moderngl.ONE
-        for face, grid in zip(faces, grids, strict=True):
-            if ellipsoids is not None:
+        targets.skin_field_fbo.clear(viewport=rect)
+        targets.skin_field_fbo.use()
+        if ellipsoids is not None:
+            for face in faces:
                 self._add(view, planes, face, ellipsoids, options, pitch)
+        targets.field_fbo.clear(viewport=rect)
+        targets.field_fbo.use()
+        for face, grid in zip(faces, grids, strict=True):
             if grid is None:
                 self._add(view, planes, face, spheres, options, pitch)
 
@@ -100,6 +103,7 @@ class SectionPass:
             values: dict[str, Any] = {
                 **view.uniforms,
                 "field@0": targets.field,
+                "skin_field@2": targets.skin_field,
                 "edge_sigma": pitch / 2,
                 "light": float(options.light),
                 "cut_in_camera": view.planes_in_camera(face.plane[None])[0],

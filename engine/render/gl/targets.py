@@ -50,6 +50,7 @@ class Accumulators:
         self.behind = ctx.texture(size, 4, dtype="f4")
         self.edges = ctx.texture(size, 4, dtype="f4")
         self.field = ctx.texture(size, 4, dtype="f4")
+        self.skin_field = ctx.texture(size, 4, dtype="f4")
         self.faces = ctx.texture(size, 4, dtype="f2")
         self.face_depths = ctx.texture(size, 1, dtype="f4")
         self._ctx = ctx
@@ -59,6 +60,7 @@ class Accumulators:
         self.splat_fbo = ctx.framebuffer([self.splats, self.rims, self.behind, self.edges])
         """Without the depth, which its shader reads."""
         self.field_fbo = ctx.framebuffer([self.field])
+        self.skin_field_fbo = ctx.framebuffer([self.skin_field])
         self.face_fbo = ctx.framebuffer([self.faces, self.face_depths], self.depth)
         self.coverage_fbo = ctx.framebuffer([self.faces])
         """For clearing: where the coverage is 0, nothing else is read."""
@@ -83,7 +85,8 @@ class Accumulators:
             self._classic_fbo.release()
         if self._distances is not None:
             self._distances.release()
-        for fbo in (self.front_fbo, self.splat_fbo, self.field_fbo, self.face_fbo, self.coverage_fbo):
+        fbos = self.front_fbo, self.splat_fbo, self.field_fbo, self.skin_field_fbo, self.face_fbo, self.coverage_fbo
+        for fbo in fbos:
             fbo.release()
         for texture in (
             self.depth,
@@ -92,6 +95,7 @@ class Accumulators:
             self.behind,
             self.edges,
             self.field,
+            self.skin_field,
             self.faces,
             self.face_depths,
         ):

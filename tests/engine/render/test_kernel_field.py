@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from engine.render.cpu.kernel_field import KernelField
-from engine.scene.atoms import Atoms, InteriorAtoms
+from engine.scene import sh
+from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from engine.scene.constants import LATTICE_DENSITY
 from tests.helpers.solids import ball, rows_of, scatter
 from tests.reference.opaque import kernel_field
@@ -36,6 +37,24 @@ def test_entries_are_the_terms_of_the_sums() -> None:
     sums = [weight[a:b].sum() for a, b in pairwise(offsets)]
     np.testing.assert_allclose(sums, density, rtol=1e-5, atol=1e-6)
     assert all(len(set(atom[a:b])) == b - a for a, b in pairwise(offsets))
+
+
+def test_skin_is_not_seen_through_what_fills_the_body() -> None:
+    """Skin that reaches in from the surface, however much of it, colours what lies outside of the lattice alone."""
+    side = np.arange(-6, 7, dtype=np.float32)
+    lattice = np.stack(np.meshgrid(side, side, side), -1).reshape(-1, 3)
+    inside = InteriorAtoms(lattice, np.full(len(lattice), 0.5, np.float32), np.zeros_like(lattice))
+    count = 50
+    means = np.random.default_rng(5).uniform(-6, 6, (count, 3)).astype(np.float32)
+    means[:, 2] = 6.5
+    turns = np.tile(np.float32([1, 0, 0, 0]), (count, 1))
+    white = np.full((count, 1, 3), 0.5 / sh.C0, np.float32)
+    skin = SurfaceAtoms(means, np.full((count, 3), 2, np.float32), turns, white)
+    field = KernelField(Atoms(skin, inside, 1.0))
+    deep, edge, out = (np.array([[x, y, z] for x in (-2.0, 0.3) for y in (-1.0, 2.4)]) for z in (6.0, 6.7, 8.0))
+    assert field.at(deep)[0].max() == 0
+    assert np.all((field.at(edge)[0] > 0) & (field.at(edge)[0] < 0.5))
+    assert field.at(out)[0].min() == pytest.approx(1, abs=1e-5)
 
 
 @pytest.mark.parametrize("atoms", [ball(0.12), scatter(60, 80)])

@@ -18,7 +18,7 @@ import pytest
 from numpy.typing import NDArray
 
 from engine.render.cpu import splats as record
-from engine.render.cpu.ray_entry import coverage, coverage_of, enter, facing_of
+from engine.render.cpu.ray_entry import coverage, coverage_of, enter, facing_of, skin_part
 from engine.render.cpu.software_frame import GroupLayers, resolve_row
 from engine.render.cpu.splats import RECORD, Splats, project
 from engine.render.cpu.weights import BEFORE, BEHIND, SUMS, depth_weight, outside_shares, resolve
@@ -136,6 +136,20 @@ def test_face_coverage(renderer: Renderer) -> None:
     edge = np.float32(pitch / 2)
     kernel = [coverage_of(d, f, edge) for d, f in zip(density, footprint, strict=True)]
     assert np.allclose(kernel, expected, atol=CLOSE)
+
+
+def test_skin_part(renderer: Renderer) -> None:
+    """From no interior to a full lattice, beside no skin and much of it."""
+    rng = np.random.default_rng(4)
+    interior = rng.uniform(0, constants.LATTICE_DENSITY, COUNT).astype(np.float32)
+    skin = (rng.uniform(0, constants.LATTICE_DENSITY, COUNT) * (rng.random(COUNT) > 0.2)).astype(np.float32)
+    interior[:10] = 0
+    main = "in float interior; in float skin; out float part; void main() { part = skin_part(interior, skin); }"
+    table = {"interior": interior, "skin": skin}
+    (part,) = evaluate(renderer, glsl("face_look.glsl", main=main), table, {"part": 1})
+    expected = [skin_part(i, s) for i, s in zip(interior, skin, strict=True)]
+    assert {0.0, 1.0} < set(expected)
+    assert np.allclose(part[:, 0], expected, atol=CLOSE)
 
 
 def test_outside_shares(renderer: Renderer) -> None:
