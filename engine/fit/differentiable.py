@@ -15,18 +15,18 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from engine.fit.face_kernels import POINTS, field_backward, field_sums, transpose
+from engine.fit.face_kernels import POINTS, FieldAtoms, FieldPoints, field_backward, field_sums, transpose
 from engine.fit.harmonics import harmonic_colours
 from engine.render.cpu.kernel_field import KernelField
 from engine.render.cpu.outside import Outside, camera_planes, draw
-from engine.render.cpu.ray_entry import enter, face_edge
+from engine.render.cpu.ray_entry import covered_part, enter, face_edge
 from engine.render.cpu.splats import GRADIENT, Splats, project_backward
 from engine.render.cpu.tiles import CHUNKS, accumulate_backward
 from engine.render.cpu.weights import resolve_backward
 from engine.render.projection import camera_record
 from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from engine.scene.camera import Camera
-from engine.scene.constants import FILLED_DENSITY, SOLID_DENSITY
+from engine.scene.constants import FILLED_DENSITY
 from engine.scene.piece import Piece
 from engine.scene.plane import Plane
 from engine.scene.sh import C0
@@ -132,7 +132,7 @@ def _face(
     part = ((FILLED_DENSITY - interior).clamp(min=0) / skin.clamp(min=1e-20)).clamp(max=1)  # as `skin_part`
     total, mass = total + part[:, None] * skin_total, interior + part * skin
     edge = torch.from_numpy(face_edge(footprint.numpy(), atoms.pitch))
-    covered = (0.5 + (density - SOLID_DENSITY) * edge).clamp(0, 1)
+    covered = covered_part(density, edge)
     rgb = total * (covered / torch.where(mass > 0, mass, torch.ones_like(mass)))[:, None]
     pixels = torch.from_numpy(hits.pixels)
     size = camera.height * camera.width
@@ -196,21 +196,19 @@ class _Field(torch.autograd.Function):
         offsets: NDArray[np.int64],
         listed: NDArray[np.int32],
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        arrays = tuple(t.detach().contiguous().numpy() for t in (means, scales, quats, colours))
-        context.arrays, context.points, context.least = arrays, points, least
-        context.offsets, context.listed = offsets, listed
+        atoms = FieldAtoms(*(t.detach().contiguous().numpy() for t in (means, scales, quats, colours)))
+        at = FieldPoints(points, least)
+        context.atoms, context.at, context.offsets, context.listed = atoms, at, offsets, listed
         total, density = np.empty_like(points), np.empty(len(points), points.dtype)
-        for_each(field_sums, -(-len(points) // POINTS), points, least, offsets, listed, *arrays, total, density)
+        for_each(field_sums, -(-len(points) // POINTS), at, offsets, listed, atoms, total, density)
         return torch.from_numpy(total), torch.from_numpy(density)
 
     @staticmethod
     def backward(context: Any, *gradients: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
         d_total, d_density = (g.contiguous().numpy() for g in gradients)
-        count = len(context.arrays[0])
+        count = len(context.atoms.means)
         first, entries = transpose(context.offsets, context.listed, count)
-        out = [np.empty_like(a) for a in context.arrays]
-        for_each(
-            field_backward, -(-count // POINTS), context.points, context.least, first, entries, *context.arrays,
-            d_total, d_density, *out,
-        )  # fmt: skip
+        out = FieldAtoms(*(np.empty_like(a) for a in context.atoms))
+        tasks = -(-count // POINTS)
+        for_each(field_backward, tasks, context.at, first, entries, context.atoms, d_total, d_density, out)
         return (*(torch.from_numpy(o) for o in out), None, None, None, None)

@@ -3,16 +3,40 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from engine.render.projection import rotation, rotation_backward
 
-__all__ = ["POINTS", "field_backward", "field_sums", "transpose"]
+__all__ = ["POINTS", "FieldAtoms", "FieldPoints", "field_backward", "field_sums", "transpose"]
 
 POINTS = 2048
 """Points, or atoms, per task."""
+
+
+class FieldPoints(NamedTuple):
+    """Points of the field. A named tuple, which numba can read."""
+
+    places: NDArray[np.floating]
+    """(K, 3)."""
+    least: NDArray[np.floating]
+    """(K,). No atom is sharper there than this standard deviation, world units."""
+
+
+class FieldAtoms(NamedTuple):
+    """The atoms of the field, or gradients in them. A named tuple, which numba can read."""
+
+    means: NDArray[np.floating]
+    """(N, 3)."""
+    scales: NDArray[np.floating]
+    """(N, 3)."""
+    quats: NDArray[np.floating]
+    """(N, 4)."""
+    colours: NDArray[np.floating]
+    """(N, 3)."""
 
 
 @njit(cache=True, error_model="numpy")
@@ -28,12 +52,17 @@ def _offset(point, least, mean, scale, turn):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def field_sums(task, points, least, offsets, atoms, means, scales, quats, colours, total, density):
-    """Fills total (K, 3) = sum w c and density (K,) = sum w of some points (K, 3), deviations at least `least` (K,)."""
+def field_sums(task, at, offsets, listed, atoms, total, density):
+    """Fills total (K, 3) = sum w c and density (K,) = sum w at some FieldPoints, of the FieldAtoms that are listed.
+
+    Point p lists atoms listed[offsets[p]:offsets[p + 1]].
+    """
+    points, least = at.places, at.least
+    means, scales, quats, colours = atoms.means, atoms.scales, atoms.quats, atoms.colours
     for p in range(task * POINTS, min((task + 1) * POINTS, len(points))):
         red, green, blue, weight = 0.0, 0.0, 0.0, 0.0
         for e in range(offsets[p], offsets[p + 1]):
-            i = atoms[e]
+            i = listed[e]
             turn = rotation(quats[i, 0], quats[i, 1], quats[i, 2], quats[i, 3])
             _, _, _, w = _offset(points[p], least[p], means[i], scales[i], turn)
             weight += w
@@ -45,14 +74,15 @@ def field_sums(task, points, least, offsets, atoms, means, scales, quats, colour
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def field_backward(
-    task, points, least, first, entries, means, scales, quats, colours, d_total, d_density,
-    d_means, d_scales, d_quats, d_colours,
-):  # fmt: skip
-    """Fills the gradients of some atoms from those of `field_sums`; atom i reaches points entries[first[i]:first[i+1]].
+def field_backward(task, at, first, entries, atoms, d_total, d_density, d_atoms):
+    """Fills the gradients of some FieldAtoms from those of `field_sums`.
 
-    A deviation clamped to `least` has a gradient through the weight's volume only.
+    Atom i reaches points entries[first[i]:first[i + 1]]. A deviation clamped to `least` has a gradient through the
+    weight's volume only.
     """
+    points, least = at.places, at.least
+    means, scales, quats, colours = atoms.means, atoms.scales, atoms.quats, atoms.colours
+    d_means, d_scales, d_quats, d_colours = d_atoms.means, d_atoms.scales, d_atoms.quats, d_atoms.colours
     g_scale, turned = np.empty(3), np.empty(9)
     for i in range(task * POINTS, min((task + 1) * POINTS, len(means))):
         turn = rotation(quats[i, 0], quats[i, 1], quats[i, 2], quats[i, 3])

@@ -9,7 +9,7 @@ from numba import njit
 
 from engine.render.cpu.ray_entry import skin_part
 from engine.render.cpu.splats import DEPTH, DEPTH_EXTENT, TILE, WEIGHT
-from engine.render.cpu.tiles import AREA, TILES_PER_TASK, fill_rays, fragments, rows_of
+from engine.render.cpu.tiles import AREA, TILES_PER_TASK, TileRays, fill_rays, fragments, rows_of
 from engine.render.cpu.weights import BEFORE, BEHIND, depth_weight, falloff, outside_shares
 from engine.scene.constants import CUTOFF_Q, MIN_WEIGHT
 
@@ -69,6 +69,7 @@ def _walk(task, tiled, front, shares, count, fill, cursor, atoms, weights):
     near, lane = kind(tiled.cam.near), np.empty((4, AREA), kind)
     px, py, h, z = lane[0], lane[1], lane[2], lane[3]
     base, slope = np.empty((len(tiled.planes), AREA), kind), np.empty((len(tiled.planes), AREA), kind)
+    rays = TileRays(px, py, base, slope)
     infinite, cutoff, layer = kind(np.inf), kind(0.5 * CUTOFF_Q), kind(tiled.layer)
     for tile in range(task * TILES_PER_TASK, min((task + 1) * TILES_PER_TASK, len(tiled.tile_starts) - 1)):
         left, top = tile % tiled.columns * TILE, tile // tiled.columns * TILE
@@ -81,7 +82,7 @@ def _walk(task, tiled, front, shares, count, fill, cursor, atoms, weights):
                     last = max(last, front[y, x] + layer)
         if last == -infinite:
             continue
-        fill_rays(tiled, tile, px, py, base, slope)
+        fill_rays(tiled, tile, rays)
         for pair in range(tiled.tile_starts[tile], tiled.tile_starts[tile + 1]):
             i = tiled.splat_ids[pair]
             r = tiled.records[i]
@@ -90,7 +91,7 @@ def _walk(task, tiled, front, shares, count, fill, cursor, atoms, weights):
             start, end = rows_of(r, math.sqrt(CUTOFF_Q), left, top)
             if start == end:
                 continue
-            fragments(r, tiled.spans[i], near, px, py, base, slope, start, end, h, z)
+            fragments(r, tiled.spans[i], near, rays, start, end, h, z)
             for k in range(start, end):
                 x, y = left + k % TILE, top + k // TILE
                 if not (h[k] <= cutoff and z[k] < infinite and x < width and y < height):

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from engine.render.cpu.outside import draw
 from engine.render.cpu.splats import TILE, WEIGHT, Splats
-from engine.render.cpu.tiles import AREA, fill_rays, fragments, rows_of
+from engine.render.cpu.tiles import AREA, TileRays, fill_rays, fragments, rows_of
 from engine.render.cpu.weights import falloff
 from engine.scene.atoms import SurfaceAtoms
 from engine.scene.camera import Camera
@@ -63,17 +63,18 @@ def _count(band, tiled, median, slack, parts):
     near, lane = kind(tiled.cam.near), np.empty((4, AREA), kind)
     px, py, h, z = lane[0], lane[1], lane[2], lane[3]
     base, slope = np.empty((len(tiled.planes), AREA), kind), np.empty((len(tiled.planes), AREA), kind)
+    rays = TileRays(px, py, base, slope)
     cutoff = kind(0.5 * CUTOFF_Q)
     for tile in range(band, len(tiled.tile_starts) - 1, len(parts)):
         left, top = tile % tiled.columns * TILE, tile // tiled.columns * TILE
-        fill_rays(tiled, tile, px, py, base, slope)
+        fill_rays(tiled, tile, rays)
         for pair in range(tiled.tile_starts[tile], tiled.tile_starts[tile + 1]):
             i = tiled.splat_ids[pair]
             r = tiled.records[i]
             start, end = rows_of(r, math.sqrt(CUTOFF_Q), left, top)
             if start == end:
                 continue
-            fragments(r, tiled.spans[i], near, px, py, base, slope, start, end, h, z)
+            fragments(r, tiled.spans[i], near, rays, start, end, h, z)
             for k in range(start, end):
                 x, y = left + k % TILE, top + k // TILE
                 if h[k] > cutoff or x >= width or y >= height:

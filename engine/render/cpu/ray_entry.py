@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -26,9 +26,11 @@ __all__ = [
     "PieceBounds",
     "coverage",
     "coverage_of",
+    "covered_part",
     "enter",
     "enter_row",
     "face_edge",
+    "face_light",
     "facing_of",
     "shade",
     "skin_part",
@@ -104,7 +106,12 @@ def face_edge(footprint: NDArray[np.floating], pitch: float) -> NDArray[np.float
 
 def coverage(density: NDArray[np.floating], footprint: NDArray[np.floating], pitch: float) -> NDArray[np.floating]:
     """(K,). Fraction of each pixel that is solid, with the edge where the density is SOLID_DENSITY. Range [0, 1]."""
-    return np.clip(0.5 + (density - SOLID_DENSITY) * face_edge(footprint, pitch), 0, 1)
+    return covered_part(density, face_edge(footprint, pitch))
+
+
+def covered_part(density: Any, edge: Any) -> Any:
+    """`coverage` of densities (K,) with slopes `face_edge` (K,), arrays or tensors."""
+    return (0.5 + (density - SOLID_DENSITY) * edge).clip(0, 1)
 
 
 @register_jitable(inline="always")
@@ -126,7 +133,13 @@ def skin_part(interior, skin):
 
 def shade(hits: Hits) -> NDArray[np.float32]:
     """(K,). Brightness under a lamp at the eye. Range [FACE_AMBIENT, 1]."""
-    return FACE_AMBIENT + np.float32(FACE_LAMP) * hits.facing
+    return face_light(hits.facing)
+
+
+@register_jitable(inline="always")
+def face_light(facing):
+    """Brightness under a lamp at the eye, of cosines `facing_of`, not below 0; for arrays and kernels."""
+    return FACE_AMBIENT + FACE_LAMP * facing
 
 
 @register_jitable(inline="always")

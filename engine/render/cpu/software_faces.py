@@ -13,11 +13,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from engine.render.cpu.ray_entry import PieceBounds, coverage_of, enter_row, facing_of, skin_part
+from engine.render.cpu.ray_entry import PieceBounds, coverage_of, enter_row, face_light, facing_of, skin_part
 from engine.render.cpu.software_sections import BAND
 from engine.render.cpu.weights import FUSED, falloff
 from engine.render.projection import CameraRecord
-from engine.scene.constants import FACE_AMBIENT, FACE_LAMP
 
 __all__ = ["GRID", "PieceFaces", "add_faces", "fill_grid"]
 
@@ -133,7 +132,7 @@ def light_row(lane, down, planes, p, cam):
     for k in range(np.uintp(lane.shape[1])):
         across = (k + 0.5 - cam.cx) / cam.fx
         facing = facing_of(planes[p], across, down, cam.orthographic != 0.0)
-        lane[LIGHT, k] = FACE_AMBIENT + FACE_LAMP * max(facing, 0.0) if lane[PLANE, k] == p else lane[LIGHT, k]
+        lane[LIGHT, k] = face_light(max(facing, 0.0)) if lane[PLANE, k] == p else lane[LIGHT, k]
 
 
 @njit(cache=True, error_model="numpy", nogil=True, fastmath=FUSED)

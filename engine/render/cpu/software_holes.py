@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 
 from engine.render.cpu.splats import SHARPNESS, TILE, WEIGHT
-from engine.render.cpu.tiles import AREA, FAR, add_behind, fill_rays, fragments
+from engine.render.cpu.tiles import AREA, FAR, TileRays, add_behind, fill_rays, fragments
 from engine.render.cpu.weights import BEFORE, BEHIND, SUMS, coverage, depth_weight
 from engine.scene.constants import CORE_Q, CUTOFF_Q, FACE_OPAQUE, MIN_WEIGHT
 
@@ -111,6 +111,7 @@ def fill_holes(line, tiled, colours, hidden, hidden_colours, ends, front, sums):
     near, lane = kind(tiled.cam.near), np.empty((7, AREA), kind)
     px, py, h, z, limit, nearest, shown = lane[0], lane[1], lane[2], lane[3], lane[4], lane[5], lane[6]
     base, slope = np.empty((len(tiled.planes), AREA), kind), np.empty((len(tiled.planes), AREA), kind)
+    rays = TileRays(px, py, base, slope)
     visible = np.empty(AREA, np.bool_)
     behind = np.empty((SUMS, AREA), kind)
     layer, infinite = kind(tiled.layer), kind(np.inf)
@@ -119,7 +120,7 @@ def fill_holes(line, tiled, colours, hidden, hidden_colours, ends, front, sums):
         tile = line * tiled.columns + column
         if hidden.tile_starts[tile] == hidden.tile_starts[tile + 1]:
             continue
-        fill_rays(tiled, tile, px, py, base, slope)
+        fill_rays(tiled, tile, rays)
         for k in range(AREA):
             x, y = column * TILE + k % TILE, line * TILE + k // TILE
             nearest[k] = front[y, x] if x < width and y < height else -infinite
@@ -127,7 +128,7 @@ def fill_holes(line, tiled, colours, hidden, hidden_colours, ends, front, sums):
             visible[k] = False
         for pair in range(hidden.tile_starts[tile], hidden.tile_starts[tile + 1]):
             i = hidden.splat_ids[pair]
-            fragments(hidden.records[i], hidden.spans[i], near, px, py, base, slope, 0, AREA, h, z)
+            fragments(hidden.records[i], hidden.spans[i], near, rays, 0, AREA, h, z)
             for k in range(AREA):
                 visible[k] |= (h[k] <= cutoff) & (z[k] < infinite) & (z[k] <= limit[k])
                 nearest[k] = min(nearest[k], z[k] if h[k] <= core else infinite)
@@ -138,7 +139,7 @@ def fill_holes(line, tiled, colours, hidden, hidden_colours, ends, front, sums):
             if x < width and y < height and not visible[k] and front[y, x] < infinite and ends[y, x] == front[y, x]:
                 limit[k] = front[y, x] + layer if is_partly_covered(sums[y, x]) else infinite
                 shown[k] = front[y, x]
-        add_behind(hidden, hidden_colours, tile, near, px, py, base, slope, h, z, shown, limit, behind)
+        add_behind(hidden, hidden_colours, tile, rays, h, z, shown, limit, behind)
         for k in range(AREA):
             x, y = column * TILE + k % TILE, line * TILE + k // TILE
             if behind[BEHIND, k] > kind(0.0):
@@ -154,7 +155,7 @@ def fill_holes(line, tiled, colours, hidden, hidden_colours, ends, front, sums):
                 for pair in range(drawn.tile_starts[tile], drawn.tile_starts[tile + 1]):
                     i = drawn.splat_ids[pair]
                     r = drawn.records[i]
-                    fragments(r, drawn.spans[i], near, px, py, base, slope, k, k + 1, h, z)
+                    fragments(r, drawn.spans[i], near, rays, k, k + 1, h, z)
                     if h[k] <= cutoff and z[k] < infinite:
                         g = math.exp(-h[k])
                         w = g * r[WEIGHT]

@@ -48,6 +48,7 @@ __all__ = [
     "CHUNKS",
     "FAR",
     "TILES_PER_TASK",
+    "TileRays",
     "TiledSplats",
     "accumulate",
     "accumulate_backward",
@@ -89,6 +90,17 @@ class TiledSplats(NamedTuple):
     """Tiles in a row of the picture."""
     layer: float
     """Depth of the layer on either side of the front, world units."""
+
+
+class TileRays(NamedTuple):
+    """The rays of one tile's pixels. A named tuple, which numba can read."""
+
+    px: NDArray[np.floating]
+    """(AREA,). Pixel centres."""
+    py: NDArray[np.floating]
+    base: NDArray[np.floating]
+    """(P, AREA). Each ray's distance to each plane is base + z slope, at depth z."""
+    slope: NDArray[np.floating]
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -133,12 +145,13 @@ def tile_lists(
 
 
 @njit(cache=True, error_model="numpy")
-def fill_rays(tiled, tile, px, py, base, slope):
-    """Fills a tile's pixel centres px, py (AREA,) and its rays' distance to each plane, base + z slope (P, AREA).
+def fill_rays(tiled, tile, rays):
+    """Fills the rays of a tile.
 
     The pixel loops allocate these arrays and repeat the prelude: with shared functions they take twice as long.
     """
     cam, planes = tiled.cam, tiled.planes
+    px, py, base, slope = rays.px, rays.py, rays.base, rays.slope
     left, top = tile % tiled.columns * TILE, tile // tiled.columns * TILE
     for k in range(AREA):
         u, v = left + k % TILE + 0.5, top + k // TILE + 0.5
@@ -161,18 +174,17 @@ def rows_of(r, extent, left, top):
         return 0, 0
     reach = extent * r[SIGMA_Y]
     v = r[V] + r[V_FRACTION] - top
-    low, high = (
-        max(v - reach - 0.501, 0.0),
-        min(v + reach - 0.499, TILE - 1.0),
-    )  # rows by their centres, with a margin for rounding
+    # Rows by their centres, with a margin for rounding.
+    low, high = max(v - reach - 0.501, 0.0), min(v + reach - 0.499, TILE - 1.0)
     if not (low <= high and high >= 0.0):
         return 0, 0
     return TILE * int(low), TILE * (int(high) + 1)
 
 
 @njit(cache=True, error_model="numpy", fastmath=FUSED)
-def fragments(r, span, near, px, py, base, slope, start, end, h, z):
+def fragments(r, span, near, rays, start, end, h, z):
     """Fills h = q / 2 and depth z of a splat's fragments in pixels start..end; z is infinite if clipped."""
+    px, py, base, slope = rays.px, rays.py, rays.base, rays.slope
     zero, infinite = z.dtype.type(0), z.dtype.type(np.inf)
     u0, u1, v0, v1, a, b, c = r[U], r[U_FRACTION], r[V], r[V_FRACTION], r[WHITEN_X], r[WHITEN_Y], r[SHEAR]
     middle, kx, ky, reach = r[DEPTH], r[DEPTH_X], r[DEPTH_Y], r[DEPTH_LIMIT]
@@ -199,6 +211,7 @@ def accumulate(task, tiled, colours, front, sums):
     near, lane = kind(tiled.cam.near), np.empty((7, AREA), kind)
     px, py, h, z, nearest, begin, limit = lane[0], lane[1], lane[2], lane[3], lane[4], lane[5], lane[6]
     base, slope = np.empty((len(tiled.planes), AREA), kind), np.empty((len(tiled.planes), AREA), kind)
+    rays = TileRays(px, py, base, slope)
     total = np.empty((SUMS, AREA), kind)
     s0, s1, s2, s3, s4 = total[0], total[1], total[2], total[3], total[4]
     b0, b1, b2, b3, b4 = total[BEFORE], total[BEFORE + 1], total[BEFORE + 2], total[BEFORE + 3], total[BEFORE + 4]
@@ -209,14 +222,14 @@ def accumulate(task, tiled, colours, front, sums):
         nearest[:] = infinite
         total[:] = zero
         if tiled.tile_starts[tile] < tiled.tile_starts[tile + 1]:
-            fill_rays(tiled, tile, px, py, base, slope)
+            fill_rays(tiled, tile, rays)
         for pair in range(tiled.tile_starts[tile], tiled.tile_starts[tile + 1]):
             i = tiled.splat_ids[pair]
             r = tiled.records[i]
             start, end = rows_of(r, math.sqrt(CORE_Q), left, top)
             if start == end:
                 continue
-            fragments(r, tiled.spans[i], near, px, py, base, slope, start, end, h, z)
+            fragments(r, tiled.spans[i], near, rays, start, end, h, z)
             for k in range(np.uintp(start), np.uintp(end)):
                 nearest[k] = min(nearest[k], z[k] if h[k] <= core else infinite)
         last = -infinite
@@ -232,7 +245,7 @@ def accumulate(task, tiled, colours, front, sums):
             start, end = rows_of(r, math.sqrt(CUTOFF_Q), left, top)
             if start == end:
                 continue
-            fragments(r, tiled.spans[i], near, px, py, base, slope, start, end, h, z)
+            fragments(r, tiled.spans[i], near, rays, start, end, h, z)
             weight, edge = r[WEIGHT], r[SHARPNESS]
             red, green, blue = colours[i, 0], colours[i, 1], colours[i, 2]
             shown, early = False, False
@@ -263,7 +276,7 @@ def accumulate(task, tiled, colours, front, sums):
         for k in range(AREA):
             partly = s0[k] > MIN_WEIGHT and coverage(s0[k], s1[k]) < 1.0
             limit[k] = limit[k] if nearest[k] < infinite and partly else infinite
-        add_behind(tiled, colours, tile, near, px, py, base, slope, h, z, nearest, limit, total)
+        add_behind(tiled, colours, tile, rays, h, z, nearest, limit, total)
         for k in range(AREA):
             x, y = left + k % TILE, top + k // TILE
             if x < width and y < height:
@@ -283,15 +296,16 @@ def _open_rows(limit):
 
 
 @njit(cache=True, error_model="numpy", nogil=True, fastmath=FUSED)
-def add_behind(tiled, colours, tile, near, px, py, base, slope, h, z, nearest, limit, total):
+def add_behind(tiled, colours, tile, rays, h, z, nearest, limit, total):
     """Adds to total (SUMS, AREA) the sums of a tile's fragments behind limit (AREA,), which is infinite for pixels that
     need none; their front is at `nearest` (AREA,).
 
-    px, py, base and slope as `fill_rays` fills them; h and z (AREA,) are scratch.
+    rays as `fill_rays` fills them; h and z (AREA,) are scratch.
     """
     left, top = tile % tiled.columns * TILE, tile // tiled.columns * TILE
     kind = tiled.records.dtype.type
     infinite, zero, cutoff, layer = kind(np.inf), kind(0.0), kind(0.5 * CUTOFF_Q), kind(tiled.layer)
+    near = kind(tiled.cam.near)
     least, first, last = _open_rows(limit)
     if least == infinite:
         return
@@ -304,7 +318,7 @@ def add_behind(tiled, colours, tile, near, px, py, base, slope, h, z, nearest, l
         start, end = max(start, first), min(end, last)
         if start >= end:
             continue
-        fragments(r, tiled.spans[i], near, px, py, base, slope, start, end, h, z)
+        fragments(r, tiled.spans[i], near, rays, start, end, h, z)
         shown = False
         for k in range(np.uintp(start), np.uintp(end)):
             g = falloff(min(h[k], cutoff))
@@ -363,6 +377,7 @@ def accumulate_backward(task, tiled, colours, front, d_sums, first_rows, rows):
     px, py, h, z, nearest, begin, limit = lane[0], lane[1], lane[2], lane[3], lane[4], lane[5], lane[6]
     least, most = lane[7], lane[8]  # depths between which a fragment has a gradient
     base, slope = np.empty((len(tiled.planes), AREA), kind), np.empty((len(tiled.planes), AREA), kind)
+    rays = TileRays(px, py, base, slope)
     # One flat array: with twenty base pointers the compiler would have to assume that they overlap.
     part = np.zeros(GRADIENT * TILE + (SUMS + 5) * AREA, kind)
     d_tile = part[GRADIENT * TILE :].reshape(SUMS + 5, AREA)  # the last five: as one splat's fragments see them
@@ -373,7 +388,7 @@ def accumulate_backward(task, tiled, colours, front, d_sums, first_rows, rows):
         left, top = column * TILE, line * TILE
         if tiled.tile_starts[tile] == tiled.tile_starts[tile + 1]:
             continue
-        fill_rays(tiled, tile, px, py, base, slope)
+        fill_rays(tiled, tile, rays)
         last = -infinite
         for k in range(AREA):
             x, y = left + k % TILE, top + k // TILE
@@ -395,7 +410,7 @@ def accumulate_backward(task, tiled, colours, front, d_sums, first_rows, rows):
             start, end = rows_of(r, math.sqrt(CUTOFF_Q), left, top)
             if start == end:
                 continue
-            fragments(r, tiled.spans[i], near, px, py, base, slope, start, end, h, z)
+            fragments(r, tiled.spans[i], near, rays, start, end, h, z)
             red, green, blue = colours[i, 0], colours[i, 1], colours[i, 2]
             # From here on h holds exp(-q / 2).
             shown, elsewhere = False, False

@@ -18,7 +18,7 @@ import pytest
 from numpy.typing import NDArray
 
 from engine.render.cpu import splats as record
-from engine.render.cpu.ray_entry import coverage, coverage_of, enter, facing_of, skin_part
+from engine.render.cpu.ray_entry import coverage, coverage_of, enter, face_light, facing_of, shade, skin_part
 from engine.render.cpu.software_frame import GroupLayers, resolve_row
 from engine.render.cpu.splats import RECORD, Splats, project
 from engine.render.cpu.weights import BEFORE, BEHIND, SUMS, depth_weight, outside_shares, resolve
@@ -28,7 +28,6 @@ from engine.render.gl.context import CONSTANTS, layout, write_uniforms
 from engine.render.projection import camera_record
 from engine.scene import constants, sh
 from engine.scene.camera import Camera
-from engine.scene.constants import FACE_AMBIENT, FACE_LAMP
 from engine.scene.rotations import normalised_quats, rotation_matrices
 from shaders import source
 from tests.reference.opaque import coverage as covered_by
@@ -221,7 +220,9 @@ def test_ray_entry_and_light(renderer: Renderer, camera: Camera) -> None:
     across, down = (pixels[:, 0] - cam.cx) / cam.fx, (pixels[:, 1] - cam.cy) / cam.fy
     facing = [facing_of(plane, x, y, camera.orthographic) for x, y in zip(across, down, strict=True)]
     assert np.allclose(hits.facing, facing, rtol=CLOSE)
-    assert np.allclose(brightness[:, 0], FACE_AMBIENT + FACE_LAMP * np.array(facing), rtol=CLOSE)
+    expected = 0.85 + 0.15 * np.array(facing)
+    for found in (brightness[:, 0], shade(hits), face_light(np.array(facing))):
+        assert np.allclose(found, expected, rtol=CLOSE)
 
 
 @pytest.mark.parametrize("camera", cameras(), ids=["pinhole", "orthographic"])
