@@ -10,6 +10,9 @@ from pathlib import Path
 
 __all__ = ["main"]
 
+REFUSED = 2
+"""Exit status of `engine.command`, which takes a second to import: a wrong path should be reported at once."""
+
 
 def main() -> None:
     """Entry point: `fruitninja [SCENE | PROJECT.fruitninja]`."""
@@ -21,7 +24,7 @@ def main() -> None:
     path: Path | None = parser.parse_args().path
     if path is not None and not path.is_file():
         print(f"fruitninja: {path}: no such file", file=sys.stderr)
-        sys.exit(2)
+        sys.exit(REFUSED)
     # Imported only now: the window's libraries take a second to load, and a wrong path should be reported at once.
     path = None if path is None else path.absolute()
     folder = leave_current_folder()
@@ -44,7 +47,7 @@ def main() -> None:
             "fruitninja: there is no display to open a window on; fruitninja-train and fruitninja-render need none",
             file=sys.stderr,
         )
-        sys.exit(2)
+        sys.exit(REFUSED)
     Window(Session(folder=folder), start).run()
 
 

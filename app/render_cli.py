@@ -78,8 +78,8 @@ def render_command(
         def shot(view: Camera, pieces: Sequence[Piece]) -> NDArray[np.uint8]:
             return frame(draw, atoms, inside, view, pieces, ground, light=True)
 
-        told = save_film(out, wanted, scene, shot, {"background": background, "drawn": who})
-        print_result(f"{out} ({told} of {width}x{height}, drawn by {who})")
+        frames = save_film(out, wanted, scene, shot, {"background": background, "drawn": who})
+        print_result(f"{out} ({frames} of {width}x{height}, drawn by {who})")
 
 
 def save(path: Path, rgba: NDArray[np.uint8], transparent: bool) -> None:

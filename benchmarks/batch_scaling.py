@@ -4,7 +4,7 @@
 
 Trains the same small scenes (the sample orange with several seeds, one iteration at draft detail) with one worker, two,
 and so on, each time from nothing. Start-up of the cluster is told apart from the training, as are the seconds that
-scenes wait with none at work. With --preload every worker runs a file first: tests/helpers/batch_worker.py makes runs
+scenes wait with none at work. With --preload every worker runs a file first: tests/helpers/workers/batch_worker.py makes runs
 of a second or two, which show what the workers themselves cost. Writes batch_scaling.png and .json, which has the
 numbers.
 """
@@ -30,7 +30,7 @@ from training.families import Family
 from training.request import Request
 
 ORANGE = ROOT / "sample_scenes/orange"
-SMALL_RUNS = ROOT / "tests/helpers/batch_worker.py"
+SMALL_RUNS = ROOT / "tests/helpers/workers/batch_worker.py"
 """What a worker of the tests runs first."""
 
 

@@ -71,7 +71,7 @@ class Viewing:
     cross: Vec3 | None = None
     """Where these cross, object space; None: in the middle of the object."""
     unit: Unit = field(default_factory=Unit)
-    """What lengths are told in."""
+    """What lengths are given in."""
 
 
 @dataclass(frozen=True)

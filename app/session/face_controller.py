@@ -1,4 +1,4 @@
-"""The faces in the document's pictures: found in the background, told to the user, and corrected by them.
+"""The faces in the document's pictures: found in the background, shown to the user, and corrected by them.
 
 One picture at a time is open. What is corrected in it is part of its family, so that undo, saving and training know it
 at once.
@@ -205,12 +205,12 @@ class FaceController:
         faces = [self.finder.get(path) for _, path in self._new]
         if not all(faces):
             return
-        told = [(*entry, face) for entry, face in zip(self._new, faces, strict=True) if face is not None]
+        found = [(*entry, face) for entry, face in zip(self._new, faces, strict=True) if face is not None]
         # One that the user should look at comes first.
-        kind, path, face = max(told, key=lambda entry: _doubt(entry[0], entry[2]))
+        kind, path, face = max(found, key=lambda entry: _doubt(entry[0], entry[2]))
         text = face.verdict if face.problem else (f"it {describe_guess(face.guess)}" if face.guess is not None else "")
         text = f"{text}; {face.note}" if face.note else text
-        more = f" {len(told) - 1} more were added." if len(told) > 1 else ""
+        more = f" {len(found) - 1} more were added." if len(found) > 1 else ""
         self.hint, self._new = Hint(kind, path, f"{path.name}: {text}.{more}"), []
         self.workspace.notify(self.hint.text)
 

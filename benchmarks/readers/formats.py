@@ -206,7 +206,7 @@ def measure(atoms: int) -> list[dict[str, Any]]:
     true = solid(atoms)
     rows = []
 
-    def told(row: dict[str, Any]) -> None:
+    def add_row(row: dict[str, Any]) -> None:
         rows.append(row)
         words = (f"{key} {value:.3g}" if isinstance(value, float) else f"{key} {value}" for key, value in row.items())
         print("  ".join(words), flush=True)
@@ -220,9 +220,9 @@ def measure(atoms: int) -> list[dict[str, Any]]:
             row = {"format": suffix, "direction": "out", "bytes": path.stat().st_size, "seconds": seconds}
             if suffix != ".usdc":
                 found, took = timed(partial(by_ours, path))
-                told(row | {"reader": "ours", "read_seconds": took} | errors(meant, found))
+                add_row(row | {"reader": "ours", "read_seconds": took} | errors(meant, found))
             for who, read in readers:
-                told(row | {"reader": who} | attempt(partial(read, path), meant))
+                add_row(row | {"reader": who} | attempt(partial(read, path), meant))
         ply, few = folder / "a.ply", solid(QUICK_ATOMS)
         write_ply(ply, few)
         for who, forms in IN.items():
@@ -231,9 +231,9 @@ def measure(atoms: int) -> list[dict[str, Any]]:
                 try:
                     path = written_by(who, form, ply)
                 except (OSError, ImportError, KeyError, subprocess.SubprocessError) as error:
-                    told(row | {"missing": type(error).__name__})
+                    add_row(row | {"missing": type(error).__name__})
                     continue
-                told(row | {"bytes": path.stat().st_size} | attempt(partial(by_ours, path), few))
+                add_row(row | {"bytes": path.stat().st_size} | attempt(partial(by_ours, path), few))
     return rows
 
 

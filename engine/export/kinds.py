@@ -27,7 +27,7 @@ from engine.scene.plane import Plane
 __all__ = ["KINDS", "SUFFIXES", "Export", "Kind", "kind_of", "write_export"]
 
 LEAST_TOLD = 0.01
-"""Part of the skin that is left out from which the user is told: less is stray atoms."""
+"""Part of the skin that is left out from which the user is warned: less is stray atoms."""
 
 
 @dataclass(frozen=True)
@@ -125,11 +125,11 @@ def write_volume(export: Export) -> str:
 
     voxels = voxels_of(*solid_of(export), export.planes, export.step, str(export.out))
     files = save_volume(export.out, voxels, export.meta.up, export.metres)
-    told = [KIND_NAMES[n] for n in np.unique(voxels.kind)]
+    kinds = [KIND_NAMES[n] for n in np.unique(voxels.kind)]
     x, y, z = voxels.grid.shape
     edge = f"{voxels.grid.cell * export.metres * 1000:.4g} mm"
     beside = "".join(f", {file.name} beside it" for file in files[1:])
-    return f"{x} x {y} x {z} voxels of {edge}{beside}; labels {', '.join(told)}"
+    return f"{x} x {y} x {z} voxels of {edge}{beside}; labels {', '.join(kinds)}"
 
 
 def write_particles(export: Export) -> str:

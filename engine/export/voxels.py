@@ -20,7 +20,7 @@ MOST_VOXELS = 1 << 28
 """Of a grid: 1 GB of colours and kinds."""
 
 BESIDE = 1.0
-"""Voxels. Outside the body the colour is told this far, so that a reader who interpolates mixes in no black."""
+"""Voxels. Outside the body the colours go on this far, so that a reader who interpolates mixes in no black."""
 
 BORDER = 1
 """Empty cells on each side: a reader that draws a surface finds it closed."""

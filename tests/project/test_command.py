@@ -13,6 +13,8 @@ from pathlib import Path
 import psutil
 import pytest
 
+from app import main
+from engine import command
 from tests.paths import ROOT
 
 SCENE = ROOT / "sample_scenes/bread"
@@ -178,3 +180,7 @@ def test_output_that_cannot_be_written_is_said() -> None:
         full.replace("No space left on device", "Broken pipe"),
     )
     os.close(write)
+
+
+def test_the_window_refuses_with_the_same_status() -> None:
+    assert main.REFUSED == command.REFUSED

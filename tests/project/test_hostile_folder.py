@@ -65,7 +65,7 @@ def run(folder: Path, tmp_path: Path, code: str, *arguments: str) -> str:
     script.write_text(code)
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONSAFEPATH"}
     environment |= {"PYTHONPATH": str(ROOT), "FRUITNINJA_HOME": str(tmp_path), "HOME": str(tmp_path)}
-    environment |= {"DASK_DISTRIBUTED__WORKER__PRELOAD": json.dumps([str(HELPERS / "batch_worker.py")])}
+    environment |= {"DASK_DISTRIBUTED__WORKER__PRELOAD": json.dumps([str(HELPERS / "workers/batch_worker.py")])}
     command = [sys.executable, str(script), *arguments]
     done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=300)
     assert marks(folder) == []

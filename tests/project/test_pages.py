@@ -21,6 +21,8 @@ def test_every_path_on_a_page_exists(page: str) -> None:
 
 
 def test_every_test_named_on_a_page_exists() -> None:
+    files = {path.stem for path in (ROOT / "tests").rglob("test_*.py")}
+    assert set(re.findall(r"`(test_\w+)`", (ROOT / "docs/TRUST.md").read_text(encoding="utf-8"))) <= files
     text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
     for path, name in re.findall(r"(tests/[\w./]+\.py)::(\w+)", text):
         assert f"def {name}(" in (ROOT / path).read_text(encoding="utf-8")

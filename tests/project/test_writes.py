@@ -28,8 +28,8 @@ from engine.io.scratch import atomic_folder
 from engine.io.trained import Meta, save_trained
 from engine.scene.image import Picture
 from tests.helpers.app_objects import atoms, full
-from tests.helpers.batch_worker import SHORT, SMALL
 from tests.helpers.faults import ERRORS, Faults
+from tests.helpers.workers.batch_worker import SHORT, SMALL
 from tests.paths import SAMPLES
 from training.batch.cli import Summary
 from training.batch.grid import Outcome

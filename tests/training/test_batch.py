@@ -21,7 +21,7 @@ import pytest
 
 from engine.errors import InputError
 from engine.isolate.selection import Box, Detected, Step, keep_only
-from tests.helpers.batch_worker import SMALL
+from tests.helpers.workers.batch_worker import SMALL
 from tests.paths import HELPERS, SAMPLES
 from training.batch import Outcome, Task, TaskStopped, report, run_grid, should_stop
 from training.batch.cli import main
@@ -33,7 +33,7 @@ from training.events import Reporter
 from training.pipeline import run
 
 SCENES = SAMPLES
-WORKER = HELPERS.joinpath("batch_worker.py")
+WORKER = HELPERS.joinpath("workers", "batch_worker.py")
 
 MANIFEST = f"""
 [defaults]

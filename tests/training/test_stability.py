@@ -32,10 +32,10 @@ from engine.solid.fill import Colours
 from engine.solid.find_body import find_body
 from tests.engine.fit.test_sh_fit import sphere as patches
 from tests.engine.fit.test_sh_fit import views_of
-from tests.helpers.batch_worker import SMALL
 from tests.helpers.exemplar_faces import disc, save
 from tests.helpers.solids import ball as solid
 from tests.helpers.solids import flat_gaussians, joined, sphere
+from tests.helpers.workers.batch_worker import SMALL
 from training.evaluate.methods.ablations import Looped
 from training.events import Reporter
 from training.families import Family

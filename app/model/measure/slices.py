@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from app.model.camera_control import ray
 from app.model.rigid_transform import Vec3, vec3
 from engine.scene.camera import Camera, equator, section
 from engine.scene.plane import Plane
@@ -105,6 +106,5 @@ class Slices:
 
 def on_plane(camera: Camera, plane: Plane, at: Point) -> NDArray[np.float64]:
     """(3,). The point of a plane that an orthographic camera, which looks along its normal, shows at a place."""
-    seen = np.array([(at[0] - camera.cx) / camera.fx, (at[1] - camera.cy) / camera.fy, 0.0])
-    point = (seen - camera.viewmat[:3, 3]) @ camera.viewmat[:3, :3]
+    point, _ = ray(camera, at)
     return np.asarray(point - np.asarray(plane.normal) * float(plane.distance(point)))

@@ -21,7 +21,7 @@ POWERS = {1: "", 2: "²", 3: "³"}
 
 @dataclass(frozen=True)
 class Unit:
-    """What lengths are told in."""
+    """What lengths are given in."""
 
     name: UnitName = "units"
     """'units': those of the file."""

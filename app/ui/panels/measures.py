@@ -1,4 +1,4 @@
-"""What is measured: volume and surface of what is selected, the last distance, and the unit that they are told in."""
+"""What is measured: volume and surface of what is selected, the last distance, and the unit that they are given in."""
 
 from __future__ import annotations
 

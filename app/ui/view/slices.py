@@ -12,6 +12,7 @@ from imgui_bundle import icons_fontawesome_6 as icon
 from numpy.typing import NDArray
 
 from app.jobs.slice_reader import COARSE, Face, SliceReader, WantedFace
+from app.model.camera_control import ray
 from app.model.measure.slices import SLICES, Slices
 from app.model.measure.units import round_length
 from app.model.rigid_transform import Vec3, vec3
@@ -216,8 +217,7 @@ class SliceViews:
         wide, high = face.rgba.shape[1] * grain, face.rgba.shape[0] * grain
         corners = []
         for x, y in ((0.0, 0.0), (float(wide), float(high))):
-            seen = np.array([(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, 0.0])
-            point = (seen - camera.viewmat[:3, 3]) @ camera.viewmat[:3, :3]
+            point, _ = ray(camera, (x, y))
             a, b, _ = now.viewmat[:3, :3] @ point + now.viewmat[:3, 3]
             corners.append(ImVec2(origin.x + now.fx * a + now.cx, origin.y + now.fy * b + now.cy))
         draw.add_image(imgui.ImTextureRef(texture.glo), corners[0], corners[1])

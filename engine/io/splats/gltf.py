@@ -91,13 +91,13 @@ def read_gltf(path: str | Path, most: int | None = None) -> tuple[Gaussians, lis
         )
         columns = 14 + 3 * ((degree + 1) ** 2 - 1)
         gaussians, lines = gaussians_from_rows(path, blocks, sum(map(len, chosen)), columns, wide=True)
-    told = [f"{path}: sizes below 0, as drafts of {GAUSSIANS} had them, are read as logarithms"] if logs else []
+    warnings = [f"{path}: sizes below 0, as drafts of {GAUSSIANS} had them, are read as logarithms"] if logs else []
     spaces = {field.space for field in fields}
     if LINEAR in spaces:
-        told.append(f"{path}: its linear colours are turned into sRGB; blended ones differ a little")
+        warnings.append(f"{path}: its linear colours are turned into sRGB; blended ones differ a little")
     for space in sorted(spaces - {SRGB, LINEAR}):
-        told.append(f"{path}: colour space {space[:40]!r} is not known; its numbers are taken for sRGB")
-    return gaussians, [*told, *lines]
+        warnings.append(f"{path}: colour space {space[:40]!r} is not known; its numbers are taken for sRGB")
+    return gaussians, [*warnings, *lines]
 
 
 def _blocks(chosen: range) -> Iterator[range]:

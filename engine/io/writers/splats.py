@@ -1,4 +1,4 @@
-"""Writes Gaussians in the formats of other programs: which format a name means, and what is told in each."""
+"""Writes Gaussians in the formats of other programs: which format a name means, and what each says of its origin."""
 
 from __future__ import annotations
 

@@ -10,9 +10,9 @@ import pytest
 
 from engine.errors import InputError
 from engine.io.trained import Meta, inside_path, load_inside_record, save_trained
-from tests.helpers.batch_worker import SMALL
 from tests.helpers.exemplar_faces import UP, ball
 from tests.helpers.solids import ball as atoms_of_a_ball
+from tests.helpers.workers.batch_worker import SMALL
 from tests.paths import SAMPLES
 from training.events import Reporter
 from training.families import Family

@@ -108,7 +108,7 @@ def solve(
     stamps = scatter_details(rgb, space, views, layers, height_mask, rng, lambda part: progress(0.7 + 0.1 * part))
     space.fill(rgb)
     gain = sharpen(space, rgb, views)
-    log.info("%d details strewn, edges sharpened by %.2f", len(stamps.rows), gain)
+    log.info("%d details scattered, edges sharpened by %.2f", len(stamps.rows), gain)
     return _make_volume(space, rgb, progress, replace(inside, stamps=stamps), notes)
 
 

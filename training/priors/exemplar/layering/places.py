@@ -20,7 +20,7 @@ DEPTH_STEP = 2
 hundredth of a cell at a skin of any radius that cuts show, and by half a cell in the sharpest corner."""
 
 FAR_OUTSIDE = -6.0
-"""Cells outside the skin from which the depth is not told."""
+"""Cells outside the skin from which the depth is not known."""
 
 FLAT_END_SHARE = 0.4
 """Area of an end slice over the widest one from which the end counts as cut off flat."""
@@ -58,7 +58,7 @@ class Places:
 
 @dataclass(frozen=True)
 class Shape:
-    """The shape of a body: what tells the places of points in it. Lengths are in cells."""
+    """The shape of a body: from which the places of points in it are found. Lengths are in cells."""
 
     inradius: float
     widest: float
