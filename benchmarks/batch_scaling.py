@@ -5,8 +5,8 @@
 Trains the same small scenes (the sample orange with several seeds, one iteration at draft detail) with one worker, two,
 and so on, each time from nothing. Start-up of the cluster is told apart from the training, as are the seconds that
 scenes wait with none at work. With --preload every worker runs a file first: tests/helpers/workers/batch_worker.py
-makes runs of a second or two, which show what the workers themselves cost. Writes batch_scaling.png and .json, which has the
-numbers.
+makes runs of a second or two, which show what the workers themselves cost. Writes batch_scaling.png and
+.json, which has the numbers.
 """
 
 from __future__ import annotations
