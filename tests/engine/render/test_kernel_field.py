@@ -47,7 +47,7 @@ def test_skin_is_not_seen_through_what_fills_the_body() -> None:
     count = 50
     means = np.random.default_rng(5).uniform(-6, 6, (count, 3)).astype(np.float32)
     means[:, 2] = 6.5
-    turns = np.tile(np.float32([1, 0, 0, 0]), (count, 1))
+    turns = np.tile(np.array([1, 0, 0, 0], np.float32), (count, 1))
     white = np.full((count, 1, 3), 0.5 / sh.C0, np.float32)
     skin = SurfaceAtoms(means, np.full((count, 3), 2, np.float32), turns, white)
     field = KernelField(Atoms(skin, inside, 1.0))
