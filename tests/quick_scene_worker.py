@@ -8,7 +8,6 @@ from typing import Any
 import app.jobs.scene_loader as scene_loader
 import app.jobs.scene_worker as scene_worker
 from engine.processes import start_python
-from engine.solid import solidify
 
 __all__ = ["use_quick_worker"]
 
@@ -23,6 +22,8 @@ def use_quick_worker() -> None:
 
 
 if __name__ == "__main__":
+    from engine.solid import solidify  # here alone: it takes a second to import, and the window does not need it
+
     solidify.BODY_CELLS = 32
     scene_worker.DRAFT = replace(
         scene_worker.DRAFT, cells=40, skin_views=12, skin_steps=4, skin_size=96, surface_views=8, surface=64
