@@ -8,8 +8,14 @@ from typing import Any
 import app.jobs.scene_loader as scene_loader
 import app.jobs.scene_worker as scene_worker
 from engine.processes import start_python
+from training.settings import DETAILS
 
-__all__ = ["use_quick_worker"]
+__all__ = ["BODY_CELLS", "QUICK", "use_quick_worker"]
+
+
+QUICK = replace(DETAILS["draft"], cells=40, skin_views=12, skin_steps=4, skin_size=96, surface_views=8, surface=64)
+BODY_CELLS = 32
+"""What it takes every level of detail for, and how fine the grid is on which it finds the body."""
 
 
 def use_quick_worker() -> None:
@@ -22,8 +28,9 @@ def use_quick_worker() -> None:
 
 
 if __name__ == "__main__":
-    scene_worker.DRAFT = replace(
-        scene_worker.DRAFT, cells=40, skin_views=12, skin_steps=4, skin_size=96, surface_views=8, surface=64
-    )
-    scene_worker.DETAILS = dict.fromkeys(scene_worker.DETAILS, scene_worker.DRAFT)
+    from engine.solid import solidify  # here alone: it takes a second to import, and the window does not need it
+
+    solidify.BODY_CELLS = BODY_CELLS
+    scene_worker.DRAFT = QUICK
+    scene_worker.DETAILS = dict.fromkeys(DETAILS, scene_worker.DRAFT)
     scene_worker.main()

@@ -46,13 +46,12 @@ from training.checkpoint import Checkpoint
 from training.families import COUNTS
 from training.priors.exemplar.pictures import read_picture
 
-__all__ = ["READERS", "SOLID", "Verdict", "run_cell"]
-
-ROOT = Path(__file__).parents[2]
-SAMPLES = ROOT / "sample_scenes/orange"
+__all__ = ["PICTURE", "READERS", "SOLID", "Verdict", "run_cell"]
 
 SOLID = "solid.ply"
 """A trained object that is sound, for readers that need one beside the file."""
+PICTURE = "face.png"
+"""A picture of a cut that is sound, beside that object."""
 SOLID_FILES = (".ply", ".fruitninja.json")
 
 MEMORY = 4 << 30
@@ -226,7 +225,7 @@ def main() -> None:
     os.dup2(2, 1)  # whatever prints, natively or not
     warnings.simplefilter("always")  # each time, not once for each line of code
     for name in READERS:  # what is compiled or imported late is so now, where nothing is held against it
-        for sample in (solid, SAMPLES / "horizontal_1.png"):
+        for sample in (solid, solid.with_name(PICTURE)):
             run_cell(name, sample, work, solid)
     used = psutil.Process().memory_info().vms
     resource.setrlimit(resource.RLIMIT_AS, (used + MEMORY, resource.getrlimit(resource.RLIMIT_AS)[1]))

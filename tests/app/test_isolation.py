@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -10,6 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import training.request
+from app.jobs import scene_loader, scene_worker
 from app.jobs.scene_loader import LoadedScene, SceneLoader, SceneRequest
 from app.model.camera_control import project_points
 from app.model.capture_view import view_of
@@ -28,10 +31,13 @@ from engine.scene.sh import sh_to_rgb
 from tests.helpers.app_isolate_steps import MAT, melon_on_a_mat
 from tests.helpers.app_objects import atoms, full
 from tests.helpers.solids import round_gaussians
+from tests.paths import ROOT
+from tests.quick_scene_worker import BODY_CELLS, QUICK, use_quick_worker
 from training.events import Reporter
 from training.families import Family
 from training.pipeline import prepare
 from training.request import Request
+from training.settings import DETAILS
 
 
 def ball(count: int = 4000) -> Gaussians:
@@ -153,6 +159,12 @@ def test_the_window_and_the_trainer_make_the_same_skin_of_what_is_left(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("FRUITNINJA_HOME", str(tmp_path))  # the helper sets another one
+    assert scene_worker.DETAILS is training.request.DETAILS is DETAILS  # what both are as fine as
+    monkeypatch.setitem(DETAILS, "draft", QUICK)  # for both the same, coarser than theirs
+    monkeypatch.setattr("engine.solid.solidify.BODY_CELLS", BODY_CELLS)
+    monkeypatch.setattr(scene_loader, "start_python", scene_loader.start_python)
+    use_quick_worker()
+    monkeypatch.setenv("PYTHONPATH", str(ROOT), prepend=os.pathsep)  # where its module is
     document = melon_on_a_mat(tmp_path)
     assert document.scene is not None
     isolation: Isolation = ((Step("add", Detected("floor")),),)

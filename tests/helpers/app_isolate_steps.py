@@ -31,7 +31,7 @@ from tests.helpers.solids import ball, joined, unturned
 from tests.quick_scene_worker import use_quick_worker
 
 Key = imgui.Key
-MAT = 6000
+MAT = 3000
 
 LEFT, RIGHT, NOTHING = (0.3, 0.5), (0.7, 0.5), (0.5, 0.9)
 """In parts of the viewport: on the first object, on the second, beside both."""
@@ -50,7 +50,7 @@ def melon_on_a_mat(folder: Path) -> Document:
     sh[:, 0] = rgb_to_sh(np.array((0.2, 0.3, 0.8), np.float32))
     mat = Gaussians(
         means.astype(np.float32),
-        np.tile(np.array((0.04, 0.04, 0.004), np.float32), (MAT, 1)),
+        np.tile(np.array((0.055, 0.055, 0.004), np.float32), (MAT, 1)),
         unturned(MAT),
         np.full(MAT, 0.95, np.float32),
         sh,
@@ -266,7 +266,7 @@ def main() -> None:
         else:
             two_balls(session, folder / "two.ply")
 
-    size = (1000, 680) if name == "isolate" else (900, 560)
+    size = (800, 560) if name == "isolate" else (900, 560)
     drive(Session(settings=Settings(window=size)), run, start)
     print("well")
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 import socket
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from PIL import Image
 
 from benchmarks.readers.guard import Forbidden, guarded
 from benchmarks.readers.rules import words_wrong
@@ -62,7 +62,8 @@ def test_words_for_programmers_are_told_from_words_for_people() -> None:
 def test_a_folder_is_read_with_every_reader_and_told_of_without_its_place(tmp_path: Path) -> None:
     folder = tmp_path / "from somebody"
     folder.mkdir()
-    shutil.copy(ROOT / "sample_scenes/orange/horizontal_1.png", folder / "orange.png")
+    with Image.open(ROOT / "sample_scenes/orange/horizontal_1.png") as picture:
+        picture.resize((128, 128)).save(folder / "orange.png")
     (folder / "nothing.ply").write_text("ply is what this is called\n")
     out = tmp_path / "table.json"
     command = [sys.executable, "-m", "benchmarks.readers.corpus", str(folder), "-o", str(out), "--workers", "1"]

@@ -28,6 +28,7 @@ use_quick_worker()
 def run(window):
     from app.model.document import Document
     from app.jobs.training_job import Job
+    from engine.isolate.selection import Sphere, keep_only
     from training.families import Family
 
     session = window.session
@@ -40,12 +41,13 @@ def run(window):
     assert session.document.scene.samefile(home / "melon.ply") and session.folder == home / "downloads"
 
     (home / "cut.png").write_bytes(b"no picture")
-    document = Document(home / "melon.ply", families=(Family("horizontal", 2, (home / "cut.png",)),))
+    nothing = (keep_only(Sphere((9.0, 9.0, 9.0), 1.0)),)  # what a whole training imports, the test of the commands does
+    document = Document(home / "melon.ply", isolation=nothing, families=(Family("horizontal", 2, (home / "cut.png",)),))
     job = Job.start(document, (0.0, 0.0, 1.0), home / "out")
     while not job.ended:
         job.poll()
         time.sleep(0.02)
-    assert "fruitninja-train: " in job.log_tail()[-1] and "cut.png" in job.log_tail()[-1], job.log_tail()
+    assert "fruitninja-train: " in job.log_tail()[-1] and "nothing is left" in job.log_tail()[-1], job.log_tail()
     print("well")
 
 def can_show():

@@ -103,7 +103,7 @@ def test_a_killed_worker_a_stop_and_a_broken_scene_cost_no_bit(tmp_path: Path, m
     assert process.returncode == 130
     assert handle_end(out)["killed"] == ("stopped", 2)
 
-    process = command(manifest, out, "--workers", "2")
+    process = command(manifest, out, "--workers", "1")
     message = process.communicate()[1]
     assert process.returncode == 1
     assert f"fruitninja-batch: broken: {tmp_path / 'broken.ply'}: broken .ply header" in message
