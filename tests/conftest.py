@@ -19,18 +19,23 @@ def pytest_configure() -> None:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Spreads the slow tests over the processes of a parallel run, first in the part that each begins with: all would
-    wait for one that began last."""
+    """Spreads the slow tests over the processes of a parallel run: all would wait for one that began last.
+
+    The first process begins with them, the others after half of their part: at first kernels are not compiled yet, and
+    two that need the same at once compile them twice.
+    """
     processes = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
     slow = [item for item in items if item.get_closest_marker("slow")]
     others = [item for item in items if not item.get_closest_marker("slow")]
     part = -(-len(items) // processes)
     items.clear()
     for n in range(processes):
-        first = slow[n::processes]
-        end = max(part - len(first), 0) if n < processes - 1 else len(others)
-        items += first + others[:end]
-        del others[:end]
+        some = slow[n::processes]
+        begin = max(len(others) - part + len(some), 0) if n < processes - 1 else 0
+        # The last part begins with the tests of the window's model, which need few kernels.
+        rest, others = others[begin:], others[:begin]
+        early = len(rest) // 2 if n else 0
+        items += rest[:early] + some + rest[early:]
 
 
 @pytest.fixture(scope="session")

@@ -26,11 +26,11 @@ from collections import Counter, defaultdict
 from pathlib import Path
 from typing import Any
 
-from PIL import Image
 from rich.progress import Progress
 
 from benchmarks.readers.all_readers import PICTURE, READERS, SOLID, Verdict
 from engine.io.files import atomic, write_json
+from engine.io.picture_file import open_picture
 from engine.io.trained import Meta, save_trained, sidecar_path
 from tests.helpers.solids import scatter
 
@@ -152,7 +152,7 @@ def stamps(folder: Path) -> dict[str, tuple[int, int]]:
 def sound_solid(folder: Path) -> Path:
     """A small trained object, and beside it a small picture of a cut."""
     save_trained(folder / SOLID, scatter(3, 4, exposed=1), Meta(source="none"))
-    with Image.open(ROOT / "sample_scenes/orange/horizontal_1.png") as picture:
+    with open_picture(ROOT / "sample_scenes/orange/horizontal_1.png") as picture:
         picture.resize((128, 128)).save(folder / PICTURE)
     return folder / SOLID
 
