@@ -23,7 +23,7 @@ void main() {
 #endif
     vec4 skin = texelFetch(skin_field, ivec2(gl_FragCoord.xy), 0);
     float coverage = face_coverage(sum.a + skin.a, footprint_at(p.z), edge_sigma);
-    sum += skin_part(sum.a, skin.a) * skin;
+    sum += skin_part(sum.a) * skin;
     if (!(coverage > 0.0 && sum.a > 0.0 && p.z > near)) discard;
 #ifdef ORTHOGRAPHIC
     vec3 towards = vec3(0.0, 0.0, -1.0);

@@ -6,9 +6,9 @@ float face_coverage(float density, float footprint, float edge_sigma) {
     return clamp(0.5 + (density - SOLID_DENSITY) * slope, 0.0, 1.0);
 }
 
-// Factor on the skin's weights in a face's colour, from the weight sums of interior and skin.
-float skin_part(float interior, float skin) {
-    return min(max(FILLED_DENSITY - interior, 0.0) / max(skin, 1e-20), 1.0);
+// Factor on the skin's weights in a face's colour, from the sum of the interior's.
+float skin_part(float interior) {
+    return max(1.0 - interior / FILLED_DENSITY, 0.0);
 }
 
 // Brightness under a lamp at the eye, from unit vectors: the face's normal and the way to the eye.

@@ -129,7 +129,7 @@ def _face(
         sums += _Field.apply(means, scales, quats, colours, points, least, some, listed[of_kind])
     total, interior, skin_total, skin = sums
     density = interior + skin
-    part = ((FILLED_DENSITY - interior).clamp(min=0) / skin.clamp(min=1e-20)).clamp(max=1)  # as `skin_part`
+    part = (1 - interior / FILLED_DENSITY).clamp(min=0)  # as `skin_part`
     total, mass = total + part[:, None] * skin_total, interior + part * skin
     edge = torch.from_numpy(face_edge(footprint.numpy(), atoms.pitch))
     covered = covered_part(density, edge)

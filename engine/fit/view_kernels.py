@@ -151,7 +151,7 @@ def weigh_faces(task, offsets, atoms, surface_count, weights, density, mass):
                 skin += weights[e]
             else:
                 interior += weights[e]
-        part = skin_part(interior, skin)
+        part = skin_part(interior)
         for e in range(offsets[row], offsets[row + 1]):
             if atoms[e] < surface_count:
                 weights[e] *= part

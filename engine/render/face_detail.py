@@ -33,9 +33,8 @@ TOLERANCE = 0.1
 """Pitches between the depth of a pixel and that of a face for it to show the face: far more than rounding, far less
 than what lies beside it."""
 
-RIM = 0.75
-"""Pitches from the edge of a face over which its atoms pass into the inside: there they are partly the skin's, as the
-lattice of the interior ends. Over twice as much the lattice's teeth show."""
+RIM = 1.5
+"""Pitches from the edge of a face over which its atoms pass into the inside: there they are the skin's."""
 
 
 @dataclass(frozen=True)

@@ -69,8 +69,7 @@ def kernel_field(
         density[kind] += w
         colour[kind] += w[:, None] * rgb[i]
     interior, skin = density
-    missing = np.maximum(FILLED_DENSITY - interior, 0)
-    part = np.minimum(missing / np.where(skin > 0, skin, 1), 1)
+    part = np.maximum(1 - interior / FILLED_DENSITY, 0)
     mass = interior + part * skin
     return (colour[0] + part[:, None] * colour[1]) / np.where(mass > 0, mass, 1)[:, None], density.sum(0)
 

@@ -197,7 +197,7 @@ def sum_terms(task, points, most, grid, colour, density):
 def colour_faces(task, skin_colour, skin_density, colour, density):
     """Adds the skin's sums at some points to the interior's, colour (P, 3) weighted and density (P,), and divides."""
     for p in range(task * POINTS, min((task + 1) * POINTS, len(density))):
-        part = skin_part(density[p], skin_density[p])
+        part = skin_part(density[p])
         weight = density[p] + part * skin_density[p]
         density[p] += skin_density[p]
         if weight > 0:

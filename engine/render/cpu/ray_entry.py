@@ -124,11 +124,14 @@ def coverage_of(density, footprint, edge_sigma):
 
 
 @register_jitable(inline="always")
-def skin_part(interior, skin):
-    """Factor on the weight of the skin's atoms in the colour of a face, range [0, 1], from the weight sums of interior
-    and skin in float32: the skin adds what the interior lacks of FILLED_DENSITY."""
-    one, zero, tiny, filled = np.float32(1), np.float32(0), np.float32(1e-20), np.float32(FILLED_DENSITY)
-    return min(max(filled - interior, zero) / max(skin, tiny), one)
+def skin_part(interior):
+    """Factor on the weights of the skin's atoms in the colour of a face, range [0, 1], from the interior's sum.
+
+    It is 0 where the interior fills the body, so that skin which reaches or lies deeper is not seen through it. A
+    sharper law shows the steps of the lattice along the rim.
+    """
+    one, zero, filled = np.float32(1), np.float32(0), np.float32(FILLED_DENSITY)
+    return max(one - interior / filled, zero)
 
 
 def shade(hits: Hits) -> NDArray[np.float32]:

@@ -147,7 +147,7 @@ def finish_row(lane, per_pixel, orthographic, edge_sigma, fresh, face, depths):
         cover = coverage_of(density, footprint, edge_sigma)
         cover = cover if density > zero else zero
         kept = (cover > zero) & (fresh | (face[k, 3] <= zero) | (deep <= depths[k]))
-        part = skin_part(interior, skin)
+        part = skin_part(interior)
         each = lane[LIGHT, k] / max(interior + part * skin, tiny)
         face[k, 0] = each * (lane[RED, k] + part * lane[SKIN_RED, k]) if kept else face[k, 0]
         face[k, 1] = each * (lane[GREEN, k] + part * lane[SKIN_GREEN, k]) if kept else face[k, 1]

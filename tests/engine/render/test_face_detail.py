@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from engine.render.cpu import opaque
-from engine.render.face_detail import RIM, Detailed, FaceDetail, detailed
+from engine.render.face_detail import Detailed, FaceDetail, detailed
 from engine.render.gl import GLMissing, Renderer
 from engine.scene.camera import Camera, fit_distance, orbit, plane_points, section
 from engine.scene.constants import FACE_AMBIENT, FACE_LAMP
@@ -38,7 +38,7 @@ def test_a_face_shows_its_places() -> None:
     assert np.array_equal(found.alpha, plain.alpha) and np.array_equal(found.depth, plain.depth)
     # Between skin and inside neither is left at once.
     steps = np.abs(found.rgb - plain.rgb).mean(-1)
-    assert steps[(depth > 0) & (depth < 0.2 * RIM * PITCH)].mean() < 0.5 * steps[deep].mean()
+    assert steps[(depth > 0) & (depth < 0.3 * PITCH)].mean() < 0.5 * steps[deep].mean()
     assert np.allclose(inside.footprints, np.linalg.norm(points[0, 1] - points[0, 0]), rtol=1e-3)
 
 

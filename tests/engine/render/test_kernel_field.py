@@ -51,9 +51,9 @@ def test_skin_is_not_seen_through_what_fills_the_body() -> None:
     white = np.full((count, 1, 3), 0.5 / sh.C0, np.float32)
     skin = SurfaceAtoms(means, np.full((count, 3), 2, np.float32), turns, white)
     field = KernelField(Atoms(skin, inside, 1.0))
-    deep, edge, out = (np.array([[x, y, z] for x in (-2.0, 0.3) for y in (-1.0, 2.4)]) for z in (6.0, 6.7, 8.0))
+    deep, edge, out = (np.array([[x, y, z] for x in (-2.0, 0.3) for y in (-1.0, 2.4)]) for z in (4.4, 6.2, 8.0))
     assert field.at(deep)[0].max() == 0
-    assert np.all((field.at(edge)[0] > 0) & (field.at(edge)[0] < 0.5))
+    assert np.all((field.at(edge)[0] > 0.01) & (field.at(edge)[0] < 0.8))
     assert field.at(out)[0].min() == pytest.approx(1, abs=1e-5)
 
 

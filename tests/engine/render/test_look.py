@@ -138,15 +138,11 @@ def test_face_coverage(renderer: Renderer) -> None:
 
 
 def test_skin_part(renderer: Renderer) -> None:
-    """From no interior to a full lattice, beside no skin and much of it."""
-    rng = np.random.default_rng(4)
-    interior = rng.uniform(0, constants.LATTICE_DENSITY, COUNT).astype(np.float32)
-    skin = (rng.uniform(0, constants.LATTICE_DENSITY, COUNT) * (rng.random(COUNT) > 0.2)).astype(np.float32)
-    interior[:10] = 0
-    main = "in float interior; in float skin; out float part; void main() { part = skin_part(interior, skin); }"
-    table = {"interior": interior, "skin": skin}
-    (part,) = evaluate(renderer, glsl("face_look.glsl", main=main), table, {"part": 1})
-    expected = [skin_part(i, s) for i, s in zip(interior, skin, strict=True)]
+    """From no interior to more than a lattice."""
+    interior = np.linspace(0, 1.2 * constants.LATTICE_DENSITY, COUNT).astype(np.float32)
+    main = "in float interior; out float part; void main() { part = skin_part(interior); }"
+    (part,) = evaluate(renderer, glsl("face_look.glsl", main=main), {"interior": interior}, {"part": 1})
+    expected = [skin_part(i) for i in interior]
     assert {0.0, 1.0} < set(expected)
     assert np.allclose(part[:, 0], expected, atol=CLOSE)
 
