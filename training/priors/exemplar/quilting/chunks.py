@@ -114,6 +114,8 @@ class Places:
     y: NDArray[np.float32]
     distance: NDArray[np.float32]
     """(M,). From the plane in which the chunk shows the picture as it is, in radii."""
+    rind: NDArray[np.float32]
+    """(M,). As the ball has it."""
 
 
 class Chunks(Protocol):
@@ -144,7 +146,7 @@ class OwnHeight:
         x, y = _drifted(
             ball.level[:, 0], ball.level[:, 1], ball, onset * (self.drift.at(ball.points) - self.drift.at(flat))
         )
-        return Places(np.zeros(len(ball.points), np.int64), x, y, distance)
+        return Places(np.zeros(len(ball.points), np.int64), x, y, distance, ball.rind)
 
 
 class OwnAzimuths:
@@ -167,7 +169,7 @@ class OwnAzimuths:
         onset = np.minimum(np.abs(off) / DRIFT_ONSET, 1)[:, None]
         moved = SECTOR_DRIFT * free * onset * (self.drift.at(ball.points) - self.drift.at(flat))
         u, v = side * ball.radius + moved[:, 0], ball.points[:, 2] + moved[:, 1]
-        return Places(nearest % self.count, *(a.astype(np.float32) for a in (u, v, np.abs(off))))
+        return Places(nearest % self.count, *(a.astype(np.float32) for a in (u, v, np.abs(off), ball.rind)))
 
 
 class Slabs:
@@ -189,7 +191,7 @@ class Slabs:
         x, y = _drifted(x, y, ball, self.drift.at(ball.points))
         picture = (self.number + slab * SLABS) % self.pictures
         distance = np.abs(height - slab * SLAB_SPACING)
-        return Places(picture, x, y, distance.astype(np.float32))
+        return Places(picture, x, y, distance.astype(np.float32), ball.rind)
 
 
 class Sectors:
@@ -211,7 +213,7 @@ class Sectors:
         moved = free[:, None] * (self.shift[sector] + SECTOR_DRIFT * self.drift.at(ball.points))
         x, y = self.mirror[sector] * ball.radius + moved[:, 0], ball.points[:, 2] + moved[:, 1]
         picture = (self.number + sector * SECTOR_SETS) % self.pictures
-        return Places(picture, *(a.astype(np.float32) for a in (x, y, distance)))
+        return Places(picture, *(a.astype(np.float32) for a in (x, y, distance, ball.rind)))
 
 
 class Noise:

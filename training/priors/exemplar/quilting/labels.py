@@ -17,9 +17,10 @@ from training.priors.exemplar.quilting.disc import (
     smooth_disc,
 )
 from training.priors.exemplar.quilting.persistence import Persistence, find_sheets
+from training.priors.exemplar.quilting.relief import Relief
 from training.priors.exemplar.quilting.texture import Parts, take_apart
 
-__all__ = ["Label", "Source", "closed_share", "read_discs"]
+__all__ = ["Label", "Source", "distance_across", "read_discs"]
 
 FINE_RINGS, LARGEST = 64, 0.16
 """Rings from whose median colours things stand out, and their largest half width in radii."""
@@ -44,6 +45,8 @@ class Source:
     """With even tones, for chunks away from the picture's own plane."""
     parts: Parts
     """Of the even one."""
+    relief: Relief
+    """Of its things."""
     closed: Disc
     """How far closed things stand out, the same in all three channels."""
     blurred: Disc
@@ -57,7 +60,7 @@ class Source:
         """The same picture with pixels n times as large, as far as it is shown."""
         parts = Parts(*(getattr(self.parts, part.name).reduced(n) for part in fields(Parts)))
         shown = {name: getattr(self, name).reduced(n) for name in ("disc", "even", "tones")}
-        return replace(self, parts=parts, **shown)
+        return replace(self, parts=parts, relief=self.relief.reduced(n), **shown)
 
     @classmethod
     def of(cls, disc: Disc, is_horizontal: bool) -> Source:
@@ -65,10 +68,12 @@ class Source:
         persistence = Persistence(disc)
         sheets = find_sheets(disc, persistence) if is_horizontal else np.zeros(disc.rgb.shape[:2], np.float32)
         even = even_around(disc) if is_horizontal else even_sides(disc)
+        parts = take_apart(even)
         return cls(
             disc,
             even,
-            take_apart(even),
+            parts,
+            Relief.of(parts.things, parts.strength),
             _closed_things(even, persistence),
             smooth_disc(disc, BLUR),
             smooth_disc(even, TONE),
@@ -91,7 +96,20 @@ class Label:
 
         `crossing` (M,): distances in radii from the other family's own planes.
         """
-        return self._in_own_tones(read_discs(places, [s.parts.things for s in self.sources]), places, crossing)
+        return self._in_own_tones(self._read_relief(places)[:, :3], places, crossing)
+
+    def _read_relief(self, places: Places) -> NDArray[np.float32]:
+        """(M, 4). Colours and strength of texture that the places show."""
+        out = np.empty((len(places.x), 4), np.float32)
+        for n, source in enumerate(self.sources):
+            rows = places.picture == n
+            x, y = places.x[rows], places.y[rows]
+            out[rows] = source.relief.read(x, y, places.distance[rows] * self._held(places, rows, source))
+        return out
+
+    def _held(self, places: Places, rows: NDArray[np.bool_], source: Source) -> NDArray[np.float32]:
+        """How much of a distance counts: nothing in the rind and in sheets, which run on."""
+        return (1 - places.rind[rows]) * (1 - source.sheets.read(places.x[rows], places.y[rows])[:, 0])
 
     def read_tones(self, places: Places, crossing: NDArray[np.float32]) -> NDArray[np.float32]:
         """(M, 3). The tones of what the places show."""
@@ -101,21 +119,23 @@ class Label:
         self, places: Places, crossing: NDArray[np.float32], texture: NDArray[np.float32], layer: float
     ) -> NDArray[np.float32]:
         """(M, 3). What the places show, with texture (M, 3): within a `layer` of own planes that of the picture."""
-        rgb = self.read_things(places, crossing)
-        strength = read_discs(places, [s.parts.strength for s in self.sources])
+        shown = self._read_relief(places)
+        rgb, strength = self._in_own_tones(shown[:, :3], places, crossing), shown[:, 3:4]
         if not self.is_own:
             return rgb + strength * texture
         own = np.exp(-np.square(places.distance / layer))[:, None]
         here = read_discs(places, [s.parts.texture for s in self.sources])
         return rgb + strength * (own * here + np.sqrt(1 - own * own) * texture)
 
-    def gone(self, places: Places) -> NDArray[np.float32]:
-        """(M,). Colour that does not persist from the pictures' planes to the places."""
-        out = np.empty(len(places.x), np.float32)
+    def gone(self, places: Places) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Both (M,). Colour that does not persist from the pictures' planes to the places, and the part of it that is
+        shown there all the same."""
+        gone = np.empty(len(places.x), np.float32)
         for n, source in enumerate(self.sources):
             rows = places.picture == n
-            out[rows] = source.persistence.gone(places.x[rows], places.y[rows], places.distance[rows])
-        return out
+            gone[rows] = source.persistence.gone(places.x[rows], places.y[rows], places.distance[rows])
+        closed = self._read_relief(places)[:, :3] - read_discs(places, [s.parts.things for s in self.sources])
+        return gone, np.maximum(gone - np.linalg.norm(closed, axis=1), 0)
 
     def _in_own_tones(
         self, even: NDArray[np.float32], places: Places, crossing: NDArray[np.float32]
@@ -138,15 +158,12 @@ def _closed_things(disc: Disc, persistence: Persistence) -> Disc:
     return Disc(np.repeat(stands_out[..., None], 3, -1).astype(np.float32))
 
 
-def closed_share(sources: list[Source], is_horizontal: bool) -> float:
-    """Mean of how far closed things stand out, under the rind, over the ball as radial pictures show it or over a
-    horizontal cut."""
-    x, y = disc_grid()
-    radius = np.hypot(x, y)
-    level = np.stack([x, np.zeros_like(x), y], -1).reshape(-1, 3)
-    rind = Ball.of(level.astype(np.float32)).rind.reshape(x.shape)
-    weight = np.where(radius < 1, 1.0 if is_horizontal else np.abs(x), 0)
-    return float(np.mean([((1 - rind) * s.closed.rgb[..., 0] * weight).sum() / weight.sum() for s in sources]))
+def distance_across(labels: list[Label], label: Label, ball: Ball) -> NDArray[np.float32]:
+    """(M,). Distance in radii from the own planes of the family that is not the label's; infinite without one."""
+    for other in labels:
+        if label.is_own and other.is_own and other.is_horizontal != label.is_horizontal:
+            return other.chunks.places(ball).distance
+    return np.full(len(ball.points), np.inf, np.float32)
 
 
 def read_discs(places: Places, discs: list[Disc]) -> NDArray[np.float32]:

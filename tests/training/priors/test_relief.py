@@ -1,0 +1,87 @@
+"""Closed things as solids and texture in layers: against discs, fields and stripes whose answer is known."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from training.priors.exemplar.quilting.chunks import Ball
+from training.priors.exemplar.quilting.disc import Disc, disc_grid
+from training.priors.exemplar.quilting.relief import Relief
+from training.priors.exemplar.quilting.texture import TextureField
+
+FLESH, SEED = np.array([0.9, 0.5, 0.3]), np.array([0.2, 0.1, 0.1])
+
+
+def relief(dark: NDArray[np.bool_]) -> Relief:
+    """Of dark places on plain flesh."""
+    x, _ = disc_grid()
+    rgb = np.where(dark[..., None], SEED, FLESH).astype(np.float32)
+    return Relief.of(Disc(rgb), Disc(np.full((*x.shape, 3), 0.1, np.float32)))
+
+
+def dark_share(made: Relief, radius: float, distance: float) -> float:
+    """Of a disc around the middle, at this distance from the plane."""
+    x, y = disc_grid()
+    rows = np.hypot(x, y) < radius
+    shown = made.read(x[rows], y[rows], np.full(rows.sum(), distance))
+    return float((shown[:, 0] < 0.55).mean())
+
+
+@pytest.mark.parametrize("half_width", [0.04, 0.08, 0.12])
+def test_a_round_thing_is_as_tall_as_it_is_wide(half_width: float) -> None:
+    """Its volume is that of a ball within a third, and nothing of it is left at twice its half width."""
+    x, y = disc_grid()
+    made = relief(np.hypot(x, y) < half_width)
+    heights = np.linspace(0, 2 * half_width, 41)
+    areas = [dark_share(made, 1.5 * half_width, height) * np.pi * (1.5 * half_width) ** 2 for height in heights]
+    assert 2 * np.trapezoid(areas, heights) == pytest.approx(4 / 3 * np.pi * half_width**3, rel=0.35)
+    assert areas[0] == pytest.approx(np.pi * half_width**2, rel=0.05)
+    assert areas[-1] == 0
+    assert all(b <= a + 1e-9 for a, b in pairwise(areas))
+
+
+def test_what_lies_in_a_thing_gives_way_to_that_thing() -> None:
+    """A seed in a pale carpel: first the carpel is left, then flesh."""
+    x, y = disc_grid()
+    radius = np.hypot(x, y)
+    rgb = np.where((radius < 0.1)[..., None], 1.0, FLESH)
+    rgb = np.where((radius < 0.03)[..., None], SEED, rgb).astype(np.float32)
+    made = Relief.of(Disc(rgb), Disc(np.full_like(rgb, 0.1)))
+    middle = np.zeros(1)
+    shown = [made.read(middle, middle, np.full(1, t))[0, :3] for t in (0.0, 0.06, 0.2)]
+    for colour, wanted in zip(shown, (SEED, np.ones(3), FLESH), strict=True):
+        assert np.abs(colour - wanted).max() < 0.05
+
+
+def test_what_is_dense_does_not_turn_to_mush() -> None:
+    """Cells among cells: their median is the colour of none, so their picture stays as it is."""
+    x, y = disc_grid()
+    dark = (np.floor(x / 0.08) + np.floor(y / 0.08)) % 2 == 0
+    made = relief(dark)
+    rows = np.hypot(x, y) < 0.5
+    for distance in (0.04, 0.1, 0.15):
+        shown = made.read(x[rows], y[rows], np.full(rows.sum(), distance))
+        assert np.abs(shown[:, 0] - np.where(dark[rows], SEED[0], FLESH[0])).mean() < 0.1
+
+
+def striped() -> Disc:
+    """Texture of mean square 1 that is eight times as long along y as along x."""
+    noise = ndimage.gaussian_filter(np.random.default_rng(0).standard_normal(disc_grid()[0].shape), (2, 16))
+    return Disc(np.repeat((noise / noise.std())[..., None] / np.sqrt(3), 3, -1).astype(np.float32))
+
+
+def test_a_radial_cut_shows_the_texture_of_radial_pictures() -> None:
+    """At any angle, as strong and as long along the axis as in the picture."""
+    field = TextureField([striped()], False, np.random.default_rng(1))
+    for angle in (0.3, 1.7):
+        r, z = np.meshgrid(np.linspace(0.2, 0.6, 200), np.linspace(-0.4, 0.4, 400), indexing="ij")
+        points = np.stack([r * np.cos(angle), r * np.sin(angle), z], -1).reshape(-1, 3).astype(np.float32)
+        shown = field.at(Ball.of(points))[:, 0].reshape(r.shape)
+        across, along = np.diff(shown, axis=0).std(), np.diff(shown, axis=1).std()
+        assert across > 2 * along  # 1 without lines, less where layers lie across the axis
+        assert 3 * np.square(shown).mean() == pytest.approx(1, rel=0.3)

@@ -1,0 +1,162 @@
+"""What a quilt's labels cost and show at the cells of a grid, and how much of closed things there is to be."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from training.priors.exemplar.quilting.chunks import Ball, smooth_noise
+from training.priors.exemplar.quilting.disc import REACH, to_pixels
+from training.priors.exemplar.quilting.labels import Label, Source, distance_across, read_discs
+from training.priors.exemplar.quilting.seams import nearest_colour
+
+__all__ = ["REGIONS", "Cells", "Regions", "closed_of", "weigh_labels"]
+
+DISTANCE_COST = 5.0
+"""Cost of a radius of distance from a picture's plane. All costs are weighed against seams between colours that differ
+by one unit of RGB: a chunk that is a tenth of a radius nearer is worth a seam of difference 0.1."""
+
+FAR = 0.15
+"""Distance in radii from which that cost does not grow for pictures in their own plane and for sectors."""
+
+GONE_COST = 4.0
+"""Cost of a unit of colour that does not persist (law 3) and is shown all the same: what is dense closes over nothing
+and must end at a seam."""
+
+REGIONS = (10, 20)
+"""Bins across the radius and the height, and as wide is the blur, in which the pictures say how much there is: an apple
+has its seeds around the middle. One gain for all places heaped them there: features of radial cuts of two pairs 2.3
+and 2.5, with regions 2.0 and 2.2."""
+
+UNSEEN_COST = 20.0
+"""Cost of the squared distance, to at most UNSEEN_MOST, to the nearest colour that radial pictures show nearby."""
+
+UNSEEN_MOST = 0.1
+
+NEARBY = 0.035
+"""Step in radii of the 5x5 points that count as nearby: two fruits have their seeds a tenth of a radius apart."""
+
+SHEET_COST = 6.0
+"""Cost of cutting off a sheet or of growing one where none starts: more than any seam."""
+
+RIND_COST = 1.0
+"""Cost of random chunks in the rind, where own pictures continue one another."""
+
+SECTOR_COST = 0.3
+"""Cost of radial pictures where horizontal ones are as good: repeated around the axis they show as rings."""
+
+OWN_COST, OWN_BAND = 1.0, 0.03
+"""Gain of a picture near its own plane, and how near in radii, up to a smooth random factor: no band has an edge. With
+three times the gain the band is as wide everywhere and a bar in cuts across it."""
+
+OWN_PLANE = 100.0
+"""Gain in the cells at the plane itself: it shows the picture (law 1)."""
+
+
+@dataclass(frozen=True)
+class Regions:
+    """Rings of the ball: bins of the distance from the axis and of the height."""
+
+    bins: NDArray[np.int64]
+    """(M,)."""
+    places: NDArray[np.float32]
+    """(2, M). In bins."""
+    counts: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, ball: Ball) -> Regions:
+        places = np.stack([ball.radius * REGIONS[0] - 0.5, (ball.points[:, 2] + 1) / 2 * REGIONS[1] - 0.5])
+        at = [np.clip(np.round(p).astype(np.int64), 0, n - 1) for p, n in zip(places, REGIONS, strict=True)]
+        bins = at[0] * REGIONS[1] + at[1]
+        return cls(bins, places, _spread(np.bincount(bins, minlength=REGIONS[0] * REGIONS[1]).reshape(REGIONS)))
+
+    def means(self, values: NDArray[np.floating]) -> NDArray[np.float64]:
+        """REGIONS. Means of values (M,) in and around the bins."""
+        total = np.bincount(self.bins, weights=values, minlength=REGIONS[0] * REGIONS[1]).reshape(REGIONS)
+        return _spread(total) / np.maximum(self.counts, 1e-6)
+
+    def at(self, values: NDArray[np.floating]) -> NDArray[np.float32]:
+        """(M,). Values of the bins at the points."""
+        return ndimage.map_coordinates(values, self.places, order=1, mode="nearest", output=np.float32)
+
+
+def _spread(values: NDArray[np.number]) -> NDArray[np.float64]:
+    return np.asarray(ndimage.gaussian_filter(values.astype(np.float64), 1.0, mode="constant"))
+
+
+def closed_of(sources: list[Source], ball: Ball, is_horizontal: bool) -> NDArray[np.float32]:
+    """(M,). How far closed things stand out in the pictures, as if the ball had them all around the axis, or at all
+    heights."""
+    places = [ball.level.T] if is_horizontal else [(side * ball.radius, ball.points[:, 2]) for side in (1, -1)]
+    closed = [source.closed.read(x, y)[:, 0] for source in sources for x, y in places]
+    return np.asarray(np.mean(closed, axis=0) * (1 - ball.rind), np.float32)
+
+
+@dataclass(frozen=True)
+class Cells:
+    """What K labels cost and show at M cells."""
+
+    costs: NDArray[np.float32]
+    """(M, K)."""
+    gains: NDArray[np.float32]
+    """(M, K). Colour by which closed things stand out where they persist and other pictures show such colours."""
+    closed: NDArray[np.float32]
+    """(M, K). Colour by which closed things stand out, under the rind."""
+    colours: NDArray[np.float32]
+    """(M, K, 3)."""
+
+
+def weigh_labels(labels: list[Label], along: list[Source], ball: Ball, cell: float, seed: int) -> Cells:
+    """What all labels cost and show at all points; `cell` is the distance of points in radii."""
+    shape = len(ball.points), len(labels)
+    costs, gains, closed = (np.empty(shape, np.float32) for _ in range(3))
+    out = Cells(costs, gains, closed, np.empty((*shape, 3), np.float32))
+    sheets_here = np.zeros(len(ball.points), np.float32)
+    for n, label in enumerate(labels):
+        places = label.chunks.places(ball)
+        out.colours[:, n] = label.read_things(places, distance_across(labels, label, ball))
+        there = read_discs(places, [s.closed for s in label.sources])[:, 0] * (1 - ball.rind)
+        gone, left = label.gone(places)
+        capped = label.is_own or not label.is_horizontal
+        cost = DISTANCE_COST * (np.minimum(places.distance, FAR) if capped else places.distance)
+        gain = np.maximum(there - gone, 0)
+        closed[:, n] = gain
+        near = np.zeros(len(cost))
+        if label.is_own:
+            band = OWN_BAND * np.exp(0.4 * smooth_noise(ball, 0.3, np.random.default_rng([seed, 2, n])))
+            near = np.exp(-np.square(places.distance / band))
+            own_plane = OWN_PLANE if label.is_horizontal else OWN_PLANE / 2  # on the line where they meet
+            cost = cost - OWN_COST * near - own_plane * (places.distance < 0.75 * cell)
+        else:
+            cost = cost + RIND_COST * ball.rind
+        if label.is_horizontal:
+            sheet = read_discs(places, [s.sheets for s in label.sources])[:, 0]
+            cost = cost + GONE_COST * left * (1 - sheet) + (-SHEET_COST if label.is_own else SHEET_COST) * sheet
+            if label.is_own:
+                sheets_here = sheet
+            if along:
+                seen = read_discs(places, [s.blurred for s in label.sources])
+                # A sheet may well lie beside a radial cut.
+                surprise = np.minimum(_unseen(seen, along, ball), UNSEEN_MOST)
+                cost = cost + UNSEEN_COST * surprise * (1 - near) * (1 - sheet)
+                gain = gain * (1 - surprise / UNSEEN_MOST)
+        else:
+            cost = cost + GONE_COST * left + SECTOR_COST + 0.5 * SHEET_COST * sheets_here
+        costs[:, n], gains[:, n] = cost, gain
+    return out
+
+
+def _unseen(seen: NDArray[np.float32], along: list[Source], ball: Ball) -> NDArray[np.float32]:
+    """(M,). Least squared distance of colours (M, 3) to those that any radial picture shows nearby."""
+    least = np.full(len(seen), np.inf, np.float32)
+    out = np.empty(len(seen), np.float32)
+    for source in along:
+        size = len(source.blurred.rgb)
+        x, y = (a.astype(np.float32) for a in to_pixels(ball.radius, ball.points[:, 2], size))
+        mirrored = np.float32(size - 1) - x
+        nearest_colour(seen, x, y, mirrored, source.blurred.rgb, NEARBY * size / (2 * REACH), out)
+        np.minimum(least, out, out=least)
+    return least
