@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.jobs.export import ANIMATIONS, RATE, save_animation
-from app.jobs.frame_folder import save_frames
+from app.jobs.film.frame_folder import save_frames
 from app.model.camera_control import OrbitCamera
 from app.model.film.motion import Film, Keyframe, frame_count, frames, placed, seen
 from app.model.film.presets import explode, sweep, turntable
@@ -109,7 +109,7 @@ def save_film(out: Path, wanted: Wanted, scene: Scene, shot: Shot, settings: dic
     """Saves a film and returns, in words, how many frames it has; `settings`: what else decides how frames look."""
     solid = Solid.of_atoms(scene.atoms)
     film = film_of(wanted, scene, solid)
-    count = frame_count(film, wanted.rate)
+    count = frame_count(film.seconds, wanted.rate)
     aspect = scene.size[0] / scene.size[1]
     eye = OrbitCamera(target=vec3(solid.centre))
     eye = replace(eye, distance=fit_distance(solid.radius + scene.atoms.pitch, math.radians(eye.fov), aspect))

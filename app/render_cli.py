@@ -17,6 +17,7 @@ from engine.command import parse_numbers, parse_plane, print_result, run_command
 from engine.errors import InputError
 from engine.io.picture_file import save_png
 from engine.io.trained import load_trained
+from engine.render.face_detail import Detailed
 from engine.scene.camera import Camera
 from engine.scene.piece import Piece
 from fruitninja.drawing import LARGEST, MARGIN, Rgb, camera_for, default_angles, drawing, frame
@@ -66,17 +67,18 @@ def render_command(
         raise InputError("--seconds and --fps are of a film; give --film too")
     atoms, meta = load_trained(trained)
     inside = read_inside(trained) if planes or film is not None else None
-    with drawing(atoms, bool(planes or film)) as (draw, who):
+    details = [None if inside is None else Detailed(inside, atoms.pitch)]
+    with drawing([atoms], bool(planes or film)) as (draw, who):
         if film is None:
             view = camera_for(atoms, meta.up, planes, angles, width, height)
-            save(out, frame(draw, atoms, inside, view, [Piece(planes)], ground, light=False), ground is None)
+            save(out, frame(draw, details, view, [Piece(planes)], ground, light=False), ground is None)
             print_result(f"{out} ({width}x{height}, drawn by {who})")
             return
         azimuth, elevation, distance = angles or (*default_angles(planes, np.asarray(meta.up)), MARGIN)
         scene = Scene(trained, atoms, meta.up, (azimuth, elevation, distance), (width, height))
 
         def shot(view: Camera, pieces: Sequence[Piece]) -> NDArray[np.uint8]:
-            return frame(draw, atoms, inside, view, pieces, ground, light=True)
+            return frame(draw, details, view, pieces, ground, light=True)
 
         frames = save_film(out, wanted, scene, shot, {"background": background, "drawn": who})
         print_result(f"{out} ({frames} of {width}x{height}, drawn by {who})")

@@ -54,11 +54,15 @@ NEARER = 1.02
 
 
 @contextmanager
-def drawing(atoms: Atoms, is_cut: bool) -> Iterator[tuple[Draw, str]]:
-    """What draws pictures of atoms, whole or cut, and its name: OpenGL if available, else the CPU renderer."""
+def drawing(solids: Sequence[Atoms], is_cut: bool) -> Iterator[tuple[Draw, str]]:
+    """What draws pictures of solids, whole or cut, and its name: OpenGL if available, else the CPU renderer, which
+    draws one. Raises InputError for more of them without OpenGL."""
     try:
         renderer = Renderer()
     except GLMissing as missing:
+        if len(solids) != 1:
+            raise InputError(f"several objects are drawn with OpenGL only: {missing}") from missing
+        (atoms,) = solids
         field = KernelField(atoms) if is_cut else None
 
         def by_kernels(camera: Camera, pieces: Sequence[Piece], ground: Rgb, light: bool) -> Picture:
@@ -67,7 +71,7 @@ def drawing(atoms: Atoms, is_cut: bool) -> Iterator[tuple[Draw, str]]:
         yield by_kernels, f"the CPU renderer: {missing}"
         return
     with renderer:
-        renderer.set_atoms(atoms)
+        renderer.set_atoms(*solids)
 
         def by_opengl(camera: Camera, pieces: Sequence[Piece], ground: Rgb, light: bool) -> Picture:
             renderer.render(camera, pieces, background=ground, light=light)
@@ -78,17 +82,19 @@ def drawing(atoms: Atoms, is_cut: bool) -> Iterator[tuple[Draw, str]]:
 
 def frame(
     draw: Draw,
-    atoms: Atoms,
-    inside: Inside | None,
+    solids: Sequence[Detailed | None],
     view: Camera,
     pieces: Sequence[Piece],
     ground: Rgb | None,
     light: bool,
 ) -> NDArray[np.uint8]:
-    """(H, W, 4). One picture with every detail of its faces, over a colour or, for None, with straight alpha."""
+    """(H, W, 4). One picture with every detail of its faces, over a colour or, for None, with straight alpha.
+
+    `solids`: what the faces of each solid are read from, None where its atoms are all there is.
+    """
     picture = draw(view, pieces, ground or (0.0, 0.0, 0.0), light)
-    if inside is not None:
-        picture = detailed(picture, view, pieces, [Detailed(inside, atoms.pitch)], light)
+    if any(solids):
+        picture = detailed(picture, view, pieces, solids, light)
     if ground is None:
         return picture.straight_alpha()
     return np.dstack([to_8bit(picture.rgb), np.full(picture.alpha.shape, 255, np.uint8)])

@@ -18,6 +18,7 @@ from engine.export.colours import Colours
 from engine.export.kinds import Export, write_export
 from engine.io.trained import COMPACT, STANDARD, Meta, is_trained, load_trained, save_trained
 from engine.render.cpu.kernel_field import KernelField
+from engine.render.face_detail import Detailed
 from engine.scene.atoms import Atoms
 from engine.scene.camera import Camera
 from engine.scene.grid import Body
@@ -230,8 +231,9 @@ class Solid:
         """
         view = self.camera(azimuth, elevation, distance, size) if camera is None else camera
         inside = self.inside if self.planes else None
-        with drawing(self.atoms, bool(self.planes)) as (draw, _):
-            return frame(draw, self.atoms, inside, view, [Piece(self.planes)], WHITE, light=False)[..., :3]
+        with drawing([self.atoms], bool(self.planes)) as (draw, _):
+            details = [None if inside is None else Detailed(inside, self.atoms.pitch)]
+            return frame(draw, details, view, [Piece(self.planes)], WHITE, light=False)[..., :3]
 
     # Files
 

@@ -15,7 +15,17 @@ from engine.scene.atoms import Atoms
 from engine.scene.piece import Piece
 from engine.scene.plane import Plane
 
-__all__ = ["Cell", "Member", "PlacedPiece", "Solid", "pieces", "sections", "shown_points", "visible_pieces"]
+__all__ = [
+    "Cell",
+    "Member",
+    "PlacedPiece",
+    "Solid",
+    "pieces",
+    "placed_pieces",
+    "sections",
+    "shown_points",
+    "visible_pieces",
+]
 
 SAMPLE = 20_000
 """Points that represent the solid when a cut divides it: 27 along each axis of a cube."""
@@ -268,3 +278,9 @@ def shown_points(piece: PlacedPiece, solid: Solid, hidden: Sequence[Plane]) -> N
 def visible_pieces(document: Document, solid: Solid) -> list[PlacedPiece]:
     """The pieces that are drawn."""
     return [piece for piece in pieces(document, solid) if piece.visible]
+
+
+def placed_pieces(document: Document, solid: Solid, index: int = 0) -> list[Piece]:
+    """The renderer's pieces of what is drawn of an object, without what its sections hide; `index`: of its solid."""
+    hidden = sections(document)
+    return [replace(drawn, solid=index) for piece in visible_pieces(document, solid) for drawn in piece.drawn(hidden)]

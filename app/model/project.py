@@ -14,6 +14,15 @@ from typing import Any, get_args
 
 from app.model.camera_control import OrbitCamera
 from app.model.document import Cut, CutKind, Document, Key, Part, Placement, Training
+from app.model.film.project_record import (
+    eye_record,
+    look_record,
+    read_eye,
+    read_look,
+    read_timeline,
+    timeline_record,
+)
+from app.model.film.timeline import FilmLook, Timeline
 from app.model.measure.units import LENGTHS, UNITS, Unit
 from app.model.rigid_transform import Motion, Vec3
 from engine.errors import InputError
@@ -25,9 +34,9 @@ from engine.scene.plane import Plane
 from training.request import MOST_ITERATIONS, PriorName, family_record, read_family, read_plane
 from training.settings import DetailName
 
-__all__ = ["FORMAT", "SUFFIX", "Outside", "Project", "ViewMode", "Viewing", "load_project", "save_project"]
+__all__ = ["FORMAT", "SUFFIX", "Outside", "Project", "ViewMode", "Viewing", "Work", "load_project", "save_project"]
 
-FORMAT = 6
+FORMAT = 7
 """Version of the file. Later ones are refused, so it grows with every change of meaning."""
 
 SINGLE_FORMAT = 2
@@ -72,6 +81,19 @@ class Viewing:
     """Where these cross, object space; None: in the middle of the object."""
     unit: Unit = field(default_factory=Unit)
     """What lengths are given in."""
+    timeline: bool = False
+    """Whether the film's timeline is shown below the object."""
+    film: FilmLook = field(default_factory=FilmLook)
+    """How the film is saved."""
+
+
+@dataclass(frozen=True)
+class Work:
+    """What undo covers."""
+
+    documents: tuple[Document, ...]
+    """Of the scene's objects, at least one; each has another number."""
+    film: Timeline = field(default_factory=Timeline)
 
 
 @dataclass(frozen=True)
@@ -81,6 +103,12 @@ class Project:
     documents: tuple[Document, ...]
     """Of its objects, at least one; all of the same scene, each with another number."""
     viewing: Viewing
+    film: Timeline = field(default_factory=Timeline)
+
+    @property
+    def work(self) -> Work:
+        """What of it undo covers."""
+        return Work(self.documents, self.film)
 
 
 def save_project(path: Path, project: Project) -> None:
@@ -118,16 +146,14 @@ def _record(project: Project, folder: Path) -> dict[str, Any]:
         "view": {
             "mode": view.mode,
             "background": view.background,
-            "target": view.eye.target,
-            "azimuth": view.eye.azimuth,
-            "elevation": view.eye.elevation,
-            "distance": view.eye.distance,
-            "fov": view.eye.fov,
-            "orthographic": view.eye.orthographic,
+            **eye_record(view.eye),
             "slices": view.slices,
             "cross": view.cross,
             "unit": {"name": view.unit.name, "length": view.unit.length},
+            "timeline": view.timeline,
+            "film_look": look_record(view.film),
         },
+        "film": timeline_record(project.film),
     }
 
 
@@ -229,7 +255,8 @@ class _Reader(Fields):
             self.require(1 <= len(documents) <= MOST_OBJECTS, f"it has not 1 to {MOST_OBJECTS} objects")
             numbers = {document.number for document in documents}
             self.require(len(numbers) == len(documents), "two objects have the same number")
-        return Project(documents, self.viewing(self.table(fields.get("view"), "'view'")))
+        film = read_timeline(self, {"film": []} | fields)  # not in older projects
+        return Project(documents, self.viewing(self.table(fields.get("view"), "'view'")), film)
 
     def document(self, fields: dict[str, Any], scene: Path | None) -> Document:
         cuts = self.each(fields, "cuts", self.cut)
@@ -303,24 +330,15 @@ class _Reader(Fields):
         )
 
     def viewing(self, fields: dict[str, Any]) -> Viewing:
-        x, y, z = self.numbers(fields.get("target"), 3, "'target'")
-        distance = self.number(fields, "distance")
-        self.require(distance > 0, "'distance' is not above 0")
         background = fields.get("background")
         colour = None
         if background is not None:
             r, g, b = self.numbers(background, 3, "'background'")
             self.require(min(r, g, b) >= 0 and max(r, g, b) <= 1, "'background' is outside [0, 1]")
             colour = (r, g, b)
-        eye = OrbitCamera(
-            (x, y, z),
-            self.number(fields, "azimuth"),
-            self.number(fields, "elevation", -90, 90),
-            distance,
-            self.number(fields, "fov", 5, 120),
-            self.flag(fields, "orthographic"),
-        )
-        fields = {"slices": False, "cross": None, "unit": {"name": "units", "length": 1.0}} | fields  # older ones
+        eye = read_eye(self, fields)
+        older = {"slices": False, "cross": None, "unit": {"name": "units", "length": 1.0}, "timeline": False}
+        fields = older | {"film_look": look_record(FilmLook())} | fields
         cross, unit = fields["cross"], self.table(fields["unit"], "'unit'")
         if cross is not None:
             x, y, z = self.numbers(cross, 3, "'cross'")
@@ -333,6 +351,8 @@ class _Reader(Fields):
             self.flag(fields, "slices"),
             cross,
             Unit(self.choice(unit, "name", UNITS), length),
+            self.flag(fields, "timeline"),
+            read_look(self, fields["film_look"]),
         )
 
     # values

@@ -35,6 +35,8 @@ class Settings:
     Another file at the same path (the next download of the same name) is not trusted."""
     face_light: bool = True
     """Whether cut faces are lit."""
+    statistics: bool = False
+    """Whether the viewport tells how much it shows and how long a frame takes."""
     window: tuple[int, int] = (1440, 900)
     """Size at 96 DPI, pixels."""
     seen_hint: bool = False
@@ -92,6 +94,8 @@ def _folder(variable: str, fallback: str, mac: str) -> Path:
     return base / "fruitninja"
 
 
+FLAGS = ("face_light", "statistics", "seen_hint")
+
 LARGEST = 1 << 20
 """Bytes of the largest settings that are read; real ones have a few KB."""
 
@@ -106,7 +110,7 @@ def load_settings(path: Path | None = None) -> Settings:
         return Settings()
     settings = Settings()
     good = {f.name: value for f in fields(Settings) if (value := _like(raw.get(f.name), getattr(settings, f.name)))}
-    good |= {name: raw[name] for name in ("face_light", "seen_hint") if isinstance(raw.get(name), bool)}
+    good |= {name: raw[name] for name in FLAGS if isinstance(raw.get(name), bool)}
     if good.get("theme") not in ("dark", "light"):
         good.pop("theme", None)
     return replace(settings, **good)

@@ -14,7 +14,8 @@ from app.jobs.placement_preview import Placed, PlacementPreview, Wanted
 from app.model.faces.edit import BrushStroke, Outline, drag_point
 from app.model.faces.words import describe_guess
 from app.model.history import History
-from app.session.workspace import Documents, Workspace
+from app.model.project import Work
+from app.session.workspace import Workspace
 from training.faces.marks import UNMARKED, Marks, Place
 from training.families import Family, Kind
 
@@ -137,7 +138,7 @@ class FaceController:
         self.open_face: OpenFace | None = None
         self.hint: Hint | None = None
         """What the user has not yet dismissed or looked at."""
-        self._history: History[Documents] | None = None
+        self._history: History[Work] | None = None
         self._known: frozenset[Path] = frozenset()
         """Pictures of the documents that the user has been told about, or that came with a project."""
         self._new: list[tuple[Kind, Path]] = []

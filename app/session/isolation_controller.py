@@ -274,7 +274,7 @@ class IsolationController:
         untouched = not workspace.history.changed
         self._split(f"{len(selections)} objects", same[0], selections)
         if untouched and len(workspace.history.entries) == 2:  # as opened: nothing of the user's would be lost
-            workspace.history.saved = workspace.documents
+            workspace.history.saved = workspace.history.state
         workspace.notify(f"There are {len(selections)} separate objects. Select one in the list to cut it alone.")
 
     # Following the document

@@ -9,8 +9,10 @@ from pathlib import Path
 from app.jobs.scene_loader import LoadedScene
 from app.model.autosave import UnsavedWork
 from app.model.document import Document
+from app.model.film.timeline import Timeline
 from app.model.history import History
-from app.model.project import SUFFIX, Outside, Project, Viewing, load_project, save_project
+from app.model.project import SUFFIX, Outside, Viewing, Work, load_project, save_project
+from app.session.film_controller import FilmController
 from app.session.question import Choice
 from app.session.scene_controller import SceneController
 from app.session.training_controller import TrainingController
@@ -28,7 +30,7 @@ PATHS_LISTED = 6
 class _Opened:
     """What is open while something else is being read in its place."""
 
-    history: History[Documents]
+    history: History[Work]
     viewing: Viewing
     path: Path | None
     active: int
@@ -38,8 +40,10 @@ class _Opened:
 class ProjectFiles:
     """The document's way from and to files."""
 
-    def __init__(self, workspace: Workspace, scene: SceneController, training: TrainingController) -> None:
-        self.workspace, self.scene, self.training = workspace, scene, training
+    def __init__(
+        self, workspace: Workspace, scene: SceneController, training: TrainingController, film: FilmController
+    ) -> None:
+        self.workspace, self.scene, self.training, self.film = workspace, scene, training, film
         self.choose_path: Callable[[Callable[[Path], None]], None] | None = None
         """Opens the window's dialog for a new project's path, and calls its argument with the path chosen."""
         self._before: _Opened | None = None
@@ -60,15 +64,17 @@ class ProjectFiles:
         """As `open_documents`, with one object that no project has."""
         self.open_documents((document,), viewing, None)
 
-    def open_documents(self, documents: Documents, viewing: Viewing, path: Path | None) -> None:
-        """Replaces the session's documents, finds their training jobs and loads their scene. `path`: its project
-        file."""
+    def open_documents(
+        self, documents: Documents, viewing: Viewing, path: Path | None, film: Timeline | None = None
+    ) -> None:
+        """Replaces the session's documents and film, finds their training jobs and loads their scene. `path`: its
+        project file."""
         workspace = self.workspace
         if workspace.object is not None:
             self._before = _Opened(
                 workspace.history, workspace.viewing, workspace.path, workspace.active, dict(workspace.loaded)
             )
-        workspace.history = History(documents)
+        workspace.history = History(Work(documents, film or Timeline()))
         workspace.active, workspace.object_selected = 0, False
         workspace.viewing, workspace.path = viewing, path
         workspace.selection, workspace.active_cut, workspace.tool = frozenset(), None, "select"
@@ -145,7 +151,7 @@ class ProjectFiles:
             self.workspace.show_error(error)
             return
         self.workspace.change_settings(settings)
-        self.open_documents(project.documents, project.viewing, path)
+        self.open_documents(project.documents, project.viewing, path, project.film)
 
     def recover(self, find_unsaved_work: UnsavedWork) -> None:
         """Opens the unsaved work of a session that crashed."""
@@ -154,7 +160,7 @@ class ProjectFiles:
         except InputError as error:
             self.workspace.show_error(error)
             return
-        self.open_documents(project.documents, project.viewing, find_unsaved_work.project)
+        self.open_documents(project.documents, project.viewing, find_unsaved_work.project, project.film)
         self._before = None  # it stays, whether its scene can be read or not
         self.workspace.history.saved = None  # still unsaved
         self.workspace.notify("Your unsaved work is back. Save it to keep it.")
@@ -169,21 +175,33 @@ class ProjectFiles:
             return
         path = path if path.suffix == SUFFIX else path.with_name(path.name + SUFFIX)
         try:
-            save_project(path, Project(self.workspace.documents, self.workspace.viewing))
+            save_project(path, self.workspace.project)
             # A project that the user saved here is opened again without a question.
             settings = self.workspace.settings.with_recent(path).with_trusted(path)
         except InputError as error:
             self.workspace.show_error(error)
             return
-        self.workspace.path, self.workspace.history.saved = path, self.workspace.documents
+        self.workspace.path, self.workspace.history.saved = path, self.workspace.history.state
         self.workspace.autosave.clear()
         self.workspace.change_settings(settings)
         self.workspace.notify(f"Saved {path.name}.")
         then()
 
     def close(self) -> None:
-        """Closes the session, after asking about unsaved changes and about a running job."""
-        self.after_saving(self._ask_about_job)
+        """Closes the session, after asking about unsaved changes, a film that is being saved and a running job."""
+        self.after_saving(self._ask_about_film)
+
+    def _ask_about_film(self) -> None:
+        if not self.film.busy:
+            self._ask_about_job()
+            return
+
+        def stop() -> None:
+            self.film.cancel()
+            self._ask_about_job()
+
+        text = "It ends with the window. Frames in a folder are kept, and go on from there when it is saved again."
+        self.workspace.ask("A film is still being saved", text, Choice("Stop it", stop, main=True))
 
     def _ask_about_job(self) -> None:
         running = [job for job in self.training.jobs if job.phase in ("running", "paused")]

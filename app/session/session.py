@@ -9,8 +9,8 @@ import time
 from dataclasses import dataclass
 
 from app.model.knife import Stroke
-from app.model.project import Project
 from app.session.face_controller import FaceController
+from app.session.film_controller import FilmController
 from app.session.isolation_controller import IsolationController
 from app.session.project_files import ProjectFiles
 from app.session.scene_controller import SceneController
@@ -28,14 +28,15 @@ AUTOSAVE_RETRY = 60.0
 @dataclass
 class Session(Workspace):
     """The workspace with its controllers: `scene` loads, `isolation` says what of it is the object, `training` trains,
-    `faces` finds the faces in pictures, `files` opens, saves and closes."""
+    `faces` finds the faces in pictures, `film` keeps and plays moments, `files` opens, saves and closes."""
 
     def __post_init__(self) -> None:
         self.scene = SceneController(self)
         self.training = TrainingController(self, self.scene)
         self.isolation = IsolationController(self)
         self.faces = FaceController(self)
-        self.files = ProjectFiles(self, self.scene, self.training)
+        self.film = FilmController(self)
+        self.files = ProjectFiles(self, self.scene, self.training, self.film)
 
     @property
     def being_made(self) -> bool:
@@ -65,9 +66,10 @@ class Session(Workspace):
         self.isolation.tick()
         self.training.tick()
         self.faces.tick()
+        self.film.tick()
         if self.closing:
             return  # and does not keep what the user did not want to be saved
         try:
-            self.autosave.update(Project(self.documents, self.viewing), self.history.changed, self.path)
+            self.autosave.update(self.project, self.history.changed, self.path)
         except InputError:
             self.autosave.next = time.monotonic() + AUTOSAVE_RETRY

@@ -17,14 +17,14 @@ from app.jobs.scene_loader import LoadedScene, SceneLoader
 from app.model.autosave import Autosave
 from app.model.capture_view import CaptureView
 from app.model.document import Cut, Document, Key, Part, Placement
+from app.model.film.timeline import Timeline
 from app.model.history import History
 from app.model.knife import Outcome, Stroke, slice_object
 from app.model.pieces import Member, PlacedPiece, Solid, pieces, sections, shown_points
-from app.model.project import Viewing
+from app.model.project import Project, Viewing, Work
 from app.model.rigid_transform import Motion, Vec3, vec3
-from app.model.settings import Settings, load_settings, save_settings
 from app.model.upright import face_normal, turn_between
-from app.session.question import Choice, Question
+from app.session.messages import Messages
 from engine.io.picture_file import PICTURE_SUFFIXES
 from engine.scene.atoms import Atoms
 from engine.scene.camera import Camera
@@ -45,11 +45,10 @@ Documents = tuple[Document, ...]
 
 
 @dataclass
-class Workspace:
+class Workspace(Messages):
     """The objects' documents and their history, how they are viewed, what is selected, and what the user reads."""
 
-    settings: Settings = field(default_factory=load_settings)
-    history: History[Documents] = field(default_factory=lambda: History((Document(),)))
+    history: History[Work] = field(default_factory=lambda: History(Work((Document(),))))
     viewing: Viewing = field(default_factory=Viewing)
     active: int = 0
     """Index of the object that the panels show and that is edited."""
@@ -67,11 +66,8 @@ class Workspace:
     selection: frozenset[Key] = frozenset()
     active_cut: int | None = None
     """Id of the cut whose plane is shown with its handles."""
-    message: str = ""
-    """The status line."""
-    error: str = ""
-    """One line that stays until the user dismisses it."""
-    question: Question | None = None
+    previewed: tuple[Documents, Documents] | None = None
+    """Documents, and these as a film shows them: drawn in their place until something of them changes."""
     closing: bool = False
     """The window may close now."""
     geometry_version: int = 0
@@ -81,15 +77,32 @@ class Workspace:
     autosave: Autosave = field(default_factory=Autosave)
     folder: Path = field(default_factory=Path.home)
     """The user's current folder: dialogs begin here."""
-    _pieces: dict[int, tuple[Document, Solid, list[PlacedPiece]]] = field(default_factory=dict, repr=False)
-    """By the object's number its pieces, and the document and solid that they were found for."""
+    _pieces: dict[tuple[int, bool], tuple[Document, Solid, list[PlacedPiece]]] = field(default_factory=dict, repr=False)
+    """By the object's number, and whether it is as it is or as the film shows it: its pieces, and the document and
+    solid that they were found for."""
 
     # Derived state
 
     @property
     def documents(self) -> Documents:
         """The documents at the history's cursor."""
-        return self.history.state
+        return self.history.state.documents
+
+    @property
+    def timeline(self) -> Timeline:
+        """The film at the history's cursor."""
+        return self.history.state.film
+
+    @property
+    def project(self) -> Project:
+        """All that a project file holds."""
+        return Project(self.documents, self.viewing, self.timeline)
+
+    @property
+    def drawn_documents(self) -> Documents:
+        """The documents as they are drawn: those of the film while it is shown."""
+        preview = self.previewed
+        return preview[1] if preview is not None and preview[0] is self.documents else self.documents
 
     @property
     def document(self) -> Document:
@@ -159,8 +172,9 @@ class Workspace:
 
     @property
     def mode(self) -> str:
-        """What is drawn: the capture until the object is solid."""
-        return self.viewing.mode if self.atoms is not None else "capture"
+        """What is drawn: the capture until the object is solid, the solid in a film."""
+        shown = self.viewing.mode if self.drawn_documents is self.documents else "solid"
+        return shown if self.atoms is not None else "capture"
 
     @property
     def pieces(self) -> list[PlacedPiece]:
@@ -169,9 +183,10 @@ class Workspace:
 
     def pieces_of(self, document: Document) -> list[PlacedPiece]:
         """An object's pieces, including hidden ones."""
-        cached, solid = self._pieces.get(document.number), self.solid_of(document)
+        slot = document.number, any(document is one for one in self.documents)
+        cached, solid = self._pieces.get(slot), self.solid_of(document)
         if cached is None or cached[0] is not document or cached[1] is not solid:
-            cached = self._pieces[document.number] = (document, solid, pieces(document, solid))
+            cached = self._pieces[slot] = (document, solid, pieces(document, solid))
         return cached[2]
 
     @property
@@ -180,7 +195,7 @@ class Workspace:
         solids = self.solids
         return [
             Member(index, piece)
-            for index, document in enumerate(self.documents)
+            for index, document in enumerate(self.drawn_documents)
             if document.visible and document.number in solids
             for piece in self.pieces_of(document)
             if piece.visible
@@ -195,7 +210,7 @@ class Workspace:
     def drawn(self, members: Sequence[Member]) -> list[Piece]:
         """The renderer's pieces for members, one for each cell, without what the sections of their objects hide."""
         order = {number: k for k, number in enumerate(self.solids)}
-        documents = self.documents
+        documents = self.drawn_documents
         return [
             replace(piece, solid=order[documents[m.index].number])
             for m in members
@@ -207,31 +222,6 @@ class Workspace:
         """The window's title: the project's or the scene's name, with a star while there are unsaved changes."""
         name = self.path.stem if self.path else self.document.scene.stem if self.document.scene else "FruitNinja"
         return f"{name}{' *' if self.history.changed else ''}"
-
-    # Messages
-
-    def notify(self, text: str) -> None:
-        """Shows a message in the status line."""
-        self.message = text
-
-    def show_error(self, error: Exception | str) -> None:
-        """Shows an error until the user dismisses it."""
-        self.error = str(error)
-
-    def ask(self, title: str, text: str, *choices: Choice) -> None:
-        """Asks the user to choose; Cancel is added as the last choice."""
-        self.question = Question(title, text, (*choices, Choice("Cancel", lambda: None)))
-
-    def answer(self, choice: Choice) -> None:
-        """Carries out what the user chose, which may ask the next question."""
-        self.question = None
-        choice.act()
-
-    def change_settings(self, settings: Settings) -> None:
-        """Replaces the settings and saves them."""
-        if settings != self.settings:
-            self.settings = settings
-            save_settings(settings)
 
     # Editing
 
@@ -247,9 +237,13 @@ class Workspace:
     def change_all(self, name: str, documents: Documents, merge: str = "") -> bool:
         """Adds a step to the history; consecutive steps with the same `merge` tag are undone as one."""
         before, up = self.documents, self.view_up
-        done = self.history.do(name, documents, merge)
+        done = self.history.do(name, replace(self.history.state, documents=documents), merge)
         self._follow(before, up)
         return done
+
+    def change_film(self, name: str, film: Timeline, merge: str = "") -> bool:
+        """Changes the film, as `change_all` changes the documents."""
+        return self.history.do(name, replace(self.history.state, film=film), merge)
 
     def undo(self) -> None:
         """One step back."""

@@ -19,6 +19,8 @@ from app.ui.commands import Command, Ctrl, Key, Shift
 from app.ui.dialogs.export_window import ExportWindow
 from app.ui.dialogs.file_dialogs import FileDialogs
 from app.ui.dialogs.slices_window import SlicesWindow
+from app.ui.film.film_window import FilmWindow
+from app.ui.film.timeline import PRESETS
 from app.ui.theme import Fonts, apply, palette, px, rgba, u32
 from app.ui.view.slices import SliceViews
 from app.ui.view.viewport import Viewport
@@ -59,9 +61,15 @@ class Menus:
     """Makes the commands once and draws the menus from them."""
 
     def __init__(
-        self, session: Session, viewport: Viewport, slice_views: SliceViews, dialogs: FileDialogs, export: ExportWindow
+        self,
+        session: Session,
+        viewport: Viewport,
+        slice_views: SliceViews,
+        dialogs: FileDialogs,
+        export: ExportWindow,
+        film_window: FilmWindow,
     ) -> None:
-        self.session, self.viewport, self.slice_views = session, viewport, slice_views
+        self.session, self.viewport, self.slice_views, self.film_window = session, viewport, slice_views, film_window
         self.dialogs, self.export, self.slices = dialogs, export, SlicesWindow(session)
         self.shortcuts_shown = False
         """Whether the list of shortcuts is open."""
@@ -122,6 +130,7 @@ class Menus:
                 separated=True,
             ),
             Command("View", "Light on cut faces", self._toggle_light, checked=lambda: s.settings.face_light),
+            Command("View", "Statistics", self._toggle_statistics, checked=lambda: s.settings.statistics),
             Command("View", "Light theme", self._toggle_theme, checked=lambda: s.settings.theme == "light"),
         ]  # fmt: skip
         tools = []
@@ -133,8 +142,6 @@ class Menus:
             Command("File", "Save", s.files.save, "Ctrl+S", Ctrl | Key.s, opened, separated=True),
             Command("File", "Save as...", self._save_as, "Ctrl+Shift+S", Ctrl | Shift | Key.s, opened),
             Command("File", "Save picture...", picture, "Ctrl+E", Ctrl | Key.e, opened, separated=True),
-            Command("File", "Save turntable...", partial(export, "turntable"), enabled=opened),
-            Command("File", "Save plane sweep...", partial(export, "sweep"), enabled=is_cut),
             Command("File", "Save cut face...", partial(export, "section"), enabled=is_cut),
             Command("File", "Save pieces...", partial(export, "pieces"), enabled=lambda: s.atoms is not None),
             Command("File", "Save pieces as meshes...", partial(export, "meshes"), enabled=lambda: s.atoms is not None),
@@ -159,8 +166,43 @@ class Menus:
             Command("Interior", "Stop", training.stop, enabled=lambda: training.busy),
             Command("Interior", "Resume", training.resume, enabled=can_resume),
             Command("Interior", "Choose pictures...", self._pictures, enabled=opened, separated=True),
+            *self._film_commands(),
             *look,
             Command("Help", "Shortcuts", self._toggle_shortcuts, "?", Shift | Key.slash),
+        ]  # fmt: skip
+
+    def _film_commands(self) -> list[Command]:
+        s, film = self.session, self.session.film
+
+        def chosen() -> bool:
+            return s.viewing.timeline and not s.selection and film.selected is not None
+
+        def available() -> bool:
+            return film.available
+
+        def ready() -> bool:
+            return film.ready
+
+        made = [
+            Command("Film", label, partial(self._make_film, name), enabled=available, separated=name == "turntable")
+            for name, label in PRESETS.items()
+        ]
+        return [
+            Command(
+                "Film", "Timeline", self._toggle_timeline, "L", Key.l, lambda: s.document.scene is not None,
+                lambda: s.viewing.timeline,
+            ),
+            Command("Film", "Add keyframe", self._add_keyframe, "N", Key.n, available, separated=True),
+            Command("Film", "Replace keyframe", film.update, enabled=chosen),
+            Command("Film", "Remove keyframe", film.remove, "Del", Key.delete, chosen),
+            Command("Film", "Play", film.toggle, "Space", Key.space, ready, lambda: film.playing, separated=True),
+            Command("Film", "Keyframe before", partial(film.step, -1), ",", Key.comma, ready),
+            Command("Film", "Next keyframe", partial(film.step, 1), ".", Key.period, ready),
+            *made,
+            Command(
+                "Film", "Save film...", self.film_window.open, "Ctrl+Shift+E", Ctrl | Shift | Key.e,
+                lambda: film.ready and not film.busy, separated=True,
+            ),
         ]  # fmt: skip
 
     # Menus and toolbar
@@ -266,7 +308,7 @@ class Menus:
         columns = [
             [("Pointer", [*POINTER])],
             [(menu, self._keys(menu)) for menu in ("Tools", "View")],
-            [(menu, self._keys(menu)) for menu in ("File", "Edit", "Cut", "Help")],
+            [(menu, self._keys(menu)) for menu in ("File", "Edit", "Cut", "Film", "Help")],
         ]
         for number, groups in enumerate(columns):
             if number:
@@ -320,6 +362,19 @@ class Menus:
     def _remove_cuts(self) -> None:
         self.session.change("Remove all cuts", replace(self.session.document, cuts=(), placements=()))
 
+    def _toggle_timeline(self) -> None:
+        session = self.session
+        session.film.leave()
+        session.viewing = replace(session.viewing, timeline=not session.viewing.timeline)
+
+    def _add_keyframe(self) -> None:
+        self.session.viewing = replace(self.session.viewing, timeline=True)
+        self.session.film.add()
+
+    def _make_film(self, name: str) -> None:
+        self.session.viewing = replace(self.session.viewing, timeline=True)
+        self.session.film.preset(name)
+
     def _toggle_slices(self) -> None:
         session = self.session
         session.viewing = replace(session.viewing, slices=not session.viewing.slices)
@@ -343,6 +398,10 @@ class Menus:
     def _toggle_light(self) -> None:
         settings = self.session.settings
         self.session.change_settings(replace(settings, face_light=not settings.face_light))
+
+    def _toggle_statistics(self) -> None:
+        settings = self.session.settings
+        self.session.change_settings(replace(settings, statistics=not settings.statistics))
 
     def _toggle_theme(self) -> None:
         settings = self.session.settings

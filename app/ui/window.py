@@ -26,6 +26,8 @@ from app.ui.commands import press_shortcuts
 from app.ui.dialogs.export_window import ExportWindow
 from app.ui.dialogs.exporter import Exporter
 from app.ui.dialogs.file_dialogs import FileDialogs
+from app.ui.film.film_window import FilmWindow
+from app.ui.film.timeline import TimelinePanel
 from app.ui.menus import Menus
 from app.ui.panels.face_editor import FaceEditor
 from app.ui.panels.inspector import Inspector
@@ -135,7 +137,9 @@ class Window:
         self.face_editor = FaceEditor(self.session, self.painter)
         self.exporter = Exporter(self.session, self.painter)
         self.export = ExportWindow(self.exporter, self.dialogs)
-        self.menus = Menus(self.session, self.viewport, self.slices, self.dialogs, self.export)
+        self.film_window = FilmWindow(self.session, self.dialogs)
+        self.timeline = TimelinePanel(self.session, self.film_window)
+        self.menus = Menus(self.session, self.viewport, self.slices, self.dialogs, self.export, self.film_window)
         self.interior = InteriorPanel(self.session, self.viewport, self.thumbnails, self.dialogs)
         self.measures = MeasuresPanel(self.session, self.slices)
         self.inspector = Inspector(self.session, self.interior, self.measures)
@@ -170,6 +174,7 @@ class Window:
             or session.isolation.pending
             or session.faces.busy
             or self.exporter.busy
+            or self.session.film.playing
             or self.slices.busy
             or self.measures.measurer.busy
             or self.viewport.moving
@@ -223,6 +228,7 @@ class Window:
         press_shortcuts(self.menus.commands)
         self.menus.show_shortcuts()
         self.export.show()
+        self.film_window.show()
         self.menus.slices.show()
         self.dialogs.show()
         self._question()
@@ -239,20 +245,26 @@ class Window:
     def _object_or_picture(self) -> None:
         if self.face_editor.show():
             return
-        if not is_shown(self.session):
-            self.viewport.sliced = ()
-            self.viewport.show()
-            return
+        at, below = imgui.get_cursor_screen_pos(), self.timeline.height
         available = imgui.get_content_region_avail()
-        first, *others = quarters(imgui.get_cursor_screen_pos(), (available.x, available.y))
-        self.slices.show(others)
-        self.viewport.sliced = self.slices.slices().planes
-        imgui.set_cursor_screen_pos(first[0])
-        imgui.begin_child(
-            "##3d", ImVec2(*first[1]), 0, imgui.WindowFlags_.no_scrollbar | imgui.WindowFlags_.no_scroll_with_mouse
-        )
-        self.viewport.show()
-        imgui.end_child()
+        if below:
+            imgui.set_cursor_screen_pos(ImVec2(at.x, at.y + available.y - below))
+            self.timeline.show(available.x)
+        size = available.x, available.y - below
+        places = [(at, (int(size[0]), int(size[1])))]
+        self.viewport.sliced = ()
+        if is_shown(self.session):
+            places = quarters(at, size)
+            self.slices.show(places[1:])
+            self.viewport.sliced = self.slices.slices().planes
+        imgui.set_cursor_screen_pos(at)
+        flags = imgui.WindowFlags_.no_scrollbar | imgui.WindowFlags_.no_scroll_with_mouse
+        if len(places) > 1 or below:
+            imgui.begin_child("##3d", ImVec2(*places[0][1]), 0, flags)
+            self.viewport.show()
+            imgui.end_child()
+        else:
+            self.viewport.show()
 
     def _viewport_body(self) -> None:
         self._notices()

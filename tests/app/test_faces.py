@@ -22,7 +22,7 @@ from app.model.faces.edit import BrushStroke, drag_point, nearest_point, refine
 from app.model.faces.words import describe_guess
 from app.model.history import History
 from app.model.pieces import Solid
-from app.model.project import Project, Viewing, load_project, save_project
+from app.model.project import Project, Viewing, Work, load_project, save_project
 from app.model.settings import Settings
 from app.session.session import Session
 from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
@@ -59,7 +59,7 @@ def session_with(folder: Path, kind: str, path: Path) -> Session:
     """A session whose object is the ball, with one picture."""
     session = Session(settings=Settings(), autosave=Autosave(folder / "kept"))
     document = Document(scene=folder / "ball.ply").with_exemplars(kind, (path,))  # type: ignore[arg-type]
-    session.history = History((document,))
+    session.history = History(Work((document,)))
     atoms = ball_of_atoms()
     session.loaded[0] = LoadedScene(
         SceneRequest(folder / "ball.ply"), atoms=atoms, solid=Solid.of(atoms.interior.means), up=(0.0, 0.0, 1.0)

@@ -17,7 +17,7 @@ from app.model.autosave import Autosave, find_unsaved_work
 from app.model.document import Document, Part
 from app.model.history import History
 from app.model.pieces import Solid
-from app.model.project import FORMAT, Outside, Project, Viewing, load_project, save_project
+from app.model.project import FORMAT, Outside, Project, Viewing, Work, load_project, save_project
 from app.model.settings import Settings, load_settings, save_settings
 from app.session.project_files import _Opened
 from app.session.session import Session
@@ -132,6 +132,11 @@ BREAK: dict[str, Callable[[dict], object]] = {
     "mode": lambda r: r["view"].update(mode="x-ray"),
     "unit": lambda r: r["view"].update(unit={"name": "mm", "length": 0}),
     "cross": lambda r: r["view"].update(cross=[0, 1]),
+    "keyframes": lambda r: r["film"].reverse(),
+    "keyframe's view": lambda r: r["film"][0].pop("view"),
+    "keyframe's plane": lambda r: r["film"][0]["objects"][0]["planes"][0].update(plane=[0, 0, 0, 1]),
+    "a keyframe's object twice": lambda r: r["film"][0].update(objects=2 * r["film"][0]["objects"]),
+    "pixels": lambda r: r["view"]["film_look"].update(size=[1e9, 1]),
     "prior": lambda r: r["objects"][0]["training"].update(prior="magic"),
     "seed": lambda r: r["objects"][0]["training"].update(seed=-1),
     "view": lambda r: r.update(view=None),
@@ -184,7 +189,7 @@ def test_unsaved_work_survives_a_crash(tmp_path: Path) -> None:
 
 def test_what_the_user_does_not_save_is_not_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("FRUITNINJA_HOME", str(tmp_path))
-    session = Session(history=History((Document(scene=tmp_path / "melon.ply"),)))
+    session = Session(history=History(Work((Document(scene=tmp_path / "melon.ply"),))))
     monkeypatch.setattr(session.scene, "load", lambda *_: None)
     session.object = LoadedScene(SceneRequest(tmp_path / "melon.ply"))
     session.change("Up", replace(session.document, up=(0.0, 1.0, 0.0)))
@@ -249,7 +254,7 @@ def test_what_cannot_be_read_leaves_what_is_open(tmp_path: Path, monkeypatch: py
     monkeypatch.setenv("FRUITNINJA_HOME", str(tmp_path))
     session, solid = Session(), atoms()
     document = Document(scene=tmp_path / "melon.ply")
-    session.history = History((document,))
+    session.history = History(Work((document,)))
     session.object = LoadedScene(SceneRequest(tmp_path / "melon.ply"), None, solid, Solid.of_atoms(solid), trained=True)
     session.change("Cut", document.with_cut((Part(Plane.of((0, 0, 1), 0.0)),)))
     shown, history, path = session.object, session.history, tmp_path / "melon.fruitninja"

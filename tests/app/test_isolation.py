@@ -19,7 +19,7 @@ from app.model.capture_view import view_of
 from app.model.document import Document
 from app.model.history import History
 from app.model.marking import Marker, box_edges, shape_of
-from app.model.project import load_project, save_project
+from app.model.project import Work, load_project, save_project
 from app.session.session import Session
 from engine.io.load import load
 from engine.io.trained import Meta, save_trained
@@ -132,7 +132,7 @@ def test_a_result_of_another_part_of_the_capture_is_not_shown(tmp_path: Path) ->
 
 def test_nothing_is_removed_without_a_selection_and_not_everything() -> None:
     capture = ball()
-    session = Session(history=History((Document(scene=Path("melon.ply")),)))
+    session = Session(history=History(Work((Document(scene=Path("melon.ply")),))))
     session.object = LoadedScene(SceneRequest(Path("melon.ply")), capture)
 
     def settle() -> None:

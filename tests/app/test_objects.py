@@ -17,7 +17,7 @@ from app.model.document import Document, Training
 from app.model.history import History
 from app.model.knife import Stroke
 from app.model.pieces import Solid
-from app.model.project import Project, Viewing, load_project, save_project
+from app.model.project import Project, Viewing, Work, load_project, save_project
 from app.session.session import Session
 from engine.isolate.selection import Sphere, Step, removed
 from engine.scene.atoms import Atoms
@@ -58,7 +58,7 @@ def settle(session: Session) -> None:
 def session(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Session:
     monkeypatch.setenv("FRUITNINJA_HOME", str(tmp_path))
     scene = tmp_path / "two.ply"
-    made = Session(history=History((Document(scene=scene),)), viewing=Viewing(EYE, "solid"))
+    made = Session(history=History(Work((Document(scene=scene),))), viewing=Viewing(EYE, "solid"))
     made.object = LoadedScene(SceneRequest(scene), CAPTURE, None, Solid.of(CAPTURE.means))
     settle(made)
     return made
@@ -115,7 +115,7 @@ def test_separate_bodies_become_objects_once_and_undo_makes_them_one(session: Se
 
 
 def test_a_project_that_was_saved_as_one_object_stays_one(session: Session, tmp_path: Path) -> None:
-    other = Session(history=History((Document(scene=tmp_path / "two.ply"),)), path=tmp_path / "a.fruitninja")
+    other = Session(history=History(Work((Document(scene=tmp_path / "two.ply"),))), path=tmp_path / "a.fruitninja")
     other.object = LoadedScene(SceneRequest(tmp_path / "two.ply"), CAPTURE, None, Solid.of(CAPTURE.means))
     settle(other)
     assert len(other.documents) == 1

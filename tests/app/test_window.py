@@ -72,6 +72,11 @@ def test_a_picture_is_looked_at_and_corrected_before_training(tmp_path: Path) ->
     assert len(list((tmp_path / "shots").glob("faces_*.png"))) == 5
 
 
+def test_a_film_is_made_played_and_saved(tmp_path: Path) -> None:
+    run("film", tmp_path, "app_film_steps.py")
+    assert len(list((tmp_path / "shots").glob("film_*.png"))) == 5
+
+
 @pytest.mark.slow
 def test_two_thousand_random_actions_leave_nothing_behind(tmp_path: Path) -> None:
     run("soak", tmp_path)

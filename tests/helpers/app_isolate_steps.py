@@ -16,7 +16,7 @@ from app.model.camera_control import OrbitCamera
 from app.model.document import Document, Training
 from app.model.history import History
 from app.model.pieces import Solid
-from app.model.project import Viewing
+from app.model.project import Viewing, Work
 from app.model.samples import sample_document
 from app.model.settings import Settings
 from app.session.session import Session
@@ -170,7 +170,9 @@ def two_balls(session: Session, scene: Path) -> None:
     means, scales, quats, sh = arrays
     capture = Gaussians(means, scales, quats, np.ones(len(means), np.float32), sh)
     balls = [keep_only(Sphere((x, 0.0, 0.0), 0.69)) for x in (-0.7, 0.7)]
-    session.history = History(tuple(Document(scene, isolation=(one,), number=n) for n, one in enumerate(balls, 1)))
+    session.history = History(
+        Work(tuple(Document(scene, isolation=(one,), number=n) for n, one in enumerate(balls, 1)))
+    )
     for document, atoms in zip(session.documents, solids, strict=True):
         request = SceneRequest(scene, isolation=document.isolation)
         session.loaded[document.number] = LoadedScene(request, capture, atoms, Solid.of_atoms(atoms))

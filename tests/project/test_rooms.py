@@ -50,6 +50,7 @@ MAY_IMPORT = {
     "fruitninja": ("engine", "training"),
     "app.model": ("engine", "training"),
     "app.jobs": ("app.model", "engine", "training"),
+    "app.jobs.film": ("app.model", "app.jobs", "engine", "fruitninja", "training"),
     "app.session": ("app.model", "app.jobs", "engine", "training"),
     "app.ui": ("app.model", "app.jobs", "app.session", "engine", "training"),
     "app.main": ("app", "engine", "training"),
@@ -67,6 +68,7 @@ NO_OPENGL = ("imgui_bundle", "glfw", "moderngl")
 
 KEEPS_OFF = {
     "app.model": (*NO_OPENGL, "subprocess"),
+    "app.jobs.film": ("app.model", "app.jobs", "engine", "fruitninja", "training"),
     "app.session": (*NO_OPENGL, "subprocess"),
     "engine.scene": NO_OPENGL,
     "engine.io": NO_OPENGL,

@@ -9,7 +9,7 @@ other begins and ends at rest, so that two keyframes alone are joined by a smoot
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,10 +19,11 @@ from scipy.interpolate import PchipInterpolator
 from app.model.camera_control import OrbitCamera
 from app.model.document import DEFAULT_GAP, Document, Part
 from app.model.pieces import Solid, pieces
+from app.model.rigid_transform import Vec3, vec3
 from engine.scene.piece import Piece
 from engine.scene.plane import Plane
 
-__all__ = ["Film", "Keyframe", "frame_count", "frames", "placed", "seen"]
+__all__ = ["Film", "Keyframe", "frame_count", "frame_times", "frames", "motion", "placed", "seen"]
 
 SAME = 1e-6
 """Degrees by which two azimuths may differ and be one: far more than rounding, far less than is seen."""
@@ -44,6 +45,15 @@ class Keyframe:
     """Each hides what is on its removed side; as many in all keyframes of a film."""
     explosion: float = 0.0
     """How far the pieces are parted; 0 puts them together. Range [0, 2], as in a document."""
+    gap: float | None = None
+    """Between the two sides of a cut, in radii of the object. Range [0, 2]. None: as the explosion has it."""
+    target: Vec3 = (0.0, 0.0, 0.0)
+    """What is in the middle of the picture, world units from where the film is seen at."""
+
+    @property
+    def parted(self) -> float:
+        """The gap, also where the explosion decides it."""
+        return DEFAULT_GAP * self.explosion if self.gap is None else self.gap
 
 
 @dataclass(frozen=True)
@@ -65,19 +75,36 @@ class Film:
         """Whether it ends as it began, so that it can be shown again and again."""
         first, last = self.keyframes[0], self.keyframes[-1]
         turn = math.remainder(last.azimuth - first.azimuth, 360.0)
-        return abs(turn) < SAME and replace(last, time=first.time, azimuth=first.azimuth) == first
+        same = replace(last, time=first.time, azimuth=first.azimuth, gap=last.parted) == replace(
+            first, gap=first.parted
+        )
+        return abs(turn) < SAME and same
 
 
-def frame_count(film: Film, rate: float) -> int:
+def frame_count(seconds: float, rate: float) -> int:
     """Frames of a film at so many a second; at least two."""
-    return max(2, round(film.seconds * rate))
+    return max(2, round(seconds * rate))
+
+
+def frame_times(seconds: float, count: int, closed: bool) -> Iterator[float]:
+    """The time of each of at least two frames.
+
+    The frame after the last of a closed film would be its first again; an open one ends with its last keyframe.
+    """
+    return (seconds * index / (count if closed else count - 1) for index in range(count))
 
 
 def frames(film: Film, count: int, centre: ArrayLike = (0.0, 0.0, 0.0)) -> Iterator[Keyframe]:
-    """What each of `count` frames shows, at least two.
+    """What each of `count` frames shows, at least two, at the times of `frame_times`."""
+    shown = motion(film, centre)
+    return map(shown, frame_times(film.seconds, count, film.closed))
 
-    The frame after the last of a closed film would be its first again; an open one ends with its last keyframe. A
-    plane turns about the foot of the perpendicular from `centre` (3,), so that one through the centre stays there.
+
+def motion(film: Film, centre: ArrayLike = (0.0, 0.0, 0.0), closed: bool | None = None) -> Callable[[float], Keyframe]:
+    """What a film shows, as a function of the time in [0, film.seconds].
+
+    A plane turns about the foot of the perpendicular from `centre` (3,), so that one through the centre stays there.
+    `closed`: whether it goes round; by default if it ends as it began.
     """
     keys = film.keyframes
     middle = np.asarray(centre, np.float64)
@@ -86,37 +113,41 @@ def frames(film: Film, count: int, centre: ArrayLike = (0.0, 0.0, 0.0)) -> Itera
     times = np.array([key.time for key in keys])
     # One keyframe more at each end gives the curves their slope there: that of the next round, or rest.
     before, after = times[0] - (times[-1] - times[-2]), times[-1] + (times[1] - times[0])
-    first, last = (rows[-2] - rows[-1] + rows[0], rows[1] - rows[0] + rows[-1]) if film.closed else (rows[0], rows[-1])
+    first, last = rows[0], rows[-1]
+    if film.closed if closed is None else closed:
+        first, last = rows[-2] - rows[-1] + rows[0], rows[1] - rows[0] + rows[-1]
     curve = PchipInterpolator([before, *times, after], np.stack([first, *rows, last]))
-    for index in range(count):
-        time = film.seconds * index / (count if film.closed else count - 1)
-        yield _keyframe(time, curve(time), middle)
+    return lambda time: _keyframe(time, curve(time), middle)
 
 
 def seen(eye: OrbitCamera, shown: Keyframe) -> OrbitCamera:
-    """The camera of a frame; `eye` is the one that a zoom of 1 means."""
-    return replace(eye, azimuth=shown.azimuth, elevation=shown.elevation, distance=eye.distance / shown.zoom)
+    """The camera of a frame; `eye` is the one that a zoom of 1 and a target of 0 mean."""
+    target = vec3(np.add(eye.target, shown.target))
+    return replace(
+        eye, target=target, azimuth=shown.azimuth, elevation=shown.elevation, distance=eye.distance / shown.zoom
+    )
 
 
 def placed(film: Film, shown: Keyframe, solid: Solid) -> list[Piece]:
     """The pieces of a frame: parted as the window parts them, without what the frame's planes hide."""
-    cut = Document(gap=DEFAULT_GAP * shown.explosion, explode=shown.explosion)
+    cut = Document(gap=shown.parted, explode=shown.explosion)
     for plane in film.cuts:
         cut = cut.with_cut((Part(plane),))
     return [drawn for piece in pieces(cut, solid) for drawn in piece.drawn(shown.planes)]
 
 
 def _numbers(key: Keyframe, centre: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(4 + 4 P,). What is interpolated: distances by their logarithm, planes as normal and distance of the centre."""
+    """(8 + 4 P,). What is interpolated: distances by their logarithm, planes as normal and distance of the centre."""
     planes = [(*plane.normal, float(plane.distance(centre))) for plane in key.planes]
-    return np.concatenate([[key.azimuth, key.elevation, np.log(key.zoom), key.explosion], *planes])
+    view = [key.azimuth, key.elevation, np.log(key.zoom), *key.target]
+    return np.concatenate([view, [key.explosion, key.parted], *planes])
 
 
 def _keyframe(time: float, row: NDArray[np.float64], centre: NDArray[np.float64]) -> Keyframe:
     """The inverse of `_numbers`."""
-    azimuth, elevation, zoom, explosion = row[:4].tolist()
+    azimuth, elevation, zoom, x, y, z, explosion, gap = row[:8].tolist()
     planes = []
-    for a, b, c, distance in row[4:].reshape(-1, 4).tolist():
+    for a, b, c, distance in row[8:].reshape(-1, 4).tolist():
         normal = np.array([a, b, c]) / np.linalg.norm([a, b, c])
         planes.append(Plane.of(normal, distance - float(normal @ centre)))
-    return Keyframe(time, azimuth, elevation, float(np.exp(zoom)), tuple(planes), explosion)
+    return Keyframe(time, azimuth, elevation, float(np.exp(zoom)), tuple(planes), explosion, gap, (x, y, z))

@@ -5,7 +5,8 @@
      "keyframes": [{"time": 0, "azimuth": 30, "elevation": 20},
                    {"time": 4, "azimuth": 90, "elevation": 35, "zoom": 1.2, "explosion": 0.5}]}
 
-A keyframe may also have "planes", [a, b, c, d] each. What is left out is a zoom of 1, no planes, no explosion, no cuts.
+A keyframe may also have "planes", [a, b, c, d] each, a "gap" and a "target", [x, y, z]. What is left out is a zoom of
+1, no planes, no explosion, a gap as the explosion has it, the middle of the object, no cuts.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from engine.io.files import read_file
 from engine.io.strict_json import parse
 from engine.scene.plane import Plane
 
-__all__ = ["LONGEST", "film_record", "read_film"]
+__all__ = ["LONGEST", "MOST_KEYFRAMES", "MOST_PLANES", "film_record", "read_film"]
 
 VERSION = 1
 """Of the files; it grows with every change of meaning."""
@@ -40,7 +41,7 @@ MOST_KEYFRAMES, MOST_PLANES = 1000, 16
 """More than anybody writes by hand."""
 
 REQUIRED = {"time", "azimuth", "elevation"}
-OPTIONAL: dict[str, Any] = {"zoom": 1.0, "planes": [], "explosion": 0.0}
+OPTIONAL: dict[str, Any] = {"zoom": 1.0, "planes": [], "explosion": 0.0, "gap": None, "target": [0, 0, 0]}
 
 
 def read_film(path: Path) -> Film:
@@ -75,7 +76,7 @@ def film_record(film: Film) -> dict[str, Any]:
     def numbers(planes: tuple[Plane, ...]) -> list[list[float]]:
         return [[*plane.normal, plane.offset] for plane in planes]
 
-    keys = [asdict(key) | {"planes": numbers(key.planes)} for key in film.keyframes]
+    keys = [asdict(key) | {"planes": numbers(key.planes), "target": list(key.target)} for key in film.keyframes]
     return {"fruitninja_film": VERSION, "cuts": numbers(film.cuts), "keyframes": keys}
 
 
@@ -85,6 +86,7 @@ def _keyframe(fields: Fields, value: Any) -> Keyframe:
     fields.require(not wrong, f"a keyframe has the unknown field {wrong[:1]}")
     full = OPTIONAL | table
     number: Callable[..., float] = fields.number
+    x, y, z = fields.numbers(full["target"], 3, "'target'")
     return Keyframe(
         number(full, "time", 0.0, LONGEST),
         number(full, "azimuth", -36000.0, 36000.0),
@@ -92,6 +94,8 @@ def _keyframe(fields: Fields, value: Any) -> Keyframe:
         number(full, "zoom", 0.01, 100.0),
         _planes(fields, full, "planes"),
         number(full, "explosion", 0.0, 2.0),
+        None if full["gap"] is None else number(full, "gap", 0.0, 2.0),
+        (x, y, z),
     )
 
 

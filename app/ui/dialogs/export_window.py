@@ -1,4 +1,4 @@
-"""The export window: the options of a picture, an animation or pieces, and the progress of saving."""
+"""The export window: the options of a picture or of pieces, and that they are being saved."""
 
 from __future__ import annotations
 
@@ -6,33 +6,27 @@ from pathlib import Path
 
 from imgui_bundle import ImVec2, imgui
 
-from app.jobs.export import ffmpeg
 from app.ui.dialogs.exporter import Exporter, Options
 from app.ui.dialogs.file_dialogs import FileDialogs
 from app.ui.theme import Fonts, px
-from app.ui.widgets import cancel_button, font, main_button, modal, row_label, secondary, thin_bar
+from app.ui.widgets import cancel_button, font, main_button, modal, row_label, secondary
 from engine.io.writers.splats import SPLAT_WRITERS
 
 __all__ = ["ExportWindow"]
 
 TITLES = {
     "picture": "Save picture",
-    "turntable": "Save turntable",
-    "sweep": "Save plane sweep",
     "section": "Save cut face",
     "pieces": "Save pieces",
     "meshes": "Save pieces as meshes",
 }
 HINTS = {
     "picture": "What the window shows, in any size.",
-    "turntable": "Once around the object.",
-    "sweep": "The active plane on its way through the object and back.",
     "section": "The active cut looked at straight on, with a scale and nothing around it.",
     "pieces": "For other programs. Cut faces there are as fine as its points; every 3DGS viewer opens a .ply.",
     "meshes": "Closed, with cut faces as fine as the pictures, for Blender, game engines and printers. The selected "
     "pieces of this object, or all of them.",
 }
-SUFFIXES = {"picture": ".png", "section": ".png"}
 MESHES = (".glb", ".obj", ".3mf")
 LARGEST = 8192
 """Pixels of a side; OpenGL drivers without a larger limit are common."""
@@ -80,13 +74,6 @@ class ExportWindow:
         if o.kind in ("picture", "section"):
             row_label("Background", 110)
             o.transparent = not imgui.checkbox("white##ground", not o.transparent)[1]
-        if o.kind in ("turntable", "sweep"):
-            row_label("Frames", 110)
-            o.frames = min(max(2, imgui.input_int("##frames", o.frames, 10)[1]), 1000)
-            row_label("Format", 110)
-            forms = [".webp", ".gif", *([".mp4"] if ffmpeg() else [])]
-            current = forms.index(o.form) if o.form in forms else 0
-            o.form = forms[imgui.combo("##form", current, [f[1:].upper() for f in forms])[1]]
         if o.kind == "pieces":
             row_label("Format", 110)
             splats = list(SPLAT_WRITERS)
@@ -107,7 +94,7 @@ class ExportWindow:
 
     def _choose(self) -> None:
         o = self.options
-        suffix = {"pieces": o.splats, "meshes": o.meshes}.get(o.kind) or SUFFIXES.get(o.kind, o.form)
+        suffix = {"pieces": o.splats, "meshes": o.meshes}.get(o.kind) or ".png"
         scene = self.exporter.session.document.scene
         stem = scene.stem if scene else "object"
         folder = scene.parent if scene else Path.home()
@@ -125,7 +112,6 @@ class ExportWindow:
         flags = imgui.WindowFlags_.no_decoration | imgui.WindowFlags_.no_docking | imgui.WindowFlags_.no_saved_settings
         imgui.begin("##exporting", None, flags)
         secondary(f"Saving {self.exporter.path.name if self.exporter.path else ''}")
-        thin_bar(self.exporter.fraction)
         if imgui.button("Cancel"):
             self.exporter.cancel()
         imgui.end()

@@ -1,20 +1,17 @@
-"""Saves pictures, animations and pieces. An animation is drawn one picture per frame and written by another thread."""
+"""Saves pictures and pieces; meshes are made and written by another thread."""
 
 from __future__ import annotations
 
-import queue
 import threading
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from app.jobs.export import RATE, save_animation, save_meshes, save_pieces, save_still, section_picture
-from app.model.film.motion import Keyframe, frames, seen
-from app.model.film.presets import sweep, turntable
+from app.jobs.export import save_meshes, save_pieces, save_still, section_picture
 from app.session.session import Session
 from app.ui.view.painter import Painter
 from engine.errors import InputError
@@ -33,13 +30,10 @@ class Options:
     """The options of the export window."""
 
     kind: str = "picture"
-    """'picture', 'turntable', 'sweep', 'section', 'pieces', 'meshes'."""
+    """'picture', 'section', 'pieces', 'meshes'."""
     width: int = 1600
     height: int = 1000
     transparent: bool = True
-    frames: int = 90
-    form: str = ".webp"
-    """Suffix of an animation."""
     splats: str = ".ply"
     """Suffix of pieces."""
     separate: bool = False
@@ -52,25 +46,19 @@ class Exporter:
 
     def __init__(self, session: Session, painter: Painter) -> None:
         self.session, self.painter = session, painter
-        self.fraction = 0.0
-        """How much is drawn. Range [0, 1]."""
         self.path: Path | None = None
         """The file that is being written."""
-        self._frames: Iterator[Frame] | None = None
-        self._sink: queue.Queue[Frame | None] = queue.Queue(maxsize=8)
         self._thread: threading.Thread | None = None
         self._error = ""
-        self._count = 1
-        self._done = 0
         self._cancelled = False
 
     @property
     def busy(self) -> bool:
-        """Whether an animation or meshes are being saved."""
+        """Whether meshes are being saved."""
         return self._thread is not None
 
     def run(self, options: Options, path: Path) -> None:
-        """Saves at once, or starts saving an animation or meshes. Errors are shown by the session."""
+        """Saves at once, or starts saving meshes. Errors are shown by the session."""
         try:
             if options.kind == "pieces":
                 self._pieces(options, path)
@@ -78,26 +66,17 @@ class Exporter:
                 self._meshes(path)
             elif options.kind == "section":
                 self._section(options, path)
-            elif options.kind == "picture":
+            else:
                 camera = self._camera(options)
                 save_still(path, self._draw(camera, self._shown()), options.transparent)
                 self.session.notify(f"Saved {path.name}.")
-            else:
-                self._animate(options, path)
         except InputError as error:
             self.session.show_error(error)
 
     def step(self) -> None:
-        """Draws the next frame of an animation. Called once a frame."""
+        """Tells when meshes have been saved. Called once a frame."""
         if self._thread is None:
             return
-        if self._frames is not None and not self._sink.full():
-            frame = None if self._cancelled else next(self._frames, None)
-            self._sink.put(frame)
-            self._done += 1
-            self.fraction = self._done / self._count
-            if frame is None:
-                self._frames = None
         if not self._thread.is_alive():
             name = self.path.name if self.path else ""
             self._thread = None
@@ -107,44 +86,14 @@ class Exporter:
                 self.session.notify(f"Saved {name}." if not self._cancelled else "Stopped.")
 
     def cancel(self) -> None:
-        """Stops after this frame, or before meshes are written, and leaves no file behind."""
+        """Stops before meshes are written, and leaves no file behind."""
         self._cancelled = True
-
-    def _animate(self, options: Options, path: Path) -> None:
-        session = self.session
-        size, seconds = (options.width, options.height), options.frames / RATE
-        eye = session.viewing.eye
-        start = Keyframe(0.0, eye.azimuth, eye.elevation)
-        if options.kind == "turntable":
-            shown = self._shown()
-            drawn = (
-                self._draw(seen(eye, key).camera(*size, session.view_up), shown)
-                for key in frames(turntable(start, seconds), options.frames)
-            )
-        else:
-            plane, camera = self._plane(), eye.camera(*size, session.view_up)
-            if np.asarray(plane.normal) @ camera.forward > 0:
-                plane = plane.flipped()  # the open side faces the camera
-            drawn = (
-                self._draw(camera, [replace(self._uncut(), planes=key.planes)])
-                for key in frames(sweep(start, seconds, plane, session.solid.points), options.frames)
-            )
-        self._frames, self._count = drawn, options.frames
-        self._start(path, lambda: save_animation(path, self._drawn()))
 
     def _start(self, path: Path, work: Callable[[], object]) -> None:
         """Starts the thread that writes a file."""
-        self._done, self.fraction, self.path = 0, 0.0, path
-        self._error, self._cancelled, self._sink = "", False, queue.Queue(maxsize=8)
+        self.path, self._error, self._cancelled = path, "", False
         self._thread = threading.Thread(target=self._write, args=(path, work), daemon=True)
         self._thread.start()
-
-    def _drawn(self) -> Iterator[Frame]:
-        """The frames that the window has drawn, for the thread that writes them."""
-        while (frame := self._sink.get()) is not None:
-            yield frame
-        if self._cancelled:
-            raise InputError("cancelled")
 
     def _write(self, path: Path, work: Callable[[], object]) -> None:
         try:
@@ -153,8 +102,6 @@ class Exporter:
             self._error = "" if self._cancelled else str(error)
         except Exception as error:  # otherwise the window would wait for a dead thread
             self._error = f"{path}: could not be written ({error})"
-        while self._error and self._frames is not None:
-            self._sink.get()
 
     def _section(self, options: Options, path: Path) -> None:
         session = self.session
@@ -201,7 +148,6 @@ class Exporter:
             session.viewing.unit.metres,
             lambda: not self._cancelled,
         )
-        self._frames = None
         self._start(path, work)
 
     def _camera(self, options: Options) -> Camera:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from imgui_bundle import ImVec2, imgui
 from imgui_bundle import icons_fontawesome_6 as icon
 
+from app.jobs.film.film_job import FilmJob
 from app.jobs.scene_loader import SceneLoader
 from app.jobs.training_job import Job
 from app.session.session import Session
@@ -28,13 +29,24 @@ class Footer:
         """One frame, from the cursor down."""
         session, top = self.session, imgui.get_cursor_pos_y()
         loader, job = session.loader, session.training.job
-        if loader is not None or job is not None:
+        film = session.film.job
+        if loader is not None or job is not None or film is not None:
             imgui.separator()
+        if film is not None:
+            self._saving(film)
         if loader is not None:
             self._preparing(loader)
         if job is not None:
             self._training(job)
         self.height = imgui.get_cursor_pos_y() - top
+
+    def _saving(self, film: FilmJob) -> None:
+        thin_bar(film.fraction)
+        imgui.align_text_to_frame_padding()
+        secondary("Stopping the film" if film.cancelled else f"Saving {film.out.name}, {film.fraction:.0%}")
+        imgui.same_line(imgui.get_content_region_avail().x - px(56))
+        if imgui.button("Cancel##film", ImVec2(px(68), 0)):
+            self.session.film.cancel()
 
     def _preparing(self, loader: SceneLoader) -> None:
         thin_bar(loader.fraction)

@@ -14,23 +14,22 @@ from app.model.camera_control import OrbitCamera
 from app.model.document import Document, Key
 from app.model.knife import SHORTEST, Stroke, plane_of
 from app.model.pieces import Member, PlacedPiece
-from app.model.project import VIEW_MODES
 from app.model.rigid_transform import STILL, Motion
 from app.model.upright import point_under
 from app.session.session import Session
 from app.ui.theme import palette, px, rgb, u32
 from app.ui.view.animation import CameraAnimation, PieceAnimation
-from app.ui.view.annotations import label, marker_outline
+from app.ui.view.annotations import marker_outline
 from app.ui.view.axis_cube import axis_cube
 from app.ui.view.box_handles import BoxHandles
 from app.ui.view.gizmo import handles, on_handles
+from app.ui.view.overlays import film_label, mode_switch, statistics, tool_hint
 from app.ui.view.painter import Painter
 from app.ui.view.plane_lines import PlaneLines
 from app.ui.view.point_picker import PointPicker
 from app.ui.view.selection import selection_frames
 from app.ui.view.slices import slice_colours
 from app.ui.view.stroke import cut_lines, draw_stroke
-from app.ui.widgets import segmented
 from engine.render.gl.overlay import Lines, Sheet
 from engine.scene.camera import Camera
 from engine.scene.piece import Piece
@@ -44,17 +43,6 @@ ANY_BUTTON = (
     | imgui.ButtonFlags_.mouse_button_middle
 )
 
-HINTS = {
-    "select": "",
-    "knife": "Drag across the object to cut it",
-    "blade": "Draw a line to cut along, or all around what is to be punched out",
-    "plane": "Drag to place a plane",
-    "move": "Drag a piece to move it",
-    "turn": "Drag a piece to turn it",
-    "upright": "Click the face it stands on",
-    "isolate": "Drag over a part of the capture to select it",
-}
-
 CUTTING = {
     "stroke": "release to cut    Shift: snap",
     "blade": "release to cut",
@@ -64,14 +52,6 @@ CUTTING = {
 
 REST = 0.2
 """Seconds after the last change of the view until it is drawn in full."""
-
-MODE_LABELS = ("Capture", "Solid", "Interior")
-MODE_HINTS = (
-    "The capture as it came, hollow",
-    "The object as a solid that can be cut",
-    "The inside alone, without its skin",
-)
-
 
 SOLID_OPACITY = 0.3
 """Opacity from which a Gaussian of the capture can be pointed at; below, it is haze."""
@@ -128,7 +108,7 @@ class Viewport:
     def moving(self) -> bool:
         """Whether an animation is running or input waits, so that frames must be drawn without an event."""
         sliding = any(animation.moving for animation in self.piece_animations.values())
-        return sliding or self._behind or self.camera_animation.now() is not None
+        return sliding or self.session.film.playing or self._behind or self.camera_animation.now() is not None
 
     def camera(self, scale: float = 1.0) -> Camera:
         """The camera of the picture, in window units times `scale`."""
@@ -155,7 +135,7 @@ class Viewport:
         self.size = (max(16, round(available.x)), max(16, round(available.y)))
         size = ImVec2(*self.size)
         scale = float(imgui.get_io().display_framebuffer_scale.x) or 1.0
-        pieces = self._placed_pieces(session.document)
+        pieces = self._placed_pieces(session.drawn_documents[session.active])
         self._members = self._placed_members(pieces)
         shown = session.drawn(self._members)
         background = session.viewing.background or rgb(palette().view)
@@ -164,7 +144,7 @@ class Viewport:
         moving = self._is_moving(shown)
         stroke = self._stroke() if session.solids else None
         over: list[Lines | Sheet] = [
-            *self.plane_lines.sheets(),
+            *([] if session.film.shown else self.plane_lines.sheets()),
             *self.plane_lines.families(self.show_families, pieces, scale),
             *self.plane_lines.slices(self.sliced, slice_colours(), pieces, scale),
             *(cut_lines(session, self.camera(), stroke, self._members, self.plane_lines, scale) if stroke else []),
@@ -188,7 +168,7 @@ class Viewport:
             imgui.invisible_button("##canvas", size, ANY_BUTTON)
             hovered, active = imgui.is_item_hovered(), imgui.is_item_active()
         selection_frames(session, camera, pieces, self.origin)
-        self._handled = self.drag is None and handles(session, camera, self.origin, size)
+        self._handled = self.drag is None and not session.film.shown and handles(session, camera, self.origin, size)
         busy = self._handled and on_handles()
         busy = self.box_handles.show(camera, self.origin, self.drag is None and hovered) or busy
         if not busy:
@@ -199,9 +179,19 @@ class Viewport:
         if self.drag is not None and self.drag.kind == "mark" and not self.drag.cancelled:
             marker_outline(draw, session.isolation.marker, self.drag.path, self.origin)
         self.point_picker.show(camera, self.origin, hovered and self.drag is None)
-        self._overlays(camera)
+        chosen = mode_switch(session, self.origin, self.size)
+        if chosen is not None and session.film.shown:
+            session.film.leave()
+        if self.size[0] > px(420):
+            middle = ImVec2(self.origin.x + self.size[0] - px(62), self.origin.y + px(62))
+            axis = axis_cube(camera, session.view_up, middle, px(92))
+            if axis is not None:
+                self.go(session.viewing.eye.along(axis, session.view_up))
+        film_label(session, self.origin, self.size)
+        if session.settings.statistics:
+            statistics(session, self._members, self.painter.milliseconds, self.origin, self.size)
         if hovered and self.drag is None and not busy:
-            self._hint()
+            tool_hint(session)
         imgui.pop_clip_rect()
 
     def _placed_pieces(self, document: Document) -> list[PlacedPiece]:
@@ -213,7 +203,7 @@ class Viewport:
         """The visible pieces of all visible objects where they are drawn now; `pieces`: those of the active one."""
         session, result = self.session, []
         solids = session.solids
-        for index, document in enumerate(session.documents):
+        for index, document in enumerate(session.drawn_documents):
             if document.visible and document.number in solids:
                 placed = pieces if index == session.active else self._placed_pieces(document)
                 result += [Member(index, piece) for piece in placed if piece.visible]
@@ -240,6 +230,7 @@ class Viewport:
     def _mouse(self, camera: Camera, hovered: bool, active: bool) -> None:
         session, io, at = self.session, imgui.get_io(), self._at()
         if hovered and io.mouse_wheel and self.drag is None:
+            session.film.playing = False
             eye = session.viewing.eye.zoomed(io.mouse_wheel, at, self.size, session.view_up, session.solid.radius)
             session.viewing = replace(session.viewing, eye=eye)
         if active and self.drag is None:
@@ -287,6 +278,9 @@ class Viewport:
                     kind, depth = session.tool, float((point - camera.position) @ camera.forward)
                     keys = session.selection if key in session.selection else frozenset([key])
                     session.selection = keys
+        session.film.playing = False
+        if kind not in ("orbit", "pan"):
+            session.film.leave()  # what is edited is the object as it is
         self.drag = Drag(kind, at, at, keys, depth, path=[at])
 
     def _end(self, camera: Camera, drag: Drag, at: tuple[float, float]) -> None:
@@ -389,54 +383,3 @@ class Viewport:
         if drag.kind == "blade":
             return Stroke(drag.start, drag.path[-1], path=tuple(drag.path))
         return Stroke(drag.start, drag.last, imgui.get_io().key_shift)
-
-    def _overlays(self, camera: Camera) -> None:
-        session, p = self.session, palette()
-        inset = px(14)
-        imgui.set_cursor_screen_pos(ImVec2(self.origin.x + inset, self.origin.y + inset))
-        width = min(px(252), self.size[0] - 2 * inset)
-        current = VIEW_MODES.index(session.mode)
-        chosen = segmented("view", MODE_LABELS, current, width, MODE_HINTS)
-        if chosen != current:
-            if session.atoms is None:
-                session.notify("The object is not solid yet.")
-            else:
-                session.viewing = replace(session.viewing, mode=VIEW_MODES[chosen])
-        if self.size[0] > px(420):
-            middle = ImVec2(self.origin.x + self.size[0] - px(62), self.origin.y + px(62))
-            axis = axis_cube(camera, session.view_up, middle, px(92))
-            if axis is not None:
-                self.go(session.viewing.eye.along(axis, session.view_up))
-        lines = self.counts()
-        draw = imgui.get_window_draw_list()
-        height = imgui.get_text_line_height()
-        at = ImVec2(self.origin.x + inset, self.origin.y + self.size[1] - inset - height)
-        draw.add_text(at, u32(p.second), lines)
-
-    def counts(self) -> str:
-        """What is shown, how many Gaussians or points it has, and the time of a frame, in a line."""
-        shown = self.session.object
-        if shown is None:
-            return ""
-        if self.session.mode == "capture":
-            capture = self.session.shown_capture
-            what = f"{len(capture):,} Gaussians" if capture is not None else ""
-        else:
-            count = len(self._members)
-            pieces = f"    {count} pieces" if count != 1 else ""
-            solids = self.session.solids.values()
-            total = sum(len(one) if self.session.mode == "solid" else len(one.interior) for one in solids)
-            what = f"{total:,} points{pieces}"
-        taken = self.painter.milliseconds
-        return f"{what}    {taken:.0f} ms" if taken else what
-
-    def _hint(self) -> None:
-        """What to do with the tool, beside the pointer; for the knife until the first cut, for isolating until
-        something is selected."""
-        session = self.session
-        text = HINTS[session.tool]
-        idle = bool(session.document.marked) if session.tool == "isolate" else session.atoms is None
-        if not text or idle or (session.tool == "knife" and session.settings.seen_hint):
-            return
-        mouse = imgui.get_mouse_pos()
-        label(imgui.get_window_draw_list(), ImVec2(mouse.x + px(24), mouse.y + px(12)), text)

@@ -49,7 +49,7 @@ def test_a_film_in_two_goes_has_the_same_bits(
         save_png(path, pixels)
 
     with monkeypatch.context() as patched:
-        patched.setattr("app.jobs.frame_folder.save_png", stopping)
+        patched.setattr("app.jobs.film.frame_folder.save_png", stopping)
         assert run(monkeypatch, trained, "-o", tmp_path / "two", *common) == 2
     assert len(contents(tmp_path / "two")) == 3
     (tmp_path / "two/frame_00000.png").unlink()

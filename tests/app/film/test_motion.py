@@ -24,7 +24,7 @@ BALL = Solid.of(np.random.default_rng(0).uniform(-1, 1, (2000, 3)))
 def test_a_turntable_turns_evenly_and_ends_where_it_began() -> None:
     film = turntable(START, 5.0)
     shown = list(frames(film, 50, (1.0, 2.0, 3.0)))
-    assert film.closed and frame_count(film, 10) == 50
+    assert film.closed and frame_count(film.seconds, 10) == 50
     assert np.allclose(np.diff([key.azimuth for key in shown]), 360 / 50, atol=1e-9)
     assert abs(shown[-1].azimuth + 360 / 50 - (START.azimuth + 360)) < 1e-9
     assert all(abs(key.elevation - 20) < 1e-9 and abs(key.zoom - 1.1) < 1e-9 for key in shown)

@@ -1,0 +1,243 @@
+"""The film of a project: moments that the user has kept of the view, the planes and the explosion, and what is shown
+between them by the law of motion of all films (`app.model.film.motion`)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Literal, get_args
+
+import numpy as np
+
+from app.model.camera_control import OrbitCamera
+from app.model.document import DEFAULT_GAP, Cut, Document, Part
+from app.model.film import presets
+from app.model.film.motion import Film, Keyframe, motion, seen
+from app.model.pieces import Solid
+from app.model.rigid_transform import Vec3
+from engine.scene.plane import Plane
+
+__all__ = [
+    "BACKGROUNDS",
+    "Background",
+    "FilmLook",
+    "Moment",
+    "Opened",
+    "Timeline",
+    "exploding",
+    "moment",
+    "played",
+    "sweeping",
+    "turning",
+]
+
+APART = 0.1
+"""Seconds between two moments at least: nobody sees more of them, and none hides another on the timeline."""
+
+MARGIN = 0.02
+"""In radii, by which a plane that opens nothing stays outside of the object."""
+
+Background = Literal["window", "white", "black", "own", "transparent"]
+BACKGROUNDS: tuple[Background, ...] = get_args(Background)
+
+
+@dataclass(frozen=True)
+class FilmLook:
+    """How a film is saved."""
+
+    size: tuple[int, int] = (1920, 1080)
+    """Width, height in pixels."""
+    rate: float = 25.0
+    """Frames a second."""
+    background: Background = "white"
+    colour: Vec3 = (0.0, 0.45, 0.4)
+    """Of the background `own`. RGB, range [0, 1]."""
+
+
+@dataclass(frozen=True)
+class Opened:
+    """How one object is opened."""
+
+    number: int
+    """Of its document."""
+    gap: float
+    explode: float
+    """As in the document."""
+    planes: tuple[tuple[int, Plane], ...] = ()
+    """Of its sections, with the ids of their cuts. In object space."""
+
+    @staticmethod
+    def of(document: Document) -> Opened:
+        """As it is in a document."""
+        planes = ((cut.id, cut.plane(cut.parts[0])) for cut in document.cuts if cut.kind == "section" and cut.on)
+        return Opened(document.number, document.gap, document.explode, tuple(planes))
+
+
+@dataclass(frozen=True)
+class Moment:
+    """A keyframe: what the window shows at one time of the film."""
+
+    time: float
+    """Seconds. Range [0, inf)."""
+    eye: OrbitCamera
+    objects: tuple[Opened, ...] = ()
+
+
+@dataclass(frozen=True)
+class Timeline:
+    """The moments of a film, by time."""
+
+    moments: tuple[Moment, ...] = ()
+
+    @property
+    def seconds(self) -> float:
+        """How long the film is: until its last moment."""
+        return self.moments[-1].time if self.moments else 0.0
+
+    def at(self, time: float) -> int | None:
+        """Index of the moment at a time, if there is one."""
+        near = [k for k, moment in enumerate(self.moments) if abs(moment.time - time) < APART / 2]
+        return near[0] if near else None
+
+    def with_moment(self, new: Moment) -> Timeline:
+        """With a moment, in place of one at its time."""
+        others = [other for other in self.moments if abs(other.time - new.time) >= APART / 2]
+        return Timeline(tuple(sorted([*others, new], key=lambda one: one.time)))
+
+    def without(self, index: int) -> Timeline:
+        """Without one of the moments."""
+        return Timeline(self.moments[:index] + self.moments[index + 1 :])
+
+    def moved(self, index: int, time: float) -> Timeline:
+        """With a moment at another time, between those before and after it."""
+        low = self.moments[index - 1].time + APART if index else 0.0
+        high = self.moments[index + 1].time - APART if index + 1 < len(self.moments) else np.inf
+        new = replace(self.moments[index], time=float(np.clip(round(time, 2), low, max(low, high))))
+        return Timeline((*self.moments[:index], new, *self.moments[index + 1 :]))
+
+
+def moment(time: float, eye: OrbitCamera, documents: tuple[Document, ...]) -> Moment:
+    """What is shown now, as the moment of a time."""
+    return Moment(time, eye, tuple(Opened.of(document) for document in documents))
+
+
+Played = Callable[[float], tuple[OrbitCamera, tuple[Document, ...]]]
+"""From where a film is seen at a time, and the documents as it shows them."""
+
+
+def played(timeline: Timeline, documents: tuple[Document, ...], solids: Mapping[int, Solid]) -> tuple[Played, bool]:
+    """What a film of at least one moment shows of documents at any time, and whether it goes round without a jolt.
+
+    `solids`: of the documents, by their numbers. A plane that a moment does not have opens nothing there: it has left
+    the object. What the moments do not know of, such as pieces that were moved, stays as it is in the documents.
+    """
+    films = [_Tracks.of(timeline, document, solids[document.number]) for document in documents]
+    closed = all(one.film.closed for one in films)
+    curves = [motion(one.film, solids[d.number].centre, closed) for one, d in zip(films, documents, strict=True)]
+    # A zoom is the inverse of the distance, and a target the place itself, for an eye at distance 1 from the origin.
+    origin = replace(timeline.moments[0].eye, target=(0.0, 0.0, 0.0), distance=1.0)
+
+    def at(time: float) -> tuple[OrbitCamera, tuple[Document, ...]]:
+        shown = [curve(min(max(time, 0.0), timeline.seconds)) for curve in curves]
+        opened = (one.opened(document, key) for one, document, key in zip(films, documents, shown, strict=True))
+        return seen(origin, shown[0]), tuple(opened)
+
+    return at, closed
+
+
+@dataclass(frozen=True)
+class _Tracks:
+    """The film of one object, and which cut each of its planes is of."""
+
+    film: Film
+    ids: tuple[int, ...]
+
+    @staticmethod
+    def of(timeline: Timeline, document: Document, solid: Solid) -> _Tracks:
+        found = [next((o for o in one.objects if o.number == document.number), None) for one in timeline.moments]
+        known = [opened for opened in found if opened is not None] or [Opened.of(document)]
+        states = [known[0] if opened is None else opened for opened in found]
+        tracks = [(id_, run) for id_ in _ids(states) for run in _runs([dict(s.planes).get(id_) for s in states])]
+        keys = []
+        for k, (one, state) in enumerate(zip(timeline.moments, states, strict=True)):
+            planes = tuple(run[k] or _outside(run, k, solid) for _, run in tracks)
+            eye = one.eye
+            keys.append(
+                Keyframe(
+                    one.time, eye.azimuth, eye.elevation, 1 / eye.distance, planes, state.explode, state.gap, eye.target
+                )
+            )
+        if keys[0].time > 0 or len(keys) == 1:  # until then nothing moves
+            keys.insert(0, replace(keys[0], time=0.0))
+        if keys[0].time == keys[1].time:
+            keys[1] = replace(keys[1], time=1.0)  # a single moment at the beginning is a still
+        return _Tracks(Film(tuple(keys)), tuple(id_ for id_, _ in tracks))
+
+    def opened(self, document: Document, shown: Keyframe) -> Document:
+        """A document opened as a frame has it."""
+        slices = tuple(cut for cut in document.cuts if cut.kind == "slice")
+        sections = (Cut(id_, "", (Part(plane),), "section") for id_, plane in zip(self.ids, shown.planes, strict=True))
+        return replace(document, gap=shown.parted, explode=shown.explosion, cuts=(*slices, *sections))
+
+
+def _ids(states: list[Opened]) -> list[int]:
+    """Ids of the cuts of all planes, each once."""
+    return list(dict.fromkeys(id_ for state in states for id_, _ in state.planes))
+
+
+def _runs(planes: list[Plane | None]) -> list[list[Plane | None]]:
+    """A plane over the moments, as several where it turns by more than 90 degrees: one leaves, another one comes."""
+    runs: list[list[Plane | None]] = []
+    last: Plane | None = None
+    for k, plane in enumerate(planes):
+        if plane is None:
+            continue
+        if last is None or np.dot(last.normal, plane.normal) < -1e-9:
+            runs.append([None] * len(planes))
+        runs[-1][k] = last = plane
+    return runs
+
+
+def _outside(run: list[Plane | None], k: int, solid: Solid) -> Plane:
+    """Where a plane that is missing at moment `k` opens nothing: as it last was, or will be, but beside the object."""
+    before, after = [p for p in run[:k] if p is not None], [p for p in run[k:] if p is not None]
+    normal = (before[-1] if before else after[0]).normal
+    reach = float((solid.points @ np.asarray(normal)).max()) if len(solid.points) else 0.0
+    return Plane(normal, -reach - MARGIN * solid.radius)
+
+
+def turning(now: Moment, seconds: float) -> Timeline:
+    """Once around what is shown now."""
+    film = presets.turntable(Keyframe(0.0, now.eye.azimuth, now.eye.elevation), seconds)
+    return Timeline(
+        tuple(replace(now, time=key.time, eye=replace(now.eye, azimuth=key.azimuth)) for key in film.keyframes)
+    )
+
+
+def sweeping(now: Moment, seconds: float, number: int, cut_id: int, plane: Plane, solid: Solid) -> Timeline:
+    """A plane through the object of this number and back; `cut_id`: of the cut that it is of."""
+    film = presets.sweep(Keyframe(0.0, 0.0, 0.0), seconds, plane, solid.points)
+
+    def at(key: Keyframe) -> Moment:
+        moved = (cut_id, key.planes[0])
+        objects = (
+            replace(one, planes=(moved, *(pair for pair in one.planes if pair[0] != cut_id)))
+            if one.number == number
+            else one
+            for one in now.objects
+        )
+        return replace(now, time=key.time, objects=tuple(objects))
+
+    return Timeline(tuple(at(key) for key in film.keyframes))
+
+
+def exploding(now: Moment, seconds: float) -> Timeline:
+    """The pieces apart and together again."""
+    film = presets.explode(Keyframe(0.0, 0.0, 0.0), seconds, ())
+
+    def at(key: Keyframe) -> Moment:
+        gap = DEFAULT_GAP * key.explosion
+        objects = tuple(replace(one, gap=gap, explode=key.explosion) for one in now.objects)
+        return Moment(key.time, replace(now.eye, distance=now.eye.distance / key.zoom), objects)
+
+    return Timeline(tuple(at(key) for key in film.keyframes))

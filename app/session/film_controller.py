@@ -1,0 +1,267 @@
+"""The film of a session: its moments, where the playhead is, and what the viewport shows of it.
+
+While the film is shown the documents are drawn as it has them (`Workspace.previewed`), and are not changed; the camera
+is the window's own, so that the user can look around from any moment and keep what is seen as another one.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from app.jobs.film.film_job import FilmJob, FilmRequest, too_large
+from app.model.film.timeline import (
+    APART,
+    Moment,
+    Played,
+    Timeline,
+    exploding,
+    moment,
+    played,
+    sweeping,
+    turning,
+)
+from app.model.rigid_transform import Vec3
+from app.session.workspace import Workspace
+from engine.errors import InputError
+from engine.scene.plane import Plane
+
+__all__ = ["FilmController"]
+
+STEP = 2.0
+"""Seconds between a moment and the next that is added after it: slow enough for the eye to follow any change."""
+
+SECONDS = 6.0
+"""Of a film that is made at a click, as on the command line."""
+
+
+class FilmController:
+    """Edits the film, each edit a step of undo, and plays it."""
+
+    def __init__(self, workspace: Workspace, clock: Callable[[], float] = time.monotonic) -> None:
+        self.workspace, self.clock = workspace, clock
+        self.time = 0.0
+        """Of the playhead, seconds."""
+        self.playing = False
+        self.selected: int | None = None
+        """Index of the moment that is selected."""
+        self.job: FilmJob | None = None
+        """The film that is being saved, in the background."""
+        self._history = workspace.history
+        """Whose film it is: another one is of another project."""
+        self._last = 0.0
+        """When the film was last advanced."""
+        self._for: tuple[object, ...] = ()
+        """What the motion below was made for."""
+        self._played: Played | None = None
+        self._closed = False
+
+    @property
+    def available(self) -> bool:
+        """Whether there is a solid to be filmed."""
+        return self.workspace.atoms is not None
+
+    @property
+    def ready(self) -> bool:
+        """Whether there is a film: two moments at least."""
+        return self.available and len(self.workspace.timeline.moments) > 1
+
+    @property
+    def shown(self) -> bool:
+        """Whether the viewport shows the film and not the object as it is."""
+        return self.workspace.drawn_documents is not self.workspace.documents
+
+    @property
+    def busy(self) -> bool:
+        """Whether a film is being saved."""
+        return self.job is not None
+
+    def save(self, out: Path, ground: Vec3 | None) -> None:
+        """Saves the film in the background; `ground`: RGB behind the object, range [0, 1], None for transparent."""
+        workspace, look = self.workspace, self.workspace.viewing.film
+        wrong = too_large(out, look, workspace.timeline.seconds)
+        if wrong:
+            workspace.show_error(wrong)
+            return
+        loaded = {number: workspace.loaded[number] for number in workspace.solids}
+        light, up = workspace.settings.face_light, workspace.view_up
+        try:
+            self.job = FilmJob(FilmRequest(out, workspace.project, look, ground, up, light, loaded))
+        except InputError as error:
+            workspace.show_error(error)
+
+    def cancel(self) -> None:
+        """Stops saving."""
+        if self.job is not None:
+            self.job.cancel()
+
+    def _follow_job(self) -> None:
+        job = self.job
+        if job is None or not job.ended:
+            return
+        self.job = None
+        if job.error:
+            self.workspace.show_error(job.error)
+        else:
+            self.workspace.notify("Stopped." if job.cancelled else f"Saved {job.out.name}, {job.frames} frames.")
+
+    # Edits
+
+    def add(self) -> None:
+        """Keeps what is shown as a moment: at the playhead or, where one is already, some seconds after the last."""
+        film = self.workspace.timeline
+        if not film.moments:
+            self.time = 0.0
+        elif film.at(self.time) is not None:
+            self.time = film.seconds + STEP
+        new = film.with_moment(self._now(self.time))
+        self._change("Add keyframe", new)
+        self.selected = new.at(self.time)
+        count = len(new.moments)
+        self.workspace.notify(
+            "Kept. Change the view or the planes, then add the next keyframe." if count == 1 else f"{count} keyframes."
+        )
+
+    def update(self) -> None:
+        """Replaces the selected moment by what is shown."""
+        film, index = self.workspace.timeline, self._chosen()
+        if index is not None:
+            self._change("Change keyframe", film.with_moment(self._now(film.moments[index].time)))
+
+    def remove(self) -> None:
+        """Removes the selected moment."""
+        index = self._chosen()
+        if index is not None:
+            self._change("Remove keyframe", self.workspace.timeline.without(index))
+            self.selected = None
+
+    def clear(self) -> None:
+        """Removes all of them."""
+        self.leave()
+        self._change("Remove the film", Timeline())
+        self.time, self.selected = 0.0, None
+
+    def move(self, index: int, to: float) -> None:
+        """Moves a moment to another time; one drag is one step."""
+        self._change("Move keyframe", self.workspace.timeline.moved(index, to), merge=f"keyframe {index}")
+
+    def preset(self, name: str) -> None:
+        """Makes a film in place of this one, from what is shown: 'turntable', 'sweep' or 'explode'."""
+        workspace, now = self.workspace, self._now(0.0)
+        if name == "turntable":
+            made = turning(now, SECONDS)
+        elif name == "explode":
+            made = exploding(now, SECONDS)
+        else:
+            cut_id, plane = self._swept()
+            made = sweeping(now, SECONDS, workspace.document.number, cut_id, plane, workspace.solid)
+        self._change(name.title(), made)
+        self.selected = None
+        self.seek(0.0)
+        self.play()
+
+    def _swept(self) -> tuple[int, Plane]:
+        """The plane that a sweep moves: of the active cut, of the last, or a level one; its open side faces the eye."""
+        workspace = self.workspace
+        cuts = [cut for cut in workspace.document.cuts if not cut.curved]
+        chosen = next((cut for cut in cuts if cut.id == workspace.active_cut), cuts[-1] if cuts else None)
+        plane = Plane.of(workspace.up, 0.0) if chosen is None else chosen.plane(chosen.parts[0])
+        if np.asarray(plane.normal) @ workspace.viewing.eye.camera(16, 16, workspace.view_up).forward > 0:
+            plane = plane.flipped()
+        is_section = chosen is not None and chosen.kind == "section"
+        return chosen.id if chosen is not None and is_section else workspace.document.next_id, plane
+
+    def _now(self, at: float) -> Moment:
+        """What the viewport shows."""
+        return moment(at, self.workspace.viewing.eye, self.workspace.drawn_documents)
+
+    def _chosen(self) -> int | None:
+        """The selected moment, if it is still there."""
+        selected = self.selected
+        return selected if selected is not None and selected < len(self.workspace.timeline.moments) else None
+
+    def _change(self, name: str, film: Timeline, merge: str = "") -> None:
+        self.workspace.change_film(name, film, merge)
+
+    # Showing it
+
+    def seek(self, to: float) -> None:
+        """Shows the film at a time."""
+        self.time = max(0.0, to)
+        motion = self._motion()
+        if motion is None:
+            return
+        workspace = self.workspace
+        eye, documents = motion(self.time)
+        workspace.viewing = replace(workspace.viewing, eye=eye)
+        workspace.previewed = workspace.documents, documents
+
+    def step(self, way: int) -> None:
+        """Shows the next moment, or for -1 the one before."""
+        times = [one.time for one in self.workspace.timeline.moments]
+        later = [t for t in times if (t - self.time) * way > APART / 2]
+        if later:
+            self.playing = False
+            self.seek(min(later) if way > 0 else max(later))
+            self.selected = self.workspace.timeline.at(self.time)
+
+    def play(self) -> None:
+        """Plays the film, from its beginning if it is at its end."""
+        if not self.ready:
+            self.workspace.notify("A film needs two keyframes: add one, change the view, add another.")
+            return
+        if self.time >= self.workspace.timeline.seconds - 1e-6:
+            self.time = 0.0
+        self.playing, self._last = True, self.clock()
+        self.selected = None
+        self.seek(self.time)
+
+    def toggle(self) -> None:
+        """Plays or pauses."""
+        if self.playing:
+            self.playing = False
+        else:
+            self.play()
+
+    def leave(self) -> None:
+        """Shows the object as it is again, from where it is seen."""
+        self.playing, self.workspace.previewed = False, None
+
+    def tick(self) -> None:
+        """Goes on playing, and leaves the film where the object has changed. Called once a frame."""
+        workspace = self.workspace
+        self._follow_job()
+        if workspace.history is not self._history:
+            self._history, self.time, self.selected = workspace.history, 0.0, None
+            self.leave()
+        elif workspace.previewed is not None and (
+            not self.shown or not self.available or not workspace.timeline.moments
+        ):
+            self.leave()
+        elif self.playing:
+            now = self.clock()
+            to, end = self.time + now - self._last, workspace.timeline.seconds
+            self._last = now
+            if to >= end and not self._closed:
+                self.playing, to = False, end
+            self.seek(to % end if to > end else to)
+        elif self.shown and self._for[0] is not workspace.timeline:  # of its moments one has changed
+            self.seek(self.time)
+
+    def _motion(self) -> Played | None:
+        """The motion of the film; None without one."""
+        workspace = self.workspace
+        if not self.available or not workspace.timeline.moments:
+            return None
+        solids = {document.number: workspace.solid_of(document) for document in workspace.documents}
+        made_for = (workspace.timeline, workspace.documents, *map(id, solids.values()))
+        if len(self._for) != len(made_for) or any(a is not b for a, b in zip(self._for[:2], made_for[:2], strict=True)):
+            self._played = None
+        if self._played is None or self._for[2:] != made_for[2:]:
+            self._played, self._closed = played(workspace.timeline, workspace.documents, solids)
+            self._for = made_for
+        return self._played

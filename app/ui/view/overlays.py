@@ -1,0 +1,92 @@
+"""What is written over the viewport: the switch of its mode, what a film shows, the tool's hint, statistics."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from imgui_bundle import ImVec2, imgui
+
+from app.model.pieces import Member
+from app.model.project import VIEW_MODES
+from app.session.session import Session
+from app.ui.theme import palette, px, u32
+from app.ui.view.annotations import label
+from app.ui.widgets import segmented
+
+__all__ = ["film_label", "mode_switch", "statistics", "tool_hint"]
+
+HINTS = {
+    "select": "",
+    "knife": "Drag across the object to cut it",
+    "blade": "Draw a line to cut along, or all around what is to be punched out",
+    "plane": "Drag to place a plane",
+    "move": "Drag a piece to move it",
+    "turn": "Drag a piece to turn it",
+    "upright": "Click the face it stands on",
+    "isolate": "Drag over a part of the capture to select it",
+}
+
+MODE_LABELS = ("Capture", "Solid", "Interior")
+MODE_HINTS = (
+    "The capture as it came, hollow",
+    "The object as a solid that can be cut",
+    "The inside alone, without its skin",
+)
+
+
+def mode_switch(session: Session, origin: ImVec2, size: tuple[int, int]) -> str | None:
+    """Capture, solid or interior; the mode that was chosen now."""
+    inset = px(14)
+    imgui.set_cursor_screen_pos(ImVec2(origin.x + inset, origin.y + inset))
+    width = min(px(252), size[0] - 2 * inset)
+    current = VIEW_MODES.index(session.mode)
+    chosen = segmented("view", MODE_LABELS, current, width, MODE_HINTS)
+    if chosen == current:
+        return None
+    if session.atoms is None:
+        session.notify("The object is not solid yet.")
+        return None
+    session.viewing = replace(session.viewing, mode=VIEW_MODES[chosen])
+    return VIEW_MODES[chosen]
+
+
+def film_label(session: Session, origin: ImVec2, size: tuple[int, int]) -> None:
+    """Says that it is the film that is shown, and how to leave it."""
+    if not session.film.shown:
+        return
+    text = f"Film, {session.film.time:.1f} s"
+    text += "" if session.film.playing else "    Esc: the object as it is"
+    width = imgui.calc_text_size(text).x
+    label(imgui.get_window_draw_list(), ImVec2(origin.x + (size[0] - width) / 2, origin.y + size[1] - px(34)), text)
+
+
+def statistics(
+    session: Session, members: Sequence[Member], milliseconds: float, origin: ImVec2, size: tuple[int, int]
+) -> None:
+    """What is shown, how many Gaussians or points it has, and the time of a frame, in a line at the bottom."""
+    if session.object is None:
+        return
+    if session.mode == "capture":
+        capture = session.shown_capture
+        what = f"{len(capture):,} Gaussians" if capture is not None else ""
+    else:
+        count = len(members)
+        pieces = f"    {count} pieces" if count != 1 else ""
+        solids = session.solids.values()
+        total = sum(len(one) if session.mode == "solid" else len(one.interior) for one in solids)
+        what = f"{total:,} points{pieces}"
+    line = f"{what}    {milliseconds:.0f} ms" if milliseconds else what
+    at = ImVec2(origin.x + px(14), origin.y + size[1] - px(14) - imgui.get_text_line_height())
+    imgui.get_window_draw_list().add_text(at, u32(palette().second), line)
+
+
+def tool_hint(session: Session) -> None:
+    """What to do with the tool, beside the pointer; for the knife until the first cut, for isolating until something
+    is selected."""
+    text = HINTS[session.tool]
+    idle = bool(session.document.marked) if session.tool == "isolate" else session.atoms is None
+    if not text or idle or (session.tool == "knife" and session.settings.seen_hint):
+        return
+    mouse = imgui.get_mouse_pos()
+    label(imgui.get_window_draw_list(), ImVec2(mouse.x + px(24), mouse.y + px(12)), text)

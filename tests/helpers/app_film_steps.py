@@ -1,0 +1,125 @@
+"""Script for the real window: a film is made on the timeline, played and saved; tests/app/test_window.py runs it in a
+process, with its name and FOLDER."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from imgui_bundle import ImVec2, imgui
+
+from app.model.film.timeline import FilmLook
+from tests.helpers.app_driver import Driver
+from tests.helpers.app_steps import at_once
+
+Key = imgui.Key
+
+
+def film(driver: Driver, folder: Path) -> None:
+    """Two keyframes, one of them dragged, scrubbing, playing, looking around, presets; the film is saved as frames."""
+    session, window, shots = driver.session, driver.window, folder / "shots"
+    control, context = session.film, driver.context
+    session.add_plane()
+    session.active_cut = None
+    cut = session.document.cuts[0].id
+    driver.press(Key.l)
+    driver.still()
+    driver.picture(shots / "film_1_empty.png")
+    driver.press(Key.n)
+    assert len(session.timeline.moments) == 1 and session.viewing.timeline
+    driver.drag((0.4, 0.5), (0.7, 0.55), button=1)
+    session.change_cut("Move", cut, lambda c: replace(c, shift=-0.5))
+    driver.press(Key.n)
+    driver.still()
+    assert [one.time for one in session.timeline.moments] == [0.0, 2.0]
+    driver.picture(shots / "film_2_two.png")
+    first, last = (one.eye.azimuth for one in session.timeline.moments)
+    assert first != last
+
+    # The second is dragged to the right: a longer film, in one step.
+    steps = len(session.history.entries)
+    info = context.item_info(inside("##key1"))
+    at = ImVec2((info.rect_full.min.x + info.rect_full.max.x) / 2, (info.rect_full.min.y + info.rect_full.max.y) / 2)
+    context.mouse_move_to_pos(at)
+    context.mouse_down(0)
+    for by in (20.0, 60.0):
+        context.mouse_move_to_pos(ImVec2(at.x + by, at.y))
+        driver.frames(2)
+    context.mouse_up(0)
+    driver.frames(2)
+    assert session.timeline.seconds > 2.2 and len(session.history.entries) == steps + 1 and control.selected == 1
+
+    # Scrubbing shows what is between, and changes nothing; Esc goes back to the object as it is.
+    ruler = context.item_info(inside("##ruler")).rect_full
+    documents = session.documents
+    key0 = context.item_info(inside("##key0")).rect_full
+    key1 = context.item_info(inside("##key1")).rect_full
+    middle = (key0.min.x + key0.max.x + key1.min.x + key1.max.x) / 4
+    context.mouse_move_to_pos(ImVec2(middle, ruler.min.y + 8))
+    context.mouse_down(0)
+    driver.frames(3)
+    context.mouse_up(0)
+    assert control.shown and abs(control.time - session.timeline.seconds / 2) < 0.1
+    (moved,) = session.drawn_documents[0].cuts
+    shift = -moved.parts[0].plane.offset + documents[0].cuts[0].parts[0].plane.offset
+    assert -0.4 < shift < -0.1 and session.documents is documents
+    driver.still()
+    driver.picture(shots / "film_3_between.png")
+    driver.press(Key.escape)
+    assert not control.shown
+    now = 0.0
+    control.clock = lambda: now
+    driver.press(Key.space)
+    assert control.playing and control.shown
+    now = 60.0
+    driver.frames(2)
+    assert not control.playing and np.isclose(np.cos(np.radians(session.viewing.eye.azimuth - last)), 1)
+    driver.press(Key.comma)
+    assert control.selected == 0 and np.isclose(session.viewing.eye.azimuth, first)
+    driver.press(Key.delete)
+    assert len(session.timeline.moments) == 1
+    driver.press(Key.mod_ctrl | Key.z)
+    assert len(session.timeline.moments) == 2
+
+    # A preset, by its menu; the window to save it.
+    driver.click(inside("###Make"))
+    driver.frames(2)
+    driver.click("//$FOCUSED/Explosion")
+    driver.frames(2)
+    assert control.playing and len(session.timeline.moments) == 3
+    driver.press(Key.space)
+    driver.press(Key.mod_ctrl | Key.mod_shift | Key.e)
+    driver.frames(2)
+    driver.picture(shots / "film_4_save.png")
+    session.viewing = replace(session.viewing, film=FilmLook((64, 48), 1.0, "transparent"))
+    window.film_window.form = ""
+    window.dialogs.native = False
+    driver.frames(2)
+    driver.click("//$FOCUSED/Choose where...")
+    driver.frames(2)
+    context.key_chars_replace_enter(str(folder / "frames"))
+    driver.frames(2)
+    assert control.busy
+    driver.picture(shots / "film_5_saving.png")
+    driver.until(lambda: not control.busy, 120, "the frames")
+    assert len(list((folder / "frames").glob("*.png"))) == 6, session.message
+    driver.press(Key.l)
+    assert not session.viewing.timeline and len(session.timeline.moments) == 3
+
+
+def inside(name: str) -> str:
+    """The path of an item of the timeline."""
+    return f"//Object/**/{name}"
+
+
+def main() -> None:
+    """Runs it."""
+    folder = Path(sys.argv[2])
+    at_once(folder, lambda driver: film(driver, folder), (860, 560))
+    print("well")
+
+
+if __name__ == "__main__":
+    main()
