@@ -35,6 +35,8 @@ class Settings:
     Another file at the same path (the next download of the same name) is not trusted."""
     face_light: bool = True
     """Whether cut faces are lit."""
+    motion: bool = True
+    """Whether pieces and the camera move to new places, or are there at once."""
     statistics: bool = False
     """Whether the viewport tells how much it shows and how long a frame takes."""
     window: tuple[int, int] = (1440, 900)
@@ -94,7 +96,7 @@ def _folder(variable: str, fallback: str, mac: str) -> Path:
     return base / "fruitninja"
 
 
-FLAGS = ("face_light", "statistics", "seen_hint")
+FLAGS = ("face_light", "motion", "statistics", "seen_hint")
 
 LARGEST = 1 << 20
 """Bytes of the largest settings that are read; real ones have a few KB."""

@@ -57,6 +57,8 @@ class FilmController:
         """When the film was last advanced."""
         self._for: tuple[object, ...] = ()
         """What the motion below was made for."""
+        self._documents: object = None
+        """The documents as the film shows them."""
         self._played: Played | None = None
         self._closed = False
 
@@ -73,7 +75,7 @@ class FilmController:
     @property
     def shown(self) -> bool:
         """Whether the viewport shows the film and not the object as it is."""
-        return self.workspace.drawn_documents is not self.workspace.documents
+        return self.workspace.drawn_documents is self._documents
 
     @property
     def busy(self) -> bool:
@@ -198,7 +200,7 @@ class FilmController:
         workspace = self.workspace
         eye, documents = motion(self.time)
         workspace.viewing = replace(workspace.viewing, eye=eye)
-        workspace.previewed = workspace.documents, documents
+        workspace.previewed, self._documents = (workspace.documents, documents), documents
 
     def step(self, way: int) -> None:
         """Shows the next moment, or for -1 the one before."""
@@ -229,7 +231,10 @@ class FilmController:
 
     def leave(self) -> None:
         """Shows the object as it is again, from where it is seen."""
-        self.playing, self.workspace.previewed = False, None
+        self.playing = False
+        if self.shown:
+            self.workspace.previewed = None
+        self._documents = None
 
     def tick(self) -> None:
         """Goes on playing, and leaves the film where the object has changed. Called once a frame."""
@@ -238,9 +243,7 @@ class FilmController:
         if workspace.history is not self._history:
             self._history, self.time, self.selected = workspace.history, 0.0, None
             self.leave()
-        elif workspace.previewed is not None and (
-            not self.shown or not self.available or not workspace.timeline.moments
-        ):
+        elif self._documents is not None and (not self.shown or not self.available or not workspace.timeline.moments):
             self.leave()
         elif self.playing:
             now = self.clock()

@@ -14,6 +14,7 @@ from app.session.film_controller import FilmController
 from app.session.isolation_controller import IsolationController
 from app.session.project_files import ProjectFiles
 from app.session.scene_controller import SceneController
+from app.session.throw_controller import ThrowController
 from app.session.training_controller import TrainingController
 from app.session.workspace import Workspace
 from engine.errors import InputError
@@ -28,7 +29,8 @@ AUTOSAVE_RETRY = 60.0
 @dataclass
 class Session(Workspace):
     """The workspace with its controllers: `scene` loads, `isolation` says what of it is the object, `training` trains,
-    `faces` finds the faces in pictures, `film` keeps and plays moments, `files` opens, saves and closes."""
+    `faces` finds the faces in pictures, `film` keeps and plays moments, `throw` is a game, `files` opens, saves and
+    closes."""
 
     def __post_init__(self) -> None:
         self.scene = SceneController(self)
@@ -36,6 +38,7 @@ class Session(Workspace):
         self.isolation = IsolationController(self)
         self.faces = FaceController(self)
         self.film = FilmController(self)
+        self.throw = ThrowController(self)
         self.files = ProjectFiles(self, self.scene, self.training, self.film)
 
     @property
@@ -45,6 +48,9 @@ class Session(Workspace):
 
     def slice(self, camera: Camera, stroke: Stroke) -> None:
         """As in Workspace; a stroke through what is still being made solid is done when it is."""
+        if self.throw.active:
+            self.throw.slice(camera, stroke)
+            return
         if not self.being_made:
             super().slice(camera, stroke)
             return
@@ -67,6 +73,7 @@ class Session(Workspace):
         self.training.tick()
         self.faces.tick()
         self.film.tick()
+        self.throw.tick()
         if self.closing:
             return  # and does not keep what the user did not want to be saved
         try:

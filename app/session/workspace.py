@@ -99,6 +99,11 @@ class Workspace(Messages):
         return Project(self.documents, self.viewing, self.timeline)
 
     @property
+    def previewing(self) -> bool:
+        """Whether something else is drawn than the documents: a film, or what was thrown."""
+        return self.drawn_documents is not self.documents
+
+    @property
     def drawn_documents(self) -> Documents:
         """The documents as they are drawn: those of the film while it is shown."""
         preview = self.previewed

@@ -130,6 +130,7 @@ class Menus:
                 separated=True,
             ),
             Command("View", "Light on cut faces", self._toggle_light, checked=lambda: s.settings.face_light),
+            Command("View", "Calm motion", self._toggle_motion, checked=lambda: s.settings.motion),
             Command("View", "Statistics", self._toggle_statistics, checked=lambda: s.settings.statistics),
             Command("View", "Light theme", self._toggle_theme, checked=lambda: s.settings.theme == "light"),
         ]  # fmt: skip
@@ -159,6 +160,10 @@ class Menus:
             *tools,
             Command("Cut", "Add plane", s.add_plane, "", 0, opened),
             Command("Cut", "Slice evenly...", self.slices.open, enabled=lambda: s.atoms is not None),
+            Command(
+                "Cut", "Throw and slice", self._throw, "Y", Key.y, lambda: s.atoms is not None,
+                lambda: s.throw.active,
+            ),
             Command("Cut", "Put back together", s.reassemble, "Ctrl+G", Ctrl | Key.g, is_cut),
             Command("Cut", "Remove all cuts", self._remove_cuts, enabled=is_cut),
             Command("Interior", "Give it an inside", training.start, enabled=can_start),
@@ -398,6 +403,17 @@ class Menus:
     def _toggle_light(self) -> None:
         settings = self.session.settings
         self.session.change_settings(replace(settings, face_light=not settings.face_light))
+
+    def _throw(self) -> None:
+        self.session.film.leave()
+        if self.session.throw.active:
+            self.session.throw.stop()
+        else:
+            self.session.throw.begin(self.viewport.camera())
+
+    def _toggle_motion(self) -> None:
+        settings = self.session.settings
+        self.session.change_settings(replace(settings, motion=not settings.motion))
 
     def _toggle_statistics(self) -> None:
         settings = self.session.settings

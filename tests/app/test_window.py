@@ -72,9 +72,9 @@ def test_a_picture_is_looked_at_and_corrected_before_training(tmp_path: Path) ->
     assert len(list((tmp_path / "shots").glob("faces_*.png"))) == 5
 
 
-def test_a_film_is_made_played_and_saved(tmp_path: Path) -> None:
+def test_a_film_is_made_and_saved_and_the_object_is_thrown(tmp_path: Path) -> None:
     run("film", tmp_path, "app_film_steps.py")
-    assert len(list((tmp_path / "shots").glob("film_*.png"))) == 5
+    assert len(list((tmp_path / "shots").glob("film_*.png"))) == 6
 
 
 @pytest.mark.slow

@@ -1,5 +1,5 @@
-"""Script for the real window: a film is made on the timeline, played and saved; tests/app/test_window.py runs it in a
-process, with its name and FOLDER."""
+"""Script for the real window: a film is made on the timeline, played and saved; the object is thrown and cut in flight;
+tests/app/test_window.py runs it in a process, with its name and FOLDER."""
 
 from __future__ import annotations
 
@@ -10,7 +10,10 @@ from pathlib import Path
 import numpy as np
 from imgui_bundle import ImVec2, imgui
 
+from app.model.document import Part
 from app.model.film.timeline import FilmLook
+from app.model.throw import SECONDS
+from engine.scene.plane import Plane
 from tests.helpers.app_driver import Driver
 from tests.helpers.app_steps import at_once
 
@@ -107,6 +110,38 @@ def film(driver: Driver, folder: Path) -> None:
     assert len(list((folder / "frames").glob("*.png"))) == 6, session.message
     driver.press(Key.l)
     assert not session.viewing.timeline and len(session.timeline.moments) == 3
+    throw_and_slice(driver, folder)
+
+
+def throw_and_slice(driver: Driver, folder: Path) -> None:
+    """The object is thrown, cut in flight and left as it was; thrown again, and the cut is kept. Pieces part calmly."""
+    session, throw = driver.session, driver.session.throw
+    driver.press(Key.v)
+    documents, now = session.documents, 0.0
+    throw.clock = lambda: now
+    for keep in (False, True):
+        driver.press(Key.y)
+        assert throw.active
+        now += SECONDS / 2
+        driver.frames(3)
+        driver.drag((0.1, 0.42), (0.9, 0.42))
+        now += 0.5
+        driver.frames(3)
+        assert throw.pieces == 2 and session.documents is documents
+        driver.picture(folder / "shots" / "film_6_thrown.png")
+        driver.press(Key.enter if keep else Key.escape)
+        assert not throw.active and len(session.pieces) == 1 + keep, session.message
+    driver.press(Key.mod_ctrl | Key.z)
+    assert session.documents == documents
+    (animation,) = driver.window.viewport.piece_animations.values()
+    for moves in (True, False):
+        session.settings = replace(session.settings, motion=moves)
+        driver.still()
+        begun = animation.begin
+        session.change("Cut", session.document.with_cut((Part(Plane.of((0, 0, 1), 0.0)),)))
+        driver.frames(2)
+        assert (animation.begin > begun) == moves
+        session.undo()
 
 
 def inside(name: str) -> str:

@@ -67,24 +67,26 @@ class FilmWindow:
         secondary("In full detail, in the background: the window can be used on.", wrap=True)
         imgui.dummy(ImVec2(0, px(4)))
         forms = {suffix: name for suffix, name in FORMS.items() if suffix != ".mp4" or ffmpeg()}
-        row_label("Format", 120)
+        row_label("Format", 132)
         self.form = _choice("##form", self.form if self.form in forms else ".webp", forms)
         look = self.session.viewing.film
         named = {size: f"{size[0]} x {size[1]}" for size in SIZES}
-        row_label("Size", 120)
+        row_label("Size", 132)
         size = _choice("##size", look.size, named | ({} if look.size in named else {look.size: "other"}))
-        row_label("", 120)
+        row_label("", 132)
         changed, sides = imgui.input_int2("##sides", list(size))
         size = (bounded(sides[0]), bounded(sides[1])) if changed else size
-        rates = {rate: f"{rate:g}" for rate in sorted({*RATES, look.rate}) if self.form != ".gif" or rate <= FASTEST_GIF}
-        row_label("Frames a second", 120)
+        rates = {
+            rate: f"{rate:g}" for rate in sorted({*RATES, look.rate}) if self.form != ".gif" or rate <= FASTEST_GIF
+        }
+        row_label("Frames a second", 132)
         rate = _choice("##rate", look.rate if look.rate in rates else 25.0, rates)
         grounds = {g: GROUNDS[g] for g in BACKGROUNDS if g != "transparent" or self.form in (".webp", "")}
-        row_label("Background", 120)
+        row_label("Background", 132)
         background = _choice("##ground", look.background if look.background in grounds else "white", grounds)
         colour = look.colour
         if background == "own":
-            row_label("", 120)
+            row_label("", 132)
             r, g, b = imgui.color_edit3("##colour", list(colour), imgui.ColorEditFlags_.no_alpha)[1]
             colour = (r, g, b)
         self.session.viewing = replace(

@@ -16,6 +16,9 @@ __all__ = ["CameraAnimation", "PieceAnimation"]
 SECONDS = 0.25
 """Duration: long enough for the eye to follow, too short to wait for."""
 
+PARTING = 0.45
+"""Duration of pieces' way to their places, seconds: they part calmly, and strokes do not wait for them."""
+
 LINGER = 1.2
 """Duration of the camera's animation, in SECONDS, including a few frames at its goal."""
 
@@ -31,17 +34,19 @@ class PieceAnimation:
     @property
     def moving(self) -> bool:
         """Whether the animation is running, so that frames must be drawn without an event."""
-        return time.monotonic() - self.begin < SECONDS
+        return time.monotonic() - self.begin < PARTING
 
-    def placed(self, pieces: Sequence[PlacedPiece]) -> list[PlacedPiece]:
-        """The pieces with the motions to draw them with now."""
+    def placed(self, pieces: Sequence[PlacedPiece], moves: bool = True) -> list[PlacedPiece]:
+        """The pieces with the motions to draw them with now; unless it `moves` they are where they belong at once."""
         now = time.monotonic()
         keys = {piece.key for piece in pieces}
-        if self.last and keys != self.last.keys():
+        if not moves:
+            self.begin = -10.0
+        elif self.last and keys != self.last.keys():
             self.start = {piece.key: self._from(piece) for piece in pieces}
             self.begin = now
-        part = min(1.0, (now - self.begin) / SECONDS)
-        part = 1 - (1 - part) ** 3  # ease out
+        part = min(1.0, (now - self.begin) / PARTING)
+        part = part * part * (3 - 2 * part) if part < 1 else 1.0  # begins and ends at rest
         result = list(pieces)
         if part < 1:
             result = [

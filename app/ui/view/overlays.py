@@ -52,11 +52,15 @@ def mode_switch(session: Session, origin: ImVec2, size: tuple[int, int]) -> str 
 
 
 def film_label(session: Session, origin: ImVec2, size: tuple[int, int]) -> None:
-    """Says that it is the film that is shown, and how to leave it."""
-    if not session.film.shown:
+    """Says that it is the film that is shown, or what was thrown, and how to leave it."""
+    if session.throw.active:
+        count = session.throw.pieces
+        text = f"{count} pieces    Enter: keep the cuts    Esc: end" if count > 1 else "Cut it in flight    Esc: end"
+    elif session.film.shown:
+        text = f"Film, {session.film.time:.1f} s"
+        text += "" if session.film.playing else "    Esc: the object as it is"
+    else:
         return
-    text = f"Film, {session.film.time:.1f} s"
-    text += "" if session.film.playing else "    Esc: the object as it is"
     width = imgui.calc_text_size(text).x
     label(imgui.get_window_draw_list(), ImVec2(origin.x + (size[0] - width) / 2, origin.y + size[1] - px(34)), text)
 
@@ -84,7 +88,7 @@ def statistics(
 def tool_hint(session: Session) -> None:
     """What to do with the tool, beside the pointer; for the knife until the first cut, for isolating until something
     is selected."""
-    text = HINTS[session.tool]
+    text = "" if session.previewing else HINTS[session.tool]
     idle = bool(session.document.marked) if session.tool == "isolate" else session.atoms is None
     if not text or idle or (session.tool == "knife" and session.settings.seen_hint):
         return

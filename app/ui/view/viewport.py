@@ -108,7 +108,13 @@ class Viewport:
     def moving(self) -> bool:
         """Whether an animation is running or input waits, so that frames must be drawn without an event."""
         sliding = any(animation.moving for animation in self.piece_animations.values())
-        return sliding or self.session.film.playing or self._behind or self.camera_animation.now() is not None
+        return (
+            sliding
+            or self.session.film.playing
+            or self.session.throw.active
+            or self._behind
+            or self.camera_animation.now() is not None
+        )
 
     def camera(self, scale: float = 1.0) -> Camera:
         """The camera of the picture, in window units times `scale`."""
@@ -118,14 +124,16 @@ class Viewport:
 
     def go(self, eye: OrbitCamera) -> None:
         """Moves the camera there, animated."""
-        self.camera_animation.go(self.session.viewing.eye, eye)
+        if self.session.settings.motion:
+            self.camera_animation.go(self.session.viewing.eye, eye)
         self.session.viewing = replace(self.session.viewing, eye=eye)
 
     def fit(self) -> None:
         """Fits everything into the picture, animated."""
         before = self.session.viewing.eye
         self.session.fit(self.size[0] / max(self.size[1], 1))
-        self.camera_animation.go(before, self.session.viewing.eye)
+        if self.session.settings.motion:
+            self.camera_animation.go(before, self.session.viewing.eye)
 
     def show(self) -> None:
         """One frame."""
@@ -144,7 +152,7 @@ class Viewport:
         moving = self._is_moving(shown)
         stroke = self._stroke() if session.solids else None
         over: list[Lines | Sheet] = [
-            *([] if session.film.shown else self.plane_lines.sheets()),
+            *([] if session.previewing else self.plane_lines.sheets()),
             *self.plane_lines.families(self.show_families, pieces, scale),
             *self.plane_lines.slices(self.sliced, slice_colours(), pieces, scale),
             *(cut_lines(session, self.camera(), stroke, self._members, self.plane_lines, scale) if stroke else []),
@@ -168,7 +176,7 @@ class Viewport:
             imgui.invisible_button("##canvas", size, ANY_BUTTON)
             hovered, active = imgui.is_item_hovered(), imgui.is_item_active()
         selection_frames(session, camera, pieces, self.origin)
-        self._handled = self.drag is None and not session.film.shown and handles(session, camera, self.origin, size)
+        self._handled = self.drag is None and not session.previewing and handles(session, camera, self.origin, size)
         busy = self._handled and on_handles()
         busy = self.box_handles.show(camera, self.origin, self.drag is None and hovered) or busy
         if not busy:
@@ -180,7 +188,7 @@ class Viewport:
             marker_outline(draw, session.isolation.marker, self.drag.path, self.origin)
         self.point_picker.show(camera, self.origin, hovered and self.drag is None)
         chosen = mode_switch(session, self.origin, self.size)
-        if chosen is not None and session.film.shown:
+        if chosen is not None:
             session.film.leave()
         if self.size[0] > px(420):
             middle = ImVec2(self.origin.x + self.size[0] - px(62), self.origin.y + px(62))
@@ -197,7 +205,8 @@ class Viewport:
     def _placed_pieces(self, document: Document) -> list[PlacedPiece]:
         """An object's pieces where they are drawn now."""
         animation = self.piece_animations.setdefault(document.number, PieceAnimation())
-        return animation.placed(self.session.pieces_of(document))
+        moves = self.session.settings.motion and not self.session.previewing
+        return animation.placed(self.session.pieces_of(document), moves)
 
     def _placed_members(self, pieces: list[PlacedPiece]) -> list[Member]:
         """The visible pieces of all visible objects where they are drawn now; `pieces`: those of the active one."""
@@ -266,7 +275,9 @@ class Viewport:
             kind = "pan"
         keys: frozenset[Key] = frozenset()
         depth = session.viewing.eye.distance
-        if left and session.tool == "isolate":
+        if left and session.throw.active:
+            kind = "stroke"
+        elif left and session.tool == "isolate":
             kind = "mark" if session.mode == "capture" and session.isolation.available else kind
         elif left and not io.key_alt:
             if session.tool in ("knife", "blade", "plane"):
@@ -279,7 +290,7 @@ class Viewport:
                     keys = session.selection if key in session.selection else frozenset([key])
                     session.selection = keys
         session.film.playing = False
-        if kind not in ("orbit", "pan"):
+        if kind not in ("orbit", "pan") and not session.throw.active:
             session.film.leave()  # what is edited is the object as it is
         self.drag = Drag(kind, at, at, keys, depth, path=[at])
 
@@ -289,6 +300,8 @@ class Viewport:
         stroke = self._stroke()
         if stroke is not None and drag.kind != "plane":
             session.slice(camera, stroke)
+            if session.throw.active:
+                return
             session.change_settings(replace(session.settings, seen_hint=True))
         elif stroke is not None:
             plane = plane_of(camera, stroke, session.up, session.solid.centre)
