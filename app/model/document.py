@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from itertools import count
 from pathlib import Path
-from typing import Literal
+from typing import Literal, get_args
 
 from app.model.rigid_transform import STILL, Motion, Vec3
 from engine.io.fields import LARGEST_INTEGER
@@ -24,11 +24,13 @@ from training.request import PriorName
 from training.settings import DetailName
 
 __all__ = [
+    "MARKS",
     "WHOLE",
     "Cut",
     "CutKind",
     "Document",
     "Key",
+    "Mark",
     "Part",
     "Placement",
     "Training",
@@ -43,6 +45,10 @@ WHOLE: Key = ()
 
 CutKind = Literal["slice", "section"]
 """A slice divides pieces; a section only hides what is on its removed side."""
+
+Mark = Literal["", "circle", "square", "star", "heart", "moon", "bolt"]
+MARKS: tuple[Mark, ...] = tuple(mark for mark in get_args(Mark) if mark)
+"""Shapes, each in a colour of its own: they are told apart without it."""
 
 DEFAULT_GAP = 0.16
 """In radii of the object: wide enough to tell two pieces apart and to see the rim of both faces."""
@@ -102,6 +108,10 @@ class Placement:
     removed: bool = False
     name: str = ""
     """Empty: the piece is numbered."""
+    group: str = ""
+    """Name of the group that the piece is in; empty: none. What is cut of it is in the same group."""
+    mark: Mark = ""
+    """By which the user tells it from others; what is cut of it has the same."""
 
 
 @dataclass(frozen=True)
@@ -211,7 +221,11 @@ class Document:
 
     def reassembled(self) -> Document:
         """With all pieces back in place, shown, none removed; the cuts stay."""
-        names = tuple((key, Placement(name=p.name)) for key, p in self.placements if p.name)
+        names = tuple(
+            (key, Placement(name=p.name, group=p.group, mark=p.mark))
+            for key, p in self.placements
+            if p.name or p.group or p.mark
+        )
         return replace(self, placements=names, gap=0.0, explode=0.0)
 
     # families

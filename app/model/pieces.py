@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from app.model.document import WHOLE, Document, Key, Part
+from app.model.document import WHOLE, Document, Key, Mark, Part
 from app.model.rigid_transform import Motion
 from engine.scene.atoms import Atoms
 from engine.scene.piece import Piece
@@ -120,6 +120,9 @@ class PlacedPiece:
     visible: bool
     rows: NDArray[np.intp]
     """(M,). Rows of the solid's points that are in this piece; empty only while nothing is loaded."""
+    group: str = ""
+    mark: Mark = ""
+    """As in `Placement`."""
 
     def drawn(self, extra: Sequence[Plane] = ()) -> list[Piece]:
         """The renderers' pieces, one for each cell, cut further by these planes in object space."""
@@ -181,7 +184,9 @@ def pieces(document: Document, solid: Solid) -> list[PlacedPiece]:
         name = placement.name or (f"Piece {number}" if fragment.key else "Whole")
         motion = placement.motion.after(apart)
         cells = tuple(cell for cell, _ in fragment.cells)
-        result.append(PlacedPiece(fragment.key, name, cells, motion, placement.visible, rows))
+        result.append(
+            PlacedPiece(fragment.key, name, cells, motion, placement.visible, rows, placement.group, placement.mark)
+        )
     return result
 
 

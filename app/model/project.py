@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, get_args
 
 from app.model.camera_control import OrbitCamera
-from app.model.document import Cut, CutKind, Document, Key, Part, Placement, Training
+from app.model.document import MARKS, Cut, CutKind, Document, Key, Part, Placement, Training
 from app.model.film.project_record import (
     eye_record,
     look_record,
@@ -188,6 +188,8 @@ def _object_record(document: Document, folder: Path) -> dict[str, Any]:
                 "visible": placement.visible,
                 "removed": placement.removed,
                 "name": placement.name,
+                "group": placement.group,
+                "mark": placement.mark,
             }
             for key, placement in document.placements
         ],
@@ -311,8 +313,14 @@ class _Reader(Fields):
         a, b, c = self.numbers(fields.get("shift"), 3, "'shift'")
         self.require(abs(math.hypot(w, x, y, z) - 1) < 1e-6, "'turn' of a piece has not length 1")
         motion = Motion((w, x, y, z), (a, b, c))
+        fields = {"group": "", "mark": ""} | fields  # not in older projects
         placement = Placement(
-            motion, self.flag(fields, "visible"), self.flag(fields, "removed"), self.text(fields, "name")
+            motion,
+            self.flag(fields, "visible"),
+            self.flag(fields, "removed"),
+            self.text(fields, "name"),
+            self.text(fields, "group"),
+            self.choice(fields, "mark", ("", *MARKS)),
         )
         return self.key(fields.get("key")), placement
 

@@ -37,8 +37,12 @@ class Settings:
     """Whether cut faces are lit."""
     motion: bool = True
     """Whether pieces and the camera move to new places, or are there at once."""
+    names: bool = True
+    """Whether names and marks of pieces are written on them."""
     statistics: bool = False
     """Whether the viewport tells how much it shows and how long a frame takes."""
+    scale: float = 1.0
+    """Size of the interface, in its usual one. Range [0.75, 2]."""
     window: tuple[int, int] = (1440, 900)
     """Size at 96 DPI, pixels."""
     seen_hint: bool = False
@@ -96,7 +100,10 @@ def _folder(variable: str, fallback: str, mac: str) -> Path:
     return base / "fruitninja"
 
 
-FLAGS = ("face_light", "motion", "statistics", "seen_hint")
+FLAGS = ("face_light", "motion", "names", "statistics", "seen_hint")
+
+SMALLEST, GREATEST = 0.75, 2.0
+"""Sizes of the interface, in its usual one: smaller is not readable, larger leaves no room for the object."""
 
 LARGEST = 1 << 20
 """Bytes of the largest settings that are read; real ones have a few KB."""
@@ -113,6 +120,9 @@ def load_settings(path: Path | None = None) -> Settings:
     settings = Settings()
     good = {f.name: value for f in fields(Settings) if (value := _like(raw.get(f.name), getattr(settings, f.name)))}
     good |= {name: raw[name] for name in FLAGS if isinstance(raw.get(name), bool)}
+    scale = raw.get("scale")
+    if isinstance(scale, (int, float)) and SMALLEST <= scale <= GREATEST:
+        good["scale"] = float(scale)
     if good.get("theme") not in ("dark", "light"):
         good.pop("theme", None)
     return replace(settings, **good)

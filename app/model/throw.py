@@ -9,11 +9,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from app.model.document import Document, Key, Part
+from app.model.document import Document, Key, Part, Placement
 from app.model.knife import Stroke, slice_object
 from app.model.pieces import PlacedPiece, Solid, pieces
 from app.model.rigid_transform import Motion, Vec3
@@ -24,7 +25,7 @@ __all__ = ["SECONDS", "Flight", "Throw", "in_flight", "sliced", "thrown"]
 SECONDS = 4.5
 """From leaving the picture's lower edge until the object is back there: long enough for four or five strokes."""
 
-HEIGHT = 1.15
+HEIGHT = 1.05
 """Of the flight, in what lies between its beginning and the middle of the picture: the top is a little above it."""
 
 TUMBLE = 32.0
@@ -102,8 +103,13 @@ def in_flight(throw: Throw, time: float) -> Document:
     document, fall = throw.document, np.asarray(throw.fall)
     for key, flight in throw.flights.items():
         placement = replace(document.placement(key), motion=flight.at(time, fall))
-        document = document.placed(key, lambda _, new=placement: new)
+        document = document.placed(key, partial(_first, placement))
     return document
+
+
+def _first(new: Placement, _: Placement) -> Placement:
+    """The new placement in place of the one before."""
+    return new
 
 
 def sliced(throw: Throw, solid: Solid, camera: Camera, stroke: Stroke, up: Vec3, time: float) -> Throw:

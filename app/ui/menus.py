@@ -8,36 +8,34 @@ from functools import partial
 from pathlib import Path
 
 from imgui_bundle import ImVec2, imgui
-from imgui_bundle import icons_fontawesome_6 as icon
 
 from app.model.camera_control import AXIS_VIEWS
 from app.model.project import SUFFIX
 from app.model.samples import sample_document
 from app.session.session import Session
-from app.session.workspace import TOOLS, Tool
+from app.session.workspace import TOOLS
 from app.ui.commands import Command, Ctrl, Key, Shift
 from app.ui.dialogs.export_window import ExportWindow
 from app.ui.dialogs.file_dialogs import FileDialogs
 from app.ui.dialogs.slices_window import SlicesWindow
 from app.ui.film.film_window import FilmWindow
 from app.ui.film.timeline import PRESETS
-from app.ui.theme import Fonts, apply, palette, px, rgba, u32
+from app.ui.panels.inspector import Inspector
+from app.ui.theme import SCALES, Fonts, apply, palette, px, rgba
+from app.ui.toolbar import TOOL_ICONS
 from app.ui.view.slices import SliceViews
 from app.ui.view.viewport import Viewport
-from app.ui.widgets import font, icon_button, key_caps, knife_icon, secondary, tooltip
+from app.ui.widgets import font, key_caps, secondary, tooltip
 
 __all__ = ["Menus"]
 
-TOOL_ICONS: dict[Tool, tuple[str, str, str]] = {
-    "select": (icon.ICON_FA_ARROW_POINTER, "Select pieces; drag to look around", "V"),
-    "knife": ("", "Knife: drag across the object to cut it", "K"),
-    "blade": (icon.ICON_FA_SCISSORS, "Blade: draw the line to cut along, or all around a shape", "B"),
-    "plane": (icon.ICON_FA_LAYER_GROUP, "Plane: drag to open the object along a plane", "P"),
-    "move": (icon.ICON_FA_UP_DOWN_LEFT_RIGHT, "Move pieces", "M"),
-    "turn": (icon.ICON_FA_ROTATE, "Turn pieces", "T"),
-    "upright": (icon.ICON_FA_ARROWS_DOWN_TO_LINE, "Upright: click the face it stands on, or turn it", "U"),
-    "isolate": (icon.ICON_FA_CROP_SIMPLE, "Isolate: say what of the capture is the object", "I"),
+SWITCHES = {
+    "Light on cut faces": "face_light",
+    "Names of pieces": "names",
+    "Calm motion": "motion",
+    "Statistics": "statistics",
 }
+"""Settings that the menu switches on and off, by their labels."""
 
 POINTER = (
     ("Drag", "Look around, or use the tool"),
@@ -68,7 +66,9 @@ class Menus:
         dialogs: FileDialogs,
         export: ExportWindow,
         film_window: FilmWindow,
+        inspector: Inspector,
     ) -> None:
+        self.inspector = inspector
         self.session, self.viewport, self.slice_views, self.film_window = session, viewport, slice_views, film_window
         self.dialogs, self.export, self.slices = dialogs, export, SlicesWindow(session)
         self.shortcuts_shown = False
@@ -114,7 +114,7 @@ class Menus:
             )
         look += [
             Command(
-                "View", "Slices", self._toggle_slices, "S", Key.s, opened, lambda: s.viewing.slices, separated=True
+                "View", "Slices", self.toggle_slices, "S", Key.s, opened, lambda: s.viewing.slices, separated=True
             ),
             Command(
                 "View", "Measure", self._measure, "D", Key.d, lambda: s.atoms is not None,
@@ -129,9 +129,15 @@ class Menus:
                 checked=self._in_perspective,
                 separated=True,
             ),
-            Command("View", "Light on cut faces", self._toggle_light, checked=lambda: s.settings.face_light),
-            Command("View", "Calm motion", self._toggle_motion, checked=lambda: s.settings.motion),
-            Command("View", "Statistics", self._toggle_statistics, checked=lambda: s.settings.statistics),
+            *(self._switch(label, flag) for label, flag in SWITCHES.items()),
+            Command(
+                "View", "Larger interface", partial(self._resize, 1), "Ctrl++", Ctrl | Key.equal,
+                lambda: s.settings.scale < SCALES[-1], separated=True,
+            ),
+            Command(
+                "View", "Smaller interface", partial(self._resize, -1), "Ctrl+-", Ctrl | Key.minus,
+                lambda: s.settings.scale > SCALES[0],
+            ),
             Command("View", "Light theme", self._toggle_theme, checked=lambda: s.settings.theme == "light"),
         ]  # fmt: skip
         tools = []
@@ -153,6 +159,7 @@ class Menus:
                 lambda: s.history.cursor + 1 < len(s.history.entries),
             ),
             Command("Edit", "Select all", self._select_all, "Ctrl+A", Ctrl | Key.a, opened, separated=True),
+            Command("Edit", "Name piece", self._name_piece, "F2", Key.f2, selected),
             Command("Edit", "Hide", s.hide, "H", Key.h, lambda: selected() or s.object_selected),
             Command("Edit", "Delete", s.delete, "Del", Key.delete, lambda: selected() and not marked()),
             Command("Edit", "Remove from the capture", s.isolation.remove_marked, "Del", Key.delete, marked),
@@ -258,30 +265,6 @@ class Menus:
                     self.session.jump(index)
             imgui.end_menu()
 
-    def toolbar(self) -> None:
-        """The tools at the left edge."""
-        imgui.push_style_var(imgui.StyleVar_.item_spacing, ImVec2(px(8), px(8)))
-        for tool in TOOLS:
-            symbol, hint, keys = TOOL_ICONS[tool]
-            active = self.session.tool == tool
-            if icon_button(f"{symbol}##{tool}", 38, active=active):
-                self.session.select_tool(tool)
-            if tool == "knife":
-                colour = u32(palette().on_accent if active else palette().text)
-                knife_icon(imgui.get_window_draw_list(), imgui.get_item_rect_min(), imgui.get_item_rect_max(), colour)
-            tooltip(hint, keys)
-        imgui.dummy(ImVec2(0, px(2)))
-        if icon_button(f"{icon.ICON_FA_TABLE_CELLS_LARGE}##slices", 38, active=self.session.viewing.slices):
-            self._toggle_slices()
-        tooltip("Slices: three cut faces beside the object", "S")
-        if icon_button(f"{icon.ICON_FA_EXPAND}##fit", 38):
-            self.viewport.fit()
-        tooltip("Fit the object into the picture", "F")
-        if icon_button(f"{icon.ICON_FA_CAMERA}##picture", 38):
-            self.export.open("picture")
-        tooltip("Save a picture", "Ctrl+E")
-        imgui.pop_style_var()
-
     def context_menu(self) -> None:
         """The menu of a right click on the object."""
         if self.viewport.menu_requested:
@@ -361,6 +344,9 @@ class Menus:
     def _pictures(self) -> None:
         self.dialogs.open_pictures(lambda paths: self.session.add_pictures(None, paths))
 
+    def _name_piece(self) -> None:
+        self.inspector.pieces.rename()
+
     def _select_all(self) -> None:
         self.session.selection = frozenset(piece.key for piece in self.session.pieces if piece.visible)
 
@@ -380,7 +366,8 @@ class Menus:
         self.session.viewing = replace(self.session.viewing, timeline=True)
         self.session.film.preset(name)
 
-    def _toggle_slices(self) -> None:
+    def toggle_slices(self) -> None:
+        """Shows three cut faces beside the object, or the object alone."""
         session = self.session
         session.viewing = replace(session.viewing, slices=not session.viewing.slices)
         if not session.viewing.slices and self.slice_views.measuring:
@@ -400,10 +387,6 @@ class Menus:
     def _look_from(self, view: str) -> None:
         self.viewport.go(self.session.viewing.eye.from_side(view))
 
-    def _toggle_light(self) -> None:
-        settings = self.session.settings
-        self.session.change_settings(replace(settings, face_light=not settings.face_light))
-
     def _throw(self) -> None:
         self.session.film.leave()
         if self.session.throw.active:
@@ -411,19 +394,34 @@ class Menus:
         else:
             self.session.throw.begin(self.viewport.camera())
 
-    def _toggle_motion(self) -> None:
-        settings = self.session.settings
-        self.session.change_settings(replace(settings, motion=not settings.motion))
+    def _switch(self, label: str, flag: str) -> Command:
+        """The command for one of SWITCHES."""
+        session = self.session
 
-    def _toggle_statistics(self) -> None:
-        settings = self.session.settings
-        self.session.change_settings(replace(settings, statistics=not settings.statistics))
+        def is_on() -> bool:
+            return bool(getattr(session.settings, flag))
+
+        return Command(
+            "View",
+            label,
+            lambda: session.change_settings(replace(session.settings, **{flag: not is_on()})),
+            checked=is_on,
+        )
 
     def _toggle_theme(self) -> None:
         settings = self.session.settings
         new = replace(settings, theme="light" if settings.theme == "dark" else "dark")
         self.session.change_settings(new)
-        apply(new.theme)
+        apply(new.theme, new.scale)
+
+    def _resize(self, way: int) -> None:
+        """The next larger or smaller interface."""
+        settings = self.session.settings
+        nearest = min(range(len(SCALES)), key=lambda k: abs(SCALES[k] - settings.scale))
+        scale = SCALES[min(max(nearest + way, 0), len(SCALES) - 1)]
+        self.session.change_settings(replace(settings, scale=scale))
+        apply(settings.theme, scale)
+        self.session.notify(f"Interface at {scale:.0%}.")
 
     def _toggle_shortcuts(self) -> None:
         self.shortcuts_shown = not self.shortcuts_shown

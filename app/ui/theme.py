@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from imgui_bundle import ImVec2, ImVec4, hello_imgui, imgui, implot
 
-__all__ = ["DARK", "LIGHT", "Palette", "apply", "load_fonts", "palette", "px", "u32"]
+__all__ = ["DARK", "LIGHT", "SCALES", "Palette", "apply", "load_fonts", "palette", "px", "u32"]
 
 FONT_SIZE = 15.5
 SMALL_SIZE = 13.5
@@ -36,6 +36,8 @@ class Palette:
     """The second curve of a plot, the second of three planes."""
     third: str = "#7CCB8F"
     """The third of three planes: told apart from the flesh of most fruit."""
+    marks: tuple[str, ...] = ("#F2B84B", "#7FA7D9", "#7CCB8F", "#EE9CBB", "#C9A8F0", "#62C9C9")
+    """Of the marks of pieces, in their order."""
 
 
 DARK = Palette()
@@ -54,9 +56,15 @@ LIGHT = Palette(
     trouble="#8A5600",
     curve="#2F6DB5",
     third="#1A7340",
+    marks=("#8A5600", "#2F6DB5", "#1A7340", "#A8326A", "#6B3FB0", "#0E6B6B"),
 )
 
 _current = DARK
+_scale = 1.0
+"""Of the whole interface, as the user has set it."""
+
+SCALES = (0.75, 1.0, 1.25, 1.5, 1.75, 2.0)
+"""Sizes of the interface that the user can choose from."""
 
 
 def palette() -> Palette:
@@ -82,8 +90,8 @@ def rgb(colour: str) -> tuple[float, float, float]:
 
 
 def px(value: float) -> float:
-    """A distance in pixels at 96 DPI, converted to the window's units."""
-    return value * float(hello_imgui.dpi_window_size_factor())
+    """A distance in pixels at 96 DPI and the interface's usual size, converted to the window's units."""
+    return value * _scale * float(hello_imgui.dpi_window_size_factor())
 
 
 class Fonts:
@@ -101,15 +109,17 @@ def load_fonts() -> None:
     Fonts.bold = hello_imgui.load_font("fonts/Roboto/Roboto-Bold.ttf", FONT_SIZE)
 
 
-def apply(name: str, scaled_later: bool = False) -> None:
-    """Sets every colour and distance of the current ImGui context.
+def apply(name: str, size: float = 1.0, scaled_later: bool = False) -> None:
+    """Sets every colour, distance and the size of all text of the current ImGui context.
 
-    `scaled_later`: the runner scales the distances to the screen's density itself, as it does with the first style.
+    `size`: one of SCALES. `scaled_later`: the runner scales the distances to the screen's density itself, as it does
+    with the first style.
     """
-    global _current
-    _current = p = LIGHT if name == "light" else DARK
-    style = imgui.get_style()
-    scale = 1.0 if scaled_later else px(1.0)
+    global _current, _scale
+    _current, _scale = LIGHT if name == "light" else DARK, size
+    p, style = _current, imgui.get_style()
+    style.font_scale_main = size
+    scale = size if scaled_later else px(1.0)
     for field, value in {
         "window_padding": (12, 12),
         "frame_padding": (9, 5),

@@ -8,9 +8,11 @@ from contextlib import contextmanager
 from imgui_bundle import ImVec2, ImVec4, imgui
 from imgui_bundle import icons_fontawesome_6 as icon
 
+from app.model.document import MARKS, Mark
 from app.ui.theme import Fonts, palette, px, rgba, u32
 
 __all__ = [
+    "MARK_ICONS",
     "cancel_button",
     "colours",
     "disabled",
@@ -23,6 +25,7 @@ __all__ = [
     "knife_icon",
     "list_row",
     "main_button",
+    "mark_colour",
     "modal",
     "range_slider",
     "row_label",
@@ -31,6 +34,21 @@ __all__ = [
     "thin_bar",
     "tooltip",
 ]
+
+
+MARK_ICONS: dict[Mark, str] = {
+    "circle": icon.ICON_FA_CIRCLE,
+    "square": icon.ICON_FA_SQUARE,
+    "star": icon.ICON_FA_STAR,
+    "heart": icon.ICON_FA_HEART,
+    "moon": icon.ICON_FA_MOON,
+    "bolt": icon.ICON_FA_BOLT,
+}
+
+
+def mark_colour(mark: Mark) -> str:
+    """The colour of a mark, '#RRGGBB'."""
+    return palette().marks[MARKS.index(mark)]
 
 
 def tooltip(text: str, keys: str = "") -> None:

@@ -35,6 +35,7 @@ from app.ui.panels.interior import InteriorPanel
 from app.ui.panels.measures import MeasuresPanel
 from app.ui.panels.thumbnails import Thumbnails
 from app.ui.theme import Fonts, apply, load_fonts, palette, px, u32
+from app.ui.toolbar import Toolbar
 from app.ui.view.painter import Painter
 from app.ui.view.slices import SliceViews, is_shown, quarters
 from app.ui.view.viewport import Viewport
@@ -45,6 +46,9 @@ __all__ = ["Window"]
 
 IDLE_FRAMES = 6.0
 """Frames per second while nothing happens: enough to follow a job."""
+
+WIDEST = 0.5
+"""Part of the window that the inspector is given at most, however large the interface is."""
 
 INSPECTOR = 344.0
 """Width of the inspector at 96 DPI; it stays the same when the window grows."""
@@ -95,7 +99,7 @@ class Window:
         callbacks = params.callbacks
         callbacks.default_icon_font = hello_imgui.DefaultIconFont.font_awesome6
         callbacks.load_additional_fonts = load_fonts
-        callbacks.setup_imgui_style = lambda: apply(settings.theme, scaled_later=True)
+        callbacks.setup_imgui_style = lambda: apply(settings.theme, settings.scale, scaled_later=True)
         callbacks.post_init = self._begin
         callbacks.before_exit = self._end
         callbacks.pre_new_frame = self._tick
@@ -104,7 +108,7 @@ class Window:
         callbacks.show_status = self._status
         callbacks.before_imgui_render = close_menus
         toolbar = hello_imgui.EdgeToolbar()
-        toolbar.show_toolbar = lambda: self._guard(self.menus.toolbar)
+        toolbar.show_toolbar = lambda: self._guard(self.toolbar.show)
         toolbar.options = hello_imgui.EdgeToolbarOptions(size_em=4.0, window_padding_em=ImVec2(0.72, 0.75))
         callbacks.edges_toolbars = {hello_imgui.EdgeToolbarType.left: toolbar}
         params.docking_params = self._docking()
@@ -114,9 +118,7 @@ class Window:
         docking = hello_imgui.DockingParams()
         quiet = imgui.internal.DockNodeFlagsPrivate_.no_tab_bar
         docking.main_dock_space_node_flags = quiet | imgui.DockNodeFlags_.passthru_central_node
-        split = hello_imgui.DockingSplit(
-            "MainDockSpace", "Inspector", imgui.Dir.right, INSPECTOR / self.session.settings.window[0]
-        )
+        split = hello_imgui.DockingSplit("MainDockSpace", "Inspector", imgui.Dir.right, self._inspector_part())
         split.node_flags = quiet
         docking.docking_splits = [split]
         view = hello_imgui.DockableWindow("Object", "MainDockSpace", self._viewport, can_be_closed_=False)
@@ -124,6 +126,11 @@ class Window:
         panel = hello_imgui.DockableWindow("Inspector", "Inspector", self._inspector, can_be_closed_=False)
         docking.dockable_windows = [view, panel]
         return docking
+
+    def _inspector_part(self) -> float:
+        """Part of the window's width that the inspector has at first; the user can drag its edge."""
+        settings = self.session.settings
+        return min(INSPECTOR * settings.scale / settings.window[0], WIDEST)
 
     # Life cycle
 
@@ -139,10 +146,13 @@ class Window:
         self.export = ExportWindow(self.exporter, self.dialogs)
         self.film_window = FilmWindow(self.session, self.dialogs)
         self.timeline = TimelinePanel(self.session, self.film_window)
-        self.menus = Menus(self.session, self.viewport, self.slices, self.dialogs, self.export, self.film_window)
         self.interior = InteriorPanel(self.session, self.viewport, self.thumbnails, self.dialogs)
         self.measures = MeasuresPanel(self.session, self.slices)
         self.inspector = Inspector(self.session, self.interior, self.measures)
+        self.menus = Menus(
+            self.session, self.viewport, self.slices, self.dialogs, self.export, self.film_window, self.inspector
+        )
+        self.toolbar = Toolbar(self.session, self.viewport, self.export, self.menus.toggle_slices)
         if implot.get_current_context() is None:
             implot.create_context()
         self.window = glfw_window_hello_imgui()
@@ -153,7 +163,8 @@ class Window:
         self.recovered_jobs = recovered_jobs(self.session)
 
     def _end(self) -> None:
-        width, height = (max(200, round(side / px(1))) for side in glfw.get_window_size(self.window))
+        one = px(1) / self.session.settings.scale
+        width, height = (max(200, round(side / one)) for side in glfw.get_window_size(self.window))
         self.session.change_settings(replace(self.session.settings, window=(width, height)))  # at 96 DPI
         glfw.set_drop_callback(self.window, None)  # type: ignore[arg-type]
         self.session.faces.release()

@@ -113,6 +113,7 @@ BREAK: dict[str, Callable[[dict], object]] = {
     "kind": lambda r: r["objects"][0]["cuts"][0].update(kind="os.system"),
     "unknown cut": lambda r: r["objects"][0]["pieces"][0].update(key=[[99, 1]]),
     "side": lambda r: r["objects"][0]["pieces"][0].update(key=[[1, 2]]),
+    "mark": lambda r: r["objects"][0]["pieces"][0].update(mark="cross"),
     "turn": lambda r: r["objects"][0]["pieces"][0].update(turn=[0, 0, 0, 0]),
     "family": lambda r: r["objects"][0]["families"][0].update(count=0),
     "outline": lambda r: marks(r).update(outline=[[0, 0], [1, 1]]),

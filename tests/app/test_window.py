@@ -77,6 +77,11 @@ def test_a_film_is_made_and_saved_and_the_object_is_thrown(tmp_path: Path) -> No
     assert len(list((tmp_path / "shots").glob("film_*.png"))) == 6
 
 
+def test_pieces_are_named_marked_and_grouped_and_the_interface_has_sizes(tmp_path: Path) -> None:
+    run("names", tmp_path, "app_film_steps.py")
+    assert len(list((tmp_path / "shots").glob("names_*.png"))) == 4
+
+
 @pytest.mark.slow
 def test_two_thousand_random_actions_leave_nothing_behind(tmp_path: Path) -> None:
     run("soak", tmp_path)
@@ -94,6 +99,7 @@ def test_text_stands_out_from_every_ground_that_it_is_on(p: Palette) -> None:
     grounds = (p.ground, p.panel, p.field, p.hover, p.view)
     pairs = [(text, ground) for text in (p.text, p.second) for ground in grounds]
     pairs += [(p.text, p.pressed), (p.on_accent, p.accent), (p.trouble, p.panel), (p.curve, p.view), (p.third, p.view)]
+    pairs += [(mark, ground) for mark in p.marks for ground in (p.panel, p.view)]
     for text, ground in pairs:
         low, high = sorted((luminance(text), luminance(ground)))
         assert (high + 0.05) / (low + 0.05) >= 4.5, (text, ground)

@@ -13,6 +13,7 @@ from imgui_bundle import ImVec2, imgui
 from app.model.document import Part
 from app.model.film.timeline import FilmLook
 from app.model.throw import SECONDS
+from app.ui.theme import px
 from engine.scene.plane import Plane
 from tests.helpers.app_driver import Driver
 from tests.helpers.app_steps import at_once
@@ -144,15 +145,60 @@ def throw_and_slice(driver: Driver, folder: Path) -> None:
         session.undo()
 
 
+def names(driver: Driver, folder: Path) -> None:
+    """A piece is named, two are marked and put into a group that is hidden as one; the interface in other sizes."""
+    session, window, context = driver.session, driver.window, driver.context
+    shots = folder / "shots"
+    session.change("Cut", session.document.with_cut((Part(Plane.of((0, 0, 1), 0.0)),)))
+    session.change("Cut", session.document.with_cut((Part(Plane.of((1, 0, 0), 0.1)),)))
+    driver.still()
+    first, second, *_ = (piece.key for piece in session.pieces)
+    session.selection = frozenset([first])
+    driver.press(Key.f2)
+    context.key_chars("Lid")
+    driver.press(Key.enter)
+    assert session.pieces[0].name == "Lid" and session.history.entries[-1].name == "Name"
+    session.selection = frozenset([first, second])
+    driver.frames(2)
+    driver.click(f"//Inspector/{first}/**/###mark")
+    driver.frames(2)
+    driver.click("//$FOCUSED/**/###star")
+    context.item_input("//$FOCUSED/**/##group")
+    context.key_chars_replace("Left")
+    driver.picture(shots / "names_1_popup.png")
+    driver.press(Key.enter)
+    driver.frames(2)
+    marked = [piece for piece in session.pieces if piece.mark == "star" and piece.group == "Left"]
+    assert {piece.key for piece in marked} == {first, second} and not session.error
+    driver.still()
+    driver.picture(shots / "names_2_marked.png")
+    driver.click("//Inspector/group Left/**/###seen")
+    driver.frames(2)
+    assert [piece.visible for piece in session.pieces if piece.group] == [False, False]
+    for _ in range(2):
+        driver.press(Key.mod_ctrl | Key.z)
+    assert all(piece.visible and not piece.group for piece in session.pieces)
+    width = imgui.calc_text_size("Interior").x
+    for way, count, scale in ((Key.equal, 4, 2.0), (Key.minus, 5, 0.75)):
+        for _ in range(count):
+            driver.press(Key.mod_ctrl | way)
+        driver.still()
+        assert session.settings.scale == scale and np.isclose(px(1), scale)
+        assert np.isclose(imgui.get_style().font_scale_main, scale) and width > 0
+        driver.picture(shots / f"names_3_scale_{scale:g}.png")
+    assert window.viewport.size[0] > 200
+
+
 def inside(name: str) -> str:
     """The path of an item of the timeline."""
     return f"//Object/**/{name}"
 
 
 def main() -> None:
-    """Runs it."""
+    """Runs one of them."""
     folder = Path(sys.argv[2])
-    at_once(folder, lambda driver: film(driver, folder), (860, 560))
+    script = {"film": film, "names": names}[sys.argv[1]]
+    at_once(folder, lambda driver: script(driver, folder), (860, 560))
     print("well")
 
 

@@ -29,6 +29,7 @@ def full(folder: Path) -> Project:
     document = document.changed_cut(2, lambda cut: replace(cut, shift=1e-17, on=False, name="Käse"))
     motion = Motion.about((0.1, 0.2, 0.3), (1, 1, 1), 33.3)
     document = document.placed(((1, 1),), lambda p: replace(p, motion=motion, visible=False, removed=True, name="lid"))
+    document = document.placed(((1, -1),), lambda p: replace(p, group="Hälften", mark="star"))
     document = document.with_exemplars("horizontal", (folder / "a.png", folder / "b.png"))
     outline = ((0.1, 0.2), (0.9, 1 / 3), (0.5, 1.0))
     marks = Marks(outline, (0.5, 1 / 3), ((0.5, 0.0), (2 / 3, 1.0)))

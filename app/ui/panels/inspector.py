@@ -11,7 +11,6 @@ from imgui_bundle import ImVec2, imgui
 from imgui_bundle import icons_fontawesome_6 as icon
 
 from app.model.document import Cut, Document
-from app.model.pieces import PlacedPiece
 from app.model.rigid_transform import Vec3
 from app.session.session import Session
 from app.ui.panels.cut_details import CutDetails
@@ -19,6 +18,7 @@ from app.ui.panels.footer import Footer
 from app.ui.panels.interior import InteriorPanel
 from app.ui.panels.isolate import IsolatePanel
 from app.ui.panels.measures import MeasuresPanel
+from app.ui.panels.pieces import PiecesPanel
 from app.ui.theme import palette, px, rgba
 from app.ui.widgets import (
     colours,
@@ -27,7 +27,6 @@ from app.ui.widgets import (
     heading,
     icon_button,
     list_row,
-    row_label,
     secondary,
     tooltip,
 )
@@ -59,6 +58,7 @@ class Inspector:
         self.session, self.interior, self.measures = session, interior, measures
         self.isolate = IsolatePanel(session)
         self.footer = Footer(session)
+        self.pieces = PiecesPanel(session)
         self.details = CutDetails(session, interior.viewport)
         self._up: list[float] | None = None
         """The up axis as typed so far, while its list is open."""
@@ -196,7 +196,7 @@ class Inspector:
             session.add_plane()
         tooltip("A plane that opens the object. Sweep it with its slider.", "P")
         if len(session.pieces) > 1 or any(p.removed for _, p in session.document.placements):
-            self._pieces()
+            self.pieces.show()
 
     def _cut(self, cut: Cut) -> None:
         session = self.session
@@ -242,44 +242,3 @@ class Inspector:
         if changed:
             shift = cut.shift + (new - place) * solid.radius
             session.change_cut(f"Move {cut.name}", cut.id, lambda c: replace(c, shift=shift), merge=f"cut {cut.id}")
-
-    # Pieces
-
-    def _pieces(self) -> None:
-        session, document = self.session, self.session.document
-        imgui.dummy(ImVec2(0, px(2)))
-        for label, name, value, hint in (
-            ("Gap", "gap", document.gap, "How far the sides of a cut stand apart"),
-            ("Explode", "explode", document.explode, "How far the pieces stand from the middle"),
-        ):
-            row_label(label, 76)
-            changed, new = float_slider(f"##{name}", value, 0.0, 1.0 if name == "gap" else 2.0, hint)
-            if changed:
-                changed_one = replace(document, gap=new) if name == "gap" else replace(document, explode=new)
-                session.change(label, changed_one, merge=name)
-        for piece in session.pieces:
-            self._piece(piece)
-        if imgui.button("Put back together", ImVec2(-1, 0)):
-            session.reassemble()
-        tooltip("Every piece back in its place; the cuts stay", "Ctrl+G")
-
-    def _piece(self, piece: PlacedPiece) -> None:
-        session = self.session
-        imgui.push_id(str(piece.key))
-        if icon_button(f"{eye_icon(piece.visible)}##seen", 22, quiet=True):
-            session.change_placements(
-                "Hide" if piece.visible else "Show",
-                frozenset([piece.key]),
-                lambda p: replace(p, visible=not piece.visible),
-            )
-        imgui.same_line()
-        chosen = piece.key in session.selection
-        if list_row(piece.name, chosen, imgui.get_content_region_avail().x - px(30), 22):
-            only = frozenset([piece.key])
-            session.selection = session.selection ^ only if imgui.get_io().key_ctrl else only
-        imgui.same_line()
-        if icon_button(f"{icon.ICON_FA_XMARK}##gone", 22, quiet=True):
-            session.selection = frozenset([piece.key])
-            session.delete()
-        tooltip("Delete the piece", "Del")
-        imgui.pop_id()

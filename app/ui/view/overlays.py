@@ -7,14 +7,16 @@ from dataclasses import replace
 
 from imgui_bundle import ImVec2, imgui
 
-from app.model.pieces import Member
+from app.model.camera_control import project_points
+from app.model.pieces import Member, PlacedPiece
 from app.model.project import VIEW_MODES
 from app.session.session import Session
 from app.ui.theme import palette, px, u32
 from app.ui.view.annotations import label
-from app.ui.widgets import segmented
+from app.ui.widgets import MARK_ICONS, mark_colour, segmented
+from engine.scene.camera import Camera
 
-__all__ = ["film_label", "mode_switch", "statistics", "tool_hint"]
+__all__ = ["film_label", "mode_switch", "piece_names", "statistics", "tool_hint"]
 
 HINTS = {
     "select": "",
@@ -49,6 +51,28 @@ def mode_switch(session: Session, origin: ImVec2, size: tuple[int, int]) -> str 
         return None
     session.viewing = replace(session.viewing, mode=VIEW_MODES[chosen])
     return VIEW_MODES[chosen]
+
+
+def piece_names(session: Session, camera: Camera, pieces: Sequence[PlacedPiece], origin: ImVec2) -> None:
+    """The marks and names that the user has given to pieces of the active object, where they are drawn."""
+    p, draw, document = palette(), imgui.get_window_draw_list(), session.document
+    for piece in pieces:
+        name = document.placement(piece.key).name
+        if not piece.visible or not (name or piece.mark) or not len(piece.rows):
+            continue
+        middle = piece.motion.apply(session.solid.points[piece.rows].mean(0))
+        pixels, depth = project_points(camera, middle[None])
+        if depth[0] <= 0:
+            continue
+        symbol = f"{MARK_ICONS[piece.mark]}  " if piece.mark else ""
+        text = (symbol + name).rstrip()
+        size = imgui.calc_text_size(text)
+        low = ImVec2(origin.x + float(pixels[0, 0]) - size.x / 2, origin.y + float(pixels[0, 1]) - size.y / 2)
+        high = ImVec2(low.x + size.x + px(7), low.y + size.y + px(4))
+        draw.add_rect_filled(ImVec2(low.x - px(7), low.y - px(4)), high, u32(p.view, 0.9), px(5))
+        draw.add_text(low, u32(p.text), text)
+        if piece.mark:
+            draw.add_text(low, u32(mark_colour(piece.mark)), symbol.rstrip())
 
 
 def film_label(session: Session, origin: ImVec2, size: tuple[int, int]) -> None:

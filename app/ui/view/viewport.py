@@ -23,7 +23,7 @@ from app.ui.view.annotations import marker_outline
 from app.ui.view.axis_cube import axis_cube
 from app.ui.view.box_handles import BoxHandles
 from app.ui.view.gizmo import handles, on_handles
-from app.ui.view.overlays import film_label, mode_switch, statistics, tool_hint
+from app.ui.view.overlays import film_label, mode_switch, piece_names, statistics, tool_hint
 from app.ui.view.painter import Painter
 from app.ui.view.plane_lines import PlaneLines
 from app.ui.view.point_picker import PointPicker
@@ -176,6 +176,8 @@ class Viewport:
             imgui.invisible_button("##canvas", size, ANY_BUTTON)
             hovered, active = imgui.is_item_hovered(), imgui.is_item_active()
         selection_frames(session, camera, pieces, self.origin)
+        if session.settings.names and session.mode != "capture" and not session.previewing:
+            piece_names(session, camera, pieces, self.origin)
         self._handled = self.drag is None and not session.previewing and handles(session, camera, self.origin, size)
         busy = self._handled and on_handles()
         busy = self.box_handles.show(camera, self.origin, self.drag is None and hovered) or busy

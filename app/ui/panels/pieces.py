@@ -1,0 +1,166 @@
+"""The list of pieces: shown or hidden, named, marked, in groups; how far they stand apart."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import groupby
+
+from imgui_bundle import ImVec2, imgui
+from imgui_bundle import icons_fontawesome_6 as icon
+
+from app.model.document import MARKS, Key, Mark
+from app.model.pieces import PlacedPiece
+from app.session.session import Session
+from app.ui.theme import palette, px, rgba
+from app.ui.widgets import (
+    MARK_ICONS,
+    colours,
+    eye_icon,
+    float_slider,
+    icon_button,
+    list_row,
+    main_button,
+    mark_colour,
+    row_label,
+    secondary,
+    tooltip,
+)
+
+__all__ = ["PiecesPanel"]
+
+
+class PiecesPanel:
+    """Draws the list and passes edits on to the session."""
+
+    def __init__(self, session: Session) -> None:
+        self.session = session
+        self._renamed: Key | None = None
+        """The piece whose name is typed."""
+        self._typing = False
+        """Whether the field for it has been drawn, and has the keyboard."""
+        self._group = ""
+        """Name of a group as typed so far."""
+
+    def show(self) -> None:
+        """One frame."""
+        session, document = self.session, self.session.document
+        imgui.dummy(ImVec2(0, px(2)))
+        for label, name, value, hint in (
+            ("Gap", "gap", document.gap, "How far the sides of a cut stand apart"),
+            ("Explode", "explode", document.explode, "How far the pieces stand from the middle"),
+        ):
+            row_label(label, 76)
+            changed, new = float_slider(f"##{name}", value, 0.0, 1.0 if name == "gap" else 2.0, hint)
+            if changed:
+                changed_one = replace(document, gap=new) if name == "gap" else replace(document, explode=new)
+                session.change(label, changed_one, merge=name)
+        # Sorting is stable: in a group, and without one, pieces keep their order.
+        grouped = sorted(session.pieces, key=lambda piece: (not piece.group, piece.group))
+        for group, pieces in groupby(grouped, key=lambda piece: piece.group):
+            members = list(pieces)
+            if group:
+                self._header(group, members)
+            for piece in members:
+                imgui.push_id(str(piece.key))
+                self._piece(piece)
+                imgui.pop_id()
+        if imgui.button("Put back together", ImVec2(-1, 0)):
+            session.reassemble()
+        tooltip("Every piece back in its place; cuts, names and groups stay", "Ctrl+G")
+
+    def rename(self) -> None:
+        """Has the name of the selected piece typed."""
+        if len(self.session.selection) == 1:
+            (self._renamed,), self._typing = self.session.selection, False
+        else:
+            self.session.notify("Select one piece to name it.")
+
+    def _header(self, group: str, members: Sequence[PlacedPiece]) -> None:
+        """The name of a group, which selects all of it."""
+        session, keys = self.session, frozenset(piece.key for piece in members)
+        imgui.push_id(f"group {group}")
+        shown = any(piece.visible for piece in members)
+        if icon_button(f"{eye_icon(shown)}###seen", 22, quiet=True):
+            session.change_placements("Hide" if shown else "Show", keys, lambda p: replace(p, visible=not shown))
+        tooltip("Hide the group" if shown else "Show the group")
+        imgui.same_line()
+        if list_row(f"{icon.ICON_FA_LAYER_GROUP}  {group}", keys <= session.selection, -1, 22):
+            session.selection = keys
+        tooltip("Click to select all of the group")
+        imgui.pop_id()
+
+    def _piece(self, piece: PlacedPiece) -> None:
+        session = self.session
+        if icon_button(f"{eye_icon(piece.visible)}###seen", 22, quiet=True):
+            session.change_placements(
+                "Hide" if piece.visible else "Show",
+                frozenset([piece.key]),
+                lambda p: replace(p, visible=not piece.visible),
+            )
+        tooltip("Hide it" if piece.visible else "Show it")
+        imgui.same_line()
+        if self._renamed == piece.key:
+            self._field(piece)
+            return
+        mark = MARK_ICONS[piece.mark] if piece.mark else icon.ICON_FA_TAG
+        with colours(text=rgba(mark_colour(piece.mark) if piece.mark else palette().second)):
+            if icon_button(f"{mark}###mark", 22, quiet=True):
+                if piece.key not in session.selection:
+                    session.selection = frozenset([piece.key])
+                self._group = piece.group
+                imgui.open_popup("mark")
+        tooltip("Mark it, or put it into a group; all that is selected")
+        self._popup()
+        imgui.same_line()
+        chosen = piece.key in session.selection
+        if list_row(f"{piece.name}###piece", chosen, imgui.get_content_region_avail().x - px(30), 22):
+            only = frozenset([piece.key])
+            session.selection = session.selection ^ only if imgui.get_io().key_ctrl else only
+        if imgui.is_item_hovered() and imgui.is_mouse_double_clicked(imgui.MouseButton_.left):
+            self._renamed, self._typing = piece.key, False
+        tooltip("Double click to name it", "F2")
+        imgui.same_line()
+        if icon_button(f"{icon.ICON_FA_XMARK}##gone", 22, quiet=True):
+            session.selection = frozenset([piece.key])
+            session.delete()
+        tooltip("Delete the piece", "Del")
+
+    def _field(self, piece: PlacedPiece) -> None:
+        """The field in which a name is typed; an empty one is the number again."""
+        session = self.session
+        imgui.set_next_item_width(-1)
+        if not self._typing:
+            imgui.set_keyboard_focus_here()
+        given = session.document.placement(piece.key).name
+        changed, text = imgui.input_text_with_hint("##name", piece.name, given)
+        if changed:
+            named = session.document.placed(piece.key, lambda p: replace(p, name=text.strip()))
+            session.change("Name", named, merge=f"name {piece.key}")
+        ended = self._typing and not imgui.is_item_active()
+        self._typing, self._renamed = not ended, None if ended else self._renamed
+
+    def _popup(self) -> None:
+        """Marks, and the name of a group."""
+        session = self.session
+        if not imgui.begin_popup("mark"):
+            return
+        choices: tuple[Mark, ...] = ("", *MARKS)
+        for mark in choices:
+            with colours(text=rgba(mark_colour(mark) if mark else palette().second)):
+                if icon_button(f"{MARK_ICONS[mark] if mark else icon.ICON_FA_BAN}###{mark or 'none'}", 28, quiet=True):
+                    session.change_placements("Mark", session.selection, lambda p, m=mark: replace(p, mark=m))
+            tooltip(mark.title() or "No mark")
+            imgui.same_line()
+        imgui.new_line()
+        secondary("Group")
+        imgui.same_line()
+        imgui.set_next_item_width(px(150))
+        flags = imgui.InputTextFlags_.enter_returns_true
+        entered, self._group = imgui.input_text_with_hint("##group", "name of the group", self._group, flags)
+        imgui.same_line()
+        if main_button("Set", px(52)) or entered:
+            group = self._group.strip()
+            session.change_placements("Group", session.selection, lambda p: replace(p, group=group))
+            imgui.close_current_popup()
+        imgui.end_popup()

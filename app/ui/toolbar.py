@@ -1,0 +1,61 @@
+"""The tools at the left edge of the window."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from imgui_bundle import ImVec2, imgui
+from imgui_bundle import icons_fontawesome_6 as icon
+
+from app.session.session import Session
+from app.session.workspace import TOOLS, Tool
+from app.ui.dialogs.export_window import ExportWindow
+from app.ui.theme import palette, px, u32
+from app.ui.view.viewport import Viewport
+from app.ui.widgets import icon_button, knife_icon, tooltip
+
+__all__ = ["TOOL_ICONS", "Toolbar"]
+
+TOOL_ICONS: dict[Tool, tuple[str, str, str]] = {
+    "select": (icon.ICON_FA_ARROW_POINTER, "Select pieces; drag to look around", "V"),
+    "knife": ("", "Knife: drag across the object to cut it", "K"),
+    "blade": (icon.ICON_FA_SCISSORS, "Blade: draw the line to cut along, or all around a shape", "B"),
+    "plane": (icon.ICON_FA_LAYER_GROUP, "Plane: drag to open the object along a plane", "P"),
+    "move": (icon.ICON_FA_UP_DOWN_LEFT_RIGHT, "Move pieces", "M"),
+    "turn": (icon.ICON_FA_ROTATE, "Turn pieces", "T"),
+    "upright": (icon.ICON_FA_ARROWS_DOWN_TO_LINE, "Upright: click the face it stands on, or turn it", "U"),
+    "isolate": (icon.ICON_FA_CROP_SIMPLE, "Isolate: say what of the capture is the object", "I"),
+}
+
+
+class Toolbar:
+    """Draws them."""
+
+    def __init__(
+        self, session: Session, viewport: Viewport, export: ExportWindow, toggle_slices: Callable[[], None]
+    ) -> None:
+        self.session, self.viewport, self.export, self.toggle_slices = session, viewport, export, toggle_slices
+
+    def show(self) -> None:
+        """One frame."""
+        imgui.push_style_var(imgui.StyleVar_.item_spacing, ImVec2(px(8), px(8)))
+        for tool in TOOLS:
+            symbol, hint, keys = TOOL_ICONS[tool]
+            active = self.session.tool == tool
+            if icon_button(f"{symbol}##{tool}", 38, active=active):
+                self.session.select_tool(tool)
+            if tool == "knife":
+                colour = u32(palette().on_accent if active else palette().text)
+                knife_icon(imgui.get_window_draw_list(), imgui.get_item_rect_min(), imgui.get_item_rect_max(), colour)
+            tooltip(hint, keys)
+        imgui.dummy(ImVec2(0, px(2)))
+        if icon_button(f"{icon.ICON_FA_TABLE_CELLS_LARGE}##slices", 38, active=self.session.viewing.slices):
+            self.toggle_slices()
+        tooltip("Slices: three cut faces beside the object", "S")
+        if icon_button(f"{icon.ICON_FA_EXPAND}##fit", 38):
+            self.viewport.fit()
+        tooltip("Fit the object into the picture", "F")
+        if icon_button(f"{icon.ICON_FA_CAMERA}##picture", 38):
+            self.export.open("picture")
+        tooltip("Save a picture", "Ctrl+E")
+        imgui.pop_style_var()
