@@ -160,10 +160,10 @@ def names(driver: Driver, folder: Path) -> None:
     assert session.pieces[0].name == "Lid" and session.history.entries[-1].name == "Name"
     session.selection = frozenset([first, second])
     driver.frames(2)
-    driver.click(f"//Inspector/{first}/**/###mark")
+    driver.click(f"//Inspector/{first}/###mark")
     driver.frames(2)
-    driver.click("//$FOCUSED/**/###star")
-    context.item_input("//$FOCUSED/**/##group")
+    driver.click("//$FOCUSED/###star")
+    context.item_input("//$FOCUSED/##group")
     context.key_chars_replace("Left")
     driver.picture(shots / "names_1_popup.png")
     driver.press(Key.enter)
@@ -172,7 +172,7 @@ def names(driver: Driver, folder: Path) -> None:
     assert {piece.key for piece in marked} == {first, second} and not session.error
     driver.still()
     driver.picture(shots / "names_2_marked.png")
-    driver.click("//Inspector/group Left/**/###seen")
+    driver.click("//Inspector/group Left/###seen")
     driver.frames(2)
     assert [piece.visible for piece in session.pieces if piece.group] == [False, False]
     for _ in range(2):
