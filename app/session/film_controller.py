@@ -232,7 +232,8 @@ class FilmController:
     def leave(self) -> None:
         """Shows the object as it is again, from where it is seen."""
         self.playing = False
-        if self.shown:
+        shown = self.workspace.previewed
+        if shown is not None and shown[1] is self._documents:
             self.workspace.previewed = None
         self._documents = None
 

@@ -6,8 +6,8 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 
+from app.model.film.throw import SECONDS, Throw, in_flight, sliced, thrown
 from app.model.knife import Stroke
-from app.model.throw import SECONDS, Throw, in_flight, sliced, thrown
 from app.session.workspace import Workspace
 from engine.scene.camera import Camera
 

@@ -6,6 +6,7 @@ import sys
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from imgui_bundle import ImVec2, imgui
 
@@ -401,12 +402,11 @@ class Menus:
         def is_on() -> bool:
             return bool(getattr(session.settings, flag))
 
-        return Command(
-            "View",
-            label,
-            lambda: session.change_settings(replace(session.settings, **{flag: not is_on()})),
-            checked=is_on,
-        )
+        def switch() -> None:
+            changed: dict[str, Any] = {flag: not is_on()}
+            session.change_settings(replace(session.settings, **changed))
+
+        return Command("View", label, switch, checked=is_on)
 
     def _toggle_theme(self) -> None:
         settings = self.session.settings

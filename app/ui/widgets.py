@@ -196,14 +196,17 @@ def right_text(text: str) -> None:
     secondary(text)
 
 
-def icon_button(label: str, size: float, active: bool = False, quiet: bool = False) -> bool:
-    """A square button with an icon; an active one is accented, a quiet one has no background until it is hovered."""
+def icon_button(label: str, size: float, active: bool = False, quiet: bool = False, colour: str = "") -> bool:
+    """A square button with an icon; an active one is accented, a quiet one has no background until it is hovered.
+
+    `colour`: of the icon, '#RRGGBB'; empty: that of text.
+    """
     p = palette()
     if active:
         button = hovered = pressed = rgba(p.accent)
     else:
         button, hovered, pressed = rgba(p.field, 0.0 if quiet else 1.0), rgba(p.hover), rgba(p.pressed)
-    text = rgba(p.on_accent if active else p.text)
+    text = rgba(p.on_accent if active else colour or p.text)
     imgui.push_style_var(imgui.StyleVar_.frame_padding, ImVec2(0, 0))
     with colours(button=button, button_hovered=hovered, button_active=pressed, text=text):
         clicked = imgui.button(label, ImVec2(px(size), px(size)))

@@ -47,7 +47,7 @@ __all__ = ["Window"]
 IDLE_FRAMES = 6.0
 """Frames per second while nothing happens: enough to follow a job."""
 
-WIDEST = 0.5
+WIDEST = 0.55
 """Part of the window that the inspector is given at most, however large the interface is."""
 
 INSPECTOR = 344.0
@@ -118,19 +118,20 @@ class Window:
         docking = hello_imgui.DockingParams()
         quiet = imgui.internal.DockNodeFlagsPrivate_.no_tab_bar
         docking.main_dock_space_node_flags = quiet | imgui.DockNodeFlags_.passthru_central_node
-        split = hello_imgui.DockingSplit("MainDockSpace", "Inspector", imgui.Dir.right, self._inspector_part())
-        split.node_flags = quiet
-        docking.docking_splits = [split]
+        docking.docking_splits = [self._split()]
         view = hello_imgui.DockableWindow("Object", "MainDockSpace", self._viewport, can_be_closed_=False)
         view.call_begin_end = False
         panel = hello_imgui.DockableWindow("Inspector", "Inspector", self._inspector, can_be_closed_=False)
         docking.dockable_windows = [view, panel]
         return docking
 
-    def _inspector_part(self) -> float:
-        """Part of the window's width that the inspector has at first; the user can drag its edge."""
-        settings = self.session.settings
-        return min(INSPECTOR * settings.scale / settings.window[0], WIDEST)
+    def _split(self) -> hello_imgui.DockingSplit:
+        """Where the inspector begins, at this size of the interface; the user can drag its edge."""
+        self._scale, width = self.session.settings.scale, self.session.settings.window[0]
+        part = min(INSPECTOR * self._scale / width, WIDEST)
+        split = hello_imgui.DockingSplit("MainDockSpace", "Inspector", imgui.Dir.right, part)
+        split.node_flags = imgui.internal.DockNodeFlagsPrivate_.no_tab_bar
+        return split
 
     # Life cycle
 
@@ -179,6 +180,9 @@ class Window:
         session.tick()
         if self.dropped:
             self._open_dropped()
+        if session.settings.scale != self._scale:
+            self.params.docking_params.docking_splits = [self._split()]
+            self.params.docking_params.layout_reset = True
         preparing = session.loader is not None
         busy = (
             preparing

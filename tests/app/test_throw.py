@@ -12,11 +12,11 @@ from app.jobs.scene_loader import LoadedScene, SceneRequest
 from app.model.autosave import Autosave
 from app.model.camera_control import OrbitCamera, project_points
 from app.model.document import Document
+from app.model.film.throw import SECONDS, in_flight, sliced, thrown
 from app.model.history import History
 from app.model.knife import Stroke
 from app.model.pieces import Solid, pieces
 from app.model.project import Viewing, Work
-from app.model.throw import SECONDS, in_flight, sliced, thrown
 from app.session.session import Session
 from tests.helpers.solids import ball
 

@@ -11,8 +11,8 @@ import numpy as np
 from imgui_bundle import ImVec2, imgui
 
 from app.model.document import Part
+from app.model.film.throw import SECONDS
 from app.model.film.timeline import FilmLook
-from app.model.throw import SECONDS
 from app.ui.theme import px
 from engine.scene.plane import Plane
 from tests.helpers.app_driver import Driver

@@ -68,7 +68,6 @@ NO_OPENGL = ("imgui_bundle", "glfw", "moderngl")
 
 KEEPS_OFF = {
     "app.model": (*NO_OPENGL, "subprocess"),
-    "app.jobs.film": ("app.model", "app.jobs", "engine", "fruitninja", "training"),
     "app.session": (*NO_OPENGL, "subprocess"),
     "engine.scene": NO_OPENGL,
     "engine.io": NO_OPENGL,

@@ -1,1 +1,1 @@
-"""Films: keyframes of the camera, of planes and of the explosion, and the motion between them."""
+"""What moves: films, with keyframes of the camera, of planes and of the explosion, and an object that is thrown."""

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import groupby
 
 from imgui_bundle import ImVec2, imgui
 from imgui_bundle import icons_fontawesome_6 as icon
 
-from app.model.document import MARKS, Key, Mark
+from app.model.document import MARKS, Key, Mark, Placement
 from app.model.pieces import PlacedPiece
 from app.session.session import Session
-from app.ui.theme import palette, px, rgba
+from app.ui.theme import palette, px
 from app.ui.widgets import (
     MARK_ICONS,
-    colours,
     eye_icon,
     float_slider,
     icon_button,
@@ -85,7 +85,9 @@ class PiecesPanel:
             session.change_placements("Hide" if shown else "Show", keys, lambda p: replace(p, visible=not shown))
         tooltip("Hide the group" if shown else "Show the group")
         imgui.same_line()
-        if list_row(f"{icon.ICON_FA_LAYER_GROUP}  {group}", keys <= session.selection, -1, 22):
+        if list_row(
+            f"{icon.ICON_FA_LAYER_GROUP}  {group}", keys <= session.selection, imgui.get_content_region_avail().x, 22
+        ):
             session.selection = keys
         tooltip("Click to select all of the group")
         imgui.pop_id()
@@ -104,12 +106,12 @@ class PiecesPanel:
             self._field(piece)
             return
         mark = MARK_ICONS[piece.mark] if piece.mark else icon.ICON_FA_TAG
-        with colours(text=rgba(mark_colour(piece.mark) if piece.mark else palette().second)):
-            if icon_button(f"{mark}###mark", 22, quiet=True):
-                if piece.key not in session.selection:
-                    session.selection = frozenset([piece.key])
-                self._group = piece.group
-                imgui.open_popup("mark")
+        colour = mark_colour(piece.mark) if piece.mark else palette().second
+        if icon_button(f"{mark}###mark", 22, quiet=True, colour=colour):
+            if piece.key not in session.selection:
+                session.selection = frozenset([piece.key])
+            self._group = piece.group
+            imgui.open_popup("mark")
         tooltip("Mark it, or put it into a group; all that is selected")
         self._popup()
         imgui.same_line()
@@ -147,12 +149,14 @@ class PiecesPanel:
             return
         choices: tuple[Mark, ...] = ("", *MARKS)
         for mark in choices:
-            with colours(text=rgba(mark_colour(mark) if mark else palette().second)):
-                if icon_button(f"{MARK_ICONS[mark] if mark else icon.ICON_FA_BAN}###{mark or 'none'}", 28, quiet=True):
-                    session.change_placements("Mark", session.selection, lambda p, m=mark: replace(p, mark=m))
+            symbol = MARK_ICONS[mark] if mark else icon.ICON_FA_BAN
+            colour = mark_colour(mark) if mark else palette().second
+            if icon_button(f"{symbol}###{mark or 'none'}", 28, quiet=True, colour=colour):
+                session.change_placements("Mark", session.selection, partial(_marked, mark))
             tooltip(mark.title() or "No mark")
             imgui.same_line()
         imgui.new_line()
+        imgui.align_text_to_frame_padding()
         secondary("Group")
         imgui.same_line()
         imgui.set_next_item_width(px(150))
@@ -164,3 +168,8 @@ class PiecesPanel:
             session.change_placements("Group", session.selection, lambda p: replace(p, group=group))
             imgui.close_current_popup()
         imgui.end_popup()
+
+
+def _marked(mark: Mark, placement: Placement) -> Placement:
+    """The placement with this mark."""
+    return replace(placement, mark=mark)
