@@ -239,7 +239,7 @@ class Window:
         imguizmo.im_guizmo.begin_frame()  # without it, handles do not feel the pointer
         if not imgui.is_any_item_active() and not imguizmo.im_guizmo.is_using_any():
             self.session.history.settle()  # a drag has ended
-        self._game_keys()
+        self.viewport.game_keys()
         press_shortcuts(self.menus.commands)
         self.menus.show_shortcuts()
         self.export.show()
@@ -247,16 +247,6 @@ class Window:
         self.menus.slices.show()
         self.dialogs.show()
         self._question()
-
-    def _game_keys(self) -> None:
-        """Keys that end Throw and slice, with the cuts made in flight or without them."""
-        throw = self.session.throw
-        if not throw.active or self.viewport.drag is not None:
-            return
-        if imgui.is_key_pressed(imgui.Key.escape):
-            throw.stop()
-        elif imgui.is_key_pressed(imgui.Key.enter) or imgui.is_key_pressed(imgui.Key.keypad_enter):
-            throw.keep()
 
     def _viewport(self) -> None:
         imgui.push_style_var(imgui.StyleVar_.window_padding, ImVec2(0, 0))

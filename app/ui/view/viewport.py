@@ -135,6 +135,16 @@ class Viewport:
         if self.session.settings.motion:
             self.camera_animation.go(before, self.session.viewing.eye)
 
+    def game_keys(self) -> None:
+        """Keys that end Throw and slice, with the cuts made in flight or without them."""
+        throw = self.session.throw
+        if not throw.active or self.drag is not None:
+            return
+        if imgui.is_key_pressed(imgui.Key.escape):
+            throw.stop()
+        elif imgui.is_key_pressed(imgui.Key.enter) or imgui.is_key_pressed(imgui.Key.keypad_enter):
+            throw.keep()
+
     def show(self) -> None:
         """One frame."""
         session = self.session
