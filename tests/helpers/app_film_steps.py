@@ -111,7 +111,6 @@ def film(driver: Driver, folder: Path) -> None:
     assert len(list((folder / "frames").glob("*.png"))) == 6, session.message
     driver.press(Key.l)
     assert not session.viewing.timeline and len(session.timeline.moments) == 3
-    throw_and_slice(driver, folder)
 
 
 def throw_and_slice(driver: Driver, folder: Path) -> None:
@@ -149,6 +148,7 @@ def names(driver: Driver, folder: Path) -> None:
     """A piece is named, two are marked and put into a group that is hidden as one; the interface in other sizes."""
     session, window, context = driver.session, driver.window, driver.context
     shots = folder / "shots"
+    session.jump(0)
     session.change("Cut", session.document.with_cut((Part(Plane.of((0, 0, 1), 0.0)),)))
     session.change("Cut", session.document.with_cut((Part(Plane.of((1, 0, 0), 0.1)),)))
     driver.still()
@@ -194,11 +194,16 @@ def inside(name: str) -> str:
     return f"//Object/**/{name}"
 
 
+def run_all(driver: Driver, folder: Path) -> None:
+    """All of them in one window."""
+    for script in (film, throw_and_slice, names):
+        script(driver, folder)
+
+
 def main() -> None:
-    """Runs one of them."""
+    """Runs it."""
     folder = Path(sys.argv[2])
-    script = {"film": film, "names": names}[sys.argv[1]]
-    at_once(folder, lambda driver: script(driver, folder), (860, 560))
+    at_once(folder, lambda driver: run_all(driver, folder), (860, 560))
     print("well")
 
 
