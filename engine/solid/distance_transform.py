@@ -76,5 +76,7 @@ def _envelopes(
                 v = apex[k]
                 value[q] = lines[line, v] + np.float32((q - v) * (q - v))
                 owner[q] = owners[line, v]
-            lines[line, :] = value
-            owners[line, :] = owner
+            # Number by number: to assign whole slices, numba also compiles the text of an error, for seconds.
+            for q in range(n):
+                lines[line, q] = value[q]
+                owners[line, q] = owner[q]

@@ -150,7 +150,7 @@ def _count_sheets(wall: Mask, solid: Mask) -> tuple[NDArray[np.int8], NDArray[np
     for axis in range(3):
         lines = np.ascontiguousarray(np.moveaxis(material, axis, 2))
         for step in (1, -1):
-            sheets = _sheets_along(lines[:, :, ::step])
+            sheets = _sheets_along(np.ascontiguousarray(lines[:, :, ::step]))
             sheets = np.moveaxis(sheets[:, :, ::step], 2, axis)
             hits += sheets > 0
             odd += sheets % 2 == 1

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import gc
 import importlib.util
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 import pytest
-from numba.core import caching
+from numba import njit, types
+from numba.core import caching, event
+from numba.core.errors import TypingError
 
 import engine  # noqa: F401 (makes numba forgiving)
 
@@ -57,3 +60,38 @@ def test_half_a_kernel(tmp_path: Path) -> None:
             path.write_bytes(half)
             assert kernel(tmp_path / "a.py").twice(3) == 6
         path.write_bytes(whole)
+
+
+@pytest.mark.parametrize("on", [True, False])
+def test_the_collector_rests_while_a_kernel_is_compiled(on: bool) -> None:
+    """And is as it was afterwards, even if the kernel cannot be compiled."""
+
+    class Look(event.Listener):
+        def __init__(self) -> None:
+            self.seen: list[bool] = []
+
+        def on_start(self, event: event.Event) -> None:
+            self.seen.append(gc.isenabled())
+
+        on_end = on_start
+
+    def inner(x):
+        return x + x
+
+    inner = njit(inner)
+
+    def outer(x):
+        return inner(x) + 1
+
+    look, before = Look(), gc.isenabled()
+    gc.enable() if on else gc.disable()
+    try:
+        with event.install_listener("numba:llvm_lock", look):
+            njit(outer).compile((types.int64,))
+        assert look.seen and not any(look.seen)
+        assert gc.isenabled() == on
+        with pytest.raises(TypingError):
+            njit(outer).compile((types.none,))
+        assert gc.isenabled() == on
+    finally:
+        gc.enable() if before else gc.disable()

@@ -15,7 +15,6 @@ from engine.io.files import LineWriter, locked_folder
 from training.batch.task import Task, TaskStopped, report, should_stop
 from training.checkpoint import Checkpoint
 from training.events import Reporter
-from training.pipeline import run
 from training.request import Interrupted, Request
 
 __all__ = ["scene_task", "train_scene"]
@@ -31,6 +30,8 @@ def scene_task(name: str, request: Request, out: Path) -> Task:
 
 def train_scene(request: Request, out: Path, fingerprint: str) -> dict[str, Any]:
     """Trains a scene, from its checkpoint if that is intact; returns its warnings and writes its events beside it."""
+    from training.pipeline import run  # takes seconds, which the command that only hands out scenes need not wait for
+
     if request.fingerprint() != fingerprint:
         raise InputError(f"{request.scene}: this worker sees other files under these paths; share one folder with all")
     checkpoint = Checkpoint(out / "checkpoint", fingerprint)

@@ -325,7 +325,11 @@ def resolve(task, rows_per_task, states, tile_lasts, background, rgb, alpha, dep
     for tile in range(first, min(first + rows_per_task * tiles_x, len(states))):
         top, corner = tile // tiles_x * SIDE, tile % tiles_x * SIDE
         if tile_lasts[tile] == UNTOUCHED:
-            rgb[top : top + SIDE, corner : corner + SIDE] = background
+            # Number by number: to assign whole slices, numba also compiles the text of an error, for seconds.
+            for line in range(top, min(top + SIDE, height)):
+                for column in range(corner, min(corner + SIDE, width)):
+                    for c in range(3):
+                        rgb[line, column, c] = background[c]
             alpha[top : top + SIDE, corner : corner + SIDE] = 0
             depth[top : top + SIDE, corner : corner + SIDE] = 0
             median[top : top + SIDE, corner : corner + SIDE] = 0

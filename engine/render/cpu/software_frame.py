@@ -171,7 +171,10 @@ def compose(
             x, y = x0 - half_floats.x, y0 - half_floats.y + row
             to_half_floats(pixels.view(np.int32), half_floats.rgba[y, x : x + width])
         else:
-            before[:] = pixels
+            # Number by number: to assign whole slices, numba also compiles the text of an error, for seconds.
+            for k in range(np.uintp(width)):
+                for c in range(np.uintp(3)):
+                    before[k, c] = pixels[k, c]
 
 
 @njit(cache=True, error_model="numpy", nogil=True, fastmath=FUSED)
