@@ -93,7 +93,8 @@ class _Team:
         while True:
             if not becomes(self.board, NEWEST, seen, False, PATIENCE, SETTLE):
                 with self.gate:
-                    self.gate.wait_for(lambda last=seen: self.board[NEWEST] != last)  # type: ignore[misc]
+                    while self.board[NEWEST] == seen:
+                        self.gate.wait()
             with self.gate:
                 seen, loop = int(self.board[NEWEST]), self.loop
                 self.board[JOINED] += loop is not None

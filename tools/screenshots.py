@@ -13,6 +13,7 @@ import shutil
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from imgui_bundle import imgui
@@ -25,6 +26,7 @@ from app.model.settings import Settings
 from app.session.session import Session
 from engine.scene.plane import Plane
 from tests.helpers.app_driver import Driver, drive
+from training.settings import DetailName
 
 ROOT = Path(__file__).resolve().parents[1]
 Key = imgui.Key
@@ -54,10 +56,10 @@ def main() -> None:
     take(options.detail, options.theme, options.only)
 
 
-def take(detail: str, theme: str, only: str) -> None:
+def take(detail: DetailName, theme: Literal["dark", "light"], only: str) -> None:
     """Opens the window and goes through the scenes."""
     document = sample_document("watermelon")
-    document = replace(document, training=Training(detail=detail, out=OUT / detail))  # type: ignore[arg-type]
+    document = replace(document, training=Training(detail=detail, out=OUT / detail))
     result = OUT / detail / "watermelon.ply"
     kept = result.with_suffix(".kept")
     if result.exists():  # hide it, so that the first pictures show the hollow capture
@@ -143,7 +145,7 @@ def take(detail: str, theme: str, only: str) -> None:
         shot("3_halves")
 
     drive(
-        Session(settings=Settings(theme=theme, window=SIZE, seen_hint=True)),  # type: ignore[arg-type]
+        Session(settings=Settings(theme=theme, window=SIZE, seen_hint=True)),
         script,
         lambda session: session.files.open_document(document, Viewing(mode="capture")),
     )

@@ -14,7 +14,7 @@ from engine.io.splats.ply import write_ply
 from engine.scene.gaussians import Gaussians
 from engine.scene.rotations import facing
 from engine.scene.sh import rgb_to_sh
-from training.families import Family
+from training.families import Family, Kind
 
 __all__ = ["sample_document"]
 
@@ -25,10 +25,11 @@ def sample_document(name: str = "watermelon") -> Document:
     if not scene.is_file():
         return Document(scene=_small_melon())
     document = Document(scene=scene)
-    for kind, count in (("horizontal", 40), ("radial", 30), ("parallel", 60)):
+    planes: dict[Kind, int] = {"horizontal": 40, "radial": 30, "parallel": 60}
+    for kind, count in planes.items():
         picture = scene.with_name(f"{kind}_1.png")
         if picture.is_file():
-            document = document.with_family(Family(kind, count, (picture,)))  # type: ignore[arg-type]
+            document = document.with_family(Family(kind, count, (picture,)))
     out = scene.parent / f"{name}-inside"
     home = out if (out / f"{name}.ply").is_file() else state_folder() / "results" / f"{name}-inside"
     return replace(document, training=replace(document.training, out=home))

@@ -232,8 +232,7 @@ class IsolationController:
             out = document.training.out
             out = None if out is None else out.with_name(f"{out.name}-{number}")
             isolation, training = (*document.isolation, selection), replace(document.training, out=out)
-            parts = {"isolation": isolation, "marked": (), "number": number, "name": "", "training": training}
-            new.append(replace(document, **parts))  # type: ignore[arg-type]
+            new.append(replace(document, isolation=isolation, marked=(), number=number, name="", training=training))
             if document.number in workspace.loaded:  # its capture is shown until it is solid
                 loaded = workspace.loaded[document.number]
                 workspace.loaded[number] = replace(loaded, atoms=None, trained=False)
@@ -307,11 +306,10 @@ def find_proposals(capture: Gaussians) -> tuple[Proposal, ...]:
         count = int(Below(floor).contains(capture.means).sum())
         result.append(Proposal("Floor", "The surface that it stands on, and what lies under it", steps, count))
     haze, fragments = haze_and_fragments(capture)
-    for name, kind, rows, hint in (
-        ("Small pieces", "fragments", fragments, "Specks that float apart from the object"),
-        ("Haze", "haze", haze, "Large faint veils that belong to no surface"),
+    for name, found, rows, hint in (
+        ("Small pieces", Detected("fragments"), fragments, "Specks that float apart from the object"),
+        ("Haze", Detected("haze"), haze, "Large faint veils that belong to no surface"),
     ):
         if rows.any() and not rows.all():
-            steps = (Step("add", Detected(kind)),)  # type: ignore[arg-type]
-            result.append(Proposal(name, hint, steps, int(rows.sum())))
+            result.append(Proposal(name, hint, (Step("add", found),), int(rows.sum())))
     return tuple(result)

@@ -182,10 +182,15 @@ def _sum_groups(block, rows, starts, in_means, in_scales, in_quats, in_opacities
                     for axis in range(3):
                         value += e[3 * a + axis] * e[3 * b + axis] * np.float64(in_scales[i, axis]) ** 2
                     spread[a, b] += weight * value
-        means[g] = middle
-        covariances[g] = spread
         light[g] = total
-        sh[g] = colours / total
+        # Number by number: to assign whole rows, numba also compiles the text of an error, for seconds.
+        for a in range(3):
+            means[g, a] = middle[a]
+            for b in range(3):
+                covariances[g, a, b] = spread[a, b]
+        for band in range(in_sh.shape[1]):
+            for c in range(3):
+                sh[g, band, c] = colours[band, c] / total
 
 
 @njit(cache=True, error_model="numpy", nogil=True)

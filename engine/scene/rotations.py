@@ -34,8 +34,12 @@ def rotation_matrices(quats: NDArray[np.floating]) -> NDArray[np.floating]:
 
 
 def facing(normals: NDArray[np.floating]) -> NDArray[np.float64]:
-    """(N, 4). Rotations that take z to unit normals (N, 3): by half a turn about the direction half way between."""
-    half = normals + np.where(normals[:, 2:] < -0.999, [1.0, 0, 1], [0.0, 0, 1])  # at -z any direction across will do
+    """(N, 4). Rotations that take z to unit normals (N, 3): by half a turn about the direction half way between.
+
+    Nearer to -z than float32 normals tell, 5e-4 radians, they take z to -z.
+    """
+    at_pole = normals[:, 2:] < -1 + 1e-7
+    half = normals + np.where(at_pole, [1.0, 0, 1], [0.0, 0, 1])  # at -z any direction across will do
     return np.column_stack([np.zeros(len(half)), half / np.linalg.norm(half, axis=1, keepdims=True)])
 
 

@@ -30,7 +30,7 @@ from tests.helpers.exemplar_faces import RIND, disc, save
 from tests.helpers.solids import unturned
 from training.faces.marks import UNMARKED, Marks
 from training.faces.polygon import mask_polygon, polygon_mask
-from training.families import Family
+from training.families import Family, Kind
 
 CIRCLE = tuple((0.5 + 0.4 * np.cos(a), 0.5 + 0.4 * np.sin(a)) for a in np.linspace(0, 2 * np.pi, 48, endpoint=False))
 
@@ -55,10 +55,10 @@ def ball_of_atoms(count: int = 24) -> Atoms:
     return Atoms(skin, inside, pitch)
 
 
-def session_with(folder: Path, kind: str, path: Path) -> Session:
+def session_with(folder: Path, kind: Kind, path: Path) -> Session:
     """A session whose object is the ball, with one picture."""
     session = Session(settings=Settings(), autosave=Autosave(folder / "kept"))
-    document = Document(scene=folder / "ball.ply").with_exemplars(kind, (path,))  # type: ignore[arg-type]
+    document = Document(scene=folder / "ball.ply").with_exemplars(kind, (path,))
     session.history = History(Work((document,)))
     atoms = ball_of_atoms()
     session.loaded[0] = LoadedScene(

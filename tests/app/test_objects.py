@@ -82,7 +82,7 @@ def test_strokes_through_what_is_not_solid_yet_are_done_when_it_is(
         def poll(self) -> bool:
             return False
 
-    session.loader = Loading()  # type: ignore[assignment]
+    monkeypatch.setattr(session, "loader", Loading())
     monkeypatch.setattr(session.scene, "load", lambda *_: None)
     camera = EYE.camera(160, 120, session.view_up)
     for height in (50.0, 70.0):

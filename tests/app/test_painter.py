@@ -112,12 +112,17 @@ def test_slow_moves_are_drawn_coarser_and_rest_is_drawn_in_full(
     assert texture is not None and texture.size == (160, 120)
 
 
+def show_capture(session: Session, capture: Gaussians) -> None:
+    assert session.object is not None
+    session.object = replace(session.object, capture=capture)
+
+
 def test_another_capture_takes_the_place_of_the_one_before(painter: Painter, session: Session) -> None:
     s = ball().surface
     session.viewing = Viewing(EYE, "capture")
     for opacity in (0.5, 0.9):
         capture = Gaussians(s.means, s.scales, s.quats, np.full(len(s), opacity, np.float32), s.sh)
-        session.object = replace(session.object, capture=capture)  # type: ignore[type-var]
+        show_capture(session, capture)
         for _ in range(2):
             assert painter.frame(session, EYE.camera(64, 48, session.up), [], (0.0, 0.0, 0.0)) is not None
 
@@ -130,7 +135,7 @@ def test_a_capture_is_uploaded_and_drawn_in_slices(
     n = 3 * UPLOAD
     capture = round_gaussians(random.normal(size=(n, 3)) * 0.3, 0.004, 0.5)
     capture = replace(capture, sh=random.normal(size=(n, 1, 3)).astype(np.float32))
-    session.object = replace(session.object, capture=capture)  # type: ignore[type-var]
+    show_capture(session, capture)
     session.viewing = Viewing(EYE, "capture")
     camera = EYE.camera(128, 96, session.up)
     monkeypatch.setattr("app.ui.view.painter.SLICE", 1e-9)  # as little as can be done in a frame
@@ -153,7 +158,7 @@ def test_what_is_marked_is_tinted_in_the_window_and_not_in_a_saved_picture(paint
     s, red = ball().surface, (1.0, 0.0, 0.0)
     session.viewing = Viewing(EYE, "capture")
     capture = Gaussians(s.means, s.scales, s.quats, np.full(len(s), 0.9, np.float32), s.sh)
-    session.object = replace(session.object, capture=capture)  # type: ignore[type-var]
+    show_capture(session, capture)
     camera = EYE.camera(64, 48, session.up)
     plain = painter.picture(session, camera, [])
     session.capture_view = view_of(capture, (), (Step("add", Sphere((0, 0, 0), 9.0)),), red)

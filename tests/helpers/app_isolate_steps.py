@@ -64,7 +64,8 @@ def melon_on_a_mat(folder: Path) -> Document:
 def isolate(driver: Driver, folder: Path) -> None:
     """The mat is proposed and removed, undone, and cut away again with each tool; the solid follows."""
     session, shots = driver.session, folder / "shots"
-    total = len(session.object.capture)  # type: ignore[union-attr,arg-type]
+    assert session.object is not None and session.object.capture is not None
+    total = len(session.object.capture)
 
     def settled() -> None:
         driver.until(lambda: session.isolation.view is not None and not session.isolation.pending, 30, "the view")
@@ -135,7 +136,8 @@ def isolate(driver: Driver, folder: Path) -> None:
     assert box is not None
     steps = len(session.history.entries)
     driver.drag((0.6, 0.4), (0.75, 0.4))
-    assert session.isolation.last_box == replace(box, high=(session.isolation.last_box.high[0], *box.high[1:]))  # type: ignore[union-attr]
+    pulled = session.isolation.last_box
+    assert pulled is not None and pulled == replace(box, high=(pulled.high[0], *box.high[1:]))
     assert marked() > few and len(session.history.entries) == steps + 1
     driver.press(Key.mod_ctrl | Key.z)
     assert session.isolation.last_box == box and marked() == few

@@ -84,8 +84,9 @@ def at_once(
 ) -> None:
     """Runs a script on the same melon made solid without the trainer's steps: for what does not ask how it came."""
     document = tiny(folder)
-    assert document.scene is not None
-    capture, _ = read_ply(document.scene)
+    scene = document.scene
+    assert scene is not None
+    capture, _ = read_ply(scene)
     pitch = 0.06
     axis = np.arange(-1, 1, pitch) + pitch / 2
     inside = np.stack(np.meshgrid(axis, axis, axis), 3).reshape(-1, 3)
@@ -97,7 +98,7 @@ def at_once(
 
     def start(session: Session) -> None:
         session.history = History(Work((document,)))
-        session.object = LoadedScene(SceneRequest(document.scene), capture, atoms, Solid.of_atoms(atoms))  # type: ignore[arg-type]
+        session.object = LoadedScene(SceneRequest(scene), capture, atoms, Solid.of_atoms(atoms))
         session.geometry_version += 1
         session.fit()
 

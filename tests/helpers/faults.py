@@ -45,11 +45,11 @@ class Faults:
         else:
             self.fails = fails
 
-    def check(self, operation: str, path: object) -> None:
+    def check(self, operation: str, path: str | os.PathLike[str] | None) -> None:
         """Counts an operation. Raises OSError where it is to fail."""
-        if path is not None and not os.path.realpath(os.fspath(path)).startswith(self.folder):  # type: ignore[call-overload]
+        if path is not None and not os.path.realpath(os.fspath(path)).startswith(self.folder):
             return
-        name = "" if path is None else os.path.basename(os.fspath(path))  # type: ignore[call-overload]
+        name = "" if path is None else os.path.basename(os.fspath(path))
         self.done.append((operation, name))
         if self.fails(operation, name):
             raise OSError(self.code, os.strerror(self.code), None if path is None else str(path))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -31,8 +32,8 @@ def around(azimuth: float, elevation: float, distance: float = 1.0, width: int =
     return orbit((0, 0, 0), (0, 0, 1), azimuth, elevation, away, width, height, FOV)
 
 
-def draw(renderer: Renderer, camera: Camera, *pieces: Piece, **options: object) -> Picture:
-    renderer.render(camera, pieces or (Piece(),), **options)  # type: ignore[arg-type]
+def draw(renderer: Renderer, camera: Camera, *pieces: Piece, **options: Any) -> Picture:
+    renderer.render(camera, pieces or (Piece(),), **options)
     return renderer.read()
 
 

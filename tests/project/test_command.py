@@ -9,6 +9,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import psutil
 import pytest
@@ -149,10 +150,10 @@ run_command("fruitninja-test", command, [])
 """
 
 
-def ended(body: str, **more: object) -> tuple[int, str]:
+def ended(body: str, **more: Any) -> tuple[int, str]:
     done = subprocess.run(
         [sys.executable, "-c", ENDS.format(body)], cwd=ROOT, stderr=subprocess.PIPE, text=True, check=False, **more
-    )  # type: ignore[call-overload]
+    )
     return done.returncode, done.stderr
 
 

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -93,8 +94,9 @@ def batch(folder: Path) -> None:
 
 def evaluation(folder: Path) -> None:
     shown = np.zeros((8, 8, 3), np.float32), np.zeros((8, 8), bool)
-    solid, cut = SimpleNamespace(slice=lambda *_, **__: shown), SimpleNamespace(plane=None, camera=None)
-    truth = load_truth(solid, [cut, cut], folder / "truth.safetensors")  # type: ignore[arg-type,list-item]
+    solid: Any = SimpleNamespace(slice=lambda *_, **__: shown)
+    cut: Any = SimpleNamespace(plane=None, camera=None)
+    truth = load_truth(solid, [cut, cut], folder / "truth.safetensors")
     save_strip(folder / "results/bread/truth.png", truth.pictures)
     cell = cells(["bread"], ["ours"], [0], "draft", 6, None, folder)[0]
     Task("a", dict, {}, cell.result, cell.fingerprint).save_facts(FACTS)

@@ -12,6 +12,7 @@ import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -68,8 +69,8 @@ def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def ball(n: int = 2000, dc: float = 0.3, **other: float) -> Gaussians:
-    scene = sphere(n, **other)  # type: ignore[arg-type]
+def ball(n: int = 2000, dc: float = 0.3, **other: Any) -> Gaussians:
+    scene = sphere(n, **other)
     return replace(scene, sh=np.full((len(scene), 1, 3), dc, np.float32))
 
 

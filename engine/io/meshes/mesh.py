@@ -23,6 +23,7 @@ from engine.io.origin import origin_for
 from engine.io.picture_file import PICTURES, check_size, decoding, restricted_decoders
 from engine.io.ply_header import read_header
 from engine.scene.gaussians import Gaussians
+from engine.scene.rotations import facing
 from engine.scene.sh import rgb_to_sh
 
 __all__ = ["read_mesh"]
@@ -88,23 +89,15 @@ def read_mesh(
         rgb[in_part] = part.colours(face[in_part] - first, weights[in_part])
         first += len(part.triangles)
     sigma = IN_PLANE * float(np.sqrt(area / count))
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     return Gaussians(
         np.einsum("nk,nkc->nc", weights, corners).astype(np.float32),
         np.tile(np.array([sigma, sigma, FLATNESS * sigma], np.float32), (count, 1)),
-        _align_z(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])),
+        facing(normals / np.linalg.norm(normals, axis=1, keepdims=True)).astype(np.float32),
         np.full(count, OPACITY, np.float32),
         rgb_to_sh(rgb).astype(np.float32)[:, None],
         origin=origin,
     )
-
-
-def _align_z(normals: NDArray[np.float64]) -> NDArray[np.float32]:
-    """(N, 4). Shortest rotations of the z axis onto normals (N, 3) of any non-zero length, wxyz."""
-    n = normals / np.linalg.norm(normals, axis=1, keepdims=True)
-    # The half-way quaternion (1 + z.n, z x n); if n is -z, any half turn about an axis across z will do.
-    quats = np.stack([1 + n[:, 2], -n[:, 1], n[:, 0], np.zeros(len(n))], axis=1)
-    quats[quats[:, 0] < 1e-12] = [0, 1, 0, 0]
-    return (quats / np.linalg.norm(quats, axis=1, keepdims=True)).astype(np.float32)
 
 
 def _parts(path: Path, warn: Callable[[str], None]) -> list[Part]:

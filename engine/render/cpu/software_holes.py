@@ -168,4 +168,5 @@ def fill_holes(line, tiled, colours, hidden, hidden_colours, ends, front, sums):
                         for c in range(3):
                             total[first + 2 + c] += w * rgb[i, c]
             front[y, x] = nearest[k]
-            sums[y, x] = total
+            for c in range(SUMS):  # a whole row assigned would make numba compile the text of an error, for seconds
+                sums[y, x, c] = total[c]

@@ -14,7 +14,7 @@ from scipy import ndimage
 from engine.scene.grid import Body, Grid
 from tests.helpers.exemplar_faces import UP, ball, save
 from tests.paths import SAMPLES, SHARED
-from training.families import Family
+from training.families import Family, Kind
 from training.priors.exemplar import ExemplarPrior, read_picture
 from training.priors.exemplar.frames import make_space
 from training.priors.exemplar.quilting import quilt
@@ -190,8 +190,8 @@ def test_a_little_more_light_changes_little() -> None:
 
 def test_pictures_of_one_thing_agree_where_they_meet() -> None:
     def sample(name: str) -> Disc:
-        kind = "horizontal" if name.startswith("horizontal") else "radial"
-        return Disc.of(read_picture(SAMPLES / "orange" / f"{name}.png", kind))  # type: ignore[arg-type]
+        kind: Kind = "horizontal" if name.startswith("horizontal") else "radial"
+        return Disc.of(read_picture(SAMPLES / "orange" / f"{name}.png", kind))
 
     one, two = sample("horizontal_1"), sample("radial_1")
     assert show_one_thing([one], [two])
@@ -211,9 +211,9 @@ def test_what_is_known_to_be_one_thing_is_believed(tmp_path: Path) -> None:
     x = np.abs((np.mgrid[:128, :128] + 0.5) / 64 - 1)
     inside = np.hypot(*x)[..., None] < 0.8
     faces = [np.where(inside, colour, 1.0) for colour in (FLESH, FLESH * [1, 0.6, 0.6])]
+    kinds: tuple[Kind, ...] = ("horizontal", "radial")
     families = [
-        Family(kind, 4, (save(tmp_path / f"{kind}.png", face),))  # type: ignore[arg-type]
-        for kind, face in zip(("horizontal", "radial"), faces, strict=True)
+        Family(kind, 4, (save(tmp_path / f"{kind}.png", face),)) for kind, face in zip(kinds, faces, strict=True)
     ]
     ways = [ExemplarPrior(same).solve(ball(), UP, families, 24, 0, lambda part: None).rgb for same in (False, True)]
     assert (ways[0] != ways[1]).any()

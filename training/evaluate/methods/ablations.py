@@ -160,8 +160,8 @@ def composited(atoms: Atoms, section: ViewWeights, plane: Plane, camera: Camera)
     rows = np.flatnonzero((distance <= 0) & (distance > -SLAB * atoms.pitch))
     values = (gaussians.means, gaussians.scales, gaussians.quats, opacities)
     arrays = tuple(torch.from_numpy(np.ascontiguousarray(a[rows])) for a in values)
-    known = {field.name: getattr(section, field.name) for field in fields(ViewWeights)}
-    return Composited(**known, rows=rows, arrays=arrays, camera=camera)  # type: ignore[arg-type]
+    known: dict[str, Any] = {field.name: getattr(section, field.name) for field in fields(ViewWeights)}
+    return Composited(**known, rows=rows, arrays=arrays, camera=camera)
 
 
 class Translucent(Trainer):
