@@ -84,8 +84,7 @@ def at_once(
 ) -> None:
     """Runs a script on the same melon made solid without the trainer's steps: for what does not ask how it came."""
     document = tiny(folder)
-    scene = document.scene
-    assert scene is not None
+    scene = Path(document.scene or "")
     capture, _ = read_ply(scene)
     pitch = 0.06
     axis = np.arange(-1, 1, pitch) + pitch / 2

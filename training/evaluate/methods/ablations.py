@@ -159,9 +159,9 @@ def composited(atoms: Atoms, section: ViewWeights, plane: Plane, camera: Camera)
     distance = plane.distance(gaussians.means)
     rows = np.flatnonzero((distance <= 0) & (distance > -SLAB * atoms.pitch))
     values = (gaussians.means, gaussians.scales, gaussians.quats, opacities)
-    arrays = tuple(torch.from_numpy(np.ascontiguousarray(a[rows])) for a in values)
     known: dict[str, Any] = {field.name: getattr(section, field.name) for field in fields(ViewWeights)}
-    return Composited(**known, rows=rows, arrays=arrays, camera=camera)
+    means, scales, quats, opacity = (torch.from_numpy(np.ascontiguousarray(a[rows])) for a in values)
+    return Composited(**known, rows=rows, arrays=(means, scales, quats, opacity), camera=camera)
 
 
 class Translucent(Trainer):
