@@ -55,8 +55,8 @@ THINNEST = 0.01
 """Thickness of a layer in radii that the finest volumes still resolve."""
 
 WAVE, WAVE_LENGTH = 0.01, 0.3
-"""Standard deviation and length in radii of the waves of the layers: none shows as a plane, and a cut passes through few
-of them (three times as much: features 0.05 worse)."""
+"""Standard deviation and length in radii of the waves of the layers: none shows as a plane, and a cut passes through
+few of them (three times as much: features 0.05 worse)."""
 
 FLESH = (0.1, 0.85)
 """Shares of the radius between which the grain is measured: neither core nor rind."""
