@@ -79,7 +79,7 @@ def make_solid(path: Path, detail: DetailName, tolerance: float | None) -> tuple
     geometry, _ = prepare(request, Reporter(), lambda: None)
     atoms = geometry.filled(fill(geometry.body, geometry.pitch, request.seed, geometry.skin))
     capture, up = geometry.gaussians, geometry.up
-    return capture, match_skin(atoms, capture, up, request.fineness, request.seed), up
+    return capture, match_skin(atoms, capture, geometry.body, up, request.fineness, request.seed), up
 
 
 def measure(

@@ -46,7 +46,7 @@ __all__ = [
 
 PriorName = Literal["exemplar", "stable-diffusion"]
 
-FORMAT = 5
+FORMAT = 6
 """Version of the checkpoints; it grows with every change of them, so that no run resumes one of another version."""
 
 FILE_VERSION = 5

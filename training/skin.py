@@ -12,6 +12,7 @@ from engine.fit.sh_fit import fit_sh, surface_views
 from engine.fit.skin_fit import SkinFit
 from engine.scene.atoms import Atoms, SurfaceAtoms
 from engine.scene.gaussians import Gaussians
+from engine.scene.grid import Body
 from training.checkpoint import CHECKPOINT_SECONDS, Checkpoint
 from training.priors.prior import Progress
 from training.request import Geometry, Interrupted, Request
@@ -24,15 +25,17 @@ DRAWN = 0.2
 """Part of the time of a fit that drawing the capture takes."""
 
 
-def match_skin(atoms: Atoms, gaussians: Gaussians, up: NDArray[np.float64], detail: Detail, seed: int) -> Atoms:
-    """The atoms with a skin that looks like the capture: colours in closed form, then the geometry too.
+def match_skin(
+    atoms: Atoms, gaussians: Gaussians, body: Body, up: NDArray[np.float64], detail: Detail, seed: int
+) -> Atoms:
+    """The atoms with a skin that looks like the capture of a body: colours in closed form, then the geometry too.
 
     Training does the same with checkpoints.
     """
     cameras = surface_cameras(gaussians, up, detail.surface_views, detail.surface)
     atoms = fit_sh(atoms, surface_views(atoms, gaussians, cameras, ENTRIES)).atoms
     cameras = surface_cameras(gaussians, up, detail.skin_views, detail.skin_size)
-    fit = SkinFit(atoms, gaussians, cameras, detail.skin_steps, seed)
+    fit = SkinFit(atoms, gaussians, body, cameras, detail.skin_steps, seed)
     while fit.step < fit.steps:
         fit.advance()
     return fit.result()
@@ -49,7 +52,15 @@ def fit_geometry(
     if stored is None or "step" in stored[1]:
         detail, gaussians = request.fineness, geometry.gaussians
         cameras = surface_cameras(gaussians, geometry.up, detail.skin_views, detail.skin_size)
-        fit = SkinFit(atoms, gaussians, cameras, detail.skin_steps, request.seed, lambda part: progress(DRAWN * part))
+        fit = SkinFit(
+            atoms,
+            gaussians,
+            geometry.body,
+            cameras,
+            detail.skin_steps,
+            request.seed,
+            lambda part: progress(DRAWN * part),
+        )
         if stored is not None:
             fit.restore(stored[0], stored[1]["step"])
         saved = time.perf_counter()

@@ -123,7 +123,7 @@ def _solidify(enclosure: Enclosure, up: NDArray[np.float64], detail: Detail, see
         _write_line(stage="Making it finer", part=0.4)
     atoms = make_solid(detail)
     _write_line(stage="Matching the skin", part=0.6)
-    _send_atoms(folder, match_skin(atoms, enclosure.shell, up, DRAFT, seed), facts)
+    _send_atoms(folder, match_skin(atoms, enclosure.shell, enclosure.body, up, DRAFT, seed), facts)
 
 
 def plain_inside(surface: SurfaceAtoms, interior: InteriorAtoms, body: Body, pitch: float) -> NDArray[np.float32]:

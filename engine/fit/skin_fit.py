@@ -2,6 +2,10 @@
 
 An atom is opaque where a Gaussian of the capture was translucent, so what lies in front, how large it is and what it is
 mixed with have to be found anew. Adam through the differentiable opaque image does it.
+
+Through a crack in the skin of a whole solid its far side shows, in about the right colour, so nothing would close it; a
+cut that takes the far side away shows it as a speck of background. Half of the steps therefore leave out what the solid
+hides, over backgrounds of any colour.
 """
 
 from __future__ import annotations
@@ -16,11 +20,13 @@ from numpy.typing import NDArray
 
 from engine.fit.adam import Adam
 from engine.fit.differentiable import AtomTensors, opaque_image
+from engine.fit.occlusion import core_of, view_of_core
 from engine.render.classic import rasterizer as classic
 from engine.render.cpu.opaque import render
 from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from engine.scene.camera import Camera
 from engine.scene.gaussians import Gaussians
+from engine.scene.grid import Body
 from engine.scene.sh import C0
 
 __all__ = ["SkinFit"]
@@ -71,14 +77,16 @@ class SkinFit:
 
     Two views for each of half as many steps cost the same and are worth 0.2 dB less. Every other step is over white, on
     which captures are mostly looked at; the rest has a random background, so that a translucent edge of the capture
-    becomes an edge of the same place, not a band in the background's colour. Scales stay under the pitch, degree-0
-    colours in [0, 1]; the number and the order of the atoms stay.
+    becomes an edge of the same place, not a band in the background's colour, and shows the skin alone that the core of
+    the body leaves in sight (`engine.fit.occlusion`), so that a crack in it becomes skin. Scales stay under the pitch,
+    degree-0 colours in [0, 1]; the number and the order of the atoms stay.
     """
 
     def __init__(
         self,
         atoms: Atoms,
         gaussians: Gaussians,
+        body: Body,
         cameras: Sequence[Camera],
         steps: int,
         seed: int = 0,
@@ -93,6 +101,8 @@ class SkinFit:
         self.atoms, self.steps, self.step = atoms, steps, 0
         self.held_out = targets[::HELD_OUT]
         self.views = [target for index, target in enumerate(targets) if index % HELD_OUT]
+        core = core_of(body, atoms.pitch)
+        self.cores = [view_of_core(core, view.camera, atoms.pitch) for view in self.views]
         rng = np.random.default_rng(seed)
         epochs = -(-steps // len(self.views))
         self.order = np.concatenate([rng.permutation(len(self.views)) for _ in range(epochs)])
@@ -118,8 +128,11 @@ class SkinFit:
     def advance(self) -> None:
         """One optimisation step."""
         decay = 0.5 * (1 + math.cos(math.pi * self.step / self.steps))
-        view, background = self.views[self.order[self.step]], self.backgrounds[self.step].tolist()
-        image, _ = opaque_image(self._current(), view.camera, background=background)
+        number, background = self.order[self.step], self.backgrounds[self.step].tolist()
+        view, atoms = self.views[number], self._current()
+        if self.step % 2:
+            atoms = _chosen(atoms, self.cores[number].shown(atoms.means.detach().numpy()))
+        image, _ = opaque_image(atoms, view.camera, background=background)
         self.adam.step(torch.nn.functional.huber_loss(image, view.over(background), delta=HUBER), decay)
         with torch.no_grad():
             self.parameters["sizes"].clamp_(*self.range)
@@ -152,6 +165,13 @@ class SkinFit:
         p = self.parameters
         means = self.start.means + p["moves"] * self.unit
         return replace(self.start, means=means, scales=p["sizes"].exp(), quats=p["quats"], sh=p["colours"])
+
+
+def _chosen(atoms: AtomTensors, rows: NDArray[np.intp]) -> AtomTensors:
+    """Some of the surface atoms, and all of the interior."""
+    chosen = torch.from_numpy(rows)
+    means, scales, quats, sh = (t.index_select(0, chosen) for t in (atoms.means, atoms.scales, atoms.quats, atoms.sh))
+    return replace(atoms, means=means, scales=scales, quats=quats, sh=sh)
 
 
 def _error(atoms: Atoms, held_out: Sequence[Target]) -> float:

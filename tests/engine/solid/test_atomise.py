@@ -169,7 +169,7 @@ def test_fitting_the_skin_makes_unseen_views_better() -> None:
     up = np.array([0.0, 0, 1])
 
     def fit(saved: tuple[dict[str, np.ndarray], int] | None = None, until: int = 80) -> SkinFit:
-        fit = SkinFit(atoms, scene, cameras_around(np.zeros(3), 1.1, up, 24, 96), steps=80)
+        fit = SkinFit(atoms, scene, ball(), cameras_around(np.zeros(3), 1.1, up, 24, 96), steps=80)
         if saved is not None:
             fit.restore(*saved)
         while fit.step < until:

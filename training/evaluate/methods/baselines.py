@@ -44,7 +44,7 @@ def prepare_unpainted(request: CustomRequest, out: Path) -> tuple[Geometry, Atom
     """The filled solid with a fitted skin but an untrained interior."""
     geometry, _ = prepare(request, Reporter(), lambda: None)
     atoms = geometry.filled(fill(geometry.body, geometry.pitch, request.seed, geometry.skin))
-    atoms = match_skin(atoms, geometry.gaussians, geometry.up, request.fineness, request.seed)
+    atoms = match_skin(atoms, geometry.gaussians, geometry.body, geometry.up, request.fineness, request.seed)
     return geometry, atoms, {"surface_psnr_db": surface_psnr(geometry, atoms), "iterations": 0, "refinement_rounds": 0}
 
 
