@@ -58,7 +58,7 @@ def core_of(body: Body, pitch: float) -> Splats:
     core = body.depth > CORE_PITCHES * pitch
     means = body.grid.centres()[core & ~ndimage.binary_erosion(core)]
     scales = np.full((len(means), 3), CORE_SIGMA * body.grid.cell, np.float32)
-    return Splats(means, scales, np.tile(np.float32([1, 0, 0, 0]), (len(means), 1)))
+    return Splats(means, scales, np.tile(np.array([1, 0, 0, 0], np.float32), (len(means), 1)))
 
 
 def view_of_core(core: Splats, camera: Camera, pitch: float) -> CoreView:
