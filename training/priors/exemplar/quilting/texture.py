@@ -41,8 +41,8 @@ STRONG = (2.5, 4.0)
 """Times the typical contrast between which a contrast passes from texture to the edge of a thing."""
 
 LAYER = 1.5
-"""Thickness of a layer over the grain of its texture, so that it changes as fast along the axis as around it. Twice as
-much and more shows as streaks in the other cuts: features 0.3 to 0.4 worse, radial, for each doubling from 2.5 on."""
+"""Thickness of a layer over the grain of its texture, so that it changes as fast along the axis as around it. Thicker
+ones show as streaks in the other cuts: features of radial cuts up to 0.4 worse for each doubling from 2.5 on."""
 
 PASSING = 0.15
 """Share of a layer in which it passes into the next. Elsewhere texture is one picture's own, with its lines: passing
