@@ -16,6 +16,7 @@ from training.priors.exemplar.quilting.disc import (
     ring_medians,
     smooth_disc,
 )
+from training.priors.exemplar.quilting.grains import Grains
 from training.priors.exemplar.quilting.persistence import Persistence, find_sheets
 from training.priors.exemplar.quilting.relief import Relief
 from training.priors.exemplar.quilting.texture import Parts, take_apart
@@ -55,6 +56,7 @@ class Source:
     persistence: Persistence
     sheets: Disc
     """The same surety in all three channels; 0 for radial pictures."""
+    grains: Grains
 
     def reduced(self, n: int) -> Source:
         """The same picture with pixels n times as large, as far as it is shown."""
@@ -69,16 +71,18 @@ class Source:
         sheets = find_sheets(disc, persistence) if is_horizontal else np.zeros(disc.rgb.shape[:2], np.float32)
         even = even_around(disc) if is_horizontal else even_sides(disc)
         parts = take_apart(even)
+        relief = Relief.of(parts.things, parts.strength)
         return cls(
             disc,
             even,
             parts,
-            Relief.of(parts.things, parts.strength),
+            relief,
             _closed_things(even, persistence),
             smooth_disc(disc, BLUR),
             smooth_disc(even, TONE),
             persistence,
             Disc(np.repeat(sheets[..., None], 3, -1)),
+            Grains.of(parts.things, relief.heights),
         )
 
 

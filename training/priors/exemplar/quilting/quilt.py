@@ -34,6 +34,7 @@ from training.priors.exemplar.quilting.disc import (
     match_light,
 )
 from training.priors.exemplar.quilting.labels import Label, Source, distance_across
+from training.priors.exemplar.quilting.packing import REACHES, Packing, pack_grains
 from training.priors.exemplar.quilting.seams import improve_labels, two_nearest
 from training.priors.exemplar.quilting.texture import TextureField
 from training.priors.exemplar.sampling import read_trilinear
@@ -75,6 +76,12 @@ SEAM_WIDTH = 0.6
 """Difference of two labels' trilinear weights within which they pass into one another: two thirds of a cell, under a
 hundredth of a radius. Without it a seam shows as a crack as soon as a cell is many pixels wide."""
 
+GRAIN_COVER = 0.5
+"""Least part that grains cover around a ball that shows one, in what is quilted and in a radial picture."""
+
+GRAIN_STEPS = 0.6 * np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)]).astype(np.float32)
+"""Places in a ball, over its radius, at which that is looked for."""
+
 BLOCK = 50_000
 """Points that are read at once: their arrays stay in the cache, which takes a third off the time of 400,000."""
 
@@ -92,6 +99,12 @@ class Quilt:
     """Of horizontal pictures (True) and of radial ones, as far as there are any."""
     tones: NDArray[np.float32]
     """(X, Y, Z, 3). Tones at the cells without steps at seams."""
+    across: list[Source]
+    """Of the horizontal pictures."""
+    along: list[Source]
+    """Of the radial ones."""
+    packing: Packing | None
+    """Of their grains, where they have any."""
 
     def read(self, points: NDArray[np.float32]) -> NDArray[np.float32]:
         """(M, 3). Colours at points (M, 3) of the unit ball along e1, e2, up. Range [0, 1]."""
@@ -111,6 +124,9 @@ class Quilt:
                 for n, label in enumerate(self.labels):
                     rows = np.flatnonzero((labels == n) & (share > 0))
                     rgb[rows] += share[rows, None] * self._shown(label, block[rows], tones[rows])
+            if self.packing is not None:
+                grains, cover = self.packing.read(block, [source.even for source in [*self.across, *self.along]])
+                rgb += cover[:, None] * (grains - rgb)
             out[start : start + len(block)] = rgb
         return np.clip(out, 0, 1)
 
@@ -128,9 +144,10 @@ class Quilt:
 
     def reduced(self, n: int) -> Quilt:
         """The same inside of pictures with pixels n times as large."""
-        sources = {id(source): source.reduced(n) for label in self.labels for source in label.sources}
-        labels = [replace(label, sources=[sources[id(source)] for source in label.sources]) for label in self.labels]
-        return replace(self, labels=labels, textures={k: t.reduced(n) for k, t in self.textures.items()})
+        across, along = ([source.reduced(n) for source in family] for family in (self.across, self.along))
+        labels = [replace(label, sources=across if label.is_horizontal else along) for label in self.labels]
+        textures = {k: t.reduced(n) for k, t in self.textures.items()}
+        return replace(self, labels=labels, textures=textures, across=across, along=along)
 
     def _share_crossing(self, best: NDArray[np.int32], apart: NDArray[np.float32], points: NDArray[np.float32]) -> None:
         """Gives points (M, 3) close to own planes of both families to the nearer one: as cells, one plane would cut a
@@ -221,7 +238,54 @@ def _assembled(
         for h, sources in ((True, across), (False, along))
         if sources
     }
-    return Quilt(labels, number, chosen, textures, _blended_tones(labels, ball, number, chosen))
+    tones = _blended_tones(labels, ball, number, chosen)
+    packing = _packed(labels, across, along, seed, number, chosen, ball)
+    return Quilt(labels, number, chosen, textures, tones, across, along, packing)
+
+
+def _packed(
+    labels: list[Label],
+    across: list[Source],
+    along: list[Source],
+    seed: int,
+    number: NDArray[np.int32],
+    chosen: NDArray[np.int32],
+    ball: Ball,
+) -> Packing | None:
+    """The pictures' grains as balls, where both the chosen chunks and the radial pictures show some, and out of the
+    own planes."""
+    horizontal, radial = ([source.grains for source in family] for family in (across, along))
+    if not any(len(grains.radii) for grains in [*horizontal, *radial]):
+        return None
+    cover = np.zeros(number.shape, np.float32)
+    cover[number >= 0] = _grain_cover(labels, chosen, ball)
+
+    def is_free(middles: NDArray[np.float32], radii: NDArray[np.float32]) -> NDArray[np.bool_]:
+        around = [
+            ndimage.map_coordinates(cover, _in_cells(middles + step * radii[:, None], LEVELS[-1]).T, order=1)
+            for step in GRAIN_STEPS
+        ]
+        free = np.mean(around, axis=0) > GRAIN_COVER
+        there = Ball.of(middles)
+        for label in labels:
+            if label.is_own:
+                free &= label.chunks.places(there).distance > REACHES * radii
+        seen = [g.cover_at(side * there.radius, middles[:, 2]) for g in radial for side in (1, -1)]
+        return free & (np.max(seen, axis=0) > GRAIN_COVER) if seen else free
+
+    return pack_grains(horizontal, radial, is_free, np.random.default_rng([seed, 6]))
+
+
+def _grain_cover(labels: list[Label], chosen: NDArray[np.int32], ball: Ball) -> NDArray[np.float32]:
+    """(M,). How much grains cover of what the chosen labels (M,) show, and no sheet."""
+    cover = np.zeros(len(chosen), np.float32)
+    for n, label in enumerate(labels):
+        places = label.chunks.places(ball)
+        for m, source in enumerate(label.sources):
+            rows = np.flatnonzero((chosen == n) & (places.picture == m))
+            x, y = places.x[rows], places.y[rows]
+            cover[rows] = source.grains.cover_at(x, y) * (1 - source.sheets.read(x, y)[:, 0])
+    return cover
 
 
 def _in_cells(points: NDArray[np.float32], size: int) -> NDArray[np.float32]:

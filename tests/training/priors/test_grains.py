@@ -1,0 +1,116 @@
+"""Grains of a face as balls: against drawn discs of known size and stereology's closed forms."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from tests.paths import SHARED
+from training.priors.exemplar.pictures import read_picture
+from training.priors.exemplar.quilting.disc import Disc, disc_grid
+from training.priors.exemplar.quilting.grains import Grains
+from training.priors.exemplar.quilting.labels import Source
+from training.priors.exemplar.quilting.packing import NEAR, SECTION, Packing, pack_grains
+
+PALE, DARK = np.array([0.9, 0.7, 0.6], np.float32), np.array([0.5, 0.1, 0.1], np.float32)
+NEVER = np.full((*disc_grid()[0].shape, 1), 2.0, np.float32)
+
+
+def laid_out(spacing: float) -> NDArray[np.float64]:
+    """(B, 2). A triangular lattice in the disc."""
+    steps = np.arange(-30, 31)
+    i, j = (a.ravel() for a in np.meshgrid(steps, steps))
+    places = spacing * np.stack([i + j / 2, j * np.sqrt(0.75)], -1)
+    return places[np.hypot(*places.T) < 0.97]
+
+
+def drawn(places: NDArray[np.float64], radius: float) -> Disc:
+    """Dark discs on pale ground, round as things are: darkest in the middle."""
+    x, y = disc_grid()
+    away = cKDTree(places).query(np.stack([x, y], -1))[0]
+    dark = np.clip(1 - np.square(away / radius), 0, 1)[..., None]
+    return Disc((PALE + np.sqrt(dark) * (DARK - PALE)).astype(np.float32))
+
+
+@pytest.mark.parametrize("radius", [0.04, 0.06])
+def test_drawn_grains_are_found_where_and_as_large_as_they_are(radius: float) -> None:
+    """Smaller than drawn, as a round thing is faint at its rim."""
+    places = laid_out(2.1 * radius)
+    grains = Grains.of(drawn(places, radius), NEVER)
+    wanted = places[np.hypot(*places.T) < 0.8]
+    away = np.array([np.hypot(*(grains.places - place).T).min() for place in wanted])
+    assert (away < 0.01).mean() > 0.9
+    assert 0.6 * radius < np.median(grains.radii) < radius
+    assert len(grains.radii) < len(places)
+
+
+def test_few_things_on_calm_ground_are_no_grains() -> None:
+    """Seeds that lie apart, and a plain face: nothing of them is laid anew."""
+    assert not len(Grains.of(drawn(laid_out(0.3), 0.04), NEVER).radii)
+    assert not len(Grains.of(Disc(np.broadcast_to(PALE, (*NEVER.shape[:2], 3)).copy()), NEVER).radii)
+
+
+def packed(radius: float, seed: int = 0) -> Packing:
+    """Of a radial picture full of grains, wherever they fit."""
+    grains = Grains.of(drawn(laid_out(2.1 * radius), radius), NEVER)
+    made = pack_grains([], [grains], lambda middles, radii: np.ones(len(radii), bool), np.random.default_rng(seed))
+    assert made is not None
+    return made
+
+
+def test_balls_are_cut_as_large_as_the_picture_shows_grains() -> None:
+    """The mean radius of a ball's cuts by random planes is a quarter of pi of its own."""
+    made = packed(0.05)
+    rng = np.random.default_rng(0)
+    distance = rng.uniform(-0.5, 0.5, (200, 1))
+    normal = rng.standard_normal((200, 3))
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    off = np.abs(normal @ made.centres.T - distance)
+    cut = off < made.radii
+    sections = np.sqrt(np.square(made.radii) - off**2, where=cut, out=np.zeros_like(off))
+    shown = Grains.of(drawn(laid_out(0.105), 0.05), NEVER).radii
+    assert sections[cut].mean() == pytest.approx(shown.mean(), rel=0.05)
+
+
+def test_balls_lie_apart_and_fill_what_they_may() -> None:
+    made = packed(0.05)
+    for n in range(0, len(made.radii), 50):
+        away = np.linalg.norm(made.centres - made.centres[n], axis=1)
+        away[n] = np.inf
+        assert (away >= NEAR * (made.radii + made.radii[n]) - 1e-5).all()
+    points = np.random.default_rng(1).uniform(-0.5, 0.5, (20_000, 3)).astype(np.float32)
+    _, cover = made.read(points, [drawn(laid_out(0.105), 0.05)])
+    assert cover.mean() > 0.7
+
+
+def test_a_ball_shows_a_grain_from_its_middle_to_its_rim() -> None:
+    """As dark in every direction as the grain is at that distance, whatever plane cuts it."""
+    radius = 0.05
+    made, picture = packed(radius), drawn(np.zeros((1, 2)), radius)
+    direction = np.random.default_rng(2).standard_normal((500, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    middle = replace(made, places=np.zeros_like(made.places))
+    for share in (0.3, 0.6):
+        points = made.centres[0] + share * SECTION * radius * direction
+        best = np.zeros(len(points), np.int64)
+        shown = middle._shown(points.astype(np.float32), best, [picture])
+        wanted = PALE + np.sqrt(1 - share**2) * (DARK - PALE)
+        # But on the line across the picture's plane, where it is the grain's middle.
+        assert np.quantile(np.abs(shown - wanted).max(1), 0.95) < 0.06
+
+
+@pytest.mark.parametrize(
+    ("name", "made_of_them"),
+    [("pomegranate_h1", True), ("pomegranate_v4", True), ("orange_v4", False), ("watermelon_h8", False)],
+)
+def test_of_photographs_pomegranates_are_made_of_grains(name: str, made_of_them: bool) -> None:
+    path = SHARED / "photos/fruit" / f"{name}.png"
+    if not path.exists():
+        pytest.skip("the photographs are not beside the repository")
+    horizontal = "_h" in name
+    face = Disc.of(read_picture(path, "horizontal" if horizontal else "radial"))
+    assert bool(len(Source.of(face, horizontal).grains.radii)) == made_of_them
