@@ -133,18 +133,19 @@ def splats(atoms: Atoms, camera: Camera, planes: Sequence[Plane]) -> tuple[Doubl
         blurred = c0 + LOW_PASS * np.eye(2)
         rho = np.sqrt(max(np.linalg.det(c0), 0.0) / np.linalg.det(blurred))
         sharp = max(1.0, np.sqrt(np.linalg.eigvalsh(blurred)[0]) / EDGE_SLOPE)
-        u = np.stack([x, y], -1) - centre
+        # No pixel outside of the ellipse's box has a q within its limit.
+        wide, high = 1.001 * np.sqrt(CUTOFF_Q * np.diag(blurred))
+        rows, columns = np.nonzero((np.abs(x - centre[0]) <= wide) & (np.abs(y - centre[1]) <= high))
+        u = np.stack([x[rows, columns], y[rows, columns]], -1) - centre
         q = (u @ np.linalg.inv(blurred) * u).sum(-1)
-        at = np.nonzero(q <= CUTOFF_Q)
         reach = 3 * np.sqrt(sigma[2, 2])
         slope = np.linalg.solve(blurred, jacobian @ sigma[:, 2])
-        z = c[2] + np.clip(u[at] @ slope, -reach, reach)
-        point = origin[at] + z[:, None] * direction[at]
-        kept = z > nearest(camera)
+        z = c[2] + np.clip(u @ slope, -reach, reach)
+        point = origin[rows, columns] + z[:, None] * direction[rows, columns]
+        kept = (q <= CUTOFF_Q) & (z > nearest(camera))
         for plane in planes:
             kept &= plane.distance(point) <= 0
-        rows, columns = (a[kept] for a in at)
-        fragments.append(((rows, columns), q[rows, columns], z[kept], rho, sharp, rgb[i]))
+        fragments.append(((rows[kept], columns[kept]), q[kept], z[kept], rho, sharp, rgb[i]))
 
     front = np.full(size, np.inf)
     for at, q, z, _, _, _ in fragments:
