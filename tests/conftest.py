@@ -8,14 +8,20 @@ from collections.abc import Iterator
 import pytest
 
 from engine.render.gl import GLMissing, Renderer
+from engine.threads import use_cores
 
 
 def pytest_configure() -> None:
     """Gives each process of a parallel run, with all that it starts, a core of its own: threads that wait for each
-    other by spinning would take it from the tests of the others (a fifth of the whole time on two cores)."""
+    other by spinning would take it from the tests of the others (a fifth of the whole time on two cores).
+
+    The process itself has counted the cores on import, and two threads that wait for each other on one core cost more
+    still: 8 ms for each parallel loop, half the time of a small training.
+    """
     if hasattr(os, "sched_setaffinity") and (worker := os.environ.get("PYTEST_XDIST_WORKER")):
         cores = sorted(os.sched_getaffinity(0))
         os.sched_setaffinity(0, {cores[int(worker.removeprefix("gw")) % len(cores)]})
+        use_cores(1)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -1,4 +1,4 @@
-"""The opaque image in plain float64 numpy: dense and obvious. The renderers are held to it."""
+"""The opaque image in plain float64 numpy: every atom at every pixel that it reaches. The renderers are held to it."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 
 from engine.scene import sh
 from engine.scene.atoms import Atoms
@@ -61,13 +62,17 @@ def kernel_field(
     points = np.asarray(points, np.float64)
     least = 0.5 * np.broadcast_to(np.asarray(footprint, np.float64), len(points))[:, None]
     colour, density = np.zeros((2, len(points), 3)), np.zeros((2, len(points)))
+    tree = KDTree(points)
     for i in range(len(means)):
         kind = int(i < len(atoms.surface))
-        used = np.maximum(scales[i], least)
-        q = (((points - means[i]) @ axes[i] / used) ** 2).sum(1)
+        # Of points farther away than this q is over its limit, whatever the atom's axes.
+        reach = 1.001 * np.sqrt(CUTOFF_Q) * max(scales[i].max(), least.max(initial=0))
+        at = np.array(tree.query_ball_point(means[i], reach), int)
+        used = np.maximum(scales[i], least[at])
+        q = (((points[at] - means[i]) @ axes[i] / used) ** 2).sum(1)
         w = np.where(q <= CUTOFF_Q, np.exp(-q / 2) * (scales[i] / used).prod(1), 0)
-        density[kind] += w
-        colour[kind] += w[:, None] * rgb[i]
+        density[kind, at] += w
+        colour[kind, at] += w[:, None] * rgb[i]
     interior, skin = density
     part = np.maximum(1 - interior / FILLED_DENSITY, 0)
     mass = interior + part * skin
@@ -128,34 +133,38 @@ def splats(atoms: Atoms, camera: Camera, planes: Sequence[Plane]) -> tuple[Doubl
         blurred = c0 + LOW_PASS * np.eye(2)
         rho = np.sqrt(max(np.linalg.det(c0), 0.0) / np.linalg.det(blurred))
         sharp = max(1.0, np.sqrt(np.linalg.eigvalsh(blurred)[0]) / EDGE_SLOPE)
-        u = np.stack([x, y], -1) - centre
-        q = np.einsum("hwi,ij,hwj->hw", u, np.linalg.inv(blurred), u)
+        # No pixel outside of the ellipse's box has a q within its limit.
+        wide, high = 1.001 * np.sqrt(CUTOFF_Q * np.diag(blurred))
+        rows, columns = np.nonzero((np.abs(x - centre[0]) <= wide) & (np.abs(y - centre[1]) <= high))
+        u = np.stack([x[rows, columns], y[rows, columns]], -1) - centre
+        q = (u @ np.linalg.inv(blurred) * u).sum(-1)
         reach = 3 * np.sqrt(sigma[2, 2])
         slope = np.linalg.solve(blurred, jacobian @ sigma[:, 2])
         z = c[2] + np.clip(u @ slope, -reach, reach)
-        point = origin + z[..., None] * direction
+        point = origin[rows, columns] + z[:, None] * direction[rows, columns]
         kept = (q <= CUTOFF_Q) & (z > nearest(camera))
         for plane in planes:
             kept &= plane.distance(point) <= 0
-        fragments.append((kept, q, z, rho, sharp, rgb[i]))
+        fragments.append(((rows[kept], columns[kept]), q[kept], z[kept], rho, sharp, rgb[i]))
 
     front = np.full(size, np.inf)
-    for kept, q, z, _, _, _ in fragments:
-        front = np.where(kept & (q <= CORE_Q), np.minimum(front, z), front)
+    for at, q, z, _, _, _ in fragments:
+        front[at] = np.where(q <= CORE_Q, np.minimum(front[at], z), front[at])
     layer = EPSILON_PITCHES * atoms.pitch
     covered, shown = [], []  # (H, W) and (H, W, 3): in the layer, before it and behind it
     for place in range(3):
         weight, edge, colour, by_depth = np.zeros(size), np.zeros(size), np.zeros((*size, 3)), np.zeros(size)
-        for kept, q, z, rho, sharp, c in fragments:
-            before, behind = z < np.where(np.isfinite(front), front, -np.inf) - layer, z > front + layer
-            w = np.where(kept & (~before & ~behind, before, behind)[place], rho * np.exp(-q / 2), 0)
-            weight += w
-            edge += w * sharp
+        for at, q, z, rho, sharp, c in fragments:
+            first, cored = front[at], np.isfinite(front[at])
+            before, behind = z < np.where(cored, first, -np.inf) - layer, z > first + layer
+            w = np.where((~before & ~behind, before, behind)[place], rho * np.exp(-q / 2), 0)
+            weight[at] += w
+            edge[at] += w * sharp
             if place == 2:
-                deeper = np.floor(z / layer) - np.floor(np.where(np.isfinite(front), front, z) / layer)
+                deeper = np.floor(z / layer) - np.floor(np.where(cored, first, z) / layer)
                 w = w * 0.25 ** np.minimum(deeper, FADE_LAYERS)
-            by_depth += w
-            colour += w[..., None] * c
+            by_depth[at] += w
+            colour[at] += w[:, None] * c
         covered.append(coverage(weight, edge))
         shown.append(colour / np.where(by_depth > 0, by_depth, 1)[..., None])
         if place == 0:

@@ -188,7 +188,7 @@ def test_odd_families_give_colours_all_over(case: str, tmp_path: Path, pictures:
 
 
 def test_atoms_are_no_finer_than_the_pictures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    fine = {name: replace(detail, voxels=128, fine=128) for name, detail in training.request.DETAILS.items()}
+    fine = {name: replace(detail, voxels=96, fine=96) for name, detail in training.request.DETAILS.items()}
     monkeypatch.setattr("training.request.DETAILS", fine)
     write_ply(tmp_path / "ball.ply", ball())
     across = []
@@ -198,14 +198,14 @@ def test_atoms_are_no_finer_than_the_pictures(tmp_path: Path, monkeypatch: pytes
             across.append(float(np.ptp(geometry.body.bounds(), axis=0).max()) / pitch)
             return super().fill_interior(geometry, pitch, colours)
 
-    picture = save(tmp_path / "small.png", disc(60, seeds=6)[0])  # the cut face is 48 pixels across
+    picture = save(tmp_path / "small.png", disc(40, seeds=6)[0])  # the cut face is 32 pixels across
     request = Request(tmp_path / "ball.ply", (Family("horizontal", 2, (picture,)),), "draft", (0.0, 0.0, 1.0))
     events = io.StringIO()
     Measured(request, tmp_path / "out", Reporter(events), lambda: False).run(resume=False)
-    assert across == [pytest.approx(2 * 48, rel=0.05)]
+    assert across == [pytest.approx(2 * 32, rel=0.05)]
     report = json.loads((tmp_path / "out/report.json").read_text())
     assert report["cells"] == round(across[0])
-    assert f"an inside {report['cells']} atoms across, not 128" in events.getvalue()
+    assert f"an inside {report['cells']} atoms across, not 96" in events.getvalue()
 
 
 def test_every_step_of_a_pipeline_can_be_overridden(tmp_path: Path, pictures: Path) -> None:

@@ -201,7 +201,7 @@ def test_culling_changes_no_pixel(renderer: Renderer, distance: float) -> None:
     renderer.set_atoms(tight_ball(1 / 24))
     assert (renderer._solids[0].skin.culling.min_cosine <= 1).mean() > 0.9
     for azimuth, elevation in ((30, 35), (200, -20), (0, 80)):
-        camera = around(azimuth, elevation, distance, 200, 150)
+        camera = around(azimuth, elevation, distance)
         for planes in ((), (Plane.of((0, 0, 1), 0),), CUTS["three cuts"], (Plane.of((0, 0, 1), -0.45),)):
             for _ in range(2):
                 draw(renderer, camera, Piece(planes), exact=False)  # a grid is made for a plane that is seen again

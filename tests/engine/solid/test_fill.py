@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
 import trimesh
 from scipy.ndimage import distance_transform_edt
 from scipy.spatial import KDTree
+from scipy.spatial.distance import cdist
 
 from engine.errors import InputError
 from engine.io.load import load
@@ -55,10 +57,14 @@ def turns(mesh: trimesh.Trimesh, points: np.ndarray) -> np.ndarray:
     """How often the mesh winds around each point: the sum of its triangles' solid angles over 4 pi."""
     total = np.zeros(len(points))
     for corner in np.array_split(mesh.triangles, max(1, len(mesh.triangles) // 200)):
-        a, b, c = np.moveaxis(corner[None] - points[:, None, None], 2, 0)
-        la, lb, lc = (np.linalg.norm(v, axis=-1) for v in (a, b, c))
-        above = np.einsum("pti,pti->pt", a, np.cross(b, c))
-        ab, bc, ca = ((u * v).sum(-1) for u, v in ((a, b), (b, c), (c, a)))
+        a, b, c = np.moveaxis(corner, 1, 0)
+        across = np.cross(b - a, c - a)
+        above = (across * a).sum(1) - points @ across.T  # the triple product of the ways to the corners
+        la, lb, lc = (cdist(points, corner) for corner in (a, b, c))
+        ab, bc, ca = (  # products of two such ways, by the law of cosines
+            (lu**2 + lv**2 - ((u - v) ** 2).sum(1)) / 2
+            for (u, lu), (v, lv) in pairwise([(a, la), (b, lb), (c, lc), (a, la)])
+        )
         total += 2 * np.arctan2(above, la * lb * lc + ab * lc + bc * la + ca * lb).sum(1)
     return total / (4 * np.pi)
 

