@@ -217,4 +217,3 @@ def _chosen(atoms: AtomTensors, rows: NDArray[np.intp]) -> AtomTensors:
     chosen = torch.from_numpy(rows)
     means, scales, quats, sh = (t.index_select(0, chosen) for t in (atoms.means, atoms.scales, atoms.quats, atoms.sh))
     return replace(atoms, means=means, scales=scales, quats=quats, sh=sh)
-
