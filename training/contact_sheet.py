@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from engine.io.picture_file import save_png
 from engine.render.cpu import opaque
 from engine.render.cpu.kernel_field import KernelField
-from engine.render.face_detail import Detailed, detailed
+from engine.render.face_detail import Detailed, detailed_from, read_face
 from engine.scene.atoms import Atoms
 from engine.scene.camera import equator, fit_distance, orbit, section
 from engine.scene.grid import Body
@@ -63,10 +63,14 @@ def save_contact_sheet(
         # From the removed side and a little above, so that both the face and the skin around it are visible.
         elevation = max(18.0, 90.0 - tilt - 25.0)
         camera = orbit(centre, up, turn + 28.0, elevation, fit_distance(body.radius, fov, 1.0), TILE, TILE, fov)
-        views = (camera, section(plane, up, body.bounds(), TILE, body.radius))
-        for row, view, light in zip(tiles, views, (True, False), strict=True):
-            picture = opaque.render(atoms, view, [plane], light=light, field=field)
-            if inside is not None:
-                picture = detailed(picture, view, [Piece((plane,))], [Detailed(inside, atoms.pitch)], light)
-            row.append(picture.rgb)
+        ahead = section(plane, up, body.bounds(), TILE, body.radius)
+        opened = opaque.render(atoms, camera, [plane], light=True, field=field)
+        straight = opaque.render(atoms, ahead, [plane], light=False, field=field)
+        if inside is not None:
+            piece, solid = Piece((plane,)), Detailed(inside, atoms.pitch)
+            reading = read_face(straight, ahead, piece, solid)  # once for both: this is what takes time
+            opened = detailed_from(reading, opened, camera, piece, solid, True)
+            straight = detailed_from(reading, straight, ahead, piece, solid, False)
+        tiles[0].append(opened.rgb)
+        tiles[1].append(straight.rgb)
     save_png(path, np.concatenate([np.concatenate(row, axis=1) for row in tiles]))

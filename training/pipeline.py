@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from engine.errors import InputError
-from engine.fit.sh_fit import SurfaceView, fit_sh, surface_views
+from engine.fit.sh_fit import SurfaceView, fit_sh, surface_views, views_after
 from engine.io.files import remove_leftovers
 from engine.io.load import LoadedScene, load
 from engine.isolate.bodies import find_bodies
@@ -224,10 +224,10 @@ class Pipeline:
             cameras = surface_cameras(geometry.gaussians, geometry.up, fineness.surface_views, fineness.surface)
             surfaces = surface_views(atoms, geometry.gaussians, cameras, ENTRIES, progress[0])
             atoms, held_out = refit_surface(atoms, surfaces, self.checkpoint, progress[1])
-            atoms = fit_geometry(atoms, geometry, self.request, self.checkpoint, progress[2])
-            surfaces = surface_views(atoms, geometry.gaussians, cameras, ENTRIES, progress[3])
+            fitted = fit_geometry(atoms, geometry, self.request, self.checkpoint, progress[2])
+            surfaces = views_after(atoms, fitted, surfaces, ENTRIES, progress[3])
         self.facts |= {"sh_degree": atoms.surface.sh_degree, "refit_held_out_psnr_db": held_out}
-        return atoms, surfaces
+        return fitted, surfaces
 
 
 def prepare(

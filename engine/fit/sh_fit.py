@@ -7,7 +7,7 @@ gradients on the normal equations, two sparse products per view and step.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,7 @@ from engine.scene.camera import Camera
 from engine.scene.gaussians import Gaussians
 from engine.threads import for_each
 
-__all__ = ["ShFit", "SurfaceView", "fit_sh", "surface_views"]
+__all__ = ["ShFit", "SurfaceView", "fit_sh", "surface_views", "views_after"]
 
 Float = NDArray[np.float32]
 
@@ -89,6 +89,26 @@ def surface_views(
         weights = ViewWeights.surface(atoms, camera).truncated(keep)
         result.append(SurfaceView(camera, weights, np.clip(image.rgb, 0, 1), image.alpha > OPAQUE))
         progress((index + 1) / len(cameras))
+    return result
+
+
+def views_after(
+    before: Atoms,
+    after: Atoms,
+    views: Sequence[SurfaceView],
+    keep: int,
+    progress: Callable[[float], None] = lambda part: None,
+) -> list[SurfaceView]:
+    """The views of `before` as views of `after`, of another skin on the same inside: the same pictures of the capture,
+    with other weights only if an atom has another shape or place."""
+    one, other = before.surface, after.surface
+    if all(np.array_equal(getattr(one, name), getattr(other, name)) for name in ("means", "scales", "quats")):
+        progress(1.0)
+        return list(views)
+    result = []
+    for index, view in enumerate(views):
+        result.append(replace(view, weights=ViewWeights.surface(after, view.camera).truncated(keep)))
+        progress((index + 1) / len(views))
     return result
 
 

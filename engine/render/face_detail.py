@@ -24,7 +24,7 @@ from engine.scene.inside import Inside
 from engine.scene.piece import Piece
 from engine.scene.plane import Plane
 
-__all__ = ["Detailed", "FaceDetail", "detailed", "straight_face"]
+__all__ = ["Detailed", "FaceDetail", "FaceReading", "detailed", "detailed_from", "read_face", "straight_face"]
 
 BLOCK = 50_000
 """Points that are read at once: 40 milliseconds on two cores, so that a window can read some between two frames."""
@@ -35,6 +35,9 @@ than what lies beside it."""
 
 RIM = 1.5
 """Pitches from the edge of a face over which its atoms pass into the inside: there they are the skin's."""
+
+SPLINE = 3
+"""Degree of the splines between the pixels of a reading: linear ones blur its details."""
 
 
 @dataclass(frozen=True)
@@ -111,6 +114,43 @@ def detailed(
     while not work.ended:
         work.advance()
     return Picture(work.rgb, picture.alpha, picture.depth)
+
+
+@dataclass(frozen=True)
+class FaceReading:
+    """A face as it was read once, for several pictures of it."""
+
+    camera: Camera
+    """Straight in front of it, orthographic."""
+    rgb: NDArray[np.float32]
+    """(H, W, 3). The inside, without light; beside the face what the camera sees."""
+
+
+def read_face(picture: Picture, camera: Camera, piece: Piece, solid: Detailed) -> FaceReading:
+    """The face that an orthographic camera straight in front of it sees; `picture` is what it sees of the atoms."""
+    rgb = picture.rgb.copy()
+    for face in _faces_of(picture, camera, piece, solid, False):
+        for first in range(0, len(face.pixels), BLOCK):
+            rows = slice(first, first + BLOCK)
+            rgb.reshape(-1, 3)[face.pixels[rows]] = face.inside.at(face.points[rows], face.footprint)
+    return FaceReading(camera, rgb)
+
+
+def detailed_from(
+    reading: FaceReading, picture: Picture, camera: Camera, piece: Piece, solid: Detailed, light: bool
+) -> Picture:
+    """`detailed`, but for a face that was read before: it costs next to nothing, and is as sharp where the pixels of
+    the reading are as small as those of the picture."""
+    ahead = reading.camera
+    rgb = picture.rgb.copy()
+    flat = rgb.reshape(-1, 3)
+    for face in _faces_of(picture, camera, piece, solid, light):
+        x, y, _ = ahead.viewmat[:3, :3] @ face.points.T + ahead.viewmat[:3, 3:]
+        at = y * ahead.fy + ahead.cy - 0.5, x * ahead.fx + ahead.cx - 0.5
+        seen = [ndimage.map_coordinates(reading.rgb[..., c], at, order=SPLINE, mode="nearest") for c in range(3)]
+        colours = np.clip(np.stack(seen, axis=1), 0, 1) * face.light[:, None]
+        flat[face.pixels] += face.share[:, None] * (colours - flat[face.pixels])
+    return Picture(rgb, picture.alpha, picture.depth)
 
 
 def straight_face(field: KernelField, pitch: float, camera: Camera, plane: Plane) -> Picture:

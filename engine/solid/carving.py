@@ -13,8 +13,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from engine.render.cpu.outside import draw
-from engine.render.cpu.splats import TILE, WEIGHT, Splats
+from engine.render.cpu.outside import tiled_splats
+from engine.render.cpu.splats import DEPTH, DEPTH_EXTENT, TILE, WEIGHT, Splats
 from engine.render.cpu.tiles import AREA, TileRays, fill_rays, fragments, rows_of
 from engine.render.cpu.weights import falloff
 from engine.scene.atoms import SurfaceAtoms
@@ -43,10 +43,9 @@ def share_in_front(
     counted; an atom that is behind it in all views has 0.
     """
     splats = Splats(surface.means, surface.scales, surface.quats)
-    colours = np.zeros((len(surface), 3), np.float32)
     sums = np.zeros((len(surface), 2), np.float64)
     for camera, median in zip(cameras, medians, strict=True):
-        tiled = draw(splats, [colours], camera, [Piece()], pitch).tiled
+        tiled = tiled_splats(splats, camera, [Piece()], pitch)
         parts = np.zeros((BANDS, len(surface), 2), np.float32)
         for_each(_count, BANDS, tiled, median, np.float32(SLACK * pitch), parts)
         sums += parts.sum(0)
@@ -68,9 +67,15 @@ def _count(band, tiled, median, slack, parts):
     for tile in range(band, len(tiled.tile_starts) - 1, len(parts)):
         left, top = tile % tiled.columns * TILE, tile // tiled.columns * TILE
         fill_rays(tiled, tile, rays)
+        last = -kind(np.inf)
+        for y in range(top, min(top + TILE, height)):
+            for x in range(left, min(left + TILE, width)):
+                last = max(last, median[y, x] + slack)
         for pair in range(tiled.tile_starts[tile], tiled.tile_starts[tile + 1]):
             i = tiled.splat_ids[pair]
             r = tiled.records[i]
+            if r[DEPTH] - r[DEPTH_EXTENT] > last:  # the far side
+                continue
             start, end = rows_of(r, math.sqrt(CUTOFF_Q), left, top)
             if start == end:
                 continue

@@ -16,7 +16,7 @@ from numba import njit, prange
 from numpy.typing import NDArray
 from scipy import fft, ndimage
 
-from engine.solid.distance_transform import nearest
+from engine.solid.distance_transform import within
 
 __all__ = ["enclosed_cells", "flood"]
 
@@ -90,8 +90,8 @@ def _swept_by_ball(wall: Mask, radius: float) -> Mask:
     ends = [(margin, margin + -(n + 2 * margin) % coarse) for n in wall.shape]
     blocks = np.pad(wall, ends)
     shape = [k for n in blocks.shape for k in (n // coarse, coarse)]
-    clearance, _ = nearest(np.asarray(blocks.reshape(shape).any((1, 3, 5))))
-    covered = nearest(flood(clearance <= radius / coarse))[0] <= radius / coarse
+    close = within(np.asarray(blocks.reshape(shape).any((1, 3, 5))), radius / coarse)
+    covered = within(flood(close), radius / coarse)
     for axis in range(3):
         covered = covered.repeat(coarse, axis)
     covered = covered[tuple(slice(margin, margin + n) for n in wall.shape)]

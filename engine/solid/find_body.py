@@ -12,7 +12,7 @@ from engine.errors import InputError
 from engine.scene.gaussians import Gaussians
 from engine.scene.grid import Body
 from engine.solid.denoise_capture import WALL_OPACITY, grid_around, without_haze
-from engine.solid.distance_transform import nearest
+from engine.solid.distance_transform import within
 from engine.solid.enclosure import enclosed_cells
 from engine.solid.opacity_field import opacity_field
 from engine.solid.signed_distance import signed_depth
@@ -107,17 +107,17 @@ def _walls(opacity: NDArray[np.float32]) -> NDArray[np.bool_]:
 def _trim_outer_wall(closed: NDArray[np.bool_], wall: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """(X, Y, Z). The closed cells without the outer half of the wall; caps have no wall and stay."""
     outer = ~closed & ndimage.binary_dilation(wall)
-    return closed & (nearest(outer)[0] > WALL_HALF + 0.5)
+    return closed & ~within(outer, WALL_HALF + 0.5)
 
 
 def _drop_fragments(inside: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """(X, Y, Z). The inside without parts thinner than three cells and without small separate pieces."""
-    core = nearest(~inside)[0] > 1.5
+    core = ~within(~inside, 1.5)
     regions, count = ndimage.label(inside)
     if not count:
         return inside
     sizes = np.bincount(regions[core], minlength=count + 1)
     sizes[0] = 0
     keep = (sizes >= max(8, MIN_SIZE * sizes.max())) & (sizes > 0)
-    opened = nearest(core & keep[regions])[0] <= 2.0
+    opened = within(core & keep[regions], 2.0)
     return inside & opened & keep[regions]

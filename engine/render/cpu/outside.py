@@ -20,7 +20,7 @@ from engine.scene.piece import Piece
 from engine.scene.plane import Plane, stack
 from engine.threads import for_each
 
-__all__ = ["Outside", "Splats", "camera_planes", "directions", "draw", "splats_of", "view_colours"]
+__all__ = ["Outside", "Splats", "camera_planes", "directions", "draw", "splats_of", "tiled_splats", "view_colours"]
 
 
 @dataclass(frozen=True)
@@ -91,6 +91,17 @@ def draw(
     pitch: float,
 ) -> Outside:
     """Projects the splats once per piece and sums their fragments, pixel by pixel."""
+    kind = splats.means.dtype
+    tiled = tiled_splats(splats, camera, pieces, pitch)
+    front = np.empty((camera.height, camera.width), kind)
+    outside = Outside(tiled, front, np.empty((*front.shape, SUMS), kind))
+    stacked = np.ascontiguousarray(np.concatenate(colours) if len(colours) > 1 else colours[0], kind)
+    for_each(accumulate, outside.tasks, tiled, stacked, front, outside.sums)
+    return outside
+
+
+def tiled_splats(splats: Splats, camera: Camera, pieces: Sequence[Piece], pitch: float) -> TiledSplats:
+    """The splats as the pixel loops need them: projected once per piece, and listed for each tile."""
     kind, count = splats.means.dtype, len(splats.means)
     views = [piece.camera(camera) for piece in pieces]
     planes = np.concatenate(
@@ -110,9 +121,4 @@ def draw(
     columns, lines = -(-camera.width // TILE), -(-camera.height // TILE)
     tile_starts, splat_ids = tile_lists(spans, columns, lines)
     cam = camera_record(camera)
-    tiled = TiledSplats(cam, planes, records, spans, tile_starts, splat_ids, columns, EPSILON_PITCHES * pitch)
-    front = np.empty((camera.height, camera.width), kind)
-    outside = Outside(tiled, front, np.empty((*front.shape, SUMS), kind))
-    stacked = np.ascontiguousarray(np.concatenate(colours) if len(colours) > 1 else colours[0], kind)
-    for_each(accumulate, outside.tasks, tiled, stacked, front, outside.sums)
-    return outside
+    return TiledSplats(cam, planes, records, spans, tile_starts, splat_ids, columns, EPSILON_PITCHES * pitch)

@@ -82,3 +82,17 @@ def test_a_crack_closes_though_the_far_side_has_its_colour() -> None:
         fit.advance()
     before, after = open_part(atoms), open_part(fit.result())
     assert before > 0.05 and after < before / 10  # with the far side drawn, more than half of it stays open
+
+
+def test_a_skin_like_its_capture_stays_and_one_with_cracks_does_not() -> None:
+    whole = discs(6000, 0.05, seed=1)
+    capture = Gaussians(whole.means, whole.scales, whole.quats, np.full(6000, 0.995, np.float32), whole.sh)
+    cameras = cameras_around(np.zeros(3), 1.1, UP, 12, 96)
+    same = Atoms(whole, NO_INTERIOR, PITCH)
+    kept = SkinFit(same, capture, ball(), cameras, steps=40)
+    assert kept.steps == 0 and kept.result() is same
+    rows = np.random.default_rng(3).random(6000) < 0.5  # the far side shows through in the same colour
+    part = SurfaceAtoms(whole.means[rows], whole.scales[rows], whole.quats[rows], whole.sh[rows])
+    cracked = Atoms(part, NO_INTERIOR, PITCH)
+    assert open_part(same) < 1e-3 < open_part(cracked)
+    assert SkinFit(cracked, capture, ball(), cameras, steps=40).steps == 40

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from engine.render.cpu import opaque
-from engine.render.face_detail import Detailed, FaceDetail, detailed
+from engine.render.face_detail import Detailed, FaceDetail, detailed, detailed_from, read_face
 from engine.render.gl import GLMissing, Renderer
 from engine.scene.camera import Camera, fit_distance, orbit, plane_points, section
 from engine.scene.constants import FACE_AMBIENT, FACE_LAMP
@@ -50,6 +50,22 @@ def test_light_falls_on_it_as_on_the_atoms() -> None:
     )
     middle = 150, 150
     assert np.allclose(lit[middle], dim[middle] * (FACE_AMBIENT + FACE_LAMP), atol=1e-3)  # seen straight on
+
+
+def test_a_face_that_was_read_once_serves_every_view_of_it() -> None:
+    atoms, ahead, piece, inside = ball(PITCH), straight(), Piece((PLANE,)), Waves()
+    solid = Detailed(inside, PITCH)
+    reading = read_face(opaque.render(atoms, ahead, [PLANE]), ahead, piece, solid)
+    reads = len(inside.footprints)
+    aside = orbit((0, 0, 0), (0, 0, 1), 20, 65, fit_distance(0.5, 0.6, 1.0), 240, 240, 0.6)
+    for camera in (ahead, aside):
+        plain = opaque.render(atoms, camera, [PLANE], light=True)
+        found = detailed_from(reading, plain, camera, piece, solid, light=True)
+        assert len(inside.footprints) == reads
+        truth = detailed(plain, camera, [piece], [Detailed(Waves(), PITCH)], light=True)
+        difference = np.abs(found.rgb - truth.rgb)
+        assert np.abs(truth.rgb - plain.rgb).max() > 0.2 and difference.max() < 0.05 and difference.mean() < 1e-3
+        assert np.array_equal(found.alpha, plain.alpha) and np.array_equal(found.depth, plain.depth)
 
 
 @pytest.mark.parametrize("drawn_by", ["the processor", "OpenGL"])

@@ -19,7 +19,7 @@ from engine.scene.atoms import SurfaceAtoms
 from engine.scene.gaussians import Gaussians
 from engine.scene.grid import Body, Grid
 from engine.scene.rotations import rotation_matrices
-from engine.solid.distance_transform import nearest
+from engine.solid.distance_transform import nearest, within
 from engine.solid.fill import fill
 from engine.solid.find_body import find_body
 from engine.solid.opacity_field import opacity_field
@@ -101,6 +101,16 @@ def test_nearest_is_the_euclidean_distance() -> None:
     there, here = np.unravel_index(index.ravel(), mask.shape), np.unravel_index(np.arange(mask.size), mask.shape)
     assert np.allclose(np.linalg.norm(np.subtract(there, here), axis=0), distance.ravel(), atol=1e-5)
     assert np.isinf(nearest(np.zeros((2, 3, 4), bool))[0]).all()
+
+
+@pytest.mark.parametrize("radius", [0.0, 1.5, 5**0.5, 6.0, 11.0, 40.0])
+def test_within_a_radius_lies_what_is_no_farther(radius: float) -> None:
+    mask = np.random.default_rng(3).random((17, 30, 23)) < 0.003
+    places = np.stack(np.nonzero(mask), axis=1)
+    cells = np.indices(mask.shape).reshape(3, -1).T
+    squared = np.min([((cells - place) ** 2).sum(axis=1) for place in places], axis=0).reshape(mask.shape)
+    assert np.array_equal(within(mask, radius), squared <= round(radius**2, 6))
+    assert not within(np.zeros((2, 3, 4), bool), radius).any()
 
 
 @needs_meshes
