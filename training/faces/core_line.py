@@ -2,8 +2,9 @@
 
 Two kinds of evidence, each of which fails on its own. The face looks like its mirror image about the line, but fruit
 grow lopsided. And where the axis leaves the face, the rim is unlike the rim elsewhere: there is a stalk, a crown, a
-dent, a thicker rind, the end of a membrane; the foot of a stalk or crown is told by the outline alone. Both are added as logarithms of odds to what is expected of any picture;
-the line is the mean over all lines, weighted by their odds, so that it is the upright middle where nothing tells more.
+dent, a thicker rind, the end of a membrane; the foot of a stalk or crown is told by the outline alone. Both are added
+as logarithms of odds to what is expected of any picture; the line is the mean over all lines, weighted by their odds,
+so that it is the upright middle where nothing tells more.
 """
 
 from __future__ import annotations
@@ -31,9 +32,10 @@ SYMMETRY = 4.0
 independent, it would be half their number; but what differs in fruit is large and few."""
 
 ENDS = 5.0
-"""Power to which they rise with how much more the rim shows than elsewhere. Without outgrowths SYMMETRY 2 to 5 and ENDS 3 to 6 give 8 to
-10 of 12 lines within 3 % of marks by eye, about as many in altered copies, and 7 of 8 in solids of our own; symmetry
-alone gives 7 of the 12. The striped rind of a melon, alike all around, leans by 4 to 5 degrees by chance."""
+"""Power to which they rise with how much more the rim shows than elsewhere. By the rim and without outgrowths SYMMETRY
+2 to 5 and ENDS 3 to 6 give 8 to 10 of 12 lines within 3 % of marks by eye, about as many in altered copies, and 7 of 8
+in solids of our own; symmetry alone gives 7 of the 12. The striped rind of a melon, alike all around, leans by 4 to 5
+degrees by chance."""
 
 ELSEWHERE = 90
 """Percentile of the rim's evidence beside the ends that counts as elsewhere: a striped rim changes everywhere."""
