@@ -40,7 +40,7 @@ one 2.7 %, the others less than 1.6 %."""
 
 TURNED = 20.0
 """Power to which the odds of a core rise with the likeness of a face and itself turned about it. The mean distance from
-marks by eye falls from 1.4 % to 1.0 to 1.2 % of the width with any of 5 to 60."""
+marks by eye falls from 1.4 % to 1.1 % of the width with any of 5 to 60."""
 
 INVISIBLE = 3**0.5 / 255
 """RGB distance of one 8-bit step, which faces may differ by and are alike."""
@@ -62,7 +62,7 @@ def find_core(rgb: NDArray[np.float32], mask: NDArray[np.bool_]) -> tuple[float,
     """(x, y) in pixels. Where the core of a horizontal cut (H, W, 3), (H, W), not empty, is: where its inside looks
     most like itself turned by its sections, but near its centroid, which it is where nothing tells more.
 
-    Within 3 % of the width of marks by eye on 13 of 14 photographs, and 3.3 % on the last. Points where lines converge
+    Within 3 % of the width of marks by eye on 13 of 14 photographs, and 3.8 % on the last. Points where lines converge
     or rings centre were worse in oranges and melons, whose membranes are faint beside their rind.
     """
     rows, columns = np.nonzero(mask)

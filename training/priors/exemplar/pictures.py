@@ -44,7 +44,7 @@ MIXED = 2
 
 MIN_LEAN = 7.5
 """Degrees by which a core line leans before the picture is turned: people hold what they photograph upright, and in 12
-photographs the search was wrong by up to 6.2 degrees."""
+photographs the search is wrong by up to 2.1 degrees, in one by 5.0, in solids of our own with a striped rind by 5."""
 
 MIN_TRANSPARENT = 0.005
 """Of a picture, the least that is transparent for its alpha channel to be a cut-out: many opaque pictures have one,
