@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from engine.errors import InputError
-from training.faces.background import find_background, find_main_surface
+from training.faces.background import find_background, find_main_surface, find_pattern, is_patterned
 from training.faces.completion import NEAR_BORDER, find_oval
 from training.faces.outline import find_mask, largest_component
 
@@ -54,6 +54,15 @@ SHADE, TINT = 0.92, 0.03
 """Of its light, what a carrier keeps at most in the shadow of what lies on it, and the RGB distance by which it may
 change colour there. Under soft light plates keep 0.79 to 0.9 and change by 0.01; the rinds of fruit change by 0.1."""
 
+HANGING = 0.03
+"""Of a face's diameter, the radius of the disc that everything fits which is the face's before a pattern: of squares
+that hang on it half or more is cut off, of a stalk all."""
+
+ONE_SIDED, LAID = 0.65, 0.1
+"""How one-sided the shadow is, and of a carrier the least that is covered, by something without a visible skin that is
+taken for the face. Under light from a side they are 0.76 to 0.92, and a quarter or more, as people fill a plate. The
+dark surroundings of a core have 0 to 0.5, and pips and holes cover a hundredth."""
+
 ARM = 1.15
 """How many times as thick as at the border an arm is anywhere."""
 
@@ -79,29 +88,42 @@ class _Within:
     """(H, W). The region without its edge."""
     skinned: float
     """Of the outline of what stands out, the part that has a skin. Range [0, 1]."""
-    shadow: bool
-    """Whether it throws a shadow."""
+    shadow: float
+    """How one-sided the shadow is that it throws, 0 if it throws none: of the variance of the light around it, the part
+    that has one maximum and one minimum. Range [0, 1]."""
+    share: float
+    """Of the region, the part that it covers. Range (0, 1]."""
 
 
 def find_seen_face(rgb: NDArray[np.float32], name: object) -> SeenFace:
     """The cut face in a picture (H, W, 3), range [0, 1], and whether it may be something else: as `find_mask`, but for
     what it lies on. Raises InputError as that does."""
+    patterned = is_patterned(rgb)
+    refusal = None
     try:
-        mask = find_mask(rgb, name)
-    except InputError:
+        mask = None if patterned else find_mask(rgb, name)
+    except InputError as error:
+        mask, refusal = None, error
+    if mask is None:
         # Where a plate crosses the border, the face on it may well not.
         on_it = _on_what_crosses_the_border(rgb)
-        if on_it is None:
-            raise
-        return SeenFace(on_it, _TAKEN_OFF)
+        if on_it is not None:
+            return SeenFace(on_it, _TAKEN_OFF)
+        if refusal is not None:
+            raise refusal
+        before_pattern = _before_pattern(rgb)
+        if before_pattern is not None:
+            return SeenFace(before_pattern, _PATTERN)
+        mask = find_mask(rgb, name)
     mask, note = _without_arm(mask)
+    if patterned:
+        note = note or _PATTERN
     if np.percentile(np.ptp(rgb[mask], axis=1), 95) < THIRD_COLOUR:
         return SeenFace(mask, note)  # grey: there is no third colour, whatever it is
     for _ in range(LEVELS):
         within, skinned = _look_within(rgb, mask), skin_share(rgb, mask)
-        lies = 0 if within is None else int(within.skinned > HALF) + int(within.shadow)
-        # A shadow alone may be a hollow or a dark patch.
-        is_carrier = within is not None and skinned < BARE and within.skinned > HALF
+        lies = 0 if within is None else int(within.skinned > HALF) + int(within.shadow > 0)
+        is_carrier = within is not None and skinned < BARE and (within.skinned > HALF or _is_laid_on(within))
         found = _search(rgb, within.region) if within is not None and is_carrier else None
         if found is None:
             if skinned < HALF:
@@ -116,6 +138,7 @@ def find_seen_face(rgb: NDArray[np.float32], name: object) -> SeenFace:
 _LOOK = "see whether its outline is right"
 _ARM = f"what reaches from the border to the cut face is left out; {_LOOK}"
 _TAKEN_OFF = f"the cut face seems to lie on a plate or board, which is left out; {_LOOK}"
+_PATTERN = f"what is behind the cut face has several colours, which a face may share; {_LOOK}"
 _BARE = (
     "hardly a skin or rind is seen around what was found, which may be a plate, a board, or only a part of the face; "
     f"{_LOOK}"
@@ -157,9 +180,29 @@ def _on_what_crosses_the_border(rgb: NDArray[np.float32]) -> NDArray[np.bool_] |
         regions.append(ndimage.binary_opening(~background.shaded, iterations=2))
     for region in regions:
         within = _look_within(rgb, largest_component(region))
-        if within is not None and within.shadow and within.skinned > HALF:
+        if within is not None and within.shadow > 0 and within.skinned > HALF:
             return _search(rgb, within.region)
     return None
+
+
+def _before_pattern(rgb: NDArray[np.float32]) -> NDArray[np.bool_] | None:
+    """(H, W). The face before a cloth or board of several colours; None if there is none that stands out.
+
+    Squares of the cloth have edges as strong as the face's, and those in its shadow colours of their own: what the
+    pattern explains, or hangs on the face by a corner, is no part of it.
+    """
+    pattern = find_pattern(rgb)
+    if pattern is None:
+        return None
+    try:
+        mask = find_mask(rgb, "", lambda _: pattern)
+    except InputError:
+        return None
+    unlike = ndimage.binary_opening(~pattern.shaded, iterations=2)
+    mask &= ndimage.binary_dilation(largest_component(unlike), iterations=2)
+    radius = HANGING * np.sqrt(4 / np.pi * mask.sum())
+    deep = ndimage.distance_transform_edt(mask) > radius
+    return largest_component(ndimage.distance_transform_edt(~deep) <= radius) if deep.any() else None
 
 
 def _without_arm(mask: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], str]:
@@ -206,7 +249,12 @@ def _look_within(rgb: NDArray[np.float32], mask: NDArray[np.bool_]) -> _Within |
         return None
     if not found.any():
         return None
-    return _Within(region, skin_share(small, found), _has_shadow(small, found, own))
+    return _Within(region, skin_share(small, found), _shadow(small, found, own), found.sum() / own.sum())
+
+
+def _is_laid_on(within: _Within) -> bool:
+    """Whether what stands out within a thing lies on it, by its shadow alone: a shadow falls to one side."""
+    return within.shadow > ONE_SIDED and within.share > LAID
 
 
 def _search(rgb: NDArray[np.float32], region: NDArray[np.bool_]) -> NDArray[np.bool_] | None:
@@ -218,13 +266,19 @@ def _search(rgb: NDArray[np.float32], region: NDArray[np.bool_]) -> NDArray[np.b
     return largest_component(found) if found.any() else None
 
 
-def _has_shadow(rgb: NDArray[np.float32], found: NDArray[np.bool_], ground: NDArray[np.bool_]) -> bool:
-    """Whether the ground (H, W) is dimmed, and keeps its colour, on some side of what is found on it (H, W)."""
+def _shadow(rgb: NDArray[np.float32], found: NDArray[np.bool_], ground: NDArray[np.bool_]) -> float:
+    """How one-sided the shadow is that what is found (H, W) throws on the ground (H, W), which is dimmed there and
+    keeps its colour; 0 if it throws none. Range [0, 1]."""
     across = np.sqrt(4 / np.pi * found.sum())
     away = ndimage.distance_transform_edt(~found)
-    far, near = ground & (away > 0.2 * across), ground & (away > 2) & (away < 0.1 * across + 2)
-    if far.sum() < 0.1 * ground.sum() or not near.any():
-        return False  # a rind leaves no room for a shadow to end
+    room = away[ground & (away > 2)]
+    if not len(room):
+        return 0.0
+    # Where the ground is narrow, its outer half stands for what the shadow does not reach.
+    end = min(0.2 * across, float(np.median(room)))
+    far, near = ground & (away > end), ground & (away > 2) & (away < min(0.1 * across + 2, end))
+    if not near.any():
+        return 0.0
     y, x = np.indices(found.shape) / max(found.shape)
     basis = np.stack([np.ones_like(x), x, y], -1)  # light from one side
     lit = basis @ np.linalg.lstsq(basis[far], rgb[far], rcond=None)[0]
@@ -234,9 +288,14 @@ def _has_shadow(rgb: NDArray[np.float32], found: NDArray[np.bool_], ground: NDAr
     count = np.bincount(sector, minlength=SECTORS)
     seen = count > 2
     if not seen.any():
-        return False
+        return 0.0
     lights, tints = (np.bincount(sector, a[near], SECTORS)[seen] / count[seen] for a in (light, tint))
-    return bool(np.percentile(lights, SHADOWED) < SHADE and np.median(tints) < TINT)
+    if np.percentile(lights, SHADOWED) >= SHADE or np.median(tints) >= TINT:
+        return 0.0
+    turns = np.flatnonzero(seen) / SECTORS * 2 * np.pi
+    waves = np.stack([np.ones_like(turns), np.cos(turns), np.sin(turns)], -1)
+    left = lights - waves @ np.linalg.lstsq(waves, lights, rcond=None)[0]
+    return float(max(1 - left.var() / max(lights.var(), 1e-9), 1e-6))
 
 
 def _from_mixtures(

@@ -8,6 +8,8 @@ through the fruit, the strongest edge near it is taken instead.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +17,7 @@ from scipy import ndimage
 from scipy.spatial import ConvexHull
 
 from engine.errors import InputError
-from training.faces.background import find_background
+from training.faces.background import Background, find_background
 from training.faces.completion import find_oval
 
 __all__ = ["find_mask", "largest_component"]
@@ -65,8 +67,13 @@ SEPARATE = 0.1
 """Least RGB distance between face and background for the share of each in a mixed pixel to be known through noise."""
 
 
-def find_mask(rgb: NDArray[np.float32], name: object) -> NDArray[np.bool_]:
-    """(H, W). The cut face in a picture (H, W, 3), range [0, 1]. Equal pictures give equal masks.
+def find_mask(
+    rgb: NDArray[np.float32],
+    name: object,
+    learn: Callable[[NDArray[np.float32]], Background | None] = find_background,
+) -> NDArray[np.bool_]:
+    """(H, W). The cut face in a picture (H, W, 3), range [0, 1], before a background as `learn` finds it. Equal
+    pictures give equal masks.
 
     Of a round face that the border cuts off a little of, the part that the picture shows; `complete_face` completes it.
     Raises InputError, naming the picture `name`, if the border cuts off more, or if there is no face.
@@ -75,7 +82,7 @@ def find_mask(rgb: NDArray[np.float32], name: object) -> NDArray[np.bool_]:
         f"{name}: the cut face, or something beside it, reaches the picture's border; take all of it with plain "
         "background around it, or cut it out"
     )
-    background = find_background(rgb)
+    background = learn(rgb)
     if background is None:
         raise cut_off
     behind = background.shaded
@@ -85,13 +92,13 @@ def find_mask(rgb: NDArray[np.float32], name: object) -> NDArray[np.bool_]:
         guess, behind = whole, background.lit
     if guess.mean() < MIN_SHARE:
         raise InputError(f"{name}: no cut face stands out from the background; use a plain background, or cut it out")
-    # A reflection lies on one side of a face; what reaches two sides is the face.
-    second = sorted(_along_sides(~behind))[-2]
     mask = _move_to_edges(rgb, _grab_cut(rgb, guess))
     mask = _settle_mixed_pixels(rgb, mask)
     if mask.mean() < MIN_SHARE:
         raise InputError(f"{name}: no cut face stands out from the background; use a plain background, or cut it out")
-    reaching = mask | (~behind & _like_the_face(rgb, mask))
+    reaching = _joined(mask, ~behind & _like_the_face(rgb, mask))
+    # A reflection lies on one side of a face; what reaches two sides is the face.
+    second = sorted(_along_sides(_joined(mask, ~behind)))[-2]
     across = max(np.ptp(places) + 1 for places in np.nonzero(mask))
     allowed = max(MAX_BORDER_SHARE * across, (4 * UNSURE * across) ** 0.5)
     crosses = max(_along_border(reaching, background.corners), second) > allowed
@@ -201,6 +208,13 @@ def _like_the_face(rgb: NDArray[np.float32], mask: NDArray[np.bool_]) -> NDArray
     """(H, W). Pixels outside the mask with the colour of the face nearby: no edge parts them from it."""
     smooth = ndimage.gaussian_filter(rgb, (1.5, 1.5, 0))
     return np.linalg.norm(smooth - _nearest(smooth, ndimage.binary_erosion(mask, iterations=2)), axis=-1) < SEPARATE
+
+
+def _joined(mask: NDArray[np.bool_], more: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """(H, W). A mask and the parts of `more` that touch it: a streak of wood elsewhere in the face's colour is none of
+    it, nor is one joined to it by a thread of pixels."""
+    parts, _ = ndimage.label(mask | ndimage.binary_opening(more, iterations=2))
+    return np.isin(parts, np.unique(parts[mask]))
 
 
 def _depth(mask: NDArray[np.bool_]) -> NDArray[np.float64]:

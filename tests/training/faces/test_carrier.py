@@ -12,6 +12,7 @@ from PIL import Image
 from scipy import ndimage
 
 from benchmarks.faces import overlap
+from engine.errors import InputError
 from tests.paths import SHARED
 from training.faces.carrier import find_seen_face, skin_share
 
@@ -129,3 +130,57 @@ def test_photographed_faces_on_a_plate(name: str) -> None:
     found = find_seen_face(photographed(picture), name)
     assert overlap(found.mask, small > 0.5) > 0.95
     assert found.note
+
+
+def cheese() -> tuple[Mask, NDArray]:
+    """A face without a skin: a block, and its colour."""
+    return (np.abs(X) < 0.45) & (np.abs(Y - 0.1 * X) < 0.35), np.array([0.95, 0.8, 0.42])
+
+
+@pytest.mark.parametrize("name", ["plate", "board"])
+def test_a_face_without_a_skin_is_known_by_its_shadow(name: str) -> None:
+    block, colour = cheese()
+    found = find_seen_face(photographed(lay(lay(table(), *CARRIERS[name]), block, colour)), name)
+    assert overlap(found.mask, block) > 0.95
+    assert "plate or board, which is left out" in found.note
+
+
+def test_dark_surroundings_of_a_core_are_no_shadow() -> None:
+    r = np.hypot(X, Y)
+    ring = np.clip((r - 0.35) / 0.12, 0, 1)[..., None]  # as seeds around it
+    flesh = np.array([0.45, 0.65, 0.15]) * (0.5 + 0.5 * ring)
+    picture = over(over(lay(table(), r < 0.75, [0.1, 0.1, 0.1]), r < 0.75, flesh), r < 0.35, [0.92, 0.93, 0.75])
+    assert overlap(find_seen_face(photographed(picture), "kiwi").mask, r < 0.75) > 0.95
+
+
+def granite() -> NDArray:
+    """Grey speckles as bright and as dark as anything."""
+    grain = ndimage.gaussian_filter(np.random.default_rng(2).normal(size=(SIZE, SIZE, 3)), (0.8, 0.8, 0))
+    return np.clip(0.5 + 0.16 * grain / grain.std(), 0, 1)
+
+
+def test_specks_of_the_table_in_the_colours_of_the_face_are_none_of_it() -> None:
+    bread = (np.abs(X) / 0.6) ** 6 + (np.abs(Y) / 0.5) ** 6 < 1
+    found = find_seen_face(photographed(lay(granite(), bread, [0.9, 0.82, 0.7])), "granite")
+    assert overlap(found.mask, bread) > 0.95
+    assert "has several colours" in found.note
+
+
+def cloth() -> NDArray:
+    """Chequered, red and white."""
+    checks = ((np.arange(SIZE) // 14 % 2)[:, None] + (np.arange(SIZE) // 14 % 2))[..., None] / 2
+    return np.array([0.95, 0.93, 0.9]) * (1 - checks) + np.array([0.75, 0.12, 0.12]) * checks
+
+
+def test_a_face_on_a_chequered_cloth_is_found_and_the_user_told_to_look() -> None:
+    picture, truth = fruit(cloth())
+    found = find_seen_face(photographed(picture), "cloth")
+    assert overlap(found.mask, truth) > 0.85  # squares in the shadow may be taken for the face
+    assert "has several colours" in found.note
+
+
+def test_nothing_is_found_on_a_cloth_alone_or_where_the_border_cuts_the_face() -> None:
+    r = np.hypot(X - 0.9, Y)
+    for picture in (cloth(), over(lay(cloth(), r < 0.8, [0.3, 0.45, 0.12]), r < 0.74, [0.5, 0.7, 0.2])):
+        with pytest.raises(InputError):
+            find_seen_face(photographed(picture), "cloth")
