@@ -7,8 +7,6 @@ of them is the folder of compiled functions, which numba unpickles: that runs co
 numba caches compiled kernels in files, and raises by default: when a kernel is defined, if neither the program's folder
 nor the user's can be written; when it is first called, if the disk is full; and at every start, if a crash has left an
 incomplete file. Here such a kernel is simply compiled again at each start.
-
-What numba does beside compiling takes a good part of its time, and is left out where nothing here needs it.
 """
 
 from __future__ import annotations
@@ -46,10 +44,7 @@ with _without_yaml():
 config._config_fname = ""  # the name of the settings file
 config.reload_config()  # drops settings from a file if numba was imported before
 
-from llvmlite.binding import ffi  # type: ignore[import-untyped]  # noqa: E402 (after numba's settings)
-from numba.core import caching, event  # noqa: E402
-from numba.core.compiler import Flags  # noqa: E402
-from numba.core.targetconfig import TargetConfig  # noqa: E402
+from numba.core import caching, event  # noqa: E402 (after its settings)
 
 
 class _NoCache(caching._SourceFileBackedLocatorMixin, caching._CacheLocator):
@@ -102,22 +97,3 @@ class _CollectorRests(event.Listener):
 
 
 event.register("numba:compile", _CollectorRests())
-
-
-# Less to do for each kernel; together a sixth of the time of compiling those of a training, which stay bit for bit.
-
-ffi.lib._lock._cblist.clear()  # announced each of a quarter of a million calls into LLVM, to nobody
-Flags.options["no_cfunc_wrapper"]._default = True  # a second way to call each kernel, from C
-
-
-def _same_options(one: Any, other: object) -> bool:
-    """Whether two compilations have the same options: numba makes a dictionary of all of them for each of hundreds of
-    thousands of comparisons, where mostly none or the same are set."""
-    if type(one) is not type(other):
-        return NotImplemented
-    mine, theirs = one._values, other._values  # type: ignore[attr-defined]
-    return mine == theirs or all(getattr(one, name) == getattr(other, name) for name in mine.keys() | theirs.keys())
-
-
-TargetConfig.__eq__ = _same_options  # type: ignore[method-assign]
-TargetConfig.__hash__ = lambda options: hash(type(options))  # type: ignore[method-assign]  # it is that of their names
