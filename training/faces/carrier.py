@@ -18,7 +18,8 @@ from scipy import ndimage
 from engine.errors import InputError
 from training.faces.background import find_background, find_main_surface, find_pattern, is_patterned
 from training.faces.completion import NEAR_BORDER, find_oval
-from training.faces.outline import find_mask, largest_component
+from training.faces.outline import find_mask, is_dimmed_around, largest_component
+from training.faces.shadow import SECTORS, SHADE, light_around, sectors_of
 
 __all__ = ["SeenFace", "find_seen_face", "skin_share"]
 
@@ -34,9 +35,6 @@ THIRD_COLOUR = 0.05
 """RGB distance from all mixtures of two colours that makes a third. Of plates and boards the distance is 0.01 by noise
 of 3 8-bit steps and JPEG's; of the skins of 29 photographs 0.13 and more."""
 
-SECTORS = 36
-"""Parts of an outline in which it is looked for: enough noise is averaged in a tenth of a radian."""
-
 SKIN, FLESH = 0.05, (0.06, 0.12)
 """Of a face's diameter, how deep a skin is looked for, and the depths from which the flesh under it is learnt. Most
 rinds are thicker: then the lens and the outermost peel are the third colour."""
@@ -50,9 +48,12 @@ RIM = 0.025
 COMPARED = 192
 """Pixels along a carrier's longer side in which it is searched: a shadow and a skin of one hundredth are seen."""
 
-SHADE, TINT = 0.92, 0.03
-"""Of its light, what a carrier keeps at most in the shadow of what lies on it, and the RGB distance by which it may
-change colour there. Under soft light plates keep 0.79 to 0.9 and change by 0.01; the rinds of fruit change by 0.1."""
+TINT = 0.03
+"""RGB distance by which a carrier may change colour in the shadow of what lies on it: plates change by 0.01, the rinds
+of fruit by 0.1."""
+
+NEAR = 0.1
+"""Of a face's diameter, how far from it its shadow is looked for."""
 
 HANGING = 0.03
 """Of a face's diameter, the radius of the disc that everything fits which is the face's before a pattern: of squares
@@ -132,13 +133,14 @@ def find_seen_face(rgb: NDArray[np.float32], name: object) -> SeenFace:
                 note = note or _MAY_BE
             break
         mask, note = found, _TAKEN_OFF
-    return SeenFace(mask, note)
+    return SeenFace(mask, note or (_RIM if is_dimmed_around(rgb, mask) else ""))
 
 
 _LOOK = "see whether its outline is right"
 _ARM = f"what reaches from the border to the cut face is left out; {_LOOK}"
 _TAKEN_OFF = f"the cut face seems to lie on a plate or board, which is left out; {_LOOK}"
 _PATTERN = f"what is behind the cut face has several colours, which a face may share; {_LOOK}"
+_RIM = f"it is dark on all sides of the cut face, where a rind or crust in the colour of the table may be; {_LOOK}"
 _BARE = (
     "hardly a skin or rind is seen around what was found, which may be a plate, a board, or only a part of the face; "
     f"{_LOOK}"
@@ -161,7 +163,7 @@ def skin_share(rgb: NDArray[np.float32], mask: NDArray[np.bool_]) -> float:
     ends = [smooth[tuple(place[at] for place in _nearest(where))] for where in (flesh, behind)]
     third = _from_mixtures(ndimage.gaussian_filter(rgb, (1, 1, 0))[at], *ends)
     layer = np.round(depth[at]).astype(int)
-    sector = _sectors(mask, at, SECTORS)
+    sector = sectors_of(mask, at)
     shape = SECTORS, int(layer.max()) + 1
     total, count = np.zeros(shape), np.zeros(shape)
     np.add.at(total, (sector, layer), third)
@@ -269,33 +271,12 @@ def _search(rgb: NDArray[np.float32], region: NDArray[np.bool_]) -> NDArray[np.b
 def _shadow(rgb: NDArray[np.float32], found: NDArray[np.bool_], ground: NDArray[np.bool_]) -> float:
     """How one-sided the shadow is that what is found (H, W) throws on the ground (H, W), which is dimmed there and
     keeps its colour; 0 if it throws none. Range [0, 1]."""
-    across = np.sqrt(4 / np.pi * found.sum())
-    away = ndimage.distance_transform_edt(~found)
-    room = away[ground & (away > 2)]
-    if not len(room):
+    around = light_around(rgb, found, ground, NEAR)
+    if around is None or np.percentile(around.lights, SHADOWED) >= SHADE or np.median(around.tints) >= TINT:
         return 0.0
-    # Where the ground is narrow, its outer half stands for what the shadow does not reach.
-    end = min(0.2 * across, float(np.median(room)))
-    far, near = ground & (away > end), ground & (away > 2) & (away < min(0.1 * across + 2, end))
-    if not near.any():
-        return 0.0
-    y, x = np.indices(found.shape) / max(found.shape)
-    basis = np.stack([np.ones_like(x), x, y], -1)  # light from one side
-    lit = basis @ np.linalg.lstsq(basis[far], rgb[far], rcond=None)[0]
-    light = (rgb * lit).sum(-1) / ((lit * lit).sum(-1) + 1e-3)
-    tint = np.linalg.norm(rgb - light[..., None] * lit, axis=-1)
-    sector = _sectors(found, np.nonzero(near), SECTORS)
-    count = np.bincount(sector, minlength=SECTORS)
-    seen = count > 2
-    if not seen.any():
-        return 0.0
-    lights, tints = (np.bincount(sector, a[near], SECTORS)[seen] / count[seen] for a in (light, tint))
-    if np.percentile(lights, SHADOWED) >= SHADE or np.median(tints) >= TINT:
-        return 0.0
-    turns = np.flatnonzero(seen) / SECTORS * 2 * np.pi
-    waves = np.stack([np.ones_like(turns), np.cos(turns), np.sin(turns)], -1)
-    left = lights - waves @ np.linalg.lstsq(waves, lights, rcond=None)[0]
-    return float(max(1 - left.var() / max(lights.var(), 1e-9), 1e-6))
+    waves = np.stack([np.ones_like(around.turns), np.cos(around.turns), np.sin(around.turns)], -1)
+    left = around.lights - waves @ np.linalg.lstsq(waves, around.lights, rcond=None)[0]
+    return float(max(1 - left.var() / max(around.lights.var(), 1e-9), 1e-6))
 
 
 def _from_mixtures(
@@ -314,12 +295,6 @@ def _from_mixtures(
     ]
     both = np.linalg.norm(p - of_a[:, None] * a - of_b[:, None] * b, axis=-1)
     return np.where(plane & (of_a >= 0) & (of_b >= 0), both, np.minimum(*alone))
-
-
-def _sectors(mask: NDArray[np.bool_], at: tuple[NDArray, ...], count: int) -> NDArray[np.int64]:
-    """(N,). In which of `count` equal angles about the middle of a mask (H, W) places (rows, columns) lie."""
-    y, x = (place - middle.mean() for place, middle in zip(at, np.nonzero(mask), strict=True))
-    return (np.arctan2(y, x) / (2 * np.pi) % 1 * count).astype(int) % count
 
 
 def _alone(rgb: NDArray[np.float32], region: NDArray[np.bool_]) -> NDArray[np.float32]:

@@ -184,3 +184,10 @@ def test_nothing_is_found_on_a_cloth_alone_or_where_the_border_cuts_the_face() -
     for picture in (cloth(), over(lay(cloth(), r < 0.8, [0.3, 0.45, 0.12]), r < 0.74, [0.5, 0.7, 0.2])):
         with pytest.raises(InputError):
             find_seen_face(photographed(picture), "cloth")
+
+
+@pytest.mark.parametrize("shade", [0.62, 0.4])
+def test_a_crust_in_the_colour_of_the_table_is_no_shadow(shade: float) -> None:
+    table, r = np.array([0.8, 0.75, 0.66]), np.hypot(X, Y)
+    picture = over(lay(np.ones((SIZE, SIZE, 3)) * table, r < 0.6, table * shade), r < 0.5, [0.55, 0.35, 0.65])
+    assert overlap(find_seen_face(photographed(picture), "geode").mask, r < 0.6) > 0.9  # with some of the shadow

@@ -1,0 +1,70 @@
+"""How a thing dims what it lies on: a shadow takes light away, leaves the colour, and falls to one side."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+__all__ = ["SECTORS", "SHADE", "LightAround", "light_around", "sectors_of"]
+
+SECTORS = 36
+"""Parts of an outline that are looked at one by one: enough noise is averaged in a tenth of a radian."""
+
+SHADE = 0.92
+"""Of its light, what the ground keeps at most in a shadow. Under soft light plates keep 0.79 to 0.9."""
+
+END = 0.2
+"""Of a thing's diameter, how far its shadow reaches at most; where the ground is narrower, its outer half stands for
+what the shadow does not reach."""
+
+DARKEST = 0.1
+"""Brightest channel of a ground that is too dark to show a shadow."""
+
+
+@dataclass(frozen=True)
+class LightAround:
+    """What is left of the light, and how the colour changes, on the ground in the directions around a thing."""
+
+    turns: NDArray[np.float64]
+    """(N,). Radians, of the sectors in which ground is seen."""
+    lights: NDArray[np.float64]
+    """(N,). Of the light farther off, the part that is left."""
+    tints: NDArray[np.float64]
+    """(N,). RGB distance from the dimmed colour."""
+
+
+def light_around(
+    rgb: NDArray[np.float32], found: NDArray[np.bool_], ground: NDArray[np.bool_], near: float
+) -> LightAround | None:
+    """The light on the ground (H, W) of a picture (H, W, 3) beside a thing (H, W), up to `near` of its diameter away;
+    None where too little ground is seen, or only a black one."""
+    across = np.sqrt(4 / np.pi * found.sum())
+    away = ndimage.distance_transform_edt(~found)
+    room = away[ground & (away > 2)]
+    if not len(room):
+        return None
+    end = min(END * across, float(np.median(room)))
+    far, beside = ground & (away > end), ground & (away > 2) & (away < min(near * across + 2, end))
+    if not beside.any() or not far.any() or rgb[far].mean(0).max() < DARKEST:
+        return None
+    y, x = np.indices(found.shape) / max(found.shape)
+    basis = np.stack([np.ones_like(x), x, y], -1)  # light from one side
+    lit = basis @ np.linalg.lstsq(basis[far], rgb[far], rcond=None)[0]
+    light = (rgb * lit).sum(-1) / ((lit * lit).sum(-1) + 1e-3)
+    tint = np.linalg.norm(rgb - light[..., None] * lit, axis=-1)
+    sector = sectors_of(found, np.nonzero(beside))
+    count = np.bincount(sector, minlength=SECTORS)
+    seen = count > 2
+    if not seen.any():
+        return None
+    lights, tints = (np.bincount(sector, a[beside], SECTORS)[seen] / count[seen] for a in (light, tint))
+    return LightAround(np.flatnonzero(seen) / SECTORS * 2 * np.pi, lights, tints)
+
+
+def sectors_of(mask: NDArray[np.bool_], at: tuple[NDArray, ...]) -> NDArray[np.int64]:
+    """(N,). In which of SECTORS equal angles about the middle of a mask (H, W) places (rows, columns) lie."""
+    y, x = (place - middle.mean() for place, middle in zip(at, np.nonzero(mask), strict=True))
+    return (np.arctan2(y, x) / (2 * np.pi) % 1 * SECTORS).astype(int) % SECTORS
