@@ -42,7 +42,7 @@ def axis_error(rgb: NDArray[np.float32], mask: NDArray[np.bool_], row: dict[str,
     """Distance of the found core, or of the found core line from the two marks, over the face's width; 0 for slices."""
     width = float(np.ptp(np.nonzero(mask)[1]) + 1)
     if row["family"] == "horizontal":
-        x, y = find_core(rgb, mask)
+        x, y = find_core(mask)
         return float(np.hypot(x - float(row["core_x"]), y - float(row["core_y"]))) / width
     if row["family"] != "radial":
         return 0.0
@@ -59,7 +59,7 @@ def drawn(pixels: NDArray[np.uint8], mask: NDArray[np.bool_], kind: str) -> Imag
     image.paste((0, 220, 0), mask=rim)
     pen = ImageDraw.Draw(image)
     if kind == "horizontal":
-        x, y = find_core((pixels / 255).astype(np.float32), mask)
+        x, y = find_core(mask)
         pen.ellipse((x - 6, y - 6, x + 6, y + 6), outline=(0, 0, 255), width=3)
     elif kind == "radial":
         line = find_core_line((pixels / 255).astype(np.float32), mask)

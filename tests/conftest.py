@@ -15,8 +15,7 @@ def pytest_configure() -> None:
     """Gives each process of a parallel run, with all that it starts, a core of its own: threads that wait for each
     other by spinning would take it from the tests of the others (a fifth of the whole time on two cores).
 
-    The process itself has counted the cores on import, and two threads that wait for each other on one core cost more
-    still: 8 ms for each parallel loop, half the time of a small training.
+    The process itself has counted the cores on import, and two threads on one core wait for each other.
     """
     if hasattr(os, "sched_setaffinity") and (worker := os.environ.get("PYTEST_XDIST_WORKER")):
         cores = sorted(os.sched_getaffinity(0))

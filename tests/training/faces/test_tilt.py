@@ -32,7 +32,7 @@ def left(degrees: float, marked: bool) -> NDArray[np.float64]:
     tilted = cv2.warpPerspective(places, middle @ away @ np.linalg.inv(middle), (SIZE, SIZE))
     mask = tilted[..., 2] > 0.5
     code = fill_outside(np.dstack([tilted[..., :2], 0 * mask]).astype(np.float32) / np.float32(SIZE), mask)
-    core = (SIZE / 2, SIZE / 2) if marked else find_core(np.zeros_like(code), mask)
+    core = (SIZE / 2, SIZE / 2) if marked else find_core(mask)
     disc = Disc.of(Picture(Path("tilted.png"), code, mask, core)).rgb[..., :2] * SIZE - SIZE / 2
     u, v = disc_grid()
     wrong = np.hypot(disc[..., 0] / RADIUS - u, disc[..., 1] / RADIUS + v)  # rows go down

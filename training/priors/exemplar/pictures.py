@@ -91,7 +91,7 @@ def make_picture(path: Path, rgb: NDArray[np.float32], mask: NDArray[np.bool_], 
         elif lean := _believed_lean(rgb, mask):
             rgb, mask = _turned(rgb, mask, lean)
     elif kind == "horizontal" and mask.any():
-        core = find_core(rgb, mask)
+        core = find_core(mask)
         if marks.core is not None:
             core = marks.core[0] * size[0] + added[0], marks.core[1] * size[1] + added[1]
     rows, columns = np.nonzero(mask)
@@ -133,12 +133,10 @@ def axis_of(rgb: NDArray[np.float32], mask: NDArray[np.bool_], kind: Kind) -> Ma
     if not mask.any() or kind not in ("horizontal", "radial"):
         return UNMARKED
     rgb, mask, added = complete_face(rgb, mask)
+    found = np.array([find_core(mask)])
     if kind == "radial":
         lean = math.radians(_believed_lean(rgb, mask))
-        middle = np.argwhere(mask).mean(0)[::-1] + 0.5
-        found = line_ends(mask, middle, np.array([-math.sin(lean), math.cos(lean)]))
-    else:
-        found = np.array([find_core(rgb, mask)])
+        found = line_ends(mask, found[0], np.array([-math.sin(lean), math.cos(lean)]))
     places = [(float(x), float(y)) for x, y in np.clip((found - added) / size, 0, 1)]
     return Marks(core=places[0]) if kind == "horizontal" else Marks(line=(places[0], places[1]))
 
