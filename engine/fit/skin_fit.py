@@ -53,7 +53,7 @@ HELD_OUT = 12
 
 FAITHFUL = 38.0
 """dB at held-out views from which a skin is not fitted. Fits of captures end below it at unseen views (donut 37.8,
-plant 32.8), and the scans of an orange and an apple, at 40.1 and 39.6 before, were at 39.4 and 38.3 after one. Steps
+plant 32.8), and the scans of an orange and an apple, at 40.1 and 39.6 before, were at 39.3 and 38.7 after one. Steps
 of a tenth or a twentieth do not gain there either: what the texture wins, the outline loses."""
 
 SMALLEST = 1 / 64
