@@ -6,6 +6,9 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 SHELL := /bin/bash
 
+# Every test that starts a command would compile torch's sources again, four seconds each time.
+unexport PYTHONDONTWRITEBYTECODE
+
 # The Visible Human's thigh, where its data lie beside the project.
 THIGH := $(if $(wildcard ../shared/data/volumes/vhm_thigh_rgba.npz),$(shell echo ,thigh))
 
