@@ -1,8 +1,8 @@
 """The number of cores in use, and a thread pool for numba kernels.
 
-numba's parallel loops and torch both have thread pools; each would take all the cores. Here numba kernels run without
-the interpreter lock on this module's threads. A frame is a dozen short loops, and waking a sleeping thread takes as
-long as one of them, so an idle thread polls for a fifth of a millisecond before it sleeps.
+Kernels run without the interpreter lock on this module's threads. numba's own parallel loops take two to three times as
+long to compile, and no two of them must run at the same time. A frame is a dozen short loops, and waking a sleeping
+thread takes as long as one of them, so an idle thread polls for a fifth of a millisecond before it sleeps.
 
 Written by hand because the standard library's pool is slower on such loops; benchmarks/by_hand.py measures both,
 figures in docs/charts/by_hand.json.
@@ -11,20 +11,27 @@ figures in docs/charts/by_hand.json.
 from __future__ import annotations
 
 import itertools
+import math
 import os
 import platform
 import threading
 import time
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, TypeVar
 
-import numba
 import numpy as np
 from llvmlite import ir  # type: ignore[import-untyped]
 from numba import njit, types
 from numba.extending import intrinsic
 
-__all__ = ["cores", "for_each", "use_cores"]
+__all__ = ["cores", "for_each", "for_spans", "side_by_side", "use_cores"]
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+SPAN = 2048
+"""Rows that a kernel does at a time: over 50 us of work in any of them, beside 3 us for the call."""
 
 PATIENCE = 10_000
 """Looks before a thread goes to sleep, some 20 ns each: longer than the caller takes from one loop to the next."""
@@ -141,14 +148,10 @@ def cores() -> int:
 
 
 def use_cores(count: int) -> None:
-    """Sets the number of threads of this module, of numba's parallel loops and of torch, at least 1.
-
-    They never run at the same time, so each may have them all.
-    """
+    """Sets the number of threads of this module and of torch, at least 1."""
     import torch  # takes longer than all else that the window needs to open, and only training needs it
 
     count = max(1, count)
-    numba.set_num_threads(min(count, vars(numba.config)["NUMBA_NUM_THREADS"]))
     torch.set_num_threads(count)
     if count != _pool.count:
         _pool.resize(count)
@@ -170,6 +173,30 @@ def for_each(kernel: Callable[..., Any], count: int, *args: Any) -> None:
         loop.work()
     if loop.error is not None:
         raise loop.error
+
+
+def for_spans(kernel: Callable[..., Any], count: int, *args: Any, span: int = SPAN) -> None:
+    """Runs kernel(start, stop, *args) on spans of the rows 0..count-1, as `for_each` does.
+
+    Raises what the kernel raises.
+    """
+
+    def run(index: int, *args: Any) -> None:
+        kernel(index * span, min((index + 1) * span, count), *args)
+
+    for_each(run, math.ceil(count / span), *args)
+
+
+def side_by_side(function: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
+    """The function of every item, in their order, by as many threads as there are cores.
+
+    For functions of large arrays, where most of the time NumPy, SciPy or OpenCV is at work without the interpreter
+    lock. Raises the error of the first item that has one.
+    """
+    if min(len(items), _pool.count) < 2:
+        return [function(item) for item in items]
+    with ThreadPoolExecutor(_pool.count) as pool:
+        return list(pool.map(function, items))
 
 
 def _read(typingctx, board, place):

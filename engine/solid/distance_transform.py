@@ -8,8 +8,10 @@ docs/charts/by_hand.json.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
+
+from engine.threads import for_each, for_spans
 
 __all__ = ["nearest", "within"]
 
@@ -19,6 +21,9 @@ FAR = np.float32(1e12)
 BEYOND = np.int16(16_000)
 """Squared distance of what is out of reach. With the square of the reach, of 126 cells at most, added it still is an
 int16."""
+
+LINES = 64
+"""Lines that one task goes through: some thousand cells."""
 
 LANES = 1024
 """Cells of neighbouring lines that one task goes through together: a few kilobytes, which stay in the nearest cache."""
@@ -34,21 +39,25 @@ def within(mask: NDArray[np.bool_], radius: float) -> NDArray[np.bool_]:
     x, y, z = mask.shape
     reach = int(limit**0.5)
     squared, nearer = np.empty(mask.shape, np.int16), np.empty(mask.shape, np.int16)
-    _along_lines(np.ascontiguousarray(mask).reshape(x * y, z), reach, squared.reshape(x * y, z))
-    _across_lines(squared, reach, nearer)
-    _across_lines(nearer.reshape(1, x, y * z), reach, squared.reshape(1, x, y * z))
+    lines = np.ascontiguousarray(mask).reshape(x * y, z)
+    for_spans(_along_lines, x * y, lines, reach, squared.reshape(x * y, z), span=LINES)
+    flat = nearer.reshape(1, x, y * z), squared.reshape(1, x, y * z)
+    for_each(_across_lines, x * -(-z // LANES), squared, reach, nearer)
+    for_each(_across_lines, -(-y * z // LANES), flat[0], reach, flat[1])
     return squared <= limit
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True)
 def _along_lines(
+    start: int,
+    stop: int,
     mask: NDArray[np.bool_],  # [L, N]
     reach: int,
     squared: NDArray[np.int16],  # [L, N], filled
 ) -> None:
     """The squared distance to the nearest true cell of the same line, or BEYOND."""
-    count, n = mask.shape
-    for line in prange(count):
+    n = mask.shape[1]
+    for line in range(start, stop):
         away = reach + 1
         for q in range(n):
             away = 0 if mask[line, q] else min(away + 1, reach + 1)
@@ -59,26 +68,26 @@ def _along_lines(
             squared[line, q] = away * away if away <= reach else BEYOND
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True)
 def _across_lines(
+    task: int,
     squared: NDArray[np.int16],  # [A, N, B]
     reach: int,
     nearer: NDArray[np.int16],  # [A, N, B], filled
 ) -> None:
     """The least sum of a squared distance and that along the middle axis, up to the reach; at most BEYOND."""
-    slabs, n, width = squared.shape
+    _, n, width = squared.shape
     blocks = (width + LANES - 1) // LANES
-    for task in prange(slabs * blocks):
-        slab, first = task // blocks, task % blocks * LANES
-        end = min(first + LANES, width)
-        for q in range(n):
-            nearest_so_far = nearer[slab, q, first:end]
+    slab, first = task // blocks, task % blocks * LANES
+    end = min(first + LANES, width)
+    for q in range(n):
+        nearest_so_far = nearer[slab, q, first:end]
+        for lane in range(end - first):
+            nearest_so_far[lane] = BEYOND
+        for p in range(max(q - reach, 0), min(q + reach + 1, n)):
+            there, step = squared[slab, p, first:end], np.int16((p - q) * (p - q))
             for lane in range(end - first):
-                nearest_so_far[lane] = BEYOND
-            for p in range(max(q - reach, 0), min(q + reach + 1, n)):
-                there, step = squared[slab, p, first:end], np.int16((p - q) * (p - q))
-                for lane in range(end - first):
-                    nearest_so_far[lane] = min(nearest_so_far[lane], np.int16(there[lane] + step))
+                nearest_so_far[lane] = min(nearest_so_far[lane], np.int16(there[lane] + step))
 
 
 def nearest(mask: NDArray[np.bool_]) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
@@ -93,55 +102,56 @@ def nearest(mask: NDArray[np.bool_]) -> tuple[NDArray[np.float32], NDArray[np.in
         # Each pass works on lines of the last axis, which are contiguous in memory.
         lines = np.ascontiguousarray(np.moveaxis(squared, axis, 2))
         owners = np.ascontiguousarray(np.moveaxis(index, axis, 2))
-        _envelopes(lines.reshape(-1, lines.shape[2]), owners.reshape(-1, lines.shape[2]))
+        flat = lines.reshape(-1, lines.shape[2]), owners.reshape(-1, lines.shape[2])
+        for_spans(_envelopes, len(flat[0]), *flat, span=LINES)
         squared, index = np.moveaxis(lines, 2, axis), np.moveaxis(owners, 2, axis)
     distance = np.sqrt(np.ascontiguousarray(squared))
     distance[distance > np.float32(1e5)] = np.inf
     return distance, np.ascontiguousarray(index)
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True)
 def _envelopes(
+    start: int,
+    stop: int,
     lines: NDArray[np.float32],  # [L, N] squared distances, replaced
     owners: NDArray[np.int32],  # [L, N] flat indices, replaced
 ) -> None:
     """Replaces each line by the lower envelope of the parabolas that stand on its samples."""
-    count, n = lines.shape
-    block = 64
-    for b in prange((count + block - 1) // block):
-        apex = np.empty(n, np.int32)
-        start = np.empty(n + 1, np.float64)
-        value = np.empty(n, np.float32)
-        owner = np.empty(n, np.int32)
-        for line in range(b * block, min((b + 1) * block, count)):
-            top = -1
-            for q in range(n):
-                f = np.float64(lines[line, q])
-                if owners[line, q] < 0:
-                    continue
-                cut = -np.inf
-                while top >= 0:
-                    v = apex[top]
-                    cut = (f + q * q - (np.float64(lines[line, v]) + v * v)) / (2.0 * (q - v))
-                    if cut > start[top]:
-                        break
-                    top -= 1
-                if top < 0:
-                    cut = -np.inf
-                top += 1
-                apex[top] = q
-                start[top] = cut
-            if top < 0:
+    n = lines.shape[1]
+    apex = np.empty(n, np.int32)
+    begin = np.empty(n + 1, np.float64)
+    value = np.empty(n, np.float32)
+    owner = np.empty(n, np.int32)
+    for line in range(start, stop):
+        top = -1
+        for q in range(n):
+            f = np.float64(lines[line, q])
+            if owners[line, q] < 0:
                 continue
-            start[top + 1] = np.inf
-            k = 0
-            for q in range(n):
-                while start[k + 1] < q:
-                    k += 1
-                v = apex[k]
-                value[q] = lines[line, v] + np.float32((q - v) * (q - v))
-                owner[q] = owners[line, v]
-            # Number by number: to assign whole slices, numba also compiles the text of an error, for seconds.
-            for q in range(n):
-                lines[line, q] = value[q]
-                owners[line, q] = owner[q]
+            cut = -np.inf
+            while top >= 0:
+                v = apex[top]
+                cut = (f + q * q - (np.float64(lines[line, v]) + v * v)) / (2.0 * (q - v))
+                if cut > begin[top]:
+                    break
+                top -= 1
+            if top < 0:
+                cut = -np.inf
+            top += 1
+            apex[top] = q
+            begin[top] = cut
+        if top < 0:
+            continue
+        begin[top + 1] = np.inf
+        k = 0
+        for q in range(n):
+            while begin[k + 1] < q:
+                k += 1
+            v = apex[k]
+            value[q] = lines[line, v] + np.float32((q - v) * (q - v))
+            owner[q] = owners[line, v]
+        # Number by number: to assign whole slices, numba also compiles the text of an error, for seconds.
+        for q in range(n):
+            lines[line, q] = value[q]
+            owners[line, q] = owner[q]

@@ -12,11 +12,12 @@ Three rules, each for the cases that the one before leaves open:
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 from scipy import fft, ndimage
 
 from engine.solid.distance_transform import within
+from engine.threads import for_spans
 
 __all__ = ["enclosed_cells", "flood"]
 
@@ -150,18 +151,23 @@ def _count_sheets(wall: Mask, solid: Mask) -> tuple[NDArray[np.int8], NDArray[np
     for axis in range(3):
         lines = np.ascontiguousarray(np.moveaxis(material, axis, 2))
         for step in (1, -1):
-            sheets = _sheets_along(np.ascontiguousarray(lines[:, :, ::step]))
+            sheets = np.empty(lines.shape, np.int16)
+            for_spans(_sheets_along, len(lines), np.ascontiguousarray(lines[:, :, ::step]), sheets, span=1)
             sheets = np.moveaxis(sheets[:, :, ::step], 2, axis)
             hits += sheets > 0
             odd += sheets % 2 == 1
     return hits, odd
 
 
-@njit(cache=True, parallel=True)
-def _sheets_along(lines: NDArray[np.int8]) -> NDArray[np.int16]:
-    """(X, Y, Z). Sheets passed so far along the last axis; lines hold 0 for empty, 1 for wall, 2 for solid."""
-    passed = np.zeros(lines.shape, np.int16)
-    for i in prange(lines.shape[0]):
+@njit(cache=True, nogil=True)
+def _sheets_along(
+    start: int,
+    stop: int,
+    lines: NDArray[np.int8],  # [X, Y, Z] 0 for empty, 1 for wall, 2 for solid
+    passed: NDArray[np.int16],  # [X, Y, Z], filled
+) -> None:
+    """Sheets passed so far along the last axis."""
+    for i in range(start, stop):
         for j in range(lines.shape[1]):
             count, run = 0, 0
             for k in range(lines.shape[2]):
@@ -172,7 +178,6 @@ def _sheets_along(lines: NDArray[np.int8]) -> NDArray[np.int16]:
                 elif kind == 0:
                     run = 0
                 passed[i, j, k] = count
-    return passed
 
 
 def _close_holes(wall: Mask, inside: Mask, hollow: Mask) -> tuple[Mask, float]:

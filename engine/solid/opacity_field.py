@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from engine.scene.gaussians import Gaussians
 from engine.scene.grid import Grid
 from engine.scene.rotations import rotation_matrices
+from engine.threads import for_each
 
 __all__ = ["moments", "opacity_field"]
 
@@ -68,11 +69,13 @@ def _add_moments(weight: Float, height: Float, gaussians: Gaussians, grid: Grid,
     reach = CUTOFF * np.sqrt(np.einsum("nij,nj->ni", axes**2, sigma**2))
     low = np.clip(np.ceil(centres - reach), 0, grid.shape).astype(np.int32)
     high = np.clip(np.floor(centres + reach) + 1, 0, grid.shape).astype(np.int32)
-    _accumulate(weight, height, centres, inverse, gaussians.opacities, normals, low, high)
+    slabs = -(-grid.shape[0] // SLAB)
+    for_each(_accumulate, slabs, weight, height, centres, inverse, gaussians.opacities, normals, low, high)
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True)
 def _accumulate(
+    slab: int,
     weight: Float,  # [X, Y, Z], added to
     height: Float,  # [X, Y, Z], added to
     centres: Float,  # [N, 3] in cells
@@ -82,36 +85,34 @@ def _accumulate(
     low: NDArray[np.int32],  # [N, 3] first cell of each Gaussian's box
     high: NDArray[np.int32],  # [N, 3] cell after the last
 ) -> None:
-    """Each thread owns slabs of the grid and visits all Gaussians in order."""
+    """One slab of the grid; visits all Gaussians in order."""
     limit = np.float32(CUTOFF * CUTOFF)
     half = np.float32(-0.5)
     zero = np.float32(0)
-    slabs = (weight.shape[0] + SLAB - 1) // SLAB
-    for slab in prange(slabs):
-        first, end = slab * SLAB, min((slab + 1) * SLAB, weight.shape[0])
-        for p in range(len(centres)):
-            if low[p, 0] >= end or high[p, 0] <= first:
-                continue
-            a = inverse[p]
-            cx, cy, cz = centres[p, 0], centres[p, 1], centres[p, 2]
-            nx, ny, nz = normals[p, 0], normals[p, 1], normals[p, 2]
-            for i in range(max(low[p, 0], first), min(high[p, 0], end)):
-                dx = np.float32(i) - cx
-                for j in range(low[p, 1], high[p, 1]):
-                    dy = np.float32(j) - cy
-                    # Along z the distance is the parabola a22 dz^2 + 2 b dz + c; only its part under the limit is
-                    # visited, so a large flat Gaussian costs the cells it covers, not its bounding box.
-                    b = a[0, 2] * dx + a[1, 2] * dy
-                    c = a[0, 0] * dx * dx + a[1, 1] * dy * dy + np.float32(2) * a[0, 1] * dx * dy
-                    root = b * b - a[2, 2] * (c - limit)
-                    if root <= zero:
-                        continue
-                    spread = math.sqrt(root) / a[2, 2]
-                    middle = cz - b / a[2, 2]
-                    start = max(low[p, 2], np.int32(math.ceil(middle - spread)))
-                    stop = min(high[p, 2], np.int32(math.floor(middle + spread)) + 1)
-                    for k in range(start, stop):
-                        dz = np.float32(k) - cz
-                        d = opacities[p] * math.exp(half * (c + dz * (np.float32(2) * b + a[2, 2] * dz)))
-                        weight[i, j, k] += d
-                        height[i, j, k] += d * (nx * dx + ny * dy + nz * dz)
+    first, end = slab * SLAB, min((slab + 1) * SLAB, weight.shape[0])
+    for p in range(len(centres)):
+        if low[p, 0] >= end or high[p, 0] <= first:
+            continue
+        a = inverse[p]
+        cx, cy, cz = centres[p, 0], centres[p, 1], centres[p, 2]
+        nx, ny, nz = normals[p, 0], normals[p, 1], normals[p, 2]
+        for i in range(max(low[p, 0], first), min(high[p, 0], end)):
+            dx = np.float32(i) - cx
+            for j in range(low[p, 1], high[p, 1]):
+                dy = np.float32(j) - cy
+                # Along z the distance is the parabola a22 dz^2 + 2 b dz + c; only its part under the limit is
+                # visited, so a large flat Gaussian costs the cells it covers, not its bounding box.
+                b = a[0, 2] * dx + a[1, 2] * dy
+                c = a[0, 0] * dx * dx + a[1, 1] * dy * dy + np.float32(2) * a[0, 1] * dx * dy
+                root = b * b - a[2, 2] * (c - limit)
+                if root <= zero:
+                    continue
+                spread = math.sqrt(root) / a[2, 2]
+                middle = cz - b / a[2, 2]
+                start = max(low[p, 2], np.int32(math.ceil(middle - spread)))
+                stop = min(high[p, 2], np.int32(math.floor(middle + spread)) + 1)
+                for k in range(start, stop):
+                    dz = np.float32(k) - cz
+                    d = opacities[p] * math.exp(half * (c + dz * (np.float32(2) * b + a[2, 2] * dz)))
+                    weight[i, j, k] += d
+                    height[i, j, k] += d * (nx * dx + ny * dy + nz * dz)

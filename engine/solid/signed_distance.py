@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 from scipy import ndimage
 
@@ -14,6 +14,7 @@ from engine.scene.grid import Grid
 from engine.scene.rotations import rotation_matrices
 from engine.solid.distance_transform import nearest
 from engine.solid.opacity_field import moments
+from engine.threads import for_spans
 
 __all__ = ["signed_depth"]
 
@@ -112,7 +113,8 @@ def _redistance(level: Float) -> Float:
     _, index = nearest(mask.reshape(level.shape))
     owner = (np.cumsum(mask, dtype=np.int32) - 1)[index]
     for step in (4, 2, 1):
-        owner, far = _jump_flood(feet, owner, step)
+        before, owner, far = owner, np.empty_like(owner), np.empty(owner.shape, np.float32)
+        for_spans(_jump_flood, len(owner), feet, before, step, owner, far, span=1)
     share = np.clip(far - BAND, 0, 1)
     clamped = np.minimum(np.abs(level), far + 1)
     return np.where(inside, 1, -1).astype(np.float32) * (clamped * (1 - share) + far * share)
@@ -121,19 +123,21 @@ def _redistance(level: Float) -> Float:
 STAR = ((0, 0, 0), (1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1))
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True)
 def _jump_flood(
+    start: int,
+    stop: int,
     feet: Float,  # [F, 3] points of the skin, in cells
     owner: NDArray[np.int32],  # [X, Y, Z] a foot near each cell
     step: int,
-) -> tuple[NDArray[np.int32], Float]:
+    best: NDArray[np.int32],  # [X, Y, Z], filled
+    distance: Float,  # [X, Y, Z], filled
+) -> None:
     """For each cell the nearest of its foot and those of its six neighbours at `step`, and the distance to it.
 
     One pass of jump flooding (Rong and Tan 2006)."""
     nx, ny, nz = owner.shape
-    best = np.empty_like(owner)
-    distance = np.empty(owner.shape, np.float32)
-    for i in prange(nx):
+    for i in range(start, stop):
         for j in range(ny):
             for k in range(nz):
                 least = np.float32(np.inf)
@@ -148,4 +152,3 @@ def _jump_flood(
                         least = squared
                         best[i, j, k] = f
                 distance[i, j, k] = math.sqrt(least)
-    return best, distance

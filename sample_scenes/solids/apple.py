@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from sample_scenes.solids.noise import cells, fbm, mix, noise, step, store
 from sample_scenes.solids.shapes import (
     ItemGrid,
+    colours_at,
+    depths_at,
     index_items,
     item_at,
     rotated_frame,
@@ -45,8 +47,8 @@ def apple(seed: int = 0) -> Solid:
     return Solid.of(
         "apple",
         ("horizontal", "radial"),
-        lambda points: round_depths(points, shape),
-        lambda points: _colours(points, shape, turn, *chambers, *seeds, number),
+        lambda points: depths_at(points, round_depths, shape),
+        lambda points: colours_at(points, _colours, shape, turn, *chambers, *seeds, number),
     )
 
 
@@ -93,8 +95,10 @@ def _skin(x: float, y: float, z: float, turn: float, number: int) -> tuple[float
     return mix(rgb, (0.34, 0.24, 0.10), step(0.13, 0.03, rho + 0.02 * noise(9 * u, 9 * v, 0.0, number + 6)))
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True)
 def _colours(
+    start: int,
+    stop: int,
     points: NDArray[np.float64],
     shape: NDArray[np.float64],
     turn: float,
@@ -105,9 +109,9 @@ def _colours(
     seed_starts: NDArray[np.int64],
     seed_items: NDArray[np.int64],
     number: int,
-) -> NDArray[np.float32]:
-    out = np.empty((len(points), 3), np.float32)
-    for i in prange(len(points)):
+    out: NDArray[np.float32],
+) -> None:
+    for i in range(start, stop):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
         d = max(round_depth(x, y, z, shape), 0.0)
         rho = math.sqrt(x * x + y * y) + 1e-9
@@ -143,4 +147,3 @@ def _colours(
         if d < 0.03:
             rgb = mix(_skin(x, y, z, turn, number), rgb, step(0.006, 0.02, d))
         store(out, i, rgb)
-    return out

@@ -5,11 +5,18 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from sample_scenes.solids.noise import cells, fbm, mix, noise, smin, step, store
-from sample_scenes.solids.shapes import ItemGrid, index_items, item_at, rotated_frame
+from sample_scenes.solids.shapes import (
+    ItemGrid,
+    colours_at,
+    depths_at,
+    index_items,
+    item_at,
+    rotated_frame,
+)
 from sample_scenes.solids.solid import Solid
 
 __all__ = ["bread"]
@@ -29,8 +36,8 @@ def bread(seed: int = 0) -> Solid:
     return Solid.of(
         "bread",
         ("parallel", "horizontal"),
-        lambda points: _depths(points, number),
-        lambda points: _colours(points, number, rows, starts, items),
+        lambda points: depths_at(points, _depths, number),
+        lambda points: colours_at(points, _colours, number, rows, starts, items),
     )
 
 
@@ -82,12 +89,16 @@ def _depth(x: float, y: float, z: float, number: int) -> float:
     return here / min(max(math.sqrt(a * a + b * b + c * c) / e, 0.6), 1.15)
 
 
-@njit(cache=True, parallel=True)
-def _depths(points: NDArray[np.float64], number: int) -> NDArray[np.float32]:
-    out = np.empty(len(points), np.float32)
-    for i in prange(len(points)):
+@njit(cache=True, nogil=True)
+def _depths(
+    start: int,
+    stop: int,
+    points: NDArray[np.float64],
+    number: int,
+    out: NDArray[np.float32],
+) -> None:
+    for i in range(start, stop):
         out[i] = _depth(points[i, 0], points[i, 1], points[i, 2], number)
-    return out
 
 
 @njit(cache=True)
@@ -105,16 +116,18 @@ def _crust(x: float, y: float, z: float, number: int) -> tuple[float, float, flo
     return mix(rgb, torn, 0.85 * open_)
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True)
 def _colours(
+    start: int,
+    stop: int,
     points: NDArray[np.float64],
     number: int,
     rows: NDArray[np.float64],
     starts: NDArray[np.int64],
     items: NDArray[np.int64],
-) -> NDArray[np.float32]:
-    out = np.empty((len(points), 3), np.float32)
-    for i in prange(len(points)):
+    out: NDArray[np.float32],
+) -> None:
+    for i in range(start, stop):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
         d = max(_depth(x, y, z, number), 0.0)
         mottle = fbm(3.2 * x, 3.2 * y, 3.2 * z, 3, number + 6)
@@ -147,4 +160,3 @@ def _colours(
             rgb = mix((0.60, 0.35, 0.145), rgb, step(thick * 0.3, thick * 1.1, d))
             rgb = mix(_crust(x, y, z, number), rgb, step(0.004, 0.6 * thick, d))
         store(out, i, rgb)
-    return out

@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from sample_scenes.solids.noise import cells, fbm, mix, noise, step, store
+from sample_scenes.solids.shapes import colours_at, depths_at
 from sample_scenes.solids.solid import Solid
 
 __all__ = ["cake"]
@@ -32,8 +33,8 @@ def cake(seed: int = 0) -> Solid:
     return Solid.of(
         "cake",
         ("radial",),
-        lambda points: _depths(points, number),
-        lambda points: _colours(points, floors, floors + thick, number),
+        lambda points: depths_at(points, _depths, number),
+        lambda points: colours_at(points, _colours, floors, floors + thick, number),
     )
 
 
@@ -46,12 +47,16 @@ def _depth(x: float, y: float, z: float, number: int) -> float:
     return -box + 0.010 * noise(1.8 * x, 1.8 * y, 2.6 * z, number)
 
 
-@njit(cache=True, parallel=True)
-def _depths(points: NDArray[np.float64], number: int) -> NDArray[np.float32]:
-    out = np.empty(len(points), np.float32)
-    for i in prange(len(points)):
+@njit(cache=True, nogil=True)
+def _depths(
+    start: int,
+    stop: int,
+    points: NDArray[np.float64],
+    number: int,
+    out: NDArray[np.float32],
+) -> None:
+    for i in range(start, stop):
         out[i] = _depth(points[i, 0], points[i, 1], points[i, 2], number)
-    return out
 
 
 @njit(cache=True)
@@ -94,12 +99,17 @@ def _sponge(x: float, y: float, z: float, number: int) -> tuple[float, float, fl
     return rgb
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True)
 def _colours(
-    points: NDArray[np.float64], floors: NDArray[np.float64], tops: NDArray[np.float64], number: int
-) -> NDArray[np.float32]:
-    out = np.empty((len(points), 3), np.float32)
-    for i in prange(len(points)):
+    start: int,
+    stop: int,
+    points: NDArray[np.float64],
+    floors: NDArray[np.float64],
+    tops: NDArray[np.float64],
+    number: int,
+    out: NDArray[np.float32],
+) -> None:
+    for i in range(start, stop):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
         d = max(_depth(x, y, z, number), 0.0)
         # Every face between sponge and cream has its own waves and a crumbly edge.
@@ -121,4 +131,3 @@ def _colours(
         if d < 0.03:
             rgb = mix(_coat(x, y, z, number), rgb, step(0.006, 0.03, d))
         store(out, i, rgb)
-    return out

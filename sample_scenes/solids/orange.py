@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from sample_scenes.solids.noise import cells, fbm, mix, noise, smin, step, store
 from sample_scenes.solids.shapes import (
     ItemGrid,
+    colours_at,
+    depths_at,
     index_items,
     item_at,
     rotated_frame,
@@ -51,8 +53,8 @@ def orange(seed: int = 0) -> Solid:
     return Solid.of(
         "orange",
         ("horizontal", "radial"),
-        lambda points: round_depths(points, shape),
-        lambda points: _colours(points, shape, walls, rows, starts, items, number),
+        lambda points: depths_at(points, round_depths, shape),
+        lambda points: colours_at(points, _colours, shape, walls, rows, starts, items, number),
     )
 
 
@@ -106,8 +108,10 @@ def _pulp(rho: float, angle: float, z: float, number: int, segment: float) -> tu
     return mix(rgb, (0.985, 0.70, 0.25), 0.35 * step(0.0, 0.8, cloud))
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True)
 def _colours(
+    start: int,
+    stop: int,
     points: NDArray[np.float64],
     shape: NDArray[np.float64],
     walls: NDArray[np.float64],
@@ -115,9 +119,9 @@ def _colours(
     starts: NDArray[np.int64],
     items: NDArray[np.int64],
     number: int,
-) -> NDArray[np.float32]:
-    out = np.empty((len(points), 3), np.float32)
-    for i in prange(len(points)):
+    out: NDArray[np.float32],
+) -> None:
+    for i in range(start, stop):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
         d = max(round_depth(x, y, z, shape), 0.0)
         rho = math.sqrt(x * x + y * y) + 1e-9
@@ -163,4 +167,3 @@ def _colours(
             zest = mix(_peel(x, y, z, number), zest, step(0.004, 0.012, d))
             rgb = mix(zest, rgb, step(PEEL - 0.006, PEEL + 0.010, d + 0.006 * uneven - 0.008 * step(0.4, 0.15, glands)))
         store(out, i, rgb)
-    return out

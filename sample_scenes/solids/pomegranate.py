@@ -5,11 +5,17 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from sample_scenes.solids.noise import cell, cells, fbm, mix, noise, smin, step, store
-from sample_scenes.solids.shapes import round_depth, round_depths, round_shape
+from sample_scenes.solids.shapes import (
+    colours_at,
+    depths_at,
+    round_depth,
+    round_depths,
+    round_shape,
+)
 from sample_scenes.solids.solid import Solid
 
 __all__ = ["pomegranate"]
@@ -41,8 +47,8 @@ def pomegranate(seed: int = 0) -> Solid:
     return Solid.of(
         "pomegranate",
         ("horizontal", "radial"),
-        lambda points: round_depths(points, shape),
-        lambda points: _colours(points, shape, upper, lower, number),
+        lambda points: depths_at(points, round_depths, shape),
+        lambda points: colours_at(points, _colours, shape, upper, lower, number),
     )
 
 
@@ -112,16 +118,18 @@ def _aril(x: float, y: float, z: float, room: float, number: int) -> tuple[float
     return mix(rgb, mix((0.86, 0.60, 0.50), (0.95, 0.84, 0.72), step(0.9, 0.2, q)), 0.9 * step(1.15, 0.85, q))
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True)
 def _colours(
+    start: int,
+    stop: int,
     points: NDArray[np.float64],
     shape: NDArray[np.float64],
     upper: NDArray[np.float64],
     lower: NDArray[np.float64],
     number: int,
-) -> NDArray[np.float32]:
-    out = np.empty((len(points), 3), np.float32)
-    for i in prange(len(points)):
+    out: NDArray[np.float32],
+) -> None:
+    for i in range(start, stop):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
         d = max(round_depth(x, y, z, shape), 0.0)
         uneven = fbm(2.4 * x, 2.4 * y, 2.4 * z, 3, number + 13)
@@ -149,4 +157,3 @@ def _colours(
             rgb = mix((0.90, 0.62, 0.36), rgb, step(0.018, 0.055, d))
             rgb = mix(_rind(x, y, z, number), rgb, step(0.008, 0.024, d))
         store(out, i, rgb)
-    return out

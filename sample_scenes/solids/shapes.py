@@ -6,16 +6,20 @@ A round body is star-shaped about the origin: its skin is at a radius that depen
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
+from engine.threads import for_spans
 from sample_scenes.solids.noise import noise
 
 __all__ = [
     "ItemGrid",
+    "colours_at",
+    "depths_at",
     "index_items",
     "item_at",
     "rotated_frame",
@@ -97,12 +101,30 @@ def round_depth(x: float, y: float, z: float, shape: NDArray[np.float64]) -> flo
     return (here - r) / math.sqrt(1 + (g * g + h * h) / (here * here))
 
 
-@njit(cache=True, parallel=True)
-def round_depths(points: NDArray[np.float64], shape: NDArray[np.float64]) -> NDArray[np.float32]:
-    """(M,). `round_depth` of points (M, 3)."""
-    out = np.empty(len(points), np.float32)
-    for i in prange(len(points)):
+@njit(cache=True, nogil=True)
+def round_depths(
+    start: int,
+    stop: int,
+    points: NDArray[np.float64],  # [M, 3]
+    shape: NDArray[np.float64],
+    out: NDArray[np.float32],  # [M]
+) -> None:
+    """`round_depth` of points."""
+    for i in range(start, stop):
         out[i] = round_depth(points[i, 0], points[i, 1], points[i, 2], shape)
+
+
+def depths_at(points: NDArray[np.float64], kernel: Callable[..., None], *args: Any) -> NDArray[np.float32]:
+    """(M,). What a kernel says of points (M, 3), on all cores: kernel(start, stop, points, *args, out)."""
+    out = np.empty(len(points), np.float32)
+    for_spans(kernel, len(points), points, *args, out)
+    return out
+
+
+def colours_at(points: NDArray[np.float64], kernel: Callable[..., None], *args: Any) -> NDArray[np.float32]:
+    """(M, 3). The same of colours."""
+    out = np.empty((len(points), 3), np.float32)
+    for_spans(kernel, len(points), points, *args, out)
     return out
 
 

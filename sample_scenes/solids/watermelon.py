@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from sample_scenes.solids.noise import cells, fbm, mix, noise, step, store
 from sample_scenes.solids.shapes import (
     ItemGrid,
+    colours_at,
+    depths_at,
     index_items,
     item_at,
     rotated_frame,
@@ -42,8 +44,8 @@ def watermelon(seed: int = 0) -> Solid:
     return Solid.of(
         "watermelon",
         ("horizontal", "radial"),
-        lambda points: round_depths(points, shape),
-        lambda points: _colours(points, shape, rows, starts, items, number),
+        lambda points: depths_at(points, round_depths, shape),
+        lambda points: colours_at(points, _colours, shape, rows, starts, items, number),
     )
 
 
@@ -111,17 +113,19 @@ def _flesh(x: float, y: float, z: float, d: float, number: int) -> tuple[float, 
     return rgb[0] * grain, rgb[1] * grain, rgb[2] * grain
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True)
 def _colours(
+    start: int,
+    stop: int,
     points: NDArray[np.float64],
     shape: NDArray[np.float64],
     rows: NDArray[np.float64],
     starts: NDArray[np.int64],
     items: NDArray[np.int64],
     number: int,
-) -> NDArray[np.float32]:
-    out = np.empty((len(points), 3), np.float32)
-    for i in prange(len(points)):
+    out: NDArray[np.float32],
+) -> None:
+    for i in range(start, stop):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
         d = max(round_depth(x, y, z, shape), 0.0)
         if d < 0.2:
@@ -147,4 +151,3 @@ def _colours(
                     coat = mix((0.10, 0.055, 0.045), (0.055, 0.032, 0.03), step(0.9, 0.3, q))
                     rgb = mix(rgb, coat, step(1.12, 0.92, q))
         store(out, i, rgb)
-    return out

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from engine.threads import cores, for_each, use_cores
+from engine.threads import cores, for_each, for_spans, side_by_side, use_cores
 
 
 @pytest.fixture(autouse=True)
@@ -39,6 +39,36 @@ def test_everything_is_done_once(threads: int) -> None:
             done = np.zeros(count, int)
             for_each(kernel, count, done)
             assert (done == 1).all()
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_spans_are_every_row_once_and_none_beyond(threads: int) -> None:
+    use_cores(threads)
+    for count in (0, 1, 7, 8, 9, 100):
+        done = np.zeros(count + 8, int)
+
+        def mark_span(start: int, stop: int, array: np.ndarray) -> None:
+            assert 0 < stop - start <= 8
+            array[start:stop] += 1
+
+        for_spans(mark_span, count, done, span=8)
+        assert (done[:count] == 1).all() and not done[count:].any()
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_results_of_functions_side_by_side_are_in_order_and_the_first_error_is_raised(threads: int) -> None:
+    use_cores(threads)
+
+    def inverse(number: int) -> float:
+        time.sleep(0.002 * (number % 3))
+        total = np.zeros(10)
+        for_each(mark, 10, total)  # kernels may be called from each of them
+        return total.sum() / (10 * number)
+
+    assert side_by_side(inverse, []) == []
+    assert side_by_side(inverse, range(1, 9)) == [1 / n for n in range(1, 9)]
+    with pytest.raises(ZeroDivisionError):
+        side_by_side(inverse, range(-4, 4))
 
 
 def test_a_helper_takes_part_and_sleeps_when_there_is_nothing_to_do() -> None:

@@ -27,7 +27,7 @@ def test_posterior_is_the_softmax_over_candidates() -> None:
     lists = rng.integers(0, 2, 9)
     out = np.empty((9, 3), np.float32)
     single = [a.astype(np.float32) for a in (queries, features, colours)]
-    posterior(single[0], lists, starts, members.astype(np.int32), single[1], single[2], 0.7, out)
+    posterior(0, len(out), single[0], lists, starts, members.astype(np.int32), single[1], single[2], 0.7, out)
     for m in range(9):
         own = members[starts[lists[m]] : starts[lists[m] + 1]]
         logs = -((queries[m] - features[own]) ** 2).sum(1) / (2 * 0.7**2)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from engine.errors import InputError
+from engine.threads import for_spans
 from training.families import Family
 from training.priors.exemplar.frames import HEIGHT_CELLS, RADIUS_CELLS, Frame, depth_gate, scale_picture
 from training.priors.exemplar.patches import FIXED, OVER, PATCH, POLAR, RADIAL, posterior, read_patches
@@ -102,7 +103,8 @@ def prepare(pictures: list[Picture], kind: Frame, radius: float, inradius: float
     for scaled in scaled_pictures:
         out = np.empty((len(scaled.xy), PATCH), np.float32)
         # One pixel of the sheet is a fraction of a pixel of the label; a patch's steps are the label's.
-        read_patches(scaled.rgb, scaled.xy * np.float32(OVER), scaled.ab * np.float32(OVER), out)
+        over = np.float32(OVER)
+        for_spans(read_patches, len(out), scaled.rgb, scaled.xy * over, scaled.ab * over, out)
         patches.append(out)
         column, row = (scaled.xy * OVER + 0.5).astype(int).T
         colours.append(scaled.rgb[row, column])
@@ -130,12 +132,14 @@ def denoised(noisy: NDArray[np.float32], sigma: float, condition: Condition, pat
     gate = _gate(condition, patches.kind)[rows, columns]
     ab = _directions(condition, patches.kind)[rows, columns]
     queries = np.empty((len(rows), PATCH), np.float32)
-    read_patches(noisy, np.stack([columns, rows], -1).astype(np.float32), ab, queries)
+    for_spans(read_patches, len(rows), noisy, np.stack([columns, rows], -1).astype(np.float32), ab, queries)
     cells, lists = np.unique(np.floor(gate).astype(np.int64), axis=0, return_inverse=True)
     near = [_candidates(patches.gate, cell + 0.5) for cell in cells]
     starts = np.cumsum([0, *[len(n) for n in near]]).astype(np.int64)
     means = np.empty((len(rows), 3), np.float32)
-    posterior(
+    for_spans(
+        posterior,
+        len(rows),
         np.ascontiguousarray((queries - patches.mean) @ patches.axes),
         lists.ravel().astype(np.int64),
         starts,

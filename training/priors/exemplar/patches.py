@@ -7,7 +7,7 @@ coordinates are in cells too, with `OVER` pixels per cell.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 __all__ = ["FIXED", "HALF", "OVER", "PATCH", "POLAR", "RADIAL", "frame_at", "posterior", "read_patches"]
@@ -59,8 +59,10 @@ def frame_at(
     return ax, ay, az, bx, by, bz
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True)
 def read_patches(
+    start: int,
+    stop: int,
     picture: NDArray[np.float32],  # [H, W, 3]
     xy: NDArray[np.float32],  # [M, 2] centres, pixels
     ab: NDArray[np.float32],  # [M, 4] directions a and b, pixels
@@ -68,7 +70,7 @@ def read_patches(
 ) -> None:
     """Reads patches at the nearest pixels; interpolation would weaken the noise in them."""
     height, width = picture.shape[0], picture.shape[1]
-    for m in prange(len(xy)):
+    for m in range(start, stop):
         n = 0
         for i in range(-HALF, HALF + 1):
             for j in range(-HALF, HALF + 1):
@@ -81,8 +83,10 @@ def read_patches(
                     n += 1
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True)
 def posterior(
+    start: int,
+    stop: int,
     queries: NDArray[np.float32],  # [M, D]
     lists: NDArray[np.int64],  # [M] candidate list of each
     starts: NDArray[np.int64],  # [L + 1]
@@ -98,7 +102,7 @@ def posterior(
     """
     dims = queries.shape[1]
     scale = np.float32(-0.5 / (sigma * sigma))
-    for m in prange(len(queries)):
+    for m in range(start, stop):
         start, stop = starts[lists[m]], starts[lists[m] + 1]
         gaps = np.empty(stop - start, np.float32)
         least = np.float32(3e38)

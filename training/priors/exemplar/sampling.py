@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
+
+from engine.threads import for_spans
 
 __all__ = ["read_bilinear", "read_trilinear", "reduced"]
 
@@ -33,12 +35,15 @@ def read_bilinear(
     are at whole numbers; beyond the border those of the border. An eighth of SciPy's time."""
     first, last, _ = channels.indices(values.shape[2])
     out = np.empty((len(rows), last - first), np.float32)
-    _read_bilinear(values, np.asarray(rows, np.float32), np.asarray(columns, np.float32), first, out)
+    places = np.asarray(rows, np.float32), np.asarray(columns, np.float32)
+    for_spans(_read_bilinear, len(out), values, *places, first, out)
     return out
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True)
 def _read_bilinear(
+    start: int,
+    stop: int,
     values: NDArray[np.float32],  # [H, W, C]
     rows: NDArray[np.float32],  # [M]
     columns: NDArray[np.float32],  # [M]
@@ -46,7 +51,7 @@ def _read_bilinear(
     out: NDArray[np.float32],  # [M, K]
 ) -> None:
     height, width = values.shape[0], values.shape[1]
-    for m in prange(len(rows)):
+    for m in range(start, stop):
         u = min(max(rows[m], np.float32(0)), np.float32(height - 1))
         v = min(max(columns[m], np.float32(0)), np.float32(width - 1))
         i, j = min(int(u), height - 2), min(int(v), width - 2)
@@ -58,14 +63,25 @@ def _read_bilinear(
             out[m, k] = low + a * (high - low)
 
 
-@njit(cache=True, parallel=True)
 def read_trilinear(
+    values: NDArray[np.float32],  # [X, Y, Z, C]
+    at: NDArray[np.float32],  # [M, 3] in cells, cell centres at whole numbers
+) -> NDArray[np.float32]:
+    """(M, C). Values between the cells of a grid; beyond its border those of the border."""
+    out = np.empty((len(at), values.shape[3]), np.float32)
+    for_spans(_read_trilinear, len(at), values, at, out)
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _read_trilinear(
+    start: int,
+    stop: int,
     values: NDArray[np.float32],  # [X, Y, Z, C]
     at: NDArray[np.float32],  # [M, 3] in cells, cell centres at whole numbers
     out: NDArray[np.float32],  # [M, C]
 ) -> None:
-    """Values between the cells of a grid; beyond its border those of the border."""
-    for m in prange(len(at)):
+    for m in range(start, stop):
         first = np.empty(3, np.int64)
         part = np.empty(3, np.float32)
         for a in range(3):

@@ -19,6 +19,7 @@ from scipy import ndimage
 from engine.errors import InputError
 from engine.scene.grid import Body
 from engine.scene.inside import Inside
+from engine.threads import side_by_side
 from training.families import Family
 from training.priors.exemplar.frames import Frame, Space, View, make_space, scale_to_voxels
 from training.priors.exemplar.layering.core_line import extract_core
@@ -72,7 +73,9 @@ def solve(
         raise InputError("no exemplar pictures: give at least one family a photograph of a cut face")
     rng = np.random.default_rng(seed)
     progress(0.0)
-    taken = [[read_picture(p, f.kind, f.marks_of(p)) for p in f.exemplars] for f in families]
+    each = [(family, path) for family in families for path in family.exemplars]
+    read = iter(side_by_side(lambda one: read_picture(one[1], one[0].kind, one[0].marks_of(one[1])), each))
+    taken = [[next(read) for _ in family.exemplars] for family in families]
     notes = tuple(f"{p.path}: {p.note}" for own in taken for p in own if p.note)
     pictures = _match_lighting(taken)
     space = make_space(body, up, voxels)

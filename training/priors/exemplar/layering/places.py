@@ -137,9 +137,7 @@ class Shape:
 
     def places(self, points: NDArray[np.float64]) -> Places:
         """Of points (M, 3) in cells from the body's centre, along the axes of its grid."""
-        depth = np.empty((len(points), 1), np.float32)
-        at = ((points - self.corner) / DEPTH_STEP).astype(np.float32)
-        read_trilinear(self._samples, at, depth)
+        depth = read_trilinear(self._samples, ((points - self.corner) / DEPTH_STEP).astype(np.float32))
         upright = (points @ self.up_basis.T).astype(np.float32)
         planar = (points @ self.basis.T).astype(np.float32)
         away = np.hypot(planar[:, 0], planar[:, 1])

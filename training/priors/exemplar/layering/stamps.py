@@ -7,10 +7,11 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from engine.scene.inside import InsideRecord
+from engine.threads import for_spans
 from training.priors.exemplar.layering.decompose import Detail, Layers
 from training.priors.exemplar.patches import OVER
 from training.priors.exemplar.record import RecordReader
@@ -106,10 +107,9 @@ class Stamps:
         if len(self.rows):
             low, counts, starts, members = self._bins
             crops = self.crops
-            _paint_points(
-                rgb, points, low, counts, starts, members, self.rows, self.crop, crops.texels, crops.boxes, crops.first,
-                crops.coarseness,
-            )  # fmt: skip
+            bins = low, counts, starts, members
+            shown = crops.texels, crops.boxes, crops.first, crops.coarseness
+            for_spans(_paint_points, len(points), rgb, points, *bins, self.rows, self.crop, *shown)
 
     @cached_property
     def _bins(self) -> tuple[NDArray[np.float32], NDArray[np.int64], NDArray[np.int64], NDArray[np.int32]]:
@@ -188,8 +188,10 @@ def _paint_cells(
                     _paint_one(rgb[i, j, k], np.float32(i), np.float32(j), np.float32(k), row, texels, box, first, 1)
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True)
 def _paint_points(
+    start: int,
+    stop: int,
     rgb: NDArray[np.float32],  # in out [M, 3]
     points: NDArray[np.float32],  # [M, 3]
     low: NDArray[np.float32],  # [3] corner of the bins
@@ -203,7 +205,7 @@ def _paint_points(
     first: NDArray[np.int64],  # [T]
     coarseness: int,
 ) -> None:
-    for m in prange(len(points)):
+    for m in range(start, stop):
         x, y, z = points[m, 0], points[m, 1], points[m, 2]
         i, j, k = np.floor((x - low[0]) / BIN), np.floor((y - low[1]) / BIN), np.floor((z - low[2]) / BIN)
         if i < 0 or j < 0 or k < 0 or i >= counts[0] or j >= counts[1] or k >= counts[2]:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from engine.threads import side_by_side
 from training.priors.exemplar.quilting.chunks import Ball, smooth_noise
 from training.priors.exemplar.quilting.disc import REACH, to_pixels
 from training.priors.exemplar.quilting.labels import Label, Source, distance_across, read_discs
@@ -114,8 +115,11 @@ def weigh_labels(labels: list[Label], along: list[Source], ball: Ball, cell: flo
     shape = len(ball.points), len(labels)
     costs, gains, closed = (np.empty(shape, np.float32) for _ in range(3))
     out = Cells(costs, gains, closed, np.empty((*shape, 3), np.float32))
-    sheets_here = np.zeros(len(ball.points), np.float32)
-    for n, label in enumerate(labels):
+    own = [label for label in labels if label.is_own and label.is_horizontal]
+    sheets_here = [read_discs(label.chunks.places(ball), [s.sheets for s in label.sources])[:, 0] for label in own]
+
+    def weigh(n: int) -> None:
+        label = labels[n]
         places = label.chunks.places(ball)
         out.colours[:, n] = label.read_things(places, distance_across(labels, label, ball))
         there = read_discs(places, [s.closed for s in label.sources])[:, 0] * (1 - ball.rind)
@@ -135,8 +139,6 @@ def weigh_labels(labels: list[Label], along: list[Source], ball: Ball, cell: flo
         if label.is_horizontal:
             sheet = read_discs(places, [s.sheets for s in label.sources])[:, 0]
             cost = cost + GONE_COST * left * (1 - sheet) + (-SHEET_COST if label.is_own else SHEET_COST) * sheet
-            if label.is_own:
-                sheets_here = sheet
             if along:
                 seen = read_discs(places, [s.blurred for s in label.sources])
                 # A sheet may well lie beside a radial cut.
@@ -144,19 +146,22 @@ def weigh_labels(labels: list[Label], along: list[Source], ball: Ball, cell: flo
                 cost = cost + UNSEEN_COST * surprise * (1 - near) * (1 - sheet)
                 gain = gain * (1 - surprise / UNSEEN_MOST)
         else:
-            cost = cost + GONE_COST * left + SECTOR_COST + 0.5 * SHEET_COST * sheets_here
+            cost = cost + GONE_COST * left + SECTOR_COST
+            for sheet in sheets_here:
+                cost = cost + 0.5 * SHEET_COST * sheet
         costs[:, n], gains[:, n] = cost, gain
+
+    side_by_side(weigh, range(len(labels)))
     return out
 
 
 def _unseen(seen: NDArray[np.float32], along: list[Source], ball: Ball) -> NDArray[np.float32]:
     """(M,). Least squared distance of colours (M, 3) to those that any radial picture shows nearby."""
     least = np.full(len(seen), np.inf, np.float32)
-    out = np.empty(len(seen), np.float32)
     for source in along:
         size = len(source.blurred.rgb)
         x, y = (a.astype(np.float32) for a in to_pixels(ball.radius, ball.points[:, 2], size))
         mirrored = np.float32(size - 1) - x
-        nearest_colour(seen, x, y, mirrored, source.blurred.rgb, NEARBY * size / (2 * REACH), out)
-        np.minimum(least, out, out=least)
+        step = NEARBY * size / (2 * REACH)
+        np.minimum(least, nearest_colour(seen, x, y, mirrored, source.blurred.rgb, step), out=least)
     return least

@@ -11,10 +11,11 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from engine.threads import for_spans
 from training.priors.exemplar.quilting.disc import REACH, Disc, to_pixels
 
 __all__ = [
@@ -229,19 +230,22 @@ class Noise:
     def at(self, points: NDArray[np.float32]) -> NDArray[np.float32]:
         """(M, count). The values at points (M, 3)."""
         out = np.empty((len(points), self._splines.shape[3]), np.float32)
-        _read_spline(self._splines, ((points + _NOISE_EXTENT) / self._lengths + 1.5).astype(np.float32), out)
+        at = ((points + _NOISE_EXTENT) / self._lengths + 1.5).astype(np.float32)
+        for_spans(_read_spline, len(out), self._splines, at, out)
         return out
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True)
 def _read_spline(
+    start: int,
+    stop: int,
     coefficients: NDArray[np.float32],  # [X, Y, Z, C]
     at: NDArray[np.float32],  # [M, 3] in cells
     out: NDArray[np.float32],  # [M, C]
 ) -> None:
     """Quadratic B-splines (Unser 1999) at points; beyond the lattice the coefficients of its border go on."""
     channels = coefficients.shape[3]
-    for m in prange(len(at)):
+    for m in range(start, stop):
         weights = np.empty((3, 3), np.float32)
         first = np.empty(3, np.int64)
         for a in range(3):

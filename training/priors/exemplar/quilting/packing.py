@@ -11,9 +11,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
+from engine.threads import for_spans
 from training.priors.exemplar.quilting.disc import Disc
 from training.priors.exemplar.quilting.grains import Grains
 
@@ -79,7 +80,8 @@ class Packing:
         rgb, cover = np.zeros((len(points), 3), np.float32), np.zeros(len(points), np.float32)
         best = np.empty((len(points), 2), np.int64)
         power = np.empty((len(points), 2), np.float32)
-        _most_power(points, self.centres, self.radii, self.starts, self.members, self.cell, best, power)
+        balls = self.centres, self.radii, self.starts, self.members
+        for_spans(_most_power, len(points), points, *balls, self.cell, best, power)
         rows = np.flatnonzero(best[:, 0] >= 0)
         if not len(rows):
             return rgb, cover
@@ -214,8 +216,10 @@ def _laid(
     return laid
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True)
 def _most_power(
+    start: int,
+    stop: int,
     points: NDArray[np.float32],  # [M, 3]
     centres: NDArray[np.float32],  # [B, 3]
     radii: NDArray[np.float32],  # [B]
@@ -227,7 +231,7 @@ def _most_power(
 ) -> None:
     """The two balls with the most power at each point, R^2 - d^2, of those that reach it."""
     side = _lattice(cell)
-    for m in prange(len(points)):
+    for m in range(start, stop):
         x = int((points[m, 0] + np.float32(EXTENT)) / cell)
         y = int((points[m, 1] + np.float32(EXTENT)) / cell)
         z = int((points[m, 2] + np.float32(EXTENT)) / cell)

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from engine.threads import side_by_side
 from training.priors.exemplar.quilting.choice import REGIONS, Regions, closed_of, weigh_labels
 from training.priors.exemplar.quilting.chunks import (
     SECTOR_SETS,
@@ -108,27 +109,25 @@ class Quilt:
 
     def read(self, points: NDArray[np.float32]) -> NDArray[np.float32]:
         """(M, 3). Colours at points (M, 3) of the unit ball along e1, e2, up. Range [0, 1]."""
-        out = np.empty((len(points), 3), np.float32)
-        for start in range(0, len(points), BLOCK):
-            block = points[start : start + BLOCK]
-            at = _in_cells(block, LEVELS[-1])
-            best, shares = np.empty((len(block), 2), np.int32), np.empty((len(block), 2), np.float32)
-            two_nearest(self.chosen, self.number, at, len(self.labels), best, shares)
-            apart = shares[:, 0] - shares[:, 1]
-            self._share_crossing(best, apart, block)
-            weight = 0.5 + 0.5 * smoothstep(apart / SEAM_WIDTH)
-            tones = np.empty((len(block), 3), np.float32)
-            read_trilinear(self.tones, at, tones)
-            rgb = np.zeros((len(block), 3), np.float32)
-            for labels, share in ((best[:, 0], weight), (best[:, 1], 1 - weight)):
-                for n, label in enumerate(self.labels):
-                    rows = np.flatnonzero((labels == n) & (share > 0))
-                    rgb[rows] += share[rows, None] * self._shown(label, block[rows], tones[rows])
-            if self.packing is not None:
-                grains, cover = self.packing.read(block, [source.even for source in [*self.across, *self.along]])
-                rgb += cover[:, None] * (grains - rgb)
-            out[start : start + len(block)] = rgb
-        return np.clip(out, 0, 1)
+        blocks = [points[start : start + BLOCK] for start in range(0, len(points), BLOCK)]
+        return np.concatenate([np.empty((0, 3), np.float32), *side_by_side(self._read, blocks)])
+
+    def _read(self, points: NDArray[np.float32]) -> NDArray[np.float32]:
+        at = _in_cells(points, LEVELS[-1])
+        best, shares = two_nearest(self.chosen, self.number, at, len(self.labels))
+        apart = shares[:, 0] - shares[:, 1]
+        self._share_crossing(best, apart, points)
+        weight = 0.5 + 0.5 * smoothstep(apart / SEAM_WIDTH)
+        tones = read_trilinear(self.tones, at)
+        rgb = np.zeros((len(points), 3), np.float32)
+        for labels, share in ((best[:, 0], weight), (best[:, 1], 1 - weight)):
+            for n, label in enumerate(self.labels):
+                rows = np.flatnonzero((labels == n) & (share > 0))
+                rgb[rows] += share[rows, None] * self._shown(label, points[rows], tones[rows])
+        if self.packing is not None:
+            grains, cover = self.packing.read(points, [source.even for source in [*self.across, *self.along]])
+            rgb += cover[:, None] * (grains - rgb)
+        return np.clip(rgb, 0, 1)
 
     def _shown(self, label: Label, points: NDArray[np.float32], tones: NDArray[np.float32]) -> NDArray[np.float32]:
         """(M, 3). What a label shows at points (M, 3), in the tones (M, 3) of its neighbourhood."""
@@ -182,9 +181,8 @@ def make_quilt(
         if coarse is None or before is None:
             chosen = at_cells.costs.argmin(1).astype(np.int32)
         else:
-            best, shares = np.empty((len(points), 2), np.int32), np.empty((len(points), 2), np.float32)
-            two_nearest(before, coarse, _in_cells(points, LEVELS[step - 1]), len(labels), best, shares)
-            chosen = best[:, 0].copy()
+            nearest, _ = two_nearest(before, coarse, _in_cells(points, LEVELS[step - 1]), len(labels))
+            chosen = nearest[:, 0].copy()
         regions = Regions.of(ball)
         wanted = regions.means(closed_of(along or across, ball, not along))
         for _ in range(STEPS):
@@ -192,8 +190,7 @@ def make_quilt(
             ratio = (wanted + 1e-4) / (shown + 1e-4)
             gain = np.minimum(gain * np.clip(ratio, 1 / GAIN_STEP, GAIN_STEP), MOST_GAIN)
             costs = at_cells.costs - regions.at(gain)[:, None] * at_cells.gains
-            for parity in range(8):
-                improve_labels(chosen, number, cells, at_cells.colours, costs, SEAM_COST * size, parity)
+            improve_labels(chosen, number, cells, at_cells.colours, costs, SEAM_COST * size)
     assert number is not None and chosen is not None
     shares = np.bincount(chosen, minlength=len(labels)) / len(chosen)
     log.info("quilted of %d sets of chunks, shares %s", len(labels), np.round(shares, 2).tolist())
@@ -217,11 +214,13 @@ def restore_quilt(
 def _make_sources(horizontal: Sequence[Disc], radial: Sequence[Disc]) -> tuple[list[Source], list[Source]]:
     """What is known of the pictures, all in the light of the first."""
     first = [*horizontal, *radial][0]
-    across, along = (
-        [Source.of(disc if disc is first else match_light(disc, first), family is horizontal) for disc in family]
-        for family in (horizontal, radial)
-    )
-    return across, along
+
+    def known(disc: Disc) -> Source:
+        is_horizontal = any(disc is other for other in horizontal)
+        return Source.of(disc if disc is first else match_light(disc, first), is_horizontal)
+
+    sources = side_by_side(known, [*horizontal, *radial])
+    return sources[: len(horizontal)], sources[len(horizontal) :]
 
 
 def _assembled(
@@ -301,15 +300,19 @@ def _blended_tones(
     inside = number >= 0
     blended = np.zeros((len(ball.points), 3), np.float32)
     weights = np.zeros((len(ball.points), 1), np.float32)
-    for n, label in enumerate(labels):
-        here = np.zeros(number.shape, np.float32)
+
+    def weigh(n: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        label, here = labels[n], np.zeros(number.shape, np.float32)
         here[inside] = chosen == n
         weight = ndimage.gaussian_filter(here, TONE_BLEND * LEVELS[-1] / 2)[inside]
         places = label.chunks.places(ball)
         if label.is_own:
             weight *= 1 + OWN_WEIGHT * np.exp(-np.square(places.distance / TONE_BLEND))
-        blended += weight[:, None] * label.read_tones(places, distance_across(labels, label, ball))
-        weights += weight[:, None]
+        return weight[:, None], weight[:, None] * label.read_tones(places, distance_across(labels, label, ball))
+
+    for weight, toned in side_by_side(weigh, range(len(labels))):
+        blended += toned
+        weights += weight
     total = np.zeros((*number.shape, 3), np.float32)
     total[inside] = blended / np.maximum(weights, 1e-6)
     nearest = ndimage.distance_transform_edt(~inside, return_distances=False, return_indices=True)

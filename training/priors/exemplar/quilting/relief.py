@@ -12,9 +12,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
+from engine.threads import for_spans
 from training.priors.exemplar.quilting.disc import DISC_PIXELS, Disc, disc_median, enlarged, to_pixels
 from training.priors.exemplar.sampling import reduced
 
@@ -92,7 +93,8 @@ class Relief:
         """(M, 4). Colours and strength of texture at places (M,), (M,) at distances (M,) from the plane, in radii."""
         rows, columns = (np.asarray(a, np.float32) for a in to_pixels(x, y, self.levels.shape[1]))
         out = np.empty((len(rows), 4), np.float32)
-        _read_relief(self.levels, self.heights, rows, columns, np.asarray(distance, np.float32), out)
+        away = np.asarray(distance, np.float32)
+        for_spans(_read_relief, len(out), self.levels, self.heights, rows, columns, away, out)
         return out
 
     def reduced(self, n: int) -> Relief:
@@ -110,8 +112,10 @@ def _half_way(given: NDArray[np.floating], radii: NDArray[np.floating]) -> NDArr
     return radii[last] + part * (radii[last + 1] - radii[last])
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True)
 def _read_relief(
+    start: int,
+    stop: int,
     levels: NDArray[np.float32],  # [L + 1, H, W, 4]
     heights: NDArray[np.float32],  # [H, W, L]
     rows: NDArray[np.float32],  # [M]
@@ -120,7 +124,7 @@ def _read_relief(
     out: NDArray[np.float32],  # [M, 4]
 ) -> None:
     height, width, count = heights.shape
-    for m in prange(len(rows)):
+    for m in range(start, stop):
         u = min(max(rows[m], np.float32(0)), np.float32(height - 1))
         v = min(max(columns[m], np.float32(0)), np.float32(width - 1))
         i, j = min(int(u), height - 2), min(int(v), width - 2)

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
+
+from engine.threads import for_spans
 
 __all__ = ["improve_labels", "nearest_colour", "two_nearest"]
 
@@ -15,7 +17,6 @@ _HALF = np.float32(0.5)
 _F1 = np.float32(1)
 
 
-@njit(cache=True, parallel=True)
 def improve_labels(
     labels: NDArray[np.int32],  # [M], changed in place
     number: NDArray[np.int32],  # [X, Y, Z] row of each cell, -1 outside
@@ -23,17 +24,32 @@ def improve_labels(
     colours: NDArray[np.float32],  # [M, K, 3] of every label at every cell
     costs: NDArray[np.float32],  # [M, K]
     weight: float,
-    parity: int,
 ) -> None:
-    """One step of iterated conditional modes (Besag 1986) over an eighth of the cells, those of one parity.
+    """One sweep of iterated conditional modes (Besag 1986).
 
     The seam between two neighbours costs the difference of their labels' colours at both (Kwatra et al. 2003).
     Neighbours are the six beside a cell and the eight at its corners: with six alone, seams follow the grid.
-    No two cells of one parity are neighbours, so any number of threads gives the same labels.
+    An eighth of the cells at a time, those of one parity: no two of them are neighbours, so any number of threads gives
+    the same labels.
     """
+    for parity in range(8):
+        for_spans(_improve_labels, len(cells), labels, number, cells, colours, costs, np.float32(weight), parity)
+
+
+@njit(cache=True, nogil=True)
+def _improve_labels(
+    start: int,
+    stop: int,
+    labels: NDArray[np.int32],  # [M], changed in place
+    number: NDArray[np.int32],  # [X, Y, Z]
+    cells: NDArray[np.int32],  # [M, 3]
+    colours: NDArray[np.float32],  # [M, K, 3]
+    costs: NDArray[np.float32],  # [M, K]
+    strength: np.float32,
+    parity: int,
+) -> None:
     count = colours.shape[1]
-    strength = np.float32(weight)
-    for m in prange(len(cells)):
+    for m in range(start, stop):
         i, j, k = cells[m, 0], cells[m, 1], cells[m, 2]
         if (i & 1) + 2 * (j & 1) + 4 * (k & 1) != parity:
             continue
@@ -76,7 +92,6 @@ def improve_labels(
         labels[m] = energy.argmin()
 
 
-@njit(cache=True, parallel=True)
 def nearest_colour(
     colours: NDArray[np.float32],  # [M, 3]
     x: NDArray[np.float32],  # [M] first pixel index
@@ -84,12 +99,28 @@ def nearest_colour(
     mirrored: NDArray[np.float32],  # [M] first pixel index on the other side of the axis
     picture: NDArray[np.float32],  # [W, H, 3]
     step: float,
+) -> NDArray[np.float32]:
+    """(M,). Smallest squared distance of each colour to those of a picture on 5x5 points, `step` pixels apart, around
+    a place and around its mirror image."""
+    out = np.empty(len(colours), np.float32)
+    for_spans(_nearest_colour, len(out), colours, x, y, mirrored, picture, step, out)
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _nearest_colour(
+    start: int,
+    stop: int,
+    colours: NDArray[np.float32],  # [M, 3]
+    x: NDArray[np.float32],  # [M]
+    y: NDArray[np.float32],  # [M]
+    mirrored: NDArray[np.float32],  # [M]
+    picture: NDArray[np.float32],  # [W, H, 3]
+    step: float,
     out: NDArray[np.float32],  # [M]
 ) -> None:
-    """Smallest squared distance of each colour to those of a picture on 5x5 points, `step` pixels apart, around a
-    place and around its mirror image."""
     width, height = picture.shape[0], picture.shape[1]
-    for m in prange(len(colours)):
+    for m in range(start, stop):
         best = np.float32(9)
         for side in range(2):
             middle = x[m] if side == 0 else mirrored[m]
@@ -105,17 +136,31 @@ def nearest_colour(
         out[m] = best
 
 
-@njit(cache=True, parallel=True)
 def two_nearest(
     labels: NDArray[np.int32],  # [M]
     number: NDArray[np.int32],  # [X, Y, Z] row of each cell, -1 outside
     at: NDArray[np.float32],  # [P, 3] in cells, cell centres at whole numbers
     count: int,
+) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+    """(P, 2) twice. The two of `count` labels with the largest trilinear weights at each point, and these weights; 0
+    where no cell is near."""
+    best, shares = np.empty((len(at), 2), np.int32), np.empty((len(at), 2), np.float32)
+    for_spans(_two_nearest, len(at), labels, number, at, count, best, shares)
+    return best, shares
+
+
+@njit(cache=True, nogil=True)
+def _two_nearest(
+    start: int,
+    stop: int,
+    labels: NDArray[np.int32],  # [M]
+    number: NDArray[np.int32],  # [X, Y, Z]
+    at: NDArray[np.float32],  # [P, 3]
+    count: int,
     out: NDArray[np.int32],  # [P, 2]
     shares: NDArray[np.float32],  # [P, 2]
 ) -> None:
-    """The two labels with the largest trilinear weights at each point, and these weights; 0 where no cell is near."""
-    for p in prange(len(at)):
+    for p in range(start, stop):
         weights = np.zeros(count, np.float32)
         for d in range(8):
             weight = _F1
