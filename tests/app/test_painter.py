@@ -83,8 +83,8 @@ def test_a_pixel_shows_the_point_that_is_picked_there(
     assert painter.unfinished == moving
     towards = camera.position / np.linalg.norm(camera.position)
     across = camera.viewmat[0, :3]
-    # An atom is met where its kernel is half as high. With half as many at each level, they are as much larger as covers
-    # the skin; and a pixel may be missed by half of its diagonal.
+    # An atom is met where its kernel is half as high. With half as many at each level, they are as much larger as
+    # covers the skin; and a pixel may be missed by half of its diagonal.
     height = math.sqrt(2 * math.log(2)) * 0.05 * 2 ** (level / 2)
     aside = math.sqrt(0.5) * EYE.distance / (camera.fx * part)
     for point in (towards, 0.8 * towards + 0.6 * across, 0.8 * towards - 0.6 * across):

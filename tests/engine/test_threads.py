@@ -63,7 +63,7 @@ def test_results_of_functions_side_by_side_are_in_order_and_the_first_error_is_r
         time.sleep(0.002 * (number % 3))
         total = np.zeros(10)
         for_each(mark, 10, total)  # kernels may be called from each of them
-        return total.sum() / (10 * number)
+        return float(total.sum()) / (10 * number)
 
     assert side_by_side(inverse, []) == []
     assert side_by_side(inverse, range(1, 9)) == [1 / n for n in range(1, 9)]
