@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from tests.helpers.exemplar_faces import UP, ball, save
 from tests.paths import SHARED
+from training.families import Family, Kind
+from training.priors.exemplar import ExemplarPrior
 from training.priors.exemplar.pictures import read_picture
+from training.priors.exemplar.quilting import quilt
 from training.priors.exemplar.quilting.disc import Disc, disc_grid
 from training.priors.exemplar.quilting.grains import Grains
-from training.priors.exemplar.quilting.labels import Source
+from training.priors.exemplar.quilting.inside import QuiltInside
+from training.priors.exemplar.quilting.labels import made_of_grains
 from training.priors.exemplar.quilting.packing import NEAR, SECTION, Packing, pack_grains
 
 PALE, DARK = np.array([0.9, 0.7, 0.6], np.float32), np.array([0.5, 0.1, 0.1], np.float32)
@@ -113,4 +119,24 @@ def test_of_photographs_pomegranates_are_made_of_grains(name: str, made_of_them:
         pytest.skip("the photographs are not beside the repository")
     horizontal = "_h" in name
     face = Disc.of(read_picture(path, "horizontal" if horizontal else "radial"))
-    assert bool(len(Source.of(face, horizontal).grains.radii)) == made_of_them
+    assert made_of_grains(face, horizontal) == made_of_them
+
+
+@pytest.mark.parametrize("kind", ["horizontal", "radial"])
+def test_grains_of_one_picture_alone_are_as_tall_as_wide(
+    kind: Kind, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """No rods, rings or streaks: what is dark goes on as far across the picture's plane as in it."""
+    monkeypatch.setattr(quilt, "LEVELS", (16, 32))
+    rgb = drawn(laid_out(0.15), 0.07).rgb[..., ::-1, :].swapaxes(0, 1)
+    x, y = disc_grid()
+    path = save(tmp_path / "grains.png", np.where((np.hypot(x, y) < 1)[..., None], rgb, 1))
+    volume = ExemplarPrior().solve(ball(32), UP, [Family(kind, 40, (path,))], 112, 0, lambda part: None)
+    assert isinstance(volume.inside, QuiltInside)
+    starts = np.random.default_rng(0).uniform(-0.45, 0.45, (500, 3))
+    lengths = []
+    for direction in np.eye(3):
+        line = starts[:, None] + np.arange(-20, 20)[:, None] * 0.01 * direction
+        dark = volume.at(line)[..., 1] < 0.22  # the middles of grains alone, as their rims touch
+        lengths.append(dark.sum() / (dark[:, 0].sum() + (dark[:, 1:] > dark[:, :-1]).sum()))
+    assert max(lengths) < 1.2 * min(lengths)  # 1.3 and 1.5 where layers go on

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -80,6 +81,19 @@ def test_a_record_makes_the_same_bits(inside: QuiltInside) -> None:
     again = restore_inside(inside.record())
     assert np.array_equal(again.at(points, 0.01), inside.at(points, 0.01))
     assert sum(array.nbytes for array in inside.record()[0].values()) < 3_000_000  # no grid of colours
+
+
+@pytest.mark.parametrize("horizontal", [True, False])
+def test_one_family_alone_is_kept_and_makes_the_same_bits(inside: QuiltInside, horizontal: bool) -> None:
+    families: tuple[list[Disc], list[Disc]] = ([striped()], []) if horizontal else ([], [striped()])
+    made = make_quilt(*families, 3, lambda part: None, inside.ball.height)
+    alone = replace(inside, quilt=made, horizontal=families[0], radial=families[1], _reduced={})
+    points = own_plane(inside, 0.1) + 0.05 * inside.basis[2]
+    assert np.array_equal(restore_inside(alone.record()).at(points, 0.01), alone.at(points, 0.01))
+    arrays, facts = alone.record()
+    del arrays["horizontal" if horizontal else "radial"]
+    with pytest.raises(ValueError, match="no pictures"):
+        restore_inside((arrays, facts))
 
 
 def test_a_wrong_record_is_none(inside: QuiltInside) -> None:

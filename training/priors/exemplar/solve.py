@@ -39,6 +39,7 @@ from training.priors.exemplar.pictures import Picture, read_picture, resolved_sh
 from training.priors.exemplar.quilting.agreement import show_one_thing
 from training.priors.exemplar.quilting.disc import BallMap, Disc
 from training.priors.exemplar.quilting.inside import QuiltInside
+from training.priors.exemplar.quilting.labels import made_of_grains
 from training.priors.exemplar.quilting.quilt import make_quilt
 from training.priors.exemplar.sharpen import sharpen
 from training.priors.prior import Progress, Volume
@@ -65,7 +66,8 @@ def solve(
     """The interior on a grid of `voxels` cells along the body's longest side, or fewer. Bit-equal for a seed.
 
     Fewer where the pictures resolve less (CELLS_PER_RESOLVED_PIXEL). Pictures of a round thing that do not agree where
-    they meet are quilted, unless they are the `same` thing's; others continue layer by layer. Raises InputError if no
+    they meet are quilted, unless they are the `same` thing's, and so is one family alone that shows things close
+    together, which no layer carries on; others continue layer by layer. Raises InputError if no
     family has an exemplar or a picture cannot be used.
     """
     families = [f.as_standard_kind(body, up) for f in families if f.exemplars]
@@ -90,10 +92,15 @@ def solve(
         rgb = space.scatter(inside.at(space.points, float(space.body.grid.cell)))
         sharpen(space, rgb, views)
         return _make_volume(space, rgb, progress, inside, notes)
-    if space.is_round and {view.kind for view in views} == {POLAR, RADIAL}:
+    if space.is_round and {view.kind for view in views} <= {POLAR, RADIAL}:
         discs = _discs(views, taken)  # in their own light, which is part of the question
-        if not same and not show_one_thing(discs[POLAR], discs[RADIAL]):
-            log.info("the pictures are of different things: followed each in its own plane, and mixed between")
+        if len(views) == 1:
+            kind = views[0].kind
+            is_quilted = made_of_grains(discs[kind][0], kind == POLAR)
+        else:
+            is_quilted = not same and not show_one_thing(discs[POLAR], discs[RADIAL])
+        if is_quilted:
+            log.info("no picture goes on through the object: each is followed in its own plane, and mixed between")
             ball = BallMap.of(space)
             quilt = make_quilt(discs[POLAR], discs[RADIAL], seed, lambda part: progress(0.1 + 0.6 * part), ball.height)
             rgb = space.scatter(quilt.read(ball.to_ball(space.planar)))
@@ -116,8 +123,9 @@ def solve(
 
 
 def _discs(views: list[View], pictures: list[list[Picture]]) -> dict[Frame, list[Disc]]:
-    """The pictures of each frame as unit discs."""
-    return {view.kind: [Disc.of(p) for p in own] for view, own in zip(views, pictures, strict=True)}
+    """The pictures of both frames of a round body as unit discs, none of one that is not among the views."""
+    own = {view.kind: [Disc.of(p) for p in some] for view, some in zip(views, pictures, strict=True)}
+    return {kind: own.get(kind, []) for kind in (POLAR, RADIAL)}
 
 
 def _match_lighting(families: list[list[Picture]]) -> list[list[Picture]]:

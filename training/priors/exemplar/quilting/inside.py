@@ -79,7 +79,7 @@ class QuiltInside:
         """Arrays and JSON facts from which `restored` makes the same inside."""
         families = zip(FAMILIES, (self.horizontal, self.radial), strict=True)
         arrays: dict[str, NDArray[Any]] = {
-            name: np.stack([disc.to_bytes() for disc in discs]) for name, discs in families
+            name: np.stack([disc.to_bytes() for disc in discs]) for name, discs in families if discs
         }
         arrays |= {"chosen": self.quilt.chosen.astype(np.uint8), "skin": self.ball.skin}
         arrays |= {"origin": self.origin, "basis": self.basis}
@@ -91,10 +91,11 @@ class QuiltInside:
         skin = record.array("skin", np.float64, (None, None))
         if min(skin.shape) < 4 or max(skin.shape) > 1000 or skin.min() <= 0:
             raise ValueError("a wrong skin")
-        families = [record.array(name, np.uint8, (None, DISC_PIXELS, DISC_PIXELS, 3)) for name in FAMILIES]
-        if sum(len(family) for family in families) > MOST_SHEETS:
-            raise ValueError("too many pictures")
-        horizontal, radial = ([Disc.of_bytes(rgb) for rgb in family] for family in families)
+        shape = (None, DISC_PIXELS, DISC_PIXELS, 3)
+        families = {name: record.array(name, np.uint8, shape) for name in FAMILIES if name in record.arrays}
+        if not 0 < sum(len(family) for family in families.values()) <= MOST_SHEETS:
+            raise ValueError("no pictures, or too many")
+        horizontal, radial = ([Disc.of_bytes(rgb) for rgb in families.get(name, ())] for name in FAMILIES)
         chosen, seed = record.array("chosen", np.uint8, (None,)), record.count("seed", 1 << 63)
         ball = BallMap(record.number("rise"), skin)
         origin, basis = record.array("origin", np.float64, (3,)), record.array("basis", np.float64, (3, 3))

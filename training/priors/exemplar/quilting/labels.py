@@ -21,7 +21,7 @@ from training.priors.exemplar.quilting.persistence import Persistence, find_shee
 from training.priors.exemplar.quilting.relief import Relief
 from training.priors.exemplar.quilting.texture import Parts, take_apart
 
-__all__ = ["Label", "Source", "distance_across", "read_discs"]
+__all__ = ["Label", "Source", "distance_across", "made_of_grains", "read_discs"]
 
 FINE_RINGS, LARGEST = 64, 0.16
 """Rings from whose median colours things stand out, and their largest half width in radii."""
@@ -69,9 +69,7 @@ class Source:
         """What is known of a picture."""
         persistence = Persistence(disc)
         sheets = find_sheets(disc, persistence) if is_horizontal else np.zeros(disc.rgb.shape[:2], np.float32)
-        even = even_around(disc) if is_horizontal else even_sides(disc)
-        parts = take_apart(even)
-        relief = Relief.of(parts.things, parts.strength)
+        even, parts, relief, grains = _look_closely(disc, is_horizontal)
         return cls(
             disc,
             even,
@@ -82,8 +80,21 @@ class Source:
             smooth_disc(even, TONE),
             persistence,
             Disc(np.repeat(sheets[..., None], 3, -1)),
-            Grains.of(parts.things, relief.heights),
+            grains,
         )
+
+
+def _look_closely(disc: Disc, is_horizontal: bool) -> tuple[Disc, Parts, Relief, Grains]:
+    """The picture with even tones, its parts, and the solids and the grains among its things."""
+    even = even_around(disc) if is_horizontal else even_sides(disc)
+    parts = take_apart(even)
+    relief = Relief.of(parts.things, parts.strength)
+    return even, parts, relief, Grains.of(parts.things, relief.heights)
+
+
+def made_of_grains(disc: Disc, is_horizontal: bool) -> bool:
+    """Whether a picture shows things that lie close together all over."""
+    return len(_look_closely(disc, is_horizontal)[3].radii) > 0
 
 
 @dataclass(frozen=True)
