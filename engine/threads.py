@@ -31,7 +31,7 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 SPAN = 2048
-"""Rows that a kernel does at a time: over 50 us of work in any of them, beside 3 us for the call."""
+"""Rows that a kernel does at a time: 90 us of work in the quickest of four that were measured, 1 us for the call."""
 
 PATIENCE = 10_000
 """Looks before a thread goes to sleep, some 20 ns each: longer than the caller takes from one loop to the next."""
