@@ -12,10 +12,12 @@ from numpy.typing import DTypeLike, NDArray
 
 from engine.scene.inside import InsideRecord
 
-__all__ = ["MOST_SHEETS", "RecordReader", "nested"]
+__all__ = ["MOST_SEED", "MOST_SHEETS", "RecordReader", "nested"]
 
 MOST_SHEETS = 40
 """Pictures of a file: 20 of each family."""
+
+MOST_SEED = 1 << 63
 
 
 def nested(parts: Mapping[str, InsideRecord]) -> InsideRecord:

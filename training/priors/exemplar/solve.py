@@ -21,11 +21,12 @@ from engine.scene.grid import Body
 from engine.scene.inside import Inside
 from engine.threads import side_by_side
 from training.families import Family
-from training.priors.exemplar.frames import Frame, Space, View, make_space, scale_to_voxels
+from training.priors.exemplar.frames import Frame, ScaledPicture, Space, View, make_space, scale_to_voxels
 from training.priors.exemplar.layering.core_line import extract_core
 from training.priors.exemplar.layering.correction import RING_SAMPLES, Correction
 from training.priors.exemplar.layering.decompose import Layers, decompose
-from training.priors.exemplar.layering.extrusion import Drift, Extrusion
+from training.priors.exemplar.layering.extrusion import Extrusion
+from training.priors.exemplar.layering.grain import Grain
 from training.priors.exemplar.layering.height_mask import HeightMask, make_height_mask
 from training.priors.exemplar.layering.inside import LayeredInside
 from training.priors.exemplar.layering.morph import Slices, match_slices
@@ -34,13 +35,15 @@ from training.priors.exemplar.layering.revolution import Revolution
 from training.priors.exemplar.layering.scatter import scatter_details
 from training.priors.exemplar.layering.sheet import Sheet
 from training.priors.exemplar.lighting import colour_gain
-from training.priors.exemplar.patches import FIXED, POLAR, RADIAL
+from training.priors.exemplar.patches import FIXED, OVER, POLAR, RADIAL
 from training.priors.exemplar.pictures import Picture, read_picture, resolved_share
 from training.priors.exemplar.quilting.agreement import show_one_thing
 from training.priors.exemplar.quilting.disc import BallMap, Disc
 from training.priors.exemplar.quilting.inside import QuiltInside
 from training.priors.exemplar.quilting.labels import made_of_grains
+from training.priors.exemplar.quilting.persistence import Persistence, find_sheets
 from training.priors.exemplar.quilting.quilt import make_quilt
+from training.priors.exemplar.record import MOST_SEED
 from training.priors.exemplar.sharpen import sharpen
 from training.priors.prior import Progress, Volume
 
@@ -92,6 +95,7 @@ def solve(
         rgb = space.scatter(inside.at(space.points, float(space.body.grid.cell)))
         sharpen(space, rgb, views)
         return _make_volume(space, rgb, progress, inside, notes)
+    discs: dict[Frame, list[Disc]] = {}
     if space.is_round and {view.kind for view in views} <= {POLAR, RADIAL}:
         discs = _discs(views, taken)  # in their own light, which is part of the question
         if len(views) == 1:
@@ -108,7 +112,7 @@ def solve(
             sharpen(space, rgb, views)
             quilted = QuiltInside.of(space, ball, quilt, discs[POLAR], discs[RADIAL], seed)
             return _make_volume(space, rgb, progress, quilted, notes)
-    layers = [[decompose(scaled, view.kind) for scaled in view.pictures] for view in views]
+    layers = [_layers_of(view, discs.get(view.kind, [])) for view in views]
     progress(0.2)
     course, height_mask = _lay_course(space, views, layers, rng)
     inside = LayeredInside.of(space, course)
@@ -126,6 +130,23 @@ def _discs(views: list[View], pictures: list[list[Picture]]) -> dict[Frame, list
     """The pictures of both frames of a round body as unit discs, none of one that is not among the views."""
     own = {view.kind: [Disc.of(p) for p in some] for view, some in zip(views, pictures, strict=True)}
     return {kind: own.get(kind, []) for kind in (POLAR, RADIAL)}
+
+
+def _layers_of(view: View, discs: list[Disc]) -> list[Layers]:
+    """The layers of a view's pictures. `discs`: the same pictures, in a round body."""
+    if view.kind != POLAR or not discs:
+        return [decompose(scaled, view.kind) for scaled in view.pictures]
+    return [decompose(s, POLAR, _sheets_of(d, s)) for s, d in zip(view.pictures, discs, strict=True)]
+
+
+def _sheets_of(disc: Disc, scaled: ScaledPicture) -> NDArray[np.float32]:
+    """(H, W). How surely the pixels of a horizontal picture, which the disc shows, are of sheets. Range [0, 1]."""
+    rows, columns = np.indices(scaled.depth.shape) / OVER
+    right, high = columns - scaled.middle[0], scaled.middle[1] - rows
+    angle = np.arctan2(high, right)
+    r = np.hypot(right, high) / scaled.rim(angle)
+    found = find_sheets(disc, Persistence(disc))
+    return Disc(np.repeat(found[..., None], 3, -1)).read(r * np.cos(angle), r * np.sin(angle))[..., 0]
 
 
 def _match_lighting(families: list[list[Picture]]) -> list[list[Picture]]:
@@ -197,15 +218,13 @@ def _lay_course(
     if carrier is None:
         log.info("radial pictures alone: turned about the axis")
         shape = Shape.of(space, space.basis, True)
-        return Revolution.of(shape, Sheet.of(layers[0][0]), float(np.median(space.rim)), rng), None
+        grain, rim = Grain.of(layers[0], [], turns=False), float(np.median(space.rim))
+        return Revolution(shape, Sheet.of(layers[0][0]), grain, rim, int(rng.integers(MOST_SEED))), None
     view = views[carrier]
     shape = Shape.of(space, view.basis, view.kind == POLAR)
-    drift = Drift.of(layers[carrier], layers[radial] if radial is not None else [], shape)
-    log.info(
-        "carried along the %s axis, texture drifting %.2f cells a cell",
-        "up" if view.kind == POLAR else "fixed",
-        drift.rate,
-    )
+    grain = Grain.of(layers[carrier], layers[radial] if radial is not None else [], turns=shape.is_round)
+    way = "up" if view.kind == POLAR else "fixed"
+    log.info("carried along the %s axis, texture in layers of %.2f cells", way, grain.thickness)
     core, height_mask = None, None
     if radial is not None:
         if view.kind == POLAR:
@@ -213,8 +232,8 @@ def _lay_course(
             core, first, layers[radial] = extract_core(layers[carrier][0], layers[radial])
             layers[carrier] = [first, *others]
         height_mask = make_height_mask(layers[carrier][0], layers[radial], rng)
-    main, phases = layers[carrier][0], rng.uniform(0, 2 * np.pi, 8)
-    course = Extrusion(shape, Sheet.of(main), drift, phases, height_mask, core)
+    main = layers[carrier][0]
+    course = Extrusion(shape, Sheet.of(main), grain, int(rng.integers(MOST_SEED)), height_mask, core)
     if radial is None:
         return course, height_mask
     # Random, not strided: in a straight body a stride would skip whole levels.

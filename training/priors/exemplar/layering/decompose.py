@@ -32,6 +32,9 @@ MAX_DETAIL_LENGTH = 0.2
 
 MAX_ELONGATION = 4.0
 
+LEAST_SHEET = 0.3
+"""Surety from which a pixel of a sheet has its colour, and is not the colour of what is around it seen through it."""
+
 LEAST_RIND_CONTRAST = 0.08
 """RGB distance from the flesh from which a layer along the skin is rind."""
 
@@ -110,8 +113,11 @@ def rind_depth(scaled: ScaledPicture, kind: Frame) -> float:
     return step
 
 
-def decompose(scaled: ScaledPicture, kind: Frame) -> Layers:
-    """Splits a picture into layers. Details and structures both contrast with the ground; details are compact."""
+def decompose(scaled: ScaledPicture, kind: Frame, sheets: NDArray[np.float32] | None = None) -> Layers:
+    """Splits a picture into layers. Details and structures both contrast with the ground; details are compact.
+
+    `sheets` (H, W): how surely each pixel shows a thin sheet, which is a structure however faint it is. Range [0, 1].
+    """
     rind = rind_depth(scaled, kind)
     core = scaled.depth > rind
     inradius = float(ndimage.distance_transform_edt(scaled.depth > 0).max())  # pixels
@@ -151,6 +157,8 @@ def decompose(scaled: ScaledPicture, kind: Frame) -> Layers:
         compact &= ~edges
     runs = long | edges
     structure = opacity * ndimage.binary_dilation(runs[parts], iterations=1) if count else np.zeros_like(contrast)
+    if sheets is not None:
+        structure = np.maximum(structure, sheets * core)
     reach, owner = ndimage.distance_transform_edt(~compact[parts], return_indices=True)
     labels = np.where(reach <= 2.5, (parts * compact[parts])[owner[0], owner[1]], 0).astype(np.int32)
     detail = opacity * (labels > 0) * (structure < 0.5)
@@ -165,6 +173,8 @@ def decompose(scaled: ScaledPicture, kind: Frame) -> Layers:
     texture = _fill_mirrored(picture - ground, clean)
     # Thin structures are smoothed by half a voxel, or cuts along them would show the grid; their colours extend as far.
     solid = structure > 0.7
+    if sheets is not None:
+        solid |= (sheets > LEAST_SHEET) & core
     nearest = ndimage.distance_transform_edt(~solid, return_distances=False, return_indices=True)
     thin = ndimage.gaussian_filter(structure, 0.6 * OVER)
     return Layers(

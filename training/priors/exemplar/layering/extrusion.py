@@ -1,14 +1,13 @@
 """Extrudes the layers of a picture along the axis that it does not show.
 
-Structures run straight through; the texture drifts sideways, so that it is as fine along the axis as the pictures
-show; details are left to `scatter`. Radial pictures then correct the result by height (`correction`).
+Structures run straight through; texture lies in thin layers (`strata`), as fine along the axis as the pictures show;
+details are left to `scatter`. Radial pictures then correct the result by height (`correction`).
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,75 +15,31 @@ from numpy.typing import NDArray
 from engine.scene.inside import InsideRecord
 from training.priors.exemplar.layering.core_line import Core
 from training.priors.exemplar.layering.correction import Correction
-from training.priors.exemplar.layering.decompose import Layers
+from training.priors.exemplar.layering.grain import SWING, Grain, Strata
 from training.priors.exemplar.layering.height_mask import HeightMask
 from training.priors.exemplar.layering.places import Places, Shape
 from training.priors.exemplar.layering.sheet import GROUND, PICTURE, STRUCTURE, TEXTURE, THROUGH, Sheet
-from training.priors.exemplar.record import RecordReader, nested
+from training.priors.exemplar.record import MOST_SEED, RecordReader, nested
+from training.priors.exemplar.strata import read_layers
 
-__all__ = ["Drift", "Extrusion"]
+__all__ = ["Extrusion"]
 
 WAVINESS = 0.035
 """Waviness of structures along the axis, radians: a cut along a straight membrane one voxel thick shows the grid."""
 
-RADIAL_DRIFT = 0.6
-"""Texture drift along the radius over that around the axis. With either alone, cuts across it show stripes."""
-
-SWING = 0.12
-"""Of the drifting texture to either side, in inradii of the picture."""
-
-
-@dataclass(frozen=True)
-class Drift:
-    """How the texture of slices moves along the axis, so that it ends along it as it does in the slices."""
-
-    rate: float
-    """Cells per cell."""
-    share_a: float
-    """Share of the full swing along the picture's direction a, and along b: rings and stripes are cut shells and
-    sheets, which do not drift through themselves."""
-    share_b: float
-    grain: float
-    """Half a wavelength of the texture around the axis, cells."""
-    is_stranded: bool
-    """Whether its grains are elongated along the radius, like juice sacs."""
-
-    @classmethod
-    def of(cls, carrier: Sequence[Layers], radial: Sequence[Layers], shape: Shape) -> Drift:
-        """The drift that gives the texture the slope along the axis which radial pictures show; without any, the
-        carrier's own mean slope, but that of rings around them."""
-        spread, a, b = np.mean([p.spread for p in carrier], axis=0)
-        share_a = share_b = 1.0
-        if radial:
-            deviation, _, steep = np.mean([p.spread for p in radial], axis=0)
-            wanted = steep / deviation
-        else:
-            share_a, share_b = min(b / a, 1.0), 1.0 if shape.is_round else min(a / b, 1.0)
-            wanted = np.hypot(share_a * a, b) / np.sqrt(2) / spread
-        rate = wanted / (np.hypot(RADIAL_DRIFT * share_a * a, b) / spread)
-        inradius = float(carrier[0].source.depth.max()) * shape.inradius
-        deviation, slope_a, slope_b = carrier[0].spread
-        return cls(
-            float(np.clip(rate, 0.1, 1.5)),
-            float(share_a),
-            float(share_b),
-            float(np.clip(np.pi * deviation / slope_b, 2, 0.3 * inradius)),
-            bool(slope_b > 1.8 * slope_a),
-        )
-
 
 @dataclass(frozen=True)
 class Extrusion:
-    """A picture extruded along an axis: ground and structures straight, texture drifting sideways.
+    """A picture extruded along an axis: ground and structures straight, texture in layers across it.
 
     A point near the skin shows the picture at equal depth, a deeper one at the equal share of the slice's radius.
     """
 
     shape: Shape
     sheet: Sheet
-    drift: Drift
-    phases: NDArray[np.float64]
-    """(8,). Radians."""
+    grain: Grain
+    seed: int
+    """Of the layers and of the waves of structures."""
     height_mask: HeightMask | None
     """Where radial pictures end its structures."""
     core: Core | None
@@ -114,19 +69,18 @@ class Extrusion:
 
     def uncorrected(self, places: Places) -> NDArray[np.float32]:
         """(M, 3). What the picture alone says."""
-        sheet, angle, share, depth, level = self.sheet, places.angle, places.share, places.depth, places.level
-        phases, size = self.phases.tolist(), self.shape.inradius
+        sheet, angle, share, depth, size = self.sheet, places.angle, places.share, places.depth, self.shape.inradius
         inradius = sheet.inradius * size
         if self.shape.is_round:
-            wave = level / (0.55 * inradius)
-            slow, fast = wave + phases[4], 1.7 * wave + 5 * share + phases[5]
+            wave = places.level / (0.55 * inradius)
+            slow, fast = wave + self._strata.phases[0], 1.7 * wave + 5 * share + self._strata.phases[1]
             angle = angle + WAVINESS * (np.sin(slow) + np.sin(fast))
         x, y = sheet.position(angle, share, depth, size)
         under = (
             (x, y) if self.core is None else sheet.position(angle, self._bent(places, self.core, angle), depth, size)
         )
         rgb = sheet.read(*under, GROUND)
-        rgb += sheet.read(*self._drifted(places, angle, x, y), TEXTURE)
+        rgb += self._texture(places, angle, x, y)
         structure = sheet.read(x, y, _RUNS)
         opacity, through = structure[:, :1], structure[:, 1:]
         # On a small slice the picture shrinks, but a membrane keeps its thickness.
@@ -148,44 +102,35 @@ class Extrusion:
             through[inner] = colours
         return np.clip(rgb + opacity * (through - rgb), 0, 1)
 
-    def _drifted(
+    @cached_property
+    def _strata(self) -> Strata:
+        return Strata(int(len(self.shape.rims) / self.grain.thickness) + 4, self.seed)
+
+    def _texture(
         self, places: Places, angle: NDArray[np.floating], x: NDArray[np.floating], y: NDArray[np.floating]
-    ) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
-        """(M,), (M,). Where the texture of points is taken that show the picture at x and y."""
-        sheet, drift, phases, level = self.sheet, self.drift, self.phases.tolist(), places.level
-        inradius = sheet.inradius * self.shape.inradius
-        swing = SWING * inradius
-        phase = 0.3 * inradius * np.sin(angle + phases[0])
-        aside = swing * drift.share_a * triangle((level + phase) * RADIAL_DRIFT * drift.rate / (4 * swing))
-        if not self.shape.is_round:
-            along = swing * drift.share_b * triangle((level - phase) * drift.rate / (4 * swing))
-            return x + aside, y + along
-        # One rotation for a whole slice, so that nothing is sheared; the rate is exact at half the radius.
-        other = angle + drift.rate * level / (0.5 * inradius) + phases[3]
-        if drift.is_stranded:
-            other = angle + self._strand_angles(angle, level, round(np.pi * inradius / (2 * drift.grain)))
-        u, v = sheet.position(other, places.share, np.maximum(places.depth, sheet.rind), self.shape.inradius)
-        # Less at the axis, which would otherwise show a star: all directions meet there.
-        aside *= np.minimum(np.hypot(u - sheet.middle[0], v - sheet.middle[1]) / (2 * swing), 1)
-        return u + aside * np.cos(other), v - aside * np.sin(other)
+    ) -> NDArray[np.float32]:
+        """(M, 3). The texture of points that show the picture at x and y."""
+        sheet, grain, strata, size = self.sheet, self.grain, self._strata, self.shape.inradius
+        swing = SWING * sheet.inradius * size
+        middle = len(self.shape.rims) / 2
+        radius = max(self.shape.widest, middle)
+        upright = (places.level - middle)[:, None]
+        waves = strata.waves.at((np.concatenate([places.place, upright], axis=1) / radius).astype(np.float32))
+        height = (places.level + radius * waves) / grain.thickness
 
-    def _strand_angles(
-        self, angle: NDArray[np.floating], level: NDArray[np.floating], count: int
-    ) -> NDArray[np.floating]:
-        """(M,). For a texture of long grains: the angle by which each strand's texture is rotated.
+        def read(layer: NDArray[np.int64], rows: NDArray[np.intp]) -> NDArray[np.float32]:
+            out, around = strata.draw(layer)
+            out = swing * grain.share_a * out
+            if not self.shape.is_round:
+                return sheet.read(x[rows] + out, y[rows] + swing * grain.share_b * around, TEXTURE)
+            other = angle[rows] + np.pi * grain.share_a * around
+            depth = np.maximum(places.depth[rows], sheet.rind)
+            u, v = sheet.position(other, places.share[rows], depth, size)
+            # Less at the axis, where all directions meet.
+            out *= np.minimum(np.hypot(u - sheet.middle[0], v - sheet.middle[1]) / (2 * swing), 1)
+            return sheet.read(u + out * np.cos(other), v - out * np.sin(other), TEXTURE)
 
-        Strands run outwards from the axis, `count` around it and two grains high, with slightly wavy walls; each shows
-        another part of the picture. A cut across them shows the ends of grains, where a drift would produce stripes.
-        """
-        phases, grain = self.phases.tolist(), self.drift.grain
-        row = (
-            level / (2 * grain) + 0.4 * np.sin((count // 2) * angle + phases[4]) + 0.25 * np.sin(5 * angle + phases[5])
-        )
-        j = np.floor(row).astype(np.int64)
-        turn = angle / (2 * np.pi) * count + 0.5 * (j % 2) + 0.35 * np.sin(level / grain + phases[6])
-        i = np.floor(turn).astype(np.int64) % count
-        mixed = (i * 73856093 ^ j * 19349663) & 0xFFFFFF
-        return (mixed * 2654435761 % 65521) / 65521 * 2 * np.pi
+        return read_layers(height, read)
 
     def _draw_core_line(self, rgb: NDArray[np.float32], places: Places, core: Core) -> None:
         """Draws the line around a core into colours (M, 3), in place."""
@@ -208,23 +153,17 @@ class Extrusion:
         parts = {"sheet": self.sheet.record()}
         more = {"mask": self.height_mask, "core": self.core, "correction": self.correction}
         arrays, facts = nested(parts | {name: part.record() for name, part in more.items() if part is not None})
-        return arrays | {"phases": self.phases}, facts | {"drift": asdict(self.drift)}
+        return arrays, facts | {"grain": asdict(self.grain), "seed": self.seed}
 
     @classmethod
     def restored(cls, record: RecordReader, shape: Shape) -> Extrusion:
         """That of a `record`. Raises ValueError if it is none."""
-        sheet, drift = Sheet.restored(record.part("sheet")), record.part("drift")
+        sheet = Sheet.restored(record.part("sheet"))
         return cls(
             shape,
             sheet,
-            Drift(
-                drift.number("rate", 0, 1e4),
-                drift.number("share_a", 0, 1),
-                drift.number("share_b", 0, 1),
-                drift.number("grain", 1e-3, 1e5),
-                drift.flag("is_stranded"),
-            ),
-            record.array("phases", np.float64, (8,)),
+            Grain.restored(record.part("grain")),
+            record.count("seed", MOST_SEED),
             HeightMask.restored(record.part("mask"), sheet.labels.shape) if record.has("mask") else None,
             Core.restored(record.part("core"), sheet.labels.shape) if record.has("core") else None,
             Correction.restored(record.part("correction")) if record.has("correction") else None,
@@ -233,8 +172,3 @@ class Extrusion:
 
 _RUNS = slice(STRUCTURE.start, THROUGH.stop)
 """What runs through: opacity and colour."""
-
-
-def triangle(phase: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Triangle wave of period 1 and range [-1, 1], rounded at its extremes."""
-    return np.arcsin(0.97 * np.sin(2 * np.pi * phase)) / math.asin(0.97)

@@ -11,17 +11,15 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from engine.threads import for_spans
+from training.priors.exemplar.noise import Noise
 from training.priors.exemplar.quilting.disc import REACH, Disc, to_pixels
 
 __all__ = [
     "Ball",
     "Chunks",
-    "Noise",
     "OwnAzimuths",
     "OwnHeight",
     "Places",
@@ -68,8 +66,6 @@ RIND = (0.05, 0.25)
 
 GOLDEN_ANGLE = 2.399
 """Turn in radians from one slab of a set to the next, which comes back to no earlier one."""
-
-_NOISE_EXTENT = 1.3
 
 
 @dataclass(frozen=True)
@@ -215,58 +211,6 @@ class Sectors:
         x, y = self.mirror[sector] * ball.radius + moved[:, 0], ball.points[:, 2] + moved[:, 1]
         picture = (self.number + sector * SECTOR_SETS) % self.pictures
         return Places(picture, *(a.astype(np.float32) for a in (x, y, distance, ball.rind)))
-
-
-class Noise:
-    """Smooth random functions on the ball with mean 0 and standard deviation about 1."""
-
-    def __init__(self, lengths: tuple[float, ...], count: int, rng: np.random.Generator) -> None:
-        shape = [int(np.ceil(2 * _NOISE_EXTENT / length)) + 4 for length in lengths]
-        self._lengths = np.array(lengths, np.float32)
-        splines = [ndimage.spline_filter(rng.standard_normal(shape), 2, np.float32) for _ in range(count)]
-        # Interpolation takes the rest of a standard deviation.
-        self._splines = (np.stack(splines, -1) / 0.55).astype(np.float32)
-
-    def at(self, points: NDArray[np.float32]) -> NDArray[np.float32]:
-        """(M, count). The values at points (M, 3)."""
-        out = np.empty((len(points), self._splines.shape[3]), np.float32)
-        at = ((points + _NOISE_EXTENT) / self._lengths + 1.5).astype(np.float32)
-        for_spans(_read_spline, len(out), self._splines, at, out)
-        return out
-
-
-@njit(cache=True, nogil=True)
-def _read_spline(
-    start: int,
-    stop: int,
-    coefficients: NDArray[np.float32],  # [X, Y, Z, C]
-    at: NDArray[np.float32],  # [M, 3] in cells
-    out: NDArray[np.float32],  # [M, C]
-) -> None:
-    """Quadratic B-splines (Unser 1999) at points; beyond the lattice the coefficients of its border go on."""
-    channels = coefficients.shape[3]
-    for m in range(start, stop):
-        weights = np.empty((3, 3), np.float32)
-        first = np.empty(3, np.int64)
-        for a in range(3):
-            middle = np.floor(at[m, a] + np.float32(0.5))
-            t = at[m, a] - middle
-            first[a] = np.int64(middle) - 1
-            weights[a, 0] = np.float32(0.5) * (np.float32(0.5) - t) ** 2
-            weights[a, 1] = np.float32(0.75) - t * t
-            weights[a, 2] = np.float32(0.5) * (np.float32(0.5) + t) ** 2
-        for c in range(channels):
-            value = np.float32(0)
-            for i in range(3):
-                x = min(max(first[0] + i, 0), coefficients.shape[0] - 1)
-                for j in range(3):
-                    y = min(max(first[1] + j, 0), coefficients.shape[1] - 1)
-                    line = np.float32(0)
-                    for k in range(3):
-                        z = min(max(first[2] + k, 0), coefficients.shape[2] - 1)
-                        line += weights[2, k] * coefficients[x, y, z, c]
-                    value += weights[0, i] * weights[1, j] * line
-            out[m, c] = value
 
 
 def _drifted(

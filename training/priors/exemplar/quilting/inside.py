@@ -13,7 +13,7 @@ from engine.scene.inside import InsideRecord, Kind
 from training.priors.exemplar.frames import Space
 from training.priors.exemplar.quilting.disc import DISC_PIXELS, REACH, BallMap, Disc
 from training.priors.exemplar.quilting.quilt import Quilt, restore_quilt
-from training.priors.exemplar.record import MOST_SHEETS, RecordReader
+from training.priors.exemplar.record import MOST_SEED, MOST_SHEETS, RecordReader
 
 __all__ = ["QuiltInside"]
 
@@ -96,7 +96,7 @@ class QuiltInside:
         if not 0 < sum(len(family) for family in families.values()) <= MOST_SHEETS:
             raise ValueError("no pictures, or too many")
         horizontal, radial = ([Disc.of_bytes(rgb) for rgb in families.get(name, ())] for name in FAMILIES)
-        chosen, seed = record.array("chosen", np.uint8, (None,)), record.count("seed", 1 << 63)
+        chosen, seed = record.array("chosen", np.uint8, (None,)), record.count("seed", MOST_SEED)
         ball = BallMap(record.number("rise"), skin)
         origin, basis = record.array("origin", np.float64, (3,)), record.array("basis", np.float64, (3, 3))
         cell = record.number("cell", 1e-12)

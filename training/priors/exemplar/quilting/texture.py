@@ -3,8 +3,7 @@
 What is narrower than a seed and no stronger than what is around it is texture, and no two cuts show the same. Carried
 along an axis it would show as rods and, where places drift, as wavy lines. So only the things are quilted, and each
 thin layer of the ball has texture from elsewhere in the pictures: across the axis where a horizontal picture is shown,
-around it where a radial one is, so that either cut shows texture as it was photographed. Layers pass into one another
-such that the variance stays (Heitz and Neyret 2018), as a mean would be a blur.
+around it where a radial one is, so that either cut shows texture as it was photographed (`strata`).
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from training.priors.exemplar.quilting.chunks import Ball, Noise
+from training.priors.exemplar.quilting.chunks import Ball
 from training.priors.exemplar.quilting.disc import (
     DISC_PIXELS,
     REACH,
@@ -27,6 +26,7 @@ from training.priors.exemplar.quilting.disc import (
     enlarged,
     smooth_disc,
 )
+from training.priors.exemplar.strata import LAYER, Waves, read_layers
 
 __all__ = ["Parts", "TextureField", "take_apart"]
 
@@ -40,23 +40,11 @@ AROUND = 0.11
 STRONG = (2.5, 4.0)
 """Times the typical contrast between which a contrast passes from texture to the edge of a thing."""
 
-LAYER = 1.5
-"""Thickness of a layer over the grain of its texture, so that it changes as fast along the axis as around it. Thicker
-ones show as streaks in the other cuts: features of radial cuts up to 0.4 worse for each doubling from 2.5 on."""
-
-PASSING = 0.15
-"""Share of a layer in which it passes into the next. Elsewhere texture is one picture's own, with its lines: passing
-all along blurs them by chance (features of radial cuts of four pairs 0.03 to 0.15 worse)."""
-
 SHIFT = 0.1
 """Standard deviation in radii of the shift of a radial layer's places. Without it texture shows as rings."""
 
 THINNEST = 0.01
 """Thickness of a layer in radii that the finest volumes still resolve."""
-
-WAVE, WAVE_LENGTH = 0.01, 0.3
-"""Standard deviation and length in radii of the waves of the layers: none shows as a plane, and a cut passes through
-few of them (three times as much: features 0.05 worse)."""
 
 FLESH = (0.1, 0.85)
 """Shares of the radius between which the grain is measured: neither core nor rind."""
@@ -102,7 +90,7 @@ class TextureField:
         self._shifts = SHIFT * rng.standard_normal((layers, 2))
         self._mirrors = rng.choice([-1.0, 1.0], layers)
         self._pictures = rng.integers(0, len(textures), layers)
-        self._wave = Noise((WAVE_LENGTH,) * 3, 1, rng)
+        self._waves = Waves(rng)
 
     def reduced(self, n: int) -> TextureField:
         """The same texture without what pixels n times as large do not show."""
@@ -113,31 +101,28 @@ class TextureField:
     def at(self, ball: Ball) -> NDArray[np.float32]:
         """(M, 3). The texture at the points."""
         count = len(self._turns)
-        wave = WAVE * self._wave.at(ball.points)[:, 0]
+        wave = self._waves.at(ball.points)
         if self.is_horizontal:
             height = (ball.points[:, 2] + wave + REACH) / self.thickness
         else:
             height = (ball.angle / (2 * np.pi) + wave / 2 + 1) * count
-        whole = np.floor(height)
-        part = np.clip((height - whole - (1 - PASSING)) / PASSING, 0, 1) * np.pi / 2
-        whole = whole.astype(np.int64)
-        return self._layer(ball, whole % count, np.cos(part)) + self._layer(ball, (whole + 1) % count, np.sin(part))
+        return read_layers(height, lambda layer, rows: self._layer(ball, layer % count, rows))
 
-    def _layer(self, ball: Ball, layer: NDArray[np.int64], share: NDArray[np.floating]) -> NDArray[np.float32]:
-        """(M, 3). The share (M,) of the texture of a layer (M,)."""
+    def _layer(self, ball: Ball, layer: NDArray[np.int64], rows: NDArray[np.intp]) -> NDArray[np.float32]:
+        """(R, 3). The texture of layers (R,) at some rows (R,) of the points."""
         mirror = self._mirrors[layer]
         if self.is_horizontal:
             c, s = np.cos(self._turns)[layer], np.sin(self._turns)[layer]
-            u, v = ball.level.T
+            u, v = ball.level[rows].T
             x, y = c * u - s * mirror * v, s * u + c * mirror * v
         else:
-            free = (1 - ball.rind)[:, None] * self._shifts[layer]
-            x, y = mirror * ball.radius + free[:, 0], ball.points[:, 2] + free[:, 1]
+            free = (1 - ball.rind[rows])[:, None] * self._shifts[layer]
+            x, y = mirror * ball.radius[rows] + free[:, 0], ball.points[rows, 2] + free[:, 1]
         picture = self._pictures[layer]
-        out = np.zeros((len(x), 3), np.float32)
+        out = np.empty((len(x), 3), np.float32)
         for n, texture in enumerate(self.textures):
-            rows = np.flatnonzero((picture == n) & (share > 0))
-            out[rows] = texture.read(x[rows], y[rows]) * share[rows, None]
+            of_it = picture == n
+            out[of_it] = texture.read(x[of_it], y[of_it])
         return out
 
 
