@@ -24,19 +24,23 @@ PASSING = 0.15
 """Share of a layer in which it passes into the next. Elsewhere texture is one picture's own, with its lines: passing
 all along blurs them by chance (features of radial cuts of four pairs 0.03 to 0.15 worse)."""
 
-WAVE, WAVE_LENGTH = 0.01, 0.3
-"""Standard deviation and length in radii of the waves of the layers: none shows as a plane, and a cut passes through
-few of them (three times as much: features 0.05 worse)."""
+WAVE, WAVE_LENGTH = 0.4, 2.0
+"""Standard deviation and length of the waves of the layers, in thicknesses: with flat ones a cut across them shows
+rows of bricks."""
+
+SHORTEST = 0.02
+"""Radii. Waves are no shorter: their lattice has 130 cells along a side then."""
 
 
 class Waves:
     """How far layers lie from planes."""
 
-    def __init__(self, rng: np.random.Generator) -> None:
-        self._noise = Noise((WAVE_LENGTH,) * 3, 1, rng)
+    def __init__(self, thickness: float, rng: np.random.Generator) -> None:
+        """Of layers this thick, in radii."""
+        self._noise = Noise((max(WAVE_LENGTH * thickness, SHORTEST),) * 3, 1, rng)
 
     def at(self, points: NDArray[np.float32]) -> NDArray[np.float32]:
-        """(M,). At points (M, 3); all in radii."""
+        """(M,). In thicknesses at points (M, 3) in radii."""
         return WAVE * self._noise.at(points)[:, 0]
 
 

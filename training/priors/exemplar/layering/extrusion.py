@@ -104,7 +104,13 @@ class Extrusion:
 
     @cached_property
     def _strata(self) -> Strata:
-        return Strata(int(len(self.shape.rims) / self.grain.thickness) + 4, self.seed)
+        levels, thickness = len(self.shape.rims), self.grain.thickness
+        return Strata(int(levels / thickness) + 4, thickness / self._radius, self.seed)
+
+    @property
+    def _radius(self) -> float:
+        """Cells. About that of a ball around the body."""
+        return max(self.shape.widest, len(self.shape.rims) / 2)
 
     def _texture(
         self, places: Places, angle: NDArray[np.floating], x: NDArray[np.floating], y: NDArray[np.floating]
@@ -112,11 +118,9 @@ class Extrusion:
         """(M, 3). The texture of points that show the picture at x and y."""
         sheet, grain, strata, size = self.sheet, self.grain, self._strata, self.shape.inradius
         swing = SWING * sheet.inradius * size
-        middle = len(self.shape.rims) / 2
-        radius = max(self.shape.widest, middle)
-        upright = (places.level - middle)[:, None]
-        waves = strata.waves.at((np.concatenate([places.place, upright], axis=1) / radius).astype(np.float32))
-        height = (places.level + radius * waves) / grain.thickness
+        upright = places.level - len(self.shape.rims) / 2
+        points = np.concatenate([places.place, upright[:, None]], axis=1) / self._radius
+        height = places.level / grain.thickness + strata.waves.at(points.astype(np.float32))
 
         def read(layer: NDArray[np.int64], rows: NDArray[np.intp]) -> NDArray[np.float32]:
             out, around = strata.draw(layer)

@@ -62,12 +62,13 @@ class Grain:
 class Strata:
     """The layers of a body's texture, drawn at random."""
 
-    def __init__(self, count: int, seed: int) -> None:
+    def __init__(self, count: int, thickness: float, seed: int) -> None:
+        """So many layers, this thick in radii of the body."""
         self.count = min(count, MOST_LAYERS)
         rng = np.random.default_rng(seed)
         self.phases: list[float] = rng.uniform(0, 2 * np.pi, 2).tolist()
         """Radians."""
-        self.waves = Waves(rng)
+        self.waves = Waves(thickness, rng)
         self._draws = rng.uniform(-1, 1, (self.count, 2))
 
     def draw(self, layer: NDArray[np.int64]) -> NDArray[np.float64]:

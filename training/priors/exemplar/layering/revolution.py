@@ -43,7 +43,8 @@ class Revolution:
     @cached_property
     def _strata(self) -> Strata:
         # As thick as the grain is long at half the radius.
-        return Strata(max(int(np.pi * self.rim / self.grain.thickness), 3), self.seed)
+        count = max(int(np.pi * self.rim / self.grain.thickness), 3)
+        return Strata(count, self.grain.thickness / self.shape.widest, self.seed)
 
     def read(self, places: Places) -> NDArray[np.float32]:
         """(M, 3). Colours. Range [0, 1]."""
@@ -57,13 +58,13 @@ class Revolution:
         shape, strata = self.shape, self._strata
         swing = SWING * self.sheet.inradius * shape.inradius * np.array([self.grain.share_a, self.grain.share_b])
         points = np.concatenate([places.place / shape.widest, places.height[:, None]], axis=1)
-        turn = places.angle / (2 * np.pi) + strata.waves.at(points) / 2
+        height = places.angle / (2 * np.pi) * strata.count + strata.waves.at(points)
 
         def read(layer: NDArray[np.int64], rows: NDArray[np.intp]) -> NDArray[np.float32]:
             u, v = swing[:, None] * strata.draw(layer)
             return self.sheet.read(x[rows] + u, y[rows] + v, TEXTURE)
 
-        return read_layers(turn * strata.count, read)
+        return read_layers(height, read)
 
     def record(self) -> InsideRecord:
         """Arrays and facts from which `restored` makes the same."""

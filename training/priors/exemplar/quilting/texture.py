@@ -90,7 +90,7 @@ class TextureField:
         self._shifts = SHIFT * rng.standard_normal((layers, 2))
         self._mirrors = rng.choice([-1.0, 1.0], layers)
         self._pictures = rng.integers(0, len(textures), layers)
-        self._waves = Waves(rng)
+        self._waves = Waves(self.thickness, rng)
 
     def reduced(self, n: int) -> TextureField:
         """The same texture without what pixels n times as large do not show."""
@@ -101,12 +101,13 @@ class TextureField:
     def at(self, ball: Ball) -> NDArray[np.float32]:
         """(M, 3). The texture at the points."""
         count = len(self._turns)
-        wave = self._waves.at(ball.points)
         if self.is_horizontal:
-            height = (ball.points[:, 2] + wave + REACH) / self.thickness
+            height = (ball.points[:, 2] + REACH) / self.thickness
         else:
-            height = (ball.angle / (2 * np.pi) + wave / 2 + 1) * count
-        return read_layers(height, lambda layer, rows: self._layer(ball, layer % count, rows))
+            height = (ball.angle / (2 * np.pi) + 1) * count
+        return read_layers(
+            height + self._waves.at(ball.points), lambda layer, rows: self._layer(ball, layer % count, rows)
+        )
 
     def _layer(self, ball: Ball, layer: NDArray[np.int64], rows: NDArray[np.intp]) -> NDArray[np.float32]:
         """(R, 3). The texture of layers (R,) at some rows (R,) of the points."""
