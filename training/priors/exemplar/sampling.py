@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from engine.threads import for_spans
 
-__all__ = ["read_bilinear", "read_trilinear", "reduced"]
+__all__ = ["read_bilinear", "read_trilinear", "reduced", "smoothstep"]
 
 
 def reduced(values: NDArray[np.float32], n: int) -> NDArray[np.float32]:
@@ -97,3 +97,9 @@ def _read_trilinear(
                 weight *= part[1] if y else np.float32(1) - part[1]
                 weight *= part[2] if z else np.float32(1) - part[2]
                 out[m, c] += weight * values[i + x, j + y, k + z, c]
+
+
+def smoothstep(value: NDArray[np.floating], low: float = 0, high: float = 1) -> NDArray[np.floating]:
+    """From 0 at `low` to 1 at `high`, and level at and beyond both."""
+    t = np.clip((value - low) / (high - low), 0, 1)
+    return t * t * (3 - 2 * t)

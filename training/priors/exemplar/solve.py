@@ -119,7 +119,8 @@ def solve(
     progress(0.4)
     rgb = space.scatter(inside.at(space.points, 0))
     progress(0.7)
-    stamps = scatter_details(rgb, space, views, layers, height_mask, rng, lambda part: progress(0.7 + 0.1 * part))
+    own, advance = _carrier(views) or 0, lambda part: progress(0.7 + 0.1 * part)
+    stamps = scatter_details(rgb, space, views, layers, course, own, height_mask, rng, advance)
     space.fill(rgb)
     gain = sharpen(space, rgb, views)
     log.info("%d details scattered, edges sharpened by %.2f", len(stamps.rows), gain)
@@ -204,6 +205,12 @@ def _frame_and_area(space: Space, family: Family) -> tuple[Frame, NDArray[np.flo
     return kind, basis, space.widest_slice((space.cells - space.centre) @ basis[2])
 
 
+def _carrier(views: list[View]) -> int | None:
+    """Number of the view that is carried along an axis, None if all are radial."""
+    kinds = [v.kind for v in views]
+    return next((kinds.index(kind) for kind in (POLAR, FIXED) if kind in kinds), None)
+
+
 def _lay_course(
     space: Space, views: list[View], layers: list[list[Layers]], rng: np.random.Generator
 ) -> tuple[Extrusion | Revolution, HeightMask | None]:
@@ -213,7 +220,7 @@ def _lay_course(
     they show the line around a core, which is drawn for itself.
     """
     kinds = [v.kind for v in views]
-    carrier = next((kinds.index(kind) for kind in (POLAR, FIXED) if kind in kinds), None)
+    carrier = _carrier(views)
     radial = kinds.index(RADIAL) if RADIAL in kinds else None
     if carrier is None:
         log.info("radial pictures alone: turned about the axis")

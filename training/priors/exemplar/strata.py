@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from training.priors.exemplar.noise import Noise
 
-__all__ = ["LAYER", "Waves", "read_layers"]
+__all__ = ["LAYER", "Waves", "beside_own", "read_layers"]
 
 LAYER = 1.5
 """Thickness of a layer over the grain of its texture, so that it changes as fast along the axis as around it. Thicker
@@ -24,9 +24,9 @@ PASSING = 0.15
 """Share of a layer in which it passes into the next. Elsewhere texture is one picture's own, with its lines: passing
 all along blurs them by chance (features of radial cuts of four pairs 0.03 to 0.15 worse)."""
 
-WAVE, WAVE_LENGTH = 0.4, 2.0
-"""Standard deviation and length of the waves of the layers, in thicknesses: with flat ones a cut across them shows
-rows of bricks."""
+WAVE, WAVE_LENGTH = 0.25, 3.0
+"""Standard deviation and length of the waves of the layers, in thicknesses. Flat ones show in cuts across them as rows
+of bricks; half as much again, or two thirds as long, breaks up the lines of a texture in cuts along them."""
 
 SHORTEST = 0.02
 """Radii. Waves are no shorter: their lattice has 130 cells along a side then."""
@@ -60,3 +60,14 @@ def read_layers(
         rows = np.flatnonzero(share > 0)
         out[rows] += share[rows, None] * read(layer[rows] + step, rows)
     return out
+
+
+def beside_own(
+    texture: NDArray[np.float32], own: NDArray[np.float32], distance: NDArray[np.floating]
+) -> NDArray[np.float32]:
+    """(M, 3). Texture (M, 3) of layers, and a picture's `own` (M, 3) in the plane in which it was taken.
+
+    `distance` (M,): from that plane, in thicknesses of a layer.
+    """
+    share = np.exp(-np.square(distance))[:, None].astype(np.float32)
+    return share * own + np.sqrt(1 - share * share) * texture

@@ -14,7 +14,7 @@ from training.priors.exemplar.layering.height_mask import HeightMask
 from training.priors.exemplar.layering.places import Places, Shape
 from training.priors.exemplar.layering.sheet import GROUND, STRUCTURE, TEXTURE, THROUGH, Sheet, skin_weight
 from training.priors.exemplar.record import MOST_SHEETS, RecordReader, nested
-from training.priors.exemplar.sampling import read_bilinear
+from training.priors.exemplar.sampling import read_bilinear, smoothstep
 
 __all__ = ["RING_SAMPLES", "Correction", "radial_position"]
 
@@ -71,17 +71,16 @@ class Correction:
         base += (1 - near) * read_bilinear(self.rings, places.level - 0.5, places.share * RINGS - 0.5)
         seen = np.empty((2 * len(self.sheets), len(base), 3), np.float32)
         for n, sheet in enumerate(self.sheets):
-            x, y = radial_position(sheet, places, shape)
             for side in (1, -1):
-                found = sheet.read(sheet.middle[0] + side * (x - sheet.middle[0]), y, slice(0, THROUGH.stop))
+                found = sheet.read(*radial_position(sheet, places, shape, side), slice(0, THROUGH.stop))
                 bare = found[:, GROUND] + found[:, TEXTURE]
                 seen[2 * n + (side < 0)] = bare + found[:, STRUCTURE] * (found[:, THROUGH] - bare)
         if height_mask is not None:
             explained = height_mask.explains(places.radius / shape.widest, places.height)
             seen[:, explained] = base[explained]
         gap = seen - base
-        other = _smoothstep(MIN_DIFFERENCE, 1.6 * MIN_DIFFERENCE, np.linalg.norm(gap, axis=-1))
-        weight = _smoothstep(0.45, 0.75, other.mean(0))[:, None]
+        other = smoothstep(np.linalg.norm(gap, axis=-1), MIN_DIFFERENCE, 1.6 * MIN_DIFFERENCE)
+        weight = smoothstep(other.mean(0), 0.45, 0.75)[:, None]
         replaced = (other[..., None] * seen).sum(0) / np.maximum(other.sum(0), 1e-6)[:, None]
         gentle = np.median(gap, axis=0)
         chance = gap.std(axis=0).mean(-1, keepdims=True)
@@ -104,11 +103,13 @@ class Correction:
         )
 
 
-def radial_position(sheet: Sheet, places: Places, shape: Shape) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """(M,), (M,). Places of points in the right half of a radial picture, cells."""
+def radial_position(
+    sheet: Sheet, places: Places, shape: Shape, side: int
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """(M,), (M,). Places of points in the right (side 1) or left (-1) half of a radial picture, cells."""
     across = places.radius / shape.widest * sheet.half[0]
     up = places.height * sheet.half[1]
-    angle = np.arctan2(up, across)
+    angle = np.arctan2(up, side * across)
     share = np.minimum(np.hypot(across, up) / sheet.rim(angle), 1)
     return sheet.position(angle, share, places.depth, shape.inradius)
 
@@ -133,9 +134,3 @@ def _median_by_depth(scaled: ScaledPicture, inradius: float) -> NDArray[np.float
     levels = np.arange(0, float(scaled.depth.max()) * inradius + INSET_STEP, INSET_STEP)[:, None]
     r = np.maximum(scaled.rim(angles) - scaled.inset(*np.broadcast_arrays(angles, levels)), 0)
     return np.median(scaled.read(scaled.middle[0] + r * np.cos(angles), scaled.middle[1] - r * np.sin(angles)), axis=1)
-
-
-def _smoothstep(low: float, high: float, value: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Hermite interpolation from 0 at `low` to 1 at `high`."""
-    t = np.clip((value - low) / (high - low), 0, 1)
-    return t * t * (3 - 2 * t)

@@ -14,6 +14,7 @@ from scipy import ndimage
 
 from training.priors.exemplar.frames import Frame, ScaledPicture
 from training.priors.exemplar.patches import OVER, POLAR, RADIAL
+from training.priors.exemplar.sampling import smoothstep
 
 __all__ = ["Detail", "Layers", "decompose", "rind_depth"]
 
@@ -133,12 +134,12 @@ def decompose(scaled: ScaledPicture, kind: Frame, sheets: NDArray[np.float32] | 
     # Opacity is contrast relative to the strongest contrast nearby, which separates a black seed from the pale strand
     # it lies on.
     peak = ndimage.maximum_filter(contrast, size=2 * max(2, round(0.03 * inradius)) + 1)
-    opacity = _smoothstep(0.25, 0.65, contrast / np.maximum(peak, 0.5 * high))
+    opacity = smoothstep(contrast / np.maximum(peak, 0.5 * high), 0.25, 0.65)
     if absorbed.any():
         # Within such a structure all pixels that differ from the ground belong to it, seeds included.
         typical = max(high, float(np.median(contrast[absorbed])))
         near_absorbed = ndimage.binary_dilation(absorbed, iterations=round(WINDOW * inradius))
-        opacity = np.where(near_absorbed, _smoothstep(0.25, 0.65, contrast / typical), opacity)
+        opacity = np.where(near_absorbed, smoothstep(contrast / typical, 0.25, 0.65), opacity)
     parts, count = ndimage.label((contrast > 0.5 * high) & (opacity > 0.4))
     numbers = np.arange(count + 1)
     strong = ndimage.maximum(contrast, parts, numbers) > high
@@ -162,7 +163,7 @@ def decompose(scaled: ScaledPicture, kind: Frame, sheets: NDArray[np.float32] | 
     reach, owner = ndimage.distance_transform_edt(~compact[parts], return_indices=True)
     labels = np.where(reach <= 2.5, (parts * compact[parts])[owner[0], owner[1]], 0).astype(np.int32)
     detail = opacity * (labels > 0) * (structure < 0.5)
-    rim = 1 - _smoothstep(0.85 * rind, rind, scaled.depth)
+    rim = 1 - smoothstep(scaled.depth, 0.85 * rind, rind)
     structure = np.maximum(structure, rim).astype(np.float32)
     clean = core & (structure < 0.05) & ~ndimage.binary_dilation(labels > 0, iterations=1)
     clean &= ~ndimage.binary_dilation(strong[parts] | (contrast > high), iterations=2) & ~near_absorbed
@@ -182,7 +183,7 @@ def decompose(scaled: ScaledPicture, kind: Frame, sheets: NDArray[np.float32] | 
         rind,
         ground,
         texture,
-        np.maximum(thin, structure * (1 - _smoothstep(rind, 1.2 * rind, scaled.depth))).astype(np.float32),
+        np.maximum(thin, structure * (1 - smoothstep(scaled.depth, rind, 1.2 * rind))).astype(np.float32),
         scaled.rgb[nearest[0], nearest[1]] if solid.any() else scaled.rgb,
         detail.astype(np.float32),
         labels,
@@ -202,7 +203,7 @@ def _without_medium_structures(
     wide = _wide_median(picture, WIDE_WINDOW * inradius)
     absorbed = (np.linalg.norm(median - wide, axis=-1) > high) & core
     near = ndimage.distance_transform_edt(~absorbed) / (WINDOW * inradius) if absorbed.any() else np.inf
-    weight = 1 - _smoothstep(0.5, 1, np.broadcast_to(near, core.shape))[..., None]
+    weight = 1 - smoothstep(np.broadcast_to(near, core.shape), 0.5, 1)[..., None]
     return (median + weight * (wide - median)).astype(np.float32), absorbed
 
 
@@ -307,9 +308,3 @@ def _spread(
         float((slope * a).sum(1).std()) + 1e-6,
         float((slope * b).sum(1).std()) + 1e-6,
     )
-
-
-def _smoothstep(low: float, high: float, value: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Hermite interpolation from 0 at `low` to 1 at `high`."""
-    t = np.clip((value - low) / (high - low), 0, 1)
-    return t * t * (3 - 2 * t)

@@ -20,7 +20,7 @@ from training.priors.exemplar.layering.height_mask import HeightMask
 from training.priors.exemplar.layering.places import Places, Shape
 from training.priors.exemplar.layering.sheet import GROUND, PICTURE, STRUCTURE, TEXTURE, THROUGH, Sheet
 from training.priors.exemplar.record import MOST_SEED, RecordReader, nested
-from training.priors.exemplar.strata import read_layers
+from training.priors.exemplar.strata import beside_own, read_layers
 
 __all__ = ["Extrusion"]
 
@@ -69,13 +69,9 @@ class Extrusion:
 
     def uncorrected(self, places: Places) -> NDArray[np.float32]:
         """(M, 3). What the picture alone says."""
-        sheet, angle, share, depth, size = self.sheet, places.angle, places.share, places.depth, self.shape.inradius
-        inradius = sheet.inradius * size
-        if self.shape.is_round:
-            wave = places.level / (0.55 * inradius)
-            slow, fast = wave + self._strata.phases[0], 1.7 * wave + 5 * share + self._strata.phases[1]
-            angle = angle + WAVINESS * (np.sin(slow) + np.sin(fast))
-        x, y = sheet.position(angle, share, depth, size)
+        sheet, depth, size = self.sheet, places.depth, self.shape.inradius
+        angle = self._angle(places)
+        x, y = sheet.position(angle, places.share, depth, size)
         under = (
             (x, y) if self.core is None else sheet.position(angle, self._bent(places, self.core, angle), depth, size)
         )
@@ -101,6 +97,28 @@ class Extrusion:
             opacity[inner, 0] *= opacity_left
             through[inner] = colours
         return np.clip(rgb + opacity * (through - rgb), 0, 1)
+
+    @property
+    def own_normal(self) -> NDArray[np.float64]:
+        """(3,). Of the plane through the body's centre in which the picture is shown as it is."""
+        return self.shape.basis[2]
+
+    def position(self, places: Places) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """(M,), (M,). Place of points in the picture, cells."""
+        return self.sheet.position(self._angle(places), places.share, places.depth, self.shape.inradius)
+
+    def _above_own(self, places: Places) -> NDArray[np.float32]:
+        """(M,). Height over that plane, cells."""
+        return places.level + np.float32(self.shape.lowest)
+
+    def _angle(self, places: Places) -> NDArray[np.floating]:
+        """(M,). Angle in the picture, radians."""
+        if not self.shape.is_round:
+            return places.angle
+        level = self._above_own(places) / (0.55 * self.sheet.inradius * self.shape.inradius)
+        slow, fast = self._strata.phases[0], 5 * places.share + self._strata.phases[1]
+        wave = np.sin(level + slow) - np.sin(slow) + np.sin(1.7 * level + fast) - np.sin(fast)
+        return places.angle + WAVINESS * wave
 
     @cached_property
     def _strata(self) -> Strata:
@@ -134,7 +152,8 @@ class Extrusion:
             out *= np.minimum(np.hypot(u - sheet.middle[0], v - sheet.middle[1]) / (2 * swing), 1)
             return sheet.read(u + out * np.cos(other), v - out * np.sin(other), TEXTURE)
 
-        return read_layers(height, read)
+        own = sheet.read(x, y, TEXTURE)
+        return beside_own(read_layers(height, read), own, self._above_own(places) / grain.thickness)
 
     def _draw_core_line(self, rgb: NDArray[np.float32], places: Places, core: Core) -> None:
         """Draws the line around a core into colours (M, 3), in place."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 
 import numpy as np
@@ -44,6 +44,10 @@ class Places:
     """(M,). Distance of the skin from that centre at the point's angle and level."""
     level: NDArray[np.float32]
     """(M,). Position along that axis, from the lowest point of the body."""
+
+    def of(self, rows: NDArray[np.intp]) -> Places:
+        """Some of the points."""
+        return Places(*(getattr(self, part.name)[rows] for part in fields(self)))
 
     @property
     def share(self) -> NDArray[np.float32]:

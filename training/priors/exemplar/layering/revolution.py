@@ -14,14 +14,18 @@ from training.priors.exemplar.layering.grain import SWING, Grain, Strata
 from training.priors.exemplar.layering.places import Places, Shape
 from training.priors.exemplar.layering.sheet import GROUND, STRUCTURE, TEXTURE, THROUGH, Sheet
 from training.priors.exemplar.record import MOST_SEED, RecordReader, nested
-from training.priors.exemplar.strata import read_layers
+from training.priors.exemplar.sampling import smoothstep
+from training.priors.exemplar.strata import beside_own, read_layers
 
 __all__ = ["Revolution"]
+
+OVERLAP = 0.3
+"""Sine of the angle on either side of which the halves pass into one another."""
 
 
 @dataclass(frozen=True)
 class Revolution:
-    """The right half of a radial picture revolved about the axis, its texture in layers around it."""
+    """The halves of a radial picture, each revolved about the axis by half a turn, texture in layers around it."""
 
     shape: Shape
     sheet: Sheet
@@ -46,17 +50,37 @@ class Revolution:
         count = max(int(np.pi * self.rim / self.grain.thickness), 3)
         return Strata(count, self.grain.thickness / self.shape.widest, self.seed)
 
+    @property
+    def own_normal(self) -> NDArray[np.float64]:
+        """(3,). Of the plane through the axis in which the picture is shown as it is."""
+        return self.shape.basis[1]
+
+    def position(self, places: Places) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """(M,), (M,). Place in the picture, cells, of points of that plane."""
+        right, left = (radial_position(self.sheet, places, self.shape, side) for side in (1, -1))
+        is_right = places.place[:, 0] >= 0
+        return np.where(is_right, right[0], left[0]), np.where(is_right, right[1], left[1])
+
     def read(self, places: Places) -> NDArray[np.float32]:
         """(M, 3). Colours. Range [0, 1]."""
-        x, y = radial_position(self.sheet, places, self.shape)
+        right = smoothstep(np.cos(places.angle), -OVERLAP, OVERLAP)[:, None]
+        rgb = np.zeros((len(right), 3), np.float32)
+        for side, share in ((1, right), (-1, 1 - right)):
+            rows = np.flatnonzero(share)
+            rgb[rows] += share[rows] * self._half(places.of(rows), side)
+        return np.clip(rgb, 0, 1)
+
+    def _half(self, places: Places, side: int) -> NDArray[np.float32]:
+        """(M, 3). Colours of the right (side 1) or left (-1) half at points."""
+        x, y = radial_position(self.sheet, places, self.shape, side)
         straight = self.sheet.read(x, y, slice(0, THROUGH.stop))
         bare = straight[:, GROUND] + self._texture(places, x, y)
-        return np.clip(bare + straight[:, STRUCTURE] * (straight[:, THROUGH] - bare), 0, 1)
+        return bare + straight[:, STRUCTURE] * (straight[:, THROUGH] - bare)
 
     def _texture(self, places: Places, x: NDArray[np.floating], y: NDArray[np.floating]) -> NDArray[np.float32]:
         """(M, 3). The texture of points that show the picture at x and y."""
-        shape, strata = self.shape, self._strata
-        swing = SWING * self.sheet.inradius * shape.inradius * np.array([self.grain.share_a, self.grain.share_b])
+        shape, strata, grain = self.shape, self._strata, self.grain
+        swing = SWING * self.sheet.inradius * shape.inradius * np.array([grain.share_a, grain.share_b])
         points = np.concatenate([places.place / shape.widest, places.height[:, None]], axis=1)
         height = places.angle / (2 * np.pi) * strata.count + strata.waves.at(points)
 
@@ -64,7 +88,8 @@ class Revolution:
             u, v = swing[:, None] * strata.draw(layer)
             return self.sheet.read(x[rows] + u, y[rows] + v, TEXTURE)
 
-        return read_layers(height, read)
+        own = self.sheet.read(x, y, TEXTURE)
+        return beside_own(read_layers(height, read), own, places.place[:, 1] / grain.thickness)
 
     def record(self) -> InsideRecord:
         """Arrays and facts from which `restored` makes the same."""

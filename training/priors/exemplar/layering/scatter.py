@@ -7,11 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 
 from training.priors.exemplar.frames import Space, View, voxel_gate
 from training.priors.exemplar.layering.decompose import Detail, Layers
+from training.priors.exemplar.layering.extrusion import Extrusion
 from training.priors.exemplar.layering.height_mask import HeightMask
-from training.priors.exemplar.layering.stamps import COLUMNS, Crops, Stamps, paint
+from training.priors.exemplar.layering.revolution import Revolution
+from training.priors.exemplar.layering.stamps import COLUMNS, GROW, Crops, Stamps, paint
 from training.priors.exemplar.patches import POLAR, RADIAL, frame_at
 from training.priors.prior import Progress
 
@@ -85,43 +88,87 @@ def scatter_details(
     space: Space,
     views: Sequence[View],
     layers: Sequence[Sequence[Layers]],
+    course: Extrusion | Revolution,
+    own_view: int,
     height_mask: HeightMask | None,
     rng: np.random.Generator,
     progress: Progress,
 ) -> Stamps:
     """Paints the details of all pictures into the grid, in place, and returns them.
 
-    A detail is taken for a section of an object whose length across the picture follows the aspect of the other
-    families' details or, without any, equals its width. A plane crosses an object of length L with probability L / H,
-    so a face showing n of them stands for n H / L in the body.
+    In the own plane of the `course`, which the first picture of the `own_view` shows, are those of that picture and no
+    others. Elsewhere a detail is taken for a section of an object whose length across the picture follows the aspect of
+    the other families' details or, without any, equals its width. A plane crosses an object of length L with
+    probability L / H, so a face showing n of them stands for n H / L in the body.
     """
     templates = _make_templates(space, views, layers, height_mask)
     shown = [(layers[t.view][t.layers], layers[t.view][t.layers].details[t.detail]) for t in templates]
     crops = Crops.of(shown)
-    order = np.argsort([-k.across for k in templates], kind="stable")
+    order = np.argsort([-k.across for k in templates], kind="stable").tolist()
     rows, crop = [np.zeros((0, COLUMNS), np.float32)], []
     grid = _Occupancy(space)
+    own = _OwnPlane(space, course)
+
+    def stamp(n: int, point: NDArray[np.float32], grow: float) -> None:
+        view, (parts, detail) = views[templates[n].view], shown[n]
+        frame = frame_at(view.kind, view.basis.astype(np.float32), space.centre, *point)
+        in_picture = detail.x, detail.y, detail.reach, *parts.source.ab[detail.pixel] * grow
+        row = np.array([*point, *frame, *in_picture, templates[n].across, *detail.ground], np.float32)
+        paint(rgb, space.number, row, crops, n)
+        rows.append(row[None])
+        crop.append(n)
+
+    copies = [template.copies for template in templates]
+    for n in order:
+        template, (parts, detail) = templates[n], shown[n]
+        if (template.view, template.layers) == (own_view, 0):
+            point = own.point(detail, parts.source.ab[detail.pixel], views[own_view])
+            if point is not None:
+                grid.occupy(point, max(*detail.half, template.across))
+                stamp(n, point, float(GROW))
+                copies[n] -= 1
     for done, n in enumerate(order):
         progress(done / len(order))
-        template, (parts, detail) = templates[n], shown[n]
-        whole, part = divmod(template.copies, 1)
-        size = max(*detail.half, template.across)
+        template, detail = templates[n], shown[n][1]
+        whole, part = divmod(max(copies[n], 0), 1)
         for _ in range(int(whole) + (rng.random() < part)):
             choice = template.places.draw(template.gate, MAX_TRIES, rng)
             i, j, k = space.cells[choice].T
-            choice = choice[np.linalg.norm(rgb[i, j, k] - detail.ground, axis=1) < SAME_COLOUR]
+            fits = np.linalg.norm(rgb[i, j, k] - detail.ground, axis=1) < SAME_COLOUR
+            choice = choice[fits & (own.away[choice] > template.across + 1)]
             if len(choice) == 0:
                 continue
-            at = grid.place(choice, size)
-            view = views[template.view]
-            point = space.cells[at].astype(np.float32) + rng.uniform(-0.5, 0.5, 3).astype(np.float32)
-            frame = frame_at(view.kind, view.basis.astype(np.float32), space.centre, *point)
-            in_picture = detail.x, detail.y, detail.reach, *parts.source.ab[detail.pixel]
-            row = np.array([*point, *frame, *in_picture, template.across, *detail.ground], np.float32)
-            paint(rgb, space.number, row, crops, n)
-            rows.append(row[None])
-            crop.append(n)
+            at = grid.place(choice, max(*detail.half, template.across))
+            stamp(n, space.cells[at].astype(np.float32) + rng.uniform(-0.5, 0.5, 3).astype(np.float32), 1)
     return Stamps(crops, np.concatenate(rows), np.array(crop, np.int32))
+
+
+class _OwnPlane:
+    """The plane in which a course shows its picture as it is."""
+
+    def __init__(self, space: Space, course: Extrusion | Revolution) -> None:
+        self.centre, self.normal = space.centre.astype(np.float64), course.own_normal
+        offsets = space.cells - self.centre
+        self.away = np.abs(offsets @ self.normal).astype(np.float32)
+        """(N,). Distance of the voxels, cells."""
+        near = np.flatnonzero(self.away <= 0.75)
+        self.cells = space.cells[near]
+        self.places = np.stack(course.position(course.shape.places(offsets[near])), axis=-1)
+        self.tree = KDTree(self.places)
+
+    def point(self, detail: Detail, ab: NDArray[np.float32], view: View) -> NDArray[np.float32] | None:
+        """(3,). Where it shows a detail of its picture, in cells; None where the body has no such place.
+
+        `ab` (4,): directions a and b at the detail.
+        """
+        distance, at = self.tree.query((detail.x, detail.y))
+        if distance > 2:
+            return None
+        cell = self.cells[at].astype(np.float32)
+        frame = np.array(frame_at(view.kind, view.basis.astype(np.float32), self.centre.astype(np.float32), *cell))
+        offset = np.array([detail.x, detail.y]) - self.places[at]
+        point = cell + offset @ ab[:2] * frame[:3] + offset @ ab[2:] * frame[3:]
+        return (point - self.normal * ((point - self.centre) @ self.normal)).astype(np.float32)
 
 
 class _Occupancy:
@@ -136,7 +183,7 @@ class _Occupancy:
         """The first of some rows of `space.cells` with room for a detail of this half length, else the last."""
         for at in choice.tolist():
             point = self.space.cells[at].astype(np.float32)
-            key = tuple((point // self.step).astype(int).tolist())
+            key = self._key(point)
             reach = 1 + int(1.5 * size // self.step)
             near = (
                 other
@@ -147,8 +194,15 @@ class _Occupancy:
             )
             if all(float(((point - p) ** 2).sum()) > (0.8 * (size + s)) ** 2 for p, s in near):
                 break
-        self.placed.setdefault(key, []).append((point, size))
+        self.occupy(point, size)
         return at
+
+    def occupy(self, point: NDArray[np.float32], size: float) -> None:
+        """Takes the room of a detail of this half length."""
+        self.placed.setdefault(self._key(point), []).append((point, size))
+
+    def _key(self, point: NDArray[np.float32]) -> tuple[int, ...]:
+        return tuple((point // self.step).astype(int).tolist())
 
 
 def _make_templates(

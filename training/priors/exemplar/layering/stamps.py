@@ -17,7 +17,7 @@ from training.priors.exemplar.patches import OVER
 from training.priors.exemplar.record import RecordReader
 from training.priors.exemplar.sampling import reduced
 
-__all__ = ["COLUMNS", "Crops", "Stamps", "paint"]
+__all__ = ["COLUMNS", "GROW", "Crops", "Stamps", "paint"]
 
 MAX_GROUND_DISTANCE = 0.5
 """RGB distance from its ground beyond which a detail is not painted: a crumb is cut off at the cream."""

@@ -16,6 +16,7 @@ from scipy import ndimage
 
 from training.priors.exemplar.noise import Noise
 from training.priors.exemplar.quilting.disc import REACH, Disc, to_pixels
+from training.priors.exemplar.sampling import smoothstep
 
 __all__ = [
     "Ball",
@@ -26,7 +27,6 @@ __all__ = [
     "Sectors",
     "Slabs",
     "smooth_noise",
-    "smoothstep",
 ]
 
 SLABS, SLAB_SPACING = 4, 0.5
@@ -226,9 +226,3 @@ def _drifted(
 def smooth_noise(ball: Ball, length: float, rng: np.random.Generator) -> NDArray[np.float32]:
     """(M,). One random function with this length in radii."""
     return Noise((length,) * 3, 1, rng).at(ball.points)[:, 0]
-
-
-def smoothstep(t: NDArray[np.floating]) -> NDArray[np.floating]:
-    """From 0 at 0 to 1 at 1, and level at and beyond both."""
-    t = np.clip(t, 0, 1)
-    return t * t * (3 - 2 * t)

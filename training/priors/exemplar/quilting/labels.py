@@ -20,6 +20,7 @@ from training.priors.exemplar.quilting.grains import Grains
 from training.priors.exemplar.quilting.persistence import Persistence, find_sheets
 from training.priors.exemplar.quilting.relief import Relief
 from training.priors.exemplar.quilting.texture import Parts, take_apart
+from training.priors.exemplar.strata import beside_own
 
 __all__ = ["Label", "Source", "distance_across", "made_of_grains", "read_discs"]
 
@@ -138,9 +139,8 @@ class Label:
         rgb, strength = self._in_own_tones(shown[:, :3], places, crossing), shown[:, 3:4]
         if not self.is_own:
             return rgb + strength * texture
-        own = np.exp(-np.square(places.distance / layer))[:, None]
-        here = read_discs(places, [s.parts.texture for s in self.sources])
-        return rgb + strength * (own * here + np.sqrt(1 - own * own) * texture)
+        own = read_discs(places, [s.parts.texture for s in self.sources])
+        return rgb + strength * beside_own(texture, own, places.distance / layer)
 
     def gone(self, places: Places) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Both (M,). Colour that does not persist from the pictures' planes to the places, and the part of it that is

@@ -27,7 +27,6 @@ from training.priors.exemplar.quilting.chunks import (
     OwnHeight,
     Sectors,
     Slabs,
-    smoothstep,
 )
 from training.priors.exemplar.quilting.disc import (
     ALIKE,
@@ -38,7 +37,7 @@ from training.priors.exemplar.quilting.labels import Label, Source, distance_acr
 from training.priors.exemplar.quilting.packing import REACHES, Packing, pack_grains
 from training.priors.exemplar.quilting.seams import improve_labels, two_nearest
 from training.priors.exemplar.quilting.texture import TextureField
-from training.priors.exemplar.sampling import read_trilinear
+from training.priors.exemplar.sampling import read_trilinear, smoothstep
 from training.priors.prior import Progress
 
 __all__ = ["Quilt", "make_quilt", "restore_quilt"]

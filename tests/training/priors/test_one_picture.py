@@ -1,0 +1,113 @@
+"""One picture alone: its own plane shows it, its texture is as long in every cut, and faint sheets run through."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from engine.scene.inside import Inside
+from tests.helpers.exemplar_faces import FLESH, RIND, SEED, UP, ball, quiet, save
+from training.families import Family
+from training.priors.exemplar import ExemplarPrior
+
+SIZE = 360
+SEEDS = ((0.5, 0.3), (-0.2, 0.55), (-0.6, -0.1), (0.1, -0.45), (0.45, -0.35))
+"""Where seeds lie in the picture, in radii: nowhere near where a mirror or a turn has others."""
+
+LINES = np.radians([20, 95, 160, 230, 300])
+
+
+def face(lines: bool) -> NDArray[np.float32]:
+    """A disc as wide as the picture, on white: a rind, flesh with fine noise, seeds, and perhaps faint radial lines."""
+    y, x = 1 - (np.mgrid[:SIZE, :SIZE] + 0.5) / SIZE * 2
+    x = -x
+    r, angle = np.hypot(x, y) / 0.9, np.arctan2(y, x)
+    noise = ndimage.gaussian_filter(np.random.default_rng(0).standard_normal((SIZE, SIZE)), 2)
+    rgb = FLESH + 0.03 * (noise / noise.std())[..., None]
+    if lines:
+        for at in LINES:
+            off = r * np.abs(np.sin(angle - at))
+            rgb[(off < 0.015) & (np.cos(angle - at) > 0) & (r > 0.1)] += 0.08
+    for at in SEEDS:
+        rgb[np.hypot(x / 0.9 - at[0], y / 0.9 - at[1]) < 0.05] = SEED
+    rgb[r > 0.9] = RIND
+    return np.where((r < 1)[..., None], np.clip(rgb, 0, 1), 1).astype(np.float32)
+
+
+def inside_of(tmp_path: Path, kind: Literal["horizontal", "radial"], lines: bool = False) -> Inside:
+    """Of a ball, from that picture alone."""
+    picture = save(tmp_path / "face.png", face(lines))
+    inside = ExemplarPrior().solve(ball(48), UP, [Family(kind, 30, (picture,))], 128, 0, quiet).inside
+    assert inside is not None
+    return inside
+
+
+def section(inside: Inside, right: tuple[float, ...], up: tuple[float, ...], off: tuple[float, ...]) -> NDArray:
+    """(SIZE, SIZE, 3). A cut through the ball as the picture shows it."""
+    v, u = (1 - (np.mgrid[:SIZE, :SIZE] + 0.5) / SIZE * 2) / 0.9
+    points = -u.reshape(-1, 1) * np.array(right) + v.reshape(-1, 1) * np.array(up) + np.array(off)
+    return inside.at(points, 0.001).reshape(SIZE, SIZE, 3)
+
+
+def within(radius: float) -> NDArray[np.bool_]:
+    """(SIZE, SIZE). What is so near to the middle, in radii of the ball."""
+    v, u = (np.mgrid[:SIZE, :SIZE] + 0.5) / SIZE * 2 - 1
+    return np.hypot(u, v) < 0.9 * radius
+
+
+def coherence(rgb: NDArray[np.float32], where: NDArray[np.bool_]) -> float:
+    """How far texture runs in one direction at each place (Bigun and Granlund 1987): 0 in none, 1 in lines."""
+    grey = ndimage.gaussian_filter(rgb.mean(-1), 1.5)
+    gy, gx = np.gradient(grey)
+    xx, yy, xy = (ndimage.gaussian_filter(a, 8) for a in (gx * gx, gy * gy, gx * gy))
+    return float((np.hypot(xx - yy, 2 * xy) / (xx + yy + 1e-9))[where].mean())
+
+
+@pytest.mark.parametrize("kind", ["horizontal", "radial"])
+def test_its_own_plane_shows_it(tmp_path: Path, kind: Literal["horizontal", "radial"]) -> None:
+    inside, true = inside_of(tmp_path, kind), face(False)
+    up = (0.0, 1.0, 0.0) if kind == "horizontal" else (0.0, 0.0, 1.0)
+    shown = section(inside, (1, 0, 0), up, (0, 0, 0))
+    dark, wanted = (np.linalg.norm(a - SEED, axis=-1) < 0.3 for a in (shown, true))
+    inner = within(0.85)
+    assert (dark & wanted & inner).sum() > 0.7 * (dark & inner).sum() > 0
+    assert (dark & wanted & inner).sum() > 0.7 * (wanted & inner).sum()
+    calm = within(0.7) & ~ndimage.binary_dilation(dark | wanted, iterations=8)
+    assert np.corrcoef(shown[calm].mean(-1), true[calm].mean(-1))[0, 1] > 0.7
+
+
+@pytest.mark.parametrize("kind", ["horizontal", "radial"])
+def test_texture_is_no_lines(tmp_path: Path, kind: Literal["horizontal", "radial"]) -> None:
+    """In no cut does it run on farther than in the picture, and none repeats what the own plane shows."""
+    inside, true = inside_of(tmp_path, kind), face(False)
+    calm = within(0.55)
+    known = coherence(true, calm)
+    own = section(inside, (1, 0, 0), (0, 1, 0) if kind == "horizontal" else (0, 0, 1), (0, 0, 0))
+    for right, up, off in (
+        ((1, 0, 0), (0, 1, 0), (0, 0, 0.21)),
+        ((0.8, 0.6, 0), (0, 0, 1), (0.12, -0.16, 0)),
+        ((1, 0, 0), (0, 0.6, 0.8), (0, 0.16, -0.12)),
+    ):
+        cut = section(inside, right, up, off)
+        assert coherence(cut, calm) < known + 0.15
+        assert abs(np.corrcoef(cut[calm].mean(-1), own[calm].mean(-1))[0, 1]) < 0.3
+
+
+def test_a_faint_sheet_runs_through(tmp_path: Path) -> None:
+    """Radial lines of a horizontal picture, weaker than any seed, lie where they do in other heights."""
+    inside = inside_of(tmp_path, "horizontal", lines=True)
+    angles = np.arange(360) / 180 * np.pi
+    r = np.linspace(0.3, 0.7, 60)[:, None]
+    lit = np.zeros(360)
+    for at in LINES:
+        lit[np.abs(np.angle(np.exp(1j * (angles - at)))) < np.radians(3)] = 1
+    for height in (-0.4, 0.35):
+        share = r * np.sqrt(1 - height**2)
+        points = np.stack([share * np.cos(angles), share * np.sin(angles), np.full((60, 360), height)], -1)
+        around = np.median(inside.at(points.reshape(-1, 3), 0.01).reshape(60, 360, 3).mean(-1), axis=0)
+        assert np.corrcoef(ndimage.gaussian_filter1d(lit, 2, mode="wrap"), around)[0, 1] > 0.6
