@@ -1,4 +1,4 @@
-"""One picture alone: its own plane shows it, its texture is as long in every cut, and faint sheets run through."""
+"""One picture alone: its own plane shows it, texture is as long in every cut, sheets run through, chambers end."""
 
 from __future__ import annotations
 
@@ -111,3 +111,22 @@ def test_a_faint_sheet_runs_through(tmp_path: Path) -> None:
         points = np.stack([share * np.cos(angles), share * np.sin(angles), np.full((60, 360), height)], -1)
         around = np.median(inside.at(points.reshape(-1, 3), 0.01).reshape(60, 360, 3).mean(-1), axis=0)
         assert np.corrcoef(ndimage.gaussian_filter1d(lit, 2, mode="wrap"), around)[0, 1] > 0.6
+
+
+def test_chambers_end_and_a_core_runs_through(tmp_path: Path) -> None:
+    """Five chambers around the axis are as tall as they are long, a wide core at the axis is as tall as the body."""
+    y, x = (np.mgrid[:SIZE, :SIZE] + 0.5) / SIZE * 2 - 1
+    r, angle = np.hypot(x, y) / 0.9, np.arctan2(y, x)
+    bend = (angle + np.pi / 5) % (2 * np.pi / 5) - np.pi / 5
+    star = ((r * np.cos(bend) - 0.19) / 0.155) ** 2 + (r * np.sin(bend) / 0.085) ** 2 < 1
+    brown, pale = np.array([0.4, 0.25, 0.1]), np.array([0.95, 0.92, 0.8])
+    for number, (dark, runs) in enumerate(((star, False), (r < 0.2, True))):
+        rgb = np.where(dark[..., None], brown, np.where((r > 0.9)[..., None], RIND, pale))
+        picture = save(tmp_path / f"{number}.png", np.where((r < 1)[..., None], rgb, 0.0))
+        families = [Family("horizontal", 30, (picture,))]
+        inside = ExemplarPrior().solve(ball(48), UP, families, 128, 0, quiet).inside
+        assert inside is not None
+        for height, share in ((0.0, 1.0), (0.03, 1.0), (0.3, float(runs)), (-0.3, float(runs))):
+            cut = section(inside, (np.sqrt(1 - height**2), 0, 0), (0, np.sqrt(1 - height**2), 0), (0, 0, height))
+            found = np.linalg.norm(cut - pale, axis=-1)[within(0.5)] > 0.4
+            assert found.sum() == pytest.approx(share * dark.sum(), abs=0.35 * dark.sum()), height

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from training.priors.exemplar.frames import Frame, ScaledPicture
+from training.priors.exemplar.layering.closed import RUNS_THROUGH, closed_heights
 from training.priors.exemplar.patches import OVER, POLAR, RADIAL
 from training.priors.exemplar.sampling import smoothstep
 
@@ -78,6 +79,8 @@ class Layers:
     """(H, W). Opacity of the structures."""
     through: NDArray[np.float32]
     """(H, W, 3). Colours of the structures, extended a little beyond their edges."""
+    heights: NDArray[np.float32]
+    """(H, W). Height over the own plane up to which they are there, in inradii; `RUNS_THROUGH` without an end."""
     detail: NDArray[np.float32]
     """(H, W). Opacity of the details."""
     labels: NDArray[np.int32]
@@ -178,6 +181,11 @@ def decompose(scaled: ScaledPicture, kind: Frame, sheets: NDArray[np.float32] | 
         solid |= (sheets > LEAST_SHEET) & core
     nearest = ndimage.distance_transform_edt(~solid, return_distances=False, return_indices=True)
     thin = ndimage.gaussian_filter(structure, 0.6 * OVER)
+    heights = np.full(core.shape, RUNS_THROUGH, np.float32)
+    if kind == POLAR:
+        heights = closed_heights(structure, core, (scaled.middle[1] * OVER, scaled.middle[0] * OVER))
+        if sheets is not None:
+            heights[ndimage.grey_dilation(sheets, size=(5, 5)) > 0] = RUNS_THROUGH
     return Layers(
         scaled,
         rind,
@@ -185,6 +193,7 @@ def decompose(scaled: ScaledPicture, kind: Frame, sheets: NDArray[np.float32] | 
         texture,
         np.maximum(thin, structure * (1 - smoothstep(scaled.depth, rind, 1.2 * rind))).astype(np.float32),
         scaled.rgb[nearest[0], nearest[1]] if solid.any() else scaled.rgb,
+        heights,
         detail.astype(np.float32),
         labels,
         _details(scaled, parts, compact, labels, ground),

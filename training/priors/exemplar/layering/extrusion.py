@@ -13,13 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from engine.scene.inside import InsideRecord
+from training.priors.exemplar.layering.closed import RUNS_THROUGH
 from training.priors.exemplar.layering.core_line import Core
 from training.priors.exemplar.layering.correction import Correction
 from training.priors.exemplar.layering.grain import SWING, Grain, Strata
 from training.priors.exemplar.layering.height_mask import HeightMask
 from training.priors.exemplar.layering.places import Places, Shape
-from training.priors.exemplar.layering.sheet import GROUND, PICTURE, STRUCTURE, TEXTURE, THROUGH, Sheet
+from training.priors.exemplar.layering.sheet import GROUND, HEIGHT, PICTURE, STRUCTURE, TEXTURE, Sheet
 from training.priors.exemplar.record import MOST_SEED, RecordReader, nested
+from training.priors.exemplar.sampling import smoothstep
 from training.priors.exemplar.strata import beside_own, read_layers
 
 __all__ = ["Extrusion"]
@@ -70,6 +72,7 @@ class Extrusion:
     def uncorrected(self, places: Places) -> NDArray[np.float32]:
         """(M, 3). What the picture alone says."""
         sheet, depth, size = self.sheet, places.depth, self.shape.inradius
+        inradius = sheet.inradius * size
         angle = self._angle(places)
         x, y = sheet.position(angle, places.share, depth, size)
         under = (
@@ -77,15 +80,15 @@ class Extrusion:
         )
         rgb = sheet.read(*under, GROUND)
         rgb += self._texture(places, angle, x, y)
-        structure = sheet.read(x, y, _RUNS)
-        opacity, through = structure[:, :1], structure[:, 1:]
+        structure = sheet.read(x, y, _STRUCTURES)
+        opacity, through, height = structure[:, :1], structure[:, 1:4], structure[:, 4]
         # On a small slice the picture shrinks, but a membrane keeps its thickness.
         rim = sheet.rim(angle)
         small = np.flatnonzero(rim > 1.15 * places.rim)
         offset = np.minimum(rim[small] / places.rim[small] - 1, 2) * sheet.thickness
         for side in (-1.0, -0.5, 0.5, 1.0):
             dx, dy = -np.sin(angle[small]) * offset * side, -np.cos(angle[small]) * offset * side
-            more = sheet.read(x[small] + dx, y[small] + dy, _RUNS)
+            more = sheet.read(x[small] + dx, y[small] + dy, _STRUCTURES)
             thicker = more[:, 0] > opacity[small, 0]
             structure[small[thicker]] = more[thicker]
         if self.height_mask is not None:
@@ -96,6 +99,9 @@ class Extrusion:
             )
             opacity[inner, 0] *= opacity_left
             through[inner] = colours
+        else:
+            over = np.abs(self._above_own(places)) - height * inradius
+            opacity *= np.where(height < RUNS_THROUGH, 1 - smoothstep(over), 1)[:, None]
         return np.clip(rgb + opacity * (through - rgb), 0, 1)
 
     @property
@@ -193,5 +199,5 @@ class Extrusion:
         )
 
 
-_RUNS = slice(STRUCTURE.start, THROUGH.stop)
-"""What runs through: opacity and colour."""
+_STRUCTURES = slice(STRUCTURE.start, HEIGHT.stop)
+"""Opacity, colour and height."""

@@ -17,13 +17,13 @@ from training.priors.exemplar.sampling import read_bilinear, reduced
 
 __all__ = ["DETAIL", "GROUND", "PICTURE", "STRUCTURE", "TEXTURE", "THROUGH", "Sheet"]
 
-GROUND, TEXTURE, STRUCTURE, THROUGH = slice(0, 3), slice(3, 6), slice(6, 7), slice(7, 10)
-"""Channels of a sheet: a smooth ground, its texture, the opacity and the colour of what runs through."""
+GROUND, TEXTURE, STRUCTURE, THROUGH, HEIGHT = slice(0, 3), slice(3, 6), slice(6, 7), slice(7, 10), slice(10, 11)
+"""Channels of a sheet: a smooth ground, its texture, and structures: opacity, colour, and how tall they are."""
 
-PICTURE, DETAIL = slice(10, 13), slice(13, 14)
+PICTURE, DETAIL = slice(11, 14), slice(14, 15)
 """The picture itself, and the opacity of the details that end."""
 
-CHANNELS = 14
+CHANNELS = 15
 
 MOST_PIXELS = 2048
 """Along a side of a sheet in a file."""
@@ -40,7 +40,7 @@ class Sheet(Outline):
     thickness: float
     """Typical half thickness of long structures, cells."""
     channels: NDArray[np.float32]
-    """(H, W, 14). See the slices above."""
+    """(H, W, CHANNELS). See the slices above."""
     labels: NDArray[np.int32]
     """(OVER pixels per cell). Number of the detail that each pixel belongs to, 0 for none."""
     coarseness: int = 1
@@ -50,8 +50,8 @@ class Sheet(Outline):
     def of(cls, layers: Layers) -> Sheet:
         """A picture's layers."""
         source = layers.source
-        opacities = layers.structure[..., None], layers.detail[..., None]
-        parts = layers.ground, layers.texture, opacities[0], layers.through, source.rgb, opacities[1]
+        structure, heights, detail = (a[..., None] for a in (layers.structure, layers.heights, layers.detail))
+        parts = layers.ground, layers.texture, structure, layers.through, heights, source.rgb, detail
         levels = np.round(np.concatenate(parts, axis=-1) * 255).astype(np.int16)
         return cls(
             source.middle,
