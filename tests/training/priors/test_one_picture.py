@@ -118,7 +118,7 @@ def test_chambers_end_and_a_core_runs_through(tmp_path: Path) -> None:
     y, x = (np.mgrid[:SIZE, :SIZE] + 0.5) / SIZE * 2 - 1
     r, angle = np.hypot(x, y) / 0.9, np.arctan2(y, x)
     bend = (angle + np.pi / 5) % (2 * np.pi / 5) - np.pi / 5
-    star = ((r * np.cos(bend) - 0.19) / 0.155) ** 2 + (r * np.sin(bend) / 0.085) ** 2 < 1
+    star = ((r * np.cos(bend) - 0.19) / 0.16) ** 2 + (r * np.sin(bend) / 0.07) ** 2 < 1
     brown, pale = np.array([0.4, 0.25, 0.1]), np.array([0.95, 0.92, 0.8])
     for number, (dark, runs) in enumerate(((star, False), (r < 0.2, True))):
         rgb = np.where(dark[..., None], brown, np.where((r > 0.9)[..., None], RIND, pale))
