@@ -34,5 +34,5 @@ def read_inside(path: str | Path) -> Inside | None:
         return restore_inside(record)
     except ValueError as error:
         raise InputError(
-            f"{inside_path(path)}: not the inside of a trained object ({error}); delete it, or train again"
+            f"{inside_path(path)}: not an inside of this version ({error}); delete it, or train again"
         ) from error
