@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import ast
+import inspect
+import json
 import re
 import runpy
 import sys
@@ -101,24 +104,67 @@ def test_every_example_runs(folder: Path, tmp_path: Path, monkeypatch: pytest.Mo
     scene = [str(SCENE / name) for name in ("watermelon.ply", "horizontal_1.png", "radial_1.png")]
     outputs = {
         "film": "film.webp",
+        "profile": "profile.csv",
         "solid_texture": "texture.npy",
         "stack_of_sections": "stack.npy",
         "to_blender": "halves.glb",
+        "turntable": "turn",
+        "unrolled": "unrolled.png",
         "volumes": None,
     }
-    assert {path.stem for path in (ROOT / "examples").glob("*.py")} == {*outputs, "photographs_to_slices"}
+    of_captures = {"keep_part", "photographs_to_slices"}
+    assert {path.stem for path in (ROOT / "examples").glob("*.py")} == {*outputs} | of_captures
     for name, out in outputs.items():
         out_argument = [] if out is None else [str(tmp_path / out)]
         monkeypatch.setattr(sys, "argv", [name, str(folder / "melon.ply"), *out_argument])
         runpy.run_path(str(ROOT / f"examples/{name}.py"), run_name="__main__")
     monkeypatch.setattr(sys, "argv", ["photographs_to_slices", *scene, str(tmp_path / "slices")])
     runpy.run_path(str(ROOT / "examples/photographs_to_slices.py"), run_name="__main__")
+    monkeypatch.setattr(sys, "argv", ["keep_part", scene[0], str(tmp_path / "part.ply")])
+    runpy.run_path(str(ROOT / "examples/keep_part.py"), run_name="__main__")
+    assert fruitninja.open(tmp_path / "part.ply").volume > 0
+    rind_to_rind = np.loadtxt(tmp_path / "profile.csv", delimiter=",", skiprows=1)
+    assert rind_to_rind.shape == (200, 4) and rind_to_rind[100, 1] > rind_to_rind[100, 2] + 0.3  # red in the middle
+    assert len(list((tmp_path / "turn").glob("*.png"))) == 12
+    unrolled = np.asarray(Image.open(tmp_path / "unrolled.png"), np.float32)
+    assert np.abs(unrolled[:, 0] - unrolled[:, -1]).mean() < 8 < unrolled.std()  # it closes
     stack, texture = np.load(tmp_path / "stack.npy"), np.load(tmp_path / "texture.npy")
     assert stack.shape == (16, 128, 128, 4) and 0.1 < (stack[8, ..., 3] > 0).mean() < 0.9
     assert texture.ndim == 4 and texture.shape[3] == 3 and texture.std() > 0.05
     assert Image.open(tmp_path / "film.webp").n_frames == 12  # type: ignore[attr-defined]
     assert (tmp_path / "halves.glb").read_bytes()[:4] == b"glTF"
     assert len(list((tmp_path / "slices").glob("slice_*.png"))) == 3
+
+
+@pytest.mark.parametrize("name", ["photographs_to_slices", "solid_texture"])
+def test_every_notebook_runs(name: str, front: tuple[Path, fruitninja.Solid], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Cell by cell; the solid of the README stands for the one that it would grow anew."""
+    folder, solid = front
+    place = folder / "notebooks"
+    place.mkdir(exist_ok=True)
+    monkeypatch.chdir(place)
+    growing = inspect.signature(fruitninja.grow)
+
+    def grow(*given: object, **named: object) -> fruitninja.Solid:
+        growing.bind(*given, **named)
+        return solid
+
+    monkeypatch.setattr(fruitninja, "grow", grow)
+    solid.save("melon.ply")
+    notebook = json.loads((ROOT / f"examples/{name}.ipynb").read_text(encoding="utf-8"))
+    assert (notebook["nbformat"], len({cell["id"] for cell in notebook["cells"]})) == (4, len(notebook["cells"]))
+    names: dict[str, object] = {}
+    pictures = 0
+    for cell in notebook["cells"]:
+        if cell["cell_type"] == "code":
+            *lines, last = ast.parse("".join(cell["source"])).body
+            exec(compile(ast.Module(lines, []), name, "exec"), names)
+            if isinstance(last, ast.Expr):
+                shown = eval(compile(ast.Expression(last.value), name, "eval"), names)
+                pictures += isinstance(shown, Image.Image | fruitninja.Solid)
+            else:
+                exec(compile(ast.Module([last], []), name, "exec"), names)
+    assert pictures >= 3
 
 
 def test_a_run_ends_when_its_listener_raises(tmp_path: Path) -> None:
