@@ -60,6 +60,7 @@ ALLOWED = {
         "engine/io/scratch.py",
         "shaders/__init__.py",
         "training/priors/diffusion/saving.py",
+        "tools/site_pages.py",  # pages of the project itself, for developers
     },
     "weights": {
         "app/jobs/live_colours.py",
