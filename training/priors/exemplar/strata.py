@@ -26,7 +26,7 @@ all along blurs them by chance (features of radial cuts of four pairs 0.03 to 0.
 
 WAVE, WAVE_LENGTH = 0.25, 3.0
 """Standard deviation and length of the waves of the layers, in thicknesses. Flat ones show in cuts across them as rows
-of bricks; half as much again, or two thirds as long, breaks up the lines of a texture in cuts along them."""
+of bricks; 0.4 and 2.0 break up the lines of a texture in cuts along them (slope across over along it 1.4, here 2.6)."""
 
 SHORTEST = 0.02
 """Radii. Waves are no shorter: their lattice has 130 cells along a side then."""
