@@ -14,3 +14,7 @@ SHARED = ROOT.parent / "shared/data"
 
 HELPERS = ROOT / "tests/helpers"
 """Modules that tests import, and programs that they start."""
+
+SLICE = HELPERS / "slice.png"
+"""A melon's face cut out of its picture (`exemplar_faces.disc`), carried along an axis: the inside that is made
+soonest, for tests of what is around it."""

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from tests.helpers.hostile import hostile_folder, marks
-from tests.paths import HELPERS, ROOT
+from tests.paths import HELPERS, ROOT, SLICE
 from tests.training.test_train_command import ARGUMENTS, SCENE, SMALL_COMMAND
 
 WINDOW = """
@@ -101,15 +101,14 @@ def test_the_commands_train_and_draw(folder: Path, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_batch_on_this_machine(folder: Path, tmp_path: Path) -> None:
-    picture = SCENE / "horizontal_1.png"
     (folder / "all.toml").write_text(
         f"""
         [[scene]]
         scene = "{SCENE}/watermelon.ply"
         detail = "draft"
         up = "z"
-        family = ["horizontal:2"]
-        exemplar = {{ horizontal = "{picture}" }}
+        family = ["parallel:2"]
+        exemplar = {{ parallel = "{SLICE}" }}
         """
     )
     code = "from training.batch.cli import main\nif __name__ == '__main__':\n    main()\n"

@@ -31,7 +31,7 @@ from engine.scene.image import Picture
 from tests.helpers.app_objects import atoms, full
 from tests.helpers.faults import ERRORS, Faults
 from tests.helpers.workers.batch_worker import SHORT, SMALL
-from tests.paths import SAMPLES
+from tests.paths import SAMPLES, SLICE
 from training.batch.cli import Summary
 from training.batch.grid import Outcome
 from training.batch.task import Task
@@ -48,7 +48,7 @@ from training.request import Request
 SCENE = SAMPLES / "watermelon"
 REQUEST = Request(
     SCENE / "watermelon.ply",
-    (Family("horizontal", 4, (SCENE / "horizontal_1.png",)), Family("radial", 3, (SCENE / "radial_1.png",))),
+    (Family("parallel", 4, (SLICE,)),),
     detail="draft",
     up=(0.0, 0.0, 1.0),
 )
@@ -264,7 +264,7 @@ def short(monkeypatch: pytest.MonkeyPatch) -> None:
 FAILING = (
     ("serialize", ".labels."),
     ("replace", "surface.safetensors"),
-    ("write", ".horizontal_"),
+    ("write", ".parallel_"),
     ("open", ".training."),
     ("append", "events.jsonl"),
     ("replace", "watermelon.fruitninja.json"),

@@ -22,7 +22,7 @@ import pytest
 from engine.errors import InputError
 from engine.isolate.selection import Box, Detected, Step, keep_only
 from tests.helpers.workers.batch_worker import SMALL
-from tests.paths import HELPERS, SAMPLES
+from tests.paths import HELPERS, SAMPLES, SLICE
 from training.batch import Outcome, Task, TaskStopped, report, run_grid, should_stop
 from training.batch.cli import main
 from training.batch.cluster import cluster_client, deferred_signals
@@ -39,8 +39,8 @@ MANIFEST = f"""
 [defaults]
 detail = "draft"
 up = "z"
-family = ["horizontal:4", "radial:3"]
-exemplar = {{ horizontal = "{SCENES}/orange/horizontal_1.png", radial = ["{SCENES}/orange/radial_1.png"] }}
+family = ["parallel:4"]
+exemplar = {{ parallel = ["{SLICE}"] }}
 
 [[scene]]
 name = "killed"
@@ -417,10 +417,7 @@ def test_defaults_give_way_to_a_scenes_own(tmp_path: Path) -> None:
     assert (killed.name, broken.name, melon.name) == ("killed", "broken", "bread")
     assert (killed.request.detail, melon.request.detail) == ("standard", "draft")
     assert (killed.request.seed, melon.request.seed) == (0, 3)
-    assert [(f.kind, f.count, len(f.exemplars)) for f in melon.request.families] == [
-        ("horizontal", 4, 1),
-        ("radial", 3, 1),
-    ]
+    assert [(f.kind, f.count, len(f.exemplars)) for f in melon.request.families] == [("parallel", 4, 1)]
     assert broken.request.scene == tmp_path / "broken.ply"
     assert melon.request.up == (0.0, 0.0, 1.0)
 

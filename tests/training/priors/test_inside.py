@@ -146,6 +146,7 @@ def test_a_file_is_the_object_s_own(inside: QuiltInside, tmp_path: Path) -> None
 def test_a_run_keeps_it_and_resumes_to_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name, value in SMALL.items():
         monkeypatch.setattr(name, value)
+    monkeypatch.setattr("training.priors.exemplar.quilting.quilt.LEVELS", (16,))
     families = (
         Family("horizontal", 2, (SAMPLES / "watermelon/horizontal_1.png",)),
         Family("radial", 2, (SAMPLES / "orange/radial_1.png",)),

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
-from typing import Literal
+from typing import TypeAlias
 
 import numpy as np
 import pytest
@@ -12,9 +14,10 @@ from scipy import ndimage
 
 from engine.scene.inside import Inside
 from tests.helpers.exemplar_faces import FLESH, RIND, SEED, UP, ball, quiet, save
-from training.families import Family
+from training.families import Family, Kind
 from training.priors.exemplar import ExemplarPrior
 
+InsideOf: TypeAlias = Callable[..., Inside]
 SIZE = 360
 SEEDS = ((0.5, 0.3), (-0.2, 0.55), (-0.6, -0.1), (0.1, -0.45), (0.45, -0.35))
 """Where seeds lie in the picture, in radii: nowhere near where a mirror or a turn has others."""
@@ -39,9 +42,19 @@ def face(lines: bool) -> NDArray[np.float32]:
     return np.where((r < 1)[..., None], np.clip(rgb, 0, 1), 1).astype(np.float32)
 
 
-def inside_of(tmp_path: Path, kind: Literal["horizontal", "radial"], lines: bool = False) -> Inside:
-    """Of a ball, from that picture alone."""
-    picture = save(tmp_path / "face.png", face(lines))
+@pytest.fixture(scope="module")
+def alone(tmp_path_factory: pytest.TempPathFactory) -> InsideOf:
+    """Makes the inside of a ball from one such picture; once for each."""
+
+    @cache
+    def inside_of(kind: Kind, lines: bool = False) -> Inside:
+        return solved(kind, save(tmp_path_factory.mktemp("picture") / "face.png", face(lines)))
+
+    return inside_of
+
+
+def solved(kind: Kind, picture: Path) -> Inside:
+    """The inside of a ball from that picture."""
     inside = ExemplarPrior().solve(ball(48), UP, [Family(kind, 30, (picture,))], 128, 0, quiet).inside
     assert inside is not None
     return inside
@@ -69,8 +82,8 @@ def coherence(rgb: NDArray[np.float32], where: NDArray[np.bool_]) -> float:
 
 
 @pytest.mark.parametrize("kind", ["horizontal", "radial"])
-def test_its_own_plane_shows_it(tmp_path: Path, kind: Literal["horizontal", "radial"]) -> None:
-    inside, true = inside_of(tmp_path, kind), face(False)
+def test_its_own_plane_shows_it(alone: InsideOf, kind: Kind) -> None:
+    inside, true = alone(kind), face(False)
     up = (0.0, 1.0, 0.0) if kind == "horizontal" else (0.0, 0.0, 1.0)
     shown = section(inside, (1, 0, 0), up, (0, 0, 0))
     dark, wanted = (np.linalg.norm(a - SEED, axis=-1) < 0.3 for a in (shown, true))
@@ -82,9 +95,9 @@ def test_its_own_plane_shows_it(tmp_path: Path, kind: Literal["horizontal", "rad
 
 
 @pytest.mark.parametrize("kind", ["horizontal", "radial"])
-def test_texture_is_no_lines(tmp_path: Path, kind: Literal["horizontal", "radial"]) -> None:
+def test_texture_is_no_lines(alone: InsideOf, kind: Kind) -> None:
     """In no cut does it run on farther than in the picture, and none repeats what the own plane shows."""
-    inside, true = inside_of(tmp_path, kind), face(False)
+    inside, true = alone(kind), face(False)
     calm = within(0.55)
     known = coherence(true, calm)
     own = section(inside, (1, 0, 0), (0, 1, 0) if kind == "horizontal" else (0, 0, 1), (0, 0, 0))
@@ -98,9 +111,9 @@ def test_texture_is_no_lines(tmp_path: Path, kind: Literal["horizontal", "radial
         assert abs(np.corrcoef(cut[calm].mean(-1), own[calm].mean(-1))[0, 1]) < 0.3
 
 
-def test_a_faint_sheet_runs_through(tmp_path: Path) -> None:
+def test_a_faint_sheet_runs_through(alone: InsideOf) -> None:
     """Radial lines of a horizontal picture, weaker than any seed, lie where they do in other heights."""
-    inside = inside_of(tmp_path, "horizontal", lines=True)
+    inside = alone("horizontal", True)
     angles = np.arange(360) / 180 * np.pi
     r = np.linspace(0.3, 0.7, 60)[:, None]
     lit = np.zeros(360)
@@ -123,9 +136,7 @@ def test_chambers_end_and_a_core_runs_through(tmp_path: Path) -> None:
     for number, (dark, runs) in enumerate(((star, False), (r < 0.2, True))):
         rgb = np.where(dark[..., None], brown, np.where((r > 0.9)[..., None], RIND, pale))
         picture = save(tmp_path / f"{number}.png", np.where((r < 1)[..., None], rgb, 0.0))
-        families = [Family("horizontal", 30, (picture,))]
-        inside = ExemplarPrior().solve(ball(48), UP, families, 128, 0, quiet).inside
-        assert inside is not None
+        inside = solved("horizontal", picture)
         for height, share in ((0.0, 1.0), (0.03, 1.0), (0.3, float(runs)), (-0.3, float(runs))):
             cut = section(inside, (np.sqrt(1 - height**2), 0, 0), (0, np.sqrt(1 - height**2), 0), (0, 0, height))
             found = np.linalg.norm(cut - pale, axis=-1)[within(0.5)] > 0.4
