@@ -202,11 +202,13 @@ def restore_quilt(
 ) -> Quilt:
     """The quilt that `make_quilt` found: `chosen` (M,) as it has it, the rest as it was given. Raises
     ValueError if `chosen` is not the labels of its cells."""
-    across, along = _make_sources(horizontal, radial)
     number, _, points = _grid(LEVELS[-1])
-    labels = _make_labels(across, along, height, seed)
-    if chosen.shape != (len(points),) or not 0 <= chosen.min() <= chosen.max() < len(labels):
+    if chosen.shape != (len(points),):
         raise ValueError("no label for each cell")
+    across, along = _make_sources(horizontal, radial)
+    labels = _make_labels(across, along, height, seed)
+    if not 0 <= chosen.min() <= chosen.max() < len(labels):
+        raise ValueError("a label that no picture has")
     return _assembled(labels, across, along, seed, number, chosen, Ball.of(points))
 
 
