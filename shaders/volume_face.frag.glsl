@@ -2,7 +2,7 @@
 #include "camera.glsl"
 #include "cut.glsl"
 
-uniform sampler3D body;       // distance under the skin
+uniform sampler3D body;       // distance under the skin, which is at a half
 uniform sampler3D luma;
 uniform sampler3D blue;       // differences from the brightness, half as fine
 uniform sampler3D red;

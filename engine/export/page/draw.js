@@ -6,9 +6,12 @@ precision highp float; precision highp int; precision highp sampler2D; precision
 `;
 
 const WHOLE = 3;                            // standard deviations to which a splat is drawn
+const SHUT = "0.998";                       // coverage from which nothing behind shows: half a step of eight bits
 const LOCATIONS = { record_centre: 0, record_conic: 1, record_shape: 2, record_colour: 3, corner: 4, mean: 0, scale: 1, quat: 2 };
 for (let k = 0; k < 12; k++) LOCATIONS[`sh_${k}`] = 3 + k;
 
+const JOINT = 0.02;                         // pitches: interpolated depths of atoms seen edge-on are off by more than the
+                                            // thousandth of the desktop program, which showed as freckles on faces
 const HALF_FADE_LAYERS = "8.0";             // where sums are half floats: 4^-8 is the last that they hold well
 
 const add = (a, b) => a.map((value, i) => value + b[i]);
@@ -118,10 +121,10 @@ class Renderer {
     async load() {
         const { skin, body, inside } = this.page;
         this.loadSkin(await inflated(skin.data));
-        const gl = this.gl;
+        const gl = this.gl, data = await inflated(body.data);
         this.body = this.volume(body.shape, false);
         gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
-        gl.texSubImage3D(gl.TEXTURE_3D, 0, 0, 0, 0, ...body.shape, gl.RED, gl.UNSIGNED_BYTE, await inflated(body.data));
+        gl.texSubImage3D(gl.TEXTURE_3D, 0, 0, 0, 0, ...body.shape, gl.RED, gl.UNSIGNED_BYTE, data);
         [this.luma, this.blue, this.red] = await Promise.all(
             [inside.luma, inside.blue, inside.red].map((layers) => this.loadLayers(layers)));
     }
@@ -203,13 +206,13 @@ class Renderer {
         const unpacked = names.map((name, k) => k ? `${rest} * ${name}` : `vec4(${first}, ${first}, ${first}, ${rest}) * ${name}`);
         return this.programs.get("project.vert.glsl", null, {
             SH_DEGREE: degree, SH_VECTORS: vectors, SH_INPUTS: names.map((name) => `in vec4 ${name};`).join(" "),
-            SH_UNPACKED: `vec4[](${unpacked.join(", ")})`,
+            CULLED: 1, SH_UNPACKED: `vec4[](${unpacked.join(", ")})`,
         }, ["record_centre", "record_conic", "record_shape", "record_colour"]);
     }
 
-    splat(visibility, clipped) {
+    splat(part, clipped) {
         return this.programs.get("splat.vert.glsl", "splat.frag.glsl",
-            { ...(visibility && { VISIBILITY: 1 }), ...(clipped && { CLIPPED: 1 }) });
+            { [part]: 1, ...(clipped && { CLIPPED: 1 }) });
     }
 
     resize(width, height) {
@@ -227,7 +230,7 @@ class Renderer {
             return made;
         };
         const t = this.textures = {
-            front: texture(gl.DEPTH_COMPONENT32F), in_layer: texture(gl.RGBA16F), rims: texture(gl.RGBA16F),
+            front: texture(gl.DEPTH_COMPONENT32F), limit: texture(gl.DEPTH_COMPONENT32F), in_layer: texture(gl.RGBA16F), rims: texture(gl.RGBA16F),
             behind: texture(this.floats ? gl.RGBA32F : gl.RGBA16F), edges: texture(gl.RGBA16F),
             faces: texture(gl.RGBA8), face_depths: texture(gl.R32F), frame: texture(gl.RGBA8),
         };
@@ -241,7 +244,8 @@ class Renderer {
             return made;
         };
         this.targets = {
-            front: target([], t.front), sums: target([t.in_layer, t.rims, t.behind, t.edges]),
+            front: target([], t.front), sums: target([t.in_layer, t.rims, t.behind, t.edges], t.limit),
+            limit: target([], t.limit),
             faces: target([t.faces, t.face_depths], t.front), frame: target([t.frame]),
         };
     }
@@ -259,19 +263,17 @@ class Renderer {
             near: 1e-3 * camera.distance, depth_range: [middle - page.reach, 0.5 / page.reach],
             slope_limits: [-slopes[0], slopes[0], -slopes[1], slopes[1]], enlarge: 1,
             plane_count: near.length, planes: near.flat(), layer: page.constants.EPSILON_PITCHES * page.pitch,
-            tolerance: page.constants.JOINT_PITCHES * page.pitch, background, group: 0, ...this.textures,
+            tolerance: JOINT * page.pitch, background, group: 0, ...this.textures,
             body: this.body, luma: this.luma, blue: this.blue, red: this.red,
             body_scale: page.body.scale, body_shift: page.body.shift,
             colour_scale: page.inside.scale, colour_shift: page.inside.shift,
         };
         gl.viewport(0, 0, width, height);
-        gl.disable(gl.BLEND);
         gl.enable(gl.DEPTH_TEST);
         this.drawFaces(camera, planes, near, values);
-        this.project(camera, values);
+        this.project(values);
         this.drawSplats(values, near.length > 0);
         gl.bindFramebuffer(gl.FRAMEBUFFER, this.targets.frame);
-        gl.disable(gl.BLEND);
         this.programs.use(this.programs.get("screen.vert.glsl", "resolve.frag.glsl", { FACES: 1 }), values);
         gl.bindVertexArray(this.empty);
         gl.drawArrays(gl.TRIANGLES, 0, 3);
@@ -294,9 +296,9 @@ class Renderer {
         });
     }
 
-    // The atoms as the camera sees them, kept until it moves.
-    project(camera, values) {
-        const gl = this.gl, key = JSON.stringify([values.view, values.lens]);
+    // The atoms as the camera sees them, kept until it or a plane moves.
+    project(values) {
+        const gl = this.gl, key = JSON.stringify([values.view, values.lens, values.planes]);
         if (key === this.drawn) return;
         this.drawn = key;
         this.programs.use(this.projection(), values);
@@ -310,21 +312,41 @@ class Renderer {
         gl.disable(gl.RASTERIZER_DISCARD);
     }
 
-    // The depth at the front, then sums of weights in the layer there, before it and behind it.
+    // The depth at the front, then sums of weights in the layer there and before it, and only where these leave gaps of
+    // what lies behind: depth tests spare most of the pixels of the far side.
     drawSplats(values, clipped) {
-        const gl = this.gl, count = this.page.skin.count;
-        gl.bindFramebuffer(gl.FRAMEBUFFER, this.targets.front);
+        const gl = this.gl, { front, limit, sums } = this.targets, { width, height } = this;
+        const pass = (part, reach) => {
+            gl.bindVertexArray(this.splats);
+            this.programs.use(this.splat(part, clipped), { ...values, reach });
+            gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, this.page.skin.count);
+        };
+        gl.bindFramebuffer(gl.FRAMEBUFFER, front);
         gl.depthFunc(gl.LESS);
-        gl.bindVertexArray(this.splats);
-        this.programs.use(this.splat(true, clipped), { ...values, reach: Math.sqrt(this.page.constants.CORE_Q) });
-        gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, count);
-        gl.bindFramebuffer(gl.FRAMEBUFFER, this.targets.sums);
-        gl.disable(gl.DEPTH_TEST);
+        pass("VISIBILITY", Math.sqrt(this.page.constants.CORE_Q));
+        gl.bindFramebuffer(gl.READ_FRAMEBUFFER, front);
+        gl.bindFramebuffer(gl.DRAW_FRAMEBUFFER, limit);
+        gl.blitFramebuffer(0, 0, width, height, 0, 0, width, height, gl.DEPTH_BUFFER_BIT, gl.NEAREST);
+        gl.bindFramebuffer(gl.FRAMEBUFFER, sums);
+        for (let k = 0; k < 4; k++) gl.clearBufferfv(gl.COLOR, k, [0, 0, 0, 0]);
         gl.enable(gl.BLEND);
         gl.blendFunc(gl.ONE, gl.ONE);
-        for (let k = 0; k < 4; k++) gl.clearBufferfv(gl.COLOR, k, [0, 0, 0, 0]);
-        this.programs.use(this.splat(false, clipped), { ...values, reach: WHOLE });
-        gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, count);
+        gl.depthMask(false);
+        gl.depthFunc(gl.LEQUAL);
+        pass("NEAR_PART", WHOLE);
+        gl.bindFramebuffer(gl.FRAMEBUFFER, limit);
+        gl.depthMask(true);
+        gl.depthFunc(gl.ALWAYS);
+        this.programs.use(this.programs.get("screen.vert.glsl", "gaps.frag.glsl", { SHUT }), values);
+        gl.bindVertexArray(this.empty);
+        gl.drawArrays(gl.TRIANGLES, 0, 3);
+        gl.bindFramebuffer(gl.FRAMEBUFFER, sums);
+        gl.depthMask(false);
+        gl.depthFunc(gl.LEQUAL);
+        pass("FAR_PART", WHOLE);
+        gl.depthMask(true);
+        gl.disable(gl.BLEND);
+        gl.disable(gl.DEPTH_TEST);
     }
 }
 

@@ -35,6 +35,7 @@ PAGES = (".html", ".htm")
 """Suffixes of a page."""
 
 SHADERS = (
+    "gaps.frag.glsl",
     "project.vert.glsl",
     "resolve.frag.glsl",
     "screen.vert.glsl",
@@ -108,7 +109,7 @@ def write_page(
             "scales": skin.scales,
             "data": _base64(skin.data),
         },
-        "body": {**_placed(body.grid, cube), "shape": body.grid.shape, "data": _base64(pack_body(body))},
+        "body": {**_placed(body.grid, cube), "shape": body.grid.shape, "data": _base64(pack_body(body, atoms.pitch))},
         "inside": {
             **_placed(inside.grid, cube),
             "luma": _record(inside.luma),

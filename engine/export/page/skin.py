@@ -17,8 +17,17 @@ __all__ = ["Cube", "PackedSkin", "pack_skin"]
 LEVELS = 127
 """Steps of a signed byte on either side of 0."""
 
-POSITIONS = 65535
-"""Steps of a position along the cube: of an object of 300 pitches, two hundred for each."""
+POSITIONS, POSITION_STEP = 65535, 4
+"""Of a position along the cube: of an object of 300 pitches, fifty steps for each."""
+
+COARSE = np.repeat([8, 16, 16], [3, 5, 7])
+"""Of `LEVELS`: steps of the coefficients of degrees 1 to 3, the five and four bits of SPZ."""
+
+CLIPPED = 99.9
+"""Per cent of what depends on the direction that keeps its size: a few mirror-like atoms would set the steps of all."""
+
+SCALE_STEP = 32
+"""Of the bits of a standard deviation as half float: five after the point, steps of 3 %."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +60,7 @@ class PackedSkin:
     vectors: int
     """Fours of harmonics."""
     scales: tuple[float, float]
-    """The greatest coefficient of degree 0 and of all others: what 127 stands for."""
+    """What 127 stands for, in degree 0 and in all others."""
 
 
 def pack_skin(atoms: Atoms, cube: Cube) -> PackedSkin:
@@ -64,19 +73,24 @@ def pack_skin(atoms: Atoms, cube: Cube) -> PackedSkin:
     sh = np.zeros((len(means), bands, 3), np.float32)
     sh[: len(skin)] = skin.sh
     sh[len(skin) :, 0] = rgb_to_sh(inner.rgb[:n])
-    greatest = tuple(float(np.abs(part).max(initial=1e-6)) for part in (sh[:, :1], sh[:, 1:]))
-    sh[:, :1] /= greatest[0]
-    sh[:, 1:] /= greatest[1]
+    first = float(np.abs(sh[:, 0]).max(initial=1e-6))
+    rest = float(max(np.percentile(np.abs(sh[:, 1:]), CLIPPED), 1e-6)) if sh[:, 1:].size else 1.0
+    levels = np.zeros((len(means), bands, 3), np.int8)
+    levels[:, 0] = np.round(sh[:, 0] / first * LEVELS)
+    steps = COARSE[: bands - 1, None]
+    levels[:, 1:] = (np.round(sh[:, 1:] / rest * LEVELS / steps) * steps).clip(-LEVELS - 1, LEVELS)
     vectors = -(-3 * bands // 4)
     record = np.zeros(
         len(means), [("mean", "<u2", 3), ("scale", "<f2", 3), ("quat", "i1", 4), ("sh", "i1", 4 * vectors)]
     )
     order = morton_order(means)
-    record["mean"] = np.round((means[order] - cube.low) / cube.edge * POSITIONS).clip(0, POSITIONS)
-    record["scale"] = scales[order] / cube.edge
+    places = (means[order] - cube.low) / cube.edge * (POSITIONS / POSITION_STEP)
+    record["mean"] = (np.round(places) * POSITION_STEP).clip(0, POSITIONS)
+    bits = (scales[order] / cube.edge).astype("<f2").view("<u2").astype(np.int64)
+    record["scale"] = (np.round(bits / SCALE_STEP) * SCALE_STEP).astype("<u2").view("<f2")
     record["quat"] = np.round(quats[order] * LEVELS)
-    record["sh"][:, : 3 * bands] = np.round(sh[order].reshape(len(means), -1) * LEVELS)
+    record["sh"][:, : 3 * bands] = levels[order].reshape(len(means), -1)
     planes = np.ascontiguousarray(record.view(np.uint8).reshape(len(means), record.itemsize).T)
     return PackedSkin(
-        zlib.compress(planes.tobytes(), 9), len(means), round(bands**0.5) - 1, vectors, (greatest[0], greatest[1])
+        zlib.compress(planes.tobytes(), 9), len(means), round(bands**0.5) - 1, vectors, (first, rest)
     )

@@ -41,10 +41,11 @@ function reachOf(cut) {
 
 // Frames
 
-let scale = 1, moving = false, waiting = 0, asked = false, before = 0;
+let scale = 1, moving = false, flowing = false, waiting = 0, asked = false, before = 0;
 
 function changed() {
     moving = true;
+    canvas.dataset.drawn = "moving";
     clearTimeout(waiting);
     waiting = setTimeout(() => { moving = false; ask(); }, AT_REST);
     ask();
@@ -58,18 +59,18 @@ function ask() {
 function frame(now) {
     asked = false;
     if (!renderer) return;
-    if (moving && now - before < 200) {
+    if (moving && flowing) {
         if (now - before > SLOW) scale = Math.max(COARSEST, 0.85 * scale);
         else if (now - before < QUICK) scale = Math.min(1, 1.1 * scale);
     }
-    before = now;
+    [before, flowing] = [now, moving];
     const box = canvas.getBoundingClientRect(), ratio = Math.min(devicePixelRatio || 1, 2);
     const full = Math.min(ratio, Math.sqrt(MOST_PIXELS / Math.max(box.width * box.height, 1)));
     const [width, height] = [box.width, box.height].map((side) => Math.max(1, Math.round(side * full * (moving ? scale : 1))));
     if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
     renderer.resize(width, height);
     renderer.draw(camera(width, height), cutting ? cuts.map(planeOf) : [], background());
-    canvas.dataset.drawn = moving ? "moving" : "rest";
+    if (!moving) canvas.dataset.drawn = "rest";
 }
 
 function camera(width, height) {
@@ -130,7 +131,7 @@ function reset() {
 
 // The panel shows what is cut.
 function show() {
-    const cut = cuts[current], reach = reachOf(cut), digits = clamp(2 - Math.floor(Math.log10(page.edge)), 0, 6);
+    const cut = cuts[current], reach = reachOf(cut), digits = clamp(3 - Math.floor(Math.log10(page.edge)), 0, 6);
     for (const [name, value, low, high, text] of [
         ["distance", cut.distance, -reach, reach, (cut.distance * page.edge).toFixed(digits)],
         ["tilt", cut.tilt, 0, 180, `${cut.tilt.toFixed(0)}°`], ["turn", cut.turn, -180, 180, `${cut.turn.toFixed(0)}°`],
