@@ -53,7 +53,7 @@ def render_command(
     background: Annotated[
         str | None,
         typer.Option(
-            help="white, black, #rrggbb, or transparent (.png, .webp); white unless told, of a page its reader's choice."
+            help="white, black, #rrggbb, or transparent (.png, .webp); white unless told, a page as its reader has it."
         ),
     ] = None,
     html: Annotated[
@@ -78,9 +78,9 @@ def render_command(
         if ground is None:
             raise InputError("--background transparent: a page has a colour; give white, black or #rrggbb")
         azimuth, elevation, distance = angles or (None, None, None)
-        print_result(
-            f"{out} ({open_solid(trained).cut(*planes).html(out, azimuth=azimuth, elevation=elevation, distance=distance, background=ground if background else None)})"
-        )
+        solid, colour = open_solid(trained).cut(*planes), ground if background else None
+        said = solid.html(out, azimuth=azimuth, elevation=elevation, distance=distance, background=colour)
+        print_result(f"{out} ({said})")
         return
     if film is not None:
         wanted = make_film(film, out, planes, camera is not None, seconds, fps, ground is None)

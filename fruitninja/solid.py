@@ -280,7 +280,6 @@ class Solid:
         )
         return write_export(export, kind)
 
-
     def html(
         self,
         path: PathLike,

@@ -277,8 +277,9 @@ class Renderer {
         this.programs.use(this.programs.get("screen.vert.glsl", "resolve.frag.glsl", { FACES: 1 }), values);
         gl.bindVertexArray(this.empty);
         gl.drawArrays(gl.TRIANGLES, 0, 3);
-        gl.bindFramebuffer(gl.DRAW_FRAMEBUFFER, null); // the first row of a framebuffer is the top one, of a canvas the lowest
-        gl.blitFramebuffer(0, 0, width, height, 0, height, width, 0, gl.COLOR_BUFFER_BIT, gl.NEAREST);
+        gl.bindFramebuffer(gl.FRAMEBUFFER, null); // by a shader: Chromium blits nothing to a canvas that was resized
+        this.programs.use(this.programs.get("screen.vert.glsl", "upright.frag.glsl", {}), values);
+        gl.drawArrays(gl.TRIANGLES, 0, 3);
     }
 
     drawFaces(camera, planes, near, values) {

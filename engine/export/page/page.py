@@ -41,6 +41,7 @@ SHADERS = (
     "screen.vert.glsl",
     "splat.frag.glsl",
     "splat.vert.glsl",
+    "upright.frag.glsl",
     "volume_face.frag.glsl",
 )
 

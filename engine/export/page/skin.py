@@ -91,6 +91,4 @@ def pack_skin(atoms: Atoms, cube: Cube) -> PackedSkin:
     record["quat"] = np.round(quats[order] * LEVELS)
     record["sh"][:, : 3 * bands] = levels[order].reshape(len(means), -1)
     planes = np.ascontiguousarray(record.view(np.uint8).reshape(len(means), record.itemsize).T)
-    return PackedSkin(
-        zlib.compress(planes.tobytes(), 9), len(means), round(bands**0.5) - 1, vectors, (first, rest)
-    )
+    return PackedSkin(zlib.compress(planes.tobytes(), 9), len(means), round(bands**0.5) - 1, vectors, (first, rest))

@@ -219,7 +219,6 @@ async function begin() {
         show();
     } catch (error) {
         message.textContent = error.message;
-        canvas.dataset.drawn = "never";
     }
 }
 

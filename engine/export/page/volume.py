@@ -11,15 +11,14 @@ from numpy.typing import NDArray
 from PIL import Image
 from scipy import ndimage
 
-from engine.export.colours import Colours
+from engine.export.colours import WIDEN, Colours
 from engine.render.face_detail import RIM
 from engine.scene.grid import Body, Grid
 
 __all__ = ["Inside", "Layers", "pack_body", "pack_inside"]
 
-MOST_CELLS = 320
-"""Along the longest side: two or three pixels of a large window for each. A cube has 41 MB on the graphics card, and a
-fruit's takes a minute to read on two cores."""
+MOST_CELLS = 288
+"""Along the longest side: two or three pixels of a large window for each. A cube has 36 MB on the graphics card."""
 
 FINER = 0.75
 """Cells in the finest detail of the inside: linear interpolation between cells as large as it blurs it."""
@@ -39,7 +38,7 @@ QUALITY = 90
 REACH = 2.0
 """Cells of the body on either side of its skin in which depths are told apart, in steps of a sixty-fourth."""
 
-OVER = 0.5
+OVER = 0.4
 """Pitches. How far over the skin of the body faces reach: in pictures, which draw them from the atoms, those of a ball
 of thin discs end 0.4 over it, those of the sample watermelon 0.65."""
 
@@ -92,7 +91,8 @@ def pack_inside(body: Body, colours: Colours) -> Inside:
 
 
 def pack_body(body: Body, pitch: float) -> bytes:
-    """zlib. A byte for each cell, x fastest: 127.5 is where faces end, and more is under it, by `REACH`; `pitch` in world units.
+    """zlib. A byte for each cell, x fastest: 127.5 is where faces end, and more is under it, by `REACH`. `pitch`: world
+    units.
 
     A single atom that lies askew dents the skin by a cell, which a median of 3 x 3 x 3 takes out again.
     """
@@ -104,18 +104,17 @@ def pack_body(body: Body, pitch: float) -> bytes:
 def _layer(
     points: NDArray[np.float64], body: Body, colours: Colours, atoms: Colours, cell: float
 ) -> NDArray[np.float32]:
-    """(Y, X, 3). Colours at points (Y, X, 3), at the rim those of the atoms alone, as in pictures; far outside those of the nearest point that is not, which compress best
-    of all that leave the edge as it is."""
-    depth = body.at(points)
-    known = depth > -BESIDE * colours.atoms.pitch
+    """(Y, X, 3). Colours at points (Y, X, 3), at the rim those of the atoms alone, as in pictures; far outside those of
+    the nearest point that is not, which compress best of all that leave the edge as it is."""
+    pitch, depth = colours.atoms.pitch, body.at(points)
+    known = depth > -BESIDE * pitch
     rgb = np.full(points.shape, 0.5, np.float32)
     if known.any():
         rgb[known] = colours.within(points[known], SHARP * cell)
-        if colours.inside is not None:
-            share = depth / (RIM * colours.atoms.pitch)
-            rim = known & (share < 1)
-            share = share[rim, None].clip(0)
-            rgb[rim] = share * rgb[rim] + (1 - share) * atoms.within(points[rim], cell)
+        share = depth / (RIM * pitch)
+        rim = known & (share < 1)
+        share = share[rim, None].clip(0)
+        rgb[rim] = share * rgb[rim] + (1 - share) * atoms.within(points[rim], max(cell, WIDEN * pitch))
         nearest = ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
         rgb = rgb[tuple(nearest)]
     return rgb
