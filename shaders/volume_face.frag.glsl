@@ -14,6 +14,8 @@ uniform int cut_index;
 uniform int plane_count;
 uniform vec4 planes[MAX_PLANES]; // camera space; the piece's planes, this one too
 
+const float GREY = 0.50196; // byte 128: no difference
+
 layout(location = 0) out vec4 face; // rgb, coverage
 layout(location = 1) out float face_depth;
 
@@ -22,12 +24,12 @@ void main() {
     vec3 at = (to_object * vec4(p, 1.0)).xyz;
     vec3 in_body = at * body_scale + body_shift;
     float depth = texture(body, in_body).r - 0.5;
-    float coverage = clamp(0.5 + depth / max(fwidth(depth), 1e-6), 0.0, 1.0);
+    float coverage = clamp(0.5 + depth / max(fwidth(depth), 1e-5), 0.0, 1.0);
     bool outside = any(lessThan(in_body, vec3(0.0))) || any(greaterThan(in_body, vec3(1.0)));
     vec3 in_colour = at * colour_scale + colour_shift;
     float y = texture(luma, in_colour).r;
-    float b = texture(blue, in_colour).r - 128.0 / 255.0;
-    float r = texture(red, in_colour).r - 128.0 / 255.0;
+    float b = texture(blue, in_colour).r - GREY;
+    float r = texture(red, in_colour).r - GREY;
     if (!(coverage > 0.0 && p.z > near) || outside) discard;
     for (int j = 0; j < plane_count; j++)
         if (j != cut_index && dot(planes[j].xyz, p) + planes[j].w > tolerance) discard;

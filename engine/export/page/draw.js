@@ -262,7 +262,7 @@ class Renderer {
             lens: [focal, focal, width / 2, height / 2], size: [width, height], eye: camera.eye,
             near: 1e-3 * camera.distance, depth_range: [middle - page.reach, 0.5 / page.reach],
             slope_limits: [-slopes[0], slopes[0], -slopes[1], slopes[1]], enlarge: 1,
-            plane_count: near.length, planes: near.flat(), layer: page.constants.EPSILON_PITCHES * page.pitch,
+            plane_count: near.length, planes: near.length ? near.flat() : [0, 0, 0, 0], layer: page.constants.EPSILON_PITCHES * page.pitch,
             tolerance: JOINT * page.pitch, background, group: 0, ...this.textures,
             body: this.body, luma: this.luma, blue: this.blue, red: this.red,
             body_scale: page.body.scale, body_shift: page.body.shift,

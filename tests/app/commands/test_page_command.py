@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import io
 import re
-import shutil
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,16 +16,14 @@ from PIL import Image
 import fruitninja
 from engine.io.trained import Meta, save_trained
 from tests.app.commands.test_render_command import run
+from tests.helpers.browser import SOFTWARE, opened
 from tests.helpers.solids import filled_ball
-
-BROWSER = next(filter(None, map(shutil.which, ("chromium-headless-shell", "chromium", "google-chrome"))), None)
-
-SOFTWARE = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist")
-"""WebGL without a graphics card."""
 
 SIDE = 300
 PANEL = 288
 """Pixels: of the picture, and of the panel beside it."""
+
+SIZE = (SIDE + PANEL, SIDE)
 
 FLESH, RIND = np.array([[0.85, 0.15, 0.2], [0.9, 0.95, 0.75]], np.float32)
 
@@ -55,28 +50,6 @@ def page(trained: Path) -> Path:
     return out
 
 
-@contextmanager
-def opened(page: Path, *arguments: str) -> Iterator[tuple[Any, list[str]]]:
-    """The page in a browser that is offline, and all that it asks for or complains of."""
-    sync_api = pytest.importorskip("playwright.sync_api")
-    if BROWSER is None:
-        pytest.skip("no Chromium: install chromium-headless-shell")
-    said: list[str] = []
-    with sync_api.sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=BROWSER, args=arguments)
-        context = browser.new_context(viewport={"width": SIDE + PANEL, "height": SIDE})
-        context.set_offline(True)
-        tab = context.new_page()
-        tab.on("request", lambda request: said.append(request.url))
-        tab.on("console", lambda message: said.append(message.text))
-        tab.on("pageerror", lambda error: said.append(str(error)))
-        tab.goto(page.as_uri())
-        try:
-            yield tab, said
-        finally:
-            browser.close()
-
-
 def picture(tab: Any) -> NDArray[np.int64]:
     """(SIDE, SIDE, 3). What the page shows once nothing moves."""
     tab.wait_for_selector("canvas[data-drawn=rest]", state="attached")
@@ -88,7 +61,7 @@ def test_the_page_shows_what_python_draws(trained: Path, page: Path) -> None:
     solid = fruitninja.open(trained)
     half = solid.cut(PLANE)
     camera = half.camera(distance=1.05, size=(SIDE, SIDE))
-    with opened(page, *SOFTWARE) as (tab, said):
+    with opened(page, SIZE, *SOFTWARE) as (tab, said):
         assert tab.title() == tab.inner_text("h1") == trained.stem
         first = picture(tab)
         compare(first, half.render(camera))
@@ -116,7 +89,7 @@ def compare(page: NDArray[np.int64], python: NDArray[np.uint8]) -> None:
 
 
 def test_a_browser_without_webgl_says_so(page: Path) -> None:
-    with opened(page, "--disable-webgl", "--disable-webgl2") as (tab, _):
+    with opened(page, SIZE, "--disable-webgl", "--disable-webgl2") as (tab, _):
         tab.get_by_text("This page needs WebGL 2").wait_for()
 
 
