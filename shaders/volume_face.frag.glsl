@@ -33,7 +33,7 @@ void main() {
     if (!(coverage > 0.0 && p.z > near) || outside) discard;
     for (int j = 0; j < plane_count; j++)
         if (j != cut_index && dot(planes[j].xyz, p) + planes[j].w > tolerance) discard;
-    face = vec4(clamp(y + vec3(1.402 * r, -0.344136 * b - 0.714136 * r, 1.772 * b), 0.0, 1.0), coverage);
+    face = vec4(clamp(y + vec3(1.402 * r, -0.344136 * b - 0.714136 * r, 2.0 * (1.0 - 0.114) * b), 0.0, 1.0), coverage);
     face_depth = p.z;
     gl_FragDepth = coverage >= FACE_OPAQUE ? linear_depth(p.z) : 1.0;
 }

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import fruitninja
-from tests.helpers.browser import SOFTWARE, opened
+from tests.browser import SOFTWARE, opened
 
 ROOT = Path(__file__).resolve().parents[1]
 SOLID = ROOT / "out/watermelon/watermelon.ply"

@@ -16,7 +16,7 @@ from PIL import Image
 import fruitninja
 from engine.io.trained import Meta, save_trained
 from tests.app.commands.test_render_command import run
-from tests.helpers.browser import SOFTWARE, opened
+from tests.browser import SOFTWARE, opened
 from tests.helpers.solids import filled_ball
 
 SIDE = 300
