@@ -19,7 +19,7 @@ from tests.app.commands.test_render_command import run
 from tests.browser import SOFTWARE, opened
 from tests.helpers.solids import filled_ball
 
-SIDE = 300
+SIDE = 200
 PANEL = 288
 """Pixels: of the picture, and of the panel beside it."""
 
