@@ -62,6 +62,7 @@ screenshots: $(READY)
 	$(BIN)/python -m tools.screenshots
 	$(BIN)/python -m tools.sheet
 	$(BIN)/python -m tools.film
+	$(BIN)/python -m tools.page
 
 # Constraints are the versions the tests were run with; an editable install, so that a change needs no new one.
 $(READY): pyproject.toml constraints.txt

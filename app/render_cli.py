@@ -1,4 +1,4 @@
-"""`fruitninja-render`: a picture or a film of a trained object, cut by planes, without a window."""
+"""`fruitninja-render`: a picture, a film or a page of a trained object, cut by planes, without a window."""
 
 from __future__ import annotations
 
@@ -15,12 +15,14 @@ from app.film_cli import Scene, make_film, save_film
 from app.jobs.export import save_still
 from engine.command import parse_numbers, parse_plane, print_result, run_command
 from engine.errors import InputError
+from engine.export.page.page import PAGES
 from engine.io.picture_file import save_png
 from engine.io.trained import load_trained
 from engine.render.face_detail import Detailed
 from engine.scene.camera import Camera
 from engine.scene.piece import Piece
 from fruitninja.drawing import LARGEST, MARGIN, Rgb, camera_for, default_angles, drawing, frame
+from fruitninja.solid import open_solid
 from training.priors.inside_file import read_inside
 
 __all__ = ["default_angles", "main"]
@@ -30,7 +32,8 @@ NAMED: dict[str, Rgb | None] = {"white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.
 EPILOG = (
     "A plane keeps the side where a x + b y + c z + d is negative; several planes keep what all of them keep. "
     "Distance 1 fits the object into the picture. In a film the first plane sweeps, or all of them part what explodes. "
-    "A film into a folder goes on where it was stopped. docs/EXPORT.md has the form of keyframes."
+    "A film into a folder goes on where it was stopped. A page begins with these planes, or one across the middle, and "
+    "its reader moves them. docs/EXPORT.md has the form of keyframes."
 )
 
 
@@ -38,31 +41,51 @@ def render_command(
     trained: Annotated[Path, typer.Argument(help="A trained object with its sidecar, as fruitninja-train writes it.")],
     out: Annotated[
         Path,
-        typer.Option("--out", "-o", help="A picture (.png, .webp); a film (.gif, .mp4, .webp), or its folder."),
+        typer.Option(
+            "--out", "-o", help="A picture (.png, .webp); a page (.html); a film (.gif, .mp4, .webp), or its folder."
+        ),
     ],
     plane: Annotated[list[str] | None, typer.Option(help="A cut a,b,c,d; give it again for more.")] = None,
     camera: Annotated[
         str | None, typer.Option(help="azimuth,elevation,distance: degrees, degrees, times the fitting distance.")
     ] = None,
-    size: Annotated[str, typer.Option(help="WIDTHxHEIGHT in pixels.")] = "1280x720",
-    background: Annotated[str, typer.Option(help="white, black, #rrggbb, or transparent (.png, .webp).")] = "white",
+    size: Annotated[str | None, typer.Option(help="WIDTHxHEIGHT in pixels; 1280x720 unless told.")] = None,
+    background: Annotated[
+        str | None,
+        typer.Option(
+            help="white, black, #rrggbb, or transparent (.png, .webp); white unless told, a page as its reader has it."
+        ),
+    ] = None,
+    html: Annotated[
+        bool, typer.Option("--html", help="Write a page that any browser opens offline, to turn, zoom and cut it.")
+    ] = False,
     film: Annotated[
         str | None, typer.Option(help="Draw a film: turntable, sweep, explode, or a file of keyframes (.json).")
     ] = None,
     seconds: Annotated[float | None, typer.Option(help="How long the film is; 6 unless told.")] = None,
     fps: Annotated[float | None, typer.Option(help="Frames a second; 25 unless told.")] = None,
 ) -> None:
-    """Draw a trained object, whole or cut open, into a picture, or a film of it."""
+    """Draw a trained object, whole or cut open, into a picture, or a film or a page of it."""
     planes = tuple(parse_plane(text) for text in plane or [])
-    width, height = parse_size(size)
+    width, height = parse_size(size or "1280x720")
     angles = None if camera is None else parse_numbers(camera, 3, f"--camera {camera}: give azimuth,elevation,distance")
     if angles and not angles[2] > 0:
         raise InputError(f"--camera {camera}: the distance must be above 0; 1 fits the object into the picture")
-    ground = parse_background(background)
+    ground = parse_background(background or "white")
+    if html or out.suffix.lower() in PAGES:
+        if not film is seconds is fps is size is None:
+            raise InputError(f"{out}: a page has no --film, --seconds, --fps or --size; leave them out")
+        if ground is None:
+            raise InputError("--background transparent: a page has a colour; give white, black or #rrggbb")
+        azimuth, elevation, distance = angles or (None, None, None)
+        solid, colour = open_solid(trained).cut(*planes), ground if background else None
+        said = solid.html(out, azimuth=azimuth, elevation=elevation, distance=distance, background=colour)
+        print_result(f"{out} ({said})")
+        return
     if film is not None:
         wanted = make_film(film, out, planes, camera is not None, seconds, fps, ground is None)
     elif out.suffix.lower() not in (".png", ".webp"):
-        raise InputError(f"{out}: the picture is a PNG or WebP; give a name that ends in .png, or --film for a film")
+        raise InputError(f"{out}: the picture is a PNG or WebP; give a name that ends in .png, or --film or --html")
     elif seconds is not None or fps is not None:
         raise InputError("--seconds and --fps are of a film; give --film too")
     atoms, meta = load_trained(trained)
@@ -80,7 +103,7 @@ def render_command(
         def shot(view: Camera, pieces: Sequence[Piece]) -> NDArray[np.uint8]:
             return frame(draw, details, view, pieces, ground, light=True)
 
-        frames = save_film(out, wanted, scene, shot, {"background": background, "drawn": who})
+        frames = save_film(out, wanted, scene, shot, {"background": background or "white", "drawn": who})
         print_result(f"{out} ({frames} of {width}x{height}, drawn by {who})")
 
 

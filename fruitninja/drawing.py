@@ -26,6 +26,7 @@ __all__ = [
     "LARGEST",
     "MARGIN",
     "Rgb",
+    "ball_around",
     "camera_for",
     "check_size",
     "default_angles",
@@ -140,12 +141,17 @@ def camera_for(
             left = points[plane.distance(points) <= 0]
             points = left if len(left) else points
     azimuth, elevation, distance = angles or (*default_angles(planes, np.asarray(up)), MARGIN)
-    centre, radius = np.zeros(3), 1.0
-    if len(points):
-        centre = (points.min(0) + points.max(0)) / 2
-        radius = float(np.linalg.norm(points - centre, axis=1).max()) + atoms.pitch
+    centre, radius = ball_around(points, atoms.pitch)
     fit = fit_distance(radius, FIELD_OF_VIEW, width / height)
     return orbit(centre, up, azimuth, elevation, distance * fit, width, height, FIELD_OF_VIEW)
+
+
+def ball_around(points: NDArray[np.float64], pitch: float) -> tuple[NDArray[np.float64], float]:
+    """Middle (3,) and radius of atoms with centres (N, 3), which is what a picture fits."""
+    if not len(points):
+        return np.zeros(3), 1.0
+    centre = (points.min(0) + points.max(0)) / 2
+    return centre, float(np.linalg.norm(points - centre, axis=1).max()) + pitch
 
 
 def default_angles(planes: Sequence[Plane], up: NDArray[np.floating]) -> tuple[float, float]:

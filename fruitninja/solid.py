@@ -16,6 +16,7 @@ from engine.errors import InputError
 from engine.export.body import body_of
 from engine.export.colours import Colours
 from engine.export.kinds import Export, write_export
+from engine.export.page.page import PAGES, PageView, write_page
 from engine.io.trained import COMPACT, STANDARD, Meta, is_trained, load_trained, save_trained
 from engine.render.cpu.kernel_field import KernelField
 from engine.render.face_detail import Detailed
@@ -26,7 +27,16 @@ from engine.scene.inside import Inside
 from engine.scene.piece import Piece
 from engine.scene.plane import Plane
 from fruitninja.arguments import PathLike, PlaneLike, as_plane, as_points
-from fruitninja.drawing import camera_for, check_size, default_angles, draw_section, drawing, frame
+from fruitninja.drawing import (
+    MARGIN,
+    ball_around,
+    camera_for,
+    check_size,
+    default_angles,
+    draw_section,
+    drawing,
+    frame,
+)
 from training.priors.inside_file import read_inside
 
 __all__ = ["Solid", "Whole", "open_solid"]
@@ -269,6 +279,38 @@ class Solid:
             whole.source, self.atoms, self.inside, whole.meta, self.planes, Path(path), pieces, step, metres
         )
         return write_export(export, kind)
+
+    def html(
+        self,
+        path: PathLike,
+        *,
+        azimuth: float | None = None,
+        elevation: float | None = None,
+        distance: float | None = None,
+        background: tuple[float, float, float] | None = None,
+    ) -> str:
+        """Writes a page that shows the object in any browser, without a network: it is turned, zoomed, and cut by
+        planes that the reader moves. Returns what is in it, in a line.
+
+        It begins with the planes of this solid, or with one across the middle, seen as by `Solid.camera`. `background`:
+        RGB, range [0, 1]; None follows the reader's choice of dark or light.
+        """
+        out, whole = Path(path), self._whole
+        if out.suffix.lower() not in PAGES:
+            raise InputError(f"{out}: a page is saved as {PAGES[0]}; give a name that ends so")
+        if distance is not None and not 0 < distance < np.inf:
+            raise InputError(f"distance {distance:g}: give a number above 0; 1 fits the object into the picture")
+        points = np.concatenate([self.atoms.surface.means, self.atoms.interior.means]).astype(np.float64)
+        middle = self.atoms.bounds.astype(np.float64).mean(0)
+        planes = self.planes or (Plane.through(middle, self.up),)
+        around, above = default_angles(planes, self.up)
+        view = PageView(
+            *ball_around(points, self.atoms.pitch),
+            around if azimuth is None else azimuth,
+            above if elevation is None else elevation,
+            MARGIN if distance is None else distance,
+        )
+        return write_page(out, whole.source.stem, whole.body, whole.shown, self.up, planes, view, background)
 
 
 def open_solid(path: PathLike) -> Solid:

@@ -6,7 +6,7 @@ import re
 from collections.abc import Mapping
 from importlib.resources import files
 
-__all__ = ["source"]
+__all__ = ["source", "text"]
 
 INCLUDE = re.compile(r'^#include "([\w.]+)"$', re.MULTILINE)
 
@@ -18,9 +18,10 @@ def source(name: str, defines: Mapping[str, int | float]) -> str:
     another file of the package.
     """
     given = [f"#define {key} {value!r}" for key, value in defines.items()]
-    return "\n".join(["#version 330 core", *given, _text(name)])
+    return "\n".join(["#version 330 core", *given, text(name)])
 
 
-def _text(name: str) -> str:
-    text = files(__package__).joinpath(name).read_text(encoding="utf-8")
-    return INCLUDE.sub(lambda match: _text(match[1]), text)
+def text(name: str) -> str:
+    """The GLSL of a file of this package with its includes, without a version."""
+    glsl = files(__package__).joinpath(name).read_text(encoding="utf-8")
+    return INCLUDE.sub(lambda match: text(match[1]), glsl)

@@ -12,6 +12,10 @@ in float opacity;
 
 uniform vec4 slope_limits; // x low, x high, y low, y high: x / z and y / z are clamped to these for the Jacobian
 uniform float enlarge;     // 1, or more for a coarser level of detail
+#ifdef CULLED
+uniform int plane_count;
+uniform vec4 planes[MAX_PLANES]; // camera space; what lies beyond one is not drawn
+#endif
 
 out vec4 record_centre; // pixel x, y, depth, weight (opaque) or opacity (classic)
 out vec4 record_conic;  // q = a dx^2 + 2 b dx dy + c dy^2, then the edge's sharpness
@@ -22,6 +26,11 @@ void main() {
     record_centre = record_conic = record_shape = record_colour = vec4(0.0);
     vec3 c = (view * vec4(mean, 1.0)).xyz;
     if (!(c.z > near)) return;
+#ifdef CULLED
+    float radius = sqrt(CUTOFF_Q) * enlarge * max(scale.x, max(scale.y, scale.z)) + 4.0 * footprint_at(c.z);
+    for (int j = 0; j < plane_count; j++)
+        if (dot(planes[j].xyz, c) + planes[j].w > radius) return;
+#endif
 #ifdef ORTHOGRAPHIC
     vec2 slope = vec2(0.0);
     vec2 zoom = lens.xy;

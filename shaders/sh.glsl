@@ -1,11 +1,18 @@
 // Real spherical harmonics in INRIA's order and signs. The coefficients are packed into SH_VECTORS vec4, three
 // channels each.
+#ifdef GL_ES
+SH_INPUTS // GLSL ES has no arrays among a vertex's inputs: sh_0, sh_1, ...
+#else
 in vec4 sh[SH_VECTORS];
+#endif
 
 #define AT(i) sh[(i) / 4][(i) % 4]
 #define COEFFICIENT(k) vec3(AT(3 * (k)), AT(3 * (k) + 1), AT(3 * (k) + 2))
 
 vec3 sh_colour(vec3 d) {
+#ifdef GL_ES
+    vec4 sh[SH_VECTORS] = SH_UNPACKED;
+#endif
     vec3 c = 0.5 + SH_C0 * COEFFICIENT(0);
 #if SH_DEGREE >= 1
     float x = d.x, y = d.y, z = d.z;

@@ -1,5 +1,5 @@
 // Pass 1 (VISIBILITY): the depth of an atom's core. Pass 2: weight, weighted colour and weighted sharpness in the layer
-// at the front, before it and behind it.
+// at the front, before it and behind it; or in two draws, all but what lies behind (NEAR_PART), and that (FAR_PART).
 #include "camera.glsl"
 #include "outside_look.glsl"
 
@@ -48,6 +48,12 @@ void main() {
     float g = centre.w * exp(-0.5 * q);
     float nearest = texelFetch(front, ivec2(gl_FragCoord.xy), 0).r;
     bool is_behind = linear_depth(z - layer) > nearest;
+#ifdef NEAR_PART
+    if (is_behind) discard;
+#endif
+#ifdef FAR_PART
+    if (!is_behind) discard;
+#endif
     bool is_before = nearest < 1.0 && linear_depth(z + layer) < nearest;
     float far = is_behind ? depth_weight(z, depth_at(nearest), layer) : 0.0;
     vec4 weighted = g * vec4(colour, 1.0);

@@ -12,6 +12,9 @@ in vec2 corner; // -1 or 1
 #ifndef CLASSIC
 uniform float reach;        // in standard deviations: all of the splat, or its core
 #endif
+#ifdef NEAR_PART
+uniform float layer;        // as in splat.frag.glsl: the depth test rejects what lies farther behind the front
+#endif
 
 flat out vec4 centre;
 flat out vec4 conic;
@@ -45,6 +48,9 @@ void main() {
 #else
     // w = 1 makes depth linear over the quad, which is what the splat's is: the early depth test stays on.
     float z = centre.z + dot(depth_slope, u);
+#ifdef NEAR_PART
+    z -= layer;
+#endif
     gl_Position = vec4(to_ndc(centre.xy + u), linear_depth(z) * 2.0 - 1.0, 1.0);
 #endif
 #endif

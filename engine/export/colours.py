@@ -13,7 +13,7 @@ from engine.scene.atoms import Atoms, InteriorAtoms
 from engine.scene.constants import MIN_WEIGHT
 from engine.scene.inside import Inside, Kind
 
-__all__ = ["Colours"]
+__all__ = ["WIDEN", "Colours"]
 
 Float = NDArray[np.float32]
 

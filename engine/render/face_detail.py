@@ -24,7 +24,7 @@ from engine.scene.inside import Inside
 from engine.scene.piece import Piece
 from engine.scene.plane import Plane
 
-__all__ = ["Detailed", "FaceDetail", "FaceReading", "detailed", "detailed_from", "read_face", "straight_face"]
+__all__ = ["RIM", "Detailed", "FaceDetail", "FaceReading", "detailed", "detailed_from", "read_face", "straight_face"]
 
 BLOCK = 50_000
 """Points that are read at once: 40 milliseconds on two cores, so that a window can read some between two frames."""

@@ -14,7 +14,7 @@ from engine.scene import sh
 from engine.scene.atoms import Atoms
 from engine.scene.constants import EPSILON_PITCHES
 
-__all__ = ["Solid"]
+__all__ = ["Solid", "reach_of"]
 
 Float = NDArray[np.float32]
 
@@ -23,21 +23,32 @@ BOUNDARY_SCALE = 1.2
 the middle of a lattice cell, 1.41 sigma away; the layers behind fill the gaps left by jitter."""
 
 
+def reach_of(atoms: Atoms) -> tuple[float, float]:
+    """Radius about the middle of the bounds that holds all of an object, splats included, and that of the range of
+    depths, world units."""
+    centre, widest = atoms.bounds.astype(np.float64).mean(0), _widest(atoms)
+    both = (atoms.surface.means, atoms.interior.means)
+    far = max(float(np.linalg.norm(means - centre, axis=1).max(initial=0)) for means in both)
+    # Depths extend to the corners of a splat's quad, a factor of sqrt(2), and the layer lies in front.
+    return far + 3 * widest, far + 4.5 * widest + 2 * EPSILON_PITCHES * atoms.pitch
+
+
+def _widest(atoms: Atoms) -> float:
+    """Largest standard deviation, world units."""
+    return max(float(atoms.surface.scales.max(initial=0)), float(atoms.interior.sigmas.max(initial=0)))
+
+
 class Solid:
     """Surface and interior atoms in separate stores."""
 
     def __init__(self, atoms: Atoms) -> None:
         bounds = atoms.bounds.astype(np.float64)
         skin, inside = atoms.surface, atoms.interior
-        widest = max(float(skin.scales.max(initial=0)), float(inside.sigmas.max(initial=0)))
+        widest = _widest(atoms)
         self.centre = bounds.mean(0)
         """(3,). Everything is drawn relative to it, so that scenes far from the origin keep their digits."""
-        far = [np.linalg.norm(means - self.centre, axis=1).max(initial=0) for means in (skin.means, inside.means)]
-        self.reach = float(max(far)) + 3 * widest
-        """Radius of the object around the centre, splats included, world units."""
-        # Depths extend to the corners of a splat's quad, a factor of sqrt(2), and the layer lies in front.
-        self.radius = float(max(far)) + 4.5 * widest + 2 * EPSILON_PITCHES * atoms.pitch
-        """Radius of the range of depths around the centre, world units."""
+        self.reach, self.radius = reach_of(atoms)
+        """Radius of the object around the centre, splats included, and of the range of depths, world units."""
         half = (bounds[1] - bounds[0]) / 2 + 3 * widest
         self.box = -half, half
         """Corners (3,) of the object's box, splats included, relative to the centre."""

@@ -10,21 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from engine.errors import InputError
-from engine.scene import constants as formula
-from engine.scene import sh
+from engine.render.defines import CONSTANTS
 from shaders import source
 
 __all__ = ["GLMissing", "Growing", "Programs", "layout", "offscreen_context", "write_uniforms"]
-
-
-CONSTANTS: dict[str, int | float] = {
-    **{name: float(getattr(formula, name)) for name in formula.__all__},
-    "SH_C0": sh.C0,
-    "SH_C1": sh.C1,
-    **{f"SH_C2_{k}": value for k, value in enumerate(sh.C2)},
-    **{f"SH_C3_{k}": value for k, value in enumerate(sh.C3)},
-}
-"""Defines of every shader: the same numbers that the kernels use, by name."""
 
 
 class GLMissing(InputError):

@@ -23,8 +23,9 @@ from engine.render.cpu.software_frame import GroupLayers, resolve_row
 from engine.render.cpu.splats import RECORD, Splats, project
 from engine.render.cpu.weights import BEFORE, BEHIND, SUMS, depth_weight, outside_shares, resolve
 from engine.render.culling.view import View
+from engine.render.defines import CONSTANTS
 from engine.render.gl import Renderer
-from engine.render.gl.context import CONSTANTS, layout, write_uniforms
+from engine.render.gl.context import layout, write_uniforms
 from engine.render.projection import camera_record
 from engine.scene import constants, sh
 from engine.scene.camera import Camera
