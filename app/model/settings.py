@@ -15,7 +15,7 @@ from app.model.project import LIMIT
 from engine.errors import InputError
 from engine.io.files import read_file, write_json
 
-__all__ = ["Settings", "load_settings", "save_settings", "settings_folder", "state_folder"]
+__all__ = ["Settings", "cache_folder", "load_settings", "save_settings", "settings_folder", "state_folder"]
 
 RECENT = 10
 """ProjectFiles that the menu lists."""
@@ -53,6 +53,10 @@ class Settings:
         name = str(path.resolve())
         return replace(self, recent=(name, *(other for other in self.recent if other != name))[:RECENT])
 
+    def without_recent(self, name: str) -> Settings:
+        """Without a file among the recent ones, by its path as listed."""
+        return replace(self, recent=tuple(other for other in self.recent if other != name))
+
     def with_job(self, out: Path) -> Settings:
         """With a result folder whose job may still run."""
         name = str(out.resolve())
@@ -86,6 +90,11 @@ def settings_folder() -> Path:
 def state_folder() -> Path:
     """The platform's folder for a program's own data: autosaves, jobs, results of scenes in read-only folders."""
     return _folder("XDG_STATE_HOME", ".local/state", "Application Support")
+
+
+def cache_folder() -> Path:
+    """The platform's folder for what can be made again."""
+    return _folder("XDG_CACHE_HOME", ".cache", "Caches")
 
 
 def _folder(variable: str, fallback: str, mac: str) -> Path:

@@ -12,6 +12,7 @@ from app.model.document import Document
 from app.model.film.timeline import Timeline
 from app.model.history import History
 from app.model.project import SUFFIX, Outside, Viewing, Work, load_project, save_project
+from app.model.recent_pictures import remove_pictures
 from app.session.film_controller import FilmController
 from app.session.question import Choice
 from app.session.scene_controller import SceneController
@@ -87,6 +88,17 @@ class ProjectFiles:
             self.training.find_job(document)
         if workspace.document.scene is not None:
             self.scene.load(self.training.result_for(workspace.document))
+
+    def close_scene(self) -> None:
+        """Closes what is open, after asking about unsaved changes; nothing is open then."""
+        self.after_saving(self._open_nothing)
+
+    def _open_nothing(self) -> None:
+        if self.workspace.loader is not None:
+            self.workspace.loader.cancel()
+            self.workspace.loader = None
+        self.open_document(Document(), Viewing())
+        self._before = None
 
     def tick(self) -> None:
         """Goes back to what was open if the scene in its place could not be read. Called once a frame."""
@@ -165,6 +177,21 @@ class ProjectFiles:
         self.workspace.history.saved = None  # still unsaved
         self.workspace.notify("Your unsaved work is back. Save it to keep it.")
         find_unsaved_work.discard()
+
+    @property
+    def recent_name(self) -> str | None:
+        """What is open, as the recent files list it; None for what is not among them, such as a sample."""
+        path = self.workspace.path or self.workspace.document.scene
+        name = None if path is None else str(path.resolve())
+        return name if name in self.workspace.settings.recent else None
+
+    def forget_recent(self, *names: str) -> None:
+        """Takes files off the list of recent ones, and removes their pictures."""
+        settings = self.workspace.settings
+        for name in names:
+            settings = settings.without_recent(name)
+        self.workspace.change_settings(settings)
+        remove_pictures(settings.recent)
 
     def save(self, path: Path | None = None, then: Callable[[], None] = lambda: None) -> None:
         """Saves the project, asking for a path if it has none, and calls `then` once it is saved."""

@@ -147,6 +147,7 @@ class Menus:
             tools.append(Command("Tools", tool.title(), partial(s.select_tool, tool), keys, getattr(Key, keys.lower())))
         return [
             Command("File", "Open...", self._open, "Ctrl+O", Ctrl | Key.o),
+            Command("File", "Close", s.files.close_scene, "Ctrl+W", Ctrl | Key.w, opened),
             Command("File", "Save", s.files.save, "Ctrl+S", Ctrl | Key.s, opened, separated=True),
             Command("File", "Save as...", self._save_as, "Ctrl+Shift+S", Ctrl | Shift | Key.s, opened),
             Command("File", "Save picture...", picture, "Ctrl+E", Ctrl | Key.e, opened, separated=True),
@@ -249,6 +250,9 @@ class Menus:
                 if imgui.menu_item(Path(name).name, "", False)[0]:
                     self.session.files.open(Path(name))
                 tooltip(name)
+            imgui.separator()
+            if imgui.menu_item_simple("Clear this list"):
+                self.session.files.forget_recent(*self.session.settings.recent)
             imgui.end_menu()
         if imgui.begin_menu("Samples"):
             for name in ("watermelon", "orange", "bread"):

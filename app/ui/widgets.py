@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
@@ -14,6 +15,7 @@ from app.ui.theme import Fonts, palette, px, rgba, u32
 __all__ = [
     "MARK_ICONS",
     "cancel_button",
+    "clipped",
     "colours",
     "disabled",
     "float_slider",
@@ -186,6 +188,14 @@ def list_row(label: str, chosen: bool, width: float, height: float) -> bool:
     clicked = imgui.selectable(label, chosen, 0, ImVec2(width, px(height)))[0]
     imgui.pop_style_var()
     return clicked
+
+
+def clipped(text: str, width: float) -> str:
+    """The text, or as much of its beginning as fits into `width`, with an ellipsis."""
+    if imgui.calc_text_size(text).x <= width:
+        return text
+    fits = bisect_left(range(len(text)), width, key=lambda count: imgui.calc_text_size(f"{text[:count]}…").x)
+    return f"{text[: max(fits - 1, 0)].rstrip()}…"
 
 
 def right_text(text: str) -> None:

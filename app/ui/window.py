@@ -33,6 +33,7 @@ from app.ui.panels.face_editor import FaceEditor
 from app.ui.panels.inspector import Inspector
 from app.ui.panels.interior import InteriorPanel
 from app.ui.panels.measures import MeasuresPanel
+from app.ui.panels.recent import RecentFiles
 from app.ui.panels.thumbnails import Thumbnails
 from app.ui.theme import Fonts, apply, load_fonts, palette, px, u32
 from app.ui.toolbar import Toolbar
@@ -139,6 +140,7 @@ class Window:
         self.ctx = moderngl.create_context(require=330)
         self.painter = Painter(self.ctx)
         self.thumbnails = Thumbnails(self.ctx)
+        self.recent = RecentFiles(self.session, self.painter, self.ctx)
         self.dialogs = FileDialogs(self.session.folder)
         self.viewport = Viewport(self.session, self.painter)
         self.slices = SliceViews(self.session, self.ctx)
@@ -173,6 +175,7 @@ class Window:
         self.slices.release()
         self.measures.measurer.close()
         self.thumbnails.release()
+        self.recent.release()
         self.painter.release()
 
     def _tick(self) -> None:
@@ -195,6 +198,8 @@ class Window:
             or self.painter.unfinished
         )
         self.params.fps_idling.enable_idling = not busy
+        if not busy and session.faces.open_face is None:
+            self.recent.keep()
         glfw.set_window_title(self.window, f"{session.title} - FruitNinja" if session.document.scene else "FruitNinja")
         if (glfw.window_should_close(self.window) or self.params.app_shall_exit) and not session.closing:
             glfw.set_window_should_close(self.window, False)
@@ -285,7 +290,12 @@ class Window:
         self._notices()
         self.menus.context_menu()
         if self.session.document.scene is None:
-            self._welcome()
+            self.recent.show(
+                self.viewport.origin,
+                self.viewport.size,
+                lambda: self.dialogs.open_scene(self.session.files.open),
+                lambda: self.menus.open_sample("watermelon"),
+            )
         elif self.session.object is None and self.session.loader is not None:
             self._opening(self.session.loader)
 
@@ -301,23 +311,6 @@ class Window:
         if self.session.document.scene is None:
             message = message or "Drop a capture on the window, or open one with Ctrl+O."
         imgui.text_unformatted(message)
-
-    def _welcome(self) -> None:
-        """What to do first, while nothing is open."""
-        view = self.viewport
-        width = px(300)
-        left = view.origin.x + (view.size[0] - width) / 2
-        imgui.set_cursor_screen_pos(ImVec2(left, view.origin.y + view.size[1] / 2 - px(60)))
-        imgui.begin_group()
-        with font(Fonts.bold):
-            imgui.text_unformatted("Open a capture to slice it")
-        secondary("or drop it here: .ply, .splat, .spz, .sog, .ksplat, .obj, .glb")
-        imgui.dummy(ImVec2(0, px(4)))
-        if main_button(f"{icon.ICON_FA_FOLDER_OPEN}  Open...", width):
-            self.dialogs.open_scene(self.session.files.open)
-        if imgui.button("Try the watermelon", ImVec2(width, px(32))):
-            self.menus.open_sample("watermelon")
-        imgui.end_group()
 
     def _opening(self, loader: SceneLoader) -> None:
         """What is being opened, while there is nothing of it to show."""

@@ -78,6 +78,10 @@ def test_a_film_is_made_the_object_thrown_and_pieces_named(tmp_path: Path) -> No
     assert len(list((tmp_path / "shots").glob("*.png"))) == 10
 
 
+def test_what_was_open_lately_is_shown_with_pictures(tmp_path: Path) -> None:
+    run("recent", tmp_path, "app_hard_use_steps.py")
+
+
 @pytest.mark.slow
 def test_two_thousand_random_actions_leave_nothing_behind(tmp_path: Path) -> None:
     run("soak", tmp_path)

@@ -72,11 +72,12 @@ class Inspector:
         above = imgui.get_content_region_avail().y - self.footer.height
         imgui.begin_child("##sections", ImVec2(0, max(above, px(80))))
         self._object()
-        if self.session.tool == "isolate":
-            self.isolate.show()
-        self._cuts()
-        self.measures.show()
-        self.interior.show()
+        if self.session.document.scene is not None:
+            if self.session.tool == "isolate":
+                self.isolate.show()
+            self._cuts()
+            self.measures.show()
+            self.interior.show()
         imgui.end_child()
         self.footer.show()
 

@@ -22,6 +22,7 @@ from engine.render.gl.overlay import Lines, Overlay
 from engine.render.gl.renderer import Renderer
 from engine.scene.atoms import Atoms
 from engine.scene.camera import Camera
+from engine.scene.image import to_8bit
 from engine.scene.piece import Piece
 
 __all__ = ["Painter"]
@@ -208,6 +209,14 @@ class Painter:
         found = self.renderer.pick(x * self._scale, y * self._scale)
         self._restore_framebuffer()
         return found
+
+    def snapshot(self) -> NDArray[np.uint8] | None:
+        """(H, W, 3). The last frame as it is shown, without the overlay; None before the first."""
+        if self._picture is None:
+            return None
+        width, height = self._picture.size
+        halves = np.frombuffer(self._picture.read(), np.float16).reshape(height, width, 4)
+        return to_8bit(halves[..., :3].astype(np.float32))
 
     def picture(self, workspace: Workspace, camera: Camera, pieces: Sequence[Piece]) -> NDArray[np.uint8]:
         """(H, W, 4). A picture for a file, with straight alpha; makes the next frame be drawn again."""

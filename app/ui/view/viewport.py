@@ -199,10 +199,10 @@ class Viewport:
         if self.drag is not None and self.drag.kind == "mark" and not self.drag.cancelled:
             marker_outline(draw, session.isolation.marker, self.drag.path, self.origin)
         self.point_picker.show(camera, self.origin, hovered and self.drag is None)
-        chosen = mode_switch(session, self.origin, self.size)
-        if chosen is not None:
+        opened = session.document.scene is not None
+        if opened and mode_switch(session, self.origin, self.size) is not None:
             session.film.leave()
-        if self.size[0] > px(420):
+        if opened and self.size[0] > px(420):
             middle = ImVec2(self.origin.x + self.size[0] - px(62), self.origin.y + px(62))
             axis = axis_cube(camera, session.view_up, middle, px(92))
             if axis is not None:
