@@ -12,9 +12,9 @@ from app.model.document import Document
 from app.model.film.timeline import Timeline
 from app.model.history import History
 from app.model.project import SUFFIX, Outside, Viewing, Work, load_project, save_project
-from app.model.recent_pictures import remove_pictures
 from app.session.film_controller import FilmController
 from app.session.question import Choice
+from app.session.recent_pictures import remove_pictures
 from app.session.scene_controller import SceneController
 from app.session.training_controller import TrainingController
 from app.session.workspace import Documents, Workspace

@@ -19,9 +19,9 @@ from app.model.document import Document, Part
 from app.model.history import History
 from app.model.pieces import Solid
 from app.model.project import FORMAT, Outside, Project, Viewing, Work, load_project, save_project
-from app.model.recent_pictures import keep_picture, picture_of, remove_pictures
 from app.model.settings import Settings, load_settings, save_settings
 from app.session.project_files import _Opened
+from app.session.recent_pictures import keep_picture, picture_of, remove_pictures
 from app.session.session import Session
 from app.ui.dialogs.file_dialogs import FileDialogs
 from engine.errors import InputError

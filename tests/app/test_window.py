@@ -79,7 +79,7 @@ def test_a_film_is_made_the_object_thrown_and_pieces_named(tmp_path: Path) -> No
 
 
 def test_what_was_open_lately_is_shown_with_pictures(tmp_path: Path) -> None:
-    run("recent", tmp_path, "app_hard_use_steps.py")
+    run("recent", tmp_path, "hard_use/steps.py")
 
 
 @pytest.mark.slow

@@ -11,7 +11,7 @@ import moderngl
 from imgui_bundle import ImVec2, imgui
 from imgui_bundle import icons_fontawesome_6 as icon
 
-from app.model.recent_pictures import SIZE, keep_picture, picture_of, remove_pictures
+from app.session.recent_pictures import SIZE, keep_picture, picture_of, remove_pictures
 from app.session.session import Session
 from app.ui.panels.thumbnails import Thumbnails
 from app.ui.theme import Fonts, palette, px, u32
@@ -44,7 +44,7 @@ class RecentFiles:
         """What the last picture was of."""
 
     def keep(self) -> None:
-        """Keeps a picture of what is shown, once for each file, each save and each solid. Call it while all is still."""
+        """Keeps a picture of what is shown, once for each file, save and solid. Call it while all is still."""
         session = self.session
         key = (session.path or session.document.scene, id(session.history.saved), session.geometry_version)
         if key == self._kept or session.object is None or session.loader is not None:

@@ -10,7 +10,7 @@ from imgui_bundle import icons_fontawesome_6 as icon
 from imgui_bundle import imgui
 from PIL import Image
 
-from app.model.recent_pictures import picture_of
+from app.session.recent_pictures import picture_of
 from tests.helpers.app_driver import Driver
 from tests.helpers.app_steps import at_once
 
