@@ -41,6 +41,8 @@ class Settings:
     """Whether names and marks of pieces are written on them."""
     statistics: bool = False
     """Whether the viewport tells how much it shows and how long a frame takes."""
+    wires: bool = False
+    """Whether the body is drawn as a net of lines over the object."""
     scale: float = 1.0
     """Size of the interface, in its usual one. Range [0.75, 2]."""
     window: tuple[int, int] = (1440, 900)
@@ -109,7 +111,7 @@ def _folder(variable: str, fallback: str, mac: str) -> Path:
     return base / "fruitninja"
 
 
-FLAGS = ("face_light", "motion", "names", "statistics", "seen_hint")
+FLAGS = ("face_light", "motion", "names", "statistics", "wires", "seen_hint")
 
 SMALLEST, GREATEST = 0.75, 2.0
 """Sizes of the interface, in its usual one: smaller is not readable, larger leaves no room for the object."""

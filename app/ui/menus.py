@@ -22,6 +22,7 @@ from app.ui.dialogs.slices_window import SlicesWindow
 from app.ui.film.film_window import FilmWindow
 from app.ui.film.timeline import PRESETS
 from app.ui.panels.inspector import Inspector
+from app.ui.panels.view_options import SWITCHES
 from app.ui.theme import SCALES, Fonts, apply, palette, px, rgba
 from app.ui.toolbar import TOOL_ICONS
 from app.ui.view.slices import SliceViews
@@ -29,14 +30,6 @@ from app.ui.view.viewport import Viewport
 from app.ui.widgets import font, key_caps, secondary, tooltip
 
 __all__ = ["Menus"]
-
-SWITCHES = {
-    "Light on cut faces": "face_light",
-    "Names of pieces": "names",
-    "Calm motion": "motion",
-    "Statistics": "statistics",
-}
-"""Settings that the menu switches on and off, by their labels."""
 
 POINTER = (
     ("Drag", "Look around, or use the tool"),

@@ -265,15 +265,15 @@ def segmented(name: str, labels: Sequence[str], current: int, width: float, hint
 
 
 def float_slider(
-    name: str, value: float, low: float, high: float, hint: str, width: float = -1.0
+    name: str, value: float, low: float, high: float, hint: str, width: float = -1.0, text: str = ""
 ) -> tuple[bool, float]:
-    """A slider with its number at the right. A double click or Ctrl+click lets the user type the number."""
+    """A slider with its number, or `text`, at the right. A double click or Ctrl+click lets the user type the number."""
     margin = imgui.calc_text_size("-00.00").x + px(6)
     full = imgui.get_content_region_avail().x if width < 0 else width
     imgui.set_next_item_width(full - margin)
     changed, value = imgui.slider_float(name, value, low, high, "")
     tooltip(hint)
-    _number_at_right(f"{value if abs(value) >= 0.005 else 0.0:.2f}", margin)
+    _number_at_right(text or f"{value if abs(value) >= 0.005 else 0.0:.2f}", margin)
     return changed, value
 
 

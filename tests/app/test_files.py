@@ -134,6 +134,8 @@ BREAK: dict[str, Callable[[dict], object]] = {
     "elevation": lambda r: r["view"].update(elevation=91),
     "distance": lambda r: r["view"].update(distance=0),
     "mode": lambda r: r["view"].update(mode="x-ray"),
+    "size of splats": lambda r: r["view"]["splats"].update(size=0),
+    "opacity of splats": lambda r: r["view"]["splats"].update(opacity=1.5),
     "unit": lambda r: r["view"].update(unit={"name": "mm", "length": 0}),
     "cross": lambda r: r["view"].update(cross=[0, 1]),
     "keyframes": lambda r: r["film"].reverse(),

@@ -82,6 +82,10 @@ def test_what_was_open_lately_is_shown_with_pictures(tmp_path: Path) -> None:
     run("recent", tmp_path, "hard_use/steps.py")
 
 
+def test_splats_lines_and_names_are_shown_as_the_view_says(tmp_path: Path) -> None:
+    run("options", tmp_path, "hard_use/steps.py")
+
+
 @pytest.mark.slow
 def test_two_thousand_random_actions_leave_nothing_behind(tmp_path: Path) -> None:
     run("soak", tmp_path)

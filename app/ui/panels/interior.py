@@ -18,6 +18,7 @@ from app.ui.dialogs.file_dialogs import FileDialogs
 from app.ui.panels.progress import curves, previews
 from app.ui.panels.thumbnails import Thumbnails
 from app.ui.theme import palette, px, u32
+from app.ui.view.overlays import FAMILY_TITLES
 from app.ui.view.viewport import Viewport
 from app.ui.widgets import (
     disabled,
@@ -38,12 +39,6 @@ from training.settings import DETAILS, DetailName
 
 __all__ = ["InteriorPanel"]
 
-TITLES: dict[Kind, str] = {
-    "horizontal": "Horizontal",
-    "radial": "Radial",
-    "parallel": "Parallel",
-    "custom": "Single planes",
-}
 DESCRIPTIONS: dict[Kind, str] = {
     "horizontal": "Level cuts, as slices of an orange",
     "radial": "Cuts through the upright axis, as halves and wedges",
@@ -104,7 +99,7 @@ class InteriorPanel:
         imgui.same_line(0, px(10))
         imgui.begin_group()
         imgui.dummy(ImVec2(0, px(1)))
-        imgui.text_unformatted(TITLES[kind])
+        imgui.text_unformatted(FAMILY_TITLES[kind])
         count = len(family.custom) if kind == "custom" else family.count
         pictures = len(family.exemplars)
         shown = f"{pictures} picture{'s' if pictures != 1 else ''}" if pictures else "no picture yet"
@@ -259,7 +254,7 @@ class InteriorPanel:
         tooltip("Add a family of cuts")
         if imgui.begin_popup("families"):
             for kind in missing:
-                if imgui.menu_item_simple(f"{TITLES[kind]}##new"):
+                if imgui.menu_item_simple(f"{FAMILY_TITLES[kind]}##new"):
                     session.change(f"Add {kind}", session.document.with_family(Family(kind, COUNTS[kind])))
                     self.open = kind
                 tooltip(DESCRIPTIONS[kind])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 from imgui_bundle import ImVec2, imgui
@@ -13,10 +13,12 @@ from app.model.project import VIEW_MODES
 from app.session.session import Session
 from app.ui.theme import palette, px, u32
 from app.ui.view.annotations import label
+from app.ui.view.plane_lines import PlaneLines
 from app.ui.widgets import MARK_ICONS, mark_colour, segmented
 from engine.scene.camera import Camera
+from training.families import Kind
 
-__all__ = ["film_label", "mode_switch", "piece_names", "statistics", "tool_hint"]
+__all__ = ["FAMILY_TITLES", "family_names", "film_label", "mode_switch", "piece_names", "statistics", "tool_hint"]
 
 HINTS = {
     "select": "",
@@ -27,6 +29,13 @@ HINTS = {
     "turn": "Drag a piece to turn it",
     "upright": "Click the face it stands on",
     "isolate": "Drag over a part of the capture to select it",
+}
+
+FAMILY_TITLES: dict[Kind, str] = {
+    "horizontal": "Horizontal",
+    "radial": "Radial",
+    "parallel": "Parallel",
+    "custom": "Single planes",
 }
 
 MODE_LABELS = ("Capture", "Solid", "Interior")
@@ -41,7 +50,7 @@ def mode_switch(session: Session, origin: ImVec2, size: tuple[int, int]) -> str 
     """Capture, solid or interior; the mode that was chosen now."""
     inset = px(14)
     imgui.set_cursor_screen_pos(ImVec2(origin.x + inset, origin.y + inset))
-    width = min(px(252), size[0] - 2 * inset)
+    width = min(px(252), size[0] - 2 * inset - px(38))
     current = VIEW_MODES.index(session.mode)
     chosen = segmented("view", MODE_LABELS, current, width, MODE_HINTS)
     if chosen == current:
@@ -73,6 +82,44 @@ def piece_names(session: Session, camera: Camera, pieces: Sequence[PlacedPiece],
         draw.add_text(low, u32(p.text), text)
         if piece.mark:
             draw.add_text(low, u32(mark_colour(piece.mark)), symbol.rstrip())
+
+
+CORNERS: dict[Kind, tuple[float, float]] = {
+    "horizontal": (1, 0),
+    "radial": (0, -1),
+    "parallel": (0.7, 0.7),
+    "custom": (-1, 0),
+}
+"""Where on the outline of its own plane a family has its name, x to the right and y down: apart from the others."""
+
+
+def family_names(
+    session: Session,
+    kinds: Collection[Kind],
+    lines: PlaneLines,
+    camera: Camera,
+    pieces: Sequence[PlacedPiece],
+    origin: ImVec2,
+) -> None:
+    """The names of these families and of their pictures, each beside its own plane."""
+    for family in session.document.families:
+        if family.kind not in kinds:
+            continue
+        pixels, depth = project_points(camera, lines.of_family(family, pieces, own=True).reshape(-1, 3))
+        pixels = pixels[depth > 0]
+        if not len(pixels):
+            continue
+        x, y = CORNERS[family.kind]
+        place = pixels[int((pixels @ (x, y)).argmax())]
+        text = FAMILY_TITLES[family.kind]
+        if family.exemplars:
+            more = len(family.exemplars) - 1
+            text += f": {family.exemplars[0].stem}" + (f" and {more} more" if more else "")
+        size = imgui.calc_text_size(text)
+        left = px(14) if x > 0 else -size.x - px(14) if x < 0 else -size.x / 2
+        high = -size.y - px(14) if y < 0 else -size.y / 2
+        at = ImVec2(origin.x + float(place[0]) + left, origin.y + float(place[1]) + high)
+        label(imgui.get_window_draw_list(), at, text)
 
 
 def film_label(session: Session, origin: ImVec2, size: tuple[int, int]) -> None:

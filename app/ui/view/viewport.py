@@ -17,13 +17,14 @@ from app.model.pieces import Member, PlacedPiece
 from app.model.rigid_transform import STILL, Motion
 from app.model.upright import point_under
 from app.session.session import Session
+from app.ui.panels.view_options import ViewOptions
 from app.ui.theme import palette, px, rgb, u32
 from app.ui.view.animation import CameraAnimation, PieceAnimation
 from app.ui.view.annotations import marker_outline
 from app.ui.view.axis_cube import axis_cube
 from app.ui.view.box_handles import BoxHandles
 from app.ui.view.gizmo import handles, on_handles
-from app.ui.view.overlays import film_label, mode_switch, piece_names, statistics, tool_hint
+from app.ui.view.overlays import family_names, film_label, mode_switch, piece_names, statistics, tool_hint
 from app.ui.view.painter import Painter
 from app.ui.view.plane_lines import PlaneLines
 from app.ui.view.point_picker import PointPicker
@@ -34,6 +35,7 @@ from engine.render.gl.overlay import Lines, Sheet
 from engine.scene.camera import Camera
 from engine.scene.piece import Piece
 from engine.scene.plane import Plane
+from training.families import Kind
 
 __all__ = ["Viewport"]
 
@@ -84,7 +86,7 @@ class Viewport:
         self._members: list[Member] = []
         """What the last frame shows, in the order in which it was drawn."""
         self.drag: Drag | None = None
-        self.show_families: frozenset[str] = frozenset()
+        self.show_families: frozenset[Kind] = frozenset()
         self.sliced: Sequence[Plane] = ()
         """The planes of the slices beside the object, in object space."""
         self.menu_requested = False
@@ -100,6 +102,7 @@ class Viewport:
         self._handled = False
         """Whether handles were drawn in the last frame."""
         self.box_handles = BoxHandles(session)
+        self.options = ViewOptions(session)
         self._eye = OrbitCamera()
         self._placed: tuple[object, ...] = ()
         self._moved = -10.0
@@ -161,9 +164,11 @@ class Viewport:
         corner = ImVec2(self.origin.x + size.x, self.origin.y + size.y)
         moving = self._is_moving(shown)
         stroke = self._stroke() if session.solids else None
+        wired = session.settings.wires and session.object is not None and not session.throw.active
         over: list[Lines | Sheet] = [
             *([] if session.previewing else self.plane_lines.sheets()),
             *self.plane_lines.families(self.show_families, pieces, scale),
+            *(self.plane_lines.body([] if session.mode == "capture" else self._members, scale) if wired else []),
             *self.plane_lines.slices(self.sliced, slice_colours(), pieces, scale),
             *(cut_lines(session, self.camera(), stroke, self._members, self.plane_lines, scale) if stroke else []),
             *self.box_handles.edges(scale),
@@ -188,6 +193,7 @@ class Viewport:
         selection_frames(session, camera, pieces, self.origin)
         if session.settings.names and session.mode != "capture" and not session.previewing:
             piece_names(session, camera, pieces, self.origin)
+        family_names(session, self.show_families, self.plane_lines, camera, pieces, self.origin)
         self._handled = self.drag is None and not session.previewing and handles(session, camera, self.origin, size)
         busy = self._handled and on_handles()
         busy = self.box_handles.show(camera, self.origin, self.drag is None and hovered) or busy
@@ -200,8 +206,10 @@ class Viewport:
             marker_outline(draw, session.isolation.marker, self.drag.path, self.origin)
         self.point_picker.show(camera, self.origin, hovered and self.drag is None)
         opened = session.document.scene is not None
-        if opened and mode_switch(session, self.origin, self.size) is not None:
-            session.film.leave()
+        if opened:
+            if mode_switch(session, self.origin, self.size) is not None:
+                session.film.leave()
+            self.options.show()
         if opened and self.size[0] > px(420):
             middle = ImVec2(self.origin.x + self.size[0] - px(62), self.origin.y + px(62))
             axis = axis_cube(camera, session.view_up, middle, px(92))

@@ -4,15 +4,18 @@ tests/app/test_window.py runs one in a process, with its name and FOLDER."""
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 from imgui_bundle import icons_fontawesome_6 as icon
 from imgui_bundle import imgui
 from PIL import Image
 
 from app.session.recent_pictures import picture_of
+from engine.render.culling.draw_options import SplatLook
 from tests.helpers.app_driver import Driver
-from tests.helpers.app_steps import at_once
+from tests.helpers.app_steps import at_once, ground
 
 Key = imgui.Key
 
@@ -46,10 +49,62 @@ def recent(driver: Driver, folder: Path) -> None:
     session.scene.cancel()
 
 
+def options(driver: Driver, folder: Path) -> None:
+    """Sizes of splats, the body as lines and names of families: each changes the picture, and only while it is on."""
+    session, window, shots = driver.session, driver.window, folder / "shots"
+    cut = Image.new("RGB", (64, 64), (200, 40, 40))
+    cut.save(folder / "a kiwi.png")
+    session.add_pictures("horizontal", (folder / "a kiwi.png",))
+    driver.until(lambda: not session.faces.busy, 30, "the face")
+    session.faces.dismiss_hint()
+    driver.still()
+
+    def whole() -> tuple[int, int]:
+        """Pixels of the object, and among them those that are nearly as light as text."""
+        view = driver.view()
+        inner = view[60:-20, 20:-120].astype(int)
+        return int((~ground(view)[60:-20, 20:-120]).sum()), int((inner.min(2) > 150).sum())
+
+    plain, as_it_is = whole(), driver.view().astype(int)
+    session.change_settings(replace(session.settings, wires=True))
+    driver.still()
+    wired = whole()
+    assert wired[1] > plain[1] + 500
+    driver.picture(shots / "options_1_lines.png")
+    session.change_settings(replace(session.settings, wires=False))
+    window.viewport.show_families = frozenset(["horizontal"])
+    driver.still()
+    named = driver.view()
+    driver.picture(shots / "options_2_families.png")
+    window.viewport.show_families = frozenset()
+    driver.still()
+    right = named[:, int(0.8 * named.shape[1]) :].astype(int)
+    assert (right[100:-100].min(2) > 200).sum() > 40  # the name stands beside the melon
+    assert whole() == plain
+
+    driver.click(f"//Object/{icon.ICON_FA_SLIDERS}##options")
+    driver.frames(3)
+    driver.picture(shots / "options_3_popup.png")
+    driver.click("//$FOCUSED/Statistics")
+    assert session.settings.statistics
+    driver.press(Key.escape)
+    session.change_settings(replace(session.settings, statistics=False))
+    session.viewing = replace(session.viewing, splats=SplatLook(0.3))
+    driver.still()
+    assert (np.abs(driver.view().astype(int) - as_it_is) > 30).any(2).mean() > 0.02
+    driver.picture(shots / "options_4_small.png")
+    driver.click(f"//Object/{icon.ICON_FA_SLIDERS}##options")
+    driver.frames(2)
+    driver.click("//$FOCUSED/As they are")
+    driver.press(Key.escape)
+    driver.still()
+    assert session.viewing.splats == SplatLook() and whole() == plain
+
+
 def main() -> None:
     """Runs one of them."""
     name, folder = sys.argv[1], Path(sys.argv[2])
-    scripts = {"recent": recent}
+    scripts = {"recent": recent, "options": options}
     at_once(folder, lambda driver: scripts[name](driver, folder), (860, 560))
     print("well")
 
