@@ -48,6 +48,18 @@ POINTER = (
 )
 """What the pointer does, for the list of shortcuts."""
 
+KEYBOARD = (
+    ("F6", "The next part of the window"),
+    ("Tab", "The next control"),
+    ("Enter", "Press it; with the knife: place a plane, cut"),
+    ("Arrows", "Look around; move and tilt the plane or piece"),
+    ("Shift+Arrows", "Shift the picture; turn the plane"),
+    ("Ctrl+Arrows", "The same, finely"),
+    ("+", "Nearer; - farther"),
+    ("F10", "The menus"),
+)
+"""What keys do beside the commands, in the same list."""
+
 
 class Menus:
     """Makes the commands once and draws the menus from them."""
@@ -215,7 +227,9 @@ class Menus:
     # Menus and toolbar
 
     def show(self) -> None:
-        """The menu bar."""
+        """The menu bar; F10 opens its first menu, from which arrows lead to the others."""
+        if imgui.is_key_pressed(Key.f10, False) and not imgui.get_io().want_text_input:
+            imgui.open_popup(self.commands[0].menu)
         for name in dict.fromkeys(command.menu for command in self.commands):
             if name == "Tools":
                 continue  # they are in the toolbar
@@ -292,7 +306,7 @@ class Menus:
             imgui.text_unformatted("Shortcuts")
         imgui.separator()
         columns = [
-            [("Pointer", [*POINTER])],
+            [("Pointer", [*POINTER]), ("Keyboard", [*KEYBOARD])],
             [(menu, self._keys(menu)) for menu in ("Tools", "View")],
             [(menu, self._keys(menu)) for menu in ("File", "Edit", "Cut", "Film", "Help")],
         ]

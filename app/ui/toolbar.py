@@ -28,6 +28,10 @@ TOOL_ICONS: dict[Tool, tuple[str, str, str]] = {
 }
 
 
+SMALLEST = 26.0
+"""Side of a button at 96 DPI where the window is low; in a still lower one they scroll."""
+
+
 class Toolbar:
     """Draws them."""
 
@@ -38,24 +42,31 @@ class Toolbar:
 
     def show(self) -> None:
         """One frame."""
-        imgui.push_style_var(imgui.StyleVar_.item_spacing, ImVec2(px(8), px(8)))
+        rows = len(TOOLS) + 3
+        each = imgui.get_content_region_avail().y / px(rows)
+        gap = min(8.0, max(3.0, 0.17 * each))
+        side = min(38.0, max(SMALLEST, each - gap - 2 / rows))
+        imgui.push_style_var(imgui.StyleVar_.item_spacing, ImVec2(px(gap), px(gap)))
+        imgui.push_style_var(imgui.StyleVar_.scrollbar_size, px(4))
+        imgui.begin_child("##tools", ImVec2(0, 0), imgui.ChildFlags_.nav_flattened)
         for tool in TOOLS:
             symbol, hint, keys = TOOL_ICONS[tool]
             active = self.session.tool == tool
-            if icon_button(f"{symbol}##{tool}", 38, active=active):
+            if icon_button(f"{symbol}##{tool}", side, active=active):
                 self.session.select_tool(tool)
             if tool == "knife":
                 colour = u32(palette().on_accent if active else palette().text)
                 knife_icon(imgui.get_window_draw_list(), imgui.get_item_rect_min(), imgui.get_item_rect_max(), colour)
             tooltip(hint, keys)
         imgui.dummy(ImVec2(0, px(2)))
-        if icon_button(f"{icon.ICON_FA_TABLE_CELLS_LARGE}##slices", 38, active=self.session.viewing.slices):
+        if icon_button(f"{icon.ICON_FA_TABLE_CELLS_LARGE}##slices", side, active=self.session.viewing.slices):
             self.toggle_slices()
         tooltip("Slices: three cut faces beside the object", "S")
-        if icon_button(f"{icon.ICON_FA_EXPAND}##fit", 38):
+        if icon_button(f"{icon.ICON_FA_EXPAND}##fit", side):
             self.viewport.fit()
         tooltip("Fit the object into the picture", "F")
-        if icon_button(f"{icon.ICON_FA_CAMERA}##picture", 38):
+        if icon_button(f"{icon.ICON_FA_CAMERA}##picture", side):
             self.export.open("picture")
         tooltip("Save a picture", "Ctrl+E")
-        imgui.pop_style_var()
+        imgui.end_child()
+        imgui.pop_style_var(2)

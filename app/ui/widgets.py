@@ -227,7 +227,7 @@ def icon_button(label: str, size: float, active: bool = False, quiet: bool = Fal
 def main_button(label: str, width: float = -1.0) -> bool:
     """A button for the main action."""
     p = palette()
-    usual, hovered, pressed = (rgba(p.accent, part) for part in (1.0, 0.9, 0.8))
+    usual, hovered, pressed = map(rgba, (p.accent, p.accent_hovered, p.accent_pressed))
     with colours(button=usual, button_hovered=hovered, button_active=pressed, text=rgba(p.on_accent)):
         return imgui.button(label, ImVec2(width, px(32)))
 
@@ -243,7 +243,7 @@ def segmented(name: str, labels: Sequence[str], current: int, width: float, hint
     for index, label in enumerate(labels):
         low = ImVec2(origin.x + each * index, origin.y)
         imgui.set_cursor_screen_pos(low)
-        if imgui.invisible_button(f"{label}##{name}", ImVec2(each, height)):
+        if imgui.invisible_button(f"{label}##{name}", ImVec2(each, height), imgui.ButtonFlags_.enable_nav):
             current = index
         hovered = imgui.is_item_hovered()
         if hints:
@@ -287,13 +287,16 @@ def int_slider(name: str, value: int, low: int, high: int) -> tuple[bool, int]:
 
 
 def range_slider(name: str, ends: tuple[float, float], hint: str) -> tuple[bool, tuple[float, float]]:
-    """A slider with two ends in [0, 1], 0.01 or more apart. A drag moves the nearer one, a double click selects all."""
+    """A slider with two ends in [0, 1], 0.01 or more apart. A drag moves the nearer one, a double click selects all.
+
+    By keyboard the left and right arrow move the lower end, and with Shift the upper one.
+    """
     p, draw = palette(), imgui.get_window_draw_list()
     margin = imgui.calc_text_size("0000").x + px(6)
     width, height = imgui.get_content_region_avail().x - margin, imgui.get_frame_height()
     origin, grab, inset = imgui.get_cursor_screen_pos(), px(10), px(2)
     track = width - 2 * inset - grab
-    imgui.invisible_button(name, ImVec2(width, height))
+    imgui.invisible_button(name, ImVec2(width, height), imgui.ButtonFlags_.enable_nav)
     hovered, active = imgui.is_item_hovered(), imgui.is_item_active()
     at = (imgui.get_mouse_pos().x - origin.x - inset - grab / 2) / track
     storage, key = imgui.get_state_storage(), imgui.get_id(name)
@@ -307,6 +310,8 @@ def range_slider(name: str, ends: tuple[float, float], hint: str) -> tuple[bool,
         at = round(min(1.0, max(0.0, at)), 2)
         new = (min(at, ends[1] - 0.01), ends[1]) if storage.get_int(key) == 0 else (ends[0], max(at, ends[0] + 0.01))
         new = (round(max(new[0], 0.0), 2), round(min(new[1], 1.0), 2))
+    elif imgui.is_item_focused():
+        new = _pressed_ends(ends)
     low, high = (origin.x + inset + part * track for part in new)
     draw.add_rect_filled(
         origin, ImVec2(origin.x + width, origin.y + height), u32(p.hover if hovered or active else p.field), px(5)
@@ -318,6 +323,18 @@ def range_slider(name: str, ends: tuple[float, float], hint: str) -> tuple[bool,
     tooltip(hint)
     _number_at_right("all" if new == (0.0, 1.0) else f"{new[1] - new[0]:.0%}", margin)
     return new != ends, new
+
+
+def _pressed_ends(ends: tuple[float, float]) -> tuple[float, float]:
+    """The ends of a range after a press of the left or right arrow: it moves the lower end, or the upper with Shift."""
+    low, high = ends
+    for key, step in ((imgui.Key.left_arrow, -0.01), (imgui.Key.right_arrow, 0.01)):
+        imgui.internal.set_key_owner(key, imgui.get_item_id())
+        if imgui.is_key_pressed(key) and imgui.get_io().key_shift:
+            high = min(1.0, max(high + step, low + 0.01))
+        elif imgui.is_key_pressed(key):
+            low = max(0.0, min(low + step, high - 0.01))
+    return round(low, 2), round(high, 2)
 
 
 def _number_at_right(text: str, margin: float) -> None:

@@ -28,6 +28,7 @@ from app.ui.dialogs.exporter import Exporter
 from app.ui.dialogs.file_dialogs import FileDialogs
 from app.ui.film.film_window import FilmWindow
 from app.ui.film.timeline import TimelinePanel
+from app.ui.keyboard import ARROWS, Parts
 from app.ui.menus import Menus
 from app.ui.panels.face_editor import FaceEditor
 from app.ui.panels.inspector import Inspector
@@ -67,6 +68,7 @@ class Window:
     def __init__(self, session: Session, start: Callable[[Session], None] | None = None) -> None:
         self.session = session
         self.start = start
+        self.parts = Parts()
         self.dropped: list[Path] = []
         self.unsaved: list[UnsavedWork] = []
         self.recovered_jobs: list[Job] = []
@@ -101,15 +103,15 @@ class Window:
         callbacks.default_icon_font = hello_imgui.DefaultIconFont.font_awesome6
         callbacks.load_additional_fonts = load_fonts
         callbacks.setup_imgui_style = lambda: apply(settings.theme, settings.scale, scaled_later=True)
+        callbacks.setup_imgui_config = set_up_imgui
         callbacks.post_init = self._begin
         callbacks.before_exit = self._end
         callbacks.pre_new_frame = self._tick
         callbacks.show_gui = lambda: self._guard(self._gui)
         callbacks.show_menus = lambda: self._guard(self.menus.show)
         callbacks.show_status = self._status
-        callbacks.before_imgui_render = close_menus
         toolbar = hello_imgui.EdgeToolbar()
-        toolbar.show_toolbar = lambda: self._guard(self.toolbar.show)
+        toolbar.show_toolbar = self._tools
         toolbar.options = hello_imgui.EdgeToolbarOptions(size_em=4.0, window_padding_em=ImVec2(0.72, 0.75))
         callbacks.edges_toolbars = {hello_imgui.EdgeToolbarType.left: toolbar}
         params.docking_params = self._docking()
@@ -242,10 +244,13 @@ class Window:
 
     def _gui(self) -> None:
         imguizmo.im_guizmo.begin_frame()  # without it, handles do not feel the pointer
-        if not imgui.is_any_item_active() and not imguizmo.im_guizmo.is_using_any():
+        self.parts.update()
+        held = any(imgui.is_key_down(key) for key in ARROWS)
+        if not imgui.is_any_item_active() and not imguizmo.im_guizmo.is_using_any() and not held:
             self.session.history.settle()  # a drag has ended
         self.viewport.game_keys()
-        press_shortcuts(self.menus.commands)
+        controls = imgui.get_io().nav_visible and imgui.is_any_item_focused() and not self.viewport.focused
+        press_shortcuts(self.menus.commands, pressing=controls)
         self.menus.show_shortcuts()
         self.export.show()
         self.film_window.show()
@@ -258,6 +263,7 @@ class Window:
         flags = imgui.WindowFlags_.no_scrollbar | imgui.WindowFlags_.no_scroll_with_mouse
         imgui.begin("Object", None, flags | imgui.WindowFlags_.no_move | imgui.WindowFlags_.no_title_bar)
         imgui.pop_style_var()
+        self.parts.begin("view")
         self._guard(self._object_or_picture)
         self._guard(self._viewport_body)
         imgui.end()
@@ -280,7 +286,7 @@ class Window:
         imgui.set_cursor_screen_pos(at)
         flags = imgui.WindowFlags_.no_scrollbar | imgui.WindowFlags_.no_scroll_with_mouse
         if len(places) > 1 or below:
-            imgui.begin_child("##3d", ImVec2(*places[0][1]), 0, flags)
+            imgui.begin_child("##3d", ImVec2(*places[0][1]), imgui.ChildFlags_.nav_flattened, flags)
             self.viewport.show()
             imgui.end_child()
         else:
@@ -300,7 +306,12 @@ class Window:
             self._opening(self.session.loader)
 
     def _inspector(self) -> None:
+        self.parts.begin("inspector")
         self._guard(self.inspector.show)
+
+    def _tools(self) -> None:
+        self.parts.begin("tools")
+        self._guard(self.toolbar.show)
 
     def _status(self) -> None:
         message, now = self.session.message, time.monotonic()
@@ -429,7 +440,7 @@ class Window:
             self.session.answer(chosen)
 
 
-def close_menus() -> None:
-    """Closes menus and lists at Esc, which ImGui does only where the keyboard moves between items."""
-    if imgui.is_key_pressed(imgui.Key.escape) and not imgui.is_any_item_active():
-        imgui.internal.close_popups_except_modals()
+def set_up_imgui() -> None:
+    """The runner's own settings, and controls that Tab and arrows lead to."""
+    hello_imgui.imgui_default_settings.setup_default_imgui_config()
+    imgui.get_io().config_flags |= imgui.ConfigFlags_.nav_enable_keyboard

@@ -56,7 +56,10 @@ class TimelinePanel:
         flags = imgui.WindowFlags_.no_scrollbar | imgui.WindowFlags_.no_scroll_with_mouse
         with colours(child_bg=rgba(palette().panel)):
             imgui.begin_child(
-                "##timeline", ImVec2(width, self.height), imgui.ChildFlags_.always_use_window_padding, flags
+                "##timeline",
+                ImVec2(width, self.height),
+                imgui.ChildFlags_.always_use_window_padding | imgui.ChildFlags_.nav_flattened,
+                flags,
             )
         self._buttons()
         self._ruler()

@@ -70,7 +70,7 @@ class Inspector:
     def show(self) -> None:
         """One frame."""
         above = imgui.get_content_region_avail().y - self.footer.height
-        imgui.begin_child("##sections", ImVec2(0, max(above, px(80))))
+        imgui.begin_child("##sections", ImVec2(0, max(above, px(80))), imgui.ChildFlags_.nav_flattened)
         self._object()
         if self.session.document.scene is not None:
             if self.session.tool == "isolate":

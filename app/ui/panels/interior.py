@@ -108,7 +108,7 @@ class InteriorPanel:
         after = imgui.get_cursor_screen_pos()
         imgui.set_cursor_screen_pos(ImVec2(start.x, start.y))
         imgui.set_next_item_allow_overlap()
-        if imgui.invisible_button("row", ImVec2(width - px(34), side)):
+        if imgui.invisible_button("row", ImVec2(width - px(34), side), imgui.ButtonFlags_.enable_nav):
             self.open = None if self.open == kind else kind
         tooltip(f"{DESCRIPTIONS[kind]}. Click to change it.")
         imgui.set_cursor_screen_pos(ImVec2(start.x + width - px(26), start.y + (side - px(26)) / 2))
@@ -185,7 +185,7 @@ class InteriorPanel:
             self._thumbnail(path, side)
             imgui.set_cursor_screen_pos(at)
             imgui.set_next_item_allow_overlap()
-            if imgui.invisible_button("picture", ImVec2(side, side)):
+            if imgui.invisible_button("picture", ImVec2(side, side), imgui.ButtonFlags_.enable_nav):
                 session.faces.edit(family.kind, path)
             hovered = imgui.is_item_hovered(imgui.HoveredFlags_.allow_when_overlapped_by_item)
             self._picture_state(path, at, side)

@@ -17,6 +17,7 @@ from app.model.pieces import Member, PlacedPiece
 from app.model.rigid_transform import STILL, Motion
 from app.model.upright import point_under
 from app.session.session import Session
+from app.ui.keyboard import press_in_viewport
 from app.ui.panels.view_options import ViewOptions
 from app.ui.theme import palette, px, rgb, u32
 from app.ui.view.animation import CameraAnimation, PieceAnimation
@@ -89,6 +90,8 @@ class Viewport:
         self.show_families: frozenset[Kind] = frozenset()
         self.sliced: Sequence[Plane] = ()
         """The planes of the slices beside the object, in object space."""
+        self.focused = False
+        """Whether the picture has the keyboard."""
         self.menu_requested = False
         self.menu_point: tuple[float, float] | None = None
         """Where on the object the context menu was asked for, in the window's units."""
@@ -185,11 +188,15 @@ class Viewport:
         camera = self.camera()
         if self._handled and on_handles():  # which take no click while any item is under the pointer
             imgui.dummy(size)
-            hovered = active = False
+            hovered = active = self.focused = False
         else:
             imgui.set_next_item_allow_overlap()
-            imgui.invisible_button("##canvas", size, ANY_BUTTON)
-            hovered, active = imgui.is_item_hovered(), imgui.is_item_active()
+            imgui.invisible_button("##canvas", size, ANY_BUTTON | imgui.ButtonFlags_.enable_nav)
+            flags = imgui.HoveredFlags_.no_nav_override
+            hovered, active = imgui.is_item_hovered(flags), imgui.is_item_active()
+            self.focused = imgui.is_item_focused()
+            if self.focused:
+                press_in_viewport(session, camera, self.size, self.point_picker.cut_id is not None)
         selection_frames(session, camera, pieces, self.origin)
         if session.settings.names and session.mode != "capture" and not session.previewing:
             piece_names(session, camera, pieces, self.origin)

@@ -12,6 +12,8 @@ from imgui_bundle import icons_fontawesome_6 as icon
 from imgui_bundle import imgui
 from PIL import Image
 
+from app.model.knife import PlaneAngles
+from app.session.keyboard_controller import ANGLE, STEP
 from app.session.recent_pictures import picture_of
 from engine.render.culling.draw_options import SplatLook
 from tests.helpers.app_driver import Driver
@@ -101,10 +103,92 @@ def options(driver: Driver, folder: Path) -> None:
     assert session.viewing.splats == SplatLook() and whole() == plain
 
 
+def keyboard(driver: Driver, folder: Path) -> None:
+    """The knife and every control without a pointer, which stays in a corner."""
+    session, shots, io = driver.session, folder / "shots", imgui.get_io()
+
+    def angles() -> PlaneAngles:
+        (cut,) = session.document.cuts
+        return PlaneAngles.of(cut.plane(cut.parts[0]), np.asarray(session.up), session.solid.centre)
+
+    def focus() -> int:
+        return int(imgui.get_current_context().nav_id)
+
+    # The knife: a plane is placed, moved, tilted, turned and cut along; another one is taken away again.
+    eye = session.viewing.eye
+    driver.press(Key.right_arrow)
+    driver.press(Key.equal)
+    assert session.viewing.eye.azimuth != eye.azimuth and session.viewing.eye.distance < eye.distance
+    driver.press(Key.k)
+    driver.press(Key.enter)
+    assert session.tool == "plane" and len(session.pieces) == 1
+    assert abs(angles().tilt - 90) < 1e-6 and abs(angles().distance) < 1e-6
+    turn = angles().turn
+    for _ in range(3):
+        driver.press(Key.right_arrow)
+    assert abs(angles().distance - 3 * STEP * session.solid.radius) < 1e-6
+    driver.press(Key.mod_shift | Key.right_arrow)
+    assert abs(abs(angles().turn - turn) - ANGLE) < 1e-6
+    for _ in range(30):  # over the level and on, to where it began the other way up
+        driver.press(Key.up_arrow)
+    assert abs(angles().tilt - 60) < 1e-6, angles()
+    driver.press(Key.mod_ctrl | Key.up_arrow)
+    assert abs(abs(angles().tilt - 60) - ANGLE / 10) < 1e-6, angles()
+    driver.still()
+    driver.picture(shots / "keyboard_1_plane.png")
+    driver.press(Key.enter)
+    driver.still()
+    assert len(session.pieces) == 2 and session.document.cuts[0].kind == "slice"
+    driver.press(Key.enter)
+    assert len(session.document.cuts) == 2
+    driver.press(Key.escape)
+    assert len(session.document.cuts) == 1 and session.message == "Not cut."
+    driver.press(Key.mod_ctrl | Key.a)
+    driver.press(Key.m)
+    before = session.pieces[0].motion
+    driver.press(Key.up_arrow)
+    assert session.pieces[0].motion != before
+    session.jump(0)
+
+    # Every control of the inspector is come by, and pressed.
+    driver.press(Key.f6)
+    assert driver.window.parts.current == "inspector"
+    add = driver.context.item_info(driver.item(f"//Inspector/{icon.ICON_FA_PLUS}  Add plane")).id_
+    met = [focus()]
+    while len(met) < 24:  # twice around
+        driver.press(Key.tab)
+        met.append(focus())
+        if met[-1] == add and not session.document.cuts:
+            driver.picture(shots / "keyboard_2_ring.png")
+            driver.press(Key.space)
+    assert add in met and io.nav_visible
+    assert [cut.kind for cut in session.document.cuts] == ["section"]
+    assert len(set(met)) >= 8, met
+
+    # The tools, by arrows; the menus, by F10.
+    driver.press(Key.f6)
+    assert driver.window.parts.current == "tools"
+    session.select_tool("select")
+    driver.press(Key.down_arrow)
+    driver.press(Key.enter)
+    assert session.tool == "knife"
+    driver.picture(shots / "keyboard_3_tools.png")
+    driver.press(Key.f10)
+    for _ in range(2):
+        driver.press(Key.right_arrow)
+    driver.press(Key.down_arrow)
+    driver.picture(shots / "keyboard_4_menu.png")
+    driver.press(Key.enter)
+    assert len(session.document.cuts) == 2  # "Add plane" is the first of Cut
+    driver.press(Key.f6)
+    assert driver.window.parts.current == "view"
+    assert not driver.window.viewport.moving
+
+
 def main() -> None:
     """Runs one of them."""
     name, folder = sys.argv[1], Path(sys.argv[2])
-    scripts = {"recent": recent, "options": options}
+    scripts = {"recent": recent, "options": options, "keyboard": keyboard}
     at_once(folder, lambda driver: scripts[name](driver, folder), (860, 560))
     print("well")
 
