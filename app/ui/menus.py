@@ -297,10 +297,13 @@ class Menus:
         """The list of all shortcuts."""
         if not self.shortcuts_shown:
             return
-        imgui.set_next_window_pos(imgui.get_main_viewport().get_center(), imgui.Cond_.always, ImVec2(0.5, 0.5))
+        screen = imgui.get_main_viewport()
+        imgui.set_next_window_pos(screen.get_center(), imgui.Cond_.always, ImVec2(0.5, 0.5))
+        imgui.set_next_window_size_constraints(ImVec2(0, 0), screen.work_size)
         imgui.push_style_color(imgui.Col_.window_bg, rgba(palette().panel, 0.98))
         imgui.push_style_var(imgui.StyleVar_.window_padding, ImVec2(px(22), px(18)))
-        flags = imgui.WindowFlags_.no_decoration | imgui.WindowFlags_.always_auto_resize | imgui.WindowFlags_.no_docking
+        flags = imgui.WindowFlags_.no_title_bar | imgui.WindowFlags_.always_auto_resize | imgui.WindowFlags_.no_docking
+        flags |= imgui.WindowFlags_.horizontal_scrollbar
         imgui.begin("##shortcuts", None, flags | imgui.WindowFlags_.no_saved_settings)
         with font(Fonts.bold):
             imgui.text_unformatted("Shortcuts")

@@ -233,8 +233,13 @@ def main_button(label: str, width: float = -1.0) -> bool:
 
 
 def segmented(name: str, labels: Sequence[str], current: int, width: float, hints: Sequence[str] = ()) -> int:
-    """A choice of one among labels side by side; returns the index chosen. `width` of them all, window units."""
+    """A choice of one among labels side by side, or in a list where they have no room; returns the index chosen.
+
+    `width`: of them all, window units.
+    """
     p = palette()
+    if max(imgui.calc_text_size(label).x for label in labels) + px(6) > width / len(labels):
+        return _listed(name, labels, current, width, hints)
     each, height = width / len(labels), imgui.get_frame_height()
     origin = imgui.get_cursor_screen_pos()
     draw = imgui.get_window_draw_list()
@@ -261,6 +266,19 @@ def segmented(name: str, labels: Sequence[str], current: int, width: float, hint
             label,
         )
     imgui.end_group()
+    return current
+
+
+def _listed(name: str, labels: Sequence[str], current: int, width: float, hints: Sequence[str]) -> int:
+    """The same choice as a list that opens."""
+    imgui.set_next_item_width(width)
+    if imgui.begin_combo(f"##{name}", labels[current], imgui.ComboFlags_.no_arrow_button):
+        for index, label in enumerate(labels):
+            if imgui.selectable(label, index == current)[0]:
+                current = index
+            if hints:
+                tooltip(hints[index])
+        imgui.end_combo()
     return current
 
 

@@ -20,7 +20,7 @@ from app.session.workspace import Tool
 from app.ui.theme import Fonts, palette, px, rgba, u32
 from app.ui.view.painter import Painter
 from app.ui.view.placement_view import PlacementView
-from app.ui.widgets import colours, font, secondary, segmented, thin_bar, tooltip
+from app.ui.widgets import clipped, colours, font, secondary, segmented, thin_bar, tooltip
 from training.faces.marks import UNMARKED, Place
 from training.families import Kind
 
@@ -128,7 +128,7 @@ class FaceEditor:
         imgui.set_cursor_pos(ImVec2(left, px(14)))
         imgui.align_text_to_frame_padding()
         with font(Fonts.bold):
-            imgui.text_unformatted(face.path.name)
+            imgui.text_unformatted(clipped(face.path.name, right - left - sum(widths) - px(16)))
         imgui.same_line(right - sum(widths) - px(8))
         imgui.begin_disabled(face.given == UNMARKED)
         if imgui.button(again, ImVec2(widths[0], 0)):
@@ -170,7 +170,7 @@ class FaceEditor:
             secondary(f"{found.verdict[:1].upper()}{found.verdict[1:]}.{painted}")
             tooltip(f"{found.problem[:1].upper()}{found.problem[1:]}.")
         elif found.guess is not None:
-            secondary(f"It {describe_guess(found.guess)}.")
+            secondary(f"It {describe_guess(found.guess)}.", wrap=True)
             if found.note and face.given.outline is None:
                 secondary(f"{found.note[:1].upper()}{found.note[1:]}.", wrap=True)
 

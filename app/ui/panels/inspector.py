@@ -21,6 +21,7 @@ from app.ui.panels.measures import MeasuresPanel
 from app.ui.panels.pieces import PiecesPanel
 from app.ui.theme import palette, px, rgba
 from app.ui.widgets import (
+    clipped,
     colours,
     eye_icon,
     float_slider,
@@ -91,7 +92,7 @@ class Inspector:
             secondary("Nothing is open. Drop a capture on the window.", wrap=True)
             return
         imgui.align_text_to_frame_padding()
-        secondary(document.scene.name)
+        secondary(clipped(document.scene.name, imgui.get_content_region_avail().x - px(98)))
         notes = session.object.notes if session.object is not None else ()
         tooltip("\n".join([str(document.scene), *notes]))
         imgui.same_line(imgui.get_content_region_avail().x - px(90))
@@ -211,19 +212,24 @@ class Inspector:
         )
         imgui.same_line()
         active = session.active_cut == cut.id
+        wide = imgui.get_content_region_avail().x > px(190)
+        row = px(76) if wide else imgui.get_content_region_avail().x - px(32)
         with colours(text=rgba(palette().text if cut.on else palette().second), header=rgba(palette().field)):
-            clicked = list_row(cut.name, active, px(76), 24)
+            clicked = list_row(cut.name, active, row, 24)
         if clicked:
             session.active_cut = None if active else cut.id
         tooltip("Click to say where it lies")
         imgui.same_line()
-        self._slider(cut)
-        imgui.same_line()
+        if wide:
+            self._slider(cut)
+            imgui.same_line()
         if icon_button(f"{icon.ICON_FA_XMARK}##gone", 24, quiet=True):
             session.remove_cut(cut.id)
             imgui.pop_id()
             return
         tooltip("Remove: what it parted is one again" if cut.kind == "slice" else "Remove")
+        if not wide:
+            self._slider(cut)
         if active and session.active_cut == cut.id:
             self.details.show(cut)
         imgui.pop_id()
@@ -238,7 +244,7 @@ class Inspector:
             return
         plane = cut.plane(cut.parts[0])
         place = -float(plane.distance(solid.centre)) / solid.radius
-        width = imgui.get_content_region_avail().x - px(32)
+        width = max(imgui.get_content_region_avail().x - px(32), px(60))
         changed, new = float_slider("##place", place, -1.0, 1.0, "Sweeps the plane through the object", width)
         if changed:
             shift = cut.shift + (new - place) * solid.radius

@@ -50,7 +50,7 @@ def mode_switch(session: Session, origin: ImVec2, size: tuple[int, int]) -> str 
     """Capture, solid or interior; the mode that was chosen now."""
     inset = px(14)
     imgui.set_cursor_screen_pos(ImVec2(origin.x + inset, origin.y + inset))
-    width = min(px(252), size[0] - 2 * inset - px(38))
+    width = max(min(px(252), size[0] - 2 * inset - px(38)), px(24))
     current = VIEW_MODES.index(session.mode)
     chosen = segmented("view", MODE_LABELS, current, width, MODE_HINTS)
     if chosen == current:
