@@ -12,6 +12,7 @@ from app.model.document import Cut
 from app.model.pieces import sections, shown_points
 from app.model.rigid_transform import Motion
 from app.session.workspace import Workspace
+from app.translation import _, ngettext
 from engine.scene.camera import Camera, equator
 from engine.scene.plane import Plane
 
@@ -26,7 +27,7 @@ FINE = 0.1
 ORBIT = 20.0
 """Units of the window that a pointer would be dragged to look around as far as one press does."""
 
-PLACED = "Arrows move and tilt the plane, with Shift they turn it, with Ctrl finely. Enter: cut, Esc: take it away."
+PLACED = _("Arrows move and tilt the plane, with Shift they turn it, with Ctrl finely. Enter: cut, Esc: take it away.")
 
 
 class KeyboardController:
@@ -52,22 +53,26 @@ class KeyboardController:
         if workspace.tool not in ("knife", "plane"):
             return
         if workspace.atoms is None:
-            workspace.notify("There is no solid to cut.")
+            workspace.notify(_("There is no solid to cut."))
         elif cut is None:
             workspace.select_tool("plane")
             workspace.add_plane(Plane.through(workspace.solid.centre, camera.viewmat[0, :3]))
             workspace.notify(PLACED)
         else:
-            workspace.change_cut("Slice", cut.id, lambda c: replace(c, kind="slice"))
+            workspace.change_cut(_("Slice"), cut.id, lambda c: replace(c, kind="slice"))
             workspace.active_cut = None
-            workspace.notify(f"Cut into {len(workspace.pieces)} pieces.")
+            workspace.notify(
+                ngettext("Cut into {count} piece.", "Cut into {count} pieces.", len(workspace.pieces)).format(
+                    count=len(workspace.pieces)
+                )
+            )
 
     def escape(self) -> None:
         """Takes the plane away that is not cut yet."""
         cut = self.section
         if cut is not None:
             self.workspace.remove_cut(cut.id)
-            self.workspace.notify("Not cut.")
+            self.workspace.notify(_("Not cut."))
 
     def arrow(self, camera: Camera, x: int, y: int, shift: bool = False, fine: bool = False) -> None:
         """An arrow to the right (x = 1), left (-1), up (y = 1) or down (-1)."""
@@ -105,7 +110,7 @@ class KeyboardController:
             motion = Motion.by(way * x * STEP * workspace.solid.radius * normal)
         self._hinge = (cut.id, hinge)
         moved = motion.carried(plane)
-        workspace.change_cut("Move plane", cut.id, lambda c: c.with_plane(moved), merge=f"keys {cut.id}")
+        workspace.change_cut(_("Move plane"), cut.id, lambda c: c.with_plane(moved), merge=f"keys {cut.id}")
 
     def _move_pieces(self, camera: Camera, x: float, y: float, shift: bool) -> None:
         """In the plane of the picture, or with Shift nearer and farther; turned about its axes with the other tool."""
@@ -119,4 +124,5 @@ class KeyboardController:
             points = np.concatenate([shown_points(piece, workspace.solid, hidden) for piece in chosen])
             axis = x * (forward if shift else down) * (1 if shift else -1) + y * right
             motion = Motion.about(points.mean(0), axis, -ANGLE * float(np.hypot(x, y)))
-        workspace.place(workspace.tool.title(), workspace.selection, motion, merge="keys")
+        name = _("Move") if workspace.tool == "move" else _("Turn")
+        workspace.place(name, workspace.selection, motion, merge="keys")

@@ -18,6 +18,7 @@ from app.session.scene_controller import SceneController
 from app.session.throw_controller import ThrowController
 from app.session.training_controller import TrainingController
 from app.session.workspace import Workspace
+from app.translation import _
 from engine.errors import InputError
 from engine.scene.camera import Camera
 
@@ -57,7 +58,7 @@ class Session(Workspace):
             super().slice(camera, stroke)
             return
         self.scene.strokes.append((camera, stroke))
-        self.notify("The object is still being made solid. It will be cut there.")
+        self.notify(_("The object is still being made solid. It will be cut there."))
 
     def tick(self) -> None:
         """Takes over what background work has produced, and autosaves. Called once a frame."""

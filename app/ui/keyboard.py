@@ -5,12 +5,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from imgui_bundle import imgui
+from imgui_bundle import hello_imgui, imgui
 
 from app.session.session import Session
 from engine.scene.camera import Camera
 
-__all__ = ["ARROWS", "Parts", "own_keys", "press_in_viewport"]
+__all__ = ["ARROWS", "Parts", "own_keys", "press_in_viewport", "set_up_imgui"]
 
 Key = imgui.Key
 
@@ -83,3 +83,9 @@ def press_in_viewport(session: Session, camera: Camera, size: tuple[int, int], p
         own_keys(Key.escape)
         if imgui.is_key_pressed(Key.escape, False):
             keyboard.escape()
+
+
+def set_up_imgui() -> None:
+    """The runner's own settings, and controls that Tab and arrows lead to."""
+    hello_imgui.imgui_default_settings.setup_default_imgui_config()
+    imgui.get_io().config_flags |= imgui.ConfigFlags_.nav_enable_keyboard

@@ -9,24 +9,36 @@ from imgui_bundle import icons_fontawesome_6 as icon
 
 from app.session.session import Session
 from app.session.workspace import TOOLS, Tool
+from app.translation import _
 from app.ui.dialogs.export_window import ExportWindow
 from app.ui.theme import palette, px, u32
 from app.ui.view.viewport import Viewport
 from app.ui.widgets import icon_button, knife_icon, tooltip
 
-__all__ = ["TOOL_ICONS", "Toolbar"]
+__all__ = ["TOOL_ICONS", "TOOL_NAMES", "Toolbar"]
 
 TOOL_ICONS: dict[Tool, tuple[str, str, str]] = {
-    "select": (icon.ICON_FA_ARROW_POINTER, "Select pieces; drag to look around", "V"),
-    "knife": ("", "Knife: drag across the object to cut it", "K"),
-    "blade": (icon.ICON_FA_SCISSORS, "Blade: draw the line to cut along, or all around a shape", "B"),
-    "plane": (icon.ICON_FA_LAYER_GROUP, "Plane: drag to open the object along a plane", "P"),
-    "move": (icon.ICON_FA_UP_DOWN_LEFT_RIGHT, "Move pieces", "M"),
-    "turn": (icon.ICON_FA_ROTATE, "Turn pieces", "T"),
-    "upright": (icon.ICON_FA_ARROWS_DOWN_TO_LINE, "Upright: click the face it stands on, or turn it", "U"),
-    "isolate": (icon.ICON_FA_CROP_SIMPLE, "Isolate: say what of the capture is the object", "I"),
+    "select": (icon.ICON_FA_ARROW_POINTER, _("Select pieces; drag to look around"), "V"),
+    "knife": ("", _("Knife: drag across the object to cut it"), "K"),
+    "blade": (icon.ICON_FA_SCISSORS, _("Blade: draw the line to cut along, or all around a shape"), "B"),
+    "plane": (icon.ICON_FA_LAYER_GROUP, _("Plane: drag to open the object along a plane"), "P"),
+    "move": (icon.ICON_FA_UP_DOWN_LEFT_RIGHT, _("Move pieces"), "M"),
+    "turn": (icon.ICON_FA_ROTATE, _("Turn pieces"), "T"),
+    "upright": (icon.ICON_FA_ARROWS_DOWN_TO_LINE, _("Upright: click the face it stands on, or turn it"), "U"),
+    "isolate": (icon.ICON_FA_CROP_SIMPLE, _("Isolate: say what of the capture is the object"), "I"),
 }
 
+
+TOOL_NAMES: dict[Tool, str] = {
+    "select": _("Select"),
+    "knife": _("Knife"),
+    "blade": _("Blade"),
+    "plane": _("Plane"),
+    "move": _("Move"),
+    "turn": _("Turn"),
+    "upright": _("Upright"),
+    "isolate": _("Isolate"),
+}
 
 SMALLEST = 26.0
 """Side of a button at 96 DPI where the window is low; in a still lower one they scroll."""
@@ -61,12 +73,12 @@ class Toolbar:
         imgui.dummy(ImVec2(0, px(2)))
         if icon_button(f"{icon.ICON_FA_TABLE_CELLS_LARGE}##slices", side, active=self.session.viewing.slices):
             self.toggle_slices()
-        tooltip("Slices: three cut faces beside the object", "S")
+        tooltip(_("Slices: three cut faces beside the object"), "S")
         if icon_button(f"{icon.ICON_FA_EXPAND}##fit", side):
             self.viewport.fit()
-        tooltip("Fit the object into the picture", "F")
+        tooltip(_("Fit the object into the picture"), "F")
         if icon_button(f"{icon.ICON_FA_CAMERA}##picture", side):
             self.export.open("picture")
-        tooltip("Save a picture", "Ctrl+E")
+        tooltip(_("Save a picture"), "Ctrl+E")
         imgui.end_child()
         imgui.pop_style_var(2)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from bisect import bisect_left
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -10,10 +11,12 @@ from imgui_bundle import ImVec2, ImVec4, imgui
 from imgui_bundle import icons_fontawesome_6 as icon
 
 from app.model.document import MARKS, Mark
+from app.translation import _
 from app.ui.theme import Fonts, palette, px, rgba, u32
 
 __all__ = [
     "MARK_ICONS",
+    "MARK_NAMES",
     "cancel_button",
     "clipped",
     "colours",
@@ -33,6 +36,7 @@ __all__ = [
     "row_label",
     "secondary",
     "segmented",
+    "share",
     "thin_bar",
     "tooltip",
 ]
@@ -45,6 +49,16 @@ MARK_ICONS: dict[Mark, str] = {
     "heart": icon.ICON_FA_HEART,
     "moon": icon.ICON_FA_MOON,
     "bolt": icon.ICON_FA_BOLT,
+}
+
+
+MARK_NAMES: dict[Mark, str] = {
+    "circle": _("Circle"),
+    "square": _("Square"),
+    "star": _("Star"),
+    "heart": _("Heart"),
+    "moon": _("Moon"),
+    "bolt": _("Bolt"),
 }
 
 
@@ -85,7 +99,7 @@ def _place_tooltip() -> None:
 def key_caps(keys: str) -> None:
     """A shortcut as keys: 'Ctrl+Z' as two of them."""
     p, draw, inset = palette(), imgui.get_window_draw_list(), ImVec2(px(6), px(2))
-    for number, key in enumerate(keys.split("+")):
+    for number, key in enumerate(re.split(r"(?<=[^+])\+", keys)):
         if number:
             imgui.same_line(0, px(4))
         size = imgui.calc_text_size(key)
@@ -156,7 +170,7 @@ def modal(name: str, width: float) -> Iterator[bool]:
 
 def cancel_button() -> bool:
     """The button of a modal window that leaves it; also true at Esc."""
-    return imgui.button("Cancel", ImVec2(px(90), px(32))) or imgui.is_key_pressed(imgui.Key.escape)
+    return imgui.button(_("Cancel"), ImVec2(px(90), px(32))) or imgui.is_key_pressed(imgui.Key.escape)
 
 
 def heading(text: str) -> None:
@@ -225,11 +239,19 @@ def icon_button(label: str, size: float, active: bool = False, quiet: bool = Fal
 
 
 def main_button(label: str, width: float = -1.0) -> bool:
-    """A button for the main action."""
+    """A button for the main action; wider than `width` where its label needs it."""
     p = palette()
+    if width > 0:
+        width = max(width, imgui.calc_text_size(label).x + 2 * imgui.get_style().frame_padding.x)
     usual, hovered, pressed = map(rgba, (p.accent, p.accent_hovered, p.accent_pressed))
     with colours(button=usual, button_hovered=hovered, button_active=pressed, text=rgba(p.on_accent)):
         return imgui.button(label, ImVec2(width, px(32)))
+
+
+def share(width: float, *labels: str) -> float:
+    """Width of each of these buttons side by side in `width`; -1, a row for each, where a label needs more."""
+    each = (width - (len(labels) - 1) * imgui.get_style().item_spacing.x) / len(labels)
+    return each if max(imgui.calc_text_size(label).x for label in labels) + px(12) < each else -1.0
 
 
 def segmented(name: str, labels: Sequence[str], current: int, width: float, hints: Sequence[str] = ()) -> int:
@@ -339,7 +361,7 @@ def range_slider(name: str, ends: tuple[float, float], hint: str) -> tuple[bool,
     for x in (low, high):
         draw.add_rect_filled(ImVec2(x, top), ImVec2(x + grab, bottom), u32(p.text if active else p.second), px(4))
     tooltip(hint)
-    _number_at_right("all" if new == (0.0, 1.0) else f"{new[1] - new[0]:.0%}", margin)
+    _number_at_right(_("all") if new == (0.0, 1.0) else f"{new[1] - new[0]:.0%}", margin)
     return new != ends, new
 
 

@@ -22,13 +22,14 @@ from app.model.project import Viewing
 from app.model.settings import settings_folder
 from app.session.recovered_jobs import describe_job, dismiss_job, recovered_jobs
 from app.session.session import Session
+from app.translation import _
 from app.ui.commands import press_shortcuts
 from app.ui.dialogs.export_window import ExportWindow
 from app.ui.dialogs.exporter import Exporter
 from app.ui.dialogs.file_dialogs import FileDialogs
 from app.ui.film.film_window import FilmWindow
 from app.ui.film.timeline import TimelinePanel
-from app.ui.keyboard import ARROWS, Parts
+from app.ui.keyboard import ARROWS, Parts, set_up_imgui
 from app.ui.menus import Menus
 from app.ui.panels.face_editor import FaceEditor
 from app.ui.panels.inspector import Inspector
@@ -222,7 +223,7 @@ class Window:
         elif paths and not pictures:
             self.session.files.open(paths[0])
         else:
-            self.session.notify("Open an object first, then drop pictures of its cut faces.")
+            self.session.notify(_("Open an object first, then drop pictures of its cut faces."))
 
     def _guard(self, draw: Callable[[], None]) -> None:
         """Calls `draw` and shows its error, if any; ImGui's stacks are restored so that the frame can end."""
@@ -237,7 +238,9 @@ class Window:
                 raise
             imgui.internal.error_recovery_try_to_recover_state(state)
             self.session.show_error(
-                f"Something went wrong ({type(error).__name__}: {error}). Your work is kept; save it."
+                _("Something went wrong ({kind}: {error}). Your work is kept; save it.").format(
+                    kind=type(error).__name__, error=error
+                )
             )
 
     # Drawing
@@ -320,7 +323,7 @@ class Window:
         if now - self._said_at > READ_IN:
             message = ""
         if self.session.document.scene is None:
-            message = message or "Drop a capture on the window, or open one with Ctrl+O."
+            message = message or _("Drop a capture on the window, or open one with Ctrl+O.")
         imgui.text_unformatted(message)
 
     def _opening(self, loader: SceneLoader) -> None:
@@ -341,14 +344,21 @@ class Window:
         texts: list[tuple[str, str, Callable[[], None] | None, Callable[[], None]]] = []
         if self.unsaved:
             first = self.unsaved[0]
-            name = first.name or "a project that was never saved"
-            texts.append((f"Unsaved work on {name} was kept.", "Bring it back", self._recover, self._discard))
+            name = first.name or _("a project that was never saved")
+            texts.append(
+                (
+                    _("Unsaved work on {name} was kept.").format(name=name),
+                    _("Bring it back"),
+                    self._recover,
+                    self._discard,
+                )
+            )
         if self.recovered_jobs:
-            texts.append((describe_job(self.recovered_jobs[0]), "Show it", self._show_job, self._dismiss_job))
+            texts.append((describe_job(self.recovered_jobs[0]), _("Show it"), self._show_job, self._dismiss_job))
         if session.faces.hint is not None and session.faces.open_face is None:
             hint = session.faces.hint
             look = partial(session.faces.edit, hint.kind, hint.path)
-            texts.append((hint.text, "Look at it", look, session.faces.dismiss_hint))
+            texts.append((hint.text, _("Look at it"), look, session.faces.dismiss_hint))
         if session.error:
             texts.append((session.error, "", None, lambda: setattr(session, "error", "")))
         y = view.origin.y + view.size[1] - px(46)
@@ -438,9 +448,3 @@ class Window:
                 imgui.close_current_popup()
         if chosen is not None:
             self.session.answer(chosen)
-
-
-def set_up_imgui() -> None:
-    """The runner's own settings, and controls that Tab and arrows lead to."""
-    hello_imgui.imgui_default_settings.setup_default_imgui_config()
-    imgui.get_io().config_flags |= imgui.ConfigFlags_.nav_enable_keyboard

@@ -92,6 +92,11 @@ def test_all_is_reached_by_keyboard_and_the_knife_cuts_by_it(tmp_path: Path) -> 
 
 
 @pytest.mark.slow
+def test_in_a_language_of_long_words_all_is_translated_and_fits(tmp_path: Path) -> None:
+    run("pseudo", tmp_path, "hard_use/steps.py")
+
+
+@pytest.mark.slow
 def test_two_thousand_random_actions_leave_nothing_behind(tmp_path: Path) -> None:
     run("soak", tmp_path)
 

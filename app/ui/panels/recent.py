@@ -13,6 +13,7 @@ from imgui_bundle import icons_fontawesome_6 as icon
 
 from app.session.recent_pictures import SIZE, keep_picture, picture_of, remove_pictures
 from app.session.session import Session
+from app.translation import _
 from app.ui.panels.thumbnails import Thumbnails
 from app.ui.theme import Fonts, palette, px, u32
 from app.ui.view.painter import Painter
@@ -76,7 +77,7 @@ class RecentFiles:
         self._first(full, open_, sample)
         if names:
             imgui.dummy(ImVec2(0, px(10)))
-            secondary("Open again")
+            secondary(_("Open again"))
             corner = imgui.get_cursor_screen_pos()
             for index, name in enumerate(names):
                 row, column = divmod(index, columns)
@@ -89,13 +90,13 @@ class RecentFiles:
     def _first(self, full: float, open_: Callable[[], None], sample: Callable[[], None]) -> None:
         """What to do while nothing is open."""
         with font(Fonts.bold):
-            imgui.text_unformatted("Open a capture to slice it")
-        secondary("or drop it here: .ply, .splat, .spz, .sog, .ksplat, .obj, .glb", wrap=True)
+            imgui.text_unformatted(_("Open a capture to slice it"))
+        secondary(_("or drop it here: .ply, .splat, .spz, .sog, .ksplat, .obj, .glb"), wrap=True)
         imgui.dummy(ImVec2(0, px(2)))
         width = min(px(300), full)
-        if main_button(f"{icon.ICON_FA_FOLDER_OPEN}  Open...", width):
+        if main_button(f"{icon.ICON_FA_FOLDER_OPEN}  " + _("Open..."), width):
             open_()
-        if imgui.button("Try the watermelon", ImVec2(width, px(32))):
+        if imgui.button(_("Try the watermelon"), ImVec2(width, px(32))):
             sample()
 
     def _card(self, index: int, name: str, size: ImVec2) -> None:
@@ -109,7 +110,7 @@ class RecentFiles:
             self.session.files.open(path)
         hovered = imgui.is_item_hovered()
         removed = imgui.is_item_focused() and imgui.is_key_pressed(imgui.Key.delete)
-        tooltip(f"{name} is no longer there" if gone else name)
+        tooltip(_("{name} is no longer there").format(name=name) if gone else name)
         texture = self.thumbnails.get(picture_of(name))
         if texture is not None:
             tint = u32("#FFFFFF", 0.35 if gone else 1.0)
@@ -122,11 +123,11 @@ class RecentFiles:
         draw.add_rect(low, high, u32(p.second if hovered else p.line), px(6), px(1))
         line, below, room = imgui.get_text_line_height(), high.y + px(6), size.x - px(28)
         draw.add_text(ImVec2(low.x, below), u32(p.second if gone else p.text), clipped(path.name, room))
-        words = f"{icon.ICON_FA_LINK_SLASH}  no longer there" if gone else path.parent.name or str(path.parent)
+        words = f"{icon.ICON_FA_LINK_SLASH}  " + _("no longer there") if gone else path.parent.name or str(path.parent)
         draw.add_text(ImVec2(low.x, below + line + px(2)), u32(p.second), clipped(words, room))
         imgui.set_cursor_screen_pos(ImVec2(high.x - px(24), below - px(2)))
         removed = icon_button(f"{icon.ICON_FA_XMARK}##gone {index}", 24, quiet=True) or removed
-        tooltip("Take it off this list")
+        tooltip(_("Take it off this list"))
         if removed:
             self.session.files.forget_recent(name)
 

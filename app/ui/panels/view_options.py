@@ -11,6 +11,7 @@ from imgui_bundle import icons_fontawesome_6 as icon
 
 from app.model.project import SPLAT_SIZES
 from app.session.session import Session
+from app.translation import _
 from app.ui.theme import Fonts, px
 from app.ui.widgets import disabled, float_slider, font, icon_button, row_label, tooltip
 from engine.render.culling.draw_options import SplatLook
@@ -18,11 +19,11 @@ from engine.render.culling.draw_options import SplatLook
 __all__ = ["SWITCHES", "ViewOptions"]
 
 SWITCHES = {
-    "Light on cut faces": "face_light",
-    "Names of pieces": "names",
-    "Body as lines": "wires",
-    "Calm motion": "motion",
-    "Statistics": "statistics",
+    _("Light on cut faces"): "face_light",
+    _("Names of pieces"): "names",
+    _("Body as lines"): "wires",
+    _("Calm motion"): "motion",
+    _("Statistics"): "statistics",
 }
 """Settings that are switched on and off, by their labels."""
 
@@ -40,7 +41,7 @@ class ViewOptions:
         size = imgui.get_frame_height() / px(1)
         if icon_button(f"{icon.ICON_FA_SLIDERS}##options", size, active=session.viewing.splats != SplatLook()):
             imgui.open_popup("view options")
-        tooltip("How it is drawn: size and opacity of splats, lines, names")
+        tooltip(_("How it is drawn: size and opacity of splats, lines, names"))
         imgui.push_style_var(imgui.StyleVar_.window_padding, ImVec2(px(14), px(12)))
         imgui.set_next_window_size(ImVec2(px(290), 0))
         if imgui.begin_popup("view options"):
@@ -58,24 +59,24 @@ class ViewOptions:
         session = self.session
         look = session.viewing.splats
         with font(Fonts.bold):
-            imgui.text_unformatted("Splats")
-        row_label("Size", 80)
+            imgui.text_unformatted(_("Splats"))
+        row_label(_("Size"), 80)
         low, high = (math.log2(size) for size in SPLAT_SIZES)
         changed, power = float_slider(
-            "##size", math.log2(look.size), low, high, "Smaller: see what it is made of", text=f"{look.size:.0%}"
+            "##size", math.log2(look.size), low, high, _("Smaller: see what it is made of"), text=f"{look.size:.0%}"
         )
         if changed:
             size = 1.0 if abs(power) < 0.06 else min(max(2.0**power, SPLAT_SIZES[0]), SPLAT_SIZES[1])
             look = replace(look, size=size)
-        row_label("Opacity", 80)
+        row_label(_("Opacity"), 80)
         capture = session.mode == "capture"
         with disabled(not capture):
-            hint = "Lower: see through the capture" if capture else "Of the capture; the solid is opaque"
+            hint = _("Lower: see through the capture") if capture else _("Of the capture; the solid is opaque")
             changed, opacity = float_slider("##opacity", look.opacity, 0.0, 1.0, hint, text=f"{look.opacity:.0%}")
         if changed:
             look = replace(look, opacity=opacity)
         with disabled(look == SplatLook()):
-            if imgui.button("As they are", ImVec2(-1, 0)):
+            if imgui.button(_("As they are"), ImVec2(-1, 0)):
                 look = SplatLook()
         if look != session.viewing.splats:
             session.viewing = replace(session.viewing, splats=look)

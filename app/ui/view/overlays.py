@@ -11,6 +11,7 @@ from app.model.camera_control import project_points
 from app.model.pieces import Member, PlacedPiece
 from app.model.project import VIEW_MODES
 from app.session.session import Session
+from app.translation import _, ngettext
 from app.ui.theme import palette, px, u32
 from app.ui.view.annotations import label
 from app.ui.view.plane_lines import PlaneLines
@@ -22,27 +23,27 @@ __all__ = ["FAMILY_TITLES", "family_names", "film_label", "mode_switch", "piece_
 
 HINTS = {
     "select": "",
-    "knife": "Drag across the object to cut it",
-    "blade": "Draw a line to cut along, or all around what is to be punched out",
-    "plane": "Drag to place a plane",
-    "move": "Drag a piece to move it",
-    "turn": "Drag a piece to turn it",
-    "upright": "Click the face it stands on",
-    "isolate": "Drag over a part of the capture to select it",
+    "knife": _("Drag across the object to cut it"),
+    "blade": _("Draw a line to cut along, or all around what is to be punched out"),
+    "plane": _("Drag to place a plane"),
+    "move": _("Drag a piece to move it"),
+    "turn": _("Drag a piece to turn it"),
+    "upright": _("Click the face it stands on"),
+    "isolate": _("Drag over a part of the capture to select it"),
 }
 
 FAMILY_TITLES: dict[Kind, str] = {
-    "horizontal": "Horizontal",
-    "radial": "Radial",
-    "parallel": "Parallel",
-    "custom": "Single planes",
+    "horizontal": _("Horizontal"),
+    "radial": _("Radial"),
+    "parallel": _("Parallel"),
+    "custom": _("Single planes"),
 }
 
-MODE_LABELS = ("Capture", "Solid", "Interior")
+MODE_LABELS = (_("Capture"), _("Solid"), _("Interior"))
 MODE_HINTS = (
-    "The capture as it came, hollow",
-    "The object as a solid that can be cut",
-    "The inside alone, without its skin",
+    _("The capture as it came, hollow"),
+    _("The object as a solid that can be cut"),
+    _("The inside alone, without its skin"),
 )
 
 
@@ -56,7 +57,7 @@ def mode_switch(session: Session, origin: ImVec2, size: tuple[int, int]) -> str 
     if chosen == current:
         return None
     if session.atoms is None:
-        session.notify("The object is not solid yet.")
+        session.notify(_("The object is not solid yet."))
         return None
     session.viewing = replace(session.viewing, mode=VIEW_MODES[chosen])
     return VIEW_MODES[chosen]
@@ -126,10 +127,15 @@ def film_label(session: Session, origin: ImVec2, size: tuple[int, int]) -> None:
     """Says that it is the film that is shown, or what was thrown, and how to leave it."""
     if session.throw.active:
         count = session.throw.pieces
-        text = f"{count} pieces    Enter: keep the cuts    Esc: end" if count > 1 else "Cut it in flight    Esc: end"
+        text = (
+            ngettext("{count} piece", "{count} pieces", count).format(count=count)
+            + _("    Enter: keep the cuts    Esc: end")
+            if count > 1
+            else _("Cut it in flight    Esc: end")
+        )
     elif session.film.shown:
-        text = f"Film, {session.film.time:.1f} s"
-        text += "" if session.film.playing else "    Esc: the object as it is"
+        text = _("Film, {time:.1f} s").format(time=session.film.time)
+        text += "" if session.film.playing else _("    Esc: the object as it is")
     else:
         return
     width = imgui.calc_text_size(text).x
@@ -144,13 +150,14 @@ def statistics(
         return
     if session.mode == "capture":
         capture = session.shown_capture
-        what = f"{len(capture):,} Gaussians" if capture is not None else ""
+        what = _("{count:,} Gaussians").format(count=len(capture)) if capture is not None else ""
     else:
         count = len(members)
-        pieces = f"    {count} pieces" if count != 1 else ""
+        pieces = ngettext("{count} piece", "{count} pieces", count).format(count=count)
+        pieces = f"    {pieces}" if count != 1 else ""
         solids = session.solids.values()
         total = sum(len(one) if session.mode == "solid" else len(one.interior) for one in solids)
-        what = f"{total:,} points{pieces}"
+        what = _("{count:,} points").format(count=total) + pieces
     line = f"{what}    {milliseconds:.0f} ms" if milliseconds else what
     at = ImVec2(origin.x + px(14), origin.y + size[1] - px(14) - imgui.get_text_line_height())
     imgui.get_window_draw_list().add_text(at, u32(palette().second), line)

@@ -17,6 +17,7 @@ from app.model.pieces import Member, PlacedPiece
 from app.model.rigid_transform import STILL, Motion
 from app.model.upright import point_under
 from app.session.session import Session
+from app.translation import _
 from app.ui.keyboard import press_in_viewport
 from app.ui.panels.view_options import ViewOptions
 from app.ui.theme import palette, px, rgb, u32
@@ -47,9 +48,9 @@ ANY_BUTTON = (
 )
 
 CUTTING = {
-    "stroke": "release to cut    Shift: snap",
-    "blade": "release to cut",
-    "plane": "release to place    Shift: snap",
+    "stroke": _("release to cut    Shift: snap"),
+    "blade": _("release to cut"),
+    "plane": _("release to place    Shift: snap"),
 }
 """What letting go does, by the kind of drag that draws a stroke."""
 
@@ -289,7 +290,7 @@ class Viewport:
             drag.path.append(at)
         if imgui.is_key_pressed(imgui.Key.escape) and drag.kind in (*CUTTING, "mark"):
             drag.cancelled = True
-            session.notify("Not selected." if drag.kind == "mark" else "Not cut.")
+            session.notify(_("Not selected.") if drag.kind == "mark" else _("Not cut."))
         if not active:
             self._end(camera, drag, at)
             self.drag = None
@@ -396,7 +397,7 @@ class Viewport:
                 self._activate(member)
                 motion = member.piece.motion.inverse()
         if point is None:
-            session.notify("Click on the object: on the face that it stands on.")
+            session.notify(_("Click on the object: on the face that it stands on."))
             return
         session.stand_on(motion.apply(point), motion.apply(camera.position))
 
@@ -411,7 +412,7 @@ class Viewport:
             rows = [p.motion.apply(session.solid.points[p.rows]) for p in session.pieces if p.key in drag.keys]
             middle = np.concatenate(rows).mean(0)
             motion = Motion.about(middle, rotation[1], -0.4 * dx).after(Motion.about(middle, rotation[0], 0.4 * dy))
-        session.place("Move" if drag.kind == "move" else "Turn", drag.keys, motion, merge="drag")
+        session.place(_("Move") if drag.kind == "move" else _("Turn"), drag.keys, motion, merge="drag")
 
     # The overlay
 

@@ -12,6 +12,12 @@ from imgui_bundle import icons_fontawesome_6 as icon
 from imgui_bundle import imgui
 from PIL import Image
 
+from app import translation
+from tests.helpers.hard_use.pseudo import Pseudo, Watch
+
+if "pseudo" in sys.argv:
+    translation.install(Pseudo())  # before anything with words is imported
+
 from app.model.knife import PlaneAngles
 from app.session.keyboard_controller import ANGLE, STEP
 from app.session.recent_pictures import picture_of
@@ -185,11 +191,66 @@ def keyboard(driver: Driver, folder: Path) -> None:
     assert not driver.window.viewport.moving
 
 
+def pseudo(driver: Driver, folder: Path) -> None:
+    """Every part of the window in a language with long words: none is bare, and all have room."""
+    session, window, shots, watch = driver.session, driver.window, folder / "shots", Watch()
+
+    def look(name: str) -> None:
+        driver.frames(4)
+        driver.picture(shots / f"pseudo_{name}.png")
+
+    Image.new("RGB", (64, 64), (200, 40, 40)).save(folder / "cut.png")
+    session.add_pictures("horizontal", (folder / "cut.png",))
+    session.add_pictures("radial", (folder / "cut.png",))
+    driver.until(lambda: not session.faces.busy, 30, "the face")
+    session.add_plane()
+    window.interior.open = "horizontal"
+    driver.still()
+    look("1_plane")
+    session.keyboard.enter(window.viewport.camera())
+    session.select_tool("plane")
+    session.active_cut = session.document.cuts[0].id
+    session.keyboard.enter(window.viewport.camera())
+    session.selection = frozenset([session.pieces[0].key])
+    session.viewing = replace(session.viewing, slices=True, timeline=True)
+    driver.still()
+    look("2_slices")
+    session.viewing = replace(session.viewing, slices=False, timeline=False)
+    session.select_tool("isolate")
+    look("3_isolate")
+    session.select_tool("select")
+    session.faces.edit("horizontal", folder / "cut.png")
+    look("4_face")
+    session.faces.close()
+    for kind in ("picture", "section", "pieces", "meshes"):
+        window.export.open(kind)
+        look(f"5_{kind}")
+        driver.press(Key.escape)
+    window.menus.slices.open()
+    look("6_even")
+    driver.press(Key.escape)
+    window.menus.shortcuts_shown = True
+    look("7_shortcuts")
+    window.menus.shortcuts_shown = False
+    driver.press(Key.f10)
+    for _ in range(6):
+        driver.press(Key.right_arrow)
+        driver.frames(2)
+    look("8_menu")
+    driver.press(Key.escape)
+    session.history.saved = session.history.state
+    session.files.close_scene()
+    look("9_empty")
+    assert not watch.bare, watch.bare
+    assert not watch.cramped, watch.cramped
+
+
 def main() -> None:
     """Runs one of them."""
     name, folder = sys.argv[1], Path(sys.argv[2])
-    scripts = {"recent": recent, "options": options, "keyboard": keyboard}
-    at_once(folder, lambda driver: scripts[name](driver, folder), (860, 560))
+    scripts = {"recent": recent, "options": options, "keyboard": keyboard, "pseudo": pseudo}
+    size = (1440, 900) if name == "pseudo" else (860, 560)
+    at_once(folder, lambda driver: scripts[name](driver, folder), size)
     print("well")
 
 
