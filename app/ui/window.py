@@ -201,7 +201,7 @@ class Window:
             or self.painter.unfinished
         )
         self.params.fps_idling.enable_idling = not busy
-        if not busy and session.faces.open_face is None:
+        if not (self.viewport.moving or self.painter.unfinished) and session.faces.open_face is None:
             self.recent.keep()
         glfw.set_window_title(self.window, f"{session.title} - FruitNinja" if session.document.scene else "FruitNinja")
         if (glfw.window_should_close(self.window) or self.params.app_shall_exit) and not session.closing:

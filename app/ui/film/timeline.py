@@ -67,8 +67,10 @@ class TimelinePanel:
         imgui.end_child()
         imgui.pop_style_var(2)
         idle = not imgui.is_any_item_active() and not imgui.is_popup_open("", imgui.PopupFlags_.any_popup)
-        if self.session.film.shown and idle and imgui.is_key_pressed(imgui.Key.escape):
-            self.session.film.leave()
+        if self.session.film.shown and idle:
+            imgui.internal.set_key_owner(imgui.Key.escape, imgui.get_id("timeline"))  # leads to no other control
+            if imgui.is_key_pressed(imgui.Key.escape):
+                self.session.film.leave()
 
     # The buttons
 

@@ -66,14 +66,16 @@ class RecentFiles:
         columns = max(1, min(COLUMNS, int((size[0] - 2 * margin + gap) / (width + gap)), len(names)))
         rows = -(-len(names) // columns)
         card = width * SIZE[1] / SIZE[0] + px(52)
-        top, head = px(16), px(136) + (px(40) if names else 0)
-        height = min(size[1] - top, head + rows * (card + gap) + px(8))
+        top, room = px(16), size[1] - px(32)
+        height = min(room, px(150) + (px(40) + rows * (card + gap) if names else 0))
         full = max(columns * (width + gap) - gap, min(px(300), size[0] - 2 * margin))
         left = origin.x + (size[0] - full) / 2
-        imgui.set_cursor_screen_pos(ImVec2(left - px(8), origin.y + top + max(0.0, (size[1] - top - height) * 0.4)))
+        imgui.set_cursor_screen_pos(ImVec2(left - px(8), origin.y + top + 0.4 * (room - height)))
         padded = imgui.ChildFlags_.always_use_window_padding | imgui.ChildFlags_.nav_flattened
+        padded |= imgui.ChildFlags_.auto_resize_y
+        imgui.set_next_window_size_constraints(ImVec2(0, 0), ImVec2(size[0], room))
         imgui.push_style_var(imgui.StyleVar_.window_padding, ImVec2(px(8), px(4)))
-        imgui.begin_child("##empty", ImVec2(full + px(16) + imgui.get_style().scrollbar_size, height), padded)
+        imgui.begin_child("##empty", ImVec2(full + px(16) + imgui.get_style().scrollbar_size, 0), padded)
         self._first(full, open_, sample)
         if names:
             imgui.dummy(ImVec2(0, px(10)))

@@ -20,7 +20,7 @@ from app.session.session import Session
 from app.translation import _
 from app.ui.keyboard import press_in_viewport
 from app.ui.panels.view_options import ViewOptions
-from app.ui.theme import palette, px, rgb, u32
+from app.ui.theme import palette, px, rgb, rgba, u32
 from app.ui.view.animation import CameraAnimation, PieceAnimation
 from app.ui.view.annotations import marker_outline
 from app.ui.view.axis_cube import axis_cube
@@ -33,6 +33,7 @@ from app.ui.view.point_picker import PointPicker
 from app.ui.view.selection import selection_frames
 from app.ui.view.slices import slice_colours
 from app.ui.view.stroke import cut_lines, draw_stroke
+from app.ui.widgets import colours
 from engine.render.gl.overlay import Lines, Sheet
 from engine.scene.camera import Camera
 from engine.scene.piece import Piece
@@ -192,11 +193,14 @@ class Viewport:
             hovered = active = self.focused = False
         else:
             imgui.set_next_item_allow_overlap()
-            imgui.invisible_button("##canvas", size, ANY_BUTTON | imgui.ButtonFlags_.enable_nav)
+            with colours(nav_cursor=rgba(palette().text, 0)):  # its own ring would lie outside
+                imgui.invisible_button("##canvas", size, ANY_BUTTON | imgui.ButtonFlags_.enable_nav)
             flags = imgui.HoveredFlags_.no_nav_override
             hovered, active = imgui.is_item_hovered(flags), imgui.is_item_active()
             self.focused = imgui.is_item_focused()
             if self.focused:
+                if imgui.get_io().nav_visible:
+                    draw.add_rect(self.origin, corner, u32(palette().text), px(3), px(4))  # half of it is clipped
                 press_in_viewport(session, camera, self.size, self.point_picker.cut_id is not None)
         selection_frames(session, camera, pieces, self.origin)
         if session.settings.names and session.mode != "capture" and not session.previewing:
