@@ -193,11 +193,13 @@ class InteriorPanel:
             if imgui.invisible_button("picture", ImVec2(side, side), imgui.ButtonFlags_.enable_nav):
                 session.faces.edit(family.kind, path)
             hovered = imgui.is_item_hovered(imgui.HoveredFlags_.allow_when_overlapped_by_item)
+            deleted = imgui.is_item_focused() and imgui.is_key_pressed(imgui.Key.delete)
             self._picture_state(path, at, side)
             self._move_menu(family, path)
             imgui.set_cursor_screen_pos(ImVec2(at.x + side - px(18), at.y + px(2)))
             pressed = hovered and imgui.small_button(f"{icon.ICON_FA_XMARK}")
-            imgui.set_cursor_screen_pos(ImVec2(at.x, at.y + side))
+            pressed = pressed or deleted
+            imgui.set_cursor_screen_pos(at)  # not at the end, which may be a part of a pixel outside of the group
             imgui.end_group()
             imgui.pop_id()
             if pressed:

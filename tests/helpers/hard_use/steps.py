@@ -21,6 +21,7 @@ if "pseudo" in sys.argv:
 from app.model.knife import PlaneAngles
 from app.session.keyboard_controller import ANGLE, STEP
 from app.session.recent_pictures import picture_of
+from app.ui.theme import px
 from engine.render.culling.draw_options import SplatLook
 from tests.helpers.app_driver import Driver
 from tests.helpers.app_steps import at_once, ground
@@ -89,6 +90,15 @@ def options(driver: Driver, folder: Path) -> None:
     right = named[:, int(0.8 * named.shape[1]) :].astype(int)
     assert (right[100:-100].min(2) > 200).sum() > 40  # the name stands beside the melon
     assert whole() == plain
+
+    # The smallest interface, whose distances are parts of pixels, with a family open.
+    window.menus._resize(-1)
+    window.interior.open = "horizontal"
+    driver.frames(4)
+    assert px(46) == 34.5 and not session.error
+    window.interior.open = None
+    window.menus._resize(1)
+    driver.frames(4)
 
     driver.click(f"//Object/{icon.ICON_FA_SLIDERS}##options")
     driver.frames(3)
