@@ -18,7 +18,7 @@ OTHERS := watermelon_others,orange_others,apple_others,pomegranate_others
 # All methods but those that draw label by label, which take minutes a scene: the three samples have these too.
 METHODS := ours,physgaussian,inpainting,no_clipping,no_opacity,no_smoothing,no_refinement,uniform,oracle
 
-.PHONY: demo test bench screenshots clean
+.PHONY: demo test bench screenshots words clean
 
 demo: $(READY)
 	@tools/ensure_gl.sh
@@ -35,6 +35,11 @@ test: $(READY)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	@$(BIN)/mypy & $(BIN)/python -m pytest -n 2 --dist worksteal; tests=$$?; wait $$! && exit $$tests
+
+# The template that translations begin with; docs: CONTRIBUTING.md.
+words: $(READY)
+	$(BIN)/pybabel extract --no-wrap --sort-by-file --add-location=file --project FruitNinja \
+	    --copyright-holder "the FruitNinja authors" -o app/locale/fruitninja.pot app
 
 bench: $(READY)
 	@tools/ensure_gl.sh

@@ -38,7 +38,7 @@ def main() -> None:
         running = [job for job in recovered_jobs(session) if not job.ended]
         if path is not None:
             session.files.open(path)
-        else:
+        elif running or not session.settings.recent:
             document = running[0].document if running else sample_document()
             session.files.open_document(document, Viewing(mode="capture"))
 

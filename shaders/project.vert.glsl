@@ -16,6 +16,9 @@ uniform float enlarge;     // 1, or more for a coarser level of detail
 uniform int plane_count;
 uniform vec4 planes[MAX_PLANES]; // camera space; what lies beyond one is not drawn
 #endif
+#ifdef CLASSIC
+uniform float strength;    // factor of the opacity
+#endif
 
 out vec4 record_centre; // pixel x, y, depth, weight (opaque) or opacity (classic)
 out vec4 record_conic;  // q = a dx^2 + 2 b dx dy + c dy^2, then the edge's sharpness
@@ -60,7 +63,7 @@ void main() {
     float largest = middle + length(vec2(0.5 * (xx - yy), xy));
     float least = det / largest;
 #ifdef CLASSIC
-    float reach = sqrt(max(0.0, 2.0 * log(ALPHA_STEPS * opacity)) * largest);
+    float reach = sqrt(max(0.0, 2.0 * log(ALPHA_STEPS * strength * opacity)) * largest);
     if (!(reach > 0.0)) return;
 #else
     float reach = sqrt(CUTOFF_Q * largest);
@@ -74,7 +77,7 @@ void main() {
                   record_conic.y * covariance.x + record_conic.z * covariance.y);
     float angle = abs(xy) + abs(xx - yy) > 0.0 ? 0.5 * atan(2.0 * xy, xx - yy) : 0.0;
 #ifdef CLASSIC
-    record_centre = vec4(centre, c.z, opacity);
+    record_centre = vec4(centre, c.z, strength * opacity);
 #else
     record_centre = vec4(centre, c.z, sqrt(det0 / det));
 #endif

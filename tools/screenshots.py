@@ -1,4 +1,4 @@
-"""The six pictures of the README, from the real window: `make screenshots`.
+"""The six pictures of the README, and one of the view's options, from the real window: `make screenshots`.
 
 Runs the app under a virtual X server where there is no display, opens the watermelon, shows its families, trains it,
 cuts it, and saves what the window shows into docs/pictures/. A finished training result in out/screenshots is used
@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
+from imgui_bundle import icons_fontawesome_6 as icon
 from imgui_bundle import imgui
 
 from app.model.document import Part, Training
@@ -40,7 +41,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument("--detail", default="standard", choices=("draft", "standard", "high"))
     parser.add_argument("--fresh", action="store_true", help="train again even if there is a result")
-    parser.add_argument("--only", default="123456", help="numbers of the pictures to take: 145")
+    parser.add_argument("--only", default="1234567", help="numbers of the pictures to take: 145")
     parser.add_argument("--theme", default="dark", choices=("dark", "light"))
     options = parser.parse_args()
     if not os.environ.get("DISPLAY") and sys.platform.startswith("linux"):
@@ -100,6 +101,14 @@ def take(detail: DetailName, theme: Literal["dark", "light"], only: str) -> None
         shot("5_families")
         view.show_families, window.interior.open = frozenset(), None
 
+        # The view's options, with the body as lines.
+        session.change_settings(replace(session.settings, wires=True))
+        driver.click(f"//Object/{icon.ICON_FA_SLIDERS}##options")
+        driver.frames(3)
+        shot("7_options")
+        driver.press(Key.escape)
+        session.change_settings(replace(session.settings, wires=False))
+
         # A picture, before anything is trained.
         radial = session.document.family("radial")
         if "6" in only and radial is not None:
@@ -110,6 +119,9 @@ def take(detail: DetailName, theme: Literal["dark", "light"], only: str) -> None
             shot("6_picture")
             session.faces.close()
             window.interior.open = None
+
+        if not set(only) & set("234"):
+            return
 
         # Training, seen through an opened object.
         if kept.exists():

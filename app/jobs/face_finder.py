@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from app.translation import _
 from engine.errors import InputError
 from engine.io.files import open_file
 from engine.scene.image import to_8bit
@@ -47,7 +48,7 @@ class FoundFace:
     @property
     def verdict(self) -> str:
         """The problem in a few words."""
-        return "no cut face was found" if self.rgb.size else self.problem
+        return _("no cut face was found") if self.rgb.size else self.problem
 
     @property
     def size(self) -> tuple[int, int]:
@@ -70,7 +71,7 @@ def find_face_in(path: Path) -> FoundFace:
         mask = face.mask
         outline = mask_polygon(mask)
         if outline is None:
-            return FoundFace(rgb, problem="its mask is empty")
+            return FoundFace(rgb, problem=_("its mask is empty"))
         beside = axis_beside(path)
         given = UNMARKED if beside is None else read_axis_file(beside)
         core, line = axis_of(colours, mask, "horizontal").core, axis_of(colours, mask, "radial").line

@@ -12,6 +12,7 @@ from PIL import Image
 
 from app.model.outline import body_of_atoms
 from app.model.rigid_transform import Vec3
+from app.translation import _
 from engine.errors import InputError
 from engine.scene.atoms import Atoms
 from engine.scene.grid import Body
@@ -105,7 +106,7 @@ class PlacementPreview:
         mask = polygon_mask(marks.outline, *rgb.shape[:2])
         kind = wanted.family.kind
         if not mask.any():
-            return Placed(marks, problem="the outline encloses nothing")
+            return Placed(marks, problem=_("the outline encloses nothing"))
         plane = None if wanted.atoms is None else self._plane_of(wanted, wanted.atoms)
         if plane is not None:
             kind = plane.kind

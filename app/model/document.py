@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Literal, get_args
 
 from app.model.rigid_transform import STILL, Motion, Vec3
+from app.translation import _
 from engine.io.fields import LARGEST_INTEGER
 from engine.isolate.selection import Isolation, Selection
 from engine.scene.plane import Plane
@@ -162,7 +163,7 @@ class Document:
     @property
     def title(self) -> str:
         """What the window calls the object."""
-        return self.name or f"Object {self.number}"
+        return self.name or _("Object {number}").format(number=self.number)
 
     # cuts
 
@@ -187,7 +188,7 @@ class Document:
         numbers = [re.fullmatch(re.escape(stem) + r" ([0-9]{1,9})", cut.name) for cut in self.cuts]
         return f"{stem} {max((int(match[1]) for match in numbers if match), default=0) + 1}"
 
-    def with_cut(self, parts: tuple[Part, ...], stem: str = "Knife", kind: CutKind = "slice") -> Document:
+    def with_cut(self, parts: tuple[Part, ...], stem: str = _("Knife"), kind: CutKind = "slice") -> Document:
         """With another cut, after all others."""
         return replace(self, cuts=(*self.cuts, Cut(self.next_id, self.next_name(stem), parts, kind)))
 

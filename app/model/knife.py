@@ -14,6 +14,7 @@ from app.model.camera_control import project_points, ray
 from app.model.document import Document, Key, Part
 from app.model.pieces import PlacedPiece, Solid, visible_pieces
 from app.model.rigid_transform import Vec3
+from app.translation import _, ngettext
 from engine.scene.camera import Camera, equator
 from engine.scene.plane import Plane
 
@@ -126,7 +127,7 @@ def blade_of(camera: Camera, stroke: Stroke, up: Vec3, centre: NDArray[np.floati
     length = float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum())
     if len(line) < 3 or length < SHORTEST:
         plane = plane_of(camera, Stroke(stroke.start, stroke.end, stroke.snap), up, centre)
-        return "That was too short to cut. Drag across the object." if plane is None else (Facet(plane, stroke),)
+        return _("That was too short to cut. Drag across the object.") if plane is None else (Facet(plane, stroke),)
     bounds: list[tuple[Plane | None, Plane | None]]
     if np.linalg.norm(line[-1] - line[0]) < CLOSING * length:
         line = line[:-1] if len(line) > 3 else line
@@ -134,14 +135,14 @@ def blade_of(camera: Camera, stroke: Stroke, up: Vec3, centre: NDArray[np.floati
         starts, ends, areas = line, np.roll(line, -1, axis=0), _areas(line)
         middle = ((starts + ends) * areas[:, None]).sum(0) / (3 * areas.sum())
         if (_areas(line - middle) <= 0).any():
-            return "Part of that shape hides behind another, seen from its middle. Draw a rounder one."
+            return _("Part of that shape hides behind another, seen from its middle. Draw a rounder one.")
         spokes = [_plane_between(camera, _pixel(middle), _pixel(corner)) for corner in line]
         bounds = [(one, other and other.flipped()) for one, other in pairwise([*spokes, spokes[0]])]
     else:
         starts, ends = line[:-1], line[1:]
         along = (line[-1] - line[0]) / np.linalg.norm(line[-1] - line[0])
         if ((ends - starts) @ along <= 0).any():
-            return "The blade turned back. Draw it in one direction, or all around a shape to punch it out."
+            return _("The blade turned back. Draw it in one direction, or all around a shape to punch it out.")
         across = SHORTEST * np.array([-along[1], along[0]])  # on whose right is what comes before
         walls = [_plane_between(camera, _pixel(corner), _pixel(corner + across)) for corner in line[1:-1]]
         bounds = [(one and one.flipped(), other) for one, other in pairwise([None, *walls, None])]
@@ -245,11 +246,14 @@ def slice_object(
             back = piece.motion.inverse()
             parts += [Part(back.carried(f.plane), piece.key, tuple(map(back.carried, f.walls))) for f in blade]
     if not parts:
-        whose = "the selected piece" if chosen else "the object"
-        return Outcome(None, f"The knife missed {whose}. Drag across it from side to side.")
+        whose = _("the selected piece") if chosen else _("the object")
+        return Outcome(None, _("The knife missed {whose}. Drag across it from side to side.").format(whose=whose))
     cut = document.with_cut(tuple(parts))
     count = len({part.scope for part in parts})
-    return Outcome(cut, "Cut into two." if count == 1 and len(visible) == 1 else f"Cut {_pieces(count)}.")
+    return Outcome(
+        cut,
+        _("Cut into two.") if count == 1 and len(visible) == 1 else _("Cut {pieces}.").format(pieces=_pieces(count)),
+    )
 
 
 def _crossed(piece: PlacedPiece, solid: Solid, camera: Camera, blade: Sequence[Facet]) -> bool:
@@ -271,7 +275,7 @@ def _crossed(piece: PlacedPiece, solid: Solid, camera: Camera, blade: Sequence[F
 
 
 def _pieces(count: int) -> str:
-    return "one piece" if count == 1 else f"{count} pieces"
+    return ngettext("one piece", "{count} pieces", count).format(count=count)
 
 
 @dataclass(frozen=True)
@@ -331,5 +335,5 @@ def slice_evenly(
             if a.min() < height < a.max()
         ]
         if parts:
-            document = document.with_cut(tuple(parts), "Slice")
+            document = document.with_cut(tuple(parts), _("Slice"))
     return document

@@ -12,7 +12,7 @@ from engine.scene.atoms import Atoms
 from engine.scene.grid import Body, Grid
 from engine.scene.plane import Plane, frame
 
-__all__ = ["body_of_atoms", "body_of_shell", "contours"]
+__all__ = ["body_of_atoms", "body_of_shell", "clipped_lines", "contours", "wires"]
 
 Float = NDArray[np.float64]
 
@@ -25,6 +25,9 @@ BLUR = 0.8
 
 SHELL_CELLS = 48
 """As CELLS, for a capture, which has only a skin: coarser, so that gaps in it are at most four cells wide."""
+
+WIRES = 30
+"""Quadrangles along the longest side of the net of `wires`: few enough to look through."""
 
 # Marching squares: the segments for each pattern of corners inside the body (bits 1, 2, 4, 8 around a cell), from one
 # edge to another; edge i goes from corner i to the next. Diagonally opposite corners count as separate.
@@ -124,3 +127,72 @@ def _marched(values: Float) -> Float:
     first, second = EDGES[codes].transpose(1, 0, 2)
     rows = np.arange(len(cells))[:, None]
     return np.concatenate([crossings[rows, first], crossings[rows, second][second[:, 0] >= 0]])
+
+
+def wires(body: Body, outset: float = 0.0) -> Float:
+    """(S, 2, 3). Edges of an even net of quadrangles around a body, `outset` of its cells outside of the skin.
+
+    The dual net of a coarse grid (surface nets, Gibson 1998): a corner in each of its cells that the skin crosses,
+    moved onto the skin, and an edge through each side of a cell that the skin crosses.
+    """
+    low, high = body.bounds()
+    coarse = body.resampled(max(float((high - low).max()) / WIRES, body.grid.cell))
+    cell, shape = coarse.grid.cell, np.array(coarse.grid.shape)
+    inside = coarse.depth > 0
+    corner = [
+        inside[i : shape[0] - 1 + i, j : shape[1] - 1 + j, k : shape[2] - 1 + k] for i, j, k in np.ndindex(2, 2, 2)
+    ]
+    mixed = np.logical_or.reduce(corner) & ~np.logical_and.reduce(corner)
+    cells = np.argwhere(mixed)
+    if not len(cells):
+        return np.zeros((0, 2, 3))
+    points = coarse.grid.origin + (cells + 1.0) * cell  # a cell of the dual grid is between eight centres
+    step = 0.5 * body.grid.cell * np.eye(3)
+    for _ in range(3):
+        slope = (
+            np.stack([body.at(points + s) - body.at(points - s) for s in step], 1).astype(np.float64) / body.grid.cell
+        )
+        length = np.maximum(np.linalg.norm(slope, axis=1, keepdims=True), 0.3)
+        away = body.at(points).astype(np.float64)[:, None] + outset * body.grid.cell
+        points = points + np.clip(-away / length, -0.7 * cell, 0.7 * cell) * slope / length
+    number = np.full(mixed.shape, -1)
+    number[mixed] = np.arange(len(cells))
+    edges = []
+    for axis in range(3):
+        # The side that two neighbours along the axis share: the four centres around it.
+        others = [slice(None)] * 3
+        others[axis] = slice(1, -1)
+        layer = inside[tuple(others)]
+        first, second = (a for a in range(3) if a != axis)
+        around = [
+            np.take(
+                np.take(layer, range(i, layer.shape[first] - 1 + i), first),
+                range(j, layer.shape[second] - 1 + j),
+                second,
+            )
+            for i, j in np.ndindex(2, 2)
+        ]
+        crossed = np.logical_or.reduce(around) & ~np.logical_and.reduce(around)
+        here, there = (
+            np.take(number, range(crossed.shape[axis]), axis),
+            np.take(number, range(1, crossed.shape[axis] + 1), axis),
+        )
+        edges.append(np.stack([here[crossed], there[crossed]], 1))
+    return points[np.concatenate(edges)]
+
+
+def clipped_lines(ends: Float, within: Sequence[Sequence[Plane]]) -> Float:
+    """(S, 2, 3). The parts of lines (L, 2, 3) that are in any of the cells `within`, which half-spaces bound."""
+    found = [np.zeros((0, 2, 3))]
+    for cell in within:
+        first, last = np.zeros(len(ends)), np.ones(len(ends))
+        for plane in cell:
+            start, end = plane.distance(ends[:, 0]), plane.distance(ends[:, 1])
+            with np.errstate(divide="ignore", invalid="ignore"):
+                crossing = start / (start - end)
+            first = np.where(start > 0, np.where(end < 0, np.maximum(first, crossing), 2.0), first)
+            last = np.where((end > 0) & (start <= 0), np.minimum(last, crossing), last)
+        kept = first < last
+        run = ends[kept, 1] - ends[kept, 0]
+        found.append(np.stack([ends[kept, 0] + part[kept, None] * run for part in (first, last)], 1))
+    return np.concatenate(found)

@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 
 from app.model.document import WHOLE, Document, Key, Mark, Part
 from app.model.rigid_transform import Motion
+from app.translation import _
 from engine.scene.atoms import Atoms
 from engine.scene.piece import Piece
 from engine.scene.plane import Plane
@@ -181,7 +182,7 @@ def pieces(document: Document, solid: Solid) -> list[PlacedPiece]:
         centre = solid.points[rows].mean(0) if len(rows) else solid.centre
         outwards = document.explode * (centre - solid.centre) if fragment.key else np.zeros(3)
         apart = Motion.by(offset + outwards)
-        name = placement.name or (f"Piece {number}" if fragment.key else "Whole")
+        name = placement.name or (_("Piece {number}").format(number=number) if fragment.key else _("Whole"))
         motion = placement.motion.after(apart)
         cells = tuple(cell for cell, _ in fragment.cells)
         result.append(
@@ -246,7 +247,7 @@ def _parted(fragments: Sequence[_Fragment], directions: Mapping[Key, NDArray[np.
     count = len(fragments)
     sides: dict[Key, tuple[list[int], list[int]]] = {}
     for number, fragment in enumerate(fragments):
-        for depth, (_, side) in enumerate(fragment.key):
+        for depth, (__, side) in enumerate(fragment.key):
             sides.setdefault(fragment.key[:depth], ([], []))[side > 0].append(number)
     normals = np.zeros((count, count, 3))  # towards the row's piece from the column's
     offsets = np.zeros((count, 3))
@@ -255,7 +256,7 @@ def _parted(fragments: Sequence[_Fragment], directions: Mapping[Key, NDArray[np.
         normals[np.ix_(high, low)], normals[np.ix_(low, high)] = normal, -normal
         offsets[low] -= normal / 2
         offsets[high] += normal / 2
-    for _ in range(MOST_STEPS):
+    for __ in range(MOST_STEPS):
         along = np.matmul(normals, offsets[:, :, None])[:, :, 0]
         missing = 1.0 - (along + along.T)
         np.fill_diagonal(missing, 0.0)

@@ -30,13 +30,14 @@ from engine.io.fields import Fields
 from engine.io.files import read_file, write_json
 from engine.io.strict_json import parse
 from engine.isolate.record import isolation_record, read_isolation, read_selection, selection_record
+from engine.render.culling.draw_options import SplatLook
 from engine.scene.plane import Plane
 from training.request import MOST_ITERATIONS, PriorName, family_record, read_family, read_plane
 from training.settings import DetailName
 
 __all__ = ["FORMAT", "SUFFIX", "Outside", "Project", "ViewMode", "Viewing", "Work", "load_project", "save_project"]
 
-FORMAT = 7
+FORMAT = 8
 """Version of the file. Later ones are refused, so it grows with every change of meaning."""
 
 SINGLE_FORMAT = 2
@@ -52,6 +53,9 @@ SUFFIX = ".fruitninja"
 
 LIMIT = 1 << 24
 """Bytes of the largest project that is read; a real one has a few KB."""
+
+SPLAT_SIZES = (0.05, 2.0)
+"""Least and greatest factor of the size of splats: smaller ones are single pixels, larger ones hide one another."""
 
 ViewMode = str
 VIEW_MODES = ("capture", "solid", "interior")
@@ -85,6 +89,8 @@ class Viewing:
     """Whether the film's timeline is shown below the object."""
     film: FilmLook = field(default_factory=FilmLook)
     """How the film is saved."""
+    splats: SplatLook = field(default_factory=SplatLook)
+    """Sizes and opacities that splats are looked at with; films have them as they are."""
 
 
 @dataclass(frozen=True)
@@ -152,6 +158,7 @@ def _record(project: Project, folder: Path) -> dict[str, Any]:
             "unit": {"name": view.unit.name, "length": view.unit.length},
             "timeline": view.timeline,
             "film_look": look_record(view.film),
+            "splats": {"size": view.splats.size, "opacity": view.splats.opacity},
         },
         "film": timeline_record(project.film),
     }
@@ -346,12 +353,14 @@ class _Reader(Fields):
             colour = (r, g, b)
         eye = read_eye(self, fields)
         older = {"slices": False, "cross": None, "unit": {"name": "units", "length": 1.0}, "timeline": False}
-        fields = older | {"film_look": look_record(FilmLook())} | fields
+        older |= {"film_look": look_record(FilmLook()), "splats": {"size": 1.0, "opacity": 1.0}}
+        fields = older | fields
         cross, unit = fields["cross"], self.table(fields["unit"], "'unit'")
         if cross is not None:
             x, y, z = self.numbers(cross, 3, "'cross'")
             cross = (x, y, z)
         length = self.number(unit, "length", *LENGTHS)
+        splats = self.table(fields["splats"], "'splats'")
         return Viewing(
             eye,
             self.choice(fields, "mode", VIEW_MODES),
@@ -361,6 +370,7 @@ class _Reader(Fields):
             Unit(self.choice(unit, "name", UNITS), length),
             self.flag(fields, "timeline"),
             read_look(self, fields["film_look"]),
+            SplatLook(self.number(splats, "size", *SPLAT_SIZES), self.number(splats, "opacity", 0, 1)),
         )
 
     # values

@@ -15,7 +15,7 @@ from app.model.project import LIMIT
 from engine.errors import InputError
 from engine.io.files import read_file, write_json
 
-__all__ = ["Settings", "load_settings", "save_settings", "settings_folder", "state_folder"]
+__all__ = ["Settings", "cache_folder", "load_settings", "save_settings", "settings_folder", "state_folder"]
 
 RECENT = 10
 """ProjectFiles that the menu lists."""
@@ -41,6 +41,8 @@ class Settings:
     """Whether names and marks of pieces are written on them."""
     statistics: bool = False
     """Whether the viewport tells how much it shows and how long a frame takes."""
+    wires: bool = False
+    """Whether the body is drawn as a net of lines over the object."""
     scale: float = 1.0
     """Size of the interface, in its usual one. Range [0.75, 2]."""
     window: tuple[int, int] = (1440, 900)
@@ -52,6 +54,10 @@ class Settings:
         """With a file as the most recent one."""
         name = str(path.resolve())
         return replace(self, recent=(name, *(other for other in self.recent if other != name))[:RECENT])
+
+    def without_recent(self, name: str) -> Settings:
+        """Without a file among the recent ones, by its path as listed."""
+        return replace(self, recent=tuple(other for other in self.recent if other != name))
 
     def with_job(self, out: Path) -> Settings:
         """With a result folder whose job may still run."""
@@ -88,6 +94,11 @@ def state_folder() -> Path:
     return _folder("XDG_STATE_HOME", ".local/state", "Application Support")
 
 
+def cache_folder() -> Path:
+    """The platform's folder for what can be made again."""
+    return _folder("XDG_CACHE_HOME", ".cache", "Caches")
+
+
 def _folder(variable: str, fallback: str, mac: str) -> Path:
     if home := os.environ.get("FRUITNINJA_HOME"):
         return Path(home)
@@ -100,7 +111,7 @@ def _folder(variable: str, fallback: str, mac: str) -> Path:
     return base / "fruitninja"
 
 
-FLAGS = ("face_light", "motion", "names", "statistics", "seen_hint")
+FLAGS = ("face_light", "motion", "names", "statistics", "wires", "seen_hint")
 
 SMALLEST, GREATEST = 0.75, 2.0
 """Sizes of the interface, in its usual one: smaller is not readable, larger leaves no room for the object."""

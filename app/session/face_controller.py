@@ -16,6 +16,7 @@ from app.model.faces.words import describe_guess
 from app.model.history import History
 from app.model.project import Work
 from app.session.workspace import Workspace
+from app.translation import _, ngettext
 from training.faces.marks import UNMARKED, Marks, Place
 from training.families import Family, Kind
 
@@ -80,28 +81,28 @@ class OpenFace:
     def set_kind(self, kind: Kind) -> None:
         """Moves the picture to another family."""
         document = self.workspace.document.moved_exemplar(self.path, self.kind, kind)
-        if self.workspace.change("Kind of cut", document):
+        if self.workspace.change(_("Kind of cut"), document):
             self.kind = kind
 
     def find_again(self) -> None:
         """Drops what the user has said: the face as it was found."""
-        self._set("Find face again", UNMARKED)
+        self._set(_("Find face again"), UNMARKED)
 
     def drag_point(self, before: Outline, index: int, to: Place, soft: bool) -> None:
         """Moves a point of the outline that was `before` when the drag began."""
         assert self.found is not None
-        self._set_outline("Outline", drag_point(before, index, to, self.found.aspect, soft), "face outline")
+        self._set_outline(_("Outline"), drag_point(before, index, to, self.found.aspect, soft), "face outline")
 
     def drag_core(self, to: Place) -> None:
         """Moves the core of a horizontal cut."""
-        self._set("Core", replace(self.given, core=_inside(to)), "face core")
+        self._set(_("Core"), replace(self.given, core=_inside(to)), "face core")
 
     def drag_end(self, index: int, to: Place) -> None:
         """Moves one end of a core line."""
         line, to = self.marks.line, _inside(to)
         if line is not None and to != line[1 - index]:
             line = (to, line[1]) if index == 0 else (line[0], to)
-            self._set("Core line", replace(self.given, line=line), "face axis")
+            self._set(_("Core line"), replace(self.given, line=line), "face axis")
 
     def paint(self, to: Place, radius: float, add: bool) -> None:
         """Goes on with a stroke of the brush, or begins one. `radius` in heights of the picture."""
@@ -111,7 +112,7 @@ class OpenFace:
         self._stroke.move(to)
         outline = self._stroke.outline
         if outline is not None:
-            self._set_outline("Add to face" if add else "Take from face", outline, "face brush")
+            self._set_outline(_("Add to face") if add else _("Take from face"), outline, "face brush")
 
     def settle(self) -> None:
         """Ends a drag or a stroke: the next is another step."""
@@ -209,10 +210,12 @@ class FaceController:
         found = [(*entry, face) for entry, face in zip(self._new, faces, strict=True) if face is not None]
         # One that the user should look at comes first.
         kind, path, face = max(found, key=lambda entry: _doubt(entry[0], entry[2]))
-        text = face.verdict if face.problem else (f"it {describe_guess(face.guess)}" if face.guess is not None else "")
+        guess = "" if face.guess is None else _("it {guess}").format(guess=describe_guess(face.guess))
+        text = face.verdict if face.problem else guess
         text = f"{text}; {face.note}" if face.note else text
-        more = f" {len(found) - 1} more were added." if len(found) > 1 else ""
-        self.hint, self._new = Hint(kind, path, f"{path.name}: {text}.{more}"), []
+        others = len(found) - 1
+        more = ngettext("{count} more was added.", "{count} more were added.", others).format(count=others)
+        self.hint, self._new = Hint(kind, path, f"{path.name}: {text}. {more if others else ''}".rstrip()), []
         self.workspace.notify(self.hint.text)
 
     def release(self) -> None:

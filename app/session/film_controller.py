@@ -27,6 +27,7 @@ from app.model.film.timeline import (
 )
 from app.model.rigid_transform import Vec3
 from app.session.workspace import Workspace
+from app.translation import _, ngettext
 from engine.errors import InputError
 from engine.scene.plane import Plane
 
@@ -37,6 +38,9 @@ STEP = 2.0
 
 SECONDS = 6.0
 """Of a film that is made at a click, as on the command line."""
+
+MADE = {"turntable": _("Turntable"), "sweep": _("Plane sweep"), "explode": _("Explosion")}
+"""Names of the steps that make a film."""
 
 
 class FilmController:
@@ -109,7 +113,13 @@ class FilmController:
         if job.error:
             self.workspace.show_error(job.error)
         else:
-            self.workspace.notify("Stopped." if job.cancelled else f"Saved {job.out.name}, {job.frames} frames.")
+            self.workspace.notify(
+                _("Stopped.")
+                if job.cancelled
+                else ngettext("Saved {name}, {count} frame.", "Saved {name}, {count} frames.", job.frames).format(
+                    name=job.out.name, count=job.frames
+                )
+            )
 
     # Edits
 
@@ -121,35 +131,37 @@ class FilmController:
         elif film.at(self.time) is not None:
             self.time = film.seconds + STEP
         new = film.with_moment(self._now(self.time))
-        self._change("Add keyframe", new)
+        self._change(_("Add keyframe"), new)
         self.selected = new.at(self.time)
         count = len(new.moments)
         self.workspace.notify(
-            "Kept. Change the view or the planes, then add the next keyframe." if count == 1 else f"{count} keyframes."
+            _("Kept. Change the view or the planes, then add the next keyframe.")
+            if count == 1
+            else ngettext("{count} keyframe.", "{count} keyframes.", count).format(count=count)
         )
 
     def update(self) -> None:
         """Replaces the selected moment by what is shown."""
         film, index = self.workspace.timeline, self._chosen()
         if index is not None:
-            self._change("Change keyframe", film.with_moment(self._now(film.moments[index].time)))
+            self._change(_("Change keyframe"), film.with_moment(self._now(film.moments[index].time)))
 
     def remove(self) -> None:
         """Removes the selected moment."""
         index = self._chosen()
         if index is not None:
-            self._change("Remove keyframe", self.workspace.timeline.without(index))
+            self._change(_("Remove keyframe"), self.workspace.timeline.without(index))
             self.selected = None
 
     def clear(self) -> None:
         """Removes all of them."""
         self.leave()
-        self._change("Remove the film", Timeline())
+        self._change(_("Remove the film"), Timeline())
         self.time, self.selected = 0.0, None
 
     def move(self, index: int, to: float) -> None:
         """Moves a moment to another time; one drag is one step."""
-        self._change("Move keyframe", self.workspace.timeline.moved(index, to), merge=f"keyframe {index}")
+        self._change(_("Move keyframe"), self.workspace.timeline.moved(index, to), merge=f"keyframe {index}")
 
     def preset(self, name: str) -> None:
         """Makes a film in place of this one, from what is shown: 'turntable', 'sweep' or 'explode'."""
@@ -161,7 +173,7 @@ class FilmController:
         else:
             cut_id, plane = self._swept()
             made = sweeping(now, SECONDS, workspace.document.number, cut_id, plane, workspace.solid)
-        self._change(name.title(), made)
+        self._change(MADE[name], made)
         self.selected = None
         self.seek(0.0)
         self.play()
@@ -214,7 +226,7 @@ class FilmController:
     def play(self) -> None:
         """Plays the film, from its beginning if it is at its end."""
         if not self.ready:
-            self.workspace.notify("A film needs two keyframes: add one, change the view, add another.")
+            self.workspace.notify(_("A film needs two keyframes: add one, change the view, add another."))
             return
         if self.time >= self.workspace.timeline.seconds - 1e-6:
             self.time = 0.0

@@ -17,6 +17,7 @@ from app.model.document import Document
 from app.model.marking import Marker, Point, shape_of
 from app.model.rigid_transform import Vec3
 from app.session.workspace import Workspace
+from app.translation import _
 from engine.isolate.floor import find_floor
 from engine.isolate.selection import INVERT, MOST_STEPS, Below, Box, Detected, Isolation, Selection, Step, split_bodies
 from engine.scene.camera import Camera
@@ -28,7 +29,7 @@ __all__ = ["How", "IsolationController", "Proposal"]
 How = Literal["replace", "add", "subtract"]
 """What a new shape does with what is marked already."""
 
-REMOVED = "Left out, not lost: undo brings it back. The rest is being made solid."
+REMOVED = _("Left out, not lost: undo brings it back. The rest is being made solid.")
 
 
 @dataclass(frozen=True)
@@ -122,7 +123,7 @@ class IsolationController:
         """Puts another box in the place of the one that was marked last."""
         steps = self.workspace.document.marked
         changed = (*steps[:-1], replace(steps[-1], shape=box))
-        self.workspace.change("Change the box", replace(self.workspace.document, marked=changed), merge="box")
+        self.workspace.change(_("Change the box"), replace(self.workspace.document, marked=changed), merge="box")
 
     def mark(self, camera: Camera, path: Sequence[Point], how: How) -> None:
         """Marks what a drag along `path`, pixels of the camera's picture, describes."""
@@ -133,35 +134,38 @@ class IsolationController:
         depth = float((np.asarray(eye.target) - camera.position) @ camera.forward)
         shape = shape_of(self.marker, camera, path, view.left, max(depth, 1e-6))
         if shape is None:
-            self.workspace.notify("Drag over the part that you mean.")
+            self.workspace.notify(_("Drag over the part that you mean."))
             return
         step = Step("subtract" if how == "subtract" else "add", shape)
         before = () if how == "replace" else self.workspace.document.marked
         if how == "subtract" and not before:
-            self.workspace.notify("Nothing is selected yet that could be taken away.")
+            self.workspace.notify(_("Nothing is selected yet that could be taken away."))
             return
-        self._mark({"replace": "Select", "add": "Select more", "subtract": "Select less"}[how], (*before, step))
+        self._mark(
+            {"replace": _("Select"), "add": _("Select more"), "subtract": _("Select less")}[how],
+            (*before, step),
+        )
 
     def propose(self, proposal: Proposal) -> None:
         """Marks what a proposal would remove."""
-        self._mark(f"Select {proposal.name.lower()}", proposal.selection)
+        self._mark(_("Select {name}").format(name=proposal.name.lower()), proposal.selection)
 
     def invert(self) -> None:
         """Marks everything that is not marked, and nothing else."""
-        self._mark("Invert selection", (*self.workspace.document.marked, INVERT))
+        self._mark(_("Invert selection"), (*self.workspace.document.marked, INVERT))
 
     def grow(self) -> None:
         """Marks what touches the marked parts."""
         if self.workspace.document.marked:
-            self._mark("Grow selection", (*self.workspace.document.marked, Step("grow")))
+            self._mark(_("Grow selection"), (*self.workspace.document.marked, Step("grow")))
 
     def clear(self) -> None:
         """Marks nothing."""
-        self._mark("Select nothing", ())
+        self._mark(_("Select nothing"), ())
 
     def _mark(self, name: str, steps: Selection) -> None:
         if len(steps) > MOST_STEPS:
-            self.workspace.notify("This selection has too many steps. Keep or remove it, or clear it.")
+            self.workspace.notify(_("This selection has too many steps. Keep or remove it, or clear it."))
             return
         self.workspace.change(name, replace(self.workspace.document, marked=steps))
 
@@ -169,24 +173,24 @@ class IsolationController:
 
     def keep_marked(self) -> None:
         """Removes everything but what is marked."""
-        self._isolate("Keep only this", (*self.workspace.document.marked, INVERT))
+        self._isolate(_("Keep only this"), (*self.workspace.document.marked, INVERT))
 
     def remove_marked(self) -> None:
         """Removes what is marked."""
-        self._isolate("Remove", self.workspace.document.marked)
+        self._isolate(_("Remove"), self.workspace.document.marked)
 
     def remove_proposal(self, proposal: Proposal) -> None:
         """Removes what was proposed, whatever is marked."""
         document = self.workspace.document
         changed = replace(document, isolation=(*document.isolation, proposal.selection), marked=())
-        self.workspace.change(f"Remove {proposal.name.lower()}", changed)
+        self.workspace.change(_("Remove {name}").format(name=proposal.name.lower()), changed)
         self.workspace.notify(REMOVED)
 
     def restore(self) -> None:
         """Brings back all of the capture, as one object with the cuts and settings of the active one."""
         document = self.workspace.document
         whole = replace(document, isolation=(), marked=(), number=0, name="", visible=True)
-        self.workspace.change_all("Bring everything back", (whole,))
+        self.workspace.change_all(_("Bring everything back"), (whole,))
 
     def _isolate(self, name: str, selection: Selection) -> None:
         workspace, document = self.workspace, self.workspace.document
@@ -198,13 +202,13 @@ class IsolationController:
         """Whether some of what is left is marked, but not all of it; says why if not."""
         workspace, view = self.workspace, self.view
         if view is None:
-            workspace.notify("One moment: what is selected is still being found.")
+            workspace.notify(_("One moment: what is selected is still being found."))
         elif not view.marked.any():
-            workspace.notify("Nothing is selected. Drag over the part that you mean.")
+            workspace.notify(_("Nothing is selected. Drag over the part that you mean."))
         elif view.marked.all():
-            workspace.notify("Everything is selected. Select a part of it.")
+            workspace.notify(_("Everything is selected. Select a part of it."))
         elif len(document.isolation) >= MOST_STEPS:
-            workspace.notify("Too much was removed step by step. Bring everything back and keep the object alone.")
+            workspace.notify(_("Too much was removed step by step. Bring everything back and keep the object alone."))
         else:
             return True
         return False
@@ -219,7 +223,7 @@ class IsolationController:
         """Makes what is marked an object of its own."""
         document = self.workspace.document
         if self._can_isolate(document):
-            self._split("Split off", document, (document.marked, (*document.marked, INVERT)))
+            self._split(_("Split off"), document, (document.marked, (*document.marked, INVERT)))
 
     def _split(self, name: str, document: Document, removed: tuple[Selection, ...]) -> None:
         """Puts objects in the place of one: each without one of the selections, with the settings of that one."""
@@ -268,13 +272,17 @@ class IsolationController:
         asked_for, self._asked = self._asked, False
         if len(selections) < 2 or not same or shown is None or shown.capture is not capture:
             if asked_for:
-                workspace.notify("This is one object: no part of it stands apart and has an inside of its own.")
+                workspace.notify(_("This is one object: no part of it stands apart and has an inside of its own."))
             return
         untouched = not workspace.history.changed
         self._split(f"{len(selections)} objects", same[0], selections)
         if untouched and len(workspace.history.entries) == 2:  # as opened: nothing of the user's would be lost
             workspace.history.saved = workspace.history.state
-        workspace.notify(f"There are {len(selections)} separate objects. Select one in the list to cut it alone.")
+        workspace.notify(
+            _("There are {count} separate objects. Select one in the list to cut it alone.").format(
+                count=len(selections)
+            )
+        )
 
     # Following the document
 
@@ -304,11 +312,11 @@ def find_proposals(capture: Gaussians) -> tuple[Proposal, ...]:
     if floor is not None:
         steps = (Step("add", Below(floor)),)
         count = int(Below(floor).contains(capture.means).sum())
-        result.append(Proposal("Floor", "The surface that it stands on, and what lies under it", steps, count))
+        result.append(Proposal(_("Floor"), _("The surface that it stands on, and what lies under it"), steps, count))
     haze, fragments = haze_and_fragments(capture)
     for name, found, rows, hint in (
-        ("Small pieces", Detected("fragments"), fragments, "Specks that float apart from the object"),
-        ("Haze", Detected("haze"), haze, "Large faint veils that belong to no surface"),
+        (_("Small pieces"), Detected("fragments"), fragments, _("Specks that float apart from the object")),
+        (_("Haze"), Detected("haze"), haze, _("Large faint veils that belong to no surface")),
     ):
         if rows.any() and not rows.all():
             result.append(Proposal(name, hint, (Step("add", found),), int(rows.sum())))

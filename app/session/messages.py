@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 from app.model.settings import Settings, load_settings, save_settings
 from app.session.question import Choice, Question
+from app.translation import _
 
 __all__ = ["Messages"]
 
@@ -31,7 +32,7 @@ class Messages:
 
     def ask(self, title: str, text: str, *choices: Choice) -> None:
         """Asks the user to choose; Cancel is added as the last choice."""
-        self.question = Question(title, text, (*choices, Choice("Cancel", lambda: None)))
+        self.question = Question(title, text, (*choices, Choice(_("Cancel"), lambda: None)))
 
     def answer(self, choice: Choice) -> None:
         """Carries out what the user chose, which may ask the next question."""

@@ -14,9 +14,11 @@ from app.model.history import History
 from app.model.project import SUFFIX, Outside, Viewing, Work, load_project, save_project
 from app.session.film_controller import FilmController
 from app.session.question import Choice
+from app.session.recent_pictures import remove_pictures
 from app.session.scene_controller import SceneController
 from app.session.training_controller import TrainingController
 from app.session.workspace import Documents, Workspace
+from app.translation import _
 from engine.errors import InputError
 from engine.io.picture_file import PICTURE_SUFFIXES
 
@@ -53,7 +55,7 @@ class ProjectFiles:
         """Opens a scene or a project, after asking about unsaved changes, or adds a picture to a family."""
         if path.suffix.lower() in PICTURE_SUFFIXES:
             if self.workspace.document.scene is None:
-                self.workspace.notify("Open an object first, then add pictures of its cut faces.")
+                self.workspace.notify(_("Open an object first, then add pictures of its cut faces."))
             else:
                 self.workspace.add_pictures(None, (path,))
             return
@@ -88,6 +90,17 @@ class ProjectFiles:
         if workspace.document.scene is not None:
             self.scene.load(self.training.result_for(workspace.document))
 
+    def close_scene(self) -> None:
+        """Closes what is open, after asking about unsaved changes; nothing is open then."""
+        self.after_saving(self._open_nothing)
+
+    def _open_nothing(self) -> None:
+        if self.workspace.loader is not None:
+            self.workspace.loader.cancel()
+            self.workspace.loader = None
+        self.open_document(Document(), Viewing())
+        self._before = None
+
     def tick(self) -> None:
         """Goes back to what was open if the scene in its place could not be read. Called once a frame."""
         workspace, before = self.workspace, self._before
@@ -118,15 +131,15 @@ class ProjectFiles:
             self.save(then=act)
 
         self.workspace.ask(
-            "Unsaved changes",
-            f"Save the changes to {self.workspace.title.removesuffix(' *')} first?",
-            Choice("Save", save_first, main=True),
-            Choice("Don't save", act),
+            _("Unsaved changes"),
+            _("Save the changes to {name} first?").format(name=self.workspace.title.removesuffix(" *")),
+            Choice(_("Save"), save_first, main=True),
+            Choice(_("Don't save"), act),
         )
 
     def _open_scene(self, path: Path) -> None:
         if not path.is_file():
-            self.workspace.show_error(f"{path}: no such file")
+            self.workspace.show_error(_("{path}: no such file").format(path=path))
             return
         self.open_document(Document(scene=path.absolute()), Viewing(mode="capture"))
         self.workspace.change_settings(self.workspace.settings.with_recent(path))
@@ -141,10 +154,11 @@ class ProjectFiles:
             names = "\n".join(str(p) for p in error.paths[:PATHS_LISTED])
             names += "\n..." if len(error.paths) > PATHS_LISTED else ""
             self.workspace.ask(
-                "Files outside of the project's folder",
-                f"{path.name} uses files that are not in its folder:\n{names}\n"
-                "Open it only if you know where it is from.",
-                Choice("Open anyway", lambda: self._open_project(path, outside=True)),
+                _("Files outside of the project's folder"),
+                _(
+                    "{name} uses files that are not in its folder:\n{names}\nOpen it only if you know where it is from."
+                ).format(name=path.name, names=names),
+                Choice(_("Open anyway"), lambda: self._open_project(path, outside=True)),
             )
             return
         except InputError as error:
@@ -163,8 +177,23 @@ class ProjectFiles:
         self.open_documents(project.documents, project.viewing, find_unsaved_work.project, project.film)
         self._before = None  # it stays, whether its scene can be read or not
         self.workspace.history.saved = None  # still unsaved
-        self.workspace.notify("Your unsaved work is back. Save it to keep it.")
+        self.workspace.notify(_("Your unsaved work is back. Save it to keep it."))
         find_unsaved_work.discard()
+
+    @property
+    def recent_name(self) -> str | None:
+        """What is open, as the recent files list it; None for what is not among them, such as a sample."""
+        path = self.workspace.path or self.workspace.document.scene
+        name = None if path is None else str(path.resolve())
+        return name if name in self.workspace.settings.recent else None
+
+    def forget_recent(self, *names: str) -> None:
+        """Takes files off the list of recent ones, and removes their pictures."""
+        settings = self.workspace.settings
+        for name in names:
+            settings = settings.without_recent(name)
+        self.workspace.change_settings(settings)
+        remove_pictures(settings.recent)
 
     def save(self, path: Path | None = None, then: Callable[[], None] = lambda: None) -> None:
         """Saves the project, asking for a path if it has none, and calls `then` once it is saved."""
@@ -184,7 +213,7 @@ class ProjectFiles:
         self.workspace.path, self.workspace.history.saved = path, self.workspace.history.state
         self.workspace.autosave.clear()
         self.workspace.change_settings(settings)
-        self.workspace.notify(f"Saved {path.name}.")
+        self.workspace.notify(_("Saved {name}.").format(name=path.name))
         then()
 
     def close(self) -> None:
@@ -200,8 +229,8 @@ class ProjectFiles:
             self.film.cancel()
             self._ask_about_job()
 
-        text = "It ends with the window. Frames in a folder are kept, and go on from there when it is saved again."
-        self.workspace.ask("A film is still being saved", text, Choice("Stop it", stop, main=True))
+        text = _("It ends with the window. Frames in a folder are kept, and go on from there when it is saved again.")
+        self.workspace.ask(_("A film is still being saved"), text, Choice(_("Stop it"), stop, main=True))
 
     def _ask_about_job(self) -> None:
         running = [job for job in self.training.jobs if job.phase in ("running", "paused")]
@@ -215,10 +244,10 @@ class ProjectFiles:
             self._close_now()
 
         self.workspace.ask(
-            "Training is still running",
-            "It can go on without the window, and is found again when you come back.",
-            Choice("Leave it running", self._close_now, main=True),
-            Choice("Stop it", stop),
+            _("Training is still running"),
+            _("It can go on without the window, and is found again when you come back."),
+            Choice(_("Leave it running"), self._close_now, main=True),
+            Choice(_("Stop it"), stop),
         )
 
     def _close_now(self) -> None:

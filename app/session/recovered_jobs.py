@@ -6,6 +6,7 @@ from pathlib import Path
 
 from app.jobs.training_job import Job
 from app.session.session import Session
+from app.translation import _
 
 __all__ = ["describe_job", "dismiss_job", "recovered_jobs"]
 
@@ -28,8 +29,13 @@ def recovered_jobs(session: Session) -> list[Job]:
 def describe_job(job: Job) -> str:
     """How the job stands, in a sentence for the user."""
     name = job.scene.stem
-    states = {"running": "is still running", "paused": "is paused", "stopping": "is stopping", "done": "has finished"}
-    return f"Training of {name} {states.get(job.phase, 'ended early')}."
+    states = {
+        "running": _("is still running"),
+        "paused": _("is paused"),
+        "stopping": _("is stopping"),
+        "done": _("has finished"),
+    }
+    return _("Training of {name} {state}.").format(name=name, state=states.get(job.phase, _("ended early")))
 
 
 def dismiss_job(session: Session, job: Job) -> None:

@@ -11,6 +11,7 @@ from app.model.document import Document
 from app.model.knife import Stroke
 from app.model.project import Viewing
 from app.session.workspace import Workspace
+from app.translation import _
 from engine.errors import InputError
 from engine.isolate.selection import Isolation
 from engine.scene.camera import Camera
@@ -83,7 +84,7 @@ class SceneController:
             self.workspace.loader.cancel()
             self.workspace.loader = None
             self.strokes.clear()
-            self.workspace.notify("Stopped.")
+            self.workspace.notify(_("Stopped."))
 
     def tick(self) -> bool:
         """Takes over what has been loaded since the last call; True if the object has changed."""
@@ -121,4 +122,4 @@ class SceneController:
             loader.announced = True
             names = {document.number: document.title for document in workspace.documents}
             name = names.get(self._loading) if len(names) > 1 else loader.request.scene.name
-            workspace.notify(f"{name} is solid now. Press K and drag across it to cut it.")
+            workspace.notify(_("{name} is solid now. Press K and drag across it to cut it.").format(name=name))

@@ -12,11 +12,13 @@ from app.model.knife import Stroke
 from app.session.face_controller import FaceController
 from app.session.film_controller import FilmController
 from app.session.isolation_controller import IsolationController
+from app.session.keyboard_controller import KeyboardController
 from app.session.project_files import ProjectFiles
 from app.session.scene_controller import SceneController
 from app.session.throw_controller import ThrowController
 from app.session.training_controller import TrainingController
 from app.session.workspace import Workspace
+from app.translation import _
 from engine.errors import InputError
 from engine.scene.camera import Camera
 
@@ -29,8 +31,8 @@ AUTOSAVE_RETRY = 60.0
 @dataclass
 class Session(Workspace):
     """The workspace with its controllers: `scene` loads, `isolation` says what of it is the object, `training` trains,
-    `faces` finds the faces in pictures, `film` keeps and plays moments, `throw` is a game, `files` opens, saves and
-    closes."""
+    `faces` finds the faces in pictures, `film` keeps and plays moments, `throw` is a game, `keyboard` acts
+    without a pointer, `files` opens, saves and closes."""
 
     def __post_init__(self) -> None:
         self.scene = SceneController(self)
@@ -39,6 +41,7 @@ class Session(Workspace):
         self.faces = FaceController(self)
         self.film = FilmController(self)
         self.throw = ThrowController(self)
+        self.keyboard = KeyboardController(self)
         self.files = ProjectFiles(self, self.scene, self.training, self.film)
 
     @property
@@ -55,7 +58,7 @@ class Session(Workspace):
             super().slice(camera, stroke)
             return
         self.scene.strokes.append((camera, stroke))
-        self.notify("The object is still being made solid. It will be cut there.")
+        self.notify(_("The object is still being made solid. It will be cut there."))
 
     def tick(self) -> None:
         """Takes over what background work has produced, and autosaves. Called once a frame."""

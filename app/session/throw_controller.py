@@ -9,6 +9,7 @@ from dataclasses import replace
 from app.model.film.throw import SECONDS, Throw, in_flight, sliced, thrown
 from app.model.knife import Stroke
 from app.session.workspace import Workspace
+from app.translation import _, ngettext
 from engine.scene.camera import Camera
 
 __all__ = ["ThrowController"]
@@ -38,14 +39,14 @@ class ThrowController:
         """Throws the object up into the picture of a camera."""
         workspace = self.workspace
         if workspace.atoms is None:
-            workspace.notify("There is no solid to throw yet.")
+            workspace.notify(_("There is no solid to throw yet."))
             return
         if workspace.viewing.mode == "capture":
             workspace.viewing = replace(workspace.viewing, mode="solid")
         workspace.selection, workspace.active_cut = frozenset(), None
         self._camera = camera
         self._start()
-        workspace.notify("Cut it in flight. Enter keeps the cuts, Esc ends the game.")
+        workspace.notify(_("Cut it in flight. Enter keeps the cuts, Esc ends the game."))
 
     def _start(self) -> None:
         assert self._camera is not None
@@ -68,8 +69,12 @@ class ThrowController:
         throw, workspace = self.throw, self.workspace
         self.stop()
         if throw is not None and throw.cuts:
-            workspace.change("Throw and slice", replace(workspace.document, cuts=throw.document.cuts))
-            workspace.notify(f"Kept: {len(workspace.pieces)} pieces.")
+            workspace.change(_("Throw and slice"), replace(workspace.document, cuts=throw.document.cuts))
+            workspace.notify(
+                ngettext("Kept: {count} piece.", "Kept: {count} pieces.", len(workspace.pieces)).format(
+                    count=len(workspace.pieces)
+                )
+            )
 
     def stop(self) -> None:
         """Ends the game: the object is as it was."""

@@ -11,6 +11,7 @@ from app.jobs.training_job import Job, default_out
 from app.model.document import Document
 from app.session.scene_controller import SceneController
 from app.session.workspace import Workspace
+from app.translation import _
 from engine.errors import InputError
 from engine.io.trained import find_trained, trained_isolation
 from engine.isolate.record import isolation_record
@@ -85,7 +86,9 @@ class TrainingController:
         workspace, shown = self.workspace, self.workspace.loaded.get(document.number)
         result = self.result_for(document)
         if shown is not None and shown.trained and result is None:
-            workspace.notify("The inside belonged to another part of the capture. Give this one an inside of its own.")
+            workspace.notify(
+                _("The inside belonged to another part of the capture. Give this one an inside of its own.")
+            )
         self.scene.load(result, document)
 
     def find_job(self, document: Document) -> None:
@@ -100,7 +103,7 @@ class TrainingController:
         if job.phase != "done":
             self._follow(job, document.number)
             if not job.ended:
-                self.workspace.notify("Training went on while the window was closed.")
+                self.workspace.notify(_("Training went on while the window was closed."))
 
     @property
     def busy(self) -> bool:
@@ -112,7 +115,7 @@ class TrainingController:
         workspace, document = self.workspace, self.workspace.document
         out = self.out(document)
         if out is None:
-            workspace.notify("Open an object first.")
+            workspace.notify(_("Open an object first."))
             return
         try:
             job = Job.start(document, workspace.up, out, program=self.program)
@@ -128,7 +131,7 @@ class TrainingController:
         )
         if shown is not None and (shown.trained or not same):
             self.scene.load()  # the same atoms as the trainer's, so that its colours fit
-        workspace.notify("Training in the background. You can keep cutting.")
+        workspace.notify(_("Training in the background. You can keep cutting."))
 
     def resume(self) -> None:
         """Continues from the last checkpoint."""
@@ -139,7 +142,7 @@ class TrainingController:
         except InputError as error:
             self.workspace.show_error(error)
             return
-        self.workspace.notify("Training goes on from where it stopped.")
+        self.workspace.notify(_("Training goes on from where it stopped."))
 
     def toggle_pause(self) -> None:
         """Pauses the job, or lets it continue."""
@@ -147,16 +150,16 @@ class TrainingController:
             return
         if self.job.phase == "paused":
             self.job.unpause()
-            self.workspace.notify("Training goes on.")
+            self.workspace.notify(_("Training goes on."))
         else:
             self.job.pause()
-            self.workspace.notify("Training is paused.")
+            self.workspace.notify(_("Training is paused."))
 
     def stop(self) -> None:
         """Ends the job; it can be resumed."""
         if self.job is not None:
             self.job.stop()
-            self.workspace.notify("Stopping. What was done is kept.")
+            self.workspace.notify(_("Stopping. What was done is kept."))
 
     def dismiss(self) -> None:
         """Stops following the active object's job, which has ended."""
@@ -203,20 +206,26 @@ class TrainingController:
             result = None if document is None else self.result_for(document)
             if document is None or (result is None and job.document.isolation != document.isolation):
                 workspace.notify(
-                    "The inside is ready, but for what was the object when training began. Undo to see it."
+                    _("The inside is ready, but for what was the object when training began. Undo to see it.")
                 )
                 return
-            of = f" of {document.title}" if len(workspace.documents) > 1 else ""
-            workspace.notify(f"The inside{of} is ready. Cut anywhere.")
+            several = len(workspace.documents) > 1
+            ready = (
+                _("The inside of {name} is ready. Cut anywhere.")
+                if several
+                else _("The inside is ready. Cut anywhere.")
+            )
+            workspace.notify(ready.format(name=document.title))
             self.scene.load(result, document)
         elif phase == "failed":
-            workspace.notify("Training ended early. Resume goes on from the last checkpoint.")
+            workspace.notify(_("Training ended early. Resume goes on from the last checkpoint."))
             last = job.log_tail()
             workspace.show_error(
-                "Training ended early: " + (last[-1].removeprefix("fruitninja-train: ") if last else "no reason given")
+                _("Training ended early: ")
+                + (last[-1].removeprefix("fruitninja-train: ") if last else _("no reason given"))
             )
         else:
-            workspace.notify("Stopped. Resume goes on from the last checkpoint.")
+            workspace.notify(_("Stopped. Resume goes on from the last checkpoint."))
 
     def _take_colours(self, followed: Followed, number: int) -> None:
         workspace, shown = self.workspace, self.workspace.loaded.get(number)

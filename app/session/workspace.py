@@ -25,6 +25,7 @@ from app.model.project import Project, Viewing, Work
 from app.model.rigid_transform import Motion, Vec3, vec3
 from app.model.upright import face_normal, turn_between
 from app.session.messages import Messages
+from app.translation import _, ngettext
 from engine.io.picture_file import PICTURE_SUFFIXES
 from engine.scene.atoms import Atoms
 from engine.scene.camera import Camera
@@ -253,21 +254,18 @@ class Workspace(Messages):
     def undo(self) -> None:
         """One step back."""
         name = self.history.entries[self.history.cursor].name
-        done = self._go(self.history.cursor - 1)
-        self.notify(f"Undone: {name}." if done else "Nothing to undo.")
+        done = self.jump(self.history.cursor - 1)
+        self.notify(_("Undone: {name}.").format(name=name) if done else _("Nothing to undo."))
 
     def redo(self) -> None:
         """One step forward again."""
-        if self._go(self.history.cursor + 1):
-            self.notify(f"Done again: {self.history.entries[self.history.cursor].name}.")
+        if self.jump(self.history.cursor + 1):
+            self.notify(_("Done again: {name}.").format(name=self.history.entries[self.history.cursor].name))
         else:
-            self.notify("Nothing to redo.")
+            self.notify(_("Nothing to redo."))
 
-    def jump(self, index: int) -> None:
-        """Goes to an entry of the history, by its index."""
-        self._go(index)
-
-    def _go(self, index: int) -> bool:
+    def jump(self, index: int) -> bool:
+        """Goes to an entry of the history, by its index; False if there is none."""
         before, up = self.documents, self.view_up
         done = self.history.jump(index)
         if done and len(before) == len(self.documents):  # show what has changed
@@ -312,7 +310,7 @@ class Workspace(Messages):
         targets = [index for index in met if index == self.active or not alone]
         if not targets:
             hidden = self.atoms is not None
-            self.notify("It is hidden. Show it to cut it." if hidden else "There is no solid to cut.")
+            self.notify(_("It is hidden. Show it to cut it.") if hidden else _("There is no solid to cut."))
             return
         outcomes: dict[int, Outcome] = {}
         for index in targets:
@@ -322,20 +320,21 @@ class Workspace(Messages):
         cut = {index: outcome.document for index, outcome in outcomes.items() if outcome.document is not None}
         if cut:
             self.viewing = replace(self.viewing, mode="solid" if self.mode == "capture" else self.mode)
-            self.change_all("Cut", tuple(cut.get(k, document) for k, document in enumerate(self.documents)))
+            self.change_all(_("Cut"), tuple(cut.get(k, document) for k, document in enumerate(self.documents)))
             self.activate(self.active if self.active in cut else min(cut), self.object_selected)
             self.active_cut = self.document.cuts[-1].id
         first = next(iter(cut), targets[0])
-        self.notify(outcomes[first].message if len(cut) < 2 else f"Cut {len(cut)} objects.")
+        several = ngettext("Cut {count} object.", "Cut {count} objects.", len(cut))
+        self.notify(outcomes[first].message if len(cut) < 2 else several.format(count=len(cut)))
 
     def add_plane(self, plane: Plane | None = None) -> None:
         """Adds a section plane; by default the one across the up axis through the centre."""
         plane = plane or Plane.through(self.solid.centre, self.up)
         if self.viewing.mode == "capture":
             self.viewing = replace(self.viewing, mode="solid")
-        self.change("Add plane", self.document.with_cut((Part(plane),), "Plane", "section"))
+        self.change(_("Add plane"), self.document.with_cut((Part(plane),), _("Plane"), "section"))
         self.active_cut = self.document.cuts[-1].id
-        self.notify("Move the slider to sweep the plane through the object.")
+        self.notify(_("Move the slider to sweep the plane through the object."))
 
     def change_cut(self, name: str, cut_id: int, change: Callable[[Cut], Cut], merge: str = "") -> None:
         """Changes one cut."""
@@ -343,7 +342,7 @@ class Workspace(Messages):
 
     def remove_cut(self, cut_id: int) -> None:
         """Removes a cut; the pieces on its two sides become one again."""
-        self.change("Remove cut", self.document.without_cut(cut_id))
+        self.change(_("Remove cut"), self.document.without_cut(cut_id))
 
     def place(self, name: str, keys: frozenset[Key], motion: Motion, merge: str = "") -> None:
         """Moves pieces by a motion in world space."""
@@ -363,25 +362,25 @@ class Workspace(Messages):
         """Hides the selected pieces, or the selected object."""
         if not self.selection:
             if self.object_selected:
-                self.change_object("Hide object", self.active, replace(self.document, visible=False))
+                self.change_object(_("Hide object"), self.active, replace(self.document, visible=False))
             else:
-                self.notify("Select a piece first.")
+                self.notify(_("Select a piece first."))
             return
-        self.change_placements("Hide", self.selection, lambda p: replace(p, visible=False))
+        self.change_placements(_("Hide"), self.selection, lambda p: replace(p, visible=False))
         self.selection = frozenset()
 
     def delete(self) -> None:
         """Removes the selected pieces; 'Put back together' brings them back."""
         if not self.selection:
-            self.notify("Select a piece first.")
+            self.notify(_("Select a piece first."))
         elif len(self.selection) == len(self.pieces):
-            self.notify("That would leave nothing. Keep at least one piece.")
+            self.notify(_("That would leave nothing. Keep at least one piece."))
         else:
-            self.change_placements("Delete", self.selection, lambda p: replace(p, removed=True))
+            self.change_placements(_("Delete"), self.selection, lambda p: replace(p, removed=True))
 
     def reassemble(self) -> None:
         """Moves all pieces back to their places."""
-        self.change("Put together", self.document.reassembled())
+        self.change(_("Put together"), self.document.reassembled())
 
     # The up axis
 
@@ -391,7 +390,7 @@ class Workspace(Messages):
         up = turn.T @ np.asarray(self.up)
         eye = self.viewing.eye.turned_with(turn, self.solid.centre, self.up)
         turned = replace(self.document, up=vec3(up / np.linalg.norm(up)))
-        if self.change("Turn upright", turned, merge="handles") and not self.active:
+        if self.change(_("Turn upright"), turned, merge="handles") and not self.active:
             self.viewing = replace(self.viewing, eye=eye)  # exactly as turned, also about the up axis
 
     def set_up(self, name: str, up: ArrayLike) -> None:
@@ -414,10 +413,10 @@ class Workspace(Messages):
         skin = shown.atoms.surface.means if shown.atoms is not None else shown.capture.means
         normal = face_normal(skin, point, eye, self.solid.radius)
         if normal is None:
-            self.notify("There is no face here to stand on.")
+            self.notify(_("There is no face here to stand on."))
             return
-        self.set_up("Stand on face", -normal)
-        self.notify("It stands on this face now. Drag the rings to turn it further.")
+        self.set_up(_("Stand on face"), -normal)
+        self.notify(_("It stands on this face now. Drag the rings to turn it further."))
 
     # Families
 
@@ -425,12 +424,12 @@ class Workspace(Messages):
         """Adds pictures of cut faces to a family: by default to the first one, or to a new horizontal one."""
         paths = tuple(path.absolute() for path in paths if path.suffix.lower() in PICTURE_SUFFIXES)
         if not paths:
-            self.notify(f"Not a picture. Use one of {', '.join(PICTURE_SUFFIXES)}.")
+            self.notify(_("Not a picture. Use one of {kinds}.").format(kinds=", ".join(PICTURE_SUFFIXES)))
             return
         if kind is None:
             kind = self.document.families[0].kind if self.document.families else "horizontal"
-        self.change(f"Picture for {kind}", self.document.with_exemplars(kind, paths))
-        self.notify(f"Looking for the cut face in {paths[0].name}.")
+        self.change(_("Picture for {kind}").format(kind=kind), self.document.with_exemplars(kind, paths))
+        self.notify(_("Looking for the cut face in {name}.").format(name=paths[0].name))
 
     # Viewing
 

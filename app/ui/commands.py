@@ -30,11 +30,16 @@ class Command:
     """Whether a separator is above it in the menu."""
 
 
-def press_shortcuts(commands: list[Command]) -> None:
-    """Runs the command whose shortcut was pressed, unless the user is typing into a field or a popup is open."""
+def press_shortcuts(commands: list[Command], pressing: bool) -> None:
+    """Runs the command whose shortcut was pressed, unless the user is typing into a field or a popup is open.
+
+    `pressing`: Space presses the control that has the keyboard, and is no shortcut.
+    """
     if imgui.get_io().want_text_input or imgui.is_popup_open("", imgui.PopupFlags_.any_popup):
         return
     for command in commands:
+        if pressing and command.chord == Key.space:
+            continue
         if command.chord and imgui.is_key_chord_pressed(command.chord) and command.enabled():
             command.act()
             return

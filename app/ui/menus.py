@@ -8,13 +8,14 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from imgui_bundle import ImVec2, imgui
+from imgui_bundle import imgui
 
 from app.model.camera_control import AXIS_VIEWS
 from app.model.project import SUFFIX
 from app.model.samples import sample_document
 from app.session.session import Session
 from app.session.workspace import TOOLS
+from app.translation import _
 from app.ui.commands import Command, Ctrl, Key, Shift
 from app.ui.dialogs.export_window import ExportWindow
 from app.ui.dialogs.file_dialogs import FileDialogs
@@ -22,38 +23,35 @@ from app.ui.dialogs.slices_window import SlicesWindow
 from app.ui.film.film_window import FilmWindow
 from app.ui.film.timeline import PRESETS
 from app.ui.panels.inspector import Inspector
-from app.ui.theme import SCALES, Fonts, apply, palette, px, rgba
-from app.ui.toolbar import TOOL_ICONS
+from app.ui.panels.view_options import SWITCHES
+from app.ui.shortcuts import show_shortcuts
+from app.ui.theme import SCALES, apply
+from app.ui.toolbar import TOOL_ICONS, TOOL_NAMES
 from app.ui.view.slices import SliceViews
 from app.ui.view.viewport import Viewport
-from app.ui.widgets import font, key_caps, secondary, tooltip
+from app.ui.widgets import tooltip
 
 __all__ = ["Menus"]
 
-SWITCHES = {
-    "Light on cut faces": "face_light",
-    "Names of pieces": "names",
-    "Calm motion": "motion",
-    "Statistics": "statistics",
+MENUS = {
+    "File": _("File"),
+    "Edit": _("Edit"),
+    "Tools": _("Tools"),
+    "Cut": _("Cut"),
+    "Interior": _("Interior"),
+    "Film": _("Film"),
+    "View": _("View"),
+    "Help": _("Help"),
 }
-"""Settings that the menu switches on and off, by their labels."""
-
-POINTER = (
-    ("Drag", "Look around, or use the tool"),
-    ("Right drag", "Look around"),
-    ("Alt+Drag", "Look around with any tool"),
-    ("Middle drag", "Shift the picture"),
-    ("Shift+Right drag", "Shift the picture"),
-    ("Wheel", "Nearer, to the pointer"),
-    ("Ctrl+Click", "Select several pieces"),
-    ("Wheel", "The next cut, in a slice"),
-    ("Ctrl+Wheel", "Nearer, in a slice"),
-    ("Shift", "Level and upright, while cutting"),
-    ("Esc", "Do not cut, while cutting"),
-    ("Shift", "Select more, while isolating"),
-    ("Alt", "Select less, while isolating"),
-)
-"""What the pointer does, for the list of shortcuts."""
+VIEWS = {
+    "front": _("Front"),
+    "back": _("Back"),
+    "left": _("Left"),
+    "right": _("Right"),
+    "top": _("Top"),
+    "bottom": _("Bottom"),
+}
+SAMPLES = {"watermelon": _("Watermelon"), "orange": _("Orange"), "bread": _("Bread")}
 
 
 class Menus:
@@ -75,7 +73,7 @@ class Menus:
         self.shortcuts_shown = False
         """Whether the list of shortcuts is open."""
         session.files.choose_path = lambda then: dialogs.save(
-            "Save the project", self.suggested_path(), ["FruitNinja project", f"*{SUFFIX}"], then
+            _("Save the project"), self.suggested_path(), [_("FruitNinja project"), f"*{SUFFIX}"], then
         )
         self.commands = self._commands()
 
@@ -91,6 +89,12 @@ class Menus:
 
         def opened() -> bool:
             return s.document.scene is not None
+
+        def solid() -> bool:
+            return s.atoms is not None
+
+        def separable() -> bool:
+            return s.isolation.available
 
         def selected() -> bool:
             return bool(s.selection)
@@ -108,22 +112,22 @@ class Menus:
             return bool(s.document.cuts)
 
         axis_keys = (("1", Key._1), ("3", Key._3), ("2", Key._2), ("4", Key._4), ("6", Key._6), ("5", Key._5))
-        look = [Command("View", "Fit", view.fit, "F", Key.f, opened)]
+        look = [Command("View", _("Fit"), view.fit, "F", Key.f, opened)]
         for name, (keys, chord) in sorted(zip(AXIS_VIEWS, axis_keys, strict=True), key=lambda view: view[1][0]):
             look.append(
-                Command("View", name.title(), partial(self._look_from, name), keys, chord, separated=name == "front")
+                Command("View", VIEWS[name], partial(self._look_from, name), keys, chord, separated=name == "front")
             )
         look += [
             Command(
-                "View", "Slices", self.toggle_slices, "S", Key.s, opened, lambda: s.viewing.slices, separated=True
+                "View", _("Slices"), self.toggle_slices, "S", Key.s, opened, lambda: s.viewing.slices, separated=True
             ),
             Command(
-                "View", "Measure", self._measure, "D", Key.d, lambda: s.atoms is not None,
+                "View", _("Measure"), self._measure, "D", Key.d, lambda: s.atoms is not None,
                 lambda: s.viewing.slices and self.slice_views.measuring,
             ),
             Command(
                 "View",
-                "Perspective",
+                _("Perspective"),
                 self._toggle_perspective,
                 "O",
                 Key.o,
@@ -132,56 +136,59 @@ class Menus:
             ),
             *(self._switch(label, flag) for label, flag in SWITCHES.items()),
             Command(
-                "View", "Larger interface", partial(self._resize, 1), "Ctrl++", Ctrl | Key.equal,
+                "View", _("Larger interface"), partial(self._resize, 1), "Ctrl++", Ctrl | Key.equal,
                 lambda: s.settings.scale < SCALES[-1], separated=True,
             ),
             Command(
-                "View", "Smaller interface", partial(self._resize, -1), "Ctrl+-", Ctrl | Key.minus,
+                "View", _("Smaller interface"), partial(self._resize, -1), "Ctrl+-", Ctrl | Key.minus,
                 lambda: s.settings.scale > SCALES[0],
             ),
-            Command("View", "Light theme", self._toggle_theme, checked=lambda: s.settings.theme == "light"),
+            Command("View", _("Light theme"), self._toggle_theme, checked=lambda: s.settings.theme == "light"),
         ]  # fmt: skip
         tools = []
         for tool in TOOLS:
             keys = TOOL_ICONS[tool][2]
-            tools.append(Command("Tools", tool.title(), partial(s.select_tool, tool), keys, getattr(Key, keys.lower())))
+            tools.append(
+                Command("Tools", TOOL_NAMES[tool], partial(s.select_tool, tool), keys, getattr(Key, keys.lower()))
+            )
         return [
-            Command("File", "Open...", self._open, "Ctrl+O", Ctrl | Key.o),
-            Command("File", "Save", s.files.save, "Ctrl+S", Ctrl | Key.s, opened, separated=True),
-            Command("File", "Save as...", self._save_as, "Ctrl+Shift+S", Ctrl | Shift | Key.s, opened),
-            Command("File", "Save picture...", picture, "Ctrl+E", Ctrl | Key.e, opened, separated=True),
-            Command("File", "Save cut face...", partial(export, "section"), enabled=is_cut),
-            Command("File", "Save pieces...", partial(export, "pieces"), enabled=lambda: s.atoms is not None),
-            Command("File", "Save pieces as meshes...", partial(export, "meshes"), enabled=lambda: s.atoms is not None),
-            Command("File", "Quit", s.files.close, "Ctrl+Q", Ctrl | Key.q, separated=True),
-            Command("Edit", "Undo", s.undo, "Ctrl+Z", Ctrl | Key.z, lambda: s.history.cursor > 0),
+            Command("File", _("Open..."), self._open, "Ctrl+O", Ctrl | Key.o),
+            Command("File", _("Close"), s.files.close_scene, "Ctrl+W", Ctrl | Key.w, opened),
+            Command("File", _("Save"), s.files.save, "Ctrl+S", Ctrl | Key.s, opened, separated=True),
+            Command("File", _("Save as..."), self._save_as, "Ctrl+Shift+S", Ctrl | Shift | Key.s, opened),
+            Command("File", _("Save picture..."), picture, "Ctrl+E", Ctrl | Key.e, opened, separated=True),
+            Command("File", _("Save cut face..."), partial(export, "section"), enabled=is_cut),
+            Command("File", _("Save pieces..."), partial(export, "pieces"), enabled=solid),
+            Command("File", _("Save pieces as meshes..."), partial(export, "meshes"), enabled=solid),
+            Command("File", _("Quit"), s.files.close, "Ctrl+Q", Ctrl | Key.q, separated=True),
+            Command("Edit", _("Undo"), s.undo, "Ctrl+Z", Ctrl | Key.z, lambda: s.history.cursor > 0),
             Command(
-                "Edit", "Redo", s.redo, "Ctrl+Shift+Z", Ctrl | Shift | Key.z,
+                "Edit", _("Redo"), s.redo, "Ctrl+Shift+Z", Ctrl | Shift | Key.z,
                 lambda: s.history.cursor + 1 < len(s.history.entries),
             ),
-            Command("Edit", "Select all", self._select_all, "Ctrl+A", Ctrl | Key.a, opened, separated=True),
-            Command("Edit", "Name piece", self._name_piece, "F2", Key.f2, selected),
-            Command("Edit", "Hide", s.hide, "H", Key.h, lambda: selected() or s.object_selected),
-            Command("Edit", "Delete", s.delete, "Del", Key.delete, lambda: selected() and not marked()),
-            Command("Edit", "Remove from the capture", s.isolation.remove_marked, "Del", Key.delete, marked),
-            Command("Edit", "Find separate objects", s.isolation.find_objects, enabled=lambda: s.isolation.available),
+            Command("Edit", _("Select all"), self._select_all, "Ctrl+A", Ctrl | Key.a, opened, separated=True),
+            Command("Edit", _("Name piece"), self._name_piece, "F2", Key.f2, selected),
+            Command("Edit", _("Hide"), s.hide, "H", Key.h, lambda: selected() or s.object_selected),
+            Command("Edit", _("Delete"), s.delete, "Del", Key.delete, lambda: selected() and not marked()),
+            Command("Edit", _("Remove from the capture"), s.isolation.remove_marked, "Del", Key.delete, marked),
+            Command("Edit", _("Find separate objects"), s.isolation.find_objects, enabled=separable),
             *tools,
-            Command("Cut", "Add plane", s.add_plane, "", 0, opened),
-            Command("Cut", "Slice evenly...", self.slices.open, enabled=lambda: s.atoms is not None),
+            Command("Cut", _("Add plane"), s.add_plane, "", 0, opened),
+            Command("Cut", _("Slice evenly..."), self.slices.open, enabled=lambda: s.atoms is not None),
             Command(
-                "Cut", "Throw and slice", self._throw, "Y", Key.y, lambda: s.atoms is not None,
+                "Cut", _("Throw and slice"), self._throw, "Y", Key.y, lambda: s.atoms is not None,
                 lambda: s.throw.active,
             ),
-            Command("Cut", "Put back together", s.reassemble, "Ctrl+G", Ctrl | Key.g, is_cut),
-            Command("Cut", "Remove all cuts", self._remove_cuts, enabled=is_cut),
-            Command("Interior", "Give it an inside", training.start, enabled=can_start),
-            Command("Interior", "Pause", training.toggle_pause, enabled=lambda: training.busy),
-            Command("Interior", "Stop", training.stop, enabled=lambda: training.busy),
-            Command("Interior", "Resume", training.resume, enabled=can_resume),
-            Command("Interior", "Choose pictures...", self._pictures, enabled=opened, separated=True),
+            Command("Cut", _("Put back together"), s.reassemble, "Ctrl+G", Ctrl | Key.g, is_cut),
+            Command("Cut", _("Remove all cuts"), self._remove_cuts, enabled=is_cut),
+            Command("Interior", _("Give it an inside"), training.start, enabled=can_start),
+            Command("Interior", _("Pause"), training.toggle_pause, enabled=lambda: training.busy),
+            Command("Interior", _("Stop"), training.stop, enabled=lambda: training.busy),
+            Command("Interior", _("Resume"), training.resume, enabled=can_resume),
+            Command("Interior", _("Choose pictures..."), self._pictures, enabled=opened, separated=True),
             *self._film_commands(),
             *look,
-            Command("Help", "Shortcuts", self._toggle_shortcuts, "?", Shift | Key.slash),
+            Command("Help", _("Shortcuts"), self._toggle_shortcuts, "?", Shift | Key.slash),
         ]  # fmt: skip
 
     def _film_commands(self) -> list[Command]:
@@ -202,18 +209,18 @@ class Menus:
         ]
         return [
             Command(
-                "Film", "Timeline", self._toggle_timeline, "L", Key.l, lambda: s.document.scene is not None,
+                "Film", _("Timeline"), self._toggle_timeline, "L", Key.l, lambda: s.document.scene is not None,
                 lambda: s.viewing.timeline,
             ),
-            Command("Film", "Add keyframe", self._add_keyframe, "N", Key.n, available, separated=True),
-            Command("Film", "Replace keyframe", film.update, enabled=chosen),
-            Command("Film", "Remove keyframe", film.remove, "Del", Key.delete, chosen),
-            Command("Film", "Play", film.toggle, "Space", Key.space, ready, lambda: film.playing, separated=True),
-            Command("Film", "Keyframe before", partial(film.step, -1), ",", Key.comma, ready),
-            Command("Film", "Next keyframe", partial(film.step, 1), ".", Key.period, ready),
+            Command("Film", _("Add keyframe"), self._add_keyframe, "N", Key.n, available, separated=True),
+            Command("Film", _("Replace keyframe"), film.update, enabled=chosen),
+            Command("Film", _("Remove keyframe"), film.remove, "Del", Key.delete, chosen),
+            Command("Film", _("Play"), film.toggle, "Space", Key.space, ready, lambda: film.playing, separated=True),
+            Command("Film", _("Keyframe before"), partial(film.step, -1), ",", Key.comma, ready),
+            Command("Film", _("Next keyframe"), partial(film.step, 1), ".", Key.period, ready),
             *made,
             Command(
-                "Film", "Save film...", self.film_window.open, "Ctrl+Shift+E", Ctrl | Shift | Key.e,
+                "Film", _("Save film..."), self.film_window.open, "Ctrl+Shift+E", Ctrl | Shift | Key.e,
                 lambda: film.ready and not film.busy, separated=True,
             ),
         ]  # fmt: skip
@@ -221,17 +228,19 @@ class Menus:
     # Menus and toolbar
 
     def show(self) -> None:
-        """The menu bar."""
+        """The menu bar; F10 opens its first menu, from which arrows lead to the others."""
+        if imgui.is_key_pressed(Key.f10, False) and not imgui.get_io().want_text_input:
+            imgui.open_popup(MENUS[self.commands[0].menu])
         for name in dict.fromkeys(command.menu for command in self.commands):
             if name == "Tools":
                 continue  # they are in the toolbar
-            if imgui.begin_menu(name):
+            if imgui.begin_menu(MENUS[name]):
                 for command in self.commands:
                     if command.menu == name:
                         self._item(command)
-                        if command.label == "Open...":
+                        if command.label == _("Open..."):
                             self._recent()
-                        if command.label == "Redo":
+                        if command.label == _("Redo"):
                             self._history()
                 imgui.end_menu()
 
@@ -244,21 +253,24 @@ class Menus:
             command.act()
 
     def _recent(self) -> None:
-        if imgui.begin_menu("Open recent", bool(self.session.settings.recent)):
+        if imgui.begin_menu(_("Open recent"), bool(self.session.settings.recent)):
             for name in self.session.settings.recent:
                 if imgui.menu_item(Path(name).name, "", False)[0]:
                     self.session.files.open(Path(name))
                 tooltip(name)
+            imgui.separator()
+            if imgui.menu_item_simple(_("Clear this list")):
+                self.session.files.forget_recent(*self.session.settings.recent)
             imgui.end_menu()
-        if imgui.begin_menu("Samples"):
-            for name in ("watermelon", "orange", "bread"):
-                if imgui.menu_item(name.title(), "", False)[0]:
+        if imgui.begin_menu(_("Samples")):
+            for name, label in SAMPLES.items():
+                if imgui.menu_item(label, "", False)[0]:
                     self.open_sample(name)
             imgui.end_menu()
 
     def _history(self) -> None:
         history = self.session.history
-        if imgui.begin_menu("History"):
+        if imgui.begin_menu(_("History")):
             first = max(0, len(history.entries) - 30)
             for index in range(first, len(history.entries)):
                 label = f"{history.entries[index].name}##{index}"
@@ -273,58 +285,19 @@ class Menus:
             imgui.open_popup("context")
         if not imgui.begin_popup("context"):
             return
-        for label in ("Hide", "Delete", "Put back together", "Fit"):
+        for label in (_("Hide"), _("Delete"), _("Put back together"), _("Fit")):
             self._item(next(replace(c, separated=False) for c in self.commands if c.label == label))
-        if self.viewport.menu_point is not None and imgui.menu_item_simple("Stand on this face"):
+        if self.viewport.menu_point is not None and imgui.menu_item_simple(_("Stand on this face")):
             self.viewport.stand_on(self.viewport.menu_point)
         hidden = [p.key for p in self.session.pieces if not p.visible]
-        if hidden and imgui.menu_item_simple("Show all"):
-            self.session.change_placements("Show all", frozenset(hidden), lambda p: replace(p, visible=True))
+        if hidden and imgui.menu_item_simple(_("Show all")):
+            self.session.change_placements(_("Show all"), frozenset(hidden), lambda p: replace(p, visible=True))
         imgui.end_popup()
 
     def show_shortcuts(self) -> None:
         """The list of all shortcuts."""
-        if not self.shortcuts_shown:
-            return
-        imgui.set_next_window_pos(imgui.get_main_viewport().get_center(), imgui.Cond_.always, ImVec2(0.5, 0.5))
-        imgui.push_style_color(imgui.Col_.window_bg, rgba(palette().panel, 0.98))
-        imgui.push_style_var(imgui.StyleVar_.window_padding, ImVec2(px(22), px(18)))
-        flags = imgui.WindowFlags_.no_decoration | imgui.WindowFlags_.always_auto_resize | imgui.WindowFlags_.no_docking
-        imgui.begin("##shortcuts", None, flags | imgui.WindowFlags_.no_saved_settings)
-        with font(Fonts.bold):
-            imgui.text_unformatted("Shortcuts")
-        imgui.separator()
-        columns = [
-            [("Pointer", [*POINTER])],
-            [(menu, self._keys(menu)) for menu in ("Tools", "View")],
-            [(menu, self._keys(menu)) for menu in ("File", "Edit", "Cut", "Film", "Help")],
-        ]
-        for number, groups in enumerate(columns):
-            if number:
-                imgui.same_line(0, px(36))
-            imgui.begin_group()
-            for title, rows in groups:
-                secondary(title)
-                if imgui.begin_table(f"##{title}", 2, imgui.TableFlags_.sizing_fixed_fit):
-                    for keys, label in rows:
-                        imgui.table_next_row()
-                        imgui.table_next_column()
-                        key_caps(keys)
-                        imgui.table_next_column()
-                        imgui.text_unformatted(label)
-                    imgui.end_table()
-                imgui.dummy(ImVec2(0, px(4)))
-            imgui.end_group()
-        outside = imgui.is_mouse_clicked(imgui.MouseButton_.left) and not imgui.is_window_hovered()
-        if outside or imgui.is_key_pressed(imgui.Key.escape):
-            self.shortcuts_shown = False
-        imgui.end()
-        imgui.pop_style_var()
-        imgui.pop_style_color()
-
-    def _keys(self, menu: str) -> list[tuple[str, str]]:
-        """Shortcuts and names of a menu's commands, in the menu's order."""
-        return [(c.keys, c.label.removesuffix("...")) for c in self.commands if c.keys and c.menu == menu]
+        if self.shortcuts_shown:
+            self.shortcuts_shown = show_shortcuts(self.commands, MENUS)
 
     # Actions
 
@@ -352,7 +325,7 @@ class Menus:
         self.session.selection = frozenset(piece.key for piece in self.session.pieces if piece.visible)
 
     def _remove_cuts(self) -> None:
-        self.session.change("Remove all cuts", replace(self.session.document, cuts=(), placements=()))
+        self.session.change(_("Remove all cuts"), replace(self.session.document, cuts=(), placements=()))
 
     def _toggle_timeline(self) -> None:
         session = self.session
@@ -421,7 +394,7 @@ class Menus:
         scale = SCALES[min(max(nearest + way, 0), len(SCALES) - 1)]
         self.session.change_settings(replace(settings, scale=scale))
         apply(settings.theme, scale)
-        self.session.notify(f"Interface at {scale:.0%}.")
+        self.session.notify(_("Interface at {scale:.0%}.").format(scale=scale))
 
     def _toggle_shortcuts(self) -> None:
         self.shortcuts_shown = not self.shortcuts_shown

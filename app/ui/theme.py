@@ -19,6 +19,9 @@ class Palette:
 
     accent: str = "#FF6B4A"
     """The active tool, the main action, progress."""
+    accent_hovered: str = "#FF8468"
+    accent_pressed: str = "#FF9C85"
+    """Further from the text on it than the accent itself."""
     on_accent: str = "#1B1C1E"
     ground: str = "#1B1C1E"
     panel: str = "#232528"
@@ -43,6 +46,8 @@ class Palette:
 DARK = Palette()
 LIGHT = Palette(
     accent="#C93F1D",
+    accent_hovered="#B33517",
+    accent_pressed="#9C2C11",
     on_accent="#FFFFFF",
     ground="#E4E5E7",
     panel="#F4F4F5",
@@ -208,7 +213,7 @@ def _roles(p: Palette) -> dict[str, ImVec4]:
         "docking_empty_bg": rgba(p.ground),
         "plot_histogram": rgba(p.accent),
         "text_selected_bg": rgba(p.accent, 0.35),
-        "nav_cursor": rgba(p.second),
+        "nav_cursor": rgba(p.text),
         "modal_window_dim_bg": rgba("#000000", 0.45),
         "drag_drop_target": rgba(p.accent),
         "tab_selected_overline": clear,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from bisect import bisect_left
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
@@ -9,11 +11,14 @@ from imgui_bundle import ImVec2, ImVec4, imgui
 from imgui_bundle import icons_fontawesome_6 as icon
 
 from app.model.document import MARKS, Mark
+from app.translation import _
 from app.ui.theme import Fonts, palette, px, rgba, u32
 
 __all__ = [
     "MARK_ICONS",
+    "MARK_NAMES",
     "cancel_button",
+    "clipped",
     "colours",
     "disabled",
     "float_slider",
@@ -31,6 +36,7 @@ __all__ = [
     "row_label",
     "secondary",
     "segmented",
+    "share",
     "thin_bar",
     "tooltip",
 ]
@@ -43,6 +49,16 @@ MARK_ICONS: dict[Mark, str] = {
     "heart": icon.ICON_FA_HEART,
     "moon": icon.ICON_FA_MOON,
     "bolt": icon.ICON_FA_BOLT,
+}
+
+
+MARK_NAMES: dict[Mark, str] = {
+    "circle": _("Circle"),
+    "square": _("Square"),
+    "star": _("Star"),
+    "heart": _("Heart"),
+    "moon": _("Moon"),
+    "bolt": _("Bolt"),
 }
 
 
@@ -83,7 +99,7 @@ def _place_tooltip() -> None:
 def key_caps(keys: str) -> None:
     """A shortcut as keys: 'Ctrl+Z' as two of them."""
     p, draw, inset = palette(), imgui.get_window_draw_list(), ImVec2(px(6), px(2))
-    for number, key in enumerate(keys.split("+")):
+    for number, key in enumerate(re.split(r"(?<=[^+])\+", keys)):
         if number:
             imgui.same_line(0, px(4))
         size = imgui.calc_text_size(key)
@@ -154,7 +170,7 @@ def modal(name: str, width: float) -> Iterator[bool]:
 
 def cancel_button() -> bool:
     """The button of a modal window that leaves it; also true at Esc."""
-    return imgui.button("Cancel", ImVec2(px(90), px(32))) or imgui.is_key_pressed(imgui.Key.escape)
+    return imgui.button(_("Cancel"), ImVec2(px(90), px(32))) or imgui.is_key_pressed(imgui.Key.escape)
 
 
 def heading(text: str) -> None:
@@ -188,6 +204,14 @@ def list_row(label: str, chosen: bool, width: float, height: float) -> bool:
     return clicked
 
 
+def clipped(text: str, width: float) -> str:
+    """The text, or as much of its beginning as fits into `width`, with an ellipsis."""
+    if imgui.calc_text_size(text).x <= width:
+        return text
+    fits = bisect_left(range(len(text)), width, key=lambda count: imgui.calc_text_size(f"{text[:count]}…").x)
+    return f"{text[: max(fits - 1, 0)].rstrip()}…"
+
+
 def right_text(text: str) -> None:
     """Secondary text on the same line, aligned to the right edge."""
     imgui.same_line()
@@ -215,16 +239,29 @@ def icon_button(label: str, size: float, active: bool = False, quiet: bool = Fal
 
 
 def main_button(label: str, width: float = -1.0) -> bool:
-    """A button for the main action."""
+    """A button for the main action; wider than `width` where its label needs it."""
     p = palette()
-    usual, hovered, pressed = (rgba(p.accent, part) for part in (1.0, 0.9, 0.8))
+    if width > 0:
+        width = max(width, imgui.calc_text_size(label).x + 2 * imgui.get_style().frame_padding.x)
+    usual, hovered, pressed = map(rgba, (p.accent, p.accent_hovered, p.accent_pressed))
     with colours(button=usual, button_hovered=hovered, button_active=pressed, text=rgba(p.on_accent)):
         return imgui.button(label, ImVec2(width, px(32)))
 
 
+def share(width: float, *labels: str) -> float:
+    """Width of each of these buttons side by side in `width`; -1, a row for each, where a label needs more."""
+    each = (width - (len(labels) - 1) * imgui.get_style().item_spacing.x) / len(labels)
+    return each if max(imgui.calc_text_size(label).x for label in labels) + px(12) < each else -1.0
+
+
 def segmented(name: str, labels: Sequence[str], current: int, width: float, hints: Sequence[str] = ()) -> int:
-    """A choice of one among labels side by side; returns the index chosen. `width` of them all, window units."""
+    """A choice of one among labels side by side, or in a list where they have no room; returns the index chosen.
+
+    `width`: of them all, window units.
+    """
     p = palette()
+    if max(imgui.calc_text_size(label).x for label in labels) + px(6) > width / len(labels):
+        return _listed(name, labels, current, width, hints)
     each, height = width / len(labels), imgui.get_frame_height()
     origin = imgui.get_cursor_screen_pos()
     draw = imgui.get_window_draw_list()
@@ -233,7 +270,7 @@ def segmented(name: str, labels: Sequence[str], current: int, width: float, hint
     for index, label in enumerate(labels):
         low = ImVec2(origin.x + each * index, origin.y)
         imgui.set_cursor_screen_pos(low)
-        if imgui.invisible_button(f"{label}##{name}", ImVec2(each, height)):
+        if imgui.invisible_button(f"{label}##{name}", ImVec2(each, height), imgui.ButtonFlags_.enable_nav):
             current = index
         hovered = imgui.is_item_hovered()
         if hints:
@@ -254,16 +291,29 @@ def segmented(name: str, labels: Sequence[str], current: int, width: float, hint
     return current
 
 
+def _listed(name: str, labels: Sequence[str], current: int, width: float, hints: Sequence[str]) -> int:
+    """The same choice as a list that opens."""
+    imgui.set_next_item_width(width)
+    if imgui.begin_combo(f"##{name}", labels[current], imgui.ComboFlags_.no_arrow_button):
+        for index, label in enumerate(labels):
+            if imgui.selectable(label, index == current)[0]:
+                current = index
+            if hints:
+                tooltip(hints[index])
+        imgui.end_combo()
+    return current
+
+
 def float_slider(
-    name: str, value: float, low: float, high: float, hint: str, width: float = -1.0
+    name: str, value: float, low: float, high: float, hint: str, width: float = -1.0, text: str = ""
 ) -> tuple[bool, float]:
-    """A slider with its number at the right. A double click or Ctrl+click lets the user type the number."""
+    """A slider with its number, or `text`, at the right. A double click or Ctrl+click lets the user type the number."""
     margin = imgui.calc_text_size("-00.00").x + px(6)
     full = imgui.get_content_region_avail().x if width < 0 else width
     imgui.set_next_item_width(full - margin)
     changed, value = imgui.slider_float(name, value, low, high, "")
     tooltip(hint)
-    _number_at_right(f"{value if abs(value) >= 0.005 else 0.0:.2f}", margin)
+    _number_at_right(text or f"{value if abs(value) >= 0.005 else 0.0:.2f}", margin)
     return changed, value
 
 
@@ -277,13 +327,16 @@ def int_slider(name: str, value: int, low: int, high: int) -> tuple[bool, int]:
 
 
 def range_slider(name: str, ends: tuple[float, float], hint: str) -> tuple[bool, tuple[float, float]]:
-    """A slider with two ends in [0, 1], 0.01 or more apart. A drag moves the nearer one, a double click selects all."""
+    """A slider with two ends in [0, 1], 0.01 or more apart. A drag moves the nearer one, a double click selects all.
+
+    By keyboard the left and right arrow move the lower end, and with Shift the upper one.
+    """
     p, draw = palette(), imgui.get_window_draw_list()
     margin = imgui.calc_text_size("0000").x + px(6)
     width, height = imgui.get_content_region_avail().x - margin, imgui.get_frame_height()
     origin, grab, inset = imgui.get_cursor_screen_pos(), px(10), px(2)
     track = width - 2 * inset - grab
-    imgui.invisible_button(name, ImVec2(width, height))
+    imgui.invisible_button(name, ImVec2(width, height), imgui.ButtonFlags_.enable_nav)
     hovered, active = imgui.is_item_hovered(), imgui.is_item_active()
     at = (imgui.get_mouse_pos().x - origin.x - inset - grab / 2) / track
     storage, key = imgui.get_state_storage(), imgui.get_id(name)
@@ -297,6 +350,8 @@ def range_slider(name: str, ends: tuple[float, float], hint: str) -> tuple[bool,
         at = round(min(1.0, max(0.0, at)), 2)
         new = (min(at, ends[1] - 0.01), ends[1]) if storage.get_int(key) == 0 else (ends[0], max(at, ends[0] + 0.01))
         new = (round(max(new[0], 0.0), 2), round(min(new[1], 1.0), 2))
+    elif imgui.is_item_focused():
+        new = _pressed_ends(ends)
     low, high = (origin.x + inset + part * track for part in new)
     draw.add_rect_filled(
         origin, ImVec2(origin.x + width, origin.y + height), u32(p.hover if hovered or active else p.field), px(5)
@@ -306,8 +361,20 @@ def range_slider(name: str, ends: tuple[float, float], hint: str) -> tuple[bool,
     for x in (low, high):
         draw.add_rect_filled(ImVec2(x, top), ImVec2(x + grab, bottom), u32(p.text if active else p.second), px(4))
     tooltip(hint)
-    _number_at_right("all" if new == (0.0, 1.0) else f"{new[1] - new[0]:.0%}", margin)
+    _number_at_right(_("all") if new == (0.0, 1.0) else f"{new[1] - new[0]:.0%}", margin)
     return new != ends, new
+
+
+def _pressed_ends(ends: tuple[float, float]) -> tuple[float, float]:
+    """The ends of a range after a press of the left or right arrow: it moves the lower end, or the upper with Shift."""
+    low, high = ends
+    for key, step in ((imgui.Key.left_arrow, -0.01), (imgui.Key.right_arrow, 0.01)):
+        imgui.internal.set_key_owner(key, imgui.get_item_id())
+        if imgui.is_key_pressed(key) and imgui.get_io().key_shift:
+            high = min(1.0, max(high + step, low + 0.01))
+        elif imgui.is_key_pressed(key):
+            low = max(0.0, min(low + step, high - 0.01))
+    return round(low, 2), round(high, 2)
 
 
 def _number_at_right(text: str, margin: float) -> None:

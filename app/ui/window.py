@@ -22,17 +22,20 @@ from app.model.project import Viewing
 from app.model.settings import settings_folder
 from app.session.recovered_jobs import describe_job, dismiss_job, recovered_jobs
 from app.session.session import Session
+from app.translation import _
 from app.ui.commands import press_shortcuts
 from app.ui.dialogs.export_window import ExportWindow
 from app.ui.dialogs.exporter import Exporter
 from app.ui.dialogs.file_dialogs import FileDialogs
 from app.ui.film.film_window import FilmWindow
 from app.ui.film.timeline import TimelinePanel
+from app.ui.keyboard import ARROWS, Parts, set_up_imgui
 from app.ui.menus import Menus
 from app.ui.panels.face_editor import FaceEditor
 from app.ui.panels.inspector import Inspector
 from app.ui.panels.interior import InteriorPanel
 from app.ui.panels.measures import MeasuresPanel
+from app.ui.panels.recent import RecentFiles
 from app.ui.panels.thumbnails import Thumbnails
 from app.ui.theme import Fonts, apply, load_fonts, palette, px, u32
 from app.ui.toolbar import Toolbar
@@ -66,6 +69,7 @@ class Window:
     def __init__(self, session: Session, start: Callable[[Session], None] | None = None) -> None:
         self.session = session
         self.start = start
+        self.parts = Parts()
         self.dropped: list[Path] = []
         self.unsaved: list[UnsavedWork] = []
         self.recovered_jobs: list[Job] = []
@@ -100,15 +104,15 @@ class Window:
         callbacks.default_icon_font = hello_imgui.DefaultIconFont.font_awesome6
         callbacks.load_additional_fonts = load_fonts
         callbacks.setup_imgui_style = lambda: apply(settings.theme, settings.scale, scaled_later=True)
+        callbacks.setup_imgui_config = set_up_imgui
         callbacks.post_init = self._begin
         callbacks.before_exit = self._end
         callbacks.pre_new_frame = self._tick
         callbacks.show_gui = lambda: self._guard(self._gui)
         callbacks.show_menus = lambda: self._guard(self.menus.show)
         callbacks.show_status = self._status
-        callbacks.before_imgui_render = close_menus
         toolbar = hello_imgui.EdgeToolbar()
-        toolbar.show_toolbar = lambda: self._guard(self.toolbar.show)
+        toolbar.show_toolbar = self._tools
         toolbar.options = hello_imgui.EdgeToolbarOptions(size_em=4.0, window_padding_em=ImVec2(0.72, 0.75))
         callbacks.edges_toolbars = {hello_imgui.EdgeToolbarType.left: toolbar}
         params.docking_params = self._docking()
@@ -139,6 +143,7 @@ class Window:
         self.ctx = moderngl.create_context(require=330)
         self.painter = Painter(self.ctx)
         self.thumbnails = Thumbnails(self.ctx)
+        self.recent = RecentFiles(self.session, self.painter, self.ctx)
         self.dialogs = FileDialogs(self.session.folder)
         self.viewport = Viewport(self.session, self.painter)
         self.slices = SliceViews(self.session, self.ctx)
@@ -173,6 +178,7 @@ class Window:
         self.slices.release()
         self.measures.measurer.close()
         self.thumbnails.release()
+        self.recent.release()
         self.painter.release()
 
     def _tick(self) -> None:
@@ -195,6 +201,8 @@ class Window:
             or self.painter.unfinished
         )
         self.params.fps_idling.enable_idling = not busy
+        if not (self.viewport.moving or self.painter.unfinished) and session.faces.open_face is None:
+            self.recent.keep()
         glfw.set_window_title(self.window, f"{session.title} - FruitNinja" if session.document.scene else "FruitNinja")
         if (glfw.window_should_close(self.window) or self.params.app_shall_exit) and not session.closing:
             glfw.set_window_should_close(self.window, False)
@@ -215,7 +223,7 @@ class Window:
         elif paths and not pictures:
             self.session.files.open(paths[0])
         else:
-            self.session.notify("Open an object first, then drop pictures of its cut faces.")
+            self.session.notify(_("Open an object first, then drop pictures of its cut faces."))
 
     def _guard(self, draw: Callable[[], None]) -> None:
         """Calls `draw` and shows its error, if any; ImGui's stacks are restored so that the frame can end."""
@@ -230,17 +238,22 @@ class Window:
                 raise
             imgui.internal.error_recovery_try_to_recover_state(state)
             self.session.show_error(
-                f"Something went wrong ({type(error).__name__}: {error}). Your work is kept; save it."
+                _("Something went wrong ({kind}: {error}). Your work is kept; save it.").format(
+                    kind=type(error).__name__, error=error
+                )
             )
 
     # Drawing
 
     def _gui(self) -> None:
         imguizmo.im_guizmo.begin_frame()  # without it, handles do not feel the pointer
-        if not imgui.is_any_item_active() and not imguizmo.im_guizmo.is_using_any():
+        self.parts.update()
+        held = any(imgui.is_key_down(key) for key in ARROWS)
+        if not imgui.is_any_item_active() and not imguizmo.im_guizmo.is_using_any() and not held:
             self.session.history.settle()  # a drag has ended
         self.viewport.game_keys()
-        press_shortcuts(self.menus.commands)
+        controls = imgui.get_io().nav_visible and imgui.is_any_item_focused() and not self.viewport.focused
+        press_shortcuts(self.menus.commands, pressing=controls)
         self.menus.show_shortcuts()
         self.export.show()
         self.film_window.show()
@@ -253,6 +266,7 @@ class Window:
         flags = imgui.WindowFlags_.no_scrollbar | imgui.WindowFlags_.no_scroll_with_mouse
         imgui.begin("Object", None, flags | imgui.WindowFlags_.no_move | imgui.WindowFlags_.no_title_bar)
         imgui.pop_style_var()
+        self.parts.begin("view")
         self._guard(self._object_or_picture)
         self._guard(self._viewport_body)
         imgui.end()
@@ -275,7 +289,7 @@ class Window:
         imgui.set_cursor_screen_pos(at)
         flags = imgui.WindowFlags_.no_scrollbar | imgui.WindowFlags_.no_scroll_with_mouse
         if len(places) > 1 or below:
-            imgui.begin_child("##3d", ImVec2(*places[0][1]), 0, flags)
+            imgui.begin_child("##3d", ImVec2(*places[0][1]), imgui.ChildFlags_.nav_flattened, flags)
             self.viewport.show()
             imgui.end_child()
         else:
@@ -285,12 +299,22 @@ class Window:
         self._notices()
         self.menus.context_menu()
         if self.session.document.scene is None:
-            self._welcome()
+            self.recent.show(
+                self.viewport.origin,
+                self.viewport.size,
+                lambda: self.dialogs.open_scene(self.session.files.open),
+                lambda: self.menus.open_sample("watermelon"),
+            )
         elif self.session.object is None and self.session.loader is not None:
             self._opening(self.session.loader)
 
     def _inspector(self) -> None:
+        self.parts.begin("inspector")
         self._guard(self.inspector.show)
+
+    def _tools(self) -> None:
+        self.parts.begin("tools")
+        self._guard(self.toolbar.show)
 
     def _status(self) -> None:
         message, now = self.session.message, time.monotonic()
@@ -299,25 +323,8 @@ class Window:
         if now - self._said_at > READ_IN:
             message = ""
         if self.session.document.scene is None:
-            message = message or "Drop a capture on the window, or open one with Ctrl+O."
+            message = message or _("Drop a capture on the window, or open one with Ctrl+O.")
         imgui.text_unformatted(message)
-
-    def _welcome(self) -> None:
-        """What to do first, while nothing is open."""
-        view = self.viewport
-        width = px(300)
-        left = view.origin.x + (view.size[0] - width) / 2
-        imgui.set_cursor_screen_pos(ImVec2(left, view.origin.y + view.size[1] / 2 - px(60)))
-        imgui.begin_group()
-        with font(Fonts.bold):
-            imgui.text_unformatted("Open a capture to slice it")
-        secondary("or drop it here: .ply, .splat, .spz, .sog, .ksplat, .obj, .glb")
-        imgui.dummy(ImVec2(0, px(4)))
-        if main_button(f"{icon.ICON_FA_FOLDER_OPEN}  Open...", width):
-            self.dialogs.open_scene(self.session.files.open)
-        if imgui.button("Try the watermelon", ImVec2(width, px(32))):
-            self.menus.open_sample("watermelon")
-        imgui.end_group()
 
     def _opening(self, loader: SceneLoader) -> None:
         """What is being opened, while there is nothing of it to show."""
@@ -337,14 +344,21 @@ class Window:
         texts: list[tuple[str, str, Callable[[], None] | None, Callable[[], None]]] = []
         if self.unsaved:
             first = self.unsaved[0]
-            name = first.name or "a project that was never saved"
-            texts.append((f"Unsaved work on {name} was kept.", "Bring it back", self._recover, self._discard))
+            name = first.name or _("a project that was never saved")
+            texts.append(
+                (
+                    _("Unsaved work on {name} was kept.").format(name=name),
+                    _("Bring it back"),
+                    self._recover,
+                    self._discard,
+                )
+            )
         if self.recovered_jobs:
-            texts.append((describe_job(self.recovered_jobs[0]), "Show it", self._show_job, self._dismiss_job))
+            texts.append((describe_job(self.recovered_jobs[0]), _("Show it"), self._show_job, self._dismiss_job))
         if session.faces.hint is not None and session.faces.open_face is None:
             hint = session.faces.hint
             look = partial(session.faces.edit, hint.kind, hint.path)
-            texts.append((hint.text, "Look at it", look, session.faces.dismiss_hint))
+            texts.append((hint.text, _("Look at it"), look, session.faces.dismiss_hint))
         if session.error:
             texts.append((session.error, "", None, lambda: setattr(session, "error", "")))
         y = view.origin.y + view.size[1] - px(46)
@@ -434,9 +448,3 @@ class Window:
                 imgui.close_current_popup()
         if chosen is not None:
             self.session.answer(chosen)
-
-
-def close_menus() -> None:
-    """Closes menus and lists at Esc, which ImGui does only where the keyboard moves between items."""
-    if imgui.is_key_pressed(imgui.Key.escape) and not imgui.is_any_item_active():
-        imgui.internal.close_popups_except_modals()

@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from app.jobs.scene_loader import LoadedScene, SceneRequest
@@ -20,9 +21,11 @@ from app.model.pieces import Solid
 from app.model.project import FORMAT, Outside, Project, Viewing, Work, load_project, save_project
 from app.model.settings import Settings, load_settings, save_settings
 from app.session.project_files import _Opened
+from app.session.recent_pictures import keep_picture, picture_of, remove_pictures
 from app.session.session import Session
 from app.ui.dialogs.file_dialogs import FileDialogs
 from engine.errors import InputError
+from engine.io.picture_file import read_pixels
 from engine.scene.plane import Plane
 from tests.helpers.app_objects import atoms, full
 
@@ -131,6 +134,8 @@ BREAK: dict[str, Callable[[dict], object]] = {
     "elevation": lambda r: r["view"].update(elevation=91),
     "distance": lambda r: r["view"].update(distance=0),
     "mode": lambda r: r["view"].update(mode="x-ray"),
+    "size of splats": lambda r: r["view"]["splats"].update(size=0),
+    "opacity of splats": lambda r: r["view"]["splats"].update(opacity=1.5),
     "unit": lambda r: r["view"].update(unit={"name": "mm", "length": 0}),
     "cross": lambda r: r["view"].update(cross=[0, 1]),
     "keyframes": lambda r: r["film"].reverse(),
@@ -216,6 +221,25 @@ def test_settings_survive_and_a_broken_file_does_no_harm(tmp_path: Path) -> None
     for index in range(20):
         many = many.with_recent(tmp_path / str(index % 12))
     assert len(many.recent) == 10 and many.recent[0] == str(tmp_path / "7")
+    assert str(tmp_path / "7") not in many.without_recent(str(tmp_path / "7")).recent
+
+
+def test_pictures_of_recent_files_tell_no_names_and_go_with_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("FRUITNINJA_HOME", str(tmp_path / "home"))
+    one, other = "/private/melon.ply", "/private/Melon.ply"
+    for name, grey in ((one, 40), (other, 200)):
+        keep_picture(name, np.full((90, 90, 3), grey, np.uint8))
+    assert [int(read_pixels(picture_of(name)).mean()) for name in (one, other)] == [40, 200]
+    written = [path.name for path in (tmp_path / "home").rglob("*") if path.is_file()]
+    assert len(written) == 2 and not any("elon" in name for name in written)
+    remove_pictures([other])
+    assert not picture_of(one).exists() and picture_of(other).exists()
+    (tmp_path / "home").rename(tmp_path / "away")
+    (tmp_path / "home").write_text("a file where the folder should be")
+    keep_picture(one, np.zeros((9, 9, 3), np.uint8))  # is not worth a message
+    remove_pictures([])
 
 
 def test_dialogs_of_the_system_open_and_are_cancelled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from app.model.outline import body_of_atoms, body_of_shell, contours
+from app.model.outline import body_of_atoms, body_of_shell, clipped_lines, contours, wires
 from engine.scene.atoms import Atoms, InteriorAtoms
 from engine.scene.grid import Body
 from engine.scene.plane import Plane
@@ -77,3 +77,25 @@ def test_a_skin_alone_is_outlined_from_without() -> None:
     lines = contours(body, [Plane.of((0, 0, 1), 0.0), Plane.of((0, 0, 1), -0.6)])
     assert length(lines) == pytest.approx(2 * np.pi * (1 + 0.8), rel=0.05)
     assert not len(contours(body_of_shell(np.zeros((0, 3))), [Plane.of((0, 0, 1), 0.0)]))
+
+
+def test_wires_are_a_closed_net_on_the_skin(ball: Body) -> None:
+    lines = wires(ball)
+    assert np.abs(np.linalg.norm(lines - (0.3, 0.1, -0.2), axis=2) - 1).max() < 0.6 * ball.grid.cell
+    corners = np.unique(np.round(lines.reshape(-1, 3), 7), axis=0)
+    assert len(lines) == 2 * len(corners) - 4  # Euler's formula for quadrangles around a ball
+    assert 1000 < len(lines) < 10_000
+    outset = np.linalg.norm(wires(ball, 0.6) - (0.3, 0.1, -0.2), axis=2)
+    assert outset.mean() == pytest.approx(1 + 0.6 * ball.grid.cell, abs=0.3 * ball.grid.cell)
+
+
+def test_lines_end_where_their_cells_do() -> None:
+    rng = np.random.default_rng(1)
+    ends = rng.uniform(-1, 1, (200, 2, 3))
+    half, other = Plane.of((0, 0, 1), 0), Plane.of((1, 0, 0), -0.2)
+    kept = clipped_lines(ends, [(half, other)])
+    assert 50 < len(kept) < 200 and max(half.distance(kept).max(), other.distance(kept).max()) < 1e-12
+    # Nothing is lost: both sides of a plane together are as long as the lines.
+    both = clipped_lines(ends, [(half,), (half.flipped(),)])
+    assert length(both) == pytest.approx(length(ends))
+    assert np.array_equal(clipped_lines(ends, [()]), ends)

@@ -10,8 +10,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from imgui_bundle import ImVec4
 
-from app.ui.theme import DARK, LIGHT, Palette
+from app.ui.theme import DARK, LIGHT, Palette, _roles, rgb, rgba
 from tests.paths import HELPERS, ROOT
 
 
@@ -78,6 +79,23 @@ def test_a_film_is_made_the_object_thrown_and_pieces_named(tmp_path: Path) -> No
     assert len(list((tmp_path / "shots").glob("*.png"))) == 10
 
 
+def test_what_was_open_lately_is_shown_with_pictures(tmp_path: Path) -> None:
+    run("recent", tmp_path, "hard_use/steps.py")
+
+
+def test_splats_lines_and_names_are_shown_as_the_view_says(tmp_path: Path) -> None:
+    run("options", tmp_path, "hard_use/steps.py")
+
+
+def test_all_is_reached_by_keyboard_and_the_knife_cuts_by_it(tmp_path: Path) -> None:
+    run("keyboard", tmp_path, "hard_use/steps.py")
+
+
+@pytest.mark.slow
+def test_in_a_language_of_long_words_all_is_translated_and_fits(tmp_path: Path) -> None:
+    run("pseudo", tmp_path, "hard_use/steps.py")
+
+
 @pytest.mark.slow
 def test_two_thousand_random_actions_leave_nothing_behind(tmp_path: Path) -> None:
     run("soak", tmp_path)
@@ -87,18 +105,49 @@ def test_two_thousand_random_actions_leave_nothing_behind(tmp_path: Path) -> Non
 def test_text_stands_out_from_every_ground_that_it_is_on(p: Palette) -> None:
     """By 4.5 or more, the contrast of WCAG 2 for text (relative luminance of sRGB)."""
 
-    def luminance(colour: str) -> float:
-        parts = np.array([int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5)])
-        linear = np.where(parts <= 0.04045, parts / 12.92, ((parts + 0.055) / 1.055) ** 2.4)
-        return float(linear @ (0.2126, 0.7152, 0.0722))
-
     grounds = (p.ground, p.panel, p.field, p.hover, p.view)
     pairs = [(text, ground) for text in (p.text, p.second) for ground in grounds]
     pairs += [(p.text, p.pressed), (p.on_accent, p.accent), (p.trouble, p.panel), (p.curve, p.view), (p.third, p.view)]
     pairs += [(mark, ground) for mark in p.marks for ground in (p.panel, p.view)]
     for text, ground in pairs:
-        low, high = sorted((luminance(text), luminance(ground)))
-        assert (high + 0.05) / (low + 0.05) >= 4.5, (text, ground)
+        assert contrast(rgb(text), rgb(ground)) >= 4.5, (text, ground)
+
+
+@pytest.mark.parametrize("p", [DARK, LIGHT])
+def test_text_of_every_control_stands_out_in_every_state(p: Palette) -> None:
+    """Colours as ImGui gets them, over what is behind them; pictures behind a label are taken as black and as white."""
+
+    def over(front: ImVec4, behind: tuple[float, float, float]) -> tuple[float, float, float]:
+        r, g, b = (front.w * a + (1 - front.w) * c for a, c in zip((front.x, front.y, front.z), behind, strict=True))
+        return r, g, b
+
+    roles, panel = _roles(p), rgb(p.panel)
+    kinds = ("window", "popup", "title", "menu", "frame", "button", "header", "tab")
+    grounds = [name for name in roles if name.startswith(kinds) and "overline" not in name]
+    assert len(grounds) >= 20
+    seen = {name: over(roles[name], panel) for name in grounds}
+    seen["selected text"] = over(roles["text_selected_bg"], rgb(p.field))
+    for behind in ((0.0, 0.0, 0.0), (1.0, 1.0, 1.0)):
+        seen[f"label over {behind}"] = over(rgba(p.ground, 0.8), behind)
+        seen[f"slice's title over {behind}"] = over(rgba(p.view, 0.72), behind)
+        seen[f"name over {behind}"] = over(rgba(p.view, 0.9), behind)
+    for name, ground in seen.items():
+        assert contrast(rgb(p.text), ground) >= 4.5, name
+        assert contrast(over(roles["nav_cursor"], ground), ground) >= 3.0, f"the ring of the keyboard on {name}"
+    for accent in (p.accent, p.accent_hovered, p.accent_pressed):
+        assert contrast(rgb(p.on_accent), rgb(accent)) >= 4.5, accent
+
+
+def contrast(one: tuple[float, float, float], other: tuple[float, float, float]) -> float:
+    """Of two colours, range [0, 1], by WCAG 2."""
+
+    def luminance(colour: tuple[float, float, float]) -> float:
+        parts = np.array(colour)
+        linear = np.where(parts <= 0.04045, parts / 12.92, ((parts + 0.055) / 1.055) ** 2.4)
+        return float(linear @ (0.2126, 0.7152, 0.0722))
+
+    low, high = sorted((luminance(one), luminance(other)))
+    return (high + 0.05) / (low + 0.05)
 
 
 def test_without_a_display_or_a_file_one_line_says_so(tmp_path: Path) -> None:

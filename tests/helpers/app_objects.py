@@ -14,6 +14,7 @@ from app.model.measure.units import Unit
 from app.model.project import Project, Viewing
 from app.model.rigid_transform import Motion
 from engine.isolate.selection import BodyAt, Box, Lasso, Step, View, keep_only
+from engine.render.culling.draw_options import SplatLook
 from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from engine.scene.plane import Plane
 from training.faces.marks import Marks
@@ -52,7 +53,8 @@ def full(folder: Path) -> Project:
     look = FilmLook((1080, 1920), 12.0, "own", (0.1, 1 / 3, 1.0))
     first = moment(0.0, eye, (document, other))
     film = Timeline((first, moment(1 / 3, replace(eye, azimuth=400.0), (replace(document, cuts=()),))))
-    viewing = Viewing(eye, "capture", (0.1, 0.2, 0.3), True, (0.5, 0.0, -1.0), Unit("cm", 12.5), True, look)
+    splats = SplatLook(0.5, 0.25)
+    viewing = Viewing(eye, "capture", (0.1, 0.2, 0.3), True, (0.5, 0.0, -1.0), Unit("cm", 12.5), True, look, splats)
     return Project((document, other), viewing, film)
 
 

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+from app.translation import _
 from training.faces.axis import CutGuess
 from training.families import Kind
 
 __all__ = ["CUT_NAMES", "describe_guess"]
 
 CUT_NAMES: dict[Kind, str] = {
-    "horizontal": "a cut across the core",
-    "radial": "a cut along the core",
-    "parallel": "a slice",
-    "custom": "a cut",
+    "horizontal": _("a cut across the core"),
+    "radial": _("a cut along the core"),
+    "parallel": _("a slice"),
+    "custom": _("a cut"),
 }
 
 FAIRLY_SURE = 0.85
@@ -21,5 +22,5 @@ and the others are level cuts of a loaf, which look like slices of one; below it
 
 def describe_guess(guess: CutGuess) -> str:
     """As in 'looks like a cut across the core, fairly sure'."""
-    sure = "fairly sure" if guess.sureness >= FAIRLY_SURE else "not sure"
-    return f"looks like {CUT_NAMES[guess.kind]}, {sure}"
+    sure = _("fairly sure") if guess.sureness >= FAIRLY_SURE else _("not sure")
+    return _("looks like {cut}, {sure}").format(cut=CUT_NAMES[guess.kind], sure=sure)

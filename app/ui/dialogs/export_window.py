@@ -6,6 +6,7 @@ from pathlib import Path
 
 from imgui_bundle import ImVec2, imgui
 
+from app.translation import _
 from app.ui.dialogs.exporter import Exporter, Options
 from app.ui.dialogs.file_dialogs import FileDialogs
 from app.ui.theme import Fonts, px
@@ -15,17 +16,19 @@ from engine.io.writers.splats import SPLAT_WRITERS
 __all__ = ["ExportWindow"]
 
 TITLES = {
-    "picture": "Save picture",
-    "section": "Save cut face",
-    "pieces": "Save pieces",
-    "meshes": "Save pieces as meshes",
+    "picture": _("Save picture"),
+    "section": _("Save cut face"),
+    "pieces": _("Save pieces"),
+    "meshes": _("Save pieces as meshes"),
 }
 HINTS = {
-    "picture": "What the window shows, in any size.",
-    "section": "The active cut looked at straight on, with a scale and nothing around it.",
-    "pieces": "For other programs. Cut faces there are as fine as its points; every 3DGS viewer opens a .ply.",
-    "meshes": "Closed, with cut faces as fine as the pictures, for Blender, game engines and printers. The selected "
-    "pieces of this object, or all of them.",
+    "picture": _("What the window shows, in any size."),
+    "section": _("The active cut looked at straight on, with a scale and nothing around it."),
+    "pieces": _("For other programs. Cut faces there are as fine as its points; every 3DGS viewer opens a .ply."),
+    "meshes": _(
+        "Closed, with cut faces as fine as the pictures, for Blender, game engines and printers. The selected "
+        "pieces of this object, or all of them."
+    ),
 }
 MESHES = (".glb", ".obj", ".3mf")
 LARGEST = 8192
@@ -64,27 +67,27 @@ class ExportWindow:
         secondary(HINTS[o.kind], wrap=True)
         imgui.dummy(ImVec2(0, px(4)))
         if o.kind == "section":
-            row_label("Size", 110)
+            row_label(_("Size"), 110)
             o.width = bounded(imgui.input_int("##side", o.width, 100)[1])
         elif o.kind not in ("pieces", "meshes"):
-            row_label("Width", 110)
+            row_label(_("Width"), 110)
             o.width = bounded(imgui.input_int("##width", o.width, 100)[1])
-            row_label("Height", 110)
+            row_label(_("Height"), 110)
             o.height = bounded(imgui.input_int("##height", o.height, 100)[1])
         if o.kind in ("picture", "section"):
-            row_label("Background", 110)
-            o.transparent = not imgui.checkbox("white##ground", not o.transparent)[1]
+            row_label(_("Background"), 110)
+            o.transparent = not imgui.checkbox(_("white") + "##ground", not o.transparent)[1]
         if o.kind == "pieces":
-            row_label("Format", 110)
+            row_label(_("Format"), 110)
             splats = list(SPLAT_WRITERS)
             o.splats = splats[imgui.combo("##splats", splats.index(o.splats), [s[1:].upper() for s in splats])[1]]
-            row_label("Files", 110)
-            o.separate = imgui.checkbox("one for each piece", o.separate)[1]
+            row_label(_("Files"), 110)
+            o.separate = imgui.checkbox(_("one for each piece"), o.separate)[1]
         if o.kind == "meshes":
-            row_label("Format", 110)
+            row_label(_("Format"), 110)
             o.meshes = MESHES[imgui.combo("##meshes", MESHES.index(o.meshes), [s[1:].upper() for s in MESHES])[1]]
         imgui.dummy(ImVec2(0, px(6)))
-        if main_button("Choose where...", px(150)):
+        if main_button(_("Choose where..."), px(150)):
             self._choose()
         imgui.same_line()
         if cancel_button():
@@ -111,8 +114,8 @@ class ExportWindow:
         imgui.set_next_window_size(ImVec2(px(320), 0))
         flags = imgui.WindowFlags_.no_decoration | imgui.WindowFlags_.no_docking | imgui.WindowFlags_.no_saved_settings
         imgui.begin("##exporting", None, flags)
-        secondary(f"Saving {self.exporter.path.name if self.exporter.path else ''}")
-        if imgui.button("Cancel"):
+        secondary(_("Saving {name}").format(name=self.exporter.path.name if self.exporter.path else ""))
+        if imgui.button(_("Cancel")):
             self.exporter.cancel()
         imgui.end()
 

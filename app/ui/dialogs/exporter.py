@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from app.jobs.export import save_meshes, save_pieces, save_still, section_picture
 from app.session.session import Session
+from app.translation import _, ngettext
 from app.ui.view.painter import Painter
 from engine.errors import InputError
 from engine.export.colours import Colours
@@ -69,7 +70,7 @@ class Exporter:
             else:
                 camera = self._camera(options)
                 save_still(path, self._draw(camera, self._shown()), options.transparent)
-                self.session.notify(f"Saved {path.name}.")
+                self.session.notify(_("Saved {name}.").format(name=path.name))
         except InputError as error:
             self.session.show_error(error)
 
@@ -83,7 +84,7 @@ class Exporter:
             if self._error:
                 self.session.show_error(self._error)
             else:
-                self.session.notify(f"Saved {name}." if not self._cancelled else "Stopped.")
+                self.session.notify(_("Saved {name}.").format(name=name) if not self._cancelled else _("Stopped."))
 
     def cancel(self) -> None:
         """Stops before meshes are written, and leaves no file behind."""
@@ -101,7 +102,7 @@ class Exporter:
         except InputError as error:
             self._error = "" if self._cancelled else str(error)
         except Exception as error:  # otherwise the window would wait for a dead thread
-            self._error = f"{path}: could not be written ({error})"
+            self._error = _("{path}: could not be written ({error})").format(path=path, error=error)
 
     def _section(self, options: Options, path: Path) -> None:
         session = self.session
@@ -109,7 +110,7 @@ class Exporter:
             self._draw, self._plane(), self._uncut(), session.up, session.solid, max(options.width, 64)
         )
         save_still(path, picture, options.transparent)
-        session.notify(f"Saved {path.name}.")
+        session.notify(_("Saved {name}.").format(name=path.name))
 
     def _plane(self) -> Plane:
         """Of the chosen cut, or of the last; raises InputError if none is straight."""
@@ -127,11 +128,15 @@ class Exporter:
         pieces = [(solids[session.documents[m.index].number], m.piece) for m in session.members]
         if not options.separate:
             count = save_pieces(path, pieces, session.view_up)
-            session.notify(f"Saved {count:,} Gaussians in {path.name}.")
+            session.notify(_("Saved {count:,} Gaussians in {name}.").format(count=count, name=path.name))
             return
         for number, piece in enumerate(pieces, 1):
             save_pieces(path.with_name(f"{path.stem}_{number}{path.suffix}"), [piece], session.view_up)
-        session.notify(f"Saved {len(pieces)} pieces beside {path.stem}_1{path.suffix}.")
+        session.notify(
+            ngettext("Saved {count} piece as {name}.", "Saved {count} pieces beside {name}.", len(pieces)).format(
+                count=len(pieces), name=f"{path.stem}_1{path.suffix}"
+            )
+        )
 
     def _meshes(self, path: Path) -> None:
         session = self.session

@@ -13,6 +13,7 @@ from imgui_bundle import imgui
 from imgui_bundle import portable_file_dialogs as pfd
 
 from app.model.project import SUFFIX
+from app.translation import _
 from app.ui.theme import px
 from app.ui.widgets import cancel_button, main_button, modal, secondary
 from engine.io.formats import SCENE_SUFFIXES
@@ -20,8 +21,8 @@ from engine.io.picture_file import PICTURE_SUFFIXES
 
 __all__ = ["FileDialogs"]
 
-SCENES = ["Scenes", " ".join(f"*{suffix}" for suffix in (*SCENE_SUFFIXES, SUFFIX)), "All files", "*"]
-IMAGES = ["Pictures", " ".join(f"*{suffix}" for suffix in PICTURE_SUFFIXES), "All files", "*"]
+SCENES = [_("Scenes"), " ".join(f"*{suffix}" for suffix in (*SCENE_SUFFIXES, SUFFIX)), _("All files"), "*"]
+IMAGES = [_("Pictures"), " ".join(f"*{suffix}" for suffix in PICTURE_SUFFIXES), _("All files"), "*"]
 
 Then = Callable[[tuple[Path, ...]], None]
 
@@ -56,11 +57,11 @@ class FileDialogs:
 
     def open_scene(self, then: Callable[[Path], None]) -> None:
         """Asks for a scene or a project."""
-        self._open("Open a capture, a mesh or a project", SCENES, lambda paths: then(paths[0]))
+        self._open(_("Open a capture, a mesh or a project"), SCENES, lambda paths: then(paths[0]))
 
     def open_pictures(self, then: Then) -> None:
         """Asks for one or several pictures."""
-        self._open("Choose pictures of a cut face", IMAGES, then, several=True)
+        self._open(_("Choose pictures of a cut face"), IMAGES, then, several=True)
 
     def save(self, title: str, suggestion: Path, kinds: list[str], then: Callable[[Path], None]) -> None:
         """Asks for the path of a new file."""
@@ -107,8 +108,8 @@ class FileDialogs:
             if imgui.is_window_appearing():
                 imgui.set_keyboard_focus_here()
             entered, typed.text = imgui.input_text("##path", typed.text, imgui.InputTextFlags_.enter_returns_true)
-            secondary("Type a path. Installing zenity or kdialog brings the system's file dialog.", wrap=True)
-            if main_button("OK", px(110)) or entered:
+            secondary(_("Type a path. Installing zenity or kdialog brings the system's file dialog."), wrap=True)
+            if main_button(_("OK"), px(110)) or entered:
                 self.prompt, done = None, True
             imgui.same_line()
             if cancel_button():

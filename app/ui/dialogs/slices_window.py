@@ -9,6 +9,7 @@ from imgui_bundle import ImVec2, imgui
 
 from app.model.knife import slice_evenly
 from app.session.session import Session
+from app.translation import _
 from app.ui.panels.cut_details import presets
 from app.ui.theme import Fonts, px
 from app.ui.widgets import cancel_button, font, main_button, modal, row_label, secondary
@@ -26,7 +27,7 @@ class SlicesWindow:
         self.session = session
         self.requested = False
         self.count = 5
-        self.across = "Level"
+        self.across = _("Level")
 
     def open(self) -> None:
         """Opens it with the next frame."""
@@ -42,23 +43,26 @@ class SlicesWindow:
 
     def _body(self) -> None:
         with font(Fonts.bold):
-            imgui.text_unformatted("Slice evenly")
+            imgui.text_unformatted(_("Slice evenly"))
         selected = bool(self.session.selection)
         secondary(
-            "What is selected, in slices of one thickness." if selected else "All of it, in slices of one thickness."
+            _("What is selected, in slices of one thickness.")
+            if selected
+            else _("All of it, in slices of one thickness."),
+            wrap=True,
         )
         imgui.dummy(ImVec2(0, px(4)))
         normals = presets(np.asarray(self.session.up))
-        row_label("Slices", 90)
+        row_label(_("Slices"), 90)
         self.count = min(max(2, imgui.slider_int("##count", self.count, 2, MOST)[1]), MOST)
-        row_label("Cuts", 90)
+        row_label(_("Cuts"), 90)
         if imgui.begin_combo("##across", self.across):
             for name in normals:
                 if imgui.selectable(name, name == self.across)[0]:
                     self.across = name
             imgui.end_combo()
         imgui.dummy(ImVec2(0, px(6)))
-        if main_button("Slice", px(150)):
+        if main_button(_("Slice"), px(150)):
             self._slice(normals[self.across])
             self.requested = False
         imgui.same_line()
@@ -71,8 +75,8 @@ class SlicesWindow:
         session = self.session
         sliced = slice_evenly(session.document, session.solid, normal, self.count, session.selection)
         if sliced is None:
-            session.notify("There is nothing shown to slice.")
+            session.notify(_("There is nothing shown to slice."))
             return
         session.viewing = replace(session.viewing, mode="solid" if session.mode == "capture" else session.mode)
-        session.change("Slice evenly", sliced)
-        session.notify(f"Cut into {self.count} slices.")
+        session.change(_("Slice evenly"), sliced)
+        session.notify(_("Cut into {count} slices.").format(count=self.count))

@@ -13,6 +13,7 @@ from app.model.film.motion import frame_count
 from app.model.film.timeline import BACKGROUNDS, Background
 from app.model.rigid_transform import Vec3
 from app.session.session import Session
+from app.translation import _
 from app.ui.dialogs.export_window import bounded
 from app.ui.dialogs.file_dialogs import FileDialogs
 from app.ui.theme import Fonts, palette, px, rgb
@@ -22,7 +23,7 @@ __all__ = ["FilmWindow"]
 
 T = TypeVar("T")
 
-FORMS = {".mp4": "MP4", ".webp": "WebP", ".gif": "GIF", "": "Frames (PNG)"}
+FORMS = {".mp4": _("MP4"), ".webp": _("WebP"), ".gif": _("GIF"), "": _("Frames (PNG)")}
 
 SIZES = ((1280, 720), (1920, 1080), (2560, 1440), (3840, 2160), (1080, 1080), (1080, 1920))
 """As screens and feeds have them."""
@@ -33,11 +34,11 @@ FASTEST_GIF = 50.0
 """Frames a second: GIFs count in hundredths, and browsers show one of 1/100 s for 1/10 s."""
 
 GROUNDS: dict[Background, str] = {
-    "window": "as in the window",
+    "window": _("as in the window"),
     "white": "white",
     "black": "black",
-    "own": "a colour",
-    "transparent": "transparent",
+    "own": _("a colour"),
+    "transparent": _("transparent"),
 }
 
 
@@ -63,15 +64,15 @@ class FilmWindow:
 
     def _body(self) -> None:
         with font(Fonts.bold):
-            imgui.text_unformatted("Save film")
-        secondary("In full detail, in the background: the window can be used on.", wrap=True)
+            imgui.text_unformatted(_("Save film"))
+        secondary(_("In full detail, in the background: the window can be used on."), wrap=True)
         imgui.dummy(ImVec2(0, px(4)))
         forms = {suffix: name for suffix, name in FORMS.items() if suffix != ".mp4" or ffmpeg()}
-        row_label("Format", 132)
+        row_label(_("Format"), 132)
         self.form = _choice("##form", self.form if self.form in forms else ".webp", forms)
         look = self.session.viewing.film
         named = {size: f"{size[0]} x {size[1]}" for size in SIZES}
-        row_label("Size", 132)
+        row_label(_("Size"), 132)
         size = _choice("##size", look.size, named | ({} if look.size in named else {look.size: "other"}))
         row_label("", 132)
         changed, sides = imgui.input_int2("##sides", list(size))
@@ -79,10 +80,10 @@ class FilmWindow:
         rates = {
             rate: f"{rate:g}" for rate in sorted({*RATES, look.rate}) if self.form != ".gif" or rate <= FASTEST_GIF
         }
-        row_label("Frames a second", 132)
+        row_label(_("Frames a second"), 132)
         rate = _choice("##rate", look.rate if look.rate in rates else 25.0, rates)
         grounds = {g: GROUNDS[g] for g in BACKGROUNDS if g != "transparent" or self.form in (".webp", "")}
-        row_label("Background", 132)
+        row_label(_("Background"), 132)
         background = _choice("##ground", look.background if look.background in grounds else "white", grounds)
         colour = look.colour
         if background == "own":
@@ -94,9 +95,9 @@ class FilmWindow:
         )
         seconds = self.session.timeline.seconds
         imgui.dummy(ImVec2(0, px(2)))
-        secondary(f"{seconds:.1f} seconds, {frame_count(seconds, rate)} frames")
+        secondary(_("{seconds:.1f} seconds, {count} frames").format(seconds=seconds, count=frame_count(seconds, rate)))
         imgui.dummy(ImVec2(0, px(4)))
-        if main_button("Choose where...", px(150)):
+        if main_button(_("Choose where..."), px(150)):
             self._choose()
         imgui.same_line()
         if cancel_button():
@@ -109,12 +110,12 @@ class FilmWindow:
         session, suffix = self.session, self.form
         scene = session.document.scene
         name = (scene.parent if scene else Path.home()) / f"{scene.stem if scene else 'object'}_film{suffix}"
-        kinds = [suffix[1:].upper(), f"*{suffix}"] if suffix else ["Folder of pictures", "*"]
+        kinds = [suffix[1:].upper(), f"*{suffix}"] if suffix else [_("Folder of pictures"), "*"]
 
         def then(path: Path) -> None:
             session.film.save(path.with_suffix(suffix) if suffix != path.suffix.lower() else path, self.ground())
 
-        self.dialogs.save("Save film", name, kinds, then)
+        self.dialogs.save(_("Save film"), name, kinds, then)
 
     def ground(self) -> Vec3 | None:
         """RGB of the background, range [0, 1]; None for a transparent one."""

@@ -9,13 +9,14 @@ from imgui_bundle import ImVec2, imgui
 from imgui_bundle import icons_fontawesome_6 as icon
 
 from app.session.session import Session
+from app.translation import _
 from app.ui.film.film_window import FilmWindow
 from app.ui.theme import palette, px, rgba, u32
 from app.ui.widgets import colours, disabled, icon_button, secondary, tooltip
 
 __all__ = ["PRESETS", "TimelinePanel"]
 
-PRESETS = {"turntable": "Turntable", "sweep": "Plane sweep", "explode": "Explosion"}
+PRESETS = {"turntable": _("Turntable"), "sweep": _("Plane sweep"), "explode": _("Explosion")}
 
 HEIGHT = 96.0
 """Of the panel, at 96 DPI."""
@@ -56,15 +57,20 @@ class TimelinePanel:
         flags = imgui.WindowFlags_.no_scrollbar | imgui.WindowFlags_.no_scroll_with_mouse
         with colours(child_bg=rgba(palette().panel)):
             imgui.begin_child(
-                "##timeline", ImVec2(width, self.height), imgui.ChildFlags_.always_use_window_padding, flags
+                "##timeline",
+                ImVec2(width, self.height),
+                imgui.ChildFlags_.always_use_window_padding | imgui.ChildFlags_.nav_flattened,
+                flags,
             )
         self._buttons()
         self._ruler()
         imgui.end_child()
         imgui.pop_style_var(2)
         idle = not imgui.is_any_item_active() and not imgui.is_popup_open("", imgui.PopupFlags_.any_popup)
-        if self.session.film.shown and idle and imgui.is_key_pressed(imgui.Key.escape):
-            self.session.film.leave()
+        if self.session.film.shown and idle:
+            imgui.internal.set_key_owner(imgui.Key.escape, imgui.get_id("timeline"))  # leads to no other control
+            if imgui.is_key_pressed(imgui.Key.escape):
+                self.session.film.leave()
 
     # The buttons
 
@@ -75,51 +81,53 @@ class TimelinePanel:
         with disabled(not film.ready):
             if icon_button(f"{icon.ICON_FA_BACKWARD_STEP}##before", BUTTON, quiet=True):
                 film.step(-1)
-            tooltip("The keyframe before", ",")
+            tooltip(_("The keyframe before"), ",")
             imgui.same_line()
             if icon_button(f"{icon.ICON_FA_PAUSE if film.playing else icon.ICON_FA_PLAY}##play", BUTTON):
                 film.toggle()
-            tooltip("Pause" if film.playing else "Play", "Space")
+            tooltip(_("Pause") if film.playing else _("Play"), "Space")
             imgui.same_line()
             if icon_button(f"{icon.ICON_FA_FORWARD_STEP}##next", BUTTON, quiet=True):
                 film.step(1)
-            tooltip("The next keyframe", ".")
+            tooltip(_("The next keyframe"), ".")
         imgui.same_line()
         imgui.align_text_to_frame_padding()
         secondary(f"{film.time:.1f} / {timeline.seconds:.1f} s")
         imgui.same_line(0, px(12))
         with disabled(not film.available):
-            if _button(icon.ICON_FA_PLUS, "Keyframe", wide):
+            if _button(icon.ICON_FA_PLUS, _("Keyframe"), wide):
                 film.add()
-            tooltip("Keep this view, the planes and the explosion at the playhead", "N")
+            tooltip(_("Keep this view, the planes and the explosion at the playhead"), "N")
         imgui.same_line()
         chosen = film.selected is not None and film.selected < len(timeline.moments)
         with disabled(not chosen):
             if icon_button(f"{icon.ICON_FA_ARROWS_ROTATE}##replace", BUTTON, quiet=True):
                 film.update()
-            tooltip("Replace the selected keyframe by what is shown now")
+            tooltip(_("Replace the selected keyframe by what is shown now"))
             imgui.same_line()
             if icon_button(f"{icon.ICON_FA_TRASH_CAN}##remove", BUTTON, quiet=True):
                 film.remove()
-            tooltip("Remove the selected keyframe", "Del")
+            tooltip(_("Remove the selected keyframe"), "Del")
         imgui.same_line(0, px(12))
         with disabled(not film.available):
-            if _button(icon.ICON_FA_WAND_MAGIC_SPARKLES, "Make", wide):
+            if _button(icon.ICON_FA_WAND_MAGIC_SPARKLES, _("Make"), wide):
                 imgui.open_popup("presets")
-            tooltip("A turntable, a plane sweep or an explosion, from what is shown")
+            tooltip(_("A turntable, a plane sweep or an explosion, from what is shown"))
         self._presets()
-        text = imgui.calc_text_size(f"{icon.ICON_FA_FILM}  Save film...").x + 2 * imgui.get_style().frame_padding.x
+        text = (
+            imgui.calc_text_size(f"{icon.ICON_FA_FILM}  " + _("Save film...")).x + 2 * imgui.get_style().frame_padding.x
+        )
         imgui.same_line()
         end = imgui.get_cursor_pos_x() + imgui.get_content_region_avail().x - px(BUTTON) - px(5)
         imgui.set_cursor_pos_x(max(imgui.get_cursor_pos_x(), end - (text if wide else px(BUTTON))))
         with disabled(not film.ready or film.busy):
-            if _button(icon.ICON_FA_FILM, "Save film...", wide):
+            if _button(icon.ICON_FA_FILM, _("Save film..."), wide):
                 self.window.open()
-            tooltip("As a film, or as a folder of pictures", "Ctrl+Shift+E")
+            tooltip(_("As a film, or as a folder of pictures"), "Ctrl+Shift+E")
         imgui.same_line()
         if icon_button(f"{icon.ICON_FA_XMARK}##close timeline", BUTTON, quiet=True):
             self.close()
-        tooltip("Close the timeline; the film is kept", "L")
+        tooltip(_("Close the timeline; the film is kept"), "L")
 
     def _presets(self) -> None:
         if not imgui.begin_popup("presets"):
@@ -128,7 +136,7 @@ class TimelinePanel:
             if imgui.menu_item_simple(label):
                 self.session.film.preset(name)
         imgui.separator()
-        if imgui.menu_item("Remove the film", "", False, bool(self.session.timeline.moments))[0]:
+        if imgui.menu_item(_("Remove the film"), "", False, bool(self.session.timeline.moments))[0]:
             self.session.film.clear()
         imgui.end_popup()
 
@@ -158,9 +166,9 @@ class TimelinePanel:
             ends = x_of(moments[0].time), x_of(moments[-1].time)
             draw.add_line(ImVec2(ends[0], middle), ImVec2(ends[1], middle), u32(p.second), px(2))
         else:
-            text = "Add a keyframe of this view, change the view or the planes, add another."
+            text = _("Add a keyframe of this view, change the view or the planes, add another.")
             room = imgui.calc_text_size(text).x < size.x - px(20)
-            shown = text if room else "Add keyframes of the view: N"
+            shown = text if room else _("Add keyframes of the view: N")
             draw.add_text(ImVec2(low.x + inset, middle - imgui.get_text_line_height() / 2), u32(p.second), shown)
         imgui.set_cursor_screen_pos(low)
         imgui.set_next_item_allow_overlap()
@@ -208,7 +216,11 @@ class TimelinePanel:
             film.time = session.timeline.moments[index].time
         one = session.timeline.moments[index]
         if hovered and not active:
-            tooltip(f"Keyframe {index + 1} at {one.time:.2f} s. Click to show it, drag to move it.")
+            tooltip(
+                _("Keyframe {index} at {time:.2f} s. Click to show it, drag to move it.").format(
+                    index=index + 1, time=one.time
+                )
+            )
         selected = film.selected == index
         side = px(7 if hovered or selected else 6)
         colour = u32(p.accent if selected else p.text)

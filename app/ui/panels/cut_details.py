@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from app.model.document import Cut
 from app.model.knife import PlaneAngles
 from app.session.session import Session
+from app.translation import _
 from app.ui.theme import px
 from app.ui.view.viewport import Viewport
 from app.ui.widgets import row_label, tooltip
@@ -37,22 +38,22 @@ class CutDetails:
         plane = cut.plane(cut.parts[0])
         if len(cut.parts) == 1:
             self._place(cut, plane)
-        if imgui.button("Flip"):
-            session.change_cut("Flip", cut.id, flipped)
-        tooltip("Keep the other side" if cut.kind == "section" else "Swap the sides of the cut")
+        if imgui.button(_("Flip")):
+            session.change_cut(_("Flip"), cut.id, flipped)
+        tooltip(_("Keep the other side") if cut.kind == "section" else _("Swap the sides of the cut"))
         if cut.curved:
             imgui.unindent(px(32))
             return
         imgui.same_line()
         if cut.kind == "section":
-            if imgui.button("Slice here"):
-                session.change_cut("Slice", cut.id, lambda c: replace(c, kind="slice"))
-            tooltip("Part the object along this plane")
+            if imgui.button(_("Slice here")):
+                session.change_cut(_("Slice"), cut.id, lambda c: replace(c, kind="slice"))
+            tooltip(_("Part the object along this plane"))
             imgui.same_line()
-        if imgui.button("Train here"):
+        if imgui.button(_("Train here")):
             self._train(plane)
-        tooltip("Add this plane to the ones that are trained")
-        if len(cut.parts) == 1 and imgui.tree_node_ex("Advanced", imgui.TreeNodeFlags_.span_avail_width):
+        tooltip(_("Add this plane to the ones that are trained"))
+        if len(cut.parts) == 1 and imgui.tree_node_ex(_("Advanced"), imgui.TreeNodeFlags_.span_avail_width):
             self._equation(cut, plane)
             imgui.tree_pop()
         imgui.unindent(px(32))
@@ -62,31 +63,33 @@ class CutDetails:
         up, centre = np.asarray(self.session.up), self.session.solid.centre
         now = PlaneAngles.of(plane, up, centre)
         speed = self.session.solid.radius / 200  # a drag across the panel moves it by about a radius
-        for name, value, step, low, high, form, hint in (
-            ("distance", now.distance, speed, 0.0, 0.0, "%.3f", "From the middle of the object, in units of the file"),
-            ("tilt", now.tilt, 0.5, 0.0, 180.0, "%.1f°", "Against the level: 0 is a level cut, 90 an upright one"),
-            ("turn", now.turn, 0.5, -180.0, 180.0, "%.1f°", "About the upright axis"),
+        middle = _("From the middle of the object, in units of the file")
+        level = _("Against the level: 0 is a level cut, 90 an upright one")
+        for name, title, value, step, low, high, form, hint in (
+            ("distance", _("Distance"), now.distance, speed, 0.0, 0.0, "%.3f", middle),
+            ("tilt", _("Tilt"), now.tilt, 0.5, 0.0, 180.0, "%.1f°", level),
+            ("turn", _("Turn"), now.turn, 0.5, -180.0, 180.0, "%.1f°", _("About the upright axis")),
         ):
-            row_label(name.title(), 108)
+            row_label(title, 108)
             value = value if abs(value) >= 5e-4 else 0.0  # and not "-0.000"
             changed, new = imgui.drag_float(f"##{name}", value, step, low, high, form)
-            tooltip(f"{hint}. Drag, or double click to type.")
+            tooltip(_("{hint}. Drag, or double click to type.").format(hint=hint))
             if changed and np.isfinite(new):
                 self._set(cut, replace(now, **{name: new}).plane(up, centre), merge=f"cut {cut.id}")
         width = (imgui.get_content_region_avail().x - px(8)) / 2
         imgui.set_next_item_width(width)
-        if imgui.begin_combo("##across", "Along..."):
+        if imgui.begin_combo("##across", _("Along...")):
             for name, normal in presets(up).items():
                 if imgui.selectable(name, False)[0]:
                     self._set(cut, Plane.through(centre + now.distance * normal, normal))
             imgui.end_combo()
-        tooltip("Level, upright, or across an axis of the file, at the same distance")
+        tooltip(_("Level, upright, or across an axis of the file, at the same distance"))
         imgui.same_line()
         picker = self.viewport.point_picker
         picking = picker.cut_id == cut.id
-        if imgui.button("Cancel##points" if picking else "Three points", ImVec2(-1, 0)):
+        if imgui.button(_("Cancel") + "##points" if picking else _("Three points"), ImVec2(-1, 0)):
             picker.cancel() if picking else picker.begin(cut.id)
-        tooltip("Click three points on the object: the plane goes through them")
+        tooltip(_("Click three points on the object: the plane goes through them"))
 
     def _equation(self, cut: Cut, plane: Plane) -> None:
         values = [*plane.normal, plane.offset]
@@ -99,13 +102,13 @@ class CutDetails:
             try:
                 self._set(cut, Plane.of(self._numbers[1][:3], self._numbers[1][3]))
             except InputError:
-                self.session.notify("a, b, c must not all be zero.")
+                self.session.notify(_("a, b, c must not all be zero."))
         if not imgui.is_item_active():
             self._numbers = None
-        tooltip("a, b, c, d of the plane a x + b y + c z + d = 0; the side below 0 stays")
+        tooltip(_("a, b, c, d of the plane a x + b y + c z + d = 0; the side below 0 stays"))
 
     def _set(self, cut: Cut, plane: Plane, merge: str = "") -> None:
-        self.session.change_cut(f"Set {cut.name}", cut.id, lambda c: c.with_plane(plane), merge)
+        self.session.change_cut(_("Set {name}").format(name=cut.name), cut.id, lambda c: c.with_plane(plane), merge)
 
     def _train(self, plane: Plane) -> None:
         session = self.session
@@ -113,8 +116,8 @@ class CutDetails:
         planes = (*(family.custom if family else ()), plane)
         single = family or Family("custom", 1, custom=planes)
         new = replace(single, count=len(planes), custom=planes)
-        session.change("Train plane", session.document.with_family(new))
-        session.notify("Added to the family of single planes. Give it a picture.")
+        session.change(_("Train plane"), session.document.with_family(new))
+        session.notify(_("Added to the family of single planes. Give it a picture."))
 
 
 def flipped(cut: Cut) -> Cut:
@@ -126,5 +129,5 @@ def flipped(cut: Cut) -> Cut:
 def presets(up: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
     """Names of planes and their unit normals (3,)."""
     first, second = equator(up)
-    axes = {f"Across {name}": axis for name, axis in zip("xyz", np.eye(3), strict=True)}
-    return {"Level": up, "Upright": first, "Upright, across": second, **axes}
+    axes = {_("Across {name}").format(name=name): axis for name, axis in zip("xyz", np.eye(3), strict=True)}
+    return {_("Level"): up, _("Upright"): first, _("Upright, across"): second, **axes}

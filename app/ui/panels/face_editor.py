@@ -17,26 +17,27 @@ from app.model.faces.words import describe_guess
 from app.session.face_controller import OpenFace
 from app.session.session import Session
 from app.session.workspace import Tool
+from app.translation import _
 from app.ui.theme import Fonts, palette, px, rgba, u32
 from app.ui.view.painter import Painter
 from app.ui.view.placement_view import PlacementView
-from app.ui.widgets import colours, font, secondary, segmented, thin_bar, tooltip
+from app.ui.widgets import clipped, colours, font, secondary, segmented, thin_bar, tooltip
 from training.faces.marks import UNMARKED, Place
 from training.families import Kind
 
 __all__ = ["FaceEditor"]
 
-KINDS: dict[Kind, str] = {"horizontal": "Across the core", "radial": "Along the core", "parallel": "Slice"}
+KINDS: dict[Kind, str] = {"horizontal": _("Across the core"), "radial": _("Along the core"), "parallel": _("Slice")}
 KIND_HINTS = (
-    "Cut level, as a slice of an orange: the core is a point in its middle",
-    "Cut upright through the axis, as a halved apple",
-    "Cut across a long thing, as a slice of bread",
+    _("Cut level, as a slice of an orange: the core is a point in its middle"),
+    _("Cut upright through the axis, as a halved apple"),
+    _("Cut across a long thing, as a slice of bread"),
 )
-TOOLS = ("Points", "Add", "Take away")
+TOOLS = (_("Points"), _("Add"), _("Take away"))
 TOOL_HINTS = (
-    "Drag the points of the outline, the core, or the ends of the axis",
-    "Paint what belongs to the face. The wheel changes the size of the brush",
-    "Paint what does not belong to it. The wheel changes the size of the brush",
+    _("Drag the points of the outline, the core, or the ends of the axis"),
+    _("Paint what belongs to the face. The wheel changes the size of the brush"),
+    _("Paint what does not belong to it. The wheel changes the size of the brush"),
 )
 
 REACH = 11.0
@@ -102,7 +103,7 @@ class FaceEditor:
         self._tools(face, width)
         imgui.set_cursor_screen_pos(ImVec2(start.x + width + gap, start.y + height + px(10)))
         imgui.align_text_to_frame_padding()
-        words = "Where it goes in the object", "Where it goes in the object. Drag to look around."
+        words = _("Where it goes in the object"), _("Where it goes in the object. Drag to look around.")
         secondary(words[imgui.calc_text_size(words[1]).x < right.x])
         if imgui.is_key_pressed(imgui.Key.escape) and not imgui.is_popup_open("", imgui.PopupFlags_.any_popup):
             session.faces.close()
@@ -123,22 +124,22 @@ class FaceEditor:
     def _head(self, face: OpenFace, left: float, right: float) -> None:
         """Name and buttons; what it seems to be, and what it is taken for. `left` and `right`: its edges."""
         session = self.session
-        again, done = f"{icon.ICON_FA_ARROW_ROTATE_LEFT}  Find again", f"{icon.ICON_FA_CHECK}  Done"
+        again, done = f"{icon.ICON_FA_ARROW_ROTATE_LEFT}  " + _("Find again"), f"{icon.ICON_FA_CHECK}  " + _("Done")
         widths = [imgui.calc_text_size(text).x + px(28) for text in (again, done)]
         imgui.set_cursor_pos(ImVec2(left, px(14)))
         imgui.align_text_to_frame_padding()
         with font(Fonts.bold):
-            imgui.text_unformatted(face.path.name)
+            imgui.text_unformatted(clipped(face.path.name, right - left - sum(widths) - px(16)))
         imgui.same_line(right - sum(widths) - px(8))
         imgui.begin_disabled(face.given == UNMARKED)
         if imgui.button(again, ImVec2(widths[0], 0)):
             face.find_again()
         imgui.end_disabled()
-        tooltip("Drop your corrections")
+        tooltip(_("Drop your corrections"))
         imgui.same_line(right - widths[1])
         if imgui.button(done, ImVec2(widths[1], 0)):
             session.faces.close()
-        tooltip("Back to the object. Your corrections are kept.", "Esc")
+        tooltip(_("Back to the object. Your corrections are kept."), "Esc")
         imgui.set_cursor_pos_x(left)
         imgui.align_text_to_frame_padding()
         self._verdict(face)
@@ -161,16 +162,16 @@ class FaceEditor:
         """What the face seems to be, or why there is none."""
         found = face.found
         if found is None:
-            secondary("Looking for the cut face...")
+            secondary(_("Looking for the cut face..."))
         elif found.problem:
             with colours(text=rgba(palette().trouble)):
                 imgui.text_unformatted(icon.ICON_FA_TRIANGLE_EXCLAMATION)
             imgui.same_line(0, px(8))
-            painted = " Paint it with Add." if found.rgb.size and face.given.outline is None else ""
+            painted = _(" Paint it with Add.") if found.rgb.size and face.given.outline is None else ""
             secondary(f"{found.verdict[:1].upper()}{found.verdict[1:]}.{painted}")
             tooltip(f"{found.problem[:1].upper()}{found.problem[1:]}.")
         elif found.guess is not None:
-            secondary(f"It {describe_guess(found.guess)}.")
+            secondary(_("It {guess}.").format(guess=describe_guess(found.guess)), wrap=True)
             if found.note and face.given.outline is None:
                 secondary(f"{found.note[:1].upper()}{found.note[1:]}.", wrap=True)
 
@@ -323,11 +324,11 @@ class FaceEditor:
         if self.tool:
             imgui.set_next_item_width(min(room, px(180)))
             flags = imgui.SliderFlags_.logarithmic
-            _, self.brush = imgui.slider_float("##brush", self.brush, *BRUSH_RANGE, "", flags)
-            tooltip("Size of the brush, also with the wheel")
+            self.brush = imgui.slider_float("##brush", self.brush, *BRUSH_RANGE, "", flags)[1]
+            tooltip(_("Size of the brush, also with the wheel"))
         elif face.marks.outline is not None:
             imgui.align_text_to_frame_padding()
-            secondary("Alt: one point alone" if room < px(260) else "Drag a point; Alt: without its neighbours")
+            secondary(_("Alt: one point alone") if room < px(260) else _("Drag a point; Alt: without its neighbours"))
 
     # Places
 

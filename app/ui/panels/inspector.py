@@ -13,6 +13,7 @@ from imgui_bundle import icons_fontawesome_6 as icon
 from app.model.document import Cut, Document
 from app.model.rigid_transform import Vec3
 from app.session.session import Session
+from app.translation import _
 from app.ui.panels.cut_details import CutDetails
 from app.ui.panels.footer import Footer
 from app.ui.panels.interior import InteriorPanel
@@ -21,6 +22,7 @@ from app.ui.panels.measures import MeasuresPanel
 from app.ui.panels.pieces import PiecesPanel
 from app.ui.theme import palette, px, rgba
 from app.ui.widgets import (
+    clipped,
     colours,
     eye_icon,
     float_slider,
@@ -70,13 +72,14 @@ class Inspector:
     def show(self) -> None:
         """One frame."""
         above = imgui.get_content_region_avail().y - self.footer.height
-        imgui.begin_child("##sections", ImVec2(0, max(above, px(80))))
+        imgui.begin_child("##sections", ImVec2(0, max(above, px(80))), imgui.ChildFlags_.nav_flattened)
         self._object()
-        if self.session.tool == "isolate":
-            self.isolate.show()
-        self._cuts()
-        self.measures.show()
-        self.interior.show()
+        if self.session.document.scene is not None:
+            if self.session.tool == "isolate":
+                self.isolate.show()
+            self._cuts()
+            self.measures.show()
+            self.interior.show()
         imgui.end_child()
         self.footer.show()
 
@@ -85,12 +88,12 @@ class Inspector:
     def _object(self) -> None:
         session = self.session
         document = session.document
-        heading("Object")
+        heading(_("Object"))
         if document.scene is None:
-            secondary("Nothing is open. Drop a capture on the window.", wrap=True)
+            secondary(_("Nothing is open. Drop a capture on the window."), wrap=True)
             return
         imgui.align_text_to_frame_padding()
-        secondary(document.scene.name)
+        secondary(clipped(document.scene.name, imgui.get_content_region_avail().x - px(98)))
         notes = session.object.notes if session.object is not None else ()
         tooltip("\n".join([str(document.scene), *notes]))
         imgui.same_line(imgui.get_content_region_avail().x - px(90))
@@ -109,9 +112,9 @@ class Inspector:
     def _listed_object(self, index: int, document: Document) -> None:
         session = self.session
         if icon_button(f"{eye_icon(document.visible)}##seen", 22, quiet=True):
-            name = "Hide object" if document.visible else "Show object"
+            name = _("Hide object") if document.visible else _("Show object")
             session.change_object(name, index, replace(document, visible=not document.visible))
-        tooltip("Hide it" if document.visible else "Show it")
+        tooltip(_("Hide it") if document.visible else _("Show it"))
         imgui.same_line()
         if self._renamed == document.number:
             imgui.set_next_item_width(-1)
@@ -119,7 +122,7 @@ class Inspector:
                 imgui.set_keyboard_focus_here()
             changed, text = imgui.input_text("##name", document.name or document.title)
             if changed:
-                session.change_object("Name", index, replace(document, name=text.strip()), merge=f"name {index}")
+                session.change_object(_("Name"), index, replace(document, name=text.strip()), merge=f"name {index}")
             ended = self._typing and not imgui.is_item_active()
             self._typing, self._renamed = not ended, None if ended else self._renamed
             return
@@ -133,7 +136,7 @@ class Inspector:
         if imgui.is_item_hovered() and imgui.is_mouse_double_clicked(imgui.MouseButton_.left):
             self._renamed, self._typing = document.number, False
             session.activate(index)  # whatever its first click did
-        tooltip("The selected object is the one that is cut; click again to cut all. Double click to name it.")
+        tooltip(_("The selected object is the one that is cut; click again to cut all. Double click to name it."))
         imgui.same_line()
         imgui.align_text_to_frame_padding()
         secondary(self._state(document))
@@ -141,29 +144,29 @@ class Inspector:
     def _state(self, document: Document) -> str:
         """How far an object is, in a word or two; empty for a solid without an inside."""
         if any(job.document.number == document.number and not job.ended for job in self.session.training.jobs):
-            return "in training"
+            return _("in training")
         loaded = self.session.loaded.get(document.number)
         if loaded is None or loaded.atoms is None:
-            return "not solid yet"
-        return "with an inside" if loaded.trained else ""
+            return _("not solid yet")
+        return _("with an inside") if loaded.trained else ""
 
     def _up_axis(self) -> None:
         """Which way is up: one of six axes, as detected, by a face, or in numbers, which count when the list closes."""
         session, document = self.session, self.session.document
         current = axis_name(session.up)
         flags = imgui.ComboFlags_.no_arrow_button | imgui.ComboFlags_.height_largest
-        if imgui.begin_combo("##up", f"up  {current}", flags):
+        if imgui.begin_combo("##up", _("up  {current}").format(current=current), flags):
             chosen: Callable[[], object] | None = None
             for name, axis in AXES.items():
-                if imgui.selectable(f"up  {name}", name == current)[0]:
-                    chosen = partial(session.set_up, f"Up {name}", axis)
-            if session.object is not None and imgui.selectable("as detected", False)[0]:
-                chosen = partial(session.change, "Up as detected", replace(document, up=None))
-            if session.object is not None and imgui.selectable("stand on a face...", False)[0]:
+                if imgui.selectable(_("up  {name}").format(name=name), name == current)[0]:
+                    chosen = partial(session.set_up, _("Up {name}").format(name=name), axis)
+            if session.object is not None and imgui.selectable(_("as detected"), False)[0]:
+                chosen = partial(session.change, _("Up as detected"), replace(document, up=None))
+            if session.object is not None and imgui.selectable(_("stand on a face..."), False)[0]:
                 chosen = partial(session.select_tool, "upright")
             imgui.set_next_item_width(px(170))
             changed, numbers = imgui.input_float3("##up numbers", self._up or list(session.up), "%.3f")
-            tooltip("The up axis in the axes of the file; taken when this list closes")
+            tooltip(_("The up axis in the axes of the file; taken when this list closes"))
             if changed:
                 self._up = list(numbers)
             if chosen is not None:
@@ -176,25 +179,25 @@ class Inspector:
             imgui.end_combo()
         elif self._up is not None:
             if np.isfinite(self._up).all() and np.linalg.norm(self._up) > 1e-6:
-                session.set_up("Up", self._up)
+                session.set_up(_("Up"), self._up)
             else:
-                session.notify("The up axis needs a direction: three numbers that are not all 0.")
+                session.notify(_("The up axis needs a direction: three numbers that are not all 0."))
             self._up = None
         reason = session.object.up_reason if session.object is not None else ""
         if document.up is not None:
-            reason = "({:.3g}, {:.3g}, {:.3g}), chosen by you".format(*document.up)
-        tooltip(f"Which way is up: {reason}." if reason else "Which way is up.")
+            reason = _("({:.3g}, {:.3g}, {:.3g}), chosen by you").format(*document.up)
+        tooltip(_("Which way is up: {reason}.").format(reason=reason) if reason else _("Which way is up."))
 
     # Cuts
 
     def _cuts(self) -> None:
         session = self.session
-        heading("Cuts")
+        heading(_("Cuts"))
         for cut in session.document.cuts:
             self._cut(cut)
-        if imgui.button(f"{icon.ICON_FA_PLUS}  Add plane", ImVec2(-1, 0)):
+        if imgui.button(f"{icon.ICON_FA_PLUS}  " + _("Add plane"), ImVec2(-1, 0)):
             session.add_plane()
-        tooltip("A plane that opens the object. Sweep it with its slider.", "P")
+        tooltip(_("A plane that opens the object. Sweep it with its slider."), "P")
         if len(session.pieces) > 1 or any(p.removed for _, p in session.document.placements):
             self.pieces.show()
 
@@ -202,27 +205,34 @@ class Inspector:
         session = self.session
         imgui.push_id(cut.id)
         if icon_button(f"{eye_icon(cut.on)}##on", 24, quiet=True):
-            session.change_cut("Show cut" if not cut.on else "Hide cut", cut.id, lambda c: replace(c, on=not c.on))
+            session.change_cut(
+                _("Show cut") if not cut.on else _("Hide cut"), cut.id, lambda c: replace(c, on=not c.on)
+            )
         tooltip(
-            ("Take the cut back for now" if cut.kind == "slice" else "Show all of it for now")
+            (_("Take the cut back for now") if cut.kind == "slice" else _("Show all of it for now"))
             if cut.on
-            else "Cut again"
+            else _("Cut again")
         )
         imgui.same_line()
         active = session.active_cut == cut.id
+        wide = imgui.get_content_region_avail().x > px(190)
+        row = px(76) if wide else imgui.get_content_region_avail().x - px(32)
         with colours(text=rgba(palette().text if cut.on else palette().second), header=rgba(palette().field)):
-            clicked = list_row(cut.name, active, px(76), 24)
+            clicked = list_row(cut.name, active, row, 24)
         if clicked:
             session.active_cut = None if active else cut.id
-        tooltip("Click to say where it lies")
+        tooltip(_("Click to say where it lies"))
         imgui.same_line()
-        self._slider(cut)
-        imgui.same_line()
+        if wide:
+            self._slider(cut)
+            imgui.same_line()
         if icon_button(f"{icon.ICON_FA_XMARK}##gone", 24, quiet=True):
             session.remove_cut(cut.id)
             imgui.pop_id()
             return
-        tooltip("Remove: what it parted is one again" if cut.kind == "slice" else "Remove")
+        tooltip(_("Remove: what it parted is one again") if cut.kind == "slice" else _("Remove"))
+        if not wide:
+            self._slider(cut)
         if active and session.active_cut == cut.id:
             self.details.show(cut)
         imgui.pop_id()
@@ -231,14 +241,16 @@ class Inspector:
         """A slider for the plane's distance from the object's centre, in radii."""
         session, solid = self.session, self.session.solid
         if cut.curved:
-            secondary("curved")
+            secondary(_("curved"))
             imgui.same_line()
             imgui.dummy(ImVec2(imgui.get_content_region_avail().x - px(40), px(1)))
             return
         plane = cut.plane(cut.parts[0])
         place = -float(plane.distance(solid.centre)) / solid.radius
-        width = imgui.get_content_region_avail().x - px(32)
-        changed, new = float_slider("##place", place, -1.0, 1.0, "Sweeps the plane through the object", width)
+        width = max(imgui.get_content_region_avail().x - px(32), px(60))
+        changed, new = float_slider("##place", place, -1.0, 1.0, _("Sweeps the plane through the object"), width)
         if changed:
             shift = cut.shift + (new - place) * solid.radius
-            session.change_cut(f"Move {cut.name}", cut.id, lambda c: replace(c, shift=shift), merge=f"cut {cut.id}")
+            session.change_cut(
+                _("Move {name}").format(name=cut.name), cut.id, lambda c: replace(c, shift=shift), merge=f"cut {cut.id}"
+            )

@@ -8,22 +8,23 @@ from imgui_bundle import icons_fontawesome_6 as icon
 from app.model.marking import MARKERS, Marker
 from app.session.isolation_controller import How, Proposal
 from app.session.session import Session
+from app.translation import _
 from app.ui.theme import palette, px, rgb
-from app.ui.widgets import disabled, heading, icon_button, list_row, main_button, secondary, segmented, tooltip
+from app.ui.widgets import disabled, heading, icon_button, list_row, main_button, secondary, segmented, share, tooltip
 
 __all__ = ["IsolatePanel"]
 
-MARKER_LABELS: dict[Marker, str] = {"box": "Box", "sphere": "Ball", "lasso": "Lasso"}
+MARKER_LABELS: dict[Marker, str] = {"box": _("Box"), "sphere": _("Ball"), "lasso": _("Lasso")}
 MARKER_HINTS: dict[Marker, str] = {
-    "box": "Drag from corner to corner of a box, seen as from here; it reaches through the whole depth",
-    "sphere": "Drag from the middle of a part to its rim",
-    "lasso": "Draw around a part; it reaches through the whole depth",
+    "box": _("Drag from corner to corner of a box, seen as from here; it reaches through the whole depth"),
+    "sphere": _("Drag from the middle of a part to its rim"),
+    "lasso": _("Draw around a part; it reaches through the whole depth"),
 }
-HOW_LABELS: dict[How, str] = {"replace": "New", "add": "Add", "subtract": "Take away"}
+HOW_LABELS: dict[How, str] = {"replace": _("New"), "add": _("Add"), "subtract": _("Take away")}
 HOW_HINTS: dict[How, str] = {
-    "replace": "Each drag begins a new selection",
-    "add": "Each drag adds to the selection, as with Shift",
-    "subtract": "Each drag takes away from the selection, as with Alt",
+    "replace": _("Each drag begins a new selection"),
+    "add": _("Each drag adds to the selection, as with Shift"),
+    "subtract": _("Each drag takes away from the selection, as with Alt"),
 }
 
 
@@ -37,13 +38,13 @@ class IsolatePanel:
         """One frame."""
         session, isolation = self.session, self.session.isolation
         isolation.tint = rgb(palette().accent)
-        heading("Isolate")
+        heading(_("Isolate"))
         if not isolation.available:
-            text = "This object was opened with its inside; open the capture that it was made from."
+            text = _("This object was opened with its inside; open the capture that it was made from.")
             if session.object is None:
-                text = "Open a capture first."
+                text = _("Open a capture first.")
             elif session.object.coarse is not None:
-                text = "One moment: the rest of the capture is being read."
+                text = _("One moment: the rest of the capture is being read.")
             secondary(text, wrap=True)
             return
         width = imgui.get_content_region_avail().x
@@ -55,8 +56,8 @@ class IsolatePanel:
         index = segmented("how", list(HOW_LABELS.values()), hows.index(isolation.how), width, list(HOW_HINTS.values()))
         isolation.how = hows[index]
         if session.mode != "capture":
-            secondary("The selection is made in the capture.", wrap=True)
-            if imgui.button("Show the capture", ImVec2(-1, 0)):
+            secondary(_("The selection is made in the capture."), wrap=True)
+            if imgui.button(_("Show the capture"), ImVec2(-1, 0)):
                 session.select_tool("isolate")
         self._selection(width)
         self._proposals()
@@ -66,45 +67,46 @@ class IsolatePanel:
         session, isolation = self.session, self.session.isolation
         view = isolation.view
         if view is None:
-            secondary("Finding what is selected...")
+            secondary(_("Finding what is selected..."))
         elif not session.document.marked:
-            secondary("Nothing is selected. Drag over the capture.", wrap=True)
+            secondary(_("Nothing is selected. Drag over the capture."), wrap=True)
         else:
-            secondary(f"{int(view.marked.sum()):,} of {len(view.left):,} selected")
+            secondary(_("{some:,} of {count:,} selected").format(some=int(view.marked.sum()), count=len(view.left)))
         each = (width - 2 * imgui.get_style().item_spacing.x) / 3
         with disabled(not session.document.marked):
-            if imgui.button("Invert", ImVec2(each, 0)):
+            if imgui.button(_("Invert"), ImVec2(each, 0)):
                 isolation.invert()
-            tooltip("Select everything else")
+            tooltip(_("Select everything else"))
             imgui.same_line()
-            if imgui.button("Grow", ImVec2(each, 0)):
+            if imgui.button(_("Grow"), ImVec2(each, 0)):
                 isolation.grow()
-            tooltip("Add everything that the selection touches")
+            tooltip(_("Add everything that the selection touches"))
             imgui.same_line()
-            if imgui.button("Clear", ImVec2(each, 0)):
+            if imgui.button(_("Clear"), ImVec2(each, 0)):
                 isolation.clear()
-            tooltip("Select nothing")
-            half = (width - imgui.get_style().item_spacing.x) / 2
-            if main_button("Keep only this", half):
+            tooltip(_("Select nothing"))
+            half = share(width, _("Keep only this"), _("Remove"))
+            if main_button(_("Keep only this"), half):
                 isolation.keep_marked()
-            tooltip("Remove everything that is not selected")
-            imgui.same_line()
-            if imgui.button("Remove", ImVec2(half, px(32))):
+            tooltip(_("Remove everything that is not selected"))
+            if half > 0:
+                imgui.same_line()
+            if imgui.button(_("Remove"), ImVec2(half, px(32))):
                 isolation.remove_marked()
-            tooltip("Remove what is selected", "Del")
-            if imgui.button("Make it an object of its own", ImVec2(-1, 0)):
+            tooltip(_("Remove what is selected"), "Del")
+            if imgui.button(_("Make it an object of its own"), ImVec2(-1, 0)):
                 isolation.split_marked()
-            tooltip("Two objects: what is selected, and the rest")
+            tooltip(_("Two objects: what is selected, and the rest"))
 
     def _proposals(self) -> None:
         proposals = self.session.isolation.proposals
         imgui.dummy(ImVec2(0, px(2)))
         if proposals is None:
-            secondary("Looking for a floor, specks and haze...")
+            secondary(_("Looking for a floor, specks and haze..."), wrap=True)
         elif not proposals:
-            secondary("No floor, specks or haze found.")
+            secondary(_("No floor, specks or haze found."), wrap=True)
         else:
-            secondary("Probably not part of the object")
+            secondary(_("Probably not part of the object"))
             for proposal in proposals:
                 self._proposal(proposal)
 
@@ -114,21 +116,21 @@ class IsolatePanel:
         shown = session.document.marked == proposal.selection
         if list_row(proposal.name, shown, imgui.get_content_region_avail().x - px(118), 24):
             session.isolation.clear() if shown else session.isolation.propose(proposal)
-        tooltip(f"{proposal.hint}. Click to see it in the capture.")
+        tooltip(_("{hint}. Click to see it in the capture.").format(hint=proposal.hint))
         imgui.same_line()
         imgui.align_text_to_frame_padding()
         secondary(f"{proposal.count:,}")
         imgui.same_line(imgui.get_content_region_avail().x + imgui.get_cursor_pos_x() - px(24))
         if icon_button(f"{icon.ICON_FA_XMARK}##remove", 24, quiet=True):
             session.isolation.remove_proposal(proposal)
-        tooltip(f"Remove: {proposal.hint.lower()}")
+        tooltip(_("Remove: {what}").format(what=proposal.hint.lower()))
         imgui.pop_id()
 
     def _left_out(self) -> None:
         session, view = self.session, self.session.isolation.view
         if not session.document.isolation:
             return
-        if imgui.button("Bring everything back", ImVec2(-1, 0)):
+        if imgui.button(_("Bring everything back"), ImVec2(-1, 0)):
             session.isolation.restore()
         if view is not None:
-            tooltip(f"{len(view.capture) - len(view.left):,} are left out now")
+            tooltip(_("{count:,} are left out now").format(count=len(view.capture) - len(view.left)))

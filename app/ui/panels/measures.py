@@ -11,6 +11,7 @@ from app.jobs.measurer import Measurer
 from app.model.measure.units import LENGTHS, UNITS, Unit
 from app.model.pieces import Cell
 from app.session.session import Session
+from app.translation import _, ngettext
 from app.ui.theme import px
 from app.ui.view.slices import SliceViews
 from app.ui.widgets import heading, right_text, secondary, tooltip
@@ -31,19 +32,26 @@ class MeasuresPanel:
         atoms, selected = session.atoms, session.selection
         if atoms is None or not (session.viewing.slices or selected):
             return
-        heading("Measures")
+        heading(_("Measures"))
         unit = session.viewing.unit
         pieces = [piece for piece in session.pieces if piece.key in selected]
         extent = self.measurer.extent(atoms, [cell for piece in pieces for cell in piece.cells] or [Cell()])
-        what = f" of {len(pieces)} pieces" if len(pieces) > 1 else ""
-        for name, power in (("Volume", 3), ("Surface", 2)):
-            secondary(name + what)
+        count = len(pieces)
+        for name, several, power in (
+            (_("Volume"), ngettext("Volume of {count} piece", "Volume of {count} pieces", count), 3),
+            (_("Surface"), ngettext("Surface of {count} piece", "Surface of {count} pieces", count), 2),
+        ):
+            secondary(several.format(count=count) if count > 1 else name)
             if extent is None:
                 right_text("...")
             else:
                 right_text(unit.text(extent.volume if power == 3 else extent.surface, power))
                 if power == 2:
-                    tooltip(f"Skin {unit.text(extent.skin, 2)}, cut faces {unit.text(extent.faces, 2)}")
+                    tooltip(
+                        _("Skin {skin}, cut faces {faces}").format(
+                            skin=unit.text(extent.skin, 2), faces=unit.text(extent.faces, 2)
+                        )
+                    )
         self._distance(unit)
 
     def _distance(self, unit: Unit) -> None:
@@ -51,21 +59,21 @@ class MeasuresPanel:
         session, measured = self.session, self.slices.measured
         length = None if measured is None else measured.length
         imgui.align_text_to_frame_padding()
-        secondary("Distance")
+        secondary(_("Distance"))
         if length is not None:
             imgui.same_line(px(108))
             imgui.set_next_item_width(imgui.get_content_region_avail().x - px(88))
             changed, typed = imgui.input_float(
                 "##distance", length * unit.length, 0.0, 0.0, "%.4g", imgui.InputTextFlags_.enter_returns_true
             )
-            tooltip("Type how long it really is, then Enter: everything is told at that scale.")
+            tooltip(_("Type how long it really is, then Enter: everything is told at that scale."))
             if changed and np.isfinite(typed) and length > 0 and LENGTHS[0] <= typed / length <= LENGTHS[1]:
                 known = "mm" if unit.name == "units" else unit.name
                 session.viewing = replace(session.viewing, unit=Unit(known, typed / length))
         else:
             imgui.same_line(px(108))
-            secondary("press D")
-            tooltip("Two clicks on a face measure it; then it can be set to what it really is.")
+            secondary(_("press D"))
+            tooltip(_("Two clicks on a face measure it; then it can be set to what it really is."))
         imgui.same_line(imgui.get_content_region_avail().x - px(80))
         imgui.set_next_item_width(px(80))
         if imgui.begin_combo("##unit", unit.name):
@@ -73,4 +81,4 @@ class MeasuresPanel:
                 if imgui.selectable(name, name == unit.name)[0]:
                     session.viewing = replace(session.viewing, unit=unit.named(name))
             imgui.end_combo()
-        tooltip("The unit that lengths are told in; kept with the project")
+        tooltip(_("The unit that lengths are told in; kept with the project"))

@@ -13,9 +13,11 @@ from imgui_bundle import icons_fontawesome_6 as icon
 from app.model.document import MARKS, Key, Mark, Placement
 from app.model.pieces import PlacedPiece
 from app.session.session import Session
+from app.translation import _
 from app.ui.theme import palette, px
 from app.ui.widgets import (
     MARK_ICONS,
+    MARK_NAMES,
     eye_icon,
     float_slider,
     icon_button,
@@ -47,8 +49,8 @@ class PiecesPanel:
         session, document = self.session, self.session.document
         imgui.dummy(ImVec2(0, px(2)))
         for label, name, value, hint in (
-            ("Gap", "gap", document.gap, "How far the sides of a cut stand apart"),
-            ("Explode", "explode", document.explode, "How far the pieces stand from the middle"),
+            (_("Gap"), "gap", document.gap, _("How far the sides of a cut stand apart")),
+            (_("Explode"), "explode", document.explode, _("How far the pieces stand from the middle")),
         ):
             row_label(label, 76)
             changed, new = float_slider(f"##{name}", value, 0.0, 1.0 if name == "gap" else 2.0, hint)
@@ -65,16 +67,16 @@ class PiecesPanel:
                 imgui.push_id(str(piece.key))
                 self._piece(piece)
                 imgui.pop_id()
-        if imgui.button("Put back together", ImVec2(-1, 0)):
+        if imgui.button(_("Put back together"), ImVec2(-1, 0)):
             session.reassemble()
-        tooltip("Every piece back in its place; cuts, names and groups stay", "Ctrl+G")
+        tooltip(_("Every piece back in its place; cuts, names and groups stay"), "Ctrl+G")
 
     def rename(self) -> None:
         """Has the name of the selected piece typed."""
         if len(self.session.selection) == 1:
             (self._renamed,), self._typing = self.session.selection, False
         else:
-            self.session.notify("Select one piece to name it.")
+            self.session.notify(_("Select one piece to name it."))
 
     def _header(self, group: str, members: Sequence[PlacedPiece]) -> None:
         """The name of a group, which selects all of it."""
@@ -82,25 +84,25 @@ class PiecesPanel:
         imgui.push_id(f"group {group}")
         shown = any(piece.visible for piece in members)
         if icon_button(f"{eye_icon(shown)}###seen", 22, quiet=True):
-            session.change_placements("Hide" if shown else "Show", keys, lambda p: replace(p, visible=not shown))
-        tooltip("Hide the group" if shown else "Show the group")
+            session.change_placements(_("Hide") if shown else _("Show"), keys, lambda p: replace(p, visible=not shown))
+        tooltip(_("Hide the group") if shown else _("Show the group"))
         imgui.same_line()
         if list_row(
             f"{icon.ICON_FA_LAYER_GROUP}  {group}", keys <= session.selection, imgui.get_content_region_avail().x, 22
         ):
             session.selection = keys
-        tooltip("Click to select all of the group")
+        tooltip(_("Click to select all of the group"))
         imgui.pop_id()
 
     def _piece(self, piece: PlacedPiece) -> None:
         session = self.session
         if icon_button(f"{eye_icon(piece.visible)}###seen", 22, quiet=True):
             session.change_placements(
-                "Hide" if piece.visible else "Show",
+                _("Hide") if piece.visible else _("Show"),
                 frozenset([piece.key]),
                 lambda p: replace(p, visible=not piece.visible),
             )
-        tooltip("Hide it" if piece.visible else "Show it")
+        tooltip(_("Hide it") if piece.visible else _("Show it"))
         imgui.same_line()
         if self._renamed == piece.key:
             self._field(piece)
@@ -112,7 +114,7 @@ class PiecesPanel:
                 session.selection = frozenset([piece.key])
             self._group = piece.group
             imgui.open_popup("mark")
-        tooltip("Mark it, or put it into a group; all that is selected")
+        tooltip(_("Mark it, or put it into a group; all that is selected"))
         self._popup()
         imgui.same_line()
         chosen = piece.key in session.selection
@@ -121,12 +123,12 @@ class PiecesPanel:
             session.selection = session.selection ^ only if imgui.get_io().key_ctrl else only
         if imgui.is_item_hovered() and imgui.is_mouse_double_clicked(imgui.MouseButton_.left):
             self._renamed, self._typing = piece.key, False
-        tooltip("Double click to name it", "F2")
+        tooltip(_("Double click to name it"), "F2")
         imgui.same_line()
         if icon_button(f"{icon.ICON_FA_XMARK}##gone", 22, quiet=True):
             session.selection = frozenset([piece.key])
             session.delete()
-        tooltip("Delete the piece", "Del")
+        tooltip(_("Delete the piece"), "Del")
 
     def _field(self, piece: PlacedPiece) -> None:
         """The field in which a name is typed; an empty one is the number again."""
@@ -138,7 +140,7 @@ class PiecesPanel:
         changed, text = imgui.input_text_with_hint("##name", piece.name, given)
         if changed:
             named = session.document.placed(piece.key, lambda p: replace(p, name=text.strip()))
-            session.change("Name", named, merge=f"name {piece.key}")
+            session.change(_("Name"), named, merge=f"name {piece.key}")
         ended = self._typing and not imgui.is_item_active()
         self._typing, self._renamed = not ended, None if ended else self._renamed
 
@@ -152,20 +154,20 @@ class PiecesPanel:
             symbol = MARK_ICONS[mark] if mark else icon.ICON_FA_BAN
             colour = mark_colour(mark) if mark else palette().second
             if icon_button(f"{symbol}###{mark or 'none'}", 28, quiet=True, colour=colour):
-                session.change_placements("Mark", session.selection, partial(_marked, mark))
-            tooltip(mark.title() or "No mark")
+                session.change_placements(_("Mark"), session.selection, partial(_marked, mark))
+            tooltip(MARK_NAMES[mark] if mark else _("No mark"))
             imgui.same_line()
         imgui.new_line()
         imgui.align_text_to_frame_padding()
-        secondary("Group")
+        secondary(_("Group"))
         imgui.same_line()
         imgui.set_next_item_width(px(150))
         flags = imgui.InputTextFlags_.enter_returns_true
-        entered, self._group = imgui.input_text_with_hint("##group", "name of the group", self._group, flags)
+        entered, self._group = imgui.input_text_with_hint("##group", _("name of the group"), self._group, flags)
         imgui.same_line()
-        if main_button("Set", px(52)) or entered:
+        if main_button(_("Set"), px(52)) or entered:
             group = self._group.strip()
-            session.change_placements("Group", session.selection, lambda p: replace(p, group=group))
+            session.change_placements(_("Group"), session.selection, lambda p: replace(p, group=group))
             imgui.close_current_popup()
         imgui.end_popup()
 

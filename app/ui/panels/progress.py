@@ -6,6 +6,7 @@ import numpy as np
 from imgui_bundle import ImVec2, imgui, implot
 
 from app.jobs.job_events import Progress
+from app.translation import _
 from app.ui.panels.thumbnails import Thumbnails
 from app.ui.theme import palette, px, rgba, u32
 from app.ui.widgets import secondary, tooltip
@@ -35,7 +36,7 @@ def curves(progress: Progress) -> None:
     beside = implot.LegendFlags_.no_buttons | implot.LegendFlags_.outside | implot.LegendFlags_.horizontal
     implot.setup_legend(implot.Location_.north_west, beside)
     for name, values, colour in (
-        ("cut faces", progress.section, p.accent),
+        (_("cut faces"), progress.section, p.accent),
         ("surface", progress.surface, p.curve),
     ):
         ys = np.asarray(values, np.float64)
@@ -46,7 +47,7 @@ def curves(progress: Progress) -> None:
 
 def previews(progress: Progress, thumbnails: Thumbnails) -> None:
     """The latest labels, each beside the object's cut face at the same plane."""
-    secondary("Wanted and reached")
+    secondary(_("Wanted and reached"))
     width = (imgui.get_content_region_avail().x - px(8)) / 2
     for index, path in enumerate(progress.previews[:4]):
         texture = thumbnails.get(path)
@@ -66,4 +67,8 @@ def previews(progress: Progress, thumbnails: Thumbnails) -> None:
             px(4),
         )
         imgui.dummy(ImVec2(width, height))
-        tooltip(f"Left: what the picture wants. Right: what the object shows ({path.stem.split('_')[0]}).")
+        tooltip(
+            _("Left: what the picture wants. Right: what the object shows ({split}).").format(
+                split=path.stem.split("_")[0]
+            )
+        )

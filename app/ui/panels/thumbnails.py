@@ -22,8 +22,8 @@ CAPACITY = 64
 class Thumbnails:
     """A cache of thumbnails that drops the least recently used one."""
 
-    def __init__(self, ctx: moderngl.Context) -> None:
-        self.ctx = ctx
+    def __init__(self, ctx: moderngl.Context, side: int = SIDE) -> None:
+        self.ctx, self.side = ctx, side
         self._cache: dict[Path, tuple[int, moderngl.Texture | None]] = {}
 
     def get(self, path: Path) -> moderngl.Texture | None:
@@ -47,9 +47,9 @@ class Thumbnails:
     def _load(self, path: Path) -> moderngl.Texture | None:
         try:
             with open_picture(path) as image:
-                image.draft("RGB", (SIDE, SIDE))
+                image.draft("RGB", (self.side, self.side))
                 small = ImageOps.exif_transpose(image).convert("RGBA")
-                small.thumbnail((SIDE, SIDE), Image.Resampling.LANCZOS)
+                small.thumbnail((self.side, self.side), Image.Resampling.LANCZOS)
         except InputError:
             return None
         return self.ctx.texture(small.size, 4, small.tobytes())

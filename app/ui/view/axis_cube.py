@@ -7,6 +7,7 @@ from imgui_bundle import ImVec2, imgui
 from numpy.typing import NDArray
 
 from app.model.rigid_transform import Vec3, vec3
+from app.translation import _
 from app.ui.theme import Fonts, palette, u32
 from app.ui.widgets import font
 from engine.scene.camera import Camera, equator
@@ -19,7 +20,7 @@ def axis_cube(camera: Camera, up: Vec3, centre: ImVec2, size: float) -> Vec3 | N
     p, draw = palette(), imgui.get_window_draw_list()
     u = np.asarray(up, np.float64)
     e1, e2 = equator(u)
-    axes = {"Right": e1, "Left": -e1, "Back": e2, "Front": -e2, "Top": u, "Bottom": -u}
+    axes = {_("Right"): e1, _("Left"): -e1, _("Back"): e2, _("Front"): -e2, _("Top"): u, _("Bottom"): -u}
     rotation = camera.viewmat[:3, :3]
     mouse = np.array([imgui.get_mouse_pos().x, imgui.get_mouse_pos().y])
     half = size / 2 / 1.55
@@ -32,7 +33,7 @@ def axis_cube(camera: Camera, up: Vec3, centre: ImVec2, size: float) -> Vec3 | N
         facing = -float(rotation[2] @ axis)
         if facing < 0.04:
             continue
-        side = e2 if name in ("Right", "Left") else e1
+        side = e2 if name in (_("Right"), _("Left")) else e1
         other = np.cross(axis, side)
         corners = [axis + a * side + b * other for a, b in ((1, 1), (-1, 1), (-1, -1), (1, -1))]
         flat = np.array([(rotation @ c)[:2] for c in corners]) * half + (centre.x, centre.y)

@@ -12,6 +12,7 @@ from app.model.document import Part
 from app.model.pieces import sections, shown_points
 from app.model.rigid_transform import Motion
 from app.session.session import Session
+from app.translation import _
 from engine.scene.camera import Camera
 from engine.scene.plane import Plane, frame
 
@@ -49,7 +50,7 @@ def _piece_handles(session: Session, camera: Camera, origin: ImVec2, size: ImVec
     moved = _manipulate("piece", camera, origin, size, operation, gizmo.MODE.world, place)
     if moved is not None:
         motion = Motion.of(moved @ np.linalg.inv(place))
-        session.place("Move" if session.tool == "move" else "Turn", session.selection, motion, merge="handles")
+        session.place(_("Move") if session.tool == "move" else _("Turn"), session.selection, motion, merge="handles")
     return True
 
 
@@ -69,7 +70,9 @@ def _plane_handles(session: Session, camera: Camera, origin: ImVec2, size: ImVec
         moved = moved if dragged is None else dragged
     if moved is not None:
         new = Plane.through(moved[:3, 3], moved[:3, 2])
-        session.change_cut("Move plane", cut.id, lambda c: replace(c, parts=(Part(new),), shift=0.0), merge="handles")
+        session.change_cut(
+            _("Move plane"), cut.id, lambda c: replace(c, parts=(Part(new),), shift=0.0), merge="handles"
+        )
     return True
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 from imgui_bundle import ImVec2, imgui
@@ -11,29 +11,39 @@ from app.model.camera_control import project_points
 from app.model.pieces import Member, PlacedPiece
 from app.model.project import VIEW_MODES
 from app.session.session import Session
+from app.translation import _, ngettext
 from app.ui.theme import palette, px, u32
 from app.ui.view.annotations import label
+from app.ui.view.plane_lines import PlaneLines
 from app.ui.widgets import MARK_ICONS, mark_colour, segmented
 from engine.scene.camera import Camera
+from training.families import Kind
 
-__all__ = ["film_label", "mode_switch", "piece_names", "statistics", "tool_hint"]
+__all__ = ["FAMILY_TITLES", "family_names", "film_label", "mode_switch", "piece_names", "statistics", "tool_hint"]
 
 HINTS = {
     "select": "",
-    "knife": "Drag across the object to cut it",
-    "blade": "Draw a line to cut along, or all around what is to be punched out",
-    "plane": "Drag to place a plane",
-    "move": "Drag a piece to move it",
-    "turn": "Drag a piece to turn it",
-    "upright": "Click the face it stands on",
-    "isolate": "Drag over a part of the capture to select it",
+    "knife": _("Drag across the object to cut it"),
+    "blade": _("Draw a line to cut along, or all around what is to be punched out"),
+    "plane": _("Drag to place a plane"),
+    "move": _("Drag a piece to move it"),
+    "turn": _("Drag a piece to turn it"),
+    "upright": _("Click the face it stands on"),
+    "isolate": _("Drag over a part of the capture to select it"),
 }
 
-MODE_LABELS = ("Capture", "Solid", "Interior")
+FAMILY_TITLES: dict[Kind, str] = {
+    "horizontal": _("Horizontal"),
+    "radial": _("Radial"),
+    "parallel": _("Parallel"),
+    "custom": _("Single planes"),
+}
+
+MODE_LABELS = (_("Capture"), _("Solid"), _("Interior"))
 MODE_HINTS = (
-    "The capture as it came, hollow",
-    "The object as a solid that can be cut",
-    "The inside alone, without its skin",
+    _("The capture as it came, hollow"),
+    _("The object as a solid that can be cut"),
+    _("The inside alone, without its skin"),
 )
 
 
@@ -41,13 +51,13 @@ def mode_switch(session: Session, origin: ImVec2, size: tuple[int, int]) -> str 
     """Capture, solid or interior; the mode that was chosen now."""
     inset = px(14)
     imgui.set_cursor_screen_pos(ImVec2(origin.x + inset, origin.y + inset))
-    width = min(px(252), size[0] - 2 * inset)
+    width = max(min(px(252), size[0] - 2 * inset - px(38)), px(24))
     current = VIEW_MODES.index(session.mode)
     chosen = segmented("view", MODE_LABELS, current, width, MODE_HINTS)
     if chosen == current:
         return None
     if session.atoms is None:
-        session.notify("The object is not solid yet.")
+        session.notify(_("The object is not solid yet."))
         return None
     session.viewing = replace(session.viewing, mode=VIEW_MODES[chosen])
     return VIEW_MODES[chosen]
@@ -75,14 +85,57 @@ def piece_names(session: Session, camera: Camera, pieces: Sequence[PlacedPiece],
             draw.add_text(low, u32(mark_colour(piece.mark)), symbol.rstrip())
 
 
+CORNERS: dict[Kind, tuple[float, float]] = {
+    "horizontal": (1, 0),
+    "radial": (0, -1),
+    "parallel": (0.7, 0.7),
+    "custom": (-1, 0),
+}
+"""Where on the outline of its own plane a family has its name, x to the right and y down: apart from the others."""
+
+
+def family_names(
+    session: Session,
+    kinds: Collection[Kind],
+    lines: PlaneLines,
+    camera: Camera,
+    pieces: Sequence[PlacedPiece],
+    origin: ImVec2,
+) -> None:
+    """The names of these families and of their pictures, each beside its own plane."""
+    for family in session.document.families:
+        if family.kind not in kinds:
+            continue
+        pixels, depth = project_points(camera, lines.of_family(family, pieces, own=True).reshape(-1, 3))
+        pixels = pixels[depth > 0]
+        if not len(pixels):
+            continue
+        x, y = CORNERS[family.kind]
+        place = pixels[int((pixels @ (x, y)).argmax())]
+        text = FAMILY_TITLES[family.kind]
+        if family.exemplars:
+            more = len(family.exemplars) - 1
+            text += f": {family.exemplars[0].stem}" + (f" and {more} more" if more else "")
+        size = imgui.calc_text_size(text)
+        left = px(14) if x > 0 else -size.x - px(14) if x < 0 else -size.x / 2
+        high = -size.y - px(14) if y < 0 else -size.y / 2
+        at = ImVec2(origin.x + float(place[0]) + left, origin.y + float(place[1]) + high)
+        label(imgui.get_window_draw_list(), at, text)
+
+
 def film_label(session: Session, origin: ImVec2, size: tuple[int, int]) -> None:
     """Says that it is the film that is shown, or what was thrown, and how to leave it."""
     if session.throw.active:
         count = session.throw.pieces
-        text = f"{count} pieces    Enter: keep the cuts    Esc: end" if count > 1 else "Cut it in flight    Esc: end"
+        text = (
+            ngettext("{count} piece", "{count} pieces", count).format(count=count)
+            + _("    Enter: keep the cuts    Esc: end")
+            if count > 1
+            else _("Cut it in flight    Esc: end")
+        )
     elif session.film.shown:
-        text = f"Film, {session.film.time:.1f} s"
-        text += "" if session.film.playing else "    Esc: the object as it is"
+        text = _("Film, {time:.1f} s").format(time=session.film.time)
+        text += "" if session.film.playing else _("    Esc: the object as it is")
     else:
         return
     width = imgui.calc_text_size(text).x
@@ -97,13 +150,14 @@ def statistics(
         return
     if session.mode == "capture":
         capture = session.shown_capture
-        what = f"{len(capture):,} Gaussians" if capture is not None else ""
+        what = _("{count:,} Gaussians").format(count=len(capture)) if capture is not None else ""
     else:
         count = len(members)
-        pieces = f"    {count} pieces" if count != 1 else ""
+        pieces = ngettext("{count} piece", "{count} pieces", count).format(count=count)
+        pieces = f"    {pieces}" if count != 1 else ""
         solids = session.solids.values()
         total = sum(len(one) if session.mode == "solid" else len(one.interior) for one in solids)
-        what = f"{total:,} points{pieces}"
+        what = _("{count:,} points").format(count=total) + pieces
     line = f"{what}    {milliseconds:.0f} ms" if milliseconds else what
     at = ImVec2(origin.x + px(14), origin.y + size[1] - px(14) - imgui.get_text_line_height())
     imgui.get_window_draw_list().add_text(at, u32(palette().second), line)

@@ -16,12 +16,13 @@ from app.jobs.warmup import load_kernels
 from app.model.rigid_transform import Vec3
 from app.session.workspace import Workspace
 from engine.render.cpu.software import is_software
-from engine.render.culling.draw_options import Mode
+from engine.render.culling.draw_options import Mode, SplatLook
 from engine.render.face_detail import Detailed, FaceDetail, detailed
 from engine.render.gl.overlay import Lines, Overlay
 from engine.render.gl.renderer import Renderer
 from engine.scene.atoms import Atoms
 from engine.scene.camera import Camera
+from engine.scene.image import to_8bit
 from engine.scene.piece import Piece
 
 __all__ = ["Painter"]
@@ -111,10 +112,10 @@ class Painter:
         part, level = STEPS[-1] if gradual else STEPS[self._step] if moving else STEPS[0]
         thinned = self._thinned(workspace)
         level = max(level, thinned)
-        light, mode = workspace.settings.face_light, workspace.mode
+        light, mode, look = workspace.settings.face_light, workspace.mode, workspace.viewing.splats
         insides = details_of(workspace)
         key = (
-            (mode, self._atoms, id(self._capture), background, light, part, level, moving),
+            (mode, self._atoms, id(self._capture), background, light, part, level, moving, look),
             tuple(id(detail.inside) if detail else None for detail in insides),
             camera.viewmat.tobytes(),
             repr(replace(camera, viewmat=np.zeros(0))),
@@ -132,7 +133,15 @@ class Painter:
         if key != self._key or self._texture is None or (mode == "capture" and self.renderer.sorting):
             begin = time.perf_counter()
             texture = self.renderer.render(
-                camera.scaled(part), pieces, MODES[mode], background, light, exact=not moving, level=level, wait=False
+                camera.scaled(part),
+                pieces,
+                MODES[mode],
+                background,
+                light,
+                exact=not moving,
+                level=level,
+                wait=False,
+                look=look,
             )
             self._restore_framebuffer()
             self.ctx.finish()
@@ -145,9 +154,10 @@ class Painter:
             self._key, self._scale, self._overlay_key = key, part, None
             self._picture = texture
             self._detail, self._wants_detail = None, not moving and mode != "capture" and any(insides)
+            self._wants_detail &= look.size == 1  # of other sizes the atoms are to be seen
             self._wants_capture = gradual
         elif self._wants_capture:
-            self._refine_capture(camera, background, thinned)
+            self._refine_capture(camera, background, thinned, look)
         elif self._wants_detail:
             self._add_detail(camera, pieces, insides, light)
         if overlay_key != self._overlay_key:
@@ -171,9 +181,9 @@ class Painter:
             return 0
         return math.ceil(math.log2(max(len(capture) / MOST_IN_SOFTWARE, 1)))
 
-    def _refine_capture(self, camera: Camera, background: Vec3, level: int) -> None:
+    def _refine_capture(self, camera: Camera, background: Vec3, level: int, look: SplatLook) -> None:
         """Draws some more of a capture at rest; when all is drawn, the frame shows it."""
-        texture = self.renderer.refine(camera, background, level, SLICE)
+        texture = self.renderer.refine(camera, background, level, SLICE, look)
         if texture is not None:
             self._picture, self._scale = texture, 1.0
             self._wants_capture, self._overlay_key = False, None
@@ -209,16 +219,25 @@ class Painter:
         self._restore_framebuffer()
         return found
 
+    def snapshot(self) -> NDArray[np.uint8] | None:
+        """(H, W, 3). The last frame as it is shown, without the overlay; None before the first."""
+        if self._picture is None:
+            return None
+        width, height = self._picture.size
+        halves = np.frombuffer(self._picture.read(), np.float16).reshape(height, width, 4)
+        return to_8bit(halves[..., :3].astype(np.float32))
+
     def picture(self, workspace: Workspace, camera: Camera, pieces: Sequence[Piece]) -> NDArray[np.uint8]:
         """(H, W, 4). A picture for a file, with straight alpha; makes the next frame be drawn again."""
         self._key = None
         if not self._upload(workspace, math.inf, tinted=False):
             return np.zeros((camera.height, camera.width, 4), np.uint8)
         light = workspace.settings.face_light
-        self.renderer.render(camera, pieces, MODES[workspace.mode], (0.0, 0.0, 0.0), light)
+        look = workspace.viewing.splats
+        self.renderer.render(camera, pieces, MODES[workspace.mode], (0.0, 0.0, 0.0), light, look=look)
         seen = self.renderer.read()
         self._restore_framebuffer()
-        if workspace.mode != "capture":
+        if workspace.mode != "capture" and look.size == 1:
             seen = detailed(seen, camera, pieces, details_of(workspace), light)
         return seen.straight_alpha()
 

@@ -11,6 +11,7 @@ from app.model.camera_control import OrbitCamera
 from app.model.rigid_transform import vec3
 from app.session.face_controller import OpenFace
 from app.session.session import Session
+from app.translation import _
 from app.ui.theme import palette, px, rgb, u32
 from app.ui.view.painter import Painter
 from engine.render.gl.overlay import PictureSheet
@@ -54,11 +55,11 @@ class PlacementView:
         placed = face.placed
         words = ""
         if self.session.atoms is None:
-            words = "It is shown here as soon as the object is solid."
+            words = _("It is shown here as soon as the object is solid.")
         elif face.found is None or face.marks.outline is None:
             words = ""
         elif placed is None:
-            words = "Placing the picture..."
+            words = _("Placing the picture...")
         elif placed.problem:
             words = placed.problem.capitalize() + "."
         if words or placed is None or placed.plane is None or placed.rgba is None:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.model.document import Cut, Document, Key
-from app.model.outline import body_of_atoms, body_of_shell, contours
+from app.model.outline import body_of_atoms, body_of_shell, clipped_lines, contours, wires
 from app.model.pieces import Cell, Member, PlacedPiece
 from app.session.workspace import Workspace
 from app.ui.theme import palette, px, rgb, rgba
@@ -34,7 +34,11 @@ class PlaneLines:
     def __init__(self, workspace: Workspace) -> None:
         self.workspace = workspace
         self._bodies: dict[int, tuple[object, Body]] = {}
-        self._families: dict[tuple[str, Key], tuple[object, NDArray[np.float64]]] = {}
+        self._families: dict[tuple[str, Key, bool], tuple[object, NDArray[np.float64]]] = {}
+        self._wires: dict[int, tuple[Body, NDArray[np.float64]]] = {}
+        """The net around each body, by the object's number."""
+        self._cut_wires: dict[tuple[int, tuple[Cell, ...]], NDArray[np.float64]] = {}
+        """The last frame's nets on pieces."""
         self._slices: dict[tuple[int, Plane, tuple[Cell, ...]], NDArray[np.float64]] = {}
         """The lines of the last frame's slices, by the body, the plane and the cells of the piece."""
 
@@ -47,11 +51,36 @@ class PlaneLines:
         result = []
         for family in self.workspace.document.families:
             if family.kind in kinds:
-                parts = [moved(piece, self._of(family, piece)) for piece in pieces if piece.visible]
-                ends = np.concatenate([np.zeros((0, 2, 3)), *parts])
                 colour = p.text if family.kind == "horizontal" else p.curve
-                result.append(lines(ends, colour, 0.75, px(1.2) * scale, 0.1))
+                result.append(lines(self.of_family(family, pieces), colour, 0.75, px(1.2) * scale, 0.1))
+                result.append(lines(self.of_family(family, pieces, own=True), colour, 1.0, px(2.4) * scale, 0.2))
         return result
+
+    def of_family(self, family: Family, pieces: Sequence[PlacedPiece], own: bool = False) -> NDArray[np.float64]:
+        """(S, 2, 3). Lines of a family's planes on pieces, or of its own plane, which its pictures show."""
+        parts = [moved(piece, self._of(family, piece, own)) for piece in pieces if piece.visible]
+        return np.concatenate([np.zeros((0, 2, 3)), *parts])
+
+    def body(self, members: Sequence[Member], scale: float) -> list[Lines]:
+        """The bodies of pieces as nets of lines; without pieces, what the active object's capture encloses."""
+        kept, self._cut_wires = self._cut_wires, {}
+        found = [np.zeros((0, 2, 3))]
+        for member in members:
+            document, piece = self.workspace.documents[member.index], member.piece
+            net = self._net(document)
+            key = (id(net), piece.cells)
+            ends = kept.get(key)
+            self._cut_wires[key] = clipped_lines(net, halfspaces(piece)) if ends is None else ends
+            found.append(moved(piece, self._cut_wires[key]))
+        if not members and len(self.workspace.solid.points):
+            found.append(self._net(self.workspace.document))
+        return [lines(np.concatenate(found), palette().text, 0.5, px(1.1) * scale, 0.16)]
+
+    def _net(self, document: Document) -> NDArray[np.float64]:
+        body = self.body_of(document)
+        if document.number not in self._wires or self._wires[document.number][0] is not body:
+            self._wires[document.number] = (body, wires(body, OUTSET))
+        return self._wires[document.number][1]
 
     def cut(self, plane: Plane, members: Sequence[Member], scale: float) -> list[Lines]:
         """Where a plane in world space intersects pieces of objects."""
@@ -119,14 +148,16 @@ class PlaneLines:
             self._bodies[number] = (key, body)
         return self._bodies[number][1]
 
-    def _of(self, family: Family, piece: PlacedPiece) -> NDArray[np.float64]:
-        """(S, 2, 3). Lines of a family on one piece, in object space."""
-        body, place = self.body_of(self.workspace.document), (family.kind, piece.key)
+    def _of(self, family: Family, piece: PlacedPiece, own: bool) -> NDArray[np.float64]:
+        """(S, 2, 3). Lines of a family on one piece, or of its own plane, in object space."""
+        body, place = self.body_of(self.workspace.document), (family.kind, piece.key, own)
         key = (replace(family, exemplars=(), prompt="", marks=()), piece.cells, id(body), self.workspace.up)
         cached = self._families.get(place)
         if cached is None or cached[0] != key:
             planes = family.planes(body, np.asarray(self.workspace.up, np.float64))
-            cached = (key, contours(body, planes[:: max(1, -(-len(planes) // MOST))], halfspaces(piece), OUTSET))
+            middle = len(planes) // 2 if family.kind in ("horizontal", "parallel") else 0
+            chosen = [planes[middle]] if own else planes[:: max(1, -(-len(planes) // MOST))]
+            cached = (key, contours(body, chosen, halfspaces(piece), OUTSET))
             self._families[place] = cached
         return cached[1]
 

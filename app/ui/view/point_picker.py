@@ -10,6 +10,7 @@ from app.model.camera_control import project_points
 from app.model.knife import plane_through
 from app.model.pieces import Member
 from app.session.session import Session
+from app.translation import _
 from app.ui.theme import palette, px, u32
 from app.ui.view.annotations import label
 from engine.scene.camera import Camera
@@ -33,7 +34,7 @@ class PointPicker:
         """From now on clicks on the object are points."""
         self.cut_id, self.points, self._seen = cut_id, [], []
         self.session.select_tool("select")
-        self.session.notify("Click three points on the object. Esc: leave the plane as it is.")
+        self.session.notify(_("Click three points on the object. Esc: leave the plane as it is."))
 
     def cancel(self) -> None:
         """Clicks select again."""
@@ -43,7 +44,7 @@ class PointPicker:
         """A click on a piece, at a world point (3,)."""
         session = self.session
         if member is None or point is None or member.index != session.active:
-            session.notify("Click on the object.")
+            session.notify(_("Click on the object."))
             return
         self.points.append(member.piece.motion.inverse().apply(point))
         self._seen.append(point)
@@ -52,11 +53,11 @@ class PointPicker:
         plane, cut_id = plane_through(*self.points), self.cut_id
         self.cancel()
         if plane is None:
-            session.notify("The three points lie in a line. Click three others.")
+            session.notify(_("The three points lie in a line. Click three others."))
         elif cut_id is not None:
             kept = plane if plane.distance(session.solid.centre) <= 0 else plane.flipped()
-            session.change_cut("Through three points", cut_id, lambda cut: cut.with_plane(kept))
-            session.notify("The plane goes through the three points.")
+            session.change_cut(_("Through three points"), cut_id, lambda cut: cut.with_plane(kept))
+            session.notify(_("The plane goes through the three points."))
 
     def show(self, camera: Camera, origin: ImVec2, hovered: bool) -> None:
         """Draws the points; Esc or the end of the cut ends the picking."""
@@ -73,4 +74,8 @@ class PointPicker:
             draw.add_circle_filled(ImVec2(x + origin.x, y + origin.y), px(5), u32(palette().accent))
         if hovered:
             mouse = imgui.get_mouse_pos()
-            label(draw, ImVec2(mouse.x + px(24), mouse.y + px(12)), f"Point {len(self.points) + 1} of 3")
+            label(
+                draw,
+                ImVec2(mouse.x + px(24), mouse.y + px(12)),
+                _("Point {count} of 3").format(count=len(self.points) + 1),
+            )

@@ -17,6 +17,7 @@ from app.model.measure.slices import SLICES, Slices
 from app.model.measure.units import round_length
 from app.model.rigid_transform import Vec3, vec3
 from app.session.session import Session
+from app.translation import _
 from app.ui.theme import palette, px, u32
 from app.ui.view.annotations import label
 from app.ui.widgets import icon_button, tooltip
@@ -174,7 +175,7 @@ class SliceViews:
         at = ImVec2(origin.x + inset + px(16), origin.y + inset)
         middle = ImVec2(origin.x + inset + px(5), at.y + imgui.get_text_line_height() / 2)
         along = float(np.asarray(slices.planes[index].normal) @ (np.asarray(slices.cross) - slices.centre))
-        text = SLICES[index]
+        text = (_("Top"), _("Front"), _("Right"))[index]
         if size[0] > px(220):
             text = f"{text}   {self.session.viewing.unit.text(along)}"
         behind(draw, ImVec2(middle.x - px(4), at.y), ImVec2(at.x + imgui.calc_text_size(text).x, at.y))
@@ -191,14 +192,14 @@ class SliceViews:
         imgui.set_cursor_screen_pos(at)
         if icon_button(f"{icon.ICON_FA_RULER}##ruler", 30, active=self.measuring):
             self.toggle_ruler()
-        tooltip("Measure a distance with two clicks on a face", "D")
+        tooltip(_("Measure a distance with two clicks on a face"), "D")
 
     def toggle_ruler(self) -> None:
         """Takes the ruler, or puts it away with what it has measured."""
         self.measuring = not self.measuring
         self.measured = None
         if self.measuring:
-            self.session.notify("Click the two ends of a distance on one of the faces. Esc: put the ruler away.")
+            self.session.notify(_("Click the two ends of a distance on one of the faces. Esc: put the ruler away."))
 
     def _face(self, index: int, slices: Slices) -> None:
         """What was last read of a face, moved and scaled to where it belongs now."""
@@ -206,7 +207,7 @@ class SliceViews:
         texture = self._texture(index)
         face = self.reader.faces[index]
         if texture is None or face is None:
-            word = "reading..." if self.session.atoms is not None else "not solid yet"
+            word = "reading..." if self.session.atoms is not None else _("not solid yet")
             text = imgui.calc_text_size(word)
             at = ImVec2(origin.x + (size[0] - text.x) / 2, origin.y + (size[1] - text.y) / 2)
             draw.add_text(at, u32(palette().second), word)
@@ -217,8 +218,8 @@ class SliceViews:
         wide, high = face.rgba.shape[1] * grain, face.rgba.shape[0] * grain
         corners = []
         for x, y in ((0.0, 0.0), (float(wide), float(high))):
-            point, _ = ray(camera, (x, y))
-            a, b, _ = now.viewmat[:3, :3] @ point + now.viewmat[:3, 3]
+            point, __ = ray(camera, (x, y))
+            a, b, __ = now.viewmat[:3, :3] @ point + now.viewmat[:3, 3]
             corners.append(ImVec2(origin.x + now.fx * a + now.cx, origin.y + now.fy * b + now.cy))
         draw.add_image(imgui.ImTextureRef(texture.glo), corners[0], corners[1])
 
@@ -230,7 +231,7 @@ class SliceViews:
         if held is None or held[0] is not face:
             if held is not None:
                 held[1].release()
-            height, width, _ = face.rgba.shape
+            height, width, __ = face.rgba.shape
             texture = self.ctx.texture((width, height), 4, np.ascontiguousarray(face.rgba).tobytes())
             held = self._textures[index] = (face, texture)
         return held[1]

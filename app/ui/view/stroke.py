@@ -9,6 +9,7 @@ from imgui_bundle import ImVec2, imgui
 from app.model.knife import Stroke, plane_of
 from app.model.pieces import Member
 from app.session.session import Session
+from app.translation import _
 from app.ui.theme import palette, px, u32
 from app.ui.view.annotations import label
 from app.ui.view.plane_lines import PlaneLines
@@ -38,4 +39,4 @@ def draw_stroke(stroke: Stroke, origin: ImVec2, height: float, words: str) -> No
         draw.add_circle_filled(end, px(4.5), u32(palette().accent))
     low = points[-1].y + px(40) > origin.y + height  # near the lower edge the hint is above
     below = ImVec2(points[-1].x + px(14), points[-1].y + (-px(40) if low else px(6)))
-    label(draw, below, f"{words}    Esc: cancel")
+    label(draw, below, _("{words}    Esc: cancel").format(words=words))

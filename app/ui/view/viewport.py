@@ -17,23 +17,28 @@ from app.model.pieces import Member, PlacedPiece
 from app.model.rigid_transform import STILL, Motion
 from app.model.upright import point_under
 from app.session.session import Session
-from app.ui.theme import palette, px, rgb, u32
+from app.translation import _
+from app.ui.keyboard import press_in_viewport
+from app.ui.panels.view_options import ViewOptions
+from app.ui.theme import palette, px, rgb, rgba, u32
 from app.ui.view.animation import CameraAnimation, PieceAnimation
 from app.ui.view.annotations import marker_outline
 from app.ui.view.axis_cube import axis_cube
 from app.ui.view.box_handles import BoxHandles
 from app.ui.view.gizmo import handles, on_handles
-from app.ui.view.overlays import film_label, mode_switch, piece_names, statistics, tool_hint
+from app.ui.view.overlays import family_names, film_label, mode_switch, piece_names, statistics, tool_hint
 from app.ui.view.painter import Painter
 from app.ui.view.plane_lines import PlaneLines
 from app.ui.view.point_picker import PointPicker
 from app.ui.view.selection import selection_frames
 from app.ui.view.slices import slice_colours
 from app.ui.view.stroke import cut_lines, draw_stroke
+from app.ui.widgets import colours
 from engine.render.gl.overlay import Lines, Sheet
 from engine.scene.camera import Camera
 from engine.scene.piece import Piece
 from engine.scene.plane import Plane
+from training.families import Kind
 
 __all__ = ["Viewport"]
 
@@ -44,9 +49,9 @@ ANY_BUTTON = (
 )
 
 CUTTING = {
-    "stroke": "release to cut    Shift: snap",
-    "blade": "release to cut",
-    "plane": "release to place    Shift: snap",
+    "stroke": _("release to cut    Shift: snap"),
+    "blade": _("release to cut"),
+    "plane": _("release to place    Shift: snap"),
 }
 """What letting go does, by the kind of drag that draws a stroke."""
 
@@ -84,9 +89,11 @@ class Viewport:
         self._members: list[Member] = []
         """What the last frame shows, in the order in which it was drawn."""
         self.drag: Drag | None = None
-        self.show_families: frozenset[str] = frozenset()
+        self.show_families: frozenset[Kind] = frozenset()
         self.sliced: Sequence[Plane] = ()
         """The planes of the slices beside the object, in object space."""
+        self.focused = False
+        """Whether the picture has the keyboard."""
         self.menu_requested = False
         self.menu_point: tuple[float, float] | None = None
         """Where on the object the context menu was asked for, in the window's units."""
@@ -100,6 +107,7 @@ class Viewport:
         self._handled = False
         """Whether handles were drawn in the last frame."""
         self.box_handles = BoxHandles(session)
+        self.options = ViewOptions(session)
         self._eye = OrbitCamera()
         self._placed: tuple[object, ...] = ()
         self._moved = -10.0
@@ -161,9 +169,11 @@ class Viewport:
         corner = ImVec2(self.origin.x + size.x, self.origin.y + size.y)
         moving = self._is_moving(shown)
         stroke = self._stroke() if session.solids else None
+        wired = session.settings.wires and session.object is not None and not session.throw.active
         over: list[Lines | Sheet] = [
             *([] if session.previewing else self.plane_lines.sheets()),
             *self.plane_lines.families(self.show_families, pieces, scale),
+            *(self.plane_lines.body([] if session.mode == "capture" else self._members, scale) if wired else []),
             *self.plane_lines.slices(self.sliced, slice_colours(), pieces, scale),
             *(cut_lines(session, self.camera(), stroke, self._members, self.plane_lines, scale) if stroke else []),
             *self.box_handles.edges(scale),
@@ -180,14 +190,22 @@ class Viewport:
         camera = self.camera()
         if self._handled and on_handles():  # which take no click while any item is under the pointer
             imgui.dummy(size)
-            hovered = active = False
+            hovered = active = self.focused = False
         else:
             imgui.set_next_item_allow_overlap()
-            imgui.invisible_button("##canvas", size, ANY_BUTTON)
-            hovered, active = imgui.is_item_hovered(), imgui.is_item_active()
+            with colours(nav_cursor=rgba(palette().text, 0)):  # its own ring would lie outside
+                imgui.invisible_button("##canvas", size, ANY_BUTTON | imgui.ButtonFlags_.enable_nav)
+            flags = imgui.HoveredFlags_.no_nav_override
+            hovered, active = imgui.is_item_hovered(flags), imgui.is_item_active()
+            self.focused = imgui.is_item_focused()
+            if self.focused:
+                if imgui.get_io().nav_visible:
+                    draw.add_rect(self.origin, corner, u32(palette().text), px(3), px(4))  # half of it is clipped
+                press_in_viewport(session, camera, self.size, self.point_picker.cut_id is not None)
         selection_frames(session, camera, pieces, self.origin)
         if session.settings.names and session.mode != "capture" and not session.previewing:
             piece_names(session, camera, pieces, self.origin)
+        family_names(session, self.show_families, self.plane_lines, camera, pieces, self.origin)
         self._handled = self.drag is None and not session.previewing and handles(session, camera, self.origin, size)
         busy = self._handled and on_handles()
         busy = self.box_handles.show(camera, self.origin, self.drag is None and hovered) or busy
@@ -199,10 +217,12 @@ class Viewport:
         if self.drag is not None and self.drag.kind == "mark" and not self.drag.cancelled:
             marker_outline(draw, session.isolation.marker, self.drag.path, self.origin)
         self.point_picker.show(camera, self.origin, hovered and self.drag is None)
-        chosen = mode_switch(session, self.origin, self.size)
-        if chosen is not None:
-            session.film.leave()
-        if self.size[0] > px(420):
+        opened = session.document.scene is not None
+        if opened:
+            if mode_switch(session, self.origin, self.size) is not None:
+                session.film.leave()
+            self.options.show()
+        if opened and self.size[0] > px(420):
             middle = ImVec2(self.origin.x + self.size[0] - px(62), self.origin.y + px(62))
             axis = axis_cube(camera, session.view_up, middle, px(92))
             if axis is not None:
@@ -274,7 +294,7 @@ class Viewport:
             drag.path.append(at)
         if imgui.is_key_pressed(imgui.Key.escape) and drag.kind in (*CUTTING, "mark"):
             drag.cancelled = True
-            session.notify("Not selected." if drag.kind == "mark" else "Not cut.")
+            session.notify(_("Not selected.") if drag.kind == "mark" else _("Not cut."))
         if not active:
             self._end(camera, drag, at)
             self.drag = None
@@ -381,7 +401,7 @@ class Viewport:
                 self._activate(member)
                 motion = member.piece.motion.inverse()
         if point is None:
-            session.notify("Click on the object: on the face that it stands on.")
+            session.notify(_("Click on the object: on the face that it stands on."))
             return
         session.stand_on(motion.apply(point), motion.apply(camera.position))
 
@@ -396,7 +416,7 @@ class Viewport:
             rows = [p.motion.apply(session.solid.points[p.rows]) for p in session.pieces if p.key in drag.keys]
             middle = np.concatenate(rows).mean(0)
             motion = Motion.about(middle, rotation[1], -0.4 * dx).after(Motion.about(middle, rotation[0], 0.4 * dy))
-        session.place("Move" if drag.kind == "move" else "Turn", drag.keys, motion, merge="drag")
+        session.place(_("Move") if drag.kind == "move" else _("Turn"), drag.keys, motion, merge="drag")
 
     # The overlay
 

@@ -46,7 +46,7 @@ class GridCache:
 
     def get(self, plane: Double, spheres: Spheres, options: DrawOptions) -> tuple[Any, ...] | None:
         """The key of the grid of a plane (4,), made if the last frame showed it too; None if there is none."""
-        key = (id(spheres), *plane.tolist(), options.level)  # which the renderer holds until it clears
+        key = (id(spheres), *plane.tolist(), options.level, options.size)  # which the renderer holds until it clears
         self._now.add(key)
         if key not in self._cache:
             if key not in self._seen:

@@ -5,13 +5,23 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-__all__ = ["DrawOptions", "Mode"]
+__all__ = ["DrawOptions", "Mode", "SplatLook"]
 
 Mode = Literal["opaque", "classic", "interior"]
 """The solid; the unchanged capture; the solid without its skin."""
 
 SLACK = 1.15
 """Enlargement beyond what keeps the mean coverage: a random subset of the atoms leaves gaps between them."""
+
+
+@dataclass(frozen=True)
+class SplatLook:
+    """How splats are looked at, other than as they are: to see how a scene is made."""
+
+    size: float = 1.0
+    """Factor of all standard deviations. Greater than 0."""
+    opacity: float = 1.0
+    """Factor of the opacities of a capture; atoms are opaque. Range [0, 1]."""
 
 
 @dataclass(frozen=True)
@@ -28,13 +38,15 @@ class DrawOptions:
     """0 draws all atoms; each further level half as many, enlarged."""
     cull: bool
     """Leave out what cannot be seen."""
+    size: float = 1.0
+    """As in SplatLook."""
 
     @property
     def disc_scale(self) -> float:
         """Factor by which skin atoms are enlarged, so that fewer of them still cover it."""
-        return 2.0 ** (self.level / 2) * (SLACK if self.level else 1.0)
+        return self.size * 2.0 ** (self.level / 2) * (SLACK if self.level else 1.0)
 
     @property
     def ball_scale(self) -> float:
         """Factor by which interior atoms are enlarged, so that fewer of them still fill the solid."""
-        return 2.0 ** (self.level / 3) * (SLACK if self.level else 1.0)
+        return self.size * 2.0 ** (self.level / 3) * (SLACK if self.level else 1.0)

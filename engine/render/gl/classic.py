@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from engine.render.classic.depth_order import depth_order
+from engine.render.culling.draw_options import SplatLook
 from engine.render.culling.view import View
 from engine.render.gl.batches import Pool
 from engine.render.gl.context import Programs, write_uniforms
@@ -81,7 +82,7 @@ class Capture:
         """Whether the last frame was drawn in the order of an earlier camera: draw again when convenient."""
         return self._pending is not None
 
-    def draw(self, camera: Camera, targets: Accumulators, wait: bool, level: int) -> None:
+    def draw(self, camera: Camera, targets: Accumulators, wait: bool, level: int, look: SplatLook) -> None:
         """Fills the accumulators' `splats` (premultiplied colour, opacity) and `distances` (depth by weight).
 
         `level`: 0 draws every Gaussian; each further one half as many, enlarged so that they cover as much.
@@ -89,14 +90,14 @@ class Capture:
         rows = self.rows(camera, wait, level)
         targets.classic_fbo.use()
         targets.classic_fbo.clear()
-        self.add(rows, camera, targets, level)
+        self.add(rows, camera, targets, level, look)
 
     def rows(self, camera: Camera, wait: bool, level: int) -> NDArray[np.uint32]:
         """What is drawn, nearest first; arguments as in `draw`."""
         rows = self._ordered(View(camera, self.centre, 1.0), wait)
         return rows[rows % (1 << level) == 0] if level else rows
 
-    def add(self, rows: NDArray[np.uint32], camera: Camera, targets: Accumulators, level: int) -> None:
+    def add(self, rows: NDArray[np.uint32], camera: Camera, targets: Accumulators, level: int, look: SplatLook) -> None:
         """Draws these rows behind what the targets have."""
         if not len(rows):
             return
@@ -105,7 +106,7 @@ class Capture:
         orthographic = int(camera.orthographic)
         defines = {"SH_DEGREE": self.degree, "SH_VECTORS": self.vectors, "CLASSIC": 1, "ORTHOGRAPHIC": orthographic}
         program = self.programs.get("project.vert.glsl", None, defines, varyings=RECORD)
-        write_uniforms(program, {**view.uniforms, "enlarge": 2.0 ** (level / 2)})
+        write_uniforms(program, {**view.uniforms, "enlarge": look.size * 2.0 ** (level / 2), "strength": look.opacity})
         self.pool.write_indices(rows)
         shape = {"mean": 3, "scale": 3, "quat": 4, "opacity": 1}
         streams = ((self.geometry, shape), (self.coefficients, {"sh": 4 * self.vectors}))
@@ -147,8 +148,8 @@ class Capture:
 class GradualFrame:
     """A frame of a capture drawn nearest first, a part of it at a time, beside the frame that is shown meanwhile."""
 
-    def __init__(self, capture: Capture, camera: Camera, level: int) -> None:
-        self.capture, self.camera, self.level = capture, camera, level
+    def __init__(self, capture: Capture, camera: Camera, level: int, look: SplatLook) -> None:
+        self.capture, self.camera, self.level, self.look = capture, camera, level, look
         self.frame = Frame(capture.ctx, camera.width, camera.height)
         self.sums = Accumulators(capture.ctx, camera.width, camera.height)
         self._rows = capture.rows(camera, True, level)
@@ -160,7 +161,7 @@ class GradualFrame:
         end = time.perf_counter() + seconds
         while len(self._rows):
             self.capture.pool.begin()
-            self.capture.add(self._rows[:PORTION], self.camera, self.sums, self.level)
+            self.capture.add(self._rows[:PORTION], self.camera, self.sums, self.level, self.look)
             self._rows = self._rows[PORTION:]
             self.capture.ctx.finish()  # otherwise the work would only be queued
             if time.perf_counter() > end:

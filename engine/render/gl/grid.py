@@ -61,7 +61,7 @@ class GridCache:
     def get(self, plane: Double, spheres: Spheres, options: DrawOptions) -> Grid | None:
         """The grid of a plane (4,) in centred object space; None if the atoms' sizes do not allow one."""
         plane = plane if plane[np.argmax(np.abs(plane[:3]))] > 0 else -plane  # both orientations share it
-        key = (id(spheres), *plane.tolist(), options.level)  # which the renderer holds until it clears
+        key = (id(spheres), *plane.tolist(), options.level, options.size)  # which the renderer holds until it clears
         if key not in self._cache:
             self._cache[key] = self._make(plane, spheres, options)
         self._cache.move_to_end(key)

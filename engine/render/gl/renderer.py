@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from engine.render.cpu.software import SoftwareMode, is_software
-from engine.render.culling.draw_options import DrawOptions, Mode
+from engine.render.culling.draw_options import DrawOptions, Mode, SplatLook
 from engine.render.culling.groups import Group, group_pieces
 from engine.render.culling.solid import Solid
 from engine.render.culling.view import View
@@ -37,6 +37,8 @@ from engine.scene.piece import Piece
 __all__ = ["Renderer"]
 
 WHOLE = (Piece(),)
+
+AS_IT_IS = SplatLook()
 
 
 Method = TypeVar("Method", bound=Callable[..., Any])
@@ -171,6 +173,7 @@ class Renderer:
         level: int = 0,
         cull: bool = True,
         wait: bool = True,
+        look: SplatLook = AS_IT_IS,
     ) -> moderngl.Texture:
         """Draws a frame of the camera's size; the texture (top row first) lasts until the size changes.
 
@@ -181,7 +184,8 @@ class Renderer:
         with at least 50 dB. level=0 is full quality; each further level draws half as many atoms, enlarged. On the
         software path pixels cost more than atoms, and a smaller picture saves more.
         wait=False lets classic mode draw in the order of an earlier camera while a thread sorts, see `sorting`.
-        cull=False draws every atom, to measure what culling saves.
+        cull=False draws every atom, to measure what culling saves. look: sizes and opacities other than the
+        splats' own.
 
         Raises InputError if a piece has more than groups.MAX_PLANES planes that cut it.
         """
@@ -196,7 +200,7 @@ class Renderer:
         frame, sums = self._frames[0], self._sums
         assert sums is not None
         if self._software is not None and mode != "classic" and self._solids:
-            options = DrawOptions(mode == "interior", light, exact, level, cull)
+            options = DrawOptions(mode == "interior", light, exact, level, cull, look.size)
             changed, halves = self._software.draw(
                 self._solids, camera, self._pieces, self._groups, background_rgb, options
             )
@@ -208,10 +212,10 @@ class Renderer:
         frame.clear(background_rgb)
         if mode == "classic":
             if self._capture is not None:
-                self._capture.draw(camera, sums, wait, level)
+                self._capture.draw(camera, sums, wait, level, look)
                 self._resolve_classic(frame, sums, background_rgb)
         elif self._solids:
-            options = DrawOptions(mode == "interior", light, exact, level, cull)
+            options = DrawOptions(mode == "interior", light, exact, level, cull, look.size)
             self._opaque.draw(
                 self._solids, camera, self._pieces, self._groups, self._frames, sums, background_rgb, options
             )
@@ -222,7 +226,9 @@ class Renderer:
         self._screen.fill(frame.fbo, rect, "classic_resolve.frag.glsl", {}, resolve_values(sums, background))
 
     @current
-    def refine(self, camera: Camera, background: ArrayLike, level: int, seconds: float) -> moderngl.Texture | None:
+    def refine(
+        self, camera: Camera, background: ArrayLike, level: int, seconds: float, look: SplatLook = AS_IT_IS
+    ) -> moderngl.Texture | None:
         """Draws a part of a classic frame for about this time; None until it is whole, and takes the place of the last.
 
         The first call after any other frame begins it; arguments as in `render`. Until it is whole the last frame can
@@ -230,7 +236,7 @@ class Renderer:
         """
         assert self._capture is not None, "no capture is set"
         if self._gradual is None:
-            self._gradual = GradualFrame(self._capture, camera, level)
+            self._gradual = GradualFrame(self._capture, camera, level, look)
         if not self._gradual.advance(seconds):
             return None
         frame, sums = self._gradual.frame, self._gradual.sums

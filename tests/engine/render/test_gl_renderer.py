@@ -13,7 +13,7 @@ import torch
 from scipy import ndimage
 
 from engine.errors import InputError
-from engine.render.culling.draw_options import Mode
+from engine.render.culling.draw_options import Mode, SplatLook
 from engine.render.gl import Lines, PictureSheet, Renderer, Sheet
 from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from engine.scene.camera import Camera
@@ -259,6 +259,24 @@ def test_classic_parity(renderer: Renderer) -> None:
         means, scales, quats, opacities, colours = (torch.as_tensor(v, dtype=torch.float64) for v in values)
         rgb, _, _ = classic_picture(means, scales, quats, opacities, colours, camera, (1.0, 1.0, 1.0))
         assert psnr(draw(renderer, camera, mode="classic").rgb, rgb.numpy()) >= 40
+
+
+def test_a_look_draws_splats_of_other_sizes_and_opacities(renderer: Renderer) -> None:
+    gaussians, camera, look = capture(), around(30, 20, width=60, height=45), SplatLook(0.5, 0.4)
+    renderer.set_capture(gaussians)
+    seen = draw(renderer, camera, mode="classic", look=look)
+    made = replace(gaussians, scales=gaussians.scales * 0.5, opacities=gaussians.opacities * np.float32(0.4))
+    renderer.set_capture(made)
+    assert psnr(seen.rgb, draw(renderer, camera, mode="classic").rgb) > 60
+    atoms = ball(1 / 16, exposed=30, degree=0)
+    surface = replace(atoms.surface, scales=atoms.surface.scales * np.float32(0.6))
+    interior = replace(atoms.interior, sigmas=atoms.interior.sigmas * np.float32(0.6))
+    made_small = replace(atoms, surface=surface, interior=interior)
+    for pieces in ((Piece(),), (Piece((HALF,)),)):
+        renderer.set_atoms(atoms)
+        seen = draw(renderer, camera, *pieces, look=SplatLook(0.6))
+        renderer.set_atoms(replace(made_small, pitch=0.6 * atoms.pitch))
+        assert psnr(seen.rgb, draw(renderer, camera, *pieces).rgb) > 30
 
 
 def test_the_camera_does_not_wait_for_the_sort(renderer: Renderer) -> None:

@@ -1,0 +1,92 @@
+"""The list of everything that keys and the pointer do, over the window."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from imgui_bundle import ImVec2, imgui
+
+from app.translation import _
+from app.ui.commands import Command
+from app.ui.theme import Fonts, palette, px, rgba
+from app.ui.widgets import font, key_caps, secondary
+
+__all__ = ["show_shortcuts"]
+
+POINTER = (
+    (_("Drag"), _("Look around, or use the tool")),
+    (_("Right drag"), _("Look around")),
+    (_("Alt+Drag"), _("Look around with any tool")),
+    (_("Middle drag"), _("Shift the picture")),
+    (_("Shift+Right drag"), _("Shift the picture")),
+    (_("Wheel"), _("Nearer, to the pointer")),
+    (_("Ctrl+Click"), _("Select several pieces")),
+    (_("Wheel"), _("The next cut, in a slice")),
+    (_("Ctrl+Wheel"), _("Nearer, in a slice")),
+    (_("Shift"), _("Level and upright, while cutting")),
+    (_("Esc"), _("Do not cut, while cutting")),
+    (_("Shift"), _("Select more, while isolating")),
+    (_("Alt"), _("Select less, while isolating")),
+)
+"""What the pointer does, for the list of shortcuts."""
+
+KEYBOARD = (
+    ("F6", _("The next part of the window")),
+    (_("Tab"), _("The next control")),
+    (_("Enter"), _("Press it; with the knife: place a plane, cut")),
+    (_("Arrows"), _("Look around; move and tilt the plane or piece")),
+    (_("Shift+Arrows"), _("Shift the picture; turn the plane")),
+    (_("Ctrl+Arrows"), _("The same, finely")),
+    ("+", _("Nearer; - farther")),
+    ("F10", _("The menus")),
+)
+"""What keys do beside the commands, in the same list."""
+
+
+def show_shortcuts(commands: Sequence[Command], menus: Mapping[str, str]) -> bool:
+    """One frame of the list; whether it stays open. `menus`: their titles, by the names that commands have for them."""
+    screen, stays = imgui.get_main_viewport(), True
+    imgui.set_next_window_pos(screen.get_center(), imgui.Cond_.always, ImVec2(0.5, 0.5))
+    imgui.set_next_window_size_constraints(ImVec2(0, 0), screen.work_size)
+    imgui.push_style_color(imgui.Col_.window_bg, rgba(palette().panel, 0.98))
+    imgui.push_style_var(imgui.StyleVar_.window_padding, ImVec2(px(22), px(18)))
+    flags = imgui.WindowFlags_.no_title_bar | imgui.WindowFlags_.always_auto_resize | imgui.WindowFlags_.no_docking
+    flags |= imgui.WindowFlags_.horizontal_scrollbar
+    imgui.begin("##shortcuts", None, flags | imgui.WindowFlags_.no_saved_settings)
+    with font(Fonts.bold):
+        imgui.text_unformatted(_("Shortcuts"))
+    imgui.separator()
+    columns = [
+        [(_("Pointer"), [*POINTER])],
+        [(_("Keyboard"), [*KEYBOARD]), (menus["Tools"], _keys(commands, "Tools"))],
+        [(menus[menu], _keys(commands, menu)) for menu in ("View", "Cut", "Help")],
+        [(menus[menu], _keys(commands, menu)) for menu in ("File", "Edit", "Film")],
+    ]
+    for number, groups in enumerate(columns):
+        if number:
+            imgui.same_line(0, px(36))
+        imgui.begin_group()
+        for title, rows in groups:
+            secondary(title)
+            if imgui.begin_table(f"##{title}", 2, imgui.TableFlags_.sizing_fixed_fit):
+                for keys, label in rows:
+                    imgui.table_next_row()
+                    imgui.table_next_column()
+                    key_caps(keys)
+                    imgui.table_next_column()
+                    imgui.text_unformatted(label)
+                imgui.end_table()
+            imgui.dummy(ImVec2(0, px(4)))
+        imgui.end_group()
+    outside = imgui.is_mouse_clicked(imgui.MouseButton_.left) and not imgui.is_window_hovered()
+    if outside or imgui.is_key_pressed(imgui.Key.escape):
+        stays = False
+    imgui.end()
+    imgui.pop_style_var()
+    imgui.pop_style_color()
+    return stays
+
+
+def _keys(commands: Sequence[Command], menu: str) -> list[tuple[str, str]]:
+    """Shortcuts and names of a menu's commands, in the menu's order."""
+    return [(c.keys, c.label.removesuffix("...")) for c in commands if c.keys and c.menu == menu]
