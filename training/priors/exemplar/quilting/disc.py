@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from training.priors.exemplar.frames import Space
+from training.priors.exemplar.medians import medians_over
 from training.priors.exemplar.pictures import Picture
 from training.priors.exemplar.sampling import read_bilinear, reduced
 
@@ -146,12 +147,9 @@ def disc_median(values: NDArray[np.float32], radius: float) -> NDArray[np.float3
     n = max(REDUCTION, REDUCTION * int(pixels / (REDUCTION * MEDIAN_PIXELS)))
     reach = int(np.ceil(pixels / n))
     y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1]
-    around = np.hypot(x, y) <= pixels / n + 0.3
-    coarse = reduced(values, n)
-    medians = [ndimage.median_filter(coarse[..., c], footprint=around, mode="nearest") for c in range(values.shape[2])]
-    if n == REDUCTION:
-        return np.stack(medians, -1)
-    return _resampled(np.stack(medians, -1), DISC_PIXELS // REDUCTION, REDUCTION / n)
+    across = (np.hypot(x, y) <= pixels / n + 0.3).sum(1)
+    medians = medians_over(reduced(values, n), across[across > 0] // 2)
+    return medians if n == REDUCTION else _resampled(medians, DISC_PIXELS // REDUCTION, REDUCTION / n)
 
 
 def enlarged(values: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -162,9 +160,8 @@ def enlarged(values: NDArray[np.float32]) -> NDArray[np.float32]:
 def _resampled(values: NDArray[np.float32], size: int, step: float) -> NDArray[np.float32]:
     """(size, size, C). Values at pixels `step` of their own apart."""
     axis = (np.arange(size) + 0.5) * step - 0.5
-    at = np.stack(np.meshgrid(axis, axis, indexing="ij"))
-    channels = [ndimage.map_coordinates(values[..., c], at, order=1, mode="nearest") for c in range(values.shape[2])]
-    return np.stack(channels, -1).astype(np.float32)
+    rows, columns = (at.ravel() for at in np.meshgrid(axis, axis, indexing="ij"))
+    return read_bilinear(values, rows, columns).reshape(size, size, -1)
 
 
 def match_light(disc: Disc, to: Disc) -> Disc:

@@ -8,9 +8,12 @@ removes things narrower than that.
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from engine.threads import for_spans
+from training.priors.exemplar.medians import medians_over
 from training.priors.exemplar.quilting.disc import (
     DISC_PIXELS,
     REACH,
@@ -52,6 +55,9 @@ CONTRAST_ANGLES = 21
 SHEET_RADII = (0.12, 0.93)
 """Radii between which sheets are: inside is the core, outside the rind."""
 
+ROWS = 8
+"""Radii that a thread takes at a time."""
+
 
 class Persistence:
     """How far the colours of a disc are from what remains of them at a distance from its plane."""
@@ -80,26 +86,16 @@ def find_sheets(disc: Disc, persistence: Persistence) -> NDArray[np.float32]:
     x, y = radius[:, None] * np.cos(angle), radius[:, None] * np.sin(angle)
     smooth = Disc(ndimage.gaussian_filter(disc.rgb, (1.2, 1.2, 0)))
     polar = smooth.read(x, y)
-    ground = [ndimage.median_filter(polar[..., c], size=(1, CONTRAST_ANGLES), mode="wrap") for c in range(3)]
-    contrast = polar - np.stack(ground, -1)
+    half = CONTRAST_ANGLES // 2
+    around = np.pad(polar, ((0, 0), (half, half), (0, 0)), mode="wrap")
+    contrast = polar - medians_over(around, np.array([half]))[:, half:-half]
     length = int(SHEET_LENGTH * RADII)
     along = np.arange(-(length // 2), length // 2 + 1, 2)
-    padded = np.pad(contrast, ((length, length), (0, 0), (0, 0)), mode="edge")
-    found = np.zeros((RADII, ANGLES), np.float32)
-    for bend in BENDS:
-        turns = np.round(bend * along / length * ANGLES / (2 * np.pi)).astype(int)
-        steps = list(zip(along.tolist(), turns.tolist(), strict=True))
-        line = np.stack([np.roll(padded[length + a : length + a + RADII], -t, axis=1) for a, t in steps])
-        mean = line.mean(0)
-        size = np.linalg.norm(mean, axis=-1)
-        direction = mean / np.maximum(size, 1e-6)[..., None]
-        steady = np.quantile((line * direction).sum(-1), SHEET_QUANTILE, axis=0)
-        # All along a steady line is a sheet, but where the picture itself does not stand out it ends.
-        for a, t in steps:
-            here, there = slice(max(a, 0), RADII + min(a, 0)), slice(max(-a, 0), RADII + min(-a, 0))
-            out = np.roll(contrast[here], -t, axis=1)
-            surely = np.where((out * direction[there]).sum(-1) > 0.5 * size[there], steady[there], 0)
-            found[here] = np.maximum(found[here], np.roll(surely, t, axis=1))
+    turns = np.round(BENDS[:, None] * along / length * ANGLES / (2 * np.pi)).astype(int)
+    means = np.empty((len(BENDS), RADII, ANGLES, 3), np.float32)
+    steady, found = np.empty((len(BENDS), RADII, ANGLES), np.float32), np.empty((RADII, ANGLES), np.float32)
+    for_spans(_follow_lines, RADII, contrast, along, turns, SHEET_QUANTILE, means, steady, span=ROWS)
+    for_spans(_steadiest, RADII, contrast, along, turns, means, steady, found, span=ROWS)
     flesh = contrast[int(0.2 * RADII) : int(0.8 * RADII)]
     surely = np.clip(found / (np.linalg.norm(flesh, axis=-1).std() + 0.01) - 0.5, 0, 1)
     surely[(radius < SHEET_RADII[0]) | (radius > SHEET_RADII[1])] = 0
@@ -111,3 +107,72 @@ def find_sheets(disc: Disc, persistence: Persistence) -> NDArray[np.float32]:
     thin, wide = (persistence.gone(px.ravel(), py.ravel(), np.full(px.size, d)) for d in (THIN, WIDE))
     share = np.clip(2 * thin / (wide + 0.02) - 0.5, 0, 1).reshape(px.shape)
     return sheets * ndimage.gaussian_filter(share, BORDER * DISC_PIXELS / (2 * REACH))
+
+
+@njit(cache=True, nogil=True)
+def _follow_lines(
+    start: int,
+    stop: int,
+    contrast: NDArray[np.float32],  # [R, A, 3], by radius and angle
+    along: NDArray[np.int64],  # [L], steps of the radius from a line's middle
+    turns: NDArray[np.int64],  # [B, L], steps around for each bend
+    quantile: float,
+    means: NDArray[np.float32],  # out [B, R, A, 3]
+    steady: NDArray[np.float32],  # out [B, R, A]
+) -> None:
+    """The mean contrast along lines through each place, and that which all but a part of the line exceed."""
+    radii, angles, n = contrast.shape[0], contrast.shape[1], len(along)
+    place = quantile * (n - 1)
+    low = int(place)
+    line, least = np.empty((n, 3), np.float32), np.empty(low + 2, np.float32)
+    for row in range(start, stop):
+        for b in range(len(turns)):
+            for column in range(angles):
+                red, green, blue = np.float32(0), np.float32(0), np.float32(0)
+                for k in range(n):
+                    i, j = min(max(row + along[k], 0), radii - 1), (column + turns[b, k]) % angles
+                    line[k, 0], line[k, 1], line[k, 2] = contrast[i, j, 0], contrast[i, j, 1], contrast[i, j, 2]
+                    red, green, blue = red + line[k, 0], green + line[k, 1], blue + line[k, 2]
+                red, green, blue = red / np.float32(n), green / np.float32(n), blue / np.float32(n)
+                size = max(np.sqrt(red * red + green * green + blue * blue), np.float32(1e-6))
+                least[:] = np.inf  # the smallest shares so far, in order
+                for k in range(n):
+                    share = (line[k, 0] * red + line[k, 1] * green + line[k, 2] * blue) / size
+                    at = low + 1
+                    if share < least[at]:
+                        while at > 0 and share < least[at - 1]:
+                            least[at] = least[at - 1]
+                            at -= 1
+                        least[at] = share
+                means[b, row, column, 0], means[b, row, column, 1], means[b, row, column, 2] = red, green, blue
+                steady[b, row, column] = least[low] + (place - low) * (least[low + 1] - least[low])
+
+
+@njit(cache=True, nogil=True)
+def _steadiest(
+    start: int,
+    stop: int,
+    contrast: NDArray[np.float32],  # [R, A, 3]
+    along: NDArray[np.int64],  # [L]
+    turns: NDArray[np.int64],  # [B, L]
+    means: NDArray[np.float32],  # [B, R, A, 3]
+    steady: NDArray[np.float32],  # [B, R, A]
+    found: NDArray[np.float32],  # out [R, A]
+) -> None:
+    """All along a steady line is a sheet, but where the picture itself does not stand out it ends."""
+    radii, angles = found.shape
+    for row in range(start, stop):
+        for column in range(angles):
+            most = np.float32(0)
+            for b in range(len(turns)):
+                for k in range(len(along)):
+                    i, j = row - along[k], (column - turns[b, k]) % angles
+                    if not 0 <= i < radii or steady[b, i, j] <= most:
+                        continue
+                    dot, square = np.float32(0), np.float32(0)
+                    for c in range(3):
+                        dot += contrast[row, column, c] * means[b, i, j, c]
+                        square += means[b, i, j, c] ** 2
+                    if dot > 0.5 * square:
+                        most = steady[b, i, j]
+            found[row, column] = most
