@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 import typer
 from numpy.typing import NDArray
+from rich.console import Console
+from rich.progress import Progress
 
 from app.film_cli import Scene, make_film, save_film
 from app.jobs.export import save_still
@@ -79,7 +82,16 @@ def render_command(
             raise InputError("--background transparent: a page has a colour; give white, black or #rrggbb")
         azimuth, elevation, distance = angles or (None, None, None)
         solid, colour = open_solid(trained).cut(*planes), ground if background else None
-        said = solid.html(out, azimuth=azimuth, elevation=elevation, distance=distance, background=colour)
+        with Progress(console=Console(stderr=True), transient=True) as bar:
+            written = partial(bar.update, bar.add_task(f"Writing {out.name}", total=1.0))
+            said = solid.html(
+                out,
+                azimuth=azimuth,
+                elevation=elevation,
+                distance=distance,
+                background=colour,
+                progress=lambda part: written(completed=part),
+            )
         print_result(f"{out} ({said})")
         return
     if film is not None:

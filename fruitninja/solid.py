@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from io import BytesIO
@@ -288,12 +288,14 @@ class Solid:
         elevation: float | None = None,
         distance: float | None = None,
         background: tuple[float, float, float] | None = None,
+        progress: Callable[[float], None] | None = None,
     ) -> str:
         """Writes a page that shows the object in any browser, without a network: it is turned, zoomed, and cut by
         planes that the reader moves. Returns what is in it, in a line.
 
         It begins with the planes of this solid, or with one across the middle, seen as by `Solid.camera`. `background`:
-        RGB, range [0, 1]; None follows the reader's choice of dark or light.
+        RGB, range [0, 1]; None follows the reader's choice of dark or light. `progress` is called with the part that
+        is done, range [0, 1], for a minute or two.
         """
         out, whole = Path(path), self._whole
         if out.suffix.lower() not in PAGES:
@@ -310,7 +312,17 @@ class Solid:
             above if elevation is None else elevation,
             MARGIN if distance is None else distance,
         )
-        return write_page(out, whole.source.stem, whole.body, whole.shown, self.up, planes, view, background)
+        return write_page(
+            out,
+            whole.source.stem,
+            whole.body,
+            whole.shown,
+            self.up,
+            planes,
+            view,
+            background,
+            progress or (lambda part: None),
+        )
 
 
 def open_solid(path: PathLike) -> Solid:

@@ -7,7 +7,7 @@ import hashlib
 import html
 import json
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
@@ -73,18 +73,19 @@ def write_page(
     planes: Sequence[Plane],
     view: PageView,
     background: tuple[float, float, float] | None,
+    progress: Callable[[float], None],
 ) -> str:
     """Writes a page that shows a solid cut by planes; returns what is in it, in a line.
 
     The page begins with these planes, one or more, and its reader moves them. `background`: RGB, range [0, 1]; None
-    follows the reader's choice of dark or light. Raises InputError if there are too many planes, or if it cannot be
-    written.
+    follows the reader's choice of dark or light. `progress` is told the part that is done. Raises
+    InputError if there are too many planes, or if it cannot be written.
     """
     if len(planes) > MAX_PLANES:
         raise InputError(f"{path}: {len(planes)} planes are too many for a page; give at most {MAX_PLANES}")
     atoms = colours.atoms
     cube = Cube.of(atoms.bounds)
-    skin, inside = pack_skin(atoms, cube), pack_inside(body, colours)
+    skin, inside = pack_skin(atoms, cube), pack_inside(body, colours, progress)
     low, high = (atoms.bounds.astype(np.float64) - cube.low) / cube.edge
     axis = np.asarray(up, np.float64) / np.linalg.norm(up)
     first, second = equator(axis)

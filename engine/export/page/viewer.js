@@ -16,6 +16,12 @@ let view = start();
 let cuts = page.planes.map(anglesOf);       // each as distance, tilt and turn: as the desktop program says it
 let current = 0, cutting = true, renderer = null;
 
+// A number with these digits after the point, and no minus before zero.
+function rounded(value, digits) {
+    const scale = 10 ** digits;
+    return (Math.round(value * scale) / scale + 0).toFixed(digits);
+}
+
 // A plane in words: its distance from the middle of the object along the normal, and two angles of the normal in degrees.
 function anglesOf(plane) {
     const along = dot(page.axes.up, plane), x = dot(page.axes.first, plane), y = dot(page.axes.second, plane);
@@ -133,7 +139,7 @@ function reset() {
 function show() {
     const cut = cuts[current], reach = reachOf(cut), digits = clamp(3 - Math.floor(Math.log10(page.edge)), 0, 6);
     for (const [name, value, low, high, text] of [
-        ["distance", cut.distance, -reach, reach, (cut.distance * page.edge).toFixed(digits)],
+        ["distance", cut.distance, -reach, reach, rounded(cut.distance * page.edge, digits)],
         ["tilt", cut.tilt, 0, 180, `${cut.tilt.toFixed(0)}°`], ["turn", cut.turn, -180, 180, `${cut.turn.toFixed(0)}°`],
     ]) {
         const slider = element(name);

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import zlib
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -68,8 +69,8 @@ class Inside:
     red: Layers
 
 
-def pack_inside(body: Body, colours: Colours) -> Inside:
-    """What a body shows, as fine as it is and MOST_CELLS allow."""
+def pack_inside(body: Body, colours: Colours, progress: Callable[[float], None]) -> Inside:
+    """What a body shows, as fine as it is and MOST_CELLS allow. `progress` is told the part that is done."""
     low, high = body.bounds()
     cell = max(FINER * colours.detail, float((high - low).max()) / (MOST_CELLS - 2))
     grid = Grid.around(np.stack([low, high]), cell, 1)
@@ -80,6 +81,7 @@ def pack_inside(body: Body, colours: Colours) -> Inside:
     atoms = replace(colours, inside=None)
     axes = [grid.origin[i] + (np.arange(grid.shape[i]) + 0.5) * cell for i in range(3)]
     for layer, height in enumerate(axes[2]):  # one at a time: points take ten times the memory of what is kept
+        progress(layer / z)
         rgb = _layer(np.stack(np.meshgrid(axes[0], axes[1], [height]), -1)[:, :, 0], body, colours, atoms, cell)
         bright = rgb @ LUMA
         luma[layer] = np.round(255 * bright)
