@@ -50,7 +50,7 @@ def bare(node: ast.expr) -> Iterator[str]:
         if re.search(r"[A-Za-z]{2}", node.value.partition("##")[0]):
             yield node.value
     elif isinstance(node, ast.JoinedStr):
-        text = "".join(part.value if isinstance(part, ast.Constant) else "{}" for part in node.values)  # type: ignore
+        text = "".join(str(part.value) if isinstance(part, ast.Constant) else "{}" for part in node.values)
         if re.search(r"[A-Za-z]{2}", text.partition("##")[0]):
             yield text
     elif isinstance(node, (ast.IfExp, ast.BinOp)):
