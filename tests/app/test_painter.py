@@ -176,6 +176,20 @@ def test_what_is_marked_is_tinted_in_the_window_and_not_in_a_saved_picture(paint
     assert frame[24, 32, 0] > plain[24, 32, 0] / 255 + 0.2 and frame[24, 32, 1] < plain[24, 32, 1] / 255 - 0.1
 
 
+def test_a_saved_picture_is_not_taken_for_what_is_shown(painter: Painter, session: Session) -> None:
+    """Nor is the frame that it has replaced read, which is gone where the sizes differ."""
+    camera = EYE.camera(64, 48, session.up)
+    whole = [drawn for piece in pieces(session.document, session.solid) for drawn in piece.drawn()]
+    painter.frame(session, camera, whole, (0.0, 0.0, 0.0))
+    shown = painter.snapshot()
+    assert shown is not None and shown.shape == (48, 64, 3)
+    painter.picture(session, EYE.camera(32, 20, session.up), whole)
+    assert painter.snapshot() is None
+    painter.frame(session, camera, whole, (0.0, 0.0, 0.0))
+    again = painter.snapshot()
+    assert again is not None and np.array_equal(again, shown)
+
+
 def test_a_camera_of_fewer_pixels_sees_the_same() -> None:
     points = np.random.default_rng(0).normal(size=(50, 3))
     for eye in (EYE, replace(EYE, orthographic=True)):

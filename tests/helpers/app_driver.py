@@ -6,6 +6,7 @@ import os
 import time
 import traceback
 from collections.abc import Callable, Iterable
+from concurrent.futures import Future
 from pathlib import Path
 from typing import TypeVar
 
@@ -119,17 +120,23 @@ class Driver:
 
     def between_frames(self, act: Callable[[], T]) -> T:
         """Does something where the GL context is current: at the end of a frame, in the window's own thread."""
-        done: list[T] = []
+        ended: Future[T] = Future()
 
         def once() -> None:
-            if not done:
-                done.append(act())
+            if not ended.done():
+                try:
+                    ended.set_result(act())
+                except BaseException as error:  # the window would end, and the script wait for it
+                    ended.set_exception(error)
 
         callbacks = self.window.params.callbacks
         callbacks.before_swap = once
-        while not done:
+        start = time.monotonic()
+        while not ended.done():
+            # A window that has ended by an error draws no frame, and waits for the script.
+            assert time.monotonic() - start < 60, "no frame is drawn any more"
             self.frames(1)
-        return done[0]
+        return ended.result()
 
     def _read(self) -> NDArray[np.uint8]:
         screen = self.window.ctx.detect_framebuffer(0)

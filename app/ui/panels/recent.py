@@ -50,9 +50,11 @@ class RecentFiles:
         key = (session.path or session.document.scene, id(session.history.saved), session.geometry_version)
         if key == self._kept or session.object is None or session.loader is not None:
             return
-        self._kept = key
-        name, pixels = session.files.recent_name, self.painter.snapshot()
-        if name is not None and pixels is not None:
+        pixels = self.painter.snapshot()
+        if pixels is None:
+            return
+        self._kept, name = key, session.files.recent_name
+        if name is not None:
             keep_picture(name, pixels)
             remove_pictures(session.settings.recent)
 

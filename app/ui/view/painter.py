@@ -220,8 +220,9 @@ class Painter:
         return found
 
     def snapshot(self) -> NDArray[np.uint8] | None:
-        """(H, W, 3). The last frame as it is shown, without the overlay; None before the first."""
-        if self._picture is None:
+        """(H, W, 3). The last frame as it is shown, without the overlay; None before the first, and where a picture for
+        a file has taken its place on the graphics card."""
+        if self._picture is None or self._key is None:
             return None
         width, height = self._picture.size
         halves = np.frombuffer(self._picture.read(), np.float16).reshape(height, width, 4)
