@@ -23,9 +23,7 @@ def run(name: str, folder: Path, script: str = "app_steps.py") -> None:
         server = shutil.which("xvfb-run")
         if server is None:
             pytest.skip("no display, and no xvfb-run to make one (install xvfb)")
-        # Numbers of their own for parallel processes: two that look for a free one at once may take the same.
-        number = 100 * (1 + int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw")))
-        command = [server, "-n", str(number), "-a", "-s", "-screen 0 1680x1200x24", *command]
+        command = [server, "-a", "-s", "-screen 0 1680x1200x24", *command]
     path = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
     done = subprocess.run(
         command,
