@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -25,18 +26,24 @@ def run(name: str, folder: Path, script: str = "app_steps.py") -> None:
             pytest.skip("no display, and no xvfb-run to make one (install xvfb)")
         command = [server, "-a", "-s", "-screen 0 1680x1200x24", *command]
     path = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
-    done = subprocess.run(
+    process = subprocess.Popen(
         command,
         cwd=folder,
         env=os.environ | {"PYTHONPATH": path, "LIBGL_ALWAYS_SOFTWARE": "1"},
-        capture_output=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
         text=True,
-        timeout=600,
+        start_new_session=True,
     )
-    said = done.stdout + done.stderr
+    try:
+        said, _ = process.communicate(timeout=600)
+    except subprocess.TimeoutExpired:
+        os.killpg(process.pid, signal.SIGKILL)  # the window as well, which would take a core from all other tests
+        said, _ = process.communicate()
+        pytest.fail(f"after ten minutes: {said[-3000:]}")
     if "cannot create context" in said or "Failed to create GLFW window" in said:
         pytest.skip("no OpenGL 3.3 on this display (install libgl1-mesa-dri)")
-    assert done.returncode == 0 and "well" in done.stdout, said[-3000:]
+    assert process.returncode == 0 and "well" in said, said[-3000:]
 
 
 @pytest.mark.slow
