@@ -49,7 +49,7 @@ def grow(
     and the same thing. `out`: a folder for all that the command leaves there; None: nothing is left.
 
     `progress` may raise to end the run: what it raises is raised here, and no result is written. What else there is to
-    know comes as Python warnings. Raises Error for what cannot be used.
+    know comes as Python warnings at the end. Raises Error for what cannot be used.
     """
     scene = capture.path if isinstance(capture, Capture) else Path(capture)
     if not scene.is_file():
@@ -67,19 +67,24 @@ def grow(
         isolation=as_isolation(keep),
         same=same,
     )
-    if out is not None:
-        return open_solid(_trained(request, Path(out), progress))
-    with TemporaryDirectory(prefix="fruitninja-") as folder:
-        made = open_solid(_trained(request, Path(folder), progress))
-        # Its file goes with the folder: what is said of it is said of the capture.
-        return Solid(Whole(made.atoms, made.meta, made.inside, scene))
+    listener = _Listener(progress)
+    try:
+        if out is not None:
+            return open_solid(_trained(request, Path(out), listener))
+        with TemporaryDirectory(prefix="fruitninja-") as folder:
+            made = open_solid(_trained(request, Path(folder), listener))
+            # Its file goes with the folder: what is said of it is said of the capture.
+            return Solid(Whole(made.atoms, made.meta, made.inside, scene))
+    finally:
+        for message in listener.warnings:
+            warnings.warn(message, stacklevel=2)
 
 
 def _listed(pictures: Pictures) -> Sequence[PathLike]:
     return [pictures] if isinstance(pictures, str | os.PathLike) else pictures
 
 
-def _trained(request: Request, out: Path, progress: Progress | None) -> Path:
+def _trained(request: Request, out: Path, listener: _Listener) -> Path:
     """The path of the run's result."""
     import torch  # takes a second, which those who only look at solids need not wait for
 
@@ -88,7 +93,7 @@ def _trained(request: Request, out: Path, progress: Progress | None) -> Path:
     threads = torch.get_num_threads()
     try:
         with locked_folder(out):
-            return run(request, out, _Listener(progress), False, lambda: False)
+            return run(request, out, listener, False, lambda: False)
     finally:
         torch.set_num_threads(threads)  # training leaves one, and the caller's own work may want them all
 
@@ -99,10 +104,11 @@ class _Listener(Reporter):
     def __init__(self, progress: Progress | None) -> None:
         super().__init__()
         self.listener = progress
+        self.warnings: list[str] = []
 
     def emit(self, event: str, **facts: Any) -> None:
-        """Calls back with a stage's progress, and makes a warning Python's own."""
+        """Calls back with a stage's progress, and keeps a warning for the end, where it points at the caller's line."""
         if event == "warning":
-            warnings.warn(facts["message"], stacklevel=2)
+            self.warnings.append(facts["message"])
         elif event in ("stage", "progress") and self.listener is not None:
             self.listener(facts["stage"], float(facts.get("part", 0.0)))

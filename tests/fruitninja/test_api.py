@@ -44,7 +44,9 @@ def front(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, frui
         tiny(patch)
         patch.chdir(place)
         names: dict[str, fruitninja.Solid] = {}
-        exec(match.group(1).replace("\n    ", "\n").removeprefix("    "), names)
+        with pytest.warns(UserWarning, match="haze") as said:
+            exec(match.group(1).replace("\n    ", "\n").removeprefix("    "), names)
+        assert {warning.filename for warning in said} == {"<string>"}, "the caller's line, not one of ours"
         yield place, names["solid"]
 
 
@@ -119,7 +121,8 @@ def test_every_example_runs(folder: Path, tmp_path: Path, monkeypatch: pytest.Mo
         monkeypatch.setattr(sys, "argv", [name, str(folder / "melon.ply"), *out_argument])
         runpy.run_path(str(ROOT / f"examples/{name}.py"), run_name="__main__")
     monkeypatch.setattr(sys, "argv", ["photographs_to_slices", *scene, str(tmp_path / "slices")])
-    runpy.run_path(str(ROOT / "examples/photographs_to_slices.py"), run_name="__main__")
+    with pytest.warns(UserWarning, match="haze"):
+        runpy.run_path(str(ROOT / "examples/photographs_to_slices.py"), run_name="__main__")
     monkeypatch.setattr(sys, "argv", ["keep_part", scene[0], str(tmp_path / "part.ply")])
     runpy.run_path(str(ROOT / "examples/keep_part.py"), run_name="__main__")
     assert fruitninja.open(tmp_path / "part.ply").volume > 0
