@@ -28,6 +28,7 @@ from benchmarks.support.timing import timed
 from engine.io.files import write_json
 from engine.render.classic import rasterizer as classic
 from engine.render.classic.blend import BLOCK, MIN_TRANSMITTANCE, UNTOUCHED, start_tile
+from engine.render.classic.differentiable import rasterize
 from engine.render.classic.records import Frame, Slice
 from engine.render.classic.tiles import BLOCKS, SIDE, TAIL_BITS
 from engine.scene.constants import MAX_ALPHA
@@ -149,7 +150,7 @@ def lane_row(size: int, rounds: int) -> dict[str, Any]:
     camera = view(size)
 
     def draw() -> None:
-        classic.rasterize(means, scales, quats, opacities, colours, camera)
+        rasterize(means, scales, quats, opacities, colours, camera)
 
     def plain() -> None:
         with mock.patch.object(classic, "blend", plain_blend):

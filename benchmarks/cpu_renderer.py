@@ -30,7 +30,7 @@ from benchmarks.support.charts import ACCENT, plt, save_chart
 from benchmarks.support.options import ROOT, out_folder, parser_of
 from benchmarks.support.timing import timed
 from engine.io.files import write_json
-from engine.render.classic.rasterizer import rasterize
+from engine.render.classic.differentiable import rasterize
 from engine.scene.camera import Camera, orbit
 from engine.threads import cores, use_cores
 

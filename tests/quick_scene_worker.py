@@ -8,6 +8,7 @@ from typing import Any
 import app.jobs.scene_loader as scene_loader
 import app.jobs.scene_worker as scene_worker
 from engine.processes import start_python
+from engine.solid import solidify
 from training.settings import DETAILS
 
 __all__ = ["BODY_CELLS", "QUICK", "use_quick_worker"]
@@ -28,8 +29,6 @@ def use_quick_worker() -> None:
 
 
 if __name__ == "__main__":
-    from engine.solid import solidify  # here alone: it takes a second to import, and the window does not need it
-
     solidify.BODY_CELLS = BODY_CELLS
     scene_worker.DRAFT = QUICK
     scene_worker.DETAILS = dict.fromkeys(DETAILS, scene_worker.DRAFT)

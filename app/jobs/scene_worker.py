@@ -34,6 +34,7 @@ from engine.scene.gaussians import Gaussians
 from engine.scene.grid import Body
 from engine.scene.sh import sh_to_rgb
 from engine.solid.find_body import Enclosure
+from engine.solid.solidify import find_enclosure, solidify
 from engine.solid.up_axis.detect import detect_up
 from training.settings import DETAILS, Detail
 
@@ -62,8 +63,6 @@ def main() -> None:
             if trained is not None:
                 _send_trained(Path(trained), folder, capture=False)
             else:
-                from engine.solid.solidify import find_enclosure  # after the capture is shown, as it needs torch
-
                 detail = DETAILS[request["detail"]]
                 _write_line(stage="Finding the body", part=0.15)
                 enclosure = find_enclosure(gaussians, detail.cells, path.name)
@@ -85,7 +84,7 @@ def _load_capture(path: Path, folder: Path, seed: int, isolation: Isolation) -> 
         if rows.any():
             up = detect_up(coarse.gaussians, coarse.file_axes)
             _send_arrays(folder, "coarse", _arrays(coarse.gaussians[rows]), {"up": up.axis.tolist()})
-    # Making it solid needs torch, which takes a second to import: beside the reading, but after a coarse picture.
+    # Fitting the skin needs torch, which takes a second to import: beside the reading, but after a coarse picture.
     threading.Thread(target=importlib.import_module, args=("torch",), daemon=True).start()
     loaded = load(path, seed)
     gaussians = loaded.gaussians
@@ -100,13 +99,6 @@ def _load_capture(path: Path, folder: Path, seed: int, isolation: Isolation) -> 
 
 
 def _solidify(enclosure: Enclosure, up: NDArray[np.float64], detail: Detail, seed: int, folder: Path) -> None:
-    import torch
-
-    from engine.solid.solidify import solidify
-    from training.skin import match_skin
-
-    torch.set_num_threads(1)  # the kernels use all cores; torch's own threads would compete with them
-
     facts = {"notes": list(enclosure.notes), "trained": False}
 
     def make_solid(detail: Detail) -> Atoms:
@@ -123,6 +115,11 @@ def _solidify(enclosure: Enclosure, up: NDArray[np.float64], detail: Detail, see
         _write_line(stage="Making it finer", part=0.4)
     atoms = make_solid(detail)
     _write_line(stage="Matching the skin", part=0.6)
+    import torch  # takes a second, which no solid waits for
+
+    from training.skin import match_skin
+
+    torch.set_num_threads(1)  # the kernels use all cores; torch's own threads would compete with them
     _send_atoms(folder, match_skin(atoms, enclosure.shell, enclosure.body, up, DRAFT, seed), facts)
 
 

@@ -16,7 +16,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from engine.render.classic.blend import ADJOINT, BLOCK, ROW, STATE, UNTOUCHED, blend, blend_backward, resolve
@@ -30,7 +29,7 @@ from engine.scene.gaussians import Gaussians
 from engine.scene.image import Picture
 from engine.threads import for_each
 
-__all__ = ["composite_weights", "rasterize", "render"]
+__all__ = ["backward", "composite", "composite_weights", "picture", "render"]
 
 SLICES = 16
 """Slices of a large scene: enough that the front ones hide most of the rest, few enough that each fills the cores."""
@@ -57,7 +56,7 @@ LINE = 64
 def render(gaussians: Gaussians, camera: Camera, background: Sequence[float] = (0.0, 0.0, 0.0)) -> Picture:
     """The Gaussians seen by the camera over a background (3,); depth is the mean depth of what covers the pixel."""
     scene = _scene(gaussians, gaussians.sh, plain=False)
-    rgb, alpha, depth, _ = _picture(_composite(scene, camera)[0], camera, background)
+    rgb, alpha, depth, _ = picture(composite(scene, camera)[0], camera, background)
     covered = alpha > 0
     depth[covered] /= alpha[covered]
     depth[~covered] = np.inf
@@ -72,13 +71,13 @@ def composite_weights(gaussians: Gaussians, camera: Camera) -> tuple[NDArray[np.
     """
     # A picture is linear in the colours, so its derivative by one of them is that Gaussian's weight.
     scene = _scene(gaussians, np.zeros((len(gaussians), 1, 3), np.float32), plain=True)
-    frame, slices = _composite(scene, camera)
-    rgb, alpha, depth, median = _picture(frame, camera, (0.0, 0.0, 0.0))
+    frame, slices = composite(scene, camera)
+    rgb, alpha, depth, median = picture(frame, camera, (0.0, 0.0, 0.0))
     gradient = PictureGradient(
         np.zeros_like(rgb), np.zeros_like(alpha), np.zeros_like(depth), False, np.zeros(3, np.float32)
     )
     gradient.rgb[..., 0] = 1
-    weights = _backward(scene, frame, slices, gradient)[4][:, 0, 0]
+    weights = backward(scene, frame, slices, gradient)[4][:, 0, 0]
     median[median == 0] = np.inf
     return weights, median
 
@@ -92,76 +91,7 @@ def _scene(gaussians: Gaussians, colours: NDArray[np.float32], plain: bool) -> S
     return Scene(means, scales, quats, opacities, shown, plain)
 
 
-def rasterize(
-    means: torch.Tensor,  # [N, 3]
-    scales: torch.Tensor,  # [N, 3]
-    quats: torch.Tensor,  # [N, 4]
-    opacities: torch.Tensor,  # [N]
-    colours: torch.Tensor,  # [N, 3] RGB or [N, (d+1)^2, 3] SH
-    camera: Camera,
-    background: Sequence[float] = (0.0, 0.0, 0.0),
-) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """(rgb (H, W, 3), alpha (H, W), depth times alpha (H, W)), differentiable in all five tensors.
-
-    CPU tensors, all float32 or all float64, as `Gaussians` holds them; quaternions of any length, which is divided out
-    (length 0 is no rotation). RGB is used unchanged; SH is evaluated in the direction of the Gaussian and clamped at 0
-    from below. The gradient of the means includes that of the viewing direction. Clamped or skipped terms pass no
-    gradient on.
-    """
-    n, kind = len(means), means.dtype
-    assert kind in (torch.float32, torch.float64), kind
-    for tensor in (scales, quats, opacities, colours):
-        assert tensor.dtype == kind, f"{tensor.dtype} beside {kind}"
-        assert tensor.device.type == "cpu", tensor.device
-    assert means.shape == scales.shape == (n, 3), (means.shape, scales.shape)
-    assert quats.shape == (n, 4) and opacities.shape == (n,), (quats.shape, opacities.shape)
-    assert colours.shape == (n, 3) or (colours.ndim == 3 and colours.shape[1] in (1, 4, 9, 16)), colours.shape
-    return _Rasterize.apply(means, scales, quats, opacities, colours, camera, tuple(background))
-
-
-class _Rasterize(torch.autograd.Function):
-    @staticmethod
-    def forward(
-        ctx: Any,
-        means: torch.Tensor,
-        scales: torch.Tensor,
-        quats: torch.Tensor,
-        opacities: torch.Tensor,
-        colours: torch.Tensor,
-        camera: Camera,
-        background: tuple[float, ...],
-    ) -> tuple[torch.Tensor, ...]:
-        tensors = (means, scales, quats, opacities, colours)
-        arrays = [tensor.detach().contiguous().numpy() for tensor in tensors]
-        plain = colours.ndim == 2
-        m, s, q, o, c = arrays
-        scene = Scene(m, s, q, o, c[:, None] if plain else c, plain)
-        frame, slices = _composite(scene, camera)
-        ctx.save_for_backward(*tensors)  # raises if one is written to before the backward pass
-        ctx.scene, ctx.frame, ctx.slices, ctx.camera, ctx.background = scene, frame, slices, camera, background
-        # torch would fill a missing gradient with its own threads, which then spin on a core, waiting for more work.
-        ctx.set_materialize_grads(False)
-        return tuple(torch.from_numpy(array) for array in _picture(frame, camera, background)[:3])
-
-    @staticmethod
-    @torch.autograd.function.once_differentiable
-    def backward(
-        ctx: Any, g_rgb: torch.Tensor | None, g_alpha: torch.Tensor | None, g_depth: torch.Tensor | None
-    ) -> tuple[torch.Tensor | None, ...]:
-        tensors = ctx.saved_tensors
-        size, kind = (ctx.camera.height, ctx.camera.width), ctx.scene.means.dtype
-        outer = [
-            np.zeros(shape, kind) if gradient is None else gradient.contiguous().numpy()
-            for gradient, shape in ((g_rgb, (*size, 3)), (g_alpha, size), (g_depth, size))
-        ]
-        has_depth = bool(outer[2].any())
-        rgb, alpha, depth = outer
-        gradient = PictureGradient(rgb, alpha, depth, has_depth, np.array(ctx.background, kind))
-        gradients = _backward(ctx.scene, ctx.frame, ctx.slices, gradient)
-        return (*(torch.from_numpy(g).view(t.shape) for g, t in zip(gradients, tensors, strict=True)), None, None)
-
-
-def _backward(
+def backward(
     scene: Scene, frame: Frame, slices: Sequence[Slice], gradient: PictureGradient
 ) -> list[NDArray[np.floating]]:
     """Gradients of means, scales, quats, opacities and colours, given that of the picture."""
@@ -191,7 +121,7 @@ def _empty(shape: tuple[int, ...], kind: np.dtype[Any]) -> NDArray[Any]:
     return raw[start : start + size].view(kind).reshape(shape)
 
 
-def _composite(scene: Scene, camera: Camera) -> tuple[Frame, list[Slice]]:
+def composite(scene: Scene, camera: Camera) -> tuple[Frame, list[Slice]]:
     """The composited picture, still in tiles, and its slices, nearest first."""
     kind = scene.means.dtype
     cam = camera_record(camera)
@@ -255,7 +185,7 @@ def _composite_slice(
     return part
 
 
-def _picture(frame: Frame, camera: Camera, background: Sequence[float]) -> tuple[NDArray[np.floating], ...]:
+def picture(frame: Frame, camera: Camera, background: Sequence[float]) -> tuple[NDArray[np.floating], ...]:
     """rgb (H, W, 3), alpha, depth times weight and median depth (H, W), 0 where less than half of the light stops."""
     kind = frame.states.dtype
     shape = camera.height, camera.width

@@ -14,7 +14,8 @@ from torch import Tensor
 
 import engine.render.classic.rasterizer as classic
 from engine.render.classic.depth_order import depth_order
-from engine.render.classic.rasterizer import rasterize, render
+from engine.render.classic.differentiable import rasterize
+from engine.render.classic.rasterizer import render
 from engine.render.classic.records import Scene
 from engine.render.classic.splats import project
 from engine.render.projection import camera_record
@@ -143,7 +144,7 @@ def test_garden_positions_and_depths_against_a_pinhole() -> None:
     arrays = (means, g.scales, g.quats, g.opacities, g.sh)
     for view, k in zip(garden["viewmats"].astype(np.float64), garden["Ks"].astype(np.float64), strict=True):
         camera = Camera(view, k[0, 0], k[1, 1], k[0, 2], k[1, 2], width, height)
-        frame, slices = classic._composite(Scene(*arrays, plain=True), camera)
+        frame, slices = classic.composite(Scene(*arrays, plain=True), camera)
         starts = [
             (part.first + chunk * part.chunk_size, count)
             for part in slices

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from engine.fit.sh_fit import SurfaceView
 from engine.fit.view_weights import ViewWeights
-from engine.render.classic import rasterizer as classic
+from engine.render.classic.differentiable import rasterize
 from engine.render.cpu.kernel_field import KernelField
 from engine.scene import sh
 from engine.scene.atoms import Atoms, InteriorAtoms
@@ -145,7 +145,7 @@ class Composited(ViewWeights):
         """(H, W, 3), differentiable in both."""
         skin = (0.5 + sh.C0 * coefficients[:, 0]).clamp(min=0)
         colours = torch.cat([skin, rgb])[torch.from_numpy(self.rows)]
-        return classic.rasterize(*self.arrays, colours, self.camera, tuple(float(b) for b in background))[0]
+        return rasterize(*self.arrays, colours, self.camera, tuple(float(b) for b in background))[0]
 
 
 SLAB = 8
