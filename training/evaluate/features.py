@@ -6,7 +6,7 @@ KID take Inception's features and the paper's consistency CLIP's: figures compar
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,14 +16,16 @@ from numpy.typing import NDArray
 
 from engine.errors import InputError
 
-__all__ = ["Clip", "Features", "Network", "load_network"]
+__all__ = ["CLASSES", "Clip", "Features", "Network", "load_network"]
 
 Features = NDArray[np.float64]
 """(N, D)."""
 
-# Of ImageNet, as the network was trained.
-MEAN = (0.485, 0.456, 0.406)
-STD = (0.229, 0.224, 0.225)
+SHIFT, SCALE = 127.0, 128.0
+"""Of 8-bit colours, as these weights were trained: with ImageNet's mean and spread they take oranges for sponges."""
+
+CLASSES = {"apple": 948, "bread": 930, "orange": 950, "pomegranate": 957}
+"""Numbers of the network's classes Granny Smith, French loaf, orange and pomegranate, by the kind of a scene."""
 
 BATCH = 8
 """Pictures at once: 60 MB."""
@@ -45,13 +47,21 @@ class Network:
 
     def features(self, pictures: Sequence[NDArray[np.float32]]) -> Features:
         """(N, 1280) of pictures (H, W, 3), range [0, 1], of any size."""
-        shift, scale = (torch.tensor(values).view(1, 3, 1, 1) for values in (MEAN, STD))
+        return self._of(pictures, lambda batch: self.model.extract_features(batch).mean((2, 3)))
+
+    def probabilities(self, pictures: Sequence[NDArray[np.float32]], kind: str) -> NDArray[np.float64]:
+        """(N,). That pictures, as for `features`, show a kind of CLASSES, among the thousand that the network knows."""
+        return self._of(pictures, lambda batch: self.model(batch).softmax(1)[:, CLASSES[kind]])
+
+    def _of(
+        self, pictures: Sequence[NDArray[np.float32]], network: Callable[[torch.Tensor], torch.Tensor]
+    ) -> NDArray[np.float64]:
         found = []
         with torch.no_grad():
             for start in range(0, len(pictures), BATCH):
                 batch = torch.from_numpy(np.stack(pictures[start : start + BATCH])).permute(0, 3, 1, 2)
                 batch = torch.nn.functional.interpolate(batch, size=(224, 224), mode="bilinear", antialias=True)
-                found.append(self.model.extract_features((batch - shift) / scale).mean((2, 3)).numpy())
+                found.append(network((255 * batch - SHIFT) / SCALE).numpy())
         return np.concatenate(found).astype(np.float64)
 
 

@@ -22,7 +22,7 @@ from engine.io.picture_file import save_png
 from engine.io.trained import sidecar_path
 from engine.threads import cores
 from training.evaluate.cuts import Cut, Truth, intersection_points, load_truth, make_cuts
-from training.evaluate.features import Clip, Features, load_network
+from training.evaluate.features import CLASSES, Clip, Features, load_network
 from training.evaluate.methods.all_methods import METHODS
 from training.evaluate.methods.method import MethodResult
 from training.evaluate.metrics import (
@@ -44,7 +44,7 @@ Float = NDArray[np.float32]
 STRIP_CUTS = 6
 """Number of cuts in the report's strips."""
 
-FORMAT = 1
+FORMAT = 2
 """Of a result; grows with every change of what a figure means."""
 
 
@@ -176,6 +176,11 @@ def distances(
             facts[f"kid_{name}"] = round(kernel_distance(a, b), 5)
             facts[f"cosine_{name}"] = round(mean_cosine(a), 4)
             facts[f"cosine_{name}_truth"] = round(mean_cosine(b), 4)
+        kind = scene.removesuffix(OTHERS)
+        if kind in CLASSES:
+            for name, of in (("recognised", pictures), ("recognised_truth", truth.pictures)):
+                seen = network_model.probabilities([of[n] for n in sets["random"]], kind)
+                facts[name] = round(float(seen.mean()), 3)
     if clip is not None:
         clip_model = Clip(clip)
         unit = clip_model.features(list(pictures))

@@ -24,7 +24,7 @@ __all__ = ["write_report"]
 
 ACCURACY = (
     "psnr_db", "ssim", "patch", "patch_ratio", "sharpness", "disagreement", "fid_random", "kid_random",
-    "surface_psnr_db",
+    "recognised", "surface_psnr_db",
 )  # fmt: skip
 COST = (
     "seconds", "busy_seconds", "seconds_per_cut", "peak_mb", "surface_atoms", "interior_atoms", "file_mb", "iterations",

@@ -48,6 +48,7 @@ _COLUMNS = (
     Column("disagreement", "Disagreement", "", 4, what="RMS colour difference of points that two cuts both show"),
     Column("fid_random", "FID", "low", 1, what="of random cuts against the true ones, EfficientNet-Lite0 features"),
     Column("kid_random", "KID, thousandths", "low", 1, 1e3, "of random cuts, likewise"),
+    Column("recognised", "Recognised", "high", 3, what="the network's probability of the right class, random cuts"),
     Column("cosine_random", "Cosine", "", 3, what="mean between features of every two random cuts"),
     Column("clip_random", "CLIP", "high", 1, what="score of random cuts with 'the cross-section of a …'"),
     Column("fid_canonical", "FID", "low", 1, what="of cuts along the families"),

@@ -1,9 +1,9 @@
 """Finds the pixels of a cut face in a photograph.
 
-Three steps, each for what the one before cannot see. The background is known from the picture's border, and a shadow
+Four steps, each for what the one before cannot see. The background is known from the picture's border, and a shadow
 from being a dimmed copy of it; what neither explains is a first guess. GrabCut (Rother et al. 2004) then learns the
 colours of both sides. Where the outline found so far follows no edge, as in a reflection or in light that shines
-through the fruit, the strongest edge near it is taken instead.
+through the fruit, the strongest edge near it is taken instead; and what still hangs on one side is cut off (`bulges`).
 """
 
 from __future__ import annotations
@@ -18,7 +18,9 @@ from scipy.spatial import ConvexHull
 
 from engine.errors import InputError
 from training.faces.background import Background, find_background
+from training.faces.bulges import without_bulges
 from training.faces.completion import find_oval
+from training.faces.edges import EDGE_GAIN, MIXED, edge_cost, edge_strength, rims_apart
 from training.faces.shadow import SECTORS, SHADE, light_around
 
 __all__ = ["find_mask", "is_dimmed_around", "largest_component"]
@@ -61,13 +63,6 @@ ROUNDS = 3
 REACH = 0.12
 """Depth, over the greatest, by which an outline may move to a stronger edge; a reflection or translucent rim is
 narrower. More would reach the far side of a thick rind."""
-
-EDGE_GAIN = 2.0
-"""How many times cheaper the other outline has to be, as pixels over the edge strength along them, before the found
-one moves. Where both follow an edge they differ by less, either way."""
-
-MIXED = 3
-"""Pixels on either side of an outline in which the lens mixes face and background."""
 
 SEPARATE = 0.1
 """Least RGB distance between face and background for the share of each in a mixed pixel to be known through noise."""
@@ -119,7 +114,7 @@ def find_mask(
 
 def _trace(rgb: NDArray[np.float32], guess: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """(H, W). The face of which a first guess (H, W) shows most."""
-    return _settle_mixed_pixels(rgb, _move_to_edges(rgb, _grab_cut(rgb, guess)))
+    return _settle_mixed_pixels(rgb, without_bulges(rgb, _move_to_edges(rgb, _grab_cut(rgb, guess))))
 
 
 def is_dimmed_around(rgb: NDArray[np.float32], mask: NDArray[np.bool_]) -> bool:
@@ -185,8 +180,7 @@ def _move_to_edges(rgb: NDArray[np.float32], found: NDArray[np.bool_]) -> NDArra
         return found
     depth, away = _depth(found), ndimage.distance_transform_edt(~found)
     reach = REACH * depth.max()
-    steps = [ndimage.gaussian_gradient_magnitude(rgb[..., c], 1.5) for c in range(3)]
-    strength = np.sqrt(np.square(steps).sum(0))
+    strength = edge_strength(rgb)
     markers = np.where(depth > reach, 1, np.where(away > reach, 2, 0)).astype(np.int16)
     border = np.ones(found.shape, bool)
     border[1:-1, 1:-1] = False
@@ -195,16 +189,14 @@ def _move_to_edges(rgb: NDArray[np.float32], found: NDArray[np.bool_]) -> NDArra
     rival = ndimage.watershed_ift(levels, markers) == 1
     parts, _ = ndimage.label(rival ^ found)
     width = ndimage.distance_transform_edt(parts > 0)
-    cost = 1 / (strength + 0.005)  # an edge of one 8-bit step a pixel is none
+    cost = edge_cost(strength)
     moved = found.copy()
     for number, box in enumerate(ndimage.find_objects(parts), start=1):
         grown = tuple(slice(max(side.start - 2, 0), side.stop + 2) for side in box)
         part, ours, theirs = parts[grown] == number, found[grown], rival[grown]
         if width[grown][part].max() < MIXED:
             continue  # both lie on one edge
-        rims = [inside & ~ndimage.binary_erosion(inside, border_value=1) for inside in (ours, theirs)]
-        apart = ndimage.binary_dilation(part) & ~ndimage.binary_dilation(rims[0] & rims[1], iterations=MIXED)
-        costs = [cost[grown][rim & apart].sum() for rim in rims]
+        costs = [cost[grown][rim].sum() for rim in rims_apart(part, ours, theirs)]
         if min(costs) > 0 and costs[0] > EDGE_GAIN * costs[1]:
             moved[grown][part] = theirs[part]
     return largest_component(ndimage.binary_opening(moved, iterations=2))

@@ -18,6 +18,7 @@ from engine.errors import InputError
 from tests.helpers.exemplar_faces import disc, save
 from tests.paths import SAMPLES, SHARED
 from training.faces.axis import guess_cut
+from training.faces.bulges import without_bulges
 from training.faces.core_line import find_core_line
 from training.faces.outline import find_mask
 from training.priors.exemplar.pictures import find_face, read_picture
@@ -73,6 +74,29 @@ def test_another_light_or_table_changes_little(change: str) -> None:
     else:
         rgb, truth = rgb[::4, ::4], truth[::4, ::4]
     assert overlap(find_mask(rgb, change), truth) > 0.97
+
+
+@pytest.mark.parametrize(("name", "light"), [("apple_h7", (1, 1, 1)), ("apple_h1", (0.9, 0.98, 1.07))])
+def test_a_shadow_of_another_colour_is_no_rind(name: str, light: tuple[float, ...]) -> None:
+    """That of the first is brown; in the other's light a camera clips the white table, but not the shadow on it."""
+    rgb, truth, _ = photographed(name)
+    assert overlap(find_mask(np.clip(rgb * np.array(light, np.float32), 0, 1), name), truth) > 0.98
+
+
+def test_of_what_hangs_on_a_face_only_what_fades_is_cut_off() -> None:
+    face, mask = disc(300, radius=0.6)
+    y, x = (np.mgrid[:300, :300] + 0.5) / 150 - 1
+    beneath = np.clip((0.8 - np.hypot(x, y)) / 0.2 * (1.6 * y > np.abs(x)), 0, 1) * (y > 0) * ~mask
+    shadow = (face * (1 - beneath[..., None] * [0.4, 0.6, 0.7])).astype(np.float32)
+    assert (beneath > 0.5).sum() > 0.03 * mask.sum()
+    assert overlap(without_bulges(shadow, mask | (beneath > 0.5)), mask) > 0.99
+    stalk = (np.abs(x) < 0.04) & (y < 0) & (y > -0.75) & ~mask
+    whole = mask | stalk
+    face[stalk] = [0.3, 0.2, 0.1]
+    np.testing.assert_array_equal(without_bulges(face, whole), whole)
+    square = np.maximum(np.abs(x), np.abs(y)) < 0.6
+    slice_ = np.where(square[..., None], [0.8, 0.7, 0.5], 1.0).astype(np.float32)
+    np.testing.assert_array_equal(without_bulges(slice_, square), square)
 
 
 def test_a_grey_face_is_no_shadow() -> None:

@@ -1,0 +1,240 @@
+"""Where the search for cut faces breaks: photographs with masks marked by hand, as other cameras would have taken them.
+
+    python -m benchmarks.changed_photographs [--quick] [-o docs/charts] [photographs]
+
+The folder of photographs holds `masks/` and `list.csv` (by default ../shared/data/photos/fruit). Each is changed in one
+way after the other: light, colour, shadow, size, margin, tilt, blur, noise. Prints for each change how many faces
+overlap with their mask by 0.97 and more, how many by less than 0.9 with nothing said of it, how many are refused, and
+how many kinds of cut are right. Writes changed_photographs.json and .png.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+from scipy import ndimage
+
+from benchmarks.faces import overlap
+from benchmarks.support.charts import ACCENT, OTHER, plt, save_chart
+from benchmarks.support.options import ROOT, out_folder, parser_of
+from engine.errors import InputError
+from engine.io.files import read_file, write_json
+from engine.io.picture_file import read_pixels
+from engine.threads import side_by_side
+from training.faces.axis import guess_cut
+from training.faces.carrier import find_seen_face
+
+Pixels: TypeAlias = NDArray[np.float32]
+Mask: TypeAlias = NDArray[np.bool_]
+Change: TypeAlias = Callable[[Pixels, Mask], tuple[Pixels, Mask]]
+
+GOOD, WRONG = 0.97, 0.9
+"""Overlap that is asked for, and under which a face is another one."""
+
+GAMMA = 2.2
+
+
+def lit(light: float | tuple[float, ...] | NDArray[np.floating]) -> Change:
+    """Times a light, as a camera sees it: channels that are full stay so."""
+
+    def change(rgb: Pixels, mask: Mask) -> tuple[Pixels, Mask]:
+        return np.clip(rgb**GAMMA * light, 0, 1).astype(np.float32) ** np.float32(1 / GAMMA), mask
+
+    return change
+
+
+def from_a_side(rgb: Pixels, mask: Mask) -> tuple[Pixels, Mask]:
+    """Light that falls by 40 % across the picture."""
+    return lit(np.linspace(0.6, 1, mask.shape[1])[:, None])(rgb, mask)
+
+
+def dimmed_corners(rgb: Pixels, mask: Mask) -> tuple[Pixels, Mask]:
+    """A lens that loses a third of the light in the corners."""
+    rows, columns = np.mgrid[-1 : 1 : mask.shape[0] * 1j, -1 : 1 : mask.shape[1] * 1j]
+    return lit((1 - 0.35 * (rows**2 + columns**2) / 2)[..., None])(rgb, mask)
+
+
+def shadowed(strength: float) -> Change:
+    """A soft shadow to the lower right that takes this part of the light away."""
+
+    def change(rgb: Pixels, mask: Mask) -> tuple[Pixels, Mask]:
+        across = np.sqrt(mask.sum())
+        shade = ndimage.gaussian_filter(ndimage.shift(mask.astype(float), (0.07 * across,) * 2), 0.03 * across)
+        return lit((1 - strength * shade * ~mask)[..., None])(rgb, mask)
+
+    return change
+
+
+def sized(scale: float) -> Change:
+    """Resampled."""
+
+    def change(rgb: Pixels, mask: Mask) -> tuple[Pixels, Mask]:
+        size = tuple(round(scale * side) for side in mask.shape[::-1])
+        way = cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC
+        shown = cv2.resize(rgb, size, interpolation=way), cv2.resize(mask.astype(np.float32), size, interpolation=way)
+        return np.clip(shown[0], 0, 1).astype(np.float32), shown[1] > 0.5
+
+    return change
+
+
+def tight(rgb: Pixels, mask: Mask) -> tuple[Pixels, Mask]:
+    """A fiftieth of the face left around it."""
+    rows, columns = np.nonzero(mask)
+    margin = int(0.02 * max(np.ptp(rows), np.ptp(columns)))
+    part = tuple(slice(max(at.min() - margin, 0), at.max() + margin + 1) for at in (rows, columns))
+    return rgb[part].copy(), mask[part].copy()
+
+
+def wide(rgb: Pixels, mask: Mask) -> tuple[Pixels, Mask]:
+    """More than half of the picture's side added all around, in the colour of its border."""
+    margin = int(0.6 * max(mask.shape))
+    shown = np.empty((*(side + 2 * margin for side in mask.shape), 3), np.float32)
+    shown[:] = border_colour(rgb)
+    shown[margin:-margin, margin:-margin] = rgb
+    return shown, np.pad(mask, margin)
+
+
+def seen_at(degrees: float, turn: float = 0) -> Change:
+    """Seen from two widths away, leaning back by some degrees, and turned in the picture."""
+
+    def change(rgb: Pixels, mask: Mask) -> tuple[Pixels, Mask]:
+        height, width = mask.shape
+        corners = np.array([[0, 0], [width, 0], [width, height], [0, height]], np.float32)
+        x, y = ((corners - [width / 2, height / 2]) / width).T
+        lean, spin = np.radians(degrees), np.radians(turn)
+        x, y = x * np.cos(spin) - y * np.sin(spin), x * np.sin(spin) + y * np.cos(spin)
+        depth = 2 - y * np.sin(lean)
+        seen = np.stack([2 * x / depth, 2 * y * np.cos(lean) / depth], -1) * width + [width / 2, height / 2]
+        way = cv2.getPerspectiveTransform(corners, seen.astype(np.float32))
+        around = tuple(float(c) for c in border_colour(rgb))
+        shown = cv2.warpPerspective(rgb, way, (width, height), borderMode=cv2.BORDER_CONSTANT, borderValue=around)
+        return shown.astype(np.float32), cv2.warpPerspective(mask.astype(np.float32), way, (width, height)) > 0.5
+
+    return change
+
+
+def blurred(rgb: Pixels, mask: Mask) -> tuple[Pixels, Mask]:
+    """Out of focus."""
+    return np.asarray(ndimage.gaussian_filter(rgb, (2, 2, 0)), np.float32), mask
+
+
+def compressed(rgb: Pixels, mask: Mask) -> tuple[Pixels, Mask]:
+    """JPEG of quality 25."""
+    file = io.BytesIO()
+    Image.fromarray(np.round(255 * rgb).astype(np.uint8)).save(file, "JPEG", quality=25)
+    return np.asarray(Image.open(file), np.float32) / np.float32(255), mask
+
+
+def noisy(rgb: Pixels, mask: Mask) -> tuple[Pixels, Mask]:
+    """Noise of ten steps of 8 bits."""
+    noise = np.random.default_rng(0).normal(0, 0.04, rgb.shape)
+    return np.clip(rgb + noise, 0, 1).astype(np.float32), mask
+
+
+def border_colour(rgb: Pixels) -> NDArray[np.float32]:
+    """(3,). The median of the outermost pixels."""
+    return np.asarray(np.median(np.concatenate([rgb[0], rgb[-1], rgb[:, 0], rgb[:, -1]]), axis=0))
+
+
+CHANGES: dict[str, Change] = {
+    "as it is": lambda rgb, mask: (rgb, mask),
+    "mirrored": lambda rgb, mask: (rgb[:, ::-1].copy(), mask[:, ::-1].copy()),
+    "one stop darker": lit(0.5),
+    "a third of a stop brighter": lit(1.26),
+    "one stop brighter": lit(2.0),
+    "20 % warmer": lit((1.1, 1.0, 0.8)),
+    "20 % cooler": lit((0.8, 1.0, 1.1)),
+    "light from a side": from_a_side,
+    "dark corners": dimmed_corners,
+    "shadow of 25 %": shadowed(0.25),
+    "shadow of 50 %": shadowed(0.5),
+    "shadow of 75 %": shadowed(0.75),
+    "tight": tight,
+    "wide": wide,
+    "half as large": sized(0.5),
+    "twice as large": sized(2),
+    "leaning by 20 degrees": seen_at(20),
+    "turned by 20 degrees": seen_at(0, 20),
+    "out of focus": blurred,
+    "JPEG of quality 25": compressed,
+    "noise": noisy,
+}
+
+
+def measured(rgb: Pixels, truth: Mask, family: str, change: Change) -> dict[str, Any]:
+    """Of one changed photograph."""
+    rgb, truth = change(rgb, truth)
+    try:
+        face = find_seen_face(np.ascontiguousarray(rgb), "")
+    except InputError:
+        return {"refused": True}
+    kind = guess_cut(rgb, face.mask).kind
+    return {"overlap": round(overlap(face.mask, truth), 4), "told": bool(face.note), "kind_right": kind == family}
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Changes a folder of photographs."""
+    parser = parser_of(__doc__, "four photographs")
+    folder = ROOT.parent / "shared/data/photos/fruit"
+    parser.add_argument(
+        "photographs", nargs="?", type=Path, default=folder, help=f"default: {folder.parent.name}/fruit"
+    )
+    options = parser.parse_args(arguments)
+    if not (options.photographs / "list.csv").is_file():
+        parser.error(f"{options.photographs}: no list.csv")
+    listed = read_file(options.photographs / "list.csv", 1 << 20).decode()
+    rows = list(csv.DictReader(io.StringIO(listed)))[:: 8 if options.quick else 1]
+
+    def of_one(row: dict[str, str]) -> dict[str, dict[str, Any]]:
+        with Image.open(io.BytesIO(read_file(options.photographs / row["path"], 1 << 27))) as picture:
+            white = Image.new("RGBA", picture.size, "white")
+            white.alpha_composite(picture.convert("RGBA"))
+        rgb = np.asarray(white.convert("RGB"), np.float32) / np.float32(255)
+        truth = read_pixels(options.photographs / "masks" / row["path"])[..., 0] > 127
+        return {name: measured(rgb, truth, row["family"], change) for name, change in CHANGES.items()}
+
+    found = dict(zip([Path(row["path"]).stem for row in rows], side_by_side(of_one, rows), strict=True))
+    print(f"{'change':28} {'good':>5} {'wrong':>6} {'refused':>8} {'kinds':>6} {'least':>6}")
+    for name in CHANGES:
+        faces = [photograph[name] for photograph in found.values()]
+        kept = [face for face in faces if "overlap" in face]
+        good = sum(face["overlap"] >= GOOD for face in kept)
+        wrong = sum(face["overlap"] < WRONG and not face["told"] for face in kept)
+        kinds, least = sum(face["kind_right"] for face in kept), min((face["overlap"] for face in kept), default=0)
+        print(f"{name:28} {good:5} {wrong:6} {len(faces) - len(kept):8} {kinds:6} {least:6.3f}")
+    out = out_folder(options)
+    if out is not None:
+        write_json(out / "changed_photographs.json", found)
+        draw(found, out / "changed_photographs.png")
+
+
+def draw(found: dict[str, dict[str, dict[str, Any]]], path: Path) -> None:
+    """A row for each change, a point for each photograph."""
+    figure, axes = plt.subplots(figsize=(9, 6), layout="constrained")
+    names = list(CHANGES)
+    for row, name in enumerate(names):
+        faces = [photograph[name] for photograph in found.values()]
+        for told, colour in ((False, ACCENT), (True, OTHER)):
+            lacks = [1 - face["overlap"] for face in faces if face.get("told") == told]
+            axes.scatter(np.maximum(lacks, 5e-4), np.full(len(lacks), row), s=14, color=colour, alpha=0.7, zorder=2)
+        refused = sum("refused" in face for face in faces)
+        if refused:
+            axes.text(1.05, row, f"{refused} refused", va="center", fontsize=8)
+    axes.axvline(1 - GOOD, color="#888", lw=0.8, zorder=1)
+    axes.set(xscale="log", xlim=(4e-4, 1), xlabel="1 - overlap with the mask by hand")
+    axes.set_yticks(range(len(names)), names)
+    axes.invert_yaxis()
+    axes.set_title("Cut faces found in changed photographs; grey-blue: the user is told to look", fontsize=10)
+    save_chart(figure, path)
+
+
+if __name__ == "__main__":
+    main()

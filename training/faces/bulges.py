@@ -1,0 +1,121 @@
+"""What hangs on one side of a found face: its shadow, its mirror image in the table, the side of the fruit below it.
+
+Light colours a shadow, and a white table that is brighter than the camera can tell has no colour to compare it with;
+GrabCut then takes it for a part of the face. Two things give it away: it bulges out of an oval that the rest of the
+outline follows, and it fades, where the face under it ends in an edge.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from training.faces.completion import NEAR_BORDER
+from training.faces.edges import EDGE_GAIN, MIXED, edge_cost, edge_strength, rims_apart
+
+__all__ = ["without_bulges"]
+
+BAND = 0.07, 0.015
+"""Of a face's diameter, how far inside and outside of the oval its outline is looked for. Faces are as round as that to
+within 0.02, or have corners, of which none is cut off; as far inside as 0.05 and as outside as 0.025 find the same."""
+
+OUTLYING = 4.0
+"""Spreads outside of the oval from which a place does not count in fitting it; twice as many inside of it, where a face
+may have a dent, but nothing hangs."""
+
+LEAST_SPREAD = 0.003
+"""Of the radius: half a pixel of a small face."""
+
+FITS = 30
+"""Rounds of fitting, each with weights from the one before: it settles in ten."""
+
+
+def without_bulges(rgb: NDArray[np.float32], mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """(H, W). The face (H, W) in a picture (H, W, 3), range [0, 1], without what bulges out of it where the edge under
+    the bulge is EDGE_GAIN times as strong, on average, as that around it: stalks, crowns and corners have strong edges
+    around them."""
+    if not mask.any():
+        return mask
+    cost = edge_cost(edge_strength(rgb))
+    smooth = mask & _within_outline(cost, mask)
+    parts, _ = ndimage.label(mask & ~smooth)
+    width = ndimage.distance_transform_edt(parts > 0)
+    border = np.ones(mask.shape, bool)
+    border[NEAR_BORDER:-NEAR_BORDER, NEAR_BORDER:-NEAR_BORDER] = False
+    kept = mask.copy()
+    for number, box in enumerate(ndimage.find_objects(parts), start=1):
+        grown = tuple(slice(max(side.start - 2, 0), side.stop + 2) for side in box)
+        part = parts[grown] == number
+        if width[grown][part].max() < MIXED or part[border[grown]].any():
+            continue  # both lie on one edge, or it is an arm, for which see `carrier`
+        around, under = (cost[grown][rim] for rim in rims_apart(part, mask[grown], smooth[grown]))
+        if len(around) and len(under) and around.mean() > EDGE_GAIN * under.mean():
+            kept[grown] &= ~part
+    return kept
+
+
+def _within_outline(cost: NDArray[np.float64], mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """(H, W). What the cheapest closed path around a face (H, W) near its oval encloses, by dynamic programming over
+    its directions (Amini et al. 1990)."""
+    diameter = float(np.sqrt(4 / np.pi * mask.sum()))
+    middle = np.array([places.mean() for places in np.nonzero(mask)])
+    turns = np.linspace(0, 2 * np.pi, max(int(np.pi * diameter), 8), endpoint=False)  # a pixel apart
+    rays = np.stack([np.sin(turns), np.cos(turns)])
+    oval = _oval(turns, _reach(mask, middle, rays))
+    steps = np.arange(-np.ceil(BAND[0] * diameter), np.ceil(BAND[1] * diameter) + 1)
+    radii = oval + steps[:, None]
+    costs = ndimage.map_coordinates(cost, middle[:, None, None] + rays[:, None] * radii, order=1, mode="nearest")
+    # Twice around, of which the middle is taken: it is not known where to begin.
+    count = len(turns)
+    path = np.roll(_cheapest_path(np.tile(costs, 2))[count // 2 : count // 2 + count], count // 2)
+    radius = oval + steps[path]
+    rows, columns = (axis - start for axis, start in zip(np.indices(mask.shape), middle, strict=True))
+    turn = np.arctan2(rows, columns) % (2 * np.pi)
+    return np.hypot(rows, columns) <= np.interp(turn, turns, radius, period=2 * np.pi)
+
+
+def _reach(mask: NDArray[np.bool_], middle: NDArray[np.float64], rays: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(N,). How far a mask (H, W) reaches from a place (2,) along rays (2, N), pixels, at least one."""
+    steps = np.arange(1, int(np.hypot(*mask.shape)))
+    places = np.round(middle[:, None, None] + rays[:, None] * steps[:, None]).astype(int)
+    size = np.array(mask.shape)[:, None, None]
+    seen = ((places >= 0) & (places < size)).all(0)
+    rows, columns = np.clip(places, 0, size - 1)
+    return (steps[:, None] * (seen & mask[rows, columns])).max(0).clip(1).astype(np.float64)
+
+
+def _oval(turns: NDArray[np.float64], reach: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(N,). The radius of an oval that most of an outline follows; what stands out of it counts less and less."""
+    basis = np.stack([np.ones_like(turns), *(f(k * turns) for k in (1, 2) for f in (np.cos, np.sin))], -1)
+    wanted, weights = np.log(reach), np.ones_like(reach)
+    for _ in range(FITS):
+        found = basis @ np.linalg.lstsq(basis * weights[:, None], wanted * weights, rcond=None)[0]
+        apart = wanted - found
+        spread = max(float(1.48 * np.median(np.abs(apart))), LEAST_SPREAD)
+        outlying = apart / (OUTLYING * spread)
+        weights = np.clip(1 - np.square(np.where(apart > 0, outlying, outlying / 2)), 1e-3, 1)  # Tukey's
+    return np.exp(found)
+
+
+@njit(cache=True, nogil=True)
+def _cheapest_path(costs: NDArray[np.float64]) -> NDArray[np.int64]:
+    """(N,). The row of each column of costs (R, N) on the cheapest way across, a row up or down at most each column."""
+    rows, columns = costs.shape
+    total = costs[:, 0].copy()
+    before = np.empty((columns, rows), np.int64)
+    for column in range(1, columns):
+        so_far = total.copy()
+        for row in range(rows):
+            best = row
+            for other in (row - 1, row + 1):
+                if 0 <= other < rows and so_far[other] < so_far[best]:
+                    best = other
+            before[column, row] = best
+            total[row] = so_far[best] + costs[row, column]
+    path = np.empty(columns, np.int64)
+    path[-1] = total.argmin()
+    for column in range(columns - 1, 0, -1):
+        path[column - 1] = before[column, path[column]]
+    return path
