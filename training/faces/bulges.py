@@ -48,9 +48,10 @@ def without_bulges(rgb: NDArray[np.float32], mask: NDArray[np.bool_]) -> NDArray
     for number, box in enumerate(ndimage.find_objects(parts), start=1):
         grown = tuple(slice(max(side.start - 2, 0), side.stop + 2) for side in box)
         part = parts[grown] == number
-        if width[grown][part].max() < MIXED or part[border[grown]].any():
-            continue  # both lie on one edge, or it is an arm, for which see `carrier`
-        around, under = (cost[grown][rim] for rim in rims_apart(part, mask[grown], smooth[grown]))
+        if width[grown][part].max() < MIXED:
+            continue  # both lie on one edge
+        rims = rims_apart(part, mask[grown], smooth[grown])
+        around, under = (cost[grown][rim & ~border[grown]] for rim in rims)  # the picture's border is no edge
         if len(around) and len(under) and around.mean() > EDGE_GAIN * under.mean():
             kept[grown] &= ~part
     return kept
