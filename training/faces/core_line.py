@@ -17,7 +17,7 @@ from scipy import ndimage
 
 from training.faces.reduced import SIDE, contrast_layers, reduce_face
 
-__all__ = ["CoreLine", "find_core_line", "line_ends"]
+__all__ = ["CoreLine", "find_core_line", "lean_of", "line_ends"]
 
 MAX_LEAN, MAX_SHIFT = 30, 0.1
 """Degrees from upright, and of the face's width from the middle, within which core lines are searched: people hold
@@ -124,6 +124,12 @@ def find_core_line(rgb: NDArray[np.float32], mask: NDArray[np.bool_]) -> CoreLin
     normal = np.array([along[1], -along[0]])
     variance = max(float((share * np.square((end - first) @ normal)).sum()) for end in ends)
     return CoreLine(line_ends(mask, first, along), variance**0.5, float((share * shown).sum()))
+
+
+def lean_of(ends: NDArray[np.floating]) -> float:
+    """Degrees by which a line from its upper to its lower end, (2, 2) in (x, y), leans to the right."""
+    x, y = ends[1] - ends[0]
+    return float(np.degrees(np.arctan2(-x, y)))
 
 
 def line_ends(mask: NDArray[np.bool_], point: NDArray[np.float64], along: NDArray[np.float64]) -> NDArray[np.float64]:

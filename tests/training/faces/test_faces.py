@@ -139,6 +139,13 @@ def test_a_leaning_core_line_is_found_and_the_picture_turned(tmp_path: Path) -> 
     assert guess_cut(*disc(200, seeds=5)).kind == "horizontal"
 
 
+@pytest.mark.parametrize("name", ["apple_v1", "orange_v3", "watermelon_v10", "bread_1", "orange_h6"])
+def test_a_picture_held_askew_is_of_the_same_kind(name: str) -> None:
+    rgb, truth, row = photographed(name)
+    turned = ndimage.rotate(rgb, 20, order=1, mode="nearest"), ndimage.rotate(truth * 1.0, 20, order=1) > 0.5
+    assert guess_cut(*turned).kind == row["family"]
+
+
 @pytest.mark.parametrize("name", ["orange_v2", "apple_h1", "apple_h2", "watermelon_v1", "pomegranate_v5", "bread_1"])
 def test_light_from_one_side_changes_no_kind(name: str) -> None:
     rgb, truth, row = photographed(name)

@@ -17,7 +17,7 @@ from engine.scene.image import to_8bit
 from training.faces.axis import find_core
 from training.faces.carrier import SeenFace, find_seen_face
 from training.faces.completion import complete_face
-from training.faces.core_line import find_core_line, line_ends
+from training.faces.core_line import find_core_line, lean_of, line_ends
 from training.faces.marks import UNMARKED, Marks, axis_beside, read_axis_file
 from training.faces.mask_file import mask_beside
 from training.faces.outline import largest_component
@@ -183,14 +183,8 @@ def _believed_lean(rgb: NDArray[np.float32], mask: NDArray[np.bool_]) -> float:
     """Degrees by which the core line that is found leans; 0 below MIN_LEAN. Its place beside the middle of the face is
     not believed: to move an outline bends it, and with the line of an orange's picture the SSIM of its own plane fell
     from 0.67 to 0.48."""
-    lean = _lean(find_core_line(rgb, mask).ends)
+    lean = lean_of(find_core_line(rgb, mask).ends)
     return lean if abs(lean) >= MIN_LEAN else 0.0
-
-
-def _lean(line: NDArray[np.float64]) -> float:
-    """Degrees by which a line (2, 2) from its upper to its lower end leans to the right."""
-    (x0, y0), (x1, y1) = line.tolist()
-    return math.degrees(math.atan2(x0 - x1, y1 - y0))
 
 
 def _upright(
@@ -198,7 +192,7 @@ def _upright(
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_], tuple[float, float]]:
     """The picture turned so that a line (2, 2) in it is upright, its mask, and the point of the line level with the
     middle of the face."""
-    lean = _lean(line)
+    lean = lean_of(line)
     turned, turned_mask = _turned(rgb, mask, lean)
     rows = np.nonzero(turned_mask)[0]
     middle = float(rows.mean()) + 0.5 if len(rows) else 0.0
