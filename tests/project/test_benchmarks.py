@@ -11,12 +11,13 @@ from benchmarks.support.options import CHARTS, out_folder, parser_of
 from tests.paths import ROOT
 
 COMMANDS = sorted(path.stem for path in (ROOT / "benchmarks").glob("*.py") if path.stem != "__init__")
+PHOTOGRAPHS = ["photographs.changed", "photographs.faces", "photographs.insides"]
 READERS = ["readers.corpus", "readers.formats", "readers.fuzz"]
 NO_CHARTS = {"readers.corpus", "readers.fuzz"}
 """One writes a table to a given file, the other prints."""
 
 
-@pytest.mark.parametrize("name", [*COMMANDS, *READERS])
+@pytest.mark.parametrize("name", [*COMMANDS, *PHOTOGRAPHS, *READERS])
 def test_help(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     main = importlib.import_module(f"benchmarks.{name}").main
     with pytest.raises(SystemExit, match=r"^0$"):

@@ -44,6 +44,7 @@ ALLOWED = {
         "app/jobs/export.py",
         "engine/processes.py",
         "tools/film.py",
+        "tools/notebook.py",
         "tools/screenshots.py",
         "tools/sheet.py",
         "training/batch/cluster.py",
@@ -61,6 +62,7 @@ ALLOWED = {
         "engine/io/scratch.py",
         "shaders/__init__.py",
         "training/priors/diffusion/saving.py",
+        "tools/figures.py",  # charts and pages of the project itself, for developers
         "tools/site_pages.py",  # pages of the project itself, for developers
     },
     "weights": {

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from PIL import Image
 from scipy import ndimage
 
-from benchmarks.faces import overlap
+from benchmarks.photographs.faces import overlap
 from engine.errors import InputError
 from tests.paths import SHARED
 from training.faces.carrier import find_seen_face, skin_share

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from PIL import Image
 from scipy import ndimage
 
-from benchmarks.faces import axis_error, overlap
+from benchmarks.photographs.faces import axis_error, overlap
 from engine.errors import InputError
 from tests.helpers.exemplar_faces import disc, save
 from tests.paths import SAMPLES, SHARED

@@ -1,6 +1,6 @@
 """Cut faces found in photographs, beside masks and axes marked by hand.
 
-    python -m benchmarks.faces [--quick] [-o FOLDER] [photographs]
+    python -m benchmarks.photographs.faces [--quick] [-o FOLDER] [photographs]
 
 The folder of photographs holds `masks/` and `list.csv` (by default ../shared/data/photos/fruit). Prints for each the
 intersection over union with its mask, the distance of core or core line from the marks in per cent of the width, the

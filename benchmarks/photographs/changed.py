@@ -1,6 +1,6 @@
 """Where the search for cut faces breaks: photographs with masks marked by hand, as other cameras would have taken them.
 
-    python -m benchmarks.changed_photographs [--quick] [-o docs/charts] [photographs]
+    python -m benchmarks.photographs.changed [--quick] [-o docs/charts] [photographs]
 
 The folder of photographs holds `masks/` and `list.csv` (by default ../shared/data/photos/fruit). Each is changed in one
 way after the other: light, colour, shadow, size, margin, tilt, blur, noise. Prints for each change how many faces
@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from PIL import Image
 from scipy import ndimage
 
-from benchmarks.faces import overlap
+from benchmarks.photographs.faces import overlap
 from benchmarks.support.charts import ACCENT, OTHER, plt, save_chart
 from benchmarks.support.options import ROOT, out_folder, parser_of
 from engine.errors import InputError

@@ -1,6 +1,7 @@
 """Insides grown from photographs of two different fruits, beside other photographs of the kind.
 
-    python -m benchmarks.photographs [--detail standard] [--seed 0] [--pairs apple_1,...] [--quick] [-o docs/charts]
+    python -m benchmarks.photographs.insides [--detail standard] [--seed 0] [--pairs apple_1,...] [--quick]
+        [-o docs/charts]
 
 There is no truth, so what is measured is how far cuts that nobody trained are from photographs that were not used, in
 units of the distance from photograph to photograph:
