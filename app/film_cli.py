@@ -14,23 +14,34 @@ from numpy.typing import NDArray
 
 from app.jobs.export import ANIMATIONS, RATE, save_animation
 from app.jobs.film.frame_folder import save_frames
+from app.jobs.film.project_film import Filmed, Shooting, save_project_film
+from app.jobs.results import find_result
 from app.model.camera_control import OrbitCamera
 from app.model.film.motion import Film, Keyframe, frame_count, frames, placed, seen
 from app.model.film.presets import explode, sweep, turntable
 from app.model.film.record import LONGEST, film_record, read_film
+from app.model.film.timeline import FilmLook
 from app.model.pieces import Solid
+from app.model.project import load_project
 from app.model.rigid_transform import Vec3, vec3
+from app.model.settings import load_settings
 from engine.errors import InputError
 from engine.io.files import read_file
-from engine.io.trained import sidecar_path
+from engine.io.trained import is_trained, load_trained, sidecar_path
+from engine.render.face_detail import Detailed
 from engine.scene.atoms import Atoms
 from engine.scene.camera import Camera, fit_distance
 from engine.scene.piece import Piece
 from engine.scene.plane import Plane
+from fruitninja.drawing import Rgb
+from training.priors.inside_file import read_inside
 
-__all__ = ["Scene", "Wanted", "make_film", "save_film"]
+__all__ = ["Scene", "Wanted", "check_form", "film_project", "make_film", "save_film"]
 
 PRESETS = ("turntable", "sweep", "explode")
+
+PLAIN = (1.0, 1.0, 1.0)
+"""RGB of the background where a project has that of the window's theme: there is none here."""
 
 SECONDS = 6.0
 """Of a film: slow enough to look at what turns by."""
@@ -82,15 +93,8 @@ def make_film(
     transparent: bool,
 ) -> Wanted:
     """What the options ask for. Raises InputError where they do not fit one another, or for a bad file of keyframes."""
-    suffix = out.suffix.lower()
-    if suffix and suffix not in ANIMATIONS:
-        raise InputError(f"{out}: a film is saved as {', '.join(ANIMATIONS)}, or as PNGs in a folder without a suffix")
-    if transparent and suffix in (".gif", ".mp4"):
-        raise InputError(f"{out}: {suffix} has no transparency; choose .webp or a folder, or another --background")
     fps = RATE if rate is None else rate
-    fastest = FASTEST_GIF if suffix == ".gif" else FASTEST
-    if not 0.1 <= fps <= fastest:
-        raise InputError(f"--fps {fps:g}: give a number from 0.1 to {fastest:g}")
+    check_form(out, fps, transparent)
     if name not in PRESETS:
         if not name.endswith(".json"):
             raise InputError(f"--film {name}: give {', '.join(PRESETS)}, or a file of keyframes that ends in .json")
@@ -103,6 +107,56 @@ def make_film(
     if name == "explode" and not planes:
         raise InputError("--film explode: give the planes that part the pieces, as in --plane 0,0,1,0 --plane 1,0,0,0")
     return Wanted(name, planes, length, fps)
+
+
+def check_form(out: Path, fps: float, transparent: bool) -> None:
+    """Raises InputError where a film cannot be saved so."""
+    suffix = out.suffix.lower()
+    if suffix and suffix not in ANIMATIONS:
+        raise InputError(f"{out}: a film is saved as {', '.join(ANIMATIONS)}, or as PNGs in a folder without a suffix")
+    if transparent and suffix in (".gif", ".mp4"):
+        raise InputError(f"{out}: {suffix} has no transparency; choose .webp or a folder, or another --background")
+    fastest = FASTEST_GIF if suffix == ".gif" else FASTEST
+    if not 0.1 <= fps <= fastest:
+        raise InputError(f"--fps {fps:g}: give a number from 0.1 to {fastest:g}")
+
+
+def film_project(
+    path: Path,
+    out: Path,
+    size: tuple[int, int] | None,
+    fps: float | None,
+    background: tuple[Rgb | None] | None,
+    drawn: Callable[[float], None],
+) -> str:
+    """Saves the film of a project of the window, of all its objects that have an inside, and returns, in words, how
+    many frames of what size it has. `size`, `fps`, `background`: None for the project's own. `drawn` is called with the
+    part that is drawn. Raises InputError where there is no film, or none can be saved."""
+    project = load_project(path, outside=load_settings().trusts(path))
+    if len(project.film.moments) < 2:
+        raise InputError(f"{path}: this project has no film; keep two keyframes in the window, and save it")
+    kept = project.viewing.film
+    look = FilmLook(size or kept.size, kept.rate if fps is None else fps)
+    own = {"window": project.viewing.background or PLAIN, "white": PLAIN, "black": (0.0, 0.0, 0.0), "transparent": None}
+    (ground,) = background or (own.get(kept.background, kept.colour),)
+    check_form(out, look.rate, ground is None)
+    objects: dict[int, Filmed] = {}
+    sources, up = [path], None
+    for document in project.documents:
+        found = find_result(document)
+        if found is None and document.scene is not None and is_trained(document.scene):
+            found = document.scene
+        if found is None:
+            continue
+        atoms, meta = load_trained(found)
+        inside = read_inside(found)
+        objects[document.number] = Filmed(atoms, None if inside is None else Detailed(inside, atoms.pitch))
+        sources.append(sidecar_path(found))  # has checksums of the rest
+        up = up or document.up or meta.up
+    if up is None:
+        raise InputError(f"{path}: none of its objects has an inside; train one in the window first")
+    count = save_project_film(out, project, objects, Shooting(look, ground, up, light=True), sources, drawn)
+    return f"{count} frames of {look.size[0]}x{look.size[1]}"
 
 
 def save_film(out: Path, wanted: Wanted, scene: Scene, shot: Shot, settings: dict[str, str]) -> str:

@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import Progress
 
-from app.film_cli import Scene, make_film, save_film
+from app.film_cli import Scene, film_project, make_film, save_film
 from app.jobs.export import save_still
+from app.model.project import SUFFIX
 from engine.command import parse_numbers, parse_plane, print_result, run_command
 from engine.errors import InputError
 from engine.export.page.page import PAGES
@@ -35,13 +36,16 @@ NAMED: dict[str, Rgb | None] = {"white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.
 EPILOG = (
     "A plane keeps the side where a x + b y + c z + d is negative; several planes keep what all of them keep. "
     "Distance 1 fits the object into the picture. In a film the first plane sweeps, or all of them part what explodes. "
-    "A film into a folder goes on where it was stopped. A page begins with these planes, or one across the middle, and "
+    "A film into a folder goes on where it was stopped; a project gives its own. A page begins with these planes, or one across the middle, and "
     "its reader moves them. docs/EXPORT.md has the form of keyframes."
 )
 
 
 def render_command(
-    trained: Annotated[Path, typer.Argument(help="A trained object with its sidecar, as fruitninja-train writes it.")],
+    trained: Annotated[
+        Path,
+        typer.Argument(help="A trained object with its sidecar, or a project (.fruitninja), whose film is drawn."),
+    ],
     out: Annotated[
         Path,
         typer.Option(
@@ -91,6 +95,19 @@ def render_command(
                 distance=distance,
                 background=colour,
                 progress=lambda part: written(completed=part),
+            )
+        print_result(f"{out} ({said})")
+        return
+    if trained.suffix == SUFFIX:
+        if planes or camera is not None or film is not None or seconds is not None:
+            raise InputError(
+                f"{trained}: the film of a project has planes, camera and times of its own; leave them out"
+            )
+        with Progress(console=Console(stderr=True), transient=True) as bar:
+            drawn = partial(bar.update, bar.add_task(f"Drawing {out.name}", total=1.0))
+            asked = (width, height) if size else None
+            said = film_project(
+                trained, out, asked, fps, (ground,) if background else None, lambda part: drawn(completed=part)
             )
         print_result(f"{out} ({said})")
         return

@@ -31,7 +31,7 @@ from engine.processes import start_python
 from training.families import Family, Kind
 from training.request import Request
 
-__all__ = ["Job", "default_out", "missing_for_training", "note_path", "request_for", "request_path"]
+__all__ = ["Job", "missing_for_training", "note_path", "request_for", "request_path"]
 
 LOG_TAIL = 6
 """Lines at the end of a job's output that are shown if it fails."""
@@ -60,17 +60,6 @@ def missing_for_training(document: Document) -> str:
         return "Add a picture of a cut face first: drop one on a family, or choose one."
     absent = [path for family in document.families for path in family.exemplars if not path.is_file()]
     return f"The picture {absent[0].name} is no longer there. Remove it or put it back." if absent else ""
-
-
-def default_out(scene: Path, number: int = 0) -> Path:
-    """The default result folder: beside the scene, or in the app's state folder if the scene's folder is read-only.
-
-    `number`: of one of several objects, as in Document.
-    """
-    folder = scene.parent
-    if not os.access(folder, os.W_OK):
-        folder = state_folder() / "results"
-    return folder / (f"{scene.stem}-inside" + (f"-{number}" if number else ""))
 
 
 def request_for(document: Document, up: Vec3) -> Request:

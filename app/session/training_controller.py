@@ -7,14 +7,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from app.jobs.live_colours import LiveColours
-from app.jobs.training_job import Job, default_out
+from app.jobs.results import find_result, result_folder
+from app.jobs.training_job import Job
 from app.model.document import Document
 from app.session.scene_controller import SceneController
 from app.session.workspace import Workspace
 from app.translation import _
 from engine.errors import InputError
-from engine.io.trained import find_trained, trained_isolation
-from engine.isolate.record import isolation_record
 
 __all__ = ["TrainingController"]
 
@@ -61,25 +60,9 @@ class TrainingController:
         """Another scene follows: its jobs are other ones."""
         self._followed.clear()
 
-    def out(self, document: Document) -> Path | None:
-        """The folder for the result of this document; None if it has no scene."""
-        if document.scene is None:
-            return None
-        return document.training.out or default_out(document.scene, document.number)
-
     def result_for(self, document: Document) -> Path | None:
         """The finished result for what the document keeps of its scene, None while there is none."""
-        out = self.out(document)
-        if out is None or document.scene is None:
-            return None
-        path = find_trained(out, document.scene.stem)
-        if document.number in self._followed or path is None:
-            return None
-        try:
-            same = list(trained_isolation(path)) == isolation_record(document.isolation)
-        except InputError:
-            same = True  # loading it will say what is wrong
-        return path if same else None
+        return None if document.number in self._followed else find_result(document)
 
     def prepare_again(self, document: Document) -> None:
         """Makes an object solid again after other parts of its capture were left out."""
@@ -93,7 +76,7 @@ class TrainingController:
 
     def find_job(self, document: Document) -> None:
         """Follows the job of a document that was just opened, if one is running or was interrupted."""
-        out = self.out(document)
+        out = result_folder(document)
         job = None if out is None else Job.find(out)
         if job is None or job.scene != document.scene:
             return
@@ -113,7 +96,7 @@ class TrainingController:
     def start(self) -> None:
         """Trains the document as it is now."""
         workspace, document = self.workspace, self.workspace.document
-        out = self.out(document)
+        out = result_folder(document)
         if out is None:
             workspace.notify(_("Open an object first."))
             return

@@ -19,7 +19,8 @@ from safetensors.numpy import save_file
 
 from app.jobs.job_events import Progress, read_line
 from app.jobs.live_colours import LiveColours
-from app.jobs.training_job import Job, default_out, note_path, request_for, request_path
+from app.jobs.results import default_out
+from app.jobs.training_job import Job, note_path, request_for, request_path
 from app.model.autosave import Autosave
 from app.model.document import Document, Training
 from app.model.project import Viewing

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from app.jobs.results import default_out, result_folder
 from app.jobs.scene_loader import LoadedScene, SceneRequest
-from app.jobs.training_job import default_out
 from app.model.camera_control import OrbitCamera
 from app.model.document import Document, Training
 from app.model.history import History
@@ -217,7 +217,7 @@ def test_two_objects_are_trained_at_the_same_time(session: Session, tmp_path: Pa
 
 
 def test_each_object_has_its_own_result_and_the_project_keeps_all(session: Session, tmp_path: Path) -> None:
-    outs = {session.training.out(document) for document in session.documents}
+    outs = {result_folder(document) for document in session.documents}
     assert outs == {default_out(tmp_path / "two.ply", n) for n in (1, 2)} and len(outs) == 2
     session.change_object("Name", 0, replace(session.documents[0], name="Apple", up=(0.0, 1.0, 0.0)))
     session.change_object("Hide object", 1, replace(session.documents[1], visible=False))

@@ -9,31 +9,18 @@ from __future__ import annotations
 import json
 import sys
 import threading
-from collections.abc import Callable, Iterator
-from functools import partial
-from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from app.jobs.export import save_animation
 from app.jobs.film.film_job import PROJECT
-from app.jobs.film.frame_folder import save_frames
-from app.model.film.motion import frame_count, frame_times
-from app.model.film.timeline import played
-from app.model.pieces import Solid, placed_pieces
+from app.jobs.film.project_film import Filmed, Shooting, save_project_film
+from app.model.film.timeline import FilmLook
 from app.model.project import load_project
 from engine.errors import InputError
-from engine.io.files import open_file
 from engine.io.mapped import map_arrays
 from engine.render.face_detail import Detailed
 from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
-from fruitninja.drawing import drawing, frame
 from training.priors.inside_file import read_inside
-
-Frame = Callable[[], NDArray[np.uint8]]
 
 
 def main() -> None:
@@ -59,65 +46,28 @@ def save(request: dict[str, Any], stop: threading.Event) -> int:
     """Saves the film, and returns how many frames it has. Raises InputError if that fails or `stop` is set."""
     folder, out = Path(request["folder"]), Path(request["out"])
     project = load_project(folder / PROJECT, outside=True)  # the window has written it
-    solids = [_read_solid(entry) for entry in request["solids"]]
-    numbers = [entry["number"] for entry in request["solids"]]
-    details = [_read_detail(entry, atoms) for entry, atoms in zip(request["solids"], solids, strict=True)]
-    samples = {n: Solid.of_atoms(atoms) for n, atoms in zip(numbers, solids, strict=True)}
-    documents = tuple(document for document in project.documents if document.number in samples)
-    shown, closed = played(project.film, documents, samples)
-    count = frame_count(project.film.seconds, request["rate"])
-    order = {number: k for k, number in enumerate(numbers)}
+
+    def drawn(part: float) -> None:
+        if stop.is_set():
+            raise InputError(f"{out}: stopped")
+        _write_line(part=part)
+
+    objects = {entry["number"]: _read_object(entry) for entry in request["solids"]}
+    look = FilmLook(tuple(request["size"]), request["rate"])
     ground = None if request["ground"] is None else tuple(request["ground"])
-    width, height = request["size"]
-    with drawing(solids, True) as (draw, who):
-
-        def picture(number: int, time: float) -> NDArray[np.uint8]:
-            if stop.is_set():
-                raise InputError(f"{out}: stopped")
-            eye, opened = shown(time)
-            drawn = [
-                piece
-                for document in opened
-                if document.visible
-                for piece in placed_pieces(document, samples[document.number], order[document.number])
-            ]
-            camera = eye.camera(width, height, request["up"])
-            rgba = frame(draw, details, camera, drawn, ground, request["light"])
-            _write_line(part=(number + 1) / count)
-            return rgba if ground is None or out.suffix else rgba[..., :3]
-
-        def all_frames() -> Iterator[Frame]:
-            for number, time in enumerate(frame_times(project.film.seconds, count, closed)):
-                yield partial(picture, number, time)
-
-        if out.suffix:
-            return save_animation(out, (draw_one() for draw_one in all_frames()), request["rate"])
-        settings = {key: request[key] for key in ("size", "rate", "ground", "up", "light")} | {"drawn": who}
-        files = [folder / PROJECT, *(Path(entry["file"]) for entry in request["solids"])]
-        save_frames(out, settings | {"of": [_hash(file) for file in files]}, all_frames())
-        return count
+    shooting = Shooting(look, ground, tuple(request["up"]), request["light"])
+    sources = [folder / PROJECT, *(Path(entry["file"]) for entry in request["solids"])]
+    return save_project_film(out, project, objects, shooting, sources, drawn)
 
 
-def _read_solid(entry: dict[str, Any]) -> Atoms:
+def _read_object(entry: dict[str, Any]) -> Filmed:
+    """An object, and what its faces are read from; the window has read the same files."""
     arrays = map_arrays(Path(entry["file"]))
     surface = SurfaceAtoms(arrays["means"], arrays["scales"], arrays["quats"], arrays["sh"])
-    return Atoms(
-        surface, InteriorAtoms(arrays["inside"], arrays["sigmas"], arrays["rgb"], entry["exposed"]), entry["pitch"]
-    )
-
-
-def _read_detail(entry: dict[str, Any], atoms: Atoms) -> Detailed | None:
-    """What faces are read from; the window has read the same file."""
+    interior = InteriorAtoms(arrays["inside"], arrays["sigmas"], arrays["rgb"], entry["exposed"])
     inside = None if entry["inside"] is None else read_inside(Path(entry["inside"]))
-    return None if inside is None else Detailed(inside, atoms.pitch)
-
-
-def _hash(path: Path) -> str:
-    digest = sha256()
-    with open_file(path) as file:
-        while block := file.read(1 << 20):
-            digest.update(block)
-    return digest.hexdigest()
+    detail = None if inside is None else Detailed(inside, entry["pitch"])
+    return Filmed(Atoms(surface, interior, entry["pitch"]), detail)
 
 
 def _write_line(**facts: Any) -> None:

@@ -9,6 +9,7 @@ from typing import get_args
 from imgui_bundle import ImVec2, imgui
 from imgui_bundle import icons_fontawesome_6 as icon
 
+from app.jobs.results import result_folder
 from app.jobs.training_job import Job, missing_for_training
 from app.model.document import Training
 from app.model.faces.words import CUT_NAMES, describe_guess
@@ -328,7 +329,7 @@ class InteriorPanel:
             )
         tooltip(_("At most; training ends sooner where it has settled"))
         row_label(_("Result"), 84)
-        out = session.training.out(session.document)
+        out = result_folder(session.document)
         if imgui.button(out.name if out else "-", ImVec2(-1, 0)) and out is not None:
             self.dialogs.choose_folder(
                 _("Folder for the result"),

@@ -3,16 +3,26 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
+from threading import Event
 
 import numpy as np
 import pytest
 from PIL import Image
 
 from app import render_cli as cli
+from app.jobs.film.film_job import FilmRequest, message_for
+from app.jobs.film.film_worker import save
+from app.jobs.scene_loader import LoadedScene, SceneRequest
+from app.model.camera_control import OrbitCamera
+from app.model.document import Document, Part
+from app.model.film.timeline import FilmLook, Timeline, exploding, moment
+from app.model.project import Project, Viewing, save_project
 from engine.errors import InputError
 from engine.io.picture_file import save_png
-from engine.io.trained import Meta, save_trained
+from engine.io.trained import Meta, load_trained, save_trained
+from engine.scene.plane import Plane
 from tests.app.commands.test_render_command import run
 from tests.helpers.solids import Waves, ball
 
@@ -123,3 +133,33 @@ def test_bad_options_are_one_line(
     assert run(monkeypatch, trained, "-o", tmp_path / out, *arguments) == 2
     said = capsys.readouterr().err
     assert complaint in said and said.count("\n") == 1 and not list(tmp_path.iterdir())
+
+
+def test_the_film_of_a_project_is_that_of_the_window(
+    trained: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("FRUITNINJA_HOME", str(tmp_path / "home"))
+    document = Document(scene=trained).with_cut((Part(Plane.of((1, 0, 0), 0.0)),))
+    film = exploding(moment(0.0, OrbitCamera(azimuth=-90.0, elevation=0.0), (document,)), 1.0)
+    look = FilmLook((64, 48), 4.0, "black")
+    path = trained.parent / "melon.fruitninja"
+    save_project(path, Project((document,), Viewing(film=look), film))
+    assert run(monkeypatch, path, "-o", tmp_path / "command") == 0
+    assert "4 frames of 64x48" in capsys.readouterr().out
+    atoms, meta = load_trained(trained)
+    loaded = {0: LoadedScene(SceneRequest(trained), atoms=atoms)}
+    project = Project((document,), Viewing(), film)
+    request = FilmRequest(tmp_path / "window", project, look, (0.0, 0.0, 0.0), meta.up, True, loaded)
+    save(message_for(request, tmp_path), Event())
+    theirs, ours = contents(tmp_path / "window"), contents(tmp_path / "command")
+    assert len(ours) == 5 and {k: v for k, v in ours.items() if k.endswith("png")}.items() <= theirs.items()
+
+    def refused(project: Project, *options: str) -> str:
+        save_project(path, project)
+        assert run(monkeypatch, path, "-o", tmp_path / "no.gif", *options) == 2
+        return " ".join(capsys.readouterr().err.split())
+
+    assert "no film; keep two keyframes" in refused(Project((document,), Viewing(), Timeline()))
+    assert "of its own; leave them out" in refused(project, "--plane", "0,0,1,0")
+    hollow = Project((replace(document, scene=trained.parent / "other.ply"),), Viewing(), film)
+    assert "none of its objects has an inside" in refused(hollow)
