@@ -22,7 +22,7 @@ from app.model.film.presets import explode, sweep, turntable
 from app.model.film.record import LONGEST, film_record, read_film
 from app.model.film.timeline import FilmLook
 from app.model.pieces import Solid
-from app.model.project import load_project
+from app.model.project import SUFFIX, load_project
 from app.model.rigid_transform import Vec3, vec3
 from app.model.settings import load_settings
 from engine.errors import InputError
@@ -33,10 +33,9 @@ from engine.scene.atoms import Atoms
 from engine.scene.camera import Camera, fit_distance
 from engine.scene.piece import Piece
 from engine.scene.plane import Plane
-from fruitninja.drawing import Rgb
 from training.priors.inside_file import read_inside
 
-__all__ = ["Scene", "Wanted", "check_form", "film_project", "make_film", "save_film"]
+__all__ = ["Scene", "Wanted", "film_project", "is_project", "make_film", "save_film"]
 
 PRESETS = ("turntable", "sweep", "explode")
 
@@ -94,7 +93,7 @@ def make_film(
 ) -> Wanted:
     """What the options ask for. Raises InputError where they do not fit one another, or for a bad file of keyframes."""
     fps = RATE if rate is None else rate
-    check_form(out, fps, transparent)
+    _check_form(out, fps, transparent)
     if name not in PRESETS:
         if not name.endswith(".json"):
             raise InputError(f"--film {name}: give {', '.join(PRESETS)}, or a file of keyframes that ends in .json")
@@ -109,7 +108,7 @@ def make_film(
     return Wanted(name, planes, length, fps)
 
 
-def check_form(out: Path, fps: float, transparent: bool) -> None:
+def _check_form(out: Path, fps: float, transparent: bool) -> None:
     """Raises InputError where a film cannot be saved so."""
     suffix = out.suffix.lower()
     if suffix and suffix not in ANIMATIONS:
@@ -121,12 +120,17 @@ def check_form(out: Path, fps: float, transparent: bool) -> None:
         raise InputError(f"--fps {fps:g}: give a number from 0.1 to {fastest:g}")
 
 
+def is_project(path: Path) -> bool:
+    """Whether a file is a project of the window, by its name."""
+    return path.suffix == SUFFIX
+
+
 def film_project(
     path: Path,
     out: Path,
     size: tuple[int, int] | None,
     fps: float | None,
-    background: tuple[Rgb | None] | None,
+    background: tuple[Vec3 | None] | None,
     drawn: Callable[[float], None],
 ) -> str:
     """Saves the film of a project of the window, of all its objects that have an inside, and returns, in words, how
@@ -139,7 +143,7 @@ def film_project(
     look = FilmLook(size or kept.size, kept.rate if fps is None else fps)
     own = {"window": project.viewing.background or PLAIN, "white": PLAIN, "black": (0.0, 0.0, 0.0), "transparent": None}
     (ground,) = background or (own.get(kept.background, kept.colour),)
-    check_form(out, look.rate, ground is None)
+    _check_form(out, look.rate, ground is None)
     objects: dict[int, Filmed] = {}
     sources, up = [path], None
     for document in project.documents:

@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import Progress
 
-from app.film_cli import Scene, film_project, make_film, save_film
+from app.film_cli import Scene, film_project, is_project, make_film, save_film
 from app.jobs.export import save_still
-from app.model.project import SUFFIX
 from engine.command import parse_numbers, parse_plane, print_result, run_command
 from engine.errors import InputError
 from engine.export.page.page import PAGES
@@ -36,7 +35,7 @@ NAMED: dict[str, Rgb | None] = {"white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.
 EPILOG = (
     "A plane keeps the side where a x + b y + c z + d is negative; several planes keep what all of them keep. "
     "Distance 1 fits the object into the picture. In a film the first plane sweeps, or all of them part what explodes. "
-    "A film into a folder goes on where it was stopped; a project gives its own. A page begins with these planes, or one across the middle, and "
+    "A film into a folder goes on where it was stopped. A page begins with these planes, or one across the middle, and "
     "its reader moves them. docs/EXPORT.md has the form of keyframes."
 )
 
@@ -98,7 +97,7 @@ def render_command(
             )
         print_result(f"{out} ({said})")
         return
-    if trained.suffix == SUFFIX:
+    if is_project(trained):
         if planes or camera is not None or film is not None or seconds is not None:
             raise InputError(
                 f"{trained}: the film of a project has planes, camera and times of its own; leave them out"
