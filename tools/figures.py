@@ -93,10 +93,7 @@ def of_samples() -> list[str]:
     return [
         row(
             name,
-            *(
-                f"{f['psnr_db']:.1f} / {f['sharpness']:.2f} / {f['fid_random']:.0f}"
-                for f in (scene[METHODS[name]] for scene in scenes)
-            ),
+            *(f"{f['psnr_db']:.1f} / {f['sharpness']:.2f}" for f in (scene[METHODS[name]] for scene in scenes)),
         )
         for name in names
     ]

@@ -193,8 +193,8 @@ def compared(cuts: list[Face], photographs: dict[str, Face], own: str, network: 
         "patches": float(np.mean([patches(a, b) for a in cuts for b in unseen]) / usual_patches),
     }
     if kind in CLASSES:
-        facts["recognised"] = float(network.probabilities([face.rgb for face in cuts], kind).mean())
-        facts["recognised_photographs"] = float(network.probabilities([face.rgb for face in unseen], kind).mean())
+        facts["recognised"] = float(network.probabilities(features[0], kind).mean())
+        facts["recognised_photographs"] = float(network.probabilities(features[1], kind).mean())
     return facts
 
 

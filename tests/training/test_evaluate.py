@@ -195,7 +195,7 @@ def test_the_network_knows_real_photographs(name: str, kind: str) -> None:
         pytest.skip("the photographs are not beside the repository")
     rgb = np.asarray(Image.open(path).convert("RGB"), np.float32) / np.float32(255)
     network = Network()
-    (right,), (wrong,) = (network.probabilities([rgb], of) for of in (kind, "bread"))
+    (right,), (wrong,) = (network.probabilities(network.features([rgb]), of) for of in (kind, "bread"))
     assert right > 0.8 and wrong < 0.05
 
 

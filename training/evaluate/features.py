@@ -6,7 +6,7 @@ KID take Inception's features and the paper's consistency CLIP's: figures compar
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -47,22 +47,20 @@ class Network:
 
     def features(self, pictures: Sequence[NDArray[np.float32]]) -> Features:
         """(N, 1280) of pictures (H, W, 3), range [0, 1], of any size."""
-        return self._of(pictures, lambda batch: self.model.extract_features(batch).mean((2, 3)))
-
-    def probabilities(self, pictures: Sequence[NDArray[np.float32]], kind: str) -> NDArray[np.float64]:
-        """(N,). That pictures, as for `features`, show a kind of CLASSES, among the thousand that the network knows."""
-        return self._of(pictures, lambda batch: self.model(batch).softmax(1)[:, CLASSES[kind]])
-
-    def _of(
-        self, pictures: Sequence[NDArray[np.float32]], network: Callable[[torch.Tensor], torch.Tensor]
-    ) -> NDArray[np.float64]:
         found = []
         with torch.no_grad():
             for start in range(0, len(pictures), BATCH):
                 batch = torch.from_numpy(np.stack(pictures[start : start + BATCH])).permute(0, 3, 1, 2)
                 batch = torch.nn.functional.interpolate(batch, size=(224, 224), mode="bilinear", antialias=True)
-                found.append(network((255 * batch - SHIFT) / SCALE).numpy())
+                found.append(self.model.extract_features((255 * batch - SHIFT) / SCALE).mean((2, 3)).numpy())
         return np.concatenate(found).astype(np.float64)
+
+    def probabilities(self, features: Features, kind: str) -> NDArray[np.float64]:
+        """(N,). That the pictures of features (N, 1280) show a kind of CLASSES, among the thousand classes."""
+        layer = self.model._fc  # the last one: what it sees is the mean of the features
+        scores = features @ layer.weight.detach().numpy().T.astype(np.float64) + layer.bias.detach().numpy()
+        odds = np.exp(scores - scores.max(1, keepdims=True))
+        return np.asarray(odds[:, CLASSES[kind]] / odds.sum(1))
 
 
 def load_network() -> Network | None:

@@ -178,9 +178,8 @@ def distances(
             facts[f"cosine_{name}_truth"] = round(mean_cosine(b), 4)
         kind = scene.removesuffix(OTHERS)
         if kind in CLASSES:
-            for name, of in (("recognised", pictures), ("recognised_truth", truth.pictures)):
-                seen = network_model.probabilities([of[n] for n in sets["random"]], kind)
-                facts[name] = round(float(seen.mean()), 3)
+            for name, of in (("recognised", features), ("recognised_truth", true)):
+                facts[name] = round(float(network_model.probabilities(of[sets["random"]], kind).mean()), 3)
     if clip is not None:
         clip_model = Clip(clip)
         unit = clip_model.features(list(pictures))
