@@ -27,7 +27,7 @@ from benchmarks.support.charts import ACCENT, OTHER, plt, save_chart
 from benchmarks.support.options import ROOT, out_folder, parser_of
 from engine.errors import InputError
 from engine.io.files import read_file, write_json
-from engine.io.picture_file import read_pixels
+from engine.io.picture_file import open_picture, read_pixels
 from engine.threads import side_by_side
 from training.faces.axis import guess_cut
 from training.faces.carrier import find_seen_face
@@ -128,9 +128,10 @@ def blurred(rgb: Pixels, mask: Mask) -> tuple[Pixels, Mask]:
 
 def compressed(rgb: Pixels, mask: Mask) -> tuple[Pixels, Mask]:
     """JPEG of quality 25."""
-    file = io.BytesIO()
-    Image.fromarray(np.round(255 * rgb).astype(np.uint8)).save(file, "JPEG", quality=25)
-    return np.asarray(Image.open(file), np.float32) / np.float32(255), mask
+    bgr = np.round(255 * rgb[..., ::-1]).astype(np.uint8)
+    file = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, 25])[1]
+    decoded = np.asarray(cv2.imdecode(file, cv2.IMREAD_COLOR))
+    return (decoded[..., ::-1] / 255).astype(np.float32), mask
 
 
 def noisy(rgb: Pixels, mask: Mask) -> tuple[Pixels, Mask]:
@@ -194,7 +195,7 @@ def main(arguments: list[str] | None = None) -> None:
     rows = list(csv.DictReader(io.StringIO(listed)))[:: 8 if options.quick else 1]
 
     def of_one(row: dict[str, str]) -> dict[str, dict[str, Any]]:
-        with Image.open(io.BytesIO(read_file(options.photographs / row["path"], 1 << 27))) as picture:
+        with open_picture(options.photographs / row["path"]) as picture:
             white = Image.new("RGBA", picture.size, "white")
             white.alpha_composite(picture.convert("RGBA"))
         rgb = np.asarray(white.convert("RGB"), np.float32) / np.float32(255)

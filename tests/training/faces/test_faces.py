@@ -94,6 +94,10 @@ def test_of_what_hangs_on_a_face_only_what_fades_is_cut_off() -> None:
     whole = mask | stalk
     face[stalk] = [0.3, 0.2, 0.1]
     np.testing.assert_array_equal(without_bulges(face, whole), whole)
+    rind = np.where(
+        mask[..., None], np.where(np.hypot(x, y)[..., None] < 0.54, [0.9, 0.85, 0.7], [0.1, 0.12, 0.1]), 0.05
+    )
+    np.testing.assert_array_equal(without_bulges(rind.astype(np.float32), mask), mask)
     square = np.maximum(np.abs(x), np.abs(y)) < 0.6
     slice_ = np.where(square[..., None], [0.8, 0.7, 0.5], 1.0).astype(np.float32)
     np.testing.assert_array_equal(without_bulges(slice_, square), square)
