@@ -8,7 +8,7 @@ import sys
 import time
 from pathlib import Path
 
-from playwright.sync_api import Page, sync_playwright
+from playwright.sync_api import Error, Page, sync_playwright
 
 from tests.browser import BROWSER
 
@@ -58,7 +58,7 @@ def _open(page: Page) -> None:
         try:
             page.goto(f"http://localhost:{PORT}/doc/tree/{NOTEBOOK}?token={TOKEN}")
             break
-        except Exception:
+        except Error:
             if time.monotonic() > end:
                 raise
             time.sleep(0.5)

@@ -10,8 +10,6 @@ how many kinds of cut are right. Writes changed_photographs.json and .png.
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -23,10 +21,11 @@ from PIL import Image
 from scipy import ndimage
 
 from benchmarks.photographs.faces import overlap
+from benchmarks.photographs.listed import asked
 from benchmarks.support.charts import ACCENT, OTHER, plt, save_chart
-from benchmarks.support.options import ROOT, out_folder, parser_of
+from benchmarks.support.options import out_folder
 from engine.errors import InputError
-from engine.io.files import read_file, write_json
+from engine.io.files import write_json
 from engine.io.picture_file import open_picture, read_pixels
 from engine.threads import side_by_side
 from training.faces.axis import guess_cut
@@ -183,16 +182,7 @@ def measured(rgb: Pixels, truth: Mask, family: str, change: Change) -> dict[str,
 
 def main(arguments: list[str] | None = None) -> None:
     """Changes a folder of photographs."""
-    parser = parser_of(__doc__, "four photographs")
-    folder = ROOT.parent / "shared/data/photos/fruit"
-    parser.add_argument(
-        "photographs", nargs="?", type=Path, default=folder, help=f"default: {folder.parent.name}/fruit"
-    )
-    options = parser.parse_args(arguments)
-    if not (options.photographs / "list.csv").is_file():
-        parser.error(f"{options.photographs}: no list.csv")
-    listed = read_file(options.photographs / "list.csv", 1 << 20).decode()
-    rows = list(csv.DictReader(io.StringIO(listed)))[:: 8 if options.quick else 1]
+    options, rows = asked(__doc__, arguments)
 
     def of_one(row: dict[str, str]) -> dict[str, dict[str, Any]]:
         with open_picture(options.photographs / row["path"]) as picture:

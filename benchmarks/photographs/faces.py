@@ -10,18 +10,14 @@ axes on the photographs.
 
 from __future__ import annotations
 
-import csv
-import io
 import time
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from benchmarks.support.options import ROOT, parser_of
+from benchmarks.photographs.listed import asked
 from engine.errors import InputError
-from engine.io.files import read_file
 from engine.io.picture_file import read_pixels, save_png
 from training.faces.axis import find_core, guess_cut
 from training.faces.core_line import find_core_line
@@ -69,16 +65,7 @@ def drawn(pixels: NDArray[np.uint8], mask: NDArray[np.bool_], kind: str) -> Imag
 
 def main(arguments: list[str] | None = None) -> None:
     """Measures a folder of photographs."""
-    parser = parser_of(__doc__, "four photographs")
-    folder = ROOT.parent / "shared/data/photos/fruit"
-    parser.add_argument(
-        "photographs", nargs="?", type=Path, default=folder, help=f"default: {folder.parent.name}/fruit"
-    )
-    options = parser.parse_args(arguments)
-    if not (options.photographs / "list.csv").is_file():
-        parser.error(f"{options.photographs}: no list.csv")
-    listed = read_file(options.photographs / "list.csv", 1 << 20).decode()
-    rows = list(csv.DictReader(io.StringIO(listed)))[:: 8 if options.quick else 1]
+    options, rows = asked(__doc__, arguments)
     overlaps, tiles = [], []
     print(f"{'picture':20} {'IoU':>6} {'axis %':>6} {'seems':>10} {'sure':>5} {'s':>5}")
     for row in rows:

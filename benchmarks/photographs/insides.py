@@ -19,8 +19,6 @@ started again after an interruption it goes on; delete them to measure anew.
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 from dataclasses import dataclass
 from functools import partial
@@ -33,6 +31,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 import fruitninja
+from benchmarks.photographs.listed import PHOTOGRAPHS, listed
 from benchmarks.support.options import ROOT, out_folder, parser_of
 from engine.io.files import read_file, write_json
 from engine.io.picture_file import read_pixels, save_png
@@ -40,7 +39,6 @@ from training.evaluate.features import CLASSES, Network
 from training.evaluate.metrics import face_ssim, patch_distance
 
 SHARED = ROOT.parent / "shared/data"
-PHOTOGRAPHS = SHARED / "photos/fruit"
 
 BODIES = {
     "apple": SHARED / "splats/meshgs_apple_30k.ply",
@@ -207,9 +205,8 @@ def measured(solid: fruitninja.Solid, pair: str, network: Network) -> tuple[dict
         "horizontal": [cut(solid, up, height) for height in HEIGHTS],
         "radial": [cut(solid, normal, 0) for normal in around],
     }
-    rows = csv.DictReader(io.StringIO(read_file(PHOTOGRAPHS / "list.csv", 1 << 20).decode()))
     names: dict[str, list[str]] = {family: [] for family in cuts}
-    for row in rows:
+    for row in listed(PHOTOGRAPHS):
         if row["kind"] == kind and row["usable_as_exemplar"].startswith("yes") and not row["duplicate_of"]:
             names[row["family"]].append(Path(row["path"]).stem)
     facts: dict[str, float] = {}

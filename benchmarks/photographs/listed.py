@@ -1,0 +1,31 @@
+"""Folders of photographs with masks marked by hand, and a list of what each shows."""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import io
+from pathlib import Path
+
+from benchmarks.support.options import ROOT, parser_of
+from engine.io.files import read_file
+
+__all__ = ["PHOTOGRAPHS", "asked", "listed"]
+
+PHOTOGRAPHS = ROOT.parent / "shared/data/photos/fruit"
+"""With `masks/` and `list.csv`; what is measured unless another folder is given."""
+
+
+def listed(folder: Path) -> list[dict[str, str]]:
+    """The rows of a folder's list."""
+    return list(csv.DictReader(io.StringIO(read_file(folder / "list.csv", 1 << 20).decode())))
+
+
+def asked(text: str | None, arguments: list[str] | None) -> tuple[argparse.Namespace, list[dict[str, str]]]:
+    """The options of a benchmark with this help that takes a folder of photographs, and the rows to measure."""
+    parser = parser_of(text, "four photographs")
+    parser.add_argument("photographs", nargs="?", type=Path, default=PHOTOGRAPHS, help="default: photos/fruit")
+    options = parser.parse_args(arguments)
+    if not (options.photographs / "list.csv").is_file():
+        parser.error(f"{options.photographs}: no list.csv")
+    return options, listed(options.photographs)[:: 8 if options.quick else 1]
