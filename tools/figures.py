@@ -66,7 +66,7 @@ def of_captures() -> list[str]:
     return [
         row(
             *(
-                f"{c['union_db']:.1f} / {c['silhouette_iou']:.3f} / {c['seconds']:.0f} s".replace("0.", ".", 1)
+                " / ".join((f"{c['union_db']:.1f}", f"{c['silhouette_iou']:.3f}".lstrip("0"), f"{c['seconds']:.0f} s"))
                 for c in cells
             )
         )

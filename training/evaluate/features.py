@@ -22,7 +22,8 @@ Features = NDArray[np.float64]
 """(N, D)."""
 
 SHIFT, SCALE = 127.0, 128.0
-"""Of 8-bit colours, as these weights were trained: with ImageNet's mean and spread they take oranges for sponges."""
+"""Of 8-bit colours, as these weights were trained: so they know six of six photographs of oranges, with ImageNet's mean
+and spread one."""
 
 CLASSES = {"apple": 948, "bread": 930, "orange": 950, "pomegranate": 957}
 """Numbers of the network's classes Granny Smith, French loaf, orange and pomegranate, by the kind of a scene."""

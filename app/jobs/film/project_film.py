@@ -24,7 +24,7 @@ from engine.render.face_detail import Detailed
 from engine.scene.atoms import Atoms
 from fruitninja.drawing import drawing, frame
 
-__all__ = ["Filmed", "Shooting", "hash_of", "save_project_film"]
+__all__ = ["Filmed", "Shooting", "save_project_film"]
 
 Frame = Callable[[], NDArray[np.uint8]]
 
@@ -103,13 +103,12 @@ def save_project_film(
         if out.suffix:
             save_animation(out, (draw_one() for draw_one in all_frames()), look.rate)
         else:
-            settings = shooting.record() | {"drawn": who, "of": [hash_of(path) for path in sources]}
+            settings = shooting.record() | {"drawn": who, "of": [_hash_of(path) for path in sources]}
             save_frames(out, settings, all_frames())
-    drawn(1.0)
     return count
 
 
-def hash_of(path: Path) -> str:
+def _hash_of(path: Path) -> str:
     """Of a file's content, hexadecimal."""
     digest = sha256()
     with open_file(path) as file:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from engine.render.classic.rasterizer import backward, composite, picture
+from engine.render.classic.rasterizer import composite, composite_backward, picture
 from engine.render.classic.records import PictureGradient, Scene
 from engine.scene.camera import Camera
 
@@ -80,5 +80,5 @@ class _Rasterize(torch.autograd.Function):
         has_depth = bool(outer[2].any())
         rgb, alpha, depth = outer
         gradient = PictureGradient(rgb, alpha, depth, has_depth, np.array(ctx.background, kind))
-        gradients = backward(ctx.scene, ctx.frame, ctx.slices, gradient)
+        gradients = composite_backward(ctx.scene, ctx.frame, ctx.slices, gradient)
         return (*(torch.from_numpy(g).view(t.shape) for g, t in zip(gradients, tensors, strict=True)), None, None)

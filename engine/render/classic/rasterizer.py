@@ -29,7 +29,7 @@ from engine.scene.gaussians import Gaussians
 from engine.scene.image import Picture
 from engine.threads import for_each
 
-__all__ = ["backward", "composite", "composite_weights", "picture", "render"]
+__all__ = ["composite", "composite_backward", "composite_weights", "picture", "render"]
 
 SLICES = 16
 """Slices of a large scene: enough that the front ones hide most of the rest, few enough that each fills the cores."""
@@ -77,7 +77,7 @@ def composite_weights(gaussians: Gaussians, camera: Camera) -> tuple[NDArray[np.
         np.zeros_like(rgb), np.zeros_like(alpha), np.zeros_like(depth), False, np.zeros(3, np.float32)
     )
     gradient.rgb[..., 0] = 1
-    weights = backward(scene, frame, slices, gradient)[4][:, 0, 0]
+    weights = composite_backward(scene, frame, slices, gradient)[4][:, 0, 0]
     median[median == 0] = np.inf
     return weights, median
 
@@ -91,7 +91,7 @@ def _scene(gaussians: Gaussians, colours: NDArray[np.float32], plain: bool) -> S
     return Scene(means, scales, quats, opacities, shown, plain)
 
 
-def backward(
+def composite_backward(
     scene: Scene, frame: Frame, slices: Sequence[Slice], gradient: PictureGradient
 ) -> list[NDArray[np.floating]]:
     """Gradients of means, scales, quats, opacities and colours, given that of the picture."""
