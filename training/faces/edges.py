@@ -9,8 +9,8 @@ from scipy import ndimage
 __all__ = ["EDGE_GAIN", "MIXED", "edge_cost", "edge_strength", "rims_apart"]
 
 EDGE_GAIN = 2.0
-"""How many times cheaper the other outline has to be before the found one moves: its pixels over the edge strength along
-them, summed, or in the mean where one is much longer. Where both follow an edge they differ by less, either way."""
+"""How many times cheaper the other outline has to be before the found one moves: its pixels over the edge strength
+along them, summed, or in the mean where one is much longer. Where both follow an edge they differ by less."""
 
 MIXED = 3
 """Pixels on either side of an outline in which the lens mixes face and background."""
