@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from engine.command import parse_plane, print_result, run_command
+from engine.command import parse_plane, parse_rgb, print_result, run_command
 from engine.export.kinds import KINDS, SUFFIXES, kind_of
 from fruitninja.solid import open_solid
 
@@ -41,11 +41,20 @@ def export_command(
         ),
     ] = None,
     metres: Annotated[float, typer.Option(help="How long a unit of the file is; meshes, volumes and particles.")] = 1.0,
+    inks: Annotated[
+        str | None,
+        typer.Option(
+            help="Colours of a printer's materials, #rrggbb,#rrggbb,...: each voxel of a .zip is one of them."
+        ),
+    ] = None,
 ) -> None:
     """Save a trained object, whole or what planes leave of it, for other programs."""
     planes = [parse_plane(text) for text in plane or []]
     kind_of(out, as_)  # a name that does not fit need not wait for the object
-    said = open_solid(trained).cut(*planes).export(out, as_, pieces=pieces, step=step, metres=metres)
+    complaint = f"--inks {inks}: give colours as #rrggbb with commas between, as in #ffffff,#231f20"
+    of_inks = [] if inks is None else [parse_rgb(colour.strip(), complaint) for colour in inks.split(",")]
+    solid = open_solid(trained).cut(*planes)
+    said = solid.export(out, as_, pieces=pieces, step=step, metres=metres, inks=of_inks)
     print_result(f"{out} ({said})")
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
@@ -16,7 +15,7 @@ from rich.progress import Progress
 
 from app.film_cli import Scene, film_project, is_project, make_film, save_film
 from app.jobs.export import save_still
-from engine.command import parse_numbers, parse_plane, print_result, run_command
+from engine.command import parse_numbers, parse_plane, parse_rgb, print_result, run_command
 from engine.errors import InputError
 from engine.export.page.page import PAGES
 from engine.io.picture_file import save_png
@@ -155,10 +154,9 @@ def parse_background(text: str) -> Rgb | None:
     """The colour of a --background, range [0, 1]; None for transparent."""
     if text in NAMED:
         return NAMED[text]
-    if not re.fullmatch(r"#[0-9a-fA-F]{6}", text):
-        raise InputError(f"--background {text}: give white, black, transparent or #rrggbb, as in #20262e")
-    r, g, b = (int(text[at : at + 2], 16) / 255 for at in (1, 3, 5))
-    return r, g, b
+    complaint = f"--background {text}: give white, black, transparent or #rrggbb, as in #20262e"
+    r, g, b = parse_rgb(text, complaint)
+    return r / 255, g / 255, b / 255
 
 
 def main() -> None:

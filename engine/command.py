@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 import signal
 import sys
 from collections.abc import Callable, Iterator
@@ -16,7 +17,17 @@ from engine.errors import InputError, one_line
 from engine.io.files import reason
 from engine.scene.plane import Plane
 
-__all__ = ["FAILED", "REFUSED", "Stop", "Stopped", "parse_numbers", "parse_plane", "print_result", "run_command"]
+__all__ = [
+    "FAILED",
+    "REFUSED",
+    "Stop",
+    "Stopped",
+    "parse_numbers",
+    "parse_plane",
+    "parse_rgb",
+    "print_result",
+    "run_command",
+]
 
 FAILED, REFUSED, SIGNALLED = 1, 2, 128
 """Exit statuses: part of the work or the machine failed; the input is bad or the result cannot be written; the user
@@ -71,6 +82,14 @@ def parse_numbers(text: str, count: int, complaint: str) -> list[float]:
     if len(numbers) != count or not all(map(math.isfinite, numbers)):
         raise InputError(complaint)
     return numbers
+
+
+def parse_rgb(text: str, complaint: str) -> tuple[int, int, int]:
+    """The colour #rrggbb, range [0, 255]. Raises InputError with the complaint for anything else."""
+    if not re.fullmatch(r"#[0-9a-fA-F]{6}", text):
+        raise InputError(complaint)
+    r, g, b = bytes.fromhex(text[1:])
+    return r, g, b
 
 
 def parse_plane(text: str) -> Plane:

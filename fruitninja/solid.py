@@ -267,17 +267,18 @@ class Solid:
         pieces: bool = False,
         step: float | None = None,
         metres: float = 1.0,
+        inks: Sequence[tuple[int, int, int]] = (),
     ) -> str:
         """Writes what is left for other programs; returns what is in the file, in a line.
 
         `kind`: splats, mesh, volume or particles, where the name's ending does not tell. `pieces`: both sides of all
         its planes, each an object of its own; meshes. `step`: units of the file between texels, voxels or particles.
-        `metres`: length of a unit. docs/EXPORT.md says what is in the files.
+        `metres`: length of a unit. `inks`: sRGB, range [0, 255], of a printer's materials, of one of which each voxel
+        of a stack (.zip) is then. docs/EXPORT.md says what is in the files.
         """
         whole = self._whole
-        export = Export(
-            whole.source, self.atoms, self.inside, whole.meta, self.planes, Path(path), pieces, step, metres
-        )
+        wanted = pieces, step, metres, tuple(inks)
+        export = Export(whole.source, self.atoms, self.inside, whole.meta, self.planes, Path(path), *wanted)
         return write_export(export, kind)
 
     def html(

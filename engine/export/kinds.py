@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +25,15 @@ from engine.scene.piece import Piece
 from engine.scene.plane import Plane
 
 __all__ = ["KINDS", "SUFFIXES", "Export", "Kind", "kind_of", "write_export"]
+
+Ink = tuple[int, int, int]
+"""sRGB, range [0, 255]."""
+
+STACK = ".zip"
+"""Suffix of what goes to a printer."""
+
+MOST_INKS = 16
+"""A printer has eight."""
 
 LEAST_TOLD = 0.01
 """Part of the skin that is left out from which the user is warned: less is stray atoms."""
@@ -49,6 +58,8 @@ class Export:
     """World units between texels, voxels or particles; None where the detail of the inside decides."""
     metres: float = 1.0
     """Length of a world unit."""
+    inks: tuple[Ink, ...] = ()
+    """What a printer's materials look like, for a stack in which each voxel is one of them; none for all colours."""
 
 
 @dataclass(frozen=True)
@@ -69,6 +80,10 @@ def write_export(export: Export, name: str | None = None) -> str:
     Raises InputError if they do not fit each other or the rest, and if the file cannot be written.
     """
     kind = kind_of(export.out, name)
+    if export.inks and export.out.suffix.lower() != STACK:
+        raise InputError(f"{export.out}: only a stack for a printer is of inks; give a name that ends in {STACK}")
+    if export.inks and not 2 <= len(export.inks) <= MOST_INKS:
+        raise InputError(f"{len(export.inks)} inks: give 2 to {MOST_INKS}")
     if export.pieces and not kind.divides:
         raise InputError(f"{export.out}: only a mesh holds several pieces; say mesh, or export each side by itself")
     for word, length in (("step", export.step), ("metres", export.metres)):
@@ -124,6 +139,11 @@ def write_volume(export: Export) -> str:
     from engine.export.volumes.files import save_volume
 
     voxels = voxels_of(*solid_of(export), export.planes, export.step, str(export.out))
+    if export.inks:
+        from engine.export.volumes.inks import halftoned
+
+        drops = halftoned(voxels.rgb, voxels.kind > 0, export.inks)
+        voxels = replace(voxels, rgb=np.array(export.inks, np.uint8)[drops])
     files = save_volume(export.out, voxels, export.meta.up, export.metres)
     kinds = [KIND_NAMES[n] for n in np.unique(voxels.kind)]
     x, y, z = voxels.grid.shape
@@ -149,7 +169,7 @@ def solid_of(export: Export) -> tuple[Body, Colours]:
 KINDS: dict[str, Kind] = {
     "splats": Kind(tuple(SPLAT_WRITERS), write_atoms),
     "mesh": Kind((".glb", ".obj", ".3mf"), write_mesh, divides=True),
-    "volume": Kind((".nii.gz", ".nii", ".nrrd", ".zarr", ".zip"), write_volume),
+    "volume": Kind((".nii.gz", ".nii", ".nrrd", ".zarr", STACK), write_volume),
     "particles": Kind((".npz", ".usda", ".usdc"), write_particles),
 }
 """By name. Where several write a suffix, the first is meant unless another is named."""

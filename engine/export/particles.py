@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from engine.errors import InputError
+from engine.export.light import linear_light
 from engine.export.voxels import Voxels
 from engine.io.files import atomic
 from engine.scene.inside import KIND_NAMES
@@ -106,7 +107,7 @@ def _save_usd(path: Path, arrays: dict[str, NDArray[Any]], spacing: float) -> No
     cloud.SetWidthsInterpolation(UsdGeom.Tokens.constant)
     cloud.CreateExtentAttr(UsdGeom.Points.ComputeExtent(cloud.GetPointsAttr().Get(), cloud.GetWidthsAttr().Get()))
     colour = cloud.CreateDisplayColorPrimvar(UsdGeom.Tokens.vertex)
-    colour.Set(Vt.Vec3fArray.FromNumpy(_linear(arrays["colors"])))
+    colour.Set(Vt.Vec3fArray.FromNumpy(linear_light(arrays["colors"])))
     primvars = UsdGeom.PrimvarsAPI(cloud)
     floats, ints = Sdf.ValueTypeNames.FloatArray, Sdf.ValueTypeNames.IntArray
     for name in ("volumes", "masses"):
@@ -118,9 +119,3 @@ def _save_usd(path: Path, arrays: dict[str, NDArray[Any]], spacing: float) -> No
     with atomic(path) as temporary:
         if not stage.GetRootLayer().Export(str(temporary)):
             raise OSError("usd-core did not write it")
-
-
-def _linear(rgb: NDArray[np.generic]) -> NDArray[np.float32]:
-    """(N, 3). Colours in linear light, which USD's displayColor is in, of sRGB (N, 3) in [0, 255]."""
-    part = rgb.astype(np.float64) / 255
-    return np.where(part <= 0.04045, part / 12.92, ((part + 0.055) / 1.055) ** 2.4).astype(np.float32)

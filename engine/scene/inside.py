@@ -20,7 +20,9 @@ class Kind(IntEnum):
     RIND = 2
     """The layers along the skin, as deep as a picture shows them to go all around."""
     THING = 3
-    """Something that ends inside, such as a seed or a pore."""
+    """Something that ends inside, such as a seed, a chamber or a pore."""
+    STRUCTURE = 4
+    """What runs through: a membrane, a core, a crack, a filling."""
 
 
 KIND_NAMES = tuple(kind.name.lower() for kind in Kind)

@@ -41,7 +41,7 @@ CHUNK = 64
 PACKING = 6
 """Level of gzip: 9 takes three times as long for 1 % less."""
 
-KIND_COLOURS = ((0, 0, 0), (230, 120, 90), (240, 220, 120), (90, 60, 40))
+KIND_COLOURS = ((0, 0, 0), (230, 120, 90), (240, 220, 120), (90, 60, 40), (120, 170, 220))
 """By `Kind`."""
 
 WHEN = (1980, 1, 1, 0, 0, 0)
@@ -147,8 +147,8 @@ def _multiscale(name: str, levels: Sequence[Voxels], millimetres: float, channel
 
 
 def _save_stack(path: Path, voxels: Voxels, affine: NDArray[np.float64]) -> list[Path]:
-    """An archive of pictures with transparency, lowest first: what printers that place coloured drops take, after
-    their own program has chosen the drops. Layers lie across the file's third axis."""
+    """An archive of pictures with transparency, lowest first, for printers that place coloured drops. Layers lie across
+    the file's third axis."""
     side = float(np.cbrt(np.linalg.det(affine[:3, :3]))) / MILLIMETRES
     dpi = INCH / side
     alpha = np.where(voxels.kind > 0, 255, 0).astype(np.uint8)

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import io
 import sys
+import zipfile
 from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from app.export_cli import main
 from engine.export.kinds import KINDS
@@ -70,6 +73,19 @@ def test_other_kinds_say_what_they_hold(
     assert said in capsys.readouterr().out and (tmp_path / name).stat().st_size > 100
 
 
+def test_a_stack_of_inks_shows_no_other_colour(
+    trained: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("zarr", reason="the export extra is not installed")
+    out = tmp_path / "a.zip"
+    assert run(monkeypatch, trained, "-o", out, "--step", "0.05", "--inks", "#ffffff, #231f20,#00AEEF") == 0
+    with zipfile.ZipFile(out) as archive:
+        layers = [archive.read(name) for name in archive.namelist() if name.endswith(".png")]
+    rgba = np.stack([np.asarray(Image.open(io.BytesIO(layer))) for layer in layers])
+    shown = np.unique(rgba[rgba[..., 3] > 0], axis=0).tolist()
+    assert len(shown) > 1 and all(c in [[255, 255, 255, 255], [35, 31, 32, 255], [0, 174, 239, 255]] for c in shown)
+
+
 @pytest.mark.parametrize(
     ("options", "line"),
     [
@@ -83,6 +99,9 @@ def test_other_kinds_say_what_they_hold(
         (["-o", "a.obj", "--metres", "nan"], "metres nan: give a length above 0"),
         (["-o", "a.nrrd", "--plane", "1,0,0,9"], "a.nrrd: nothing to save"),
         (["-o", "a.npz", "--step", "1e-6"], "a.npz: 1.1e+18 voxels are too many"),
+        (["-o", "a.zip", "--inks", "#ffffff,red"], "--inks #ffffff,red: give colours as #rrggbb"),
+        (["-o", "a.zip", "--inks", "#ffffff"], "1 inks: give 2 to 16"),
+        (["-o", "a.nrrd", "--inks", "#ffffff,#000000"], "a.nrrd: only a stack for a printer is of inks"),
         (["-o", "melon.ply"], "melon.ply: this is the object itself"),
     ],
 )

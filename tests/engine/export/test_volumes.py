@@ -15,6 +15,7 @@ from scipy.spatial import cKDTree
 
 from engine.errors import InputError
 from engine.export.colours import Colours
+from engine.export.light import linear_light
 from engine.export.particles import DENSITY, particles_of, save_particles
 from engine.export.voxels import Voxels, coarsened, voxels_of
 from engine.scene.grid import Body, Grid
@@ -123,6 +124,34 @@ def test_a_printer_gets_pictures_of_the_stated_resolution(voxels: Voxels, tmp_pa
     assert layer.info["dpi"][0] == pytest.approx(25.4 / 5.0, rel=0.01)
     kept = voxels.kind[:, :, len(names) // 2].T[::-1] > 0
     assert np.array_equal(np.asarray(layer)[..., 3] > 0, kept)
+
+
+def test_inks_add_up_to_the_colour() -> None:
+    """In linear light, in every block and layer, as far as inks can: what they cannot give is the nearest they can."""
+    pytest.importorskip("zarr", reason="the export extra is not installed")
+    from engine.export.volumes.inks import halftoned
+
+    inks = [(0, 174, 239), (236, 0, 140), (255, 242, 0), (35, 31, 32), (255, 255, 255)]
+    light = linear_light(np.array(inks))
+    filled = np.ones((48, 48, 48), bool)
+    filled[:8, :8] = False
+    for colour in ((128, 128, 128), (230, 220, 180), (250, 250, 250)):
+        rgb = np.broadcast_to(np.array(colour, np.uint8), (*filled.shape, 3))
+        drops = halftoned(rgb, filled, inks)
+        shown, wanted = light[drops], linear_light(np.array([colour]))[0]
+        assert not drops[~filled].any()
+        assert np.abs(shown[filled].mean(0) - wanted).max() < 0.008  # two steps of 255 in this light
+        # Drops that fall by chance alone would spread by this much.
+        chance = shown[filled].std(0) / np.sqrt(8**3)
+        blocks = shown[8:, 8:].reshape(5, 8, 5, 8, 6, 8, 3).mean((1, 3, 5)).reshape(-1, 3)
+        assert (blocks.std(0) < 0.7 * chance).all()
+        for axis in range(3):
+            others = tuple(other for other in range(3) if other != axis)
+            assert shown[8:, 8:].mean(others).std(0).max() < 0.01
+    red = halftoned(np.broadcast_to(np.array((255, 0, 0), np.uint8), (24, 24, 24, 3)), filled[8:32, 8:32, :24], inks)
+    assert set(np.unique(red)) == {1, 2}
+    nearest = min(np.linalg.norm(light[1] + t * (light[2] - light[1]) - [1, 0, 0]) for t in np.linspace(0, 1, 101))
+    assert np.linalg.norm(light[red].mean((0, 1, 2)) - [1, 0, 0]) < nearest + 0.02
 
 
 def test_particles_fill_the_body_to_its_ends(voxels: Voxels, tmp_path: Path) -> None:

@@ -16,8 +16,9 @@ from tests.helpers.exemplar_faces import FLESH, RIND, SEED, UP, ball, disc, quie
 from training.families import Family
 from training.priors.exemplar import ExemplarPrior, read_picture
 from training.priors.exemplar.frames import make_space, rim_of, scale_to_voxels
-from training.priors.exemplar.layering.decompose import decompose, rind_depth
-from training.priors.exemplar.patches import FIXED, POLAR
+from training.priors.exemplar.layering.decompose import decompose
+from training.priors.exemplar.patches import FIXED, OVER, POLAR
+from training.priors.exemplar.rind import rind_depth
 from training.priors.prior import Volume
 
 
@@ -334,9 +335,11 @@ def test_a_rind_goes_around(tmp_path: Path) -> None:
     for n, colour in enumerate([(0.8, 0.7, 0.4), (0.8, 0.2, 0.2), (0.9, 0.8, 0.2), (0.3, 0.6, 0.2), (0.8, 0.7, 0.4)]):
         sandwich[20 + 24 * n : 44 + 24 * n, 20:220] = colour
     layered = read_picture(save(tmp_path / "sandwich.png", sandwich), "parallel")
-    assert rind_depth(scale_to_voxels(layered, space, FIXED, area), FIXED) < 0.04
+    scaled = scale_to_voxels(layered, space, FIXED, area)
+    assert rind_depth(scaled.rgb, scaled.depth, OVER, goes_around=True) < 0.04
     melon = read_picture(save(tmp_path / "melon.png", disc()[0]), "horizontal")
-    assert abs(rind_depth(scale_to_voxels(melon, space, POLAR, area), POLAR) - 0.12) < 0.04
+    scaled = scale_to_voxels(melon, space, POLAR, area)
+    assert abs(rind_depth(scaled.rgb, scaled.depth, OVER, goes_around=True) - 0.12) < 0.04
 
 
 def test_rings_are_shells_that_run_along_the_axis(tmp_path: Path) -> None:

@@ -59,6 +59,20 @@ def test_what_lies_in_a_thing_gives_way_to_that_thing() -> None:
         assert np.abs(colour - wanted).max() < 0.05
 
 
+def test_a_star_takes_its_seeds_along() -> None:
+    """Arms full of red seeds: there is nothing calm in them for a seed to give way to, but all of it lies in flesh."""
+    x, y = disc_grid()
+    radius, turn = np.hypot(x, y), np.arctan2(y, x) * 5 / (2 * np.pi)
+    across = np.abs(turn - np.round(turn)) * 2 * np.pi / 5 * radius
+    arms = np.hypot((radius - 0.09) / 0.07, across / 0.035) < 1
+    red = np.sin(np.pi * x / 0.012) * np.sin(np.pi * y / 0.012) > 0
+    rgb = np.where(arms[..., None], np.where(red[..., None], [0.6, 0.1, 0.1], SEED), FLESH).astype(np.float32)
+    made = Relief.of(Disc(rgb), Disc(np.full_like(rgb, 0.1)))
+    there = dark_share(made, 0.2, 0.0)
+    assert there > 0.15
+    assert dark_share(made, 0.2, 0.3) < 0.02 * there
+
+
 def test_what_is_dense_does_not_turn_to_mush() -> None:
     """Cells among cells: their median is the colour of none, so their picture stays as it is."""
     x, y = disc_grid()

@@ -15,9 +15,10 @@ from scipy import ndimage
 from training.priors.exemplar.frames import Frame, ScaledPicture
 from training.priors.exemplar.layering.closed import RUNS_THROUGH, closed_heights
 from training.priors.exemplar.patches import OVER, POLAR, RADIAL
+from training.priors.exemplar.rind import rind_depth
 from training.priors.exemplar.sampling import smoothstep
 
-__all__ = ["Detail", "Layers", "decompose", "rind_depth"]
+__all__ = ["Detail", "Layers", "decompose"]
 
 WINDOW = 0.13
 """Half side of the median window that defines the ground, in inradii: it must be wider than half of any seed
@@ -36,13 +37,6 @@ MAX_ELONGATION = 4.0
 
 LEAST_SHEET = 0.3
 """Surety from which a pixel of a sheet has its colour, and is not the colour of what is around it seen through it."""
-
-LEAST_RIND_CONTRAST = 0.08
-"""RGB distance from the flesh from which a layer along the skin is rind."""
-
-AROUND = 0.9
-"""Share of a layer along the skin that must differ from the flesh under it. Of the rinds of 22 photographs and pictures
-0.95 to 1 does, of the layers of a sandwich or a cake at most 0.87."""
 
 
 @dataclass(frozen=True)
@@ -92,37 +86,12 @@ class Layers:
     """Standard deviation of the texture, and of its slope along the directions a and b, per cell."""
 
 
-def rind_depth(scaled: ScaledPicture, kind: Frame) -> float:
-    """Thickness of the layers along the skin, over the body's inradius.
-
-    Beyond that depth the median colour is that of the flesh, which is sampled at 0.33 to 0.5 inradii. A rind goes
-    around: what differs in colour on two sides only, as bread above and below a filling, is none. In radial pictures
-    that is not asked: what differs near the poles is followed along the skin as a rind is.
-    """
-    step = 0.02
-    inside, deep = scaled.depth > 0, (scaled.depth > 0.33) & (scaled.depth < 0.5)
-    if not deep.any():
-        deep = inside
-    flesh = np.median(scaled.rgb[deep], axis=0)
-    # The flesh under each pixel: layers that end at the skin are the same there.
-    under = ndimage.distance_transform_edt(~deep, return_distances=False, return_indices=True)
-    smooth = ndimage.gaussian_filter(scaled.rgb, (OVER, OVER, 0))
-    differs = np.linalg.norm(smooth - smooth[under[0], under[1]], axis=-1) > LEAST_RIND_CONTRAST
-    for i in range(16, -1, -1):
-        band = (scaled.depth > step * i) & (scaled.depth <= step * (i + 1))
-        if not band.any() or np.linalg.norm(np.median(scaled.rgb[band], axis=0) - flesh) <= LEAST_RIND_CONTRAST:
-            continue
-        if kind == RADIAL or differs[band].mean() >= AROUND:
-            return step * (i + 1.5)
-    return step
-
-
 def decompose(scaled: ScaledPicture, kind: Frame, sheets: NDArray[np.float32] | None = None) -> Layers:
     """Splits a picture into layers. Details and structures both contrast with the ground; details are compact.
 
     `sheets` (H, W): how surely each pixel shows a thin sheet, which is a structure however faint it is. Range [0, 1].
     """
-    rind = rind_depth(scaled, kind)
+    rind = rind_depth(scaled.rgb, scaled.depth, OVER, goes_around=kind != RADIAL)
     core = scaled.depth > rind
     inradius = float(ndimage.distance_transform_edt(scaled.depth > 0).max())  # pixels
     picture = _fill_mirrored(scaled.rgb, core)

@@ -72,7 +72,6 @@ class Extrusion:
     def uncorrected(self, places: Places) -> NDArray[np.float32]:
         """(M, 3). What the picture alone says."""
         sheet, depth, size = self.sheet, places.depth, self.shape.inradius
-        inradius = sheet.inradius * size
         angle = self._angle(places)
         x, y = sheet.position(angle, places.share, depth, size)
         under = (
@@ -80,6 +79,22 @@ class Extrusion:
         )
         rgb = sheet.read(*under, GROUND)
         rgb += self._texture(places, angle, x, y)
+        opacity, through, _ = self._structures(places, angle, x, y)
+        return np.clip(rgb + opacity * (through - rgb), 0, 1)
+
+    def structures(self, places: Places) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+        """(M,) and (M,). Opacity of the structures at points, and whether they end in the body."""
+        angle = self._angle(places)
+        x, y = self.sheet.position(angle, places.share, places.depth, self.shape.inradius)
+        opacity, _, height = self._structures(places, angle, x, y)
+        return opacity[:, 0], height < RUNS_THROUGH
+
+    def _structures(
+        self, places: Places, angle: NDArray[np.floating], x: NDArray[np.float32], y: NDArray[np.float32]
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
+        """(M, 1), (M, 3) and (M,). Opacity, colour and height of structures at points that show the picture at x and
+        y."""
+        sheet, depth = self.sheet, places.depth
         structure = sheet.read(x, y, _STRUCTURES)
         opacity, through, height = structure[:, :1], structure[:, 1:4], structure[:, 4]
         # On a small slice the picture shrinks, but a membrane keeps its thickness.
@@ -100,9 +115,9 @@ class Extrusion:
             opacity[inner, 0] *= opacity_left
             through[inner] = colours
         else:
-            over = np.abs(self._above_own(places)) - height * inradius
+            over = np.abs(self._above_own(places)) - height * (sheet.inradius * self.shape.inradius)
             opacity *= np.where(height < RUNS_THROUGH, 1 - smoothstep(over), 1)[:, None]
-        return np.clip(rgb + opacity * (through - rgb), 0, 1)
+        return opacity, through, height
 
     @property
     def own_normal(self) -> NDArray[np.float64]:

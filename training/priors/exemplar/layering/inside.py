@@ -28,6 +28,9 @@ BLOCK = 100_000
 VISIBLE = 0.05
 """Change of a colour from which a stamp shows: a seed's soft edge belongs to it up to a tenth of its contrast."""
 
+SOLID = 0.5
+"""Opacity from which a structure is there."""
+
 COURSES: dict[str, type[Extrusion] | type[Revolution] | type[Slices]] = {
     "extrusion": Extrusion,
     "revolution": Revolution,
@@ -85,13 +88,16 @@ class LayeredInside:
         return np.clip(rgb, 0, 1)
 
     def kinds(self, points: NDArray[np.floating]) -> NDArray[np.uint8]:
-        """(N,). See `engine.scene.inside.Inside`. A thing is what a stamp paints visibly; pictures that morph into one
-        another have no rind of their own."""
+        """(N,). See `engine.scene.inside.Inside`. A thing is what a stamp paints visibly, or a structure that ends;
+        pictures that morph into one another have no rind or structures of their own."""
         out = np.full(len(points), Kind.INSIDE, np.uint8)
         for start in range(0, len(points), BLOCK):
             cells = (points[start : start + BLOCK] - self.origin) / self.cell
             places, block = self.shape.places(cells), out[start : start + BLOCK]
             if not isinstance(self.course, Slices):
+                opacity, ends = self.course.structures(places)
+                block[opacity > SOLID] = Kind.STRUCTURE
+                block[(opacity > SOLID) & ends] = Kind.THING
                 block[places.depth <= self.course.sheet.rind] = Kind.RIND
             if self.stamps is not None:
                 plain = np.asarray(self.course.read(places), np.float32)

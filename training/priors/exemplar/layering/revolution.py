@@ -63,12 +63,23 @@ class Revolution:
 
     def read(self, places: Places) -> NDArray[np.float32]:
         """(M, 3). Colours. Range [0, 1]."""
-        right = smoothstep(np.cos(places.angle), -OVERLAP, OVERLAP)[:, None]
-        rgb = np.zeros((len(right), 3), np.float32)
-        for side, share in ((1, right), (-1, 1 - right)):
+        rgb = np.zeros((len(places.angle), 3), np.float32)
+        for side, share in self._halves(places):
             rows = np.flatnonzero(share)
-            rgb[rows] += share[rows] * self._half(places.of(rows), side)
+            rgb[rows] += share[rows, None] * self._half(places.of(rows), side)
         return np.clip(rgb, 0, 1)
+
+    def structures(self, places: Places) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+        """(M,) and (M,). Opacity of the structures at points, and whether they end in the body."""
+        opacity = np.zeros(len(places.angle), np.float32)
+        for side, share in self._halves(places):
+            opacity += share * self.sheet.read(*radial_position(self.sheet, places, self.shape, side), STRUCTURE)[:, 0]
+        return opacity, np.zeros(len(opacity), bool)
+
+    def _halves(self, places: Places) -> tuple[tuple[int, NDArray[np.floating]], ...]:
+        """The right half (1) and the left one (-1), each with its share (M,) of what is shown at points."""
+        right = smoothstep(np.cos(places.angle), -OVERLAP, OVERLAP)
+        return (1, right), (-1, 1 - right)
 
     def _half(self, places: Places, side: int) -> NDArray[np.float32]:
         """(M, 3). Colours of the right (side 1) or left (-1) half at points."""

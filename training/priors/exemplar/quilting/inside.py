@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from engine.scene.inside import InsideRecord, Kind
+from engine.scene.inside import InsideRecord
+from engine.threads import side_by_side
 from training.priors.exemplar.frames import Space
 from training.priors.exemplar.quilting.disc import DISC_PIXELS, REACH, BallMap, Disc
-from training.priors.exemplar.quilting.quilt import Quilt, restore_quilt
+from training.priors.exemplar.quilting.kinds import QuiltKinds
+from training.priors.exemplar.quilting.quilt import BLOCK, Quilt, restore_quilt
 from training.priors.exemplar.record import MOST_SEED, MOST_SHEETS, RecordReader
 
 __all__ = ["QuiltInside"]
@@ -63,17 +66,27 @@ class QuiltInside:
 
     def at(self, points: NDArray[np.floating], footprint: float) -> NDArray[np.float32]:
         """(N, 3). See `engine.scene.inside.Inside`."""
-        planar = ((points - self.origin) @ self.basis.T / self.cell).astype(np.float32)
         n = 1
         while n < COARSEST and 2 * n * self.detail <= footprint:
             n *= 2
         if n not in self._reduced:
             self._reduced[n] = self.quilt.reduced(n) if n > 1 else self.quilt
-        return self._reduced[n].read(self.ball.to_ball(planar))
+        return self._reduced[n].read(self.ball.to_ball(self._planar(points)))
 
     def kinds(self, points: NDArray[np.floating]) -> NDArray[np.uint8]:
-        """(N,). INSIDE everywhere: chunks of pictures carry their things along, and nobody said which these are."""
-        return np.full(len(points), Kind.INSIDE, np.uint8)
+        """(N,). See `engine.scene.inside.Inside`."""
+        kinds = self._kinds
+        blocks = [points[start : start + BLOCK] for start in range(0, len(points), BLOCK)]
+        found = side_by_side(lambda block: kinds.at(self.ball.to_ball(self._planar(block))), blocks)
+        return np.concatenate([np.empty(0, np.uint8), *found])
+
+    @cached_property
+    def _kinds(self) -> QuiltKinds:
+        return QuiltKinds(self.quilt)
+
+    def _planar(self, points: NDArray[np.floating]) -> NDArray[np.float32]:
+        """(N, 3). World points (N, 3) along the rows of `basis` from `origin`, in cells."""
+        return ((points - self.origin) @ self.basis.T / self.cell).astype(np.float32)
 
     def record(self) -> InsideRecord:
         """Arrays and JSON facts from which `restored` makes the same inside."""

@@ -40,7 +40,7 @@ from training.priors.exemplar.quilting.texture import TextureField
 from training.priors.exemplar.sampling import read_trilinear, smoothstep
 from training.priors.prior import Progress
 
-__all__ = ["Quilt", "make_quilt", "restore_quilt"]
+__all__ = ["BLOCK", "Quilt", "make_quilt", "restore_quilt"]
 
 log = logging.getLogger(__name__)
 
@@ -111,13 +111,17 @@ class Quilt:
         blocks = [points[start : start + BLOCK] for start in range(0, len(points), BLOCK)]
         return np.concatenate([np.empty((0, 3), np.float32), *side_by_side(self._read, blocks)])
 
-    def _read(self, points: NDArray[np.float32]) -> NDArray[np.float32]:
-        at = _in_cells(points, LEVELS[-1])
-        best, shares = two_nearest(self.chosen, self.number, at, len(self.labels))
+    def nearest(self, points: NDArray[np.float32]) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+        """(M, 2) and (M,). The two labels that are nearest to points (M, 3), and how far they are apart, 0 to 1."""
+        best, shares = two_nearest(self.chosen, self.number, _in_cells(points, LEVELS[-1]), len(self.labels))
         apart = shares[:, 0] - shares[:, 1]
         self._share_crossing(best, apart, points)
+        return best, apart
+
+    def _read(self, points: NDArray[np.float32]) -> NDArray[np.float32]:
+        best, apart = self.nearest(points)
         weight = 0.5 + 0.5 * smoothstep(apart / SEAM_WIDTH)
-        tones = read_trilinear(self.tones, at)
+        tones = read_trilinear(self.tones, _in_cells(points, LEVELS[-1]))
         rgb = np.zeros((len(points), 3), np.float32)
         for labels, share in ((best[:, 0], weight), (best[:, 1], 1 - weight)):
             for n, label in enumerate(self.labels):

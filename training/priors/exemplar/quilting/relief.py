@@ -84,7 +84,9 @@ class Relief:
             heights.append(weight * height + (1 - weight) * (heights[-1] if heights else 0))
             levels.append(enlarged(np.concatenate([after, disc_median(strength.rgb[..., :1], width)], -1)))
             before, start = after, width
-        at = enlarged(np.stack(heights, -1).astype(np.float32)) / ROUND
+        # What closes takes along what lies in it.
+        ends = np.minimum.accumulate(np.stack(heights[::-1], -1), axis=-1)[..., ::-1]
+        at = enlarged(ends.astype(np.float32)) / ROUND
         return cls(np.stack(levels).astype(np.float32), at.astype(np.float32))
 
     def read(
