@@ -55,6 +55,7 @@ bench: $(READY)
 	$(BIN)/python -m benchmarks.fidelity
 	$(BIN)/python -m benchmarks.presets
 	$(BIN)/python -m benchmarks.stability
+	$(BIN)/python -m benchmarks.worn_captures
 	$(BIN)/python -m benchmarks.large
 	$(BIN)/python -m benchmarks.batch_scaling
 	$(BIN)/python -m benchmarks.frozen_geometry

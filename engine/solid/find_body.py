@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
+from scipy.spatial import cKDTree
 
 from engine.errors import InputError
 from engine.scene.gaussians import Gaussians
-from engine.scene.grid import Body
+from engine.scene.grid import Body, Grid
 from engine.solid.denoise_capture import WALL_OPACITY, grid_around, without_haze
 from engine.solid.distance_transform import within
 from engine.solid.enclosure import enclosed_cells
 from engine.solid.opacity_field import opacity_field
 from engine.solid.signed_distance import signed_depth
+from engine.threads import cores
 
 __all__ = ["Enclosure", "find_body"]
 
@@ -41,6 +44,17 @@ MIN_SIZE = 0.01
 """Share of the largest hollow's cells. Smaller hollows are gaps between leaves or debris, not bodies."""
 
 
+GAIN = 0.1
+"""Part of the Gaussians. As many more at the skin of what is found when Gaussians reach their neighbours say that there
+were gaps: whole captures gain 0.06 at most, those that are too thin to enclose anything 0.2 to 1."""
+
+NEIGHBOURS, REACH = 6, 0.7
+"""How many neighbours lie around a Gaussian of a skin, and how far it reaches towards the farthest of them, as a
+standard deviation over that distance. Eight captures thinned at random to a tenth then enclose 0.96 to 1.10 of what
+they did; with 0.5 0.68 to 1.01, with 1 1.04 to 1.5. Whole captures of thin things grow by it, so it is not always done.
+"""
+
+
 @dataclass(frozen=True)
 class Enclosure:
     """The body that a capture encloses, and the shell that encloses it."""
@@ -58,8 +72,9 @@ def find_body(gaussians: Gaussians, cells: int = 128, name: str = "scene") -> En
     """The solid that a shell of Gaussians encloses, on a grid of `cells` cells along the longest side.
 
     Everything inside the outermost shell is solid: debris and inner shells were never visible, so they are no evidence.
-    A leaking shell is closed where rays and caps take a hollow for inside (engine.solid.enclosure). A single sheet (a
-    mat, a leaf) encloses nothing.
+    A leaking shell is closed where rays and caps take a hollow for inside (engine.solid.enclosure). One with gaps all
+    over, such as a thinned capture, is closed by taking its Gaussians to reach their neighbours. A single sheet (a mat,
+    a leaf) encloses nothing.
     Memory: about 60 bytes per cell, so 0.2 GB for 128 and 1.1 GB for 256, whatever the number of Gaussians.
     Raises InputError if nothing is enclosed.
     """
@@ -72,25 +87,68 @@ def find_body(gaussians: Gaussians, cells: int = 128, name: str = "scene") -> En
     grid = grid_around(shell, cells)
     if grid is None:
         raise InputError(f"{name}: no closed body found; all Gaussians stand at one point")
-    opacity = opacity_field(shell, grid, WIDEN * grid.cell)
+    found = _enclosed(shell, shell, grid)
+    part = _part_of_skin(shell, found, grid)
+    if part < 1 - GAIN:
+        closer = _enclosed(reaching_neighbours(shell), shell, grid)
+        if _part_of_skin(shell, closer, grid) > part + GAIN:
+            found = closer
+            notes.append("there are gaps between its Gaussians: each was taken to reach its neighbours")
+    if found is None:
+        raise InputError(
+            f"{name}: no closed body found; the {len(shell)} Gaussians enclose nothing (flat, too open or too thin)"
+        )
+    opacity, inside, depth, cap_faces = found
+    if cap_faces >= 1e-3 * np.count_nonzero(inside ^ ndimage.binary_erosion(inside)):
+        skin_faces = np.count_nonzero(inside) - np.count_nonzero(ndimage.binary_erosion(inside))
+        notes.append(f"the shell is open: holes, {cap_faces / (cap_faces + skin_faces):.1%} of its skin, were closed")
+    enclosing = float((depth[opacity >= CORE_OPACITY] > -SKIN * grid.cell).mean())
+    if enclosing < 0.5:
+        notes.append(f"only {enclosing:.0%} of what is shown encloses an inside; the rest is a skin without one")
+    body = Body(grid, np.ascontiguousarray(depth))
+    return Enclosure(body, shell, opacity, tuple(notes))
+
+
+class _Found(NamedTuple):
+    """What a shell encloses."""
+
+    opacity: NDArray[np.float32]
+    """(X, Y, Z). The field whose walls enclose it."""
+    inside: NDArray[np.bool_]
+    """(X, Y, Z)."""
+    depth: NDArray[np.float32]
+    """(X, Y, Z). Under the skin, in world units."""
+    cap_faces: float
+    """Area of what closes holes, in cell faces."""
+
+
+def _enclosed(walls: Gaussians, shell: Gaussians, grid: Grid) -> _Found | None:
+    """What `walls` enclose under the skin of a shell; None if nothing."""
+    opacity = opacity_field(walls, grid, WIDEN * grid.cell)
     wall = _walls(opacity)
     closed, cap_faces = enclosed_cells(wall)
     inside = _drop_fragments(_trim_outer_wall(closed, wall))
     if not inside.any():
-        raise InputError(
-            f"{name}: no closed body found; the {len(shell)} Gaussians enclose nothing (flat, too open or too thin)"
-        )
+        return None
     depth = signed_depth(inside, shell, grid)
-    depth = np.where(_drop_fragments(depth > 0) | (depth <= 0), depth, -np.abs(depth))
-    if cap_faces >= 1e-3 * np.count_nonzero(inside ^ ndimage.binary_erosion(inside)):
-        skin_faces = np.count_nonzero(inside) - np.count_nonzero(ndimage.binary_erosion(inside))
-        notes.append(f"the shell is open: holes, {cap_faces / (cap_faces + skin_faces):.1%} of its skin, were closed")
-    opaque = opacity >= CORE_OPACITY
-    enclosing = float((depth[opaque] > -SKIN * grid.cell).mean())
-    if enclosing < 0.5:
-        notes.append(f"only {enclosing:.0%} of what is shown encloses an inside; the rest is a skin without one")
-    body = Body(grid, np.ascontiguousarray(depth, np.float32))
-    return Enclosure(body, shell, opacity, tuple(notes))
+    depth = np.where(_drop_fragments(depth > 0) | (depth <= 0), depth, -np.abs(depth)).astype(np.float32)
+    return _Found(opacity, inside, depth, cap_faces)
+
+
+def _part_of_skin(shell: Gaussians, found: _Found | None, grid: Grid) -> float:
+    """Of the Gaussians, those at the skin of what was found, or under it."""
+    return 0.0 if found is None else float((Body(grid, found.depth).at(shell.means) > -SKIN * grid.cell).mean())
+
+
+def reaching_neighbours(gaussians: Gaussians) -> Gaussians:
+    """The Gaussians, wide enough along their skin to meet those beside them: a thinned capture, or a mesh sampled by
+    few, has gaps wider than any cell. Their shortest axis, across the skin, stays."""
+    number = min(NEIGHBOURS + 1, len(gaussians))  # each is its own nearest
+    away = cKDTree(gaussians.means).query(gaussians.means, k=[number], workers=cores())[0]
+    along = gaussians.scales > gaussians.scales.min(1, keepdims=True)
+    along[~along.any(1), :2] = True  # balls have no skin to lie along: two of their axes will do
+    wide = np.maximum(gaussians.scales, (REACH * away).astype(np.float32))
+    return replace(gaussians, scales=np.where(along, wide, gaussians.scales))
 
 
 def _walls(opacity: NDArray[np.float32]) -> NDArray[np.bool_]:

@@ -221,6 +221,29 @@ def test_a_thin_plate_is_a_solid(thickness: float) -> None:
     assert abs(body.volume / (np.pi * 0.25 * thickness) - 1) < 0.05
 
 
+def thinned(whole: Gaussians, part: float) -> Gaussians:
+    """A part of the Gaussians, at random."""
+    return whole[np.sort(np.random.default_rng(0).choice(len(whole), round(part * len(whole)), replace=False))]
+
+
+@pytest.mark.parametrize("part", [0.3, 0.1, 0.03])
+def test_a_thinned_shell_encloses_what_the_whole_one_does(part: float) -> None:
+    """Gaps of many cells between its Gaussians, which are as small as before."""
+    found = find_body(thinned(sphere(30000), part), cells=96)
+    assert abs(found.body.volume / (4 / 3 * np.pi) - 1) < 0.08
+    assert any("gaps" in note for note in found.notes) == (part < 0.3)
+
+
+@pytest.mark.parametrize("name", ["meshgs_orange_30k.ply", "tarot_box_capture.ply", "plant.splat"])
+def test_a_tenth_of_a_capture_encloses_what_all_of_it_does(name: str) -> None:
+    path = SHARED / "splats" / name
+    if not path.exists():
+        pytest.skip("the shared captures are not here")
+    whole = load(path).gaussians
+    volume = find_body(whole).body.volume
+    assert abs(find_body(thinned(whole, 0.1)).body.volume / volume - 1) < 0.08
+
+
 @pytest.mark.parametrize(
     "scene",
     [
