@@ -112,7 +112,7 @@ def _things(relief: Relief, rind: float) -> NDArray[np.floating]:
     pixels = round(NARROWEST * DISC_PIXELS / (2 * REACH))
     y, x = np.ogrid[-pixels : pixels + 1, -pixels : pixels + 1]
     parts, _ = ndimage.label(ndimage.binary_opening(until > 0, x * x + y * y <= pixels * pixels))
-    ends = np.isin(parts, parts[np.hypot(*disc_grid()) > 1 - rind], invert=True)
+    ends = (parts > 0) & ~np.isin(parts, parts[np.hypot(*disc_grid()) > 1 - rind])
     return np.where(ends, until, -1)
 
 
