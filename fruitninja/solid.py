@@ -273,8 +273,8 @@ class Solid:
 
         `kind`: splats, mesh, volume or particles, where the name's ending does not tell. `pieces`: both sides of all
         its planes, each an object of its own; meshes. `step`: units of the file between texels, voxels or particles.
-        `metres`: length of a unit. `inks`: sRGB, range [0, 255], of a printer's materials, of one of which each voxel
-        of a stack (.zip) is then. docs/EXPORT.md says what is in the files.
+        `metres`: length of a unit. `inks`: what a printer's materials look like, sRGB, range [0, 255]: each voxel of a
+        stack (.zip) is then one of them. docs/EXPORT.md says what is in the files.
         """
         whole = self._whole
         wanted = pieces, step, metres, tuple(inks)
