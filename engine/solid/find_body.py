@@ -90,7 +90,7 @@ def find_body(gaussians: Gaussians, cells: int = 128, name: str = "scene") -> En
     found = _enclosed(shell, shell, grid)
     part = _part_of_skin(shell, found, grid)
     if part < 1 - GAIN:
-        closer = _enclosed(reaching_neighbours(shell), shell, grid)
+        closer = _enclosed(_reaching_neighbours(shell), shell, grid)
         if _part_of_skin(shell, closer, grid) > part + GAIN:
             found = closer
             notes.append("there are gaps between its Gaussians: each was taken to reach its neighbours")
@@ -140,7 +140,7 @@ def _part_of_skin(shell: Gaussians, found: _Found | None, grid: Grid) -> float:
     return 0.0 if found is None else float((Body(grid, found.depth).at(shell.means) > -SKIN * grid.cell).mean())
 
 
-def reaching_neighbours(gaussians: Gaussians) -> Gaussians:
+def _reaching_neighbours(gaussians: Gaussians) -> Gaussians:
     """The Gaussians, wide enough along their skin to meet those beside them: a thinned capture, or a mesh sampled by
     few, has gaps wider than any cell. Their shortest axis, across the skin, stays."""
     number = min(NEIGHBOURS + 1, len(gaussians))  # each is its own nearest
