@@ -46,7 +46,7 @@ MIN_SIZE = 0.01
 
 GAIN = 0.1
 """Part of the Gaussians. As many more at the skin of what is found when Gaussians reach their neighbours say that there
-were gaps: whole captures gain 0.06 at most, those that are too thin to enclose anything 0.2 to 1."""
+were gaps: whole captures gain 0.06 at most, thinned ones of which a part or nothing was found 0.13 to 1."""
 
 NEIGHBOURS, REACH = 6, 0.7
 """How many neighbours lie around a Gaussian of a skin, and how far it reaches towards the farthest of them, as a
