@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,10 +16,12 @@ from training.priors.exemplar import ExemplarPrior
 from training.priors.exemplar.pictures import read_picture
 from training.priors.exemplar.quilting import quilt
 from training.priors.exemplar.quilting.disc import Disc, disc_grid
-from training.priors.exemplar.quilting.grains import Grains
 from training.priors.exemplar.quilting.inside import QuiltInside
 from training.priors.exemplar.quilting.labels import made_of_grains
-from training.priors.exemplar.quilting.packing import NEAR, SECTION, Packing, pack_grains
+from training.priors.exemplar.quilting.things.candidates import SECTION, Candidates, strewn
+from training.priors.exemplar.quilting.things.grains import Grains
+from training.priors.exemplar.quilting.things.packing import NEAR, Packing, pack
+from training.priors.exemplar.quilting.things.stamps import Things
 
 PALE, DARK = np.array([0.9, 0.7, 0.6], np.float32), np.array([0.5, 0.1, 0.1], np.float32)
 NEVER = np.full((*disc_grid()[0].shape, 1), 2.0, np.float32)
@@ -62,48 +63,55 @@ def test_few_things_on_calm_ground_are_no_grains() -> None:
 
 def packed(radius: float, seed: int = 0) -> Packing:
     """Of a radial picture full of grains, wherever they fit."""
-    grains = Grains.of(drawn(laid_out(2.1 * radius), radius), NEVER)
-    made = pack_grains([], [grains], lambda middles, radii: np.ones(len(radii), bool), np.random.default_rng(seed))
+    disc = drawn(laid_out(2.1 * radius), radius)
+    things, rng = [Grains.of(disc, NEVER).things(disc)], np.random.default_rng(seed)
+    made = pack(things, [], strewn(things, 0, rng), lambda tried: np.ones(len(tried.stamps), bool), rng)
     assert made is not None
     return made
 
 
 def test_balls_are_cut_as_large_as_the_picture_shows_grains() -> None:
     """The mean radius of a ball's cuts by random planes is a quarter of pi of its own."""
-    made = packed(0.05)
+    laid = packed(0.05).laid
     rng = np.random.default_rng(0)
     distance = rng.uniform(-0.5, 0.5, (200, 1))
     normal = rng.standard_normal((200, 3))
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    off = np.abs(normal @ made.centres.T - distance)
-    cut = off < made.radii
-    sections = np.sqrt(np.square(made.radii) - off**2, where=cut, out=np.zeros_like(off))
+    off = np.abs(normal @ laid.middles.T - distance)
+    cut = off < laid.radii
+    sections = np.sqrt(np.square(laid.radii) - off**2, where=cut, out=np.zeros_like(off))
     shown = Grains.of(drawn(laid_out(0.105), 0.05), NEVER).radii
     assert sections[cut].mean() == pytest.approx(shown.mean(), rel=0.05)
 
 
 def test_balls_lie_apart_and_fill_what_they_may() -> None:
     made = packed(0.05)
-    for n in range(0, len(made.radii), 50):
-        away = np.linalg.norm(made.centres - made.centres[n], axis=1)
+    middles, radii = made.laid.middles, made.laid.radii
+    for n in range(0, len(radii), 50):
+        away = np.linalg.norm(middles - middles[n], axis=1)
         away[n] = np.inf
-        assert (away >= NEAR * (made.radii + made.radii[n]) - 1e-5).all()
+        assert (away >= NEAR[1] * (radii + radii[n]) - 1e-5).all()
     points = np.random.default_rng(1).uniform(-0.5, 0.5, (20_000, 3)).astype(np.float32)
-    _, cover = made.read(points, [drawn(laid_out(0.105), 0.05)])
+    _, cover = made.read(points)
     assert cover.mean() > 0.7
 
 
 def test_a_ball_shows_a_grain_from_its_middle_to_its_rim() -> None:
     """As dark in every direction as the grain is at that distance, whatever plane cuts it."""
     radius = 0.05
-    made, picture = packed(radius), drawn(np.zeros((1, 2)), radius)
+    picture, axes = drawn(np.zeros((1, 2)), radius), np.full((1, 2), radius)
+    things = Things.of(picture, np.zeros((1, 2)), axes, np.zeros(1))
+    frame = np.eye(3, dtype=np.float32)
+    one = Candidates(
+        frame[:1] * 0, np.float32(SECTION * axes), frame[:1], frame[1:2], np.zeros(1, int), np.ones(1, bool)
+    )
+    made = pack([things], [one], one.chosen(np.zeros(0, int)), lambda tried: tried.are_close, np.random.default_rng(0))
+    assert made is not None
     direction = np.random.default_rng(2).standard_normal((500, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    middle = replace(made, places=np.zeros_like(made.places))
     for share in (0.3, 0.6):
-        points = made.centres[0] + share * SECTION * radius * direction
-        best = np.zeros(len(points), np.int64)
-        shown = middle._shown(points.astype(np.float32), best, [picture])
+        shown, cover = made.read((share * SECTION * radius * direction).astype(np.float32))
+        assert cover.min() == 1
         wanted = PALE + np.sqrt(1 - share**2) * (DARK - PALE)
         # But on the line across the picture's plane, where it is the grain's middle.
         assert np.quantile(np.abs(shown - wanted).max(1), 0.95) < 0.06

@@ -15,11 +15,10 @@ from scipy import ndimage
 
 from engine.scene.inside import Kind
 from training.priors.exemplar.quilting.chunks import Ball
-from training.priors.exemplar.quilting.disc import DISC_PIXELS, REACH, Disc, disc_grid, ring_medians, to_pixels
+from training.priors.exemplar.quilting.disc import DISC_PIXELS, REACH, Disc, disc_grid, to_pixels
 from training.priors.exemplar.quilting.labels import Source
 from training.priors.exemplar.quilting.quilt import Quilt
 from training.priors.exemplar.quilting.relief import Relief
-from training.priors.exemplar.rind import FLESH, rind_depth
 
 __all__ = ["QuiltKinds"]
 
@@ -39,12 +38,6 @@ LEAST_SHEET = 0.3
 GRAIN = 0.5
 """Part of a place that a grain covers from which it belongs to it."""
 
-RINGS = 50
-"""In which a rind's colours are compared with the flesh."""
-
-RIND_BLUR = 3.0
-"""Standard deviation in pixels of a disc under which they are: a hundredth of a radius."""
-
 
 @dataclass(frozen=True)
 class _Face:
@@ -57,15 +50,14 @@ class _Face:
     """(P, P). Distance in radii from its plane up to which each pixel shows a thing; below 0 where there is none."""
 
     @classmethod
-    def of(cls, source: Source, is_horizontal: bool) -> _Face:
-        rind = _rind(source.disc, is_horizontal)
-        until = _things(source.relief, rind)
+    def of(cls, source: Source) -> _Face:
+        until = _things(source.relief, source.rind)
         grains = source.grains
         x, y = disc_grid()
         for (u, v), radius in zip(grains.places, grains.radii, strict=True):
             away = np.square(x - u) + np.square(y - v)
             until = np.maximum(until, np.sqrt(np.maximum(radius * radius - away, 0)) - (away >= radius * radius))
-        return cls(rind, source.sheets, until.astype(np.float32))
+        return cls(source.rind, source.sheets, until.astype(np.float32))
 
     def at(self, x: NDArray[np.floating], y: NDArray[np.floating], distance: NDArray[np.floating]) -> NDArray[np.uint8]:
         """(M,). The kinds at places (M,), (M,) and distances (M,) from the plane."""
@@ -81,8 +73,8 @@ class QuiltKinds:
 
     def __init__(self, quilt: Quilt) -> None:
         self._quilt = quilt
-        families = {True: quilt.across, False: quilt.along}
-        self._faces = {h: [_Face.of(source, h) for source in family] for h, family in families.items()}
+        shown = {id(source): source for label in quilt.labels for source in label.sources}
+        self._faces = {key: _Face.of(source) for key, source in shown.items()}
 
     def at(self, points: NDArray[np.float32]) -> NDArray[np.uint8]:
         """(M,). The `Kind` at points (M, 3) of the unit ball, never OUTSIDE."""
@@ -92,11 +84,11 @@ class QuiltKinds:
         for n, label in enumerate(quilt.labels):
             rows = np.flatnonzero(nearest == n)
             places = label.chunks.places(Ball.of(points[rows]))
-            for m, face in enumerate(self._faces[label.is_horizontal]):
-                of_it = places.picture == m
+            for m, source in enumerate(label.sources):
+                face, of_it = self._faces[id(source)], places.picture == m
                 out[rows[of_it]] = face.at(places.x[of_it], places.y[of_it], places.distance[of_it])
         if quilt.packing is not None:
-            _, cover = quilt.packing.read(points, [source.even for source in [*quilt.across, *quilt.along]])
+            _, cover = quilt.packing.read(points)
             out[cover > GRAIN] = Kind.THING
         return out
 
@@ -114,13 +106,3 @@ def _things(relief: Relief, rind: float) -> NDArray[np.floating]:
     parts, _ = ndimage.label(ndimage.binary_opening(until > 0, x * x + y * y <= pixels * pixels))
     ends = (parts > 0) & ~np.isin(parts, parts[np.hypot(*disc_grid()) > 1 - rind])
     return np.where(ends, until, -1)
-
-
-def _rind(disc: Disc, is_horizontal: bool) -> float:
-    """Depth in radii of the layers along the rim: to where half of their contrast with the flesh is left."""
-    depth = np.maximum(1 - np.hypot(*disc_grid()), 0)
-    deepest = rind_depth(disc.rgb, depth, RIND_BLUR, goes_around=is_horizontal)
-    colours = ring_medians(disc, RINGS)[::-1]
-    flesh = colours[int(FLESH[0] * RINGS) : int(FLESH[1] * RINGS)].mean(0)
-    contrast = np.linalg.norm(colours - flesh, axis=1)[: max(round(deepest * RINGS), 1)]
-    return (np.flatnonzero(contrast >= contrast.max() / 2)[-1] + 1) / RINGS

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,10 +17,13 @@ from training.priors.exemplar.quilting.disc import (
     ring_medians,
     smooth_disc,
 )
-from training.priors.exemplar.quilting.grains import Grains
 from training.priors.exemplar.quilting.persistence import Persistence, find_sheets
 from training.priors.exemplar.quilting.relief import Relief
 from training.priors.exemplar.quilting.texture import Parts, take_apart
+from training.priors.exemplar.quilting.things.grains import Grains
+from training.priors.exemplar.quilting.things.seeds import Seeds
+from training.priors.exemplar.quilting.things.stamps import Things
+from training.priors.exemplar.rind import FLESH, rind_depth
 from training.priors.exemplar.strata import beside_own
 
 __all__ = ["Label", "Source", "distance_across", "made_of_grains", "read_discs"]
@@ -29,6 +33,12 @@ FINE_RINGS, LARGEST = 64, 0.16
 
 BLUR = 0.02
 """Standard deviation in radii of the blur under which colours are looked for nearby: texture is none of them."""
+
+RINGS = 50
+"""In which a rind's colours are compared with the flesh."""
+
+RIND_BLUR = 3.0
+"""Standard deviation in pixels of a disc under which they are: a hundredth of a radius."""
 
 TONE = 0.05
 """Standard deviation in radii of the blur under which colours are tones: wider than seeds and texture."""
@@ -57,7 +67,34 @@ class Source:
     persistence: Persistence
     sheets: Disc
     """The same surety in all three channels; 0 for radial pictures."""
+    rind: float
+    """Depth in radii of the layers along the rim."""
     grains: Grains
+    seeds: Seeds
+
+    @property
+    def things(self) -> Things:
+        """What of it is laid whole."""
+        made = self.grains if len(self.grains.radii) else self.seeds
+        return made.things(self.even)
+
+    @cached_property
+    def bare(self) -> Source:
+        """The same picture without its seeds, which are laid anew. For chunks away from its own plane."""
+        if not len(self.seeds.places):
+            return self
+        without = self.seeds.removed_from
+        even, things = Disc(without(self.even.rgb)), Disc(without(self.parts.things.rgb))
+        relief = replace(self.relief, levels=np.stack([without(level) for level in self.relief.levels]))
+        return replace(
+            self,
+            even=even,
+            parts=replace(self.parts, things=things),
+            relief=relief,
+            closed=Disc(self.closed.rgb * (1 - self.seeds.halo[..., None])),
+            blurred=smooth_disc(Disc(without(self.disc.rgb)), BLUR),
+            tones=smooth_disc(even, TONE),
+        )
 
     def reduced(self, n: int) -> Source:
         """The same picture with pixels n times as large, as far as it is shown."""
@@ -71,6 +108,7 @@ class Source:
         persistence = Persistence(disc)
         sheets = find_sheets(disc, persistence) if is_horizontal else np.zeros(disc.rgb.shape[:2], np.float32)
         even, parts, relief, grains = _look_closely(disc, is_horizontal)
+        rind = _rind(disc, is_horizontal)
         return cls(
             disc,
             even,
@@ -81,8 +119,20 @@ class Source:
             smooth_disc(even, TONE),
             persistence,
             Disc(np.repeat(sheets[..., None], 3, -1)),
+            rind,
             grains,
+            Seeds.of(relief, is_horizontal, rind) if not len(grains.radii) else Seeds.none(),
         )
+
+
+def _rind(disc: Disc, is_horizontal: bool) -> float:
+    """Depth in radii of the layers along the rim: to where half of their contrast with the flesh is left."""
+    depth = np.maximum(1 - np.hypot(*disc_grid()), 0)
+    deepest = rind_depth(disc.rgb, depth, RIND_BLUR, goes_around=is_horizontal)
+    colours = ring_medians(disc, RINGS)[::-1]
+    flesh = colours[int(FLESH[0] * RINGS) : int(FLESH[1] * RINGS)].mean(0)
+    contrast = np.linalg.norm(colours - flesh, axis=1)[: max(round(deepest * RINGS), 1)]
+    return (np.flatnonzero(contrast >= contrast.max() / 2)[-1] + 1) / RINGS
 
 
 def _look_closely(disc: Disc, is_horizontal: bool) -> tuple[Disc, Parts, Relief, Grains]:

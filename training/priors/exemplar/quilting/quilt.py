@@ -20,6 +20,7 @@ from scipy import ndimage
 from engine.threads import side_by_side
 from training.priors.exemplar.quilting.choice import REGIONS, Regions, closed_of, weigh_labels
 from training.priors.exemplar.quilting.chunks import (
+    OWN_AZIMUTHS,
     SECTOR_SETS,
     SLABS,
     Ball,
@@ -34,9 +35,11 @@ from training.priors.exemplar.quilting.disc import (
     match_light,
 )
 from training.priors.exemplar.quilting.labels import Label, Source, distance_across
-from training.priors.exemplar.quilting.packing import REACHES, Packing, pack_grains
 from training.priors.exemplar.quilting.seams import improve_labels, two_nearest
 from training.priors.exemplar.quilting.texture import TextureField
+from training.priors.exemplar.quilting.things.candidates import Candidates, in_own_planes, strewn
+from training.priors.exemplar.quilting.things.packing import REACHES, Packing, pack
+from training.priors.exemplar.quilting.things.stamps import Things
 from training.priors.exemplar.sampling import read_trilinear, smoothstep
 from training.priors.prior import Progress
 
@@ -82,6 +85,13 @@ GRAIN_COVER = 0.5
 GRAIN_STEPS = 0.6 * np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)]).astype(np.float32)
 """Places in a ball, over its radius, at which that is looked for."""
 
+HEIGHTS, ANYWHERE = 0.1, 0.05
+"""Standard deviation in radii of the heights of a horizontal picture's seeds around those of radial ones, as the halves
+of a fruit differ by as much; and how likely, against that, they are anywhere else."""
+
+UNLIKE = 0.3
+"""RGB distance up to which what a seed is laid in is like what it lay in: texture is within it, a rind is not."""
+
 BLOCK = 50_000
 """Points that are read at once: their arrays stay in the cache, which takes a third off the time of 400,000."""
 
@@ -99,12 +109,10 @@ class Quilt:
     """Of horizontal pictures (True) and of radial ones, as far as there are any."""
     tones: NDArray[np.float32]
     """(X, Y, Z, 3). Tones at the cells without steps at seams."""
-    across: list[Source]
-    """Of the horizontal pictures."""
-    along: list[Source]
-    """Of the radial ones."""
+    things: list[Things]
+    """Of the pictures, to be laid whole."""
     packing: Packing | None
-    """Of their grains, where they have any."""
+    """Of these things, where there are any."""
 
     def read(self, points: NDArray[np.float32]) -> NDArray[np.float32]:
         """(M, 3). Colours at points (M, 3) of the unit ball along e1, e2, up. Range [0, 1]."""
@@ -128,8 +136,8 @@ class Quilt:
                 rows = np.flatnonzero((labels == n) & (share > 0))
                 rgb[rows] += share[rows, None] * self._shown(label, points[rows], tones[rows])
         if self.packing is not None:
-            grains, cover = self.packing.read(points, [source.even for source in [*self.across, *self.along]])
-            rgb += cover[:, None] * (grains - rgb)
+            things, cover = self.packing.read(points)
+            rgb += things - cover[:, None] * rgb
         return np.clip(rgb, 0, 1)
 
     def _shown(self, label: Label, points: NDArray[np.float32], tones: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -146,10 +154,12 @@ class Quilt:
 
     def reduced(self, n: int) -> Quilt:
         """The same inside of pictures with pixels n times as large."""
-        across, along = ([source.reduced(n) for source in family] for family in (self.across, self.along))
-        labels = [replace(label, sources=across if label.is_horizontal else along) for label in self.labels]
+        coarse = {id(s): s.reduced(n) for label in self.labels for s in label.sources}
+        labels = [replace(label, sources=[coarse[id(s)] for s in label.sources]) for label in self.labels]
         textures = {k: t.reduced(n) for k, t in self.textures.items()}
-        return replace(self, labels=labels, textures=textures, across=across, along=along)
+        things = [t.reduced(n) for t in self.things]
+        packing = None if self.packing is None else self.packing.reduced(things)
+        return replace(self, labels=labels, textures=textures, packing=packing, things=things)
 
     def _share_crossing(self, best: NDArray[np.int32], apart: NDArray[np.float32], points: NDArray[np.float32]) -> None:
         """Gives points (M, 3) close to own planes of both families to the nearer one: as cells, one plane would cut a
@@ -187,7 +197,7 @@ def make_quilt(
             nearest, _ = two_nearest(before, coarse, _in_cells(points, LEVELS[step - 1]), len(labels))
             chosen = nearest[:, 0].copy()
         regions = Regions.of(ball)
-        wanted = regions.means(closed_of(along or across, ball, not along))
+        wanted = regions.means(closed_of([source.bare for source in along or across], ball, not along))
         for _ in range(STEPS):
             shown = regions.means(np.take_along_axis(at_cells.closed, chosen[:, None], 1)[:, 0])
             ratio = (wanted + 1e-4) / (shown + 1e-4)
@@ -243,41 +253,71 @@ def _assembled(
         if sources
     }
     tones = _blended_tones(labels, ball, number, chosen)
-    packing = _packed(labels, across, along, seed, number, chosen, ball)
-    return Quilt(labels, number, chosen, textures, tones, across, along, packing)
+    things = [source.things for source in [*across, *along]]
+    own = [source.seeds.things(source.disc) for source in [*across[:1], *along[:OWN_AZIMUTHS]]]  # in their own light
+    ground = Quilt(labels, number, chosen, textures, tones, [*things, *own], None)
+    return replace(ground, packing=_packed(ground, things, own, across, along, seed, ball))
 
 
 def _packed(
-    labels: list[Label],
+    ground: Quilt,
+    things: list[Things],
+    own: list[Things],
     across: list[Source],
     along: list[Source],
     seed: int,
-    number: NDArray[np.int32],
-    chosen: NDArray[np.int32],
     ball: Ball,
 ) -> Packing | None:
-    """The pictures' grains as balls, where both the chosen chunks and the radial pictures show some, and out of the
-    own planes."""
-    horizontal, radial = ([source.grains for source in family] for family in (across, along))
-    if not any(len(grains.radii) for grains in [*horizontal, *radial]):
+    """The pictures' things as solids in what is quilted: their `own` seeds where they show them, and out of the own
+    planes grains where both the chosen chunks and the radial pictures show some, and seeds where they lie in what they
+    lay in, at the heights of those of radial pictures."""
+    if not any(len(some.places) for some in things):
         return None
-    cover = np.zeros(number.shape, np.float32)
-    cover[number >= 0] = _grain_cover(labels, chosen, ball)
+    rng = np.random.default_rng([seed, 6])
+    planes = [label for label in ground.labels if label.is_own]
+    cover = np.zeros(ground.number.shape, np.float32)
+    cover[ground.number >= 0] = _grain_cover(ground.labels, ground.chosen, ball)
+    both = zip([*across, *along], things, strict=True)
+    around_them = np.concatenate([source.bare.tones.read(*some.places.T) for source, some in both])
+    first_radial = sum(len(some.places) for some in things[: len(across)])
 
-    def is_free(middles: NDArray[np.float32], radii: NDArray[np.float32]) -> NDArray[np.bool_]:
-        around = [
-            ndimage.map_coordinates(cover, _in_cells(middles + step * radii[:, None], LEVELS[-1]).T, order=1)
-            for step in GRAIN_STEPS
-        ]
-        free = np.mean(around, axis=0) > GRAIN_COVER
-        there = Ball.of(middles)
-        for label in labels:
-            if label.is_own:
-                free &= label.chunks.places(there).distance > REACHES * radii
-        seen = [g.cover_at(side * there.radius, middles[:, 2]) for g in radial for side in (1, -1)]
-        return free & (np.max(seen, axis=0) > GRAIN_COVER) if seen else free
+    def holds_grains(tried: Candidates) -> NDArray[np.bool_]:
+        near = [_in_cells(tried.middles + step * tried.radii[:, None], LEVELS[-1]).T for step in GRAIN_STEPS]
+        around = [ndimage.map_coordinates(cover, at, order=1) for at in near]
+        there = Ball.of(tried.middles)
+        seen = [s.grains.cover_at(side * there.radius, tried.middles[:, 2]) for s in along for side in (1, -1)]
+        full = np.mean(around, axis=0) > GRAIN_COVER
+        return full & (np.max(seen, axis=0) > GRAIN_COVER) if seen else full
 
-    return pack_grains(horizontal, radial, is_free, np.random.default_rng([seed, 6]))
+    def holds_seeds(tried: Candidates) -> NDArray[np.bool_]:
+        """A horizontal picture does not say at which heights its seeds are; those of radial ones do."""
+        likely = np.ones(len(tried.stamps))
+        known = np.concatenate([np.empty(0), *(source.seeds.places[:, 1] for source in along)])
+        if len(known):
+            rows = tried.stamps < first_radial
+            off = np.abs(tried.middles[rows, 2:] - known).min(1)
+            likely[rows] = np.maximum(np.exp(-np.square(off / HEIGHTS) / 2), ANYWHERE)
+        unlike = np.linalg.norm(ground.read(tried.middles) - around_them[tried.stamps], axis=1)
+        return (rng.uniform(size=len(likely)) < likely) & (unlike < UNLIKE)
+
+    def is_free(tried: Candidates) -> NDArray[np.bool_]:
+        free = _is_clear(tried, planes)
+        for rows, holds in ((tried.are_close, holds_grains), (~tried.are_close, holds_seeds)):
+            free[rows] &= holds(tried.chosen(rows))
+        return free
+
+    heights = [float(label.chunks.height) for label in planes if isinstance(label.chunks, OwnHeight)]
+    placed = in_own_planes(own, heights, first=len(around_them))
+    fixed = [laid.chosen(_is_clear(laid, [p for p in planes if p.is_horizontal != h])) for laid, h in placed]
+    return pack([*things, *own], fixed, strewn(things, len(across), rng), is_free, rng)
+
+
+def _is_clear(laid: Candidates, planes: list[Label]) -> NDArray[np.bool_]:
+    """(M,). Which things do not reach the planes."""
+    there, clear = Ball.of(laid.middles), np.ones(len(laid.stamps), bool)
+    for plane in planes:
+        clear &= plane.chunks.places(there).distance > REACHES * laid.axes[:, 0]
+    return clear
 
 
 def _grain_cover(labels: list[Label], chosen: NDArray[np.int32], ball: Ball) -> NDArray[np.float32]:
@@ -334,10 +374,10 @@ def _make_labels(across: list[Source], along: list[Source], height: float, seed:
         labels.append(Label(OwnAzimuths(len(along), np.random.default_rng([seed, 4])), along, False, True))
     if across:
         slabs = [Slabs(k, len(across), np.random.default_rng([seed, 0, k])) for k in range(SLABS)]
-        labels += [Label(s, across, True, False) for s in slabs]
+        labels += [Label(s, [source.bare for source in across], True, False) for s in slabs]
     if along:
         sectors = [Sectors(k, len(along), np.random.default_rng([seed, 1, k])) for k in range(SECTOR_SETS)]
-        labels += [Label(s, along, False, False) for s in sectors]
+        labels += [Label(s, [source.bare for source in along], False, False) for s in sectors]
     return labels
 
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from training.priors.exemplar.quilting.disc import REACH, Disc, to_pixels
+from training.priors.exemplar.quilting.things.stamps import Things
 from training.priors.exemplar.sampling import reduced
 
 __all__ = ["Grains"]
@@ -118,6 +119,10 @@ class Grains:
         ours &= strange <= STRANGE * np.median(strange[ours])
         cover = ndimage.gaussian_filter(_covered(axis, places[ours], radii[ours]), 0.03 * pixels)
         return cls(places[ours].astype(np.float32), radii[ours].astype(np.float32), cover)
+
+    def things(self, disc: Disc) -> Things:
+        """The grains as the disc, which is this face in some light, shows them."""
+        return Things.of(disc, self.places, np.repeat(self.radii[:, None], 2, 1), np.zeros(len(self.radii)))
 
     def cover_at(self, x: NDArray[np.floating], y: NDArray[np.floating]) -> NDArray[np.float32]:
         """(M,). What grains cover around places (M,), (M,) of the disc."""

@@ -1,0 +1,146 @@
+"""Where things of photographs may lie as solids, and how they lie there."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from training.priors.exemplar.quilting.chunks import Ball
+from training.priors.exemplar.quilting.things.stamps import Things
+
+__all__ = ["CANDIDATES", "SECTION", "Candidates", "in_own_planes", "strewn"]
+
+SECTION = 4 / np.pi
+"""Radius of a ball over the mean radius of its cuts by random planes, which is what a picture shows."""
+
+CANDIDATES = 6
+"""Times as many things as there are to be that are tried: most grains meet one that lies there already, and so do many
+seeds where they are strewn in a ring."""
+
+INSIDE = 0.95
+"""Largest distance of a thing's middle from that of the body."""
+
+LEVELS = 64
+"""Places from the axis outwards at which is looked what a horizontal picture shows there."""
+
+
+class Candidates(NamedTuple):
+    """Ellipsoids that things may be laid as."""
+
+    middles: NDArray[np.float32]
+    """(M, 3). In the unit ball."""
+    axes: NDArray[np.float32]
+    """(M, 2). Half axes in radii: the longer one, and that of the two across it."""
+    long: NDArray[np.float32]
+    """(M, 3). Direction of the longer one."""
+    short: NDArray[np.float32]
+    """(M, 3). Direction of the one that lies in the picture's plane, too."""
+    stamps: NDArray[np.int64]
+    """(M,). Number of the thing."""
+    are_close: NDArray[np.bool_]
+    """(M,). Whether they are grains."""
+
+    def chosen(self, rows: NDArray[np.integer] | NDArray[np.bool_]) -> Candidates:
+        """Some of them."""
+        return Candidates._make(field[rows] for field in self)
+
+    @classmethod
+    def together(cls, some: Sequence[Candidates]) -> Candidates:
+        """All of some sets of them, one at least."""
+        return cls._make(np.concatenate(fields) for fields in zip(*some, strict=True))
+
+    @property
+    def radii(self) -> NDArray[np.float32]:
+        """(M,). Of discs as large as their cuts in the pictures' planes."""
+        return np.sqrt(self.axes.prod(1))
+
+
+def strewn(pictures: Sequence[Things], horizontal: int, rng: np.random.Generator) -> Candidates:
+    """Things of pictures, of which the first ones are `horizontal`, wherever their pictures may be shown, CANDIDATES
+    times as many as there are to be.
+
+    There are N_A / 2b in a volume where a picture shows N_A in an area whose half width across it is b (Saltykov).
+    """
+    found, first = [], 0
+    for n, things in enumerate(pictures):
+        is_horizontal = n < horizontal
+        wide = 2 * SECTION * things.axes[:, 1].astype(np.float64)
+        # A horizontal picture stands for all heights, each half of a radial one for half a turn.
+        copies = np.where(is_horizontal, 2.0, np.pi * np.hypot(*things.places.T)) / wide
+        count = CANDIDATES / len(pictures) * copies
+        which = np.repeat(np.arange(len(count)), np.floor(count + rng.uniform(size=len(count))).astype(int))
+        place, axes = things.places[which], SECTION * things.axes[which]
+        moved = rng.standard_normal((len(which), 2)) * 0.5 * axes[:, 1:]
+        if is_horizontal:
+            height: NDArray[np.floating] = rng.uniform(-INSIDE, INSIDE, len(which))
+            out = _out_at(np.hypot(*place.T), height) + moved[:, 0]
+        else:
+            height = place[:, 1] + moved[:, 1]
+            out = np.abs(place[:, 0]) + moved[:, 0]
+        turn = rng.uniform(0, 2 * np.pi, len(which))
+        middles = np.stack([np.abs(out) * np.cos(turn), np.abs(out) * np.sin(turn), height], -1)
+        found.append(_placed(things, which, middles, axes, is_horizontal, first))
+        first += len(things.places)
+    together = Candidates.together(found)
+    return together.chosen(np.linalg.norm(together.middles, axis=1) < INSIDE)  # which NaN is not
+
+
+def in_own_planes(own: Sequence[Things], heights: Sequence[float], first: int) -> list[tuple[Candidates, bool]]:
+    """The things of each picture where its own plane shows them, and whether it is a horizontal one.
+
+    `own`: of the pictures at these heights (0 or 1), then of those in planes evenly spread over half a turn. Their
+    stamps are numbered from `first`.
+    """
+    found = []
+    for n, things in enumerate(own):
+        which = np.arange(len(things.places))
+        if n < len(heights):
+            height = np.full(len(which), heights[n])
+            out = _out_at(np.hypot(*things.places.T), height)
+            middles = np.column_stack([_directions(things.places) * out[:, None], height])
+        else:
+            turn, (x, y) = (n - len(heights)) * np.pi / (len(own) - len(heights)), things.places.T
+            middles = np.stack([x * np.cos(turn), x * np.sin(turn), y], -1)
+        found.append((_placed(things, which, middles, things.axes, n < len(heights), first), n < len(heights)))
+        first += len(which)
+    return found
+
+
+def _placed(
+    things: Things,
+    which: NDArray[np.integer],
+    middles: NDArray[np.floating],
+    axes: NDArray[np.floating],
+    is_horizontal: bool,
+    first: int,
+) -> Candidates:
+    """Some of the things around middles (M, 3): what points outwards in the picture does so in the ball."""
+    out, x = _directions(middles[:, :2]), things.places[which, 0]
+    outwards = np.column_stack([out, np.zeros(len(out))])
+    if is_horizontal:
+        across = np.column_stack([-out[:, 1], out[:, 0], np.zeros(len(out))])
+        c, s = _directions(things.places[which]).T[..., None]
+        right, up = c * outwards - s * across, s * outwards + c * across
+    else:  # outwards is to the picture's nearer side
+        right, up = np.where(x < 0, -1, 1)[:, None] * outwards, np.array([[0.0, 0.0, 1.0]])
+    c, s = (f(things.turns[which])[:, None] for f in (np.cos, np.sin))
+    frames = (np.asarray(a, np.float32) for a in (middles, axes, c * right + s * up, c * up - s * right))
+    return Candidates._make((*frames, which + first, np.full(len(which), things.are_close)))
+
+
+def _out_at(shares: NDArray[np.floating], heights: NDArray[np.floating]) -> NDArray[np.float64]:
+    """(M,). Distances from the axis at which places (M,) of a horizontal picture are at heights (M,) in the ball; NaN
+    where there is none: towards the poles all is closer to the skin."""
+    part = (np.arange(LEVELS) + 0.5) / LEVELS
+    out = part * np.sqrt(1 - np.square(heights))[:, None]
+    points = np.stack([out, np.zeros_like(out), np.broadcast_to(heights[:, None], out.shape)], -1)
+    levels = Ball.of(points.reshape(-1, 3).astype(np.float32)).level[:, 0].reshape(out.shape)
+    return np.array([np.interp(s, level, o, left=np.nan) for s, level, o in zip(shares, levels, out, strict=True)])
+
+
+def _directions(vectors: NDArray[np.floating]) -> NDArray[np.floating]:
+    """(M, 2). Vectors (M, 2) of length 1."""
+    return vectors / np.maximum(np.hypot(*vectors.T), 1e-4)[:, None]

@@ -1,0 +1,175 @@
+"""Seeds of a face: closed things that lie apart in calm ground, found whole.
+
+A thing stands out by some contrast from what is left where it has ended (`relief`). Regions above a contrast are a
+tree, as in stable regions (Matas et al. 2002): where several things touch, one region is all of them, and higher up
+each is one of its own. The lowest regions that are as round as things are taken; pixels below join the nearest.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+from skimage.measure import regionprops
+from skimage.segmentation import expand_labels
+
+from training.priors.exemplar.quilting.disc import DISC_PIXELS, REACH, Disc, disc_grid
+from training.priors.exemplar.quilting.relief import Relief
+from training.priors.exemplar.quilting.things.stamps import Things
+
+__all__ = ["Seeds"]
+
+LEAST_CONTRAST, TYPICAL = 0.12, 3.5
+"""RGB distance from what is there farther on from which a pixel may be of a thing, and times the median distance in the
+same picture: as for kinds."""
+
+SURE = 1.7
+"""Mean of that distance in a thing, over the least: vessels of apples have up to 1.5, drops of juice as much, and the
+palest seeds of melons 1.9."""
+
+RAISED = 1.25
+"""Factor of the contrast from one level of the tree to the next."""
+
+LEVELS = 9
+"""Of the tree: up to six times the least contrast."""
+
+CORE = 0.12
+"""Radius of the core. A region that reaches it is a part of it, with all that is in it, and so is a thing that would
+reach it if it were twice as long: pips in a core, the arms of a star."""
+
+HALF_WIDTHS, LONGEST = (0.011, 0.12), 4.0
+"""Half axes in radii that a thing may have, and their largest ratio. What is narrower is taken for texture by the
+medians that tell that from things, what is wider hardly closes."""
+
+SOLID = 0.8
+"""Least share of a thing's convex hull that it fills: a disc of a few pixels fills 0.85, two that touch 0.8."""
+
+GROWN = 2
+"""Pixels by which a thing grows into the region that it was found in: there its edge is."""
+
+EDGE = 0.5
+"""Of a thing's median contrast, the least that its pixels have: a half is where a blurred edge is. What is fainter is
+its shadow or what clings to it."""
+
+HALO = 0.015
+"""Radii around a thing in which its picture is filled, too: its edge is blurred and may cast a shadow."""
+
+FILLS = 0.02, 0.06, 0.2
+"""Standard deviations in radii of what surrounds a thing and is put in its place, the least in which there is any."""
+
+
+@dataclass(frozen=True)
+class Seeds:
+    """The seeds of one picture, if there are any."""
+
+    parts: NDArray[np.int32]
+    """(P, P). Which one is at a pixel of the disc, from 1; 0 for none."""
+    places: NDArray[np.float64]
+    """(B, 2). Of their middles on the disc."""
+    axes: NDArray[np.float64]
+    """(B, 2). Half axes in radii of the disc, the longer first."""
+    turns: NDArray[np.float64]
+    """(B,). From the disc's x axis to the longer axis, radians."""
+    regions: NDArray[np.bool_]
+    """(P, P). Where they are, and what stands out together with them."""
+
+    @classmethod
+    def of(cls, relief: Relief, is_horizontal: bool, rind: float) -> Seeds:
+        """Of a face with this relief and a rind of this depth in radii."""
+        x, y = disc_grid()
+        radius = np.hypot(x, y)
+        from_core = np.hypot(x, y * is_horizontal)
+        apart = np.linalg.norm(relief.levels[0, ..., :3] - relief.levels[-1, ..., :3], axis=-1) * (radius < 1)
+        contrast = apart / max(LEAST_CONTRAST, TYPICAL * float(np.median(apart[radius < 1])))
+        left, found = contrast, np.zeros(radius.shape, np.int32)
+        roots = None
+        for level in range(LEVELS):
+            regions, _ = ndimage.label(ndimage.binary_opening(left >= RAISED**level))
+            roots = regions if roots is None else roots
+            left = left.copy()
+            for region in regionprops(regions):
+                rows = tuple(region.coords.T)
+                if from_core[rows].min() < CORE and not level:
+                    left[rows] = 0
+                elif radius[rows].max() < 1 - rind and _is_a_thing(region) and contrast[rows].mean() > SURE:
+                    left[rows] = 0
+                    if _from_core(region, is_horizontal) > CORE:
+                        found[rows] = found.max() + 1
+        assert roots is not None
+        together = (roots > 0) & np.isin(roots, roots[found > 0])
+        found = _trimmed(np.where(roots > 0, expand_labels(found, GROWN), 0), contrast)
+        facts = [
+            (*((np.array(r.centroid) + 0.5) * PIXEL - REACH), *_half_axes(r), r.orientation) for r in regionprops(found)
+        ]
+        table = np.array(facts, np.float64).reshape(-1, 5)
+        return cls(found, table[:, :2], table[:, 2:4], table[:, 4], together)
+
+    @classmethod
+    def none(cls) -> Seeds:
+        """Of a face without any."""
+        pairs = np.empty((0, 2))
+        nothing = np.zeros((DISC_PIXELS, DISC_PIXELS), np.int32)
+        return cls(nothing, pairs, pairs, np.empty(0), nothing > 0)
+
+    def things(self, disc: Disc) -> Things:
+        """The seeds as the disc, which is this face in some light, shows them."""
+        return Things.of(disc, self.places, self.axes, self.turns, self.parts)
+
+    def removed_from(self, values: NDArray[np.float32]) -> NDArray[np.float32]:
+        """(P, P, C). Values (P, P, C) on the disc's pixels with those around in the place of seeds."""
+        kept = 1 - self.halo[..., None]
+        out, share = values * kept, kept
+        for width in FILLS:
+            sigma = width / PIXEL
+            around, weight = (ndimage.gaussian_filter(a * kept, (sigma, sigma, 0), truncate=3) for a in (values, kept))
+            add = (1 - share) * np.minimum(weight * 4, 1)
+            out, share = out + add * around / np.maximum(weight, 1e-6), share + add
+        return (out / np.maximum(share, 1e-6)).astype(np.float32)
+
+    @cached_property
+    def halo(self) -> NDArray[np.float32]:
+        """(P, P). 1 at the seeds and close to them, 0 elsewhere."""
+        if not self.regions.any():
+            return np.zeros(self.regions.shape, np.float32)
+        away = ndimage.distance_transform_edt(~self.regions)
+        return np.clip(HALO / PIXEL + 0.5 - away, 0, 1).astype(np.float32)
+
+
+def _trimmed(parts: NDArray[np.int32], contrast: NDArray[np.floating]) -> NDArray[np.int32]:
+    """(P, P). Each of the parts (P, P) without what is faint in it, in one piece."""
+    out = np.zeros(parts.shape, np.int32)
+    for n, box in enumerate(ndimage.find_objects(parts)):
+        here = parts[box] == n + 1
+        pieces, _ = ndimage.label(here & (contrast[box] > EDGE * np.median(contrast[box][here])))
+        out[box][pieces == np.bincount(pieces[pieces > 0]).argmax()] = n + 1
+    return out
+
+
+PIXEL = 2 * REACH / DISC_PIXELS
+"""Radii of a pixel of the disc."""
+
+
+def _middle(region) -> NDArray[np.float64]:  # type: ignore[no-untyped-def]
+    """(2,). Of a region, on the disc."""
+    return (np.array(region.centroid) + 0.5) * PIXEL - REACH
+
+
+def _from_core(region, is_horizontal: bool) -> float:  # type: ignore[no-untyped-def]
+    """How far from the axis a thing twice as long ends, in radii."""
+    turn, reach = region.orientation, np.array([[2], [-2]]) * _half_axes(region)[0]
+    ends = _middle(region) + reach * [np.cos(turn), np.sin(turn)]
+    return float(np.hypot(ends[:, 0], ends[:, 1] * is_horizontal).min())
+
+
+def _half_axes(region) -> tuple[float, float]:  # type: ignore[no-untyped-def]
+    """Of the ellipse with the moments of a region, in radii."""
+    return region.axis_major_length / 2 * PIXEL, max(region.axis_minor_length, 1) / 2 * PIXEL
+
+
+def _is_a_thing(region) -> bool:  # type: ignore[no-untyped-def]
+    """Whether a region of a picture has the size and the shape of one."""
+    long, short = _half_axes(region)
+    return HALF_WIDTHS[0] < short <= long < min(HALF_WIDTHS[1], LONGEST * short) and region.solidity > SOLID
