@@ -130,10 +130,13 @@ def test_sheets_run_through_and_seeds_end(monkeypatch: pytest.MonkeyPatch) -> No
         points = level(height)
         radius = np.hypot(points[:, 0], points[:, 1])
         shown = made.read(points[(radius > 0.25) & (radius < 0.6)])
-        dark.append((shown[:, 0] < 0.4).mean())
+        dark.append(shown[:, 0] < 0.4)
         pale.append((shown[:, 2] > 0.4).mean())
-    assert dark[0] > 0.08
-    assert max(dark[1:]) < 0.3 * dark[0]
+    assert dark[0].mean() > 0.08
+    for other in dark[1:]:
+        assert other[dark[0]].mean() < 0.3  # a rod has 1
+    # One of two pictures has no seeds: half as many are right.
+    assert 0.25 < np.mean(dark[1:]) / dark[0].mean() < 0.75
     assert min(pale[1:]) > 0.7 * pale[0]
 
 

@@ -22,7 +22,7 @@ def relief(dark: NDArray[np.bool_]) -> Relief:
     """Of dark places on plain flesh."""
     x, _ = disc_grid()
     rgb = np.where(dark[..., None], SEED, FLESH).astype(np.float32)
-    return Relief.of(Disc(rgb), Disc(np.full((*x.shape, 3), 0.1, np.float32)))
+    return Relief.of(Disc(rgb), Disc(np.full((*x.shape, 3), 0.1, np.float32)), 0.05)
 
 
 def dark_share(made: Relief, radius: float, distance: float) -> float:
@@ -52,7 +52,7 @@ def test_what_lies_in_a_thing_gives_way_to_that_thing() -> None:
     radius = np.hypot(x, y)
     rgb = np.where((radius < 0.1)[..., None], 1.0, FLESH)
     rgb = np.where((radius < 0.03)[..., None], SEED, rgb).astype(np.float32)
-    made = Relief.of(Disc(rgb), Disc(np.full_like(rgb, 0.1)))
+    made = Relief.of(Disc(rgb), Disc(np.full_like(rgb, 0.1)), 0.05)
     middle = np.zeros(1)
     shown = [made.read(middle, middle, np.full(1, t))[0, :3] for t in (0.0, 0.06, 0.2)]
     for colour, wanted in zip(shown, (SEED, np.ones(3), FLESH), strict=True):
@@ -67,7 +67,7 @@ def test_a_star_takes_its_seeds_along() -> None:
     arms = np.hypot((radius - 0.09) / 0.07, across / 0.035) < 1
     red = np.sin(np.pi * x / 0.012) * np.sin(np.pi * y / 0.012) > 0
     rgb = np.where(arms[..., None], np.where(red[..., None], [0.6, 0.1, 0.1], SEED), FLESH).astype(np.float32)
-    made = Relief.of(Disc(rgb), Disc(np.full_like(rgb, 0.1)))
+    made = Relief.of(Disc(rgb), Disc(np.full_like(rgb, 0.1)), 0.05)
     there = dark_share(made, 0.2, 0.0)
     assert there > 0.15
     assert dark_share(made, 0.2, 0.3) < 0.02 * there

@@ -19,6 +19,7 @@ from training.priors.exemplar.sampling import read_bilinear, reduced
 
 __all__ = [
     "DISC_PIXELS",
+    "PIXEL",
     "REACH",
     "BallMap",
     "Disc",
@@ -27,6 +28,8 @@ __all__ = [
     "enlarged",
     "even_around",
     "even_sides",
+    "filled_in",
+    "halo",
     "match_light",
     "ring_medians",
     "smooth_disc",
@@ -38,6 +41,9 @@ DISC_PIXELS = 560
 
 REACH = 1.1
 """Half a side of that array, in radii of the disc; beyond the disc the colours of the rim go on."""
+
+PIXEL = 2 * REACH / DISC_PIXELS
+"""Radii that a pixel of a disc is wide."""
 
 RIM = 0.985
 """Radius from which the colour is that of the rim: the last pixels of a photographed edge are half background."""
@@ -61,6 +67,13 @@ MEDIAN_PIXELS = 4
 ALIKE, NEAR = 0.15, 0.05
 """Standard deviations of the RGB distance, and in the rind of the distance in radii, over which colours are moved
 alike."""
+
+HALO = 0.015
+"""Radii around what is hidden that is filled in, too: edges are blurred and may cast a shadow."""
+
+FILLS = 0.02, 0.06, 0.2
+"""Standard deviations in radii of the surroundings put in the place of what is hidden: the narrowest that a quarter
+of is known."""
 
 RIND_RADIUS = 0.8
 """Radius from which a face may show its rind."""
@@ -150,6 +163,26 @@ def disc_median(values: NDArray[np.float32], radius: float) -> NDArray[np.float3
     across = (np.hypot(x, y) <= pixels / n + 0.3).sum(1)
     medians = medians_over(reduced(values, n), across[across > 0] // 2)
     return medians if n == REDUCTION else _resampled(medians, DISC_PIXELS // REDUCTION, REDUCTION / n)
+
+
+def halo(hidden: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """(P, P). 1 where pixels (P, P) of a disc are hidden and close to there, 0 elsewhere."""
+    if not hidden.any():
+        return np.zeros(hidden.shape, np.float32)
+    away = ndimage.distance_transform_edt(~hidden)
+    return np.clip(HALO / PIXEL + 0.5 - away, 0, 1).astype(np.float32)
+
+
+def filled_in(values: NDArray[np.float32], hidden: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """(P, P, C). Values (P, P, C) on a disc's pixels, with those around where they are hidden (P, P)."""
+    kept = 1 - halo(hidden)[..., None]
+    out, share = values * kept, kept
+    for width in FILLS:
+        sigma = width / PIXEL
+        around, weight = (ndimage.gaussian_filter(a * kept, (sigma, sigma, 0), truncate=3) for a in (values, kept))
+        add = (1 - share) * np.minimum(weight * 4, 1)
+        out, share = out + add * around / np.maximum(weight, 1e-6), share + add
+    return (out / np.maximum(share, 1e-6)).astype(np.float32)
 
 
 def enlarged(values: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -11,26 +11,14 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from engine.scene.inside import Kind
 from training.priors.exemplar.quilting.chunks import Ball
-from training.priors.exemplar.quilting.disc import DISC_PIXELS, REACH, Disc, disc_grid, to_pixels
+from training.priors.exemplar.quilting.disc import DISC_PIXELS, Disc, disc_grid, to_pixels
 from training.priors.exemplar.quilting.labels import Source
 from training.priors.exemplar.quilting.quilt import Quilt
-from training.priors.exemplar.quilting.relief import Relief
 
 __all__ = ["QuiltKinds"]
-
-CLOSED = 0.5
-"""Height in radii up to which what stands out is closed: the widest closed thing has a half width of 0.22."""
-
-LEAST_CONTRAST, TYPICAL = 0.08, 3.5
-"""RGB distance from what is there farther on from which a thing stands out, and times the median distance in the same
-picture: as for the details of layers. Below, an orange's juice sacs are things."""
-
-NARROWEST = 0.01
-"""Half width in radii of a thing: what is narrower is texture."""
 
 LEAST_SHEET = 0.3
 """Surety of a sheet from which a place belongs to it, as for layers."""
@@ -51,7 +39,7 @@ class _Face:
 
     @classmethod
     def of(cls, source: Source) -> _Face:
-        until = _things(source.relief, source.rind)
+        until = source.relief.closed_until(source.rind)
         grains = source.grains
         x, y = disc_grid()
         for (u, v), radius in zip(grains.places, grains.radii, strict=True):
@@ -91,18 +79,3 @@ class QuiltKinds:
             _, cover = quilt.packing.read(points)
             out[cover > GRAIN] = Kind.THING
         return out
-
-
-def _things(relief: Relief, rind: float) -> NDArray[np.floating]:
-    """(P, P). Distance in radii up to which each pixel shows a closed thing; -1 where there is none. What touches a
-    rind of this depth is none: flesh stands out there from the colours of both."""
-    apart = np.linalg.norm(relief.levels[:-1, ..., :3] - relief.levels[-1, ..., :3], axis=-1)
-    face = np.hypot(*disc_grid()) < 1
-    stands_out = apart > np.maximum(LEAST_CONTRAST, TYPICAL * np.median(apart[:, face], axis=1))[:, None, None]
-    heights = np.moveaxis(relief.heights, -1, 0)
-    until = np.where(stands_out & (heights < CLOSED), heights, -1).max(0)
-    pixels = round(NARROWEST * DISC_PIXELS / (2 * REACH))
-    y, x = np.ogrid[-pixels : pixels + 1, -pixels : pixels + 1]
-    parts, _ = ndimage.label(ndimage.binary_opening(until > 0, x * x + y * y <= pixels * pixels))
-    ends = (parts > 0) & ~np.isin(parts, parts[np.hypot(*disc_grid()) > 1 - rind])
-    return np.where(ends, until, -1)

@@ -14,6 +14,8 @@ from training.priors.exemplar.quilting.disc import (
     disc_grid,
     even_around,
     even_sides,
+    filled_in,
+    halo,
     ring_medians,
     smooth_disc,
 )
@@ -63,7 +65,7 @@ class Source:
     """How far closed things stand out, the same in all three channels."""
     blurred: Disc
     tones: Disc
-    """Of the even one."""
+    """Of the even one, without what closes: the tones of what is left there."""
     persistence: Persistence
     sheets: Disc
     """The same surety in all three channels; 0 for radial pictures."""
@@ -83,7 +85,10 @@ class Source:
         """The same picture without its seeds, which are laid anew. For chunks away from its own plane."""
         if not len(self.seeds.places):
             return self
-        without = self.seeds.removed_from
+
+        def without(values: NDArray[np.float32]) -> NDArray[np.float32]:
+            return filled_in(values, self.seeds.regions)
+
         even, things = Disc(without(self.even.rgb)), Disc(without(self.parts.things.rgb))
         relief = replace(self.relief, levels=np.stack([without(level) for level in self.relief.levels]))
         return replace(
@@ -91,9 +96,8 @@ class Source:
             even=even,
             parts=replace(self.parts, things=things),
             relief=relief,
-            closed=Disc(self.closed.rgb * (1 - self.seeds.halo[..., None])),
+            closed=Disc(self.closed.rgb * (1 - halo(self.seeds.regions)[..., None])),
             blurred=smooth_disc(Disc(without(self.disc.rgb)), BLUR),
-            tones=smooth_disc(even, TONE),
         )
 
     def reduced(self, n: int) -> Source:
@@ -107,8 +111,8 @@ class Source:
         """What is known of a picture."""
         persistence = Persistence(disc)
         sheets = find_sheets(disc, persistence) if is_horizontal else np.zeros(disc.rgb.shape[:2], np.float32)
-        even, parts, relief, grains = _look_closely(disc, is_horizontal)
         rind = _rind(disc, is_horizontal)
+        even, parts, relief, grains = _look_closely(disc, is_horizontal, rind)
         return cls(
             disc,
             even,
@@ -116,7 +120,7 @@ class Source:
             relief,
             _closed_things(even, persistence),
             smooth_disc(disc, BLUR),
-            smooth_disc(even, TONE),
+            smooth_disc(Disc(filled_in(even.rgb, relief.closed_until(rind) >= 0)), TONE),
             persistence,
             Disc(np.repeat(sheets[..., None], 3, -1)),
             rind,
@@ -135,17 +139,17 @@ def _rind(disc: Disc, is_horizontal: bool) -> float:
     return (np.flatnonzero(contrast >= contrast.max() / 2)[-1] + 1) / RINGS
 
 
-def _look_closely(disc: Disc, is_horizontal: bool) -> tuple[Disc, Parts, Relief, Grains]:
+def _look_closely(disc: Disc, is_horizontal: bool, rind: float) -> tuple[Disc, Parts, Relief, Grains]:
     """The picture with even tones, its parts, and the solids and the grains among its things."""
     even = even_around(disc) if is_horizontal else even_sides(disc)
     parts = take_apart(even)
-    relief = Relief.of(parts.things, parts.strength)
+    relief = Relief.of(parts.things, parts.strength, rind)
     return even, parts, relief, Grains.of(parts.things, relief.heights)
 
 
 def made_of_grains(disc: Disc, is_horizontal: bool) -> bool:
     """Whether a picture shows things that lie close together all over."""
-    return len(_look_closely(disc, is_horizontal)[3].radii) > 0
+    return len(_look_closely(disc, is_horizontal, _rind(disc, is_horizontal))[3].radii) > 0
 
 
 @dataclass(frozen=True)

@@ -14,9 +14,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+from scipy import ndimage
+from skimage.morphology import remove_small_holes
 
 from engine.threads import for_spans
-from training.priors.exemplar.quilting.disc import DISC_PIXELS, Disc, disc_median, enlarged, to_pixels
+from training.priors.exemplar.quilting.disc import (
+    DISC_PIXELS,
+    PIXEL,
+    Disc,
+    disc_grid,
+    disc_median,
+    enlarged,
+    filled_in,
+    to_pixels,
+)
 from training.priors.exemplar.sampling import reduced
 
 __all__ = ["Relief"]
@@ -44,6 +55,16 @@ NEVER = 2.0
 NO_CONTRAST = 0.03
 """RGB distance below which two colours are as good as one: then the first gives way as soon as it may."""
 
+CLOSED = 0.5
+"""Height in radii up to which what stands out is closed: the widest closed thing has a half width of 0.22."""
+
+LEAST_CONTRAST, TYPICAL = 0.08, 3.5
+"""RGB distance from what is there farther on from which a thing stands out, and times the median distance in the same
+picture: as for the details of layers. Below, an orange's juice sacs are things."""
+
+NARROWEST = 0.01
+"""Half width in radii of a thing: what is narrower is texture."""
+
 EDGE = np.float32(0.006)
 """Distance over which a colour gives way to the next: a pixel and a half of the disc."""
 
@@ -59,35 +80,50 @@ class Relief:
     """(P, P, len(WIDTHS)). Distances in radii at which they do."""
 
     @classmethod
-    def of(cls, disc: Disc, strength: Disc) -> Relief:
-        """The relief of a face with texture of this strength; everything in it is taken for a closed thing."""
-        levels = [np.concatenate([disc.rgb, strength.rgb[..., :1]], -1)]
-        heights: list[NDArray[np.floating]] = []
-        before = reduced(disc.rgb, DISC_PIXELS // disc_median(disc.rgb, WIDTHS[0]).shape[0])
-        start = 0.0
-        for width in WIDTHS:
-            after = disc_median(disc.rgb, width)
-            radii = np.linspace(start, width, STEPS + 1)
-            given = [np.zeros(before.shape[:2])]
-            for radius in radii[1:-1]:
-                here = disc_median(disc.rgb, radius)
-                left, right = (np.linalg.norm(here - there, axis=-1) for there in (before, after))
-                given.append(left / (left + right + 1e-3))
-            given.append(np.ones(before.shape[:2]))
-            height = _half_way(np.maximum.accumulate(np.stack(given), axis=0), radii)
-            contrast = np.linalg.norm(before - after, axis=-1)
-            fine = reduced(disc.rgb, DISC_PIXELS // before.shape[0])
-            unlike = enlarged(np.linalg.norm(fine - after, axis=-1)[..., None])
-            calm = 1 - CALM * disc_median(unlike, AROUND * width)[..., 0] / (contrast + 0.01)
-            height = np.where(calm > 0, np.minimum(height / np.maximum(calm, 0.01), NEVER), NEVER)
-            weight = contrast**2 / (contrast**2 + NO_CONTRAST**2)
-            heights.append(weight * height + (1 - weight) * (heights[-1] if heights else 0))
-            levels.append(enlarged(np.concatenate([after, disc_median(strength.rgb[..., :1], width)], -1)))
-            before, start = after, width
+    def of(cls, disc: Disc, strength: Disc, rind: float) -> Relief:
+        """The relief of a face with texture of this strength and a rind of this depth in radii; everything in it is
+        taken for a closed thing."""
+        medians = [disc_median(disc.rgb, width) for width in WIDTHS]
+        ends: list[NDArray[np.floating]] = []
+        for n in range(len(WIDTHS)):
+            ends.append(_end(disc.rgb, medians, n, ends))
+        made = cls._made(disc, strength, medians, ends)
+        closed = remove_small_holes(made.closed_until(rind) >= 0, max_size=round(np.pi * (WIDTHS[1] / PIXEL) ** 2))
+        if not closed.any():
+            return made
+        # A median as wide as the widest things is the colour of none among several, as in a star.
+        medians[-1] = disc_median(filled_in(disc.rgb, closed), WIDTHS[-1])
+        ends[-1] = _end(disc.rgb, medians, len(WIDTHS) - 1, ends[:-1])
+        return cls._made(disc, strength, medians, ends)
+
+    @classmethod
+    def _made(
+        cls,
+        disc: Disc,
+        strength: Disc,
+        medians: list[NDArray[np.float32]],
+        ends: list[NDArray[np.floating]],
+    ) -> Relief:
+        of_strength = [disc_median(strength.rgb[..., :1], width) for width in WIDTHS]
+        after = [enlarged(np.concatenate(both, -1)) for both in zip(medians, of_strength, strict=True)]
+        levels = [np.concatenate([disc.rgb, strength.rgb[..., :1]], -1), *after]
         # What closes takes along what lies in it.
-        ends = np.minimum.accumulate(np.stack(heights[::-1], -1), axis=-1)[..., ::-1]
-        at = enlarged(ends.astype(np.float32)) / ROUND
+        lowest = np.minimum.accumulate(np.stack(ends[::-1], -1), axis=-1)[..., ::-1]
+        at = enlarged(lowest.astype(np.float32)) / ROUND
         return cls(np.stack(levels).astype(np.float32), at.astype(np.float32))
+
+    def closed_until(self, rind: float) -> NDArray[np.floating]:
+        """(P, P). Distance in radii up to which each pixel shows a closed thing; -1 where there is none. What touches a
+        rind of this depth is none: flesh stands out there from the colours of both."""
+        apart = np.linalg.norm(self.levels[:-1, ..., :3] - self.levels[-1, ..., :3], axis=-1)
+        radius = np.hypot(*disc_grid())
+        least = np.maximum(LEAST_CONTRAST, TYPICAL * np.median(apart[:, radius < 1], axis=1))
+        heights = np.moveaxis(self.heights, -1, 0)
+        until = np.where((apart > least[:, None, None]) & (heights < CLOSED), heights, -1).max(0)
+        pixels = round(NARROWEST / PIXEL)
+        y, x = np.ogrid[-pixels : pixels + 1, -pixels : pixels + 1]
+        parts, _ = ndimage.label(ndimage.binary_opening(until > 0, x * x + y * y <= pixels * pixels))
+        return np.where((parts > 0) & ~np.isin(parts, parts[radius > 1 - rind]), until, -1)
 
     def read(
         self, x: NDArray[np.floating], y: NDArray[np.floating], distance: NDArray[np.floating]
@@ -104,6 +140,29 @@ class Relief:
         return replace(
             self, levels=np.stack([reduced(level, n) for level in self.levels]), heights=reduced(self.heights, n)
         )
+
+
+def _end(
+    rgb: NDArray[np.float32], medians: list[NDArray[np.float32]], n: int, ends: list[NDArray[np.floating]]
+) -> NDArray[np.floating]:
+    """(H, W). Radius at which the colours before the n-th median of a face give way to it; `ends` are those before."""
+    after, width, start = medians[n], WIDTHS[n], WIDTHS[n - 1] if n else 0.0
+    fine = reduced(rgb, DISC_PIXELS // after.shape[0])
+    before = medians[n - 1] if n else fine
+    radii = np.linspace(start, width, STEPS + 1)
+    given = [np.zeros(before.shape[:2])]
+    for radius in radii[1:-1]:
+        here = disc_median(rgb, radius)
+        left, right = (np.linalg.norm(here - there, axis=-1) for there in (before, after))
+        given.append(left / (left + right + 1e-3))
+    given.append(np.ones(before.shape[:2]))
+    height = _half_way(np.maximum.accumulate(np.stack(given), axis=0), radii)
+    contrast = np.linalg.norm(before - after, axis=-1)
+    unlike = enlarged(np.linalg.norm(fine - after, axis=-1)[..., None])
+    calm = 1 - CALM * disc_median(unlike, AROUND * width)[..., 0] / (contrast + 0.01)
+    height = np.where(calm > 0, np.minimum(height / np.maximum(calm, 0.01), NEVER), NEVER)
+    weight = contrast**2 / (contrast**2 + NO_CONTRAST**2)
+    return weight * height + (1 - weight) * (ends[-1] if ends else 0)
 
 
 def _half_way(given: NDArray[np.floating], radii: NDArray[np.floating]) -> NDArray[np.floating]:

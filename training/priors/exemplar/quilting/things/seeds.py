@@ -8,7 +8,6 @@ each is one of its own. The lowest regions that are as round as things are taken
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +15,7 @@ from scipy import ndimage
 from skimage.measure import regionprops
 from skimage.segmentation import expand_labels
 
-from training.priors.exemplar.quilting.disc import DISC_PIXELS, REACH, Disc, disc_grid
+from training.priors.exemplar.quilting.disc import DISC_PIXELS, PIXEL, REACH, Disc, disc_grid
 from training.priors.exemplar.quilting.relief import Relief
 from training.priors.exemplar.quilting.things.stamps import Things
 
@@ -53,12 +52,6 @@ GROWN = 2
 EDGE = 0.5
 """Of a thing's median contrast, the least that its pixels have: a half is where a blurred edge is. What is fainter is
 its shadow or what clings to it."""
-
-HALO = 0.015
-"""Radii around a thing in which its picture is filled, too: its edge is blurred and may cast a shadow."""
-
-FILLS = 0.02, 0.06, 0.2
-"""Standard deviations in radii of what surrounds a thing and is put in its place, the least in which there is any."""
 
 
 @dataclass(frozen=True)
@@ -99,7 +92,8 @@ class Seeds:
                     if _from_core(region, is_horizontal) > CORE:
                         found[rows] = found.max() + 1
         assert roots is not None
-        together = (roots > 0) & np.isin(roots, roots[found > 0])
+        under_rind = np.setdiff1d(roots[found > 0], roots[radius > 1 - rind])
+        together = np.isin(roots, under_rind) | (found > 0)
         found = _trimmed(np.where(roots > 0, expand_labels(found, GROWN), 0), contrast)
         facts = [
             (*((np.array(r.centroid) + 0.5) * PIXEL - REACH), *_half_axes(r), r.orientation) for r in regionprops(found)
@@ -118,25 +112,6 @@ class Seeds:
         """The seeds as the disc, which is this face in some light, shows them."""
         return Things.of(disc, self.places, self.axes, self.turns, self.parts)
 
-    def removed_from(self, values: NDArray[np.float32]) -> NDArray[np.float32]:
-        """(P, P, C). Values (P, P, C) on the disc's pixels with those around in the place of seeds."""
-        kept = 1 - self.halo[..., None]
-        out, share = values * kept, kept
-        for width in FILLS:
-            sigma = width / PIXEL
-            around, weight = (ndimage.gaussian_filter(a * kept, (sigma, sigma, 0), truncate=3) for a in (values, kept))
-            add = (1 - share) * np.minimum(weight * 4, 1)
-            out, share = out + add * around / np.maximum(weight, 1e-6), share + add
-        return (out / np.maximum(share, 1e-6)).astype(np.float32)
-
-    @cached_property
-    def halo(self) -> NDArray[np.float32]:
-        """(P, P). 1 at the seeds and close to them, 0 elsewhere."""
-        if not self.regions.any():
-            return np.zeros(self.regions.shape, np.float32)
-        away = ndimage.distance_transform_edt(~self.regions)
-        return np.clip(HALO / PIXEL + 0.5 - away, 0, 1).astype(np.float32)
-
 
 def _trimmed(parts: NDArray[np.int32], contrast: NDArray[np.floating]) -> NDArray[np.int32]:
     """(P, P). Each of the parts (P, P) without what is faint in it, in one piece."""
@@ -146,10 +121,6 @@ def _trimmed(parts: NDArray[np.int32], contrast: NDArray[np.floating]) -> NDArra
         pieces, _ = ndimage.label(here & (contrast[box] > EDGE * np.median(contrast[box][here])))
         out[box][pieces == np.bincount(pieces[pieces > 0]).argmax()] = n + 1
     return out
-
-
-PIXEL = 2 * REACH / DISC_PIXELS
-"""Radii of a pixel of the disc."""
 
 
 def _middle(region) -> NDArray[np.float64]:  # type: ignore[no-untyped-def]

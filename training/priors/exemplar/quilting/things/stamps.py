@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from training.priors.exemplar.quilting.disc import DISC_PIXELS, REACH, Disc, to_pixels
+from training.priors.exemplar.quilting.disc import PIXEL, Disc, to_pixels
 
 __all__ = ["EXTENT", "STAMP_PIXELS", "Things"]
 
@@ -76,4 +76,4 @@ class Things:
 
 def _pixels(axes: NDArray[np.floating]) -> NDArray[np.floating]:
     """(2,). Pixels of a stamp with these half axes (2,) per pixel of the disc."""
-    return 2 * REACH / DISC_PIXELS * STAMP_PIXELS / (2 * EXTENT * axes)
+    return PIXEL * STAMP_PIXELS / (2 * EXTENT * axes)
