@@ -67,6 +67,7 @@ class QuiltKinds:
     def at(self, points: NDArray[np.float32]) -> NDArray[np.uint8]:
         """(M,). The `Kind` at points (M, 3) of the unit ball, never OUTSIDE."""
         quilt = self._quilt
+        points = quilt.rinds.evened(points)
         nearest = quilt.nearest(points)[0][:, 0]
         out = np.full(len(points), Kind.INSIDE, np.uint8)
         for n, label in enumerate(quilt.labels):

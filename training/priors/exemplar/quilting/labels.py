@@ -21,11 +21,11 @@ from training.priors.exemplar.quilting.disc import (
 )
 from training.priors.exemplar.quilting.persistence import Persistence, find_sheets
 from training.priors.exemplar.quilting.relief import Relief
+from training.priors.exemplar.quilting.rinds import rind_of
 from training.priors.exemplar.quilting.texture import Parts, take_apart
 from training.priors.exemplar.quilting.things.grains import Grains
 from training.priors.exemplar.quilting.things.seeds import Seeds
 from training.priors.exemplar.quilting.things.stamps import Things
-from training.priors.exemplar.rind import FLESH, rind_depth
 from training.priors.exemplar.strata import beside_own
 
 __all__ = ["Label", "Source", "distance_across", "made_of_grains", "read_discs"]
@@ -35,12 +35,6 @@ FINE_RINGS, LARGEST = 64, 0.16
 
 BLUR = 0.02
 """Standard deviation in radii of the blur under which colours are looked for nearby: texture is none of them."""
-
-RINGS = 50
-"""In which a rind's colours are compared with the flesh."""
-
-RIND_BLUR = 3.0
-"""Standard deviation in pixels of a disc under which they are: a hundredth of a radius."""
 
 TONE = 0.05
 """Standard deviation in radii of the blur under which colours are tones: wider than seeds and texture."""
@@ -111,7 +105,7 @@ class Source:
         """What is known of a picture."""
         persistence = Persistence(disc)
         sheets = find_sheets(disc, persistence) if is_horizontal else np.zeros(disc.rgb.shape[:2], np.float32)
-        rind = _rind(disc, is_horizontal)
+        rind = rind_of(disc, is_horizontal)[0]
         even, parts, relief, grains = _look_closely(disc, is_horizontal, rind)
         return cls(
             disc,
@@ -129,16 +123,6 @@ class Source:
         )
 
 
-def _rind(disc: Disc, is_horizontal: bool) -> float:
-    """Depth in radii of the layers along the rim: to where half of their contrast with the flesh is left."""
-    depth = np.maximum(1 - np.hypot(*disc_grid()), 0)
-    deepest = rind_depth(disc.rgb, depth, RIND_BLUR, goes_around=is_horizontal)
-    colours = ring_medians(disc, RINGS)[::-1]
-    flesh = colours[int(FLESH[0] * RINGS) : int(FLESH[1] * RINGS)].mean(0)
-    contrast = np.linalg.norm(colours - flesh, axis=1)[: max(round(deepest * RINGS), 1)]
-    return (np.flatnonzero(contrast >= contrast.max() / 2)[-1] + 1) / RINGS
-
-
 def _look_closely(disc: Disc, is_horizontal: bool, rind: float) -> tuple[Disc, Parts, Relief, Grains]:
     """The picture with even tones, its parts, and the solids and the grains among its things."""
     even = even_around(disc) if is_horizontal else even_sides(disc)
@@ -149,7 +133,7 @@ def _look_closely(disc: Disc, is_horizontal: bool, rind: float) -> tuple[Disc, P
 
 def made_of_grains(disc: Disc, is_horizontal: bool) -> bool:
     """Whether a picture shows things that lie close together all over."""
-    return len(_look_closely(disc, is_horizontal, _rind(disc, is_horizontal))[3].radii) > 0
+    return len(_look_closely(disc, is_horizontal, rind_of(disc, is_horizontal)[0])[3].radii) > 0
 
 
 @dataclass(frozen=True)

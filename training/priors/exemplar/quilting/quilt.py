@@ -35,6 +35,7 @@ from training.priors.exemplar.quilting.disc import (
     match_light,
 )
 from training.priors.exemplar.quilting.labels import Label, Source, distance_across
+from training.priors.exemplar.quilting.rinds import Rinds
 from training.priors.exemplar.quilting.seams import improve_labels, two_nearest
 from training.priors.exemplar.quilting.texture import TextureField
 from training.priors.exemplar.quilting.things.candidates import Candidates, in_own_planes, strewn
@@ -100,6 +101,7 @@ BLOCK = 50_000
 class Quilt:
     """The inside as a function on the unit ball."""
 
+    rinds: Rinds
     labels: list[Label]
     number: NDArray[np.int32]
     """(X, Y, Z). Row of each cell of the finest grid, -1 outside."""
@@ -117,7 +119,8 @@ class Quilt:
     def read(self, points: NDArray[np.float32]) -> NDArray[np.float32]:
         """(M, 3). Colours at points (M, 3) of the unit ball along e1, e2, up. Range [0, 1]."""
         blocks = [points[start : start + BLOCK] for start in range(0, len(points), BLOCK)]
-        return np.concatenate([np.empty((0, 3), np.float32), *side_by_side(self._read, blocks)])
+        found = side_by_side(lambda block: self.read_evened(self.rinds.evened(block)), blocks)
+        return np.concatenate([np.empty((0, 3), np.float32), *found])
 
     def nearest(self, points: NDArray[np.float32]) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
         """(M, 2) and (M,). The two labels that are nearest to points (M, 3), and how far they are apart, 0 to 1."""
@@ -126,7 +129,8 @@ class Quilt:
         self._share_crossing(best, apart, points)
         return best, apart
 
-    def _read(self, points: NDArray[np.float32]) -> NDArray[np.float32]:
+    def read_evened(self, points: NDArray[np.float32]) -> NDArray[np.float32]:
+        """(M, 3). Colours where in the quilt points (M, 3) are whose rind is as thick as in all pictures."""
         best, apart = self.nearest(points)
         weight = 0.5 + 0.5 * smoothstep(apart / SEAM_WIDTH)
         tones = read_trilinear(self.tones, _in_cells(points, LEVELS[-1]))
@@ -181,7 +185,7 @@ def make_quilt(
 ) -> Quilt:
     """The quilt of horizontal and radial pictures, each 0 or more and one at least together; the first horizontal one
     at a height in the unit ball. Bit-equal for a seed."""
-    across, along = _make_sources(horizontal, radial)
+    rinds, across, along = _make_sources(horizontal, radial, height)
     labels = _make_labels(across, along, height, seed)
     gain = np.full(REGIONS, FIRST_GAIN)
     chosen = number = None
@@ -208,7 +212,7 @@ def make_quilt(
     shares = np.bincount(chosen, minlength=len(labels)) / len(chosen)
     log.info("quilted of %d sets of chunks, shares %s", len(labels), np.round(shares, 2).tolist())
     log.info("closed things %.4f of %.4f, gain %.2f to %.2f", shown.mean(), wanted.mean(), gain.min(), gain.max())
-    return _assembled(labels, across, along, seed, number, chosen, ball)
+    return _assembled(rinds, labels, across, along, seed, number, chosen, ball)
 
 
 def restore_quilt(
@@ -219,26 +223,33 @@ def restore_quilt(
     number, _, points = _grid(LEVELS[-1])
     if chosen.shape != (len(points),):
         raise ValueError("no label for each cell")
-    across, along = _make_sources(horizontal, radial)
+    rinds, across, along = _make_sources(horizontal, radial, height)
     labels = _make_labels(across, along, height, seed)
     if not 0 <= chosen.min() <= chosen.max() < len(labels):
         raise ValueError("a label that no picture has")
-    return _assembled(labels, across, along, seed, number, chosen, Ball.of(points))
+    return _assembled(rinds, labels, across, along, seed, number, chosen, Ball.of(points))
 
 
-def _make_sources(horizontal: Sequence[Disc], radial: Sequence[Disc]) -> tuple[list[Source], list[Source]]:
-    """What is known of the pictures, all in the light of the first."""
+def _make_sources(
+    horizontal: Sequence[Disc], radial: Sequence[Disc], height: float
+) -> tuple[Rinds, list[Source], list[Source]]:
+    """What is known of the pictures, all in the light of the first and with the rind that all have."""
     first = [*horizontal, *radial][0]
+    rinds = Rinds.of(horizontal, radial, height, OWN_AZIMUTHS)
+    each = [(disc, depths, True) for disc, depths in zip(horizontal, rinds.across, strict=True)]
+    each += [(disc, depths, False) for disc, depths in zip(radial, rinds.along, strict=True)]
 
-    def known(disc: Disc) -> Source:
-        is_horizontal = any(disc is other for other in horizontal)
-        return Source.of(disc if disc is first else match_light(disc, first), is_horizontal)
+    def known(one: tuple[Disc, NDArray[np.float64], bool]) -> Source:
+        disc, depths, is_horizontal = one
+        lit = disc if disc is first else match_light(disc, first)
+        return Source.of(rinds.even(lit, depths, is_horizontal), is_horizontal)
 
-    sources = side_by_side(known, [*horizontal, *radial])
-    return sources[: len(horizontal)], sources[len(horizontal) :]
+    sources = side_by_side(known, each)
+    return rinds, sources[: len(horizontal)], sources[len(horizontal) :]
 
 
 def _assembled(
+    rinds: Rinds,
     labels: list[Label],
     across: list[Source],
     along: list[Source],
@@ -255,7 +266,7 @@ def _assembled(
     tones = _blended_tones(labels, ball, number, chosen)
     things = [source.things for source in [*across, *along]]
     own = [source.seeds.things(source.disc) for source in [*across[:1], *along[:OWN_AZIMUTHS]]]  # in their own light
-    ground = Quilt(labels, number, chosen, textures, tones, [*things, *own], None)
+    ground = Quilt(rinds, labels, number, chosen, textures, tones, [*things, *own], None)
     return replace(ground, packing=_packed(ground, things, own, across, along, seed, ball))
 
 
@@ -297,7 +308,7 @@ def _packed(
             rows = tried.stamps < first_radial
             off = np.abs(tried.middles[rows, 2:] - known).min(1)
             likely[rows] = np.maximum(np.exp(-np.square(off / HEIGHTS) / 2), ANYWHERE)
-        unlike = np.linalg.norm(ground.read(tried.middles) - around_them[tried.stamps], axis=1)
+        unlike = np.linalg.norm(ground.read_evened(tried.middles) - around_them[tried.stamps], axis=1)
         return (rng.uniform(size=len(likely)) < likely) & (unlike < UNLIKE)
 
     def is_free(tried: Candidates) -> NDArray[np.bool_]:

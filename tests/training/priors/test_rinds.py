@@ -1,0 +1,106 @@
+"""Rinds that all pictures have alike: against drawn rinds of known depth."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from training.priors.exemplar.quilting.disc import Disc, disc_grid
+from training.priors.exemplar.quilting.rinds import ANGLES, Rinds
+
+FLESH, RIND = np.array([0.9, 0.3, 0.3]), np.array([0.8, 0.9, 0.5])
+HEIGHT = 0.1
+
+
+def drawn(thin: float, thick: float) -> Disc:
+    """Flesh in a rind that is thick to the right and thin to the left."""
+    x, y = disc_grid()
+    depth = thin + (thick - thin) * (1 + x / np.maximum(np.hypot(x, y), 1e-6)) / 2
+    rgb = np.where((1 - np.hypot(x, y) < depth)[..., None], RIND, FLESH)
+    return Disc(rgb.astype(np.float32))
+
+
+@pytest.fixture(scope="module")
+def pictures() -> tuple[Disc, Disc]:
+    return drawn(0.08, 0.16), drawn(0.14, 0.22)
+
+
+@pytest.fixture(scope="module")
+def rinds(pictures: tuple[Disc, Disc]) -> Rinds:
+    return Rinds.of(pictures[:1], pictures[1:], HEIGHT, 1)
+
+
+def is_rind(rgb: NDArray[np.float32]) -> NDArray[np.bool_]:
+    return rgb[..., 1] > 0.6
+
+
+def in_plane(at: NDArray[np.floating], horizontal: bool) -> NDArray[np.float32]:
+    """(M, 3). Places (M, 2) of a picture's own plane through the middle."""
+    x, y = at.T
+    zero = np.zeros_like(x)
+    return np.stack([x, y, zero] if horizontal else [x, zero, y], -1).astype(np.float32)
+
+
+def test_depths_are_measured(rinds: Rinds) -> None:
+    turn = np.arange(ANGLES) / ANGLES * 2 * np.pi
+    for depths, thin, thick in ((rinds.across[0], 0.08, 0.16), (rinds.along[0], 0.14, 0.22)):
+        wanted = thin + (thick - thin) * (1 + np.cos(turn)) / 2
+        assert np.abs(depths - wanted).max() < 0.012
+
+
+def test_quilted_pictures_have_one_rind(rinds: Rinds, pictures: tuple[Disc, Disc]) -> None:
+    """As deep as on average, on the equator of both, and the same on both sides of the radial one."""
+    for disc, depths, horizontal in ((pictures[0], rinds.across[0], True), (pictures[1], rinds.along[0], False)):
+        even = rinds.even(disc, depths, horizontal)
+        depth = np.arange(0, 0.4, 0.001)
+        for turn in (0, np.pi):
+            ray = even.read((1 - depth) * np.cos(turn), (1 - depth) * np.sin(turn))
+            assert is_rind(ray).sum() * 0.001 == pytest.approx(0.15, abs=0.012)
+
+
+@pytest.mark.parametrize("horizontal", [True, False])
+def test_own_planes_show_their_pictures_as_they_are(
+    horizontal: bool, rinds: Rinds, pictures: tuple[Disc, Disc]
+) -> None:
+    """Where planes of both families meet neither does; the horizontal one is at its height all around."""
+    disc, depths = (pictures[0], rinds.across[0]) if horizontal else (pictures[1], rinds.along[0])
+    even = rinds.even(disc, depths, horizontal)
+    rng = np.random.default_rng(0)
+    radius, turn = np.sqrt(rng.uniform(0.3, 0.98, 4000)), rng.uniform(0, 2 * np.pi, 4000)
+    turn = turn[np.abs(np.sin(turn if horizontal else turn - np.arcsin(HEIGHT))) > 0.2]
+    at = np.stack([radius[: len(turn)] * np.cos(turn), radius[: len(turn)] * np.sin(turn)], -1)
+    points = in_plane(at, horizontal)
+    if horizontal:  # at its height, at the same angles and distances from the middle
+        points = np.column_stack([at * np.sqrt(1 - HEIGHT**2), HEIGHT * np.hypot(*at.T)]).astype(np.float32)
+    moved = rinds.evened(points)
+    scale = np.linalg.norm(moved, axis=1) / np.linalg.norm(points, axis=1)
+    shown = even.read(*(at * scale[:, None]).T)
+    assert (is_rind(shown) != is_rind(disc.read(*at.T))).mean() < 0.03
+
+
+def test_between_planes_a_rind_has_no_step(rinds: Rinds) -> None:
+    """And far from all planes it is as deep as the pictures have it together."""
+    turn = np.linspace(0, 2 * np.pi, 721)
+    points = np.stack([0.87 * np.cos(turn), 0.87 * np.sin(turn), np.full_like(turn, -0.4)], -1)
+    points *= 0.86 / np.linalg.norm(points, axis=1)[:, None]
+    length = np.linalg.norm(rinds.evened(points.astype(np.float32)), axis=1)
+    assert np.abs(np.diff(length)).max() < 0.004
+    assert np.ptp(length) > 0.02
+    pole = np.array([[0.0, 0.84, -0.1], [0.0, -0.84, -0.1]], np.float32)
+    assert np.abs(np.linalg.norm(rinds.evened(pole), axis=1) - np.linalg.norm(pole, axis=1)).max() < 0.02
+
+
+def test_what_is_deep_or_outside_stays(rinds: Rinds) -> None:
+    points = np.random.default_rng(0).standard_normal((500, 3)).astype(np.float32)
+    points /= np.linalg.norm(points, axis=1, keepdims=True)
+    for length in (0.0, 0.2, 1.0, 1.05):
+        assert rinds.evened(length * points) == pytest.approx(length * points, abs=1e-6)
+
+
+def test_alike_rinds_are_left_alone() -> None:
+    plain = drawn(0.12, 0.12)
+    rinds = Rinds.of([plain], [plain], 0.0, 1)
+    points = np.random.default_rng(0).uniform(-0.57, 0.57, (2000, 3)).astype(np.float32)
+    assert np.abs(rinds.evened(points) - points).max() < 0.01
+    assert np.abs(rinds.even(plain, rinds.across[0], True).rgb - plain.rgb).mean() < 0.01

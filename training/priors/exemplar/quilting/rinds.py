@@ -1,0 +1,160 @@
+"""Rinds of the same depth: a picture's rind is thicker on one side, and no two fruits have one as thick.
+
+Where chunks of such pictures meet, a rind would have steps. So pictures are quilted with the rind that all have
+together, and the ball is bent: in a picture's own plane its rind is as thick as it shows it, and from plane to plane it
+passes from one thickness to the next.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from training.priors.exemplar.quilting.disc import Disc, disc_grid, ring_medians
+from training.priors.exemplar.rind import FLESH, rind_depth
+
+__all__ = ["Rinds", "rind_of"]
+
+ANGLES = 360
+"""Directions in which a picture's rind is measured."""
+
+STEP = 0.005
+"""Radii from one depth to the next at which that is done: more than a pixel."""
+
+DEEPEST = 2.5
+"""Depth to which a rind is followed, over the usual depth in its picture."""
+
+NARROWEST, SMOOTH = 21, 5.0
+"""Degrees of the median and standard deviation of the blur of the depths around a picture: what is narrower are the
+gaps between segments and no thickness of the rind."""
+
+MOST = 2.0
+"""Times as thick or as thin as in all pictures a rind is at most taken for: beyond it something else is there."""
+
+REACH = 3.0
+"""Depth over the rind's from which nothing is moved."""
+
+NEAR = 0.35
+"""Radians from own planes at which rinds are half as thick as in the nearest of them, half as in all pictures."""
+
+LATITUDES, LONGITUDES = 90, 180
+"""Directions in which the ball's rind is kept."""
+
+RINGS = 50
+"""In which a rind's colours are compared with the flesh."""
+
+BLUR = 3.0
+"""Standard deviation in pixels of a disc under which they are: a hundredth of a radius."""
+
+
+def rind_of(disc: Disc, is_horizontal: bool) -> tuple[float, NDArray[np.float32], float]:
+    """Depth in radii of the layers along the rim, to where half of their contrast with the flesh is left; the colour of
+    the flesh (3,) and half of that contrast."""
+    depth = np.maximum(1 - np.hypot(*disc_grid()), 0)
+    deepest = rind_depth(disc.rgb, depth, BLUR, goes_around=is_horizontal)
+    colours = ring_medians(disc, RINGS)[::-1]
+    flesh = colours[int(FLESH[0] * RINGS) : int(FLESH[1] * RINGS)].mean(0)
+    contrast = np.linalg.norm(colours - flesh, axis=1)[: max(round(deepest * RINGS), 1)]
+    half = float(contrast.max() / 2)
+    return float((np.flatnonzero(contrast >= half)[-1] + 1) / RINGS), flesh, half
+
+
+@dataclass(frozen=True)
+class Rinds:
+    """How deep the rinds of pictures are, and that of the ball which has them in their planes."""
+
+    across: list[NDArray[np.float64]]
+    """(ANGLES,) each. Depths in radii of the horizontal pictures around their middle, degree by degree."""
+    along: list[NDArray[np.float64]]
+    """(ANGLES,) each. Of the radial ones."""
+    usual: NDArray[np.float64]
+    """(ANGLES,). Of all radial pictures, the same on both sides."""
+    ball: NDArray[np.float64]
+    """(2, LATITUDES + 1, LONGITUDES + 1). Depth in each direction in the ball, and in the quilt."""
+
+    @classmethod
+    def of(cls, horizontal: Sequence[Disc], radial: Sequence[Disc], height: float, planes: int) -> Rinds:
+        """Of pictures, the first horizontal one at a height in the ball and the first radial ones in as many planes."""
+        across, along = [_depths(disc, True) for disc in horizontal], [_depths(disc, False) for disc in radial]
+        everywhere = float(np.mean([np.median(depths) for depths in [*across, *along]]))
+        usual = np.full(ANGLES, everywhere)
+        if along:
+            both = np.mean([(depths + _mirrored(depths)) / 2 for depths in along], axis=0)
+            usual = both * everywhere / np.median(both)
+        across = [_at_most(depths, np.full(ANGLES, everywhere)) for depths in across]
+        along = [_at_most(depths, usual) for depths in along]
+        up = (np.arange(LATITUDES + 1) / LATITUDES - 0.5)[:, None] * np.pi
+        turn = np.arange(LONGITUDES + 1) / LONGITUDES * 2 * np.pi
+        in_quilt = np.broadcast_to(_around(usual, up), (len(up), len(turn)))
+        total, weights = in_quilt / NEAR**2, np.full(in_quilt.shape, 1 / NEAR**2)
+        seen = []
+        if across:
+            seen.append((np.abs(up - np.arcsin(height)) + 0 * turn, _around(across[0], turn + 0 * up)))
+        for n, depths in enumerate(along[:planes]):
+            off = turn - n * np.pi / planes
+            here = np.where(np.cos(off) >= 0, up, np.pi - up)  # half a turn on is the picture's other side
+            seen.append((np.abs(np.arcsin(np.cos(up) * np.sin(off))), _around(depths, here)))
+        for away, depths in seen:
+            weight = 1 / np.maximum(away, 1e-3) ** 2
+            total, weights = total + weight * depths, weights + weight
+        return cls(across, along, usual, np.stack([total / weights, in_quilt]))
+
+    def even(self, disc: Disc, depths: NDArray[np.float64], is_horizontal: bool) -> Disc:
+        """A picture with these depths (ANGLES,) with the rind that all have."""
+        x, y = disc_grid()
+        radius, turn = np.hypot(x, y), np.arctan2(y, x)
+        usual = np.full(ANGLES, np.median(self.usual)) if is_horizontal else self.usual
+        depth = _moved(np.maximum(1 - radius, 0), _around(usual, turn), _around(depths, turn))
+        there = np.where(radius < 1, 1 - depth, radius)
+        return Disc(disc.read(there * np.cos(turn), there * np.sin(turn)))
+
+    def evened(self, points: NDArray[np.float32]) -> NDArray[np.float32]:
+        """(M, 3). Where in the quilt the points (M, 3) of the ball are."""
+        length = np.linalg.norm(points, axis=1)
+        rows = np.flatnonzero((1 - length < REACH * self.ball.max()) & (length > 1e-3) & (length < 1))
+        out, some, long = points.copy(), points[rows], length[rows]
+        up = np.arcsin(np.clip(some[:, 2] / long, -1, 1))
+        turn = np.arctan2(some[:, 1], some[:, 0]) % (2 * np.pi)
+        at = np.stack([(up / np.pi + 0.5) * LATITUDES, turn / (2 * np.pi) * LONGITUDES])
+        here, in_quilt = (ndimage.map_coordinates(d, at, order=1, mode="nearest") for d in self.ball)
+        out[rows] *= ((1 - _moved(1 - long, here, in_quilt)) / long)[:, None]
+        return out
+
+
+def _depths(disc: Disc, is_horizontal: bool) -> NDArray[np.float64]:
+    """(ANGLES,). How deep the rind of a picture is, degree by degree."""
+    usual, flesh, half = rind_of(disc, is_horizontal)
+    depth = np.arange(0, DEEPEST * usual, STEP)
+    turn = np.arange(ANGLES) / ANGLES * 2 * np.pi
+    smooth = Disc(ndimage.gaussian_filter(disc.rgb, (BLUR, BLUR, 0)))
+    rays = smooth.read((1 - depth[:, None]) * np.cos(turn), (1 - depth[:, None]) * np.sin(turn))
+    contrast = np.linalg.norm(rays - flesh, axis=-1)
+    strongest = contrast[: max(int(usual / STEP), 1)].argmax(0)
+    under = (contrast < half) & (np.arange(len(depth))[:, None] >= strongest)
+    ends = np.where(under.any(0), depth[under.argmax(0)], depth[-1])
+    return ndimage.gaussian_filter1d(ndimage.median_filter(ends, NARROWEST, mode="wrap"), SMOOTH, mode="wrap")
+
+
+def _at_most(depths: NDArray[np.float64], usual: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.clip(depths, usual / MOST, usual * MOST)
+
+
+def _mirrored(depths: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(ANGLES,). As a picture has them whose sides are changed."""
+    return depths[(ANGLES // 2 - np.arange(ANGLES)) % ANGLES]
+
+
+def _around(depths: NDArray[np.float64], turn: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Depths at angles in radians, of any shape."""
+    return np.interp(turn % (2 * np.pi) * ANGLES / (2 * np.pi), np.arange(ANGLES + 1), np.append(depths, depths[0]))
+
+
+def _moved(depth: NDArray[np.floating], rind: NDArray[np.floating], to: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Depths where a rind is as thick as `to`: what lies under it is pushed or stretched, to nothing at REACH."""
+    ends = REACH * np.maximum(rind, to)
+    beyond = to + (depth - rind) * (ends - to) / (ends - rind)
+    return np.where(depth < rind, depth * to / rind, np.where(depth < ends, beyond, depth))
