@@ -175,14 +175,18 @@ def halo(hidden: NDArray[np.bool_]) -> NDArray[np.float32]:
 
 def filled_in(values: NDArray[np.float32], hidden: NDArray[np.bool_]) -> NDArray[np.float32]:
     """(P, P, C). Values (P, P, C) on a disc's pixels, with those around where they are hidden (P, P)."""
+    if not hidden.any():
+        return values
     kept = 1 - halo(hidden)[..., None]
-    out, share = values * kept, kept
+    known, coarse = reduced(kept, REDUCTION), reduced(values * kept, REDUCTION)
+    around, share = coarse, known
     for width in FILLS:
-        sigma = width / PIXEL
-        around, weight = (ndimage.gaussian_filter(a * kept, (sigma, sigma, 0), truncate=3) for a in (values, kept))
+        sigma = width / (PIXEL * REDUCTION)
+        near, weight = (ndimage.gaussian_filter(a, (sigma, sigma, 0), truncate=3) for a in (coarse, known))
         add = (1 - share) * np.minimum(weight * 4, 1)
-        out, share = out + add * around / np.maximum(weight, 1e-6), share + add
-    return (out / np.maximum(share, 1e-6)).astype(np.float32)
+        around, share = around + add * near / np.maximum(weight, 1e-6), share + add
+    there = enlarged((around / np.maximum(share, 1e-6)).astype(np.float32))
+    return values * kept + there * (1 - kept)
 
 
 def enlarged(values: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -287,7 +287,8 @@ def _packed(
     rng = np.random.default_rng([seed, 6])
     planes = [label for label in ground.labels if label.is_own]
     cover = np.zeros(ground.number.shape, np.float32)
-    cover[ground.number >= 0] = _grain_cover(ground.labels, ground.chosen, ball)
+    if any(some.are_close for some in things):
+        cover[ground.number >= 0] = _grain_cover(ground.labels, ground.chosen, ball)
     both = zip([*across, *along], things, strict=True)
     around_them = np.concatenate([source.bare.tones.read(*some.places.T) for source, some in both])
     first_radial = sum(len(some.places) for some in things[: len(across)])
