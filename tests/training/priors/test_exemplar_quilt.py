@@ -169,7 +169,7 @@ def test_every_picture_is_used_and_a_seed_decides(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(quilt, "LEVELS", (16, 32))
     made = make_quilt(faces[:2], faces[2:], 1, lambda part: None)
     # What is known of the pictures takes longest and has no seed.
-    sources = made.labels[0].sources, made.labels[1].sources
+    sources = made.rinds, made.labels[0].sources, made.labels[1].sources
     monkeypatch.setattr(quilt, "_make_sources", lambda *_: sources)
     again, other = (make_quilt(faces[:2], faces[2:], seed, lambda part: None) for seed in (1, 2))
     points = level(0.3)

@@ -99,7 +99,7 @@ def test_one_family_alone_is_kept_and_makes_the_same_bits(inside: QuiltInside, h
 def test_a_wrong_record_is_none(inside: QuiltInside, monkeypatch: pytest.MonkeyPatch) -> None:
     arrays, facts = inside.record()
     # What is known of the pictures takes seconds, and no wrong label is found by it.
-    sources = [label.sources for label in inside.quilt.labels[:2]]
+    sources = [inside.quilt.rinds, *(label.sources for label in inside.quilt.labels[:2])]
     monkeypatch.setattr(quilt, "_make_sources", lambda *_: sources)
     wrong: list[tuple[dict[str, Any], dict[str, Any]]] = [
         (arrays, facts | {"kind": "spell"}),

@@ -71,8 +71,10 @@ class Rinds:
     """(ANGLES,) each. Depths in radii of the horizontal pictures around their middle, degree by degree."""
     along: list[NDArray[np.float64]]
     """(ANGLES,) each. Of the radial ones."""
+    level: float
+    """Depth of the quilt's rind at the height of the first horizontal picture: that of all horizontal ones there."""
     usual: NDArray[np.float64]
-    """(ANGLES,). Of all radial pictures, the same on both sides."""
+    """(ANGLES,). Depth of the quilt's rind from height to height, as radial pictures have it on both sides."""
     ball: NDArray[np.float64]
     """(2, LATITUDES + 1, LONGITUDES + 1). Depth in each direction in the ball, and in the quilt."""
 
@@ -85,7 +87,9 @@ class Rinds:
         if along:
             both = np.mean([(depths + _mirrored(depths)) / 2 for depths in along], axis=0)
             usual = both * everywhere / np.median(both)
-        across = [_at_most(depths, np.full(ANGLES, everywhere)) for depths in across]
+        latitude = float(np.arcsin(np.clip(height, -1, 1)))
+        level = float(_around(usual, np.array(latitude)))
+        across = [_at_most(depths, np.full(ANGLES, level)) for depths in across]
         along = [_at_most(depths, usual) for depths in along]
         up = (np.arange(LATITUDES + 1) / LATITUDES - 0.5)[:, None] * np.pi
         turn = np.arange(LONGITUDES + 1) / LONGITUDES * 2 * np.pi
@@ -93,7 +97,7 @@ class Rinds:
         total, weights = in_quilt / NEAR**2, np.full(in_quilt.shape, 1 / NEAR**2)
         seen = []
         if across:
-            seen.append((np.abs(up - np.arcsin(height)) + 0 * turn, _around(across[0], turn + 0 * up)))
+            seen.append((np.abs(up - latitude) + 0 * turn, _around(across[0], turn + 0 * up)))
         for n, depths in enumerate(along[:planes]):
             off = turn - n * np.pi / planes
             here = np.where(np.cos(off) >= 0, up, np.pi - up)  # half a turn on is the picture's other side
@@ -101,13 +105,13 @@ class Rinds:
         for away, depths in seen:
             weight = 1 / np.maximum(away, 1e-3) ** 2
             total, weights = total + weight * depths, weights + weight
-        return cls(across, along, usual, np.stack([total / weights, in_quilt]))
+        return cls(across, along, level, usual, np.stack([total / weights, in_quilt]))
 
     def even(self, disc: Disc, depths: NDArray[np.float64], is_horizontal: bool) -> Disc:
         """A picture with these depths (ANGLES,) with the rind that all have."""
         x, y = disc_grid()
         radius, turn = np.hypot(x, y), np.arctan2(y, x)
-        usual = np.full(ANGLES, np.median(self.usual)) if is_horizontal else self.usual
+        usual = np.full(ANGLES, self.level) if is_horizontal else self.usual
         depth = _moved(np.maximum(1 - radius, 0), _around(usual, turn), _around(depths, turn))
         there = np.where(radius < 1, 1 - depth, radius)
         return Disc(disc.read(there * np.cos(turn), there * np.sin(turn)))
