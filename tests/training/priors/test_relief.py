@@ -46,6 +46,20 @@ def test_a_round_thing_is_as_tall_as_it_is_wide(half_width: float) -> None:
     assert all(b <= a + 1e-9 for a, b in pairwise(areas))
 
 
+def test_of_a_star_flesh_is_left() -> None:
+    """A median as wide as its arms are long holds half of their colour: a grey smudge from pole to pole."""
+    x, y = disc_grid()
+    dark = np.zeros(x.shape, bool)
+    for turn in np.arange(5) * 2 * np.pi / 5:
+        s, t = x * np.cos(turn) + y * np.sin(turn) - 0.11, y * np.cos(turn) - x * np.sin(turn)
+        dark |= np.hypot(s / 0.1, t / 0.045) < 1
+    made, middle = relief(dark), np.hypot(x, y) < 0.22
+    at = x[middle], y[middle]
+    assert (made.read(*at, np.zeros(middle.sum()))[:, 0] < 0.55).mean() > 0.3
+    shown = made.read(*at, np.full(middle.sum(), 0.4))[:, :3]
+    assert np.abs(shown - FLESH).max() < 0.05
+
+
 def test_what_lies_in_a_thing_gives_way_to_that_thing() -> None:
     """A seed in a pale carpel: first the carpel is left, then flesh."""
     x, y = disc_grid()

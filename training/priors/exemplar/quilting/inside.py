@@ -18,7 +18,10 @@ from training.priors.exemplar.quilting.kinds import QuiltKinds
 from training.priors.exemplar.quilting.quilt import BLOCK, Quilt, restore_quilt
 from training.priors.exemplar.record import MOST_SEED, MOST_SHEETS, RecordReader
 
-__all__ = ["QuiltInside"]
+__all__ = ["QUILT", "QuiltInside"]
+
+QUILT = "quilt 2"
+"""Kind of the record. A plain "quilt" had the same arrays and was another inside, which its atoms were made from."""
 
 COARSEST = 16
 """Times as large as a photograph's pixels are those of its coarsest version: a power of two that divides it."""
@@ -96,7 +99,7 @@ class QuiltInside:
         }
         arrays |= {"chosen": self.quilt.chosen.astype(np.uint8), "skin": self.ball.skin}
         arrays |= {"origin": self.origin, "basis": self.basis}
-        return arrays, {"kind": "quilt", "seed": self.seed, "rise": self.ball.rise, "cell": self.cell}
+        return arrays, {"kind": QUILT, "seed": self.seed, "rise": self.ball.rise, "cell": self.cell}
 
     @classmethod
     def restored(cls, record: RecordReader) -> QuiltInside:
