@@ -103,7 +103,7 @@ def test_a_ball_shows_a_grain_from_its_middle_to_its_rim() -> None:
     things = Things.of(picture, np.zeros((1, 2)), axes, np.zeros(1))
     frame = np.eye(3, dtype=np.float32)
     one = Candidates(
-        frame[:1] * 0, np.float32(SECTION * axes), frame[:1], frame[1:2], np.zeros(1, int), np.ones(1, bool)
+        frame[:1] * 0, np.asarray(SECTION * axes, np.float32), frame[:1], frame[1:2], np.zeros(1, int), np.ones(1, bool)
     )
     made = pack([things], [one], one.chosen(np.zeros(0, int)), lambda tried: tried.are_close, np.random.default_rng(0))
     assert made is not None
