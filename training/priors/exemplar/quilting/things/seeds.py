@@ -26,8 +26,8 @@ LEAST_CONTRAST, TYPICAL = 0.12, 3.5
 same picture: as for kinds."""
 
 SURE = 1.7
-"""Mean of that distance in a thing, over the least: vessels of apples have up to 1.5, drops of juice as much, and the
-palest seeds of melons 1.9."""
+"""Mean of that distance in a thing, over the least: drops of juice in six oranges have 1.0 to 1.8, vessels in three apples
+1.2 to 2.0, four fifths of the seeds in five melons 1.7 to 3.8. Laid anew, none of the three looks wrong."""
 
 RAISED = 1.25
 """Factor of the contrast from one level of the tree to the next."""
@@ -44,7 +44,8 @@ HALF_WIDTHS, LONGEST = (0.011, 0.12), 4.0
 medians that tell that from things, what is wider hardly closes."""
 
 SOLID = 0.8
-"""Least share of a thing's convex hull that it fills: a disc of a few pixels fills 0.85, two that touch 0.8."""
+"""Least share of a thing's convex hull that it fills: a disc fills 0.97 and more, two that touch up to 0.83, three in a
+row up to 0.80."""
 
 GROWN = 2
 """Pixels by which a thing grows into the region that it was found in: there its edge is."""
