@@ -87,8 +87,8 @@ GRAIN_STEPS = 0.6 * np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)]).as
 """Places in a ball, over its radius, at which that is looked for."""
 
 HEIGHTS, ANYWHERE = 0.1, 0.05
-"""Standard deviation in radii of the heights of a horizontal picture's seeds around those of radial ones, which lie some
-0.08 apart in a row; and how likely, against that, they are anywhere else."""
+"""Standard deviation in radii of the heights of a horizontal picture's seeds around those of radial ones, which lie
+some 0.08 apart in a row; and how likely, against that, they are anywhere else."""
 
 UNLIKE = 0.3
 """RGB distance up to which what a seed is laid in is like what it lay in: texture is within it, a rind is not."""

@@ -39,8 +39,8 @@ REACH = 3.0
 """Depth over the rind's from which nothing is moved."""
 
 NEAR = 0.35
-"""Radians from own planes at which rinds are half as thick as in the nearest of them, half as in all pictures: by eye, no
-cut across an own plane has a notch in its rind."""
+"""Radians from own planes at which rinds are half as thick as in the nearest of them, half as in all pictures: by eye,
+no cut across an own plane has a notch in its rind."""
 
 LATITUDES, LONGITUDES = 90, 180
 """Directions in which the ball's rind is kept."""

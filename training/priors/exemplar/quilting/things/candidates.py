@@ -25,8 +25,8 @@ INSIDE = 0.95
 
 ROWS = 0.15
 """Standard deviation in radians around the axis of seeds around the directions in which a horizontal picture has them:
-fruits have them in rows along the axis, so that one radial cut shows a row and the next none. Strewn all around, features
-of radial cuts of two pairs of melons are 0.16 and 0.01 farther from photographs."""
+fruits have them in rows along the axis, so that one radial cut shows a row and the next none. Strewn all around,
+features of radial cuts of two pairs of melons are 0.16 and 0.01 farther from photographs."""
 
 LEVELS = 64
 """Places from the axis outwards at which is looked what a horizontal picture shows there."""

@@ -26,8 +26,8 @@ LEAST_CONTRAST, TYPICAL = 0.12, 3.5
 same picture: as for kinds."""
 
 SURE = 1.7
-"""Mean of that distance in a thing, over the least: drops of juice in six oranges have 1.0 to 1.8, vessels in three apples
-1.2 to 2.0, four fifths of the seeds in five melons 1.7 to 3.8. Laid anew, none of the three looks wrong."""
+"""Mean of that distance in a thing, over the least: drops of juice in six oranges have 1.0 to 1.8, vessels in three
+apples 1.2 to 2.0, four fifths of the seeds in five melons 1.7 to 3.8. Laid anew, none of the three looks wrong."""
 
 RAISED = 1.25
 """Factor of the contrast from one level of the tree to the next."""
