@@ -104,3 +104,13 @@ def test_alike_rinds_are_left_alone() -> None:
     points = np.random.default_rng(0).uniform(-0.57, 0.57, (2000, 3)).astype(np.float32)
     assert np.abs(rinds.evened(points) - points).max() < 0.01
     assert np.abs(rinds.even(plain, rinds.across[0], True).rgb - plain.rgb).mean() < 0.01
+
+
+def test_each_radial_picture_has_its_own_plane() -> None:
+    """The second of two is at a right angle to the first, of however many there may be."""
+    thin, thick = drawn(0.1, 0.1), drawn(0.2, 0.2)
+    rinds = Rinds.of([], [thin, thick], 0.0, 3)
+    points = 0.85 * np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]], np.float32)
+    depth = 1 - np.linalg.norm(rinds.evened(points), axis=1)
+    assert depth[:2] == pytest.approx(0.195, abs=0.02)  # under a thin rind: half of the way from 0.1 to 0.3 in REACH
+    assert depth[2:] == pytest.approx(0.1125, abs=0.012)  # three quarters of a thick one

@@ -80,8 +80,9 @@ class Rinds:
     """(2, LATITUDES + 1, LONGITUDES + 1). Depth in each direction in the ball, and in the quilt."""
 
     @classmethod
-    def of(cls, horizontal: Sequence[Disc], radial: Sequence[Disc], height: float, planes: int) -> Rinds:
-        """Of pictures, the first horizontal one at a height in the ball and the first radial ones in as many planes."""
+    def of(cls, horizontal: Sequence[Disc], radial: Sequence[Disc], height: float, most: int) -> Rinds:
+        """Of pictures, the first horizontal one at a height in the ball and at `most` so many radial ones in planes
+        evenly spread over half a turn."""
         across, along = [_depths(disc, True) for disc in horizontal], [_depths(disc, False) for disc in radial]
         everywhere = float(np.mean([np.median(depths) for depths in [*across, *along]]))
         usual = np.full(ANGLES, everywhere)
@@ -99,6 +100,7 @@ class Rinds:
         seen = []
         if across:
             seen.append((np.abs(up - latitude) + 0 * turn, _around(across[0], turn + 0 * up)))
+        planes = min(len(along), most)
         for n, depths in enumerate(along[:planes]):
             off = turn - n * np.pi / planes
             here = np.where(np.cos(off) >= 0, up, np.pi - up)  # half a turn on is the picture's other side
