@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from engine.threads import side_by_side
-from training.priors.exemplar.quilting.chunks import Ball, smooth_noise
+from training.priors.exemplar.quilting.chunks import Ball, OwnHeight, smooth_noise
 from training.priors.exemplar.quilting.disc import REACH, to_pixels
 from training.priors.exemplar.quilting.labels import Label, Source, distance_across, read_discs
 from training.priors.exemplar.quilting.seams import nearest_colour
@@ -52,6 +52,9 @@ SECTOR_COST = 0.3
 OWN_COST, OWN_BAND = 1.0, 0.03
 """Gain of a picture near its own plane, and how near in radii, up to a smooth random factor: no band has an edge. With
 three times the gain the band is as wide everywhere and a bar in cuts across it."""
+
+CORE_COST = 20.0
+"""Gain of a horizontal picture around its core: more than any seam, less than that of a plane that is shown itself."""
 
 OWN_PLANE = 100.0
 """Gain in the cells at the plane itself: it shows the picture (law 1)."""
@@ -134,6 +137,9 @@ def weigh_labels(labels: list[Label], along: list[Source], ball: Ball, cell: flo
             near = np.exp(-np.square(places.distance / band))
             own_plane = OWN_PLANE if label.is_horizontal else OWN_PLANE / 2  # on the line where they meet
             cost = cost - OWN_COST * near - own_plane * (places.distance < 0.75 * cell)
+            if isinstance(label.chunks, OwnHeight):
+                core, (x, y, z) = label.sources[0].core, ball.points.T
+                cost = cost - CORE_COST * core.holds(x, y, z - label.chunks.height)
         else:
             cost = cost + RIND_COST * ball.rind
         if label.is_horizontal:

@@ -49,7 +49,8 @@ SHIFT = 0.05
 """Standard deviation in radii of the shift of a sector's places."""
 
 CORE = 0.3
-"""Radius below which places drift and sectors are shifted less, to none at the axis: a core is in the middle."""
+"""Radius below which places drift and sectors are shifted less, to none at the axis: a core is in the middle. Sectors
+by the square, as a stem that is shifted is cut into chips."""
 
 OWN_AZIMUTHS = 3
 """Most radial pictures that have a plane of their own; more would leave no room for variety near the axis."""
@@ -162,7 +163,7 @@ class OwnAzimuths:
         side = np.where(nearest // self.count % 2 == 0, 1, -1).astype(np.float32)
         x, y = ball.radius * np.cos(plane), ball.radius * np.sin(plane)
         flat = np.stack([x, y, ball.points[:, 2]], -1).astype(np.float32)
-        free = ((1 - ball.rind) * np.minimum(ball.radius / CORE, 1))[:, None]
+        free = ((1 - ball.rind) * np.minimum(ball.radius / CORE, 1) ** 2)[:, None]
         onset = np.minimum(np.abs(off) / DRIFT_ONSET, 1)[:, None]
         moved = SECTOR_DRIFT * free * onset * (self.drift.at(ball.points) - self.drift.at(flat))
         u, v = side * ball.radius + moved[:, 0], ball.points[:, 2] + moved[:, 1]
@@ -206,7 +207,7 @@ class Sectors:
         sector = np.floor(turn).astype(np.int64) % SECTORS
         off = np.abs(turn - np.floor(turn) - 0.5) / SECTORS * 2 * np.pi
         distance = off * np.maximum(ball.radius, RIND[0])
-        free = (1 - ball.rind) * np.minimum(ball.radius / CORE, 1)
+        free = (1 - ball.rind) * np.minimum(ball.radius / CORE, 1) ** 2
         moved = free[:, None] * (self.shift[sector] + SECTOR_DRIFT * self.drift.at(ball.points))
         x, y = self.mirror[sector] * ball.radius + moved[:, 0], ball.points[:, 2] + moved[:, 1]
         picture = (self.number + sector * SECTOR_SETS) % self.pictures

@@ -20,8 +20,9 @@ from training.priors.exemplar.record import MOST_SEED, MOST_SHEETS, RecordReader
 
 __all__ = ["QUILT", "QuiltInside"]
 
-QUILT = "quilt 2"
-"""Kind of the record. A plain "quilt" had the same arrays and was another inside, which its atoms were made from."""
+QUILT = "quilt 3"
+"""Kind of the record. A plain "quilt" and a "quilt 2" had the same arrays and were other insides, which their atoms were
+made from."""
 
 COARSEST = 16
 """Times as large as a photograph's pixels are those of its coarsest version: a power of two that divides it."""

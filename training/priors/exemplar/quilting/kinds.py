@@ -23,8 +23,8 @@ __all__ = ["QuiltKinds"]
 LEAST_SHEET = 0.3
 """Surety of a sheet from which a place belongs to it, as for layers."""
 
-GRAIN = 0.5
-"""Part of a place that a grain covers from which it belongs to it."""
+COVERED = 0.5
+"""Part of a place that a grain, a seed or a core covers from which it belongs to it."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ class QuiltKinds:
             for m, source in enumerate(label.sources):
                 face, of_it = self._faces[id(source)], places.picture == m
                 out[rows[of_it]] = face.at(places.x[of_it], places.y[of_it], places.distance[of_it])
-        if quilt.packing is not None:
-            _, cover = quilt.packing.read(points)
-            out[cover > GRAIN] = Kind.THING
+        for solids in (quilt.cores, quilt.packing):
+            if solids is not None:
+                out[solids.read(points)[1] > COVERED] = Kind.THING
         return out

@@ -23,6 +23,7 @@ from training.priors.exemplar.quilting.persistence import Persistence, find_shee
 from training.priors.exemplar.quilting.relief import Relief
 from training.priors.exemplar.quilting.rinds import rind_of
 from training.priors.exemplar.quilting.texture import Parts, take_apart
+from training.priors.exemplar.quilting.things.core import Core
 from training.priors.exemplar.quilting.things.grains import Grains
 from training.priors.exemplar.quilting.things.seeds import Seeds
 from training.priors.exemplar.quilting.things.stamps import Things
@@ -67,6 +68,8 @@ class Source:
     """Depth in radii of the layers along the rim."""
     grains: Grains
     seeds: Seeds
+    core: Core
+    is_horizontal: bool
 
     @property
     def things(self) -> Things:
@@ -76,12 +79,13 @@ class Source:
 
     @cached_property
     def bare(self) -> Source:
-        """The same picture without its seeds, which are laid anew. For chunks away from its own plane."""
-        if not len(self.seeds.places):
+        """The same picture without its seeds and its core, which are laid whole. For chunks away from its own plane."""
+        laid = self.seeds.regions | self.core.region
+        if not laid.any():
             return self
 
         def without(values: NDArray[np.float32]) -> NDArray[np.float32]:
-            return filled_in(values, self.seeds.regions)
+            return filled_in(values, laid)
 
         even, things = Disc(without(self.even.rgb)), Disc(without(self.parts.things.rgb))
         relief = replace(self.relief, levels=np.stack([without(level) for level in self.relief.levels]))
@@ -90,7 +94,7 @@ class Source:
             even=even,
             parts=replace(self.parts, things=things),
             relief=relief,
-            closed=Disc(self.closed.rgb * (1 - halo(self.seeds.regions)[..., None])),
+            closed=Disc(self.closed.rgb * (1 - halo(laid)[..., None])),
             blurred=smooth_disc(Disc(without(self.disc.rgb)), BLUR),
         )
 
@@ -120,12 +124,37 @@ class Source:
             rind,
             grains,
             Seeds.of(relief, is_horizontal, rind) if not len(grains.radii) else Seeds.none(),
+            Core.none(),
+            is_horizontal,
+        )
+
+    def with_core(self, core: Core) -> Source:
+        """The picture with this core, which has no part in its tones."""
+        if not core.region.any():
+            return self
+        even, parts, relief, _ = _look_closely(self.disc, self.is_horizontal, self.rind, core.region)
+        hidden = core.region | (relief.closed_until(self.rind) >= 0)
+        return replace(
+            self,
+            core=core,
+            even=even,
+            parts=parts,
+            relief=relief.closing(parts.things, parts.strength, core.region, hidden),
+            tones=smooth_disc(Disc(filled_in(even.rgb, hidden)), TONE),
         )
 
 
-def _look_closely(disc: Disc, is_horizontal: bool, rind: float) -> tuple[Disc, Parts, Relief, Grains]:
-    """The picture with even tones, its parts, and the solids and the grains among its things."""
-    even = even_around(disc) if is_horizontal else even_sides(disc)
+def _look_closely(
+    disc: Disc, is_horizontal: bool, rind: float, hidden: NDArray[np.bool_] | None = None
+) -> tuple[Disc, Parts, Relief, Grains]:
+    """The picture with even tones, its parts, and the solids and the grains among its things. What is `hidden` (P, P)
+    has no part in its tones."""
+    evened = even_around if is_horizontal else even_sides
+    if hidden is None:
+        even = evened(disc)
+    else:
+        toned = Disc(filled_in(disc.rgb, hidden))
+        even = Disc(np.clip(disc.rgb + evened(toned).rgb - toned.rgb, 0, 1))
     parts = take_apart(even)
     relief = Relief.of(parts.things, parts.strength, rind)
     return even, parts, relief, Grains.of(parts.things, relief.heights)

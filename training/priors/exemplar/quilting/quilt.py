@@ -12,6 +12,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +40,8 @@ from training.priors.exemplar.quilting.rinds import Rinds
 from training.priors.exemplar.quilting.seams import improve_labels, two_nearest
 from training.priors.exemplar.quilting.texture import TextureField
 from training.priors.exemplar.quilting.things.candidates import Candidates, in_own_planes, strewn
+from training.priors.exemplar.quilting.things.core import Core
+from training.priors.exemplar.quilting.things.cores import Cores
 from training.priors.exemplar.quilting.things.packing import REACHES, Packing, pack
 from training.priors.exemplar.quilting.things.stamps import Things
 from training.priors.exemplar.sampling import read_trilinear, smoothstep
@@ -139,9 +142,10 @@ class Quilt:
             for n, label in enumerate(self.labels):
                 rows = np.flatnonzero((labels == n) & (share > 0))
                 rgb[rows] += share[rows, None] * self._shown(label, points[rows], tones[rows])
-        if self.packing is not None:
-            things, cover = self.packing.read(points)
-            rgb += things - cover[:, None] * rgb
+        for solids in (self.cores, self.packing):
+            if solids is not None:
+                things, cover = solids.read(points)
+                rgb += things - cover[:, None] * rgb
         return np.clip(rgb, 0, 1)
 
     def _shown(self, label: Label, points: NDArray[np.float32], tones: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -155,6 +159,11 @@ class Quilt:
         if label.is_own:
             moved *= 1 - np.exp(-np.square(places.distance / OWN_ALONE))[:, None]
         return rgb + moved
+
+    @cached_property
+    def cores(self) -> Cores | None:
+        """The pictures' cores as solids, if they have any."""
+        return Cores.of(self.labels)
 
     def reduced(self, n: int) -> Quilt:
         """The same inside of pictures with pixels n times as large."""
@@ -245,7 +254,20 @@ def _make_sources(
         return Source.of(rinds.even(lit, depths, is_horizontal), is_horizontal)
 
     sources = side_by_side(known, each)
-    return rinds, sources[: len(horizontal)], sources[len(horizontal) :]
+    across, along = sources[: len(horizontal)], sources[len(horizontal) :]
+    return rinds, *_with_cores(across, along, height)
+
+
+def _with_cores(across: list[Source], along: list[Source], height: float) -> tuple[list[Source], list[Source]]:
+    """Horizontal and radial pictures with their cores: the radial ones with what they show of the first one's."""
+    if not across or any(len(source.grains.radii) for source in [*across, *along]):
+        return across, along
+    reliefs = [source.relief for source in along]
+    cores = [Core.across(source.relief, source.rind, reliefs, height) for source in across]
+    cores += [Core.along(relief, cores[0], height) for relief in reliefs]
+    both = list(zip([*across, *along], cores, strict=True))
+    known = side_by_side(lambda one: one[0].with_core(one[1]), both)
+    return known[: len(across)], known[len(across) :]
 
 
 def _assembled(

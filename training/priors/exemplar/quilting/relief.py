@@ -30,7 +30,7 @@ from training.priors.exemplar.quilting.disc import (
 )
 from training.priors.exemplar.sampling import reduced
 
-__all__ = ["Relief"]
+__all__ = ["NARROWEST", "Relief"]
 
 WIDTHS = (0.05, 0.12, 0.22)
 """Radii in radii of the medians to which the colours of a picture give way, one after the other: seeds, carpels and
@@ -62,8 +62,16 @@ LEAST_CONTRAST, TYPICAL = 0.08, 3.5
 """RGB distance from what is there farther on from which a thing stands out, and times the median distance in the same
 picture: as for the details of layers. Below, an orange's juice sacs are things."""
 
+CLOSE = np.float32(0.01)
+"""Distance in radii at which what lies between the parts of a thing that is laid whole ends."""
+
+THING_CONTRAST = 0.12
+"""RGB distance from what is there farther on from which a pixel may be of a thing that is laid whole: half as much
+again, as it is taken out of its picture."""
+
 NARROWEST = 0.01
-"""Half width in radii of a thing: what is narrower is texture."""
+"""Half width in radii of a thing: what is narrower is texture. The cores of eight photographs have 0.08 and more,
+specks at the axis of two melons 0.008."""
 
 EDGE = np.float32(0.006)
 """Distance over which a colour gives way to the next: a pixel and a half of the disc."""
@@ -124,6 +132,21 @@ class Relief:
         y, x = np.ogrid[-pixels : pixels + 1, -pixels : pixels + 1]
         parts, _ = ndimage.label(ndimage.binary_opening(until > 0, x * x + y * y <= pixels * pixels))
         return np.where((parts > 0) & ~np.isin(parts, parts[radius > 1 - rind]), until, -1)
+
+    def contrast(self) -> NDArray[np.floating]:
+        """(P, P). How far each pixel stands out from what is left where all has ended, over the least that counts; 0
+        outside of the face."""
+        inside = np.hypot(*disc_grid()) < 1
+        apart = np.linalg.norm(self.levels[0, ..., :3] - self.levels[-1, ..., :3], axis=-1) * inside
+        return apart / max(THING_CONTRAST, TYPICAL * float(np.median(apart[inside])))
+
+    def closing(self, disc: Disc, strength: Disc, region: NDArray[np.bool_], hidden: NDArray[np.bool_]) -> Relief:
+        """The relief, that of this face, whose pixels in a region (P, P) close next to the plane, all at once, to what
+        is around all that is hidden (P, P)."""
+        last = np.concatenate([disc.rgb, strength.rgb[..., :1]], -1)
+        last = enlarged(disc_median(filled_in(last, hidden), WIDTHS[-1]))
+        at = np.where(region[..., None], np.minimum(self.heights, CLOSE), self.heights)
+        return replace(self, levels=np.concatenate([self.levels[:-1], last[None]]).astype(np.float32), heights=at)
 
     def read(
         self, x: NDArray[np.floating], y: NDArray[np.floating], distance: NDArray[np.floating]

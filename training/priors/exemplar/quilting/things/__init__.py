@@ -1,1 +1,1 @@
-"""Things of photographs that are laid whole, in every cut: grains that fill a face, and seeds that lie apart in it."""
+"""Things of photographs that are laid whole, in every cut: grains that fill a face, seeds that lie apart, its core."""

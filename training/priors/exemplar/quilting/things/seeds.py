@@ -17,13 +17,10 @@ from skimage.segmentation import expand_labels
 
 from training.priors.exemplar.quilting.disc import DISC_PIXELS, PIXEL, REACH, Disc, disc_grid
 from training.priors.exemplar.quilting.relief import Relief
+from training.priors.exemplar.quilting.things.core import CORE
 from training.priors.exemplar.quilting.things.stamps import Things
 
 __all__ = ["Seeds"]
-
-LEAST_CONTRAST, TYPICAL = 0.12, 3.5
-"""RGB distance from what is there farther on from which a pixel may be of a thing, and times the median distance in the
-same picture, as for what closes (`relief`); half as much again at least, as a thing is taken out of its picture."""
 
 SURE = 1.7
 """Mean of that distance in a thing, over the least: drops of juice in six oranges have 1.0 to 1.8, vessels in three
@@ -34,10 +31,6 @@ RAISED = 1.25
 
 LEVELS = 9
 """Of the tree: up to six times the least contrast."""
-
-CORE = 0.12
-"""Radius of the core. A region that reaches it is a part of it, with all that is in it, and so is a thing that would
-reach it if it were twice as long: pips in a core, the arms of a star."""
 
 HALF_WIDTHS, LONGEST = (0.011, 0.12), 4.0
 """Half axes in radii that a thing may have, and their largest ratio. What is narrower is taken for texture by the
@@ -76,8 +69,7 @@ class Seeds:
         x, y = disc_grid()
         radius = np.hypot(x, y)
         from_core = np.hypot(x, y * is_horizontal)
-        apart = np.linalg.norm(relief.levels[0, ..., :3] - relief.levels[-1, ..., :3], axis=-1) * (radius < 1)
-        contrast = apart / max(LEAST_CONTRAST, TYPICAL * float(np.median(apart[radius < 1])))
+        contrast = relief.contrast()
         left, found = contrast, np.zeros(radius.shape, np.int32)
         roots = None
         for level in range(LEVELS):

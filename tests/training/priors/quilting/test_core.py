@@ -1,0 +1,159 @@
+"""The core of a face as a solid: against drawn stars and columns, closed forms and photographs."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from tests.paths import SHARED
+from training.priors.exemplar.pictures import read_picture
+from training.priors.exemplar.quilting import quilt
+from training.priors.exemplar.quilting.disc import PIXEL, Disc, disc_grid
+from training.priors.exemplar.quilting.labels import Source
+from training.priors.exemplar.quilting.quilt import Quilt, make_quilt
+from training.priors.exemplar.quilting.things.core import MARGIN, Core
+
+FLESH, DARK, RIND = np.array([0.9, 0.8, 0.6]), np.array([0.2, 0.1, 0.05]), np.array([0.7, 0.2, 0.2])
+REACH = 0.3
+TALL = 0.16
+
+
+def face(dark: NDArray[np.bool_]) -> Disc:
+    """Flesh with a rind, dark places and some grain."""
+    x, y = disc_grid()
+    rgb = np.where(dark[..., None], DARK, np.where((np.hypot(x, y) > 0.94)[..., None], RIND, FLESH))
+    return Disc((rgb + 0.01 * np.random.default_rng(0).standard_normal((*x.shape, 1))).astype(np.float32))
+
+
+def star() -> NDArray[np.bool_]:
+    """Five arms around the middle, none of which lies in the radial picture's plane."""
+    x, y = disc_grid()
+    dark = np.hypot(x, y) < 0.05
+    for turn in 0.3 + np.arange(5) * 2 * np.pi / 5:
+        s, t = x * np.cos(turn) + y * np.sin(turn) - 0.16, y * np.cos(turn) - x * np.sin(turn)
+        dark |= np.hypot(s / 0.14, t / 0.045) < 1
+    return dark
+
+
+def pips(tall: float = TALL) -> NDArray[np.bool_]:
+    """On both sides of the axis."""
+    x, y = disc_grid()
+    return np.hypot((np.abs(x) - 0.12) / 0.05, y / tall) < 1
+
+
+def core_of(horizontal: Disc, *radial: Disc) -> Core:
+    source, reliefs = Source.of(horizontal, True), [Source.of(disc, False).relief for disc in radial]
+    return Core.across(source.relief, source.rind, reliefs, 0.0)
+
+
+def test_a_core_is_as_tall_as_its_area_is_wide_and_as_radial_pictures_show_it() -> None:
+    x, y = disc_grid()
+    half = 0.13
+    disc = face(np.hypot(x, y) < half)
+    alone = core_of(disc)
+    assert alone.reach == pytest.approx(half + MARGIN, abs=0.01)
+    assert alone.ends == pytest.approx((half, half), rel=0.05)
+    for tall in (0.08, 0.16):
+        shown = face(np.hypot(x / half, y / tall) < 1)
+        seen = tall * np.sqrt(3) / 2  # up to where half of the width is dark
+        wanted = max(seen, np.sqrt(half * seen))
+        assert core_of(disc, shown).ends == pytest.approx((wanted, wanted), rel=0.1)
+
+
+def test_what_is_taller_than_wide_in_radial_pictures_is_a_column() -> None:
+    x, y = disc_grid()
+    column = face((np.abs(x) < 0.1) & (np.abs(y) < 0.7))
+    assert core_of(face(np.hypot(x, y) < 0.12)).reach > 0
+    assert core_of(face(np.hypot(x, y) < 0.12), column).reach == 0
+
+
+def test_no_core_is_what_is_joined_to_the_rind_apart_from_the_axis_or_nothing() -> None:
+    x, y = disc_grid()
+    assert core_of(face(np.abs(y) < 0.04)).reach == 0
+    assert core_of(face(np.hypot(x - 0.4, y) < 0.08)).reach == 0
+    assert core_of(face(np.zeros(x.shape, bool))).reach == 0
+
+
+def test_a_radial_picture_shows_solids_as_thick_as_they_are_wide() -> None:
+    """Every cut of a pip along its picture's plane at a distance is the ellipse that a spheroid has there."""
+    relief = Source.of(face(pips()), False).relief
+    core = Core.along(relief, core_of(face(star()), face(pips())), 0.0)
+    x, y = (a[::4, ::4].ravel() for a in disc_grid())
+    near = np.hypot(x, y) < 0.4
+    x, y = x[near], y[near]
+    areas = []
+    for away in (0.0, 0.02, 0.035, 0.055):
+        rgb, cover = core.read(face(pips()), x, y, np.full(len(x), away))
+        areas.append(cover.sum() * (4 * PIXEL) ** 2)
+        assert np.abs(rgb[cover > 0.9] - DARK).max(initial=0) < 0.2  # of 0.7, at the picture's own edge
+    full = 2 * np.pi * 0.05 * TALL
+    assert areas[0] == pytest.approx(full, rel=0.08)
+    assert areas[1] == pytest.approx(full * (1 - 0.4**2), rel=0.12)
+    assert areas[2] == pytest.approx(full * (1 - 0.7**2), rel=0.25)
+    assert areas[3] < 0.05 * full
+
+
+@pytest.fixture(scope="module")
+def grown() -> Quilt:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(quilt, "LEVELS", (16, 32))
+        return make_quilt([face(star())], [face(pips())], 0, lambda part: None)
+
+
+def level(height: float) -> NDArray[np.float32]:
+    """(M, 3). Points of a level cut through the flesh."""
+    x, y = (a[::3, ::3].ravel() for a in disc_grid())
+    points = np.column_stack([x, y, np.full(len(x), height)]).astype(np.float32)
+    return points[np.hypot(x, y) < 0.75]
+
+
+def is_dark(made: Quilt, points: NDArray[np.float32]) -> NDArray[np.bool_]:
+    return made.read(points)[:, 0] < 0.55
+
+
+def test_a_star_is_a_star_at_its_height_and_smaller_above_and_gone(grown: Quilt) -> None:
+    areas = []
+    for height in (0.0, 0.05, 0.1, 0.14, 0.25):
+        points = level(height)
+        points = points[np.abs(points[:, 1]) > 0.06]  # beside the radial picture's plane
+        dark = is_dark(grown, points)
+        areas.append(dark.sum())
+        inside = Disc(np.repeat(star()[..., None], 3, -1).astype(np.float32)).read(*points[:, :2].T)[:, 0]
+        assert not (dark & (inside < 0.1)).any()  # no smudge, and nothing where there is no arm
+        if not height:
+            assert dark[inside > 0.9].mean() > 0.97
+    assert all(b < a for a, b in pairwise(areas[:4]))
+    assert areas[3] > 0
+    assert areas[4] == 0
+
+
+def test_nothing_dark_is_left_beside_a_core(grown: Quilt) -> None:
+    """No chunk shows pips all around the axis or a star at another height."""
+    points = np.random.default_rng(1).uniform(-0.75, 0.75, (200_000, 3)).astype(np.float32)
+    far = (np.hypot(*points[:, :2].T) > REACH + 0.05) | (np.abs(points[:, 2]) > 0.25)
+    points = points[far & (np.linalg.norm(points, axis=1) < 0.75)]
+    assert not is_dark(grown, points).any()
+
+
+def test_own_planes_show_both_pictures(grown: Quilt) -> None:
+    x, y = (a[::3, ::3].ravel() for a in disc_grid())
+    inside = (np.hypot(x, y) < 0.75) & (np.abs(y) > 0.03)
+    x, y = x[inside], y[inside]
+    shown = is_dark(grown, np.column_stack([x, np.zeros_like(x), y]).astype(np.float32))
+    wanted = np.hypot((np.abs(x) - 0.12) / 0.05, y / TALL)
+    assert shown[wanted < 0.9].mean() > 0.98
+    assert not shown[wanted > 1.15].any()
+
+
+@pytest.mark.parametrize(
+    ("name", "least", "most"),
+    [("apple_h1", 0.25, 0.45), ("apple_h2", 0.25, 0.45), ("apple_h4", 0.25, 0.45), ("watermelon_h8", 0, 0)],
+)
+def test_of_photographs_stars_are_cores(name: str, least: float, most: float) -> None:
+    path = SHARED / "photos/fruit" / f"{name}.png"
+    if not path.exists():
+        pytest.skip("the photographs are not beside the repository")
+    assert least <= core_of(Disc.of(read_picture(path, "horizontal"))).reach <= most

@@ -1,0 +1,168 @@
+"""The core of a face: what stands out around the axis and ends, such as the star of an apple.
+
+There is one core, so it is laid once, as a solid, where its picture was taken, and no chunk shows any. How tall it is,
+radial pictures say. A core that they show taller than it is wide is a column, and theirs to show.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from training.priors.exemplar.quilting.disc import DISC_PIXELS, PIXEL, Disc, disc_grid, to_pixels
+from training.priors.exemplar.quilting.relief import NARROWEST, Relief
+from training.priors.exemplar.sampling import read_bilinear
+
+__all__ = ["CORE", "Core"]
+
+CORE = 0.12
+"""Radius of what lies around the axis. A region that reaches it is a part of the core, with all that is in it."""
+
+EDGE = 0.5
+"""Of a core's median contrast, the least that its pixels have: a half is where a blurred edge is."""
+
+NEAR = 0.15
+"""Distance in radii from the height of a horizontal picture within which radial ones are looked at for its core: two
+fruits do not have theirs at the same height."""
+
+LEAST = 0.1
+"""Part of its width that a core fills in radial pictures that show it: else they pass beside it."""
+
+HALF = 0.5
+"""Of that part, the least that is filled as far as the core goes along the axis."""
+
+SMOOTH = 0.015
+"""Standard deviation in radii of the blur of those parts along the axis: a seed is several times as long."""
+
+MARGIN = 0.03
+"""Radii around a core in which nothing but its picture is shown, so that no seam passes along its edge."""
+
+AXIS = 0.12
+"""Distance from a ridge, over that of its edge, within which directions fade: on the ridge itself there is none."""
+
+SOFT = 0.006
+"""Distance in radii over which a core passes into what is around it: as the colours of a relief do."""
+
+
+@dataclass(frozen=True)
+class Core:
+    """The core of one picture as a solid, if it has any."""
+
+    region: NDArray[np.bool_]
+    """(P, P). Where it is in the picture, and what lies between."""
+    form: NDArray[np.float32]
+    """(P, P, 4). The half height in radii of the solid's ridge at each pixel, 0 where it is not; the distance of the
+    pixel from the ridge, over that of the edge; and the way from the ridge to the edge, in radii."""
+    ends: tuple[float, float]
+    """How far in radii the core goes below and above the horizontal picture's plane, with what radial ones show of it;
+    both 0 without any."""
+    reach: float
+    """How far it goes from the axis, in radii; 0 without any."""
+
+    @classmethod
+    def none(cls) -> Core:
+        """Of a face without any."""
+        nothing = np.zeros((DISC_PIXELS, DISC_PIXELS, 4), np.float32)
+        return cls(nothing[..., 0] > 0, nothing, (0.0, 0.0), 0.0)
+
+    @classmethod
+    def across(cls, relief: Relief, rind: float, along: Sequence[Relief], height: float) -> Core:
+        """Of a horizontal face with this relief and a rind of this depth in radii, at a height in the ball.
+
+        By its shape it is as tall as a disc of its area is wide. What radial faces show `along` the axis counts as
+        much: of the two heights it is the geometric mean.
+        """
+        radius, contrast = np.hypot(*disc_grid()), relief.contrast()
+        parts, _ = ndimage.label(ndimage.binary_opening(contrast >= 1))
+        found = (parts > 0) & np.isin(parts, parts[radius < CORE])
+        if not found.any() or (found & (radius > 1 - rind)).any():
+            return cls.none()
+        shape = ndimage.binary_fill_holes(found & (contrast > EDGE * np.median(contrast[found])))
+        if ndimage.distance_transform_edt(shape).max() * PIXEL < NARROWEST:
+            return cls.none()
+        reach = float(radius[shape].max()) + MARGIN
+        wide = float(np.sqrt(shape.sum() / np.pi)) * PIXEL
+        seen = [ends for one in along if (ends := _ends_of(one, reach, height))]
+        under, over = np.mean(seen, axis=0) if seen else (wide, wide)
+        if under + over > 2 * reach:
+            return cls.none()
+        tall = float(np.sqrt((under + over) / 2 * wide))
+        around = np.maximum(1 - np.square(radius / reach), 0)
+        ends = max(float(under), tall), max(float(over), tall)
+        return cls(around > 0, _form(shape, tall * around), ends, reach)
+
+    @classmethod
+    def along(cls, relief: Relief, core: Core, height: float) -> Core:
+        """Of a radial face, as far as it shows the core of a horizontal one at a height in the ball: what stands out
+        there is as thick as it is wide."""
+        if not core.reach:
+            return core
+        x, y = disc_grid()
+        shape = (relief.contrast() >= 1) & core.holds(x, np.zeros_like(x), y - height)
+        return replace(core, region=shape, form=_form(shape, None)) if shape.any() else cls.none()
+
+    def holds(self, x: NDArray[np.floating], y: NDArray[np.floating], rise: NDArray[np.floating]) -> NDArray[np.bool_]:
+        """(...). Whether nothing but the horizontal picture is to be shown at places (...), (...) of it and signed
+        distances (...) from its plane."""
+        if not self.reach:
+            return np.zeros(x.shape, bool)
+        below, above = (end + MARGIN for end in self.ends)
+        return np.square(x * x + y * y) / self.reach**4 + (rise / np.where(rise > 0, above, below)) ** 4 < 1
+
+    def read(
+        self, disc: Disc, x: NDArray[np.floating], y: NDArray[np.floating], away: NDArray[np.floating]
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """(M, 3) and (M,). Colours of the core of this face at places (M,), (M,) of it and distances (M,) from its
+        plane, and how much it covers there. Range [0, 1]. What is equally deep under the solid's skin has one
+        colour."""
+        rows, columns = (np.asarray(at, np.float32) for at in to_pixels(x, y, DISC_PIXELS))
+        form = read_bilinear(self.form, rows, columns)
+        tall, off, way = form[:, 0], form[:, 1], form[:, 2:]
+        part = np.hypot(off, away / np.maximum(tall, 1e-6))
+        cover = np.clip((1 - part) * tall / SOFT + 0.5, 0, 1) * (tall > 0)
+        moved = (off * (np.minimum(part, 1) / np.hypot(off, AXIS) - 1))[:, None] * way
+        return disc.read(x + moved[:, 0], y + moved[:, 1]), cover.astype(np.float32)
+
+
+def _ends_of(relief: Relief, reach: float, height: float) -> tuple[float, float] | None:
+    """How far in radii below and above a height a radial face shows the core that goes up to a radius; None if it does
+    not."""
+    x, y = disc_grid()
+    level = y[0]
+    part = (relief.contrast() >= 1)[np.abs(x[:, 0]) < reach].mean(0)
+    part = ndimage.gaussian_filter1d(part, SMOOTH / PIXEL)
+    top = int(np.where(np.abs(level - height) < NEAR, part, -1).argmax())
+    if part[top] < LEAST:
+        return None
+    less = level[part < HALF * part[top]]
+    under, over = (less[less < level[top]].max(initial=-1), less[less > level[top]].min(initial=1))
+    return max(height - float(under), MARGIN), max(float(over) - height, MARGIN)
+
+
+def _form(shape: NDArray[np.bool_], tall: NDArray[np.floating] | None) -> NDArray[np.float32]:
+    """(P, P, 4). The form of a solid over a shape (P, P) with ridges of these half heights (P, P), or as tall as it is
+    wide."""
+    depth = ndimage.distance_transform_edt(shape)
+    thick = _thickness(depth)
+    off = 1 - depth / np.maximum(thick, 1e-6)
+    way = -np.stack(np.gradient(ndimage.gaussian_filter(depth, 1.0)), -1)
+    way *= (thick * PIXEL / np.maximum(np.linalg.norm(way, axis=-1), 0.05))[..., None]
+    high = thick * PIXEL if tall is None else tall
+    return (np.concatenate([np.stack([high, off], -1), way], -1) * shape[..., None]).astype(np.float32)
+
+
+def _thickness(depth: NDArray[np.floating]) -> NDArray[np.floating]:
+    """(H, W). The radius of the largest disc in a shape that holds the pixel, for the depths (H, W) of its pixels
+    (local thickness, Hildebrand and Ruegsegger 1997)."""
+    half = int(depth.max()) + 1
+    axis = np.arange(-half, half + 1)
+    away = np.hypot(axis[:, None], axis)
+    out = np.pad(np.zeros_like(depth), half)
+    for i, j in np.argwhere((depth > 0) & (depth >= ndimage.maximum_filter(depth, 3) - 0.5)):
+        here = out[i : i + 2 * half + 1, j : j + 2 * half + 1]
+        np.maximum(here, np.where(away < depth[i, j], depth[i, j], 0), out=here)
+    return out[half:-half, half:-half]

@@ -1,0 +1,63 @@
+"""The cores of pictures in their own planes, laid as solids."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from training.priors.exemplar.quilting.chunks import OWN_AZIMUTHS, Ball, OwnHeight
+from training.priors.exemplar.quilting.labels import Label, Source
+
+__all__ = ["Cores"]
+
+ALONE = 0.015
+"""Distance in radii from a picture's own plane within which what another one has there fades: it shows the picture."""
+
+
+@dataclass(frozen=True)
+class Cores:
+    """The core of the horizontal picture, and what radial ones show of it."""
+
+    height: float
+    """Of the horizontal picture, in the ball."""
+    across: Source
+    along: Sequence[Source]
+    """Those with own planes, evenly spread over half a turn."""
+
+    @classmethod
+    def of(cls, labels: Sequence[Label]) -> Cores | None:
+        """Of a quilt with these labels; None without any."""
+        own = {label.is_horizontal: label for label in labels if label.is_own}
+        chunks = own[True].chunks if True in own else None
+        if not isinstance(chunks, OwnHeight) or not own[True].sources[0].core.reach:
+            return None
+        along = own[False].sources[:OWN_AZIMUTHS] if False in own else []
+        return cls(float(chunks.height), own[True].sources[0], along)
+
+    def read(self, points: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """(M, 3) and (M,). Colours of cores at points (M, 3) of the ball times how much they cover what is there, and
+        that. Range [0, 1]."""
+        rgb, cover = np.zeros((len(points), 3), np.float32), np.zeros(len(points), np.float32)
+        rise = points[:, 2] - np.float32(self.height)
+        rows = np.flatnonzero(self.across.core.holds(points[:, 0], points[:, 1], rise))
+        if not len(rows):
+            return rgb, cover
+        (x, y, z), rise = points[rows].T, rise[rows]
+        turns = np.arange(len(self.along))[:, None] * np.pi / max(len(self.along), 1)
+        right, off = x * np.cos(turns) + y * np.sin(turns), y * np.cos(turns) - x * np.sin(turns)
+        places = [(self.across, *Ball.of(points[rows]).level.T, rise, _seen(off).prod(0))]
+        places += [(source, right[n], z, off[n], _seen(rise)) for n, source in enumerate(self.along)]
+        for source, u, v, away, seen in places:
+            shown, covers = source.core.read(source.disc, u, v, away)
+            covers *= seen
+            rgb[rows] += covers[:, None] * (shown - rgb[rows])
+            cover[rows] += covers * (1 - cover[rows])
+        return rgb, cover
+
+
+def _seen(away: NDArray[np.floating]) -> NDArray[np.floating]:
+    """How much of a core is seen at these distances in radii from the planes of others."""
+    return 1 - np.exp(-np.square(away / ALONE))
