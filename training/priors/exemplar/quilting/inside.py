@@ -21,8 +21,8 @@ from training.priors.exemplar.record import MOST_SEED, MOST_SHEETS, RecordReader
 __all__ = ["QUILT", "QuiltInside"]
 
 QUILT = "quilt 3"
-"""Kind of the record. A plain "quilt" and a "quilt 2" had the same arrays and were other insides, which their atoms were
-made from."""
+"""Kind of the record. A plain "quilt" and a "quilt 2" had the same arrays and were other insides, of which their
+atoms were made."""
 
 COARSEST = 16
 """Times as large as a photograph's pixels are those of its coarsest version: a power of two that divides it."""

@@ -35,6 +35,9 @@ LEAST = 0.1
 HALF = 0.5
 """Of that part, the least that is filled as far as the core goes along the axis."""
 
+MOST_OF = 0.95
+"""Share of a core that is compared with what radial pictures show: a crack may reach out of it."""
+
 SMOOTH = 0.015
 """Standard deviation in radii of the blur of those parts along the axis: a seed is several times as long."""
 
@@ -73,8 +76,8 @@ class Core:
     def across(cls, relief: Relief, rind: float, along: Sequence[Relief], height: float) -> Core:
         """Of a horizontal face with this relief and a rind of this depth in radii, at a height in the ball.
 
-        By its shape it is as tall as a disc of its area is wide. What radial faces show `along` the axis counts as
-        much: of the two heights it is the geometric mean.
+        It has the proportions that radial faces show `along` the axis; if they do not show it, it is as tall as a disc
+        of its area is wide.
         """
         radius, contrast = np.hypot(*disc_grid()), relief.contrast()
         parts, _ = ndimage.label(ndimage.binary_opening(contrast >= 1))
@@ -85,14 +88,16 @@ class Core:
         if ndimage.distance_transform_edt(shape).max() * PIXEL < NARROWEST:
             return cls.none()
         reach = float(radius[shape].max()) + MARGIN
-        wide = float(np.sqrt(shape.sum() / np.pi)) * PIXEL
-        seen = [ends for one in along if (ends := _ends_of(one, reach, height))]
-        under, over = np.mean(seen, axis=0) if seen else (wide, wide)
-        if under + over > 2 * reach:
-            return cls.none()
-        tall = float(np.sqrt((under + over) / 2 * wide))
+        seen = [shown for one in along if (shown := _seen_along(one, reach, height))]
+        if seen:
+            under, over, wide = (float(mean) for mean in np.mean(seen, axis=0))
+            if under + over > 2 * wide:
+                return cls.none()
+            tall = (under + over) / 2 * float(np.quantile(radius[shape], MOST_OF)) / wide
+        else:
+            under = over = tall = float(np.sqrt(shape.sum() / np.pi)) * PIXEL
         around = np.maximum(1 - np.square(radius / reach), 0)
-        ends = max(float(under), tall), max(float(over), tall)
+        ends = max(under, tall), max(over, tall)
         return cls(around > 0, _form(shape, tall * around), ends, reach)
 
     @classmethod
@@ -128,19 +133,21 @@ class Core:
         return disc.read(x + moved[:, 0], y + moved[:, 1]), cover.astype(np.float32)
 
 
-def _ends_of(relief: Relief, reach: float, height: float) -> tuple[float, float] | None:
-    """How far in radii below and above a height a radial face shows the core that goes up to a radius; None if it does
-    not."""
+def _seen_along(relief: Relief, reach: float, height: float) -> tuple[float, float, float] | None:
+    """How far in radii below and above a height a radial face shows the core that goes up to a radius, and how far from
+    the axis it shows it; None if it does not."""
     x, y = disc_grid()
-    level = y[0]
-    part = (relief.contrast() >= 1)[np.abs(x[:, 0]) < reach].mean(0)
-    part = ndimage.gaussian_filter1d(part, SMOOTH / PIXEL)
+    level, away = y[0], np.abs(x[:, 0])
+    stands_out = relief.contrast()[away < reach] >= 1
+    part = ndimage.gaussian_filter1d(stands_out.mean(0), SMOOTH / PIXEL)
     top = int(np.where(np.abs(level - height) < NEAR, part, -1).argmax())
     if part[top] < LEAST:
         return None
     less = level[part < HALF * part[top]]
     under, over = (less[less < level[top]].max(initial=-1), less[less > level[top]].min(initial=1))
-    return max(height - float(under), MARGIN), max(float(over) - height, MARGIN)
+    filled = stands_out[:, (level > under) & (level < over)].mean(1) > HALF * part[top]
+    wide = float(away[away < reach][filled].max(initial=PIXEL))
+    return max(height - float(under), MARGIN), max(float(over) - height, MARGIN), wide
 
 
 def _form(shape: NDArray[np.bool_], tall: NDArray[np.floating] | None) -> NDArray[np.float32]:
