@@ -32,10 +32,10 @@ REGIONS = (10, 20)
 has its seeds around the middle. One gain for all places heaped them there: features of radial cuts of two pairs 2.3
 and 2.5, with regions 2.0 and 2.2."""
 
-UNSEEN_COST = 20.0
-"""Cost of the squared distance, to at most UNSEEN_MOST, to the nearest colour that radial pictures show nearby."""
-
-UNSEEN_MOST = 0.1
+UNSEEN_COST, UNSEEN_MOST = 2.0, 0.1
+"""Cost of colours that radial pictures do not show nearby, and squared distance to the nearest of theirs from which it
+is all of it. Such colours are shown in their own plane alone: two pictures that contradict each other cannot both be
+right beside it, and what is thick there is a bar in cuts across it."""
 
 NEARBY = 0.035
 """Step in radii of the 5x5 points that count as nearby: two fruits have their seeds a tenth of a radius apart."""
@@ -131,26 +131,27 @@ def weigh_labels(labels: list[Label], along: list[Source], ball: Ball, cell: flo
         cost = DISTANCE_COST * (np.minimum(places.distance, FAR) if capped else places.distance)
         gain = np.maximum(there - gone, 0)
         closed[:, n] = gain
-        near = np.zeros(len(cost))
+        surprise, sheet = np.zeros(len(cost), np.float32), np.zeros(len(cost), np.float32)
+        if label.is_horizontal:
+            sheet = read_discs(places, [s.sheets for s in label.sources])[:, 0]
+            if along:  # a sheet may well lie beside a radial cut
+                seen = read_discs(places, [s.blurred for s in label.sources])
+                surprise = np.minimum(_unseen(seen, along, ball) / UNSEEN_MOST, 1) * (1 - sheet)
+                gain = gain * (1 - surprise)
         if label.is_own:
             band = OWN_BAND * np.exp(0.4 * smooth_noise(ball, 0.3, np.random.default_rng([seed, 2, n])))
-            near = np.exp(-np.square(places.distance / band))
+            near = np.exp(-np.square(places.distance / band)) * (1 - surprise)
             own_plane = OWN_PLANE if label.is_horizontal else OWN_PLANE / 2  # on the line where they meet
             cost = cost - OWN_COST * near - own_plane * (places.distance < 0.75 * cell)
+            surprise = surprise * (1 - near)
             if isinstance(label.chunks, OwnHeight):
                 core, (x, y, z) = label.sources[0].core, ball.points.T
                 cost = cost - CORE_COST * core.holds(x, y, z - label.chunks.height)
         else:
             cost = cost + RIND_COST * ball.rind
         if label.is_horizontal:
-            sheet = read_discs(places, [s.sheets for s in label.sources])[:, 0]
             cost = cost + GONE_COST * left * (1 - sheet) + (-SHEET_COST if label.is_own else SHEET_COST) * sheet
-            if along:
-                seen = read_discs(places, [s.blurred for s in label.sources])
-                # A sheet may well lie beside a radial cut.
-                surprise = np.minimum(_unseen(seen, along, ball), UNSEEN_MOST)
-                cost = cost + UNSEEN_COST * surprise * (1 - near) * (1 - sheet)
-                gain = gain * (1 - surprise / UNSEEN_MOST)
+            cost = cost + UNSEEN_COST * surprise
         else:
             cost = cost + GONE_COST * left + SECTOR_COST
             for sheet in sheets_here:
