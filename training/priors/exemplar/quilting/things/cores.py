@@ -48,11 +48,12 @@ class Cores:
         (x, y, z), rise = points[rows].T, rise[rows]
         turns = np.arange(len(self.along))[:, None] * np.pi / max(len(self.along), 1)
         right, off = x * np.cos(turns) + y * np.sin(turns), y * np.cos(turns) - x * np.sin(turns)
-        places = [(self.across, *Ball.of(points[rows]).level.T, rise, _seen(off).prod(0))]
-        places += [(source, right[n], z, off[n], _seen(rise)) for n, source in enumerate(self.along)]
-        for source, u, v, away, seen in places:
+        alone = np.stack([_seen(rise), *_seen(off)])
+        u, v = Ball.of(points[rows]).level.T
+        places = [(self.across, u, v, rise), *zip(self.along, right, [z] * len(right), off, strict=True)]
+        for n, (source, u, v, away) in enumerate(places):
             shown, covers = source.core.read(source.disc, u, v, away)
-            covers *= seen
+            covers *= np.delete(alone, n, 0).prod(0)
             rgb[rows] += covers[:, None] * (shown - rgb[rows])
             cover[rows] += covers * (1 - cover[rows])
         return rgb, cover
