@@ -7,11 +7,12 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from skimage.measure import label, regionprops
 
 from tests.paths import SHARED
 from training.priors.exemplar.pictures import read_picture
 from training.priors.exemplar.quilting import quilt
-from training.priors.exemplar.quilting.disc import PIXEL, Disc, disc_grid
+from training.priors.exemplar.quilting.disc import PIXEL, Disc, disc_grid, match_light
 from training.priors.exemplar.quilting.labels import Source
 from training.priors.exemplar.quilting.quilt import Quilt, make_quilt
 from training.priors.exemplar.quilting.things.core import MARGIN, Core
@@ -46,8 +47,7 @@ def pips() -> NDArray[np.bool_]:
 
 def core_of(source: Source, *radial: Disc) -> Core:
     """Of a horizontal picture, with what radial ones show of it."""
-    reliefs = [Source.of(disc, False).relief for disc in radial]
-    return Core.across(source.relief, source.rind, reliefs, 0.0)
+    return Core.across(source.even, source.rind, [Source.of(disc, False).even for disc in radial], 0.0)
 
 
 def test_a_core_is_as_tall_as_its_area_is_wide_or_has_the_proportions_of_radial_pictures() -> None:
@@ -56,11 +56,11 @@ def test_a_core_is_as_tall_as_its_area_is_wide_or_has_the_proportions_of_radial_
     disc = Source.of(face(np.hypot(x, y) < half), True)
     alone = core_of(disc)
     assert alone.reach == pytest.approx(half + MARGIN, abs=0.01)
-    assert alone.ends == pytest.approx((half, half), rel=0.05)
+    assert alone.tall == pytest.approx((half, half), rel=0.05)
     for tall, size in ((0.06, 1.0), (0.12, 1.0), (0.12, 0.7)):
         shown = face(np.hypot(x / half, y / tall) < size)
         seen = tall * np.sqrt(3) / 2  # up to where half of the width is dark
-        assert core_of(disc, shown).ends == pytest.approx((seen, seen), rel=0.12)
+        assert core_of(disc, shown).tall == pytest.approx(((1 + 1 / size) / 2 * size * seen,) * 2, rel=0.12)
 
 
 def test_what_is_taller_than_wide_in_radial_pictures_is_a_column() -> None:
@@ -80,17 +80,15 @@ def test_no_core_is_what_is_joined_to_the_rind_apart_from_the_axis_or_nothing() 
 def test_a_radial_picture_shows_solids_as_thick_as_they_are_wide() -> None:
     """Every cut of a pip along its picture's plane at a distance is the ellipse that a spheroid has there."""
     shown = face(pips())
-    relief = Source.of(shown, False).relief
-    star_seen = Source.of(face(star()), True)
-    core = Core.along(relief, Core.across(star_seen.relief, star_seen.rind, [relief], 0.0), 0.0)
+    core = Core.along(Source.of(shown, False).even, core_of(Source.of(face(star()), True), shown), 0.0)
     x, y = (a[::4, ::4].ravel() for a in disc_grid())
     near = np.hypot(x, y) < 0.4
     x, y = x[near], y[near]
     areas = []
     for away in (0.0, 0.02, 0.035, 0.055):
-        rgb, cover = core.read(shown, x, y, np.full(len(x), away))
-        areas.append(cover.sum() * (4 * PIXEL) ** 2)
-        assert np.abs(rgb[cover > 0.9] - DARK).max(initial=0) < 0.2  # of 0.7, at the picture's own edge
+        rgb, deep = core.read(shown, x, y, np.full(len(x), away))
+        areas.append((deep > 0).sum() * (4 * PIXEL) ** 2)
+        assert np.abs(rgb[deep > 0.005] - DARK).max(initial=0) < 0.2  # of 0.7, at the picture's own edge
     full = 2 * np.pi * 0.05 * TALL
     assert areas[0] == pytest.approx(full, rel=0.08)
     assert areas[1] == pytest.approx(full * (1 - 0.4**2), rel=0.12)
@@ -148,6 +146,34 @@ def test_own_planes_show_both_pictures(grown: Quilt) -> None:
     wanted = np.hypot((np.abs(x) - 0.12) / 0.05, y / TALL)
     assert shown[wanted < 0.9].mean() > 0.98
     assert not shown[wanted > 1.15].any()
+
+
+def test_a_stone_is_whole_in_every_cut() -> None:
+    """Of two fruits that have theirs at different heights: one convex piece, and none of it elsewhere."""
+    x, y = disc_grid()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(quilt, "LEVELS", (16, 32))
+        pictures = face(np.hypot(x, y) < 0.4), face(np.hypot(x, y + 0.1) < 0.38)
+        made = make_quilt([pictures[0]], [pictures[1]], 0, lambda part: None)
+    at = np.linspace(-0.75, 0.75, 251, dtype=np.float32)
+    u, v = np.meshgrid(at, at, indexing="ij")
+    inside = np.hypot(u, v) < 0.75
+    flat = np.full_like(u, 0.05)
+    for points in ((u, v, flat), (u, v, flat - 0.3), (u, flat, v), (flat, u, v), (u, (u + v) / 2, v)):
+        dark = is_dark(made, np.stack(points, -1).reshape(-1, 3)).reshape(u.shape) & inside
+        (stone,) = (part for part in regionprops(label(dark)) if part.area > 20)
+        assert stone.solidity > 0.95
+        assert 0.02 < stone.area / inside.sum() < 0.4
+
+
+def test_a_long_core_keeps_its_colour_in_the_light_of_another_picture() -> None:
+    """Above and below the middle a column fills rings that are flesh in a horizontal picture."""
+    x, y = disc_grid()
+    horizontal, radial = face(np.hypot(x, y) < 0.22), face(np.hypot(x / 0.22, y / 0.75) < 1)
+    lit = match_light(Disc(radial.rgb * np.array([0.9, 1.0, 1.1], np.float32)), horizontal)
+    up = np.array([-0.6, -0.4, 0.0, 0.4, 0.6])
+    assert np.abs(lit.read(np.zeros(5), up) - DARK).max() < 0.1
+    assert np.abs(lit.read(np.full(5, 0.5), up) - FLESH).max() < 0.1
 
 
 @pytest.mark.parametrize(

@@ -204,9 +204,12 @@ def _resampled(values: NDArray[np.float32], size: int, step: float) -> NDArray[n
 def match_light(disc: Disc, to: Disc) -> Disc:
     """The disc in the light of another one. What two fruits have in common lies at the same depth, so the medians of
     their rings are pairs of colours, and each colour is moved as the rings that are like it: a white core stays white
-    beside flesh that is yellow in one light and orange in the other. In the rind the depth decides as well."""
-    colours, wanted = (ring_medians(d, RINGS)[CORE_RINGS:] for d in (disc, to))
-    depth = np.maximum(np.hypot(*disc_grid()), RIND_RADIUS)
+    beside flesh that is yellow in one light and orange in the other. In the rind the depth decides as well. Rings are
+    compared beside the middle alone: above and below it a radial picture shows the core as far out as its poles."""
+    x, y = disc_grid()
+    level = np.abs(y) < np.abs(x)
+    colours, wanted = (ring_medians(d, RINGS, level)[CORE_RINGS:] for d in (disc, to))
+    depth = np.maximum(np.hypot(x, y), RIND_RADIUS)
     rings = np.arange(CORE_RINGS, RINGS)
     middles = np.maximum((rings + 0.5) / RINGS, RIND_RADIUS)
     unlike = np.stack(
@@ -220,9 +223,10 @@ def match_light(disc: Disc, to: Disc) -> Disc:
     return Disc(np.clip(disc.rgb + moved, 0, 1).astype(np.float32))
 
 
-def ring_medians(disc: Disc, rings: int) -> NDArray[np.float32]:
-    """(rings, 3). The median colours of rings of the same width from the middle to the rim."""
-    ring = (np.hypot(*disc_grid()) * rings).astype(int)
+def ring_medians(disc: Disc, rings: int, where: NDArray[np.bool_] | bool = True) -> NDArray[np.float32]:
+    """(rings, 3). The median colours of rings of the same width from the middle to the rim, of the pixels (P, P) where
+    that is asked."""
+    ring = np.where(where, (np.hypot(*disc_grid()) * rings).astype(int), -1)
     return np.array([np.median(disc.rgb[ring == n], axis=0) for n in range(rings)], np.float32)
 
 

@@ -30,7 +30,7 @@ from training.priors.exemplar.quilting.disc import (
 )
 from training.priors.exemplar.sampling import reduced
 
-__all__ = ["NARROWEST", "Relief"]
+__all__ = ["NARROWEST", "THING_CONTRAST", "TYPICAL", "Relief"]
 
 WIDTHS = (0.05, 0.12, 0.22)
 """Radii in radii of the medians to which the colours of a picture give way, one after the other: seeds, carpels and

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from training.priors.exemplar.quilting.disc import DISC_PIXELS, PIXEL, Disc, disc_grid, to_pixels
-from training.priors.exemplar.quilting.relief import NARROWEST, Relief
+from training.priors.exemplar.quilting.relief import NARROWEST, THING_CONTRAST, TYPICAL
+from training.priors.exemplar.rind import FLESH
 from training.priors.exemplar.sampling import read_bilinear
 
 __all__ = ["CORE", "Core"]
@@ -29,11 +30,18 @@ NEAR = 0.15
 """Distance in radii from the height of a horizontal picture within which radial ones are looked at for its core: two
 fruits do not have theirs at the same height."""
 
+INSIDE = 0.9
+"""Radius of the disc over which the usual distance from the flesh is taken: outside is skin."""
+
+COLUMN = 1.5
+"""Times as tall as wide from which a core is a column. Of photographs two apples have 0.6 and 1.1, four oranges 2.3 to
+3.3; a drawn stone has 1.0, a drawn kiwi 2.1."""
+
 LEAST = 0.1
 """Part of its width that a core fills in radial pictures that show it: else they pass beside it."""
 
-HALF = 0.5
-"""Of that part, the least that is filled as far as the core goes along the axis."""
+HALF, PART = 0.5, 0.25
+"""Of that part, the least that is filled as far as the core goes along the axis, and as far as a column goes."""
 
 MOST_OF = 0.95
 """Share of a core that is compared with what radial pictures show: a crack may reach out of it."""
@@ -47,9 +55,6 @@ MARGIN = 0.03
 AXIS = 0.12
 """Distance from a ridge, over that of its edge, within which directions fade: on the ridge itself there is none."""
 
-SOFT = 0.006
-"""Distance in radii over which a core passes into what is around it: as the colours of a relief do."""
-
 
 @dataclass(frozen=True)
 class Core:
@@ -58,11 +63,13 @@ class Core:
     region: NDArray[np.bool_]
     """(P, P). Where it is in the picture, and what lies between."""
     form: NDArray[np.float32]
-    """(P, P, 4). The half height in radii of the solid's ridge at each pixel, 0 where it is not; the distance of the
-    pixel from the ridge, over that of the edge; and the way from the ridge to the edge, in radii."""
+    """(P, P, 4). The half height of the solid's ridge at each pixel, over the most, 0 where it is not; the distance of
+    the pixel from the ridge, over that of the edge; and the way from the ridge to the edge, in radii."""
+    tall: tuple[float, float]
+    """Most half height in radii to either side of the plane, negative distances first; both 0 without any."""
     ends: tuple[float, float]
-    """How far in radii the core goes below and above the horizontal picture's plane, with what radial ones show of it;
-    both 0 without any."""
+    """How far in radii the core goes below and above the horizontal picture's plane, with what radial ones show of
+    it."""
     reach: float
     """How far it goes from the axis, in radii; 0 without any."""
 
@@ -70,16 +77,16 @@ class Core:
     def none(cls) -> Core:
         """Of a face without any."""
         nothing = np.zeros((DISC_PIXELS, DISC_PIXELS, 4), np.float32)
-        return cls(nothing[..., 0] > 0, nothing, (0.0, 0.0), 0.0)
+        return cls(nothing[..., 0] > 0, nothing, (0.0, 0.0), (0.0, 0.0), 0.0)
 
     @classmethod
-    def across(cls, relief: Relief, rind: float, along: Sequence[Relief], height: float) -> Core:
-        """Of a horizontal face with this relief and a rind of this depth in radii, at a height in the ball.
+    def across(cls, disc: Disc, rind: float, along: Sequence[Disc], height: float) -> Core:
+        """Of a horizontal face of even tones with a rind of this depth in radii, at a height in the ball.
 
         It has the proportions that radial faces show `along` the axis; if they do not show it, it is as tall as a disc
         of its area is wide.
         """
-        radius, contrast = np.hypot(*disc_grid()), relief.contrast()
+        radius, contrast = np.hypot(*disc_grid()), _contrast(disc)
         parts, _ = ndimage.label(ndimage.binary_opening(contrast >= 1))
         found = (parts > 0) & np.isin(parts, parts[radius < CORE])
         if not found.any() or (found & (radius > 1 - rind)).any():
@@ -90,25 +97,33 @@ class Core:
         reach = float(radius[shape].max()) + MARGIN
         seen = [shown for one in along if (shown := _seen_along(one, reach, height))]
         if seen:
-            under, over, wide = (float(mean) for mean in np.mean(seen, axis=0))
-            if under + over > 2 * wide:
+            under, over, wide, column = (float(mean) for mean in np.mean(seen, axis=0))
+            if column > 0.5:
                 return cls.none()
             tall = (under + over) / 2 * float(np.quantile(radius[shape], MOST_OF)) / wide
         else:
             under = over = tall = float(np.sqrt(shape.sum() / np.pi)) * PIXEL
-        around = np.maximum(1 - np.square(radius / reach), 0)
-        ends = max(under, tall), max(over, tall)
-        return cls(around > 0, _form(shape, tall * around), ends, reach)
+        # Two fruits do not have their cores at the same height: half way to where radial pictures show it.
+        below, above = (under + tall) / 2, (over + tall) / 2
+        form = _form(shape)
+        ridge = np.stack(disc_grid(), -1) - form[..., 1:2] * form[..., 2:]
+        form[..., 0] = shape * np.maximum(1 - np.square(ridge / reach).sum(-1), 0)
+        return cls(radius < reach, form, (below, above), (max(under, below), max(over, above)), reach)
 
     @classmethod
-    def along(cls, relief: Relief, core: Core, height: float) -> Core:
-        """Of a radial face, as far as it shows the core of a horizontal one at a height in the ball: what stands out
-        there is as thick as it is wide."""
+    def along(cls, disc: Disc, core: Core, height: float) -> Core:
+        """Of a radial face of even tones, as far as it shows the core of a horizontal one at a height in the ball: what
+        stands out there is as thick as it is wide."""
         if not core.reach:
             return core
         x, y = disc_grid()
-        shape = (relief.contrast() >= 1) & core.holds(x, np.zeros_like(x), y - height)
-        return replace(core, region=shape, form=_form(shape, None)) if shape.any() else cls.none()
+        shape = _stands_out(disc, core.reach, height) & core.holds(x, np.zeros_like(x), y - height)
+        if not shape.any():
+            return cls.none()
+        form = _form(shape)
+        most = float(form[..., 0].max())
+        form[..., 0] /= most
+        return replace(core, region=shape, form=form, tall=(most, most))
 
     def holds(self, x: NDArray[np.floating], y: NDArray[np.floating], rise: NDArray[np.floating]) -> NDArray[np.bool_]:
         """(...). Whether nothing but the horizontal picture is to be shown at places (...), (...) of it and signed
@@ -122,44 +137,65 @@ class Core:
         self, disc: Disc, x: NDArray[np.floating], y: NDArray[np.floating], away: NDArray[np.floating]
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """(M, 3) and (M,). Colours of the core of this face at places (M,), (M,) of it and distances (M,) from its
-        plane, and how much it covers there. Range [0, 1]. What is equally deep under the solid's skin has one
-        colour."""
+        plane, and how deep they are in it, in radii; negative outside. What is equally deep has one colour."""
         rows, columns = (np.asarray(at, np.float32) for at in to_pixels(x, y, DISC_PIXELS))
         form = read_bilinear(self.form, rows, columns)
-        tall, off, way = form[:, 0], form[:, 1], form[:, 2:]
+        tall, off, way = form[:, 0] * np.where(away > 0, self.tall[1], self.tall[0]), form[:, 1], form[:, 2:]
         part = np.hypot(off, away / np.maximum(tall, 1e-6))
-        cover = np.clip((1 - part) * tall / SOFT + 0.5, 0, 1) * (tall > 0)
+        deep = np.where(tall > 0, (1 - part) * tall, -1).astype(np.float32)
         moved = (off * (np.minimum(part, 1) / np.hypot(off, AXIS) - 1))[:, None] * way
-        return disc.read(x + moved[:, 0], y + moved[:, 1]), cover.astype(np.float32)
+        return disc.read(x + moved[:, 0], y + moved[:, 1]), deep
 
 
-def _seen_along(relief: Relief, reach: float, height: float) -> tuple[float, float, float] | None:
-    """How far in radii below and above a height a radial face shows the core that goes up to a radius, and how far from
-    the axis it shows it; None if it does not."""
+def _contrast(disc: Disc) -> NDArray[np.floating]:
+    """(P, P). How far a face of even tones stands out from its flesh, over the least that counts; 0 outside of it."""
+    radius = np.hypot(*disc_grid())
+    rgb = ndimage.gaussian_filter(disc.rgb, (1.0, 1.0, 0))
+    flesh = np.median(rgb[(radius > 1 - FLESH[1]) & (radius < 1 - FLESH[0])], axis=0)
+    apart = np.linalg.norm(rgb - flesh, axis=-1) * (radius < 1)
+    return apart / max(THING_CONTRAST, TYPICAL * float(np.median(apart[radius < INSIDE])))
+
+
+def _stands_out(disc: Disc, reach: float, height: float) -> NDArray[np.bool_]:
+    """(P, P). Where a radial face of even tones shows something of the kind that is in the core at a height, which goes
+    up to a radius."""
+    x, y = disc_grid()
+    contrast = _contrast(disc)
+    core = (contrast >= 1) & (np.abs(x) < reach) & (np.abs(y - height) < NEAR)
+    return contrast >= max(1.0, EDGE * float(np.median(contrast[core])) if core.any() else 1.0)
+
+
+def _seen_along(disc: Disc, reach: float, height: float) -> tuple[float, float, float, bool] | None:
+    """How far in radii below and above a height a radial face shows the core that goes up to a radius, how far from the
+    axis it shows it, and whether as a column; None if it does not."""
     x, y = disc_grid()
     level, away = y[0], np.abs(x[:, 0])
-    stands_out = relief.contrast()[away < reach] >= 1
+    stands_out = _stands_out(disc, reach, height)[away < reach]
     part = ndimage.gaussian_filter1d(stands_out.mean(0), SMOOTH / PIXEL)
     top = int(np.where(np.abs(level - height) < NEAR, part, -1).argmax())
     if part[top] < LEAST:
         return None
-    less = level[part < HALF * part[top]]
-    under, over = (less[less < level[top]].max(initial=-1), less[less > level[top]].min(initial=1))
+
+    def ends(share: float) -> tuple[float, float]:
+        less = level[part < share * part[top]]
+        return float(less[less < level[top]].max(initial=-1)), float(less[less > level[top]].min(initial=1))
+
+    under, over = ends(PART)
     filled = stands_out[:, (level > under) & (level < over)].mean(1) > HALF * part[top]
     wide = float(away[away < reach][filled].max(initial=PIXEL))
-    return max(height - float(under), MARGIN), max(float(over) - height, MARGIN), wide
+    is_column = over - under > 2 * COLUMN * wide
+    under, over = ends(HALF)
+    return max(height - under, MARGIN), max(over - height, MARGIN), wide, is_column
 
 
-def _form(shape: NDArray[np.bool_], tall: NDArray[np.floating] | None) -> NDArray[np.float32]:
-    """(P, P, 4). The form of a solid over a shape (P, P) with ridges of these half heights (P, P), or as tall as it is
-    wide."""
+def _form(shape: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """(P, P, 4). The form of a solid over a shape (P, P) that is as tall as it is wide, with half heights in radii."""
     depth = ndimage.distance_transform_edt(shape)
     thick = _thickness(depth)
     off = 1 - depth / np.maximum(thick, 1e-6)
     way = -np.stack(np.gradient(ndimage.gaussian_filter(depth, 1.0)), -1)
     way *= (thick * PIXEL / np.maximum(np.linalg.norm(way, axis=-1), 0.05))[..., None]
-    high = thick * PIXEL if tall is None else tall
-    return (np.concatenate([np.stack([high, off], -1), way], -1) * shape[..., None]).astype(np.float32)
+    return (np.concatenate([np.stack([thick * PIXEL, off], -1), way], -1) * shape[..., None]).astype(np.float32)
 
 
 def _thickness(depth: NDArray[np.floating]) -> NDArray[np.floating]:

@@ -17,6 +17,10 @@ ALONE = 0.015
 """Distance in radii from a picture's own plane within which what another one has there fades: it shows the picture."""
 
 
+SOFT = 0.006
+"""Distance in radii over which a core passes into what is around it: as the colours of a relief do."""
+
+
 @dataclass(frozen=True)
 class Cores:
     """The core of the horizontal picture, and what radial ones show of it."""
@@ -51,12 +55,22 @@ class Cores:
         alone = np.stack([_seen(rise), *_seen(off)])
         u, v = Ball.of(points[rows]).level.T
         places = [(self.across, u, v, rise), *zip(self.along, right, [z] * len(right), off, strict=True)]
+        depth, colours, covered = np.full(len(rows), -np.inf, np.float32), rgb[rows], cover[rows]
         for n, (source, u, v, away) in enumerate(places):
-            shown, covers = source.core.read(source.disc, u, v, away)
-            covers *= np.delete(alone, n, 0).prod(0)
-            rgb[rows] += covers[:, None] * (shown - rgb[rows])
-            cover[rows] += covers * (1 - cover[rows])
+            shown, deep = source.core.read(source.disc, u, v, away)
+            covers = _passed(deep) * np.delete(alone, n, 0).prod(0)
+            deeper = _passed(deep - depth)  # where two meet, what a place is deeper in
+            colours *= (1 - covers * deeper)[:, None]
+            colours += (covers * (1 - covered * (1 - deeper)))[:, None] * shown
+            covered += covers * (1 - covered)
+            depth = np.maximum(depth, deep)
+        rgb[rows], cover[rows] = colours, covered
         return rgb, cover
+
+
+def _passed(depth: NDArray[np.floating]) -> NDArray[np.floating]:
+    """From 0 outside of a skin to 1 inside, by the depth in radii."""
+    return np.clip(depth / SOFT + 0.5, 0, 1)
 
 
 def _seen(away: NDArray[np.floating]) -> NDArray[np.floating]:
