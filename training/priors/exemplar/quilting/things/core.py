@@ -23,8 +23,10 @@ __all__ = ["CORE", "Core"]
 CORE = 0.12
 """Radius of what lies around the axis. A region that reaches it is a part of the core, with all that is in it."""
 
-EDGE = 0.5
-"""Of a core's median contrast, the least that its pixels have: a half is where a blurred edge is."""
+EDGE, STRONG = 0.5, 0.8
+"""Least contrast of its pixels over that of a core, a half as a blurred edge has it, and the quantile of what stands
+out that this is in a horizontal picture: around a star flesh is stained, and by the median that was a part of the stars
+of three apples. In radial pictures, where seeds and what holds them are as tall as a core, it is the median."""
 
 NEAR = 0.15
 """Distance in radii from the height of a horizontal picture within which radial ones are looked at for its core: two
@@ -91,7 +93,7 @@ class Core:
         found = (parts > 0) & np.isin(parts, parts[radius < CORE])
         if not found.any() or (found & (radius > 1 - rind)).any():
             return cls.none()
-        shape = ndimage.binary_fill_holes(found & (contrast > EDGE * np.median(contrast[found])))
+        shape = ndimage.binary_fill_holes(found & (contrast > EDGE * np.quantile(contrast[found], STRONG)))
         if ndimage.distance_transform_edt(shape).max() * PIXEL < NARROWEST:
             return cls.none()
         reach = float(radius[shape].max()) + MARGIN
