@@ -1,4 +1,4 @@
-// An atom where a cut plane meets it: a square point, or a quad that lies in the plane.
+// An atom where a cut plane meets it: a quad that lies in the plane.
 #include "camera.glsl"
 #include "shape.glsl"
 
@@ -11,9 +11,7 @@ in vec3 dc;
 in float sigma;
 in vec3 rgb;
 #endif
-#ifndef POINTS
 in vec2 corner; // -1 or 1
-#endif
 
 uniform vec4 cut;      // the plane in object space
 uniform vec3 cut_x;    // two unit vectors in the plane
@@ -64,24 +62,8 @@ void main() {
 #endif
     if (extent.x <= 0.0) {
         gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
-#ifdef POINTS
-        gl_PointSize = 1.0;
-#endif
         return;
     }
-#ifdef POINTS
-    vec3 at = (view * vec4(foot, 1.0)).xyz;
-#ifdef ORTHOGRAPHIC
-    gl_PointSize = 2.0 * extent.x * max(lens.x, lens.y) + 2.0;
-    gl_Position = vec4(to_ndc(lens.xy * at.xy + lens.zw), 0.0, 1.0);
-#else
-    vec2 slope = abs(at.xy / at.z);
-    float radius = extent.x * max(lens.x, lens.y) * (1.0 + max(slope.x, slope.y)) / max(at.z - extent.x, 0.1 * at.z);
-    gl_PointSize = 2.0 * radius + 2.0;
-    gl_Position = vec4(to_ndc(lens.xy * at.xy / at.z + lens.zw), 0.0, 1.0);
-#endif
-#else
     vec2 at = middle + corner * extent;
     gl_Position = clip_position((view * vec4(foot + at.x * cut_x + at.y * cut_y, 1.0)).xyz);
-#endif
 }

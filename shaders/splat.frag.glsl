@@ -1,5 +1,5 @@
-// Pass 1 (VISIBILITY): the depth of an atom's core. Pass 2: weight, weighted colour and weighted sharpness in the layer
-// at the front, before it and behind it; or in two draws, all but what lies behind (NEAR_PART), and that (FAR_PART).
+// VISIBILITY: the depth of an atom's core. NEAR_PART: weight, weighted colour and weighted sharpness in the layer at the
+// front and before it; FAR_PART: the same behind it.
 #include "camera.glsl"
 #include "outside_look.glsl"
 
@@ -40,11 +40,7 @@ void main() {
     for (int j = 0; j < plane_count; j++)
         if (dot(planes[j].xyz, p) + planes[j].w > 0.0) discard;
 #endif
-#ifdef VISIBILITY
-#ifdef POINTS
-    gl_FragDepth = linear_depth(z);
-#endif
-#else
+#ifndef VISIBILITY
     float g = centre.w * exp(-0.5 * q);
     float nearest = texelFetch(front, ivec2(gl_FragCoord.xy), 0).r;
     bool is_behind = linear_depth(z - layer) > nearest;

@@ -1,19 +1,14 @@
-// One projected atom as a square point (small, inside the picture) or as a quad along its axes (any).
+// One projected atom as a quad along its axes.
 #include "camera.glsl"
 
 in vec4 record_centre;
 in vec4 record_conic;
 in vec4 record_shape;
 in vec4 record_colour;
-#ifndef POINTS
 in vec2 corner; // -1 or 1
-#endif
 
 #ifndef CLASSIC
 uniform float reach;        // in standard deviations: all of the splat, or its core
-#endif
-#ifdef NEAR_PART
-uniform float layer;        // as in splat.frag.glsl: the depth test rejects what lies farther behind the front
 #endif
 
 flat out vec4 centre;
@@ -28,15 +23,8 @@ void main() {
     colour = record_colour.rgb;
     if (record_shape.z <= 0.0) {
         gl_Position = vec4(2.0, 2.0, 2.0, 1.0); // outside of the clip volume
-#ifdef POINTS
-        gl_PointSize = 1.0;
-#endif
         return;
     }
-#ifdef POINTS
-    gl_PointSize = 2.0 * reach * record_shape.z + 1.0;
-    gl_Position = vec4(to_ndc(centre.xy), 0.0, 1.0);
-#else
 #ifdef CLASSIC
     float reach = sqrt(max(0.0, 2.0 * log(ALPHA_STEPS * centre.w))); // where opacity falls to 1 / ALPHA_STEPS
 #endif
@@ -48,10 +36,6 @@ void main() {
 #else
     // w = 1 makes depth linear over the quad, which is what the splat's is: the early depth test stays on.
     float z = centre.z + dot(depth_slope, u);
-#ifdef NEAR_PART
-    z -= layer;
-#endif
     gl_Position = vec4(to_ndc(centre.xy + u), linear_depth(z) * 2.0 - 1.0, 1.0);
-#endif
 #endif
 }

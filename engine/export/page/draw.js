@@ -316,7 +316,7 @@ class Renderer {
     // The depth at the front, then sums of weights in the layer there and before it, and only where these leave gaps of
     // what lies behind: depth tests spare most of the pixels of the far side.
     drawSplats(values, clipped) {
-        const gl = this.gl, { front, limit, sums } = this.targets, { width, height } = this;
+        const gl = this.gl, { front, limit, sums } = this.targets;
         const pass = (part, reach) => {
             gl.bindVertexArray(this.splats);
             this.programs.use(this.splat(part, clipped), { ...values, reach });
@@ -325,26 +325,24 @@ class Renderer {
         gl.bindFramebuffer(gl.FRAMEBUFFER, front);
         gl.depthFunc(gl.LESS);
         pass("VISIBILITY", Math.sqrt(this.page.constants.CORE_Q));
-        gl.bindFramebuffer(gl.READ_FRAMEBUFFER, front);
-        gl.bindFramebuffer(gl.DRAW_FRAMEBUFFER, limit);
-        gl.blitFramebuffer(0, 0, width, height, 0, 0, width, height, gl.DEPTH_BUFFER_BIT, gl.NEAREST);
+        const sum = (part, shader, defines) => {
+            gl.bindFramebuffer(gl.FRAMEBUFFER, limit);
+            gl.depthMask(true);
+            gl.depthFunc(gl.ALWAYS);
+            this.programs.use(this.programs.get("screen.vert.glsl", shader, defines), values);
+            gl.bindVertexArray(this.empty);
+            gl.drawArrays(gl.TRIANGLES, 0, 3);
+            gl.bindFramebuffer(gl.FRAMEBUFFER, sums);
+            gl.depthMask(false);
+            gl.depthFunc(gl.LEQUAL);
+            pass(part, WHOLE);
+        };
         gl.bindFramebuffer(gl.FRAMEBUFFER, sums);
         for (let k = 0; k < 4; k++) gl.clearBufferfv(gl.COLOR, k, [0, 0, 0, 0]);
         gl.enable(gl.BLEND);
         gl.blendFunc(gl.ONE, gl.ONE);
-        gl.depthMask(false);
-        gl.depthFunc(gl.LEQUAL);
-        pass("NEAR_PART", WHOLE);
-        gl.bindFramebuffer(gl.FRAMEBUFFER, limit);
-        gl.depthMask(true);
-        gl.depthFunc(gl.ALWAYS);
-        this.programs.use(this.programs.get("screen.vert.glsl", "gaps.frag.glsl", { SHUT }), values);
-        gl.bindVertexArray(this.empty);
-        gl.drawArrays(gl.TRIANGLES, 0, 3);
-        gl.bindFramebuffer(gl.FRAMEBUFFER, sums);
-        gl.depthMask(false);
-        gl.depthFunc(gl.LEQUAL);
-        pass("FAR_PART", WHOLE);
+        sum("NEAR_PART", "limit.frag.glsl", {});
+        sum("FAR_PART", "gaps.frag.glsl", { SHUT, FACES: 1 });
         gl.depthMask(true);
         gl.disable(gl.BLEND);
         gl.disable(gl.DEPTH_TEST);

@@ -36,6 +36,7 @@ PAGES = (".html", ".htm")
 
 SHADERS = (
     "gaps.frag.glsl",
+    "limit.frag.glsl",
     "project.vert.glsl",
     "resolve.frag.glsl",
     "screen.vert.glsl",

@@ -165,9 +165,8 @@ class SoftwareMode:
         sums = self._buffer("sums", (*shape, SUMS), np.float32)
         chosen, culled = [], []
         for splats in group.solid.splats(options.interior_only):
-            all_chunks = [np.ones(len(splats.chunks), bool)]
-            atoms = visible_atoms(group.view, group.planes, splats, options, all_chunks)
-            for k, ((unclipped, clipped, hidden),) in enumerate(atoms):
+            atoms = visible_atoms(group.view, group.planes, splats, options)
+            for k, (unclipped, clipped, hidden) in enumerate(atoms):
                 chosen.append((splats, k, np.concatenate([unclipped, clipped])))
                 culled.append((splats, k, hidden))
         tiled, colours = self._tile(group, "", chosen)

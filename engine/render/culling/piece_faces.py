@@ -77,16 +77,15 @@ def atoms_at_face(
     face: Face,
     atoms: Spheres | Ellipsoids,
     options: DrawOptions,
-    chosen: NDArray[np.bool_] | None = None,  # [K] chunks; None: all
 ) -> NDArray[np.uint32]:
     """Indices of the atoms that contribute to a face."""
     chunks = atoms.chunks
     enlarge, least = scale_of(atoms, options), 0.5 * face.widest_pixel(view)
-    kept = np.ones(len(chunks), bool) if chosen is None else chosen.copy()
+    kept = np.ones(len(chunks), bool)
     if options.cull:
         # An atom ends at three sigma; where a pixel is wider than the atom, the pixel's half width is its sigma.
         widened = np.maximum(chunks.sigma * enlarge, least)
-        kept &= view.visible_chunks(chunks, enlarge)[0]
+        kept &= view.visible_chunks(chunks, enlarge)
         for j, plane in enumerate(planes):
             distances = chunks.distances(plane[:3], plane[3])
             kept &= distances[:, 0] <= 3 * widened

@@ -90,28 +90,21 @@ class View:
         scale = (self.camera.fx * self.camera.fy) ** 0.5
         return np.full_like(z, 1 / scale) if self.camera.orthographic else np.maximum(z, 0) / scale
 
-    def visible_chunks(self, chunks: Chunks, enlarge: float) -> tuple[NDArray[np.bool_], NDArray[np.bool_], Double]:
-        """Which chunks (K,) can be visible, which lie entirely in the picture, and their largest splat's diameter.
-
-        The second and third decide what may be drawn as points, as GL does not draw a point with its centre outside.
-        """
+    def visible_chunks(self, chunks: Chunks, enlarge: float) -> NDArray[np.bool_]:
+        """Which chunks (K,) can be visible."""
         c = self.camera
         centre = chunks.middle @ self.matrix[:3, :3].T + self.matrix[:3, 3]
         box = np.linalg.norm(chunks.half, axis=1)
         sigma = chunks.sigma * enlarge
         z = centre[:, 2]
-        if c.orthographic:
-            zoom = np.full(len(z), max(c.fx, c.fy))
-            tilt_x = tilt_y = 0.0
-        else:
-            zoom = max(c.fx, c.fy) / np.maximum(z - box, 1e-6 * box + 1e-30)
+        tilt_x = tilt_y = 0.0
+        if not c.orthographic:
             tilt_x = (1 + 2 * CLAMP_MARGIN) * max(c.cx, c.width - c.cx) / c.fx
             tilt_y = (1 + 2 * CLAMP_MARGIN) * max(c.cy, c.height - c.cy) / c.fy
         # A splat's affine extent is 3 sigma f / z * sqrt(1 + slope^2), the slope clamped; the low-pass adds pixels.
         stretch = (1 + tilt_x**2 + tilt_y**2) ** 0.5
         reach = 3 * sigma * stretch
         seen = np.ones(len(z), bool) if c.orthographic else z + box > c.near
-        inside = np.ones(len(z), bool) if c.orthographic else z - box > max(c.near, 0.0)
         deepest = np.ones(len(z)) if c.orthographic else np.maximum(z + box, 0)
         for f, shift, extent, x in ((c.fx, c.cx, c.width, centre[:, 0]), (c.fy, c.cy, c.height, centre[:, 1])):
             for sign, edge in ((1, shift), (-1, extent - shift)):
@@ -119,8 +112,7 @@ class View:
                 at = sign * f * x + edge * (1 if c.orthographic else z)
                 span = box * (f if c.orthographic else np.hypot(f, edge))
                 seen &= at + span >= -(f * reach + BLUR_REACH * deepest)
-                inside &= at - span >= 0
-        return seen, inside, 2 * (3 * sigma * stretch * zoom + BLUR_REACH)
+        return seen
 
     def extent(self, middle: Double, radius: Double) -> tuple[Double, Double]:
         """(2,), (2,). Least and largest pixel x and y that balls (K, 3), (K,) of centred object space can touch.

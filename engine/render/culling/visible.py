@@ -21,12 +21,11 @@ def visible_atoms(
     pieces: Sequence[NDArray[np.float64]],
     splats: Ellipsoids,
     options: DrawOptions,
-    classes: Sequence[NDArray[np.bool_]],  # [K] each
-) -> list[list[tuple[NDArray[np.uint32], NDArray[np.uint32], NDArray[np.uint32]]]]:
-    """For each piece and each class of chunks: indices of the atoms that no plane touches, that a plane clips, and that
-    are visible only through a hole in the skin in front of them (no plane touches these either)."""
+) -> list[tuple[NDArray[np.uint32], NDArray[np.uint32], NDArray[np.uint32]]]:
+    """For each piece: indices of the atoms that no plane touches, that a plane clips, and that are visible only through
+    a hole in the skin in front of them (no plane touches these either)."""
     chunks, enlarge = splats.chunks, options.disc_scale
-    seen, _, _ = view.visible_chunks(chunks, enlarge)
+    seen = view.visible_chunks(chunks, enlarge)
     if not options.cull:
         seen = np.ones_like(seen)
     # A splat ends at three sigma, plus what the low-pass adds, which grows with depth.
@@ -45,12 +44,8 @@ def visible_atoms(
             kept &= chunks.distances(plane[:3], plane[3])[:, 0] <= 3 * chunks.sigma * enlarge + widened
         planes_32 = planes.astype(np.float32)
         result.append(
-            [
-                classify(
-                    splats.means, reach, chunks.first[kept & chosen], count[kept & chosen], planes_32, eye,
-                    view.camera.orthographic, cones,
-                )
-                for chosen in classes
-            ]
-        )  # fmt: skip
+            classify(
+                splats.means, reach, chunks.first[kept], count[kept], planes_32, eye, view.camera.orthographic, cones
+            )
+        )
     return result

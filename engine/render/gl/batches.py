@@ -1,4 +1,4 @@
-"""Batches of records on the GPU: written by transform feedback, then drawn as points or as quads."""
+"""Batches of records on the GPU: written by transform feedback, then drawn as quads."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Batch:
         self.records = Growing(ctx)
         self.corners = corners
         self.count = 0
-        self._arrays: dict[tuple[moderngl.Program, bool], moderngl.VertexArray] = {}
+        self._arrays: dict[moderngl.Program, moderngl.VertexArray] = {}
 
     def fill(self, array: moderngl.VertexArray, fields: dict[str, int], first: int, count: int) -> None:
         """Runs vertices first..first+count of the array through its program and stores the output."""
@@ -33,20 +33,14 @@ class Batch:
         if count:
             array.transform(self.records.buffer, moderngl.POINTS, vertices=count, first=first)
 
-    def draw(self, program: moderngl.Program, fields: dict[str, int], points: bool) -> None:
-        """Draws the records with this program."""
+    def draw(self, program: moderngl.Program, fields: dict[str, int]) -> None:
+        """Draws a quad for each record with this program."""
         if not self.count:
             return
-        key = (program, points)
-        if key not in self._arrays:
-            content: list[Any] = [layout(program, self.records.buffer, fields, instanced=not points)]
-            if not points:
-                content.append((self.corners, "2f", "corner"))
-            self._arrays[key] = self.ctx.vertex_array(program, content)
-        if points:
-            self._arrays[key].render(moderngl.POINTS, vertices=self.count)
-        else:
-            self._arrays[key].render(moderngl.TRIANGLE_STRIP, vertices=4, instances=self.count)
+        if program not in self._arrays:
+            records = layout(program, self.records.buffer, fields, instanced=True)
+            self._arrays[program] = self.ctx.vertex_array(program, [records, (self.corners, "2f", "corner")])
+        self._arrays[program].render(moderngl.TRIANGLE_STRIP, vertices=4, instances=self.count)
 
     def _release_arrays(self) -> None:
         for array in self._arrays.values():

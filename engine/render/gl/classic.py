@@ -117,7 +117,7 @@ class Capture:
         write_uniforms(program, view.uniforms)
         self.ctx.enable_only(moderngl.BLEND)
         self.ctx.blend_func = moderngl.ONE_MINUS_DST_ALPHA, moderngl.ONE
-        batch.draw(program, RECORD, points=False)
+        batch.draw(program, RECORD)
 
     def _ordered(self, view: View, wait: bool) -> NDArray[np.uint32]:
         """Rows, nearest first: for this camera if `wait`, else in the newest order, which is none at first."""

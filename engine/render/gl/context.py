@@ -40,7 +40,7 @@ class Programs:
         self,
         vertex: str,
         fragment: str | None,
-        defines: Mapping[str, int] | None = None,
+        defines: Mapping[str, int | float] | None = None,
         varyings: Iterable[str] = (),
     ) -> moderngl.Program:
         """The program of these files of `shaders`; a define of 0 is left out."""

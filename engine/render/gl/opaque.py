@@ -41,7 +41,7 @@ class OpaqueMode:
     def __init__(self, ctx: moderngl.Context, programs: Programs, pool: Pool, screen: Screen) -> None:
         self.ctx, self.screen = ctx, screen
         self.buffers = Buffers(ctx)
-        self.surface = SurfacePass(ctx, programs, pool, self.buffers)
+        self.surface = SurfacePass(ctx, programs, pool, screen, self.buffers)
         self.section = SectionPass(ctx, programs, pool, self.buffers)
 
     def draw(
@@ -107,7 +107,7 @@ class OpaqueMode:
         for splats in solid.splats(options.interior_only):
             runs += self.surface.project(view, planes, splats, options)
         sums.splat_fbo.clear(viewport=rect)
-        self.surface.draw(view, runs, sums, solid.pitch * options.disc_scale)
+        self.surface.draw(view, runs, sums, rect, solid.pitch, has_faces, options)
         return has_faces
 
     def clear(self) -> None:

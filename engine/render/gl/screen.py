@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import moderngl
@@ -20,12 +21,18 @@ class Screen:
         self._arrays: dict[moderngl.Program, moderngl.VertexArray] = {}
 
     def fill(
-        self, fbo: moderngl.Framebuffer, rect: Rect, fragment: str, defines: dict[str, int], values: dict[str, Any]
+        self,
+        fbo: moderngl.Framebuffer,
+        rect: Rect,
+        fragment: str,
+        defines: Mapping[str, int | float],
+        values: dict[str, Any],
     ) -> None:
-        """Runs a fragment shader for each pixel of the rectangle."""
+        """Runs a fragment shader for each pixel of the rectangle. What it says of depth is written as it is."""
         fbo.scissor = rect
         fbo.use()
-        self.ctx.enable_only(moderngl.NOTHING)
+        self.ctx.enable_only(moderngl.DEPTH_TEST)  # without the test no depth is written
+        self.ctx.depth_func = "1"
         program = self.programs.get("screen.vert.glsl", fragment, defines)
         write_uniforms(program, values)
         if program not in self._arrays:

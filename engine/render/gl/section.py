@@ -12,7 +12,6 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from engine.render.culling.chunks import Chunks
 from engine.render.culling.draw_options import DrawOptions
 from engine.render.culling.groups import MAX_PLANES
 from engine.render.culling.piece_faces import Face, atoms_at_face, scale_of, visible_faces
@@ -29,12 +28,6 @@ from engine.scene.plane import frame
 __all__ = ["SectionPass"]
 
 Double = NDArray[np.float64]
-
-POINT_LIMIT = 16.0
-"""Pixels across up to which a section of an atom is drawn as a point, not as a quad that lies in the plane."""
-
-OBLIQUE = 0.5
-"""Cosine between view and plane below which quads are used: at a slant they fit a section tightly, points do not."""
 
 EDGE_PITCHES = 1e-4
 """A face reaches this far beyond the piece's other planes, so that rounding leaves no crack along an edge."""
@@ -80,7 +73,7 @@ class SectionPass:
             minified = widest > float(spheres.reach.min(initial=np.inf)) / 3
             grids.append(None if options.exact or minified else self.grids.get(face.plane, spheres, options))
 
-        ctx.enable_only(moderngl.BLEND | moderngl.PROGRAM_POINT_SIZE)
+        ctx.enable_only(moderngl.BLEND)
         ctx.blend_func = moderngl.ONE, moderngl.ONE
         targets.skin_field_fbo.clear(viewport=rect)
         targets.skin_field_fbo.use()
@@ -132,12 +125,10 @@ class SectionPass:
             return
         ellipsoid = isinstance(atoms, Ellipsoids)
         enlarge = scale_of(atoms, options)
-        _, inside, _ = view.visible_chunks(chunks, enlarge)
-        steep = abs(face.plane[:3] @ view.matrix[2, :3]) >= OBLIQUE
-        widened = np.maximum(chunks.sigma * enlarge, 0.5 * face.widest_pixel(view))
-        small = inside & (section_diameter(view, chunks, widened) <= POINT_LIMIT) & (steep and not ellipsoid)
-        lists = [atoms_at_face(view, planes, face, atoms, options, small == points) for points in (True, False)]
-        self.pool.write_indices(np.concatenate(lists))
+        rows = atoms_at_face(view, planes, face, atoms, options)
+        if not len(rows):
+            return
+        self.pool.write_indices(rows)
         e1, e2, _ = frame(face.plane[:3])
         others = view.planes_in_camera(np.delete(planes, face.index, 0))
         padded = np.zeros((MAX_PLANES, 4))
@@ -159,19 +150,14 @@ class SectionPass:
             "MAX_PLANES": MAX_PLANES,
         }
         streams = self.buffers.streams(atoms, flat=True)
-        if len(lists[0]):
-            program = self.programs.get("slice.vert.glsl", "slice.frag.glsl", {"POINTS": 1, **defines})
-            write_uniforms(program, values)
-            self.pool.source(program, *streams).render(moderngl.POINTS, vertices=len(lists[0]))
-        if len(lists[1]):
-            fields = GATHERED[ellipsoid]
-            varyings = [f"gathered_{name}" for name in fields]
-            gather = self.programs.get("gather.vert.glsl", None, {"ELLIPSOID": int(ellipsoid)}, varyings)
-            batch = self.pool.take()
-            batch.fill(self.pool.source(gather, *streams), fields, len(lists[0]), len(lists[1]))
-            program = self.programs.get("slice.vert.glsl", "slice.frag.glsl", defines)
-            write_uniforms(program, values)
-            batch.draw(program, fields, points=False)
+        fields = GATHERED[ellipsoid]
+        varyings = [f"gathered_{name}" for name in fields]
+        gather = self.programs.get("gather.vert.glsl", None, {"ELLIPSOID": int(ellipsoid)}, varyings)
+        batch = self.pool.take()
+        batch.fill(self.pool.source(gather, *streams), fields, 0, len(rows))
+        program = self.programs.get("slice.vert.glsl", "slice.frag.glsl", defines)
+        write_uniforms(program, values)
+        batch.draw(program, fields)
 
     def _clear_polygons(self) -> None:
         for array in self._polygons.values():
@@ -183,14 +169,3 @@ class SectionPass:
         self._clear_polygons()
         self.grids.clear()
         self.vertices.release()
-
-
-def section_diameter(view: View, chunks: Chunks, sigma: Double) -> Double:
-    """(K,). Pixels across of the widest section in each chunk, with largest standard deviations (K,)."""
-    c = view.camera
-    focal = max(c.fx, c.fy)
-    if c.orthographic:
-        return 6 * sigma * focal
-    box = np.linalg.norm(chunks.half, axis=1)
-    nearest = chunks.middle @ view.matrix[2, :3] + view.matrix[2, 3] - box - 3 * sigma
-    return np.where(nearest > 0, 6 * sigma * focal / np.maximum(nearest, 1e-30), np.inf)

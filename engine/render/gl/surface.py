@@ -1,4 +1,4 @@
-"""The outside of the opaque image: front depth, then weighted sums."""
+"""The outside of the opaque image: front depth, then weighted sums there and, where they leave gaps, behind it."""
 
 from __future__ import annotations
 
@@ -11,26 +11,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from engine.render.culling.draw_options import DrawOptions
-from engine.render.culling.groups import MAX_PLANES
+from engine.render.culling.groups import MAX_PLANES, Rect
 from engine.render.culling.store import Ellipsoids
 from engine.render.culling.view import View
 from engine.render.culling.visible import visible_atoms
 from engine.render.gl.batches import Batch, Pool
 from engine.render.gl.buffers import Buffers
 from engine.render.gl.context import Programs, write_uniforms
+from engine.render.gl.screen import Screen
 from engine.render.gl.targets import Accumulators
-from engine.scene.constants import CORE_Q, CUTOFF_Q, EPSILON_PITCHES
+from engine.scene.constants import CORE_Q, CUTOFF_Q, EPSILON_PITCHES, JOINT_PITCHES
 
 __all__ = ["RECORD", "SurfacePass"]
 
-POINT_LIMIT = 40.0
-"""Pixels across up to which a splat is drawn as a square point: setting up a point takes half the time of a quad, but a
-quad fits the ellipse tightly."""
-
 CORE, WHOLE = CORE_Q**0.5, CUTOFF_Q**0.5
-"""Radii to which the two passes draw a splat, standard deviations."""
+"""Radii to which a splat is drawn for the front depth and for the sums, standard deviations."""
 
-REACHES = (WHOLE, CORE, 0.0)
+SHUT = 1.0
+"""Coverage from which nothing behind shows: all of it, for a picture that is exact."""
 
 RECORD = {"record_centre": 4, "record_conic": 4, "record_shape": 4, "record_colour": 4}
 
@@ -40,17 +38,15 @@ class Run:
     """Projected atoms that are drawn in the same way."""
 
     batch: Batch
-    reach: float
-    """Standard deviations up to which these splats are small enough to be drawn as points."""
     planes: NDArray[np.float64]
     """(P, 4). Camera space; none if no plane is near an atom of the run."""
 
 
 class SurfacePass:
-    """Projects the splats once, then draws them twice: front depth, then sums."""
+    """Projects the splats once, then draws them three times: front depth, then sums at the front and behind it."""
 
-    def __init__(self, ctx: moderngl.Context, programs: Programs, pool: Pool, buffers: Buffers) -> None:
-        self.ctx, self.programs, self.pool, self.buffers = ctx, programs, pool, buffers
+    def __init__(self, ctx: moderngl.Context, programs: Programs, pool: Pool, screen: Screen, buffers: Buffers) -> None:
+        self.ctx, self.programs, self.pool, self.screen, self.buffers = ctx, programs, pool, screen, buffers
 
     def project(
         self,
@@ -60,24 +56,17 @@ class SurfacePass:
         options: DrawOptions,
     ) -> list[Run]:
         """The atoms that each piece, given by planes (P, 4) in centred object space, can show."""
-        chunks = splats.chunks
-        if not len(chunks):
-            return []
-        _, inside, diameter = view.visible_chunks(chunks, options.disc_scale)
-        # GL does not draw a point with its centre outside: only chunks entirely inside the picture may use points.
-        points = np.select([inside & (diameter * r / 3 <= POINT_LIMIT) for r in REACHES[:-1]], REACHES[:-1], 0.0)
         lists, runs = [], []
-        sizes = [points == size for size in REACHES]
-        for planes, visible in zip(pieces, visible_atoms(view, pieces, splats, options, sizes), strict=True):
-            for size, (unclipped, clipped, hidden) in zip(REACHES, visible, strict=True):
-                # Hidden atoms last: the depth test rejects them early.
-                for rows, near in (
-                    (np.concatenate([unclipped, hidden]), planes[:0]),
-                    (clipped, view.planes_in_camera(planes)),
-                ):
-                    if len(rows):
-                        lists.append(rows)
-                        runs.append(Run(self.pool.take(), size, near))
+        visible = visible_atoms(view, pieces, splats, options)
+        for planes, (unclipped, clipped, hidden) in zip(pieces, visible, strict=True):
+            # Hidden atoms last: the depth test rejects them early.
+            for rows, near in (
+                (np.concatenate([unclipped, hidden]), planes[:0]),
+                (clipped, view.planes_in_camera(planes)),
+            ):
+                if len(rows):
+                    lists.append(rows)
+                    runs.append(Run(self.pool.take(), near))
         if not runs:
             return []
         self.pool.write_indices(np.concatenate(lists))
@@ -99,28 +88,52 @@ class SurfacePass:
             first += len(rows)
         return runs
 
-    def draw(self, view: View, runs: Sequence[Run], targets: Accumulators, pitch: float) -> None:
-        """Draws the front depth into the depth buffer, then the sums of the layer behind it and of all that follows."""
-        ctx = self.ctx
+    def draw(
+        self,
+        view: View,
+        runs: Sequence[Run],
+        targets: Accumulators,
+        rect: Rect,
+        pitch: float,
+        has_faces: bool,
+        options: DrawOptions,
+    ) -> None:
+        """Draws the front depth into the depth buffer, then the sums of what lies in the layer there and before it and,
+        only where that leaves gaps, of what lies behind: depth tests spare most pixels of the far side."""
+        ctx, layer = self.ctx, EPSILON_PITCHES * pitch * options.disc_scale
         targets.front_fbo.use()
-        ctx.enable_only(moderngl.DEPTH_TEST | moderngl.PROGRAM_POINT_SIZE)
+        ctx.enable_only(moderngl.DEPTH_TEST)
         ctx.depth_func = "<"
-        self._pass(view, runs, CORE, {}, visibility=True)
-        targets.splat_fbo.use()
-        ctx.enable_only(moderngl.PROGRAM_POINT_SIZE | moderngl.BLEND)
-        ctx.blend_func = moderngl.ONE, moderngl.ONE
-        values = {"front@0": targets.depth, "layer": EPSILON_PITCHES * pitch}
-        self._pass(view, runs, WHOLE, values, visibility=False)
+        self._pass(view, runs, CORE, "VISIBILITY", {})
+        values: dict[str, Any] = {
+            **view.uniforms,
+            "front@0": targets.depth,
+            "in_layer@1": targets.splats,
+            "rims@2": targets.rims,
+            "edges@3": targets.edges,
+            "faces@4": targets.faces,
+            "face_depths@5": targets.face_depths,
+            "layer": layer,
+            "tolerance": JOINT_PITCHES * pitch,
+        }
+        for part, shader, defines in (
+            ("NEAR_PART", "limit.frag.glsl", {}),
+            ("FAR_PART", "gaps.frag.glsl", {"SHUT": SHUT, "FACES": int(has_faces)}),
+        ):
+            self.screen.fill(targets.limit_fbo, rect, shader, defines, values)
+            targets.splat_fbo.use()
+            ctx.enable_only(moderngl.DEPTH_TEST | moderngl.BLEND)
+            ctx.depth_func = "<="
+            ctx.blend_func = moderngl.ONE, moderngl.ONE
+            self._pass(view, runs, WHOLE, part, values)
 
-    def _pass(self, view: View, runs: Sequence[Run], reach: float, uniforms: dict[str, Any], visibility: bool) -> None:
+    def _pass(self, view: View, runs: Sequence[Run], reach: float, part: str, uniforms: dict[str, Any]) -> None:
         for run in runs:
-            points = run.reach >= reach
             program = self.programs.get(
                 "splat.vert.glsl",
                 "splat.frag.glsl",
                 {
-                    "VISIBILITY": int(visibility),
-                    "POINTS": int(points),
+                    part: 1,
                     "CLIPPED": int(len(run.planes) > 0),
                     "MAX_PLANES": MAX_PLANES,
                     "ORTHOGRAPHIC": int(view.camera.orthographic),
@@ -132,4 +145,4 @@ class SurfacePass:
                 padded[: len(run.planes)] = run.planes
                 values["planes"] = padded
             write_uniforms(program, values)
-            run.batch.draw(program, RECORD, points)
+            run.batch.draw(program, RECORD)

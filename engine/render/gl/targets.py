@@ -45,6 +45,8 @@ class Accumulators:
         self.depth = ctx.depth_texture(size)
         self.depth.compare_func = ""  # read as a number, not compared
         self.depth.filter = moderngl.NEAREST, moderngl.NEAREST
+        self.limit = ctx.depth_texture(size)
+        """What lies farther is left out of the sums."""
         self.splats = ctx.texture(size, 4, dtype="f4")
         self.rims = ctx.texture(size, 4, dtype="f4")
         self.behind = ctx.texture(size, 4, dtype="f4")
@@ -57,8 +59,10 @@ class Accumulators:
         self._distances: moderngl.Texture | None = None
         self._classic_fbo: moderngl.Framebuffer | None = None
         self.front_fbo = ctx.framebuffer([], self.depth)
-        self.splat_fbo = ctx.framebuffer([self.splats, self.rims, self.behind, self.edges])
-        """Without the depth, which its shader reads."""
+        self.limit_fbo = ctx.framebuffer([], self.limit)
+        self.splat_fbo = ctx.framebuffer([self.splats, self.rims, self.behind, self.edges], self.limit)
+        """With a depth of its own to test against: its shader reads that of the front."""
+        self.splat_fbo.depth_mask = False
         self.field_fbo = ctx.framebuffer([self.field])
         self.skin_field_fbo = ctx.framebuffer([self.skin_field])
         self.face_fbo = ctx.framebuffer([self.faces, self.face_depths], self.depth)
@@ -85,11 +89,19 @@ class Accumulators:
             self._classic_fbo.release()
         if self._distances is not None:
             self._distances.release()
-        fbos = self.front_fbo, self.splat_fbo, self.field_fbo, self.skin_field_fbo, self.face_fbo, self.coverage_fbo
-        for fbo in fbos:
+        for fbo in (
+            self.front_fbo,
+            self.limit_fbo,
+            self.splat_fbo,
+            self.field_fbo,
+            self.skin_field_fbo,
+            self.face_fbo,
+            self.coverage_fbo,
+        ):
             fbo.release()
         for texture in (
             self.depth,
+            self.limit,
             self.splats,
             self.rims,
             self.behind,
