@@ -124,9 +124,10 @@ def weigh_labels(labels: list[Label], along: list[Source], ball: Ball, cell: flo
     def weigh(n: int) -> None:
         label = labels[n]
         places = label.chunks.places(ball)
-        out.colours[:, n] = label.read_things(places, distance_across(labels, label, ball))
+        even = label.read_even(places)
+        out.colours[:, n] = label.in_own_tones(even, places, distance_across(labels, label, ball))
         there = read_discs(places, [s.closed for s in label.sources])[:, 0] * (1 - ball.rind)
-        gone, left = label.gone(places)
+        gone, left = label.gone(places, even)
         capped = label.is_own or not label.is_horizontal
         cost = DISTANCE_COST * (np.minimum(places.distance, FAR) if capped else places.distance)
         gain = np.maximum(there - gone, 0)

@@ -7,6 +7,7 @@ which the pictures were taken show them as they are.
 
 from __future__ import annotations
 
+from collections.abc import Sized
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -24,6 +25,7 @@ __all__ = [
     "OwnAzimuths",
     "OwnHeight",
     "Places",
+    "Rows",
     "Sectors",
     "Slabs",
     "smooth_noise",
@@ -101,6 +103,10 @@ class Ball:
         return cls(points, *(f.astype(np.float32) for f in fields))
 
 
+Rows = NDArray[np.bool_] | slice
+"""Some of M points, or all of them: a slice copies nothing."""
+
+
 @dataclass(frozen=True)
 class Places:
     """What each of M points reads."""
@@ -115,9 +121,17 @@ class Places:
     rind: NDArray[np.float32]
     """(M,). As the ball has it."""
 
+    def of(self, n: int, pictures: Sized) -> Rows:
+        """The points that read picture n of these."""
+        return slice(None) if len(pictures) == 1 else self.picture == n
+
 
 class Chunks(Protocol):
     """A set of chunks that fills the ball with pictures of one family."""
+
+    def distance(self, ball: Ball) -> NDArray[np.float32]:
+        """(M,). As `places` has it, without the rest of it."""
+        ...
 
     def places(self, ball: Ball) -> Places:
         """What the points of the ball read."""
@@ -135,9 +149,12 @@ class OwnHeight:
         self.held = ndimage.gaussian_filter(wide, SHEET_HOLD * pixels)
         self.drift = Noise(DRIFT_LENGTHS, 2, rng)
 
+    def distance(self, ball: Ball) -> NDArray[np.float32]:
+        return np.asarray(np.abs(ball.points[:, 2] - self.height))
+
     def places(self, ball: Ball) -> Places:
         flat = np.stack([*ball.points[:, :2].T, np.full(len(ball.points), self.height)], -1)
-        distance = np.abs(ball.points[:, 2] - self.height)
+        distance = self.distance(ball)
         at = np.stack(to_pixels(ball.level[:, 0], ball.level[:, 1], len(self.held)))
         held = ndimage.map_coordinates(self.held, at, order=1, mode="nearest", output=np.float32)
         onset = ((1 - held) * np.minimum(distance / DRIFT_ONSET, 1))[:, None]
@@ -154,20 +171,27 @@ class OwnAzimuths:
         self.count = min(pictures, OWN_AZIMUTHS)
         self.drift = Noise(SECTOR_DRIFT_LENGTHS, 2, rng)
 
-    def places(self, ball: Ball) -> Places:
+    def _nearest(self, ball: Ball) -> tuple[NDArray[np.int64], NDArray[np.floating], NDArray[np.floating]]:
+        """(M,) each. The nearest plane's number, its angle and the distance from it."""
         step = np.pi / self.count
         nearest = np.round(ball.angle / step).astype(np.int64)
         plane = nearest * step
-        off = ball.radius * np.sin(ball.angle - plane)
+        return nearest, plane, np.abs(ball.radius * np.sin(ball.angle - plane))
+
+    def distance(self, ball: Ball) -> NDArray[np.float32]:
+        return self._nearest(ball)[2].astype(np.float32)
+
+    def places(self, ball: Ball) -> Places:
+        nearest, plane, off = self._nearest(ball)
         # Half a turn on is the same plane, seen from the other side.
         side = np.where(nearest // self.count % 2 == 0, 1, -1).astype(np.float32)
         x, y = ball.radius * np.cos(plane), ball.radius * np.sin(plane)
         flat = np.stack([x, y, ball.points[:, 2]], -1).astype(np.float32)
         free = ((1 - ball.rind) * np.minimum(ball.radius / CORE, 1) ** 2)[:, None]
-        onset = np.minimum(np.abs(off) / DRIFT_ONSET, 1)[:, None]
+        onset = np.minimum(off / DRIFT_ONSET, 1)[:, None]
         moved = SECTOR_DRIFT * free * onset * (self.drift.at(ball.points) - self.drift.at(flat))
         u, v = side * ball.radius + moved[:, 0], ball.points[:, 2] + moved[:, 1]
-        return Places(nearest % self.count, *(a.astype(np.float32) for a in (u, v, np.abs(off), ball.rind)))
+        return Places(nearest % self.count, *(a.astype(np.float32) for a in (u, v, off, ball.rind)))
 
 
 class Slabs:
@@ -179,17 +203,24 @@ class Slabs:
         self.offset = (number + rng.uniform()) / SLABS * SLAB_SPACING
         self.wave, self.drift = Noise((WAVE_LENGTH,) * 3, 1, rng), Noise(DRIFT_LENGTHS, 2, rng)
 
-    def places(self, ball: Ball) -> Places:
+    def _nearest(self, ball: Ball) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+        """(M,) both. The slab's number, and the distance from its middle."""
         height = ball.points[:, 2] - self.offset + WAVE * self.wave.at(ball.points)[:, 0]
         slab = np.round(height / SLAB_SPACING).astype(np.int64)
+        return slab, np.abs(height - slab * SLAB_SPACING).astype(np.float32)
+
+    def distance(self, ball: Ball) -> NDArray[np.float32]:
+        return self._nearest(ball)[1]
+
+    def places(self, ball: Ball) -> Places:
+        slab, distance = self._nearest(ball)
         turn = self.turn + slab * GOLDEN_ANGLE
         c, s = np.cos(turn), np.sin(turn)
         u, v = ball.level.T
         x, y = c * u - s * self.mirror * v, s * u + c * self.mirror * v
         x, y = _drifted(x, y, ball, self.drift.at(ball.points))
         picture = (self.number + slab * SLABS) % self.pictures
-        distance = np.abs(height - slab * SLAB_SPACING)
-        return Places(picture, x, y, distance.astype(np.float32), ball.rind)
+        return Places(picture, x, y, distance, ball.rind)
 
 
 class Sectors:
@@ -202,11 +233,18 @@ class Sectors:
         self.shift = rng.standard_normal((SECTORS, 2)) * SHIFT
         self.wave, self.drift = Noise((WAVE_LENGTH,) * 3, 1, rng), Noise(SECTOR_DRIFT_LENGTHS, 2, rng)
 
-    def places(self, ball: Ball) -> Places:
+    def _nearest(self, ball: Ball) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+        """(M,) both. The sector's number, and the distance from its middle."""
         turn = ball.angle / (2 * np.pi) * SECTORS + self.turn + WAVE * SECTORS / 4 * self.wave.at(ball.points)[:, 0]
         sector = np.floor(turn).astype(np.int64) % SECTORS
         off = np.abs(turn - np.floor(turn) - 0.5) / SECTORS * 2 * np.pi
-        distance = off * np.maximum(ball.radius, RIND[0])
+        return sector, (off * np.maximum(ball.radius, RIND[0])).astype(np.float32)
+
+    def distance(self, ball: Ball) -> NDArray[np.float32]:
+        return self._nearest(ball)[1]
+
+    def places(self, ball: Ball) -> Places:
+        sector, distance = self._nearest(ball)
         free = (1 - ball.rind) * np.minimum(ball.radius / CORE, 1) ** 2
         moved = free[:, None] * (self.shift[sector] + SECTOR_DRIFT * self.drift.at(ball.points))
         x, y = self.mirror[sector] * ball.radius + moved[:, 0], ball.points[:, 2] + moved[:, 1]

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from training.priors.exemplar.quilting.chunks import Ball, Chunks, Places
+from training.priors.exemplar.quilting.chunks import Ball, Chunks, Places, Rows
 from training.priors.exemplar.quilting.disc import (
     Disc,
     disc_grid,
@@ -174,54 +174,55 @@ class Label:
     is_horizontal: bool
     is_own: bool
 
-    def read_things(self, places: Places, crossing: NDArray[np.float32]) -> NDArray[np.float32]:
-        """(M, 3). The things that the places show, in the pictures' own tones near their own planes.
-
-        `crossing` (M,): distances in radii from the other family's own planes.
-        """
-        return self._in_own_tones(self._read_relief(places)[:, :3], places, crossing)
-
     def _read_relief(self, places: Places) -> NDArray[np.float32]:
         """(M, 4). Colours and strength of texture that the places show."""
         out = np.empty((len(places.x), 4), np.float32)
         for n, source in enumerate(self.sources):
-            rows = places.picture == n
+            rows = places.of(n, self.sources)
             x, y = places.x[rows], places.y[rows]
             out[rows] = source.relief.read(x, y, places.distance[rows] * self._held(places, rows, source))
         return out
 
-    def _held(self, places: Places, rows: NDArray[np.bool_], source: Source) -> NDArray[np.float32]:
+    def _held(self, places: Places, rows: Rows, source: Source) -> NDArray[np.float32]:
         """How much of a distance counts: nothing in the rind and in sheets, which run on."""
         return (1 - places.rind[rows]) * (1 - source.sheets.read(places.x[rows], places.y[rows])[:, 0])
 
     def read_tones(self, places: Places, crossing: NDArray[np.float32]) -> NDArray[np.float32]:
         """(M, 3). The tones of what the places show."""
-        return self._in_own_tones(read_discs(places, [s.tones for s in self.sources]), places, crossing)
+        return self.in_own_tones(read_discs(places, [s.tones for s in self.sources]), places, crossing)
 
     def read(
         self, places: Places, crossing: NDArray[np.float32], texture: NDArray[np.float32], layer: float
     ) -> NDArray[np.float32]:
         """(M, 3). What the places show, with texture (M, 3): within a `layer` of own planes that of the picture."""
         shown = self._read_relief(places)
-        rgb, strength = self._in_own_tones(shown[:, :3], places, crossing), shown[:, 3:4]
+        rgb, strength = self.in_own_tones(shown[:, :3], places, crossing), shown[:, 3:4]
         if not self.is_own:
             return rgb + strength * texture
         own = read_discs(places, [s.parts.texture for s in self.sources])
         return rgb + strength * beside_own(texture, own, places.distance / layer)
 
-    def gone(self, places: Places) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    def read_even(self, places: Places) -> NDArray[np.float32]:
+        """(M, 3). The things that the places show, in even tones."""
+        return self._read_relief(places)[:, :3]
+
+    def gone(self, places: Places, shown: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Both (M,). Colour that does not persist from the pictures' planes to the places, and the part of it that is
-        shown there all the same."""
+        all the same in what they show (M, 3) in even tones."""
         gone = np.empty(len(places.x), np.float32)
         for n, source in enumerate(self.sources):
-            rows = places.picture == n
+            rows = places.of(n, self.sources)
             gone[rows] = source.persistence.gone(places.x[rows], places.y[rows], places.distance[rows])
-        closed = self._read_relief(places)[:, :3] - read_discs(places, [s.parts.things for s in self.sources])
+        closed = shown - read_discs(places, [s.parts.things for s in self.sources])
         return gone, np.maximum(gone - np.linalg.norm(closed, axis=1), 0)
 
-    def _in_own_tones(
+    def in_own_tones(
         self, even: NDArray[np.float32], places: Places, crossing: NDArray[np.float32]
     ) -> NDArray[np.float32]:
+        """(M, 3). Even tones (M, 3) as the pictures' own near their own planes.
+
+        `crossing` (M,): distances in radii from the other family's own planes.
+        """
         if not self.is_own:
             return even
         share = np.exp(-np.square(places.distance / OWN_TONES)) - np.exp(-np.square(crossing / OWN_TONES))
@@ -244,7 +245,7 @@ def distance_across(labels: list[Label], label: Label, ball: Ball) -> NDArray[np
     """(M,). Distance in radii from the own planes of the family that is not the label's; infinite without one."""
     for other in labels:
         if label.is_own and other.is_own and other.is_horizontal != label.is_horizontal:
-            return other.chunks.places(ball).distance
+            return other.chunks.distance(ball)
     return np.full(len(ball.points), np.inf, np.float32)
 
 
@@ -252,6 +253,6 @@ def read_discs(places: Places, discs: list[Disc]) -> NDArray[np.float32]:
     """(M, 3). What the places show of these discs, one for each source."""
     out = np.empty((len(places.x), 3), np.float32)
     for n, disc in enumerate(discs):
-        rows = places.picture == n
+        rows = places.of(n, discs)
         out[rows] = disc.read(places.x[rows], places.y[rows])
     return out

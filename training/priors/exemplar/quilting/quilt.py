@@ -182,7 +182,7 @@ class Quilt:
             return
         rows = np.flatnonzero(np.isin(best[:, 0], own))
         ball = Ball.of(points[rows])
-        distances = np.stack([self.labels[n].chunks.places(ball).distance for n in own])
+        distances = np.stack([self.labels[n].chunks.distance(ball) for n in own])
         both = distances.max(0) < CROSSING * 2 / LEVELS[-1]
         order = distances[:, both].argsort(0)
         nearer, farther = np.take_along_axis(distances[:, both], order, 0)
@@ -350,7 +350,7 @@ def _is_clear(laid: Candidates, planes: list[Label]) -> NDArray[np.bool_]:
     """(M,). Which things do not reach the planes."""
     there, clear = Ball.of(laid.middles), np.ones(len(laid.stamps), bool)
     for plane in planes:
-        clear &= plane.chunks.places(there).distance > REACHES * laid.axes[:, 0]
+        clear &= plane.chunks.distance(there) > REACHES * laid.axes[:, 0]
     return clear
 
 
