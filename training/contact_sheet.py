@@ -17,6 +17,7 @@ from engine.scene.grid import Body
 from engine.scene.inside import Inside
 from engine.scene.piece import Piece
 from engine.scene.plane import Plane
+from engine.threads import side_by_side
 
 __all__ = ["contact_sheet_planes", "save_contact_sheet"]
 
@@ -57,8 +58,9 @@ def save_contact_sheet(
     details of the `inside` if that is known."""
     field = KernelField(atoms)
     centre = body.bounds().mean(0)
-    tiles: list[list[NDArray[np.float32]]] = [[], []]
-    for plane, (tilt, turn, _) in zip(contact_sheet_planes(body, up), CUTS, strict=True):
+
+    def draw(cut: tuple[Plane, tuple[float, float, float]]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        plane, (tilt, turn, _) = cut
         fov = np.radians(30.0)
         # From the removed side and a little above, so that both the face and the skin around it are visible.
         elevation = max(18.0, 90.0 - tilt - 25.0)
@@ -71,6 +73,7 @@ def save_contact_sheet(
             reading = read_face(straight, ahead, piece, solid)  # once for both: this is what takes time
             opened = detailed_from(reading, opened, camera, piece, solid, True)
             straight = detailed_from(reading, straight, ahead, piece, solid, False)
-        tiles[0].append(opened.rgb)
-        tiles[1].append(straight.rgb)
-    save_png(path, np.concatenate([np.concatenate(row, axis=1) for row in tiles]))
+        return opened.rgb, straight.rgb
+
+    tiles = side_by_side(draw, list(zip(contact_sheet_planes(body, up), CUTS, strict=True)))
+    save_png(path, np.concatenate([np.concatenate(row, axis=1) for row in zip(*tiles, strict=True)]))

@@ -15,6 +15,7 @@ from engine.scene.camera import Camera, cameras_around, equator, plane_points, s
 from engine.scene.gaussians import Gaussians
 from engine.scene.grid import Body
 from engine.scene.plane import Plane
+from engine.threads import side_by_side
 from training.families import Family
 from training.priors.prior import Condition
 
@@ -37,6 +38,9 @@ BACKGROUND = (1.0, 1.0, 1.0)
 # largest weights reproduce it at about 50 dB. A cut face blends 17 on average, more where fine atoms meet coarse ones
 # and the skin: sixteen reproduce the trained watermelon and orange at 53 and 60 dB.
 ENTRIES = 16
+
+TOGETHER = 8
+"""Sections that are weighed between two words of progress: enough for the cores."""
 
 
 @dataclass(frozen=True)
@@ -66,25 +70,31 @@ def slices(
 ) -> list[Slice]:
     """Every plane of every family as a view of size x size pixels, without planes that miss the body."""
     bounds, radius, extent = body.bounds(), body.radius, Extent.of(body, up)
-    result = []
-    for family in families:
-        for plane in family.planes(body, up):
-            camera = section(plane, up, bounds, size, radius)
-            points = plane_points(camera, plane)
-            if (body.at(points) > 0).any():
-                condition = make_condition(family, body, extent, camera, points)
-                result.append(Slice(family, plane, camera, condition, points))
-    return result
+
+    def slice_of(asked: tuple[Family, Plane]) -> Slice | None:
+        family, plane = asked
+        camera = section(plane, up, bounds, size, radius)
+        points = plane_points(camera, plane)
+        if not (body.at(points) > 0).any():
+            return None
+        return Slice(family, plane, camera, make_condition(family, body, extent, camera, points), points)
+
+    all_asked = [(family, plane) for family in families for plane in family.planes(body, up)]
+    return [made for made in side_by_side(slice_of, all_asked) if made is not None]
 
 
 def sections(atoms: Atoms, cuts: Sequence[Slice], progress: Callable[[float], None]) -> list[Section]:
     """The slices with the weights of these atoms in their pixels."""
     field = KernelField(atoms)
-    result = []
-    for index, cut in enumerate(cuts):
+
+    def weighed(cut: Slice) -> Section:
         weights = ViewWeights.section(atoms, cut.plane, cut.camera, field).truncated(ENTRIES)
-        result.append(Section(cut.family, cut.plane, cut.camera, cut.condition, cut.points, weights))
-        progress((index + 1) / len(cuts))
+        return Section(cut.family, cut.plane, cut.camera, cut.condition, cut.points, weights)
+
+    result: list[Section] = []
+    for start in range(0, len(cuts), TOGETHER):
+        result += side_by_side(weighed, cuts[start : start + TOGETHER])
+        progress(len(result) / len(cuts))
     return result
 
 

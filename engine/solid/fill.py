@@ -11,6 +11,7 @@ from engine.scene.atoms import InteriorAtoms, SurfaceAtoms
 from engine.scene.grid import Body
 from engine.solid.octree import COARSEST, leaf_levels
 from engine.solid.skin_cover import COVERED, coverage_at, inward_normals, project_onto_skin
+from engine.threads import side_by_side
 
 Float = NDArray[np.float32]
 
@@ -44,12 +45,15 @@ def fill(
     start = (low + high) / 2 - counts * pitch / 2
     solid = np.empty(tuple(counts), bool)
     rgb = None if colours is None else np.empty((*counts, 3), np.float32)
-    for layer in range(counts[0]):  # one layer at a time: a grid of points takes six times the grid's memory
+
+    def fill_layer(layer: int) -> None:  # layer by layer: a grid of points takes six times the grid's memory
         cells = np.stack(np.meshgrid([layer], *map(np.arange, counts[1:]), indexing="ij"), -1)
         centres = start + (cells[0] + 0.5) * pitch
         solid[layer] = body.at(centres) > 0
         if rgb is not None and colours is not None:
             rgb[layer] = colours(centres.reshape(-1, 3)).reshape(*centres.shape)
+
+    side_by_side(fill_layer, range(counts[0]))
     levels = np.zeros(solid.shape, np.int8) if rgb is None else leaf_levels(rgb, solid)
     rng = np.random.default_rng(seed)
     means, sigmas = [], []

@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from engine.threads import side_by_side
+
 __all__ = ["COARSEST", "leaf_levels"]
 
 COARSEST = 3
@@ -47,7 +49,11 @@ def leaf_levels(rgb: NDArray[np.float32], solid: NDArray[np.bool_]) -> NDArray[n
     differ by at most one. There are at most BUDGET leaves per solid cell unless MAX_TOLERANCE needs more.
     """
     assert rgb.shape[:3] == solid.shape and not any(n % 2**COARSEST for n in solid.shape), (rgb.shape, solid.shape)
-    errors = [np.where(blocks(solid, s).min(axis=(1, 3, 5)), approximation_error(rgb, s), np.inf) for s in leaf_sizes()]
+
+    def error_of(size: int) -> NDArray[np.float32]:
+        return np.where(blocks(solid, size).min(axis=(1, 3, 5)), approximation_error(rgb, size), np.float32(np.inf))
+
+    errors = side_by_side(error_of, leaf_sizes())
     cells = int(np.count_nonzero(solid))
     low, high = MIN_TOLERANCE, MAX_TOLERANCE
     if atom_count(merged_blocks(errors, low), cells) > BUDGET * cells:
