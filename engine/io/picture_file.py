@@ -70,6 +70,38 @@ HEIF = (b"heic", b"heix", b"heim", b"heis", b"hevc", b"mif1", b"msf1")
 _decoder_lock = Lock()
 
 
+class _Silence:
+    """Hides warnings while any thread is in a block that asks for it.
+
+    Python keeps what is hidden for the whole process: of two threads that catch warnings by themselves, the one that
+    leaves last puts back what the other had hidden, and the process never warns again.
+    """
+
+    def __init__(self) -> None:
+        self._lock, self._blocks = Lock(), 0
+        self._before = warnings.catch_warnings()
+
+    @contextmanager
+    def of(self, category: type[Warning]) -> Iterator[None]:
+        """A block without warnings of this category."""
+        with self._lock:
+            if not self._blocks:
+                self._before = warnings.catch_warnings()
+                self._before.__enter__()
+            self._blocks += 1
+            warnings.simplefilter("ignore", category)
+        try:
+            yield
+        finally:
+            with self._lock:
+                self._blocks -= 1
+                if not self._blocks:
+                    self._before.__exit__(None, None, None)
+
+
+_silence = _Silence()
+
+
 @contextmanager
 def open_picture(source: str | Path | bytes, name: str | Path | None = None) -> Iterator[Image.Image]:
     """Yields a picture of which only the header is decoded. The block decodes the rest on use, and should do no more.
@@ -114,8 +146,7 @@ def check_size(image: Image.Image) -> Image.Image:
 def decoding(name: str | Path | None) -> Iterator[None]:
     """Turns any error that Pillow raises in the block into an InputError about picture `name`; hides its warnings."""
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # about sizes, which `check_size` limits, and harmless oddities
+        with _silence.of(Warning):  # about sizes, which `check_size` limits, and harmless oddities
             yield
     except InputError:
         raise
@@ -133,8 +164,7 @@ def restricted_decoders() -> Iterator[None]:
 
     This affects the whole process; other threads wait before they enter such a block.
     """
-    with _decoder_lock, warnings.catch_warnings():
-        warnings.simplefilter("ignore", Image.DecompressionBombWarning)
+    with _decoder_lock, _silence.of(Image.DecompressionBombWarning):
         Image.init()  # registers all decoders, so that none is added inside the block
         every = Image.ID[:]
         Image.ID[:] = KINDS

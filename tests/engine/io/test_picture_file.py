@@ -10,6 +10,7 @@ import os
 import struct
 import subprocess
 import threading
+import warnings
 import zlib
 from collections.abc import Callable
 from contextlib import suppress
@@ -23,7 +24,7 @@ from PIL import EpsImagePlugin, Image, UnidentifiedImageError
 
 from engine.errors import InputError
 from engine.io.meshes.mesh import read_mesh
-from engine.io.picture_file import KINDS, open_picture, read_pixels, restricted_decoders
+from engine.io.picture_file import KINDS, decoding, open_picture, read_pixels, restricted_decoders
 from tests.helpers.refusal import refusal
 from tests.paths import ROOT
 from training.priors.exemplar.pictures import read_picture
@@ -221,6 +222,19 @@ def test_whatever_a_decoder_raises_becomes_one_line(error: type[Exception]) -> N
             raise error
 
     assert refusal(read).startswith("here: ")
+
+
+def test_of_two_readers_the_last_to_leave_lets_warnings_through_again() -> None:
+    filters = list(warnings.filters)
+    first, second = decoding("first"), decoding("second")
+    first.__enter__()
+    second.__enter__()
+    first.__exit__(None, None, None)
+    with warnings.catch_warnings(record=True) as heard:
+        warnings.warn("oddity", stacklevel=1)
+    assert not heard
+    second.__exit__(None, None, None)
+    assert list(warnings.filters) == filters
 
 
 def test_a_library_of_its_own_gets_the_same_decoders() -> None:

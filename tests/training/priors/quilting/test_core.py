@@ -50,6 +50,20 @@ def core_of(source: Source, *radial: Disc) -> Core:
     return Core.across(source.even, source.rind, [Source.of(disc, False).even for disc in radial], 0.0)
 
 
+def test_pictures_are_looked_at_in_threads_so_no_warning_of_the_process_is_hidden(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Of two threads that hide warnings, the last to end would leave them hidden."""
+
+    def refuse(*_: object, **__: object) -> None:
+        raise AssertionError("hides warnings")
+
+    with monkeypatch.context() as patch:
+        patch.setattr("warnings.catch_warnings", refuse)
+        source = Source.of(face(star()), True)
+        assert source.with_core(core_of(source)).core.reach
+
+
 def test_a_core_is_as_tall_as_its_area_is_wide_or_has_the_proportions_of_radial_pictures() -> None:
     x, y = disc_grid()
     half = 0.13

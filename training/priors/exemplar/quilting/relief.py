@@ -15,7 +15,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 from scipy import ndimage
-from skimage.morphology import remove_small_holes
+from skimage.morphology import remove_small_objects
 
 from engine.threads import for_spans
 from training.priors.exemplar.quilting.disc import (
@@ -96,7 +96,9 @@ class Relief:
         for n in range(len(WIDTHS)):
             ends.append(_end(disc.rgb, medians, n, ends))
         made = cls._made(disc, strength, medians, ends)
-        closed = remove_small_holes(made.closed_until(rind) >= 0, max_size=round(np.pi * (WIDTHS[1] / PIXEL) ** 2))
+        # The function for small holes hides warnings of the whole process, which threads must not do.
+        open_parts = made.closed_until(rind) < 0
+        closed = ~remove_small_objects(open_parts, max_size=round(np.pi * (WIDTHS[1] / PIXEL) ** 2))
         if not closed.any():
             return made
         # A median as wide as the widest things is the colour of none among several, as in a star.
