@@ -1,6 +1,6 @@
 """Insides grown from photographs of two different fruits, beside other photographs of the kind.
 
-    python -m benchmarks.photographs.insides [--detail standard] [--seed 0] [--pairs apple_1,...] [--quick]
+    python -m benchmarks.photographs.insides [--detail standard] [--seeds 0,1,2] [--pairs apple_1,...] [--quick]
         [-o docs/charts]
 
 There is no truth, so what is measured is how far cuts that nobody trained are from photographs that were not used, in
@@ -13,7 +13,7 @@ units of the distance from photograph to photograph:
   steps       the strongest level line of radial cuts over that of the photographs: a seam
   recognised  the network's probability of the right class, and for photographs
 
-Needs ../shared/data. Writes photographs.json, and sheets of cuts into out/photographs, where trained objects are kept:
+Needs ../shared/data. Writes photographs.json, a row for each seed, and sheets of cuts into out/photographs, where trained objects are kept:
 started again after an interruption it goes on; delete them to measure anew.
 """
 
@@ -22,6 +22,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import TypeAlias
 
@@ -231,34 +232,34 @@ def main(arguments: list[str] | None = None) -> None:
     """Trains and measures the pairs asked for."""
     parser = parser_of(__doc__, "one pair in draft")
     parser.add_argument("--detail", default="standard", help="default: standard")
-    parser.add_argument("--seed", type=int, default=0, help="default: 0")
+    parser.add_argument("--seeds", default="0,1,2", help="default: 0,1,2")
     parser.add_argument("--pairs", default=",".join(PAIRS), help="default: all")
     options = parser.parse_args(arguments)
     if not PHOTOGRAPHS.is_dir():
         parser.error(f"{PHOTOGRAPHS}: no such folder")
     pairs, detail = (["orange_6"], "draft") if options.quick else (options.pairs.split(","), options.detail)
+    seeds = [0] if options.quick else [int(seed) for seed in options.seeds.split(",")]
     if not set(pairs) <= set(PAIRS):
         parser.error(f"--pairs: give some of {', '.join(PAIRS)}")
     network, kept = Network(), ROOT / "out/photographs"
-    found: dict[str, dict[str, float]] = {}
-    for pair in pairs:
-        folder = kept / f"{pair}_{detail}_{options.seed}"
+    found: dict[str, list[dict[str, float]]] = {pair: [] for pair in pairs}
+    for seed, pair in product(seeds, pairs):
+        folder = kept / f"{pair}_{detail}_{seed}"
         body = BODIES[pair.split("_")[0]]
         trained = folder / body.name
         if not trained.is_file():
             horizontal, radial = (PHOTOGRAPHS / f"{name}.png" for name in PAIRS[pair])
             grow = partial(fruitninja.grow, body, horizontal=horizontal, radial=radial, up="z")
-            grow(detail=detail, seed=options.seed, out=folder)
+            grow(detail=detail, seed=seed, out=folder)
         stages = json.loads(read_file(folder / "report.json", 1 << 20))["seconds"]
         facts, sheet = measured(fruitninja.open(trained), pair, network)
         save_png(folder / "sheet.png", sheet)
-        found[pair] = {key: round(value, 3) for key, value in facts.items()} | {
-            "seconds": round(sum(stages.values()), 1)
-        }
-        print(pair, " ".join(f"{key} {value}" for key, value in found[pair].items()), flush=True)
+        row = {key: round(value, 3) for key, value in facts.items()}
+        found[pair].append(row | {"seed": seed, "seconds": round(sum(stages.values()), 1)})
+        print(pair, seed, " ".join(f"{key} {value}" for key, value in row.items()), flush=True)
     out = out_folder(options)
     if out is not None:
-        write_json(out / "photographs.json", {"detail": detail, "seed": options.seed, "pairs": found})
+        write_json(out / "photographs.json", {"detail": detail, "pairs": found})
 
 
 if __name__ == "__main__":
