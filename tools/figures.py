@@ -41,9 +41,10 @@ def row(*cells: str) -> str:
 
 
 def of_photographs() -> list[str]:
-    """Pairs of real photographs."""
+    """Pairs of real photographs, means over the seeds."""
     lines = []
-    for pair, f in chart("photographs")["pairs"].items():
+    for pair, seeds in chart("photographs")["pairs"].items():
+        f = {key: float(np.mean([one[key] for one in seeds])) for key in seeds[0]}
         both = [
             f"{f[f'{key}_horizontal']:.{digits}f} / {f[f'{key}_radial']:.{digits}f}"
             for key, digits in (("own", 2), ("features", 1), ("patches", 1))

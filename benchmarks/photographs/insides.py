@@ -13,8 +13,8 @@ units of the distance from photograph to photograph:
   steps       the strongest level line of radial cuts over that of the photographs: a seam
   recognised  the network's probability of the right class, and for photographs
 
-Needs ../shared/data. Writes photographs.json, a row for each seed, and sheets of cuts into out/photographs, where trained objects are kept:
-started again after an interruption it goes on; delete them to measure anew.
+Needs ../shared/data. Writes photographs.json, a row for each seed, and sheets of cuts into out/photographs, where
+trained objects are kept: started again after an interruption it goes on; delete them to measure anew.
 """
 
 from __future__ import annotations
