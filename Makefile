@@ -39,7 +39,7 @@ test: $(READY)
 # The template that translations begin with; docs: CONTRIBUTING.md.
 words: $(READY)
 	$(BIN)/pybabel extract --no-wrap --sort-by-file --add-location=file --project FruitNinja \
-	    --copyright-holder "the FruitNinja authors" -o app/locale/fruitninja.pot app
+	    --copyright-holder "the FruitNinja authors" -o app/locale/fruitninja.pot app training/events.py
 
 bench: $(READY)
 	@tools/ensure_gl.sh

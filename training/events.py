@@ -18,18 +18,24 @@ from engine.io.files import LineWriter, reason
 
 __all__ = ["Reporter", "to_json"]
 
+
+def N_(text: str) -> str:
+    """Marks words that a window shows in its user's language; here they stay English. The name is gettext's."""
+    return text
+
+
 STAGES = {
-    "load": "Reading the scene",
-    "body": "Finding the body",
-    "atomise": "Making atoms",
-    "labels": "Drawing the inside",
-    "refit": "Matching the skin",
-    "views": "Placing views",
-    "train": "Training",
-    "save": "Saving",
-    "cuts": "Drawing the cuts",
-    "measure": "Measuring the skin",
-    "finetune": "Learning the pictures",
+    "load": N_("Reading the scene"),
+    "body": N_("Finding the body"),
+    "atomise": N_("Making atoms"),
+    "labels": N_("Drawing the inside"),
+    "refit": N_("Matching the skin"),
+    "views": N_("Placing views"),
+    "train": N_("Training"),
+    "save": N_("Saving"),
+    "cuts": N_("Drawing the cuts"),
+    "measure": N_("Measuring the skin"),
+    "finetune": N_("Learning the pictures"),
 }
 """Identifier of each stage in events, and its title in displays."""
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from app.translation import _
 from engine.errors import one_line
 
 __all__ = ["Progress", "read_line"]
@@ -49,8 +50,8 @@ class Progress:
     """The job's result folder."""
     stage: str = ""
     """Name of the stage in the events."""
-    title: str = "Starting"
-    """Name of the stage for the user."""
+    title: str = field(default_factory=lambda: _("Starting"))
+    """Name of the stage, in the user's language."""
     stage_fraction: float = 0.0
     """How much of the stage is done. Range [0, 1]."""
     fraction: float = 0.0
@@ -99,7 +100,8 @@ def read_line(progress: Progress, line: bytes) -> None:
     kind = event.get("event")
     if kind == "stage" and isinstance(event.get("stage"), str):
         progress.stage = event["stage"]
-        progress.title = one_line(str(event.get("title") or progress.stage))
+        title = one_line(str(event.get("title") or progress.stage))
+        progress.title = _(title) if title else title  # gettext's word for none is the catalogue's head
         progress.stage_fraction = 0.0
         _advance(progress, None)
     elif kind == "progress":

@@ -13,11 +13,12 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from babel.messages.catalog import Catalog
-from babel.messages.extract import extract_from_dir
+from babel.messages.extract import extract_from_dir, extract_from_file
 from babel.messages.mofile import write_mo
 from babel.messages.pofile import read_po
 
 from tests.paths import ROOT
+from training.events import STAGES
 
 TEMPLATE = ROOT / "app" / "locale" / "fruitninja.pot"
 
@@ -39,6 +40,9 @@ def messages(catalog: Catalog) -> set[object]:
 
 def test_the_template_has_all_words_of_the_code() -> None:
     found = {message for _, _, message, _, _ in extract_from_dir(str(ROOT / "app"))}
+    stages = {message for _, message, _, _ in extract_from_file("python", str(ROOT / "training/events.py"))}
+    assert stages == set(STAGES.values())
+    found |= stages
     with TEMPLATE.open("rb") as file:
         assert messages(read_po(file)) == found, "make words"
     assert len(found) > 500

@@ -37,7 +37,7 @@ def curves(progress: Progress) -> None:
     implot.setup_legend(implot.Location_.north_west, beside)
     for name, values, colour in (
         (_("cut faces"), progress.section, p.accent),
-        ("surface", progress.surface, p.curve),
+        (_("surface"), progress.surface, p.curve),
     ):
         ys = np.asarray(values, np.float64)
         spec = implot.Spec(line_color=rgba(colour), line_weight=px(1.6))
