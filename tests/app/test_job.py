@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gettext
 import json
 import os
 import subprocess
@@ -17,6 +18,7 @@ import pytest
 from PIL import Image
 from safetensors.numpy import save_file
 
+from app import translation
 from app.jobs.job_events import Progress, read_line
 from app.jobs.live_colours import LiveColours
 from app.jobs.results import default_out
@@ -33,6 +35,7 @@ from engine.scene.atoms import Atoms
 from tests.helpers.app_objects import atoms, full
 from tests.paths import HELPERS
 from tests.training.test_train_command import SMALL_COMMAND
+from training.events import STAGES
 from training.families import Family
 from training.request import read_request
 
@@ -319,6 +322,21 @@ def test_a_note_that_names_another_process_is_a_job_that_has_ended(tmp_path: Pat
         assert found is None or found.ended
     note.with_suffix(".fruitninja").write_text("{}")
     assert Job.find(tmp_path) is None
+
+
+def test_stages_are_named_in_the_language_of_the_window(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Shouted(gettext.NullTranslations):
+        def gettext(self, message: str) -> str:
+            return message.upper() or "the head of the catalogue"
+
+    monkeypatch.setattr(translation, "_catalogue", Shouted())
+    progress = Progress()
+    assert progress.title == "STARTING"
+    for name, title in STAGES.items():
+        read_line(progress, json.dumps({"event": "stage", "stage": name, "title": title}).encode())
+        assert progress.title == title.upper() != title
+    read_line(progress, b'{"event": "stage", "stage": ""}')
+    assert progress.title == ""
 
 
 def test_events_name_no_file_elsewhere_and_say_plain_words(tmp_path: Path) -> None:

@@ -120,9 +120,6 @@ class SectionPass:
         self, view: View, planes: Double, face: Face, atoms: Spheres | Ellipsoids, options: DrawOptions, pitch: float
     ) -> None:
         """Adds the atoms of one kind that one plane meets, pixel by pixel."""
-        chunks = atoms.chunks
-        if not len(chunks):
-            return
         ellipsoid = isinstance(atoms, Ellipsoids)
         enlarge = scale_of(atoms, options)
         rows = atoms_at_face(view, planes, face, atoms, options)
