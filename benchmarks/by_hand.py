@@ -27,11 +27,11 @@ from benchmarks.support.options import out_folder, parser_of
 from benchmarks.support.timing import timed
 from engine.io.files import write_json
 from engine.render.classic import rasterizer as classic
-from engine.render.classic.blend import BLOCK, MIN_TRANSMITTANCE, UNTOUCHED, start_tile
+from engine.render.classic.blend import BLOCK, UNTOUCHED, start_tile
 from engine.render.classic.differentiable import rasterize
 from engine.render.classic.records import Frame, Slice
 from engine.render.classic.tiles import BLOCKS, SIDE, TAIL_BITS
-from engine.scene.constants import MAX_ALPHA
+from engine.scene.constants import MAX_ALPHA, MIN_TRANSMITTANCE
 from engine.solid.distance_transform import nearest
 from engine.threads import cores, for_each
 

@@ -62,6 +62,7 @@ MODES: dict[str, dict[str, Any]] = {
     "opaque, exact faces": {"exact": True},
     "opaque, no culling": {"exact": True, "cull": False},
 }
+CLASSIC = {"classic": False, "classic, full floats": True}
 SHADERS = "opaque, by shaders"
 COARSER: dict[str, tuple[float, int]] = {  # part of the pixels along a side, level of detail
     "coarser: 3/4 of the side, level 1": (0.75, 1),
@@ -203,7 +204,12 @@ def speed(renderer: Renderer, shaders: Renderer, count: int, times: int) -> list
         add(SHADERS, "one cut", lambda step: shaders.render(view(step), pieces, exact=False))
         shaders.set_atoms(melon(200))
     renderer.set_capture(atoms.as_gaussians(0.99))
-    add("classic", "uncut", lambda step: renderer.render(view(step), mode="classic"))
+
+    def classic(exact: bool, step: int) -> None:
+        renderer.render(view(step), mode="classic", exact=exact)
+
+    for mode, exact in CLASSIC.items():
+        add(mode, "uncut", partial(classic, exact))
     add("points", "uncut again", floor)
     renderer.set_capture(melon(200).as_gaussians(0.99))
     return rows
@@ -240,8 +246,9 @@ def accuracy(renderer: Renderer, shaders: Renderer, count: int) -> dict[str, flo
     values = (capture.means, capture.scales, capture.quats, capture.opacities, capture.sh)
     means, scales, quats, opacities, coefficients = (torch.as_tensor(v, dtype=torch.float64) for v in values)
     exact = classic_reference(means, scales, quats, opacities, coefficients, camera, (1.0, 1.0, 1.0))[0]
-    renderer.render(camera, mode="classic")
-    figures["classic"] = round(psnr(renderer.read().rgb, exact.numpy()), 1)
+    for mode, full_floats in CLASSIC.items():
+        renderer.render(camera, mode="classic", exact=full_floats)
+        figures[mode] = round(psnr(renderer.read().rgb, exact.numpy()), 1)
     return figures
 
 
@@ -268,12 +275,13 @@ def chart(rows: list[dict], figures: dict[str, float], who: str, path: Path) -> 
     figure, (left, right) = plt.subplots(1, 2, figsize=(16, 5.6), constrained_layout=True)
 
     def of(mode: str, count: int) -> float | None:
-        cut = "uncut" if mode in ("classic", "points") else "one cut"
+        cut = "uncut" if mode in (*CLASSIC, "points") else "one cut"
         return next((r[key] for r in rows if (r["atoms"], r["mode"], r["cut"]) == (count, mode, cut)), None)
 
     shades = plt.get_cmap("Greens")(np.linspace(0.75, 0.4, len(COARSER)))
     colours = {"opaque": ACCENT, "opaque, exact faces": "#B8432A", "opaque, no culling": "#F2A38F"}
-    colours |= {SHADERS: "#3C78D8", "classic": "#303337", **dict(zip(COARSER, shades, strict=True))}
+    colours |= {SHADERS: "#3C78D8", "classic": "#303337", "classic, full floats": QUIET}
+    colours |= dict(zip(COARSER, shades, strict=True))
     for mode, colour in colours.items():
         if mode in figures:
             left.plot(counts, [of(mode, n) for n in counts], "o-", ms=4, color=colour, label=mode)

@@ -3,8 +3,10 @@ flat in vec4 centre;
 flat in vec4 conic;
 flat in vec3 colour;
 
-layout(location = 0) out vec4 light;    // colour, opacity
-layout(location = 1) out vec4 distance; // depth, opacity in alpha
+uniform vec2 slab; // nearest depth of what is drawn and its thickness, world units
+
+layout(location = 0) out vec4 light; // colour, opacity
+layout(location = 1) out vec4 depth; // in the slab, opacity in alpha
 
 void main() {
     vec2 u = gl_FragCoord.xy - centre.xy;
@@ -12,5 +14,5 @@ void main() {
     float alpha = min(MAX_ALPHA, centre.w * exp(-0.5 * q));
     if (!(alpha >= 1.0 / ALPHA_STEPS)) discard;
     light = vec4(alpha * colour, alpha);
-    distance = vec4(alpha * centre.z, 0.0, 0.0, alpha);
+    depth = vec4(alpha * (centre.z - slab.x) / slab.y, 0.0, 0.0, alpha);
 }

@@ -1,6 +1,6 @@
 // The composited capture over the background.
 uniform sampler2D lights;
-uniform sampler2D distances;
+uniform sampler2D depths;
 uniform vec3 background;
 
 layout(location = 0) out vec4 frame;
@@ -11,5 +11,5 @@ void main() {
     vec4 sum = texelFetch(lights, at, 0);
     frame = vec4(sum.rgb + (1.0 - sum.a) * background, 1.0);
     bool seen = sum.a > 0.0;
-    info = vec2(seen ? texelFetch(distances, at, 0).r / sum.a : NOTHING, seen ? min(sum.a, 1.0) : -2.0);
+    info = vec2(seen ? texelFetch(depths, at, 0).r / sum.a : NOTHING, seen ? min(sum.a, 1.0) : -2.0);
 }

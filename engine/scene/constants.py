@@ -22,6 +22,7 @@ __all__ = [
     "LATTICE_DENSITY",
     "LOW_PASS",
     "MAX_ALPHA",
+    "MIN_TRANSMITTANCE",
     "MIN_WEIGHT",
     "NOTHING",
     "SOLID_DENSITY",
@@ -84,6 +85,10 @@ MAX_ALPHA = float(np.float32(0.99))
 """Classic: cap of alpha, so that the derivative, which divides by 1 - alpha, stays finite. The float32 number in all
 precisions: two such layers leave (1 - 0.99)^2, just under the transmittance that ends a pixel, and all renderers must
 agree that they end it."""
+
+MIN_TRANSMITTANCE = 1e-4
+"""Classic: a layer that would leave less transmittance than this is not drawn and ends the pixel, as in INRIA's
+renderer; on the GPU what ends it is drawn, and perhaps some layers more."""
 
 ALPHA_STEPS = 255.0
 """Classic: alpha under 1 / ALPHA_STEPS, one step of an 8-bit picture, is skipped."""

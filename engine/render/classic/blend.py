@@ -26,12 +26,11 @@ from engine.render.classic.records import (
 )
 from engine.render.classic.tiles import BLOCKS, SIDE, TAIL_BITS
 from engine.render.lanes import absolute, any_of, exp2, fma, load16, minimum, row_sums, store, where
-from engine.scene.constants import MAX_ALPHA
+from engine.scene.constants import MAX_ALPHA, MIN_TRANSMITTANCE
 
 __all__ = [
     "ADJOINT",
     "BLOCK",
-    "MIN_TRANSMITTANCE",
     "ROW",
     "STATE",
     "UNTOUCHED",
@@ -43,9 +42,6 @@ __all__ = [
 
 BLOCK = 2 * SIDE
 """Pixels in a block."""
-
-MIN_TRANSMITTANCE = 1e-4
-"""A layer that would leave less transmittance than this is not drawn and ends the pixel, as in INRIA's renderer."""
 
 STATE = 6
 """Numbers per pixel that go from slice to slice, each in a run of BLOCK: 0 transmittance, negative once the pixel has

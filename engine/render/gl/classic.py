@@ -5,6 +5,7 @@ The camera never waits for the sort: a frame uses the newest order, and `sorting
 
 from __future__ import annotations
 
+import math
 import time
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
@@ -18,21 +19,27 @@ from engine.render.culling.draw_options import SplatLook
 from engine.render.culling.view import View
 from engine.render.gl.batches import Pool
 from engine.render.gl.context import Programs, write_uniforms
+from engine.render.gl.screen import UNDER, Screen
 from engine.render.gl.surface import RECORD
-from engine.render.gl.targets import Accumulators, Frame
+from engine.render.gl.targets import Frame, Layers
 from engine.render.projection import CameraRecord, camera_record
 from engine.scene.camera import Camera
 from engine.scene.gaussians import Gaussians
 
-__all__ = ["Capture", "GradualFrame"]
+__all__ = ["Blending", "Capture"]
 
 Float = NDArray[np.float32]
 
 UPLOAD = 1 << 16
 """Gaussians written at once, 16 MB at most: a large capture is not in memory a second time."""
 
+SLABS = 8
+"""A frame's slabs, as many Gaussians in each. On a graphics card (H100, 1280x720) captures of 45 to 115 thousand take
+about as long with 4 to 16, a solid melon of a million 27 ms with 8 (29 with 16, 313 in full floats without slabs)."""
+
 PORTION = 1024
-"""Gaussians drawn at once of a frame that is drawn gradually: some ms where OpenGL runs in software."""
+"""Gaussians drawn at once of a frame that is drawn gradually, and the least of a slab: some ms where OpenGL runs in
+software."""
 
 
 class Capture:
@@ -82,27 +89,26 @@ class Capture:
         """Whether the last frame was drawn in the order of an earlier camera: draw again when convenient."""
         return self._pending is not None
 
-    def draw(self, camera: Camera, targets: Accumulators, wait: bool, level: int, look: SplatLook) -> None:
-        """Fills the accumulators' `splats` (premultiplied colour, opacity) and `distances` (depth by weight).
+    def rows(self, camera: Camera, wait: bool, level: int) -> NDArray[np.uint32]:
+        """What is drawn, nearest first.
 
         `level`: 0 draws every Gaussian; each further one half as many, enlarged so that they cover as much.
         """
-        rows = self.rows(camera, wait, level)
-        targets.classic_fbo.use()
-        targets.classic_fbo.clear()
-        self.add(rows, camera, targets, level, look)
-
-    def rows(self, camera: Camera, wait: bool, level: int) -> NDArray[np.uint32]:
-        """What is drawn, nearest first; arguments as in `draw`."""
         rows = self._ordered(View(camera, self.centre, 1.0), wait)
         return rows[rows % (1 << level) == 0] if level else rows
 
-    def add(self, rows: NDArray[np.uint32], camera: Camera, targets: Accumulators, level: int, look: SplatLook) -> None:
-        """Draws these rows behind what the targets have."""
-        if not len(rows):
-            return
+    def add(
+        self,
+        rows: NDArray[np.uint32],
+        camera: Camera,
+        layers: Layers,
+        slab: tuple[float, float],
+        level: int,
+        look: SplatLook,
+    ) -> None:
+        """Draws these rows behind what the slab has."""
         view = View(camera, self.centre, 1.0)
-        targets.classic_fbo.use()
+        layers.slab_fbo.use()
         orthographic = int(camera.orthographic)
         defines = {"SH_DEGREE": self.degree, "SH_VECTORS": self.vectors, "CLASSIC": 1, "ORTHOGRAPHIC": orthographic}
         program = self.programs.get("project.vert.glsl", None, defines, varyings=RECORD)
@@ -114,9 +120,10 @@ class Capture:
         batch.fill(self.pool.source(program, *streams), RECORD, 0, len(rows))
         defines = {"CLASSIC": 1, "ORTHOGRAPHIC": orthographic}
         program = self.programs.get("splat.vert.glsl", "classic.frag.glsl", defines)
-        write_uniforms(program, view.uniforms)
-        self.ctx.enable_only(moderngl.BLEND)
-        self.ctx.blend_func = moderngl.ONE_MINUS_DST_ALPHA, moderngl.ONE
+        write_uniforms(program, {**view.uniforms, "slab": slab})
+        self.ctx.enable_only(moderngl.BLEND | moderngl.DEPTH_TEST)
+        self.ctx.depth_func = "<"
+        self.ctx.blend_func = UNDER
         batch.draw(program, RECORD)
 
     def _ordered(self, view: View, wait: bool) -> NDArray[np.uint32]:
@@ -145,35 +152,61 @@ class Capture:
         self.coefficients.release()
 
 
-class GradualFrame:
-    """A frame of a capture drawn nearest first, a part of it at a time, beside the frame that is shown meanwhile."""
+class Blending:
+    """A frame of a capture on the way: its Gaussians drawn nearest first, slab after slab."""
 
-    def __init__(self, capture: Capture, camera: Camera, level: int, look: SplatLook) -> None:
-        self.capture, self.camera, self.level, self.look = capture, camera, level, look
-        self.frame = Frame(capture.ctx, camera.width, camera.height)
-        self.sums = Accumulators(capture.ctx, camera.width, camera.height)
-        self._rows = capture.rows(camera, True, level)
-        self.sums.classic_fbo.use()
-        self.sums.classic_fbo.clear()
+    def __init__(
+        self, capture: Capture, screen: Screen, layers: Layers, camera: Camera, wait: bool, level: int, look: SplatLook
+    ) -> None:
+        """Empties the layers. `wait`, `level`: as for `Capture.rows`."""
+        self.capture, self.screen, self.layers = capture, screen, layers
+        self.camera, self.level, self.look = camera, level, look
+        self._rows = capture.rows(camera, wait, level)
+        self._size = max(PORTION, -(-len(self._rows) // SLABS))
+        self._done = 0
+        self._slab = 0.0, 1.0
+        layers.clear()
 
-    def advance(self, seconds: float) -> bool:
-        """Draws for a time; True once the accumulators have all of it."""
+    def advance(self, seconds: float = math.inf) -> bool:
+        """Draws for about this time; True once the layers have all of it."""
         end = time.perf_counter() + seconds
-        while len(self._rows):
+        while self._done < len(self._rows):
+            start, slab_end = self._done, min(self._done - self._done % self._size + self._size, len(self._rows))
+            if start % self._size == 0:
+                self._begin(start, slab_end)
+            self._done = min(start + PORTION, slab_end) if math.isfinite(seconds) else slab_end
             self.capture.pool.begin()
-            self.capture.add(self._rows[:PORTION], self.camera, self.sums, self.level, self.look)
-            self._rows = self._rows[PORTION:]
-            self.capture.ctx.finish()  # otherwise the work would only be queued
-            if time.perf_counter() > end:
-                break
-        return not len(self._rows)
+            rows = self._rows[start : self._done]
+            self.capture.add(rows, self.camera, self.layers, self._slab, self.level, self.look)
+            if self._done == slab_end:
+                self._end()
+            if math.isfinite(seconds):
+                self.capture.ctx.finish()  # otherwise the work would only be queued
+                if time.perf_counter() > end:
+                    break
+        return self._done == len(self._rows)
 
-    def release(self) -> None:
-        """Frees the textures."""
-        self.frame.release()
-        self.sums.release()
+    def _begin(self, first: int, last: int) -> None:
+        """An empty slab from the depth of one of the rows to that of another."""
+        matrix = View(self.camera, self.capture.centre, 1.0).matrix
+        near, far = (self.capture.means[self._rows[[first, last - 1]]] @ matrix[2, :3] + matrix[2, 3]).tolist()
+        self._slab = near, max(far - near, 1e-6 * abs(near), 1e-30)  # of one depth, or in the order of another camera
+        self.layers.slab_fbo.clear()
 
+    def _end(self) -> None:
+        """Blends the slab under what lies before it, and closes the pixels where nothing more shows."""
+        layers, rect = self.layers, (0, 0, *self.layers.size)
+        values = {"lights@0": layers.slab_light, "depths@1": layers.slab_depth, "slab": self._slab}
+        self.screen.fill(layers.fbo, rect, "classic_slab.frag.glsl", {}, values, under=True)
+        if self._done < len(self._rows):
+            self.screen.fill(layers.limit_fbo, rect, "classic_close.frag.glsl", {}, {"lights@0": layers.light})
 
-def resolve_values(targets: Accumulators, background: NDArray[np.float64]) -> dict[str, Any]:
-    """Uniforms of shaders/classic_resolve.frag.glsl."""
-    return {"lights@0": targets.splats, "distances@1": targets.distances, "background": tuple(background)}
+    def resolve(self, frame: Frame, background: NDArray[np.float64]) -> None:
+        """Writes the frame, over a background (3,)."""
+        frame.clear(background)
+        values: dict[str, Any] = {
+            "lights@0": self.layers.light,
+            "depths@1": self.layers.depth,
+            "background": tuple(background),
+        }
+        self.screen.fill(frame.fbo, (0, 0, *frame.colour.size), "classic_resolve.frag.glsl", {}, values)

@@ -21,12 +21,12 @@ from engine.render.culling.groups import Group, group_pieces
 from engine.render.culling.solid import Solid
 from engine.render.culling.view import View
 from engine.render.gl.batches import Pool
-from engine.render.gl.classic import Capture, GradualFrame, resolve_values
+from engine.render.gl.classic import Blending, Capture
 from engine.render.gl.context import Programs, offscreen_context
 from engine.render.gl.opaque import OpaqueMode
 from engine.render.gl.overlay import Overlay, OverlayPass
 from engine.render.gl.screen import Screen
-from engine.render.gl.targets import Accumulators, Frame
+from engine.render.gl.targets import Accumulators, Frame, Layers
 from engine.scene.atoms import Atoms
 from engine.scene.camera import Camera
 from engine.scene.constants import NOTHING
@@ -95,9 +95,11 @@ class Renderer:
         self._capture: Capture | None = None
         self._next_capture: Capture | None = None
         """One that is being uploaded."""
-        self._gradual: GradualFrame | None = None
+        self._gradual: Blending | None = None
+        """A frame of the capture that is drawn part by part, in the layers."""
         self._frames: list[Frame] = []
         self._sums: Accumulators | None = None
+        self._layers: Layers | None = None
         self._overlaid: Frame | None = None
         self._replaced: Frame | None = None
         """Other colours of the last frame, if `_is_replaced`."""
@@ -180,9 +182,10 @@ class Renderer:
         mode: classic shows the uncut capture; the others show the pieces of the solid. background: RGB. light: shade
         the cut faces slightly.
 
-        While the camera moves: exact=False reads a face from a grid that is cached while its plane stays, faster and
-        with at least 50 dB. level=0 is full quality; each further level draws half as many atoms, enlarged. On the
-        software path pixels cost more than atoms, and a smaller picture saves more.
+        While the camera moves: exact=False reads a face from a grid that is cached while its plane stays, and blends a
+        capture in half floats on a graphics card; both are faster and have at least 50 dB. level=0 is full quality;
+        each further level draws half as many atoms, enlarged. On the software path pixels cost more than atoms, and a
+        smaller picture saves more.
         wait=False lets classic mode draw in the order of an earlier camera while a thread sorts, see `sorting`.
         cull=False draws every atom, to measure what culling saves. look: sizes and opacities other than the
         splats' own.
@@ -190,7 +193,7 @@ class Renderer:
         Raises InputError if a piece has more than groups.MAX_PLANES planes that cut it.
         """
         assert mode in ("opaque", "classic", "interior"), mode
-        self._release_gradual()
+        self._gradual = None
         self._resize(camera.width, camera.height)
         self._is_replaced = False
         self._pool.begin()
@@ -212,8 +215,9 @@ class Renderer:
         frame.clear(background_rgb)
         if mode == "classic":
             if self._capture is not None:
-                self._capture.draw(camera, sums, wait, level, look)
-                self._resolve_classic(frame, sums, background_rgb)
+                blending = self._blending(camera, exact or self._software is not None, wait, level, look)
+                blending.advance()
+                blending.resolve(frame, background_rgb)
         elif self._solids:
             options = DrawOptions(mode == "interior", light, exact, level, cull, look.size)
             self._opaque.draw(
@@ -221,9 +225,16 @@ class Renderer:
             )
         return frame.colour
 
-    def _resolve_classic(self, frame: Frame, sums: Accumulators, background: NDArray[np.float64]) -> None:
-        rect = (0, 0, *frame.colour.size)
-        self._screen.fill(frame.fbo, rect, "classic_resolve.frag.glsl", {}, resolve_values(sums, background))
+    def _blending(self, camera: Camera, exact: bool, wait: bool, level: int, look: SplatLook) -> Blending:
+        """A new frame of the capture, in the layers."""
+        assert self._capture is not None, "no capture is set"
+        size = camera.width, camera.height
+        if self._layers is not None and (self._layers.size, self._layers.exact) != (size, exact):
+            self._layers.release()
+            self._layers = None
+        if self._layers is None:
+            self._layers = Layers(self.ctx, *size, exact)
+        return Blending(self._capture, self._screen, self._layers, camera, wait, level, look)
 
     @current
     def refine(
@@ -234,18 +245,14 @@ class Renderer:
         The first call after any other frame begins it; arguments as in `render`. Until it is whole the last frame can
         be shown, picked and overlaid.
         """
-        assert self._capture is not None, "no capture is set"
         if self._gradual is None:
-            self._gradual = GradualFrame(self._capture, camera, level, look)
+            self._gradual = self._blending(camera, True, True, level, look)
         if not self._gradual.advance(seconds):
             return None
-        frame, sums = self._gradual.frame, self._gradual.sums
-        self._gradual = None
-        background_rgb = np.asarray(background, np.float64)
-        frame.clear(background_rgb)
-        self._resolve_classic(frame, sums, background_rgb)
-        self._release_targets()
-        self._frames, self._sums = [frame, Frame(self.ctx, camera.width, camera.height)], sums
+        blending, self._gradual = self._gradual, None
+        self._resize(camera.width, camera.height)
+        frame = self._frames[0]
+        blending.resolve(frame, np.asarray(background, np.float64))
         self._camera, self._is_replaced = camera, False
         return frame.colour
 
@@ -370,13 +377,8 @@ class Renderer:
         if self._software is not None:
             self._software.grids.clear()
 
-    def _release_gradual(self) -> None:
-        if self._gradual is not None:
-            self._gradual.release()
-            self._gradual = None
-
     def _release_capture(self) -> None:
-        self._release_gradual()
+        self._gradual = None
         self._pool.clear()
         if self._capture is not None:
             self._capture.release()
@@ -395,6 +397,8 @@ class Renderer:
         if self._next_capture is not None:
             self._next_capture.release()
         self._release_targets()
+        if self._layers is not None:
+            self._layers.release()
         self._overlays.release()
         self._opaque.release()
         if self._software is not None:

@@ -10,7 +10,10 @@ import moderngl
 from engine.render.culling.groups import Rect
 from engine.render.gl.context import Programs, write_uniforms
 
-__all__ = ["Screen"]
+__all__ = ["UNDER", "Screen"]
+
+UNDER = moderngl.ONE_MINUS_DST_ALPHA, moderngl.ONE
+"""Blending of premultiplied colour, front to back."""
 
 
 class Screen:
@@ -27,12 +30,18 @@ class Screen:
         fragment: str,
         defines: Mapping[str, int | float],
         values: dict[str, Any],
+        under: bool = False,
     ) -> None:
-        """Runs a fragment shader for each pixel of the rectangle. What it says of depth is written as it is."""
+        """Runs a fragment shader for each pixel of the rectangle. What it says of depth is written as it is.
+
+        under: what it says of premultiplied colour is blended under what is there.
+        """
         fbo.scissor = rect
         fbo.use()
-        self.ctx.enable_only(moderngl.DEPTH_TEST)  # without the test no depth is written
+        # Without the test no depth is written.
+        self.ctx.enable_only(moderngl.DEPTH_TEST | (moderngl.BLEND if under else moderngl.NOTHING))
         self.ctx.depth_func = "1"
+        self.ctx.blend_func = UNDER
         program = self.programs.get("screen.vert.glsl", fragment, defines)
         write_uniforms(program, values)
         if program not in self._arrays:

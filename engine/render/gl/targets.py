@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from engine.scene.constants import NOTHING
 
-__all__ = ["Accumulators", "Frame"]
+__all__ = ["Accumulators", "Frame", "Layers"]
 
 
 class Frame:
@@ -55,9 +55,6 @@ class Accumulators:
         self.skin_field = ctx.texture(size, 4, dtype="f4")
         self.faces = ctx.texture(size, 4, dtype="f2")
         self.face_depths = ctx.texture(size, 1, dtype="f4")
-        self._ctx = ctx
-        self._distances: moderngl.Texture | None = None
-        self._classic_fbo: moderngl.Framebuffer | None = None
         self.front_fbo = ctx.framebuffer([], self.depth)
         self.limit_fbo = ctx.framebuffer([], self.limit)
         self.splat_fbo = ctx.framebuffer([self.splats, self.rims, self.behind, self.edges], self.limit)
@@ -69,26 +66,8 @@ class Accumulators:
         self.coverage_fbo = ctx.framebuffer([self.faces])
         """For clearing: where the coverage is 0, nothing else is read."""
 
-    @property
-    def distances(self) -> moderngl.Texture:
-        """Depth by weight of classic mode; created on first use, since few frames need it."""
-        if self._distances is None:
-            self._distances = self._ctx.texture(self.splats.size, 4, dtype="f4")
-        return self._distances
-
-    @property
-    def classic_fbo(self) -> moderngl.Framebuffer:
-        """Framebuffer of classic mode's sums."""
-        if self._classic_fbo is None:
-            self._classic_fbo = self._ctx.framebuffer([self.splats, self.distances])
-        return self._classic_fbo
-
     def release(self) -> None:
         """Frees everything."""
-        if self._classic_fbo is not None:
-            self._classic_fbo.release()
-        if self._distances is not None:
-            self._distances.release()
         for fbo in (
             self.front_fbo,
             self.limit_fbo,
@@ -111,4 +90,39 @@ class Accumulators:
             self.faces,
             self.face_depths,
         ):
+            texture.release()
+
+
+class Layers:
+    """A capture blended front to back: a slab of depths by itself, and what lies before it."""
+
+    def __init__(self, ctx: moderngl.Context, width: int, height: int, exact: bool) -> None:
+        """exact: slabs in full floats. Half floats blend several times as fast on a graphics card, not in software."""
+        self.size = width, height
+        self.exact = exact
+        self.light = ctx.texture(self.size, 4, dtype="f4")
+        """Premultiplied colour, opacity."""
+        self.depth = ctx.texture(self.size, 4, dtype="f4")
+        """Depth by weight; opacity in alpha, where blending reads it."""
+        self.slab_light = ctx.texture(self.size, 4, dtype="f4" if exact else "f2")
+        self.slab_depth = ctx.texture(self.size, 4, dtype="f4" if exact else "f2")
+        """Of depths from the slab's near end, in its thickness."""
+        self.limit = ctx.depth_texture(self.size)
+        """0 where nothing more shows, else 1."""
+        self.fbo = ctx.framebuffer([self.light, self.depth])
+        self.slab_fbo = ctx.framebuffer([self.slab_light, self.slab_depth], self.limit)
+        self.slab_fbo.depth_mask = False
+        self.limit_fbo = ctx.framebuffer([], self.limit)
+
+    def clear(self) -> None:
+        """Nothing, everywhere."""
+        self.limit_fbo.use()  # a clear obeys the depth mask of what was bound
+        self.limit_fbo.clear(depth=1.0)
+        self.fbo.clear()
+
+    def release(self) -> None:
+        """Frees everything."""
+        for fbo in (self.fbo, self.slab_fbo, self.limit_fbo):
+            fbo.release()
+        for texture in (self.light, self.depth, self.slab_light, self.slab_depth, self.limit):
             texture.release()

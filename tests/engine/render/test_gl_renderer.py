@@ -15,6 +15,7 @@ from scipy import ndimage
 from engine.errors import InputError
 from engine.render.culling.draw_options import Mode, SplatLook
 from engine.render.gl import Lines, PictureSheet, Renderer, Sheet
+from engine.render.gl.classic import PORTION
 from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from engine.scene.camera import Camera
 from engine.scene.gaussians import Gaussians
@@ -259,6 +260,25 @@ def test_classic_parity(renderer: Renderer) -> None:
         means, scales, quats, opacities, colours = (torch.as_tensor(v, dtype=torch.float64) for v in values)
         rgb, _, _ = classic_picture(means, scales, quats, opacities, colours, camera, (1.0, 1.0, 1.0))
         assert psnr(draw(renderer, camera, mode="classic").rgb, rgb.numpy()) >= 40
+
+
+@pytest.mark.parametrize("shaders", [True, False], ids=["as on a card", "in software"])
+def test_slabs_of_a_capture_add_up(shaders: bool) -> None:
+    """Faint layers by the hundred under opaque ones: nothing is lost to half floats, or where nothing more shows."""
+    gaussians, camera = capture(6 * PORTION), around(30, 20, width=60, height=45)
+    faint = np.random.default_rng(0).random(len(gaussians)) < 0.8
+    gaussians = replace(gaussians, opacities=np.where(faint, 0.02, 0.9).astype(np.float32))
+    values = (gaussians.means, gaussians.scales, gaussians.quats, gaussians.opacities, gaussians.sh)
+    means, scales, quats, opacities, colours = (torch.as_tensor(v, dtype=torch.float64) for v in values)
+    rgb, alpha, far = classic_picture(means, scales, quats, opacities, colours, camera, (1.0, 1.0, 1.0))
+    with Renderer(shaders=shaders) as renderer:
+        renderer.set_capture(gaussians)
+        for exact, decibels, off in ((True, 65, 1e-3), (False, 50, 1e-2)):
+            seen = draw(renderer, camera, mode="classic", exact=exact)
+            assert psnr(seen.rgb, rgb.numpy()) >= decibels
+            assert np.abs(seen.alpha - alpha.numpy()).max() < off
+            in_sight = alpha.numpy() > 0.1
+            assert np.abs(seen.depth * alpha.numpy() - far.numpy())[in_sight].max() < off
 
 
 def test_a_look_draws_splats_of_other_sizes_and_opacities(renderer: Renderer) -> None:
