@@ -70,6 +70,10 @@ def train(
         ),
     ] = None,
     remove: Annotated[list[str] | None, typer.Option(help="What is in it is no part of the object; as --keep.")] = None,
+    no_surroundings: Annotated[
+        bool,
+        typer.Option("--no-surroundings", help="Leave out the room or view around the object, if it shows any."),
+    ] = False,
     no_floor: Annotated[
         bool, typer.Option("--no-floor", help="Leave out the table or mat under the object, if there is one.")
     ] = False,
@@ -115,7 +119,7 @@ def train(
         requested = request_from_options(
             scene, exemplar or [], family or [], prompt or [], up, detail, prior, model, midas, thing, iterations, seed
         )
-        isolation = parse_isolation(keep or [], remove or [], no_floor)
+        isolation = parse_isolation(keep or [], remove or [], no_floor, no_surroundings)
         requested = replace(requested, isolation=isolation, same=same, compact=compact)
     runs = {out: requested} if body is None else runs_of_bodies(requested, parse_body(body), out)
     from training.pipeline import run  # torch comes with it: --help and a mistyped option need not wait for that

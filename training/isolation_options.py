@@ -1,4 +1,5 @@
-"""The options that say which part of a capture is the object: --keep, --remove, --no-floor, --body."""
+"""The options that say which part of a capture is the object: --keep, --remove,
+--no-surroundings, --no-floor, --body."""
 
 from __future__ import annotations
 
@@ -7,9 +8,10 @@ from collections.abc import Sequence
 from engine.command import parse_numbers
 from engine.errors import InputError
 from engine.isolate.selection import (
+    NO_FLOOR,
+    NO_SURROUNDINGS,
     Below,
     Box,
-    Detected,
     Isolation,
     Selection,
     Shape,
@@ -27,19 +29,21 @@ __all__ = ["parse_body", "parse_isolation", "select_bodies"]
 FORMS = "box:x0,y0,z0,x1,y1,z1, sphere:x,y,z,radius or plane:a,b,c,d"
 
 
-def parse_isolation(keep: Sequence[str], remove: Sequence[str], no_floor: bool) -> Isolation:
+def parse_isolation(
+    keep: Sequence[str], remove: Sequence[str], no_floor: bool, no_surroundings: bool = False
+) -> Isolation:
     """What the options take away. Raises InputError for one that cannot be parsed.
 
-    First all outside of what --keep names goes, then what --remove names, then the floor of what is left: a floor that
-    is searched for in a whole room would be the room's.
+    First the surroundings go, then all outside of what --keep names, then what --remove names, then the floor of what
+    is left: a floor that is searched for in a whole room would be the room's.
     """
-    isolation: list[Selection] = []
+    isolation: list[Selection] = [NO_SURROUNDINGS] if no_surroundings else []
     if keep:
         isolation.append(keep_only(*(parse_shape(text, "--keep") for text in keep)))
     if remove:
         isolation.append(tuple(Step("add", parse_shape(text, "--remove")) for text in remove))
     if no_floor:
-        isolation.append((Step("add", Detected("floor")),))
+        isolation.append(NO_FLOOR)
     return tuple(isolation)
 
 

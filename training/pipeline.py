@@ -21,7 +21,8 @@ from engine.fit.sh_fit import SurfaceView, fit_sh, surface_views, views_after
 from engine.io.files import remove_leftovers
 from engine.io.load import LoadedScene, load
 from engine.isolate.bodies import find_bodies
-from engine.isolate.selection import isolated
+from engine.isolate.selection import NO_SURROUNDINGS, isolated, seen_around
+from engine.isolate.surroundings import find_middle
 from engine.scene.atoms import Atoms, InteriorAtoms
 from engine.scene.inside import Inside
 from engine.solid.fill import Colours, fill
@@ -244,6 +245,8 @@ def prepare(
         gaussians, notes = isolated(loaded.gaussians, request.isolation, request.scene.name)
         for note in notes:
             reporter.warn(f"{request.scene.name}: {note}")
+        if NO_SURROUNDINGS not in request.isolation and find_middle(gaussians) is not None:
+            reporter.warn(f"{request.scene.name}: it shows what is around the object; --no-surroundings leaves it out")
         bodies = len(find_bodies(gaussians).points)
         if bodies > 1:
             reporter.warn(f"{request.scene.name}: {bodies} separate bodies are taken for one; --body tells them apart")
@@ -252,7 +255,7 @@ def prepare(
         enclosure = find_enclosure(gaussians, request.fineness.cells, request.scene.name)
         for note in enclosure.notes:
             reporter.warn(f"{request.scene.name}: {note}")
-        up = find_up(request, loaded)  # of the whole capture: a floor tells, even if it goes
+        up = find_up(request, loaded)
         stage.progress(1.0, up.reason, up=up.axis.tolist(), reason=up.reason)
         if up.certainty < 0.5:
             reporter.warn(f"{request.scene.name}: up is {up.reason}: a guess; give --up if it is wrong")
@@ -277,7 +280,7 @@ def find_up(request: Request, loaded: LoadedScene) -> UpAxis:
     if request.up is not None:
         axis = np.asarray(request.up, np.float64)
         return UpAxis(axis / np.linalg.norm(axis), "as given", 1.0)
-    return detect_up(loaded.gaussians, loaded.file_axes)
+    return detect_up(seen_around(loaded.gaussians, request.isolation), loaded.file_axes)
 
 
 def refit_surface(

@@ -18,9 +18,10 @@ from numpy.typing import NDArray
 from app.model.pieces import Solid
 from app.model.rigid_transform import Vec3
 from engine.errors import InputError
+from engine.io.fields import Fields
 from engine.io.mapped import map_arrays
 from engine.io.scratch import Scratch
-from engine.isolate.record import isolation_record
+from engine.isolate.record import isolation_record, read_isolation
 from engine.isolate.selection import Isolation
 from engine.processes import start_python
 from engine.render.culling.solid import Solid as Drawn
@@ -47,6 +48,8 @@ class SceneRequest:
     """A finished training result of this scene, loaded in place of a plain inside."""
     isolation: Isolation = ()
     """What of the scene is no part of the object."""
+    opened: bool = False
+    """The scene has just been opened, and nobody has said what is no part of the object: its surroundings, if any."""
 
 
 @dataclass(frozen=True)
@@ -114,7 +117,7 @@ class SceneLoader:
         trained = None if request.trained is None else str(request.trained.absolute())
         message: dict[str, Any] = {"scene": str(request.scene.absolute()), "folder": str(self._scratch.path)}
         message |= {"detail": request.detail, "seed": request.seed, "trained": trained}
-        message["isolation"] = isolation_record(request.isolation)
+        message |= {"isolation": isolation_record(request.isolation), "opened": request.opened}
         assert self._process.stdin is not None
         with contextlib.suppress(BrokenPipeError):
             self._process.stdin.write((json.dumps(message) + "\n").encode())
@@ -153,8 +156,11 @@ class SceneLoader:
             if what == "coarse":
                 self.scene = replace(self.scene, coarse=gaussians, solid=arrays["solid"], up=(x, y, z))
                 return
+            isolation = read_isolation(Fields(self.request.scene, "request"), facts["isolation"])
+            self.request = replace(self.request, isolation=isolation, opened=False)
             self.scene = replace(
                 self.scene,
+                request=self.request,
                 capture=gaussians,
                 coarse=None,
                 solid=self.scene.solid if self.scene.atoms is not None else arrays["solid"],

@@ -27,8 +27,9 @@ from engine.io.fields import Fields
 from engine.io.files import WRITE_ERRORS, reason
 from engine.io.load import load
 from engine.io.trained import is_trained, load_trained
-from engine.isolate.record import read_isolation
-from engine.isolate.selection import Isolation, removed
+from engine.isolate.record import isolation_record, read_isolation
+from engine.isolate.selection import NO_SURROUNDINGS, Isolation, removed, seen_around
+from engine.isolate.surroundings import find_middle
 from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from engine.scene.gaussians import Gaussians
 from engine.scene.grid import Body
@@ -59,7 +60,7 @@ def main() -> None:
             _send_trained(path, folder, capture=True)
         else:
             isolation = read_isolation(Fields(path, "request"), request["isolation"])
-            gaussians, up = _load_capture(path, folder, request["seed"], isolation)
+            gaussians, up = _load_capture(path, folder, request["seed"], None if request["opened"] else isolation)
             if trained is not None:
                 _send_trained(Path(trained), folder, capture=False)
             else:
@@ -75,27 +76,40 @@ def main() -> None:
     _write_line(end=True)
 
 
-def _load_capture(path: Path, folder: Path, seed: int, isolation: Isolation) -> tuple[Gaussians, NDArray[np.float64]]:
-    """What the isolation leaves of the capture, and the up axis; sends the whole capture, a part first if large."""
+def _load_capture(
+    path: Path, folder: Path, seed: int, isolation: Isolation | None
+) -> tuple[Gaussians, NDArray[np.float64]]:
+    """What the isolation leaves of the capture, and the up axis; sends the whole capture, a part first if large.
+
+    `isolation`: None leaves out the surroundings, if it has any.
+    """
     _write_line(stage=f"Reading {path.name}", part=0.02)
     coarse = coarse_picture(path)
     if coarse is not None:
-        rows = ~removed(coarse.gaussians, isolation)
+        taken = _surroundings(coarse.gaussians) if isolation is None else isolation
+        rows = ~removed(coarse.gaussians, taken)
         if rows.any():
-            up = detect_up(coarse.gaussians, coarse.file_axes)
+            up = detect_up(seen_around(coarse.gaussians, taken), coarse.file_axes)
             _send_arrays(folder, "coarse", _arrays(coarse.gaussians[rows]), {"up": up.axis.tolist()})
     # Fitting the skin needs torch, which takes a second to import: beside the reading, but after a coarse picture.
     threading.Thread(target=importlib.import_module, args=("torch",), daemon=True).start()
     loaded = load(path, seed)
     gaussians = loaded.gaussians
-    up = detect_up(gaussians, loaded.file_axes)  # of the whole capture: a floor tells, even if it goes
+    taken = _surroundings(gaussians) if isolation is None else isolation
+    up = detect_up(seen_around(gaussians, taken), loaded.file_axes)
     reason = up.reason if up.certainty >= 0.5 else f"{up.reason}: a guess"
     facts = {"up": up.axis.tolist(), "reason": reason, "warnings": list(loaded.warnings)}
-    gone = removed(gaussians, isolation)
+    facts["isolation"] = isolation_record(taken)
+    gone = removed(gaussians, taken)
     _send_arrays(folder, "capture", _arrays(gaussians) | {"removed": gone}, facts)
     if gone.all():
         raise InputError(f"{path.name}: nothing is left of the capture; undo, or bring something back")
     return gaussians[~gone] if gone.any() else gaussians, up.axis
+
+
+def _surroundings(gaussians: Gaussians) -> Isolation:
+    """What leaves out the surroundings of a capture, or nothing if it has none."""
+    return () if find_middle(gaussians) is None else (NO_SURROUNDINGS,)
 
 
 def _solidify(enclosure: Enclosure, up: NDArray[np.float64], detail: Detail, seed: int, folder: Path) -> None:
@@ -145,7 +159,8 @@ def _send_trained(path: Path, folder: Path, capture: bool) -> None:
     if capture:  # after the atoms: a trained object is shown solid, and drawing it as it is on file takes longer
         gaussians = load(path).gaussians
         nothing = np.zeros(len(gaussians), bool)
-        _send_arrays(folder, "capture", _arrays(gaussians) | {"removed": nothing}, {**axis, "warnings": []})
+        facts = {**axis, "warnings": [], "isolation": []}
+        _send_arrays(folder, "capture", _arrays(gaussians) | {"removed": nothing}, facts)
 
 
 def _send_atoms(folder: Path, atoms: Atoms, facts: dict[str, Any]) -> None:

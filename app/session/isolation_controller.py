@@ -19,7 +19,19 @@ from app.model.rigid_transform import Vec3
 from app.session.workspace import Workspace
 from app.translation import _
 from engine.isolate.floor import find_floor
-from engine.isolate.selection import INVERT, MOST_STEPS, Below, Box, Detected, Isolation, Selection, Step, split_bodies
+from engine.isolate.selection import (
+    INVERT,
+    MOST_STEPS,
+    NO_SURROUNDINGS,
+    Below,
+    Box,
+    Detected,
+    Isolation,
+    Selection,
+    Step,
+    removed,
+    split_bodies,
+)
 from engine.scene.camera import Camera
 from engine.scene.gaussians import Gaussians
 from engine.solid.denoise_capture import haze_and_fragments
@@ -306,9 +318,13 @@ class IsolationController:
 
 
 def find_proposals(capture: Gaussians) -> tuple[Proposal, ...]:
-    """What of a capture is probably no part of the object: its floor, small pieces apart from it, haze."""
+    """What of a capture is probably no part of the object: what is around it, its floor, small pieces, haze."""
     result = []
-    floor = find_floor(capture)
+    around = removed(capture, (NO_SURROUNDINGS,))
+    if around.any():
+        hint = _("The room or view around the object")
+        result.append(Proposal(_("Surroundings"), hint, NO_SURROUNDINGS, int(around.sum())))
+    floor = find_floor(capture[~around])
     if floor is not None:
         steps = (Step("add", Below(floor)),)
         count = int(Below(floor).contains(capture.means).sum())

@@ -62,15 +62,20 @@ class ProjectFiles:
         act = self._open_project if path.suffix == SUFFIX else self._open_scene
         self.after_saving(lambda: act(path))
 
-    def open_document(self, document: Document, viewing: Viewing) -> None:
+    def open_document(self, document: Document, viewing: Viewing, opened: bool = False) -> None:
         """As `open_documents`, with one object that no project has."""
-        self.open_documents((document,), viewing, None)
+        self.open_documents((document,), viewing, None, opened=opened)
 
     def open_documents(
-        self, documents: Documents, viewing: Viewing, path: Path | None, film: Timeline | None = None
+        self,
+        documents: Documents,
+        viewing: Viewing,
+        path: Path | None,
+        film: Timeline | None = None,
+        opened: bool = False,
     ) -> None:
         """Replaces the session's documents and film, finds their training jobs and loads their scene. `path`: its
-        project file."""
+        project file. `opened`: as for `SceneController.load`."""
         workspace = self.workspace
         if workspace.object is not None:
             self._before = _Opened(
@@ -88,7 +93,8 @@ class ProjectFiles:
         for document in documents:
             self.training.find_job(document)
         if workspace.document.scene is not None:
-            self.scene.load(self.training.result_for(workspace.document))
+            result = self.training.result_for(workspace.document)
+            self.scene.load(result, opened=opened and result is None)
 
     def close_scene(self) -> None:
         """Closes what is open, after asking about unsaved changes; nothing is open then."""
@@ -141,7 +147,7 @@ class ProjectFiles:
         if not path.is_file():
             self.workspace.show_error(_("{path}: no such file").format(path=path))
             return
-        self.open_document(Document(scene=path.absolute()), Viewing(mode="capture"))
+        self.open_document(Document(scene=path.absolute()), Viewing(mode="capture"), opened=True)
         self.workspace.change_settings(self.workspace.settings.with_recent(path))
 
     def _open_project(self, path: Path, outside: bool = False) -> None:

@@ -6,6 +6,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+from app.jobs.results import find_result
 from app.jobs.scene_loader import SceneLoader, SceneRequest
 from app.model.document import Document
 from app.model.knife import Stroke
@@ -56,9 +57,9 @@ class SceneController:
         waiting = workspace.loader is not None and self._loading in numbers
         return stale[0] if stale and not (waiting and len(documents) > 1) else None
 
-    def load(self, result: Path | None = None, document: Document | None = None) -> None:
+    def load(self, result: Path | None = None, document: Document | None = None, opened: bool = False) -> None:
         """Starts loading an object, the active one by default; with a `result`, shows that finished training in its
-        place."""
+        place. `opened`: its surroundings, if it has any, are left out."""
         workspace = self.workspace
         document = document or workspace.document
         if workspace.loader is not None:
@@ -73,7 +74,9 @@ class SceneController:
             workspace.loaded[document.number] = replace(shown, atoms=None, trained=False)
         self._isolations[document.number], self._loading = isolation, document.number
         try:
-            workspace.loader = SceneLoader(SceneRequest(scene, training.detail, training.seed, result, isolation))
+            workspace.loader = SceneLoader(
+                SceneRequest(scene, training.detail, training.seed, result, isolation, opened)
+            )
         except InputError as error:  # no space for temporary files
             workspace.loader = None
             workspace.show_error(error)
@@ -113,6 +116,8 @@ class SceneController:
         if before is not None and before.capture is not None and new.atoms is None and before.atoms is not None:
             new = replace(before, request=new.request)
         workspace.loaded[self._loading] = new
+        if new.request.isolation != self._isolations[self._loading]:
+            self._leave_out(new.request.isolation)
         workspace.geometry_version += 1
         if first and workspace.viewing.eye == Viewing().eye:
             workspace.fit()
@@ -123,3 +128,14 @@ class SceneController:
             names = {document.number: document.title for document in workspace.documents}
             name = names.get(self._loading) if len(names) > 1 else loader.request.scene.name
             workspace.notify(_("{name} is solid now. Press K and drag across it to cut it.").format(name=name))
+
+    def _leave_out(self, isolation: Isolation) -> None:
+        """Takes over that surroundings were found in a scene that has just been opened."""
+        workspace = self.workspace
+        document, changed = replace(workspace.document, isolation=isolation), workspace.history.changed
+        if find_result(document) is None:  # else it is loaded in place of this solid
+            self._isolations[self._loading] = isolation
+        workspace.change(_("Leave out the surroundings"), document)
+        if not changed:  # nobody has done anything that should be saved
+            workspace.history.saved = workspace.history.state
+        workspace.notify(_("What is around the object is left out. Undo brings it back."))

@@ -12,7 +12,7 @@ from engine.scene.plane import Plane, frame
 from engine.scene.rotations import normalised_quats, rotation_matrices
 from engine.solid.denoise_capture import HAZE_OPACITY, haze_and_fragments
 
-__all__ = ["find_floor"]
+__all__ = ["BAND", "best_plane", "find_floor", "sample_skin"]
 
 SAMPLES = 6000
 """Points of the skin, as dense as its area: a share of 5 % is then known to 0.3 %."""
@@ -66,12 +66,12 @@ def find_floor(gaussians: Gaussians) -> Plane | None:
     if len(skin) < 100:
         return None
     rng = np.random.default_rng(0)
-    points, flats = _sample(skin, rng)
+    points, flats = sample_skin(skin, rng)
     size = float((np.percentile(points, 95, axis=0) - np.percentile(points, 5, axis=0)).max())
     if not size > 0:
         return None
     band = BAND * size
-    plane = _best_plane(points, flats, band, rng)
+    plane = best_plane(points, flats, band, rng)
     for _ in range(5):  # least squares through what is on it
         if plane is None:
             return None
@@ -84,7 +84,7 @@ def find_floor(gaussians: Gaussians) -> Plane | None:
     return Plane(plane.normal, plane.offset - min(LIFT * spread, 2 * band))
 
 
-def _sample(skin: Gaussians, rng: np.random.Generator) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def sample_skin(skin: Gaussians, rng: np.random.Generator) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Centres (SAMPLES, 3) drawn by area, and the normals (SAMPLES, 3) of their Gaussians: the thinnest axes."""
     sizes = np.sort(skin.scales.astype(np.float64), axis=1)
     area = sizes[:, 1] * sizes[:, 2] * skin.opacities
@@ -95,7 +95,7 @@ def _sample(skin: Gaussians, rng: np.random.Generator) -> tuple[NDArray[np.float
     return skin.means[rows].astype(np.float64), np.asarray(normals, np.float64)
 
 
-def _best_plane(
+def best_plane(
     points: NDArray[np.float64], normals: NDArray[np.float64], band: float, rng: np.random.Generator
 ) -> Plane | None:
     """The candidate with the most points on it of those with nearly all others above; None if there is none."""

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from engine.errors import InputError
 from engine.isolate.bodies import find_bodies
 from engine.isolate.floor import find_floor
+from engine.isolate.surroundings import find_middle
 from engine.isolate.touching import grow
 from engine.scene.gaussians import Gaussians
 from engine.scene.plane import Plane
@@ -28,6 +29,8 @@ __all__ = [
     "INVERT",
     "MOST_CORNERS",
     "MOST_STEPS",
+    "NO_FLOOR",
+    "NO_SURROUNDINGS",
     "Below",
     "BodyAt",
     "Box",
@@ -44,6 +47,7 @@ __all__ = [
     "isolated",
     "keep_only",
     "removed",
+    "seen_around",
     "split_bodies",
     "take_step",
 ]
@@ -152,14 +156,14 @@ class Below:
         return np.asarray(self.plane.distance(np.asarray(points, np.float64)) <= 0)
 
 
-DetectedKind = Literal["floor", "fragments", "haze"]
-DETECTED: tuple[DetectedKind, ...] = ("floor", "fragments", "haze")
+DetectedKind = Literal["surroundings", "floor", "fragments", "haze"]
+DETECTED: tuple[DetectedKind, ...] = ("surroundings", "floor", "fragments", "haze")
 
 
 @dataclass(frozen=True)
 class Detected:
-    """What is found in the capture itself: the floor and what lies under it, small pieces apart from the object, or
-    Gaussians too large and faint to be a surface."""
+    """What is found in the capture itself: the room or view around the object, the floor and what lies under it, small
+    pieces apart from the object, or Gaussians too large and faint to be a surface."""
 
     kind: DetectedKind
 
@@ -191,10 +195,20 @@ class Step:
         assert (self.shape is not None) == (self.operation in ("add", "subtract")), self
 
 
-INVERT = Step("invert")
-
 Selection = tuple[Step, ...]
 """From nothing selected, in order."""
+
+INVERT = Step("invert")
+
+NO_SURROUNDINGS: Selection = (Step("add", Detected("surroundings")),)
+NO_FLOOR: Selection = (Step("add", Detected("floor")),)
+"""Selections of what stands or lies around the object."""
+
+
+NOTHING_TO_LEAVE_OUT: dict[Selection, str] = {
+    NO_SURROUNDINGS: "it has no surroundings to leave out",
+    NO_FLOOR: "it has no floor to leave out",
+}
 
 Isolation = tuple[Selection, ...]
 """What is removed, one selection after the other: each looks only at what the ones before it have left."""
@@ -232,6 +246,12 @@ def removed(gaussians: Gaussians, isolation: Isolation) -> NDArray[np.bool_]:
     return result
 
 
+def seen_around(gaussians: Gaussians, isolation: Isolation) -> Gaussians:
+    """The capture without its surroundings, if the isolation begins with them, but with all else that it takes away: a
+    floor tells which way is up."""
+    return gaussians[~removed(gaussians, isolation[:1])] if isolation[:1] == (NO_SURROUNDINGS,) else gaussians
+
+
 def isolated(gaussians: Gaussians, isolation: Isolation, name: str) -> tuple[Gaussians, list[str]]:
     """What the isolation leaves of a capture, and a sentence on what it took and on each selection that took nothing.
 
@@ -241,8 +261,7 @@ def isolated(gaussians: Gaussians, isolation: Isolation, name: str) -> tuple[Gau
     for number, rows in enumerate(_removed_in_turn(gaussians, isolation)):
         gone[rows] = True
         if not len(rows):
-            floor = isolation[number] == (Step("add", Detected("floor")),)
-            notes.append("it has no floor to leave out" if floor else "a part to leave out holds nothing of it")
+            notes.append(NOTHING_TO_LEAVE_OUT.get(isolation[number], "a part to leave out holds nothing of it"))
     if gone.all():
         raise InputError(f"{name}: nothing is left of its {len(gaussians)} Gaussians; keep more, or remove less")
     if gone.any():
@@ -268,6 +287,9 @@ def _contained(gaussians: Gaussians, shape: Shape) -> NDArray[np.bool_]:
         return _body_at(gaussians, shape.point)
     if not isinstance(shape, Detected):
         return shape.contains(gaussians.means)
+    if shape.kind == "surroundings":
+        middle = find_middle(gaussians)
+        return np.zeros(len(gaussians), bool) if middle is None else ~Sphere(*middle).contains(gaussians.means)
     if shape.kind == "floor":
         floor = find_floor(gaussians)
         return np.zeros(len(gaussians), bool) if floor is None else Below(floor).contains(gaussians.means)

@@ -84,7 +84,7 @@ def test_another_project_in_the_place_of_a_trusted_one_is_asked_about_again(
     monkeypatch.setenv("FRUITNINJA_HOME", str(tmp_path / "home"))
     path = tmp_path / "in" / "p.fruitninja"
     session = Session(autosave=Autosave(tmp_path))
-    monkeypatch.setattr(session.scene, "load", lambda result=None: None)
+    monkeypatch.setattr(session.scene, "load", lambda *_, **__: None)
     session.files.open_document(Document(scene=tmp_path / "melon.ply"), Viewing())
     session.files.save(path)
     session.files.open(path)
@@ -196,7 +196,7 @@ def test_unsaved_work_survives_a_crash(tmp_path: Path) -> None:
 def test_what_the_user_does_not_save_is_not_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("FRUITNINJA_HOME", str(tmp_path))
     session = Session(history=History(Work((Document(scene=tmp_path / "melon.ply"),))))
-    monkeypatch.setattr(session.scene, "load", lambda *_: None)
+    monkeypatch.setattr(session.scene, "load", lambda *_, **__: None)
     session.object = LoadedScene(SceneRequest(tmp_path / "melon.ply"))
     session.change("Up", replace(session.document, up=(0.0, 1.0, 0.0)))
     session.tick()

@@ -14,6 +14,7 @@ import pytest
 import training.request
 from app.jobs import scene_loader, scene_worker
 from app.jobs.scene_loader import LoadedScene, SceneLoader, SceneRequest
+from app.model.autosave import Autosave
 from app.model.camera_control import project_points
 from app.model.capture_view import view_of
 from app.model.document import Document
@@ -22,15 +23,27 @@ from app.model.marking import Marker, box_edges, shape_of
 from app.model.project import Work, load_project, save_project
 from app.session.session import Session
 from engine.io.load import load
+from engine.io.splats.ply import ply_data
 from engine.io.trained import Meta, save_trained
 from engine.isolate.record import isolation_record
-from engine.isolate.selection import INVERT, Box, Detected, Isolation, Lasso, Sphere, Step, keep_only, removed
+from engine.isolate.selection import (
+    INVERT,
+    NO_SURROUNDINGS,
+    Box,
+    Detected,
+    Isolation,
+    Lasso,
+    Sphere,
+    Step,
+    keep_only,
+    removed,
+)
 from engine.scene.camera import orbit
 from engine.scene.gaussians import Gaussians
 from engine.scene.sh import sh_to_rgb
 from tests.helpers.app_isolate_steps import MAT, melon_on_a_mat
 from tests.helpers.app_objects import atoms, full
-from tests.helpers.solids import round_gaussians
+from tests.helpers.solids import joined, round_gaussians
 from tests.paths import ROOT
 from tests.quick_scene_worker import BODY_CELLS, QUICK, use_quick_worker
 from training.events import Reporter
@@ -152,6 +165,43 @@ def test_nothing_is_removed_without_a_selection_and_not_everything() -> None:
     assert "Everything is selected" in session.message and session.document.isolation == ()
     session.undo()
     assert session.document.marked == ()
+
+
+def test_a_scene_that_is_opened_is_shown_without_its_surroundings(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Undo brings them back for good, and nothing is to be saved."""
+    rng = np.random.default_rng(0)
+    ball = rng.normal(size=(4000, 3))
+    ball /= np.linalg.norm(ball, axis=1, keepdims=True)
+    walls = rng.uniform(-12, 12, (6000, 3))
+    walls[np.arange(6000), np.arange(6000) % 3] = np.where(np.arange(6000) % 2, 12, -12)
+    scene = tmp_path / "room.ply"
+    far = round_gaussians(walls, 0.7, 0.8)
+    ply_data(joined(round_gaussians(ball, 0.06, 0.8), far), []).write(str(scene))
+    session = Session(autosave=Autosave(tmp_path))
+    monkeypatch.setenv("FRUITNINJA_HOME", str(tmp_path))
+    session.files.open(scene)
+
+    def read() -> LoadedScene:
+        while session.object is None or session.object.capture is None:
+            session.tick()
+            time.sleep(0.01)
+            assert not session.error, session.error
+        return session.object
+
+    seen = read()
+    assert session.document.isolation == (NO_SURROUNDINGS,) == seen.request.isolation
+    assert not session.history.changed and session.scene.outdated is None
+    assert np.linalg.norm(seen.extent, axis=1).max() < 2
+    session.undo()
+    assert session.document.isolation == () and session.scene.outdated is session.document
+    session.tick()
+    while session.object is None or session.object.request.isolation != ():
+        session.tick()
+        time.sleep(0.01)
+    assert session.document.isolation == () and np.linalg.norm(session.object.extent, axis=1).max() > 10
+    session.scene.cancel()
 
 
 @pytest.mark.slow

@@ -243,7 +243,7 @@ def test_a_job_that_was_left_running_is_found_at_the_next_start(
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).touch()
     first = Session(autosave=Autosave(tmp_path))
-    monkeypatch.setattr(first.scene, "load", lambda result=None, document=None: None)
+    monkeypatch.setattr(first.scene, "load", lambda *_, **__: None)
     first.files.open_document(project.documents[0], Viewing())
     first.training.program = (*STUB, "--steps", "2000")
     first.training.start()
@@ -254,7 +254,7 @@ def test_a_job_that_was_left_running_is_found_at_the_next_start(
     assert first.closing and first.training.job.phase == "running"
 
     second = Session(autosave=Autosave(tmp_path))
-    monkeypatch.setattr(second.scene, "load", lambda result=None, document=None: None)
+    monkeypatch.setattr(second.scene, "load", lambda *_, **__: None)
     try:
         (job,) = recovered_jobs(second)
         assert job.phase == "running"
@@ -298,7 +298,7 @@ def test_what_lies_in_a_result_folder_starts_and_ends_no_process(tmp_path: Path)
             (out / name).symlink_to(secret)
         assert Job.find(out) is None
         session = Session(autosave=Autosave(tmp_path))
-        session.scene.load = lambda result=None, document=None: None
+        session.scene.load = lambda result=None, document=None, opened=False: None
         session.files.open_document(document, Viewing())
         assert session.training.job is None
         session.training.resume()

@@ -83,7 +83,7 @@ def test_strokes_through_what_is_not_solid_yet_are_done_when_it_is(
             return False
 
     monkeypatch.setattr(session, "loader", Loading())
-    monkeypatch.setattr(session.scene, "load", lambda *_: None)
+    monkeypatch.setattr(session.scene, "load", lambda *_, **__: None)
     camera = EYE.camera(160, 120, session.view_up)
     for height in (50.0, 70.0):
         session.slice(camera, Stroke((0.0, height), (160.0, height)))

@@ -20,7 +20,7 @@ import psutil
 import pytest
 
 from engine.errors import InputError
-from engine.isolate.selection import Box, Detected, Step, keep_only
+from engine.isolate.selection import NO_FLOOR, NO_SURROUNDINGS, Box, keep_only
 from tests.helpers.workers.batch_worker import SMALL
 from tests.paths import HELPERS, SAMPLES, SLICE
 from training.batch import Outcome, Task, TaskStopped, report, run_grid, should_stop
@@ -434,6 +434,7 @@ def test_a_scene_says_what_is_the_object_and_how_its_pictures_are_related(tmp_pa
         exemplar = { horizontal = "cuts" }
         keep = ["box:1,0,0,0,1,1"]
         no_floor = true
+        no_surroundings = true
         same = true
         compact = true
     """
@@ -441,7 +442,7 @@ def test_a_scene_says_what_is_the_object_and_how_its_pictures_are_related(tmp_pa
     (scene,) = read_manifest(manifest)
     assert scene.request.same and scene.request.compact
     assert [path.name for path in scene.request.families[0].exemplars] == ["one.png", "two.png"]  # and no mask
-    assert scene.request.isolation == (keep_only(Box((0.0,) * 3, (1.0,) * 3)), (Step("add", Detected("floor")),))
+    assert scene.request.isolation == (NO_SURROUNDINGS, keep_only(Box((0.0,) * 3, (1.0,) * 3)), NO_FLOOR)
     manifest.write_text(text.replace("floor = true", 'floor = "yes"').replace("box:1", "cone:1"))
     with pytest.raises(ManifestErrors, match=r"keep cone:1,0,0,0,1,1: give box|no_floor: give true or false"):
         read_manifest(manifest)

@@ -59,8 +59,8 @@ DEVICE = re.compile(r"(con|prn|aux|nul|com[0-9¹²³]|lpt[0-9¹²³]) *(\..*)?",
 RESERVED = re.compile(r"batch\.json|.*\.lock", re.IGNORECASE)
 """Files that a batch writes beside the folders."""
 
-KEYS = ("scene", "name", "exemplar", "family", "prompt", "up", "keep", "remove", "no_floor", "same", "detail", "prior",
-        "model", "midas", "object", "iterations", "seed", "compact")  # fmt: skip
+KEYS = ("scene", "name", "exemplar", "family", "prompt", "up", "keep", "remove", "no_surroundings", "no_floor",
+        "same", "detail", "prior", "model", "midas", "object", "iterations", "seed", "compact")  # fmt: skip
 PER_SCENE_KEYS = ("scene", "name")
 """Keys that scenes cannot share."""
 
@@ -194,7 +194,12 @@ class _ManifestReader:
                 model,
                 midas,
                 _string(fields, "object", "") or None,
-                parse_isolation(_strings(fields, "keep"), _strings(fields, "remove"), _flag(fields, "no_floor")),
+                parse_isolation(
+                    _strings(fields, "keep"),
+                    _strings(fields, "remove"),
+                    _flag(fields, "no_floor"),
+                    _flag(fields, "no_surroundings"),
+                ),
                 _flag(fields, "same"),
                 _flag(fields, "compact"),
             ),

@@ -186,7 +186,7 @@ EVERYTHING: Isolation = (
         Step("add", Lasso(View((1, 2, 3), quat(TURN), (0.5, 0.25), True), ((-1, 0.1), (1 / 3, 0), (0, 1)))),
         Step("add", BELOW),
         Step("add", BodyAt((1.5, 0.0, -2.0))),
-        *(Step("add", Detected(kind)) for kind in ("floor", "fragments", "haze")),
+        *(Step("add", Detected(kind)) for kind in ("surroundings", "floor", "fragments", "haze")),
     ),
 )
 
