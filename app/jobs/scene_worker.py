@@ -92,7 +92,7 @@ def _load_capture(
             up = detect_up(seen_around(coarse.gaussians, taken), coarse.file_axes)
             _send_arrays(folder, "coarse", _arrays(coarse.gaussians[rows]), {"up": up.axis.tolist()})
     # Fitting the skin needs torch, which takes a second to import: beside the reading, but after a coarse picture.
-    threading.Thread(target=importlib.import_module, args=("torch",), daemon=True).start()
+    threading.Thread(target=load_torch, daemon=True).start()
     loaded = load(path, seed)
     gaussians = loaded.gaussians
     taken = _surroundings(gaussians) if isolation is None else isolation
@@ -129,12 +129,22 @@ def _solidify(enclosure: Enclosure, up: NDArray[np.float64], detail: Detail, see
         _write_line(stage="Making it finer", part=0.4)
     atoms = make_solid(detail)
     _write_line(stage="Matching the skin", part=0.6)
-    import torch  # takes a second, which no solid waits for
+    _send_atoms(folder, matched(atoms, enclosure, up, seed), facts)
+
+
+def load_torch() -> None:
+    """Imports what fits the skin, which takes a second: no solid waits for that."""
+    importlib.import_module("torch")
+
+
+def matched(atoms: Atoms, enclosure: Enclosure, up: NDArray[np.float64], seed: int) -> Atoms:
+    """The atoms with a skin that looks more like the capture."""
+    import torch
 
     from training.skin import match_skin
 
     torch.set_num_threads(1)  # the kernels use all cores; torch's own threads would compete with them
-    _send_atoms(folder, match_skin(atoms, enclosure.shell, enclosure.body, up, DRAFT, seed), facts)
+    return match_skin(atoms, enclosure.shell, enclosure.body, up, DRAFT, seed)
 
 
 def plain_inside(surface: SurfaceAtoms, interior: InteriorAtoms, body: Body, pitch: float) -> NDArray[np.float32]:

@@ -9,8 +9,7 @@ import pytest
 from numpy.typing import NDArray
 from skimage.measure import label, regionprops
 
-from tests.paths import SHARED
-from training.priors.exemplar.pictures import read_picture
+from tests.helpers.photographs import photograph
 from training.priors.exemplar.quilting import quilt
 from training.priors.exemplar.quilting.disc import PIXEL, Disc, disc_grid, match_light
 from training.priors.exemplar.quilting.labels import Source
@@ -195,7 +194,4 @@ def test_a_long_core_keeps_its_colour_in_the_light_of_another_picture() -> None:
     [("apple_h1", 0.25, 0.45), ("apple_h2", 0.25, 0.45), ("watermelon_h8", 0, 0)],
 )
 def test_of_photographs_stars_are_cores(name: str, least: float, most: float) -> None:
-    path = SHARED / "photos/fruit" / f"{name}.png"
-    if not path.exists():
-        pytest.skip("the photographs are not beside the repository")
-    assert least <= core_of(Source.of(Disc.of(read_picture(path, "horizontal")), True)).reach <= most
+    assert least <= core_of(Source.of(photograph(name), True)).reach <= most

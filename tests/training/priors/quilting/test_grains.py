@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from tests.helpers.exemplar_faces import UP, ball, save
-from tests.paths import SHARED
+from tests.helpers.photographs import photograph
 from training.families import Family, Kind
 from training.priors.exemplar import ExemplarPrior
-from training.priors.exemplar.pictures import read_picture
 from training.priors.exemplar.quilting import quilt
 from training.priors.exemplar.quilting.disc import Disc, disc_grid
 from training.priors.exemplar.quilting.inside import QuiltInside
@@ -122,12 +121,7 @@ def test_a_ball_shows_a_grain_from_its_middle_to_its_rim() -> None:
     [("pomegranate_h1", True), ("pomegranate_v4", True), ("orange_v4", False), ("watermelon_h8", False)],
 )
 def test_of_photographs_pomegranates_are_made_of_grains(name: str, made_of_them: bool) -> None:
-    path = SHARED / "photos/fruit" / f"{name}.png"
-    if not path.exists():
-        pytest.skip("the photographs are not beside the repository")
-    horizontal = "_h" in name
-    face = Disc.of(read_picture(path, "horizontal" if horizontal else "radial"))
-    assert made_of_grains(face, horizontal) == made_of_them
+    assert made_of_grains(photograph(name), "_h" in name) == made_of_them
 
 
 @pytest.mark.parametrize("kind", ["horizontal", "radial"])

@@ -13,7 +13,8 @@ from scipy import ndimage
 
 from engine.scene.grid import Body, Grid
 from tests.helpers.exemplar_faces import UP, ball, save
-from tests.paths import SAMPLES, SHARED
+from tests.helpers.photographs import photograph
+from tests.paths import SAMPLES
 from training.families import Family, Kind
 from training.priors.exemplar import ExemplarPrior, read_picture
 from training.priors.exemplar.frames import make_space
@@ -40,15 +41,6 @@ PAIRS = [("apple_h1", "apple_v1"), ("pomegranate_h1", "pomegranate_v4")]
 def _coarse(monkeypatch: pytest.MonkeyPatch) -> None:
     """Seams on few cells: colours are read at every point all the same."""
     monkeypatch.setattr(quilt, "LEVELS", (16, 32))
-
-
-@cache
-def photograph(name: str) -> Disc:
-    """One of the photographs; skips where they are not beside the repository."""
-    path = SHARED / "photos/fruit" / f"{name}.png"
-    if not path.exists():
-        pytest.skip("the photographs are not beside the repository")
-    return Disc.of(read_picture(path, "horizontal" if "_h" in name else "radial"))
 
 
 def quilted(*pictures: Disc, seed: int = 0) -> Quilt:

@@ -7,8 +7,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from tests.paths import SHARED
-from training.priors.exemplar.pictures import read_picture
+from tests.helpers.photographs import photograph
 from training.priors.exemplar.quilting import quilt
 from training.priors.exemplar.quilting.disc import Disc, disc_grid
 from training.priors.exemplar.quilting.labels import Source
@@ -165,12 +164,7 @@ def test_seeds_lie_where_both_pictures_have_them(grown: Quilt) -> None:
     [("watermelon_h8", 24, 30), ("watermelon_v11", 7, 12), ("apple_h1", 0, 0), ("orange_v4", 0, 0)],
 )
 def test_of_photographs_seeds_are_found_and_stars_and_cores_are_none(name: str, least: int, most: int) -> None:
-    path = SHARED / "photos/fruit" / f"{name}.png"
-    if not path.exists():
-        pytest.skip("the photographs are not beside the repository")
-    horizontal = "_h" in name
-    disc = Disc.of(read_picture(path, "horizontal" if horizontal else "radial"))
-    assert least <= len(found(disc, horizontal).places) <= most
+    assert least <= len(found(photograph(name), "_h" in name).places) <= most
 
 
 def test_things_of_no_picture_are_none() -> None:
