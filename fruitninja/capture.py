@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,8 @@ from engine.io.load import LoadedScene
 from engine.io.load import load as load_scene
 from engine.io.trained import Meta
 from engine.isolate.record import isolation_record
-from engine.isolate.selection import isolated
+from engine.isolate.selection import Sphere, isolated
+from engine.isolate.surroundings import find_middle
 from engine.scene.gaussians import Gaussians
 from engine.solid.up_axis.detect import detect_up
 from fruitninja.arguments import PathLike, Shape, UpLike, as_detail, as_isolation, as_up
@@ -72,6 +74,13 @@ class Capture:
     def sh(self) -> NDArray[np.float32]:
         """(N, (d+1)^2, 3). Spherical harmonics of degree d = 0..3."""
         return self.gaussians.sh
+
+    @cached_property
+    def middle(self) -> Sphere | None:
+        """The ball that holds the object, and some of its floor, where a room or a view around it was captured, too;
+        None around an object alone. `keep=[capture.middle]` leaves out the rest."""
+        found = find_middle(self.gaussians)
+        return None if found is None else Sphere(*found)
 
     def solidify(
         self, *, detail: str = "standard", up: UpLike | None = None, keep: Iterable[Shape] = (), seed: int = 0

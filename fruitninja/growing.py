@@ -5,15 +5,17 @@ from __future__ import annotations
 import os
 import warnings
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
 from engine.errors import InputError
 from engine.io.files import locked_folder
+from engine.io.trained import load_trained
 from fruitninja.arguments import PathLike, Shape, UpLike, as_detail, as_isolation, as_up
 from fruitninja.capture import Capture
-from fruitninja.solid import Solid, Whole, open_solid
+from fruitninja.solid import Solid, Whole
 from training.cli import parse_families
 from training.events import Reporter
 from training.request import Request
@@ -70,11 +72,10 @@ def grow(
     listener = _Listener(progress)
     try:
         if out is not None:
-            return open_solid(_trained(request, Path(out), listener))
+            return Solid(_trained(request, Path(out), listener))
         with TemporaryDirectory(prefix="fruitninja-") as folder:
-            made = open_solid(_trained(request, Path(folder), listener))
             # Its file goes with the folder: what is said of it is said of the capture.
-            return Solid(Whole(made.atoms, made.meta, made.inside, scene))
+            return Solid(replace(_trained(request, Path(folder), listener), source=scene))
     finally:
         for message in listener.warnings:
             warnings.warn(message, stacklevel=2)
@@ -84,16 +85,18 @@ def _listed(pictures: Pictures) -> Sequence[PathLike]:
     return [pictures] if isinstance(pictures, str | os.PathLike) else pictures
 
 
-def _trained(request: Request, out: Path, listener: _Listener) -> Path:
-    """The path of the run's result."""
+def _trained(request: Request, out: Path, listener: _Listener) -> Whole:
+    """The run's result as its file has it; but its inside is at hand, and making it from a file takes seconds."""
     import torch  # takes a second, which those who only look at solids need not wait for
 
-    from training.pipeline import run
+    from training.pipeline import Pipeline
 
     threads = torch.get_num_threads()
     try:
         with locked_folder(out):
-            return run(request, out, listener, False, lambda: False)
+            pipeline = Pipeline(request, out, listener, lambda: False)
+            path = pipeline.run(resume=False)
+            return Whole(*load_trained(path), pipeline.inside, path)
     finally:
         torch.set_num_threads(threads)  # training leaves one, and the caller's own work may want them all
 

@@ -221,7 +221,7 @@ def test_a_section_shows_the_inside_itself(solid: fruitninja.Solid) -> None:
 def test_a_capture_is_solid_without_photographs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     make_tiny(monkeypatch)
     capture = fruitninja.load(SCENE / "watermelon.ply")
-    assert capture.means.shape == (len(capture), 3) and len(capture) > 1000
+    assert capture.means.shape == (len(capture), 3) and len(capture) > 1000 and capture.middle is None
     grey = capture.solidify(detail="draft", up="-z", keep=[fruitninja.Sphere((0.0, 0.0, 0.0), 9.0)])
     assert grey.inside is None and grey.up.tolist() == [0, 0, -1]
     assert grey._repr_png_()[:4] == b"\x89PNG"
