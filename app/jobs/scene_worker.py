@@ -92,7 +92,7 @@ def _load_capture(
             up = detect_up(seen_around(coarse.gaussians, taken), coarse.file_axes)
             _send_arrays(folder, "coarse", _arrays(coarse.gaussians[rows]), {"up": up.axis.tolist()})
     # Fitting the skin needs torch, which takes a second to import: beside the reading, but after a coarse picture.
-    threading.Thread(target=load_torch, daemon=True).start()
+    load_torch()
     loaded = load(path, seed)
     gaussians = loaded.gaussians
     taken = _surroundings(gaussians) if isolation is None else isolation
@@ -133,8 +133,8 @@ def _solidify(enclosure: Enclosure, up: NDArray[np.float64], detail: Detail, see
 
 
 def load_torch() -> None:
-    """Imports what fits the skin, which takes a second: no solid waits for that."""
-    importlib.import_module("torch")
+    """Imports in a thread what fits the skin, which takes a second: no solid waits for that."""
+    threading.Thread(target=importlib.import_module, args=("torch",), daemon=True).start()
 
 
 def matched(atoms: Atoms, enclosure: Enclosure, up: NDArray[np.float64], seed: int) -> Atoms:

@@ -1,14 +1,19 @@
-"""Bodies and pictures of cut faces whose inside is known."""
+"""Bodies and pictures of cut faces whose inside is known, and photographs."""
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
 from engine.io.picture_file import save_png
 from engine.scene.grid import Body, Grid
+from tests.paths import SHARED
+from training.priors.exemplar.pictures import read_picture
+from training.priors.exemplar.quilting.disc import Disc
 
 UP = np.array([0.0, 0.0, 1.0])
 RIND, FLESH, SEED = np.array([0.1, 0.5, 0.1]), np.array([0.85, 0.15, 0.15]), np.array([0.05, 0.03, 0.02])
@@ -40,3 +45,12 @@ def save(path: Path, picture: NDArray[np.floating]) -> Path:
     """Writes a picture in [0, 1] as a PNG."""
     save_png(path, picture)
     return path
+
+
+@cache
+def photograph(name: str) -> Disc:
+    """One of the photographs of fruit, whose name tells the kind of cut; skips where they are not."""
+    path = SHARED / "photos/fruit" / f"{name}.png"
+    if not path.exists():
+        pytest.skip("the photographs are not beside the repository")
+    return Disc.of(read_picture(path, "horizontal" if "_h" in name else "radial"))

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 from skimage.measure import label, regionprops
 
-from tests.helpers.photographs import photograph
+from tests.helpers.exemplar_faces import photograph
 from training.priors.exemplar.quilting import quilt
 from training.priors.exemplar.quilting.disc import PIXEL, Disc, disc_grid, match_light
 from training.priors.exemplar.quilting.labels import Source

@@ -9,8 +9,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from tests.helpers.exemplar_faces import UP, ball, save
-from tests.helpers.photographs import photograph
+from tests.helpers.exemplar_faces import UP, ball, photograph, save
 from training.families import Family, Kind
 from training.priors.exemplar import ExemplarPrior
 from training.priors.exemplar.quilting import quilt

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from engine.scene.grid import Body, Grid
-from tests.helpers.exemplar_faces import UP, ball, save
-from tests.helpers.photographs import photograph
+from tests.helpers.exemplar_faces import UP, ball, photograph, save
 from tests.paths import SAMPLES
 from training.families import Family, Kind
 from training.priors.exemplar import ExemplarPrior, read_picture
