@@ -35,7 +35,8 @@ UPLOAD = 1 << 16
 
 SLABS = 8
 """A frame's slabs, as many Gaussians in each. On a graphics card (H100, 1280x720) captures of 45 to 115 thousand take
-about as long with 4 to 16, a solid melon of a million 27 ms with 8 (29 with 16, 313 in full floats without slabs)."""
+about as long with 4 to 16, a solid melon of a million 27 ms with 8 (29 with 16, 313 in full floats without slabs). In
+software, where a pass over all pixels costs more than it saves, there are none."""
 
 PORTION = 1024
 """Gaussians drawn at once of a frame that is drawn gradually, and the least of a slab: some ms where OpenGL runs in
@@ -121,7 +122,7 @@ class Capture:
         defines = {"CLASSIC": 1, "ORTHOGRAPHIC": orthographic}
         program = self.programs.get("splat.vert.glsl", "classic.frag.glsl", defines)
         write_uniforms(program, {**view.uniforms, "slab": slab})
-        self.ctx.enable_only(moderngl.BLEND | moderngl.DEPTH_TEST)
+        self.ctx.enable_only(moderngl.BLEND | (moderngl.DEPTH_TEST if layers.slabs else moderngl.NOTHING))
         self.ctx.depth_func = "<"
         self.ctx.blend_func = UNDER
         batch.draw(program, RECORD)
@@ -162,7 +163,7 @@ class Blending:
         self.capture, self.screen, self.layers = capture, screen, layers
         self.camera, self.level, self.look = camera, level, look
         self._rows = capture.rows(camera, wait, level)
-        self._size = max(PORTION, -(-len(self._rows) // SLABS))
+        self._size = max(PORTION, -(-len(self._rows) // SLABS)) if layers.slabs else max(len(self._rows), 1)
         self._done = 0
         self._slab = 0.0, 1.0
         layers.clear()
@@ -188,6 +189,8 @@ class Blending:
 
     def _begin(self, first: int, last: int) -> None:
         """An empty slab from the depth of one of the rows to that of another."""
+        if self.layers.slabs is None:
+            return
         matrix = View(self.camera, self.capture.centre, 1.0).matrix
         near, far = (self.capture.means[self._rows[[first, last - 1]]] @ matrix[2, :3] + matrix[2, 3]).tolist()
         self._slab = near, max(far - near, 1e-6 * abs(near), 1e-30)  # of one depth, or in the order of another camera
@@ -195,6 +198,8 @@ class Blending:
 
     def _end(self) -> None:
         """Blends the slab under what lies before it, and closes the pixels where nothing more shows."""
+        if self.layers.slabs is None:
+            return
         layers, rect = self.layers, (0, 0, *self.layers.size)
         values = {"lights@0": layers.slab_light, "depths@1": layers.slab_depth, "slab": self._slab}
         self.screen.fill(layers.fbo, rect, "classic_slab.frag.glsl", {}, values, under=True)

@@ -215,7 +215,7 @@ class Renderer:
         frame.clear(background_rgb)
         if mode == "classic":
             if self._capture is not None:
-                blending = self._blending(camera, exact or self._software is not None, wait, level, look)
+                blending = self._blending(camera, exact, wait, level, look)
                 blending.advance()
                 blending.resolve(frame, background_rgb)
         elif self._solids:
@@ -229,11 +229,12 @@ class Renderer:
         """A new frame of the capture, in the layers."""
         assert self._capture is not None, "no capture is set"
         size = camera.width, camera.height
-        if self._layers is not None and (self._layers.size, self._layers.exact) != (size, exact):
+        slabs = None if self._software is not None else "f4" if exact else "f2"
+        if self._layers is not None and (self._layers.size, self._layers.slabs) != (size, slabs):
             self._layers.release()
             self._layers = None
         if self._layers is None:
-            self._layers = Layers(self.ctx, *size, exact)
+            self._layers = Layers(self.ctx, *size, slabs)
         return Blending(self._capture, self._screen, self._layers, camera, wait, level, look)
 
     @current

@@ -96,16 +96,16 @@ class Accumulators:
 class Layers:
     """A capture blended front to back: a slab of depths by itself, and what lies before it."""
 
-    def __init__(self, ctx: moderngl.Context, width: int, height: int, exact: bool) -> None:
-        """exact: slabs in full floats. Half floats blend several times as fast on a graphics card, not in software."""
+    def __init__(self, ctx: moderngl.Context, width: int, height: int, slabs: str | None) -> None:
+        """slabs: their floats, f2 or f4. None: there are none, all is blended in its place."""
         self.size = width, height
-        self.exact = exact
+        self.slabs = slabs
         self.light = ctx.texture(self.size, 4, dtype="f4")
         """Premultiplied colour, opacity."""
         self.depth = ctx.texture(self.size, 4, dtype="f4")
         """Depth by weight; opacity in alpha, where blending reads it."""
-        self.slab_light = ctx.texture(self.size, 4, dtype="f4" if exact else "f2")
-        self.slab_depth = ctx.texture(self.size, 4, dtype="f4" if exact else "f2")
+        self.slab_light = ctx.texture(self.size, 4, dtype=slabs) if slabs else self.light
+        self.slab_depth = ctx.texture(self.size, 4, dtype=slabs) if slabs else self.depth
         """Of depths from the slab's near end, in its thickness."""
         self.limit = ctx.depth_texture(self.size)
         """0 where nothing more shows, else 1."""
@@ -124,5 +124,5 @@ class Layers:
         """Frees everything."""
         for fbo in (self.fbo, self.slab_fbo, self.limit_fbo):
             fbo.release()
-        for texture in (self.light, self.depth, self.slab_light, self.slab_depth, self.limit):
+        for texture in {self.light, self.depth, self.slab_light, self.slab_depth, self.limit}:
             texture.release()
