@@ -14,7 +14,7 @@ from engine.io.load import LoadedScene
 from engine.io.load import load as load_scene
 from engine.io.trained import Meta
 from engine.isolate.record import isolation_record
-from engine.isolate.selection import Sphere, isolated
+from engine.isolate.selection import Sphere, isolated, without_surroundings
 from engine.isolate.surroundings import find_middle
 from engine.scene.gaussians import Gaussians
 from engine.solid.up_axis.detect import detect_up
@@ -96,8 +96,8 @@ class Capture:
         fineness, axis, isolation = DETAILS[as_detail(detail)], as_up(up), as_isolation(keep)
         gaussians, _ = isolated(self.gaussians, isolation, self.path.name)
         enclosure = find_enclosure(gaussians, fineness.cells, self.path.name)
-        if axis is None:  # of the whole capture: a floor tells, even if it goes
-            x, y, z = detect_up(self.gaussians, self.scene.file_axes).axis.tolist()
+        if axis is None:  # not of what is left: a floor tells, even if it goes
+            x, y, z = detect_up(without_surroundings(self.gaussians), self.scene.file_axes).axis.tolist()
             axis = x, y, z
         atoms = solidify(enclosure, fineness.cells, fineness.tolerance, seed)
         meta = Meta(

@@ -18,12 +18,14 @@ from torch import Tensor
 
 from engine.errors import InputError
 from engine.fit.sh_fit import SurfaceView, fit_sh, surface_views, views_after
+from engine.io.file_axes import FileAxes
 from engine.io.files import remove_leftovers
-from engine.io.load import LoadedScene, load
+from engine.io.load import load
 from engine.isolate.bodies import find_bodies
-from engine.isolate.selection import NO_SURROUNDINGS, isolated, seen_around
+from engine.isolate.selection import isolated, without_surroundings
 from engine.isolate.surroundings import find_middle
 from engine.scene.atoms import Atoms, InteriorAtoms
+from engine.scene.gaussians import Gaussians
 from engine.scene.inside import Inside
 from engine.solid.fill import Colours, fill
 from engine.solid.solidify import atomise_surface, find_enclosure
@@ -245,7 +247,8 @@ def prepare(
         gaussians, notes = isolated(loaded.gaussians, request.isolation, request.scene.name)
         for note in notes:
             reporter.warn(f"{request.scene.name}: {note}")
-        if NO_SURROUNDINGS not in request.isolation and find_middle(gaussians) is not None:
+        seen = without_surroundings(loaded.gaussians)
+        if seen is not loaded.gaussians and find_middle(gaussians) is not None:
             reporter.warn(f"{request.scene.name}: it shows what is around the object; --no-surroundings leaves it out")
         bodies = len(find_bodies(gaussians).points)
         if bodies > 1:
@@ -255,7 +258,7 @@ def prepare(
         enclosure = find_enclosure(gaussians, request.fineness.cells, request.scene.name)
         for note in enclosure.notes:
             reporter.warn(f"{request.scene.name}: {note}")
-        up = find_up(request, loaded)
+        up = find_up(request, seen, loaded.file_axes)
         stage.progress(1.0, up.reason, up=up.axis.tolist(), reason=up.reason)
         if up.certainty < 0.5:
             reporter.warn(f"{request.scene.name}: up is {up.reason}: a guess; give --up if it is wrong")
@@ -275,12 +278,12 @@ def prepare(
     return Geometry(enclosure.shell, skin.atoms, pitch, enclosure.body, up.axis), facts
 
 
-def find_up(request: Request, loaded: LoadedScene) -> UpAxis:
-    """The up axis, given or detected."""
+def find_up(request: Request, seen: Gaussians, file_axes: FileAxes) -> UpAxis:
+    """The up axis, given or detected in what is seen of the object and its floor."""
     if request.up is not None:
         axis = np.asarray(request.up, np.float64)
         return UpAxis(axis / np.linalg.norm(axis), "as given", 1.0)
-    return detect_up(seen_around(loaded.gaussians, request.isolation), loaded.file_axes)
+    return detect_up(seen, file_axes)
 
 
 def refit_surface(

@@ -28,8 +28,7 @@ from engine.io.files import WRITE_ERRORS, reason
 from engine.io.load import load
 from engine.io.trained import is_trained, load_trained
 from engine.isolate.record import isolation_record, read_isolation
-from engine.isolate.selection import NO_SURROUNDINGS, Isolation, removed, seen_around
-from engine.isolate.surroundings import find_middle
+from engine.isolate.selection import NO_SURROUNDINGS, Isolation, removed
 from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from engine.scene.gaussians import Gaussians
 from engine.scene.grid import Body
@@ -86,30 +85,34 @@ def _load_capture(
     _write_line(stage=f"Reading {path.name}", part=0.02)
     coarse = coarse_picture(path)
     if coarse is not None:
-        taken = _surroundings(coarse.gaussians) if isolation is None else isolation
-        rows = ~removed(coarse.gaussians, taken)
+        _, gone, seen = _left_out(coarse.gaussians, isolation)
+        rows = ~gone
         if rows.any():
-            up = detect_up(seen_around(coarse.gaussians, taken), coarse.file_axes)
+            up = detect_up(seen, coarse.file_axes)
             _send_arrays(folder, "coarse", _arrays(coarse.gaussians[rows]), {"up": up.axis.tolist()})
     # Fitting the skin needs torch, which takes a second to import: beside the reading, but after a coarse picture.
     load_torch()
     loaded = load(path, seed)
     gaussians = loaded.gaussians
-    taken = _surroundings(gaussians) if isolation is None else isolation
-    up = detect_up(seen_around(gaussians, taken), loaded.file_axes)
+    taken, gone, seen = _left_out(gaussians, isolation)
+    up = detect_up(seen, loaded.file_axes)
     reason = up.reason if up.certainty >= 0.5 else f"{up.reason}: a guess"
     facts = {"up": up.axis.tolist(), "reason": reason, "warnings": list(loaded.warnings)}
     facts["isolation"] = isolation_record(taken)
-    gone = removed(gaussians, taken)
     _send_arrays(folder, "capture", _arrays(gaussians) | {"removed": gone}, facts)
     if gone.all():
         raise InputError(f"{path.name}: nothing is left of the capture; undo, or bring something back")
     return gaussians[~gone] if gone.any() else gaussians, up.axis
 
 
-def _surroundings(gaussians: Gaussians) -> Isolation:
-    """What leaves out the surroundings of a capture, or nothing if it has none."""
-    return () if find_middle(gaussians) is None else (NO_SURROUNDINGS,)
+def _left_out(gaussians: Gaussians, isolation: Isolation | None) -> tuple[Isolation, NDArray[np.bool_], Gaussians]:
+    """The isolation, with surroundings for None if there are any; which Gaussians (N,) it takes; and, to tell which way
+    is up, the object with its floor."""
+    around = removed(gaussians, (NO_SURROUNDINGS,))
+    seen = gaussians[~around] if around.any() else gaussians
+    if isolation is None:
+        return ((NO_SURROUNDINGS,) if around.any() else ()), around, seen
+    return isolation, removed(gaussians, isolation), seen
 
 
 def _solidify(enclosure: Enclosure, up: NDArray[np.float64], detail: Detail, seed: int, folder: Path) -> None:

@@ -47,9 +47,9 @@ __all__ = [
     "isolated",
     "keep_only",
     "removed",
-    "seen_around",
     "split_bodies",
     "take_step",
+    "without_surroundings",
 ]
 
 Vec2 = tuple[float, float]
@@ -246,10 +246,10 @@ def removed(gaussians: Gaussians, isolation: Isolation) -> NDArray[np.bool_]:
     return result
 
 
-def seen_around(gaussians: Gaussians, isolation: Isolation) -> Gaussians:
-    """The capture without its surroundings, if the isolation begins with them, but with all else that it takes away: a
-    floor tells which way is up."""
-    return gaussians[~removed(gaussians, isolation[:1])] if isolation[:1] == (NO_SURROUNDINGS,) else gaussians
+def without_surroundings(gaussians: Gaussians) -> Gaussians:
+    """The object and its floor, which tell which way is up whatever else of the capture is left out."""
+    around = removed(gaussians, (NO_SURROUNDINGS,))
+    return gaussians[~around] if around.any() else gaussians
 
 
 def isolated(gaussians: Gaussians, isolation: Isolation, name: str) -> tuple[Gaussians, list[str]]:

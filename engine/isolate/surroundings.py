@@ -65,7 +65,8 @@ def find_middle(gaussians: Gaussians) -> tuple[tuple[float, float, float], float
     around it up to twice its radius, and something beyond in most directions; larger by a margin. A wide floor alone
     does not surround an object, nor does a wall behind it. The same ball for the same capture, whatever its units.
     """
-    rows = np.flatnonzero(gaussians.opacities >= HAZE_OPACITY)
+    finite = np.isfinite(gaussians.means).all(1) & np.isfinite(gaussians.scales).all(1)
+    rows = np.flatnonzero(finite & (gaussians.opacities >= HAZE_OPACITY))
     if len(rows) < 100:
         return None
     plain = replace(gaussians, sh=gaussians.sh[:, :1])[rows[:: -(-len(rows) // SAMPLES)]]

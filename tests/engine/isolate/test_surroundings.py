@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from engine.io.load import load
-from engine.isolate.selection import NO_FLOOR, NO_SURROUNDINGS, Sphere, isolated, removed
+from engine.isolate.selection import NO_FLOOR, NO_SURROUNDINGS, Sphere, isolated, removed, without_surroundings
 from engine.isolate.surroundings import find_middle
 from engine.scene.gaussians import Gaussians
+from engine.solid.up_axis.detect import detect_up
 from tests.helpers.solids import joined, round_gaussians
 from tests.paths import SAMPLES, SHARED
 
@@ -128,6 +129,34 @@ def test_units_and_place_are_no_matter() -> None:
     assert one is not None and other is not None
     assert other[1] == pytest.approx(1000 * one[1], rel=1e-3)
     np.testing.assert_allclose(other[0], 1000 * np.array(one[0]) + 5000, atol=5)
+
+
+def test_captures_at_the_limit_have_none() -> None:
+    plain = splats(ball(np.random.default_rng(4)), 0.05)
+    broken = plain.means.copy()
+    broken[:3] = np.nan, np.inf, 1e30
+    for scene in (
+        plain[:0],
+        plain[:50],
+        replace(plain, means=0 * plain.means),
+        replace(plain, scales=0 * plain.scales),
+        replace(plain, scales=np.float32(1e12) * plain.scales),
+        replace(plain, opacities=np.float32(0.01) * plain.opacities),
+        replace(plain, means=broken),
+    ):
+        assert find_middle(scene) is None
+
+
+def test_up_is_told_by_the_object_and_its_floor() -> None:
+    """Not by the walls and the view around them."""
+    rng = np.random.default_rng(5)
+    scene = joined(splats(guitar(rng), 0.05), *SURROUNDED["a room and a view"](rng))
+    seen = without_surroundings(scene)
+    assert len(seen) < len(scene)
+    up = detect_up(seen, {}).axis
+    assert np.degrees(np.arccos(up @ TURN.apply((0, 0, 1)))) < 3
+    alone = scene[:6000]
+    assert without_surroundings(alone) is alone
 
 
 @pytest.mark.parametrize("name", ["watermelon", "orange", "bread"])
