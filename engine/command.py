@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import math
 import os
 import re
@@ -138,6 +139,7 @@ def run_command(
             print(f"{name}: {one_line(line)}", file=sys.stderr, flush=True)
         except OSError:
             _discard(sys.stderr)
+    gc.freeze()  # the search for cycles in all that was imported takes longer than many a command
     sys.exit(status)
 
 

@@ -6,6 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from training.priors.exemplar.sampling import blurred
+
 __all__ = ["FLESH", "rind_depth"]
 
 LEAST_CONTRAST = 0.08
@@ -36,7 +38,7 @@ def rind_depth(rgb: NDArray[np.floating], depth: NDArray[np.floating], blur: flo
     flesh = np.median(rgb[deep], axis=0)
     # The flesh under each pixel: layers that end at the skin are the same there.
     under = ndimage.distance_transform_edt(~deep, return_distances=False, return_indices=True)
-    smooth = ndimage.gaussian_filter(rgb, (blur, blur, 0))
+    smooth = blurred(rgb, blur)
     differs = np.linalg.norm(smooth - smooth[under[0], under[1]], axis=-1) > LEAST_CONTRAST
     for i in reversed(range(STEPS)):
         band = (depth > STEP * i) & (depth <= STEP * (i + 1))

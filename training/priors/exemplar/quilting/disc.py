@@ -15,7 +15,7 @@ from scipy import ndimage
 from training.priors.exemplar.frames import Space
 from training.priors.exemplar.medians import medians_over
 from training.priors.exemplar.pictures import Picture
-from training.priors.exemplar.sampling import read_bilinear, reduced
+from training.priors.exemplar.sampling import blurred, read_bilinear, reduced
 
 __all__ = [
     "DISC_PIXELS",
@@ -103,7 +103,7 @@ class Disc:
         angle = np.arctan2(y, x) % (2 * np.pi)
         r = np.interp(angle, angles, rim, period=2 * np.pi) * np.minimum(np.hypot(x, y), RIM)
         sigma = max(0.5 * rim.mean() * 2 * REACH / DISC_PIXELS - 0.4, 0.0)  # against aliasing
-        rgb = ndimage.gaussian_filter(picture.rgb, (sigma, sigma, 0))
+        rgb = blurred(picture.rgb, sigma)
         found = _sample(rgb, row - r * np.sin(angle), column + r * np.cos(angle))
         return cls.of_bytes(np.round(found * 255).astype(np.uint8))  # as finely as a file keeps it
 
@@ -151,7 +151,7 @@ def to_pixels(
 def smooth_disc(disc: Disc, sigma: float) -> Disc:
     """The disc blurred by a Gaussian of this standard deviation in radii."""
     pixels = sigma * DISC_PIXELS / (2 * REACH)
-    return Disc(ndimage.gaussian_filter(disc.rgb, (pixels, pixels, 0), truncate=3))
+    return Disc(blurred(disc.rgb, pixels, reach=3))
 
 
 def disc_median(values: NDArray[np.float32], radius: float) -> NDArray[np.float32]:
@@ -179,10 +179,11 @@ def filled_in(values: NDArray[np.float32], hidden: NDArray[np.bool_]) -> NDArray
         return values
     kept = 1 - halo(hidden)[..., None]
     known, coarse = reduced(kept, REDUCTION), reduced(values * kept, REDUCTION)
-    around, share = coarse, known
+    around: NDArray[np.floating] = coarse
+    share: NDArray[np.floating] = known
     for width in FILLS:
         sigma = width / (PIXEL * REDUCTION)
-        near, weight = (ndimage.gaussian_filter(a, (sigma, sigma, 0), truncate=3) for a in (coarse, known))
+        near, weight = (blurred(a, sigma, reach=3) for a in (coarse, known))
         add = (1 - share) * np.minimum(weight * 4, 1)
         around, share = around + add * near / np.maximum(weight, 1e-6), share + add
     there = enlarged((around / np.maximum(share, 1e-6)).astype(np.float32))
@@ -226,8 +227,11 @@ def match_light(disc: Disc, to: Disc) -> Disc:
 def ring_medians(disc: Disc, rings: int, where: NDArray[np.bool_] | bool = True) -> NDArray[np.float32]:
     """(rings, 3). The median colours of rings of the same width from the middle to the rim, of the pixels (P, P) where
     that is asked."""
-    ring = np.where(where, (np.hypot(*disc_grid()) * rings).astype(int), -1)
-    return np.array([np.median(disc.rgb[ring == n], axis=0) for n in range(rings)], np.float32)
+    ring = np.where(where, (np.hypot(*disc_grid()) * rings).astype(int), rings).ravel()
+    order = np.argsort(ring, kind="stable")
+    ends = np.searchsorted(ring[order], np.arange(rings + 1))
+    of_ring = np.split(disc.rgb.reshape(-1, 3)[order], ends)[1:-1]
+    return np.array([np.median(colours, axis=0) for colours in of_ring], np.float32)
 
 
 def even_around(disc: Disc) -> Disc:

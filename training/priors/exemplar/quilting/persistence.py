@@ -23,7 +23,7 @@ from training.priors.exemplar.quilting.disc import (
     disc_median,
     to_pixels,
 )
-from training.priors.exemplar.sampling import reduced
+from training.priors.exemplar.sampling import blurred, reduced
 
 __all__ = ["Persistence", "find_sheets"]
 
@@ -84,7 +84,7 @@ def find_sheets(disc: Disc, persistence: Persistence) -> NDArray[np.float32]:
     angle = np.arange(ANGLES) / ANGLES * 2 * np.pi
     radius = (np.arange(RADII) + 0.5) / RADII
     x, y = radius[:, None] * np.cos(angle), radius[:, None] * np.sin(angle)
-    smooth = Disc(ndimage.gaussian_filter(disc.rgb, (1.2, 1.2, 0)))
+    smooth = Disc(blurred(disc.rgb, 1.2))
     polar = smooth.read(x, y)
     half = CONTRAST_ANGLES // 2
     around = np.pad(polar, ((0, 0), (half, half), (0, 0)), mode="wrap")
@@ -106,7 +106,7 @@ def find_sheets(disc: Disc, persistence: Persistence) -> NDArray[np.float32]:
     sheets = ndimage.map_coordinates(closed, at, order=1, cval=0, output=np.float32)
     thin, wide = (persistence.gone(px.ravel(), py.ravel(), np.full(px.size, d)) for d in (THIN, WIDE))
     share = np.clip(2 * thin / (wide + 0.02) - 0.5, 0, 1).reshape(px.shape)
-    return sheets * ndimage.gaussian_filter(share, BORDER * DISC_PIXELS / (2 * REACH))
+    return sheets * blurred(share, BORDER * DISC_PIXELS / (2 * REACH))
 
 
 @njit(cache=True, nogil=True)

@@ -16,6 +16,7 @@ from scipy import ndimage
 
 from training.priors.exemplar.quilting.disc import Disc, disc_grid, ring_medians
 from training.priors.exemplar.rind import FLESH, rind_depth
+from training.priors.exemplar.sampling import blurred
 
 __all__ = ["Rinds", "rind_of"]
 
@@ -137,7 +138,7 @@ def _depths(disc: Disc, is_horizontal: bool) -> NDArray[np.float64]:
     usual, flesh, half = rind_of(disc, is_horizontal)
     depth = np.arange(0, DEEPEST * usual, STEP)
     turn = np.arange(ANGLES) / ANGLES * 2 * np.pi
-    smooth = Disc(ndimage.gaussian_filter(disc.rgb, (BLUR, BLUR, 0)))
+    smooth = Disc(blurred(disc.rgb, BLUR))
     rays = smooth.read((1 - depth[:, None]) * np.cos(turn), (1 - depth[:, None]) * np.sin(turn))
     contrast = np.linalg.norm(rays - flesh, axis=-1)
     strongest = contrast[: max(int(usual / STEP), 1)].argmax(0)

@@ -26,6 +26,7 @@ from training.priors.exemplar.quilting.disc import (
     enlarged,
     smooth_disc,
 )
+from training.priors.exemplar.sampling import blurred
 from training.priors.exemplar.strata import LAYER, Waves, read_layers
 
 __all__ = ["Parts", "TextureField", "take_apart"]
@@ -69,7 +70,7 @@ def take_apart(disc: Disc) -> Parts:
     # An edge is one all along its width and a little beyond.
     scale = DISC_PIXELS / (2 * REACH)
     wide = ndimage.maximum_filter(contrast[..., 0], int(0.6 * WIDTH * scale) | 1)
-    edge = ndimage.gaussian_filter(wide, 0.3 * WIDTH * scale)[..., None] / (typical + 0.002)
+    edge = blurred(wide, 0.3 * WIDTH * scale)[..., None] / (typical + 0.002)
     t = np.clip((edge - STRONG[0]) / (STRONG[1] - STRONG[0]), 0, 1)
     weight = np.broadcast_to(1 - t * t * (3 - 2 * t), disc.rgb.shape)
     texture = residual * weight

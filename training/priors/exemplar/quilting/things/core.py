@@ -16,7 +16,7 @@ from scipy import ndimage
 from training.priors.exemplar.quilting.disc import DISC_PIXELS, PIXEL, Disc, disc_grid, to_pixels
 from training.priors.exemplar.quilting.relief import NARROWEST, THING_CONTRAST, TYPICAL
 from training.priors.exemplar.rind import FLESH
-from training.priors.exemplar.sampling import read_bilinear
+from training.priors.exemplar.sampling import blurred, read_bilinear
 
 __all__ = ["CORE", "Core"]
 
@@ -152,7 +152,7 @@ class Core:
 def _contrast(disc: Disc) -> NDArray[np.floating]:
     """(P, P). How far a face of even tones stands out from its flesh, over the least that counts; 0 outside of it."""
     radius = np.hypot(*disc_grid())
-    rgb = ndimage.gaussian_filter(disc.rgb, (1.0, 1.0, 0))
+    rgb = blurred(disc.rgb, 1.0)
     flesh = np.median(rgb[(radius > 1 - FLESH[1]) & (radius < 1 - FLESH[0])], axis=0)
     apart = np.linalg.norm(rgb - flesh, axis=-1) * (radius < 1)
     return apart / max(THING_CONTRAST, TYPICAL * float(np.median(apart[radius < INSIDE])))

@@ -16,7 +16,7 @@ from scipy import ndimage
 
 from training.priors.exemplar.quilting.disc import REACH, Disc, to_pixels
 from training.priors.exemplar.quilting.things.stamps import Things
-from training.priors.exemplar.sampling import reduced
+from training.priors.exemplar.sampling import blurred, reduced
 
 __all__ = ["Grains"]
 
@@ -85,7 +85,7 @@ class Grains:
         axis = ((np.arange(size) + 0.5) / size * 2 - 1) * REACH
         face = np.hypot(axis[:, None], axis) < FACE
         grey = _main_contrast(rgb, face, AROUND * pixels)
-        spread = np.sqrt(ndimage.gaussian_filter(grey * grey, AROUND * pixels)) + 0.01
+        spread = np.sqrt(blurred(grey * grey, AROUND * pixels)) + 0.01
         sigmas = RADII * pixels / np.sqrt(2)  # at which the Laplacian of a disc is strongest
         laplacian = np.stack([ndimage.gaussian_laplace(grey, s) * s * s for s in sigmas])
         strength = np.abs(laplacian) / spread
@@ -99,7 +99,7 @@ class Grains:
         places = np.stack([axis[i], axis[j]], -1)
         apart = _thinned(places, radii)
         level, i, j, radii, places = (a[apart] for a in (level, i, j, radii, places))
-        close = ndimage.gaussian_filter(_covered(axis, places, radii), 0.08 * pixels)
+        close = blurred(_covered(axis, places, radii), 0.08 * pixels)
         none = cls(np.empty((0, 2), np.float32), np.empty(0, np.float32), np.zeros_like(close))
         if (close > CLOSE)[face].mean() < PACKED:
             return none
@@ -117,7 +117,7 @@ class Grains:
             return none
         strange = np.linalg.norm(colours - np.median(colours[ours], axis=0), axis=1)
         ours &= strange <= STRANGE * np.median(strange[ours])
-        cover = ndimage.gaussian_filter(_covered(axis, places[ours], radii[ours]), 0.03 * pixels)
+        cover = blurred(_covered(axis, places[ours], radii[ours]), 0.03 * pixels)
         return cls(places[ours].astype(np.float32), radii[ours].astype(np.float32), cover)
 
     def things(self, disc: Disc) -> Things:
@@ -132,7 +132,7 @@ class Grains:
 
 def _main_contrast(rgb: NDArray[np.floating], face: NDArray[np.bool_], around: float) -> NDArray[np.floating]:
     """(H, W). What colours (H, W, 3) differ by from those around them, along the direction in which they do most."""
-    local = rgb - ndimage.gaussian_filter(rgb, (around, around, 0))
+    local = rgb - blurred(rgb, around)
     main = np.linalg.eigh(local[face].T @ local[face])[1][:, -1]
     return local @ (main if main.sum() > 0 else -main)
 
