@@ -30,7 +30,8 @@ demo: $(READY)
 	@echo "Pictures: out/watermelon/opened.png (cut open), out/watermelon/cuts.png (six cuts nobody trained)"
 	@echo "The solid: out/watermelon/watermelon.ply; figures: out/watermelon/report.json"
 
-test: $(READY)
+test:
+	@tools/ensure_gl.sh browser & $(MAKE) --no-print-directory $(READY); made=$$?; wait && exit $$made
 	@tools/ensure_gl.sh window
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -65,6 +66,7 @@ bench: $(READY)
 
 screenshots: $(READY)
 	@tools/ensure_gl.sh window
+	@tools/ensure_gl.sh browser
 	$(BIN)/python -m tools.screenshots
 	$(BIN)/python -m tools.sheet
 	$(BIN)/python -m tools.film

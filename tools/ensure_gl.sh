@@ -1,19 +1,22 @@
 #!/usr/bin/env bash
-# Makes sure that offscreen OpenGL (EGL) is there, and with the argument "window" a virtual screen for window tests and,
-# where the system has it as a package (100 MB, half a minute), a browser for tests of pages.
-# On Debian-like systems what is missing is installed; elsewhere one line says what to install.
+# Makes sure that offscreen OpenGL (EGL) is there; with the argument "window" a virtual screen for window tests as well.
+# With "browser" it is a browser for tests of pages instead, where the system has one as a package (100 MB, half a
+# minute). On Debian-like systems what is missing is installed; elsewhere one line says what to install.
 set -euo pipefail
 here=$(cd "$(dirname "$0")/.." && pwd)
 missing=()
-if ! "$here/.venv/bin/python" -c 'import moderngl; moderngl.create_context(standalone=True, backend="egl").release()' 2>/dev/null; then
-    missing+=(libegl1 libgl1-mesa-dri)
-fi
-if [ "${1:-}" = window ] && ! command -v xvfb-run >/dev/null; then
-    missing+=(xvfb xauth libgl1 libglx-mesa0 libgl1-mesa-dri)
-fi
 browser=""
-if [ "${1:-}" = window ] && ! command -v chromium-headless-shell chromium google-chrome >/dev/null; then
-    browser=chromium-headless-shell
+if [ "${1:-}" = browser ]; then
+    if ! command -v chromium-headless-shell chromium google-chrome >/dev/null; then
+        browser=chromium-headless-shell
+    fi
+else
+    if ! "$here/.venv/bin/python" -c 'import moderngl; moderngl.create_context(standalone=True, backend="egl").release()' 2>/dev/null; then
+        missing+=(libegl1 libgl1-mesa-dri)
+    fi
+    if [ "${1:-}" = window ] && ! command -v xvfb-run >/dev/null; then
+        missing+=(xvfb xauth libgl1 libglx-mesa0 libgl1-mesa-dri)
+    fi
 fi
 if [ ${#missing[@]} -eq 0 ] && [ -z "$browser" ]; then
     exit 0
