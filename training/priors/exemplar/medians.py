@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
@@ -10,28 +11,44 @@ from numpy.typing import NDArray
 
 from engine.threads import for_spans
 
-__all__ = ["medians_over"]
+__all__ = ["Ranks"]
 
 ROWS = 16
 """Rows of one channel that a thread takes at a time."""
 
 
-def medians_over(values: NDArray[np.float32], reach: NDArray[np.integer]) -> NDArray[np.float32]:
-    """(H, W, C). The medians of values (H, W, C) over a window; beyond the border the values of the border count.
+@dataclass(frozen=True)
+class Ranks:
+    """Values by their rank, which all windows share."""
 
-    `reach`: (2 R + 1,). In each row of the window, from R above to R below, columns on either side of its middle. The
-    bits of SciPy's median_filter in a third to a seventh of its time: what enters and leaves the window is counted by
-    rank (Huang, Yang and Tang 1979).
-    """
-    height, width, channels = values.shape
-    planes = np.ascontiguousarray(np.moveaxis(values, 2, 0)).reshape(channels, -1)
-    levels, ranks = zip(*(np.unique(plane, return_inverse=True) for plane in planes), strict=True)
-    most = max(len(own) for own in levels)
-    by_rank = np.stack([np.pad(own, (0, most - len(own)), mode="edge") for own in levels])
-    rank = np.stack(ranks).reshape(channels, height, width).astype(np.int32)
-    out = np.empty((channels, height, width), np.float32)
-    for_spans(_medians, channels * height, rank, by_rank, reach.astype(np.int64), math.isqrt(most) + 1, out, span=ROWS)
-    return np.ascontiguousarray(np.moveaxis(out, 0, 2))
+    rank: NDArray[np.int32]
+    """(C, H, W). Of each value in its channel."""
+    by_rank: NDArray[np.float32]
+    """(C, L). The values of each channel in order."""
+
+    @classmethod
+    def of(cls, values: NDArray[np.float32]) -> Ranks:
+        """Of values (H, W, C)."""
+        height, width, channels = values.shape
+        planes = np.ascontiguousarray(np.moveaxis(values, 2, 0)).reshape(channels, -1)
+        levels, ranks = zip(*(np.unique(plane, return_inverse=True) for plane in planes), strict=True)
+        most = max(len(own) for own in levels)
+        by_rank = np.stack([np.pad(own, (0, most - len(own)), mode="edge") for own in levels])
+        return cls(np.stack(ranks).reshape(channels, height, width).astype(np.int32), by_rank)
+
+    def medians(self, reach: NDArray[np.integer]) -> NDArray[np.float32]:
+        """(H, W, C). The medians of the values over a window; beyond the border the values of the border count.
+
+        `reach`: (2 R + 1,). In each row of the window, from R above to R below, columns on either side of its middle.
+        The bits of SciPy's median_filter in a third to a seventh of its time: what enters and leaves the window is
+        counted by rank (Huang, Yang and Tang 1979).
+        """
+        channels, height, _ = self.rank.shape
+        out = np.empty(self.rank.shape, np.float32)
+        block = math.isqrt(self.by_rank.shape[1]) + 1
+        count = channels * height
+        for_spans(_medians, count, self.rank, self.by_rank, reach.astype(np.int64), block, out, span=ROWS)
+        return np.ascontiguousarray(np.moveaxis(out, 0, 2))
 
 
 @njit(cache=True, nogil=True)

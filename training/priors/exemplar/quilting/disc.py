@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from training.priors.exemplar.frames import Space
-from training.priors.exemplar.medians import medians_over
+from training.priors.exemplar.medians import Ranks
 from training.priors.exemplar.pictures import Picture
 from training.priors.exemplar.sampling import blurred, read_bilinear, reduced
 
@@ -23,8 +23,8 @@ __all__ = [
     "REACH",
     "BallMap",
     "Disc",
+    "Medians",
     "disc_grid",
-    "disc_median",
     "enlarged",
     "even_around",
     "even_sides",
@@ -154,15 +154,24 @@ def smooth_disc(disc: Disc, sigma: float) -> Disc:
     return Disc(blurred(disc.rgb, pixels, reach=3))
 
 
-def disc_median(values: NDArray[np.float32], radius: float) -> NDArray[np.float32]:
-    """(H / REDUCTION, W / REDUCTION, C). The medians of values (H, W, C) on a disc's pixels over a radius in radii."""
-    pixels = radius * DISC_PIXELS / (2 * REACH)
-    n = max(REDUCTION, REDUCTION * int(pixels / (REDUCTION * MEDIAN_PIXELS)))
-    reach = int(np.ceil(pixels / n))
-    y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1]
-    across = (np.hypot(x, y) <= pixels / n + 0.3).sum(1)
-    medians = medians_over(reduced(values, n), across[across > 0] // 2)
-    return medians if n == REDUCTION else _resampled(medians, DISC_PIXELS // REDUCTION, REDUCTION / n)
+class Medians:
+    """Medians of values on a disc's pixels, over one radius or several."""
+
+    def __init__(self, values: NDArray[np.float32]) -> None:
+        """`values`: (H, W, C)."""
+        self._values, self._ranks = values, dict[int, Ranks]()
+
+    def over(self, radius: float) -> NDArray[np.float32]:
+        """(H / REDUCTION, W / REDUCTION, C). The medians over a radius in radii."""
+        pixels = radius * DISC_PIXELS / (2 * REACH)
+        n = max(REDUCTION, REDUCTION * int(pixels / (REDUCTION * MEDIAN_PIXELS)))
+        reach = int(np.ceil(pixels / n))
+        y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1]
+        across = (np.hypot(x, y) <= pixels / n + 0.3).sum(1)
+        if n not in self._ranks:
+            self._ranks[n] = Ranks.of(reduced(self._values, n))
+        medians = self._ranks[n].medians(across[across > 0] // 2)
+        return medians if n == REDUCTION else _resampled(medians, DISC_PIXELS // REDUCTION, REDUCTION / n)
 
 
 def halo(hidden: NDArray[np.bool_]) -> NDArray[np.float32]:

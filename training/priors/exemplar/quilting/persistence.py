@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from engine.threads import for_spans
-from training.priors.exemplar.medians import medians_over
+from training.priors.exemplar.medians import Ranks
 from training.priors.exemplar.quilting.disc import (
     DISC_PIXELS,
     REACH,
     REDUCTION,
     Disc,
+    Medians,
     disc_grid,
-    disc_median,
     to_pixels,
 )
 from training.priors.exemplar.sampling import blurred, reduced
@@ -64,7 +64,8 @@ class Persistence:
 
     def __init__(self, disc: Disc) -> None:
         small = reduced(disc.rgb, REDUCTION)
-        gone = [np.linalg.norm(small - disc_median(disc.rgb, distance), axis=-1) for distance in DISTANCES]
+        medians = Medians(disc.rgb)
+        gone = [np.linalg.norm(small - medians.over(distance), axis=-1) for distance in DISTANCES]
         self._gone = np.stack([np.zeros_like(gone[0]), *gone]).astype(np.float32)
 
     def gone(
@@ -88,7 +89,7 @@ def find_sheets(disc: Disc, persistence: Persistence) -> NDArray[np.float32]:
     polar = smooth.read(x, y)
     half = CONTRAST_ANGLES // 2
     around = np.pad(polar, ((0, 0), (half, half), (0, 0)), mode="wrap")
-    contrast = polar - medians_over(around, np.array([half]))[:, half:-half]
+    contrast = polar - Ranks.of(around).medians(np.array([half]))[:, half:-half]
     length = int(SHEET_LENGTH * RADII)
     along = np.arange(-(length // 2), length // 2 + 1, 2)
     turns = np.round(BENDS[:, None] * along / length * ANGLES / (2 * np.pi)).astype(int)

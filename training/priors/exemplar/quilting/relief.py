@@ -10,6 +10,7 @@ cut it off.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import accumulate
 
 import numpy as np
 from numba import njit
@@ -22,8 +23,8 @@ from training.priors.exemplar.quilting.disc import (
     DISC_PIXELS,
     PIXEL,
     Disc,
+    Medians,
     disc_grid,
-    disc_median,
     enlarged,
     filled_in,
     to_pixels,
@@ -91,10 +92,11 @@ class Relief:
     def of(cls, disc: Disc, strength: Disc, rind: float) -> Relief:
         """The relief of a face with texture of this strength and a rind of this depth in radii; everything in it is
         taken for a closed thing."""
-        medians = [disc_median(disc.rgb, width) for width in WIDTHS]
+        face = Medians(disc.rgb)
+        medians = [face.over(width) for width in WIDTHS]
         ends: list[NDArray[np.floating]] = []
         for n in range(len(WIDTHS)):
-            ends.append(_end(disc.rgb, medians, n, ends))
+            ends.append(_end(disc.rgb, face, medians, n, ends))
         made = cls._made(disc, strength, medians, ends)
         # The function for small holes hides warnings of the whole process, which threads must not do.
         open_parts = made.closed_until(rind) < 0
@@ -102,8 +104,8 @@ class Relief:
         if not closed.any():
             return made
         # A median as wide as the widest things is the colour of none among several, as in a star.
-        medians[-1] = disc_median(filled_in(disc.rgb, closed), WIDTHS[-1])
-        ends[-1] = _end(disc.rgb, medians, len(WIDTHS) - 1, ends[:-1])
+        medians[-1] = Medians(filled_in(disc.rgb, closed)).over(WIDTHS[-1])
+        ends[-1] = _end(disc.rgb, face, medians, len(WIDTHS) - 1, ends[:-1])
         return cls._made(disc, strength, medians, ends)
 
     @classmethod
@@ -114,13 +116,13 @@ class Relief:
         medians: list[NDArray[np.float32]],
         ends: list[NDArray[np.floating]],
     ) -> Relief:
-        of_strength = [disc_median(strength.rgb[..., :1], width) for width in WIDTHS]
-        after = [enlarged(np.concatenate(both, -1)) for both in zip(medians, of_strength, strict=True)]
-        levels = [np.concatenate([disc.rgb, strength.rgb[..., :1]], -1), *after]
+        of_strength = Medians(strength.rgb[..., :1])
+        after = [np.concatenate([median, of_strength.over(w)], -1) for median, w in zip(medians, WIDTHS, strict=True)]
+        first = np.concatenate([disc.rgb, strength.rgb[..., :1]], -1)
         # What closes takes along what lies in it.
-        lowest = np.minimum.accumulate(np.stack(ends[::-1], -1), axis=-1)[..., ::-1]
-        at = enlarged(lowest.astype(np.float32)) / ROUND
-        return cls(np.stack(levels).astype(np.float32), at.astype(np.float32))
+        lowest = list(accumulate(ends[::-1], np.minimum))[::-1]
+        at = enlarged(np.stack(lowest, -1).astype(np.float32)) / ROUND
+        return cls(np.stack([first, *map(enlarged, after)]), at)
 
     def closed_until(self, rind: float) -> NDArray[np.floating]:
         """(P, P). Distance in radii up to which each pixel shows a closed thing; -1 where there is none. What touches a
@@ -133,7 +135,8 @@ class Relief:
         pixels = round(NARROWEST / PIXEL)
         y, x = np.ogrid[-pixels : pixels + 1, -pixels : pixels + 1]
         parts, _ = ndimage.label(ndimage.binary_opening(until > 0, x * x + y * y <= pixels * pixels))
-        return np.where((parts > 0) & ~np.isin(parts, parts[radius > 1 - rind]), until, -1)
+        held = np.bincount(parts[radius > 1 - rind], minlength=parts.max() + 1) == 0
+        return np.where((parts > 0) & held[parts], until, -1)
 
     def contrast(self) -> NDArray[np.floating]:
         """(P, P). How far each pixel stands out from what is left where all has ended, over the least that counts; 0
@@ -146,7 +149,7 @@ class Relief:
         """The relief, that of this face, whose pixels in a region (P, P) close next to the plane, all at once, to what
         is around all that is hidden (P, P)."""
         last = np.concatenate([disc.rgb, strength.rgb[..., :1]], -1)
-        last = enlarged(disc_median(filled_in(last, hidden), WIDTHS[-1]))
+        last = enlarged(Medians(filled_in(last, hidden)).over(WIDTHS[-1]))
         at = np.where(region[..., None], np.minimum(self.heights, CLOSE), self.heights)
         return replace(self, levels=np.concatenate([self.levels[:-1], last[None]]).astype(np.float32), heights=at)
 
@@ -168,23 +171,28 @@ class Relief:
 
 
 def _end(
-    rgb: NDArray[np.float32], medians: list[NDArray[np.float32]], n: int, ends: list[NDArray[np.floating]]
+    rgb: NDArray[np.float32],
+    face: Medians,
+    medians: list[NDArray[np.float32]],
+    n: int,
+    ends: list[NDArray[np.floating]],
 ) -> NDArray[np.floating]:
-    """(H, W). Radius at which the colours before the n-th median of a face give way to it; `ends` are those before."""
+    """(H, W). Radius at which the colours before the n-th median of a face, that of `rgb` (P, P, 3), give way to it;
+    `ends` are those before."""
     after, width, start = medians[n], WIDTHS[n], WIDTHS[n - 1] if n else 0.0
     fine = reduced(rgb, DISC_PIXELS // after.shape[0])
     before = medians[n - 1] if n else fine
     radii = np.linspace(start, width, STEPS + 1)
     given = [np.zeros(before.shape[:2])]
     for radius in radii[1:-1]:
-        here = disc_median(rgb, radius)
+        here = face.over(radius)
         left, right = (np.linalg.norm(here - there, axis=-1) for there in (before, after))
         given.append(left / (left + right + 1e-3))
     given.append(np.ones(before.shape[:2]))
     height = _half_way(np.maximum.accumulate(np.stack(given), axis=0), radii)
     contrast = np.linalg.norm(before - after, axis=-1)
     unlike = enlarged(np.linalg.norm(fine - after, axis=-1)[..., None])
-    calm = 1 - CALM * disc_median(unlike, AROUND * width)[..., 0] / (contrast + 0.01)
+    calm = 1 - CALM * Medians(unlike).over(AROUND * width)[..., 0] / (contrast + 0.01)
     height = np.where(calm > 0, np.minimum(height / np.maximum(calm, 0.01), NEVER), NEVER)
     weight = contrast**2 / (contrast**2 + NO_CONTRAST**2)
     return weight * height + (1 - weight) * (ends[-1] if ends else 0)

@@ -143,7 +143,7 @@ def _depths(disc: Disc, is_horizontal: bool) -> NDArray[np.float64]:
     contrast = np.linalg.norm(rays - flesh, axis=-1)
     strongest = contrast[: max(int(usual / STEP), 1)].argmax(0)
     under = (contrast < half) & (np.arange(len(depth))[:, None] >= strongest)
-    ends = np.where(under.any(0), depth[under.argmax(0)], depth[-1])
+    ends = np.where(under.any(0), np.maximum(depth[under.argmax(0)], STEP), depth[-1])  # no rind is a thin one
     return ndimage.gaussian_filter1d(ndimage.median_filter(ends, NARROWEST, mode="wrap"), SMOOTH, mode="wrap")
 
 

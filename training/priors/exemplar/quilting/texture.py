@@ -21,8 +21,8 @@ from training.priors.exemplar.quilting.disc import (
     DISC_PIXELS,
     REACH,
     Disc,
+    Medians,
     disc_grid,
-    disc_median,
     enlarged,
     smooth_disc,
 )
@@ -64,9 +64,9 @@ class Parts:
 
 def take_apart(disc: Disc) -> Parts:
     """The things and the texture of a face."""
-    residual = disc.rgb - enlarged(disc_median(disc.rgb, WIDTH))
+    residual = disc.rgb - enlarged(Medians(disc.rgb).over(WIDTH))
     contrast = np.linalg.norm(residual, axis=-1)[..., None]
-    typical = enlarged(disc_median(contrast, AROUND))
+    typical = enlarged(Medians(contrast).over(AROUND))
     # An edge is one all along its width and a little beyond.
     scale = DISC_PIXELS / (2 * REACH)
     wide = ndimage.maximum_filter(contrast[..., 0], int(0.6 * WIDTH * scale) | 1)

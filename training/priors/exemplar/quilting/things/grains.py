@@ -109,9 +109,9 @@ class Grains:
         darker = laplacian[level, i, j] > 0
         weight = strength[level, i, j] * radii**2 * sized
         major = 1 if weight[darker].sum() > weight[~darker].sum() else -1
-        inside = [np.hypot(axis[:, None] - x, axis - y) < r for (x, y), r in zip(places, radii, strict=True)]
-        pure = np.array([(grey[at] * -major > 0).mean() for at in inside])
-        colours = np.array([rgb[at].mean(0) for at in inside])
+        inside = [_within(axis, place, radius) for place, radius in zip(places, radii, strict=True)]
+        pure = np.array([(grey[box][at] * -major > 0).mean() for box, at in inside])
+        colours = np.array([rgb[box][at].mean(0) for box, at in inside])
         ours = sized & (darker == (major > 0)) & (pure > PURE)
         if not ours.any():
             return none
@@ -152,11 +152,19 @@ def _covered(
 ) -> NDArray[np.float32]:
     """(H, W). 1 on the discs and close around them."""
     covered = np.zeros((len(axis), len(axis)), np.float32)
-    for (x, y), radius in zip(places, radii, strict=True):
-        reach = TOUCHING * radius
-        rows, columns = (slice(*np.searchsorted(axis, (at - reach, at + reach))) for at in (x, y))
-        covered[rows, columns][np.hypot(axis[rows, None] - x, axis[columns] - y) < reach] = 1
+    for place, radius in zip(places, radii, strict=True):
+        box, at = _within(axis, place, TOUCHING * radius)
+        covered[box][at] = 1
     return covered
+
+
+def _within(
+    axis: NDArray[np.floating], place: NDArray[np.floating], radius: float
+) -> tuple[tuple[slice, slice], NDArray[np.bool_]]:
+    """The pixels of a disc around a place (2,), in the box that holds them."""
+    x, y = place
+    rows, columns = (slice(*np.searchsorted(axis, (at - radius, at + radius))) for at in (x, y))
+    return (rows, columns), np.hypot(axis[rows, None] - x, axis[columns] - y) < radius
 
 
 def _typical(radii: NDArray[np.floating]) -> float:
