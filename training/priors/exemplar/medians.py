@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,9 +44,9 @@ class Ranks:
         """
         channels, height, _ = self.rank.shape
         out = np.empty(self.rank.shape, np.float32)
-        block = math.isqrt(self.by_rank.shape[1]) + 1
+        bits = -(-self.by_rank.shape[1].bit_length() // 3)
         count = channels * height
-        for_spans(_medians, count, self.rank, self.by_rank, reach.astype(np.int64), block, out, span=ROWS)
+        for_spans(_medians, count, self.rank, self.by_rank, reach.astype(np.int64), bits, out, span=ROWS)
         return np.ascontiguousarray(np.moveaxis(out, 0, 2))
 
 
@@ -58,28 +57,36 @@ def _medians(
     rank: NDArray[np.int32],  # [C, H, W]
     by_rank: NDArray[np.float32],  # [C, L]
     reach: NDArray[np.int64],  # [2 R + 1]
-    block: int,  # ranks that are counted together, too
+    bits: int,  # of a rank that a level of the count tells apart; three levels tell all
     out: NDArray[np.float32],  # [C, H, W]
 ) -> None:
     height, width = rank.shape[1], rank.shape[2]
     half = (2 * reach + 1).sum() // 2
-    fine, coarse = np.zeros(block * block, np.int32), np.zeros(block, np.int32)
+    fine = np.zeros(1 << 3 * bits, np.int32)
+    some = np.zeros(1 << 2 * bits, np.int32)
+    coarse = np.zeros(1 << bits, np.int32)
     for row in range(start, stop):
         c, i = row // height, row % height
         fine[:] = 0
+        some[:] = 0
         coarse[:] = 0
         for k in range(len(reach)):
             line = rank[c, min(max(i + k - len(reach) // 2, 0), height - 1)]
             for j in range(-reach[k], reach[k] + 1):
                 r = line[min(max(j, 0), width - 1)]
                 fine[r] += 1
-                coarse[r // block] += 1
+                some[r >> bits] += 1
+                coarse[r >> 2 * bits] += 1
         for j in range(width):
-            b, below = 0, 0
-            while below + coarse[b] <= half:
-                below += coarse[b]
-                b += 1
-            r = b * block
+            r, below = 0, 0
+            while below + coarse[r] <= half:
+                below += coarse[r]
+                r += 1
+            r <<= bits
+            while below + some[r] <= half:
+                below += some[r]
+                r += 1
+            r <<= bits
             while below + fine[r] <= half:
                 below += fine[r]
                 r += 1
@@ -88,6 +95,8 @@ def _medians(
                 line = rank[c, min(max(i + k - len(reach) // 2, 0), height - 1)]
                 gone, come = line[max(j - reach[k], 0)], line[min(j + reach[k] + 1, width - 1)]
                 fine[gone] -= 1
-                coarse[gone // block] -= 1
+                some[gone >> bits] -= 1
+                coarse[gone >> 2 * bits] -= 1
                 fine[come] += 1
-                coarse[come // block] += 1
+                some[come >> bits] += 1
+                coarse[come >> 2 * bits] += 1
