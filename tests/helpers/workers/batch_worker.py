@@ -19,6 +19,7 @@ DETAILS = {"draft": SHORT, "standard": replace(SHORT, iterations=30)}
 SMALL = {
     "training.request.DETAILS": DETAILS,
     "training.results.DETAILS": DETAILS,
+    "engine.isolate.bodies.CELLS": 48,
     "engine.solid.solidify.BODY_CELLS": 32,
     "training.priors.exemplar.pictures.MAX_SIDE": 192,
     "training.results.HELD_OUT_VIEWS": 1,
