@@ -8,15 +8,16 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from io import BytesIO
 from pathlib import Path
 from threading import Lock
 from typing import Any, BinaryIO
 
 import numpy as np
+import pi_heif
 from numpy.typing import NDArray
-from PIL import Image
+from PIL import Image, ImageCms
 
 from engine.errors import InputError
 from engine.io.files import atomic, open_file
@@ -27,18 +28,22 @@ __all__ = [
     "PICTURE_SUFFIXES",
     "check_size",
     "decoding",
+    "in_srgb",
     "open_picture",
     "read_pixels",
     "restricted_decoders",
     "save_png",
 ]
 
-KINDS = ("PNG", "JPEG", "WEBP", "BMP", "GIF", "TIFF", "AVIF")
-"""Formats by Pillow's names: those of cameras, browsers and painting programs, none of which can hold a program."""
+pi_heif.register_heif_opener()
+
+KINDS = ("PNG", "JPEG", "WEBP", "BMP", "GIF", "TIFF", "AVIF", "HEIF")
+"""Formats by Pillow's names: those of cameras, phones, browsers and painting programs, none of which can hold a
+program."""
 
 PICTURES = f"{', '.join(KINDS[:-1])} or {KINDS[-1]}"
 
-PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".bmp")
+PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".heic", ".avif")
 """Ends of names, in lower case, by which pictures of cut faces are picked out of a folder or of dropped files."""
 
 MAX_PIXELS = 89_478_485
@@ -125,6 +130,23 @@ def read_pixels(path: str | Path) -> NDArray[np.uint8]:
         return np.asarray(image.convert("RGB"))
 
 
+def in_srgb(image: Image.Image) -> Image.Image:
+    """A picture of 8 bits in the colours of screens, as RGB or RGBA, by the profile that came with it: those of phones
+    and of cameras look dull without it. A profile that cannot be used is left out."""
+    mode = "RGBA" if image.has_transparency_data else "RGB"
+    profile = image.info.get("icc_profile")
+    if profile:
+        with suppress(ImageCms.PyCMSError, OSError, ValueError):  # damaged, or of other colours than the picture
+            own = ImageCms.ImageCmsProfile(BytesIO(profile))
+            if image.mode not in ("RGB", "RGBA", "CMYK", "L"):
+                image = image.convert(mode)
+            to = "RGBA" if image.mode == "RGBA" else "RGB"
+            turned = ImageCms.profileToProfile(image, own, ImageCms.createProfile("sRGB"), outputMode=to)
+            if turned is not None:
+                return turned.convert(mode)
+    return image.convert(mode)
+
+
 def save_png(path: Path, pixels: NDArray[Any], *, optimize: bool = False) -> None:
     """Writes a picture (H, W, 3 or 4), bytes or numbers of range [0, 1]; smaller, but ten times as slow, if optimised.
 
@@ -179,7 +201,7 @@ def _describe(file: BinaryIO) -> str:
     file.seek(0)
     start = file.read(64).lstrip(b"\xef\xbb\xbf \t\r\n")
     if start[4:8] == b"ftyp" and start[8:12] in HEIF:
-        return "a HEIC picture"
+        return "a damaged HEIC picture"
     if not start:
         return "an empty file"
     return next((kind for magic, kind in OTHERS.items() if start.startswith(magic)), "no picture that can be read")

@@ -24,15 +24,21 @@ from PIL import EpsImagePlugin, Image, UnidentifiedImageError
 
 from engine.errors import InputError
 from engine.io.meshes.mesh import read_mesh
-from engine.io.picture_file import KINDS, decoding, open_picture, read_pixels, restricted_decoders
+from engine.io.picture_file import KINDS, decoding, in_srgb, open_picture, read_pixels, restricted_decoders
 from tests.helpers.refusal import refusal
-from tests.paths import ROOT
+from tests.paths import HELPERS, ROOT, SHARED
 from training.priors.exemplar.pictures import read_picture
 
 POSTSCRIPT = b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 64 64\n%%EndComments\n{ } loop\n%%EOF\n"
 
 
+PHONE = HELPERS / "phone.heic"
+"""Four quarters of one colour, taken with the camera turned by a quarter."""
+
+
 def encoded(kind: str, size: tuple[int, int] = (40, 30)) -> bytes:
+    if kind == "HEIF":  # which is read, but not written
+        return PHONE.read_bytes()
     target = io.BytesIO()
     y, x = np.mgrid[: size[1], : size[0]]
     rgb = np.stack([x * 5 % 256, y * 7 % 256, (x + y) % 256], axis=-1).astype(np.uint8)
@@ -62,9 +68,45 @@ def test_pictures_are_opened_in_one_place() -> None:
 def test_the_usual_kinds_are_read_whatever_the_name(tmp_path: Path, kind: str) -> None:
     path = tmp_path / "picture.xyz"
     path.write_bytes(encoded(kind))
-    assert read_pixels(path).shape == (30, 40, 3)
+    assert read_pixels(path).shape == ((30, 40, 3) if kind != "HEIF" else (64, 48, 3))
     with open_picture(path.read_bytes(), "here") as image:
         assert image.format == kind
+
+
+def test_a_phone_s_picture_is_upright(tmp_path: Path) -> None:
+    rgb = read_pixels(PHONE).astype(int)
+    corners = rgb[8, 8], rgb[8, -8], rgb[-8, 8], rgb[-8, -8]
+    for colour, wanted in zip(corners, [(40, 180, 60), (220, 40, 40), (230, 220, 60), (40, 60, 200)], strict=True):
+        np.testing.assert_allclose(colour, wanted, atol=8)
+    half = tmp_path / "half.heic"
+    half.write_bytes(PHONE.read_bytes()[:300])
+    assert refusal(lambda: read_pixels(half)).startswith(f"{half}: this ")
+
+
+def test_colours_are_those_of_the_profile() -> None:
+    """A photograph in Adobe RGB (1998): its curve and primaries as that standard has them, and those of sRGB."""
+    path = SHARED / "photos/fruit/watermelon_v1.png"
+    if not path.exists():
+        pytest.skip("the photographs are not beside the repository")
+    with open_picture(path) as image:
+        pixels, shown = np.asarray(image.convert("RGB")), np.asarray(in_srgb(image))
+    adobe = np.array([[0.57667, 0.18556, 0.18823], [0.29734, 0.62736, 0.07529], [0.02703, 0.07069, 0.99134]])
+    srgb = np.array([[0.41239, 0.35758, 0.18048], [0.21264, 0.71517, 0.07219], [0.01933, 0.11919, 0.95053]])
+    linear = np.clip((pixels / 255) ** 2.19921875 @ (np.linalg.inv(srgb) @ adobe).T, 0, 1)
+    wanted = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+    assert np.abs(shown / 255 - wanted).max() < 2.5 / 255
+    assert np.abs(shown / 255 - pixels / 255).mean() > 4 / 255
+
+
+@pytest.mark.parametrize(
+    ("mode", "kept"), [("RGB", "RGB"), ("RGBA", "RGBA"), ("L", "RGB"), ("LA", "RGBA"), ("P", "RGB")]
+)
+def test_a_profile_that_cannot_be_used_is_left_out(mode: str, kept: str) -> None:
+    image = Image.fromarray(np.arange(48, dtype=np.uint8).reshape(4, 4, 3)).convert(mode)
+    image.info["icc_profile"] = b"no profile"
+    shown = in_srgb(image)
+    assert shown.mode == kept
+    np.testing.assert_array_equal(np.asarray(shown), np.asarray(image.convert(kept)))
 
 
 @pytest.mark.parametrize(
@@ -73,7 +115,7 @@ def test_the_usual_kinds_are_read_whatever_the_name(tmp_path: Path, kind: str) -
         (POSTSCRIPT, "a PostScript file"),
         (b"\xc5\xd0\xd3\xc6" + b"\0" * 40 + POSTSCRIPT, "a PostScript file"),
         (b"%PDF-1.7\n", "a PDF document"),
-        (b"\0\0\0\x18ftypheic\0\0\0\0mif1heic", "a HEIC picture"),
+        (b"\0\0\0\x18ftypheic\0\0\0\0mif1heic", "a damaged HEIC picture"),
         (b'\n<svg xmlns="x"/>', "an SVG drawing"),
         (b"8BPS\0\1", "a Photoshop document"),
         (b"", "an empty file"),
@@ -86,7 +128,7 @@ def test_the_usual_kinds_are_read_whatever_the_name(tmp_path: Path, kind: str) -
 def test_what_is_no_such_picture_is_called_by_its_name(tmp_path: Path, data: bytes, what: str) -> None:
     path = tmp_path / "a.png"
     path.write_bytes(data)
-    line = f"{path}: this is {what}; give a PNG, JPEG, WEBP, BMP, GIF, TIFF or AVIF picture"
+    line = f"{path}: this is {what}; give a PNG, JPEG, WEBP, BMP, GIF, TIFF, AVIF or HEIF picture"
     assert refusal(lambda: read_pixels(path)) == line
     assert refusal(lambda: read_picture(path, "horizontal")) == line
 

@@ -12,7 +12,7 @@ from PIL import Image, ImageOps
 from scipy import ndimage
 
 from engine.errors import InputError
-from engine.io.picture_file import open_picture
+from engine.io.picture_file import in_srgb, open_picture
 from engine.scene.image import to_8bit
 from training.faces.axis import find_core
 from training.faces.carrier import SeenFace, find_seen_face
@@ -229,7 +229,7 @@ def read_photograph(path: Path) -> tuple[NDArray[np.float32], NDArray[np.bool_] 
             values = np.nan_to_num(np.asarray(image, np.float64), posinf=0, neginf=0)
             top = 65535.0 if values.max(initial=0) > 255 else max(1.0, float(values.max(initial=0)))
             image = Image.fromarray(to_8bit(values / top))
-        if "A" in image.mode or "transparency" in image.info:
+        if image.has_transparency_data and image.mode != "RGBA":
             image = image.convert("RGBA")
         if min(image.size) < MIN_SIDE:
             raise InputError(f"{path}: only {image.width}x{image.height} pixels; give a larger picture")
@@ -243,7 +243,7 @@ def read_photograph(path: Path) -> tuple[NDArray[np.float32], NDArray[np.bool_] 
         if min(image.size) < MIN_SIDE:
             raise InputError(f"{path}: too narrow, {image.width}x{image.height} pixels when scaled down; crop it")
         mask = None if cut_out is None else np.asarray(cut_out) > 127
-        return np.asarray(image.convert("RGB"), np.float32) / np.float32(255), mask
+        return np.asarray(in_srgb(image).convert("RGB"), np.float32) / np.float32(255), mask
 
 
 def _read_mask(path: Path, size: tuple[int, int]) -> Image.Image | None:
