@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import os
 import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import moderngl
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -25,6 +27,8 @@ from app.model.pieces import Solid
 from app.model.project import Project, Viewing, Work, load_project, save_project
 from app.model.settings import Settings
 from app.session.session import Session
+from app.ui.panels.thumbnails import Thumbnails
+from engine.render.gl import Renderer
 from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
 from tests.helpers.exemplar_faces import RIND, disc, save
 from tests.helpers.solids import unturned
@@ -305,3 +309,28 @@ def test_of_many_wishes_the_preview_makes_the_last(melon: Path) -> None:
     assert placed is not None and placed.marks.core == places[-1]
     assert preview.update(replace(last, rgb=found.rgb.copy())) is None  # another picture
     preview.close()
+
+
+def test_thumbnails_never_wait_and_stay_until_there_are_new_ones(renderer: Renderer, tmp_path: Path) -> None:
+    thumbnails = Thumbnails(renderer.ctx)
+    path, broken, gone = save(tmp_path / "face.png", disc(300)[0]), tmp_path / "broken.png", tmp_path / "gone.png"
+    broken.write_bytes(b"no picture")
+
+    def settled(file: Path) -> moderngl.Texture | None:
+        until = time.monotonic() + 20
+        while (texture := thumbnails.get(file)) is None and not thumbnails.is_none(file):
+            assert time.monotonic() < until
+            time.sleep(0.01)
+        return texture
+
+    assert settled(broken) is None and settled(gone) is None
+    first = settled(path)
+    assert first is not None and first.size == (192, 192)
+    save(path, np.zeros((150, 300, 3), np.float32))
+    os.utime(path, ns=(1, 1))
+    until = time.monotonic() + 20
+    while (second := thumbnails.get(path)) is first:
+        assert time.monotonic() < until
+        time.sleep(0.01)
+    assert second is not None and second.size == (192, 96) and not any(second.read()[:3])
+    thumbnails.release()

@@ -139,10 +139,11 @@ class InteriorPanel:
             )
         else:
             draw.add_rect_filled(low, high, u32(p.field), px(4))
-            symbol = icon.ICON_FA_IMAGE if path is None else icon.ICON_FA_TRIANGLE_EXCLAMATION
+            broken = path is not None and self.thumbnails.is_none(path)
+            symbol = icon.ICON_FA_TRIANGLE_EXCLAMATION if broken else icon.ICON_FA_IMAGE
             size = imgui.calc_text_size(symbol)
             at = ImVec2(low.x + (side - size.x) / 2, low.y + (side - size.y) / 2)
-            draw.add_text(at, u32(p.second if path is None else p.trouble), symbol)
+            draw.add_text(at, u32(p.trouble if broken else p.second), symbol)
         imgui.dummy(ImVec2(side, side))
 
     def _edit(self, family: Family) -> None:

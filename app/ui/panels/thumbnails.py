@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
 from pathlib import Path
 
 import moderngl
 from PIL import Image, ImageOps
 
 from engine.errors import InputError
-from engine.io.picture_file import open_picture
+from engine.io.picture_file import in_srgb, open_picture
 
 __all__ = ["Thumbnails"]
 
@@ -20,43 +22,72 @@ CAPACITY = 64
 
 
 class Thumbnails:
-    """A cache of thumbnails that drops the least recently used one."""
+    """A cache of thumbnails that drops the least recently used one. Pictures are decoded in a thread: a phone's takes
+    half a second."""
 
     def __init__(self, ctx: moderngl.Context, side: int = SIDE) -> None:
         self.ctx, self.side = ctx, side
-        self._cache: dict[Path, tuple[int, moderngl.Texture | None]] = {}
+        self._worker = ThreadPoolExecutor(1, "thumbnails")
+        self._cache: dict[Path, _Entry] = {}
 
     def get(self, path: Path) -> moderngl.Texture | None:
-        """The thumbnail of a file, loaded again if the file has changed; None if it is not a picture."""
+        """The thumbnail of a file, None until there is one. Of a file that has changed it is the one from before until
+        the new one is there. Never waits."""
+        entry = self._entry(path)
+        if entry.read is not None and entry.read.done():
+            small, entry.read = entry.read.result(), None
+            entry.release()
+            entry.texture = None if small is None else self.ctx.texture(small.size, 4, small.tobytes())
+        return entry.texture
+
+    def is_none(self, path: Path) -> bool:
+        """Whether a file is known to be no picture."""
+        return self.get(path) is None and self._entry(path).read is None
+
+    def _entry(self, path: Path) -> _Entry:
         try:
             changed = path.stat().st_mtime_ns
         except OSError:
             changed = -1
-        entry = self._cache.pop(path, None)
-        if entry is None or entry[0] != changed:
-            if entry is not None and entry[1] is not None:
-                entry[1].release()
-            entry = (changed, self._load(path) if changed >= 0 else None)
+        entry = self._cache.pop(path, None) or _Entry()
+        if entry.changed != changed:
+            entry.changed, entry.read = changed, self._worker.submit(_decoded, path, self.side)
         self._cache[path] = entry
         while len(self._cache) > CAPACITY:
-            _, dropped = self._cache.pop(next(iter(self._cache)))
-            if dropped is not None:
-                dropped.release()
-        return entry[1]
-
-    def _load(self, path: Path) -> moderngl.Texture | None:
-        try:
-            with open_picture(path) as image:
-                image.draft("RGB", (self.side, self.side))
-                small = ImageOps.exif_transpose(image).convert("RGBA")
-                small.thumbnail((self.side, self.side), Image.Resampling.LANCZOS)
-        except InputError:
-            return None
-        return self.ctx.texture(small.size, 4, small.tobytes())
+            self._cache.pop(next(iter(self._cache))).release()
+        return entry
 
     def release(self) -> None:
-        """Frees all textures."""
-        for _, texture in self._cache.values():
-            if texture is not None:
-                texture.release()
+        """Frees all textures, and decodes nothing more."""
+        self._worker.shutdown(wait=False, cancel_futures=True)
+        for entry in self._cache.values():
+            entry.release()
         self._cache.clear()
+
+
+@dataclass
+class _Entry:
+    """One file of the cache."""
+
+    changed: int | None = None
+    """When the file was, in nanoseconds; -1 without one."""
+    read: Future[Image.Image | None] | None = None
+    """The picture that is being decoded."""
+    texture: moderngl.Texture | None = None
+
+    def release(self) -> None:
+        """Frees the texture."""
+        if self.texture is not None:
+            self.texture.release()
+
+
+def _decoded(path: Path, side: int) -> Image.Image | None:
+    """The picture in a file, at most `side` pixels long; None if it is none."""
+    try:
+        with open_picture(path) as image:
+            image.draft("RGB", (side, side))
+            small = ImageOps.exif_transpose(image).convert("RGBA")
+            small.thumbnail((side, side), Image.Resampling.LANCZOS)
+            return in_srgb(small)
+    except InputError:
+        return None
