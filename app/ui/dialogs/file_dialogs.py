@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,10 +21,16 @@ from engine.io.picture_file import PICTURE_SUFFIXES
 
 __all__ = ["FileDialogs"]
 
-SCENES = [_("Scenes"), " ".join(f"*{suffix}" for suffix in (*SCENE_SUFFIXES, SUFFIX)), _("All files"), "*"]
-IMAGES = [_("Pictures"), " ".join(f"*{suffix}" for suffix in PICTURE_SUFFIXES), _("All files"), "*"]
-
 Then = Callable[[tuple[Path, ...]], None]
+
+
+def _patterns(suffixes: Iterable[str]) -> str:
+    """The names of files that a dialog shows: of cameras' in capital letters as well, which Linux tells apart."""
+    return " ".join(f"*{written}" for suffix in suffixes for written in (suffix, suffix.upper()))
+
+
+SCENES = [_("Scenes"), _patterns((*SCENE_SUFFIXES, SUFFIX)), _("All files"), "*"]
+IMAGES = [_("Pictures"), _patterns(PICTURE_SUFFIXES), _("All files"), "*"]
 
 
 @dataclass
