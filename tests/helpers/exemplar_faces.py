@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from engine.io.picture_file import save_png
+from engine.io.picture_file import read_pixels, save_png
 from engine.scene.grid import Body, Grid
 from tests.paths import SHARED
+from training.faces.marks import Marks
+from training.faces.polygon import mask_polygon
 from training.priors.exemplar.pictures import read_picture
 from training.priors.exemplar.quilting.disc import Disc
 
@@ -49,8 +51,10 @@ def save(path: Path, picture: NDArray[np.floating]) -> Path:
 
 @cache
 def photograph(name: str) -> Disc:
-    """One of the photographs of fruit, whose name tells the kind of cut; skips where they are not."""
-    path = SHARED / "photos/fruit" / f"{name}.png"
-    if not path.exists():
+    """One of the photographs of fruit, whose name tells the kind of cut, with its mask by hand, as finding the face
+    takes a second; skips where they are not."""
+    folder = SHARED / "photos/fruit"
+    if not folder.exists():
         pytest.skip("the photographs are not beside the repository")
-    return Disc.of(read_picture(path, "horizontal" if "_h" in name else "radial"))
+    face = Marks(outline=mask_polygon(read_pixels(folder / f"masks/{name}.png")[..., 0] > 127))
+    return Disc.of(read_picture(folder / f"{name}.png", "horizontal" if "_h" in name else "radial", face))
