@@ -58,8 +58,9 @@ SURE = 0.5
 radius is no guess."""
 
 ENOUGH = 256
-"""Pixels along the shorter side of a picture that GrabCut's first run gets: it learns the colours, the second finds the
-outline. 29 photographs of 512 pixels overlap with masks by hand by .9936 on average with these, by .9938 with all."""
+"""Pixels along the shorter side of a picture that GrabCut's first run gets at least, and less than twice as many: it
+learns the colours, the second finds the outline. 29 photographs of 512 pixels overlap with masks by hand by .9937 on
+average with these, by .9938 with all."""
 
 ROUNDS = 3
 """Alternations of GrabCut in each of two runs; its energy hardly falls after the third (Rother et al. 2004, fig. 5)."""

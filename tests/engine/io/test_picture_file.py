@@ -83,6 +83,22 @@ def test_a_phone_s_picture_is_upright(tmp_path: Path) -> None:
     assert refusal(lambda: read_pixels(half)).startswith(f"{half}: this ")
 
 
+def test_a_damaged_phone_s_picture_is_read_or_refused() -> None:
+    """Its decoder is native code, so what would go wrong ends the process; sizes that are claimed are bounded."""
+    whole, rng = np.frombuffer(PHONE.read_bytes(), np.uint8), np.random.default_rng(0)
+    for _ in range(300):
+        data = whole[: rng.integers(12, len(whole) + 1)].copy() if rng.uniform() < 0.3 else whole.copy()
+        data[rng.integers(12, max(len(data), 13), rng.integers(1, 6)) % len(data)] = rng.choice([0, 1, 127, 128, 255])
+        with suppress(InputError), open_picture(data.tobytes(), "phone") as image:
+            assert np.asarray(image.convert("RGB")).shape[2] == 3
+    size = whole.tobytes().index(b"ispe") + 8  # of the picture, in big endian
+    for claimed in (0, 2**20, 2**31 - 1, 2**32 - 1):
+        data = whole.copy()
+        data[size : size + 8] = np.frombuffer(struct.pack(">II", claimed, claimed), np.uint8)
+        with suppress(InputError), open_picture(data.tobytes(), "phone") as image:
+            assert image.convert("RGB").width <= 64
+
+
 def test_colours_are_those_of_the_profile() -> None:
     """A photograph in Adobe RGB (1998): its curve and primaries as that standard has them, and those of sRGB."""
     path = SHARED / "photos/fruit/watermelon_v1.png"
