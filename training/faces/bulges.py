@@ -8,12 +8,11 @@ outline follows, and it fades, where the face under it ends in an edge.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy import ndimage
 
 from training.faces.completion import NEAR_BORDER
-from training.faces.edges import EDGE_GAIN, MIXED, edge_cost, edge_strength, rims_apart
+from training.faces.edges import EDGE_GAIN, MIXED, cheapest_path, edge_cost, edge_strength, rims_apart
 
 __all__ = ["without_bulges"]
 
@@ -75,7 +74,7 @@ def _within_outline(cost: NDArray[np.float64], mask: NDArray[np.bool_]) -> NDArr
     costs = ndimage.map_coordinates(cost, middle[:, None, None] + rays[:, None] * radii, order=1, mode="nearest")
     # Twice around, of which the middle is taken: it is not known where to begin.
     count = len(turns)
-    path = np.roll(_cheapest_path(np.tile(costs, 2))[count // 2 : count // 2 + count], count // 2)
+    path = np.roll(cheapest_path(np.tile(costs, 2))[count // 2 : count // 2 + count], count // 2)
     radius = oval + steps[path]
     if (reach - radius > MIXED).mean() > ONE_SIDE:
         return np.ones_like(mask)
@@ -105,25 +104,3 @@ def _oval(turns: NDArray[np.float64], reach: NDArray[np.float64]) -> NDArray[np.
         outlying = apart / (OUTLYING * spread)
         weights = np.clip(1 - np.square(np.where(apart > 0, outlying, outlying / 2)), 1e-3, 1)  # Tukey's
     return np.exp(found)
-
-
-@njit(cache=True, nogil=True)
-def _cheapest_path(costs: NDArray[np.float64]) -> NDArray[np.int64]:
-    """(N,). The row of each column of costs (R, N) on the cheapest way across, a row up or down at most each column."""
-    rows, columns = costs.shape
-    total = costs[:, 0].copy()
-    before = np.empty((columns, rows), np.int64)
-    for column in range(1, columns):
-        so_far = total.copy()
-        for row in range(rows):
-            best = row
-            for other in (row - 1, row + 1):
-                if 0 <= other < rows and so_far[other] < so_far[best]:
-                    best = other
-            before[column, row] = best
-            total[row] = so_far[best] + costs[row, column]
-    path = np.empty(columns, np.int64)
-    path[-1] = total.argmin()
-    for column in range(columns - 1, 0, -1):
-        path[column - 1] = before[column, path[column]]
-    return path

@@ -1,5 +1,5 @@
-"""A round face that the picture's border cuts off, completed: its outline by an ellipse, its inside by its own other
-side."""
+"""A round face that the picture's border cuts off, completed: its outline by an ellipse, its inside by
+itself, turned around its middle."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
+
+from training.faces.edges import cheapest_path
 
 __all__ = ["MIN_SEEN", "NEAR_BORDER", "Oval", "complete_face", "find_oval"]
 
@@ -28,6 +30,16 @@ NEAR_BORDER = 4
 """Pixels from the border from which on an outline is the picture's, not the face's: the search leaves the outermost two
 pixels to the background, and rounds corners."""
 
+STRIP = 0.1
+"""Of a face's radius, how far before the border it may begin to be continued: as wide as what is compared."""
+
+COMPARED = 64
+"""Pixels of a face's radius at which it is compared with itself."""
+
+LIGHT = 0.25
+"""Of a face's radius, the standard deviation over which the difference along the border is taken for light: an eighth
+to a half did equally well with 44 photographs cut off on purpose."""
+
 EATEN = 0.06
 """Of a face's width, how deep beside the border the search may take the face for background, whose colours it learns
 from the border."""
@@ -42,10 +54,13 @@ class Oval:
     axes: NDArray[np.float64]
     """(2, 2). Half axes as rows, pixels."""
 
-    def contains(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Which places in pixels lie in it; any shape."""
-        away = np.stack([x, y], -1) - self.centre
-        return np.square(away @ (self.axes / np.square(self.axes).sum(1, keepdims=True)).T).sum(-1) <= 1
+    def contains(self, places: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """(...). Which places (..., 2) in pixels lie in it."""
+        return np.square(self.to_disc(places)).sum(-1) <= 1
+
+    def to_disc(self, places: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Places (..., 2) in pixels on the unit disc that the face is of, seen straight on; (..., 2)."""
+        return (places - self.centre) @ (self.axes / np.square(self.axes).sum(1, keepdims=True)).T
 
 
 def find_oval(mask: NDArray[np.bool_]) -> Oval | None:
@@ -85,32 +100,93 @@ def find_oval(mask: NDArray[np.bool_]) -> Oval | None:
 def complete_face(
     rgb: NDArray[np.float32], mask: NDArray[np.bool_]
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_], tuple[int, int]]:
-    """The picture (H, W, 3) and its face (H, W) with room for what the border cuts off of the face, which shows the
-    mirror image of its other side; and the columns and rows that were added before the first. Unchanged, with (0, 0),
-    where `find_oval` finds nothing."""
-    oval = find_oval(mask)
-    if oval is None:
+    """The picture (H, W, 3) and its face (H, W) with room for what the border cuts off of the face, which shows
+    the face itself, turned around its middle (`_continue`); and the columns and rows that were added before the first.
+    Unchanged, with (0, 0), where `find_oval` finds nothing."""
+    found = find_oval(mask)
+    if found is None:
         return rgb, mask, (0, 0)
-    reach = np.hypot(*oval.axes)  # half the width and height of its box
+    reach = np.hypot(*found.axes)  # half the width and height of its box
     size = np.array(mask.shape[::-1])
-    before = np.maximum(np.ceil(reach - oval.centre), 0).astype(int) + NEAR_BORDER
-    after = np.maximum(np.ceil(oval.centre + reach - size), 0).astype(int) + NEAR_BORDER
+    before = np.maximum(np.ceil(reach - found.centre), 0).astype(int) + NEAR_BORDER
+    after = np.maximum(np.ceil(found.centre + reach - size), 0).astype(int) + NEAR_BORDER
     padding = ((before[1], after[1]), (before[0], after[0]))
-    x, y = (a.astype(np.float64) + 0.5 for a in np.indices((size + before + after)[::-1])[::-1])
-    x, y = x - before[0], y - before[1]
-    outside = [(a < 0) | (a > n) for a, n in zip((x, y), size, strict=True)]
-    deep = EATEN * 2 * reach.max()
-    beside = (np.minimum(x, size[0] - x) < deep) | (np.minimum(y, size[1] - y) < deep)
-    whole = np.pad(mask, padding) | (oval.contains(x, y) & beside)
-    unseen = whole & (outside[0] | outside[1])
-    inner = ndimage.binary_erosion(whole & ~unseen, iterations=2)
-    nearest = ndimage.distance_transform_edt(~inner, return_distances=False, return_indices=True)
-    # Out of the picture to the right, the face shows what is as far to the left of its middle.
-    places = [np.where(out, 2 * c - a, a)[unseen] for out, c, a in zip(outside, oval.centre, (x, y), strict=True)]
-    column, row = (
-        np.clip((place + first).astype(int), 0, n - 1)
-        for place, first, n in zip(places, before, whole.shape[::-1], strict=True)
-    )
-    filled = np.pad(rgb, (*padding, (0, 0)), mode="edge")
-    filled[unseen] = filled[tuple(nearest[:, row, column])]
-    return filled, whole, (int(before[0]), int(before[1]))
+    oval = Oval(found.centre + before, found.axes)
+    places = np.stack(np.indices((size + before + after)[::-1])[::-1], -1) + 0.5
+    across, down = np.eye(2)
+    sides = [(-across, -before[0]), (across, before[0] + size[0]), (-down, -before[1]), (down, before[1] + size[1])]
+    beyond = [places @ normal - where for normal, where in sides]  # pixels beyond each side of the picture
+    farthest = np.max(beyond, 0)
+    whole = np.pad(mask, padding) | (oval.contains(places) & (farthest > -EATEN * 2 * reach.max()))
+    shown = np.pad(rgb, (*padding, (0, 0)), mode="edge")
+    inner = ndimage.binary_erosion(whole & (farthest <= 0), iterations=2)
+    known = shown[tuple(ndimage.distance_transform_edt(~inner, return_distances=False, return_indices=True))]
+    for out, (normal, where) in zip(beyond, sides, strict=True):
+        if (whole & (out > 0)).any():
+            _continue(shown, known, whole, oval, normal, where)
+    return shown, whole, (int(before[0]), int(before[1]))
+
+
+def _continue(
+    shown: NDArray[np.float32],
+    known: NDArray[np.float32],
+    whole: NDArray[np.bool_],
+    oval: Oval,
+    normal: NDArray[np.float64],
+    where: float,
+) -> None:
+    """Paints what of an oval lies beyond a line (those p with `normal` . p = `where`) into a picture (H, W, 3).
+
+    Seen straight on the oval is a disc. That disc, turned or mirrored as it agrees best with itself in a strip before
+    the line, goes on beyond it: so rind goes on as rind, and rays as straight rays. Where in the strip it begins is
+    where the two differ least (Efros and Freeman 2001), in the light that is there.
+
+    Args:
+        known: (H, W, 3). The picture before the line, with the nearest of its colours everywhere else.
+        whole: (H, W). The face.
+    """
+    outward = oval.axes @ normal
+    pixels = float(np.linalg.norm(outward))
+    line = float(where - normal @ oval.centre) / pixels  # its distance from the middle of the disc
+    outward /= pixels
+    towards = np.stack([outward, [-outward[1], outward[0]]])
+    first = line - STRIP
+    half = np.sqrt(1 - first**2)  # of the chord where the strip begins
+
+    def strip(per_radius: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Distances towards the line and along it, so many to a radius."""
+        counts = [max(round(length * per_radius), 2) for length in (STRIP, 2 * half)]
+        return np.linspace(first, line, counts[0]), np.linspace(-half, half, counts[1])
+
+    def look(picture: NDArray[np.float32], on_disc: NDArray[np.float64], motion: NDArray[np.float64]) -> NDArray:
+        """Colours (..., 3) at places (..., 2) of the moved disc."""
+        x, y = np.moveaxis(oval.centre + on_disc @ (motion @ towards @ oval.axes) - 0.5, -1, 0)
+        return np.stack([ndimage.map_coordinates(c, [y, x], order=1, mode="nearest") for c in picture], -1)
+
+    channels = np.moveaxis(known, -1, 0)
+    coarse = [ndimage.gaussian_filter(c, pixels / COMPARED / 2) for c in channels]
+    places = np.stack(np.meshgrid(*strip(COMPARED), indexing="ij"), -1)
+    places = places[np.hypot(*np.moveaxis(places, -1, 0)) <= 1]
+    seen = look(coarse, places, np.eye(2))
+    least = 2 * np.arccos(first)  # turned by less, the strip would show what nobody has seen
+    turns = np.arange(least, 2 * np.pi - least, 1 / COMPARED)
+    motions = [_turned(turn) * ((1,), (hand,)) for turn in turns for hand in (1, -1)]
+    best = min(motions, key=lambda motion: float(np.square(look(coarse, places, motion) - seen).sum()))
+    away, along = strip(pixels)
+    places = np.stack(np.meshgrid(away, along, indexing="ij"), -1)
+    apart = (look(channels, places, np.eye(2)) - look(channels, places, best)).astype(np.float64)
+    begin = away[cheapest_path(np.square(apart).sum(-1))]
+    inside = np.hypot(*np.moveaxis(places, -1, 0)) <= 1
+    sums = np.concatenate([(apart * inside[..., None]).sum(0), inside.sum(0)[:, None]], -1)
+    sums = ndimage.gaussian_filter1d(sums, LIGHT * pixels, axis=0, mode="constant")
+    light = sums[:, :3] / sums[:, 3:]
+    rows, columns = np.nonzero(whole)
+    places = oval.to_disc(np.stack([columns, rows], -1) + 0.5) @ towards.T
+    beyond = places[:, 0] > np.interp(places[:, 1], along, begin)
+    lit = np.stack([np.interp(places[beyond, 1], along, c) for c in light.T], -1)
+    shown[rows[beyond], columns[beyond]] = np.clip(look(channels, places[beyond], best) + lit, 0, 1)
+
+
+def _turned(angle: float) -> NDArray[np.float64]:
+    """(2, 2). The rotation that takes the first axis by an angle towards the second; axes as rows."""
+    return np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 from scipy import ndimage
 
-__all__ = ["EDGE_GAIN", "MIXED", "edge_cost", "edge_strength", "rims_apart"]
+__all__ = ["EDGE_GAIN", "MIXED", "cheapest_path", "edge_cost", "edge_strength", "rims_apart"]
 
 EDGE_GAIN = 2.0
 """How many times cheaper the other outline has to be before the found one moves: its pixels over the edge strength
@@ -35,3 +36,25 @@ def rims_apart(
     rims = [inside & ~ndimage.binary_erosion(inside, border_value=1) for inside in (ours, theirs)]
     apart = ndimage.binary_dilation(part) & ~ndimage.binary_dilation(rims[0] & rims[1], iterations=MIXED)
     return rims[0] & apart, rims[1] & apart
+
+
+@njit(cache=True, nogil=True)
+def cheapest_path(costs: NDArray[np.float64]) -> NDArray[np.int64]:
+    """(N,). The row of each column of costs (R, N) on the cheapest way across, a row up or down at most each column."""
+    rows, columns = costs.shape
+    total = costs[:, 0].copy()
+    before = np.empty((columns, rows), np.int64)
+    for column in range(1, columns):
+        so_far = total.copy()
+        for row in range(rows):
+            best = row
+            for other in (row - 1, row + 1):
+                if 0 <= other < rows and so_far[other] < so_far[best]:
+                    best = other
+            before[column, row] = best
+            total[row] = so_far[best] + costs[row, column]
+    path = np.empty(columns, np.int64)
+    path[-1] = total.argmin()
+    for column in range(columns - 1, 0, -1):
+        path[column - 1] = before[column, path[column]]
+    return path

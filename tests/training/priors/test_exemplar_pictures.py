@@ -14,6 +14,7 @@ from scipy import ndimage
 from engine.errors import InputError
 from tests.helpers.exemplar_faces import UP, ball, disc, quiet, save
 from tests.paths import SHARED
+from training.faces.completion import complete_face
 from training.families import Family, Kind
 from training.priors.exemplar import ExemplarPrior, read_picture
 from training.priors.exemplar.lighting import colour_gain
@@ -204,6 +205,24 @@ def test_what_the_border_cuts_off_shows_the_other_side(tmp_path: Path, kind: Kin
     seen = [p.rgb[4:-4, p.mask.shape[1] - size :][: whole.mask.shape[0] - 12] for p in (whole, part)]
     rows = min(len(s) for s in seen)
     assert np.abs(seen[0][:rows] - seen[1][:rows]).mean() < 0.04  # of colours from 0.1 to 0.9
+
+
+def test_what_the_border_cuts_off_of_an_oblique_slice_goes_on_as_it_was() -> None:
+    """Ten segments in a rind, in light from one side."""
+    y, x = (np.mgrid[:240, :240] + 0.5 - 120) / 100
+    along, across = x * 0.8 - y * 0.6, (x * 0.6 + y * 0.8) / 0.7
+    radius, turn = np.hypot(along, across), np.arctan2(across, along)
+    flesh = np.where(np.cos(10 * turn)[..., None] > 0.8, [0.95, 0.9, 0.8], [0.9, 0.55, 0.1])
+    face = np.where(radius[..., None] > 0.9, [0.3, 0.5, 0.1], flesh) * (0.9 + 0.1 * y[..., None])
+    truth = np.where(radius[..., None] < 1, face, 1).astype(np.float32)
+    for turns in range(4):
+        cut = np.rot90(np.rot90(truth, -turns)[:, :175], turns), np.rot90(np.rot90(radius < 1, -turns)[:, :175], turns)
+        completed, mask, (left, top) = complete_face(*cut)
+        first = [(240 - n if turns in edges else 0) for n, edges in zip(cut[1].shape, ((1, 2), (2, 3)), strict=True)]
+        rows, columns = np.nonzero(mask)
+        there = rows + first[0] - top, columns + first[1] - left
+        assert mask.sum() == pytest.approx((radius < 1).sum(), rel=0.01)
+        assert np.abs(completed[rows, columns] - truth[there]).mean() < 0.02
 
 
 def test_a_cut_out_face_may_fill_its_picture(tmp_path: Path) -> None:
