@@ -3,6 +3,7 @@ itself, turned around its middle."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -112,7 +113,7 @@ def complete_face(
     after = np.maximum(np.ceil(found.centre + reach - size), 0).astype(int) + NEAR_BORDER
     padding = ((before[1], after[1]), (before[0], after[0]))
     oval = Oval(found.centre + before, found.axes)
-    places = np.stack(np.indices((size + before + after)[::-1])[::-1], -1) + 0.5
+    places = np.moveaxis(np.indices((size + before + after)[::-1])[::-1], 0, -1) + 0.5
     across, down = np.eye(2)
     sides = [(-across, -before[0]), (across, before[0] + size[0]), (-down, -before[1]), (down, before[1] + size[1])]
     beyond = [places @ normal - where for normal, where in sides]  # pixels beyond each side of the picture
@@ -158,12 +159,14 @@ def _continue(
         counts = [max(round(length * per_radius), 2) for length in (STRIP, 2 * half)]
         return np.linspace(first, line, counts[0]), np.linspace(-half, half, counts[1])
 
-    def look(picture: NDArray[np.float32], on_disc: NDArray[np.float64], motion: NDArray[np.float64]) -> NDArray:
-        """Colours (..., 3) at places (..., 2) of the moved disc."""
+    def look(
+        picture: Sequence[NDArray[np.float32]], on_disc: NDArray[np.float64], motion: NDArray[np.float64]
+    ) -> NDArray:
+        """Colours (..., 3) of a picture, channel by channel, at places (..., 2) of the moved disc."""
         x, y = np.moveaxis(oval.centre + on_disc @ (motion @ towards @ oval.axes) - 0.5, -1, 0)
         return np.stack([ndimage.map_coordinates(c, [y, x], order=1, mode="nearest") for c in picture], -1)
 
-    channels = np.moveaxis(known, -1, 0)
+    channels = list(np.moveaxis(known, -1, 0))
     coarse = [ndimage.gaussian_filter(c, pixels / COMPARED / 2) for c in channels]
     places = np.stack(np.meshgrid(*strip(COMPARED), indexing="ij"), -1)
     places = places[np.hypot(*np.moveaxis(places, -1, 0)) <= 1]
@@ -181,7 +184,7 @@ def _continue(
     sums = ndimage.gaussian_filter1d(sums, LIGHT * pixels, axis=0, mode="constant")
     light = sums[:, :3] / sums[:, 3:]
     rows, columns = np.nonzero(whole)
-    places = oval.to_disc(np.stack([columns, rows], -1) + 0.5) @ towards.T
+    places = oval.to_disc(np.stack([columns + 0.5, rows + 0.5], -1)) @ towards.T
     beyond = places[:, 0] > np.interp(places[:, 1], along, begin)
     lit = np.stack([np.interp(places[beyond, 1], along, c) for c in light.T], -1)
     shown[rows[beyond], columns[beyond]] = np.clip(look(channels, places[beyond], best) + lit, 0, 1)
