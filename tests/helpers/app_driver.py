@@ -138,10 +138,15 @@ class Driver:
             self.frames(1)
         return ended.result()
 
+    def gl_error(self) -> str:
+        """The error of OpenGL since it was asked for last, which the script's own thread cannot ask for."""
+        return self.between_frames(lambda: self.window.ctx.error)
+
     def _read(self) -> NDArray[np.uint8]:
-        screen = self.window.ctx.detect_framebuffer(0)
+        assert self.window.ctx.error == "GL_NO_ERROR"
         width, height = (int(side) for side in imgui.get_io().display_size)
-        data = screen.read(viewport=(0, 0, width, height), components=3, alignment=1)
+        data = self.window.ctx.screen.read(viewport=(0, 0, width, height), components=3, alignment=1)
+        _ = self.window.ctx.error  # moderngl asks for an attachment, which a window has not, and reads the back buffer
         return np.frombuffer(data, np.uint8).reshape(height, width, 3)[::-1].copy()
 
 

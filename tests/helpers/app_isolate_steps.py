@@ -262,7 +262,7 @@ def main() -> None:
         driver.still()
         (isolate if name == "isolate" else several)(driver, folder)
         assert not driver.session.error, driver.session.error
-        assert driver.window.ctx.error == "GL_NO_ERROR"
+        assert driver.gl_error() == "GL_NO_ERROR"
 
     def start(session: Session) -> None:
         if name == "isolate":

@@ -66,7 +66,7 @@ def opened(folder: Path, script: Callable[[Driver], None], size: tuple[int, int]
         driver.still()
         script(driver)
         assert not driver.session.error, driver.session.error
-        assert driver.window.ctx.error == "GL_NO_ERROR"
+        assert driver.gl_error() == "GL_NO_ERROR"
 
     drive(
         Session(settings=Settings(window=size)),
@@ -105,7 +105,7 @@ def at_once(
         driver.still()
         script(driver)
         assert not driver.session.error, driver.session.error
-        assert driver.window.ctx.error == "GL_NO_ERROR"
+        assert driver.gl_error() == "GL_NO_ERROR"
 
     drive(Session(settings=replace(settings or Settings(), window=size)), run, start, prepare)
 

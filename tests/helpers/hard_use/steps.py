@@ -89,7 +89,7 @@ def options(driver: Driver, folder: Path) -> None:
     driver.still()
     right = named[:, int(0.8 * named.shape[1]) :].astype(int)
     assert (right[100:-100].min(2) > 200).sum() > 40  # the name stands beside the melon
-    assert whole() == plain
+    assert whole() == plain, (whole(), plain)
 
     # The smallest interface, whose distances are parts of pixels, with a family open.
     window.menus._resize(-1)
