@@ -215,7 +215,7 @@ def _without_arm(mask: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], str]:
     border = np.ones(mask.shape, bool)
     border[NEAR_BORDER:-NEAR_BORDER, NEAR_BORDER:-NEAR_BORDER] = False
     touching = mask & border
-    if not touching.any() or find_oval(mask) is not None:
+    if not touching.any() or find_oval(mask, 1) is not None:
         return mask, ""
     wide = max(int(np.ptp(places)) + 1 for places in np.nonzero(touching))
     depth = ndimage.distance_transform_edt(np.pad(mask, 1))[1:-1, 1:-1]

@@ -37,6 +37,10 @@ STRIP = 0.1
 COMPARED = 64
 """Pixels of a face's radius at which it is compared with itself."""
 
+POLAR = np.pi / 4
+"""Of a face with poles, by how much the turn may differ from half a turn, after which poles are poles and flanks are
+flanks again: its axis may lean by half of that."""
+
 LIGHT = 0.25
 """Of a face's radius, the standard deviation over which the difference along the border is taken for light: an eighth
 to a half did equally well with 44 photographs cut off on purpose."""
@@ -64,12 +68,9 @@ class Oval:
         return (places - self.centre) @ (self.axes / np.square(self.axes).sum(1, keepdims=True)).T
 
 
-def find_oval(mask: NDArray[np.bool_]) -> Oval | None:
-    """The ellipse of a face (H, W) that one side of the picture cuts off; None if none does, if several do, if the face
-    is not round, or if less than MIN_SEEN of it is seen.
-
-    Of faces that two sides cut off, the search often takes the rim for background: they came out too small.
-    """
+def find_oval(mask: NDArray[np.bool_], sides: int) -> Oval | None:
+    """The ellipse of a face (H, W) that one to so many sides of the picture cut off; None if none does, if more do, if
+    the face is not round, or if less than MIN_SEEN of it is seen."""
     rows, columns = np.nonzero(mask)
     if len(rows) == 0:
         return None
@@ -77,7 +78,7 @@ def find_oval(mask: NDArray[np.bool_]) -> Oval | None:
     across = max(np.ptp(rows), np.ptp(columns)) + 1
     low, high = NEAR_BORDER - 1, -NEAR_BORDER
     touched = [int(side.sum()) for side in (mask[low], mask[high], mask[:, low], mask[:, high])]
-    if max(touched) <= MAX_CHORD * across or sorted(touched)[-2] > max(NEAR_BORDER, MAX_CHORD / 4 * across):
+    if max(touched) <= MAX_CHORD * across or sum(n > max(NEAR_BORDER, MAX_CHORD / 4 * across) for n in touched) > sides:
         return None
     hull = cv2.convexHull(np.stack([columns, rows], -1).astype(np.int32))  # without dents that the search ate
     drawn = cv2.fillConvexPoly(np.zeros(mask.shape, np.uint8), hull, 1)
@@ -99,12 +100,13 @@ def find_oval(mask: NDArray[np.bool_]) -> Oval | None:
 
 
 def complete_face(
-    rgb: NDArray[np.float32], mask: NDArray[np.bool_]
+    rgb: NDArray[np.float32], mask: NDArray[np.bool_], has_poles: bool
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_], tuple[int, int]]:
     """The picture (H, W, 3) and its face (H, W) with room for what the border cuts off of the face, which shows
     the face itself, turned around its middle (`_continue`); and the columns and rows that were added before the first.
-    Unchanged, with (0, 0), where `find_oval` finds nothing."""
-    found = find_oval(mask)
+    Unchanged, with (0, 0), where `find_oval` finds nothing, or several sides cut off so much that no turn fills it.
+    `has_poles`: whether it is cut along its axis, and so is not like itself after any turn."""
+    found = find_oval(mask, 4)
     if found is None:
         return rgb, mask, (0, 0)
     reach = np.hypot(*found.axes)  # half the width and height of its box
@@ -122,9 +124,9 @@ def complete_face(
     shown = np.pad(rgb, (*padding, (0, 0)), mode="edge")
     inner = ndimage.binary_erosion(whole & (farthest <= 0), iterations=2)
     known = shown[tuple(ndimage.distance_transform_edt(~inner, return_distances=False, return_indices=True))]
-    for out, (normal, where) in zip(beyond, sides, strict=True):
-        if (whole & (out > 0)).any():
-            _continue(shown, known, whole, oval, normal, where)
+    for number, out in enumerate(beyond):
+        if (whole & (out > 0)).any() and not _continue(shown, known, whole, oval, sides, number, has_poles):
+            return rgb, mask, (0, 0)
     return shown, whole, (int(before[0]), int(before[1]))
 
 
@@ -133,19 +135,24 @@ def _continue(
     known: NDArray[np.float32],
     whole: NDArray[np.bool_],
     oval: Oval,
-    normal: NDArray[np.float64],
-    where: float,
-) -> None:
-    """Paints what of an oval lies beyond a line (those p with `normal` . p = `where`) into a picture (H, W, 3).
+    sides: list[tuple[NDArray[np.float64], float]],
+    number: int,
+    has_poles: bool,
+) -> bool:
+    """Paints what of an oval lies beyond one side of what was seen into a picture (H, W, 3), and says whether it can.
 
     Seen straight on the oval is a disc. That disc, turned or mirrored as it agrees best with itself in a strip before
-    the line, goes on beyond it: so rind goes on as rind, and rays as straight rays. Where in the strip it begins is
+    the side, goes on beyond it: so rind goes on as rind, and rays as straight rays. Where in the strip it begins is
     where the two differ least (Efros and Freeman 2001), in the light that is there.
 
     Args:
-        known: (H, W, 3). The picture before the line, with the nearest of its colours everywhere else.
+        known: (H, W, 3). What was seen, with the nearest of its colours everywhere else.
         whole: (H, W). The face.
+        sides: Seen were the places p with `normal` . p <= `where` for each.
+        number: Which of them.
+        has_poles: As for `complete_face`.
     """
+    normal, where = sides[number]
     outward = oval.axes @ normal
     pixels = float(np.linalg.norm(outward))
     line = float(where - normal @ oval.centre) / pixels  # its distance from the middle of the disc
@@ -154,42 +161,52 @@ def _continue(
     first = line - STRIP
     half = np.sqrt(1 - first**2)  # of the chord where the strip begins
 
-    def strip(per_radius: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Distances towards the line and along it, so many to a radius."""
-        counts = [max(round(length * per_radius), 2) for length in (STRIP, 2 * half)]
-        return np.linspace(first, line, counts[0]), np.linspace(-half, half, counts[1])
+    def grid(last: float, per_radius: float) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Distances (A,) towards the side up to the last and (B,) along it, so many to a radius, and (A, B, 2) both."""
+        counts = [max(round(length * per_radius), 2) for length in (last - first, 2 * half)]
+        away, along = np.linspace(first, last, counts[0]), np.linspace(-half, half, counts[1])
+        return away, along, np.stack(np.meshgrid(away, along, indexing="ij"), -1)
 
-    def look(
-        picture: Sequence[NDArray[np.float32]], on_disc: NDArray[np.float64], motion: NDArray[np.float64]
-    ) -> NDArray:
-        """Colours (..., 3) of a picture, channel by channel, at places (..., 2) of the moved disc."""
-        x, y = np.moveaxis(oval.centre + on_disc @ (motion @ towards @ oval.axes) - 0.5, -1, 0)
-        return np.stack([ndimage.map_coordinates(c, [y, x], order=1, mode="nearest") for c in picture], -1)
+    def on_disc(places: NDArray[np.float64]) -> NDArray[np.bool_]:
+        return np.asarray(np.square(places).sum(-1) <= 1)
+
+    def moved(places: NDArray[np.float64], motion: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Pixels (..., 2) of places (..., 2) of the moved disc."""
+        return oval.centre + places @ (motion @ towards @ oval.axes)
+
+    def look(picture: Sequence[NDArray[np.float32]], places: NDArray[np.float64]) -> NDArray[np.float32]:
+        """Colours (..., 3) of a picture, channel by channel, at pixels (..., 2)."""
+        at = places[..., 1] - 0.5, places[..., 0] - 0.5
+        return np.stack([ndimage.map_coordinates(c, at, order=1, mode="nearest") for c in picture], -1)
 
     channels = list(np.moveaxis(known, -1, 0))
     coarse = [ndimage.gaussian_filter(c, pixels / COMPARED / 2) for c in channels]
-    places = np.stack(np.meshgrid(*strip(COMPARED), indexing="ij"), -1)
-    places = places[np.hypot(*np.moveaxis(places, -1, 0)) <= 1]
-    seen = look(coarse, places, np.eye(2))
-    least = 2 * np.arccos(first)  # turned by less, the strip would show what nobody has seen
-    turns = np.arange(least, 2 * np.pi - least, 1 / COMPARED)
-    motions = [_turned(turn) * ((1,), (hand,)) for turn in turns for hand in (1, -1)]
-    best = min(motions, key=lambda motion: float(np.square(look(coarse, places, motion) - seen).sum()))
-    away, along = strip(pixels)
-    places = np.stack(np.meshgrid(away, along, indexing="ij"), -1)
-    apart = (look(channels, places, np.eye(2)) - look(channels, places, best)).astype(np.float64)
-    begin = away[cheapest_path(np.square(apart).sum(-1))]
-    inside = np.hypot(*np.moveaxis(places, -1, 0)) <= 1
-    sums = np.concatenate([(apart * inside[..., None]).sum(0), inside.sum(0)[:, None]], -1)
+    *_, strip = grid(line, COMPARED)
+    *_, needed = grid(1, COMPARED / 4)
+    strip, needed = strip[on_disc(strip)], needed[on_disc(needed)]
+    before = look(coarse, moved(strip, np.eye(2)))
+    unlike, best = np.inf, None
+    most = POLAR if has_poles else np.pi
+    for turn in np.arange(np.pi - most, np.pi + most, 1 / COMPARED):
+        for hand in (1, -1):
+            motion = np.array([[np.cos(turn), np.sin(turn)], [-hand * np.sin(turn), hand * np.cos(turn)]])
+            source = moved(needed, motion)
+            if all((source @ way <= end).all() for way, end in sides):
+                apart = float(np.square(look(coarse, moved(strip, motion)) - before).sum())
+                if apart < unlike:
+                    unlike, best = apart, motion
+    if best is None:
+        return False
+    away, along, places = grid(line, pixels)
+    light = (look(channels, moved(places, np.eye(2))) - look(channels, moved(places, best))).astype(np.float64)
+    begin = away[cheapest_path(np.square(light).sum(-1))]
+    inside = on_disc(places)
+    sums = np.concatenate([(light * inside[..., None]).sum(0), inside.sum(0)[:, None]], -1)
     sums = ndimage.gaussian_filter1d(sums, LIGHT * pixels, axis=0, mode="constant")
     light = sums[:, :3] / sums[:, 3:]
     rows, columns = np.nonzero(whole)
     places = oval.to_disc(np.stack([columns + 0.5, rows + 0.5], -1)) @ towards.T
     beyond = places[:, 0] > np.interp(places[:, 1], along, begin)
     lit = np.stack([np.interp(places[beyond, 1], along, c) for c in light.T], -1)
-    shown[rows[beyond], columns[beyond]] = np.clip(look(channels, places[beyond], best) + lit, 0, 1)
-
-
-def _turned(angle: float) -> NDArray[np.float64]:
-    """(2, 2). The rotation that takes the first axis by an angle towards the second; axes as rows."""
-    return np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    shown[rows[beyond], columns[beyond]] = np.clip(look(channels, moved(places[beyond], best)) + lit, 0, 1)
+    return True

@@ -81,7 +81,8 @@ def find_mask(
     """(H, W). The cut face in a picture (H, W, 3), range [0, 1], before a background as `learn` finds it. Equal
     pictures give equal masks.
 
-    Of a round face that the border cuts off a little of, the part that the picture shows; `complete_face` completes it.
+    Of a round face that one side of the picture cuts off a little of, the part that the picture shows;
+    `complete_face` completes it. Of what two sides cut off the rim was often taken for background, and faces too small.
     Raises InputError, naming the picture `name`, if the border cuts off more, or if there is no face.
     """
     cut_off = InputError(
@@ -110,7 +111,7 @@ def find_mask(
     across = max(np.ptp(places) + 1 for places in np.nonzero(mask))
     allowed = max(MAX_BORDER_SHARE * across, (4 * UNSURE * across) ** 0.5)
     crosses = max(_along_border(reaching, background.corners), second) > allowed
-    if _solidity(mask) < MIN_SOLIDITY or (crosses and find_oval(mask) is None):
+    if _solidity(mask) < MIN_SOLIDITY or (crosses and find_oval(mask, 1) is None):
         raise cut_off
     if mask.sum() < MIN_KEPT * guess.sum() / _solidity(guess):
         raise cut_off

@@ -84,7 +84,7 @@ def make_picture(path: Path, rgb: NDArray[np.float32], mask: NDArray[np.bool_], 
     """The face (H, W, 3), (H, W) of a photograph cut out and turned, as `read_picture` does it, with the axis in
     `marks`. Raises InputError if it is too small."""
     core, size = None, mask.shape[::-1]
-    rgb, mask, added = complete_face(rgb, mask)
+    rgb, mask, added = complete_face(rgb, mask, kind == "radial")
     if kind == "radial" and mask.any():
         if marks.line is not None:
             rgb, mask, core = _upright(rgb, mask, np.array(marks.line) * size + added)
@@ -132,7 +132,7 @@ def axis_of(rgb: NDArray[np.float32], mask: NDArray[np.bool_], kind: Kind) -> Ma
     size = mask.shape[::-1]
     if not mask.any() or kind not in ("horizontal", "radial"):
         return UNMARKED
-    rgb, mask, added = complete_face(rgb, mask)
+    rgb, mask, added = complete_face(rgb, mask, kind == "radial")
     found = np.array([find_core(mask)])
     if kind == "radial":
         lean = math.radians(_believed_lean(rgb, mask))
