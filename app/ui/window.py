@@ -27,6 +27,7 @@ from app.ui.commands import press_shortcuts
 from app.ui.dialogs.export_window import ExportWindow
 from app.ui.dialogs.exporter import Exporter
 from app.ui.dialogs.file_dialogs import FileDialogs
+from app.ui.dialogs.question import show_question
 from app.ui.film.film_window import FilmWindow
 from app.ui.film.timeline import TimelinePanel
 from app.ui.keyboard import ARROWS, Parts, set_up_imgui
@@ -42,13 +43,16 @@ from app.ui.toolbar import Toolbar
 from app.ui.view.painter import Painter
 from app.ui.view.slices import SliceViews, is_shown, quarters
 from app.ui.view.viewport import Viewport
-from app.ui.widgets import font, main_button, modal, secondary, thin_bar
+from app.ui.widgets import font, secondary, thin_bar
 from engine.io.picture_file import PICTURE_SUFFIXES
 
 __all__ = ["Window"]
 
 IDLE_FRAMES = 6.0
 """Frames per second while nothing happens: enough to follow a job."""
+
+ACTIVE = 3.0
+"""Seconds after the last event before fewer frames are drawn."""
 
 WIDEST = 0.55
 """Part of the window that the inspector is given at most, however large the interface is."""
@@ -76,6 +80,7 @@ class Window:
         """Jobs of earlier sessions that the user has not been told about yet."""
         self.params = self._params()
         self._failures = 0
+        self._title = ""
         self._said, self._said_at = "", 0.0
         """The last message in the status line, and when it came."""
 
@@ -141,7 +146,7 @@ class Window:
 
     def _begin(self) -> None:
         self.ctx = moderngl.create_context(require=330)
-        self.painter = Painter(self.ctx)
+        self.painter = Painter(self.ctx, glfw.post_empty_event)
         self.thumbnails = Thumbnails(self.ctx)
         self.recent = RecentFiles(self.session, self.painter, self.ctx)
         self.dialogs = FileDialogs(self.session.folder)
@@ -198,12 +203,18 @@ class Window:
             or self.slices.busy
             or self.measures.measurer.busy
             or self.viewport.moving
-            or self.painter.unfinished
+            or (self.painter.unfinished and not self.painter.only_reads)
         )
-        self.params.fps_idling.enable_idling = not busy
+        idling = self.params.fps_idling
+        idling.enable_idling = not busy
+        # Frames would take the processor from what they wait for.
+        idling.time_active_after_last_event = 0.0 if self.painter.only_reads else ACTIVE
         if not (self.viewport.moving or self.painter.unfinished) and session.faces.open_face is None:
             self.recent.keep()
-        glfw.set_window_title(self.window, f"{session.title} - FruitNinja" if session.document.scene else "FruitNinja")
+        title = f"{session.title} - FruitNinja" if session.document.scene else "FruitNinja"
+        if title != self._title:
+            glfw.set_window_title(self.window, title)  # each time an event under X11, for which the next frame is drawn
+            self._title = title
         if (glfw.window_should_close(self.window) or self.params.app_shall_exit) and not session.closing:
             glfw.set_window_should_close(self.window, False)
             self.params.app_shall_exit = False
@@ -259,7 +270,7 @@ class Window:
         self.film_window.show()
         self.menus.slices.show()
         self.dialogs.show()
-        self._question()
+        show_question(self.session)
 
     def _viewport(self) -> None:
         imgui.push_style_var(imgui.StyleVar_.window_padding, ImVec2(0, 0))
@@ -418,33 +429,3 @@ class Window:
 
     def _dismiss_job(self) -> None:
         dismiss_job(self.session, self.recovered_jobs.pop(0))
-
-    def _question(self) -> None:
-        question = self.session.question
-        if question is None:
-            return
-        imgui.open_popup("Question")
-        chosen = None
-        with modal("Question", 440) as opened:
-            if not opened:
-                return
-            with font(Fonts.bold):
-                imgui.text_unformatted(question.title)
-            secondary(question.text, wrap=True)
-            imgui.dummy(ImVec2(0, px(6)))
-            for choice in question.choices:
-                width = imgui.calc_text_size(choice.label).x + px(32)
-                pressed = (
-                    main_button(choice.label, width)
-                    if choice.main
-                    else imgui.button(choice.label, ImVec2(width, px(32)))
-                )
-                if pressed:
-                    chosen = choice
-                imgui.same_line()
-            if imgui.is_key_pressed(imgui.Key.escape):
-                chosen = question.choices[-1]
-            if chosen is not None:
-                imgui.close_current_popup()
-        if chosen is not None:
-            self.session.answer(chosen)

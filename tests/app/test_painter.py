@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
+import threading
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import pytest
 
+from app.jobs.detail_reader import DetailReader
 from app.jobs.scene_loader import LoadedScene, SceneRequest
 from app.model.camera_control import OrbitCamera, project_points
 from app.model.capture_view import view_of
@@ -19,6 +22,7 @@ from app.model.settings import Settings
 from app.session.session import Session
 from app.ui.view.painter import STEPS, Painter
 from engine.isolate.selection import Sphere, Step
+from engine.render.face_detail import FaceDetail
 from engine.render.gl import GLMissing
 from engine.render.gl.classic import PORTION, UPLOAD
 from engine.scene.atoms import Atoms, InteriorAtoms, SurfaceAtoms
@@ -231,3 +235,38 @@ def test_a_face_at_rest_is_read_from_the_inside(painter: Painter, session: Sessi
     assert with_lines is not None
     session.object = replace(session.object, inside=None)
     assert np.array_equal(frame(), plain) and not painter.unfinished
+
+
+class Steps:
+    """A reading in three steps of numbers that tell it from others; the first step waits to be let go."""
+
+    def __init__(self, number: float, go: threading.Event, error: Exception | None = None) -> None:
+        self.rgb, self.go, self.error, self.steps = np.full((1, 1, 3), number, np.float32), go, error, 0
+
+    @property
+    def ended(self) -> bool:
+        return self.steps == 3
+
+    def advance(self) -> None:
+        assert self.go.wait(10)
+        self.steps += 1
+        if self.error is not None:
+            raise self.error
+
+
+def test_a_reading_of_faces_that_is_not_wanted_any_more_is_given_up() -> None:
+    told, go = [], threading.Event()
+    reader = DetailReader(lambda: told.append(1))
+    first, second, third = Steps(1, go), Steps(2, go), Steps(3, go, OSError("no such picture"))
+    reader.start(lambda: cast(FaceDetail, first))
+    reader.start(lambda: cast(FaceDetail, second))
+    assert reader.busy and reader.take(0.01) is None
+    go.set()
+    read = reader.take(10)
+    assert read is not None and (read == 2).all() and not reader.busy
+    assert first.steps <= 1 and second.steps == 3
+    reader.start(lambda: cast(FaceDetail, third))
+    with pytest.raises(OSError, match="no such picture"):
+        reader.take(10)
+    assert not reader.busy and len(told) >= 2  # of the last it is told a moment later
+    reader.close()

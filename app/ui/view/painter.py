@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
+from app.jobs.detail_reader import DetailReader
 from app.jobs.warmup import load_kernels
 from app.model.rigid_transform import Vec3
 from app.session.workspace import Workspace
@@ -39,8 +40,8 @@ MOST_IN_SOFTWARE = 2_000_000
 for files have all of them."""
 
 SLICE = 0.025
-"""Seconds between two frames in which faces at rest are read, or a capture is uploaded or drawn without a graphics
-card: input does not wait noticeably."""
+"""Seconds between two frames in which the processor is left to the reading of faces at rest, or a capture is uploaded
+or drawn without a graphics card: input does not wait noticeably."""
 
 MODES: dict[str, Mode] = {"capture": "classic", "solid": "opaque", "interior": "interior"}
 
@@ -48,8 +49,9 @@ MODES: dict[str, Mode] = {"capture": "classic", "solid": "opaque", "interior": "
 class Painter:
     """The renderer of a window, with what it has uploaded and drawn last."""
 
-    def __init__(self, ctx: moderngl.Context | None = None) -> None:
-        """`ctx`: the window's OpenGL context; None: a new one without a window."""
+    def __init__(self, ctx: moderngl.Context | None = None, wake: Callable[[], None] = lambda: None) -> None:
+        """`ctx`: the window's OpenGL context; None: a new one without a window. `wake` is called, in any thread, when
+        there is something new to be drawn while the window waits."""
         self._screen = None if ctx is None else ctx.detect_framebuffer(0)
         self.renderer = Renderer(ctx)
         self.ctx = self.renderer.ctx
@@ -84,8 +86,8 @@ class Painter:
         """Whether something is to be uploaded or loaded before what is shown can be drawn."""
         self._wants_capture = False
         """Whether the last frame is a coarse one of a capture, and the whole one is to be drawn."""
-        self._detail: FaceDetail | None = None
-        """The last frame while its faces are read from the insides of the objects."""
+        self._reader = DetailReader(wake)
+        """Of the last frame, whose faces are read from the insides of the objects."""
         self._wants_detail = False
         """Whether they are still to be read."""
 
@@ -153,7 +155,8 @@ class Painter:
                 self._step = max(self._step - 1, 0)
             self._key, self._scale, self._overlay_key = key, part, None
             self._picture = texture
-            self._detail, self._wants_detail = None, not moving and mode != "capture" and any(insides)
+            self._reader.stop()
+            self._wants_detail = not moving and mode != "capture" and any(insides)
             self._wants_detail &= look.size == 1  # of other sizes the atoms are to be seen
             self._wants_capture = gradual
         elif self._wants_capture:
@@ -168,6 +171,11 @@ class Painter:
         self.unfinished = moving or self._wants_detail or self._wants_capture or self._uploading
         self.unfinished |= mode == "capture" and self.renderer.sorting
         return self._texture
+
+    @property
+    def only_reads(self) -> bool:
+        """Whether all that is unfinished is done in the background."""
+        return self._reader.busy and not self._uploading
 
     @property
     def shown(self) -> moderngl.Texture | None:
@@ -192,15 +200,15 @@ class Painter:
     def _add_detail(
         self, camera: Camera, pieces: Sequence[Piece], insides: Sequence[Detailed | None], light: bool
     ) -> None:
-        """Reads some of the faces of a view at rest; when all are read, the frame shows them."""
-        begin = time.perf_counter()
-        if self._detail is None:
-            self._detail = FaceDetail(self.renderer.read(), camera, pieces, insides, light)
-        while not self._detail.ended and time.perf_counter() - begin < SLICE:
-            self._detail.advance()
-        if self._detail.ended:
-            self._picture = self.renderer.replace(self._detail.rgb)
-            self._detail, self._wants_detail, self._overlay_key = None, False, None
+        """Has the faces of a view at rest read, and leaves them the processor for a while; when all are read, the frame
+        shows them."""
+        if not self._reader.busy:
+            picture = self.renderer.read()
+            self._reader.start(lambda: FaceDetail(picture, camera, pieces, insides, light))
+        rgb = self._reader.take(SLICE)
+        if rgb is not None:
+            self._picture = self.renderer.replace(rgb)
+            self._wants_detail, self._overlay_key = False, None
         self._restore_framebuffer()
 
     def _record_time(self, taken: float, moving: bool, uploaded: bool) -> None:
@@ -293,6 +301,7 @@ class Painter:
 
     def release(self) -> None:
         """Frees all GPU memory."""
+        self._reader.close()
         self.renderer.release()
         self._texture = self._picture = None
 

@@ -55,8 +55,9 @@ CUTTING = {
 }
 """What letting go does, by the kind of drag that draws a stroke."""
 
-REST = 0.2
-"""Seconds after the last change of the view until it is drawn in full."""
+REST = 0.1
+"""Seconds after the last change of the view until it is drawn in full: more than between two notches of a wheel that
+is turned, less than a pause."""
 
 SOLID_OPACITY = 0.3
 """Opacity from which a Gaussian of the capture can be pointed at; below, it is haze."""

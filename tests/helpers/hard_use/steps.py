@@ -7,6 +7,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import glfw
 import numpy as np
 from imgui_bundle import icons_fontawesome_6 as icon
 from imgui_bundle import imgui
@@ -75,6 +76,14 @@ def options(driver: Driver, folder: Path) -> None:
         return int((~ground(view)[60:-20, 20:-120]).sum()), int((inner.min(2) > 150).sum())
 
     plain, as_it_is = whole(), driver.view().astype(int)
+
+    # A window that nothing happens in must sleep; under X11 a title that is set is an event, which wakes it.
+    titles, set_title = [], glfw.set_window_title
+    glfw.set_window_title = lambda *title: titles.append(title)
+    driver.frames(5)
+    glfw.set_window_title = set_title
+    assert not titles
+
     session.change_settings(replace(session.settings, wires=True))
     driver.still()
     wired = whole()

@@ -93,7 +93,7 @@ class Ball:
     def of(cls, points: NDArray[np.float32]) -> Ball:
         x, y, z = points.T
         radius = np.hypot(x, y)
-        length = np.linalg.norm(points, axis=1)
+        length = np.sqrt(x * x + y * y + z * z)
         share = np.minimum(radius / np.sqrt(np.maximum(1 - z * z, 1e-4)), 1.15)
         deep = smoothstep((1 - length - 0.08) / 0.22)
         level = (length * (1 - deep) + share * deep) / np.maximum(radius, 1e-4)

@@ -137,11 +137,17 @@ class Quilt:
         best, apart = self.nearest(points)
         weight = 0.5 + 0.5 * smoothstep(apart / SEAM_WIDTH)
         tones = read_trilinear(self.tones, _in_cells(points, LEVELS[-1]))
-        rgb = np.zeros((len(points), 3), np.float32)
-        for labels, share in ((best[:, 0], weight), (best[:, 1], 1 - weight)):
-            for n, label in enumerate(self.labels):
-                rows = np.flatnonzero((labels == n) & (share > 0))
-                rgb[rows] += share[rows, None] * self._shown(label, points[rows], tones[rows])
+        second = np.flatnonzero(weight < 1)
+        both = np.concatenate([best[:, 0], best[second, 1]])
+        rows = np.concatenate([np.arange(len(points)), second])
+        order = np.argsort(both.astype(np.uint8), kind="stable")
+        shown = np.empty((len(rows), 3), np.float32)
+        ends = np.cumsum(np.bincount(both, minlength=len(self.labels)))
+        for label, of_it in zip(self.labels, np.split(order, ends[:-1]), strict=True):
+            if len(of_it):
+                shown[of_it] = self._shown(label, points[rows[of_it]], tones[rows[of_it]])
+        rgb = weight[:, None] * shown[: len(points)]
+        rgb[second] += (1 - weight[second, None]) * shown[len(points) :]
         for solids in (self.cores, self.packing):
             if solids is not None:
                 things, cover = solids.read(points)

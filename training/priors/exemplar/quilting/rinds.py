@@ -122,7 +122,8 @@ class Rinds:
 
     def evened(self, points: NDArray[np.float32]) -> NDArray[np.float32]:
         """(M, 3). Where in the quilt the points (M, 3) of the ball are."""
-        length = np.linalg.norm(points, axis=1)
+        x, y, z = points.T
+        length = np.sqrt(x * x + y * y + z * z)
         rows = np.flatnonzero((1 - length < REACH * self.ball.max()) & (length > 1e-3) & (length < 1))
         out, some, long = points.copy(), points[rows], length[rows]
         up = np.arcsin(np.clip(some[:, 2] / long, -1, 1))
