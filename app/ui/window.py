@@ -51,6 +51,9 @@ __all__ = ["Window"]
 IDLE_FRAMES = 6.0
 """Frames per second while nothing happens: enough to follow a job."""
 
+WAITING_FRAMES = 12.0
+"""While the window waits for work in the background: what that brings is seen soon."""
+
 ACTIVE = 3.0
 """Seconds after the last event before fewer frames are drawn."""
 
@@ -194,21 +197,7 @@ class Window:
         if session.settings.scale != self._scale:
             self.params.docking_params.docking_splits = [self._split()]
             self.params.docking_params.layout_reset = True
-        preparing = session.loader is not None
-        busy = (
-            preparing
-            or session.isolation.pending
-            or session.faces.busy
-            or self.exporter.busy
-            or self.slices.busy
-            or self.measures.measurer.busy
-            or self.viewport.moving
-            or (self.painter.unfinished and not self.painter.only_reads)
-        )
-        idling = self.params.fps_idling
-        idling.enable_idling = not busy
-        # Frames would take the processor from what they wait for.
-        idling.time_active_after_last_event = 0.0 if self.painter.only_reads else ACTIVE
+        self._set_pace()
         if not (self.viewport.moving or self.painter.unfinished) and session.faces.open_face is None:
             self.recent.keep()
         title = f"{session.title} - FruitNinja" if session.document.scene else "FruitNinja"
@@ -222,6 +211,23 @@ class Window:
                 session.files.close()
         if session.closing:
             self.params.app_shall_exit = True
+
+    def _set_pace(self) -> None:
+        """Frames as fast as can be where something moves, few where the window waits for others, who need the processor
+        that frames would take, and fewer where nothing happens."""
+        session, idling = self.session, self.params.fps_idling
+        waits = (
+            session.loader is not None
+            or session.isolation.pending
+            or session.faces.busy
+            or self.exporter.busy
+            or self.measures.measurer.busy
+            or self.painter.only_reads
+        )
+        drawing = self.painter.unfinished and not self.painter.only_reads
+        idling.enable_idling = not (self.viewport.moving or self.slices.busy or drawing)
+        idling.time_active_after_last_event = 0.0 if waits else ACTIVE
+        idling.fps_idle = WAITING_FRAMES if waits else IDLE_FRAMES
 
     def _on_drop(self, _: Any, names: Any, *__: Any) -> None:
         self.dropped += [Path(name) for name in names]
