@@ -54,8 +54,9 @@ IDLE_FRAMES = 6.0
 WAITING_FRAMES = 12.0
 """While the window waits for work in the background: what that brings is seen soon."""
 
-ACTIVE = 3.0
-"""Seconds after the last event before fewer frames are drawn."""
+ACTIVE, WAITING_ACTIVE = 3.0, 0.1
+"""Seconds after the last event before fewer frames are drawn; while the window waits for others as many as a menu needs
+to open."""
 
 WIDEST = 0.55
 """Part of the window that the inspector is given at most, however large the interface is."""
@@ -226,7 +227,7 @@ class Window:
         )
         drawing = self.painter.unfinished and not self.painter.only_reads
         idling.enable_idling = not (self.viewport.moving or self.slices.busy or drawing)
-        idling.time_active_after_last_event = 0.0 if waits else ACTIVE
+        idling.time_active_after_last_event = WAITING_ACTIVE if waits else ACTIVE
         idling.fps_idle = WAITING_FRAMES if waits else IDLE_FRAMES
 
     def _on_drop(self, _: Any, names: Any, *__: Any) -> None:
