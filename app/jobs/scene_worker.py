@@ -90,8 +90,6 @@ def _load_capture(
         if rows.any():
             up = detect_up(seen, coarse.file_axes)
             _send_arrays(folder, "coarse", _arrays(coarse.gaussians[rows]), {"up": up.axis.tolist()})
-    # Fitting the skin needs torch, which takes a second to import: beside the reading, but after a coarse picture.
-    load_torch()
     loaded = load(path, seed)
     gaussians = loaded.gaussians
     taken, gone, seen = _left_out(gaussians, isolation)
@@ -129,6 +127,7 @@ def _solidify(enclosure: Enclosure, up: NDArray[np.float64], detail: Detail, see
     if detail.cells > DRAFT.cells:
         make_solid(DRAFT)
         # From here on it can be cut; what follows only makes it look like the capture.
+        load_torch()
         _write_line(stage="Making it finer", part=0.4)
     atoms = make_solid(detail)
     _write_line(stage="Matching the skin", part=0.6)
@@ -136,7 +135,7 @@ def _solidify(enclosure: Enclosure, up: NDArray[np.float64], detail: Detail, see
 
 
 def load_torch() -> None:
-    """Imports in a thread what fits the skin, which takes a second: no solid waits for that."""
+    """Imports in a thread what fits the skin, which takes a second of the interpreter: no first solid waits for that."""
     threading.Thread(target=importlib.import_module, args=("torch",), daemon=True).start()
 
 
