@@ -219,14 +219,14 @@ class Window:
         session, idling = self.session, self.params.fps_idling
         waits = (
             session.loader is not None
-            or session.isolation.pending
             or session.faces.busy
             or self.exporter.busy
             or self.measures.measurer.busy
             or self.painter.only_reads
         )
         drawing = self.painter.unfinished and not self.painter.only_reads
-        idling.enable_idling = not (self.viewport.moving or self.slices.busy or drawing)
+        follows = self.slices.busy or session.isolation.pending  # what the hand drags is read in moments
+        idling.enable_idling = not (self.viewport.moving or follows or drawing)
         idling.time_active_after_last_event = WAITING_ACTIVE if waits else ACTIVE
         idling.fps_idle = WAITING_FRAMES if waits else IDLE_FRAMES
 
