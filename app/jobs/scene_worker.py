@@ -135,7 +135,7 @@ def _solidify(enclosure: Enclosure, up: NDArray[np.float64], detail: Detail, see
 
 
 def load_torch() -> None:
-    """Imports in a thread what fits the skin, which takes a second of the interpreter: no first solid waits for that."""
+    """Imports in a thread what fits the skin, a second of the interpreter, for which no first solid waits."""
     threading.Thread(target=importlib.import_module, args=("torch",), daemon=True).start()
 
 

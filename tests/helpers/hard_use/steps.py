@@ -82,7 +82,7 @@ def options(driver: Driver, folder: Path) -> None:
     glfw.set_window_title = lambda *title: titles.append(title)
     driver.frames(5)
     glfw.set_window_title = set_title
-    assert not titles
+    assert not titles and window.params.fps_idling.enable_idling
 
     session.change_settings(replace(session.settings, wires=True))
     driver.still()
