@@ -78,11 +78,12 @@ def options(driver: Driver, folder: Path) -> None:
     plain, as_it_is = whole(), driver.view().astype(int)
 
     # A window that nothing happens in must sleep; under X11 a title that is set is an event, which wakes it.
+    driver.until(lambda: window.params.fps_idling.enable_idling, 10, "rest")
     titles, set_title = [], glfw.set_window_title
     glfw.set_window_title = lambda *title: titles.append(title)
     driver.frames(5)
     glfw.set_window_title = set_title
-    assert not titles and window.params.fps_idling.enable_idling
+    assert not titles
 
     session.change_settings(replace(session.settings, wires=True))
     driver.still()
