@@ -183,7 +183,7 @@ def _continue(
     coarse = [ndimage.gaussian_filter(c, pixels / COMPARED / 2) for c in channels]
     *_, strip = grid(line, COMPARED)
     *_, needed = grid(1, COMPARED / 4)
-    strip, needed = strip[on_disc(strip)], needed[on_disc(needed)]
+    strip, needed = strip[on_disc(strip)], np.concatenate([needed[on_disc(needed)], [[1, 0]]])
     before = look(coarse, moved(strip, np.eye(2)))
     unlike, best = np.inf, None
     most = POLAR if has_poles else np.pi

@@ -215,19 +215,16 @@ def test_what_the_border_cuts_off_of_an_oblique_slice_goes_on_as_it_was() -> Non
     flesh = np.where(np.cos(10 * turn)[..., None] > 0.8, [0.95, 0.9, 0.8], [0.9, 0.55, 0.1])
     face = np.where(radius[..., None] > 0.9, [0.3, 0.5, 0.1], flesh) * (0.9 + 0.1 * y[..., None])
     truth = np.where(radius[..., None] < 1, face, 1).astype(np.float32)
-    for top, bottom, left, right in (
-        (0, 240, 0, 175),
-        (0, 240, 65, 240),
-        (0, 180, 0, 240),
-        (60, 240, 0, 240),
-        (0, 240, 42, 198),
-    ):
+    slivers = [(0, 240, 0, right) for right in range(196, 208)]
+    large = [(0, 240, 0, 175), (0, 240, 65, 240), (0, 180, 0, 240), (60, 240, 0, 240), (0, 240, 42, 198)]
+    for top, bottom, left, right in slivers + large:
         seen = slice(top, bottom), slice(left, right)
         completed, mask, (columns, rows) = complete_face(truth[seen], radius[seen] < 1, has_poles=False)
         where = np.nonzero(mask)
         there = where[0] + top - rows, where[1] + left - columns
+        made = (there[0] < top) | (there[0] >= bottom) | (there[1] < left) | (there[1] >= right)
         assert mask.sum() == pytest.approx((radius < 1).sum(), rel=0.01)
-        assert np.abs(completed[where] - truth[there]).mean() < 0.02
+        assert np.abs(completed[where] - truth[there])[made].mean() < 0.06, (top, bottom, left, right)
 
 
 def test_a_cut_out_face_may_fill_its_picture(tmp_path: Path) -> None:
