@@ -214,15 +214,20 @@ def test_a_face_at_rest_is_read_from_the_inside(painter: Painter, session: Sessi
         assert texture is not None
         return np.frombuffer(texture.read(), np.float16).astype(float).reshape(texture.height, texture.width, 4)
 
+    def settle() -> np.ndarray:
+        shown = frame()
+        for _ in range(50):
+            if painter.unfinished:
+                shown = frame()
+        return shown
+
     plain = frame()
     assert not painter.unfinished and session.object is not None
     assert session.atoms is not None
     session.object = replace(session.object, inside=Waves())
     first = frame()
     assert painter.unfinished and np.array_equal(first, plain)
-    for _ in range(50):
-        if painter.unfinished:
-            sharp = frame()
+    sharp = settle()
     assert not painter.unfinished and np.array_equal(frame(), sharp)
     saved = painter.picture(session, camera, half)[..., :3] / 255
     changed = np.abs(sharp - plain).max(-1) > 0.1
@@ -233,8 +238,17 @@ def test_a_face_at_rest_is_read_from_the_inside(painter: Painter, session: Sessi
     assert np.array_equal(frame(), plain)  # and then detail again
     with_lines = painter.frame(session, camera, half, (0.0, 0.0, 0.0), [])
     assert with_lines is not None
+    session.object = replace(session.object, inside=Broken())
+    with pytest.raises(MemoryError):
+        settle()
+    assert np.array_equal(frame(), plain) and not painter.unfinished  # said once
     session.object = replace(session.object, inside=None)
     assert np.array_equal(frame(), plain) and not painter.unfinished
+
+
+class Broken(Waves):
+    def at(self, points: np.ndarray, footprint: float) -> np.ndarray:
+        raise MemoryError
 
 
 class Steps:

@@ -26,7 +26,11 @@ from engine.scene.camera import Camera
 from engine.scene.image import to_8bit
 from engine.scene.piece import Piece
 
-__all__ = ["Painter"]
+__all__ = ["REST", "Painter"]
+
+REST = 0.1
+"""Seconds after the last change of the view until it is drawn in full. The reading of faces begins then, and is given
+up as soon as the view changes again."""
 
 SLOW, QUICK = 60.0, 20.0
 """Milliseconds of a frame above which a moving view is drawn coarser, and below which it is drawn finer again."""
@@ -87,9 +91,9 @@ class Painter:
         self._wants_capture = False
         """Whether the last frame is a coarse one of a capture, and the whole one is to be drawn."""
         self._reader = DetailReader(wake)
-        """Of the last frame, whose faces are read from the insides of the objects."""
+        """Reads the faces of the last frame from the insides of the objects."""
         self._wants_detail = False
-        """Whether they are still to be read."""
+        """Whether they are still to be shown."""
 
     def frame(
         self,
@@ -205,7 +209,11 @@ class Painter:
         if not self._reader.busy:
             picture = self.renderer.read()
             self._reader.start(lambda: FaceDetail(picture, camera, pieces, insides, light))
-        rgb = self._reader.take(SLICE)
+        try:
+            rgb = self._reader.take(SLICE)
+        except Exception:
+            self._wants_detail = False  # it would fail again, frame after frame; the faces stay as fine as their atoms
+            raise
         if rgb is not None:
             self._picture = self.renderer.replace(rgb)
             self._wants_detail, self._overlay_key = False, None

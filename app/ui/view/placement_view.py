@@ -13,7 +13,7 @@ from app.session.face_controller import OpenFace
 from app.session.session import Session
 from app.translation import _
 from app.ui.theme import palette, px, rgb, u32
-from app.ui.view.painter import Painter
+from app.ui.view.painter import REST, Painter
 from engine.render.gl.overlay import PictureSheet
 from engine.scene.piece import Piece
 from training.families import Kind
@@ -23,9 +23,6 @@ __all__ = ["PlacementView"]
 
 TILT, TURN = 24.0, 14.0
 """Degrees by which the face is seen obliquely at first, so that the object around it is seen too."""
-
-REST = 0.2
-"""Seconds after the last change of the view until it is drawn in full."""
 
 
 class PlacementView:

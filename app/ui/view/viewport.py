@@ -27,7 +27,7 @@ from app.ui.view.axis_cube import axis_cube
 from app.ui.view.box_handles import BoxHandles
 from app.ui.view.gizmo import handles, on_handles
 from app.ui.view.overlays import family_names, film_label, mode_switch, piece_names, statistics, tool_hint
-from app.ui.view.painter import Painter
+from app.ui.view.painter import REST, Painter
 from app.ui.view.plane_lines import PlaneLines
 from app.ui.view.point_picker import PointPicker
 from app.ui.view.selection import selection_frames
@@ -54,10 +54,6 @@ CUTTING = {
     "plane": _("release to place    Shift: snap"),
 }
 """What letting go does, by the kind of drag that draws a stroke."""
-
-REST = 0.1
-"""Seconds after the last change of the view until it is drawn in full: more than between two notches of a wheel that
-is turned, less than a pause."""
 
 SOLID_OPACITY = 0.3
 """Opacity from which a Gaussian of the capture can be pointed at; below, it is haze."""
