@@ -1,4 +1,4 @@
-"""The rows of the README's tables, from docs/charts: `python -m tools.figures` prints them, a test looks for them."""
+"""Rows of the tables in docs/MEASURED.md, from docs/charts: `python -m tools.figures` prints them, checked by a test."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["rows"]
+__all__ = ["ON_THE_FRONT_PAGE", "rows"]
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -134,6 +134,9 @@ TABLES: tuple[Callable[[], list[str]], ...] = (
     of_samples,
     of_methods,
 )
+
+ON_THE_FRONT_PAGE = (of_photographs, of_captures)
+"""Tables that the README repeats: real inputs."""
 
 
 def rows() -> list[str]:

@@ -8,7 +8,7 @@ import pytest
 
 from tests.paths import ROOT
 
-PAGES = ("CONTRIBUTING.md", "README.md", "docs/ARCHITECTURE.md", "docs/TRUST.md", "docs/TUTORIAL.md")
+PAGES = ("CONTRIBUTING.md", "README.md", *sorted(f"docs/{path.name}" for path in (ROOT / "docs").glob("*.md")))
 PATH = re.compile(
     r"(?:app|benchmarks|docs|engine|examples|fruitninja|sample_scenes|shaders|tests|tools|training)/[\w./]*"
 )
