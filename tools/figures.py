@@ -1,4 +1,4 @@
-"""Rows of the tables in docs/MEASURED.md, from docs/charts: `python -m tools.figures` prints them, checked by a test."""
+"""Rows of the tables in docs/MEASURED.md, from docs/charts: `python -m tools.figures` prints them, held by a test."""
 
 from __future__ import annotations
 
