@@ -40,7 +40,7 @@ WRITE_ERRORS = (OSError, SafetensorError)
 """Errors of writing: the system's, which Pillow, numpy and plyfile pass on, and those of safetensors."""
 
 PATIENCE = 5.0
-"""Seconds to wait for a folder: a killed process may hold it until its memory is freed."""
+"""Seconds to wait for a folder's lock: a killed process may hold it until its memory is freed."""
 
 
 def open_file(path: str | Path) -> BufferedReader:
@@ -204,7 +204,7 @@ class LineWriter:
             raise InputError(f"{self.path}: cannot be written ({reason(error)})") from error
 
     def close(self) -> None:
-        """Ends writing."""
+        """Closes the file."""
         with suppress(OSError):  # every line was written or reported
             self._file.close()
 
