@@ -139,7 +139,7 @@ def run_command(
             print(f"{name}: {one_line(line)}", file=sys.stderr, flush=True)
         except OSError:
             _discard(sys.stderr)
-    gc.freeze()  # the search for cycles in all that was imported takes longer than many a command
+    gc.freeze()  # a search for cycles in all that was imported takes longer than many commands
     sys.exit(status)
 
 
