@@ -36,7 +36,7 @@ stopped it, plus the signal's number as in shells: 130 for Ctrl-C, 143 for SIGTE
 
 
 class Stopped(BaseException):
-    """The user stopped the command. Like KeyboardInterrupt no Exception, so that error handlers do not catch it."""
+    """The user stopped the command. No Exception, like KeyboardInterrupt, so that error handlers do not catch it."""
 
     def __init__(self, number: int, message: str = "") -> None:
         super().__init__(message)
@@ -145,7 +145,7 @@ def run_command(
 
 @contextmanager
 def _signals_raise() -> Iterator[None]:
-    """Ctrl-C and SIGTERM raise Stopped in this block, so that unfinished work is cleaned up."""
+    """Makes Ctrl-C and SIGTERM raise Stopped in this block, so that unfinished work is cleaned up."""
 
     def stop(number: int, _: Any) -> None:
         raise Stopped(number)

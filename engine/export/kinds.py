@@ -50,7 +50,7 @@ class Export:
     """None if there are only atoms."""
     meta: Meta
     planes: tuple[Plane, ...]
-    """What is on the kept side of all of them is left."""
+    """Only what is on the kept side of all of them is left."""
     out: Path
     pieces: bool = False
     """Whether to export every piece that the planes divide it into, each by itself, and not only what they keep."""

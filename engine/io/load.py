@@ -53,8 +53,8 @@ def load_sample(path: str | Path, most: int) -> LoadedScene | None:
     """At most `most` Gaussians of a capture, evenly chosen from its file and with SH of degree 0: what a first coarse
     picture needs, in a fraction of the time of `load`.
 
-    None for whatever `load` had better read itself: a mesh, a file in which too little can be used, and a scene so far
-    from zero that it is moved, since a sample might be moved elsewhere.
+    None for what is better left to `load`: a mesh, a file in which too little can be used, and a scene so far from zero
+    that it is moved, since a sample might be moved elsewhere.
     """
     path = Path(path)
     try:

@@ -24,7 +24,7 @@ TYPES: dict[str, np.dtype[Any]] = {"F32": np.dtype("<f4"), "F64": np.dtype("<f8"
 
 
 def map_arrays(path: Path) -> dict[str, NDArray[Any]]:
-    """The arrays of a safetensors file, which must have been written by this program and must not change any more.
+    """The arrays of a safetensors file, which must have been written by this program and must no longer change.
 
     They may be written to, which does not change the file. Raises InputError if it cannot be opened.
     """

@@ -111,8 +111,8 @@ _silence = _Silence()
 def open_picture(source: str | Path | bytes, name: str | Path | None = None) -> Iterator[Image.Image]:
     """Yields a picture with only its header decoded. The block decodes the rest on use, and should do no more.
 
-    `source` is a path, or the content of a file that messages call `name`. Raises InputError as `decoding`, and for a
-    missing file or another format. EXIF rotation is not applied; use `ImageOps.exif_transpose`.
+    `source` is a path, or the content of a file that messages call `name`. Raises InputError as `decoding` does, and
+    for a missing file or another format. EXIF rotation is not applied; use `ImageOps.exif_transpose`.
     """
     name = source if name is None and not isinstance(source, bytes) else name
     with BytesIO(source) if isinstance(source, bytes) else open_file(source) as file, decoding(name):
@@ -125,7 +125,7 @@ def open_picture(source: str | Path | bytes, name: str | Path | None = None) -> 
 
 
 def read_pixels(path: str | Path) -> NDArray[np.uint8]:
-    """(H, W, 3). A picture's RGB values. Raises InputError as `open_picture`."""
+    """(H, W, 3). A picture's RGB values. Raises InputError as `open_picture` does."""
     with open_picture(path) as image:
         return np.asarray(image.convert("RGB"))
 
@@ -197,7 +197,7 @@ def restricted_decoders() -> Iterator[None]:
 
 
 def _describe(file: BinaryIO) -> str:
-    """What a file that is no picture is, judging by its first bytes."""
+    """What a file that is not a picture is, judging by its first bytes."""
     file.seek(0)
     start = file.read(64).lstrip(b"\xef\xbb\xbf \t\r\n")
     if start[4:8] == b"ftyp" and start[8:12] in HEIF:

@@ -32,7 +32,7 @@ class Element:
     count: int
     properties: tuple[str, ...]
     dtype: np.dtype[np.void] | None
-    """A row of a binary file; None if rows hold lists and so have no fixed size."""
+    """Type of a row of a binary file; None if rows hold lists and so have no fixed size."""
     layout: tuple[tuple[np.dtype[Any] | None, np.dtype[Any]], ...]
     """For each property of a binary row, the type of a list's length (None for a plain number) and of the values."""
     min_row: int

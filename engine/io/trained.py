@@ -124,7 +124,7 @@ def save_trained(path: str | Path, atoms: Atoms, meta: Meta, inside: InsideRecor
     first is replaced. Without an inside, one that was there is removed, and so is the object's other form.
 
     Surface atoms come first; interior ones are spheres whose SH above degree 0 are zero. An .spz is rounded as
-    `engine.io.writers.spz` says, but for its sizes, whose remainders are in the sidecar. Raises InputError if
+    `engine.io.writers.spz` says, except for its sizes, whose remainders are in the sidecar. Raises InputError if
     writing fails.
     """
     path = Path(path)
@@ -274,7 +274,7 @@ def load_inside_record(path: str | Path) -> InsideRecord | None:
 
 
 def trained_isolation(path: Path) -> tuple[Any, ...]:
-    """`Meta.isolation` of a trained object, without reading the object. Raises InputError if it has no good sidecar."""
+    """`Meta.isolation` of a trained object, without reading the object. Raises InputError without a valid sidecar."""
     return _Record(sidecar_path(path), path).isolation()
 
 

@@ -69,7 +69,7 @@ class Box:
 
     low: Vec3
     high: Vec3
-    """In the box's own axes, whose origin is the capture's, world units. No less than `low`."""
+    """Corners in the box's own axes, whose origin is the capture's, world units. `high` is no less than `low`."""
     turn: Quat = (1.0, 0.0, 0.0, 0.0)
     """Unit quaternion, wxyz, the box's axes to world."""
 
@@ -96,7 +96,7 @@ class Sphere:
 
 @dataclass(frozen=True)
 class View:
-    """From where a lasso was drawn. Camera axes as in engine.scene.camera: x right, y down, z forward."""
+    """The view in which a lasso was drawn. Camera axes as in engine.scene.camera: x right, y down, z forward."""
 
     eye: Vec3
     """World units."""

@@ -32,7 +32,7 @@ quilt, four times as many take as long per point; with an eighth each point take
 
 TOLERANCE = 0.1
 """Most pitches between the depth of a pixel and that of a face which it shows: far more than rounding, far less than
-to what lies beside it."""
+the step to what lies beside it."""
 
 RIM = 1.5
 """Pitches from the edge of a face over which the colours of atoms pass into those of the inside: the atoms there are
@@ -81,7 +81,7 @@ class FaceDetail:
         """`picture` shows the `pieces`, drawn with or without face light; `solids`: by `Piece.solid`, None for those
         that have nothing but atoms."""
         self.rgb = picture.rgb.copy()
-        """(H, W, 3). The picture, read so far."""
+        """(H, W, 3). The picture, as far as it has been read."""
         self._faces = []
         for piece in pieces:
             solid = solids[piece.solid]

@@ -78,8 +78,8 @@ JOINT_PITCHES = 1e-3
 between them."""
 
 CLAMP_MARGIN = 0.3
-"""Half widths. How far outside the picture the Jacobian still follows a mean; beyond it is clamped, because the affine
-approximation diverges there (INRIA and gsplat use the same number)."""
+"""Half widths. How far outside the picture the Jacobian still follows a mean; farther out it is clamped, because the
+affine approximation diverges there (INRIA and gsplat use the same number)."""
 
 MAX_ALPHA = float(np.float32(0.99))
 """Classic: cap of alpha, so that the derivative, which divides by 1 - alpha, stays finite. The float32 number in all

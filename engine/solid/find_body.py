@@ -49,9 +49,9 @@ GAIN = 0.1
 whole captures gain 0.06 at most, thinned ones of which a part or nothing was found 0.13 to 1."""
 
 NEIGHBOURS, REACH = 6, 0.7
-"""Number of neighbours around a Gaussian of a skin, and its standard deviation over the distance to the farthest of
-them. Eight captures thinned at random to a tenth then enclose 0.96 to 1.10 of what they did; with 0.5 they enclose 0.68
-to 1.01, with 1 1.04 to 1.5. Whole captures of thin things grow by it, so it is not always done."""
+"""Number of neighbours around a Gaussian of a skin, and the least standard deviation that it gets, over the distance to
+the farthest of them. Eight captures thinned at random to a tenth then enclose 0.96 to 1.10 of what they did; with 0.5
+they enclose 0.68 to 1.01, with 1 1.04 to 1.5. Whole captures of thin things grow by it, so it is not always done."""
 
 
 @dataclass(frozen=True)

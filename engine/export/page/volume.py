@@ -23,7 +23,7 @@ MOST_CELLS = 288
 card."""
 
 FINER = 0.75
-"""Size of a cell over the finest detail of the inside: linear interpolation between cells as large as that blurs it."""
+"""Size of a cell over the finest detail of the inside: between cells as large as it, linear interpolation blurs it."""
 
 SHARP = 0.7
 """Cells. Footprint at which the inside is read: interpolation blurs it by the rest."""
@@ -35,7 +35,7 @@ SHEET = 4096
 """Most pixels along a sheet's side: what graphics cards of phones can hold."""
 
 QUALITY = 90
-"""WebP quality: a watermelon's brightness in 384 cells takes 3.5 MB; with 95 it is 4.9."""
+"""WebP quality: a watermelon's brightness in 384 cells takes 3.5 MB; with 95 it takes 4.9."""
 
 REACH = 2.0
 """Cells of the body on either side of its skin in which depths are told apart, in steps of a sixty-fourth."""

@@ -92,7 +92,7 @@ def _nrrd(data: NDArray[np.uint8], header: dict[str, Any], affine: NDArray[np.fl
 
 
 def _save_zarr(path: Path, voxels: Voxels, affine: NDArray[np.float64]) -> list[Path]:
-    """OME-Zarr 0.4: axes c, z, y, x of the file, in millimetres; kinds as labels beside."""
+    """OME-Zarr 0.4: axes c, z, y, x of the file, in millimetres; kinds as labels beside the colours."""
     millimetres = float(np.cbrt(np.linalg.det(affine[:3, :3]))) / voxels.grid.cell
     levels = [voxels]
     while max(levels[-1].grid.shape) > SMALLEST:

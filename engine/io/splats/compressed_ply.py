@@ -47,7 +47,7 @@ def is_compressed(header: Header) -> bool:
 def read_compressed_ply(path: Path, header: Header, most: int | None = None) -> tuple[Gaussians, list[str]]:
     """The Gaussians of a compressed .ply, and one line about each kind of row that had to be dropped.
 
-    `header` has been checked against the size of the file, so its counts may be allocated. With `most` no more than so
+    `header` has been checked against the size of the file, so its counts may be allocated. With `most`, at most that
     many, evenly chosen, with SH of degree 0. Raises InputError if an element is missing or of another type, or if the
     counts do not match.
     """

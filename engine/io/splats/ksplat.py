@@ -50,7 +50,7 @@ class _Section:
     buckets: NDArray[np.int64]
     """(B,). The first row of each bucket."""
     centres: NDArray[np.float32]
-    """(B, 3)."""
+    """(B, 3). World units."""
     step: float
     """World units per step of a place."""
     zero: int

@@ -77,7 +77,7 @@ def gaussians_from_rows(
     the scene has been moved. Rows are dropped that have NaN or Inf (except an infinite opacity logit, which means 0 or
     1), a zero quaternion, or implausible sizes, positions or colours. A scene so far from zero that float32 would round
     it is moved (engine.io.origin). Raises InputError if most rows would be dropped, or if the scene is too small or
-    too large for float32. Beside the result and a block, memory is some ten numbers a row.
+    too large for float32. Besides the result and a block, it takes memory for about ten numbers per row.
     """
     rest = (columns - len(GEOMETRY) - len(COLOUR)) // 3
     positions = np.empty((count, 3), np.float64 if wide else np.float32)

@@ -86,7 +86,7 @@ class _Palette:
     labels: NDArray[np.int64]
     """(N,). The entry of each Gaussian."""
     entries: NDArray[np.float32]
-    """(P, K, 3)."""
+    """(P, K, 3). Coefficients of each entry."""
 
 
 def is_zipped_sog(path: Path) -> bool:

@@ -23,7 +23,7 @@ PARTS = 256.0
 
 
 def size_remainders(sizes: NDArray[np.floating]) -> str:
-    """The text for sizes (N,) in the .spz's unit."""
+    """The remainders of sizes (N,), in the .spz's unit, as text."""
     exact = STEPS * np.log(sizes.astype(np.float64))
     parts = np.clip(np.rint((exact - np.rint(exact)) * PARTS), -128, 127).astype(np.int8)
     return base64.b64encode(zstandard.ZstdCompressor(level=9).compress(parts.tobytes())).decode("ascii")

@@ -92,7 +92,7 @@ class SoftwareMode:
         """(H, W, 2). `FrameArrays.info` of the last frame, until it is taken."""
 
     def reset(self) -> None:
-        """Has the whole frame drawn again: it is new, or something else has drawn into it."""
+        """Forgets what the frame shows: it is new, or something else has drawn into it, so all of it is drawn again."""
         self._drawn = self._info = None
 
     def draw(

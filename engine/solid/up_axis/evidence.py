@@ -69,7 +69,7 @@ def near_directions(axis: NDArray[np.float64], spread: float) -> Density:
 
 
 def resting_pose(points: Points) -> Density:
-    """(D,). How likely a thing that is dropped at random comes to rest with each direction up.
+    """(D,). How likely a thing dropped at random is to come to rest with each direction up.
 
     A solid on a plane rolls until its centre of mass is as low as it gets nearby. So the height of the centre over
     the plane, as a function of the direction, divides all directions into basins; a basin's share is the likelihood of
