@@ -36,7 +36,7 @@ stopped it, plus the signal's number as in shells: 130 for Ctrl-C, 143 for SIGTE
 
 
 class Stopped(BaseException):
-    """The user stopped the command. Like KeyboardInterrupt no Exception, so that error handlers do not catch it."""
+    """The user stopped the command. No Exception, like KeyboardInterrupt, so that error handlers do not catch it."""
 
     def __init__(self, number: int, message: str = "") -> None:
         super().__init__(message)
@@ -139,13 +139,13 @@ def run_command(
             print(f"{name}: {one_line(line)}", file=sys.stderr, flush=True)
         except OSError:
             _discard(sys.stderr)
-    gc.freeze()  # the search for cycles in all that was imported takes longer than many a command
+    gc.freeze()  # a search for cycles in all that was imported takes longer than many commands
     sys.exit(status)
 
 
 @contextmanager
 def _signals_raise() -> Iterator[None]:
-    """Ctrl-C and SIGTERM raise Stopped in this block, so that unfinished work is cleaned up."""
+    """Makes Ctrl-C and SIGTERM raise Stopped in this block, so that unfinished work is cleaned up."""
 
     def stop(number: int, _: Any) -> None:
         raise Stopped(number)

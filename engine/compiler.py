@@ -74,10 +74,10 @@ caching.CacheImpl._locator_classes.append(_NoCache)
 
 
 class _CollectorRests(event.Listener):
-    """Switches Python's garbage collector off while numba compiles, which makes many objects that stay: it looks
-    through them, and through all that is imported, again and again, a sixth of the time of compiling.
+    """Switches Python's garbage collector off while numba compiles, which makes many objects that stay: it would search
+    them, and all that is imported, again and again, for a sixth of the time of compiling.
 
-    numba compiles one kernel at a time, and what that calls inside it.
+    numba compiles one kernel at a time, and nested in it those that it calls.
     """
 
     def __init__(self) -> None:

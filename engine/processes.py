@@ -31,7 +31,7 @@ def start_python(module: str, arguments: Sequence[str] = (), **options: Any) -> 
 
 @contextmanager
 def safe_imports() -> Iterator[None]:
-    """Python processes that libraries (multiprocessing, Dask) start in this block ignore the current folder.
+    """Makes Python processes that libraries (multiprocessing, Dask) start in this block ignore the current folder.
 
     They start as `python -c`, which has the current folder first on its path, before the standard library.
     """

@@ -1,7 +1,7 @@
 """The number of cores in use, and a thread pool for numba kernels.
 
 Kernels run without the interpreter lock on this module's threads. numba's own parallel loops take two to three times as
-long to compile, and no two of them must run at the same time. A frame is a dozen short loops, and waking a sleeping
+long to compile, and no two of them may run at the same time. A frame is a dozen short loops, and waking a sleeping
 thread takes as long as one of them, so an idle thread polls for a fifth of a millisecond before it sleeps.
 
 Written by hand because the standard library's pool is slower on such loops; benchmarks/by_hand.py measures both,
@@ -31,16 +31,16 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 SPAN = 2048
-"""Rows that a kernel does at a time: 90 us of work in the quickest of four that were measured, 1 us for the call."""
+"""Rows that a kernel handles at a time: 90 us of work in the quickest of four that were measured, 1 us for the call."""
 
 PATIENCE = 10_000
-"""Looks before a thread goes to sleep, some 20 ns each: longer than the caller takes from one loop to the next."""
+"""Looks before a thread goes to sleep, about 20 ns each: longer than the caller takes from one loop to the next."""
 
 SETTLE = 500
-"""Pauses after work was seen: by then the caller has left the interpreter for its own part, and its lock is free."""
+"""Pauses after work was seen: by then the caller has left the interpreter for its own part, and the lock is free."""
 
 NEWEST, JOINED = 0, 8
-"""Places on the board, on cache lines of their own: number of the newest loop; how many threads are at work on it."""
+"""Places on the board, on cache lines of their own: number of the newest loop, and of the threads at work on it."""
 
 NAP = 2e-4
 """Seconds between looks at a thread that takes longer than PATIENCE for its last part."""
@@ -57,7 +57,7 @@ class _Loop:
         self.error: BaseException | None = None
 
     def work(self) -> None:
-        """Does what nobody else has begun."""
+        """Runs the iterations that no other thread has begun."""
         try:
             while self.error is None and (i := next(self.counter)) < self.count:
                 self.kernel(i, *self.args)
@@ -66,7 +66,7 @@ class _Loop:
 
 
 class _Team:
-    """Threads beside the calling one that take part in its loops, one loop at a time."""
+    """Threads that take part in the calling thread's loops, one loop at a time."""
 
     def __init__(self, helpers: int) -> None:
         self.busy = threading.Lock()
@@ -78,7 +78,7 @@ class _Team:
             threading.Thread(target=self._serve, name=f"render-{k}", daemon=True).start()
 
     def run(self, loop: _Loop) -> None:
-        """Returns when all of it is done; `busy` must be held."""
+        """Runs a loop and returns when all of it is done; `busy` must be held."""
         with self.gate:
             self.loop = loop
             self.board[NEWEST] += 1
@@ -114,7 +114,7 @@ class _Team:
 
 
 class _Pool:
-    """The team, made on first use, made anew in a forked child."""
+    """The team, made on first use, and anew in a forked child."""
 
     def __init__(self) -> None:
         self.count = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
@@ -143,7 +143,7 @@ if hasattr(os, "register_at_fork"):
 
 
 def cores() -> int:
-    """How many cores the renderers use."""
+    """The number of cores that the renderers use."""
     return _pool.count
 
 
@@ -161,7 +161,7 @@ def for_each(kernel: Callable[..., Any], count: int, *args: Any) -> None:
     """Runs kernel(i, *args) for every i in 0..count-1, spread over the cores; returns when all are done.
 
     The kernel must release the interpreter lock (`nogil=True`) to gain from it, and its calls must not depend on each
-    other. An error is raised once all have ended. Where another thread has the cores, the calling one does all alone.
+    other. An error is raised once all have ended. If another thread is using the cores, the calling one works alone.
     """
     loop = _Loop(kernel, count, args)
     if min(_pool.count, count) > 1 and (team := _pool.team()).busy.acquire(blocking=False):
@@ -188,9 +188,9 @@ def for_spans(kernel: Callable[..., Any], count: int, *args: Any, span: int = SP
 
 
 def side_by_side(function: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
-    """The function of every item, in their order, by as many threads as there are cores.
+    """The function's results for all items, in order, by as many threads as there are cores.
 
-    For functions of large arrays, where most of the time NumPy, SciPy or OpenCV is at work without the interpreter
+    For functions of large arrays, which spend most of their time in NumPy, SciPy or OpenCV without the interpreter
     lock. Raises the error of the first item that has one.
     """
     if min(len(items), _pool.count) < 2:

@@ -1,4 +1,4 @@
-"""The body of a trained object, found again from its atoms."""
+"""The body of a trained object, recovered from its atoms."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ from engine.solid.signed_distance import signed_depth
 __all__ = ["body_of", "skin_outside"]
 
 MOST_CELLS = 256
-"""Along the longest side of the grid: the largest that training finds a body on, 1.1 GB for a cube."""
+"""Most cells along the longest side of the grid: the largest that training finds a body on, 1.1 GB for a cube."""
 
 CELL = 0.75
-"""Pitches. A mesh on cells as large as this lies within a fortieth of a pitch of the skin of a ball; of a draft it has
+"""Pitches. A mesh on cells of this size lies within a fortieth of a pitch of the skin of a ball; for a draft it has
 24,000 triangles."""
 
 MOST_SHIFT = 0.25
-"""Pitches. How far the skin is moved at most to hold what the interior atoms fill. Skin atoms of a ball stand a tenth
-of a pitch under the skin that they show, which is 1 % of the volume of a draft."""
+"""Pitches. Most that the skin is moved to hold what the interior atoms fill. Skin atoms of a ball stand a tenth of a
+pitch below the skin that they show, which is 1 % of the volume of a draft."""
 
 MARGIN = 4
 """Cells around the interior atoms: the tangent planes move the skin by up to 1.5."""
 
 BISECTIONS = 16
-"""Of that shift: to a hundred-thousandth of a pitch."""
+"""Bisections of that shift: to a hundred-thousandth of a pitch."""
 
 BLOCK = 1 << 20
 """Points whose density is read at once."""
@@ -41,13 +41,12 @@ AWAY = 2.0
 
 
 def body_of(atoms: Atoms, name: str) -> Body:
-    """The solid that the interior atoms fill, its skin where the surface atoms show it.
+    """The solid that the interior atoms fill, with its skin where the surface atoms show it.
 
-    A trained object does not keep the body that it was filled in: the cells that its interior atoms fill, by the law of
-    cut faces, are the inside again, and the tangent planes of the surface atoms place the skin to a fraction of a cell.
-    Then it is moved evenly until its volume is that of the lattice cells that the interior atoms stand for, (2 sigma)^3
-    each. Raises InputError, in a line that begins with `name`, if interior atoms fill
-    nothing.
+    A trained object does not keep the body that was filled. Its inside is recovered as the cells that the interior
+    atoms fill, by the law of cut faces, and the tangent planes of the surface atoms place the skin to a fraction of a
+    cell. Then the skin is moved evenly until the volume is that of the lattice cells that the interior atoms stand for,
+    (2 sigma)^3 each. Raises InputError, in a line that begins with `name`, if interior atoms fill nothing.
     """
     interior = atoms.interior
     if not len(interior):
@@ -67,7 +66,7 @@ def body_of(atoms: Atoms, name: str) -> Body:
 
 
 def skin_outside(atoms: Atoms, body: Body) -> float:
-    """Part of the surface atoms that is no skin of the body: leaves, strings and mats, which have no inside.
+    """Share of the surface atoms that are not skin of the body: leaves, strings and mats, which have no inside.
     Range [0, 1]."""
     if not len(atoms.surface):
         return 0.0

@@ -25,7 +25,7 @@ WIDEN = 1.0
 blends them, and along the skin they keep their size."""
 
 BLOCK = 200_000
-"""Points that are read at once: bounds the memory of what is between."""
+"""Points that are read at once: bounds the memory of intermediate results."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Colours:
 
     atoms: Atoms
     inside: Inside | None
-    """None where the atoms are all there is."""
+    """None if there are only atoms."""
 
     @property
     def detail(self) -> float:
@@ -42,7 +42,8 @@ class Colours:
         return ATOMS_DETAIL * self.atoms.pitch if self.inside is None else self.inside.detail
 
     def within(self, points: NDArray[np.floating], footprint: float) -> Float:
-        """(N, 3). Of the inside at points (N, 3), of details no finer than a footprint in world units. Range [0, 1]."""
+        """(N, 3). Colours of the inside at points (N, 3), without details finer than the footprint, world units. Range
+        [0, 1]."""
         out = np.empty((len(points), 3), np.float32)
         for start in range(0, len(points), BLOCK):
             block = points[start : start + BLOCK]
@@ -54,8 +55,8 @@ class Colours:
         return np.clip(out, 0, 1)
 
     def skin(self, points: NDArray[np.floating], footprint: float) -> Float:
-        """(N, 3). Of the skin at points (N, 3) on it, seen from no side in particular: the mean over all directions,
-        which is what harmonics have in degree 0. Range [0, 1]."""
+        """(N, 3). Colours of the skin at points (N, 3) on it, seen from no side in particular: the mean over all
+        directions, which is the degree 0 of the harmonics. Range [0, 1]."""
         out = np.empty((len(points), 3), np.float32)
         for start in range(0, len(points), BLOCK):
             block = points[start : start + BLOCK]
@@ -63,7 +64,7 @@ class Colours:
         return np.clip(out, 0, 1)
 
     def kinds(self, points: NDArray[np.floating]) -> NDArray[np.uint8]:
-        """(N,). The `Kind` at points (N, 3) in the body. Atoms alone tell of none but INSIDE."""
+        """(N,). The `Kind` at points (N, 3) in the body. With atoms alone it is always INSIDE."""
         if self.inside is None:
             return np.full(len(points), Kind.INSIDE, np.uint8)
         return self.inside.kinds(points)
@@ -74,7 +75,7 @@ class Colours:
 
     @cached_property
     def _outside(self) -> KernelField:
-        """Of the surface atoms, and of those that are seen through its holes."""
+        """The field of the surface atoms, and of the interior ones that are seen through their holes."""
         inner, n = self.atoms.interior, self.atoms.interior.exposed
         return KernelField(
             Atoms(
@@ -85,7 +86,7 @@ class Colours:
         )
 
     def _read(self, field: KernelField, points: NDArray[np.floating], footprint: float) -> Float:
-        """(M, 3). Of a field; where it has nothing, of all atoms, seen from farther and farther away."""
+        """(M, 3). Colours of a field; where it has nothing, those of all atoms, at larger and larger footprints."""
         rgb, weight = field.at(points, footprint)
         reach = max(footprint, self.atoms.pitch)
         while (bare := np.flatnonzero(weight < MIN_WEIGHT)).size and reach < 64 * self.atoms.pitch:

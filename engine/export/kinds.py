@@ -1,4 +1,4 @@
-"""The ways to hand an object to other programs, and what is written in each."""
+"""The ways to export an object to other programs, and what each writes."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ Ink = tuple[int, int, int]
 """sRGB, range [0, 255]."""
 
 STACK = ".zip"
-"""Suffix of what goes to a printer."""
+"""Suffix of a stack of pictures for a printer."""
 
 MOST_INKS = 16
-"""A printer has eight."""
+"""Most inks; a printer has eight."""
 
 LEAST_TOLD = 0.01
-"""Part of the skin that is left out from which the user is warned: less is stray atoms."""
+"""Share of the skin left out above which the user is told: less is stray atoms."""
 
 
 @dataclass(frozen=True)
@@ -47,15 +47,15 @@ class Export:
     """The object's file; its name goes into messages and meshes."""
     atoms: Atoms
     inside: Inside | None
-    """None where the atoms are all there is."""
+    """None if there are only atoms."""
     meta: Meta
     planes: tuple[Plane, ...]
-    """What is left is on the kept side of all of them."""
+    """Only what is on the kept side of all of them is left."""
     out: Path
     pieces: bool = False
-    """All that the planes divide it into is wanted, each piece by itself, and not only what they keep."""
+    """Whether to export every piece that the planes divide it into, each by itself, and not only what they keep."""
     step: float | None = None
-    """World units between texels, voxels or particles; None where the detail of the inside decides."""
+    """World units between texels, voxels or particles; None lets the detail of the inside decide."""
     metres: float = 1.0
     """Length of a world unit."""
     inks: tuple[Ink, ...] = ()
@@ -64,10 +64,10 @@ class Export:
 
 @dataclass(frozen=True)
 class Kind:
-    """A way to hand an object to other programs."""
+    """A way to export an object to other programs."""
 
     suffixes: tuple[str, ...]
-    """Of the files that it can be written as."""
+    """Suffixes of the files that it can be written as."""
     write: Callable[[Export], str]
     """Writes the file; returns what is in it, for the line that the command ends with."""
     divides: bool = False
@@ -77,7 +77,7 @@ class Kind:
 def write_export(export: Export, name: str | None = None) -> str:
     """Writes the file as the kind of this name, or else as its suffix says; returns what is in it, in a line.
 
-    Raises InputError if they do not fit each other or the rest, and if the file cannot be written.
+    Raises InputError if name, suffix and options do not fit one another, and if the file cannot be written.
     """
     kind = kind_of(export.out, name)
     if export.inks and export.out.suffix.lower() != STACK:
@@ -172,6 +172,6 @@ KINDS: dict[str, Kind] = {
     "volume": Kind((".nii.gz", ".nii", ".nrrd", ".zarr", STACK), write_volume),
     "particles": Kind((".npz", ".usda", ".usdc"), write_particles),
 }
-"""By name. Where several write a suffix, the first is meant unless another is named."""
+"""The kinds by name. If several write a suffix, the first is used unless another is named."""
 
 SUFFIXES = tuple(dict.fromkeys(suffix for kind in KINDS.values() for suffix in kind.suffixes))

@@ -1,4 +1,4 @@
-"""Light as files of other programs count it."""
+"""Linear light, as files of other programs store it."""
 
 from __future__ import annotations
 

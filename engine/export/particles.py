@@ -24,18 +24,18 @@ PARTICLES = (".npz", ".usda", ".usdc")
 """Suffixes of the formats."""
 
 DENSITY = 1000.0
-"""kg/m^3. That of water, from which food, wood in leaf and flesh are a tenth away; whoever knows better multiplies."""
+"""kg/m^3. That of water; food, green wood and flesh are within a tenth of it. Whoever knows better multiplies."""
 
 LEAST = 0.05
-"""Share of a cell from which there is a particle: what is left out is 0.1 % of a ball of twenty particles across."""
+"""Least filled share of a cell with a particle: what is left out is 0.1 % of a ball twenty particles across."""
 
 
 @dataclass(frozen=True)
 class Particles:
-    """One for each cell of a grid that the body fills, or a part of it."""
+    """Particles, one for each cell of a grid that the body fills at least in part."""
 
     points: NDArray[np.float64]
-    """(N, 3). World units, the middle of what is filled of the cell."""
+    """(N, 3). World units, the middle of the filled part of the cell."""
     volumes: NDArray[np.float64]
     """(N,). World units cubed; they add up to that of the body."""
     kind: NDArray[np.uint8]
@@ -49,8 +49,8 @@ class Particles:
 def particles_of(voxels: Voxels) -> Particles:
     """The particles of voxels.
 
-    A cell that the skin or a cut crosses has a particle of the volume of its filled part, moved inwards to the middle
-    of that: by half of what is missing, across the border.
+    A cell that the skin or a cut crosses has a particle with the volume of its filled part, moved inwards to the middle
+    of that part: by half of what is missing, across the border.
     """
     cell, share = voxels.grid.cell, voxels.share
     cells = np.argwhere(share >= LEAST)
@@ -61,7 +61,7 @@ def particles_of(voxels: Voxels) -> Particles:
     inwards = np.divide(slope, length, out=np.zeros_like(slope), where=length > 0)
     points = voxels.grid.origin + (cells + 0.5 + inwards * (1 - full[:, None]) / 2) * cell
     volumes = full * (share.sum(dtype=np.float64) / full.sum()) * cell**3
-    # The centre of such a cell may lie outside; what is there is what is at its nearest neighbour inside.
+    # The centre of such a cell may lie outside; its kind is then that of its nearest neighbour inside.
     kind = voxels.kind[at]
     outside = np.flatnonzero(kind == 0)
     moved = np.clip(np.round(cells[outside] + inwards[outside]).astype(int), 0, np.array(share.shape) - 1)

@@ -17,10 +17,10 @@ from engine.scene.plane import Plane
 __all__ = ["MOST_VOXELS", "Voxels", "coarsened", "voxels_of"]
 
 MOST_VOXELS = 1 << 28
-"""Of a grid: 1 GB of colours and kinds."""
+"""Most voxels of a grid: 1 GB of colours and kinds."""
 
 BESIDE = 1.0
-"""Voxels. Outside the body the colours go on this far, so that a reader who interpolates mixes in no black."""
+"""Voxels. The colours continue this far outside the body, so that a reader who interpolates mixes in no black."""
 
 BORDER = 1
 """Empty cells on each side: a reader that draws a surface finds it closed."""
@@ -32,7 +32,7 @@ class Voxels:
 
     grid: Grid
     rgb: NDArray[np.uint8]
-    """(X, Y, Z, 3). sRGB as the capture has it; black far outside."""
+    """(X, Y, Z, 3). sRGB as in the capture; black far outside."""
     kind: NDArray[np.uint8]
     """(X, Y, Z). `Kind` at the cell's centre."""
     share: NDArray[np.float32]
@@ -40,11 +40,10 @@ class Voxels:
 
 
 def voxels_of(body: Body, colours: Colours, planes: Sequence[Plane], step: float | None, name: str) -> Voxels:
-    """The part of a body that planes keep, in cells of an edge in world units, or as fine as the inside and MOST_VOXELS
-    allow.
+    """The part of a body that planes keep, in cells of edge `step`, world units; None: as fine as the inside and
+    MOST_VOXELS allow.
 
-    Raises InputError, in a line that begins with `name`, if nothing is left, or if cells that were asked for are too
-    many.
+    Raises InputError, in a line that begins with `name`, if nothing is left, or if `step` gives too many cells.
     """
     low, high = body.bounds()
     extent = high - low
@@ -73,7 +72,8 @@ def voxels_of(body: Body, colours: Colours, planes: Sequence[Plane], step: float
 
 
 def coarsened(voxels: Voxels) -> Voxels:
-    """The same in cells twice as large: colours are means of what is filled, kinds those of the first filled cell."""
+    """The same in cells twice as large: colours are means over the filled part, kinds those of the first filled
+    cell."""
     x, y, z = (-(-side // 2) for side in voxels.grid.shape)
     ends = [(0, 2 * half - side) for half, side in zip((x, y, z), voxels.grid.shape, strict=True)]
     share = np.pad(voxels.share, ends).reshape(x, 2, y, 2, z, 2)

@@ -1,4 +1,4 @@
-"""Adam's rule on named tensors, whose state is arrays, for a checkpoint."""
+"""Adam on named tensors, with its state as arrays for a checkpoint."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ MOMENTS = ("exp_avg", "exp_avg_sq")
 
 @dataclass
 class Adam:
-    """torch's Adam by its functional form: making a `torch.optim.Optimizer` imports the compiler behind it, for two
-    seconds of every process that trains. Fused, it reads each array once and not ten times."""
+    """torch's Adam in its functional form: a `torch.optim.Optimizer` imports the compiler behind it, which takes two
+    seconds in every process that trains. Fused, it reads each array once instead of ten times."""
 
     parameters: dict[str, torch.Tensor]
     """Leaves that require gradients; changed in place."""
     rates: dict[str, float]
-    """Learning rate of each."""
+    """Learning rate of each parameter."""
     betas: tuple[float, float]
     eps: float = 1e-8
 
@@ -38,7 +38,7 @@ class Adam:
 
     @torch.no_grad()
     def step(self, loss: torch.Tensor, decay: float) -> None:
-        """Steps down the gradient of a loss, at the rates times `decay`."""
+        """Takes a step down the gradient of a loss, at the rates times `decay`."""
         names = list(self.parameters)
         with torch.enable_grad():
             gradients = torch.autograd.grad(loss, list(self.parameters.values()), allow_unused=True)
@@ -53,14 +53,14 @@ class Adam:
             )  # fmt: skip
 
     def state(self) -> dict[str, NDArray[np.float32]]:
-        """The parameters and Adam's two moments of each."""
+        """The parameters, and Adam's two moments of each."""
         arrays = {name: parameter.detach().numpy() for name, parameter in self.parameters.items()}
         for name, moments in self._moments.items():
             arrays |= {f"{name}.{key}": moment.numpy() for key, moment in zip(MOMENTS, moments, strict=True)}
         return arrays
 
     def restore(self, state: dict[str, NDArray[np.float32]], step: int) -> None:
-        """Puts back the state after `step` steps."""
+        """Restores the state after `step` steps."""
         for name, parameter in self.parameters.items():
             parameter.data.copy_(torch.from_numpy(state[name]))
             for key, moment in zip(MOMENTS, self._moments[name], strict=True):

@@ -72,7 +72,7 @@ class AtomTensors:
         )
 
     def atoms(self) -> Atoms:
-        """The same as arrays, float32."""
+        """The atoms as float32 arrays."""
         means, scales, quats, sh, interior_means, sigmas, rgb = (
             t.detach().float().numpy()
             for t in (self.means, self.scales, self.quats, self.sh, self.interior_means, self.sigmas, self.rgb)
@@ -88,7 +88,7 @@ def opaque_image(
     planes: Sequence[Plane] = (),
     background: Sequence[float] = (1.0, 1.0, 1.0),
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """RGB (H, W, 3) and alpha (H, W) of the atoms cut by the planes: `opaque.render`, differentiable."""
+    """RGB (H, W, 3) and alpha (H, W) of the atoms cut by the planes: a differentiable `opaque.render`."""
     kind = atoms.means.dtype
     identity = torch.tensor([1.0, 0.0, 0.0, 0.0], dtype=kind).repeat(len(atoms.sigmas), 1)
     means = torch.cat([atoms.means, atoms.interior_means])

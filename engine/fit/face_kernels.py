@@ -23,7 +23,7 @@ class FieldPoints(NamedTuple):
     places: NDArray[np.floating]
     """(K, 3)."""
     least: NDArray[np.floating]
-    """(K,). No atom is sharper there than this standard deviation, world units."""
+    """(K,). Least standard deviation that an atom has there, world units."""
 
 
 class FieldAtoms(NamedTuple):

@@ -24,7 +24,7 @@ CHUNK = 2048
 
 
 def harmonic_colours(means: torch.Tensor, sh: torch.Tensor, camera: Camera) -> torch.Tensor:
-    """(S, 3). RGB of atoms with harmonics (S, (d+1)^2, 3) at means (S, 3), as `engine.scene.sh.colours` has it."""
+    """(S, 3). RGB of atoms with harmonics (S, (d+1)^2, 3) at means (S, 3), as in `engine.scene.sh.colours`."""
     return _HarmonicColours.apply(means, sh, camera)
 
 
@@ -83,7 +83,7 @@ def _colours_backward(
     g_means,  # out [S, 3], zeros
     g_sh,  # out [S, K, 3], zeros
 ):
-    """The gradients of a chunk of atoms; a colour that is clamped to 0 passes none on."""
+    """The gradients of a chunk of atoms; a colour clamped to 0 passes none on."""
     bands = sh.shape[1]
     basis, g_basis = np.empty(16, np.float64), np.empty(16, np.float64)
     for i in range(chunk * CHUNK, min((chunk + 1) * CHUNK, len(means))):

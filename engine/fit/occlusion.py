@@ -24,12 +24,12 @@ from engine.threads import for_each
 __all__ = ["CORE_PITCHES", "CoreView", "core_of", "view_of_core"]
 
 CORE_PITCHES = 1.0
-"""Pitches. Depth of the core under the body's surface: atoms of the skin lie no deeper (`engine.solid.atomise`). Half
-as deep a core also closes cracks in walls of two pitches, but its outline is too close to the body's: a fit of a donut
-loses 0.4 dB, one of a guitar 0.2."""
+"""Pitches. Depth of the core below the body's surface: atoms of the skin lie no deeper (`engine.solid.atomise`). A core
+at half the depth also closes cracks in walls of two pitches, but its outline is too close to the body's: a fit of a
+donut loses 0.4 dB, one of a guitar 0.2."""
 
 CORE_SIGMA = 0.6
-"""Cells. The heart of a splat ends at 1.48 sigmas, so that those of cells which touch at a corner overlap."""
+"""Cells. A splat can be the front up to 1.48 sigmas, so that the splats of cells touching at a corner overlap."""
 
 SIZE = 0.5
 """Side of a core's picture over that of the view: its pixels are still smaller than a pitch, and it costs a quarter."""
@@ -54,7 +54,7 @@ class CoreView:
 
 
 def core_of(body: Body, pitch: float) -> Splats:
-    """Balls in the outermost cells of the core, which together close it; none where all of the body is thin."""
+    """Balls in the outermost cells of the core, which together close it; none if all of the body is thin."""
     core = body.depth > CORE_PITCHES * pitch
     means = body.grid.centres()[core & ~ndimage.binary_erosion(core)]
     scales = np.full((len(means), 3), CORE_SIGMA * body.grid.cell, np.float32)

@@ -40,9 +40,9 @@ HELD_OUT = 6
 """One view in this many is held out to compare the degrees."""
 
 DEGREE = 1
-"""Tried even if the capture's own degree is lower: translucent Gaussians shift against each other as the view changes,
-and one opaque atom stands for several. Unseen views of captures of degree 0 gain 0.8 dB (donut), 1.2 (guitar) and 1.8
-(tarot box); degree 2 gives 0.1 and 0.4 dB more on the last two and loses 0.9 on the donut."""
+"""Degree that is tried even if the capture's own is lower: translucent Gaussians shift against each other as the view
+changes, and one opaque atom stands for several. Unseen views of captures of degree 0 gain 0.8 dB (donut), 1.2 (guitar)
+and 1.8 (tarot box); degree 2 gives 0.1 and 0.4 dB more on the last two and loses 0.9 on the donut."""
 
 WORTH_DB = 0.1
 """dB. The lowest degree at most this much worse than the best is taken."""
@@ -99,8 +99,8 @@ def views_after(
     keep: int,
     progress: Callable[[float], None] = lambda part: None,
 ) -> list[SurfaceView]:
-    """The views of `before` as views of `after`, of another skin on the same inside: the same pictures of the capture,
-    with other weights only if an atom has another shape or place."""
+    """The views of `before` as views of `after`, which has another skin on the same inside: the same pictures of the
+    capture, with other weights only if an atom has another shape or place."""
     one, other = before.surface, after.surface
     if all(np.array_equal(getattr(one, name), getattr(other, name)) for name in ("means", "scales", "quats")):
         progress(1.0)
@@ -113,7 +113,7 @@ def views_after(
 
 
 def fit_sh(atoms: Atoms, views: Sequence[SurfaceView], progress: Callable[[float], None] = lambda part: None) -> ShFit:
-    """Fits the spherical harmonics of the surface atoms to at least two views, at the lowest degree that does as well.
+    """Fits the spherical harmonics of the surface atoms to at least two views, at the lowest degree that suffices.
 
     Interior atoms and all geometry stay. Atoms in no view keep their colours. Bit-equal for the same input.
     """
@@ -178,7 +178,7 @@ def conjugate_gradients(views: Sequence[SurfaceView], atoms: Atoms, start: Float
 
 
 def _basis(view: SurfaceView, bands: int) -> Float:
-    """(U, K). The basis in the viewing directions of the surface atoms in a view, its first used columns."""
+    """(U, K). The basis in the viewing directions of a view's surface atoms, which are its first used columns."""
     return sh.basis(view.weights.directions, round(bands**0.5) - 1).astype(np.float32)
 
 

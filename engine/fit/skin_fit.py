@@ -1,14 +1,14 @@
 """Fits the skin to the capture: means, scales, rotations and colours of the surface atoms together.
 
 An atom is opaque where a Gaussian of the capture was translucent, so what lies in front, how large it is and what it is
-mixed with have to be found anew. Adam through the differentiable opaque image does it.
+mixed with have to be found anew, by Adam through the differentiable opaque image.
 
-Through a crack in the skin of a whole solid its far side shows, in about the right colour, so nothing would close it; a
-cut that takes the far side away shows it as a speck of background. Half of the steps therefore leave out what the solid
-hides, over backgrounds of any colour.
+A crack in the skin of a whole solid shows the far side, in about the right colour, so nothing would close it; a cut
+that takes the far side away shows the crack as a speck of background. Half of the steps therefore leave out what the
+solid hides, over backgrounds of any colour.
 
-The fit begins with steps that are large beside the errors of a skin which is nearly right, as that of a scan is, and
-ends at the level that steps of one view each allow. A skin that begins above that level is left as it is.
+The fit begins with steps that are large compared with the errors of a nearly perfect skin, such as a scan's, and ends
+at the level that steps of one view each allow. A skin that begins above that level is left as it is.
 """
 
 from __future__ import annotations
@@ -37,10 +37,10 @@ __all__ = ["SkinFit"]
 RATES = {"moves": 0.03, "sizes": 0.06, "quats": 0.015, "colours": 0.03}
 """Adam's initial learning rates; all fall to 0 as a cosine. A mean moves in units of its atom's middle scale: with
 steps of one length for all, the smallest atoms, which draw the details, are thrown about (2 dB on a capture of a box).
-Sizes are logarithms of scales; twice or half of any rate changes unseen views by less than 0.3 dB."""
+Sizes are logarithms of scales; doubling or halving any rate changes unseen views by less than 0.3 dB."""
 
 BETAS = (0.9, 0.99)
-"""Decay rates of Adam's moments; the second forgets faster than usual, as a fit has some hundred steps."""
+"""Decay rates of Adam's moments; the second forgets faster than usual, as a fit has only a few hundred steps."""
 
 HUBER = 0.1
 """Colour difference from which the loss grows linearly: edges that a pixel cannot resolve do not outweigh texture."""
@@ -53,8 +53,8 @@ HELD_OUT = 12
 
 FAITHFUL = 38.0
 """dB at held-out views from which a skin is not fitted. Fits of captures end below it at unseen views (donut 37.8,
-plant 32.8), and the scans of an orange and an apple, at 40.1 and 39.6 before, were at 39.3 and 38.7 after one. Steps
-of a tenth or a twentieth do not gain there either: what the texture wins, the outline loses."""
+plant 32.8), and the scans of an orange and an apple went from 40.1 and 39.6 down to 39.3 and 38.7. Steps of a tenth or
+a twentieth gain nothing there either: what the texture wins, the outline loses."""
 
 SMALLEST = 1 / 64
 """Pitches. Least scale: an atom that shrinks to it is no longer visible."""
@@ -68,9 +68,9 @@ class Target:
 
     camera: Camera
     rgb: torch.Tensor
-    """(H, W, 3). Over black; of half precision, as a hundred of these are held."""
+    """(H, W, 3). Over black, in half precision, as a hundred of these are held."""
     alpha: torch.Tensor
-    """(H, W, 1). Range [0, 1], of half precision."""
+    """(H, W, 1). Range [0, 1], in half precision."""
 
     @staticmethod
     def of(gaussians: Gaussians, camera: Camera) -> Target:
@@ -86,11 +86,11 @@ class Target:
 class SkinFit:
     """A fit of the skin to the capture, one view a step. Bit-equal for the same input and seed, interrupted or not.
 
-    Two views for each of half as many steps cost the same and are worth 0.2 dB less. Every other step is over white, on
-    which captures are mostly looked at; the rest has a random background, so that a translucent edge of the capture
-    becomes an edge of the same place, not a band in the background's colour, and shows the skin alone that the core of
-    the body leaves in sight (`engine.fit.occlusion`), so that a crack in it becomes skin. Scales stay under the pitch,
-    degree-0 colours in [0, 1]; the number and the order of the atoms stay.
+    Half as many steps of two views each cost the same and give 0.2 dB less. Every other step is over white, on which
+    captures are mostly viewed. The others have a random background, so that a translucent edge of the capture becomes
+    an edge in the same place, not a band in the background's colour; they show only the skin that the core of the body
+    leaves in sight (`engine.fit.occlusion`), so that a crack in it becomes skin. Scales stay below the pitch, degree-0
+    colours in [0, 1]; the number and the order of the atoms stay.
     """
 
     def __init__(
@@ -103,8 +103,8 @@ class SkinFit:
         seed: int = 0,
         progress: Callable[[float], None] = lambda part: None,
     ) -> None:
-        """Draws the capture, without its haze, from at least two cameras. `steps`, at least one, becomes 0 where the
-        skin is FAITHFUL already."""
+        """Draws the capture, without its haze, from at least two cameras. `steps`, at least one, becomes 0 if the skin
+        is already FAITHFUL."""
         assert len(cameras) > 1 and steps > 0, (len(cameras), steps)
         self.atoms, self.steps, self.step = atoms, steps, 0
         core = core_of(body, atoms.pitch)
@@ -144,7 +144,7 @@ class SkinFit:
         self.adam = Adam(self.parameters, RATES, BETAS, eps=1e-15)
 
     def advance(self) -> None:
-        """One optimisation step."""
+        """Takes one optimisation step."""
         decay = 0.5 * (1 + math.cos(math.pi * self.step / self.steps))
         number, background = self.order[self.step], self.backgrounds[self.step].tolist()
         view, atoms = self.views[number], self._current()
@@ -158,7 +158,7 @@ class SkinFit:
         self.step += 1
 
     def state(self) -> dict[str, NDArray[np.float32]]:
-        """All that changes from step to step, but the number of the step, for a checkpoint."""
+        """All that changes from step to step, except the step number, for a checkpoint."""
         return self.adam.state()
 
     def restore(self, state: dict[str, NDArray[np.float32]], step: int) -> None:
@@ -167,7 +167,7 @@ class SkinFit:
         self.step = step
 
     def result(self) -> Atoms:
-        """The atoms with the skin as fitted so far; unchanged if held-out views did not improve."""
+        """The atoms with the skin fitted so far; unchanged if held-out views did not improve."""
         if not self.steps:
             return self.atoms
         with torch.no_grad():
@@ -191,8 +191,8 @@ class SkinFit:
         return replace(self.atoms, surface=surface, interior=shown)
 
     def _error(self, surface: SurfaceAtoms) -> float:
-        """Mean squared error of a skin over what it or the capture shows in held-out views: whole, and without what
-        the solid hides, each over white and over black, so that a crack counts whatever is behind it."""
+        """Mean squared error of a skin where it or the capture shows something in held-out views: whole, and without
+        what the solid hides, each over white and over black, so that a crack counts whatever is behind it."""
         total, count = 0.0, 0
         for target, core in zip(self.held_out, self.held_out_cores, strict=True):
             rows = core.shown(surface.means)

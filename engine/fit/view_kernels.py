@@ -39,8 +39,8 @@ ATOMS = 4096
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def fill_shares(y, sums, left, shares):
-    """Fills row y of shares (H, W, 3): how much of a pixel a unit of weight shows, in the layer, before and behind it,
-    from sums (H, W, SUMS) and what cut faces leave of the pixel, left (H, W)."""
+    """Fills row y of shares (H, W, 3): how much of a pixel a unit of weight shows in the layer, before it and behind
+    it, from sums (H, W, SUMS) and what cut faces leave of the pixel, left (H, W)."""
     for x in range(sums.shape[1]):
         layer, before, behind = outside_shares(sums[y, x])
         shares[y, x, 0] = left[y, x] * layer / max(sums[y, x, 0], MIN_WEIGHT)
@@ -50,14 +50,14 @@ def fill_shares(y, sums, left, shares):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def count_splats(task, tiled, front, shares, count):
-    """Adds to count (H, W) the fragments that the picture shows of every pixel, by its shares (H, W, 3)."""
+    """Adds to count (H, W) the number of fragments that each pixel shows, by its shares (H, W, 3)."""
     atoms, weights, cursor = np.empty(0, np.int32), np.empty(0, np.float32), np.empty((0, 0), np.int64)
     _walk(task, tiled, front, shares, count, False, cursor, atoms, weights)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def fill_splats(task, tiled, front, shares, cursor, atoms, weights):
-    """Writes the fragments that `count_splats` counts at cursor (H, W), which advances; weights times shares."""
+    """Writes the fragments that `count_splats` counts, weights times shares, at cursor (H, W), which advances."""
     _walk(task, tiled, front, shares, np.empty((0, 0), np.int64), True, cursor, atoms, weights)
 
 
@@ -143,7 +143,7 @@ def renumber(task, offsets, atoms, numbers):
 @njit(cache=True, nogil=True)
 def weigh_faces(task, offsets, atoms, surface_count, weights, density, mass):
     """Fills density (P,), the sum of each row's weights, then scales the weights of the skin (`skin_part`) and fills
-    mass (P,), the sum of what is left."""
+    mass (P,), the sum of the scaled weights."""
     for row in range(task * ROWS, min((task + 1) * ROWS, len(offsets) - 1)):
         skin, interior = np.float32(0), np.float32(0)
         for e in range(offsets[row], offsets[row + 1]):

@@ -1,7 +1,8 @@
 """Frozen geometry: a view as a sparse matrix, picture = W colours.
 
-While only colours are trained, a view needs its geometry once. `ViewWeights` is exact: it gives what `opaque.render`
-gives, up to float32 rounding. `ViewWeights.truncated` keeps the largest entries of each pixel and is an approximation.
+While only colours are trained, a view needs its geometry only once. `ViewWeights` is exact: it gives what
+`opaque.render` gives, up to float32 rounding. `ViewWeights.truncated` keeps the largest entries of each pixel and is an
+approximation.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ __all__ = ["ViewWeights"]
 Float = NDArray[np.float32]
 
 BANDS = 4
-"""Parts of a picture whose gradients are summed separately, then together. Fixed, so that the number of threads does
+"""Parts of a picture whose gradients are summed separately, then added up. Fixed, so that the number of threads does
 not change the bits."""
 
 
@@ -182,7 +183,7 @@ class ViewWeights:
 
 @dataclass(frozen=True)
 class _Faces:
-    """The rows of face pixels, before they join those of the outside."""
+    """The matrix rows of face pixels, before they join those of the outside."""
 
     hits: Hits
     alpha: Float  # [K]
@@ -230,7 +231,7 @@ def _drop_unused_columns(
     weights: Float,
     alpha: Float,
 ) -> ViewWeights:
-    """The view with its columns renumbered to the used ones."""
+    """The view with its columns renumbered to those in use."""
     surface_count = len(atoms.surface)
     columns = len(atoms) + surface_count
     occurs = np.zeros(columns, bool)

@@ -12,14 +12,14 @@ from engine.errors import InputError
 __all__ = ["LARGEST_INTEGER", "UNIT_TOLERANCE", "Fields"]
 
 LARGEST_INTEGER = 1 << 53
-"""Of every integer in our files: other JSON readers hold numbers as doubles, which are exact no further."""
+"""Largest integer in our files: other JSON readers hold numbers as doubles, which are exact no further."""
 
 LARGEST_NUMBER = 1e12
-"""Of every other number: far beyond any scene, and its square and cube still fit a float32 or a double."""
+"""Largest of all other numbers: far beyond any scene, and its square and cube still fit a float32 or a double."""
 
 LONGEST_TEXT = 10_000
 LONGEST_PATH = 4096
-"""Characters of a text, and of a path as Linux allows it."""
+"""Most characters of a text, and of a path as Linux allows it."""
 
 UNIT_TOLERANCE = 1e-6
 """How far the length of a unit vector in a file may be from 1: rounding to six digits."""
@@ -51,7 +51,7 @@ class Fields:
         return tuple(read(value) for value in values or ())
 
     def text(self, fields: dict[str, Any], key: str) -> str:
-        """Text that can be shown and handed to other programs: without null characters and lone surrogates."""
+        """Text that can be shown and passed to other programs: without null characters or lone surrogates."""
         value = fields.get(key)
         text = value if isinstance(value, str) else "\0"
         plain = not any(c == "\0" or "\ud800" <= c <= "\udfff" for c in text)

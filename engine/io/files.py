@@ -40,7 +40,7 @@ WRITE_ERRORS = (OSError, SafetensorError)
 """Errors of writing: the system's, which Pillow, numpy and plyfile pass on, and those of safetensors."""
 
 PATIENCE = 5.0
-"""Seconds to wait for a folder: a killed process may hold it until its memory is freed."""
+"""Seconds to wait for a folder's lock: a killed process may hold it until its memory is freed."""
 
 
 def open_file(path: str | Path) -> BufferedReader:
@@ -60,7 +60,7 @@ def open_file(path: str | Path) -> BufferedReader:
 
 
 def read_file(path: str | Path, limit: int) -> bytes:
-    """The content of a file of at most `limit` bytes. Raises InputError as `open_file`, or if it is larger."""
+    """The content of a file of at most `limit` bytes. Raises InputError as `open_file` does, or if it is larger."""
     with open_file(path) as file:
         try:
             data = file.read(limit + 1)
@@ -159,7 +159,7 @@ def _remove(path: Path) -> None:
 
 
 def write_json(path: str | Path, record: Any) -> None:
-    """Replaces a JSON file as a whole. Raises InputError as `atomic`, ValueError where a number is not finite."""
+    """Replaces a JSON file as a whole. Raises InputError as `atomic` does, and ValueError if a number is not finite."""
     text = json.dumps(record, indent=1, allow_nan=False) + "\n"
     with atomic(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
@@ -204,7 +204,7 @@ class LineWriter:
             raise InputError(f"{self.path}: cannot be written ({reason(error)})") from error
 
     def close(self) -> None:
-        """Ends writing."""
+        """Closes the file."""
         with suppress(OSError):  # every line was written or reported
             self._file.close()
 

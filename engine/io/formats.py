@@ -6,7 +6,7 @@ __all__ = ["MESH_SUFFIXES", "SCENE_SUFFIXES", "SPLAT_SUFFIXES"]
 
 SPLAT_SUFFIXES = (".ply", ".splat", ".spz", ".sog", "meta.json", ".ksplat")
 """Captures. A .ply may be SuperSplat's compressed form; an SOG in a folder is opened by its meta.json. A .glb or .gltf
-is of Gaussians or of a mesh."""
+holds Gaussians or a mesh."""
 
 MESH_SUFFIXES = (".obj", ".glb", ".gltf", ".ply", ".stl")
 

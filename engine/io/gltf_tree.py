@@ -13,7 +13,7 @@ from engine.io.files import open_file, read_file
 __all__ = ["BINARY_CHUNK", "GAUSSIANS", "JSON_CHUNK", "MAGIC", "damaged", "extensions", "read_tree", "rows"]
 
 MAGIC = b"glTF"
-"""How a .glb begins."""
+"""First bytes of a .glb."""
 
 JSON_CHUNK, BINARY_CHUNK = 0x4E4F534A, 0x004E4942
 
@@ -61,13 +61,13 @@ def rows(tree: dict[str, Any], key: str) -> list[dict[str, Any]]:
 
 
 def extensions(row: dict[str, Any]) -> dict[str, Any]:
-    """What extensions say of an object."""
+    """The extensions of an object, by name."""
     found = row.get("extensions")
     return found if isinstance(found, dict) else {}
 
 
 def damaged(path: Path) -> InputError:
-    """The refusal of a file that is no glTF."""
+    """The error for a file that is no glTF."""
     return InputError(f"{path}: cannot be read as a mesh; the file is damaged or not what its name says")
 
 

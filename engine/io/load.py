@@ -23,7 +23,7 @@ from engine.scene.gaussians import Gaussians
 __all__ = ["LoadedScene", "load", "load_sample"]
 
 Reader = Callable[[Path, int | None], tuple[Gaussians, list[str]]]
-"""The Gaussians of a file, or at most so many of them, and a line on each thing left out."""
+"""Takes a file and the most Gaussians to read (None: all). Returns them and a line on each thing left out."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class LoadedScene:
     warnings: tuple[str, ...]
     """One line each, with the file's name."""
     file_axes: FileAxes
-    """For what part of such files an axis is up."""
+    """Share of such files in which each axis is up."""
 
 
 def load(path: str | Path, seed: int = 0) -> LoadedScene:
@@ -51,10 +51,10 @@ def load(path: str | Path, seed: int = 0) -> LoadedScene:
 
 def load_sample(path: str | Path, most: int) -> LoadedScene | None:
     """At most `most` Gaussians of a capture, evenly chosen from its file and with SH of degree 0: what a first coarse
-    picture needs, in a small part of the time of `load`.
+    picture needs, in a fraction of the time of `load`.
 
-    None for whatever `load` had better read itself: a mesh, a file in which too little can be used, and a scene so far
-    from zero that it is moved, since a sample might be moved elsewhere.
+    None for what is better left to `load`: a mesh, a file in which too little can be used, and a scene so far from zero
+    that it is moved, since a sample might be moved elsewhere.
     """
     path = Path(path)
     try:
@@ -68,7 +68,7 @@ def load_sample(path: str | Path, most: int) -> LoadedScene | None:
 
 
 def _reader(path: Path) -> tuple[Reader | None, FileAxes]:
-    """What reads a capture, None for a mesh, and which axis is up in such files. Raises InputError for other files."""
+    """The reader of a capture, None for a mesh, and the up axes of such files. Raises InputError for other files."""
     suffix = path.suffix.lower()
     with open_file(path) as file:
         start = file.read(LONGEST)

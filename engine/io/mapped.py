@@ -1,7 +1,7 @@
 """Maps the arrays of a safetensors file of our own into memory instead of copying them.
 
 A large capture comes from the preparing process in such a file. Mapped, its pages are those of the system's file cache:
-they are there once, however many processes look at them, and are given back when memory is short.
+they exist once, however many processes look at them, and are given back when memory is short.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from engine.io.files import open_file
 __all__ = ["map_arrays"]
 
 TYPES: dict[str, np.dtype[Any]] = {"F32": np.dtype("<f4"), "F64": np.dtype("<f8"), "BOOL": np.dtype(bool)}
-"""What our processes exchange."""
+"""Types of the arrays that our processes exchange."""
 
 
 def map_arrays(path: Path) -> dict[str, NDArray[Any]]:
-    """The arrays of a safetensors file, which must have been written by this program and must not change any more.
+    """The arrays of a safetensors file, which must have been written by this program and must no longer change.
 
     They may be written to, which does not change the file. Raises InputError if it cannot be opened.
     """

@@ -44,7 +44,7 @@ program."""
 PICTURES = f"{', '.join(KINDS[:-1])} or {KINDS[-1]}"
 
 PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".heic", ".avif")
-"""Ends of names, in lower case, by which pictures of cut faces are picked out of a folder or of dropped files."""
+"""Name endings, in lower case, by which pictures of cut faces are picked out of a folder or of dropped files."""
 
 MAX_PIXELS = 89_478_485
 """Pillow's own limit: a quarter of a gigabyte at three bytes per pixel."""
@@ -70,7 +70,7 @@ OTHERS = {
 """Files that people mistake for pictures, by their first bytes, for the error message."""
 
 HEIF = (b"heic", b"heix", b"heim", b"heis", b"hevc", b"mif1", b"msf1")
-"""Brands (ISO base media) of phones' pictures."""
+"""ISO base media brands of phones' pictures."""
 
 _decoder_lock = Lock()
 
@@ -78,8 +78,8 @@ _decoder_lock = Lock()
 class _Silence:
     """Hides warnings while any thread is in a block that asks for it.
 
-    Python keeps what is hidden for the whole process: of two threads that catch warnings by themselves, the one that
-    leaves last puts back what the other had hidden, and the process never warns again.
+    Python keeps its warning filters for the whole process: if two threads catch warnings on their own, the one that
+    leaves last restores the other's filters, and the process never warns again.
     """
 
     def __init__(self) -> None:
@@ -109,10 +109,10 @@ _silence = _Silence()
 
 @contextmanager
 def open_picture(source: str | Path | bytes, name: str | Path | None = None) -> Iterator[Image.Image]:
-    """Yields a picture of which only the header is decoded. The block decodes the rest on use, and should do no more.
+    """Yields a picture with only its header decoded. The block decodes the rest on use, and should do no more.
 
-    `source` is a path, or the content of a file that messages call `name`. Raises InputError as `decoding`, and for a
-    missing file or another format. EXIF rotation is not applied; use `ImageOps.exif_transpose`.
+    `source` is a path, or the content of a file that messages call `name`. Raises InputError as `decoding` does, and
+    for a missing file or another format. EXIF rotation is not applied; use `ImageOps.exif_transpose`.
     """
     name = source if name is None and not isinstance(source, bytes) else name
     with BytesIO(source) if isinstance(source, bytes) else open_file(source) as file, decoding(name):
@@ -125,14 +125,14 @@ def open_picture(source: str | Path | bytes, name: str | Path | None = None) -> 
 
 
 def read_pixels(path: str | Path) -> NDArray[np.uint8]:
-    """(H, W, 3). A picture's RGB values. Raises InputError as `open_picture`."""
+    """(H, W, 3). A picture's RGB values. Raises InputError as `open_picture` does."""
     with open_picture(path) as image:
         return np.asarray(image.convert("RGB"))
 
 
 def in_srgb(image: Image.Image) -> Image.Image:
-    """A picture of 8 bits in the colours of screens, as RGB or RGBA, by the profile that came with it: those of phones
-    and of cameras look dull without it. A profile that cannot be used is left out."""
+    """An 8-bit picture converted to sRGB, as RGB or RGBA, by its embedded profile: pictures of phones and cameras look
+    dull without it. A profile that cannot be used is ignored."""
     mode = "RGBA" if image.has_transparency_data else "RGB"
     profile = image.info.get("icc_profile")
     if profile:
@@ -197,7 +197,7 @@ def restricted_decoders() -> Iterator[None]:
 
 
 def _describe(file: BinaryIO) -> str:
-    """What a file that is no picture is, judging by its first bytes."""
+    """What a file that is not a picture is, judging by its first bytes."""
     file.seek(0)
     start = file.read(64).lstrip(b"\xef\xbb\xbf \t\r\n")
     if start[4:8] == b"ftyp" and start[8:12] in HEIF:

@@ -32,7 +32,7 @@ class Element:
     count: int
     properties: tuple[str, ...]
     dtype: np.dtype[np.void] | None
-    """A row of a binary file; None if rows hold lists and so have no fixed size."""
+    """Type of a row of a binary file; None if rows hold lists and so have no fixed size."""
     layout: tuple[tuple[np.dtype[Any] | None, np.dtype[Any]], ...]
     """For each property of a binary row, the type of a list's length (None for a plain number) and of the values."""
     min_row: int
@@ -48,7 +48,7 @@ class Header:
     data: int
     """Offset of the first row, bytes."""
     comments: tuple[str, ...]
-    """Without the word 'comment'."""
+    """The comments, without the word 'comment'."""
 
     def element(self, name: str) -> Element | None:
         """The element of this name, or None."""
@@ -82,8 +82,8 @@ def read_header(path: str | Path) -> Header:
     start = re.match(rb"ply[ \t]*(\r\n|\n|\r)", text)
     if not start:
         raise InputError(f"{path}: not a .ply file")
-    # A header may mix two line endings, because tools add lines without checking. Only after a lone carriage return is
-    # a newline data.
+    # A header may mix two line endings, because tools add lines without checking. A newline belongs to the data only
+    # if lines end in a lone carriage return.
     mac = start[1] == b"\r"
     end = re.search(rb"\rend_header[ \t]*\r" if mac else rb"\nend_header[ \t]*\r?\n", text)
     if not end:
@@ -115,7 +115,7 @@ def _parse(path: Path, lines: list[str], data: int) -> Header:
         words = line.split()
         if words and words[0] in ("comment", "obj_info"):
             comments.append(" ".join(words[1:]))
-            empty_copy.append("comment")  # they may not be ASCII, or be where plyfile accepts none
+            empty_copy.append("comment")  # the text may not be ASCII, or stand where plyfile accepts none
             continue
         if words and words[0] == "element":
             if len(words) != 3 or not re.fullmatch(r"[0-9]{1,18}", words[2]):

@@ -10,7 +10,7 @@ __all__ = ["parse"]
 
 
 def parse(text: bytes) -> Any:
-    """The value. Raises ValueError for anything but JSON, including NaN, infinities, numbers that are infinite as
+    """Parses JSON. Raises ValueError for anything else, including NaN, infinities, numbers that are infinite as
     floats or have thousands of digits, nesting too deep for Python, and duplicate keys, which readers resolve
     differently."""
     try:

@@ -1,6 +1,6 @@
 """Saves and loads a trained object: a .ply that every 3DGS viewer opens, and a sidecar with what a .ply cannot hold.
 
-A compact object has an .spz in the place of the .ply, a tenth of its size.
+A compact object has an .spz in place of the .ply, at a tenth of its size.
 
 `apple.ply` holds the surface atoms, then the interior ones; `apple.fruitninja.json` holds their numbers and how the
 object was made. `apple.inside.safetensors`, where there is one, holds the inside as a function, finer than the atoms.
@@ -84,7 +84,8 @@ class Meta:
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Position of the object's zero in that file's coordinates (engine.io.origin). Old sidecars have none."""
     isolation: tuple[Any, ...] = ()
-    """What of that file is no part of the object, as `engine.isolate.record` writes it. Old sidecars have none."""
+    """Parts of that file that are left out of the object, as `engine.isolate.record` writes them. Old sidecars have
+    none."""
 
 
 def sidecar_path(path: str | Path) -> Path:
@@ -98,7 +99,7 @@ def inside_path(path: str | Path) -> Path:
 
 
 def is_trained(path: str | Path) -> bool:
-    """Whether a scene's file is a trained object: a .ply beside a sidecar, or an .spz that its sidecar is of.
+    """Whether a scene's file is a trained object: the sidecar beside it is for its form, .ply or .spz.
 
     An object and its capture may lie in one folder, as apple.ply and apple.spz.
     """
@@ -123,7 +124,7 @@ def save_trained(path: str | Path, atoms: Atoms, meta: Meta, inside: InsideRecor
     first is replaced. Without an inside, one that was there is removed, and so is the object's other form.
 
     Surface atoms come first; interior ones are spheres whose SH above degree 0 are zero. An .spz is rounded as
-    `engine.io.writers.spz` says, but for its sizes, whose remainders are in the sidecar. Raises InputError if
+    `engine.io.writers.spz` says, except for its sizes, whose remainders are in the sidecar. Raises InputError if
     writing fails.
     """
     path = Path(path)
@@ -183,12 +184,12 @@ def _is_compact(path: Path) -> bool:
 
 
 def _kind(path: Path) -> str:
-    """The name in the sidecar of an object's form."""
+    """Name of the object's form in the sidecar."""
     return "spz" if _is_compact(path) else "ply"
 
 
 def _other_form(path: Path) -> Path | None:
-    """The other form of the object that is there now, if the sidecar is of it: any other file of that name is kept."""
+    """The file of the object's other form, if the sidecar belongs to it; any other file of that name is kept."""
     other = path.with_suffix(STANDARD if _is_compact(path) else COMPACT)
     try:
         if other.is_file() and _Record(sidecar_path(other), other).is_of(other):
@@ -273,12 +274,12 @@ def load_inside_record(path: str | Path) -> InsideRecord | None:
 
 
 def trained_isolation(path: Path) -> tuple[Any, ...]:
-    """`Meta.isolation` of a trained object, without reading the object. Raises InputError if it has no good sidecar."""
+    """`Meta.isolation` of a trained object, without reading the object. Raises InputError without a valid sidecar."""
     return _Record(sidecar_path(path), path).isolation()
 
 
 def provenance(meta: Meta) -> list[str]:
-    """Lines in a file for users of other viewers: what it was made from and where that lies."""
+    """Comment lines for users of other viewers: the object's source, and the shift back to its coordinates."""
     comments = [f"FruitNinja: made from {meta.source}"] if meta.source else []
     if any(meta.origin):
         comments.append("FruitNinja: add {:.12g} {:.12g} {:.12g} to be back in its coordinates".format(*meta.origin))
@@ -330,7 +331,7 @@ class _Record:
         return path.stat().st_size == self.count(f"{kind}_bytes") and _crc(path) == self.count(f"{kind}_crc32")
 
     def refined(self, gaussians: Gaussians, surface: int) -> Gaussians:
-        """The object with the sizes that its .spz has rounded; the first `surface` Gaussians are its surface."""
+        """The object with its rounded sizes refined by the sidecar; the first `surface` Gaussians are its surface."""
         try:
             sizes = refined_sizes(np.concatenate(_sizes(gaussians, surface)), self.of("sizes", str))
         except InputError:

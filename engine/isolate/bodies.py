@@ -1,6 +1,6 @@
 """Tells apart the separate bodies of a capture: three fruits on a table, once the table is left out.
 
-A body is what hangs together and has an inside. Leaves, strings and specks have none: they stay with the nearest body.
+A body is a connected cluster with an inside. Leaves, strings and specks have none: they stay with the nearest body.
 """
 
 from __future__ import annotations
@@ -23,25 +23,25 @@ __all__ = ["Bodies", "find_bodies"]
 Vec3 = tuple[float, float, float]
 
 CELLS = 160
-"""Along the longest side of the grid on which bodies are told apart. Bodies closer than two cells, a thumb's width on a
-table of a metre, count as touching: a finer grid would find gaps in thin skins."""
+"""Cells along the longest side of the grid on which bodies are told apart. Bodies closer than two cells, a thumb's
+width on a table of a metre, count as touching: a finer grid would find gaps in thin skins."""
 
 WIDEN = 0.75
 """Cells. Least sigma in the opacity field: a skin is then a wall two cells thick, without gaps between its cells."""
 
 LEAST_SHARE = 0.01
-"""Of the Gaussians of what hangs together, relative to all: a cherry between two apples has 3 %, debris less."""
+"""Least share of all Gaussians in a cluster: a cherry between two apples has 3 %, debris less."""
 
 LEAST_SIDE = 6
-"""Cells along the longest side: enough for an inside that a solid can be made from."""
+"""Least number of cells along a cluster's longest side: enough for an inside that a solid can be made from."""
 
 BODY_CELLS = 32
-"""Cells along the longest side of the grid on which a body's inside is looked for: as coarse as LEAST_INRADIUS allows,
-0.2 s for each."""
+"""Cells along the longest side of the grid on which a body's inside is sought: as coarse as LEAST_INRADIUS allows, at
+0.2 s each."""
 
 LEAST_INRADIUS = 0.045
-"""Of a body, relative to the longest side of the box around it. A banana has 0.08, a pizza's box 0.07, a ball 0.5; a
-mat as thick as its Gaussians 0.02."""
+"""Least inradius of a body, relative to the longest side of the box around it. A banana has 0.08, a pizza's box 0.07, a
+ball 0.5; a mat as thick as its Gaussians 0.02."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class Bodies:
 def find_bodies(gaussians: Gaussians) -> Bodies:
     """The separate bodies of a capture. Every Gaussian belongs to one; fewer than two bodies are not told apart.
 
-    What touches is one body. The same bodies for the same Gaussians in the same order, whatever their units.
+    Bodies that touch count as one. The same Gaussians in the same order give the same bodies, whatever their units.
     """
     gaussians = replace(gaussians, sh=gaussians.sh[:, :1])  # colours play no part, and copies of them take gigabytes
     alone = Bodies(np.zeros(len(gaussians), np.intp), ())
@@ -77,12 +77,12 @@ def find_bodies(gaussians: Gaussians) -> Bodies:
     owner = np.repeat(np.arange(len(bodies)), [len(body) for body in bodies])
     rest = np.flatnonzero((labels < 0) & finite)
     labels[rest] = owner[tree.query(gaussians.means[rest])[1]]
-    labels[labels < 0] = 0  # not finite: no place is nearest, and nothing shows them
+    labels[labels < 0] = 0  # not finite: no body is nearest, and nothing shows them
     return Bodies(labels, tuple(_middle(gaussians.means[body]) for body in bodies))
 
 
 def _clusters(gaussians: Gaussians, least: float) -> list[NDArray[np.intp]]:
-    """The rows of what hangs together and has at least so many Gaussians, the largest cluster first."""
+    """The rows of each connected cluster of at least `least` Gaussians, the largest first."""
     grid = grid_around(gaussians, CELLS) if len(gaussians) else None
     if grid is None:
         return []
@@ -107,6 +107,6 @@ def _has_inside(gaussians: Gaussians) -> bool:
 
 
 def _middle(means: NDArray[np.float32]) -> Vec3:
-    """The centre nearest to the middle of the centres (N, 3)."""
+    """The centre nearest to the median of the centres (N, 3)."""
     x, y, z = means[((means - np.median(means, axis=0)) ** 2).sum(1).argmin()]
     return float(x), float(y), float(z)

@@ -15,7 +15,7 @@ from engine.solid.denoise_capture import HAZE_OPACITY, haze_and_fragments
 __all__ = ["BAND", "best_plane", "find_floor", "sample_skin"]
 
 SAMPLES = 6000
-"""Points of the skin, as dense as its area: a share of 5 % is then known to 0.3 %."""
+"""Points of the skin, spread by area: a share of 5 % is then known to 0.3 %."""
 
 CANDIDATES = 600
 """Planes that are tried, half of them along flat Gaussians, half through three points. A floor with a fifth of the
@@ -26,27 +26,28 @@ BAND = 0.012
 
 LEAST_FLOOR = 0.06
 LEAST_OBJECT = 0.01
-"""Shares of the skin on the plane and above it. With less on it, it is a foot. An object on a table eight times as wide
-has 3 %; with less, the plane is the object, as a leaf or a mat alone is."""
+"""Least shares of the skin on the plane and above it. With less on it, the plane is a foot. An object on a table eight
+times as wide has 3 %; with less above, the plane is the object, as with a lone leaf or mat."""
 
 MOST_BELOW = 0.1
-"""Share of the skin under a floor: table legs, the underside of a mat."""
+"""Most skin below a floor, as a share: table legs, the underside of a mat."""
 
 NEAR = 0.2
-"""Sizes of the capture above the plane within which the object's foot is looked for."""
+"""Height above the plane, in sizes of the capture, within which the object's foot is sought."""
 
 SECTORS = 16
-"""Directions around the middle of the floor in which its edge is looked at."""
+"""Directions around the middle of the floor in which its edge is examined."""
 
 EDGE = 0.8
-"""Part of the floor's radius in a direction from which on it is the edge."""
+"""Share of the floor's radius in a direction beyond which its edge lies."""
 
 COVERED = 0.2
-"""Skin above the edge, relative to the floor's own there, from which on the object covers it: the side of a box or a
-pot has several times as much, specks above a table a hundredth."""
+"""Skin above the edge, relative to the floor's own there, from which the object covers it: the side of a box or a pot
+has several times as much, specks above a table a hundredth."""
 
 FREE = 0.25
-"""Part of the edge that is free around a floor: half of it in the corner of a room, none around the foot of a pot."""
+"""Least share of the edge that is free around a floor: half of it in the corner of a room, none around the foot of a
+pot."""
 
 LIFT = 4.0
 """Robust standard deviations of the floor's Gaussians by which the plane is raised, so that it contains them: at 2.5
@@ -54,11 +55,11 @@ specks of a printed mat stay, at 6 nothing more goes but the foot of the object.
 
 
 def find_floor(gaussians: Gaussians) -> Plane | None:
-    """The plane just above a capture's floor, with n.x + d <= 0 on it and beneath it; None if it has no floor.
+    """The plane just above a capture's floor, with n.x + d <= 0 on the floor and below it; None if there is no floor.
 
     The floor is the plane with the most skin on it that leaves nearly all the rest on one side and that reaches beyond
     the foot of what stands on it: every object has a flat base or a broad side, but only a floor has a free edge. A
-    wall that the object leans against is one too. The same plane for the same capture, whatever its units.
+    wall that the object leans against counts too. The same capture gives the same plane, whatever its units.
     """
     haze, fragments = haze_and_fragments(gaussians)
     plain = replace(gaussians, sh=gaussians.sh[:, :1])  # a large capture's colours need not be copied
@@ -98,7 +99,7 @@ def sample_skin(skin: Gaussians, rng: np.random.Generator) -> tuple[NDArray[np.f
 def best_plane(
     points: NDArray[np.float64], normals: NDArray[np.float64], band: float, rng: np.random.Generator
 ) -> Plane | None:
-    """The candidate with the most points on it of those with nearly all others above; None if there is none."""
+    """Of the candidates with nearly all other points on one side, the one with the most points on it, or None."""
     half = CANDIDATES // 2
     single = rng.choice(len(points), half, replace=False)
     triples = points[rng.choice(len(points), (half, 3))]
@@ -119,7 +120,7 @@ def best_plane(
 
 
 def _fitted(points: NDArray[np.float64], up: tuple[float, float, float]) -> Plane | None:
-    """The plane of least squares through points (N, 3), its normal towards `up`; None for fewer than three."""
+    """The least-squares plane through points (N, 3), its normal towards `up`; None for fewer than three."""
     if len(points) < 3:
         return None
     centre = points.mean(0)
@@ -128,7 +129,7 @@ def _fitted(points: NDArray[np.float64], up: tuple[float, float, float]) -> Plan
 
 
 def _is_floor(points: NDArray[np.float64], plane: Plane, band: float, size: float) -> bool:
-    """Whether the plane carries an object and goes on around its foot."""
+    """Whether the plane carries an object and extends around its foot."""
     heights = plane.distance(points)
     on = np.abs(heights) <= band
     foot = (heights > 2 * band) & (heights <= NEAR * size)

@@ -29,25 +29,25 @@ __all__ = ["isolation_record", "read_isolation", "read_selection", "selection_re
 
 
 def isolation_record(isolation: Isolation) -> list[Any]:
-    """An isolation as lists, tables, texts and numbers; parsed JSON of it is equal to it."""
+    """An isolation as lists, tables, texts and numbers, which equal themselves after a round trip through JSON."""
     return [selection_record(selection) for selection in isolation]
 
 
 def selection_record(selection: Selection) -> list[Any]:
-    """A selection as lists, tables, texts and numbers; parsed JSON of it is equal to it."""
+    """A selection as lists, tables, texts and numbers, which equal themselves after a round trip through JSON."""
     return [
         {"operation": step.operation} | ({} if step.shape is None else _shape_record(step.shape)) for step in selection
     ]
 
 
 def read_isolation(reader: Fields, value: Any) -> Isolation:
-    """The isolation of an `isolation_record`. Raises InputError where it is none."""
+    """The isolation of an `isolation_record`. Raises InputError if it is not one."""
     reader.require(isinstance(value, list) and len(value) <= MOST_STEPS, "'isolation' is no list of selections")
     return tuple(read_selection(reader, selection) for selection in value)
 
 
 def read_selection(reader: Fields, value: Any) -> Selection:
-    """The selection of a `selection_record`. Raises InputError where it is none."""
+    """The selection of a `selection_record`. Raises InputError if it is not one."""
     reader.require(isinstance(value, list) and len(value) <= MOST_STEPS, "a selection is no list of steps")
     return tuple(_read_step(reader, step) for step in value)
 

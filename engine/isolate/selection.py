@@ -1,8 +1,8 @@
 """Selections of a capture's Gaussians, described by shapes: what part of a capture is the object.
 
-A selection is a list of steps, an isolation a list of selections that are removed one after the other. Both are a few
-numbers, and the rows that they mean are a pure function of them and the capture: the window, the trainer and a project
-that is opened again agree on every Gaussian.
+A selection is a list of steps, an isolation a list of selections that are removed one after another. Both are a few
+numbers, and the rows that they select are a pure function of them and the capture: the window, the trainer and a
+reopened project agree on every Gaussian.
 """
 
 from __future__ import annotations
@@ -57,10 +57,10 @@ Vec3 = tuple[float, float, float]
 Quat = tuple[float, float, float, float]
 
 MOST_STEPS = 1000
-"""Of one selection, and selections of an isolation: more than a day of clicking."""
+"""Most steps of a selection, and most selections of an isolation: more than a day of clicking."""
 
 MOST_CORNERS = 1000
-"""Of a lasso: one in each pixel of a stroke across the picture."""
+"""Most corners of a lasso: one in each pixel of a stroke across the picture."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class Box:
 
     low: Vec3
     high: Vec3
-    """In the box's own axes, whose origin is the capture's, world units. No less than `low`."""
+    """Corners in the box's own axes, whose origin is the capture's, world units. `high` is no less than `low`."""
     turn: Quat = (1.0, 0.0, 0.0, 0.0)
     """Unit quaternion, wxyz, the box's axes to world."""
 
@@ -96,7 +96,7 @@ class Sphere:
 
 @dataclass(frozen=True)
 class View:
-    """From where a lasso was drawn. Camera axes as in engine.scene.camera: x right, y down, z forward."""
+    """The view in which a lasso was drawn. Camera axes as in engine.scene.camera: x right, y down, z forward."""
 
     eye: Vec3
     """World units."""
@@ -108,7 +108,7 @@ class View:
     orthographic: bool = False
 
     def project(self, points: NDArray[np.floating]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-        """Places (N, 2) of the points (N, 3) in the picture, whose edges are at -1 and 1, and which lie before the eye.
+        """Places (N, 2) of points (N, 3) in the picture, whose edges are at -1 and 1, and whether each is ahead (N,).
 
         Places of points behind the eye of a perspective view mean nothing. An orthographic view sees behind its eye.
         """
@@ -126,8 +126,8 @@ class Lasso:
 
     view: View
     corners: tuple[Vec2, ...]
-    """Of the closed line, in the picture whose edges are at -1 and 1: x right, y down. At least three. Where the line
-    crosses itself, what it goes around an odd number of times is enclosed."""
+    """Corners of the closed line, in the picture whose edges are at -1 and 1: x right, y down. At least three. If the
+    line crosses itself, areas that it encircles an odd number of times are enclosed."""
 
     def contains(self, points: NDArray[np.floating]) -> NDArray[np.bool_]:
         """(N,). Which of the points (N, 3) lie in it."""
@@ -147,7 +147,7 @@ class Lasso:
 
 @dataclass(frozen=True)
 class Below:
-    """Everything on a plane and beneath it: where n.x + d <= 0."""
+    """Everything on a plane and below it: where n.x + d <= 0."""
 
     plane: Plane
 
@@ -162,8 +162,8 @@ DETECTED: tuple[DetectedKind, ...] = ("surroundings", "floor", "fragments", "haz
 
 @dataclass(frozen=True)
 class Detected:
-    """What is found in the capture itself: the room or view around the object, the floor and what lies under it, small
-    pieces apart from the object, or Gaussians too large and faint to be a surface."""
+    """What is detected in the capture itself: the room or view around the object, the floor and what lies below it,
+    small pieces apart from the object, or Gaussians too large and faint to be a surface."""
 
     kind: DetectedKind
 
@@ -189,14 +189,14 @@ class Step:
 
     operation: Operation
     shape: Shape | None = None
-    """What is added or subtracted; None for the others."""
+    """What is added or subtracted; None for the other operations."""
 
     def __post_init__(self) -> None:
         assert (self.shape is not None) == (self.operation in ("add", "subtract")), self
 
 
 Selection = tuple[Step, ...]
-"""From nothing selected, in order."""
+"""Steps in order, from an empty selection."""
 
 INVERT = Step("invert")
 
@@ -211,18 +211,18 @@ NOTHING_TO_LEAVE_OUT: dict[Selection, str] = {
 }
 
 Isolation = tuple[Selection, ...]
-"""What is removed, one selection after the other: each looks only at what the ones before it have left."""
+"""What is removed, one selection after another: each looks only at what the ones before it have left."""
 
 
 def keep_only(*shapes: Shape) -> Selection:
-    """The selection of everything outside of the shapes: removed, it leaves only what one of them contains."""
+    """The selection of everything outside the shapes: removing it leaves only what lies in one of them."""
     return (*(Step("add", shape) for shape in shapes), INVERT)
 
 
 def split_bodies(gaussians: Gaussians) -> tuple[Selection, ...]:
-    """For each separate body of a capture the selection of everything else, those with the most Gaussians first.
+    """For each separate body of a capture, the selection of everything else; bodies with the most Gaussians first.
 
-    Empty if there are fewer than two: removing nothing leaves the only one.
+    Empty if there are fewer than two bodies: there is nothing to remove.
     """
     return tuple(keep_only(BodyAt(point)) for point in find_bodies(gaussians).points)
 
@@ -247,7 +247,7 @@ def removed(gaussians: Gaussians, isolation: Isolation) -> NDArray[np.bool_]:
 
 
 def without_surroundings(gaussians: Gaussians) -> Gaussians:
-    """The object and its floor, which tell which way is up whatever else of the capture is left out."""
+    """The object and its floor: they tell which way is up, whatever else of the capture is left out."""
     around = removed(gaussians, (NO_SURROUNDINGS,))
     return gaussians[~around] if around.any() else gaussians
 
@@ -282,7 +282,7 @@ def _removed_in_turn(gaussians: Gaussians, isolation: Isolation) -> Iterator[NDA
 
 
 def _contained(gaussians: Gaussians, shape: Shape) -> NDArray[np.bool_]:
-    """(N,). Which Gaussians a shape means; their centres count."""
+    """(N,). Which Gaussians have their centres in a shape."""
     if isinstance(shape, BodyAt):
         return _body_at(gaussians, shape.point)
     if not isinstance(shape, Detected):

@@ -1,4 +1,4 @@
-"""Finds what surrounds the object of a capture: a room, a garden, a sky. Between them is where the cameras were."""
+"""Finds what surrounds the object of a capture: a room, a garden, a sky. The cameras were between the two."""
 
 from __future__ import annotations
 
@@ -19,51 +19,54 @@ __all__ = ["find_middle"]
 Double = NDArray[np.float64]
 
 DIRECTIONS = 512
-"""Directions that are told apart in a view, nine degrees each: were they much finer, walls of Gaussians had gaps."""
+"""Directions of view that are told apart, nine degrees each: were they much finer, walls of Gaussians would have
+gaps."""
 
 STEPS = 8
-"""Steps of distance to an octave."""
+"""Steps of distance per octave."""
 
 HIDDEN = 0.5
-"""Opacity in a direction from which on the view ends there."""
+"""Opacity in a direction from which the view ends there."""
 
 MOST_FLOOR = 1 / 3
-"""Share of directions. Between a distance r and twice it a floor, however wide, ends a quarter of them at most: of a
-height h <= r below, (h / r - h / 2r) / 2."""
+"""Largest share of directions in which the view may end between distances r and 2r. A floor, however wide, ends it in a
+quarter at most: from h <= r below, in (h / r - h / 2r) / 2."""
 
 LEAST_BEYOND = 0.5
-"""Share of directions. A floor ends the view in less than half of them, however far it reaches."""
+"""Least share of directions in which the view ends farther out. A floor ends it in less than half of them, however far
+it reaches."""
 
 LEAST = 0.05
-"""Share of the Gaussians that the ball holds at least: captures are fine where the cameras looked."""
+"""Least share of the Gaussians in the ball: captures are fine where the cameras looked."""
 
 MOST_AROUND = 0.05
-"""Gaussians around the ball, but for a floor, relative to those in it: floaters, not a neck or a branch."""
+"""Most Gaussians around the ball, floor aside, relative to those in it: floaters, not a neck or a branch."""
 
 SAME = 0.002
-"""Difference in that which says nothing: the smaller ball is taken."""
+"""Difference in that share that means nothing: the smaller ball is taken."""
 
 MARGIN = 1.6
-"""The ball's radius over that which was found. What of the object lies close to its floor was not told from it, and a
-floor is known by what of it is around the object: of five objects in four scenes with 1.25 in 16, with 1.6 in all."""
+"""The ball's radius over the one found. Parts of the object close to its floor were not told from it, and a floor is
+recognised by what of it is around the object: of five objects in four scenes, with 1.25 in 16, with 1.6 in all."""
 
 LEVELS = 6
-"""Centres that are tried: the middle of all, of the half that is nearest to it, and so on."""
+"""Centres that are tried: the middle of all, of the half nearest to it, and so on."""
 
 REACH = 1.5
-"""Standard deviations of the disc for which a Gaussian stands: as large as makes its opacity times its area right."""
+"""Radius, in standard deviations, of the disc that a Gaussian counts as: it makes opacity times area right."""
 
 SAMPLES = 50_000
-"""Gaussians that are looked at, at most."""
+"""Most Gaussians that are looked at."""
 
 
 def find_middle(gaussians: Gaussians) -> tuple[tuple[float, float, float], float] | None:
     """Centre and radius, in world units, of a ball that holds the object of a capture with surroundings.
 
-    None if it has none. Cameras see all of an object from twice its reach or more, and there is nothing but its floor
-    where they were. So the ball is the smallest, around the middle of most of the capture, that has hardly anything
-    around it up to twice its radius, and something beyond in most directions; larger by a margin. A wide floor alone
-    does not surround an object, nor does a wall behind it. The same ball for the same capture, whatever its units.
+    None if there are no surroundings. Cameras see all of an object from twice its reach or more, and there is nothing
+    but its floor where they were. So the ball is the smallest, around the middle of most of the capture, that has
+    hardly anything around it up to twice its radius, and something beyond in most directions; enlarged by a margin. A
+    wide floor alone does not surround an object, nor does a wall behind it. The same capture gives the same ball,
+    whatever its units.
     """
     finite = np.isfinite(gaussians.means).all(1) & np.isfinite(gaussians.scales).all(1)
     rows = np.flatnonzero(finite & (gaussians.opacities >= HAZE_OPACITY))
@@ -94,13 +97,13 @@ class Ball:
 
     radius: float
     rest: float
-    """Gaussians around it, but for a floor, relative to those in it."""
+    """Gaussians around it, floor aside, relative to those in it."""
     middle: Double
-    """(3,). The middle of what it holds, but for a floor."""
+    """(3,). The middle of what it holds, floor aside."""
 
 
 class _Around:
-    """What is seen from a centre."""
+    """The view from a centre."""
 
     def __init__(self, gaussians: Gaussians, centre: Double) -> None:
         self.gaussians = gaussians
@@ -120,7 +123,7 @@ class _Around:
         """(S, DIRECTIONS). Opacities added up to the end of each step; the first ends where a ball holds LEAST."""
 
     def free_ball(self) -> Ball | None:
-        """The ball with the least around it, an octave at most larger than the smallest that will do."""
+        """The ball with the least around it, at most an octave larger than the smallest that will do; None if none."""
         best, rng = None, np.random.default_rng(0)
         last = len(self.hidden) - STEPS
         for step in range(last):
@@ -168,7 +171,7 @@ def _discs(gaussians: Gaussians) -> tuple[Double, Double]:
 
 
 def _directions() -> Double:
-    """(DIRECTIONS, 3). Unit vectors, even over the sphere: a Fibonacci lattice."""
+    """(DIRECTIONS, 3). Unit vectors spread evenly over the sphere: a Fibonacci lattice."""
     k = np.arange(DIRECTIONS) + 0.5
     z = 1 - 2 * k / DIRECTIONS
     angle = math.pi * (1 + math.sqrt(5)) * k

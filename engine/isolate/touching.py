@@ -15,22 +15,22 @@ from engine.solid.denoise_capture import HAZE_OPACITY, haze_and_fragments
 __all__ = ["grow"]
 
 NEIGHBOURS = 12
-"""Nearest centres that are looked at: on a surface a Gaussian has about six around it, and as many on its other side
-where the surface is a sheet."""
+"""Nearest centres that are examined: on a surface a Gaussian has about six around it, and as many on its other side if
+the surface is a sheet."""
 
 REACH = 2.0
 """Standard deviations to which a Gaussian reaches: there it has 14 % of its opacity left, the faintest skin that a
 picture shows."""
 
 BLOCK = 1 << 15
-"""Gaussians whose neighbours are looked up at a time, which holds the memory of that step under 100 MB."""
+"""Gaussians whose neighbours are looked up at a time, which keeps the memory of that step below 100 MB."""
 
 
 def grow(gaussians: Gaussians, selected: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """(N,). The selected Gaussians and all that touch them, directly or through others.
 
-    Two Gaussians touch if along the line between their centres their ellipsoids of REACH standard deviations meet. Haze
-    and Gaussians fainter than HAZE_OPACITY are carried along by what they touch, but lead no further: they reach
+    Two Gaussians touch if their ellipsoids of REACH standard deviations meet along the line between their centres. Haze
+    and Gaussians fainter than HAZE_OPACITY are carried along by what they touch, but carry nothing along: they reach
     everywhere.
     """
     if not selected.any() or selected.all():
@@ -66,7 +66,7 @@ def _touching(
     rows: NDArray[np.integer],
     tree: cKDTree,
 ) -> tuple[NDArray[np.integer], NDArray[np.integer]]:
-    """Pairs (P,), (P,) of a Gaussian of `block` and one of `rows`, in the order of the block and of their distance."""
+    """Touching pairs (P,), (P,), one of `block` and one of `rows`, in the order of the block, then of distance."""
     _, near = tree.query(means[block], k=min(NEIGHBOURS + 1, len(rows)))
     near = rows[near.reshape(len(block), -1)]
     a, b = np.repeat(block, near.shape[1]), near.ravel()

@@ -1,4 +1,4 @@
-"""The numbers of the image as defines of shaders, by name: the same that the kernels use."""
+"""The constants of the image as shader defines, by name: the same that the kernels use."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Cut faces in every detail that the inside has, for pictures that stand still.
+"""Cut faces in all the detail that the inside has, for pictures that stand still.
 
-Atoms show an inside as finely as their lattice; a picture of a face may have three pixels for each. Once a picture has
-been drawn, the pixels of its faces are read from the inside itself.
+Atoms show an inside only as finely as their lattice; a picture of a face may have three pixels for each. Once a picture
+has been drawn, the pixels of its faces are read from the inside itself.
 """
 
 from __future__ import annotations
@@ -27,15 +27,16 @@ from engine.scene.plane import Plane
 __all__ = ["RIM", "Detailed", "FaceDetail", "FaceReading", "detailed", "detailed_from", "read_face", "straight_face"]
 
 BLOCK = 100_000
-"""Points that are read at once, a tenth of a second on two cores: what is no longer wanted ends so soon. Four times as
-many, of a quilt, take as long a point; in blocks of an eighth each point takes half as long again."""
+"""Points that are read at once, a tenth of a second on two cores: a reading no longer wanted ends that soon. For a
+quilt, four times as many take as long per point; with an eighth each point takes half as long again."""
 
 TOLERANCE = 0.1
-"""Pitches between the depth of a pixel and that of a face for it to show the face: far more than rounding, far less
-than what lies beside it."""
+"""Most pitches between the depth of a pixel and that of a face which it shows: far more than rounding, far less than
+the step to what lies beside it."""
 
 RIM = 1.5
-"""Pitches from the edge of a face over which its atoms pass into the inside: there they are the skin's."""
+"""Pitches from the edge of a face over which the colours of atoms pass into those of the inside: the atoms there are
+the skin's."""
 
 SPLINE = 3
 """Degree of the splines between the pixels of a reading: linear ones blur its details."""
@@ -47,7 +48,7 @@ class Detailed:
 
     inside: Inside
     pitch: float
-    """Of its atoms, world units."""
+    """Pitch of its atoms, world units."""
 
 
 @dataclass(frozen=True)
@@ -61,13 +62,13 @@ class _Face:
     points: NDArray[np.float64]
     """(N, 3). Object space."""
     light: NDArray[np.float32]
-    """(N,)."""
+    """(N,). Brightness."""
     share: NDArray[np.float32]
-    """(N,). Range (0, 1]: 1 inside the face, less at its rim."""
+    """(N,). Weight of the reading, range (0, 1]: 1 inside the face, less at its rim."""
 
 
 class FaceDetail:
-    """A picture whose faces are read from the inside, some thousand pixels at a time."""
+    """A picture whose faces are read from the inside, BLOCK pixels at a time."""
 
     def __init__(
         self,
@@ -77,10 +78,10 @@ class FaceDetail:
         solids: Sequence[Detailed | None],
         light: bool,
     ) -> None:
-        """`picture` is one of the `pieces`, drawn with or without face light; `solids`: by `Piece.solid`, None for
-        those whose atoms are all there is."""
+        """`picture` shows the `pieces`, drawn with or without face light; `solids`: by `Piece.solid`, None for those
+        that have nothing but atoms."""
         self.rgb = picture.rgb.copy()
-        """(H, W, 3). The picture as far as it is read."""
+        """(H, W, 3). The picture, as far as it has been read."""
         self._faces = []
         for piece in pieces:
             solid = solids[piece.solid]
@@ -90,7 +91,7 @@ class FaceDetail:
 
     @property
     def ended(self) -> bool:
-        """Whether all is read."""
+        """Whether all faces have been read."""
         return not self._faces
 
     def advance(self) -> None:
@@ -110,7 +111,7 @@ class FaceDetail:
 def detailed(
     picture: Picture, camera: Camera, pieces: Sequence[Piece], solids: Sequence[Detailed | None], light: bool
 ) -> Picture:
-    """The picture with all of its faces read from the inside; arguments as of `FaceDetail`."""
+    """The picture with all of its faces read from the inside; arguments as in `FaceDetail`."""
     work = FaceDetail(picture, camera, pieces, solids, light)
     while not work.ended:
         work.advance()
@@ -119,12 +120,12 @@ def detailed(
 
 @dataclass(frozen=True)
 class FaceReading:
-    """A face as it was read once, for several pictures of it."""
+    """A face that was read once, for several pictures of it."""
 
     camera: Camera
     """Straight in front of it, orthographic."""
     rgb: NDArray[np.float32]
-    """(H, W, 3). The inside, without light; beside the face what the camera sees."""
+    """(H, W, 3). The inside, without light; outside the face, what the camera sees."""
 
 
 def read_face(picture: Picture, camera: Camera, piece: Piece, solid: Detailed) -> FaceReading:
@@ -140,8 +141,8 @@ def read_face(picture: Picture, camera: Camera, piece: Piece, solid: Detailed) -
 def detailed_from(
     reading: FaceReading, picture: Picture, camera: Camera, piece: Piece, solid: Detailed, light: bool
 ) -> Picture:
-    """`detailed`, but for a face that was read before: it costs next to nothing, and is as sharp where the pixels of
-    the reading are as small as those of the picture."""
+    """`detailed` for a face that was read before: it costs next to nothing, and is as sharp if the pixels of the
+    reading are as small as those of the picture."""
     ahead = reading.camera
     rgb = picture.rgb.copy()
     flat = rgb.reshape(-1, 3)
@@ -155,8 +156,8 @@ def detailed_from(
 
 
 def straight_face(field: KernelField, pitch: float, camera: Camera, plane: Plane) -> Picture:
-    """The cut face alone that a camera in front of a plane sees, over black, without light: of all that the atoms of
-    the field, which have this pitch, fill."""
+    """Only the cut face that a camera in front of a plane sees, over black, without light: of everything that the
+    field's atoms, which have this pitch, fill."""
     hits = enter(camera_record(camera), camera_planes(camera, [plane]))
     layer = face_layer(field, pitch, hits, (camera.height, camera.width), False)
     return Picture(layer.rgb, layer.alpha, layer.depth)
@@ -172,7 +173,7 @@ def _faces_of(picture: Picture, camera: Camera, piece: Piece, solid: Detailed, l
         return []
     shown = np.zeros(picture.alpha.shape, bool)
     shown.reshape(-1)[hits.pixels[seen]] = True
-    # Half a pixel less: the outermost pixel of a face shows what is behind it as well.
+    # Half a pixel less: the outermost pixel of a face also shows what is behind it.
     from_edge = ndimage.distance_transform_edt(np.pad(shown, 1))[1:-1, 1:-1].reshape(-1)[hits.pixels] - 0.5
     share = np.clip(from_edge * hits.footprint / (RIM * solid.pitch), 0, 1).astype(np.float32)
     share[from_edge < 1] = 0

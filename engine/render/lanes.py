@@ -181,7 +181,7 @@ def _loader(count: int) -> Any:
 
 
 load8, load16 = _loader(8), _loader(16)
-"""The 8 or 16 numbers of a contiguous array from a flat index on."""
+"""Reads 8 or 16 numbers of a contiguous array, from a flat index on."""
 
 
 @_device
@@ -260,7 +260,7 @@ def _extreme(symbol: str) -> Any:
 
 
 minimum, maximum = _extreme("<"), _extreme(">")
-"""The lesser and the greater of two, lanes or scalars; the first one if they are equal or NaN."""
+"""The lesser and the greater of two, lanes or scalars; the first if they are equal or one is NaN."""
 
 
 def _unary(name: str) -> Any:
@@ -275,7 +275,7 @@ def _unary(name: str) -> Any:
 
 
 floor, root, absolute = _unary("floor"), _unary("sqrt"), _unary("fabs")
-"""Of lanes or a scalar; `root` is the square root, `absolute` the absolute value."""
+"""Functions of lanes or a scalar; `root` is the square root, `absolute` the absolute value."""
 
 
 @_device

@@ -55,7 +55,7 @@ class CameraRecord(NamedTuple):
     translation: tuple[float, ...]
     """(3,). World to camera."""
     fx: float
-    """Pixels; of an orthographic camera, pixels per world unit."""
+    """Pixels; for an orthographic camera, pixels per world unit."""
     fy: float
     cx: float
     """Pixels from the left edge."""

@@ -1,7 +1,7 @@
 """Opaque particles that make up a solid object.
 
 Surface atoms are ellipsoids with spherical harmonics. Interior atoms are spheres with a plain colour, seven floats
-each; a cut shows no more of them. Atoms have no opacity, as all are opaque (paper, section 3.4).
+each, because a cut shows nothing more of them. Atoms have no opacity: all are opaque (paper, section 3.4).
 """
 
 from __future__ import annotations
@@ -90,7 +90,7 @@ class Atoms:
         return len(self.surface) + len(self.interior)
 
     def as_gaussians(self, opacity: float) -> Gaussians:
-        """Surface atoms, then interior ones, of one opacity, with as many harmonics as the surface has."""
+        """The surface atoms, then the interior ones, all with this opacity and the surface's SH degree."""
         surface, interior = self.surface, self.interior
         n, s = len(self), len(surface)
         coefficients = np.zeros((n, surface.sh.shape[1], 3), np.float32)

@@ -34,7 +34,7 @@ class Camera:
     height: int
     orthographic: bool = False
     near: float = 0.01
-    """Depth under which nothing is drawn, world units; an orthographic camera ignores it."""
+    """Depth below which nothing is drawn, world units; an orthographic camera ignores it."""
 
     @property
     def position(self) -> NDArray[np.float64]:

@@ -35,17 +35,17 @@ CUTOFF_Q = 9.0
 """Squared Mahalanobis distance at which a kernel is cut off: three standard deviations, 1.1 % of its height."""
 
 CORE_Q = 2.0 * math.log(3.0)
-"""Squared Mahalanobis distance of a third of the height: the nearest atom that is so close is at the front. At half
-height a skin has gaps without one, which show the far side of the object as a mixture; at a fifth it would reach over
-what lies behind an edge."""
+"""Squared Mahalanobis distance at which a kernel has a third of its height: the nearest atom within this distance is
+the front. With half the height, a skin has gaps that show the far side of the object as a mixture; with a fifth, the
+front would reach over what lies behind an edge."""
 
 EPSILON_PITCHES = 1.5
 """Pitches. Depth of the blended layer on either side of the front: 1.5 scale caps blend neighbours but not opposite
 walls."""
 
 FADE_LAYERS = 40
-"""Layers behind the front after which depth makes no more difference to the colour that shows: a quarter for each, and
-4^-40 is still a float32."""
+"""Layers behind the front beyond which weights fall no further: each layer has a quarter of the weight of the one
+before it, and 4^-40 is still a float32."""
 
 EDGE_SLOPE = 0.59
 """|slope| of exp(-x^2/2) at half height, sqrt(2 ln 2) / 2: an edge of sigma pixels sharpens by sigma / this."""
@@ -54,16 +54,16 @@ LATTICE_DENSITY = (2.0 * math.pi) ** 1.5 / 8.0
 """Sum of the weights inside a lattice of spheres with sigma = pitch / 2."""
 
 FILLED_DENSITY = 0.9 * LATTICE_DENSITY
-"""Weight sum of the interior from which it alone colours a cut face. The sum of an even lattice ripples by 4 %,
-that of a jittered one by more."""
+"""Weight sum from which the interior alone colours a cut face. The sum of an even lattice ripples by 4 %, that of a
+jittered one by more."""
 
 SOLID_DENSITY = LATTICE_DENSITY / 4
-"""Weight sum from which a point counts as solid. A boundary plane of an even lattice has half of the lattice's, but
-atoms are jittered and end a little under the skin: at half, 6 % of the points 0.05 to 1.5 pitches under a skin are
-holes, at a quarter 0.2 %, and 0.04 % of those 0.4 to 1 pitch above it are solid."""
+"""Weight sum from which a point counts as solid. On the boundary plane of an even lattice it is half of that inside,
+but atoms are jittered and end a little below the skin: at a half, 6 % of the points 0.05 to 1.5 pitches below a skin
+are holes; at a quarter 0.2 % are, and 0.04 % of the points 0.4 to 1 pitch above it are solid."""
 
 MIN_WEIGHT = 1e-6
-"""Weight sum under which a pixel counts as empty."""
+"""Weight sum below which a pixel counts as empty."""
 
 FACE_AMBIENT = 0.85
 FACE_LAMP = 1.0 - FACE_AMBIENT
@@ -78,8 +78,8 @@ JOINT_PITCHES = 1e-3
 between them."""
 
 CLAMP_MARGIN = 0.3
-"""Half widths. How far outside the picture the Jacobian still follows a mean; beyond it is clamped, because the affine
-approximation diverges there (INRIA and gsplat use the same number)."""
+"""Half widths. How far outside the picture the Jacobian still follows a mean; farther out it is clamped, because the
+affine approximation diverges there (INRIA and gsplat use the same number)."""
 
 MAX_ALPHA = float(np.float32(0.99))
 """Classic: cap of alpha, so that the derivative, which divides by 1 - alpha, stays finite. The float32 number in all
@@ -88,10 +88,10 @@ agree that they end it."""
 
 MIN_TRANSMITTANCE = 1e-4
 """Classic: a layer that would leave less transmittance than this is not drawn and ends the pixel, as in INRIA's
-renderer; on the GPU what ends it is drawn, and perhaps some layers more."""
+renderer; on the GPU the layer that ends it is drawn, and perhaps a few more."""
 
 ALPHA_STEPS = 255.0
-"""Classic: alpha under 1 / ALPHA_STEPS, one step of an 8-bit picture, is skipped."""
+"""Classic: layers with an alpha below 1 / ALPHA_STEPS, one step of an 8-bit picture, are skipped."""
 
 NOTHING = 3.0e38
 """Depth of an empty pixel. A finite number, because shader compilers may optimise infinities away."""

@@ -1,7 +1,7 @@
-"""Gathers the Gaussians of a very large capture into fewer that look nearly the same.
+"""Merges the Gaussians of a very large capture into fewer that look nearly the same.
 
-A capture of some millions has a hundred of them to a squared pitch of a standard solid. What makes it solid costs time
-and memory by the Gaussian, and cannot tell them apart.
+A capture of a few million has a hundred of them per square pitch of a standard solid. Making it solid takes time and
+memory for each Gaussian, and cannot tell them apart.
 """
 
 from __future__ import annotations
@@ -21,27 +21,27 @@ __all__ = ["gathered"]
 Float = NDArray[np.float32]
 
 SAMPLE = 1 << 17
-"""Gaussians that say where the object is: its ends are known to a thousandth."""
+"""Number of Gaussians sampled to find the object's extent, to a thousandth."""
 
 LATTICE = 1 << 10
-"""Most cells along the longest side of the object: a bit for each of them is 128 MB."""
+"""Most cells along the longest side of the object: a bit for each cell takes 128 MB."""
 
 FEWEST_CELLS = 64
-"""Along the longest side: coarser cells than those of the smallest body would round its shape."""
+"""Fewest cells along the longest side: cells coarser than those of the smallest body would round its shape."""
 
 ROUNDS = 8
-"""Halvings of the range of cells, which find the count to 2 %."""
+"""Bisection steps on the number of cells, which give the count to 2 %."""
 
 SIZE = 1.5
-"""Cells. A Gaussian with a longer axis than this is left as it is: there are few of them. Smaller ones keep their shape
-when they are gathered, as their mean has their covariance."""
+"""Cells. A Gaussian with an axis longer than this is left as it is: there are few of them. Smaller ones keep their
+common shape, because the merged Gaussian has their covariance."""
 
 SMOOTH = 0.45
-"""Cells. Gathered on a sheet, a cell's Gaussians are about 0.29 cells wide, which would leave a ripple of a third;
-kernels this wide at a distance of 1 ripple by some per cent."""
+"""Cells. The Gaussians of a sheet, merged, have a sigma of about 0.29, which would leave a ripple of a third; kernels
+this wide, one cell apart, ripple by a few per cent."""
 
 MOST_ALPHA = 0.99
-"""As in the renderer: a Gaussian stops no more light than this."""
+"""Most light that a Gaussian stops, as in the renderer."""
 
 BLOCK = 1 << 14
 """Cells in a task."""
@@ -51,8 +51,8 @@ def gathered(gaussians: Gaussians, most: int) -> Gaussians:
     """About `most` Gaussians that show the same as a larger capture; the same object if there are no more than that.
 
     All small ones in a cell of a lattice become one with their mean, their covariance, the light that they stop
-    together, and the mean of their colours. Large ones stay. In the order of the lattice, then of the capture.
-    Bit-equal for the same input.
+    together, and their mean colour. Large ones stay as they are. The merged ones come first, in lattice order, then the
+    others in the capture's order. Bit-equal for the same input.
     """
     if len(gaussians) <= most:
         return gaussians
@@ -183,7 +183,7 @@ def _sum_groups(block, rows, starts, in_means, in_scales, in_quats, in_opacities
                         value += e[3 * a + axis] * e[3 * b + axis] * np.float64(in_scales[i, axis]) ** 2
                     spread[a, b] += weight * value
         light[g] = total
-        # Number by number: to assign whole rows, numba also compiles the text of an error, for seconds.
+        # Number by number: for whole rows numba would also compile an error message, which takes seconds.
         for a in range(3):
             means[g, a] = middle[a]
             for b in range(3):
@@ -195,16 +195,16 @@ def _sum_groups(block, rows, starts, in_means, in_scales, in_quats, in_opacities
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _light(i, scales, opacities):
-    """What `_sum_groups` says; never 0, so that a group of invisible Gaussians has a mean."""
+    """Light that Gaussian i stops, as in `_sum_groups`; never 0, so that a group of invisible Gaussians has a mean."""
     a, b, c = np.float64(scales[i, 0]), np.float64(scales[i, 1]), np.float64(scales[i, 2])
     area = max(a * b, a * c, b * c)
     return max(-math.log1p(-min(np.float64(opacities[i]), MOST_ALPHA)), 1e-9) * max(area, 1e-30)
 
 
 def _quaternions(axes: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(N, 4), wxyz. Of rotation matrices (N, 3, 3) whose columns are the principal axes."""
+    """(N, 4). Quaternions wxyz of rotation matrices (N, 3, 3) whose columns are the principal axes."""
     trace = np.trace(axes, axis1=1, axis2=2)
-    # Twice the size of each component; the largest is safe to divide by (Shepperd 1978).
+    # In the order of the squared components, the largest of which is safe to divide by (Shepperd 1978).
     diagonal = np.stack([trace, *np.diagonal(axes, axis1=1, axis2=2).T], 1)
     largest = diagonal.argmax(1)
     skew = np.stack([axes[:, 2, 1] - axes[:, 1, 2], axes[:, 0, 2] - axes[:, 2, 0], axes[:, 1, 0] - axes[:, 0, 1]], 1)

@@ -15,7 +15,7 @@ FIRM = 0.3
 """Opacity from which a Gaussian alone decides what is seen."""
 
 STRAYS = 0.003
-"""Share of the firm Gaussians beyond either end of the visible box: strays, while a stem's tip has more."""
+"""Share of the firm Gaussians cut off at either end of the visible box: strays are fewer, a stem's tip has more."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class Gaussians:
         return round(self.sh.shape[1] ** 0.5) - 1
 
     def visible_bounds(self) -> NDArray[np.float64]:
-        """(2, 3). Opposite corners of the box of what pictures show, thin parts too; of all if nothing is firm."""
+        """(2, 3). Corners of the box around what pictures show, thin parts included; around all if none is firm."""
         firm = self.means[self.opacities > FIRM] if (self.opacities > FIRM).any() else self.means
         return np.quantile(firm.astype(np.float64), [STRAYS, 1 - STRAYS], axis=0)
 

@@ -52,7 +52,7 @@ class Body:
 
     grid: Grid
     depth: NDArray[np.float32]
-    """(X, Y, Z). Distance under the skin at cell centres, world units; positive inside."""
+    """(X, Y, Z). Depth below the skin at cell centres, world units; positive inside."""
 
     def __post_init__(self) -> None:
         assert self.depth.shape == self.grid.shape, (self.depth.shape, self.grid.shape)

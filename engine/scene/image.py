@@ -28,7 +28,7 @@ class Picture:
         assert self.depth.shape == shape, self.depth.shape
 
     def straight_alpha(self) -> NDArray[np.uint8]:
-        """(H, W, 4). A picture over black with straight alpha, as files and textures have it, in 8 bits."""
+        """(H, W, 4). This picture, rendered over black, as 8 bits with straight alpha, as files and textures store."""
         alpha = np.clip(self.alpha[..., None], 0, 1)
         rgb = np.where(alpha > 1e-3, self.rgb / np.maximum(alpha, 1e-3), 0.0)
         return to_8bit(np.concatenate([rgb, alpha], 2))

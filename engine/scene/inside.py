@@ -1,4 +1,4 @@
-"""The inside of an object as a function of the place, finer than the atoms that show it in motion."""
+"""The inside of an object as a function of position, finer than the atoms that show it in motion."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ class Kind(IntEnum):
 
     OUTSIDE = 0
     INSIDE = 1
-    """Anything in the body that is none of those below, or of which no more is known."""
+    """Anything in the body that is none of the kinds below, or of which nothing more is known."""
     RIND = 2
-    """The layers along the skin, as deep as a picture shows them to go all around."""
+    """The layers along the skin, as deep as a picture shows them all around."""
     THING = 3
     """Something that ends inside, such as a seed, a chamber or a pore."""
     STRUCTURE = 4
@@ -26,10 +26,10 @@ class Kind(IntEnum):
 
 
 KIND_NAMES = tuple(kind.name.lower() for kind in Kind)
-"""Their names, by number."""
+"""Names of the kinds, by number."""
 
 InsideRecord = tuple[dict[str, NDArray[Any]], dict[str, Any]]
-"""Arrays and JSON facts from which an inside can be made again, for a file."""
+"""Arrays and JSON facts, for a file, from which an inside can be rebuilt."""
 
 
 class Inside(Protocol):
@@ -37,12 +37,12 @@ class Inside(Protocol):
 
     @property
     def detail(self) -> float:
-        """World units. Footprint from which all details are there: a pixel of the finest picture it is made of."""
+        """World units. Footprint at which all details show: a pixel of the finest picture it is made of."""
         ...
 
     def at(self, points: NDArray[np.floating], footprint: float) -> NDArray[np.float32]:
-        """(N, 3). Colours at points (N, 3) of object space, of details no finer than a footprint in world units.
-        Range [0, 1]; outside the object those of its skin."""
+        """(N, 3). Colours at points (N, 3) in object space, without details finer than the footprint, world units.
+        Range [0, 1]; outside the object, the colours of its skin."""
         ...
 
     def kinds(self, points: NDArray[np.floating]) -> NDArray[np.uint8]:
@@ -50,5 +50,5 @@ class Inside(Protocol):
         ...
 
     def record(self) -> InsideRecord:
-        """All that it is made of."""
+        """Everything it is made of."""
         ...

@@ -25,6 +25,6 @@ def morton_order(points: NDArray[np.floating]) -> NDArray[np.intp]:
     for axis in range(3):
         spread = cells[:, axis]
         for shift, mask in ((16, 0x030000FF), (8, 0x0300F00F), (4, 0x030C30C3), (2, 0x09249249)):
-            spread = (spread | (spread << np.uint32(shift))) & np.uint32(mask)  # bits two apart in the end
+            spread = (spread | (spread << np.uint32(shift))) & np.uint32(mask)  # at last two zeros between bits
         code |= spread << np.uint32(axis)
     return np.argsort(code, kind="stable")

@@ -1,4 +1,4 @@
-"""Gaussians that are moved, turned and scaled as a whole, with the colours that they show."""
+"""Moves, turns and scales Gaussians as a whole, with the colours that they show."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Z_UP = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
 """(3, 3). Rotation from y up to z up."""
 
 DIRECTIONS = 200
-"""In which the basis is compared with the rotated one: more than ten times the unknowns of degree 3."""
+"""Number of directions in which the basis is compared with the rotated one: over ten times the unknowns of degree 3."""
 
 
 def moved(
@@ -26,7 +26,7 @@ def moved(
     shift: ArrayLike = (0.0, 0.0, 0.0),
     factor: float = 1.0,
 ) -> Gaussians:
-    """The Gaussians after x -> factor R x + shift, each seen from the turned side as before."""
+    """The Gaussians after x -> factor R x + shift; from the turned side, each looks as before."""
     means = factor * (gaussians.means.astype(np.float64) @ rotation.T) + np.asarray(shift, np.float64)
     return replace(
         gaussians,
@@ -46,18 +46,18 @@ def rotated_sh(
     if degree == 0 or np.array_equal(rotation, np.eye(3)):
         return sh
     matrix = sh_rotation(rotation, degree)[1:, 1:]
-    rows = np.flatnonzero(sh[:, 1:].any(axis=(1, 2)))  # an inside, most of a solid, looks the same from everywhere
+    rows = np.flatnonzero(sh[:, 1:].any(axis=(1, 2)))  # interior atoms, most of a solid, have degree 0 only
     result = sh.copy()
     result[rows, 1:] = np.einsum("jk,nkc->njc", matrix, sh[rows, 1:])
     return result
 
 
 def sh_rotation(rotation: NDArray[np.float64], degree: int) -> NDArray[np.float64]:
-    """((d+1)^2, (d+1)^2). What a rotation (3, 3) does to coefficients.
+    """((d+1)^2, (d+1)^2). The matrix by which a rotation (3, 3) acts on coefficients.
 
     A rotation acts linearly on the basis, B(R^T d) = B(d) M. M is solved by least squares over more directions than
-    unknowns, which is exact because such an M exists. It holds for reflections too. A degree turns into itself alone,
-    so that what is zero in one stays zero.
+    unknowns, which is exact because such an M exists. It holds for reflections too. Degrees do not mix, so one that is
+    zero stays zero.
     """
     directions = np.random.default_rng(0).normal(size=(DIRECTIONS, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
@@ -74,7 +74,7 @@ def rotated_quats(quats: NDArray[np.floating], rotation: NDArray[np.float64]) ->
 
 
 def upright(up: ArrayLike) -> NDArray[np.float64]:
-    """(3, 3). The shortest rotation that turns a unit vector to +y; from -y, as captures lie, the one about x."""
+    """(3, 3). The shortest rotation that turns a unit vector to +y; for -y, as in captures, the half turn about x."""
     u = np.asarray(up, np.float64) / np.linalg.norm(up)
     if u[1] < -1 + 1e-9:
         return np.diag([1.0, -1.0, -1.0])

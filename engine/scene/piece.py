@@ -22,7 +22,7 @@ class Piece:
     transform: NDArray[np.float64] = field(default_factory=lambda: np.eye(4))
     """(4, 4). Rigid. World point = transform @ object point."""
     solid: int = 0
-    """Which of the solids that are drawn it is a piece of."""
+    """Index of the drawn solid that it is a piece of."""
 
     def camera(self, camera: Camera) -> Camera:
         """The same view with object coordinates as world coordinates."""

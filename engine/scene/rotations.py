@@ -34,9 +34,9 @@ def rotation_matrices(quats: NDArray[np.floating]) -> NDArray[np.floating]:
 
 
 def facing(normals: NDArray[np.floating]) -> NDArray[np.float64]:
-    """(N, 4). Rotations that take z to unit normals (N, 3): by half a turn about the direction half way between.
+    """(N, 4). Quaternions that turn z to unit normals (N, 3), by half a turn about the direction half way between.
 
-    Nearer to -z than float32 normals tell, 5e-4 radians, they take z to -z.
+    A normal within 5e-4 radians of -z, finer than float32 normals resolve, counts as -z.
     """
     at_pole = normals[:, 2:] < -1 + 1e-7
     half = normals + np.where(at_pole, [1.0, 0, 1], [0.0, 0, 1])  # at -z any direction across will do

@@ -27,18 +27,18 @@ VIEWS = 24
 """Views of the capture."""
 
 PITCH_PIXELS, MOST_PIXELS = 2.5, 384
-"""Pixels of these views to a pitch, and most along an edge: a strut of a pitch or less must be seen to contribute."""
+"""Pixels of these views per pitch, and most along an edge: a strut of a pitch or less must be seen to contribute."""
 
 MAX_DEPTH = 1.0
-"""Pitches under the skin from which an atom is invisible: debris, or the buried part of a thick Gaussian."""
+"""Depth below the skin, pitches, from which an atom is invisible: debris, or the buried part of a thick Gaussian."""
 
 MAX_IN_FRONT = 0.5
-"""Part of an atom's weight in front of what the capture shows, from which it would hide more than it shows."""
+"""Share of an atom's weight in front of what the capture shows above which it would hide more than it shows."""
 
 COVERAGE = 4.0
-"""Area of an atom over that of its Gaussian, per opacity that compositing leaves it, at most 1. The contributions in a
-pixel add up to its alpha, and unit kernels must add up to more to leave no gaps at random places: with half as much
-captures lose 0.3 to 0.5 dB after the fit."""
+"""Area of an atom over that of its Gaussian, per opacity that compositing leaves it; at most 1 in all. The
+contributions in a pixel add up to its alpha, and unit kernels must add up to more to leave no gaps at random places:
+with half as much, captures lose 0.3 to 0.5 dB after the fit."""
 
 SPACING = 1.6
 """Distance between the parts of a split Gaussian, in their standard deviations: their summed kernels ripple by 8 %."""
@@ -62,13 +62,12 @@ def atomise(enclosure: Enclosure, pitch: float, tolerance: float) -> Atomised:
     """Atoms of the enclosure's shell, opaque (the paper's uniform opacification) and no larger than the pitch (its
     atomic clipping).
 
-    Everything that a picture of the shell shows stays, sheets without an inside too. Left out is what lies under the
+    Everything that a picture of the shell shows stays, even sheets without an inside. Left out is what lies below the
     skin, what compositing leaves less opacity than `tolerance`, range (0, 1), in every view, and what would hide the
-    rest: an opaque veil hides what a translucent one let through. A
-    Gaussian's area across its thin axis shrinks with its contribution, so that what compositing made faint does not
-    tint its neighbours. Gaussians larger than the pitch are split along their principal axes into parts with the same
-    mean and variance. Holes in the skin of the body are closed. The atoms are in Morton order. Bit-equal for the same
-    input.
+    rest: an opaque veil hides what a translucent one let through. A Gaussian's area across its thin axis shrinks with
+    its contribution, so that one made faint by compositing does not tint its neighbours. Gaussians larger than the
+    pitch are split along their principal axes into parts with the same mean and variance. Holes in the skin of the body
+    are closed. The atoms are in Morton order. Bit-equal for the same input.
     """
     assert pitch > 0 and 0 < tolerance < 1, (pitch, tolerance)
     gaussians, body = enclosure.shell, enclosure.body

@@ -1,6 +1,6 @@
-"""Finds atoms that stand before what a capture shows: veils and fringes, which compositing lets one see through.
+"""Finds atoms in front of what a capture shows: veils and fringes, which are see-through when composited.
 
-The surface of a capture is the median depth of a picture, where half of the light is stopped; beside its outline there
+The surface of a capture is the median depth of a picture, where half of the light is stopped; outside its outline there
 is none. An opaque atom in front of that surface, in more of its pixels than not, hides what the capture shows.
 """
 
@@ -30,14 +30,14 @@ SLACK = 1.5
 which the opaque image blends its atoms."""
 
 BANDS = 4
-"""Parts of a picture that are counted separately, then together. Fixed, so that the number of threads does not change
+"""Parts of a picture that are summed separately, then added up. Fixed, so that the number of threads does not change
 the bits."""
 
 
 def share_in_front(
     surface: SurfaceAtoms, pitch: float, cameras: Sequence[Camera], medians: Sequence[NDArray[np.float32]]
 ) -> NDArray[np.float32]:
-    """(S,). Of the weight with which each atom may show, the part in front of the capture's surface. Range [0, 1].
+    """(S,). Share of each atom's weight, at the capture's surface or in front, that is in front of it. Range [0, 1].
 
     The surface is given by the median depth (H, W) of the capture from each of the cameras. Weight behind it is not
     counted; an atom that is behind it in all views has 0.
@@ -55,7 +55,7 @@ def share_in_front(
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _count(band, tiled, median, slack, parts):
-    """Adds to one of parts (BANDS, N, 2) each splat's weight in front of the median depth (H, W) and at it."""
+    """Adds each splat's weight in front of the median depth (H, W), and at it, to one of parts (BANDS, N, 2)."""
     height, width = median.shape
     out = parts[band]
     kind = tiled.records.dtype.type

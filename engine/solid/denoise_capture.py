@@ -36,7 +36,7 @@ COARSE = 64
 """Cells along the longest side of the grid that separates clusters."""
 
 MOST_SUMMED = 250_000
-"""Gaussians above which a capture is gathered before clusters are looked for: some ten for each cell of the skin."""
+"""Gaussians above which a capture is gathered before clusters are sought: some ten for each cell of the skin."""
 
 MARGIN = 4
 """Cells around the outermost centres: room for the wall, and a way around it for the flood."""
@@ -69,7 +69,7 @@ def haze_and_fragments(gaussians: Gaussians) -> tuple[NDArray[np.bool_], NDArray
     No Gaussian is both. Those that are invisible, or not finite, are haze.
     """
     haze, fragments = np.ones(len(gaussians), bool), np.zeros(len(gaussians), bool)
-    gaussians = replace(gaussians, sh=gaussians.sh[:, :1])  # most of the memory, and no matter here
+    gaussians = replace(gaussians, sh=gaussians.sh[:, :1])  # the rest takes most of the memory, for nothing
     rows = np.flatnonzero(_visible(gaussians))
     if not len(rows):
         return haze, fragments

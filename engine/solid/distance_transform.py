@@ -1,5 +1,5 @@
-"""The exact Euclidean distance transform of a grid, in parallel (Felzenszwalb and Huttenlocher 2012), and which cells
-lie within a distance, which is a quarter of the work.
+"""The exact Euclidean distance transform of a grid, in parallel (Felzenszwalb and Huttenlocher 2012), and the cells
+within a distance, which take a quarter of the work.
 
 Written by hand because SciPy's runs on one core; benchmarks/by_hand.py measures both, figures in
 docs/charts/by_hand.json.
@@ -19,22 +19,22 @@ FAR = np.float32(1e12)
 """Squared distance where no cell is true: above any in a grid, yet float32 still resolves its sums."""
 
 BEYOND = np.int16(16_000)
-"""Squared distance of what is out of reach. With the square of the reach, of 126 cells at most, added it still is an
+"""Squared distance of cells out of reach. Plus the square of the reach, which is at most 126 cells, it still fits an
 int16."""
 
 LINES = 64
-"""Lines that one task goes through: some thousand cells."""
+"""Lines that one task goes through: a few thousand cells."""
 
 LANES = 1024
 """Cells of neighbouring lines that one task goes through together: a few kilobytes, which stay in the nearest cache."""
 
 
 def within(mask: NDArray[np.bool_], radius: float) -> NDArray[np.bool_]:
-    """(X, Y, Z). Cells whose centre is no farther from that of a true cell than the radius, 0 to 126 cells: where
-    `nearest` gives at most as much, to the bit."""
+    """(X, Y, Z). Cells whose centre is within the radius, 0 to 126 cells, of that of a true cell. Bit-equal to where
+    `nearest` is at most the radius."""
     assert mask.ndim == 3 and 0 <= radius <= 126, (mask.shape, radius)
     limit = int(radius**2) + 1
-    while np.sqrt(np.float32(limit)) > np.float32(radius):  # as the distance rounds
+    while np.sqrt(np.float32(limit)) > np.float32(radius):  # as `nearest` rounds the distance
         limit -= 1
     x, y, z = mask.shape
     reach = int(limit**0.5)
@@ -55,7 +55,7 @@ def _along_lines(
     reach: int,
     squared: NDArray[np.int16],  # [L, N], filled
 ) -> None:
-    """The squared distance to the nearest true cell of the same line, or BEYOND."""
+    """Fills in the squared distance to the nearest true cell of the same line, or BEYOND."""
     n = mask.shape[1]
     for line in range(start, stop):
         away = reach + 1
@@ -75,7 +75,8 @@ def _across_lines(
     reach: int,
     nearer: NDArray[np.int16],  # [A, N, B], filled
 ) -> None:
-    """The least sum of a squared distance and that along the middle axis, up to the reach; at most BEYOND."""
+    """Fills in the least sum of a cell's squared distance and that to it along the middle axis, up to the reach; at
+    most BEYOND."""
     _, n, width = squared.shape
     blocks = (width + LANES - 1) // LANES
     slab, first = task // blocks, task % blocks * LANES
@@ -151,7 +152,7 @@ def _envelopes(
             v = apex[k]
             value[q] = lines[line, v] + np.float32((q - v) * (q - v))
             owner[q] = owners[line, v]
-        # Number by number: to assign whole slices, numba also compiles the text of an error, for seconds.
+        # Number by number: for whole slices numba would also compile an error message, which takes seconds.
         for q in range(n):
             lines[line, q] = value[q]
             owners[line, q] = owner[q]

@@ -30,18 +30,18 @@ MAX_BALL = 0.55
 the longest side: such a ball fits through no hole, not even the missing bottom of a cake."""
 
 SUBSTANTIAL = 0.1
-"""Share of the cells that the largest ball cannot reach. Where narrow balls find so many inside, wide ones would only
-find gaps between leaves. What a wide ball finds does not count: of a bowl it is the bottom, and a wider one has to
+"""Share of the cells that the largest ball cannot reach. If narrow balls find this many inside, wide ones would only
+find gaps between leaves. What a wide ball finds does not count: in a bowl it is the bottom, and a wider ball has to
 find the rest."""
 
 MIN_POCKET = 1000
 """Cells. Smallest hollow that a wide ball may close; for a narrow ball it is half of the cube around the ball."""
 
 AXES_HIT = 5
-"""Of the six axes: one ray may leave through the hole."""
+"""Least number of the six axes along which rays hit a wall: one ray may leave through the hole."""
 
 LOCAL_AXES_HIT = 3
-"""At a single cell of a hollow: just under a hole that faces a diagonal, three rays leave through it."""
+"""The same for a single cell of a hollow: just under a hole that faces a diagonal, three rays leave through it."""
 
 ODD_SHARE = 0.4
 """Share of the axes with an odd count from which a hollow is inside. A single sheet gives 1, a wall of two sheets 0;
@@ -50,7 +50,7 @@ debris in the hollow pulls both towards 1/2."""
 MAX_OPEN_SMALL = 0.19
 MAX_OPEN = 0.25
 MAX_OPEN_WIDE = 0.45
-"""Largest share of a hollow's faces that may be open: for pockets under MIN_POCKET, for larger ones, and for those of
+"""Largest share of a hollow's faces that may be open: for pockets below MIN_POCKET, for larger ones, and for those of
 wide balls. A leak opens little. A groove in the skin, where rays graze the walls and miscount, opens at least 0.2, even
 if it is dovetailed. Half a sphere has 1/3, a dish 1/2."""
 
@@ -102,7 +102,7 @@ def _swept_by_ball(wall: Mask, radius: float) -> Mask:
 
 
 def _hollows(unreached: Mask, wall: Mask, inside: Mask, radius: float) -> Mask:
-    """(X, Y, Z). The cells of those unreached pockets that the rays take for inside."""
+    """(X, Y, Z). The cells of those unreached pockets that count as inside by their rays."""
     pockets, count = ndimage.label(unreached)
     sizes = np.bincount(pockets.ravel(), minlength=count + 1)
     good = sizes >= min(0.5 * (2 * radius) ** 3, MIN_POCKET)
@@ -123,7 +123,7 @@ def _hollows(unreached: Mask, wall: Mask, inside: Mask, radius: float) -> Mask:
     local = ndimage.uniform_filter(((hits >= LOCAL_AXES_HIT) & ~wall).astype(np.float32), 5)
     chosen &= local >= 0.5 * free
     # The ball bulges into a wide hole by at most its radius, sqrt(3) times as many faces along a diagonal: cells there
-    # that the paper's rule takes for inside join the hollow again.
+    # that are inside by the paper's rule join the hollow again.
     joining = (hits >= AXES_HIT) & (odd >= AXES_HIT) & ~inside
     return ndimage.binary_dilation(chosen, iterations=int(np.ceil(3**0.5 * radius)), mask=chosen | joining)
 
@@ -142,7 +142,7 @@ def _open_shares(pockets: NDArray[np.int32], count: int, closed: Mask) -> NDArra
 
 
 def _count_sheets(wall: Mask, solid: Mask) -> tuple[NDArray[np.int8], NDArray[np.int8]]:
-    """(X, Y, Z) twice. Along how many of the six axes a cell sees a wall, and along how many an odd number of sheets.
+    """(X, Y, Z) twice. Number of the six axes along which a cell sees a wall, and along which an odd number of sheets.
 
     A run of wall cells is one sheet, or two if there is solid between its sides.
     """
@@ -213,7 +213,7 @@ def _face_sides(axis: int) -> tuple[tuple[slice, ...], tuple[slice, ...]]:
 
 
 def _solve_poisson(source: NDArray[np.float32]) -> NDArray[np.float32]:
-    """u with (seven-point Laplace u) = source and u = 0 far outside the grid; by sine transforms.
+    """Solves (seven-point Laplace u) = source for u, with u = 0 far outside the grid, by sine transforms.
 
     Solved on cells of twice the size with a wide margin: a border nearby would pull u down in wide holes.
     """

@@ -22,7 +22,7 @@ UNDER_SKIN = 0.75
 surface atoms."""
 
 JITTER = 0.2
-"""Pitches. Hides the lattice in cuts along it, and keeps the sum of the weights above half everywhere inside."""
+"""Pitches. Hides the lattice in cuts along it, yet keeps the sum of the weights above half everywhere inside."""
 
 Colours = Callable[[NDArray[np.floating]], Float]
 """Colours (N, 3) at world points (N, 3), also slightly outside the body."""
@@ -36,7 +36,7 @@ def fill(
     Without `colours` all are grey and of one size: count times pitch^3 is the body's volume, and the mean sum of the
     weights is LATTICE_DENSITY. With `colours` the spheres take these, and one sphere replaces 2^3, 4^3 or 8^3 cells of
     even colour (engine.solid.octree), which leaves the sum of the weights unchanged. Atoms near the skin are pushed
-    under it. Atoms under a hole of `surface` come first and are counted as exposed; without `surface` none are.
+    below it. Atoms below a hole of `surface` come first and are counted as exposed; without `surface` none are.
     """
     assert pitch > 0, pitch
     low, high = body.bounds()

@@ -34,25 +34,24 @@ WALL_HALF = 1.2
 d = 1, 1.3 at d = 8. The skin is the border of the outside, shifted inwards by this."""
 
 BORDER = 2
-"""Cells. This wide a border of the grid is outside: Gaussians wider than its margin reach beyond it, and the body must
-not. The skin is found inwards of it by WALL_HALF at least, and moved outwards again by at most 1.5."""
+"""Cells. A border of the grid this wide is outside: Gaussians wider than its margin reach beyond it, and the body must
+not. The skin is found at least WALL_HALF inwards of it, and moved outwards again by at most 1.5."""
 
 SKIN = 3.0
-"""Cells. Farther out than this from the body nothing is a part of its skin: a wall is less than three cells thick."""
+"""Cells. Farther out than this from the body nothing is part of its skin: a wall is less than three cells thick."""
 
 MIN_SIZE = 0.01
 """Share of the largest hollow's cells. Smaller hollows are gaps between leaves or debris, not bodies."""
 
 
 GAIN = 0.1
-"""Part of the Gaussians. As many more at the skin of what is found when Gaussians reach their neighbours say that there
-were gaps: whole captures gain 0.06 at most, thinned ones of which a part or nothing was found 0.13 to 1."""
+"""Share of the Gaussians. There were gaps if this many more lie at the skin once Gaussians reach their neighbours:
+whole captures gain 0.06 at most, thinned ones of which a part or nothing was found 0.13 to 1."""
 
 NEIGHBOURS, REACH = 6, 0.7
-"""How many neighbours lie around a Gaussian of a skin, and how far it reaches towards the farthest of them, as a
-standard deviation over that distance. Eight captures thinned at random to a tenth then enclose 0.96 to 1.10 of what
-they did; with 0.5 0.68 to 1.01, with 1 1.04 to 1.5. Whole captures of thin things grow by it, so it is not always done.
-"""
+"""Number of neighbours around a Gaussian of a skin, and the least standard deviation that it gets, over the distance to
+the farthest of them. Eight captures thinned at random to a tenth then enclose 0.96 to 1.10 of what they did; with 0.5
+they enclose 0.68 to 1.01, with 1 1.04 to 1.5. Whole captures of thin things grow by it, so it is not always done."""
 
 
 @dataclass(frozen=True)
@@ -72,11 +71,10 @@ def find_body(gaussians: Gaussians, cells: int = 128, name: str = "scene") -> En
     """The solid that a shell of Gaussians encloses, on a grid of `cells` cells along the longest side.
 
     Everything inside the outermost shell is solid: debris and inner shells were never visible, so they are no evidence.
-    A leaking shell is closed where rays and caps take a hollow for inside (engine.solid.enclosure). One with gaps all
-    over, such as a thinned capture, is closed by taking its Gaussians to reach their neighbours. A single sheet (a mat,
-    a leaf) encloses nothing.
-    Memory: about 60 bytes per cell, so 0.2 GB for 128 and 1.1 GB for 256, whatever the number of Gaussians.
-    Raises InputError if nothing is enclosed.
+    A leaking shell is closed where rays and caps find a hollow to be inside (engine.solid.enclosure). One with gaps all
+    over, such as a thinned capture, is closed by widening its Gaussians to reach their neighbours. A single sheet (a
+    mat, a leaf) encloses nothing. Memory: about 60 bytes per cell, so 0.2 GB for 128 and 1.1 GB for 256, whatever the
+    number of Gaussians. Raises InputError if nothing is enclosed.
     """
     assert cells >= 8, cells
     shell, notes = without_haze(gaussians)
@@ -115,15 +113,15 @@ class _Found(NamedTuple):
     opacity: NDArray[np.float32]
     """(X, Y, Z). The field whose walls enclose it."""
     inside: NDArray[np.bool_]
-    """(X, Y, Z)."""
+    """(X, Y, Z). The enclosed cells."""
     depth: NDArray[np.float32]
-    """(X, Y, Z). Under the skin, in world units."""
+    """(X, Y, Z). Depth below the skin, world units."""
     cap_faces: float
-    """Area of what closes holes, in cell faces."""
+    """Area of the caps that close holes, in cell faces."""
 
 
 def _enclosed(walls: Gaussians, shell: Gaussians, grid: Grid) -> _Found | None:
-    """What `walls` enclose under the skin of a shell; None if nothing."""
+    """What `walls` enclose below the skin of a shell; None if nothing."""
     opacity = opacity_field(walls, grid, WIDEN * grid.cell)
     wall = _walls(opacity)
     closed, cap_faces = enclosed_cells(wall)
@@ -136,12 +134,12 @@ def _enclosed(walls: Gaussians, shell: Gaussians, grid: Grid) -> _Found | None:
 
 
 def _part_of_skin(shell: Gaussians, found: _Found | None, grid: Grid) -> float:
-    """Of the Gaussians, those at the skin of what was found, or under it."""
+    """Share of the shell's Gaussians at the skin of what was found, or below it."""
     return 0.0 if found is None else float((Body(grid, found.depth).at(shell.means) > -SKIN * grid.cell).mean())
 
 
 def _reaching_neighbours(gaussians: Gaussians) -> Gaussians:
-    """The Gaussians, wide enough along their skin to meet those beside them: a thinned capture, or a mesh sampled by
+    """The Gaussians, wide enough along their skin to meet those beside them: a thinned capture, or a mesh sampled with
     few, has gaps wider than any cell. Their shortest axis, across the skin, stays."""
     number = min(NEIGHBOURS + 1, len(gaussians))  # each is its own nearest
     away = cKDTree(gaussians.means).query(gaussians.means, k=[number], workers=cores())[0]

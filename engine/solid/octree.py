@@ -18,8 +18,8 @@ COARSEST = 3
 """Level of the largest leaves, 8 cells along the edge. One level more saves less than 1 % of the atoms."""
 
 MIN_TOLERANCE = 0.02
-"""RMS colour error, range [0, 1], that is never worth an atom: it takes 0.2 dB off a picture at 21 dB, which is how
-close the interiors of the sample solids come to the truth."""
+"""RMS colour error, range [0, 1], that is never worth an atom: it costs a picture at 21 dB, which is how close the
+interiors of the sample solids come to the truth, 0.2 dB."""
 
 CONTRAST = 0.05
 """RMS contrast at which an error has weight 1. Higher contrast lowers the weight in proportion: an edge loses most of
@@ -27,7 +27,7 @@ its sharpness to atoms of any size, and would otherwise take the atoms of the pu
 atoms the orange's volume comes 1.3 dB closer, and its patches 10 % closer, to the true ones."""
 
 CONTRAST_FLOOR = 0.02
-"""RMS contrast under which a block counts as even."""
+"""RMS contrast below which a block counts as even."""
 
 MAX_TOLERANCE = 0.08
 """RMS error that no budget may force: a pale seed in its flesh would vanish."""
@@ -116,5 +116,5 @@ def merged_blocks(errors: list[NDArray[np.float32]], tolerance: float) -> list[N
 
 
 def atom_count(merges: list[NDArray[np.bool_]], cells: int) -> int:
-    """How many atoms `cells` cells become: each merge turns eight into one."""
+    """Number of atoms that `cells` cells become: each merge turns eight into one."""
     return cells - 7 * sum(int(np.count_nonzero(blocks)) for blocks in merges)

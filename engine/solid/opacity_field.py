@@ -24,7 +24,7 @@ MIN_SIGMA = 1e-3
 """Cells. Least sigma: keeps the inverse covariance of a degenerate Gaussian finite."""
 
 BLOCK = 1 << 18
-"""Gaussians whose matrices are in memory at once, some 50 MB."""
+"""Gaussians whose matrices are in memory at once, about 50 MB."""
 
 SLAB = 4
 """Cell layers that one thread sums at a time: few enough to balance the work. No two threads write to the same cell, so
@@ -54,7 +54,7 @@ def moments(
     assert normals.shape == (len(gaussians), 3), normals.shape
     weight = np.zeros(grid.shape, np.float32)
     height = np.zeros(grid.shape, np.float32)
-    for first in range(0, len(gaussians), BLOCK):  # one after the other, which keeps the order of the sums
+    for first in range(0, len(gaussians), BLOCK):  # one after another, to keep the order of the sums
         rows = slice(first, first + BLOCK)
         _add_moments(weight, height, gaussians[rows], grid, widen, normals[rows])
     return weight, height
@@ -85,7 +85,7 @@ def _accumulate(
     low: NDArray[np.int32],  # [N, 3] first cell of each Gaussian's box
     high: NDArray[np.int32],  # [N, 3] cell after the last
 ) -> None:
-    """One slab of the grid; visits all Gaussians in order."""
+    """Sums one slab of the grid; visits all Gaussians in order."""
     limit = np.float32(CUTOFF * CUTOFF)
     half = np.float32(-0.5)
     zero = np.float32(0)

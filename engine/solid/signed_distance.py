@@ -1,4 +1,4 @@
-"""Signed depth under the skin to a fraction of a cell, from the inside cells and the Gaussians along their border."""
+"""Signed depth below the skin to a fraction of a cell, from the inside cells and the Gaussians along their border."""
 
 from __future__ import annotations
 
@@ -70,8 +70,8 @@ def _coarse_distance(inside: NDArray[np.bool_]) -> Float:
 def _oriented_surface(inside: NDArray[np.bool_], gaussians: Gaussians, grid: Grid) -> tuple[Gaussians, Float]:
     """The Gaussians that make up the skin, and their outward unit normals (N, 3).
 
-    The normal is the thinnest axis, turned outwards. A Gaussian without a thin axis, or across the skin, takes the
-    direction in which the smoothed inside falls off.
+    The normal is the thinnest axis, turned outwards. A Gaussian without a thin axis, or lying across the skin, takes
+    the direction in which the smoothed inside falls off.
     """
     smooth = ndimage.gaussian_filter(inside.astype(np.float32), SMOOTHING)
     index = grid.index(gaussians.means).T
@@ -133,9 +133,8 @@ def _jump_flood(
     best: NDArray[np.int32],  # [X, Y, Z], filled
     distance: Float,  # [X, Y, Z], filled
 ) -> None:
-    """For each cell the nearest of its foot and those of its six neighbours at `step`, and the distance to it.
-
-    One pass of jump flooding (Rong and Tan 2006)."""
+    """Fills in, for each cell, the nearest of its foot and those of its six neighbours at `step`, and the distance to
+    it: one pass of jump flooding (Rong and Tan 2006)."""
     nx, ny, nz = owner.shape
     for i in range(start, stop):
         for j in range(ny):

@@ -22,8 +22,8 @@ NEIGHBOURS = 24
 """Nearest atoms that may cover a point: more than overlap anywhere on a usual skin."""
 
 NEWTON_STEPS = 3
-"""Steps onto the skin. Of the outermost interior atoms of three captures 51 % are farther than a tenth of a pitch from
-it after one step, 16 % after two, 7 % after three: the rest lies along creases."""
+"""Steps onto the skin. Of the outermost interior atoms of three captures, 51 % are farther than a tenth of a pitch from
+it after one step, 16 % after two, and 7 % after three: these lie along creases."""
 
 MIN_SLOPE = 0.5
 """Least slope of the depth in such a step, so that none is longer than twice the depth."""
@@ -35,20 +35,20 @@ DENSITY = 2.0
 """Points per squared pitch of skin that are tested for a hole, and so the most patches that a hole gets."""
 
 CHUNK = 4096
-"""Points that one call of the kernel looks at."""
+"""Points that one call of the kernel handles."""
 
 PATCH_SIGMA = 0.5
 """Pitches. Kernels of patches at this DENSITY then add up to 3."""
 
 PATCH_THICKNESS = 0.2
-"""Pitches. Flat like the skin."""
+"""Pitches. Sigma across the skin: patches are flat like it."""
 
 COVERED = 0.5
 """Sum of weights from which a point of the skin counts as covered, as in a pixel of the opaque image."""
 
 CLOSED = 0.6
-"""Sum of weights under which a point of the skin gets a patch: more than COVERED, so that between two such points none
-falls under it."""
+"""Sum of weights below which a point of the skin gets a patch: more than COVERED, so that no point between two tested
+ones falls below that."""
 
 COLOURED_BY = 8
 """Nearest atoms that colour a patch: those around the hole."""
@@ -61,7 +61,7 @@ def inward_normals(body: Body, points: NDArray[np.floating]) -> NDArray[np.float
 
 
 def project_onto_skin(body: Body, points: NDArray[np.floating]) -> NDArray[np.float64]:
-    """(N, 3). The points of the skin under or above points (N, 3) that are close to it: Newton's method."""
+    """(N, 3). The points of the skin below or above points (N, 3) that are close to it, by Newton's method."""
     feet = points.astype(np.float64)
     for _ in range(NEWTON_STEPS):
         slope = _slope(body, feet)
@@ -71,7 +71,7 @@ def project_onto_skin(body: Body, points: NDArray[np.floating]) -> NDArray[np.fl
 
 
 def _slope(body: Body, points: NDArray[np.floating]) -> NDArray[np.float64]:
-    """(N, 3). Gradient of the depth at points (N, 3); its length is 1 but where the depth was smoothed."""
+    """(N, 3). Gradient of the depth at points (N, 3); its length is 1 except where the depth was smoothed."""
     step = np.eye(3) * body.grid.cell
     rise = np.stack([body.at(points + s) - body.at(points - s) for s in step], axis=1)
     return rise.astype(np.float64) / (2 * body.grid.cell)
@@ -109,7 +109,7 @@ def coverage_at(
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _add_weights(chunk, points, normals, rows, means, axes, scales, behind, total):
-    """Writes one CHUNK of the sums (N,): of the kernels of the atoms in rows (N, K), widened by `behind` along the
+    """Writes one CHUNK of the sums (N,) of the kernels of the atoms in rows (N, K), widened by `behind` along the
     normals."""
     for i in range(chunk * CHUNK, min((chunk + 1) * CHUNK, len(points))):
         weight = 0.0
@@ -128,7 +128,7 @@ def _add_weights(chunk, points, normals, rows, means, axes, scales, behind, tota
 def close_holes(surface: SurfaceAtoms, body: Body, pitch: float) -> SurfaceAtoms:
     """Flat atoms over holes between the surface atoms, in the colours of the atoms around.
 
-    Where the capture is open (a missing bottom) they are the skin of what closes the body.
+    Where the capture is open (a missing bottom) they are the skin of the caps that close the body.
     """
     points = sample_skin(body, pitch / DENSITY**0.5)
     normals = -inward_normals(body, points)

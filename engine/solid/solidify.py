@@ -1,7 +1,7 @@
 """Turns a hollow capture into a solid of atoms, still without interior colours.
 
-The trainer and the window both begin here and must agree atom by atom, or the window could not
-show the colours of a training in progress.
+The trainer and the window both begin here and must agree atom by atom, or the window could not show the colours of a
+training in progress.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ BODY_CELLS = 128
 fraction of a cell."""
 
 MOST_GAUSSIANS = 500_000
-"""Gaussians above which a capture is gathered, and about how many of its small ones are then left: the skin of an
-object so divided has cells of a 400th of its longest side. No ordinary capture is as large."""
+"""Gaussians above which a capture is gathered, and about how many small ones are then left: the skin then has cells of
+a 400th of the object's longest side. No ordinary capture is as large."""
 
 
 def find_enclosure(gaussians: Gaussians, cells: int, name: str) -> Enclosure:

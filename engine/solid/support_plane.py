@@ -13,34 +13,35 @@ __all__ = ["support_plane"]
 Points = NDArray[np.float64]
 
 POINTS = 4000
-"""Points that hypotheses are tested on: a plane of 10 % then has 400 of them, which counts its share to 5 %."""
+"""Points that hypotheses are tested on: a plane with 10 % then has 400 of them, which gives its share to 5 %."""
 
 HYPOTHESES = 1500
-"""Planes through three random points. A support with 15 % of the points is met by five of them."""
+"""Number of planes through three random points: five of them lie on a support with 15 % of the points."""
 
 FINALISTS = 8
 """Hypotheses that are fitted: neighbouring ones lead to the same plane."""
 
 HALF_THICKNESS = 1 / 64
-"""Of the plane's slab, in parts of the object's longest side: a photographed table is about as uneven as that."""
+"""Half the thickness of the plane's slab, as a share of the object's longest side: a photographed table is about as
+uneven as that."""
 
 BELOW = 0.25
-"""Most that may lie behind a plane, in parts of what lies on it: haze under a table, not the other half of a box."""
+"""Most surface behind a plane, as a share of that on it: haze below a table, not the other half of a box."""
 
 OVERHANG = 1 / 3
-"""Part of a support that reaches beyond what stands on it. The base of a box or a pot has none; a mat that is 1.5 times
-as wide as the object has half."""
+"""Share of a support that must reach beyond what stands on it. The base of a box or a pot has none; a mat that is 1.5
+times as wide as the object has half."""
 
 CURVED = 1.2
-"""Times the surface in the slab that twice the slab holds, from which it is no plane: of the cap of a bowl it holds 1.4
-to 2 times as much, of tables and mats with things on them at most 1.08."""
+"""Ratio of the surface in twice the slab to that in the slab from which it is no plane: the cap of a bowl has 1.4 to 2,
+tables and mats with things on them at most 1.08."""
 
 FOOTPRINT_CELLS = 24
 """Cells along the longest side in which support and footprint are compared."""
 
 
 def support_plane(means: NDArray[np.floating], weights: NDArray[np.floating]) -> Plane | None:
-    """The plane under the object, its normal towards the object; None if there is none.
+    """The plane below the object, its normal towards the object; None if there is none.
 
     `means` (N, 3) in world units, `weights` (N,), not negative: how much surface each stands for. The support is the
     plane with the most surface on it that has everything else on one side and reaches beyond what stands on it; a flat
@@ -91,7 +92,7 @@ def _hypotheses(points: Points, weights: NDArray[np.float64], half: float) -> li
 
 
 def _fitted(points: Points, weights: NDArray[np.float64], normal: Points, offset: float, half: float) -> Plane:
-    """The plane fitted to the points in its slab, by least squares, a few times over."""
+    """The plane fitted to the points in its slab by least squares, several times over."""
     for _ in range(4):
         near = np.abs(points @ normal + offset) < half
         if near.sum() < 3:
@@ -105,7 +106,7 @@ def _fitted(points: Points, weights: NDArray[np.float64], normal: Points, offset
 
 
 def _overhang(points: Points, plane: Plane, half: float) -> float:
-    """Part of the plane's area that is not under anything that stands on it. Range [0, 1]."""
+    """Share of the plane's area that is not below anything standing on it. Range [0, 1]."""
     e1, e2, _ = frame(plane.normal)
     flat = np.stack([points @ e1, points @ e2], 1)
     flat -= flat.min(axis=0)

@@ -1,4 +1,4 @@
-"""Rectangles of one texture, and which point of a mesh each of their texels shows."""
+"""Rectangles in one texture, and which point of a mesh each of their texels shows."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ def packed(
     sizes: NDArray[np.integer],  # [C, 2]
     gap: int,
 ) -> tuple[NDArray[np.int64], tuple[int, int]] | None:
-    """First column and row (C, 2) of rectangles of these widths and heights, and the width and height of the smallest
-    texture that holds them with a gap around each; None if the largest does not. In rows, the highest first."""
+    """First column and row (C, 2) of rectangles of these widths and heights, packed in rows, the highest first, and the
+    width and height of the smallest texture that holds them with a gap around each; None if the largest does not."""
     order = sorted(range(len(sizes)), key=lambda i: (-int(sizes[i][1]), i))
     best: tuple[NDArray[np.int64], tuple[int, int]] | None = None
     for width in SIDES:

@@ -18,10 +18,10 @@ from engine.scene.plane import Plane
 __all__ = ["Cut", "Wanted", "cut_skin", "divided"]
 
 SLIVER = 1e-9
-"""Of the whole volume: what is less is rounding, no piece."""
+"""Share of the whole volume below which a piece is only rounding."""
 
 WELD = 1e-6
-"""Of the object's size: what is nearer is one point. Single precision tells a tenth of it apart."""
+"""Share of the object's size below which two points are one. Single precision resolves a tenth of it."""
 
 SKIN = -1
 """Number of the skin among the faces of a piece."""
@@ -44,17 +44,17 @@ class Cut:
 
     wanted: Wanted
     points: NDArray[np.float32]
-    """(V, 3). World units. A point on an edge between skin and face is there once for each, in the same place."""
+    """(V, 3). World units. A point on an edge between skin and face occurs once for each, in the same place."""
     texels: NDArray[np.float32]
-    """(V, 2). In the charts of the skin; of no meaning on faces."""
+    """(V, 2). Column and row in the charts of the skin; meaningless on faces."""
     normals: NDArray[np.float32]
-    """(V, 3). Of the skin; of no meaning on faces."""
+    """(V, 3). Normals of the skin; meaningless on faces."""
     triangles: NDArray[np.int32]
     """(T, 3). Counter-clockwise from outside."""
     face: NDArray[np.int32]
     """(T,). Which of `planes` each triangle lies on; SKIN for those of the skin."""
     planes: tuple[Plane, ...]
-    """Of all cells."""
+    """The planes of all cells."""
     volume: float
     """World units cubed."""
 
@@ -103,9 +103,9 @@ def cut_skin(skin: Skin, wanted: Wanted) -> Cut | None:
 def _welded(
     points: NDArray[np.float32], triangles: NDArray[np.int32], face: NDArray[np.int32], near: float
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """(V, 3), (T,). The points, those nearer to each other than this in one place, and which triangles are left.
+    """(V, 3), (T,). The points, with those nearer than `near` to each other in one place, and the triangles left.
 
-    Where two planes meet in the skin a cut leaves edges of no length. Readers join their ends, and then see a hole
+    Where two planes meet in the skin, a cut leaves edges of no length. Readers join their ends, and then see a hole
     where a triangle without area was.
     """
     unique, place = np.unique(points, axis=0, return_inverse=True)
@@ -127,6 +127,6 @@ def _welded(
 
 
 def _kept(solid: Manifold, plane: Plane) -> Manifold:
-    """What of it is on the kept side."""
+    """The part of a solid on the kept side of a plane."""
     a, b, c = plane.normal
     return solid.trim_by_plane((-a, -b, -c), plane.offset)

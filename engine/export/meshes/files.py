@@ -23,7 +23,7 @@ from engine.scene.moved import Z_UP, upright
 __all__ = ["MESHES", "save_mesh"]
 
 MILLIMETRES = 1000.0
-"""In a metre; 3MF files of most slicers are in millimetres."""
+"""Millimetres in a metre; 3MF files of most slicers are in millimetres."""
 
 MESHES = (".glb", ".obj", ".3mf")
 """Suffixes of the formats."""
@@ -102,7 +102,7 @@ def _save_3mf(path: Path, made: TexturedPieces, matrix: NDArray[np.float64]) -> 
     texture = model.AddTexture2DFromAttachment(attachment)
     texture.SetContentType(lib3mf.TextureType.PNG)
     for piece in made.pieces:
-        # In 3MF a point is there once, and its places in the texture belong to the triangles.
+        # In 3MF a point occurs once, and its texture coordinates belong to the triangles.
         points, own = np.unique((piece.points @ matrix.T).astype(np.float32), axis=0, return_inverse=True)
         group = model.AddTexture2DGroup(texture)
         places = [group.AddTex2Coord(lib3mf.Tex2Coord(u, v)) for u, v in piece.places.tolist()]
@@ -128,7 +128,7 @@ def _save_3mf(path: Path, made: TexturedPieces, matrix: NDArray[np.float64]) -> 
 
 
 def _rotation(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(3, 3). Of a rotation that also scales."""
+    """(3, 3). The rotation of a matrix that also scales."""
     return matrix / np.cbrt(np.linalg.det(matrix))
 
 

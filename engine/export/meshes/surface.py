@@ -16,11 +16,12 @@ from engine.solid.skin_cover import inward_normals
 __all__ = ["GAP", "Skin", "skin_of"]
 
 NUDGE = 1e-3
-"""Cells. Least distance of a cell centre from the skin: through a corner of the grid it has triangles without area."""
+"""Cells. Least distance of a cell centre from the skin: through a corner of the grid, it would have triangles without
+area."""
 
 TOLERANCE = 0.05
-"""Cells. How far the mesh may leave the skin so that it has two fifths of the triangles; its outline moves by a
-thirtieth of the distance of neighbouring atoms."""
+"""Cells. How far the mesh may depart from the skin, which leaves it two fifths of the triangles; its outline moves by a
+thirtieth of the distance between neighbouring atoms."""
 
 GAP = 4
 """Texels between charts: the widest that a picture reduced four times still keeps apart."""
@@ -33,7 +34,7 @@ class Skin:
     solid: Manifold
     """Properties of a vertex: position (3), texel (2), outward unit normal (3)."""
     number: int
-    """Of its triangles in what is cut from it; all others are cut faces."""
+    """Marks its triangles in what is cut from it; all others are cut faces."""
     points: NDArray[np.float64]
     """(V, 3). World units."""
     texels: NDArray[np.float64]
@@ -41,15 +42,16 @@ class Skin:
     triangles: NDArray[np.int32]
     """(T, 3)."""
     width: int
-    """Texels of its charts."""
+    """Size of its charts, texels."""
     height: int
 
 
 def skin_of(body: Body, texel: float) -> Skin:
     """The skin of a body, with charts of texels of this size in world units.
 
-    Marching cubes on the signed depth, without the triangles that a flat part does not need. Its corners lie as far
-    outside of the skin, all alike, as the middles of its triangles lie inside: it has the volume of the body.
+    Marching cubes on the signed depth, without the triangles that a flat part does not need. It is moved outwards
+    evenly until it has the volume of the body: its corners then lie as far outside the skin as the middles of its
+    triangles lie inside.
     """
     cell = body.grid.cell
     raw = _surface(body, 0.0)
@@ -96,8 +98,8 @@ def skin_of(body: Body, texel: float) -> Skin:
 
 
 def _surface(body: Body, out: float) -> Manifold:
-    """A closed surface this far, in world units, outside of the skin. It is in cells, and its zero is the centre of the
-    cell before the first."""
+    """A closed surface at this distance, in world units, outside the skin. Its coordinates are in cells, from the
+    centre of the cell before the first."""
     cell = body.grid.cell
     depth = body.depth + np.float32(out)
     depth = np.where(np.abs(depth) < NUDGE * cell, np.float32(NUDGE * cell), depth)

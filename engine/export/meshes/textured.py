@@ -1,4 +1,4 @@
-"""Pieces with one texture for all of them: the skin's charts, and one for each plane that cuts them."""
+"""Pieces with one texture for all of them: the skin's charts, and a chart for each plane that cuts them."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ SKIN_DETAIL = 0.25
 """Pitches. The skin has no finer texels: its atoms are no finer than half a pitch."""
 
 COARSER = 1.25
-"""How many times larger texels are made at once where the texture would be too large."""
+"""Factor by which texels are enlarged, repeatedly, while the texture would be too large."""
 
 BLED = 16
-"""Texels around the skin's charts that take their nearest colour, so that reduced versions show none but theirs."""
+"""Texels around the skin's charts that take their nearest colour, so that reduced versions show no other."""
 
 
 @dataclass(frozen=True)
 class TexturedPiece:
-    """A closed mesh where the piece lies."""
+    """A piece as a closed mesh, where it lies."""
 
     name: str
     points: NDArray[np.float64]
@@ -39,7 +39,7 @@ class TexturedPiece:
     normals: NDArray[np.float64]
     """(V, 3). Unit, outwards; smooth on the skin, that of the plane on a face."""
     places: NDArray[np.float64]
-    """(V, 2). In the texture, from its lower left corner. Range [0, 1]."""
+    """(V, 2). Texture coordinates, from the lower left corner. Range [0, 1]."""
     triangles: NDArray[np.int32]
     """(T, 3). Counter-clockwise from outside."""
     is_face: NDArray[np.bool_]
@@ -54,9 +54,9 @@ class TexturedPieces:
 
     pieces: tuple[TexturedPiece, ...]
     texture: NDArray[np.uint8]
-    """(H, W, 3). sRGB as the capture has it; the first row is the upper one."""
+    """(H, W, 3). sRGB as in the capture; the first row is the upper one."""
     texel: float
-    """World units. Larger than was asked for if the texture would have been too large."""
+    """Size of a texel, world units. Larger than asked for if the texture would have been too large."""
 
 
 @dataclass(frozen=True)
@@ -74,8 +74,8 @@ class _Chart:
 def textured_pieces(
     body: Body, colours: Colours, wanted: Sequence[Wanted] | Sequence[Plane], texel: float | None, name: str
 ) -> TexturedPieces:
-    """Pieces of a body, or all that planes divide it into, with texels of a size in world units, or of one that keeps
-    all details of the inside.
+    """Pieces of a body, or all that planes divide it into, with texels of this size, world units; None: of one that
+    keeps all details of the inside.
 
     Pieces without volume are left out. Raises InputError, in a line that begins with `name`, if none is left or if the
     skin alone is too large for a texture.
@@ -108,7 +108,7 @@ def textured_pieces(
 
 
 def _facing(plane: Plane) -> Plane:
-    """The same for a plane and its other side: both show the same colours."""
+    """The same plane for both orientations of a plane: both sides show the same colours."""
     return max(plane, plane.flipped(), key=lambda p: p.normal)
 
 
@@ -126,7 +126,7 @@ def _chart_of(plane: Plane, cuts: Sequence[Cut], texel: float) -> _Chart | None:
 
 
 def _on(cut: Cut, plane: Plane) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
-    """(F, 3), (T,). The triangles of a piece that lie on a plane, from either side, and which these are."""
+    """(F, 3), (T,). The triangles of a piece that lie on a plane, from either side, and their mask."""
     numbers = [n for n, other in enumerate(cut.planes) if _facing(other) == plane]
     rows = np.isin(cut.face, numbers)
     return cut.triangles[rows], rows
@@ -151,7 +151,7 @@ def _skin_picture(skin: Skin, colours: Colours, texel: float) -> NDArray[np.floa
 def _face_picture(
     plane: Plane, chart: _Chart, cuts: Sequence[Cut], colours: Colours, texel: float
 ) -> NDArray[np.float32]:
-    """(H, W, 3). What the inside shows on a plane, where faces are and GAP texels around them."""
+    """(H, W, 3). The inside on a plane, where faces are and GAP texels around them."""
     covered = np.zeros((chart.height, chart.width), bool)
     for cut in cuts:
         triangles, _ = _on(cut, plane)
@@ -181,7 +181,7 @@ def _piece(
     texel: float,
     size: tuple[int, int],
 ) -> TexturedPiece:
-    """A piece with its places in the texture: a point that is on several charts is there once for each."""
+    """A piece with its texture coordinates: a point on several charts occurs once for each."""
     points, normals, texels, triangles, is_face = [], [], [], [], []
     count = 0
     sides: list[tuple[NDArray[np.bool_], Plane | None]] = [(cut.face == SKIN, None)]

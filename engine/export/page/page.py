@@ -54,12 +54,12 @@ BRIGHT = 0.5
 
 @dataclass(frozen=True)
 class PageView:
-    """Where the page looks from at first, as `engine.scene.camera.orbit` says it."""
+    """Where the page looks from at first, in the terms of `engine.scene.camera.orbit`."""
 
     target: NDArray[np.float64]
     """(3,). World units."""
     radius: float
-    """World units about the target that fit the picture at distance 1."""
+    """World units around the target that fit the picture at distance 1."""
     azimuth: float
     elevation: float
     distance: float
@@ -79,8 +79,8 @@ def write_page(
     """Writes a page that shows a solid cut by planes; returns what is in it, in a line.
 
     The page begins with these planes, one or more, and its reader moves them. `background`: RGB, range [0, 1]; None
-    follows the reader's choice of dark or light. `progress` is told the part that is done. Raises
-    InputError if there are too many planes, or if it cannot be written.
+    follows the reader's choice of dark or light. `progress` gets the share that is done. Raises InputError if there are
+    too many planes, or if the page cannot be written.
     """
     if len(planes) > MAX_PLANES:
         raise InputError(f"{path}: {len(planes)} planes are too many for a page; give at most {MAX_PLANES}")
@@ -157,7 +157,7 @@ def _source(name: str) -> str:
 
 
 def _hash(source: str) -> str:
-    """By which the page's security policy knows what may run or style it."""
+    """Hash by which the page's security policy recognises what may run or style it."""
     return f"sha256-{_base64(hashlib.sha256(source.encode()).digest())}"
 
 

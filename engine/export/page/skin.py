@@ -18,21 +18,23 @@ LEVELS = 127
 """Steps of a signed byte on either side of 0."""
 
 POSITIONS, POSITION_STEP = 65535, 4
-"""Of a position along the cube: of an object of 300 pitches, fifty steps for each."""
+"""Range of a position along the cube, and the step that it is rounded to: in an object of 300 pitches, fifty steps to a
+pitch."""
 
 COARSE = np.repeat([8, 16, 16], [3, 5, 7])
-"""Of `LEVELS`: steps of the coefficients of degrees 1 to 3, the five and four bits of SPZ."""
+"""Steps, in `LEVELS`, of the coefficients of degrees 1 to 3: the five and four bits of SPZ."""
 
 CLIPPED = 99.9
-"""Per cent of what depends on the direction that keeps its size: a few mirror-like atoms would set the steps of all."""
+"""Per cent of the view-dependent coefficients that are not clipped: else a few mirror-like atoms would set the steps of
+all."""
 
 SCALE_STEP = 32
-"""Of the bits of a standard deviation as half float: five after the point, steps of 3 %."""
+"""Step in the bits of a standard deviation as half float: five bits after the point, steps of 3 %."""
 
 
 @dataclass(frozen=True)
 class Cube:
-    """The cube that holds an object, in which the page measures."""
+    """The cube around an object, in whose coordinates the page works."""
 
     low: NDArray[np.float64]
     """(3,). Its least corner, world units."""
@@ -41,7 +43,7 @@ class Cube:
 
     @staticmethod
     def of(bounds: NDArray[np.floating]) -> Cube:
-        """Around bounds (2, 3), with the same middle."""
+        """The cube around bounds (2, 3), with the same middle."""
         low, high = np.asarray(bounds, np.float64)
         edge = max(float((high - low).max()), 1e-12)
         return Cube((low + high - edge) / 2, edge)
@@ -58,7 +60,7 @@ class PackedSkin:
     count: int
     degree: int
     vectors: int
-    """Fours of harmonics."""
+    """Fours of numbers that hold an atom's harmonics."""
     scales: tuple[float, float]
     """What 127 stands for, in degree 0 and in all others."""
 

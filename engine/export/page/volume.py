@@ -19,29 +19,30 @@ from engine.scene.grid import Body, Grid
 __all__ = ["Inside", "Layers", "pack_body", "pack_inside"]
 
 MOST_CELLS = 288
-"""Along the longest side: two or three pixels of a large window for each. A cube has 36 MB on the graphics card."""
+"""Most cells along the longest side: two or three pixels of a large window each. A cube has 36 MB on the graphics
+card."""
 
 FINER = 0.75
-"""Cells in the finest detail of the inside: linear interpolation between cells as large as it blurs it."""
+"""Size of a cell over the finest detail of the inside: between cells as large as it, linear interpolation blurs it."""
 
 SHARP = 0.7
 """Cells. Footprint at which the inside is read: interpolation blurs it by the rest."""
 
 BESIDE = 1.5
-"""Pitches. Outside the body the colours go on this far: the skin's atoms stand as far out, and faces reach them."""
+"""Pitches. The colours continue this far outside the body: the skin's atoms stand as far out, and faces reach them."""
 
 SHEET = 4096
-"""Pixels of a sheet's side, at most: what graphics cards of phones can hold."""
+"""Most pixels along a sheet's side: what graphics cards of phones can hold."""
 
 QUALITY = 90
-"""Of WebP: at 384 cells a watermelon's brightness takes 3.5 MB, at 95 it is 4.9."""
+"""WebP quality: a watermelon's brightness in 384 cells takes 3.5 MB; with 95 it takes 4.9."""
 
 REACH = 2.0
 """Cells of the body on either side of its skin in which depths are told apart, in steps of a sixty-fourth."""
 
 OVER = 0.4
-"""Pitches. How far over the skin of the body faces reach: in pictures, which draw them from the atoms, those of a ball
-of thin discs end 0.4 over it, those of the sample watermelon 0.65."""
+"""Pitches. How far beyond the skin of the body faces reach: in pictures, which draw them from the atoms, those of a
+ball of thin discs end 0.4 beyond it, those of the sample watermelon 0.65."""
 
 LUMA = np.array([0.299, 0.587, 0.114], np.float32)
 """Shares of red, green and blue in the brightness, as in JPEG: volume_face.frag.glsl has the way back."""
@@ -61,7 +62,7 @@ class Layers:
 
 @dataclass(frozen=True)
 class Inside:
-    """Colours of the inside: brightness, and half as fine the differences of blue and red from it."""
+    """Colours of the inside: brightness and, half as fine, the differences of blue and red from it."""
 
     grid: Grid
     luma: Layers
@@ -70,7 +71,7 @@ class Inside:
 
 
 def pack_inside(body: Body, colours: Colours, progress: Callable[[float], None]) -> Inside:
-    """What a body shows, as fine as it is and MOST_CELLS allow. `progress` is told the part that is done."""
+    """The inside of a body, as fine as its detail and MOST_CELLS allow. `progress` gets the share that is done."""
     low, high = body.bounds()
     cell = max(FINER * colours.detail, float((high - low).max()) / (MOST_CELLS - 2))
     grid = Grid.around(np.stack([low, high]), cell, 1)
@@ -93,10 +94,10 @@ def pack_inside(body: Body, colours: Colours, progress: Callable[[float], None])
 
 
 def pack_body(body: Body, pitch: float) -> bytes:
-    """zlib. A byte for each cell, x fastest: 127.5 is where faces end, and more is under it, by `REACH`. `pitch`: world
+    """zlib. A byte for each cell, x fastest: 127.5 is where faces end, more is below that, by `REACH`. `pitch`: world
     units.
 
-    A single atom that lies askew dents the skin by a cell, which a median of 3 x 3 x 3 takes out again.
+    A single skewed atom dents the skin by a cell, which a median of 3 x 3 x 3 removes.
     """
     even = ndimage.median_filter(body.depth, 3) + OVER * pitch
     steps = np.round(127.5 + even / (REACH * body.grid.cell) * 127.5).clip(0, 255).astype(np.uint8)
@@ -106,8 +107,8 @@ def pack_body(body: Body, pitch: float) -> bytes:
 def _layer(
     points: NDArray[np.float64], body: Body, colours: Colours, atoms: Colours, cell: float
 ) -> NDArray[np.float32]:
-    """(Y, X, 3). Colours at points (Y, X, 3), at the rim those of the atoms alone, as in pictures; far outside those of
-    the nearest point that is not, which compress best of all that leave the edge as it is."""
+    """(Y, X, 3). Colours at points (Y, X, 3): at the rim those of the atoms alone, as in pictures; far outside those of
+    the nearest point that is not, which compress best and leave the edge as it is."""
     pitch, depth = colours.atoms.pitch, body.at(points)
     known = depth > -BESIDE * pitch
     rgb = np.full(points.shape, 0.5, np.float32)
@@ -123,7 +124,7 @@ def _layer(
 
 
 def _layers(volume: NDArray[np.uint8]) -> Layers:
-    """Of a volume (Z, Y, X)."""
+    """The layers of a volume (Z, Y, X)."""
     z, y, x = volume.shape
     columns, most = max(SHEET // x, 1), max(SHEET // y, 1)
     rows = min(most, -(-z // columns))

@@ -27,13 +27,13 @@ from engine.scene.moved import Z_UP, upright
 __all__ = ["VOLUMES", "save_volume"]
 
 MILLIMETRES = 1000.0
-"""In a metre."""
+"""Millimetres in a metre."""
 
 INCH = 0.0254
 """Metres."""
 
 SMALLEST = 64
-"""Voxels along the longest side under which no smaller version is made for OME-Zarr."""
+"""Voxels along the longest side below which no smaller version is made for OME-Zarr."""
 
 CHUNK = 64
 """Voxels along a side of what OME-Zarr reads at once."""
@@ -42,10 +42,10 @@ PACKING = 6
 """Level of gzip: 9 takes three times as long for 1 % less."""
 
 KIND_COLOURS = ((0, 0, 0), (230, 120, 90), (240, 220, 120), (90, 60, 40), (120, 170, 220))
-"""By `Kind`."""
+"""Colours of the labels, by `Kind`."""
 
 WHEN = (1980, 1, 1, 0, 0, 0)
-"""The archive's time of every file, so that the same voxels give the same bytes."""
+"""Time stamp of every file in the archive, so that the same voxels give the same bytes."""
 
 
 def _save_nifti(path: Path, voxels: Voxels, affine: NDArray[np.float64]) -> list[Path]:
@@ -92,7 +92,7 @@ def _nrrd(data: NDArray[np.uint8], header: dict[str, Any], affine: NDArray[np.fl
 
 
 def _save_zarr(path: Path, voxels: Voxels, affine: NDArray[np.float64]) -> list[Path]:
-    """OME-Zarr 0.4: axes c, z, y, x of the file, in millimetres; kinds as labels beside."""
+    """OME-Zarr 0.4: axes c, z, y, x of the file, in millimetres; kinds as labels beside the colours."""
     millimetres = float(np.cbrt(np.linalg.det(affine[:3, :3]))) / voxels.grid.cell
     levels = [voxels]
     while max(levels[-1].grid.shape) > SMALLEST:
@@ -164,7 +164,7 @@ def _save_stack(path: Path, voxels: Voxels, affine: NDArray[np.float64]) -> list
 
 
 def _beside(path: Path, word: str) -> Path:
-    """The path with a word before its suffix, of which .nii.gz is one."""
+    """The path with a word before its suffix; .nii.gz counts as one."""
     name = path.name
     end = next((end for end in (".nii.gz",) if name.lower().endswith(end)), path.suffix)
     return path.with_name(name[: -len(end)] + word + name[-len(end) :])
@@ -177,7 +177,7 @@ VOLUMES: dict[str, Callable[[Path, Voxels, NDArray[np.float64]], list[Path]]] = 
     ".zarr": _save_zarr,
     ".zip": _save_stack,
 }
-"""By suffix; .gz is that of .nii.gz."""
+"""The writer of each suffix; .gz stands for .nii.gz."""
 
 
 def save_volume(path: Path, voxels: Voxels, up: Sequence[float], metres: float) -> list[Path]:
@@ -185,7 +185,7 @@ def save_volume(path: Path, voxels: Voxels, up: Sequence[float], metres: float) 
 
     `up` (3,) is the object's up axis, `metres` the length of a world unit. Voxels keep the file's axes; NIfTI and NRRD
     say in their matrix how to turn them so that the third axis of their space is up. Raises InputError for any other
-    suffix, if an OME-Zarr is there already, and if writing fails.
+    suffix, if there is an OME-Zarr already, and if writing fails.
     """
     suffix = path.suffix.lower()
     if suffix not in VOLUMES or (suffix == ".gz" and not path.name.lower().endswith(".nii.gz")):

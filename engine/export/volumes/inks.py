@@ -1,10 +1,10 @@
-"""Colours as a mixture of a printer's materials: each voxel one drop of one of them, right on average.
+"""Colours as mixtures of a printer's materials: each voxel is one drop of one of them, right on average.
 
-A colour is a mixture of inks in linear light, as drops too small to see add up. Of all mixtures that give it, it takes
-the one of the inks nearest to it, which looks least grainy. Voxels are then visited in order; each takes the ink that
-it is owed most, and passes on what it got too much or too little of to its neighbours that are still to come, in its
-layer and in the next (error diffusion, Floyd and Steinberg 1976, in three dimensions as Lou and Stucki 1998). As debts
-are of shares of ink and not of colours, they stay small for a colour that no mixture gives: it becomes the nearest one.
+A colour is a mixture of inks in linear light, as drops too small to see add up. Of all mixtures that give it, the one
+of the inks nearest to it is used, which looks least grainy. Voxels are then visited in order; each takes the ink that
+it is owed most, and passes its excess or lack of each ink on to the neighbours still to come, in its layer and in the
+next (error diffusion, Floyd and Steinberg 1976, in three dimensions as Lou and Stucki 1998). As debts are in shares of
+ink and not in colours, they stay small for a colour that no mixture gives: it becomes the nearest one.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ SURE = 1e3
 """Weight of a mixture's colour and of its shares' sum against how far its inks are from the colour."""
 
 BELOW = 0.5
-"""Part of a debt that goes to the next layer: as much as stays in the own one, so that no direction is preferred."""
+"""Share of a debt that goes to the next layer: as much as stays in its own, so that no direction is preferred."""
 
 CHANCE = 1.0
-"""Drops. Largest number that is drawn and added to what an ink is owed before the largest is taken. Without it drops of
-a rare ink all fall in one layer; by the spread of means over layers and over blocks, half and double are worse."""
+"""Drops. Largest random number added to what an ink is owed before the largest is taken. Without it, drops of a rare
+ink all fall in one layer; by the spread of means over layers and over blocks, half and double are worse."""
 
 
 def halftoned(
@@ -82,7 +82,7 @@ def _print_layer(
     later: NDArray[np.float32],  # [X + 2, Y + 2, N], to the next one; out
     out: NDArray[np.uint8],  # [X, Y]
 ) -> None:
-    """One layer; every other row runs backwards."""
+    """Prints one layer; every other row runs backwards."""
     width, height, count = wanted.shape
     debt = np.empty(count, np.float32)
     for i in range(width):
@@ -99,7 +99,7 @@ def _print_layer(
                     best, most = k, worth
             out[i, j] = best
             debt[best] -= np.float32(1)
-            # To those of the layer's four next cells, and of the nine below, that are printed.
+            # The debt goes to those of the layer's four next cells, and of the nine below, that are printed.
             ahead = np.float32(0)
             for di in range(2):
                 for dj in range(-1, 2):
@@ -129,7 +129,7 @@ def _print_layer(
 
 @njit(cache=True, nogil=True, inline="always")
 def _part(di: int, dj: int) -> np.float32:
-    """Floyd and Steinberg's sixteenths, of the next cell and of the three in the next row."""
+    """Floyd and Steinberg's sixteenths, for the next cell and the three in the next row."""
     if di == 0:
         return np.float32(7)
     return np.float32(3) if dj < 0 else np.float32(5) if dj == 0 else np.float32(1)
@@ -137,5 +137,5 @@ def _part(di: int, dj: int) -> np.float32:
 
 @njit(cache=True, nogil=True, inline="always")
 def _part_below(di: int, dj: int) -> np.float32:
-    """By distance: the cell under it most, those under its corners least."""
+    """Shares by distance: most for the cell below, least for those below its corners."""
     return np.float32(4 >> (abs(di) + abs(dj)))

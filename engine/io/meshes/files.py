@@ -15,7 +15,7 @@ from engine.io.picture_file import open_picture
 __all__ = ["MeshFiles"]
 
 MAX_BYTES = 1 << 30
-"""Bytes of a file beside a mesh: more than any texture, and a buffer of twenty million faces."""
+"""Most bytes of a file beside a mesh: more than any texture, and a buffer of twenty million faces."""
 
 
 class MeshFiles(trimesh.resolvers.FilePathResolver):
@@ -25,7 +25,7 @@ class MeshFiles(trimesh.resolvers.FilePathResolver):
     """
 
     def __init__(self, source: Path, buffers: frozenset[str] = frozenset()) -> None:
-        """`buffers` names the files, apart from materials (.mtl), that are no pictures."""
+        """`buffers` names the files that are not pictures, apart from materials (.mtl)."""
         super().__init__(str(source))
         self.source = source
         self.buffers = buffers

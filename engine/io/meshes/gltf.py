@@ -15,7 +15,7 @@ MOST_VALUES = 200_000_000
 """Most rows of all arrays together: those of ten times the faces of a fine scan."""
 
 MOST_ZEROS = 5_000_000
-"""Most rows that the file does not hold: zeros in a sparse accessor. A short file may claim any number."""
+"""Most rows that are not stored: zeros in a sparse accessor. A short file may claim any number."""
 
 FACES = (4, 5)
 """Modes of primitives that are faces: triangles and strips of them. 4 is the default."""
@@ -29,17 +29,17 @@ PACKED = {
     "KHR_meshopt_compression": "compressed with meshopt",
     "KHR_mesh_quantization": "quantized",
 }
-"""Extensions that pack geometry, in the words of exporters' dialogs."""
+"""Extensions that pack geometry, in the words of export dialogs."""
 
 HARMLESS = ("KHR_materials_", "KHR_lights_", "KHR_xmp", "KHR_animation_", "EXT_texture_webp")
 """Prefixes of required extensions that change neither shape nor colours here, except WebP, which is supported."""
 
 
 def buffer_files(path: Path, warn: Callable[[str], None]) -> frozenset[str]:
-    """Names of the files with a glTF's geometry, as it gives them; a .glb and data URIs have theirs inside.
+    """Names of the files with a glTF's geometry, as the glTF gives them; a .glb and data URIs hold theirs inside.
 
-    Raises InputError if it requires what cannot be read, has no faces, or is damaged. `warn` takes a line on Gaussians
-    that are left out.
+    Raises InputError if the file requires what cannot be read, has no faces, or is damaged. `warn` takes a line on
+    Gaussians that are left out.
     """
     tree, _ = read_tree(path)
     primitives = [primitive for mesh in rows(tree, "meshes") for primitive in rows(mesh, "primitives")]

@@ -39,12 +39,12 @@ FLATNESS = 0.2
 """Ratio of the standard deviation across the surface to that along it."""
 
 OPACITY = 0.99
-"""The most opaque that 3DGS allows: its renderers cap alpha here."""
+"""The highest opacity that 3DGS allows: its renderers cap alpha here."""
 
 GREY = 0.6
 
 MAX_FACES = 20_000_000
-"""Twenty times a fine scan, two gigabytes in world space. A short file may instance one part any number of times."""
+"""Twenty times a fine scan; two gigabytes in world space. A short file may instance one part any number of times."""
 
 Colours = Callable[[NDArray[np.int64], NDArray[np.float64]], NDArray[np.float64]]
 """RGB (K, 3) in [0, 1] at K points, given by face (K,) and barycentric coordinates (K, 3)."""
@@ -67,7 +67,7 @@ def read_mesh(
     Their third axis is the face's normal; along the surface they are large enough to close the shell. Colours come from
     the texture (bilinear), the vertices, the faces or the material, in this order, without conversion; otherwise they
     are grey, with a warning. Repeated faces count once, also with a warning; `warn` takes one line each. Raises
-    InputError if there is no surface, or if a texture is missing or no picture.
+    InputError if there is no surface, or if a texture is missing or not a picture.
     """
     assert count > 0, count
     path = Path(path)
@@ -105,7 +105,7 @@ def _parts(path: Path, warn: Callable[[str], None]) -> list[Part]:
     kind = _kind(path)
     files = MeshFiles(path, buffer_files(path, warn) if kind in ("glb", "gltf") else frozenset())
     try:
-        # No check of ours sees a picture inside the file, or one named as a buffer, before trimesh opens it.
+        # trimesh opens pictures inside the file, or named as buffers, before any check of ours.
         with open_file(path) as file, restricted_decoders():
             scene = trimesh.load_scene(file, file_type=kind, resolver=files, process=False)
         placed = [(scene.geometry[name], matrix) for matrix, name in map(scene.graph.get, scene.graph.nodes_geometry)]
@@ -147,7 +147,7 @@ def _parts(path: Path, warn: Callable[[str], None]) -> list[Part]:
 def _repeated(triangles: NDArray[np.float64], among: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """(F,). Faces with an area that repeat an earlier one, facing the same side; some exporters write all faces twice.
 
-    They would count as additional area, and share its points, which look torn if the colours differ.
+    They would count as additional area and take some of its points, which looks torn if the colours differ.
     """
     index = np.flatnonzero(among)
     corners = triangles[index]

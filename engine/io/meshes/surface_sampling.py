@@ -19,7 +19,7 @@ SHRINK = 0.93
 """Factor on that distance after each pass, until there are enough points."""
 
 LEAST = 1e-3
-"""Share of the first distance at which the remaining points coincide and are accepted anyway."""
+"""Share of the first distance below which the remaining points coincide and are accepted anyway."""
 
 REBUILD = 2.0
 """Ratio of cell to distance at which the grid is rebuilt with smaller cells; fuller cells would cost more."""
@@ -28,7 +28,7 @@ MULTIPLIER = 0x9E3779B97F4A7C15
 """2^64 over the golden ratio, odd: multiplying by it spreads neighbours over the high bits (Knuth 6.4)."""
 
 SAME_SIDE = -0.5
-"""Cosine between normals above which points keep their distance: across an edge of a box, not across a leaf."""
+"""Cosine between normals above which points keep their distance: around the edge of a box, not through a leaf."""
 
 
 def scatter(
@@ -112,7 +112,7 @@ def _is_free(
     heads: NDArray[np.int64],
     following: NDArray[np.int64],
 ) -> bool:
-    """Whether a point keeps the distance, at most a cell, from all accepted points on its side."""
+    """Whether a point keeps the distance (at most a cell) from all accepted points on its side."""
     x, y, z = np.floor(points[i, 0] / cell), np.floor(points[i, 1] / cell), np.floor(points[i, 2] / cell)
     for offset in range(27):
         turned = (offset + 13) % 27  # the point's cell first, where most are rejected

@@ -35,7 +35,7 @@ CHUNK = 256
 PACKED = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
 REST_COUNTS = (9, 24, 45)
 REST_RANGE = 8.0
-"""Width of the interval about 0 into which SH above degree 0 are packed."""
+"""Width of the interval around 0 into which SH above degree 0 are packed."""
 
 
 def is_compressed(header: Header) -> bool:
@@ -47,7 +47,7 @@ def is_compressed(header: Header) -> bool:
 def read_compressed_ply(path: Path, header: Header, most: int | None = None) -> tuple[Gaussians, list[str]]:
     """The Gaussians of a compressed .ply, and one line about each kind of row that had to be dropped.
 
-    `header` has been checked against the size of the file, so its counts may be allocated. With `most` no more than so
+    `header` has been checked against the size of the file, so its counts may be allocated. With `most`, at most that
     many, evenly chosen, with SH of degree 0. Raises InputError if an element is missing or of another type, or if the
     counts do not match.
     """
@@ -77,11 +77,11 @@ def read_compressed_ply(path: Path, header: Header, most: int | None = None) -> 
 
 
 def _block(vertex: NDArray[np.void], chunk: NDArray[np.void], rest: NDArray[np.void] | None) -> NDArray[np.float32]:
-    """(R, 14 + SH above degree 0). Rows as in a .ply, from packed ones, the chunk of each, and their SH if any."""
+    """(R, 14 + SH above degree 0). Rows as in a .ply, from packed rows, the chunk of each, and their SH if any."""
     names = () if rest is None else rest.dtype.names or ()
     table = np.empty((len(vertex), len(GEOMETRY) + len(COLOUR) + len(names)), np.float32)
     colours = _bytes(vertex["packed_color"])
-    # Chunks may hold anything; `gaussians_from_rows` drops what is no scene.
+    # Chunks may hold anything; `gaussians_from_rows` drops what makes no sense.
     with np.errstate(over="ignore", invalid="ignore"):
         table[:, :3] = _between(chunk, "{}_x {}_y {}_z", _elevens(vertex["packed_position"]))
         table[:, 3] = logits(colours[:, 3])
@@ -105,7 +105,7 @@ class _Table:
     count: int
     dtype: np.dtype[np.void]
     offset: int
-    """Of its first row, bytes."""
+    """Offset of its first row, bytes."""
 
     def read(self, path: Path, file: BinaryIO, rows: range) -> NDArray[np.void]:
         """These rows. Raises InputError if the file ends within them."""
@@ -174,7 +174,7 @@ def _bytes(words: Words) -> Double:
 
 
 def _quaternions(words: Words) -> Double:
-    """(N, 4), wxyz. Two bits give the largest component; three times ten bits hold the others over 1 / sqrt(2)."""
+    """(N, 4), wxyz. Two bits name the largest component; ten bits each hold the others, in +-1 / sqrt(2)."""
     largest = (words >> 30).astype(np.intp)
     others = np.stack([((words >> shift & 1023) / 1023 - 0.5) * np.sqrt(2) for shift in (20, 10, 0)], 1)
     return with_largest(largest, others)
@@ -191,7 +191,7 @@ def with_largest(largest: NDArray[np.intp], others: Double) -> Double:
 
 
 def _rest(packed: NDArray[np.uint8]) -> Double:
-    """(N,). Coefficients from bytes: the middles of 256 steps, but the ends for the first and the last."""
+    """(N,). Coefficients from bytes: the middle of each of 256 steps, but the outer end of the first and the last."""
     parts = (packed + 0.5) / 256
     parts[packed == 0], parts[packed == 255] = 0.0, 1.0
     return (parts - 0.5) * REST_RANGE

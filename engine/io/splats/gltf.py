@@ -1,4 +1,4 @@
-"""Gaussians in glTF files: the extension `KHR_gaussian_splatting`, as ratified and as its drafts were."""
+"""Gaussians in glTF files: the extension `KHR_gaussian_splatting`, as ratified and as in its drafts."""
 
 from __future__ import annotations
 
@@ -41,11 +41,11 @@ UNPACKED = ("KHR_mesh_quantization", GAUSSIANS)
 SRGB, LINEAR = "srgb_rec709_display", "lin_rec709_display"
 
 LOOKS = 128
-"""Directions in which a linear colour is turned into sRGB: eight times the unknowns of degree 3."""
+"""Number of directions in which a linear colour is turned into sRGB: eight times the unknowns of degree 3."""
 
 
 def holds_gaussians(path: Path) -> bool:
-    """Whether a glTF file is of Gaussians: it has some, and no faces. Raises InputError if it is damaged."""
+    """Whether a glTF file holds Gaussians and no faces. Raises InputError if it is damaged."""
     tree, _ = read_tree(path)
     found = [primitive for mesh in rows(tree, "meshes") for primitive in rows(mesh, "primitives")]
     splats = [GAUSSIANS in extensions(primitive) for primitive in found]
@@ -57,7 +57,7 @@ def read_gltf(path: str | Path, most: int | None = None) -> tuple[Gaussians, lis
     """The Gaussians of a .glb or .gltf where its nodes place them, and a line on each thing that was changed.
 
     Sizes below zero, which only drafts of the extension had, are logarithms. Linear colours become sRGB: exactly, or as
-    near as spherical harmonics of the same degree come. With `most` no more than so many, evenly chosen, with SH of
+    closely as spherical harmonics of the same degree can. With `most`, at most that many, evenly chosen, with SH of
     degree 0. Raises InputError if the file is damaged or packed, and for a node that mirrors or stretches.
     """
     path = Path(path)
@@ -107,7 +107,7 @@ def _blocks(chosen: range) -> Iterator[range]:
 
 
 def _refuse_packed(path: Path, tree: dict[str, Any]) -> None:
-    """Raises InputError if the file needs what is not read here."""
+    """Raises InputError if the file needs an extension that is not read here."""
     required, used = (
         {name for name in names if isinstance(name, str)} if isinstance(names := tree.get(key), list) else set()
         for key in ("extensionsRequired", "extensionsUsed")
@@ -120,7 +120,7 @@ def _refuse_packed(path: Path, tree: dict[str, Any]) -> None:
 
 
 class _Buffers:
-    """The bytes that a glTF's buffer views are of: in the file, in its JSON, or in files beside it."""
+    """The bytes of a glTF's buffers: in the file, in its JSON, or in files beside it."""
 
     def __init__(self, path: Path, tree: dict[str, Any], after: int, opened: ExitStack) -> None:
         self.path, self.after, self.opened = path, after, opened
@@ -166,18 +166,18 @@ class _Column:
 
     file: BinaryIO
     start: int
-    """Of the first row, bytes."""
+    """Offset of the first row, bytes."""
     stride: int
     """Bytes from row to row."""
     dtype: np.dtype[Any]
     width: int
     scale: float
-    """What numbers are divided by: the largest of their type if they are normalised."""
+    """Divisor of the numbers: the largest of their type if they are normalised, else 1."""
     count: int
 
     @staticmethod
     def of(path: Path, tree: dict[str, Any], buffers: _Buffers, index: Any, kinds: tuple[str, ...]) -> _Column:
-        """Of an accessor of one of these types. Raises InputError unless all of its rows are there."""
+        """The column of an accessor of one of these types. Raises InputError unless all of its rows are there."""
         accessor = rows(tree, "accessors")[_index(index)]
         if "sparse" in accessor or "bufferView" not in accessor:
             raise InputError(f"{path}: sparse or empty arrays, which cannot be read here; export it again without")
@@ -225,9 +225,9 @@ class _Field:
     scales: _Column
     opacities: _Column
     sh: tuple[_Column, ...]
-    """Of each coefficient."""
+    """One column for each coefficient."""
     space: str
-    """Of its colours."""
+    """Colour space."""
     place: Placement
 
     @property
@@ -240,7 +240,7 @@ class _Field:
 
     @staticmethod
     def of(path: Path, tree: dict[str, Any], buffers: _Buffers, place: Placement) -> _Field:
-        """Of a primitive. Raises InputError if it lacks something, or is damaged."""
+        """The field of a primitive. Raises InputError if it lacks something, or is damaged."""
         attributes = place.primitive.get("attributes")
         look = extensions(place.primitive)[GAUSSIANS]
         if not isinstance(attributes, dict) or not isinstance(look, dict):
@@ -283,7 +283,7 @@ class _Field:
         table = np.zeros((len(part), 14 + 3 * (bands - 1)))
         place, quats = self.place, self.turns.read(part)[:, [3, 0, 1, 2]]
         sizes = self.scales.read(part)
-        with np.errstate(all="ignore"):  # files may hold anything; `gaussians_from_rows` drops what is no scene
+        with np.errstate(all="ignore"):  # files may hold anything; `gaussians_from_rows` drops nonsense
             table[:, :3] = self.places.read(part) @ place.linear.T + place.shift
             table[:, 3] = logits(np.clip(self.opacities.read(part)[:, 0], 0, 1))
             table[:, 4:7] = (sizes if logs else np.log(sizes)) + np.log(place.factor)
@@ -301,7 +301,7 @@ class _Field:
 
 
 def _display(sh: NDArray[np.float64], degree: int) -> NDArray[np.float64]:
-    """(N, K, 3). Spherical harmonics of linear colours as those of sRGB (IEC 61966-2-1), by least squares over
+    """(N, K, 3). Turns spherical harmonics of linear colours into those of sRGB (IEC 61966-2-1), by least squares over
     directions; exact for degree 0."""
     directions = np.random.default_rng(0).normal(size=(LOOKS, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
@@ -316,7 +316,7 @@ def _display(sh: NDArray[np.float64], degree: int) -> NDArray[np.float64]:
 
 
 def _index(value: Any) -> int:
-    """A number of something. Raises ValueError for what is none."""
+    """The value, if it is an integer of at least 0. Raises ValueError otherwise."""
     if type(value) is not int or value < 0:
         raise ValueError(value)
     return value

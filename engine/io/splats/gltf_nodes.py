@@ -17,10 +17,10 @@ from engine.io.gltf_tree import GAUSSIANS, extensions, rows
 __all__ = ["Placement", "placements"]
 
 SKEW = 1e-3
-"""How far from a rotation times one factor a node's matrix may be: exporters round."""
+"""How far a node's matrix may be from a rotation times one factor: exporters round."""
 
 FACTORS = (1e-9, 1e9)
-"""Scale factors that are believed."""
+"""Least and greatest plausible scale factor."""
 
 
 @dataclass(frozen=True)
@@ -41,9 +41,9 @@ class Placement:
 
 
 def placements(path: Path, tree: dict[str, Any]) -> list[Placement]:
-    """Of all primitives of Gaussians in the scene that is shown, or in all meshes if no node has one.
+    """The placements of all primitives of Gaussians in the default scene, or in all meshes if there are no nodes.
 
-    Raises InputError for nodes in a circle, and for a node that mirrors or stretches.
+    Raises InputError if the nodes form a cycle, and for a node that mirrors or stretches.
     """
     meshes = [[p for p in rows(mesh, "primitives") if GAUSSIANS in extensions(p)] for mesh in rows(tree, "meshes")]
     found = []
@@ -56,7 +56,7 @@ def placements(path: Path, tree: dict[str, Any]) -> list[Placement]:
 
 
 def _shown(path: Path, tree: dict[str, Any]) -> Iterator[tuple[str, int, NDArray[np.float64]]]:
-    """The nodes with a mesh in the scene: name, mesh, and the matrix (4, 4) to the world."""
+    """The nodes with a mesh in the default scene: name, mesh index, and the matrix (4, 4) to the world."""
     nodes, scenes = rows(tree, "nodes"), rows(tree, "scenes")
     number = tree.get("scene", 0)
     scene = scenes[number] if isinstance(number, int) and 0 <= number < len(scenes) else {}
@@ -102,7 +102,7 @@ def _local(path: Path, node: dict[str, Any]) -> NDArray[np.float64]:
 
 
 def _placed(path: Path, name: str, primitive: dict[str, Any], matrix: NDArray[np.float64]) -> Placement:
-    """A primitive at a matrix. Raises InputError unless that is a rotation, one factor and a shift."""
+    """A primitive placed by a matrix. Raises InputError unless that is a rotation, one factor and a shift."""
     with np.errstate(all="ignore"):
         determinant = float(np.linalg.det(matrix[:3, :3])) if np.isfinite(matrix).all() else float("nan")
         factor = np.cbrt(determinant)

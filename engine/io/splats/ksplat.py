@@ -1,4 +1,4 @@
-"""mkkellogg's .ksplat files: sections of rows, full or at half precision with places relative to buckets."""
+"""mkkellogg's .ksplat files: sections of rows, at full precision or at half with places relative to buckets."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ steps to half of the side, full buckets, other buckets, SH degree."""
 PLACES = ("<f4", "<u2", "<u2")
 FLOATS = ("<f4", "<f2", "<f2")
 SH = ("<f4", "<f2", "u1")
-"""Types at each compression of a place, of sizes and turns, and of spherical harmonics."""
+"""Types of places, of sizes and rotations, and of spherical harmonics, at each compression."""
 
 SH_RANGE = (-1.5, 1.5)
-"""What bytes of SH span where the header does not say."""
+"""Range that bytes of SH span if the header states none."""
 
 MOST_DEGREE = 3
 
@@ -50,17 +50,17 @@ class _Section:
     buckets: NDArray[np.int64]
     """(B,). The first row of each bucket."""
     centres: NDArray[np.float32]
-    """(B, 3)."""
+    """(B, 3). World units."""
     step: float
-    """World units."""
+    """World units per step of a place."""
     zero: int
-    """Steps that mean a bucket's centre."""
+    """Number of steps that stands for a bucket's centre."""
 
 
 def read_ksplat(path: str | Path, most: int | None = None) -> tuple[Gaussians, list[str]]:
     """The Gaussians of a .ksplat, and one line about each kind of row that had to be dropped.
 
-    With `most` no more than so many, evenly chosen, with SH of degree 0. Raises InputError for another version, and if
+    With `most`, at most that many, evenly chosen, with SH of degree 0. Raises InputError for another version, and if
     the file is damaged or shorter than it says.
     """
     path = Path(path)
@@ -86,7 +86,7 @@ def read_ksplat(path: str | Path, most: int | None = None) -> tuple[Gaussians, l
 
 
 def _row(compression: int, degree: int) -> np.dtype[np.void]:
-    """A row of a section."""
+    """Type of a section's rows."""
     return np.dtype(
         [
             ("means", PLACES[compression], 3),
@@ -99,7 +99,7 @@ def _row(compression: int, degree: int) -> np.dtype[np.void]:
 
 
 def _sections(path: Path, file: BinaryIO, size: int, headers: int, compression: int) -> Iterator[_Section]:
-    """The sections that have rows. Raises InputError for what the file is too short for."""
+    """The sections that have rows. Raises InputError if the file is damaged or too short for them."""
     short = InputError(f"{path}: truncated: it is shorter than it says; copy or export it again")
     base = HEADER_BYTES + SECTION_BYTES * headers
     if base > size:
@@ -127,7 +127,7 @@ def _sections(path: Path, file: BinaryIO, size: int, headers: int, compression: 
 
 
 def _before(lengths: NDArray[np.int64]) -> NDArray[np.int64]:
-    """The sum of all lengths before each."""
+    """For each length, the sum of those before it."""
     return np.cumsum(lengths) - lengths
 
 
@@ -166,8 +166,8 @@ def _places(steps: NDArray[np.uint16], rows: NDArray[np.int64], section: _Sectio
 
 
 def _by_channel(values: NDArray[np.float32], degree: int) -> NDArray[np.float32]:
-    """(R, 3 K). SH as a .ply has them, channel after channel over all bands, of rows that have them band after band and
-    channel after channel within it."""
+    """(R, 3 K). SH reordered from band by band, channel by channel in each, to a .ply's: channel by channel over all
+    bands."""
     bands, first = [], 0
     for band in range(1, degree + 1):
         width = 2 * band + 1

@@ -37,17 +37,17 @@ REST_COUNTS = {0: 0, 9: 1, 24: 2, 45: 3, 72: 4}
 """SH degree of each possible number of f_rest properties, 3 ((d+1)^2 - 1)."""
 
 MOST_RESTS = 45
-"""Of degree 3, the highest that is drawn."""
+"""Number of f_rest properties of degree 3, the highest that is drawn."""
 
 MAX_LOGIT = 16.6
-"""Logit of the largest opacity under 1 that float32 has, 1 - 2^-24. Infinite logits break other viewers."""
+"""Logit of the largest float32 opacity below 1, 1 - 2^-24. Infinite logits break other viewers."""
 
 
 def read_ply(path: str | Path, most: int | None = None) -> tuple[Gaussians, list[str]]:
     """The Gaussians of any 3DGS .ply, and one line about each kind of row that had to be dropped.
 
     SH degree 0..4 (4 is cut to 3), with or without normals and other properties and elements; ascii or binary of
-    either endianness; SuperSplat's compressed form too. With `most` no more than so many, evenly chosen, with SH of
+    either endianness; SuperSplat's compressed form too. With `most`, at most that many, evenly chosen, with SH of
     degree 0. `gaussians_from_rows` says what is dropped. Raises InputError if the file is no 3DGS scene or has no
     usable row.
     """
@@ -58,7 +58,7 @@ def read_ply(path: str | Path, most: int | None = None) -> tuple[Gaussians, list
     vertex = _scene_element(path, header)
     stride = stride_for(vertex.count, most)
     rest = _rest_count(path, vertex) if most is None else 0
-    kept, each = min(rest, MOST_RESTS) // 3, rest // 3  # of a channel, one after another
+    kept, each = min(rest, MOST_RESTS) // 3, rest // 3  # per channel; channels follow one another
     rests = [f"f_rest_{channel * each + i}" for channel in range(3) for i in range(kept)]
     names = [*GEOMETRY, *COLOUR, *rests]
     # Map coordinates have more digits than float32: they keep their precision until the scene is moved.

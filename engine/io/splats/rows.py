@@ -44,16 +44,15 @@ MAX_SH = 1e4
 """Largest plausible SH coefficient: a colour thousands of times brighter than white."""
 
 MAX_SPREAD = 1e5
-"""A Gaussian this many times farther out, or larger, than the median distance is no part of any object. Skies reach
-1e4."""
+"""A Gaussian this many times farther out, or larger, than the median distance belongs to no object. Skies reach 1e4."""
 
 SPREAD_ROWS = 100
 """Least number of rows for which the median position and distance mean something. Just under half of the rows may lie
 anywhere."""
 
 REACH = (1e-7, 1e8)
-"""World units. Least and greatest median distance of a usable scene. Closer to the limits above, these would cut
-through the scene itself."""
+"""World units. Least and greatest median distance of a usable scene. Beyond these, the limits above would cut through
+the scene itself."""
 
 MAX_UNUSABLE = 0.5
 """Largest share of unusable rows. Floaters, dead Gaussians and damage make up a few per cent; what remains of a mostly
@@ -78,7 +77,7 @@ def gaussians_from_rows(
     the scene has been moved. Rows are dropped that have NaN or Inf (except an infinite opacity logit, which means 0 or
     1), a zero quaternion, or implausible sizes, positions or colours. A scene so far from zero that float32 would round
     it is moved (engine.io.origin). Raises InputError if most rows would be dropped, or if the scene is too small or
-    too large for float32. Beside the result and a block, memory is some ten numbers a row.
+    too large for float32. Besides the result and a block, it takes memory for about ten numbers per row.
     """
     rest = (columns - len(GEOMETRY) - len(COLOUR)) // 3
     positions = np.empty((count, 3), np.float64 if wide else np.float32)
@@ -91,8 +90,8 @@ def gaussians_from_rows(
     )
     reasons = {reason: np.zeros(count, bool) for reason in REMEDIES}
     filled = 0
-    # What does not fit becomes Inf, and exp(-logit) of a large negative logit, whose opacity then rightly is 0. What is
-    # made of a flawed row is never used.
+    # What overflows becomes Inf; so does exp(-logit) of a large negative logit, whose opacity then rightly is 0.
+    # Results of flawed rows are never used.
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         for block in blocks:
             rows = slice(filled, filled + len(block))
@@ -200,7 +199,7 @@ def _find_origin(
 ) -> tuple[Vector, list[str]]:
     """The origin of the rows of `keep` (N,), as `origin_for`; rows too far from it are marked.
 
-    The scales of the remaining rows are the size of a detail. Marked rows do not influence the origin.
+    The median scale of the remaining rows is the size of a detail. Marked rows do not influence the origin.
     """
     while True:
         detail = float(np.exp(np.median(sizes[keep]))) if keep.any() else 0.0
@@ -235,7 +234,7 @@ def _select(path: Path, reasons: dict[str, NDArray[np.bool_]]) -> tuple[NDArray[
 
 
 class _Columns(NamedTuple):
-    """What becomes of the rows, but for the positions: arrays as in `Gaussians`."""
+    """The activated rows, without the positions: arrays as in `Gaussians`."""
 
     scales: Float
     quats: Float
@@ -256,7 +255,7 @@ def _activate(table: Float, scene: _Columns, rows: slice) -> None:
 
 
 def _compact(array: Float, keep: NDArray[np.bool_]) -> Float:
-    """The rows of `keep` (N,), moved together within the array, so that a large scene is never there twice."""
+    """The rows of `keep` (N,), moved together in place, so that a large scene is never in memory twice."""
     if keep.all():
         return array
     filled = 0

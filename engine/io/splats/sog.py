@@ -27,19 +27,19 @@ META = "meta.json"
 """The file that names the others."""
 
 MOST_META = 1 << 24
-"""Bytes of it: a hundred times what codebooks take."""
+"""Most bytes of a meta.json: a hundred times what codebooks take."""
 
 MOST_PICTURE = 1 << 30
-"""Bytes of a packed picture."""
+"""Most bytes of a packed picture."""
 
 LARGEST_AT = 252
-"""Alpha of a turn whose w is its largest component; x, y and z follow."""
+"""Alpha of a quaternion whose largest component is w; x, y and z follow."""
 
 PALETTE_COLUMNS = 64
-"""Entries of the palette in a row of its picture."""
+"""Palette entries in a row of its picture."""
 
 BANDS = (0, 3, 8, 15)
-"""SH coefficients of a colour above degree 0, by degree."""
+"""SH coefficients of a channel above degree 0, by degree."""
 
 Bytes = NDArray[np.uint8]
 
@@ -53,7 +53,7 @@ class _Files:
         self.prefix = min(names, key=len).removesuffix(META) if names else ""
 
     def read(self, name: object, most: int) -> bytes:
-        """A file's content, of at most so many bytes."""
+        """The content of a file of at most `most` bytes."""
         if not isinstance(name, str) or not name or Path(name).name != name or "\\" in name:
             raise InputError(f"{self.path}: damaged: it names a file in another folder")
         if self.archive is None:
@@ -70,7 +70,7 @@ class _Files:
         return data
 
     def pixels(self, name: object, least: int) -> Bytes:
-        """(P, 4). The pixels of a picture row by row, of which there must be at least so many."""
+        """(P, 4). The pixels of a picture row by row; there must be at least `least`."""
         data = self.read(name, MOST_PICTURE)
         with open_picture(data, f"{self.path}: its picture {name}") as image:
             pixels = np.asarray(image.convert("RGBA")).reshape(-1, 4)
@@ -86,7 +86,7 @@ class _Palette:
     labels: NDArray[np.int64]
     """(N,). The entry of each Gaussian."""
     entries: NDArray[np.float32]
-    """(P, K, 3)."""
+    """(P, K, 3). Coefficients of each entry."""
 
 
 def is_zipped_sog(path: Path) -> bool:
@@ -101,7 +101,7 @@ def is_zipped_sog(path: Path) -> bool:
 def read_sog(path: str | Path, most: int | None = None) -> tuple[Gaussians, list[str]]:
     """The Gaussians of an .sog, or of a meta.json with its pictures beside it, and a line on each thing left out.
 
-    With `most` no more than so many, evenly chosen, with SH of degree 0. Raises InputError for another version, and if
+    With `most`, at most that many, evenly chosen, with SH of degree 0. Raises InputError for another version, and if
     a file is missing, damaged, or holds less than is promised.
     """
     path = Path(path)
@@ -168,11 +168,11 @@ def _codebook(part: dict[str, Any]) -> NDArray[np.float32]:
 
 
 def _quats(pixels: Bytes) -> NDArray[np.float64]:
-    """(R, 4), wxyz. Alpha names the largest component; red, green and blue are the others over 1 / sqrt(2)."""
+    """(R, 4), wxyz. Alpha names the largest component; red, green and blue hold the others, in +-1 / sqrt(2)."""
     others = (pixels[:, :3] / 255 - 0.5) * np.sqrt(2)
     largest = pixels[:, 3].astype(np.intp) - LARGEST_AT
     quats = with_largest(np.maximum(largest, 0), others)
-    quats[largest < 0] = 0  # no turn has such an alpha: dropped as a zero quaternion
+    quats[largest < 0] = 0  # no quaternion has such an alpha: dropped as zero
     return quats
 
 

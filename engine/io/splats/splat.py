@@ -23,7 +23,7 @@ ROW = np.dtype([("means", "<f4", 3), ("scales", "<f4", 3), ("rgba", "u1", 4), ("
 def read_splat(path: str | Path, most: int | None = None) -> tuple[Gaussians, list[str]]:
     """The Gaussians of a .splat, and one line about each kind of row that had to be dropped.
 
-    With `most` no more than so many, evenly chosen. Raises InputError if the size is not a whole number of rows, the
+    With `most`, at most that many, evenly chosen. Raises InputError if the size is not a whole number of rows, the
     only check the format allows, or if no row can be used.
     """
     path = Path(path)
@@ -46,7 +46,7 @@ def _table(rows: NDArray[np.void]) -> NDArray[np.float32]:
     table = np.empty((len(rows), 14), np.float32)
     table[:, :3] = rows["means"]
     table[:, 3] = logits(rows["rgba"][:, 3] / 255)
-    with np.errstate(divide="ignore", invalid="ignore"):  # scales that are not above 0 are dropped as not finite
+    with np.errstate(divide="ignore", invalid="ignore"):  # scales not above 0 are dropped as not finite
         table[:, 4:7] = np.log(rows["scales"])
     table[:, 7:11] = (rows["quat"].astype(np.float32) - 128) / 128
     table[:, 11:] = rgb_to_sh(rows["rgba"][:, :3] / 255)

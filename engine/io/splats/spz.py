@@ -25,27 +25,27 @@ from engine.scene.sh import basis
 __all__ = ["COLOUR_SCALE", "FLIP", "GZIP", "HEADER", "MAGIC", "MOST", "TABLE_AT", "flipped_bands", "read_spz"]
 
 GZIP = b"\x1f\x8b"
-"""How a gzipped file begins."""
+"""First bytes of a gzipped file."""
 
 MAGIC = b"NGSP"
-"""How an .spz begins once it is unpacked; version 4 is packed inside and begins so as it is."""
+"""First bytes of an .spz once it is unpacked; of version 4, which is packed inside, as it is."""
 
 HEADER = struct.Struct("<4sIIBBBB")
-"""Magic, version, count, SH degree, fractional bits of positions, flags, and a byte that is 0; in version 4 the number
-of streams."""
+"""Magic, version, count, SH degree, fractional bits of positions, flags, and a byte: the number of streams in version
+4, 0 before."""
 
 TABLE_AT = struct.Struct("<16xQ8x")
-"""A header of version 4 goes on with the place of the table of contents: its bytes packed and unpacked, stream by
-stream. The streams follow the table."""
+"""A header of version 4 goes on with the offset of the table of contents, which has the packed and the unpacked bytes
+of each stream. The streams follow the table."""
 
 POSITIONS = {1: 6, 2: 9, 3: 9, 4: 9}
-"""Bytes of a position in each version that is read: half floats in version 1, else fixed point."""
+"""Bytes of a position, by version: half floats in version 1, else fixed point."""
 
 ROTATIONS = {1: 3, 2: 3, 3: 4, 4: 4}
-"""Bytes of a rotation in each version that is read."""
+"""Bytes of a rotation, by version."""
 
 WIDEST = 1 << 27
-"""Bytes. Widest window of a zstd stream, as in zstd's own program: a reader keeps as much in memory."""
+"""Widest window of a zstd stream, bytes, as in zstd's own program: a reader keeps that much in memory."""
 
 MOST = 10_000_000
 """Most Gaussians, as in Niantic's own reader. A few kilobytes of gzip could claim any number."""
@@ -60,13 +60,13 @@ ATTRIBUTES = ("places", "opacities", "colours", "sizes", "rotations", "spherical
 """The attributes in file order, each for all Gaussians."""
 
 DEGREES = (0, 9, 24, 45, 72)
-"""Bytes of SH above degree 0 of a Gaussian."""
+"""Bytes of a Gaussian's SH above degree 0, by degree."""
 
 COLOUR_SCALE = 0.15
 """A byte of colour spans 1 / 0.15 of the degree-0 coefficient, with its middle at 0."""
 
 FLIP = np.array([1.0, -1.0, -1.0])
-"""Axes are right, up, back in an .spz, and right, down, forward in the .ply that a capture comes as elsewhere."""
+"""An .spz has axes right, up, back; the usual .ply of a capture has right, down, forward."""
 
 
 @dataclass(frozen=True)
@@ -81,14 +81,14 @@ class _Header:
     """0 before version 4."""
 
     def sizes(self, with_sh: bool) -> tuple[int, ...]:
-        """Bytes of a Gaussian's attributes."""
+        """Bytes of each of a Gaussian's attributes."""
         return POSITIONS[self.version], 1, 3, 3, ROTATIONS[self.version], DEGREES[self.degree] if with_sh else 0
 
 
 def read_spz(path: str | Path, most: int | None = None) -> tuple[Gaussians, list[str]]:
     """The Gaussians of an .spz in the axes of a .ply, and a line on each thing left out.
 
-    With `most` no more than so many, evenly chosen, with SH of degree 0; the other SH are not even unpacked. Raises
+    With `most`, at most that many, evenly chosen, with SH of degree 0; the other SH are not even unpacked. Raises
     InputError for other versions, and if the file is damaged or does not hold what its header promises. Memory grows
     with the data that are there, never with the header's counts.
     """
@@ -120,7 +120,7 @@ def read_spz(path: str | Path, most: int | None = None) -> tuple[Gaussians, list
 
 
 def _header(path: Path, start: bytes) -> _Header:
-    """What the unpacked header says, within what can be true."""
+    """The unpacked header. Raises InputError if its numbers are impossible."""
     if start[:4] != MAGIC:
         other = "a .ply" if start[:3] == b"ply" else "something else"
         raise InputError(f"{path}: not an .spz scene; it is gzipped, but {other} is in it; unpack it with gunzip")
@@ -142,7 +142,7 @@ def _header(path: Path, start: bytes) -> _Header:
 def _one_after_another(
     path: Path, pieces: Iterator[bytes], header: _Header, sizes: tuple[int, ...], to_the_end: bool
 ) -> list[NDArray[np.uint8]]:
-    """(count, size) each: the attributes before version 4."""
+    """(count, size) each. The attributes of a version before 4."""
     data, promised = bytearray(), header.count * sum(sizes)
     for block in pieces:
         data += block
@@ -157,7 +157,7 @@ def _one_after_another(
 
 
 def _streams(path: Path, file: BinaryIO, header: _Header, sizes: tuple[int, ...]) -> list[NDArray[np.uint8]]:
-    """(count, size) each: the attributes of version 4, a zstd frame for each."""
+    """(count, size) each. The attributes of version 4, each a zstd frame."""
     end = file.seek(0, SEEK_END)
     file.seek(0)
     start = file.read(TABLE_AT.size)
@@ -247,7 +247,7 @@ def _halves(packed: NDArray[np.uint8]) -> NDArray[np.float16]:
 
 
 def _fixed_point(packed: NDArray[np.uint8], bits: int) -> NDArray[np.float64]:
-    """(N, 3). Positions since version 2: 24 bits with a sign, `bits` of them below the point."""
+    """(N, 3). Positions since version 2: 24 bits, signed, `bits` of them after the point."""
     parts = packed.reshape(-1, 3, 3).astype(np.int32)
     fixed = parts[..., 0] | parts[..., 1] << 8 | parts[..., 2] << 16
     fixed -= (fixed & 0x800000) << 1
@@ -255,14 +255,14 @@ def _fixed_point(packed: NDArray[np.uint8], bits: int) -> NDArray[np.float64]:
 
 
 def _signs_first(packed: NDArray[np.uint8]) -> NDArray[np.float64]:
-    """(N, 4), wxyz, up to version 2: x, y, z as bytes about 127.5; w completes the unit quaternion and is positive."""
+    """(N, 4), wxyz, up to version 2: x, y, z as bytes around 127.5; w completes the unit quaternion, positive."""
     xyz = packed / 127.5 - 1
     return np.concatenate([np.sqrt(np.maximum(1 - (xyz**2).sum(1), 0))[:, None], xyz], 1)
 
 
 def _smallest_three(packed: NDArray[np.uint8]) -> NDArray[np.float64]:
-    """(N, 4), wxyz, since version 3: of a little-endian word the top two bits name the largest of xyzw; the others
-    follow from the low end, the last first, nine bits each over 1 / sqrt(2) and a bit for the sign."""
+    """(N, 4), wxyz, since version 3: the top two bits of a little-endian word name the largest of xyzw; the others
+    follow from the low end, the last first, nine bits each for 0 to 1 / sqrt(2), and a bit for the sign."""
     words = np.ascontiguousarray(packed).view("<u4")[:, 0].astype(np.uint32)
     tens = np.stack([words >> shift & 1023 for shift in (20, 10, 0)], 1).astype(np.float64)
     others = np.where(tens >= 512, -(tens - 512), tens) / 511 / np.sqrt(2)

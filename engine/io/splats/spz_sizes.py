@@ -1,7 +1,7 @@
-"""What an .spz leaves out of the sizes of atoms: a byte for each, kept as text in the sidecar of a compact object.
+"""Rounding remainders of an .spz's atom sizes, a byte each, kept as text in the sidecar of a compact object.
 
 A byte of an .spz holds a size to 3 %, which moves the borders between atoms: cut faces then differ by 46 to 49 dB. With
-its remainder a size is exact to 0.01 %, and what is left are the bytes of the colours: 54 to 60 dB.
+its remainder a size is exact to 0.01 %; what is left is the rounding of the colours to bytes: 54 to 60 dB.
 """
 
 from __future__ import annotations
@@ -16,21 +16,22 @@ from numpy.typing import NDArray
 __all__ = ["refined_sizes", "size_remainders"]
 
 STEPS = 16.0
-"""Of an .spz in a factor of e."""
+"""Steps of an .spz in a factor of e."""
 
 PARTS = 256.0
-"""Of a step, which the remainder counts."""
+"""Parts of a step, which the remainder counts."""
 
 
 def size_remainders(sizes: NDArray[np.floating]) -> str:
-    """The text for sizes (N,) in the .spz's unit."""
+    """The remainders of sizes (N,), in the .spz's unit, as text."""
     exact = STEPS * np.log(sizes.astype(np.float64))
     parts = np.clip(np.rint((exact - np.rint(exact)) * PARTS), -128, 127).astype(np.int8)
     return base64.b64encode(zstandard.ZstdCompressor(level=9).compress(parts.tobytes())).decode("ascii")
 
 
 def refined_sizes(sizes: NDArray[np.floating], text: str) -> NDArray[np.float32]:
-    """(N,). The sizes that `text` was made from, as an .spz gives them (N,). Raises ValueError for another text."""
+    """(N,). The sizes that an .spz gives (N,), corrected by the remainders in `text`. Raises ValueError if it does not
+    fit them."""
     try:
         packed = base64.b64decode(text, validate=True)
         with zstandard.ZstdDecompressor().stream_reader(packed) as reader:

@@ -1,4 +1,4 @@
-"""What a written file says of itself beside its Gaussians."""
+"""What a written file says about itself besides its Gaussians."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ __all__ = ["About"]
 
 @dataclass(frozen=True)
 class About:
-    """Of one object."""
+    """The facts about one object."""
 
     up: tuple[float, float, float] = (0.0, 0.0, 1.0)
     """Unit vector: formats whose axes are fixed get the object upright."""
     lines: tuple[str, ...] = ()
-    """What it was made from, for people."""
+    """What it was made from, for people to read."""

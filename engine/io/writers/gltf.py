@@ -23,14 +23,14 @@ TYPES = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
 COMPONENTS = {"float32": 5126, "uint8": 5121}
 
 VERTICES = 34962
-"""The use of a buffer view: attributes of vertices."""
+"""Target of a buffer view: vertex attributes."""
 
 
 def write_glb(path: Path, gaussians: Gaussians, about: About) -> None:
     """Writes Gaussians as points of one mesh, upright: glTF's y is up. Raises InputError if writing fails.
 
-    All values are floats, as the ratified extension has them: sizes are standard deviations, opacities from 0 to 1, the
-    colours display-referred sRGB. Programs without the extension show points of the same colours.
+    All values are floats, as in the ratified extension: sizes are standard deviations, opacities range from 0 to 1,
+    colours are display-referred sRGB. Programs without the extension show points of the same colours.
     """
     attributes = _attributes(moved(gaussians, upright(about.up)))
     views: list[dict[str, Any]] = []
@@ -77,7 +77,7 @@ def write_glb(path: Path, gaussians: Gaussians, about: About) -> None:
 
 
 def _attributes(g: Gaussians) -> dict[str, NDArray[Any]]:
-    """(N, k) each: the attributes of the extension, and the colour that other programs show."""
+    """(N, k) each. The attributes of the extension, and the colour that other programs show."""
     rgba = np.concatenate([sh_to_rgb(g.sh[:, 0]), g.opacities[:, None]], axis=1)
     attributes: dict[str, NDArray[Any]] = {
         "POSITION": g.means,

@@ -22,16 +22,16 @@ from engine.scene.morton import morton_order
 __all__ = ["write_sog"]
 
 PALETTE_LEVELS = 16
-"""Halvings of the spherical harmonics: 65,536 entries, all that two bytes can name."""
+"""Times the spherical harmonics are halved: 65,536 entries, all that two bytes can name."""
 
 BOOK_ROUNDS = 20
-"""Rounds of Lloyd's iteration for a book of 256 numbers; after ten it hardly moves."""
+"""Rounds of Lloyd's iteration for a codebook of 256 numbers; after ten it hardly moves."""
 
 BOOK_SAMPLE = 1 << 20
-"""Numbers that a book is made from."""
+"""Numbers that a codebook is made from."""
 
 WHEN = (1980, 1, 1, 0, 0, 0)
-"""The archive's time of every file, so that the same Gaussians give the same bytes."""
+"""Time stamp of every file in the archive, so that the same Gaussians give the same bytes."""
 
 Bytes = NDArray[np.uint8]
 
@@ -39,8 +39,8 @@ Bytes = NDArray[np.uint8]
 def write_sog(path: Path, gaussians: Gaussians, about: About) -> None:
     """Writes Gaussians in the axes of a .ply, in Morton order. Raises InputError if writing fails.
 
-    Places have 16 bits of the logarithm of their distance from zero; sizes, colours and spherical harmonics are the
-    nearest of 256 numbers chosen for them; the spherical harmonics of a Gaussian are one of 65,536 sets.
+    Coordinates are 16-bit logarithms; sizes, colours and spherical harmonics are the nearest of 256 numbers chosen for
+    them; the spherical harmonics of a Gaussian are one of 65,536 sets.
     """
     files = _files(gaussians[morton_order(gaussians.means)], about)
     with atomic(path) as temporary, zipfile.ZipFile(temporary, "w", zipfile.ZIP_STORED) as archive:
@@ -94,22 +94,22 @@ def _files(g: Gaussians, about: About) -> dict[str, bytes]:
 
 
 def _picture(values: Bytes, width: int) -> bytes:
-    """Rows of three or four bytes as the pixels of a WebP without loss."""
+    """Rows of three or four bytes as the pixels of a lossless WebP."""
     pixels = np.full((-(-len(values) // width) * width, 4), 255, np.uint8)
     pixels[: len(values), : values.shape[1]] = values
     file = io.BytesIO()
-    # Method 0 is a third larger than 4, and five times as fast. `exact` keeps colours under an alpha of 0.
+    # Method 0 is a third larger than 4, and five times as fast. `exact` keeps colours where alpha is 0.
     image = Image.fromarray(pixels.reshape(-1, width, 4))
     image.save(file, "WEBP", lossless=True, exact=True, method=0, quality=30)
     return file.getvalue()
 
 
 def _from_book(values: NDArray[np.floating]) -> tuple[Bytes, list[float]]:
-    """Bytes of the shape of `values`, and the 256 ascending numbers that they stand for: those of Lloyd's iteration."""
+    """Bytes in the shape of `values`, and the 256 ascending numbers that they stand for, by Lloyd's iteration."""
     flat = values.astype(np.float64).ravel()
     ordered = np.sort(flat[:: max(1, len(flat) // BOOK_SAMPLE)])
     sums = np.concatenate([[0.0], np.cumsum(ordered)])
-    # Half of the numbers where values are, half evenly, so that rare ones are met too.
+    # Half of the numbers at quantiles of the values, half evenly spaced, so that rare values are met too.
     ends = np.linspace(flat.min(), flat.max(), 128)
     book = np.sort(np.concatenate([np.quantile(ordered, np.linspace(0, 1, 128)), ends]))
     for _ in range(BOOK_ROUNDS):
@@ -117,13 +117,13 @@ def _from_book(values: NDArray[np.floating]) -> tuple[Bytes, list[float]]:
         counts = np.diff(borders)
         book = np.where(counts > 0, np.diff(sums[borders]) / np.maximum(counts, 1), book)
     if book[0] < 0 < book[-1]:
-        book[np.abs(book).argmin()] = 0.0  # what has no spherical harmonics gets none
+        book[np.abs(book).argmin()] = 0.0  # so zero coefficients stay exactly zero
     book = np.sort(book.astype(np.float32)).astype(np.float64)
     return np.searchsorted((book[1:] + book[:-1]) / 2, values).astype(np.uint8), book.tolist()
 
 
 def _turns(quats: NDArray[np.float32]) -> Bytes:
-    """(N, 4). The three smaller components of quaternions wxyz over 1 / sqrt(2), and which is left out."""
+    """(N, 4). The three smaller components of quaternions wxyz, in +-1 / sqrt(2), and which one is left out."""
     largest = np.abs(quats).argmax(1)
     rows = np.arange(len(quats))
     quats = quats * np.where(quats[rows, largest] < 0, -1, 1)[:, None].astype(np.float32)
@@ -136,8 +136,8 @@ def _turns(quats: NDArray[np.float32]) -> Bytes:
 def _palette(sh: NDArray[np.float32]) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
     """Each row's entry (N,), and the entries (P, 3 K) in a palette of coefficients (N, 3 K).
 
-    The first entry is zeros, which all of an inside has. The others are means of groups: all rows are halved at the
-    median of whichever coefficient varies most in a group, again and again.
+    The first entry is zeros, as in all interior atoms. The others are means of groups: each group is halved, again and
+    again, at the median of its most varying coefficient.
     """
     labels = np.zeros(len(sh), np.int64)
     rows = np.flatnonzero(sh.any(axis=1))
@@ -170,5 +170,5 @@ def _group_means(
     group: NDArray[np.int64],  # [N]
     counts: NDArray[np.intp],  # [G]
 ) -> NDArray[np.float64]:
-    """(G, K)."""
+    """(G, K). Mean of the values of each group."""
     return np.stack([np.bincount(group, column) for column in values.T], axis=1) / counts[:, None]

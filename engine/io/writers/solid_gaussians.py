@@ -19,7 +19,7 @@ OPAQUE = 0.999
 
 
 def piece_gaussians(atoms: Atoms, cells: Sequence[Piece]) -> Gaussians:
-    """One piece, by its convex cells, which all have its motion: the atoms whose centres are in any of them, moved and
+    """One piece, given as convex cells with a common motion: the atoms whose centres are in any of them, moved and
     turned with it.
 
     Other viewers cannot divide an atom, so cut faces are as rough there as the atoms are large. Interior atoms are
@@ -37,7 +37,7 @@ def piece_gaussians(atoms: Atoms, cells: Sequence[Piece]) -> Gaussians:
 
 
 def joined(parts: Sequence[Gaussians]) -> Gaussians:
-    """Several sets of Gaussians as one, with the spherical harmonics that all of them have."""
+    """Several sets of Gaussians as one, cut to the lowest SH degree among them."""
     bands = min((part.sh.shape[1] for part in parts), default=1)
     parts = [replace(part, sh=part.sh[:, :bands]) for part in parts]
     names = ("means", "scales", "quats", "opacities", "sh")

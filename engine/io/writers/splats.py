@@ -1,4 +1,4 @@
-"""Writes Gaussians in the formats of other programs: which format a name means, and what each says of its origin."""
+"""Writes Gaussians in the formats of other programs, chosen by the file's suffix."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ SPLAT_WRITERS: dict[str, Writer] = {
     ".usda": write_usd,
     ".usdc": write_usd,
 }
-"""What writes each suffix."""
+"""The writer of each suffix."""
 
 
 def write_splats(path: str | Path, gaussians: Gaussians, about: About) -> None:

@@ -1,4 +1,4 @@
-"""Niantic's .spz, version 4: a twentieth of a .ply, and read by `engine.io.splats.spz`."""
+"""Niantic's .spz, version 4: a twentieth of the size of a .ply. `engine.io.splats.spz` reads it."""
 
 from __future__ import annotations
 
@@ -24,28 +24,27 @@ __all__ = ["spz_bytes", "spz_misfit", "spz_unit", "write_spz"]
 VERSION = 4
 
 LEVEL = 3
-"""Of zstd: a level of 12 takes six times as long for a tenth of a per cent of the size."""
+"""zstd level: 12 takes six times as long for a tenth of a per cent of the size."""
 
 STEPS = 256
 """Steps of a place in the size of a detail: moving atoms by a thousandth of the distance to their neighbours changes no
-colour of a face by more than bytes of colour do."""
+colour of a face by more than rounding colours to bytes does."""
 
 MOST_BITS = 23
-"""Fractional bits of a place, one byte less a sign in three."""
+"""Most fractional bits of a place: three bytes less the sign."""
 
 MOST_OPACITY = 254
 """Other programs take the logit of a byte, and that of 255 is infinite. Two atoms in a row then transmit 2e-5."""
 
 LOG_SCALES = (-10.0, 255 / 16 - 10)
-"""What a byte of a size holds, natural logarithms of world units: 5e-5 to 376 units in steps of 6 %."""
+"""Range of a size byte, natural logarithms of world units: 5e-5 to 376 units in steps of 6 %."""
 
 
 def write_spz(path: Path, gaussians: Gaussians, about: About) -> None:
-    """Writes Gaussians in the axes that an .spz has, y and z against those of a .ply; `about` has no room in it.
+    """Writes Gaussians in the axes of an .spz, y and z against those of a .ply; the format has no room for `about`.
 
-    Places are as fine as the details need, colours have 8 bits, sizes steps of 6 %, and spherical harmonics end
-    at -1 and 1.
-    Raises InputError for sizes or numbers that an .spz cannot hold, and if writing fails.
+    Places are as fine as the details need, colours have 8 bits, sizes steps of 6 %, and spherical harmonics are clamped
+    to -1 and 1. Raises InputError for sizes or counts that an .spz cannot hold, and if writing fails.
     """
     misfit = spz_misfit(gaussians)
     if misfit:
@@ -63,7 +62,7 @@ def spz_unit(gaussians: Gaussians) -> float:
 
 
 def spz_misfit(gaussians: Gaussians) -> str:
-    """Why these Gaussians cannot become an .spz, with what to do; empty: they can."""
+    """Why these Gaussians cannot become an .spz, and what to do; empty if they can."""
     if len(gaussians) > MOST:
         return f"{len(gaussians):,} Gaussians; an .spz holds {MOST:,} at most: save a .ply"
     if spz_unit(gaussians) != 1:
@@ -91,7 +90,7 @@ def spz_bytes(gaussians: Gaussians) -> bytes:
 
 
 def _block(g: Gaussians, bits: int) -> Iterator[NDArray[np.uint8]]:
-    """(R, width) each: the attributes of some rows, in file order."""
+    """(R, width) each. The attributes of some rows, in file order."""
     fixed = np.rint(g.means * (np.float64(2.0**bits) * FLIP)).astype("<i4")
     yield fixed.view(np.uint8).reshape(len(g), 3, 4)[..., :3].reshape(len(g), 9)
     yield np.minimum(_bytes(255 * g.opacities), MOST_OPACITY)[:, None]
@@ -99,7 +98,7 @@ def _block(g: Gaussians, bits: int) -> Iterator[NDArray[np.uint8]]:
     yield _bytes((np.log(g.scales) - LOG_SCALES[0]) * 16)
     yield _smallest_three(g.quats * np.array([1, *FLIP], np.float32))
     rest = g.sh[:, 1:]
-    if not rest.any():  # all of an inside, most of a solid
+    if not rest.any():  # interior atoms, most of a solid
         yield np.full((len(g), 3 * rest.shape[1]), 128, np.uint8)
     else:
         signs = flipped_bands(g.sh_degree)[1:, None].astype(np.float32)
@@ -117,7 +116,7 @@ def _detail(gaussians: Gaussians) -> float:
 
 
 def _fractional_bits(gaussians: Gaussians) -> int:
-    """As many as details need, and no more than leave room for the farthest place."""
+    """Fractional bits of a place: as many as details need, and no more than leave room for the farthest place."""
     farthest = float(np.abs(gaussians.means).max(initial=1e-30))
     room = math.floor(math.log2((2**23 - 1) / farthest))
     return int(np.clip(math.ceil(math.log2(STEPS / _detail(gaussians))), 0, min(max(room, 0), MOST_BITS)))

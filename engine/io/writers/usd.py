@@ -15,11 +15,11 @@ from engine.scene.moved import moved, upright
 __all__ = ["write_usd"]
 
 MISSING = "USD needs usd-core 26.3 or newer; install it with: pip install 'fruitninja[usd]'"
-"""The first version that knows the schema."""
+"""Error without usd-core, with the first version that knows the schema."""
 
 
 def write_usd(path: Path, gaussians: Gaussians, about: About) -> None:
-    """Writes a stage with one field of Gaussians, as text (.usda) or binary (.usdc), upright: y is up, and a unit is a
+    """Writes a stage with one field of Gaussians, as text (.usda) or binary (.usdc), upright: y is up and a unit is a
     metre, as in glTF.
 
     Raises InputError without usd-core, and if writing fails.
@@ -31,7 +31,7 @@ def write_usd(path: Path, gaussians: Gaussians, about: About) -> None:
     if not hasattr(UsdVol, "ParticleField3DGaussianSplat"):
         raise InputError(f"{path}: {MISSING}")
     g = moved(gaussians, upright(about.up))
-    # An anonymous layer: nothing of the temporary file's name is in it.
+    # An anonymous layer: the temporary file's name leaves no trace in it.
     stage = Usd.Stage.CreateInMemory()
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)

@@ -321,7 +321,7 @@ def resolve(task, rows_per_task, states, tile_lasts, background, rgb, alpha, dep
     for tile in range(first, min(first + rows_per_task * tiles_x, len(states))):
         top, corner = tile // tiles_x * SIDE, tile % tiles_x * SIDE
         if tile_lasts[tile] == UNTOUCHED:
-            # Number by number: to assign whole slices, numba also compiles the text of an error, for seconds.
+            # Number by number: for whole slices numba would also compile an error message, which takes seconds.
             for line in range(top, min(top + SIDE, height)):
                 for column in range(corner, min(corner + SIDE, width)):
                     for c in range(3):

@@ -65,7 +65,7 @@ def depth_order(
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _depths(chunk, cam, means, depths, rows, counts, low, high):
-    """Depths in float64 and rows of the visible Gaussians of a chunk, from the chunk's start on."""
+    """Fills in depths (float64) and rows of a chunk's visible Gaussians, from the chunk's start on."""
     start = chunk * CHUNK
     at = start
     for i in range(start, min(start + CHUNK, len(means))):

@@ -26,10 +26,9 @@ def rasterize(
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """(rgb (H, W, 3), alpha (H, W), depth times alpha (H, W)), differentiable in all five tensors.
 
-    CPU tensors, all float32 or all float64, as `Gaussians` holds them; quaternions of any length, which is divided out
-    (length 0 is no rotation). RGB is used unchanged; SH is evaluated in the direction of the Gaussian and clamped at 0
-    from below. The gradient of the means includes that of the viewing direction. Clamped or skipped terms pass no
-    gradient on.
+    CPU tensors, all float32 or all float64, as in `Gaussians`; quaternions of any length, which is divided out (length
+    0 is no rotation). RGB is used unchanged; SH is evaluated in the direction of the Gaussian and clamped below at 0.
+    The gradient of the means includes that of the viewing direction. Clamped or skipped terms pass no gradient on.
     """
     n, kind = len(means), means.dtype
     assert kind in (torch.float32, torch.float64), kind

@@ -1,8 +1,8 @@
 """Classic 3DGS on the CPU: sorted alpha compositing of EWA splats, forward and backward.
 
 It shows captures unchanged, renders the surface views that training follows, and is what accuracy is measured with.
-Kerbl et al. 2023 with the constants of INRIA's renderer: 0.3 px^2 low-pass, alpha at most 0.99, alpha under 1/255
-left out, a pixel ends where less than 1e-4 of the light would be left. Every pixel where alpha reaches 1/255 is drawn,
+Kerbl et al. 2023 with the constants of INRIA's renderer: 0.3 px^2 low-pass, alpha at most 0.99, alpha below 1/255
+skipped, a pixel ends where less than 1e-4 of the light would be left. Every pixel where alpha reaches 1/255 is drawn,
 so that the picture does not depend on the tiles.
 
 A frame is sorted by depth; then, slice by slice from the front, projected, listed for each tile and composited. Tiles
@@ -35,16 +35,16 @@ SLICES = 16
 """Slices of a large scene: enough that the front ones hide most of the rest, few enough that each fills the cores."""
 
 LEAST_SLICE = 1 << 15
-"""Gaussians under which a slice costs more to set up than it can save."""
+"""Gaussians below which a slice costs more to set up than it can save."""
 
 CHUNKS = 16
 """Tasks in a slice, unless they get smaller than LEAST_CHUNK."""
 
 LEAST_CHUNK = 2048
-"""Gaussians in a task: a tenth of a millisecond's work, against some microseconds to call a kernel."""
+"""Gaussians in a task: a tenth of a millisecond's work, against a few microseconds to call a kernel."""
 
 TILES_PER_TASK = 24
-"""Few enough that the cores finish a small picture at the same time."""
+"""Few enough for the cores to finish a small picture at the same time."""
 
 ROWS_PER_TASK = 4
 """Rows of tiles that are resolved in one task."""
@@ -66,8 +66,8 @@ def render(gaussians: Gaussians, camera: Camera, background: Sequence[float] = (
 def composite_weights(gaussians: Gaussians, camera: Camera) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """What each Gaussian adds to the picture, and where the picture's surface is.
 
-    The weights (N,), alpha times the transmittance in front, summed over the pixels; and the median depth (H, W), of
-    the Gaussian that takes the transmittance under a half, else inf.
+    The weights (N,), alpha times the transmittance in front, summed over the pixels; and the median depth (H, W), that
+    of the Gaussian that takes the transmittance below a half, or inf.
     """
     # A picture is linear in the colours, so its derivative by one of them is that Gaussian's weight.
     scene = _scene(gaussians, np.zeros((len(gaussians), 1, 3), np.float32), plain=True)

@@ -47,7 +47,7 @@ RED, GREEN, BLUE, DEPTH = 8, 9, 10, 11
 """RGB as the camera sees it; depth, world units."""
 
 HALF_WIDTH, HALF_HEIGHT = 12, 13
-"""Of the box around the ellipse outside which alpha is under 1/255, pixels."""
+"""Half the box around the ellipse outside which alpha is below 1/255, pixels."""
 
 CHORD_SLOPE, HALF_CHORD = 14, 15
 """dx per dy along the middles of the ellipse's horizontal chords; half the chord through the mean, pixels."""
@@ -83,18 +83,18 @@ class Frame(NamedTuple):
     pair_counts: NDArray[np.int32]
     """(V,). Tiles that each record touches."""
     states: NDArray[np.floating]
-    """(tiles, BLOCKS, STATE * BLOCK)."""
+    """(tiles, BLOCKS, STATE * BLOCK). The pixels, as `blend.STATE` describes."""
     lasts: NDArray[np.int32]
     """(tiles, BLOCKS, BLOCK). Place of the last record drawn in each pixel."""
     tile_lasts: NDArray[np.int32]
-    """(tiles,). Largest of them, or UNTOUCHED."""
+    """(tiles,). Largest of a tile's `lasts`, or UNTOUCHED."""
     width: int
     """Pixels."""
     height: int
 
 
 class Slice(NamedTuple):
-    """A run of the depth order and the (tile, Gaussian) pairs that it has."""
+    """A run of the depth order, and its (tile, Gaussian) pairs."""
 
     first: int
     """Place of its first Gaussian in the order."""

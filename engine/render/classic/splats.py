@@ -83,7 +83,7 @@ def _box_group(cam, near, tiles_y, tiles_x, box):
 
 
 REACH = math.sqrt(2.0 * math.log(ALPHA_STEPS)) * 1.001
-"""Standard deviations beyond which an opaque Gaussian is under 1/255, with a margin for rounding."""
+"""Standard deviations beyond which an opaque Gaussian is below 1/255, with a margin for rounding."""
 
 FRINGE = REACH * math.sqrt(LOW_PASS) + 1.0
 """Pixels that the low-pass adds to that, with a margin."""

@@ -28,7 +28,7 @@ BLOCKS = SIDE // 2
 """Blocks in a tile: the pixel loops take two rows at a time."""
 
 TAIL_BITS = math.log2(ALPHA_STEPS)
-"""alpha = 2^-TAIL_BITS is one step of an 8-bit picture; fainter fragments are left out."""
+"""alpha = 2^-TAIL_BITS is one step of an 8-bit picture; fainter fragments are skipped."""
 
 SLACK = 1e-3
 """Pixels by which the ellipse is widened, against rounding: an extra tile changes nothing, a missing one would."""

@@ -1,6 +1,6 @@
-"""Kernels of the kernel field: the terms of points, found through a grid or, on a picture of a plane, atom by atom.
+"""Kernels of the kernel field: the terms at points, found through a grid or, in a picture of a plane, atom by atom.
 
-A point finds the dozen atoms that reach it among some fifty in the grid's cells; on a plane it is faster to ask each
+A point finds the dozen atoms that reach it among about fifty in the grid's cells; on a plane it is faster to ask each
 atom which pixels it reaches.
 """
 
@@ -43,8 +43,9 @@ MARGIN = 1e-3
 
 @njit(cache=True, nogil=True)
 def atoms_near_plane(grid, corner, across, down, most, rows, boxes):
-    """Finds the atoms of a level that reach a picture's plane: rows (n,) ascending and boxes (n, 4), x0 x1 y0 y1 of the
-    pixels they may reach, first to one past last. Returns how many; pixel (x, y) is at corner + x across + y down."""
+    """Finds the atoms of a level that reach a picture's plane: rows (n,), ascending, and boxes (n, 4), x0 x1 y0 y1 of
+    the pixels they may reach, first to one past last. Returns their number. Pixel (x, y) is at corner + x across + y
+    down."""
     xx = across[0] * across[0] + across[1] * across[1] + across[2] * across[2]
     xy = across[0] * down[0] + across[1] * down[1] + across[2] * down[2]
     yy = down[0] * down[0] + down[1] * down[1] + down[2] * down[2]
@@ -207,7 +208,7 @@ def colour_faces(task, skin_colour, skin_density, colour, density):
 
 @njit(cache=True, nogil=True)
 def count_terms(task, points, most, grid, count):
-    """Adds to count (P + 1,) the terms of one level at some points, one place further on."""
+    """Adds the number of terms of one level at some points to count (P + 1,), that of point p at place p + 1."""
     for p in range(task * POINTS, min((task + 1) * POINTS, len(points))):
         point = _local(points[p], grid.origin)
         x0, x1, y0, y1, z0, z1 = _cells_within(point, _reach(most[p], grid.largest), grid)

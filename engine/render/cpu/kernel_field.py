@@ -39,7 +39,7 @@ __all__ = ["KernelField", "axes_of"]
 Float = NDArray[np.float32]
 
 CELLS_PER_REACH = 2
-"""Cells from a point to the end of its reach: with two it tests 53 atoms, not 91 as with one, in 25 rows of cells."""
+"""Cells from a point to the end of its reach: with two it tests 53 atoms, in 25 rows of cells, instead of 91."""
 
 CELLS_PER_ATOM = 8
 """Upper limit of a grid's cells per atom, so that atoms spread over a huge space do not need a huge grid."""
@@ -179,7 +179,7 @@ def octaves(sizes: NDArray[np.floating]) -> list[NDArray[np.intp]]:
 
 
 def axes_of(quats: NDArray[np.floating]) -> Float:
-    """(N, 3, 3). Rows are the principal axes of quaternions (N, 4), wxyz; the world's where one has no length."""
+    """(N, 3, 3). Rows are the principal axes of quaternions (N, 4), wxyz; the world's axes for one of length 0."""
     return np.ascontiguousarray(rotation_matrices(normalised_quats(quats)).transpose(0, 2, 1), np.float32)
 
 

@@ -1,7 +1,7 @@
 """The opaque image: surface splatting outside, the kernel field on cut faces. CPU, float32.
 
-The result is linear in the colours and does not depend on the order of the atoms. Pieces that lie together share one
-front, so that the skins of two halves add up to the whole skin.
+The result is linear in the colours and independent of the order of the atoms. Pieces that lie together share one front,
+so that the skins of two halves add up to the whole skin.
 """
 
 from __future__ import annotations
@@ -83,7 +83,8 @@ class Layer:
     depth: Float
     """(H, W). Along the camera's axis, world units; inf where the layer is empty."""
     solid: Float
-    """(H, W). The same where it hides what is behind: at a core of the outside, or a face with coverage of a half."""
+    """(H, W). The depth where the layer hides what is behind it, at a core of the outside or on a face with coverage of
+    a half; inf elsewhere."""
 
 
 def group_layer(atoms: Atoms, camera: Camera, pieces: Sequence[Piece], light: bool, field: KernelField | None) -> Layer:

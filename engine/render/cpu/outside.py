@@ -31,7 +31,7 @@ class Outside:
     front: NDArray[np.floating]
     """(H, W). Depth of the nearest core, inf if there is none."""
     sums: NDArray[np.floating]
-    """(H, W, SUMS). Of the layer at the front, and before and behind it, as `engine.render.cpu.weights` describes."""
+    """(H, W, SUMS). Sums in the layer at the front, before and behind it, as in `engine.render.cpu.weights`."""
 
     @property
     def tasks(self) -> int:

@@ -53,7 +53,7 @@ class Hits:
     """(K,). Cosine between the plane's normal and the direction back to the eye. Range (0, 1]."""
 
     def outside(self, joined: Sequence[Sequence[Plane]], tolerance: float) -> Hits:
-        """Without the points within the tolerance of a joined piece, each given by its planes: the solid continues
+        """The hits without those within the tolerance of a joined piece, each given by its planes: the solid continues
         there and has no face."""
         free = np.ones(len(self.pixels), bool)
         for planes in joined:
@@ -141,7 +141,7 @@ def shade(hits: Hits) -> NDArray[np.float32]:
 
 @register_jitable(inline="always")
 def face_light(facing):
-    """Brightness under a lamp at the eye, of cosines `facing_of`, not below 0; for arrays and kernels."""
+    """Brightness under a lamp at the eye, from cosines `facing_of` of at least 0; for arrays and kernels."""
     return FACE_AMBIENT + FACE_LAMP * facing
 
 

@@ -1,8 +1,8 @@
 """The opaque picture where OpenGL runs in software: the same frame from kernels on the processor.
 
 A software GL shades four by four pixels at a time and blends wide targets. These kernels, shared with the CPU renderer,
-sum the same splats in a third of the time and hand the frame to GL as a texture. What is drawn is decided by the same
-culling as for a graphics card.
+sum the same splats in a third of the time and hand the frame to GL as a texture. The culling is the same as for a
+graphics card.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ class _Group:
     number: int
     view: View
     cam: CameraRecord
-    """Of the rectangle, in centred object space."""
+    """Camera of the rectangle, in centred object space."""
     planes: list[Double]
     """(P, 4) for each piece, centred object space."""
     rect: Rect
@@ -89,10 +89,10 @@ class SoftwareMode:
         """The part of the frame that is not background; None: unknown."""
         self._background = np.zeros(3, np.float32)
         self._info: NDArray[np.float32] | None = None
-        """(H, W, 2). Of the last frame, until it is taken."""
+        """(H, W, 2). `FrameArrays.info` of the last frame, until it is taken."""
 
     def reset(self) -> None:
-        """The frame is a new one, or something else has drawn into it: all of it is drawn again."""
+        """Forgets what the frame shows: it is new, or something else has drawn into it, so all of it is drawn again."""
         self._drawn = self._info = None
 
     def draw(
@@ -349,7 +349,7 @@ def around(outer: Rect, hole: Rect) -> list[Rect]:
 
 
 def union(a: Rect, b: Rect) -> Rect:
-    """The bounding rectangle of both; one without pixels does not count."""
+    """The bounding rectangle of both; one without pixels is ignored."""
     if not a[2] or not a[3]:
         return b
     if not b[2] or not b[3]:

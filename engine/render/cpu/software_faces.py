@@ -50,7 +50,7 @@ class PieceFaces(NamedTuple):
     section_ids: NDArray[np.int32]
     """(pairs,). Sections of the bands."""
     cells: NDArray[np.float32]
-    """(cells, 4). Grids of the field of the interior atoms, one after the other."""
+    """(cells, 4). Grids of the field of the interior atoms, one after another."""
     grids: NDArray[np.float64]
     """(P, GRID). Each plane's grid."""
     edge_sigma: float

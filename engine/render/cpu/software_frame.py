@@ -30,7 +30,7 @@ class SplatView(NamedTuple):
     plane_range: NDArray[np.int64]
     """(2,). First and end of the planes that bound this piece."""
     degree: int
-    """Of the spherical harmonics."""
+    """Degree of the spherical harmonics."""
 
 
 class SplatBatch(NamedTuple):
@@ -52,7 +52,7 @@ class GroupLayers(NamedTuple):
     """Corner of the rectangle, pixels."""
     y: int
     sums: NDArray[np.float32]
-    """(h, w, SUMS). Of the outside, as `engine.render.cpu.weights` describes."""
+    """(h, w, SUMS). Sums of the outside, as in `engine.render.cpu.weights`."""
     front: NDArray[np.float32]
     """(h, w). Depth of the nearest core, world units."""
     has_faces: bool
@@ -62,9 +62,9 @@ class GroupLayers(NamedTuple):
     depths: NDArray[np.float32]
     """(h, w). Depth of the cut faces, world units."""
     tolerance: np.float32
-    """A splat this little in front of a face is behind it, world units."""
+    """A splat no more than this in front of a face counts as behind it, world units."""
     number: np.float32
-    """Of the group."""
+    """Number of the group."""
 
 
 class FrameArrays(NamedTuple):
@@ -171,7 +171,7 @@ def compose(
             x, y = x0 - half_floats.x, y0 - half_floats.y + row
             to_half_floats(pixels.view(np.int32), half_floats.rgba[y, x : x + width])
         else:
-            # Number by number: to assign whole slices, numba also compiles the text of an error, for seconds.
+            # Number by number: for whole slices numba would also compile an error message, which takes seconds.
             for k in range(np.uintp(width)):
                 for c in range(np.uintp(3)):
                     before[k, c] = pixels[k, c]
@@ -232,7 +232,7 @@ def pack(band, x, y, part, half_floats):
 def to_half_floats(bits, half_floats):
     """RGB (W, 3), float32 viewed as int32, as half floats RGBA (W, 4).
 
-    Values below 2^-14 become 0; those above the largest half float become it.
+    Values below 2^-14 become 0; those above the largest half float are clamped to it.
     """
     for k in range(np.uintp(len(bits))):
         for c in range(np.uintp(3)):

@@ -41,12 +41,12 @@ class GridCache:
         self._cells = np.zeros((0, 4), np.float32)
 
     def begin(self) -> None:
-        """A new frame."""
+        """Begins a new frame."""
         self._seen, self._now = self._now, set()
 
     def get(self, plane: Double, spheres: Spheres, options: DrawOptions) -> tuple[Any, ...] | None:
         """The key of the grid of a plane (4,), made if the last frame showed it too; None if there is none."""
-        key = (id(spheres), *plane.tolist(), options.level, options.size)  # which the renderer holds until it clears
+        key = (id(spheres), *plane.tolist(), options.level, options.size)  # the renderer holds `spheres` until `clear`
         self._now.add(key)
         if key not in self._cache:
             if key not in self._seen:
@@ -62,7 +62,7 @@ class GridCache:
         return None if self._cache[key] is None else key
 
     def concatenated(self, keys: Sequence[tuple[int, tuple[Any, ...]]], planes: int) -> Grid:
-        """The grids of some planes one after the other, and (planes, GRID) the description of each plane's grid."""
+        """The grids of some planes, one after another, and the description of each plane's grid (planes, GRID)."""
         if self._keys != [key for _, key in keys]:
             grids = [grid[0] for _, key in keys if (grid := self._cache[key]) is not None]
             self._cells = np.concatenate(grids) if grids else np.zeros((0, 4), np.float32)
@@ -77,7 +77,7 @@ class GridCache:
         return self._cells, table
 
     def clear(self) -> None:
-        """Drops all: the atoms or their colours have changed."""
+        """Drops all grids: the atoms or their colours have changed."""
         self._cache.clear()
         self._keys = []
         self._cells = np.zeros((0, 4), np.float32)
@@ -89,7 +89,7 @@ def make(plane: Double, spheres: Spheres, options: DrawOptions) -> Grid | None:
     if plan is None:
         return None
     (e1, e2, _), low, cell, width, height = plan.axes, plan.low, plan.cell, plan.width, plan.height
-    # A camera that looks straight at the plane, a cell to a pixel.
+    # A camera that looks straight at the plane, one pixel per cell.
     matrix = np.eye(4)
     matrix[:3, :3] = plan.axes
     across, down = float(-low[0] / cell), float(-low[1] / cell)
@@ -99,7 +99,7 @@ def make(plane: Double, spheres: Spheres, options: DrawOptions) -> Grid | None:
     records, boxes = np.empty((len(plan.rows), SECTION), np.float32), np.empty((len(plan.rows), 4), np.int32)
     for_each(sections, CHUNKS, -(-len(plan.rows) // CHUNKS), atoms, section_view, records, boxes)
     # Linear interpolation convolves with a hat function: narrow the atoms by its variance, keeping reach and sum.
-    with np.errstate(all="ignore"):  # nothing is written of atoms that the plane misses
+    with np.errstate(all="ignore"):  # records of atoms that the plane misses are unset
         records[:, 2:10] *= 1 / (1 - 2 * records[:, 2:3] * cell * cell / 6)
     records[:, 3] = 0
     band_starts, section_ids = bin_bands(boxes, -(-height // BAND))

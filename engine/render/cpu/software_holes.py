@@ -1,9 +1,9 @@
 """Holes in a skin: atoms culled as backfacing are visible after all where nothing lies in front of them.
 
-Leaving out atoms that face away from the eye (engine.render.culling.backface) is right if the skin in front of them is
-closed. Skins of captures have pinholes: pixels without a core, or with one from far behind. Each culled atom is
-tested against the depth of the tiles that it touches, and pixels where one passes are recomputed from all atoms. Where
-the skin in front covers a pixel only in part, culled atoms count among what lies behind it.
+Culling atoms that face away from the eye (engine.render.culling.backface) is right if the skin in front of them is
+closed. Skins of captures have pinholes: pixels without a core, or with one from far behind. Each culled atom is tested
+against the depth of the tiles that it touches, and pixels where one passes are recomputed from all atoms. Where the
+skin in front covers a pixel only in part, culled atoms count as part of what lies behind it.
 """
 
 from __future__ import annotations
@@ -168,5 +168,5 @@ def fill_holes(line, tiled, colours, hidden, hidden_colours, ends, front, sums):
                         for c in range(3):
                             total[first + 2 + c] += w * rgb[i, c]
             front[y, x] = nearest[k]
-            for c in range(SUMS):  # a whole row assigned would make numba compile the text of an error, for seconds
+            for c in range(SUMS):  # for a whole row numba would also compile an error message, for seconds
                 sums[y, x, c] = total[c]

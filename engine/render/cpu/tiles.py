@@ -1,5 +1,5 @@
-"""The pixel loops of the opaque image's outside: a front depth, then sums over a thin layer there and
-what lies before it, tile by tile.
+"""The pixel loops of the opaque image's outside: a front depth, then sums over a thin layer there and what lies before
+it, tile by tile.
 
 Where the layer covers a pixel only in part, the splats behind it are summed as well (engine.render.cpu.weights).
 
@@ -201,7 +201,7 @@ def fragments(r, span, near, rays, start, end, h, z):
 
 @njit(cache=True, error_model="numpy", nogil=True, fastmath=FUSED)
 def accumulate(task, tiled, colours, front, sums):
-    """All passes over some tiles. Fills front (H, W), the depth of the nearest core, and sums (H, W, SUMS).
+    """Runs all passes over some tiles. Fills front (H, W), the depth of the nearest core, and sums (H, W, SUMS).
 
     The layer is what lies no more than its depth before or behind the front; without a front, everything. Sums behind
     it are taken only where they matter: not where the layer is empty or covers the whole pixel.

@@ -1,9 +1,9 @@
 """The weight of a fragment, and what a pixel of the opaque image's outside makes of the sums of weights.
 
-A thin layer at the front, the nearest core, gives a pixel its colour. Fragments before the layer have no core there:
-what they cover of the pixel hides the layer, be it the rim of a leaf or several atoms that only together close a gap.
-What both leave open shows what lies behind, so that edges inside a silhouette are smooth and a closed object lets no
-background through. shaders/outside_look.glsl has the same laws.
+A thin layer at the front, the nearest core (a splat up to CORE_Q), gives a pixel its colour. Fragments before the layer
+have no core there: what they cover of the pixel hides the layer, be it the rim of a leaf or several atoms that only
+together close a gap. What both leave open shows what lies behind, so that edges inside a silhouette are smooth and a
+closed object lets no background through. shaders/outside_look.glsl has the same laws.
 """
 
 from __future__ import annotations
@@ -38,12 +38,12 @@ BEFORE, BEHIND = 5, 10
 """Places of the first of the sums before the layer, and of those behind it. The layer's own come first."""
 
 SUMS = BEHIND + 6
-"""Sums of a pixel: of the fragments in the layer, before and behind it each weight, weight times sharpness and weight
-times RGB. RGB behind is weighted by `depth_weight` too, and the last sum is that of its weights."""
+"""Number of sums per pixel: weight, weight times sharpness and weight times RGB, each over the fragments in the layer,
+before it and behind it. RGB behind is also weighted by `depth_weight`, and the last sum is that of these weights."""
 
 
 def falloff(h: float) -> float:
-    """exp(-h) for h in [0, CUTOFF_Q / 2]; a call of the library's would keep a row from becoming vectors."""
+    """exp(-h) for h in [0, CUTOFF_Q / 2]; a call to the library would keep rows from being vectorised."""
     return math.exp(-h)
 
 
@@ -77,7 +77,7 @@ def coverage(weight, edge):
 
 @njit(cache=True, error_model="numpy")
 def coverage_backward(weight, edge, given):
-    """Gradients of weight and edge, given that of their `coverage`. None where it is clamped to 0 or 1."""
+    """Gradients of weight and edge, given that of their `coverage`; 0 where it is clamped to 0 or 1."""
     if 0.0 < coverage(weight, edge) < 1.0:
         return given * 0.5 * edge / (weight * weight), given * (1.0 - 0.5 / weight)
     return 0.0, 0.0
@@ -85,10 +85,10 @@ def coverage_backward(weight, edge, given):
 
 @njit(cache=True, error_model="numpy")
 def depth_weight(z, front, layer):
-    """How much of the colour behind the layer is that of a fragment at depth z: a quarter for each layer's depth.
+    """Weight of a fragment at depth z in the colour behind the layer: a quarter for each layer's depth.
 
-    It is the nearest thing that shows, and there is no third pass to find it. Steps, so that no fragment has a gradient
-    by its depth, as it has none by its place in the layer.
+    The nearest fragment is to show, and there is no third pass to find it. The weight falls in steps, so that a
+    fragment has no gradient by its depth, as it has none by its place in the layer.
     """
     return math.ldexp(1.0, -2 * int(min(math.floor(z / layer) - math.floor(front / layer), FADE_LAYERS)))
 
@@ -97,8 +97,8 @@ def depth_weight(z, front, layer):
 def outside_shares(sums):
     """Shares of a pixel, range [0, 1], that show what is in the layer, before and behind it, from its sums (SUMS,).
 
-    They add up to alpha, 1 - (1 - before) (1 - layer) (1 - behind): each covers what the earlier ones leave, wherever
-    in the pixel that is. Without a layer there is nothing.
+    They add up to alpha, 1 - (1 - before) (1 - layer) (1 - behind): each covers its part of what the earlier ones
+    leave. Without a layer there is nothing.
     """
     if not sums[0] > MIN_WEIGHT:
         return 0.0, 0.0, 0.0
@@ -142,7 +142,7 @@ def resolve_backward(y, sums, d_rgb, d_alpha, d_sums):
         if not given[0] > MIN_WEIGHT:
             continue
         layer, before, behind = outside_shares(given)
-        if layer == 1.0:  # most pixels: the colour of the layer, and nothing else in them changes anything
+        if layer == 1.0:  # most pixels: only the colour of the layer matters
             _mean_backward(given, 2, 0, layer, d_rgb[y, x], to)
             continue
         d_layer = d_alpha[y, x] + _mean_backward(given, 2, 0, layer, d_rgb[y, x], to)

@@ -1,11 +1,11 @@
-"""Backface culling of a skin's atoms: the solid under the skin hides those that face away from the eye.
+"""Backface culling of a skin's atoms: the solid below the skin hides those that face away from the eye.
 
 On a closed, filled body a point whose outward normal faces away from the eye lies behind the body's own front, or
 behind a cut face. An atom gets a cone of normals (a mean axis and the least cosine to it) only where that argument
-holds: the skin consists of flat discs, has solid under it and air over it, and hardly bends within the reach of an
-atom. Everywhere else an atom has no cone and is always drawn. If the solid is bare of skin anywhere, no atom has a
-cone, because the far side could be seen from inside through the hole. Nor is an atom culled if the line of sight
-enters through a cut face near the skin, since the face may have a gap there.
+holds: the skin consists of flat discs, has solid below it and air above it, and hardly bends within the reach of an
+atom. Everywhere else an atom has no cone and is always drawn. If the solid lacks skin anywhere, no atom has a cone,
+because the far side could be seen from inside through the hole. Nor is an atom culled if the line of sight enters
+through a cut face near the skin, since the face may have a gap there.
 
 Holes finer than the grid go unnoticed, so hidden atoms are not dropped but drawn last. The graphics card tests them
 against the depth of what was drawn, the software kernels tile by tile (engine.render.cpu.software_holes).
@@ -47,7 +47,7 @@ EMPTY, SHELL, DEEP = 0, 1, 2
 """Zones of cells: nothing there; near the skin or sparse; inside the solid, with solid cells on all sides."""
 
 MARGIN = math.radians(8.0)
-"""Angle beyond edge-on: an atom turned away by less may still be part of a silhouette."""
+"""Angle beyond edge-on: an atom turned away by less may still belong to a silhouette."""
 
 MARGIN_STEP = math.radians(3.0)
 """Steps in which the margin grows with the footprint of a pixel."""
@@ -73,7 +73,7 @@ class NormalCones(NamedTuple):
 
 @dataclass(frozen=True)
 class BackfaceCulling:
-    """What can be said of a skin before the camera is known."""
+    """What is known about a skin before the camera is."""
 
     axes: Float
     """(S, 3). Outward unit vectors, one for each surface atom."""
@@ -86,7 +86,7 @@ class BackfaceCulling:
     cell: float
     """Edge of a cell, world units."""
     pitch: float
-    """Of the solid, world units."""
+    """Pitch of the solid, world units."""
 
     def cones(self, eye: NDArray[np.float64] | None, footprint: float) -> NormalCones:
         """The cones for an eye (3,), None if infinitely far away, and pixels that span `footprint` world units."""
@@ -98,9 +98,9 @@ class BackfaceCulling:
 
         From inside the solid, where the skin is seen from behind, nothing is hidden.
 
-        An atom turned away by m lies inside the silhouette by (1 - cos m) radii of curvature; a margin of two pixels
-        at a radius of twenty pitches leaves the silhouette as it is. The margin grows in steps, so that few versions
-        are ever computed.
+        An atom turned away by an angle m lies inside the silhouette by (1 - cos m) radii of curvature; a margin of two
+        pixels at a radius of twenty pitches leaves the silhouette as it is. The margin grows in steps, so that few
+        versions are ever computed.
         """
         if eye is not None:
             index = np.floor((eye - self.low) / self.cell).astype(np.int64)
@@ -119,7 +119,7 @@ class BackfaceCulling:
 
 
 def no_culling(count: int) -> BackfaceCulling:
-    """For atoms that are always drawn: `count` of them, none with a cone."""
+    """The culling of `count` atoms without cones, which are always drawn."""
     min_cosine = np.full(count, NEVER, np.float32)
     return BackfaceCulling(
         np.zeros((count, 3), np.float32), min_cosine, np.zeros((1, 1, 1), np.uint8), np.zeros(3), 1.0, 1.0
@@ -127,7 +127,7 @@ def no_culling(count: int) -> BackfaceCulling:
 
 
 def backface_culling(atoms: Atoms) -> BackfaceCulling:
-    """Which of its surface atoms the solid hides, and from where."""
+    """The cones of the surface atoms: which the solid hides, and from where."""
     skin, inside = atoms.surface, atoms.interior
     if not len(skin) or not len(inside):
         return no_culling(len(skin))

@@ -13,7 +13,7 @@ Float = NDArray[np.float32]
 
 CELL = 2.0
 """Edge of an occupancy cell in lattice constants of the atoms (2 sigma). The layer is at least one cell thick, so that
-atoms lie behind each other and gaps between the outer ones show no background."""
+atoms lie behind one another and gaps between the outer ones show no background."""
 
 
 def boundary_atoms(means: Float, sigmas: Float) -> NDArray[np.bool_]:

@@ -1,7 +1,7 @@
 """Atoms in spatial chunks: runs of a few hundred along a Morton curve, each with its bounding box.
 
-Culling first goes chunk by chunk, then atom by atom, and leaves one list of indices. Within a chunk the atoms are in
-bit-reversed order, so that any prefix is spread evenly over the chunk: these are the coarser levels of detail.
+Culling goes chunk by chunk, then atom by atom, and leaves one list of indices. Within a chunk the atoms are in
+bit-reversed order, so that any prefix is spread evenly over the chunk: prefixes are the coarser levels of detail.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from engine.scene.morton import morton_order
 __all__ = ["CHUNK", "Chunks", "atoms_at_plane", "build", "classify"]
 
 CHUNK = 256
-"""Atoms of a chunk. Smaller chunks cull better but cost more per frame; 128 to 512 take the same time."""
+"""Atoms in a chunk. Smaller chunks cull better but cost more per frame; 128 to 512 take the same time."""
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class Chunks:
     first: NDArray[np.int64]
     """(K,). Each chunk's first atom."""
     count: NDArray[np.int64]
-    """(K,). Atoms of each chunk."""
+    """(K,). Number of atoms in each chunk."""
     middle: NDArray[np.float64]
     """(K, 3). Centre of each box."""
     half: NDArray[np.float64]
@@ -79,7 +79,7 @@ def reversal(n: int) -> NDArray[np.intp]:
 
 @njit(cache=True)
 def atoms_at_plane(points, reach, first, count, planes, j):
-    """uint32 indices of atoms that plane j of planes (P, 4) meets and no other plane removes, from runs of atoms.
+    """uint32 indices of the atoms in some runs that plane j of planes (P, 4) meets and no other plane removes.
 
     points (N, 3) and reach (N,), the distance at which an atom ends, are float32. A run is `count` atoms from `first`.
     """
@@ -106,7 +106,7 @@ def atoms_at_plane(points, reach, first, count, planes, j):
 
 @njit(cache=True)
 def classify(points, reach, first, count, planes, eye, orthographic, cones):
-    """uint32 indices of a piece's outside atoms: those no plane touches, those one clips, those that face away.
+    """uint32 indices of a piece's outside atoms: those no plane touches, those a plane clips, those that face away.
 
     points (N, 3) and reach (N,), the distance at which an atom ends. A run is `count` atoms from `first`.
     planes (P, 4). eye (3,): its position, or if orthographic the viewing direction. cones: backface.NormalCones.

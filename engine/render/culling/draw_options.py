@@ -11,17 +11,17 @@ Mode = Literal["opaque", "classic", "interior"]
 """The solid; the unchanged capture; the solid without its skin."""
 
 SLACK = 1.15
-"""Enlargement beyond what keeps the mean coverage: a random subset of the atoms leaves gaps between them."""
+"""Enlargement beyond what keeps the mean coverage: a random subset of the atoms has gaps."""
 
 
 @dataclass(frozen=True)
 class SplatLook:
-    """How splats are looked at, other than as they are: to see how a scene is made."""
+    """Changes to how splats look, to see how a scene is made."""
 
     size: float = 1.0
-    """Factor of all standard deviations. Greater than 0."""
+    """Factor on all standard deviations. Greater than 0."""
     opacity: float = 1.0
-    """Factor of the opacities of a capture; atoms are opaque. Range [0, 1]."""
+    """Factor on the opacities of a capture; atoms stay opaque. Range [0, 1]."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class DrawOptions:
     exact: bool
     """Compute faces pixel by pixel, not from grids that are cached while a plane stays in place."""
     level: int
-    """0 draws all atoms; each further level half as many, enlarged."""
+    """0 draws all atoms; each further level draws half as many, enlarged."""
     cull: bool
     """Leave out what cannot be seen."""
     size: float = 1.0
@@ -43,7 +43,7 @@ class DrawOptions:
 
     @property
     def disc_scale(self) -> float:
-        """Factor by which skin atoms are enlarged, so that fewer of them still cover it."""
+        """Factor by which skin atoms are enlarged, so that fewer of them still cover the solid."""
         return self.size * 2.0 ** (self.level / 2) * (SLACK if self.level else 1.0)
 
     @property

@@ -50,7 +50,7 @@ class GridPlan:
 
 
 def plan_grid(plane: Double, spheres: Spheres, options: DrawOptions) -> GridPlan | None:
-    """The grid of a plane (4,) in centred object space; None where the atoms' sizes do not allow one."""
+    """The grid of a plane (4,) in centred object space; None if the atoms' sizes do not allow one."""
     rows, reach = _atoms_at(plane, spheres, options)
     if not len(rows):
         return None
@@ -61,7 +61,7 @@ def plan_grid(plane: Double, spheres: Spheres, options: DrawOptions) -> GridPlan
         return None
     flat = polygon @ axes[:2].T
     cell = least / CELLS_PER_SIGMA
-    # An atom at a corner may have its foot outside of the box's section.
+    # An atom at a corner may have its foot outside the box's section.
     low = flat.min(0) - 3 * widest
     width, height = np.ceil((flat.max(0) + 3 * widest - low) / cell).astype(int).tolist()
     if width * height > MOST_CELLS:

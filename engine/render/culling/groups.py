@@ -29,7 +29,7 @@ MAX_PLANES = 64
 
 
 def group_pieces(pieces: Sequence[Piece]) -> list[Group]:
-    """The pieces by solid and transform; those with the same ones fit together as in the uncut object."""
+    """The pieces by solid and transform; those of one group fit together as in the uncut object."""
     groups: list[Group] = []
     for i, piece in enumerate(pieces):
         for transform, members in groups:

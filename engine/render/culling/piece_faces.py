@@ -21,7 +21,7 @@ Double = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Face:
-    """A plane of a piece that can be seen."""
+    """The visible face of a piece on one of its planes."""
 
     index: int
     plane: Double
@@ -29,7 +29,7 @@ class Face:
     first: int
     """Its first vertex, counted over all faces of the piece."""
     parts: list[Double]
-    """Convex polygons (V, 3), one vertex after the other."""
+    """Convex polygons (V, 3) that make up the face, their vertices in order."""
 
     @cached_property
     def corners(self) -> Double:

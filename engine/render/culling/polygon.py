@@ -67,7 +67,7 @@ def section_of_box(plane: Double, low: Double, high: Double) -> Double:
 
 @cached
 def corners_within(planes: Double, low: Double, high: Double) -> Double:
-    """(V, 3). The corners of what planes (P, 4) keep of the box from low (3,) to high (3,), some of them twice."""
+    """(V, 3). The corners of what planes (P, 4) keep of the box from low (3,) to high (3,); some occur twice."""
     sides = [
         np.append(sign * axis, -sign * end[i])
         for i, axis in enumerate(np.eye(3))
@@ -86,7 +86,7 @@ def corners_within(planes: Double, low: Double, high: Double) -> Double:
 def subtract(polygon: Double, planes: Double, tolerance: float) -> list[Double]:
     """The part of a convex polygon (V, 3) outside the convex solid bounded by planes (P, 4), in convex parts.
 
-    The solid is grown by the tolerance, so that what touches it is inside.
+    The solid is grown by the tolerance, so that what touches it counts as inside.
     """
     left = []
     for normal, offset in zip(planes[:, :3], planes[:, 3], strict=True):

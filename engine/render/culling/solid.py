@@ -24,7 +24,7 @@ the middle of a lattice cell, 1.41 sigma away; the layers behind fill the gaps l
 
 
 def reach_of(atoms: Atoms) -> tuple[float, float]:
-    """Radius about the middle of the bounds that holds all of an object, splats included, and that of the range of
+    """Radius around the middle of the bounds that holds all of an object, splats included, and radius of the range of
     depths, world units."""
     centre, widest = atoms.bounds.astype(np.float64).mean(0), _widest(atoms)
     both = (atoms.surface.means, atoms.interior.means)
@@ -58,7 +58,7 @@ class Solid:
         self.skin = Ellipsoids(self._shifted(skin.means), skin.scales, skin.quats, skin.sh, culling)
         self.inside = Spheres(self._shifted(inside.means), inside.sigmas, inside.rgb)
         self.atoms = atoms
-        """What it was made of; their colours may have been replaced since."""
+        """The atoms it was made from; their colours may have been replaced since."""
         self._exposed = self._as_splats(np.arange(inside.exposed)) if inside.exposed else None
         self._boundary: Ellipsoids | None = None
         self._boundary_rows = np.zeros(0, np.intp)

@@ -1,4 +1,4 @@
-"""Atoms as the renderers read them, sorted by chunk; geometry is fixed, colours can be replaced in place."""
+"""Atoms as the renderers read them, sorted by chunk. The geometry is fixed; colours can be replaced in place."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Ellipsoids:
         self.culling = replace(
             culling, axes=np.ascontiguousarray(culling.axes[order]), min_cosine=culling.min_cosine[order]
         )
-        """In the order of the chunks, `low` relative to the object's centre."""
+        """Culling of the atoms in the order of the chunks, with `low` relative to the object's centre."""
         self.degree = round(sh.shape[1] ** 0.5) - 1
         self.vectors = -(-3 * sh.shape[1] // 4)
         """Number of vec4 attributes that hold an atom's coefficients."""
@@ -80,7 +80,7 @@ class Spheres:
         self.geometry = np.concatenate([self.means, sigmas[order, None]], 1).astype(np.float32)
         """(N, 4). Mean, standard deviation."""
         self.rgb = np.zeros((len(means), 3), np.float32)
-        """(N, 3)."""
+        """(N, 3). Colours."""
         self.version = 0
         """Grows with every change of the colours, so that copies know when they are out of date."""
         self.update(rgb)

@@ -30,11 +30,11 @@ class View:
     """A camera, and the placement of the object in front of it."""
 
     camera: Camera
-    """In the object's own space."""
+    """The camera in the object's own space."""
     centre: Double
     """(3,). The object's centre: buffers are relative to it, so that scenes far from the origin keep their digits."""
     radius: float
-    """Radius about the centre that holds all of the object, splats included."""
+    """Radius around the centre that holds all of the object, splats included."""
 
     @cached_property
     def matrix(self) -> Double:

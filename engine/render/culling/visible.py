@@ -1,4 +1,4 @@
-"""Which atoms of a skin a view can see of a piece, and how each has to be drawn."""
+"""Which of a piece's skin atoms a view can see, and how each has to be drawn."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ def visible_atoms(
     splats: Ellipsoids,
     options: DrawOptions,
 ) -> list[tuple[NDArray[np.uint32], NDArray[np.uint32], NDArray[np.uint32]]]:
-    """For each piece: indices of the atoms that no plane touches, that a plane clips, and that are visible only through
-    a hole in the skin in front of them (no plane touches these either)."""
+    """For each piece: indices of the atoms that no plane touches, of those that a plane clips, and of those visible
+    only through a hole in the skin in front of them (no plane touches these either)."""
     chunks, enlarge = splats.chunks, options.disc_scale
     seen = view.visible_chunks(chunks, enlarge)
     if not options.cull:

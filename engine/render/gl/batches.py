@@ -65,7 +65,7 @@ class Pool:
         self._sources: dict[Any, moderngl.VertexArray] = {}
 
     def begin(self) -> None:
-        """A new frame: all batches are free again."""
+        """Begins a new frame: all batches are free again."""
         self._taken = 0
 
     def take(self) -> Batch:
@@ -76,7 +76,7 @@ class Pool:
         return self._batches[self._taken - 1]
 
     def write_indices(self, rows: NDArray[np.uint32]) -> None:
-        """The indices that `source` arrays read from now on."""
+        """Writes the indices that `source` arrays read from now on."""
         if self.indices.write(rows):
             self.clear_sources()
 

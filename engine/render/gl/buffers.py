@@ -28,14 +28,14 @@ class _Uploaded:
 
 
 class Buffers:
-    """Uploads stores when they are first drawn, and their colours whenever these have changed."""
+    """Uploads stores when they are first drawn, and their colours again when they have changed."""
 
     def __init__(self, ctx: moderngl.Context) -> None:
         self.ctx = ctx
         self._uploads: dict[int, _Uploaded] = {}
 
     def streams(self, store: Ellipsoids | Spheres, flat: bool = False) -> Streams:
-        """The buffers of a store; `flat`: without the colours that depend on the view."""
+        """The buffers of a store; `flat` leaves out the colours that depend on the view."""
         uploaded = self._upload(store)
         if isinstance(store, Spheres):
             return (uploaded.geometry, {"mean": 3, "sigma": 1}), (uploaded.colours, {"rgb": 3})

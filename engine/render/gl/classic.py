@@ -1,4 +1,4 @@
-"""The unchanged capture: sorted alpha compositing (Kerbl et al. 2023), with the depth order made by a thread.
+"""The unchanged capture: sorted alpha compositing (Kerbl et al. 2023), with the depth order computed in a thread.
 
 The camera never waits for the sort: a frame uses the newest order, and `sorting` says whether a newer one is pending.
 """
@@ -31,15 +31,15 @@ __all__ = ["Blending", "Capture"]
 Float = NDArray[np.float32]
 
 UPLOAD = 1 << 16
-"""Gaussians written at once, 16 MB at most: a large capture is not in memory a second time."""
+"""Gaussians written at once, 16 MB at most: a large capture is not in memory twice."""
 
 SLABS = 8
-"""A frame's slabs, as many Gaussians in each. On a graphics card (H100, 1280x720) captures of 45 to 115 thousand take
-about as long with 4 to 16, a solid melon of a million 27 ms with 8 (29 with 16, 313 in full floats without slabs). In
-software, where a pass over all pixels costs more than it saves, there are none."""
+"""Slabs in a frame, with equal numbers of Gaussians. On a graphics card (H100, 1280x720) captures of 45 to 115 thousand
+take about as long with 4 to 16, a solid melon of a million 27 ms with 8 (29 with 16, 313 in full floats without slabs).
+In software, where a pass over all pixels costs more than it saves, there are none."""
 
 PORTION = 1024
-"""Gaussians drawn at once of a frame that is drawn gradually, and the least of a slab: some ms where OpenGL runs in
+"""Gaussians drawn at once in a frame that is drawn gradually, and the fewest in a slab: a few ms where OpenGL runs in
 software."""
 
 
@@ -65,7 +65,7 @@ class Capture:
         self._pending: tuple[tuple[object, ...], Future[NDArray[np.uint32]]] | None = None
 
     def upload(self, seconds: float) -> bool:
-        """Uploads more of the Gaussians for a time; True once all are there, before which nothing can be drawn."""
+        """Uploads more of the Gaussians for about this time; True once all are uploaded and can be drawn."""
         end = time.perf_counter() + seconds
         while self._uploaded < self.count:
             last = min(self._uploaded + UPLOAD, self.count)
@@ -91,9 +91,9 @@ class Capture:
         return self._pending is not None
 
     def rows(self, camera: Camera, wait: bool, level: int) -> NDArray[np.uint32]:
-        """What is drawn, nearest first.
+        """The rows that are drawn, nearest first.
 
-        `level`: 0 draws every Gaussian; each further one half as many, enlarged so that they cover as much.
+        `level`: 0 draws every Gaussian; each further level draws half as many, enlarged so that they cover as much.
         """
         rows = self._ordered(View(camera, self.centre, 1.0), wait)
         return rows[rows % (1 << level) == 0] if level else rows
@@ -107,7 +107,7 @@ class Capture:
         level: int,
         look: SplatLook,
     ) -> None:
-        """Draws these rows behind what the slab has."""
+        """Draws these rows behind what is already in the slab."""
         view = View(camera, self.centre, 1.0)
         layers.slab_fbo.use()
         orthographic = int(camera.orthographic)
@@ -128,7 +128,7 @@ class Capture:
         batch.draw(program, RECORD)
 
     def _ordered(self, view: View, wait: bool) -> NDArray[np.uint32]:
-        """Rows, nearest first: for this camera if `wait`, else in the newest order, which is none at first."""
+        """Rows, nearest first: for this camera if `wait`, else in the newest order, which is empty at first."""
         cam = camera_record(view.camera)
         cam = cam._replace(translation=tuple(view.matrix[:3, 3].tolist()))
         key = cam.rotation, cam.translation, cam.orthographic, cam.near
@@ -154,7 +154,7 @@ class Capture:
 
 
 class Blending:
-    """A frame of a capture on the way: its Gaussians drawn nearest first, slab after slab."""
+    """A frame of a capture in progress: its Gaussians are drawn nearest first, slab after slab."""
 
     def __init__(
         self, capture: Capture, screen: Screen, layers: Layers, camera: Camera, wait: bool, level: int, look: SplatLook
@@ -169,7 +169,7 @@ class Blending:
         layers.clear()
 
     def advance(self, seconds: float = math.inf) -> bool:
-        """Draws for about this time; True once the layers have all of it."""
+        """Draws for about this time; True once the layers hold the whole frame."""
         end = time.perf_counter() + seconds
         while self._done < len(self._rows):
             start, slab_end = self._done, min(self._done - self._done % self._size + self._size, len(self._rows))
@@ -188,16 +188,16 @@ class Blending:
         return self._done == len(self._rows)
 
     def _begin(self, first: int, last: int) -> None:
-        """An empty slab from the depth of one of the rows to that of another."""
+        """Begins an empty slab, from the depth of row `first` of the order to that of the row before `last`."""
         if self.layers.slabs is None:
             return
         matrix = View(self.camera, self.capture.centre, 1.0).matrix
         near, far = (self.capture.means[self._rows[[first, last - 1]]] @ matrix[2, :3] + matrix[2, 3]).tolist()
-        self._slab = near, max(far - near, 1e-6 * abs(near), 1e-30)  # of one depth, or in the order of another camera
+        self._slab = near, max(far - near, 1e-6 * abs(near), 1e-30)  # for rows of one depth, or an older order
         self.layers.slab_fbo.clear()
 
     def _end(self) -> None:
-        """Blends the slab under what lies before it, and closes the pixels where nothing more shows."""
+        """Blends the slab under what lies in front of it, and closes the pixels where nothing more shows."""
         if self.layers.slabs is None:
             return
         layers, rect = self.layers, (0, 0, *self.layers.size)

@@ -114,9 +114,8 @@ class Growing:
 def layout(
     program: moderngl.Program, buffer: moderngl.Buffer, fields: dict[str, int], instanced: bool = False
 ) -> tuple[Any, ...]:
-    """The entry of a vertex array for interleaved floats: `fields` in order, as attribute and how many floats.
-
-    What the program does not use (its compiler may drop attributes) is skipped over.
+    """The entry of a vertex array for interleaved floats: `fields` are attributes in order, with their numbers of
+    floats. Those that the program does not use (its compiler may drop attributes) are skipped.
     """
     names = [name for name in fields if program.get(name, None) is not None]
     parts = [f"{n}f" if name in names else f"{4 * n}x" for name, n in fields.items()]

@@ -2,8 +2,9 @@
 
 A face looks the same from every camera, so its sums need not be computed for each frame: a plane's grid is computed
 once, read with linear interpolation, and shared by the two pieces that the plane separates. The cells are fine compared
-with the atoms, and the atoms are narrowed by as much as the interpolation widens them. The remaining error is the edge
-of each kernel at three sigma, a step of 1/90 between grid points: 55 dB on black and white atoms side by side.
+with the atoms, and the atoms are narrowed by as much as the interpolation widens them. What error remains comes from
+the edge of each kernel at three sigma, a step of 1/90 between grid points: 55 dB for black and white atoms side by
+side.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ __all__ = ["Grid", "GridCache"]
 Double = NDArray[np.float64]
 
 LARGEST = 8192
-"""Cells along an edge: the smallest texture limit of current OpenGL 3.3 drivers."""
+"""Most cells along an edge: the smallest texture limit of current OpenGL 3.3 drivers."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +43,7 @@ class Grid:
 
     @property
     def size(self) -> int:
-        """Bytes."""
+        """Size of the texture, bytes."""
         return self.texture.width * self.texture.height * 16
 
 
@@ -55,13 +56,13 @@ class GridCache:
         self._used: set[tuple[Any, ...]] = set()
 
     def begin(self) -> None:
-        """A new frame."""
+        """Begins a new frame."""
         self._used.clear()
 
     def get(self, plane: Double, spheres: Spheres, options: DrawOptions) -> Grid | None:
         """The grid of a plane (4,) in centred object space; None if the atoms' sizes do not allow one."""
         plane = plane if plane[np.argmax(np.abs(plane[:3]))] > 0 else -plane  # both orientations share it
-        key = (id(spheres), *plane.tolist(), options.level, options.size)  # which the renderer holds until it clears
+        key = (id(spheres), *plane.tolist(), options.level, options.size)  # the renderer holds `spheres` until `clear`
         if key not in self._cache:
             self._cache[key] = self._make(plane, spheres, options)
         self._cache.move_to_end(key)

@@ -1,8 +1,8 @@
 """Opaque mode: pieces of solids, drawn group by group and composited by depth.
 
 Pieces of a solid with the same transform fit together as in the uncut object: their splats share the same sums, so that
-joined pieces give exactly the uncut object, without a seam that lets the background through. Each group is resolved by
-itself and composited over or under the frame so far, pixel by pixel, because a silhouette in front has to be
+joined pieces give exactly the uncut object, without a seam that lets the background through. Each group is resolved on
+its own and composited over or under the frame so far, pixel by pixel, because a silhouette in front has to be
 anti-aliased against the piece behind it, not against the background.
 """
 
@@ -90,7 +90,7 @@ class OpaqueMode:
         """Fills the accumulators with pieces that lie together; True if a face is visible."""
         sums.front_fbo.scissor = (0, 0, *sums.front_fbo.size)
         sums.front_fbo.use()  # transform feedback needs a complete framebuffer, which a window may not have
-        # Software GL clears a full texture of bytes, half floats or depth faster than a part; not so one of floats.
+        # Software GL clears a whole texture of bytes, half floats or depths faster than a part, but not one of floats.
         sums.front_fbo.clear(depth=1.0)
         for fbo in (sums.front_fbo, sums.splat_fbo, sums.field_fbo, sums.face_fbo):
             fbo.scissor = rect
@@ -111,7 +111,7 @@ class OpaqueMode:
         return has_faces
 
     def clear(self) -> None:
-        """Frees what was uploaded for the solid: another one follows."""
+        """Frees what was uploaded for the solids: others follow."""
         self.section.grids.clear()
         self.buffers.release()
 

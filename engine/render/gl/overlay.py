@@ -61,7 +61,7 @@ class PictureSheet:
 Overlay = Lines | Sheet | PictureSheet
 
 PLACES = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
-"""In a picture, of the corners of its sheet."""
+"""Texture coordinates of a sheet's corners in its picture."""
 
 
 class OverlayPass:
@@ -73,7 +73,7 @@ class OverlayPass:
         self.corners = ctx.buffer(CORNERS)
 
     def draw(self, view: View, items: Sequence[Overlay], info: moderngl.Texture, tolerance: float) -> None:
-        """Draws over the bound framebuffer: pictures, then sheets, far ones first, then lines in their order.
+        """Draws over the bound framebuffer: pictures, then sheets, farthest first, then lines, in their order.
 
         tolerance: world units by which the object must be in front to hide something.
         """

@@ -47,8 +47,8 @@ Method = TypeVar("Method", bound=Callable[..., Any])
 def current(method: Method) -> Method:
     """Makes the renderer's own context current, and leaves it so; other contexts may exist beside it.
 
-    In a foreign context the framebuffer that was bound is bound again afterwards, and the state that passes change is
-    reset to OpenGL's initial one: nothing enabled, depth test `<`, but blending of straight alpha.
+    In a foreign context, the bound framebuffer is bound again afterwards, and the state that passes change is reset to
+    OpenGL's initial state, except for straight-alpha blending: nothing enabled, depth test `<`.
     """
 
     @wraps(method)
@@ -94,7 +94,7 @@ class Renderer:
         """The atoms that each solid shows; None if it has been recoloured."""
         self._capture: Capture | None = None
         self._next_capture: Capture | None = None
-        """One that is being uploaded."""
+        """The capture that is being uploaded."""
         self._gradual: Blending | None = None
         """A frame of the capture that is drawn part by part, in the layers."""
         self._frames: list[Frame] = []
@@ -120,9 +120,9 @@ class Renderer:
 
     @current
     def set_atoms(self, *atoms: Atoms | Solid) -> None:
-        """Sets the solids to draw: `Piece.solid` is an index into them. Those that were set before are kept.
+        """Sets the solids to draw: `Piece.solid` is an index into them. Those of atoms set before are reused.
 
-        A `Solid` has been made of atoms already, as in another thread: that of a million atoms takes half a second.
+        A `Solid` may be made from its atoms beforehand, as in another thread: a million atoms take half a second.
         """
         known = {id(made_of): solid for made_of, solid in zip(self._made_of, self._solids, strict=True)}
         made_of = [one.atoms if isinstance(one, Solid) else one for one in atoms]
@@ -135,8 +135,8 @@ class Renderer:
     def set_capture(self, gaussians: Gaussians, seconds: float = math.inf) -> bool:
         """Sets the capture, which classic mode draws.
 
-        Uploads it for at most about this time. False if there is more to upload: the capture before is still drawn, and
-        another call goes on.
+        Uploads it for at most about this time. False if there is more to upload: the previous capture is still drawn,
+        and another call continues.
         """
         if self._next_capture is None or self._next_capture.gaussians is not gaussians:
             if self._next_capture is not None:
@@ -187,8 +187,7 @@ class Renderer:
         each further level draws half as many atoms, enlarged. On the software path pixels cost more than atoms, and a
         smaller picture saves more.
         wait=False lets classic mode draw in the order of an earlier camera while a thread sorts, see `sorting`.
-        cull=False draws every atom, to measure what culling saves. look: sizes and opacities other than the
-        splats' own.
+        cull=False draws every atom, to measure what culling saves. look: factors on the splats' sizes and opacities.
 
         Raises InputError if a piece has more than groups.MAX_PLANES planes that cut it.
         """
@@ -241,10 +240,10 @@ class Renderer:
     def refine(
         self, camera: Camera, background: ArrayLike, level: int, seconds: float, look: SplatLook = AS_IT_IS
     ) -> moderngl.Texture | None:
-        """Draws a part of a classic frame for about this time; None until it is whole, and takes the place of the last.
+        """Draws more of a classic frame for about this time. Returns None until it is complete and replaces the last.
 
-        The first call after any other frame begins it; arguments as in `render`. Until it is whole the last frame can
-        be shown, picked and overlaid.
+        The first call after any other frame begins it; arguments as in `render`. Until it is complete, the last frame
+        can be shown, picked and overlaid.
         """
         if self._gradual is None:
             self._gradual = self._blending(camera, True, True, level, look)
@@ -337,7 +336,7 @@ class Renderer:
     # Housekeeping
 
     def _upload_info(self) -> None:
-        """Uploads the depths and pieces that the software path has drawn; done only when they are read."""
+        """Uploads the depths and pieces that the software path has drawn, only when they are read."""
         info = None if self._software is None else self._software.take_info()
         if info is not None:
             self._frames[0].info.write(info)

@@ -32,9 +32,9 @@ class Screen:
         values: dict[str, Any],
         under: bool = False,
     ) -> None:
-        """Runs a fragment shader for each pixel of the rectangle. What it says of depth is written as it is.
+        """Runs a fragment shader for each pixel of the rectangle. The depth that it outputs is written untested.
 
-        under: what it says of premultiplied colour is blended under what is there.
+        under: its premultiplied colour is blended under what is there.
         """
         fbo.scissor = rect
         fbo.use()

@@ -28,7 +28,7 @@ CORE, WHOLE = CORE_Q**0.5, CUTOFF_Q**0.5
 """Radii to which a splat is drawn for the front depth and for the sums, standard deviations."""
 
 SHUT = 1.0
-"""Coverage from which nothing behind shows: all of it, for a picture that is exact."""
+"""Coverage from which nothing behind shows: full coverage, so that the picture is exact."""
 
 RECORD = {"record_centre": 4, "record_conic": 4, "record_shape": 4, "record_colour": 4}
 
@@ -59,7 +59,7 @@ class SurfacePass:
         lists, runs = [], []
         visible = visible_atoms(view, pieces, splats, options)
         for planes, (unclipped, clipped, hidden) in zip(pieces, visible, strict=True):
-            # Hidden atoms last: the depth test rejects them early.
+            # Hidden atoms come last: the depth test rejects them early.
             for rows, near in (
                 (np.concatenate([unclipped, hidden]), planes[:0]),
                 (clipped, view.planes_in_camera(planes)),
@@ -98,8 +98,8 @@ class SurfacePass:
         has_faces: bool,
         options: DrawOptions,
     ) -> None:
-        """Draws the front depth into the depth buffer, then the sums of what lies in the layer there and before it and,
-        only where that leaves gaps, of what lies behind: depth tests spare most pixels of the far side."""
+        """Draws the front depth into the depth buffer, then the sums in the layer there and before it, then, only where
+        that leaves gaps, those behind it: depth tests skip most pixels of the far side."""
         ctx, layer = self.ctx, EPSILON_PITCHES * pitch * options.disc_scale
         targets.front_fbo.use()
         ctx.enable_only(moderngl.DEPTH_TEST)

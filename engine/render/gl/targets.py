@@ -25,7 +25,7 @@ class Frame:
         self.info_fbo = ctx.framebuffer([self.info])
 
     def clear(self, background: NDArray[np.float64]) -> None:
-        """Nothing but a background (3,)."""
+        """Clears to a background (3,)."""
         self.colour_fbo.use()  # a clear obeys the scissor of what was bound
         red, green, blue = background.tolist()
         self.colour_fbo.clear(red, green, blue, 1.0)
@@ -46,7 +46,7 @@ class Accumulators:
         self.depth.compare_func = ""  # read as a number, not compared
         self.depth.filter = moderngl.NEAREST, moderngl.NEAREST
         self.limit = ctx.depth_texture(size)
-        """What lies farther is left out of the sums."""
+        """Depth beyond which fragments are left out of the sums."""
         self.splats = ctx.texture(size, 4, dtype="f4")
         self.rims = ctx.texture(size, 4, dtype="f4")
         self.behind = ctx.texture(size, 4, dtype="f4")
@@ -58,13 +58,13 @@ class Accumulators:
         self.front_fbo = ctx.framebuffer([], self.depth)
         self.limit_fbo = ctx.framebuffer([], self.limit)
         self.splat_fbo = ctx.framebuffer([self.splats, self.rims, self.behind, self.edges], self.limit)
-        """With a depth of its own to test against: its shader reads that of the front."""
+        """Tests against a depth of its own, because its shader reads that of the front."""
         self.splat_fbo.depth_mask = False
         self.field_fbo = ctx.framebuffer([self.field])
         self.skin_field_fbo = ctx.framebuffer([self.skin_field])
         self.face_fbo = ctx.framebuffer([self.faces, self.face_depths], self.depth)
         self.coverage_fbo = ctx.framebuffer([self.faces])
-        """For clearing: where the coverage is 0, nothing else is read."""
+        """For clearing only the coverage: where it is 0, nothing else is read."""
 
     def release(self) -> None:
         """Frees everything."""
@@ -94,10 +94,10 @@ class Accumulators:
 
 
 class Layers:
-    """A capture blended front to back: a slab of depths by itself, and what lies before it."""
+    """A capture blended front to back: the slab of depths in progress, and what lies in front of it."""
 
     def __init__(self, ctx: moderngl.Context, width: int, height: int, slabs: str | None) -> None:
-        """slabs: their floats, f2 or f4. None: there are none, all is blended in its place."""
+        """slabs: their float type, f2 or f4; None for no slabs: everything is blended directly."""
         self.size = width, height
         self.slabs = slabs
         self.light = ctx.texture(self.size, 4, dtype="f4")
@@ -106,7 +106,7 @@ class Layers:
         """Depth by weight; opacity in alpha, where blending reads it."""
         self.slab_light = ctx.texture(self.size, 4, dtype=slabs) if slabs else self.light
         self.slab_depth = ctx.texture(self.size, 4, dtype=slabs) if slabs else self.depth
-        """Of depths from the slab's near end, in its thickness."""
+        """Depth by weight, measured from the slab's near end in units of its thickness."""
         self.limit = ctx.depth_texture(self.size)
         """0 where nothing more shows, else 1."""
         self.fbo = ctx.framebuffer([self.light, self.depth])
@@ -115,7 +115,7 @@ class Layers:
         self.limit_fbo = ctx.framebuffer([], self.limit)
 
     def clear(self) -> None:
-        """Nothing, everywhere."""
+        """Empties the layers."""
         self.limit_fbo.use()  # a clear obeys the depth mask of what was bound
         self.limit_fbo.clear(depth=1.0)
         self.fbo.clear()

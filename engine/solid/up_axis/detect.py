@@ -24,10 +24,10 @@ __all__ = ["UpAxis", "detect_up"]
 Points = NDArray[np.float64]
 
 MIN_OPACITY = 0.1
-"""Opacity under which a Gaussian is no evidence of the object's shape."""
+"""Opacity below which a Gaussian is no evidence of the object's shape."""
 
 MOST = 200_000
-"""Gaussians that are looked at, evenly chosen from all: some ten for each cell of the skin."""
+"""Most Gaussians that are looked at, evenly chosen from all: some ten for each cell of the skin."""
 
 CELLS = 48
 """Cells along the longest side in which the skin is gathered, so that it counts by its area, not by how finely a part
@@ -37,10 +37,10 @@ COVERED = 0.15
 """Part of a cell's side that Gaussians must cover for the cell to be skin rather than haze."""
 
 COMPANIONS = 4
-"""Cells of skin, itself included, that there must be around one; others are floaters."""
+"""Cells of skin, itself included, that there must be around a cell; others are floaters."""
 
 FEWEST = 100
-"""Cells under which there is no shape to speak of."""
+"""Cells below which there is no shape to speak of."""
 
 TRUST = {"support": 0.9, "base": 0.8, "symmetry": 0.8, "rest": 0.05}
 """How often each kind of evidence is right about the things that people capture. A table is nearly always below; most
@@ -68,8 +68,8 @@ NEAR = math.radians(12)
 """Angle within which directions count as the same answer: two or three steps of DIRECTIONS."""
 
 PRECISION = {"support": math.radians(2), "base": math.radians(4), "symmetry": math.radians(8)}
-"""How exactly each finds the axis. An axis of the file that is nearer than that is taken instead: whoever levelled the
-scene knew better."""
+"""How exactly each finds the axis. A coordinate axis of the file within that angle is taken instead: whoever levelled
+the scene knew better."""
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ class UpAxis:
     axis: NDArray[np.float64]
     """(3,). Unit vector."""
     reason: str
-    """In words for the user."""
+    """The axis and the reason for it, in words for the user."""
     certainty: float
     """Probability that it is right, as far as the evidence goes. Range [0, 1]."""
 
@@ -87,7 +87,7 @@ class UpAxis:
 def detect_up(gaussians: Gaussians, file_axes: Mapping[tuple[int, int, int], float]) -> UpAxis:
     """The up axis that the shape and the kind of file make most likely. Equal input gives equal results.
 
-    `file_axes`: for what part of the files of this kind an axis is up, as `LoadedScene.file_axes` has it.
+    `file_axes`: share of the files of this kind in which each axis is up, as in `LoadedScene.file_axes`.
     """
     file = (
         1.0
@@ -155,7 +155,7 @@ def _skin(gaussians: Gaussians) -> tuple[Points, float]:
     rows, means = rows[inside], means[inside]
     side = 2 * half / CELLS
     sizes = np.sort(gaussians.scales[rows].astype(np.float64), axis=1)
-    # 2 pi s1 s2 is the area of a Gaussian's kernel; what was left out is stood for by what was chosen.
+    # 2 pi s1 s2 is the area of a Gaussian's kernel; the chosen Gaussians stand for those left out.
     area = np.minimum(2 * math.pi * sizes[:, 1] * sizes[:, 2] * gaussians.opacities[rows] / part, side * side)
     cells = ((means - middle + half) / side).astype(np.int64)
     _, cell = np.unique(cells @ np.array([CELLS * CELLS, CELLS, 1]), return_inverse=True)

@@ -1,4 +1,4 @@
-"""What an object's shape says about which way is up: where it is flat, what it is symmetric about, how it rests.
+"""What an object's shape says about which way is up: where it is flat, how it is symmetric, how it rests.
 
 Each kind of evidence is a density over directions of up, relative to the uniform one: 1 says nothing, 10 makes a
 direction ten times as likely. A ball gives 1 everywhere, without being a special case.
@@ -20,7 +20,7 @@ Density = NDArray[np.float64]
 
 
 def _spread_directions(count: int) -> Points:
-    """(count, 3). Unit vectors spread evenly over the sphere: half of Fibonacci's spiral, and then its opposites."""
+    """(count, 3). Unit vectors spread evenly over the sphere: half of Fibonacci's spiral, then their opposites."""
     i = np.arange(count // 2) + 0.5
     z, turn = 1 - 2 * i / count, i * math.pi * (3 - math.sqrt(5))
     radius = np.sqrt(1 - z * z)
@@ -29,21 +29,21 @@ def _spread_directions(count: int) -> Points:
 
 
 DIRECTIONS = _spread_directions(2000)
-"""(D, 3). Unit vectors 4.5 degrees apart, about as well as the up axis of a capture can be told."""
+"""(D, 3). Unit vectors 4.5 degrees apart, about as finely as the up axis of a capture can be told."""
 
 BLUR = math.radians(5)
 """Angle over which densities are blurred: the distance of neighbouring directions."""
 
 GIVE = 0.02
-"""By how much the centre of mass may rise from its lowest place, in parts of its greatest height: the skin of a capture
+"""How much the centre of mass may rise from its lowest place, as a share of its greatest height: the skin of a capture
 is as uneven as that."""
 
 CONTACT = 1.5
 """Thickness of what touches the ground, in spacings of the points: one for the raster, half for its rounding."""
 
 FLAT = 0.05
-"""Part of the skin within CONTACT of the ground at which the evidence for a base is at half of its most. A ball has
-0.04, a pot on its foot 0.05, the face of a box over 0.1."""
+"""Share of the skin within CONTACT of the ground at which the evidence for a base is half of its most. A ball has 0.04,
+a pot on its foot 0.05, the face of a box over 0.1."""
 
 FLAT_STEP = 0.12
 """Difference on that scale of 0 to 1 that makes a direction e times as likely."""
@@ -55,8 +55,8 @@ MIRROR_POINTS = 1500
 """Points that are reflected: the share that falls on the object is then known to 1 %."""
 
 MIRROR_STEP = 0.05
-"""Difference in the share of the skin that falls on itself, which makes a mirror plane e times as likely: the gaps of a
-capture are as different on two sides as that."""
+"""Difference in the share of the skin that falls on itself that makes a mirror plane e times as likely: the gaps of a
+capture differ that much between two sides."""
 
 RING = math.radians(4)
 """How far from vertical a mirror plane counts as vertical: enough for a ring without gaps."""
@@ -69,13 +69,13 @@ def near_directions(axis: NDArray[np.float64], spread: float) -> Density:
 
 
 def resting_pose(points: Points) -> Density:
-    """(D,). How likely a thing that is dropped at random comes to rest with each direction up.
+    """(D,). How likely a thing dropped at random is to come to rest with each direction up.
 
     A solid on a plane rolls until its centre of mass is as low as it gets nearby. So the height of the centre over
     the plane, as a function of the direction, divides all directions into basins; a basin's share is the likelihood of
     the pose at its bottom (Goldberg et al., Part pose statistics, 1999). `points` (N, 3) are its skin.
     """
-    hull = ConvexHull(points, qhull_options="QJ")  # which takes even points in a plane
+    hull = ConvexHull(points, qhull_options="QJ")  # QJ takes even coplanar points
     corners = points[hull.vertices] - _centre_of_mass(points, hull.simplices)
     height = -(corners @ DIRECTIONS.T).min(axis=0)
     neighbours = cKDTree(DIRECTIONS).query(DIRECTIONS, k=9)[1]  # itself and eight around it
@@ -90,7 +90,7 @@ def resting_pose(points: Points) -> Density:
 
 
 def _centre_of_mass(points: Points, triangles: NDArray[np.integer]) -> Points:
-    """(3,). Of the convex hull, filled evenly."""
+    """(3,). Centre of mass of the convex hull, filled evenly."""
     middle = points.mean(axis=0)
     a, b, c = (points[triangles[:, corner]] - middle for corner in range(3))
     volume = np.abs(np.einsum("ij,ij->i", a, np.cross(b, c)))
@@ -98,21 +98,21 @@ def _centre_of_mass(points: Points, triangles: NDArray[np.integer]) -> Points:
 
 
 def flat_base(points: Points, spacing: float) -> Density:
-    """(D,). More likely the more of the skin touches the ground. `points` (N, 3) are the skin, `spacing` apart."""
+    """(D,). The more of the skin touches the ground, the likelier. `points` (N, 3) are the skin, `spacing` apart."""
     share = touching(points, DIRECTIONS.T, spacing).mean(axis=0)
     density = np.exp(share / (share + FLAT) / FLAT_STEP)
     return density / density.mean()
 
 
 def touching(points: Points, up: Points, spacing: float) -> NDArray[np.bool_]:
-    """(N,) or (N, K). Which of the points (N, 3) touch the ground where `up` (3,) or each column of (3, K) is up."""
+    """(N,) or (N, K). Whether points (N, 3) touch the ground if `up` (3,), or each column of `up` (3, K), is up."""
     heights = points @ up
     near: NDArray[np.bool_] = heights < heights.min(axis=0) + CONTACT * spacing
     return near
 
 
 def symmetry(points: Points) -> Density:
-    """(D,). More likely the more planes through the axis the skin `points` (N, 3) is symmetric about.
+    """(D,). The more planes through the axis mirror the skin, `points` (N, 3), onto itself, the likelier.
 
     A pot has mirror planes all around its axis, a loaf two, a person one, and all stand so that these are vertical.
     """
@@ -132,6 +132,6 @@ def symmetry(points: Points) -> Density:
         same[row] = filled[tuple(cells[inside].T)].sum() / len(few)
     mirrors = np.exp((same - same.max()) / MIRROR_STEP)
     upright = np.exp(-0.5 * ((DIRECTIONS @ normals.T) / RING) ** 2)
-    # Squared: one mirror plane leaves the axis anywhere in itself, and where two cross is the axis.
+    # Squared: with one mirror plane the axis may lie anywhere in it, but with two it is where they cross.
     density = (upright @ mirrors / upright.sum(axis=1)) ** 2
     return density / density.mean()
