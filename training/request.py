@@ -163,7 +163,7 @@ def family_record(family: Family, path_text: Callable[[Path], str | None]) -> di
 
 
 def read_family(reader: Fields, value: Any, read_path: Callable[[Any], Path]) -> Family:
-    """The family in a `family_record`. Raises InputError if the value is none."""
+    """The family in a `family_record`. Raises InputError if the record is not valid."""
     record = reader.table(value, "a family")
     kind: Kind = reader.choice(record, "kind", get_args(Kind))
     planes = reader.each(record, "planes", lambda plane: read_plane(reader, plane))

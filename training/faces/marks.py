@@ -73,7 +73,7 @@ def marks_record(marks: Marks) -> dict[str, Any]:
 
 
 def read_marks(reader: Fields, record: dict[str, Any]) -> Marks:
-    """The marks in a `marks_record`. Raises InputError if the record is none."""
+    """The marks in a `marks_record`. Raises InputError if the record is not valid."""
 
     def place(value: Any) -> Place:
         x, y = reader.numbers(value, 2, "a place in a picture")

@@ -17,7 +17,7 @@ KINDS: dict[str, type[LayeredInside] | type[QuiltInside]] = {"layers": LayeredIn
 
 
 def restore_inside(record: InsideRecord) -> Inside:
-    """The inside in a record, bit for bit. Raises ValueError if the record is none."""
+    """The inside in a record, bit for bit. Raises ValueError if the record is not valid."""
     arrays, facts = record
     kind = facts.get("kind")
     if not isinstance(kind, str) or kind not in KINDS:
