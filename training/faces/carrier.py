@@ -56,13 +56,13 @@ NEAR = 0.1
 """How far from a face its shadow is looked for, as a fraction of its diameter."""
 
 HANGING = 0.03
-"""Radius of the disc that must fit into every part of a face before a pattern, as a fraction of the face's diameter:
-half or more of the squares that hang on the face is cut off, and all of a stalk."""
+"""Radius of the disc that must fit into every part of a face in front of a pattern, as a fraction of the face's
+diameter: it cuts off half or more of the squares that hang on the face, and all of a stalk."""
 
 ONE_SIDED, LAID = 0.65, 0.1
 """How one-sided the shadow of something without a visible skin must be, and the least fraction of the carrier that it
-must cover, to be taken for the face. Under light from a side they are 0.76 to 0.92, and a quarter or more, as people
-fill a plate. The dark surroundings of a core have 0 to 0.5, and pips and holes cover a hundredth."""
+must cover, to be taken for the face. Under light from a side they are 0.76 to 0.92, and a quarter or more, because
+people fill their plates. The dark surroundings of a core have 0 to 0.5, and pips and holes cover a hundredth."""
 
 ARM = 1.15
 """Greatest thickness of an arm anywhere, over its width at the border."""
@@ -189,7 +189,7 @@ def _on_what_crosses_the_border(rgb: NDArray[np.float32]) -> NDArray[np.bool_] |
 
 
 def _before_pattern(rgb: NDArray[np.float32]) -> NDArray[np.bool_] | None:
-    """(H, W). The face before a cloth or board of several colours; None if there is none that stands out.
+    """(H, W). The face in front of a cloth or board of several colours; None if none stands out.
 
     Squares of the cloth have edges as strong as the face's, and those in its shadow have colours of their own: what the
     pattern explains, and what hangs on the face by a corner, is no part of it.

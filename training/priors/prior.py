@@ -36,7 +36,7 @@ class Condition:
     angle: NDArray[np.float32]
     """Angle around the up axis in radians, range [-pi, pi], from the first vector of `equator(up)`."""
     height: NDArray[np.float32]
-    """Along the up axis. Range [-1, 1] from the lowest to the highest point of the body."""
+    """Height along the up axis. Range [-1, 1] from the lowest to the highest point of the body."""
     depth: NDArray[np.float32]
     """Depth from the camera to the cut face, world units; infinite outside the silhouette."""
     render: NDArray[np.float32]

@@ -57,7 +57,7 @@ def _medians(
     rank: NDArray[np.int32],  # [C, H, W]
     by_rank: NDArray[np.float32],  # [C, L]
     reach: NDArray[np.int64],  # [2 R + 1]
-    bits: int,  # of a rank, counted at each of three levels
+    bits: int,  # of a rank, resolved by each of the three counts
     out: NDArray[np.float32],  # [C, H, W]
 ) -> None:
     height, width = rank.shape[1], rank.shape[2]

@@ -29,8 +29,8 @@ def rind_depth(rgb: NDArray[np.floating], depth: NDArray[np.floating], blur: flo
 
     `rgb` (H, W, 3): a face, range [0, 1]. `depth` (H, W): under its rim, in inradii, 0 outside. `blur`: standard
     deviation in pixels of the blur under which colours are compared. `goes_around`: whether a rind must go all around:
-    what differs in colour on two sides only, like bread above and below a filling, is none. In radial pictures it need
-    not, as what differs near the poles is followed along the skin like a rind.
+    what differs in colour on two sides only, like bread above and below a filling, is then no rind. Radial pictures do
+    not ask for it, as what differs near the poles is followed along the skin like a rind.
     """
     inside, deep = depth > 0, (depth > FLESH[0]) & (depth < FLESH[1])
     if not deep.any():

@@ -1,4 +1,4 @@
-"""Turns a radial picture about the axis, if there are no others than radial ones."""
+"""Turns a radial picture about the axis, if all pictures are radial."""
 
 from __future__ import annotations
 

@@ -53,7 +53,7 @@ SHIFT = 0.05
 
 CORE = 0.3
 """Radius below which places drift less and sectors are shifted less, to nothing at the axis: a core is in the middle.
-Sectors are by the square, as a stem that is shifted is cut into chips."""
+For sectors this goes by the square, as a stem that is shifted is cut into chips."""
 
 OWN_AZIMUTHS = 3
 """Largest number of radial pictures with a plane of their own; more would leave no room for variety near the axis."""

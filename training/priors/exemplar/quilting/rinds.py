@@ -75,7 +75,7 @@ class Rinds:
     along: list[NDArray[np.float64]]
     """(ANGLES,) each. The same of the radial pictures."""
     level: float
-    """Depth of the quilt's rind at the height of the first horizontal picture: that of all horizontal ones there."""
+    """Depth of the quilt's rind at the height of the first horizontal picture, and of all horizontal ones in it."""
     usual: NDArray[np.float64]
     """(ANGLES,). Depth of the quilt's rind by direction in a radial picture, the same on both sides."""
     ball: NDArray[np.float64]

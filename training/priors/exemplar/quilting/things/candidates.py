@@ -29,7 +29,7 @@ fruits have them in rows along the axis, so that one radial cut shows a row and 
 around, features of radial cuts of two pairs of melons are 0.16 and 0.01 farther from photographs."""
 
 LEVELS = 64
-"""Number of places from the axis outwards whose places in a horizontal picture are looked up."""
+"""Number of distances from the axis at which the place in a horizontal picture is looked up."""
 
 
 class Candidates(NamedTuple):
@@ -64,11 +64,10 @@ class Candidates(NamedTuple):
 
 
 def strewn(pictures: Sequence[Things], horizontal: int, rng: np.random.Generator) -> Candidates:
-    """Things strewn wherever their pictures may be shown, CANDIDATES times as many as are wanted; the first so many
-    pictures are `horizontal`.
+    """Things strewn wherever their pictures may be shown, CANDIDATES times as many as are wanted.
 
-    A volume holds N_A / 2b of the things that a picture shows N_A of in an area, if their half width across it is b
-    (Saltykov).
+    `horizontal`: how many of the pictures, the first ones, are horizontal. Where a picture shows N_A things in an area,
+    there are N_A / 2b in a volume, for things of half width b across the picture's plane (Saltykov).
     """
     found, first = [], 0
     for n, things in enumerate(pictures):

@@ -25,8 +25,8 @@ CORE = 0.12
 
 EDGE, STRONG = 0.5, 0.8
 """Least contrast of a core's pixels over the core's contrast, a half as at a blurred edge; and the quantile of what
-stands out that is a core's contrast in a horizontal picture: around a star flesh is stained, and by the median that was
-a part of the stars of three apples. In radial pictures, where seeds and what holds them are as tall as a core, the
+stands out that is a core's contrast in a horizontal picture: the flesh around a star is stained, and by the median it
+was a part of the stars of three apples. In radial pictures, where seeds and what holds them are as tall as a core, the
 median is taken."""
 
 NEAR = 0.15
