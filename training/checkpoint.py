@@ -21,7 +21,7 @@ __all__ = ["CHECKPOINT_SECONDS", "Checkpoint"]
 Array = NDArray[Any]
 
 CHECKPOINT_SECONDS = 15.0
-"""Between two checkpoints of one stage: the most work that a kill can lose."""
+"""Seconds between two checkpoints of one stage: the most work that a kill can lose."""
 
 
 class Checkpoint:

@@ -27,7 +27,7 @@ from training.settings import DetailName
 __all__ = ["main", "parse_axis", "parse_families"]
 
 CLASS_PART = 0.5
-"""Fraction of a fine-tuning's time before its first step: drawing pictures of the class."""
+"""Fraction of a fine-tuning's time that it spends drawing pictures of the class, before its first step."""
 
 BESIDE_REQUEST = ("request", "out", "events", "resume")
 """Options that --request may be combined with: they do not decide the result."""
@@ -122,7 +122,7 @@ def train(
         isolation = parse_isolation(keep or [], remove or [], no_floor, no_surroundings)
         requested = replace(requested, isolation=isolation, same=same, compact=compact)
     runs = {out: requested} if body is None else runs_of_bodies(requested, parse_body(body), out)
-    from training.pipeline import run  # torch comes with it: --help and a mistyped option need not wait for that
+    from training.pipeline import run  # imports torch, for which --help and a mistyped option need not wait
 
     reporter = Reporter.open(events)
     stop.listen()
@@ -141,7 +141,7 @@ def train(
 
 
 def runs_of_bodies(request: Request, body: int | None, out: Path) -> dict[Path, Request]:
-    """The run of one body of a request's scene, or of each, by the folder of its result."""
+    """The requests for one body of the scene, or for each if `body` is None, by the folder of the result."""
     gaussians = load(request.scene, request.seed).gaussians
     isolations = select_bodies(gaussians, request.isolation, body, request.scene.name)
     folders = {number: out / str(number) if body is None else out for number in isolations}
@@ -247,7 +247,7 @@ def parse_axis(text: str, option: str) -> tuple[float, float, float]:
     numbers = parse_numbers(text, 3, f"{option} {text}: give x, y, z, -x, -y, -z or three numbers a,b,c")
     if not any(numbers):
         raise InputError(f"{option} {text}: an axis needs a direction; give a,b,c that are not all zero")
-    size = max(map(abs, numbers))  # divided by first: squares of 1e200 overflow
+    size = max(map(abs, numbers))  # divide by it first: the square of 1e200 overflows
     length = math.hypot(*(number / size for number in numbers))
     x, y, z = (number / size / length for number in numbers)
     return x, y, z
@@ -256,7 +256,7 @@ def parse_axis(text: str, option: str) -> tuple[float, float, float]:
 def parse_families(
     exemplars: list[str], families: list[str], prompts: list[str], pictures_needed: bool = True
 ) -> tuple[Family, ...]:
-    """Families of planes from the options of the command line, in the order of `Kind`.
+    """Families of planes from command-line options, in the order of `Kind`.
 
     Families without a --family get the paper's number of planes. Raises InputError for an option that cannot be parsed,
     for pictures of a family without planes, and if there is no family, or no picture although one is needed.
@@ -312,7 +312,7 @@ def parse_families(
 
 
 def parse_span(text: str, where: str) -> tuple[float, float]:
-    """The ends of a range low..high. Range [0, 1]."""
+    """The two ends of a range given as low..high. Range [0, 1]."""
     complaint = f"{where}: give the range as parts of the whole, as in 0.2..0.8"
     low, high = parse_numbers(text.replace("..", ",", 1), 2, complaint)
     if not 0 <= low < high <= 1:
@@ -346,7 +346,7 @@ def parse_pair(text: str, option: str) -> tuple[Kind, str]:
 
 
 def parse_kind(name: str, where: str) -> Kind:
-    """The family of this name."""
+    """The kind of family with this name."""
     for kind in get_args(Kind):
         if name == kind:
             return kind

@@ -54,8 +54,8 @@ def contact_sheet_planes(body: Body, up: NDArray[np.float64]) -> list[Plane]:
 def save_contact_sheet(
     path: Path, atoms: Atoms, body: Body, up: NDArray[np.float64], inside: Inside | None = None
 ) -> None:
-    """Writes six cuts in two rows: the opened object in perspective above, the cut face straight on below; in all
-    details of the `inside` if that is known."""
+    """Writes six cuts in two rows: the opened object in perspective above, the cut face straight on below; in the full
+    detail of `inside` if it is given."""
     field = KernelField(atoms)
     centre = body.bounds().mean(0)
 
@@ -70,7 +70,7 @@ def save_contact_sheet(
         straight = opaque.render(atoms, ahead, [plane], light=False, field=field)
         if inside is not None:
             piece, solid = Piece((plane,)), Detailed(inside, atoms.pitch)
-            reading = read_face(straight, ahead, piece, solid)  # once for both: this is what takes time
+            reading = read_face(straight, ahead, piece, solid)  # once for both pictures: this takes the time
             opened = detailed_from(reading, opened, camera, piece, solid, True)
             straight = detailed_from(reading, straight, ahead, piece, solid, False)
         return opened.rgb, straight.rgb

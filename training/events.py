@@ -20,7 +20,7 @@ __all__ = ["Reporter", "to_json"]
 
 
 def N_(text: str) -> str:
-    """Marks words that a window shows in its user's language; here they stay English. The name is gettext's."""
+    """Marks text that a window translates into its user's language; here it stays English. The name is gettext's."""
     return text
 
 
@@ -37,7 +37,7 @@ STAGES = {
     "measure": N_("Measuring the skin"),
     "finetune": N_("Learning the pictures"),
 }
-"""Identifier of each stage in events, and its title in displays."""
+"""Title of each stage in displays, by its identifier in events."""
 
 
 @dataclass
@@ -91,7 +91,7 @@ class Reporter:
         """Writes one line: the event's name, seconds since the start, and its facts; non-finite numbers become null.
 
         If the reader has closed the pipe, the run continues without events. If they cannot be written, as on a full
-        disk, raises InputError: to whoever follows the events the run would seem to hang.
+        disk, raises InputError: otherwise the run would seem to hang to whoever follows the events.
         """
         if self.events is None:
             return

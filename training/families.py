@@ -30,7 +30,7 @@ MAX_TILT = np.radians(15)
 """Tilt in radians up to which a plane counts as level or upright: people do not cut more precisely."""
 
 NEAR_AXIS = 0.05
-"""Distance from the axis, over the body's smallest extent, up to which an upright cut counts as radial."""
+"""Distance from the axis, as a fraction of the body's smallest extent, up to which an upright cut counts as radial."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class Family:
     span: tuple[float, float] = (0.0, 1.0)
     """Part of the body's extent along the normal, or of the 180 degrees of a `radial` family, that the planes cover."""
     marks: tuple[tuple[Path, Marks], ...] = ()
-    """What the user says of the faces in some of the exemplars, by path."""
+    """The user's marks on the faces in some of the exemplars, by path."""
 
     def __post_init__(self) -> None:
         if self.kind not in get_args(Kind):
@@ -66,11 +66,11 @@ class Family:
             raise InputError("family 'custom': no planes; give each as custom:a,b,c,d")
 
     def marks_of(self, exemplar: Path) -> Marks:
-        """What the user says of the face in one of the pictures."""
+        """The user's marks on the face in one of the pictures."""
         return dict(self.marks).get(exemplar, UNMARKED)
 
     def with_marks(self, exemplar: Path, marks: Marks) -> Family:
-        """With the marks of one picture in place of those it had."""
+        """A copy in which the marks of one picture are replaced."""
         others = {path: kept for path, kept in self.marks if path != exemplar and path in self.exemplars}
         if marks != UNMARKED:
             others[exemplar] = marks

@@ -32,10 +32,10 @@ FORMS = "box:x0,y0,z0,x1,y1,z1, sphere:x,y,z,radius or plane:a,b,c,d"
 def parse_isolation(
     keep: Sequence[str], remove: Sequence[str], no_floor: bool, no_surroundings: bool = False
 ) -> Isolation:
-    """What the options take away. Raises InputError for one that cannot be parsed.
+    """What the options remove. Raises InputError for one that cannot be parsed.
 
-    First the surroundings go, then all outside of what --keep names, then what --remove names, then the floor of what
-    is left: a floor that is searched for in a whole room would be the room's.
+    The surroundings go first, then everything outside the --keep shapes, then the --remove shapes, then the floor of
+    what is left: searched for in a whole room, it would be the room's.
     """
     isolation: list[Selection] = [NO_SURROUNDINGS] if no_surroundings else []
     if keep:
@@ -48,7 +48,7 @@ def parse_isolation(
 
 
 def parse_shape(text: str, option: str) -> Shape:
-    """The shape kind:numbers, in the coordinates of the scene as it is loaded."""
+    """The shape given as kind:numbers, in the coordinates of the scene as loaded."""
     kind, _, numbers = text.partition(":")
     complaint = f"{option} {text}: give {FORMS}"
     if kind == "box":
@@ -76,9 +76,9 @@ def parse_body(text: str) -> int | None:
 
 
 def select_bodies(gaussians: Gaussians, isolation: Isolation, body: int | None, name: str) -> dict[int, Isolation]:
-    """By its number, what leaves only one of the separate bodies that an isolation leaves; `body`: None for each.
+    """For each body number, the isolation extended to leave only that one of the separate bodies; `body`: None for all.
 
-    Raises InputError, which begins with `name`, if there is no such body, or if nothing is left.
+    Raises InputError, its message beginning with `name`, if there is no such body, or if nothing is left.
     """
     rest, _ = isolated(gaussians, isolation, name)
     others: list[Isolation] = [(selection,) for selection in split_bodies(rest)] or [()]

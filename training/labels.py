@@ -53,11 +53,11 @@ def labels_from_volume(
     progress: Progress,
     warn: Callable[[str], None],
 ) -> tuple[list[Float], Colours, float, Inside | None]:
-    """Labels (H, W, 3) as cuts through one volume, its colour field for atoms, its coarsening, and its function.
+    """Labels (H, W, 3) as cuts through one volume, its colour field for atoms, its coarsening, and its inside if any.
 
-    The labels of all planes are consistent in space. The coarsening is the volume's cell over the requested one: more
-    than 1 if the pictures resolve less, and then the atoms may be coarser too. `warn` is told what the user should look
-    at in the pictures.
+    The labels of all planes are consistent in space. The coarsening is the ratio of the volume's cell to the requested
+    one: more than 1 if the pictures resolve less; the atoms may then be coarser too. `warn` gets a note for everything
+    that the user should check in the pictures.
     """
     detail = request.fineness
     volume = prior.solve(geometry.body, geometry.up, request.families, detail.voxels, request.seed, progress)

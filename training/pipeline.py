@@ -48,7 +48,7 @@ from training.views import ENTRIES, Section, Slice, sections, slices, surface_ca
 __all__ = ["Pipeline", "prepare", "refit_surface", "run"]
 
 INSIDE = "inside."
-"""Before the names of its arrays in the checkpoint of the labels."""
+"""Prefix of the names of the inside's arrays in the checkpoint of the labels."""
 
 
 def run(request: Request, out: Path, reporter: Reporter, resume: bool, stopped: Callable[[], bool]) -> Path:
@@ -73,14 +73,14 @@ class Pipeline:
         self.stopped = stopped
         self.checkpoint = Checkpoint(out / "checkpoint", request.fingerprint())
         self.facts: dict[str, Any] = {}
-        """What the report says of the run so far."""
+        """Facts for the report, collected so far."""
         self.inside: Inside | None = None
-        """What the prior has found, where that is a function."""
+        """The inside as a function, if the prior finds one."""
 
     def run(self, resume: bool) -> Path:
         """Runs all stages, from the last checkpoint if `resume`; returns the path of the trained scene."""
         for name in ("checkpoint", "previews"):
-            if (self.out / name).is_symlink():  # files are removed and written there: a stranger may have laid the link
+            if (self.out / name).is_symlink():  # files are removed and written there: a stranger may have made the link
                 raise InputError(f"{self.out / name}: leads out of the result's folder; remove this link")
         result = self.out / self.request.result_name
         if result.exists() and result.samefile(self.request.scene):
@@ -167,7 +167,7 @@ class Pipeline:
             arrays, made = self.checkpoint.load_or_make(
                 "labels", lambda: self.make_labels(geometry, cuts, prior, stage)
             )
-            if self.inside is None and "inside" in made:  # of a run that was interrupted
+            if self.inside is None and "inside" in made:  # from an interrupted run
                 record = {name.removeprefix(INSIDE): a for name, a in arrays.items() if name.startswith(INSIDE)}
                 self.inside = restore_inside((record, made["inside"]))
             if made["cells"] < fineness.fine:
@@ -208,7 +208,8 @@ class Pipeline:
     def distill_labels(
         self, geometry: Geometry, cuts: Sequence[Slice], prior: Denoiser, progress: Progress
     ) -> tuple[list[NDArray[np.float32]], Colours]:
-        """A label (H, W, 3) for each plane by itself, and a colour field: that of the nearest back-projected atom."""
+        """A label (H, W, 3) for each plane, drawn on its own, and a colour field: that of the nearest back-projected
+        atom."""
         labels = []
         for index, cut in enumerate(cuts):
             labels.append(self.draw_label(prior, cut, np.random.default_rng([self.request.seed, index])))
@@ -279,7 +280,7 @@ def prepare(
 
 
 def find_up(request: Request, seen: Gaussians, file_axes: FileAxes) -> UpAxis:
-    """The up axis, given or detected in what is seen of the object and its floor."""
+    """The up axis, as given or as detected from the object and its floor."""
     if request.up is not None:
         axis = np.asarray(request.up, np.float64)
         return UpAxis(axis / np.linalg.norm(axis), "as given", 1.0)

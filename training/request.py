@@ -47,10 +47,10 @@ __all__ = [
 PriorName = Literal["exemplar", "stable-diffusion"]
 
 FORMAT = 6
-"""Version of the checkpoints; it grows with every change of them, so that no run resumes one of another version."""
+"""Version of the checkpoints, raised with every change to them so that no run resumes from one of another version."""
 
 FILE_VERSION = 5
-"""Version of request files. Any other is refused, so it grows with every change of meaning."""
+"""Version of request files. Any other is refused, so it is raised with every change of meaning."""
 
 LIMIT = 1 << 20
 """Bytes of the largest request file that is read; a real one has a few KB."""
@@ -83,9 +83,9 @@ class Request:
     thing: str | None = None
     """What the object is called in prompts; None: the name of the scene's file."""
     isolation: Isolation = ()
-    """What of the scene is no part of the object; () for nothing."""
+    """What to leave out of the scene because it is no part of the object; () for nothing."""
     same: bool = False
-    """Whether the pictures are known to be of one thing; `exemplar` then believes them where they meet."""
+    """Whether the pictures are known to show one and the same thing; `exemplar` then believes them where they meet."""
     compact: bool = False
     """Whether the result is an .spz, a tenth of a .ply's size."""
 
@@ -107,16 +107,19 @@ class Request:
         return DETAILS[self.detail]
 
     def fingerprint(self) -> str:
-        """Hash of the input's content and all settings but the result's form: equal requests give the same object."""
+        """Hash of the input's content and all settings except the result's file format.
+
+        Equal requests give the same object.
+        """
         digest = hashlib.sha256(f"{FORMAT}".encode())
         for path in self.files:
             with open_file(path) as file:
-                hashlib.file_digest(file, lambda: digest)  # goes on with this one
+                hashlib.file_digest(file, lambda: digest)  # updates this digest
         for folder in filter(None, (self.model, self.midas)):
-            for path in sorted(folder.rglob("*.safetensors")):  # gigabytes: size and time must do for their content
+            for path in sorted(folder.rglob("*.safetensors")):  # gigabytes: size and time stand in for the content
                 digest.update(f"{path.name} {path.stat().st_size} {path.stat().st_mtime_ns}".encode())
         settings = asdict(self)
-        del settings["compact"]  # the same object in another form: a run that was stopped may end as either
+        del settings["compact"]  # the same object in another file format: a stopped run may end as either
         digest.update(json.dumps(settings, sort_keys=True, default=str).encode())
         return digest.hexdigest()[:16]
 
@@ -160,7 +163,7 @@ def family_record(family: Family, path_text: Callable[[Path], str | None]) -> di
 
 
 def read_family(reader: Fields, value: Any, read_path: Callable[[Any], Path]) -> Family:
-    """The family of a `family_record`. Raises InputError where it is none."""
+    """The family in a `family_record`. Raises InputError if the record is not valid."""
     record = reader.table(value, "a family")
     kind: Kind = reader.choice(record, "kind", get_args(Kind))
     planes = reader.each(record, "planes", lambda plane: read_plane(reader, plane))
@@ -184,7 +187,7 @@ def read_family(reader: Fields, value: Any, read_path: Callable[[Any], Path]) ->
 
 
 def read_plane(reader: Fields, value: Any) -> Plane:
-    """The plane of a list a, b, c, d whose normal has length 1."""
+    """The plane given as a list a, b, c, d, with a normal of length 1."""
     a, b, c, d = reader.numbers(value, 4, "a plane")
     reader.require(abs(math.hypot(a, b, c) - 1) < UNIT_TOLERANCE, "the normal of a plane has not length 1")
     return Plane((a, b, c), d)
@@ -248,15 +251,15 @@ class Geometry:
     """The part of a run's input that no prior changes."""
 
     gaussians: Gaussians
-    """The capture, without what is no part of the object."""
+    """The capture, without what is not part of the object."""
     skin: SurfaceAtoms
-    """With the capture's own colours."""
+    """Surface atoms in the capture's own colours."""
     pitch: float
-    """Of the skin, world units."""
+    """Pitch of the skin, world units."""
     body: Body
     up: NDArray[np.float64]
     """(3,). Unit vector."""
 
     def filled(self, interior: InteriorAtoms) -> Atoms:
-        """The whole object with such an inside."""
+        """The whole object, filled with these interior atoms."""
         return Atoms(self.skin, interior, self.pitch)

@@ -25,7 +25,7 @@ from training.views import BACKGROUND, surface_cameras
 __all__ = ["save_results"]
 
 HELD_OUT_VIEWS = 8
-"""Surface views that training never uses, for the surface figures of the report."""
+"""Number of surface views that training never uses, for the surface figures of the report."""
 
 
 def save_results(
@@ -39,7 +39,10 @@ def save_results(
     reporter: Reporter,
     inside: Inside | None = None,
 ) -> Path:
-    """Writes the solid, the contact sheet and the report; `start` is the solid before training. Returns its path."""
+    """Writes the trained solid, the contact sheet and the report; returns the solid's path.
+
+    `start` is the solid before training.
+    """
     atoms = trainer.result()
     path = out / request.result_name
     with reporter.stage("save"):

@@ -15,9 +15,9 @@ class Detail:
     """Resolutions and step counts behind one level of detail."""
 
     cells: int
-    """Surface atoms are at most side / cells, the pitch, for the body's longest side."""
+    """The body's longest side / cells is the pitch, the largest size of surface atoms."""
     tolerance: float
-    """Opacity that compositing leaves a Gaussian in its best view, under which it becomes no atom. Range (0, 1)."""
+    """A Gaussian whose opacity after compositing is less than this in its best view becomes no atom. Range (0, 1)."""
     fine: int
     """Cells along the longest side in the lattice of the finest interior atoms."""
     voxels: int
@@ -46,8 +46,8 @@ class Detail:
 # the atoms for at most 0.4 dB, and draft is 4 to 7 dB under it in a quarter of the time or less
 # (docs/charts/fidelity.png). With 60, 90 and 120 views the guitar is at 26.8, 26.9 and 27.1 dB. With 480 and 600 steps
 # the guitar is at 27.0 and 27.3, a donut at 35.9 and 36.2, a plant at 31.6 and 31.8, a box at 26.8 and 26.9, for 20 %
-# more time. Splitting a tenth of the atoms where the gradients of means are largest was worth nothing there (guitar
-# 26.9, box 26.5).
+# more time. Splitting a tenth of the atoms where the gradients of means are largest gained nothing there (guitar 26.9,
+# box 26.5).
 # Colours of the sample watermelon fitted to 60 views score 2 dB better on held-out views than those fitted to 24.
 DETAILS: dict[DetailName, Detail] = {
     "draft": Detail(

@@ -1,4 +1,4 @@
-"""The skin of a solid, fitted to its capture at one level of detail."""
+"""Fits the skin of a solid to its capture at one level of detail."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from training.views import ENTRIES, surface_cameras
 __all__ = ["fit_geometry", "match_skin"]
 
 DRAWN = 0.2
-"""Part of the time of a fit that drawing the capture takes."""
+"""Fraction of a fit's time that drawing the capture takes."""
 
 
 def match_skin(
@@ -46,7 +46,7 @@ def fit_geometry(
 ) -> Atoms:
     """The atoms with means, scales, rotations and colours of the skin fitted to the capture. Bit-equal, resumed or not.
 
-    What `progress` raises to stop the run is passed on once the state is saved.
+    If `progress` raises Interrupted to stop the run, the state is saved before it is passed on.
     """
     stored = checkpoint.load("skin")
     if stored is None or "step" in stored[1]:

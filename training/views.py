@@ -40,7 +40,7 @@ BACKGROUND = (1.0, 1.0, 1.0)
 ENTRIES = 16
 
 TOGETHER = 8
-"""Sections that are weighed between two words of progress: enough for the cores."""
+"""Sections weighed between two progress reports: enough to occupy the cores."""
 
 
 @dataclass(frozen=True)
@@ -152,6 +152,6 @@ def make_condition(
 def surface_cameras(
     gaussians: Gaussians, up: NDArray[np.float64], count: int, size: int, turn: float = 0.0
 ) -> list[Camera]:
-    """Cameras from all around what is shown of a capture."""
+    """Cameras all around the visible part of a capture."""
     low, high = gaussians.visible_bounds()
     return cameras_around((low + high) / 2, float(np.linalg.norm(high - low)) / 2, up, count, size, turn)

@@ -38,7 +38,7 @@ def batch(
         int | None, typer.Option(min=1, help="Scenes at once on this machine; chosen if not given.")
     ] = None,
 ) -> None:
-    """Give every capture of a manifest an inside. The same command again goes on where this one ended."""
+    """Give every capture of a manifest an inside. Run again, the same command resumes where this one ended."""
     stop = Stop()
     if scheduler is not None and workers is not None:
         raise InputError("--workers is for this machine; a cluster at --scheduler has its own, leave one of them out")

@@ -21,7 +21,7 @@ from engine.processes import safe_imports
 __all__ = ["cluster_client", "deferred_signals"]
 
 WAIT_SECONDS = 30
-"""Timeout for a scheduler to answer and for its first worker."""
+"""Timeout in seconds for a scheduler to answer and for its first worker."""
 
 
 @contextmanager
@@ -53,7 +53,7 @@ def cluster_client(scheduler: str | None, count: int | None, tasks: int, gigabyt
                 n_workers=count,
                 threads_per_worker=1,
                 host="127.0.0.1",
-                # A free port: Dask takes 8787 otherwise, and warns where two batches begin at once.
+                # A free port: Dask takes 8787 otherwise, and warns if two batches begin at once.
                 scheduler_kwargs={"dashboard": False, "dashboard_address": "127.0.0.1:0"},
                 dashboard_address=None,
                 local_directory=str(scratch.path),
@@ -72,7 +72,7 @@ def _close_http_server(dask_scheduler: Any) -> None:
 
 
 class _CloseHttpServer(WorkerPlugin):
-    """Does the same on every worker, including replacements."""
+    """Closes that port on every worker, including replacements."""
 
     def setup(self, worker: Worker) -> None:
         worker.http_server.stop()
@@ -86,8 +86,8 @@ def deferred_signals(*signals: signal.Signals) -> Iterator[None]:
     handles them, and then stops its workers. A child inherits the signal mask before it executes its first line.
     """
     received: list[int] = []
-    # The mask alone defers nothing: a library's thread that was there before may take the signal, and Python would run
-    # the handler here, perhaps between the start of a child and the data that it waits for.
+    # The mask alone defers nothing: a library's earlier thread may take the signal, and Python would run the handler
+    # here, perhaps between the start of a child and the data that it waits for.
     handlers = [(each, signal.signal(each, lambda number, _: received.append(number))) for each in signals]
     has_mask = hasattr(signal, "pthread_sigmask")
     if has_mask:

@@ -40,10 +40,10 @@ class Outcome:
     attempts: int = 0
     """Number of times it was submitted to a worker."""
     seconds: float = 0.0
-    """Of the last attempt."""
+    """Duration of the last attempt."""
     facts: dict[str, Any] = field(default_factory=dict)
     error: str = ""
-    """One line, of the last attempt that failed."""
+    """Error of the last attempt that failed, in one line."""
 
 
 OnChange = Callable[[Outcome, dict[str, Any]], None]
@@ -63,7 +63,7 @@ def run_grid(
 
     Without the address of a `scheduler` they run on this machine, in `count` workers, or in as many as cores and memory
     (`gigabytes` each) allow. Once `stop` returns True, running tasks are asked to save their state and no others start.
-    Raises InputError if the scheduler does not answer, is lost, or has no workers; finished results stay.
+    Raises InputError if the scheduler does not answer, is lost, or has no workers; finished results are kept.
     """
     outcomes = {task.name: Outcome(task) for task in tasks}
     assert len(outcomes) == len(tasks), "two tasks of one name"

@@ -10,7 +10,7 @@
     exemplar = { horizontal = ["a.png", "b.png"], radial = "c.png" }
     family = ["horizontal:40", "radial:30"]
 
-The keys are the options of `fruitninja-train`; a scene's own key takes the place of the default's.
+The keys are the options of `fruitninja-train`; a scene's own key replaces the default.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ class Scene:
     name: str
     """Unique; the folder of the result."""
     request: Request
-    """With absolute paths."""
+    """The scene's request, with absolute paths."""
 
 
 def read_manifest(path: Path) -> list[Scene]:
@@ -232,7 +232,7 @@ class _ManifestReader:
         return path
 
     def resolved(self, name: str) -> Path:
-        """A path of the manifest as an absolute one."""
+        """A path in the manifest, made absolute."""
         if "\0" in name or len(name) > 4096:
             raise InputError(f"'{_abbreviate(name)}' is no path")
         return (self.folder / Path(name).expanduser()).absolute()
@@ -247,7 +247,7 @@ class _ManifestReader:
 
 
 def _folder_key(name: str) -> str:
-    """Equal for names that are the same folder on systems that ignore case or Unicode normalisation."""
+    """A key that is equal for names of the same folder on systems that ignore case or Unicode normalisation."""
     return unicodedata.normalize("NFC", unicodedata.normalize("NFD", name).casefold())
 
 

@@ -1,1 +1,1 @@
-"""How good the insides are, on scenes whose inside is known, beside simpler methods and without each part in turn."""
+"""Measures the insides on scenes whose inside is known, beside simpler methods and without each part in turn."""

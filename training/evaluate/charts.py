@@ -20,7 +20,7 @@ DPI = 130
 
 
 def scatter(facts: Facts, across: str, up: str, scenes: list[str]) -> bytes:
-    """Methods as points, one panel a scene."""
+    """Methods as points, one panel per scene."""
     figure, panels = plt.subplots(1, len(scenes), figsize=(4.2 * len(scenes), 3.6), squeeze=False)
     for panel, scene in zip(panels[0], scenes, strict=True):
         for method, found in facts.items():
@@ -40,7 +40,7 @@ def scatter(facts: Facts, across: str, up: str, scenes: list[str]) -> bytes:
 
 
 def bars(facts: Facts, key: str, scenes: list[str]) -> bytes:
-    """One figure of every method, a bar for each scene; figures that span decades on a logarithmic scale."""
+    """One figure of every method, a bar for each scene; on a logarithmic scale if the figures span over a decade."""
     methods = list(facts)
     figure, panel = plt.subplots(figsize=(2.2 + 0.95 * len(methods), 3.2))
     width = 0.8 / max(len(scenes), 1)
@@ -60,7 +60,7 @@ def bars(facts: Facts, key: str, scenes: list[str]) -> bytes:
 
 
 def colour(method: str) -> str:
-    """Ours stands out; bounds step back."""
+    """The colour of a method: ours stands out, bounds recede."""
     return ACCENT if method == "ours" else OTHER if METHODS[method].competes else BOUND
 
 

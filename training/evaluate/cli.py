@@ -34,7 +34,7 @@ def evaluate(
         str | None, typer.Option(help="A running Dask cluster, as tcp://host:8786. Its workers share these files.")
     ] = None,
 ) -> None:
-    """Measure the insides of scenes whose inside is known; started again, it goes on where it was stopped."""
+    """Measure the insides of scenes whose inside is known; started again, it resumes where it was stopped."""
     if detail not in get_args(DetailName):
         raise InputError(f"--detail {detail}: unknown; choose {', '.join(get_args(DetailName))}")
     if clip is not None and not clip.is_dir():
@@ -58,7 +58,7 @@ def evaluate(
 
 
 def parse_names(text: str, known: tuple[str, ...], option: str) -> list[str]:
-    """The names of a list with commas, each once, all of them known."""
+    """The names in a list with commas, each once, all of them known."""
     names = list(dict.fromkeys(name.strip() for name in text.split(",") if name.strip()))
     for name in names:
         if name not in known:
@@ -74,8 +74,8 @@ def on_change(cell: Cell, what: str) -> None:
 
 
 def main() -> None:
-    """Entry point: one clear line and status 2 for bad input, 1 where a part of the grid failed, 130 or 143 where
-    the user stopped."""
+    """Entry point: one clear line and status 2 for bad input, 1 if a part of the grid failed, 130 or 143 if the user
+    stopped it."""
     run_command("fruitninja-evaluate", evaluate, stopped="stopped; the same command goes on from here")
 
 

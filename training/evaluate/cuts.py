@@ -90,7 +90,7 @@ class Truth:
     pictures: Float
     """(C, H, W, 3). Over white."""
     inside: NDArray[np.bool_]
-    """(C, H, W)."""
+    """(C, H, W). The silhouettes."""
 
 
 def load_truth(solid: Solid, cuts: list[Cut], path: Path) -> Truth:

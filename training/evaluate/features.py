@@ -1,7 +1,7 @@
 """Features of pictures from a trained network, for distances between sets of pictures.
 
 The network is EfficientNet-Lite0, whose weights come as a Python package, so nothing is fetched. The published FID and
-KID take Inception's features and the paper's consistency CLIP's: figures compare within one report, not across papers.
+KID take Inception's features and the paper's consistency CLIP's: compare figures within one report, not across papers.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ Features = NDArray[np.float64]
 """(N, D)."""
 
 SHIFT, SCALE = 127.0, 128.0
-"""Of 8-bit colours, as these weights were trained: so they know six of six photographs of oranges, with ImageNet's mean
-and spread one."""
+"""Shift and scale of 8-bit colours with which these weights were trained: with them the network recognises six of six
+photographs of oranges, with ImageNet's mean and spread one."""
 
 CLASSES = {"apple": 948, "bread": 930, "orange": 950, "pomegranate": 957}
 """Numbers of the network's classes Granny Smith, French loaf, orange and pomegranate, by the kind of a scene."""
@@ -47,7 +47,7 @@ class Network:
         self.model.eval()
 
     def features(self, pictures: Sequence[NDArray[np.float32]]) -> Features:
-        """(N, 1280) of pictures (H, W, 3), range [0, 1], of any size."""
+        """(N, 1280). Features of pictures (H, W, 3), range [0, 1], of any size."""
         found = []
         with torch.no_grad():
             for start in range(0, len(pictures), BATCH):
@@ -57,8 +57,9 @@ class Network:
         return np.concatenate(found).astype(np.float64)
 
     def probabilities(self, features: Features, kind: str) -> NDArray[np.float64]:
-        """(N,). That the pictures of features (N, 1280) show a kind of CLASSES, among the thousand classes."""
-        layer = self.model._fc  # the last one: what it sees is the mean of the features
+        """(N,). Probability that the pictures with these features (N, 1280) show a kind of CLASSES, among the thousand
+        classes."""
+        layer = self.model._fc  # the last layer, which takes the mean of the features
         scores = features @ layer.weight.detach().numpy().T.astype(np.float64) + layer.bias.detach().numpy()
         odds = np.exp(scores - scores.max(1, keepdims=True))
         return np.asarray(odds[:, CLASSES[kind]] / odds.sum(1))
@@ -76,7 +77,7 @@ class Clip:
     """A CLIP model from a local folder."""
 
     def __init__(self, folder: Path) -> None:
-        """Raises InputError where the folder holds no CLIP model in safetensors, or transformers is missing."""
+        """Raises InputError if the folder holds no CLIP model in safetensors, or transformers is missing."""
         try:
             from transformers import CLIPModel, CLIPProcessor
         except ImportError as error:

@@ -69,7 +69,7 @@ def cells(
     clip: Path | None,
     out: Path,
 ) -> list[Cell]:
-    """All of them, one method after the other, so that what every scene has comes first."""
+    """All cells of a grid, method by method, so that the first methods are measured on every scene first."""
     return [
         Cell(scene, method, seed, detail, cuts, clip, out) for method in methods for scene in scenes for seed in seeds
     ]

@@ -45,7 +45,7 @@ STRIP_CUTS = 6
 """Number of cuts in the report's strips."""
 
 FORMAT = 2
-"""Of a result; grows with every change of what a figure means."""
+"""Version of results, raised with every change of what a figure means."""
 
 
 def fingerprint(scene: str, method: str, seed: int, detail: DetailName, cuts: int, clip: Path | None) -> str:
@@ -57,7 +57,7 @@ def fingerprint(scene: str, method: str, seed: int, detail: DetailName, cuts: in
 def measure(
     scene: str, method: str, seed: int, detail: DetailName, cuts: int, clip: Path | None, out: Path
 ) -> dict[str, Any]:
-    """Figures of a method on a scene as JSON facts; leaves out/results/<scene>/<method>-<seed>.png beside.
+    """Figures of a method on a scene as JSON facts; also writes out/results/<scene>/<method>-<seed>.png.
 
     The peak memory is the process's, so each call needs a process of its own. Raises InputError for bad input.
     """
@@ -97,13 +97,13 @@ def peak_bytes() -> int:
 
 
 def render_cuts(result: MethodResult, cuts: Sequence[Cut], truth: Truth) -> Float:
-    """(C, H, W, 3). The faces as the method shows them, white where there is none."""
+    """(C, H, W, 3). The faces as the method shows them, white outside of them."""
     pictures = [result.show(number, cut) for number, cut in enumerate(cuts)]
     return np.where(truth.inside[..., None], np.stack(pictures), np.float32(1))
 
 
 def other_solid_distance(scene_data: EvaluationScene, cuts: Sequence[Cut], truth: Truth, path: Path) -> float | None:
-    """Patch distance between the cuts of two true ones of the kind, mean over random cuts."""
+    """Patch distance between the cuts of two true solids of the kind, mean over random cuts; None without another."""
     if scene_data.another is None:
         return None
     other = load_truth(scene_data.another, [cut for cut in cuts if not cut.canonical], path.with_suffix(".safetensors"))
@@ -160,7 +160,7 @@ def sample_bilinear(picture: Float, places: NDArray[np.float64]) -> Float:
 def distances(
     pictures: Float, cuts: Sequence[Cut], truth: Truth, kept: Path, clip: Path | None, scene: str
 ) -> dict[str, Any]:
-    """Figures on features: of canonical cuts as in the paper's table 1, of random ones as in its table 2."""
+    """Figures from features: of canonical cuts as in the paper's table 1, of random ones as in its table 2."""
     facts: dict[str, Any] = {}
     sets = {
         "canonical": [number for number, cut in enumerate(cuts) if cut.canonical],

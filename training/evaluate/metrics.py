@@ -74,10 +74,11 @@ def sharpness(picture: Picture, inside: Mask) -> float:
 
 
 def frechet_distance(a: Features, b: Features) -> float:
-    """Between Gaussians of the means and covariances of two sets of features (N, D), (M, D); N, M > 1. FID's formula.
+    """Frechet distance between Gaussians with the means and covariances of two sets of features (N, D), (M, D);
+    N, M > 1.
 
-    |mu_a - mu_b|^2 + tr(A + B - 2 (A B)^1/2). With A = X^T X and B = Y^T Y the last trace is the nuclear norm of
-    X Y^T, which is small where D is large.
+    FID's formula, |mu_a - mu_b|^2 + tr(A + B - 2 (A B)^1/2). With A = X^T X and B = Y^T Y the last trace is the nuclear
+    norm of X Y^T, which is small where D is large.
     """
     x, y = ((f - f.mean(0)) / np.sqrt(len(f) - 1) for f in (a, b))
     cross = np.linalg.svd(x @ y.T, compute_uv=False).sum()

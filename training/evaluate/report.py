@@ -1,4 +1,4 @@
-"""report.html, which needs no other file, and report.json with the same figures."""
+"""Writes report.html, which needs no other file, and report.json with the same figures."""
 
 from __future__ import annotations
 
@@ -43,11 +43,12 @@ PAPER_1 = (
 PAPER_2 = (("PhysGaussian", "23.9", "0.89"), ("2D inpainting", "27.8", "0.87"), ("FruitNinja", "29.1", "0.96"))
 
 QUALITY = 86
-"""Of JPEG pictures in the page: a strip of six cuts has 60 to 120 kB."""
+"""Quality of JPEG pictures in the page: a strip of six cuts has 60 to 120 kB."""
 
 
 def write_report(grid: Sequence[Cell], failed: dict[Cell, str], out: Path) -> Path:
-    """Writes both into `out` from the results that are kept; returns the page. Raises InputError where none is."""
+    """Writes both into `out` from the stored results; returns the path of the page. Raises InputError if there are
+    none."""
     found = {cell: facts for cell in grid if (facts := cell.load_facts()) is not None}
     if not found:
         reasons = "; ".join(f"{cell.name}: {why}" for cell, why in failed.items())
@@ -85,7 +86,7 @@ def write_report(grid: Sequence[Cell], failed: dict[Cell, str], out: Path) -> Pa
 
 
 def averaged(found: dict[Cell, dict[str, Any]]) -> Facts:
-    """Means over the seeds."""
+    """Figures by method and scene, averaged over the seeds."""
     groups: dict[tuple[str, str], list[dict[str, Any]]] = {}
     for cell, facts in found.items():
         groups.setdefault((cell.method, cell.scene), []).append(facts)
@@ -102,7 +103,7 @@ def averaged(found: dict[Cell, dict[str, Any]]) -> Facts:
 
 
 def plain(of: Table) -> dict[str, Any]:
-    """As JSON."""
+    """A table as JSON."""
     return {"scenes": of.scenes, "columns": [c.key for c in of.columns], "rows": {r.method: r.values for r in of.rows}}
 
 
@@ -114,7 +115,7 @@ def render(
     failed: dict[Cell, str],
     out: Path,
 ) -> str:
-    """The page."""
+    """The page as HTML."""
     try:
         import jinja2
 
@@ -154,7 +155,7 @@ def render(
 
 
 def strip(out: Path, scene: str, name: str) -> str:
-    """A strip of cuts as a data URL, empty where it is not there."""
+    """A strip of cuts as a data URL, empty if it is not there."""
     path = out / "results" / scene / f"{name}.png"
     if not path.is_file():
         return ""
@@ -165,5 +166,5 @@ def strip(out: Path, scene: str, name: str) -> str:
 
 
 def url(data: bytes, kind: str) -> str:
-    """A picture that stands in the page itself."""
+    """A data URL that puts a picture into the page itself."""
     return f"data:image/{kind};base64,{base64.b64encode(data).decode()}"

@@ -1,9 +1,9 @@
 """Scenes with a known inside: a captured shell, pictures of a few cut faces, and the truth at every cut.
 
-First what people have: the capture of one fruit, a horizontal picture of a second and a radial one of a third, which
-somebody else took in other light (`orange_others` and so on). Then the sample solids with pictures of their own, and
-one that nature made: `thigh`, true-colour slices of a human thigh (Visible Human Male), where the file with them is at
-hand.
+The first scenes are what users have: the capture of one fruit, a horizontal picture of a second and a radial one of a
+third, which somebody else took in other light (`orange_others` and so on). Then come the sample solids with pictures of
+their own, and a natural one: `thigh`, true-colour slices of a human thigh (Visible Human Male), if the file with them
+is at hand.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ __all__ = ["OTHERS", "SCENES", "CustomRequest", "EvaluationScene", "load_scene",
 THIGH = "thigh"
 
 OTHERS = "_others"
-"""End of the name of a scene whose pictures show other individuals than its capture, each taken by somebody else."""
+"""Suffix of a scene whose pictures show other individuals than its capture, each taken by somebody else."""
 
 ROUND = ("watermelon", "orange", "apple", "pomegranate")
 SCENES = (*(name + OTHERS for name in ROUND), *SOLIDS, THIGH)

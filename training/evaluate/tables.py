@@ -13,7 +13,7 @@ from training.evaluate.methods.all_methods import METHODS
 __all__ = ["ABLATIONS", "COLUMNS", "Column", "Facts", "Row", "Table", "table"]
 
 Facts = dict[str, dict[str, dict[str, Any]]]
-"""Method, scene, figure."""
+"""Figures by method, scene and key."""
 
 
 @dataclass(frozen=True)
@@ -27,11 +27,11 @@ class Column:
     digits: int
     times: float = 1.0
     what: str = ""
-    """For the legend."""
+    """Explanation for the legend."""
 
     @property
     def arrow(self) -> str:
-        """For the head of the table."""
+        """Arrow in the head of the table that shows which direction is better."""
         return {"high": " ↑", "low": " ↓", "one": " → 1", "": ""}[self.better]
 
     def distance_from_best(self, value: float) -> float:

@@ -16,24 +16,24 @@ from training.families import Kind
 __all__ = ["CutGuess", "find_core", "guess_cut"]
 
 FILLS_BOX = 0.83
-"""Of the least box around it, what a face fills that may as well be a slice: an ellipse fills 0.785, apples and
-pumpkins cut through the core up to 0.82, loaves and pieces of cake 0.82 to 0.93."""
+"""Fraction of the smallest box around it that a face fills when it is as likely a slice as not: an ellipse fills 0.785,
+apples and pumpkins cut through the core up to 0.82, loaves and pieces of cake 0.82 to 0.93."""
 
 SECTIONS = (2, 3, 4, 5, 6, 8, 10)
-"""Sections that a horizontal cut may have: it looks like itself when it is turned by one of them."""
+"""Numbers of equal sections that a horizontal cut may have: turned by one section, it looks like itself."""
 
 OFF_CENTRE = 6
-"""Of a reduced face's SIDE pixels, how far the middle of its sections may be from that of the box around it."""
+"""Pixels, of a reduced face's SIDE, by which the middle of its sections may be off the middle of the box around it."""
 
 LESS_ALIKE_SPREAD = 0.2
-"""How many times less a face looks like itself turned than mirrored, as a logarithm, for the odds of a radial cut to
-change by e; where it is 0, either is as likely. Of 26 photographs of fruit the horizontal ones have -0.76 to -0.03, the
-radial ones 0.09 to 2.1; turned by 20 degrees -1.05 to 0.03 and 0.01 to 1.9."""
+"""Step in the logarithm of how many times less a face looks like itself turned than mirrored, by which the odds of a
+radial cut change by e; at 0 both kinds are equally likely. Of 26 photographs of fruit the horizontal ones have -0.76 to
+-0.03, the radial ones 0.09 to 2.1; turned by 20 degrees, -1.05 to 0.03 and 0.01 to 1.9."""
 
 EQUAL_ENDS, ENDS_WEIGHT = 2.2, 0.4
-"""Evidence in the rim for the ends of a core line where either is as likely, and the weight of it, low because a
+"""Evidence in the rim for the ends of a core line at which both kinds are equally likely, and its weight, low because a
 shadow or a stalk beside a horizontal cut gives as much. The 14 horizontal cuts have 0.8 to 2.4, the 12 radial ones 2 to
-12; 1.5 to 3 and 0.2 to 0.4 tell them apart as well."""
+12; values of 1.5 to 3 and 0.2 to 0.4 tell them apart as well."""
 
 
 @dataclass(frozen=True)
@@ -48,9 +48,9 @@ class CutGuess:
 def find_core(mask: NDArray[np.bool_]) -> tuple[float, float]:
     """(x, y) in pixels. Where the core of a horizontal cut is: the centroid of the face.
 
-    Within 3 % of the width of marks by eye on 13 of 14 photographs, and 4 % on the last; 1.4 % in the mean. What the
-    inside looks like itself turned about is 1.1 % away from them, within 3 % on the same 13, but it moves the other
-    pictures off their own outline by as much. Points where lines converge or rings centre were worse.
+    Within 3 % of the width of marks by eye on 13 of 14 photographs, and 4 % on the last; 1.4 % in the mean. The point
+    about which the inside looks most like itself turned is 1.1 % away from them, within 3 % on the same 13, but it
+    moves the other pictures off their own outline by as much. Points where lines converge or rings centre were worse.
     """
     rows, columns = np.nonzero(mask)
     return float(columns.mean()) + 0.5, float(rows.mean()) + 0.5
@@ -59,9 +59,9 @@ def find_core(mask: NDArray[np.bool_]) -> tuple[float, float]:
 def guess_cut(rgb: NDArray[np.float32], mask: NDArray[np.bool_]) -> CutGuess:
     """What kind of cut a face (H, W, 3), (H, W) seems to be, from its outline and its symmetry.
 
-    A slice fills the least box around it more than an ellipse does. A horizontal cut, its oval made a circle, looks as
-    much like itself turned by one of its sections as mirrored about the likeliest core line; a radial one has the two
-    ends of that line in its rim. How the face lies in the picture does not count.
+    A slice fills the smallest box around it more than an ellipse does. A horizontal cut, its oval made a circle, looks
+    as much like itself turned by one of its sections as mirrored about the likeliest core line; a radial one shows the
+    two ends of that line in its rim. The face's orientation in the picture does not count.
     """
     line = find_core_line(rgb, mask)
     upright, upright_mask = (ndimage.rotate(a, lean_of(line.ends), order=1, mode="nearest") for a in (rgb, mask * 1.0))
@@ -86,7 +86,7 @@ def guess_cut(rgb: NDArray[np.float32], mask: NDArray[np.bool_]) -> CutGuess:
 
 def _least_difference(a: NDArray[np.float32], b: NDArray[np.float32], reach: tuple[int, int]) -> float:
     """The least sum of squared differences between a (S, S, C) and b (S, S, C) moved by up to `reach` (rows, columns)
-    pixels, over the squares of both; what leaves on one side comes in on the other, where nothing is. Range [0, 2]."""
+    pixels, over the squares of both. The move wraps around, but the margins are empty. Range [0, 2]."""
     spectrum = (np.fft.rfft2(a, axes=(0, 1)) * np.conj(np.fft.rfft2(b, axes=(0, 1)))).sum(-1)
     alike = np.roll(np.fft.irfft2(spectrum, a.shape[:2]), reach, (0, 1))[: 2 * reach[0] + 1, : 2 * reach[1] + 1]
     squares = float(np.square(a).sum() + np.square(b).sum())

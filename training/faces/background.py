@@ -11,43 +11,43 @@ from scipy import ndimage
 __all__ = ["Background", "find_background", "find_main_surface", "find_pattern", "is_patterned"]
 
 MIN_CORNERS = 2
-"""Corners of the picture that each surface covers at least: a table and the wall behind it have two each. A face
+"""Least number of the picture's corners that each surface covers: a table and the wall behind it have two each. A face
 cropped by the border covers none, or the one it lies in."""
 
 BAND = 0.03
-"""Of the picture's shorter side, the width of the border from which the background is learnt."""
+"""Width of the border from which the background is learnt, as a fraction of the picture's shorter side."""
 
 MIN_SHARE = 0.1
-"""Of the border, the least that a second surface covers. What is less cannot own two corners and the side between."""
+"""Least fraction of the border that a second surface covers: with less it cannot own two corners and their side."""
 
 NOISE = 0.012, 0.04
-"""Least and greatest spread of a surface's colours that is believed. Three steps of 8 bits are what JPEG leaves on
-white; beyond a spread of a tenth of the range (wood, cloth) three of them would reach into any face."""
+"""Least and greatest spread of a surface's colours that is believed. JPEG leaves three 8-bit steps on white; beyond a
+spread of a tenth of the range (wood, cloth), three spreads would reach into any face."""
 
 BIN = 0.06
-"""Width of the bins of colour in which the most frequent is searched: about as wide as the noise of a plain wall."""
+"""Width of the bins in which the most frequent colour is searched: about as wide as the noise of a plain wall."""
 
 TOLERANCE = 3.0
-"""Spreads by which a pixel of the background may differ in colour: 99.7 % of a normal distribution."""
+"""Spreads by which a background pixel may differ in colour: 99.7 % of a normal distribution."""
 
 LIT = 2 * TOLERANCE
-"""The same for light and colour together: light is less even than colour."""
+"""TOLERANCE for light and colour together: light is less even than colour."""
 
 COLOURS = 8
-"""Of a pattern, how many are searched: a chequered cloth has three, and what the lens mixes of them."""
+"""Number of colours searched in a pattern: a chequered cloth has three, and what the lens mixes of them."""
 
 ALL_AROUND, STRIP = 0.01, 0.12
-"""Of a strip along each side of the picture, the least that shows a colour for it to be the pattern's, which goes on
-behind the face, where what crosses the border crosses one or two sides of it; and how wide the strip is, of the
-shorter side. In a narrower one the side may run along a single row of squares."""
+"""Least fraction of a strip along every side of the picture that shows a colour for it to be the pattern's, and the
+width of the strips as a fraction of the shorter side. A pattern goes on behind the face, whereas other things cross one
+or two sides of the border. A narrower strip may run along a single row of squares."""
 
 PLAIN = 0.75
-"""Of the border, the least that surfaces explain where there is no pattern: they do 0.82 and more of 29 photographs and
-of wood, marble, linen, plates and slate, 0.64 of speckled granite and a half of a chequered cloth."""
+"""Least fraction of the border that surfaces explain where there is no pattern: 0.82 and more of 29 photographs and of
+wood, marble, linen, plates and slate, but 0.64 of speckled granite and a half of a chequered cloth."""
 
 DEEPEST = 0.2
-"""Of its light, the least that a shadow leaves a surface. Contact shadows under real fruit leave 0.25 and more; what
-is darker has no colour left to tell it by."""
+"""Least fraction of its light that a shadow leaves a surface. Contact shadows under real fruit leave 0.25 and more;
+anything darker has no colour left to tell it by."""
 
 DARK = 0.2
 """Brightest channel of a surface so dark that a shadow on it is black."""
@@ -60,7 +60,7 @@ class Background:
     lit: NDArray[np.bool_]
     """(H, W). Pixels that have a surface's colour in full light."""
     shaded: NDArray[np.bool_]
-    """(H, W). Those and the ones that have that colour dimmed by a shadow."""
+    """(H, W). The lit pixels and those that have a surface's colour dimmed by a shadow."""
     corners: NDArray[np.bool_]
     """(4,). Corners of the picture that show a surface; clockwise from the top left."""
 
@@ -90,7 +90,7 @@ def find_background(rgb: NDArray[np.float32]) -> Background | None:
 
 
 def is_patterned(rgb: NDArray[np.float32]) -> bool:
-    """Whether surfaces leave too much of the border of a picture (H, W, 3) unexplained to be all that is behind."""
+    """Whether surfaces leave too much of the border of a picture (H, W, 3) unexplained to be the whole background."""
     plain = find_background(rgb)
     return plain is None or float(plain.shaded[_border(*rgb.shape[:2])[1]].mean()) < PLAIN
 
@@ -99,7 +99,7 @@ def find_pattern(rgb: NDArray[np.float32]) -> Background | None:
     """The background of a picture (H, W, 3), range [0, 1], as the colours, in any light, that all four sides of its
     border show: a chequered cloth, tiles, a printed board. None if something else covers a corner.
 
-    It says less than surfaces do, as a face may well have one of those colours: whoever uses it looks at what it finds.
+    This is weaker evidence than surfaces, as a face may well have one of those colours: the caller checks the result.
     """
     height, width = rgb.shape[:2]
     band, border = _border(height, width)
@@ -128,7 +128,7 @@ def find_pattern(rgb: NDArray[np.float32]) -> Background | None:
 
 
 def find_main_surface(rgb: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """(H, W). The pixels of the surface of which the border of a picture (H, W, 3) shows most, in any light. It need
+    """(H, W). The pixels, in any light, of the surface that covers most of the border of a picture (H, W, 3). It need
     not be a background."""
     surface, spread = _fit_surface(rgb, _border(*rgb.shape[:2])[1])
     return _is_dimmed(ndimage.gaussian_filter(rgb, (1, 1, 0)), surface, spread)
@@ -144,7 +144,7 @@ def _border(height: int, width: int) -> tuple[int, NDArray[np.bool_]]:
 
 def _is_dimmed(smooth: NDArray[np.float32], surface: NDArray[np.float64], spread: float) -> NDArray[np.bool_]:
     """(H, W). Pixels of a picture (H, W, 3) that have a surface's colour (H, W, 3) or a part of its light."""
-    # The light that is left, by least squares; the small number stands in where black leaves nothing to divide by.
+    # The light that is left, by least squares; the small number avoids division by zero on black.
     shade = np.clip((smooth * surface).sum(-1) / ((surface * surface).sum(-1) + 1e-3), 0, 1)
     differs = np.linalg.norm(smooth - shade[..., None] * surface, axis=-1)
     return (differs < TOLERANCE * spread) & ((shade > DEEPEST) | (surface.max(-1) < DARK))

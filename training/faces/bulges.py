@@ -1,8 +1,8 @@
-"""What hangs on one side of a found face: its shadow, its mirror image in the table, the side of the fruit below it.
+"""Cuts off what hangs on one side of a found face: its shadow, its mirror image in the table, the side of the fruit.
 
-Light colours a shadow, and a white table that is brighter than the camera can tell has no colour to compare it with;
-GrabCut then takes it for a part of the face. Two things give it away: it bulges out of an oval that the rest of the
-outline follows, and it fades, where the face under it ends in an edge.
+Light may tint a shadow, and a white table too bright for the camera has no colour to compare it with; GrabCut then
+takes the shadow for a part of the face. Two things give it away: it bulges out of an oval that the rest of the outline
+follows, and it fades out, whereas the face under it ends in an edge.
 """
 
 from __future__ import annotations
@@ -17,28 +17,27 @@ from training.faces.edges import EDGE_GAIN, MIXED, cheapest_path, edge_cost, edg
 __all__ = ["without_bulges"]
 
 BAND = 0.07, 0.015
-"""Of a face's diameter, how far inside and outside of the oval its outline is looked for: deeper than shadows hang. In
-the 29 photographs and 20 changed ones 0.05 inside and 0.025 outside cut off the same."""
+"""How far inside and outside of the oval the outline is searched, as fractions of the face's diameter: deeper than
+shadows hang. In the 29 photographs and 20 changed ones 0.05 inside and 0.025 outside cut off the same."""
 
 ONE_SIDE = 0.5
-"""Of the way around, how much what hangs on a face covers at most: 0.1 to 0.4 in changed photographs. A rind that is
+"""Largest fraction of the way around a face that a bulge covers: 0.1 to 0.4 in changed photographs. A rind that is
 hardly darker or paler than the table is all around."""
 
 OUTLYING = 4.0
 """Spreads outside of the oval from which a place does not count in fitting it; twice as many inside of it, where a face
-may have a dent, but nothing hangs."""
+may have a dent, but no bulge."""
 
 LEAST_SPREAD = 0.003
-"""Of the radius: half a pixel of a small face."""
+"""Least spread as a fraction of the radius: half a pixel of a small face."""
 
 FITS = 30
 """Rounds of fitting, each with weights from the one before."""
 
 
 def without_bulges(rgb: NDArray[np.float32], mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """(H, W). The face (H, W) in a picture (H, W, 3), range [0, 1], without what bulges out of it where the edge under
-    the bulge is EDGE_GAIN times as strong, on average, as that around it: stalks, crowns and corners have strong edges
-    around them."""
+    """(H, W). The face (H, W) in a picture (H, W, 3), range [0, 1], without the bulges under which the edge is, on
+    average, EDGE_GAIN times as strong as around them: stalks, crowns and corners have strong edges around them."""
     if not mask.any():
         return mask
     cost = edge_cost(edge_strength(rgb))
@@ -61,8 +60,9 @@ def without_bulges(rgb: NDArray[np.float32], mask: NDArray[np.bool_]) -> NDArray
 
 
 def _within_outline(cost: NDArray[np.float64], mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """(H, W). What the cheapest closed path around a face (H, W) near its oval encloses, by dynamic programming over
-    its directions (Amini et al. 1990); all where that is inside of the face's outline on more than ONE_SIDE."""
+    """(H, W). The pixels within the cheapest closed path around a face (H, W) near its oval, by dynamic programming
+    over its directions (Amini et al. 1990); all pixels if the path is inside the face's outline on more than
+    ONE_SIDE."""
     diameter = float(np.sqrt(4 / np.pi * mask.sum()))
     middle = np.array([places.mean() for places in np.nonzero(mask)])
     turns = np.linspace(0, 2 * np.pi, max(int(np.pi * diameter), 8), endpoint=False)  # a pixel apart
@@ -72,7 +72,7 @@ def _within_outline(cost: NDArray[np.float64], mask: NDArray[np.bool_]) -> NDArr
     steps = np.arange(-np.ceil(BAND[0] * diameter), np.ceil(BAND[1] * diameter) + 1)
     radii = oval + steps[:, None]
     costs = ndimage.map_coordinates(cost, middle[:, None, None] + rays[:, None] * radii, order=1, mode="nearest")
-    # Twice around, of which the middle is taken: it is not known where to begin.
+    # Twice around, keeping the middle: it is not known where to begin.
     count = len(turns)
     path = np.roll(cheapest_path(np.tile(costs, 2))[count // 2 : count // 2 + count], count // 2)
     radius = oval + steps[path]
@@ -94,7 +94,7 @@ def _reach(mask: NDArray[np.bool_], middle: NDArray[np.float64], rays: NDArray[n
 
 
 def _oval(turns: NDArray[np.float64], reach: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(N,). The radius of an oval that most of an outline follows; what stands out of it counts less and less."""
+    """(N,). The radius of an oval that most of an outline follows; the more a place stands out, the less it counts."""
     basis = np.stack([np.ones_like(turns), *(f(k * turns) for k in (1, 2) for f in (np.cos, np.sin))], -1)
     wanted, weights = np.log(reach), np.ones_like(reach)
     for _ in range(FITS):

@@ -1,9 +1,9 @@
 """A face that lies on something: a plate, a board, a saucer on a table.
 
-What stands out from a picture's border is then the plate with the face on it. Whether it is, its edge says: a face ends
+What stands out from a picture's border is then the plate with the face on it. Its edge tells which it is: a face ends
 in a skin, rind or crust, a third colour between its flesh and what is behind it; a plate ends in its own colour, and
 its edge is a mixture of plate and table. What lies on a plate gives itself away too: it has a skin of its own, and dims
-the plate beside it, where the parts of a fruit change its colour.
+the plate beside it without changing its colour, whereas the parts of a fruit differ in colour.
 """
 
 from __future__ import annotations
@@ -24,51 +24,51 @@ from training.faces.shadow import SECTORS, SHADE, light_around, sectors_of
 __all__ = ["SeenFace", "find_seen_face", "skin_share"]
 
 LEVELS = 3
-"""Carriers on each other that are looked through: a slice on a plate on a board on a table."""
+"""Number of stacked carriers that are looked through: a slice on a plate on a board on a table."""
 
 BARE, HALF, SKINNED = 0.25, 0.5, 0.75
-"""Of an outline, how much of it may have a third colour and be a carrier's, under how much the user is told, and how
-much makes a skin. The side of a board or the rim of a dish shows on one side of it, a skin all around: of 26
-photographs on 0.81 and more, but for one whose mask leaves the skin out."""
+"""Fractions of an outline that have a third colour: below the first it may be a carrier's, below the second the user is
+told, and from the last it is a skin. The side of a board or the rim of a dish shows on one side of it, a skin all
+around: on 0.81 and more in 26 photographs, but for one whose mask leaves the skin out."""
 
 THIRD_COLOUR = 0.05
-"""RGB distance from all mixtures of two colours that makes a third. Of plates and boards the distance is 0.01 by noise
-of 3 8-bit steps and JPEG's; of the skins of 29 photographs 0.13 and more."""
+"""RGB distance from all mixtures of two colours that makes a third. For plates and boards the distance is 0.01, by
+noise of 3 8-bit steps and JPEG's; for the skins of 29 photographs it is 0.13 and more."""
 
 SKIN, FLESH = 0.05, (0.06, 0.12)
-"""Of a face's diameter, how deep a skin is looked for, and the depths from which the flesh under it is learnt. Most
-rinds are thicker: then the lens and the outermost peel are the third colour."""
+"""How deep a skin is looked for, and the depths from which the flesh under it is learnt, as fractions of the face's
+diameter. Most rinds are thicker: then the lens and the outermost peel are the third colour."""
 
 BEHIND = 4.0, 0.06
-"""Pixels and, of a face's diameter, the distance between which what is behind it is learnt."""
+"""Distances between which what is behind a face is learnt: in pixels, and as a fraction of the face's diameter."""
 
 RIM = 0.025
-"""Of a carrier's diameter, its edge, which is neither plate nor table."""
+"""Width of a carrier's edge, which is neither plate nor table, as a fraction of its diameter."""
 
 COMPARED = 192
-"""Pixels along a carrier's longer side in which it is searched: a shadow and a skin of one hundredth are seen."""
+"""Pixels along a carrier's longer side at which it is searched: a shadow and a skin of one hundredth are seen."""
 
 TINT = 0.03
 """RGB distance by which a carrier may change colour in the shadow of what lies on it: plates change by 0.01, the rinds
 of fruit by 0.1."""
 
 NEAR = 0.1
-"""Of a face's diameter, how far from it its shadow is looked for."""
+"""How far from a face its shadow is looked for, as a fraction of its diameter."""
 
 HANGING = 0.03
-"""Of a face's diameter, the radius of the disc that everything fits which is the face's before a pattern: of squares
-that hang on it half or more is cut off, of a stalk all."""
+"""Radius of the disc that must fit into every part of a face in front of a pattern, as a fraction of the face's
+diameter: it cuts off half or more of the squares that hang on the face, and all of a stalk."""
 
 ONE_SIDED, LAID = 0.65, 0.1
-"""How one-sided the shadow is, and of a carrier the least that is covered, by something without a visible skin that is
-taken for the face. Under light from a side they are 0.76 to 0.92, and a quarter or more, as people fill a plate. The
-dark surroundings of a core have 0 to 0.5, and pips and holes cover a hundredth."""
+"""How one-sided the shadow of something without a visible skin must be, and the least fraction of the carrier that it
+must cover, to be taken for the face. Under light from a side they are 0.76 to 0.92, and a quarter or more, because
+people fill their plates. The dark surroundings of a core have 0 to 0.5, and pips and holes cover a hundredth."""
 
 ARM = 1.15
-"""How many times as thick as at the border an arm is anywhere."""
+"""Greatest thickness of an arm anywhere, over its width at the border."""
 
 SHADOWED = 15
-"""Per cent of the way around a face of which the shadow is believed: it falls to one side."""
+"""Percentage of the way around a face that must be in shadow for it to be believed: a shadow falls to one side."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ class SeenFace:
     mask: NDArray[np.bool_]
     """(H, W). Its pixels."""
     note: str = ""
-    """What the user should look at, in a line; empty if nothing else explains the picture."""
+    """What the user should check, in a line; empty if nothing else explains the picture."""
 
 
 @dataclass(frozen=True)
@@ -88,17 +88,17 @@ class _Within:
     region: NDArray[np.bool_]
     """(H, W). The region without its edge."""
     skinned: float
-    """Of the outline of what stands out, the part that has a skin. Range [0, 1]."""
+    """Fraction of its outline that has a skin. Range [0, 1]."""
     shadow: float
-    """How one-sided the shadow is that it throws, 0 if it throws none: of the variance of the light around it, the part
-    that has one maximum and one minimum. Range [0, 1]."""
+    """How one-sided its shadow is, 0 if it throws none: the fraction of the variance of the light around it that has
+    one maximum and one minimum. Range [0, 1]."""
     share: float
-    """Of the region, the part that it covers. Range (0, 1]."""
+    """Fraction of the region that it covers. Range (0, 1]."""
 
 
 def find_seen_face(rgb: NDArray[np.float32], name: object) -> SeenFace:
-    """The cut face in a picture (H, W, 3), range [0, 1], and whether it may be something else: as `find_mask`, but for
-    what it lies on. Raises InputError as that does."""
+    """The cut face in a picture (H, W, 3), range [0, 1], and whether it may be something else: as `find_mask`, but
+    without what the face lies on. Raises InputError as `find_mask` does."""
     patterned = is_patterned(rgb)
     refusal = None
     try:
@@ -149,8 +149,8 @@ _MAY_BE = f"what was found may be a plate or board with the cut face on it; {_LO
 
 
 def skin_share(rgb: NDArray[np.float32], mask: NDArray[np.bool_]) -> float:
-    """Of the outline of a thing (H, W) in a picture (H, W, 3), the part that has a third colour between the thing and
-    what is behind it. Range [0, 1]."""
+    """The fraction of the outline of a thing (H, W) in a picture (H, W, 3) that has a third colour between the thing
+    and what is behind it. Range [0, 1]."""
     depth, away = ndimage.distance_transform_edt(mask), ndimage.distance_transform_edt(~mask)
     across = np.sqrt(4 / np.pi * mask.sum())
     flesh = (depth > FLESH[0] * across) & (depth < FLESH[1] * across)
@@ -168,14 +168,15 @@ def skin_share(rgb: NDArray[np.float32], mask: NDArray[np.bool_]) -> float:
     total, count = np.zeros(shape), np.zeros(shape)
     np.add.at(total, (sector, layer), third)
     np.add.at(count, (sector, layer), 1)
-    # A skin lies at one depth; of one or two pixels there is no mean.
+    # A skin lies at one depth; one or two pixels are too few for a mean.
     most = np.where(count > 2, total / np.maximum(count, 1), 0).max(1)
     return float((most > THIRD_COLOUR).mean())
 
 
 def _on_what_crosses_the_border(rgb: NDArray[np.float32]) -> NDArray[np.bool_] | None:
-    """(H, W). The face on a ground that has no corner of the picture, or that is itself seen in part; None if nothing
-    on it both has a skin and throws a shadow: it would be the seeds of a face that the border cuts off."""
+    """(H, W). The face on a ground that covers no corner of the picture, or that is itself only partly seen; None if
+    nothing on it both has a skin and throws a shadow: what is found may be the seeds of a face that the border cuts
+    off."""
     regions = [find_main_surface(rgb)]
     background = find_background(rgb)
     if background is not None:
@@ -188,10 +189,10 @@ def _on_what_crosses_the_border(rgb: NDArray[np.float32]) -> NDArray[np.bool_] |
 
 
 def _before_pattern(rgb: NDArray[np.float32]) -> NDArray[np.bool_] | None:
-    """(H, W). The face before a cloth or board of several colours; None if there is none that stands out.
+    """(H, W). The face in front of a cloth or board of several colours; None if none stands out.
 
-    Squares of the cloth have edges as strong as the face's, and those in its shadow colours of their own: what the
-    pattern explains, or hangs on the face by a corner, is no part of it.
+    Squares of the cloth have edges as strong as the face's, and those in its shadow have colours of their own: what the
+    pattern explains, and what hangs on the face by a corner, is no part of it.
     """
     pattern = find_pattern(rgb)
     if pattern is None:
@@ -210,7 +211,7 @@ def _before_pattern(rgb: NDArray[np.float32]) -> NDArray[np.bool_] | None:
 def _without_arm(mask: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], str]:
     """The mask (H, W) without a finger, a fork or a stalk by which it reaches the border, and a note if there was one.
 
-    Where a face lies on the border itself, nothing of it is longer than half as long as it is wide there.
+    Where a face itself lies on the border, no part of it there is longer than half its width.
     """
     border = np.ones(mask.shape, bool)
     border[NEAR_BORDER:-NEAR_BORDER, NEAR_BORDER:-NEAR_BORDER] = False
@@ -238,7 +239,7 @@ def _look_within(rgb: NDArray[np.float32], mask: NDArray[np.bool_]) -> _Within |
     if not region.any():
         return None
     rows, columns = np.nonzero(region)
-    # With room, as any picture has, to learn the ground from.
+    # With a margin, as any picture has, to learn the ground from.
     box = tuple(slice(max(a.min() - across // 8, 0), a.max() + 1 + across // 8) for a in (rows, columns))
     own, picture = region[box], _alone(rgb, region)[box]
     scale = min(1.0, COMPARED / max(own.shape))
@@ -255,7 +256,7 @@ def _look_within(rgb: NDArray[np.float32], mask: NDArray[np.bool_]) -> _Within |
 
 
 def _is_laid_on(within: _Within) -> bool:
-    """Whether what stands out within a thing lies on it, by its shadow alone: a shadow falls to one side."""
+    """Whether what stands out within a thing lies on it, judged by its shadow alone: a shadow falls to one side."""
     return within.shadow > ONE_SIDED and within.share > LAID
 
 
@@ -269,8 +270,8 @@ def _search(rgb: NDArray[np.float32], region: NDArray[np.bool_]) -> NDArray[np.b
 
 
 def _shadow(rgb: NDArray[np.float32], found: NDArray[np.bool_], ground: NDArray[np.bool_]) -> float:
-    """How one-sided the shadow is that what is found (H, W) throws on the ground (H, W), which is dimmed there and
-    keeps its colour; 0 if it throws none. Range [0, 1]."""
+    """How one-sided the shadow of a found thing (H, W) is on the ground (H, W), which it dims without changing its
+    colour; 0 if there is none. Range [0, 1]."""
     around = light_around(rgb, found, ground, NEAR)
     if around is None or np.percentile(around.lights, SHADOWED) >= SHADE or np.median(around.tints) >= TINT:
         return 0.0
@@ -282,12 +283,12 @@ def _shadow(rgb: NDArray[np.float32], found: NDArray[np.bool_], ground: NDArray[
 def _from_mixtures(
     colours: NDArray[np.float32], first: NDArray[np.float32], second: NDArray[np.float32]
 ) -> NDArray[np.float64]:
-    """(N,). RGB distance of colours (N, 3) from the nearest sum of any amounts of two others (N, 3): of what a lens
-    mixes from two surfaces in any light."""
+    """(N,). RGB distance of colours (N, 3) from the nearest sum of any amounts of two others (N, 3), which is what a
+    lens mixes from two surfaces in any light."""
     a, b, p = (c.astype(np.float64) for c in (first, second, colours))
     aa, bb, ab, pa, pb = ((u * v).sum(-1) for u, v in ((a, a), (b, b), (a, b), (p, a), (p, b)))
     size = aa * bb - ab * ab
-    plane = size > 1e-4 * aa * bb + 1e-9  # two colours of one hue span none
+    plane = size > 1e-4 * aa * bb + 1e-9  # two colours of one hue span no plane
     of_a, of_b = (pa * bb - pb * ab) / np.where(plane, size, 1), (pb * aa - pa * ab) / np.where(plane, size, 1)
     alone = [
         np.linalg.norm(p - (np.maximum(pc, 0) / np.maximum(cc, 1e-9))[:, None] * c, axis=-1)

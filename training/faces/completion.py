@@ -1,5 +1,5 @@
-"""A round face that the picture's border cuts off, completed: its outline by an ellipse, its inside by
-itself, turned around its middle."""
+"""Completes a round face that the picture's border cuts off: its outline by an ellipse, its inside by the face itself,
+turned around its middle."""
 
 from __future__ import annotations
 
@@ -16,38 +16,40 @@ from training.faces.edges import cheapest_path
 __all__ = ["MIN_SEEN", "NEAR_BORDER", "Oval", "complete_face", "find_oval"]
 
 MIN_SEEN = 0.75
-"""Of a face, the least that the picture shows for the rest to be completed: three quarters of a disc end where it is
-nine tenths as wide as it is at most. Where it does not narrow, nothing says where it ends."""
+"""Least fraction of a face that the picture shows for the rest to be completed: three quarters of a disc end where it
+is nine tenths of its greatest width. Where a face does not narrow, nothing tells where it ends."""
 
 MAX_CHORD = 0.25
-"""Of a face's width, how much of one side of the picture it may lie on and lack nothing that anybody sees: 1.6 % of the
-width of a round face."""
+"""Length of one side of the picture that a face may lie on, as a fraction of its width, without visibly lacking
+anything: 1.6 % of the width of a round face."""
 
 FIT = 0.03
-"""Of the mean radius, the root mean square by which the hull of an outline may differ from its ellipse. Whole apples,
-oranges and melons of 20 photographs differ by 0.4 to 3.2 %, pomegranates by 1.4 to 7.6, slices by 6 and more."""
+"""Greatest root mean square difference of an outline's hull from its ellipse, as a fraction of the mean radius. Whole
+apples, oranges and melons of 20 photographs differ by 0.4 to 3.2 %, pomegranates by 1.4 to 7.6, slices by 6 and
+more."""
 
 NEAR_BORDER = 4
-"""Pixels from the border from which on an outline is the picture's, not the face's: the search leaves the outermost two
+"""Pixels from the border within which an outline is the picture's, not the face's: the search leaves the outermost two
 pixels to the background, and rounds corners."""
 
 STRIP = 0.1
-"""Of a face's radius, how far before the border it may begin to be continued: as wide as what is compared."""
+"""How far before the border a face may begin to be continued, as a fraction of its radius: the width that is
+compared."""
 
 COMPARED = 64
-"""Pixels of a face's radius at which it is compared with itself."""
+"""Pixels to a face's radius when it is compared with itself."""
 
 POLAR = np.pi / 4
-"""Of a face with poles, by how much the turn may differ from half a turn, after which poles are poles and flanks are
-flanks again: its axis may lean by half of that."""
+"""How much the turn of a face with poles may differ from half a turn, which maps poles to poles and flanks to flanks:
+its axis may lean by half of that."""
 
 LIGHT = 0.25
-"""Of a face's radius, the standard deviation over which the difference along the border is taken for light: an eighth
-to a half did equally well with 26 photographs cut off at two sides on purpose."""
+"""Standard deviation, as a fraction of a face's radius, over which the difference along the border is taken for light:
+an eighth to a half did equally well with 26 photographs cut off at two sides on purpose."""
 
 EATEN = 0.06
-"""Of a face's width, how deep beside the border the search may take the face for background, whose colours it learns
-from the border."""
+"""How deep beside the border, as a fraction of the face's width, the search may take the face for background, whose
+colours it learns from the border."""
 
 
 @dataclass(frozen=True)
@@ -64,12 +66,12 @@ class Oval:
         return np.square(self.to_disc(places)).sum(-1) <= 1
 
     def to_disc(self, places: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Places (..., 2) in pixels on the unit disc that the face is of, seen straight on; (..., 2)."""
+        """(..., 2). Places (..., 2) in pixels, mapped to the unit disc that the face is when seen straight on."""
         return (places - self.centre) @ (self.axes / np.square(self.axes).sum(1, keepdims=True)).T
 
 
 def find_oval(mask: NDArray[np.bool_], sides: int) -> Oval | None:
-    """The ellipse of a face (H, W) that one to so many sides of the picture cut off; None if none does, if more do, if
+    """The ellipse of a face (H, W) that one to `sides` sides of the picture cut off; None if none does, if more do, if
     the face is not round, or if less than MIN_SEEN of it is seen."""
     rows, columns = np.nonzero(mask)
     if len(rows) == 0:
@@ -102,10 +104,10 @@ def find_oval(mask: NDArray[np.bool_], sides: int) -> Oval | None:
 def complete_face(
     rgb: NDArray[np.float32], mask: NDArray[np.bool_], has_poles: bool
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_], tuple[int, int]]:
-    """The picture (H, W, 3) and its face (H, W) with room for what the border cuts off of the face, which shows
-    the face itself, turned around its middle (`_continue`); and the columns and rows that were added before the first.
-    Unchanged, with (0, 0), where `find_oval` finds nothing, or several sides cut off so much that no turn fills it.
-    `has_poles`: whether it is cut along its axis, and so is not like itself after any turn."""
+    """The picture (H, W, 3) and its face (H, W), extended by what the border cuts off of the face, which is filled with
+    the face itself, turned around its middle (`_continue`); and the columns and rows added before the first. Unchanged,
+    with (0, 0), if `find_oval` finds nothing, or several sides cut off so much that no turn fills it. `has_poles`:
+    whether the face is cut along its axis, so that it is not like itself after every turn."""
     found = find_oval(mask, 4)
     if found is None:
         return rgb, mask, (0, 0)
@@ -139,30 +141,31 @@ def _continue(
     number: int,
     has_poles: bool,
 ) -> bool:
-    """Paints what of an oval lies beyond one side of what was seen into a picture (H, W, 3), and says whether it can.
+    """Paints the part of an oval beyond one side of the original picture into a larger one (H, W, 3); returns whether
+    it can.
 
-    Seen straight on the oval is a disc. That disc, turned or mirrored as it agrees best with itself in a strip before
-    the side, goes on beyond it: so rind goes on as rind, and rays as straight rays. Where in the strip it begins is
-    where the two differ least (Efros and Freeman 2001), in the light that is there.
+    Seen straight on, the oval is a disc. A copy of the disc, turned or mirrored so that it agrees best with the disc in
+    a strip before the side, continues it beyond: rind goes on as rind, and rays as straight rays. Within the strip the
+    copy begins where the two differ least (Efros and Freeman 2001), and takes on the light that is there.
 
     Args:
-        known: (H, W, 3). What was seen, with the nearest of its colours everywhere else.
+        known: (H, W, 3). The original picture, with the nearest of its colours everywhere else.
         whole: (H, W). The face.
-        sides: Seen were the places p with `normal` . p <= `where` for each.
-        number: Which of them.
+        sides: A `normal` and a `where` each; the original picture shows the places p with `normal` . p <= `where`.
+        number: Index of the side beyond which to paint.
         has_poles: As for `complete_face`.
     """
     normal, where = sides[number]
     outward = oval.axes @ normal
     pixels = float(np.linalg.norm(outward))
-    line = float(where - normal @ oval.centre) / pixels  # its distance from the middle of the disc
+    line = float(where - normal @ oval.centre) / pixels  # the side's distance from the middle of the disc
     outward /= pixels
     towards = np.stack([outward, [-outward[1], outward[0]]])
     first = line - STRIP
     half = np.sqrt(1 - first**2)  # of the chord where the strip begins
 
     def grid(last: float, per_radius: float) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Distances (A,) towards the side up to the last and (B,) along it, so many to a radius, and (A, B, 2) both."""
+        """Distances (A,) towards the side up to `last` and (B,) along it, `per_radius` to a radius; both, (A, B, 2)."""
         counts = [max(round(length * per_radius), 2) for length in (last - first, 2 * half)]
         away, along = np.linspace(first, last, counts[0]), np.linspace(-half, half, counts[1])
         return away, along, np.stack(np.meshgrid(away, along, indexing="ij"), -1)
@@ -171,7 +174,7 @@ def _continue(
         return np.asarray(np.square(places).sum(-1) <= 1)
 
     def moved(places: NDArray[np.float64], motion: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Pixels (..., 2) of places (..., 2) of the moved disc."""
+        """Pixels (..., 2) of places (..., 2) on the moved disc."""
         return oval.centre + places @ (motion @ towards @ oval.axes)
 
     def look(picture: Sequence[NDArray[np.float32]], places: NDArray[np.float64]) -> NDArray[np.float32]:

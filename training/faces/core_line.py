@@ -1,10 +1,10 @@
 """The core line of a radial cut: where the axis of the thing lies in its face.
 
-Two kinds of evidence, each of which fails on its own. The face looks like its mirror image about the line, but fruit
-grow lopsided. And where the axis leaves the face, the rim is unlike the rim elsewhere: there is a stalk, a crown, a
-dent, a thicker rind, the end of a membrane; the foot of a stalk or crown is told by the outline alone. Both are added
-as logarithms of odds to what is expected of any picture; the line is the mean over all lines, weighted by their odds,
-so that it is the upright middle where nothing tells more.
+There are two kinds of evidence, each of which fails on its own. The face looks like its mirror image about the line,
+but fruit grow lopsided. And where the axis leaves the face, the rim is unlike the rim elsewhere: there is a stalk, a
+crown, a dent, a thicker rind, the end of a membrane; the outline alone shows the foot of a stalk or crown. Both are
+added as log odds to what is expected of any picture; the result is the mean over all lines, weighted by their odds, so
+that it is the upright middle if nothing tells more.
 """
 
 from __future__ import annotations
@@ -20,53 +20,55 @@ from training.faces.reduced import SIDE, contrast_layers, reduce_face
 __all__ = ["CoreLine", "find_core_line", "lean_of", "line_ends"]
 
 MAX_LEAN, MAX_SHIFT = 30, 0.1
-"""Degrees from upright, and of the face's width from the middle, within which core lines are searched: people hold
-what they photograph upright."""
+"""Largest lean and shift of the core lines that are searched: in degrees from upright, and from the middle as a
+fraction of the face's width. People hold what they photograph upright."""
 
 LEAN, SHIFT = 12.0, 0.04
-"""The same for one standard deviation of photographs. 11 of 12 marked by eye lean less than 4.5 degrees, one 10; eight
+"""Standard deviations of both in photographs. 11 of 12 lines marked by eye lean less than 4.5 degrees, one 10; eight
 are within 2 % of the middle, the others within 7 %."""
 
 SYMMETRY = 4.0
-"""Power to which the odds of a line rise with the likeness of a face and its mirror image. Were all of its 9216 pixels
-independent, it would be half their number; but what differs in fruit is large and few."""
+"""Power of the likeness of a face and its mirror image in the odds of a line. If all 9216 pixels were independent, it
+would be half their number; but the differences in fruit are large and few."""
 
 ENDS = 5.0
-"""Power to which they rise with how much more the rim shows than elsewhere. By the rim and without outgrowths SYMMETRY
-2 to 5 and ENDS 3 to 6 give 8 to 10 of 12 lines within 3 % of marks by eye, about as many in altered copies, and 7 of 8
-in solids of our own; symmetry alone gives 7 of the 12. The striped rind of a melon, alike all around, leans by 4 to 5
-degrees by chance."""
+"""Power, in the same odds, of how much more the rim shows at the ends than elsewhere. By the rim and without outgrowths
+SYMMETRY 2 to 5 and ENDS 3 to 6 give 8 to 10 of 12 lines within 3 % of marks by eye, about as many in altered copies,
+and 7 of 8 in solids of our own; symmetry alone gives 7 of the 12. The striped rind of a melon, alike all around, leans
+by 4 to 5 degrees by chance."""
 
 ELSEWHERE = 90
 """Percentile of the rim's evidence beside the ends that counts as elsewhere: a striped rim changes everywhere."""
 
 LEAST = 0.3
-"""Of the rim's median change, the least that counts as evidence: no change is alike on both sides of any place in a rim
-of plain noise."""
+"""Least evidence that counts, as a fraction of the rim's median change: in a rim of plain noise no change is alike on
+both sides of any place."""
 
 STALK = 0.04
-"""Of the face's width, half that of what is stalk at the ends of a core line; a crown is wider."""
+"""Half the width of a stalk at the ends of a core line, as a fraction of the face's width; a crown is wider."""
 
 CROWN = 0.2
-"""Of the face's width, the radius below which what sticks out, or in, is no part of the body's own outline."""
+"""Radius, as a fraction of the face's width, below which what sticks out, or in, is no part of the body's own
+outline."""
 
 UNEVEN = 0.01
-"""Of the face's width, how far the outline of a body sticks out without a stalk or crown: in horizontal cuts of 13
-photographs 0.004 to 0.007, in one with skin torn at its edge 0.014. Stalks reach 0.05 to 0.1, crowns 0.15 to 0.25."""
+"""How far the outline of a body sticks out without a stalk or crown, as a fraction of the face's width: in horizontal
+cuts of 13 photographs 0.004 to 0.007, in one with skin torn at its edge 0.014. Stalks reach 0.05 to 0.1, crowns 0.15 to
+0.25."""
 
 FOOT = 0.02
-"""Of the face's width, one standard deviation of the middle of an outgrowth's foot from the axis."""
+"""Standard deviation of the middle of an outgrowth's foot from the axis, as a fraction of the face's width."""
 
 RAYS = 720
 """Directions in which the rim is sampled."""
 
 OUTSIDE, INSIDE, LAYERS = 0.04, 0.14, 36
-"""Of the face's width, how far the rim is looked at on either side of the body's outline, and in how many layers:
-stalks and crowns outside; rind, dents and the ends of a core inside."""
+"""How far outside and inside of the body's outline the rim is looked at, as fractions of the face's width, and in how
+many layers: stalks and crowns are outside; rind, dents and the ends of a core inside."""
 
 FINE, WIDE, NEAR = 1.0, 12.0, 8.0
-"""Degrees of the rim: finer and wider changes than the first two are none of an end, and how far from its middle an
-end is compared with its mirror image."""
+"""Degrees of the rim: changes finer than the first or wider than the second are not of an end; the third is how far
+from its middle an end is compared with its mirror image."""
 
 END_SECTOR = 60.0
 """Degrees from upright, seen from the middle, in which an end is searched: MAX_LEAN and MAX_SHIFT of the widest."""
@@ -82,12 +84,12 @@ class CoreLine:
     """Standard deviation of the less sure end across the line, pixels. 0.01 to 0.05 of the face's width where the
     picture tells, about 0.1 where it does not."""
     evidence: float
-    """Logarithm of how many times more than elsewhere the rim shows at the two ends, summed. 2 to 12 in radial cuts,
-    0.8 to 2.4 in others."""
+    """Logarithm of how many times more the rim shows at an end than elsewhere, summed over both ends. 2 to 12 in radial
+    cuts, 0.8 to 2.4 in others."""
 
 
 def find_core_line(rgb: NDArray[np.float32], mask: NDArray[np.bool_]) -> CoreLine:
-    """The core line of a radial cut (H, W, 3), range [0, 1], and (H, W), not empty.
+    """The core line of a radial cut: picture (H, W, 3), range [0, 1], and mask (H, W), not empty.
 
     Within 3 % of the width of marks by eye on 10 of 12 photographs, and 4.4 % at most.
     """
@@ -133,7 +135,7 @@ def lean_of(ends: NDArray[np.floating]) -> float:
 
 
 def line_ends(mask: NDArray[np.bool_], point: NDArray[np.float64], along: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(2, 2). Where a line through a point in a direction enters and leaves the face, its stalk left out."""
+    """(2, 2). Where the line through a point in the direction `along` enters and leaves the face, stalk left out."""
     radius = max(1, round(STALK * (np.ptp(np.nonzero(mask)[1]) + 1)))
     steps = np.arange(-max(mask.shape), max(mask.shape) + 1.0)
     points = point + steps[:, None] * along
@@ -157,12 +159,12 @@ def _mirror_costs(small: NDArray[np.float32], leans: NDArray, shifts: NDArray) -
 
 
 def _rim_evidence(rgb: NDArray[np.float32], mask: NDArray[np.bool_]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """(RAYS, 2) places (x, y) around the outline of the body, clockwise from the top, and (RAYS) how many times more
-    than elsewhere the rim changes there, counting what changes alike on both sides."""
+    """(RAYS, 2) places (x, y) around the outline of the body, clockwise from the top, and (RAYS,) how many times more
+    than elsewhere the rim changes there, counting only changes that are alike on both sides."""
     rows, columns = np.nonzero(mask)
     width = float(np.ptp(columns) + 1)
     body = _opened(mask, CROWN * width)
-    if not body.any():  # a slice less high than a crown
+    if not body.any():  # a slice lower than a crown
         body = mask
     middle = np.array([columns.mean(), rows.mean()]) + 0.5
     angles = np.arange(RAYS) / RAYS * 2 * np.pi
@@ -191,8 +193,8 @@ def _rim_evidence(rgb: NDArray[np.float32], mask: NDArray[np.bool_]) -> tuple[ND
 
 
 def _outgrowths(mask: NDArray[np.bool_]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """(N, 2) the middles (x, y) of the feet of stalks and crowns, and (N,) how many times further than it is uneven the
-    outline sticks out there. However bent a stalk or lopsided a crown is, it grows on the axis."""
+    """(N, 2) the middles (x, y) of the feet of stalks and crowns, and (N,) how far the outline sticks out there, as a
+    multiple of UNEVEN. However bent a stalk or lopsided a crown is, it grows on the axis."""
     width = float(np.ptp(np.nonzero(mask)[1]) + 1)
     body = _opened(mask, CROWN * width)
     feet, heights = [np.zeros((0, 2))], []
@@ -210,7 +212,7 @@ def _outgrowths(mask: NDArray[np.bool_]) -> tuple[NDArray[np.float64], NDArray[n
 
 
 def _opened(mask: NDArray[np.bool_], radius: float) -> NDArray[np.bool_]:
-    """(H, W). The part of a mask that discs of a radius in pixels cover which lie in it."""
+    """(H, W). The part of a mask that is covered by discs of this radius, in pixels, that lie within it."""
     deep = ndimage.distance_transform_edt(np.pad(mask, 1)) > radius
     if not deep.any():
         return np.zeros_like(mask)

@@ -1,8 +1,8 @@
-"""What a user says of the face in a picture: its outline, and where the axis meets it.
+"""A user's marks on the face in a picture: its outline, and where the axis meets it.
 
-Places are parts of the picture's width and height, from its top left corner, after a camera's orientation is applied:
-they stay right when the picture is reduced. They are given in a request, or the axis in a file beside the photograph,
-`apple.axis.json` for `apple.jpg`:
+Places are fractions of the picture's width and height, from its top left corner, after a camera's orientation is
+applied: they stay right when the picture is reduced. Marks come in a request; the axis may also come in a file beside
+the photograph, `apple.axis.json` for `apple.jpg`:
 
     {"core": [0.52, 0.48]}                       of a horizontal cut
     {"line": [[0.50, 0.06], [0.53, 0.97]]}       of a radial cut, from its upper to its lower end
@@ -22,10 +22,10 @@ from engine.io.strict_json import parse
 __all__ = ["MOST_POINTS", "UNMARKED", "Marks", "Place", "axis_beside", "marks_record", "read_axis_file", "read_marks"]
 
 Place = tuple[float, float]
-"""(x, y), parts of a picture's width and height. Range [0, 1]."""
+"""(x, y), fractions of a picture's width and height. Range [0, 1]."""
 
 MOST_POINTS = 2000
-"""Of an outline; one around a face has a hundred."""
+"""Largest number of points of an outline; one around a face has a hundred."""
 
 LIMIT = 1 << 12
 """Bytes of the largest axis file that is read; a real one has a hundred."""
@@ -33,7 +33,7 @@ LIMIT = 1 << 12
 
 @dataclass(frozen=True)
 class Marks:
-    """What is known of a picture's face; None for what is to be found."""
+    """What is known of a picture's face; None for what is still to be found."""
 
     outline: tuple[Place, ...] | None = None
     """Corners of a closed polygon, three or more."""
@@ -73,7 +73,7 @@ def marks_record(marks: Marks) -> dict[str, Any]:
 
 
 def read_marks(reader: Fields, record: dict[str, Any]) -> Marks:
-    """The marks of a `marks_record`. Raises InputError where it is none."""
+    """The marks in a `marks_record`. Raises InputError if the record is not valid."""
 
     def place(value: Any) -> Place:
         x, y = reader.numbers(value, 2, "a place in a picture")

@@ -16,5 +16,5 @@ def mask_beside(photograph: Path) -> Path | None:
 
 
 def is_mask(path: Path) -> bool:
-    """Whether a picture is the mask of one, by its name."""
+    """Whether a picture is another one's mask, by its name."""
     return path.name.endswith(SUFFIX)

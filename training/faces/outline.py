@@ -1,7 +1,7 @@
 """Finds the pixels of a cut face in a photograph.
 
-Four steps, each for what the one before cannot see. The background is known from the picture's border, and a shadow
-from being a dimmed copy of it; what neither explains is a first guess. GrabCut (Rother et al. 2004) then learns the
+There are four steps, each for what the one before cannot see. The background is learnt from the picture's border, and a
+shadow is a dimmed copy of it; what neither explains is a first guess. GrabCut (Rother et al. 2004) then learns the
 colours of both sides. Where the outline found so far follows no edge, as in a reflection or in light that shines
 through the fruit, the strongest edge near it is taken instead; and what still hangs on one side is cut off (`bulges`).
 """
@@ -26,41 +26,42 @@ from training.faces.shadow import SECTORS, SHADE, light_around
 __all__ = ["find_mask", "is_dimmed_around", "largest_component"]
 
 MIN_SHARE = 0.02
-"""Of the picture, the least that a cut face covers; what is smaller is a crumb on an empty table."""
+"""Least fraction of the picture that a cut face covers; anything smaller is a crumb on an empty table."""
 
 MAX_BORDER_SHARE = 0.25
-"""Of a face's width, how much of one side of the picture it may lie on. A round face with such a chord lacks 1.6 % of
-its width, which nobody sees; a stalk or a crumb at the border is narrower still."""
+"""Length of one side of the picture that a face may lie on, as a fraction of its width. A round face with such a chord
+lacks 1.6 % of its width, which nobody sees; a stalk or a crumb at the border is narrower still."""
 
 MIN_SOLIDITY = 0.7
-"""Of its convex hull, the least that a cut face fills. The 29 photographs with hand-checked masks fill 0.93 and more;
-what is found of a pale face that two sides cut off is its rind, an arc that fills less than half."""
+"""Least fraction of its convex hull that a cut face fills. The 29 photographs with hand-checked masks fill 0.93 and
+more; of a pale face that two sides cut off only the rind is found, an arc that fills less than half."""
 
 MIN_KEPT = 0.5
-"""Of the convex hull of the first guess, the least that a face covers. A guess is larger by shadows and reflections,
-which are smaller than what casts them; of a pale face that is cut off it is the rind, and the face found a seed."""
+"""Least fraction of the first guess's convex hull that a face covers. Shadows and reflections enlarge a guess, but are
+smaller than what casts them; if a pale face is cut off, the guess is its rind, and the face found a seed."""
 
 RIND, LIT_SIDE = 0.05, 85
-"""Of a face's diameter, how near to it a rind is looked for that may have been taken for its shadow; and per cent of
-the way around of which the brightest side starts, which a shadow leaves as bright as the table: it keeps 0.97 and more
-of its light in 26 photographs, beside a face whose grey crust was left out 0.65."""
+"""How near to a face a rind is looked for that may have been taken for its shadow, as a fraction of the face's
+diameter; and the percentile of the light around it that stands for the brightest side, which a shadow leaves as bright
+as the table: it keeps 0.97 and more of its light in 26 photographs, 0.65 beside a face whose grey crust was left
+out."""
 
 UNSURE = 1.5
-"""Pixels by which a found outline may be off: a face that lacks no more lacks nothing. Of a face W pixels wide that is
-a chord of sqrt(4 UNSURE W), which in small pictures is more than the share above."""
+"""Pixels by which a found outline may be off: a face that lacks no more lacks nothing. For a face W pixels wide that is
+a chord of sqrt(4 UNSURE W), which in small pictures is more than MAX_BORDER_SHARE."""
 
 CORE = 0.3
-"""Depth, over the greatest, below which colours teach GrabCut nothing. Seeds and stones are as dark as shadows; what
+"""Depth, over the greatest, beyond which GrabCut learns no colours. Seeds and stones are as dark as shadows; what
 decides is how the face looks near its outline. Rinds and crusts are thinner, so flesh is still learnt."""
 
 SURE = 0.5
-"""Depth, over the greatest, below which a pixel is certainly the face's: a first guess that is wrong by half its
+"""Depth, over the greatest, beyond which a pixel is certainly the face's: a first guess that is wrong by half its
 radius is no guess."""
 
 ENOUGH = 256
-"""Pixels along the shorter side of a picture that GrabCut's first run gets at least, and less than twice as many: it
-learns the colours, the second finds the outline. 29 photographs of 512 pixels overlap with masks by hand by .9937 on
-average with these, by .9938 with all."""
+"""Least number of pixels along the shorter side of the picture in GrabCut's first run, which learns the colours, while
+the second finds the outline; it gets less than twice as many. With these, 29 photographs of 512 pixels overlap with
+masks by hand by .9937 on average; with all pixels, by .9938."""
 
 ROUNDS = 3
 """Alternations of GrabCut in each of two runs; its energy hardly falls after the third (Rother et al. 2004, fig. 5)."""
@@ -70,7 +71,7 @@ REACH = 0.12
 narrower. More would reach the far side of a thick rind."""
 
 SEPARATE = 0.1
-"""Least RGB distance between face and background for the share of each in a mixed pixel to be known through noise."""
+"""Least RGB distance between face and background at which noise leaves the share of each in a mixed pixel known."""
 
 
 def find_mask(
@@ -78,12 +79,12 @@ def find_mask(
     name: object,
     learn: Callable[[NDArray[np.float32]], Background | None] = find_background,
 ) -> NDArray[np.bool_]:
-    """(H, W). The cut face in a picture (H, W, 3), range [0, 1], before a background as `learn` finds it. Equal
+    """(H, W). The cut face in a picture (H, W, 3), range [0, 1], in front of the background that `learn` finds. Equal
     pictures give equal masks.
 
-    Of a round face that one side of the picture cuts off a little of, the part that the picture shows;
-    `complete_face` completes it. Of what two sides cut off the rim was often taken for background, and faces too small.
-    Raises InputError, naming the picture `name`, if the border cuts off more, or if there is no face.
+    If one side of the picture cuts a little off a round face, the mask is the part that the picture shows;
+    `complete_face` completes it. When two sides did, the rim was often taken for background, and the face came out too
+    small. Raises InputError, naming the picture `name`, if the border cuts off more, or if there is no face.
     """
     cut_off = InputError(
         f"{name}: the cut face, or something beside it, reaches the picture's border; take all of it with plain "
@@ -119,13 +120,13 @@ def find_mask(
 
 
 def _trace(rgb: NDArray[np.float32], guess: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """(H, W). The face of which a first guess (H, W) shows most."""
+    """(H, W). The face, traced from a first guess (H, W)."""
     return _settle_mixed_pixels(rgb, without_bulges(rgb, _move_to_edges(rgb, _grab_cut(rgb, guess))))
 
 
 def is_dimmed_around(rgb: NDArray[np.float32], mask: NDArray[np.bool_]) -> bool:
-    """Whether what is beside a face (H, W) is dark on all sides. A shadow falls to one: this is a rind or crust that
-    has the table's colour."""
+    """Whether what is beside a face (H, W) is dark on all sides. A shadow falls to one side; this is a rind or crust
+    that has the table's colour."""
     around = light_around(rgb, mask, ~mask, RIND) if mask.any() else None
     if around is None or len(around.lights) < SECTORS / 2:
         return False
@@ -143,9 +144,9 @@ def largest_component(found: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 def _grab_cut(rgb: NDArray[np.float32], guess: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """(H, W). The guess corrected by what colours either side has, and by where they change.
+    """(H, W). The guess, corrected by the colours of either side and by where they change.
 
-    The border of the picture is background, whatever is seen there: so are the colours of a reflection that reaches it.
+    The picture's border is background, whatever it shows, and so are the colours of a reflection that reaches it.
     """
     cv2.setNumThreads(1)  # sums of several threads would differ from run to run
     found = guess
@@ -164,7 +165,7 @@ def _grab_cut(rgb: NDArray[np.float32], guess: NDArray[np.bool_]) -> NDArray[np.
         if (found | (labels == cv2.GC_BGD)).all() or not found.any():
             break
         taught = _nearest(picture, depth <= CORE * depth.max())
-        cv2.setRNGSeed(0)  # it starts its clusters at random
+        cv2.setRNGSeed(0)  # GrabCut starts its clusters at random
         cv2.grabCut(
             np.ascontiguousarray(taught * 255 + 0.5).astype(np.uint8),
             labels,
@@ -190,8 +191,8 @@ def _move_to_edges(rgb: NDArray[np.float32], found: NDArray[np.bool_]) -> NDArra
     """(H, W). The mask with the parts of its outline that follow no edge moved to the strongest one within REACH.
 
     A watershed (Beucher and Lantuejoul 1979) between what is surely inside and surely outside is the rival outline.
-    Which one a part takes is decided as for geodesic active contours (Caselles et al. 1997): the one that is shorter
-    where a pixel counts the less, the stronger its edge is.
+    A part takes the outline that is shorter in the sense of geodesic active contours (Caselles et al. 1997), where a
+    pixel counts the less, the stronger its edge is.
     """
     if not found.any():
         return found
@@ -220,7 +221,7 @@ def _move_to_edges(rgb: NDArray[np.float32], found: NDArray[np.bool_]) -> NDArra
 
 
 def _settle_mixed_pixels(rgb: NDArray[np.float32], mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """(H, W). The mask with each pixel near its outline on the side of which it shows more."""
+    """(H, W). The mask, with each pixel near its outline put on the side that it shows more of."""
     if not mask.any():
         return mask
     signed = ndimage.distance_transform_edt(mask) - ndimage.distance_transform_edt(~mask)
@@ -236,20 +237,20 @@ def _settle_mixed_pixels(rgb: NDArray[np.float32], mask: NDArray[np.bool_]) -> N
 
 
 def _like_the_face(rgb: NDArray[np.float32], mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """(H, W). Pixels outside the mask with the colour of the face nearby: no edge parts them from it."""
+    """(H, W). Pixels outside the mask with the colour of the face nearby: no edge separates them from it."""
     smooth = ndimage.gaussian_filter(rgb, (1.5, 1.5, 0))
     return np.linalg.norm(smooth - _nearest(smooth, ndimage.binary_erosion(mask, iterations=2)), axis=-1) < SEPARATE
 
 
 def _joined(mask: NDArray[np.bool_], more: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """(H, W). A mask and the parts of `more` that touch it: a streak of wood elsewhere in the face's colour is none of
-    it, nor is one joined to it by a thread of pixels."""
+    """(H, W). A mask and the parts of `more` that touch it. A streak of wood elsewhere in the face's colour is left
+    out, and so is one joined to the mask by a thread of pixels."""
     parts, _ = ndimage.label(mask | ndimage.binary_opening(more, iterations=2))
     return np.isin(parts, np.unique(parts[mask]))
 
 
 def _depth(mask: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """(H, W). Distance of each pixel of a mask from its outside, in pixels; beyond the picture is outside."""
+    """(H, W). Distance of each pixel of a mask from its outside, in pixels; what is beyond the picture is outside."""
     return ndimage.distance_transform_edt(np.pad(mask, 1))[1:-1, 1:-1]
 
 
@@ -260,27 +261,27 @@ def _nearest(rgb: NDArray[np.float32], known: NDArray[np.bool_]) -> NDArray[np.f
 
 
 def _solidity(mask: NDArray[np.bool_]) -> float:
-    """Part of its convex hull that a mask (H, W), not empty, fills. Range (0, 1]."""
+    """Fraction of its convex hull that a mask (H, W), not empty, fills. Range (0, 1]."""
     rims = mask & ~ndimage.binary_erosion(mask)
     corners = np.argwhere(rims)[:, None] + np.array([[0, 0], [0, 1], [1, 0], [1, 1]])  # of pixels, so none is flat
     return float(mask.sum() / ConvexHull(corners.reshape(-1, 2)).volume)
 
 
 def _along_sides(found: NDArray[np.bool_]) -> list[int]:
-    """(4). Pixels `found` (H, W) on each side of the picture without its corners; clockwise from the top."""
+    """(4). Number of `found` (H, W) pixels on each side of the picture without its corners; clockwise from the top."""
     rims = ndimage.binary_opening(found, iterations=2)  # without the specks of a textured table
     return [int(side.sum()) for side in (rims[2, 2:-2], rims[2:-2, -3], rims[-3, 2:-2], rims[2:-2, 2])]
 
 
 def _along_border(found: NDArray[np.bool_], plain: NDArray[np.bool_]) -> int:
-    """Pixels of the longest piece of the picture's border between two that are `found` (H, W) and no corner that is
-    background, `plain` (4,), between them.
+    """Length in pixels of the longest piece of the picture's border that runs from one `found` pixel (H, W) to another
+    past no corner that is background, `plain` (4,).
 
     Of a pale face that the border cuts off only the rind may stand out: it lies at the two ends of this piece.
     """
     # One pixel in: the outermost ring is taken for background.
     sides = [found[1, 1:-1], found[1:-1, -2], found[-2, -2:0:-1], found[-2:0:-1, 1]]  # clockwise from the top left
-    first = int(np.argmax(plain))  # one at least is background
+    first = int(np.argmax(plain))  # at least one is background
     pieces: list[NDArray[np.bool_]] = []
     for k in range(4):
         side = sides[(first + k) % 4]

@@ -1,4 +1,4 @@
-"""Outlines of faces as polygons, which are edited and kept, and as masks, which are used."""
+"""Converts outlines of faces between polygons, which are edited and stored, and masks, which are used."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from training.faces.marks import MOST_POINTS, Place
 __all__ = ["mask_polygon", "polygon_mask"]
 
 OVER = 4
-"""Subpixels along a pixel's side by which an outline decides on which side of it a pixel is, and is found again."""
+"""Subpixels along a pixel's side at which a polygon is drawn as a mask, and a mask is traced."""
 
 SMOOTH = 0.0015
-"""Of a face's width, how far a polygon may be from its outline. With that 65 to 144 points describe 29 masks of
-photographs of 512 pixels, and 0.998 or more of what polygon and mask cover is common to both."""
+"""How far a polygon may be from its outline, as a fraction of the face's width. With this, 65 to 144 points describe 29
+masks of photographs of 512 pixels, and 0.998 or more of what polygon and mask cover is common to both."""
 
 LEAST = 0.6
-"""The same in pixels, at least: no outline is known better."""
+"""Least such distance in pixels: no outline is known better."""
 
 BLUR = 1.0
-"""Pixels by which a mask is blurred first; corners lose a third of a pixel."""
+"""Pixels by which a mask is blurred before it is traced; corners lose a third of a pixel."""
 
 
 def polygon_mask(outline: tuple[Place, ...], height: int, width: int) -> NDArray[np.bool_]:
@@ -34,7 +34,7 @@ def polygon_mask(outline: tuple[Place, ...], height: int, width: int) -> NDArray
 
 
 def mask_polygon(mask: NDArray[np.bool_]) -> tuple[Place, ...] | None:
-    """The outline of the largest part of a mask (H, W), with as few points as show it; None if it has none."""
+    """The outline of the largest part of a mask (H, W), with as few points as show it; None if the mask has none."""
     height, width = mask.shape
     padded = np.pad(mask, 1).astype(np.float32)
     # Blurred, or the polygon would follow the steps of the pixels.

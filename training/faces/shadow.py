@@ -11,14 +11,14 @@ from scipy import ndimage
 __all__ = ["SECTORS", "SHADE", "LightAround", "light_around", "sectors_of"]
 
 SECTORS = 36
-"""Parts of an outline that are looked at one by one: enough noise is averaged in a tenth of a radian."""
+"""Sectors of an outline that are looked at one by one: a tenth of a radian averages enough noise."""
 
 SHADE = 0.92
-"""Of its light, what the ground keeps at most in a shadow. Under soft light plates keep 0.79 to 0.9."""
+"""Largest fraction of its light that the ground keeps in a shadow. Under soft light plates keep 0.79 to 0.9."""
 
 END = 0.2
-"""Of a thing's diameter, how far its shadow reaches at most; where the ground is narrower, its outer half stands for
-what the shadow does not reach."""
+"""How far a thing's shadow reaches at most, as a fraction of its diameter; where the ground is narrower, its outer half
+stands for what the shadow does not reach."""
 
 DARKEST = 0.1
 """Brightest channel of a ground that is too dark to show a shadow."""
@@ -29,9 +29,9 @@ class LightAround:
     """What is left of the light, and how the colour changes, on the ground in the directions around a thing."""
 
     turns: NDArray[np.float64]
-    """(N,). Radians, of the sectors in which ground is seen."""
+    """(N,). Directions in radians of the sectors in which ground is seen."""
     lights: NDArray[np.float64]
-    """(N,). Of the light farther off, the part that is left."""
+    """(N,). The fraction that is left of the light farther off."""
     tints: NDArray[np.float64]
     """(N,). RGB distance from the dimmed colour."""
 
@@ -40,7 +40,7 @@ def light_around(
     rgb: NDArray[np.float32], found: NDArray[np.bool_], ground: NDArray[np.bool_], near: float
 ) -> LightAround | None:
     """The light on the ground (H, W) of a picture (H, W, 3) beside a thing (H, W), up to `near` of its diameter away;
-    None where too little ground is seen, or only a black one."""
+    None if too little ground is seen, or only black ground."""
     across = np.sqrt(4 / np.pi * found.sum())
     away = ndimage.distance_transform_edt(~found)
     room = away[ground & (away > 2)]
@@ -65,6 +65,6 @@ def light_around(
 
 
 def sectors_of(mask: NDArray[np.bool_], at: tuple[NDArray, ...]) -> NDArray[np.int64]:
-    """(N,). In which of SECTORS equal angles about the middle of a mask (H, W) places (rows, columns) lie."""
+    """(N,). Which of SECTORS equal angles about the middle of a mask (H, W) each place (rows, columns) lies in."""
     y, x = (place - middle.mean() for place, middle in zip(at, np.nonzero(mask), strict=True))
     return (np.arctan2(y, x) / (2 * np.pi) % 1 * SECTORS).astype(int) % SECTORS

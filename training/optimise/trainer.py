@@ -23,8 +23,7 @@ from training.views import BACKGROUND, Section
 
 __all__ = ["Losses", "Trainer"]
 
-# The paper's alpha for each kind of view: labels are trusted for structure, surface views to the
-# pixel.
+# The paper's alpha for each kind of view: labels are trusted for structure, surface views to the pixel.
 SECTION_ALPHA = 0.3
 SURFACE_ALPHA = 0.6
 
@@ -99,7 +98,7 @@ class Trainer:
 
     @property
     def steps_per_epoch(self) -> int:
-        """Steps of an epoch, in which every section is used once."""
+        """Number of steps in an epoch, in which every section is used once."""
         return max(1, -(-len(self.sections) // SECTIONS_PER_STEP))
 
     @property

@@ -99,7 +99,7 @@ def train(
 def has_settled(losses: Sequence[float], epoch: int, start: int) -> bool:
     """Whether the last epoch improved the mean loss by less than MIN_IMPROVEMENT over the one before.
 
-    True at the end of an epoch only, and not before the second of the round that began at iteration `start`.
+    True at the end of an epoch only, and not before the second epoch of the round that began at iteration `start`.
     """
     done = len(losses) - start
     if done < 2 * epoch or done % epoch:

@@ -1,4 +1,4 @@
-"""The inside of a trained object from the file beside it."""
+"""Reads the inside of a trained object from the file beside it."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ KINDS: dict[str, type[LayeredInside] | type[QuiltInside]] = {"layers": LayeredIn
 
 
 def restore_inside(record: InsideRecord) -> Inside:
-    """The inside of a record, with the same bits. Raises ValueError if it is none."""
+    """The inside in a record, bit for bit. Raises ValueError if the record is not valid."""
     arrays, facts = record
     kind = facts.get("kind")
     if not isinstance(kind, str) or kind not in KINDS:
@@ -26,7 +26,7 @@ def restore_inside(record: InsideRecord) -> Inside:
 
 
 def read_inside(path: str | Path) -> Inside | None:
-    """The inside of a trained .ply; None if its atoms are all there is. Raises InputError if the file is damaged."""
+    """The inside of a trained .ply; None if it has only its atoms. Raises InputError if the file is damaged."""
     record = load_inside_record(path)
     if record is None:
         return None

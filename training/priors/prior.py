@@ -18,7 +18,7 @@ from training.families import Family
 __all__ = ["Condition", "Denoiser", "LatentDenoiser", "Progress", "Volume", "VolumeSolver"]
 
 Progress = Callable[[float], None]
-"""Called repeatedly with the completed part, range [0, 1]. May raise to stop the work."""
+"""Called repeatedly with the completed fraction, range [0, 1]. May raise to stop the work."""
 
 
 @dataclass(frozen=True)
@@ -30,13 +30,13 @@ class Condition:
     inside: NDArray[np.bool_]
     """The silhouette."""
     under_skin: NDArray[np.float32]
-    """Depth under the skin over the inradius of the body. Range [0, 1] inside."""
+    """Depth under the skin, divided by the inradius of the body. Range [0, 1] inside."""
     radius: NDArray[np.float32]
-    """Distance from the up axis over the body's largest. Range [0, 1] inside."""
+    """Distance from the up axis, divided by the body's largest. Range [0, 1] inside."""
     angle: NDArray[np.float32]
     """Angle around the up axis in radians, range [-pi, pi], from the first vector of `equator(up)`."""
     height: NDArray[np.float32]
-    """Along the up axis. Range [-1, 1] from the lowest to the highest point of the body."""
+    """Height along the up axis. Range [-1, 1] from the lowest to the highest point of the body."""
     depth: NDArray[np.float32]
     """Depth from the camera to the cut face, world units; infinite outside the silhouette."""
     render: NDArray[np.float32]
@@ -52,9 +52,9 @@ class Volume:
     rgb: NDArray[np.float32]
     """(X, Y, Z, 3). Range [0, 1]; outside the solid the nearest inside colour, so that cuts have no dark rim."""
     inside: Inside | None = field(default=None, kw_only=True)
-    """The function that the grid has been read from, where there is one."""
+    """The function that the grid samples, if there is one."""
     notes: tuple[str, ...] = field(default=(), kw_only=True)
-    """What the user should look at in the pictures that it was made from, a line each."""
+    """What the user should check in the pictures that the volume was made from, a line each."""
 
     def at(self, points: NDArray[np.floating]) -> NDArray[np.float32]:
         """(..., 3). Colours at world points (..., 3), trilinear."""
@@ -63,8 +63,8 @@ class Volume:
     def at_cubic(self, points: NDArray[np.floating]) -> NDArray[np.float32]:
         """(..., 3). Colours at world points (..., 3) by a cubic spline, clipped to [0, 1].
 
-        For atoms, whose kernels blur once more: their cuts are 0.93 to 1.1 times as sharp as the truth, compared with
-        0.75 to 0.9 for trilinear colours (orange, watermelon, bread).
+        For atoms, whose kernels blur once more: their cuts are 0.93 to 1.1 times as sharp as the truth, with trilinear
+        colours 0.75 to 0.9 times (orange, watermelon, bread).
         """
         index = np.moveaxis(self.body.grid.index(points), -1, 0)
         channels = [

@@ -27,7 +27,7 @@ REFINE_SIGMAS = (0.8, 0.16)
 FIRST_LATENT_SIGMAS = (10.0, 0.16)
 
 COLOUR_SPREAD = 0.25
-"""Approximate standard deviation of the colours of cut faces; latents have 1."""
+"""Approximate standard deviation of the colours of cut faces; that of latents is 1."""
 
 
 def distill(

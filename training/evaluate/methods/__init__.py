@@ -1,1 +1,1 @@
-"""What is compared: the main job, parts of it left out, and other ways to colour an inside."""
+"""The methods that are compared: the main job, the same without some of its parts, and other ways to colour insides."""

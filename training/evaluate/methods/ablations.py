@@ -1,4 +1,4 @@
-"""The training pipeline without one of its parts each, and with labels plane by plane as in the paper's own loop."""
+"""The training pipeline without each of its parts in turn, and with labels plane by plane as in the paper's loop."""
 
 from __future__ import annotations
 
@@ -77,18 +77,18 @@ class UnsmoothedTrainer(Trainer):
     """A trainer whose atoms keep their initial colour if no view shows them."""
 
     def smooth(self) -> None:
-        """Nothing."""
+        """Does nothing."""
 
 
 class WithoutSmoothing(Pipeline):
     """No voxel smoothing."""
 
     def smooth_interior(self, interior: InteriorAtoms, rgb: Float, covered: NDArray[np.bool_]) -> Float:
-        """Nothing."""
+        """The colours as they are."""
         return rgb
 
     def make_trainer(self, atoms: Atoms, faces: Sequence[Section], surfaces: Sequence[SurfaceView]) -> Trainer:
-        """One that does not smooth."""
+        """A trainer that does not smooth."""
         return UnsmoothedTrainer(atoms, faces, surfaces, self.request.seed)
 
 
@@ -100,7 +100,7 @@ def make_denoiser(request: Request) -> Denoiser:
 
 
 class Looped(Pipeline):
-    """A label for each plane by itself, refined from the render: the paper's own loop."""
+    """A label for each plane on its own, refined from the render: the paper's own loop."""
 
     def make_prior(self) -> Denoiser:
         """A denoiser instead of a prior that solves a volume."""
@@ -112,13 +112,13 @@ class LoopedWithoutSmoothing(Looped, WithoutSmoothing):
 
 
 class Independent(Looped):
-    """A label for each plane by itself, once."""
+    """A label for each plane on its own, drawn once."""
 
     refines = False
 
 
 class IndependentByNoise(Independent):
-    """A label for each plane by itself, down the gradient of the paper's eq. 5."""
+    """A label for each plane on its own, down the gradient of the paper's eq. 5."""
 
     def draw_label(self, prior: Denoiser, cut: Slice, rng: np.random.Generator) -> Float:
         """Distills in steps of half the length."""
@@ -142,7 +142,7 @@ class Composited(ViewWeights):
     camera: Camera
 
     def picture(self, coefficients: Tensor, rgb: Tensor, background: Sequence[float] | Tensor = BACKGROUND) -> Tensor:
-        """(H, W, 3), differentiable in both."""
+        """(H, W, 3). The picture, differentiable in both kinds of colours."""
         skin = (0.5 + sh.C0 * coefficients[:, 0]).clamp(min=0)
         colours = torch.cat([skin, rgb])[torch.from_numpy(self.rows)]
         return rasterize(*self.arrays, colours, self.camera, tuple(float(b) for b in background))[0]

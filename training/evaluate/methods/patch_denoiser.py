@@ -102,7 +102,7 @@ def prepare(pictures: list[Picture], kind: Frame, radius: float, inradius: float
     patches, colours = [], []
     for scaled in scaled_pictures:
         out = np.empty((len(scaled.xy), PATCH), np.float32)
-        # One pixel of the sheet is a fraction of a pixel of the label; a patch's steps are the label's.
+        # A pixel of a scaled picture is a fraction of a pixel of the label; a patch's steps are the label's.
         over = np.float32(OVER)
         for_spans(read_patches, len(out), scaled.rgb, scaled.xy * over, scaled.ab * over, out)
         patches.append(out)
@@ -164,7 +164,7 @@ def _candidates(gates: NDArray[np.float32], at: NDArray[np.floating]) -> NDArray
 
 
 def _gate(condition: Condition, kind: Frame) -> NDArray[np.float32]:
-    """(H, W, 3). Gate coordinates of every pixel, as those of the sheets."""
+    """(H, W, 3). Gate coordinates of every pixel, in the units of `ScaledPicture.gate`."""
     depth = depth_gate(condition.under_skin)
     zero = np.zeros_like(depth)
     if kind == POLAR:
@@ -197,7 +197,7 @@ def _directions(condition: Condition, kind: Frame) -> NDArray[np.float32]:
 
 
 def _inradius(condition: Condition) -> float:
-    """Inradius of the body in pixels of the condition's pictures, by how fast the depth grows away from the edge."""
+    """Inradius of the body in pixels of the condition's pictures, from how fast the depth grows away from the edge."""
     gy, gx = np.gradient(condition.under_skin)
     slope = np.hypot(gx, gy)[condition.inside]
     steepest = float(np.quantile(slope, 0.9)) if len(slope) else 0.0

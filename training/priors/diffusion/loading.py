@@ -166,7 +166,7 @@ def best_device() -> torch.device:
 
 
 def load_part(kind: Any, folder: Path) -> Any:
-    """One network from the safetensors in its folder, frozen. Raises InputError where a weight is missing."""
+    """One network from the safetensors in its folder, frozen. Raises InputError if a weight is missing."""
     read_json(folder / "config.json")
     names = [path.name for path in folder.glob("*.safetensors")]
     if not names:

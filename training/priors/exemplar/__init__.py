@@ -20,7 +20,7 @@ class ExemplarPrior:
     """Places what the pictures of a family show at the corresponding positions in the body."""
 
     def __init__(self, same: bool = False) -> None:
-        """`same`: the pictures are known to be of one thing; otherwise that is found out."""
+        """`same`: whether the pictures are known to show one and the same thing; otherwise that is detected."""
         self.same = same
 
     def solve(

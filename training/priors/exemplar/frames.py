@@ -91,13 +91,13 @@ class Space:
     normal: NDArray[np.float32]
     """(N, 3). Outward direction of the nearest skin, along e1, e2, up."""
     half_height: float
-    """Of the body along the up axis, in cells."""
+    """Half the height of the body along the up axis, in cells."""
     shell: tuple[NDArray[np.int32], NDArray[np.int32]]
-    """Flat indices of voxels outside but within MARGIN of the body, and of the nearest voxel inside of each."""
+    """Flat indices of the voxels outside but within MARGIN of the body, and for each, of the nearest voxel inside."""
 
     @property
     def inradius(self) -> float:
-        """In cells."""
+        """Inradius of the body in cells."""
         return self.body.inradius / self.body.grid.cell
 
     @property
@@ -194,8 +194,8 @@ def rim_of(planar: NDArray[np.float32], radius: NDArray[np.float32]) -> NDArray[
 
 
 def rim_table(planar: NDArray[np.float32], radius: NDArray[np.float32]) -> NDArray[np.float32]:
-    """(L, ANGLES + 2). The largest radius among voxels (N, 3) by height in cells above the lowest and by angle, closed
-    on both sides."""
+    """(L, ANGLES + 2). The largest radius among voxels (N, 3) by height in cells above the lowest, and by angle, with
+    the angles wrapped on both sides."""
     level = np.round(planar[:, 2] - planar[:, 2].min()).astype(int)
     angle = np.arctan2(planar[:, 1], planar[:, 0]) / (2 * np.pi) % 1
     turn = (angle * ANGLES).astype(int) % ANGLES
@@ -205,15 +205,15 @@ def rim_table(planar: NDArray[np.float32], radius: NDArray[np.float32]) -> NDArr
     wide = ndimage.grey_dilation(rims, size=(1, 9), mode="wrap")
     rims = np.where(rims > 0.8 * wide, rims, wide)
     rims = ndimage.gaussian_filter(rims, (0.7, 2.0), mode=("nearest", "wrap"))
-    # Interpolated between angles: without, an oblique outline would show teeth under the skin.
+    # For interpolation between angles: without it, an oblique outline would show teeth under the skin.
     return np.pad(rims, ((0, 0), (1, 1)), mode="wrap")
 
 
 def read_rims(
     rims: NDArray[np.float32], level: NDArray[np.floating], turn: NDArray[np.floating], radius: NDArray[np.float32]
 ) -> NDArray[np.float32]:
-    """(M,). Distance of the skin by a `rim_table`, at levels in cells and angles in turns, of points this far from the
-    axis themselves."""
+    """(M,). Distance of the skin from the axis by a `rim_table`, at levels in cells and angles in turns; at least the
+    `radius` (M,) of the points themselves."""
     rim = read_bilinear(rims[..., None], level, turn * ANGLES + 0.5)[:, 0]
     return np.maximum(rim, np.maximum(radius, 0.5))
 
@@ -265,7 +265,7 @@ class ScaledPicture(Outline):
     gate: NDArray[np.float32]
     """(P, 3). Their gate coordinates."""
     depth: NDArray[np.float32]
-    """(H, W). Under the edge, over the body's inradius; 0 outside."""
+    """(H, W). Depth under the edge, over the body's inradius; 0 outside."""
 
     def read(self, x: NDArray[np.floating], y: NDArray[np.floating]) -> NDArray[np.float32]:
         """(..., 3). Bilinear colours at (x, y) in cells."""

@@ -1,4 +1,4 @@
-"""Medians over a window that slides along the rows of a picture: of ranks, so they are exact."""
+"""Medians over a window that slides along the rows of a picture, taken of ranks, so that they are exact."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ ROWS = 16
 
 @dataclass(frozen=True)
 class Ranks:
-    """Values by their rank, which all windows share."""
+    """The values of a picture and their ranks, which all windows share."""
 
     rank: NDArray[np.int32]
-    """(C, H, W). Of each value in its channel."""
+    """(C, H, W). Rank of each value in its channel."""
     by_rank: NDArray[np.float32]
     """(C, L). The values of each channel in order."""
 
     @classmethod
     def of(cls, values: NDArray[np.float32]) -> Ranks:
-        """Of values (H, W, C)."""
+        """The ranks of values (H, W, C)."""
         height, width, channels = values.shape
         planes = np.ascontiguousarray(np.moveaxis(values, 2, 0)).reshape(channels, -1)
         levels, ranks = zip(*(np.unique(plane, return_inverse=True) for plane in planes), strict=True)
@@ -36,10 +36,10 @@ class Ranks:
         return cls(np.stack(ranks).reshape(channels, height, width).astype(np.int32), by_rank)
 
     def medians(self, reach: NDArray[np.integer]) -> NDArray[np.float32]:
-        """(H, W, C). The medians of the values over a window; beyond the border the values of the border count.
+        """(H, W, C). The medians of the values over a window; the values of the border continue beyond it.
 
         `reach`: (2 R + 1,). In each row of the window, from R above to R below, columns on either side of its middle.
-        The bits of SciPy's median_filter in a third to a seventh of its time: what enters and leaves the window is
+        Bit-equal to SciPy's median_filter, in a third to a seventh of its time: what enters and leaves the window is
         counted by rank (Huang, Yang and Tang 1979).
         """
         channels, height, _ = self.rank.shape
@@ -57,7 +57,7 @@ def _medians(
     rank: NDArray[np.int32],  # [C, H, W]
     by_rank: NDArray[np.float32],  # [C, L]
     reach: NDArray[np.int64],  # [2 R + 1]
-    bits: int,  # of a rank that a level of the count tells apart; three levels tell all
+    bits: int,  # of a rank, resolved by each of the three counts
     out: NDArray[np.float32],  # [C, H, W]
 ) -> None:
     height, width = rank.shape[1], rank.shape[2]

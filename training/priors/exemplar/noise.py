@@ -1,4 +1,4 @@
-"""Smooth random functions of the place."""
+"""Smooth random functions of position."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from engine.threads import for_spans
 __all__ = ["Noise"]
 
 EXTENT = 1.3
-"""Half a side of the cube that is covered; beyond it the values of its border go on."""
+"""Half a side of the cube that is covered; the values of its border continue beyond it."""
 
 
 class Noise:
@@ -22,7 +22,7 @@ class Noise:
         shape = [int(np.ceil(2 * EXTENT / length)) + 4 for length in lengths]
         self._lengths = np.array(lengths, np.float32)
         splines = [ndimage.spline_filter(rng.standard_normal(shape), 2, np.float32) for _ in range(count)]
-        # Interpolation takes the rest of a standard deviation.
+        # Interpolation leaves 0.55 of the standard deviation.
         self._splines = (np.stack(splines, -1) / 0.55).astype(np.float32)
 
     def at(self, points: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -41,7 +41,7 @@ def _read_spline(
     at: NDArray[np.float32],  # [M, 3] in cells
     out: NDArray[np.float32],  # [M, C]
 ) -> None:
-    """Quadratic B-splines (Unser 1999) at points; beyond the lattice the coefficients of its border go on."""
+    """Quadratic B-splines (Unser 1999) at points; the coefficients of the lattice's border continue beyond it."""
     channels = coefficients.shape[3]
     for m in range(start, stop):
         weights = np.empty((3, 3), np.float32)

@@ -31,7 +31,7 @@ MAX_SIDE = 768
 """Longer side in pixels to which larger pictures are reduced: a solve on 256 voxels uses no more."""
 
 MIN_SIDE = 24
-"""Smallest width of a cut face in pixels; below, it holds no 7x7 patches worth copying."""
+"""Smallest width of a cut face in pixels; a smaller one holds no 7x7 patches worth copying."""
 
 INVISIBLE_RMS = 1 / 255
 """RMS colour difference that an 8-bit screen cannot show."""
@@ -43,12 +43,13 @@ MIXED = 2
 """Pixels inside an outline that the lens mixes with the background."""
 
 MIN_LEAN = 7.5
-"""Degrees by which a core line leans before the picture is turned: people hold what they photograph upright, and in 12
-photographs the search is wrong by up to 2.1 degrees, in one by 5.0, in solids of our own with a striped rind by 5."""
+"""Least lean of a core line, in degrees, for the picture to be turned: people hold what they photograph upright, and in
+12 photographs the search is wrong by up to 2.1 degrees, in one by 5.0, in solids of our own with a striped rind by
+5."""
 
 MIN_TRANSPARENT = 0.005
-"""Of a picture, the least that is transparent for its alpha channel to be a cut-out: many opaque pictures have one,
-and a few stray pixels in it."""
+"""Least transparent fraction of a picture for its alpha channel to be a cut-out: many opaque pictures have an alpha
+channel, with a few stray pixels in it."""
 
 
 @dataclass(frozen=True)
@@ -61,18 +62,19 @@ class Picture:
     mask: NDArray[np.bool_]
     """(H, W). The cut face."""
     core: tuple[float, float] | None = None
-    """(x, y) in pixels. The point that belongs on the body's axis: the core of a horizontal cut; of a radial one, where
-    the line that the user gave is level with the face's middle. None: the middle itself."""
+    """(x, y) in pixels. The point that belongs on the body's axis: the core of a horizontal cut; in a radial cut, the
+    point of the user's line that is level with the face's middle. None: the middle itself."""
     note: str = ""
-    """What the user should look at in the face that was found, in a line; empty if nothing."""
+    """What the user should check in the face that was found, in a line; empty if nothing."""
 
 
 def read_picture(path: str | Path, kind: Kind, marks: Marks = UNMARKED) -> Picture:
     """Reads a photograph of a cut face of one kind of family.
 
-    The outline in `marks`, or else a mask file beside the photograph (`mask_beside`), or else its alpha channel, is
-    believed; without any the face is searched for. Likewise the axis in `marks`, or in a file (`axis_beside`). A radial
-    cut that leans is turned upright. Raises InputError if a file cannot be read or no cut face stands out.
+    The face is given by the outline in `marks`, or else by a mask file beside the photograph (`mask_beside`), or else
+    by its alpha channel; without any it is searched for. So is the axis, unless it is in `marks` or in a file
+    (`axis_beside`). A radial cut that leans is turned upright. Raises InputError if a file cannot be read or no cut
+    face stands out.
     """
     path = Path(path)
     marks = _with_axis_file(marks, path)
@@ -108,7 +110,7 @@ def make_picture(path: Path, rgb: NDArray[np.float32], mask: NDArray[np.bool_], 
 
 
 def _with_axis_file(marks: Marks, path: Path) -> Marks:
-    """Marks with what they lack of the axis from the file beside the photograph, if there is one."""
+    """The marks, with an axis that they lack taken from the file beside the photograph, if there is one."""
     beside = axis_beside(path)
     if beside is None:
         return marks
@@ -128,7 +130,7 @@ def find_face(path: Path, marks: Marks = UNMARKED) -> tuple[NDArray[np.float32],
 
 
 def axis_of(rgb: NDArray[np.float32], mask: NDArray[np.bool_], kind: Kind) -> Marks:
-    """The axis by which the face (H, W, 3), (H, W) of a picture without marks is placed; none in a slice."""
+    """The axis by which the face (H, W, 3), (H, W) of a picture without marks is placed; a slice has none."""
     size = mask.shape[::-1]
     if not mask.any() or kind not in ("horizontal", "radial"):
         return UNMARKED
@@ -180,9 +182,9 @@ def fill_outside(rgb: NDArray[np.float32], mask: NDArray[np.bool_]) -> NDArray[n
 
 
 def _believed_lean(rgb: NDArray[np.float32], mask: NDArray[np.bool_]) -> float:
-    """Degrees by which the core line that is found leans; 0 below MIN_LEAN. Its place beside the middle of the face is
-    not believed: to move an outline bends it, and with the line of an orange's picture the SSIM of its own plane fell
-    from 0.67 to 0.48."""
+    """Lean of the core line that is found, in degrees; 0 below MIN_LEAN. Its shift from the middle of the face is not
+    believed: moving an outline bends it, and with the line of an orange's picture the SSIM of its own plane fell from
+    0.67 to 0.48."""
     lean = lean_of(find_core_line(rgb, mask).ends)
     return lean if abs(lean) >= MIN_LEAN else 0.0
 
@@ -196,7 +198,7 @@ def _upright(
     turned, turned_mask = _turned(rgb, mask, lean)
     rows = np.nonzero(turned_mask)[0]
     middle = float(rows.mean()) + 0.5 if len(rows) else 0.0
-    # A turn counter-clockwise, as seen, about the middle of the picture.
+    # A counter-clockwise turn, as seen, about the middle of the picture.
     x, y = line.mean(0) - np.array(mask.shape[::-1]) / 2
     across = x * math.cos(math.radians(lean)) + y * math.sin(math.radians(lean))
     return turned, turned_mask, (across + turned_mask.shape[1] / 2, middle)
@@ -205,7 +207,7 @@ def _upright(
 def _turned(
     rgb: NDArray[np.float32], mask: NDArray[np.bool_], lean: float
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """A picture and its mask turned counter-clockwise by an angle in degrees; large enough for all of it."""
+    """A picture and its mask turned counter-clockwise by an angle in degrees, enlarged to hold all of it."""
     filled = np.pad(fill_outside(rgb, mask), ((1, 1), (1, 1), (0, 0)), mode="edge")
     turned = ndimage.rotate(filled, lean, order=1, mode="nearest")
     return turned, ndimage.rotate(np.pad(mask, 1).astype(np.float32), lean, order=1) > 0.5

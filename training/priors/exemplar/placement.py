@@ -19,10 +19,10 @@ from training.priors.exemplar.quilting.disc import BallMap, Disc
 __all__ = ["OwnPlane", "bend_picture", "find_own_plane"]
 
 PIXELS = 320
-"""Along a side of a bent picture: about as many as it covers of half a window."""
+"""Pixels along a side of a bent picture: about as many as it covers in half a window."""
 
 VOXELS = 64
-"""Cells along the body's longest side in which its outline is found; finer ones move it by less than a pixel."""
+"""Cells along the body's longest side at which its outline is found; finer ones move it by less than a pixel."""
 
 MARGIN = 1.04
 """Half a side of the square around the body, over the body's reach."""
@@ -33,17 +33,19 @@ class OwnPlane:
     """The cut through a body's centre that a family's pictures show, and the places of its points in a picture."""
 
     kind: Kind
-    """How its pictures are read: of planes that were chosen one by one, as those of the kind they are like."""
+    """How its pictures are read; those of a custom family, like those of the kind that it resembles."""
     plane: Plane
-    """Its normal points at who looks at the face."""
+    """The cut; its normal points towards the viewer."""
     centre: NDArray[np.float64]
-    """(3,). Of the body, world units."""
+    """(3,). Centre of the body, world units."""
     corners: NDArray[np.float64]
-    """(4, 3). Of a square on the plane around the body: top left, top right, bottom right, bottom left; world units."""
+    """(4, 3). Corners of a square on the plane around the body: top left, top right, bottom right, bottom left; world
+    units."""
     places: NDArray[np.float32]
-    """(PIXELS, PIXELS, 2). In the unit disc of a picture, x to the right and y up; rows from the top."""
+    """(PIXELS, PIXELS, 2). Where each pixel of the square is in the unit disc of a picture, x to the right and y up;
+    rows from the top."""
     inside: NDArray[np.float32]
-    """(PIXELS, PIXELS). Part of each pixel that is inside the body. Range [0, 1]."""
+    """(PIXELS, PIXELS). Fraction of each pixel that is inside the body. Range [0, 1]."""
 
 
 def find_own_plane(body: Body, up: NDArray[np.float64], family: Family) -> OwnPlane:
@@ -86,7 +88,7 @@ def find_own_plane(body: Body, up: NDArray[np.float64], family: Family) -> OwnPl
 def bend_picture(picture: Picture, plane: OwnPlane) -> NDArray[np.uint8]:
     """(PIXELS, PIXELS, 4). What the body shows on a picture's own plane, with straight alpha, 0 outside of the body.
 
-    By the law that training places it: each direction from the core is stretched to the body's outline.
+    This follows the law by which training places it: each direction from the core is stretched to the body's outline.
     """
     x, y = np.moveaxis(plane.places, -1, 0)
     rgb = Disc.of(picture).read(x.ravel(), y.ravel()).reshape(*x.shape, 3)

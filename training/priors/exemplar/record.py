@@ -1,4 +1,4 @@
-"""Arrays and facts of a file, each checked as it is read: the file may be anybody's."""
+"""Reads arrays and facts of a file and checks each of them: the file may come from anybody."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from engine.scene.inside import InsideRecord
 __all__ = ["MOST_SEED", "MOST_SHEETS", "RecordReader", "nested"]
 
 MOST_SHEETS = 40
-"""Pictures of a file: 20 of each family."""
+"""Largest number of pictures in a file: 20 of each family."""
 
 MOST_SEED = 1 << 63
 
 
 def nested(parts: Mapping[str, InsideRecord]) -> InsideRecord:
-    """The records of parts as one."""
+    """One record that holds the records of several parts, by their names."""
     arrays = {f"{name}.{key}": array for name, (own, _) in parts.items() for key, array in own.items()}
     return arrays, {name: facts for name, (_, facts) in parts.items()}
 
 
 @dataclass(frozen=True)
 class RecordReader:
-    """Reads an `InsideRecord`. Every method raises ValueError if the record has not what is asked for."""
+    """Reads an `InsideRecord`. Every method raises ValueError if the record lacks what is asked for."""
 
     arrays: Mapping[str, NDArray[Any]]
     facts: Mapping[str, Any]
@@ -78,7 +78,7 @@ class RecordReader:
         return name in self.facts
 
     def part(self, name: str) -> RecordReader:
-        """What is stored under `name.`."""
+        """A reader of the part of this name."""
         start = f"{name}."
         mine = {key.removeprefix(start): array for key, array in self.arrays.items() if key.startswith(start)}
         facts: Any = self.facts.get(name)

@@ -11,14 +11,14 @@ from training.priors.exemplar.sampling import blurred
 __all__ = ["FLESH", "rind_depth"]
 
 LEAST_CONTRAST = 0.08
-"""RGB distance from the flesh from which a layer along the skin is rind."""
+"""Least RGB distance from the flesh at which a layer along the skin is rind."""
 
 AROUND = 0.9
-"""Share of a layer along the skin that must differ from the flesh under it. Of the rinds of 22 photographs and pictures
-0.95 to 1 does, of the layers of a sandwich or a cake at most 0.87."""
+"""Share of a layer along the skin that must differ from the flesh under it. In the rinds of 22 photographs and pictures
+0.95 to 1 does, in the layers of a sandwich or a cake at most 0.87."""
 
 STEP, STEPS = 0.02, 17
-"""Thickness in inradii of a layer, and how many are looked at: what is deeper is no rind."""
+"""Thickness in inradii of a layer, and how many are looked at: anything deeper is no rind."""
 
 FLESH = (0.33, 0.5)
 """Depths in inradii between which the flesh is sampled."""
@@ -28,15 +28,15 @@ def rind_depth(rgb: NDArray[np.floating], depth: NDArray[np.floating], blur: flo
     """Thickness of the layers along the skin, in inradii: beyond it the median colour is that of the flesh.
 
     `rgb` (H, W, 3): a face, range [0, 1]. `depth` (H, W): under its rim, in inradii, 0 outside. `blur`: standard
-    deviation in pixels under which colours are compared. `goes_around`: what differs in colour on two sides only, as
-    bread above and below a filling, is no rind. In radial pictures that is not asked: what differs near the poles is
-    followed along the skin as a rind is.
+    deviation in pixels of the blur under which colours are compared. `goes_around`: whether a rind must go all around:
+    what differs in colour on two sides only, like bread above and below a filling, is then no rind. Radial pictures do
+    not ask for it, as what differs near the poles is followed along the skin like a rind.
     """
     inside, deep = depth > 0, (depth > FLESH[0]) & (depth < FLESH[1])
     if not deep.any():
         deep = inside
     flesh = np.median(rgb[deep], axis=0)
-    # The flesh under each pixel: layers that end at the skin are the same there.
+    # The flesh under each pixel: layers that end at the skin have the same colour there.
     under = ndimage.distance_transform_edt(~deep, return_distances=False, return_indices=True)
     smooth = blurred(rgb, blur)
     differs = np.linalg.norm(smooth - smooth[under[0], under[1]], axis=-1) > LEAST_CONTRAST

@@ -18,7 +18,7 @@ def reduced(values: NDArray[np.float32], n: int) -> NDArray[np.float32]:
     even = values[: rows * n, : columns * n]
     if values.dtype != np.float32 or values.shape[2] == 1 or not values.flags.c_contiguous:
         return np.asarray(even.reshape(rows, n, columns, n, -1).mean((1, 3)), np.float32)
-    # The same sums in the same order, each of a whole picture at a time: a quarter of the time.
+    # The same sums in the same order, but over whole pictures: a quarter of the time.
     planes = np.ascontiguousarray(np.moveaxis(even, 2, 0))
     total = planes[:, ::n, ::n].copy()
     for i, j in list(np.ndindex(n, n))[1:]:
@@ -27,8 +27,9 @@ def reduced(values: NDArray[np.float32], n: int) -> NDArray[np.float32]:
 
 
 def blurred(values: NDArray[np.floating], sigma: float, reach: float = 4.0) -> NDArray[np.float32]:
-    """(H, W) or (H, W, C). Values blurred by a Gaussian of this standard deviation in pixels that ends at `reach` of
-    them; beyond the border they are mirrored. SciPy's gaussian_filter to 5e-7, in a quarter of its time."""
+    """(H, W) or (H, W, C). Values blurred by a Gaussian of this standard deviation in pixels, cut off at `reach`
+    standard deviations; values are mirrored at the border. Equals SciPy's gaussian_filter to 5e-7, in a quarter of its
+    time."""
     even, size = np.ascontiguousarray(values, np.float32), 2 * round(reach * sigma) + 1
     if size == 1:
         return even
@@ -43,7 +44,7 @@ def read_bilinear(
     channels: slice = slice(None),
 ) -> NDArray[np.float32]:
     """(M, K). Some channels of a picture (H, W, C), H and W at least 2, at places (M,), (M,) in pixels whose centres
-    are at whole numbers; beyond the border those of the border. An eighth of SciPy's time."""
+    are at whole numbers; the values of the border continue beyond it. Takes an eighth of SciPy's time."""
     first, last, _ = channels.indices(values.shape[2])
     out = np.empty((len(rows), last - first), np.float32)
     places = np.asarray(rows, np.float32), np.asarray(columns, np.float32)
@@ -78,7 +79,7 @@ def read_trilinear(
     values: NDArray[np.float32],  # [X, Y, Z, C]
     at: NDArray[np.float32],  # [M, 3] in cells, cell centres at whole numbers
 ) -> NDArray[np.float32]:
-    """(M, C). Values between the cells of a grid; beyond its border those of the border."""
+    """(M, C). Values between the cells of a grid; the values of the border continue beyond it."""
     out = np.empty((len(at), values.shape[3]), np.float32)
     for_spans(_read_trilinear, len(at), values, at, out)
     return out
@@ -111,6 +112,6 @@ def _read_trilinear(
 
 
 def smoothstep(value: NDArray[np.floating], low: float = 0, high: float = 1) -> NDArray[np.floating]:
-    """From 0 at `low` to 1 at `high`, and level at and beyond both."""
+    """Rises smoothly from 0 at `low` to 1 at `high`; level at and beyond both."""
     t = np.clip((value - low) / (high - low), 0, 1)
     return t * t * (3 - 2 * t)

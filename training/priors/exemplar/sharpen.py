@@ -17,14 +17,14 @@ EDGE_SIGMA = 0.8
 """Standard deviation, in cells, of the unsharp mask: about the blur of trilinear interpolation."""
 
 MAX_GAIN = 2.5
-"""Largest gain; clipping voxels to their neighbours' range leaves no effect of more."""
+"""Largest gain; more has no effect, as voxels are clipped to their neighbours' range."""
 
 TARGET = 1.25
 """Target sharpness over that of the pictures. Clipping voxels to their neighbours' range takes away half of the gain;
 cuts of atoms then are 0.9 to 1.0 times as sharp as the truth."""
 
 MIN_DEPTH = 0.15
-"""Depth in inradii from which sharpness is compared; the rind would dominate it."""
+"""Depth in inradii below which sharpness is compared; the rind would dominate it."""
 
 SAMPLES = 30_000
 

@@ -68,10 +68,10 @@ def solve(
 ) -> Volume:
     """The interior on a grid of `voxels` cells along the body's longest side, or fewer. Bit-equal for a seed.
 
-    Fewer where the pictures resolve less (CELLS_PER_RESOLVED_PIXEL). Pictures of a round thing that do not agree where
-    they meet are quilted, unless they are the `same` thing's, and so is one family alone that shows things close
-    together, which no layer carries on; others continue layer by layer. Raises InputError if no
-    family has an exemplar or a picture cannot be used.
+    It has fewer cells if the pictures resolve less (CELLS_PER_RESOLVED_PIXEL). Pictures of a round body that disagree
+    where they meet are quilted, unless they show the `same` thing; so is a single family that shows things close
+    together, which no layer can continue. All others continue layer by layer. Raises InputError if no family has an
+    exemplar or a picture cannot be used.
     """
     families = [f.as_standard_kind(body, up) for f in families if f.exemplars]
     if not families:
@@ -128,20 +128,22 @@ def solve(
 
 
 def _discs(views: list[View], pictures: list[list[Picture]]) -> dict[Frame, list[Disc]]:
-    """The pictures of both frames of a round body as unit discs, none of one that is not among the views."""
+    """The pictures of both frames of a round body as unit discs; an empty list for a frame that is not among the
+    views."""
     own = {view.kind: [Disc.of(p) for p in some] for view, some in zip(views, pictures, strict=True)}
     return {kind: own.get(kind, []) for kind in (POLAR, RADIAL)}
 
 
 def _layers_of(view: View, discs: list[Disc]) -> list[Layers]:
-    """The layers of a view's pictures. `discs`: the same pictures, in a round body."""
+    """The layers of a view's pictures. `discs`: the same pictures as discs, if the body is round."""
     if view.kind != POLAR or not discs:
         return [decompose(scaled, view.kind) for scaled in view.pictures]
     return [decompose(s, POLAR, _sheets_of(d, s)) for s, d in zip(view.pictures, discs, strict=True)]
 
 
 def _sheets_of(disc: Disc, scaled: ScaledPicture) -> NDArray[np.float32]:
-    """(H, W). How surely the pixels of a horizontal picture, which the disc shows, are of sheets. Range [0, 1]."""
+    """(H, W). How surely each pixel of a horizontal picture, which `disc` shows too, belongs to a sheet. Range
+    [0, 1]."""
     rows, columns = np.indices(scaled.depth.shape) / OVER
     right, high = columns - scaled.middle[0], scaled.middle[1] - rows
     angle = np.arctan2(high, right)
@@ -206,7 +208,7 @@ def _frame_and_area(space: Space, family: Family) -> tuple[Frame, NDArray[np.flo
 
 
 def _carrier(views: list[View]) -> int | None:
-    """Number of the view that is carried along an axis, None if all are radial."""
+    """Index of the view whose pictures are carried along an axis, None if all are radial."""
     kinds = [v.kind for v in views]
     return next((kinds.index(kind) for kind in (POLAR, FIXED) if kind in kinds), None)
 
@@ -214,10 +216,10 @@ def _carrier(views: list[View]) -> int | None:
 def _lay_course(
     space: Space, views: list[View], layers: list[list[Layers]], rng: np.random.Generator
 ) -> tuple[Extrusion | Revolution, HeightMask | None]:
-    """How the layers of one family's pictures go on through the body, corrected by the radial ones.
+    """How the layers of one family's pictures continue through the body, corrected by the radial ones.
 
-    Also returns the height mask of its structures, None without radial pictures or structures. Changes `layers` where
-    they show the line around a core, which is drawn for itself.
+    Also returns the height mask of its structures, None without radial pictures or structures. Removes the line around
+    a core from `layers`, in place: it is drawn separately.
     """
     kinds = [v.kind for v in views]
     carrier = _carrier(views)

@@ -1,1 +1,1 @@
-"""Insides from pictures of one thing: layers that go on differently along the axis that a picture does not show."""
+"""Insides from pictures of one thing: layers that continue differently along the axis that a picture does not show."""

@@ -1,7 +1,7 @@
-"""How tall the closed structures of a horizontal picture are: a closed thing ends about as far as it is long.
+"""How tall the closed structures of a horizontal picture are: a closed thing is about as tall as it is long.
 
-A chamber, a hollow or a stone that lies in the flesh is closed. What reaches the rind, goes around the axis or contains
-it, is long for its width or very large is a wall, a shell, a core or a zone, and runs through.
+A chamber, a hollow or a stone that lies in the flesh is closed. A structure that reaches the rind, goes around the axis
+or contains it, is long for its width or very large is a wall, a shell, a core or a zone, and runs through.
 """
 
 from __future__ import annotations
@@ -13,20 +13,21 @@ from scipy import ndimage
 __all__ = ["RUNS_THROUGH", "closed_heights"]
 
 RUNS_THROUGH = 1.0
-"""Height in inradii that stands for no end."""
+"""Height in inradii that stands for a structure without an end."""
 
 MAX_ELONGATION = 4.0
-"""Half length over inscribed half width up to which a structure is closed, as of details."""
+"""Largest half length over inscribed half width of a closed structure, as for details."""
 
 MAX_HALF_LENGTH = 0.35
-"""In inradii: a zone is longer. The chambers of apples and pears have up to 0.25."""
+"""Largest half length of a closed structure, in inradii: a zone is longer. The chambers of apples and pears have up to
+0.25."""
 
 CORE = 0.06
-"""Least radius in inradii of what runs along the axis: things that meet only there, as chambers may, are apart."""
+"""Least radius in inradii of the core along the axis: things that meet only there, as chambers may, are separate."""
 
 ALL_AROUND = 0.7
-"""Share of a circle around the axis that a core covers at least. With it the arms of four of five photographed stars
-are apart; the fifth runs through."""
+"""Least share of a circle around the axis that a core covers. With it the arms of four of five photographed stars are
+separate; the fifth runs through."""
 
 EDGE = 3
 """Pixels around a structure that belong to its soft edge."""
@@ -38,7 +39,7 @@ def closed_heights(
     """(H, W). Height over its own plane up to which each pixel of a picture shows a structure, in inradii.
 
     `structure` (H, W): opacity. `flesh` (H, W): what is under the rind. `middle`: row and column of the axis. A closed
-    structure is half an ellipsoid over its inscribed width, as tall in its middle as it is long.
+    structure is half an ellipsoid over its inscribed width; its height in the middle is its half length.
     """
     heights = np.full(structure.shape, RUNS_THROUGH, np.float32)
     inradius = float(ndimage.distance_transform_edt(flesh).max())

@@ -31,7 +31,8 @@ MIN_CLOSED = 0.9
 """Share of an outline's length that must show a line for it to enclose a core: an apple's is 1.0."""
 
 MIN_RING = 0.6
-"""The same for the ring, which is fainter: an apple's is 0.81; a pomegranate's membranes reach 0.35."""
+"""Share of the ring's length that must show a line. The ring is fainter: an apple's is 0.81; a pomegranate's membranes
+reach 0.35."""
 
 INNER, OUTER = 0.15, 0.75
 """Range of the search for an outline, as shares of the way to the skin: excludes rind and pith."""
@@ -51,8 +52,8 @@ class Core:
     """(ANGLES,). Distance of the ring from the centre of the horizontal picture, counter-clockwise from the right,
     cells."""
     outline: NDArray[np.float32]
-    """(TURNS,). Distance of the outline from the centre of a radial picture, from straight down to straight up,
-    cells."""
+    """(OUTLINE_ANGLES,). Distance of the outline from the centre of a radial picture, from straight down to straight
+    up, cells."""
     half: tuple[float, float]
     """Half width and half height of the radial pictures' cut face in cells."""
     line: NDArray[np.float32]
@@ -62,8 +63,8 @@ class Core:
         self, places: Places, widest: float, angle: NDArray[np.floating]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         """(M,), (M,), (M,). For points at angles (M,): signed distance beyond the shell, the shell's distance from the
-        centre in that direction, and that of the ring in the horizontal picture. All in cells, as is how far the skin
-        is at its `widest`.
+        centre in that direction, and the ring's in the horizontal picture. All in cells, as is `widest`, the largest
+        distance of the skin from the axis.
         """
         across = places.radius / widest * self.half[0]
         up = places.height * self.half[1]
@@ -80,12 +81,12 @@ class Core:
         return read_bilinear(self.line[..., None], y * OVER, x * OVER)
 
     def record(self) -> InsideRecord:
-        """Arrays and facts from which `restored` makes the same."""
+        """Arrays and facts from which `restored` makes the same core."""
         return {"ring": self.ring, "outline": self.outline, "line": self.line}, {"half": list(self.half)}
 
     @classmethod
     def restored(cls, record: RecordReader, pixels: tuple[int, int]) -> Core:
-        """That of a `record`, for a picture of (H, W) pixels. Raises ValueError if it is none."""
+        """The core in a `record`, for a picture of (H, W) pixels. Raises ValueError if the record is not valid."""
         return cls(
             record.array("ring", np.float32, (ANGLES,)),
             record.array("outline", np.float32, (OUTLINE_ANGLES,)),

@@ -39,18 +39,19 @@ class Correction:
     rings: NDArray[np.float32]
     """(L, RINGS, 3). Median colour of the extruded picture at each level and share of the rim."""
     by_depth: NDArray[np.float32]
-    """(D, 1, 3). Its median colour at each INSET_STEP of depth under its edge."""
+    """(D, 1, 3). Median colour of the extruded picture at each INSET_STEP of depth under its edge."""
 
     @classmethod
     def of(
         cls, sheets: list[Sheet], shape: Shape, carrier: ScaledPicture, places: Places, rgb: NDArray[np.float32]
     ) -> Correction:
-        """By radial pictures, of a carrier that gives these colours (M, 3) to random places of the body."""
+        """The correction by radial pictures of a carrier that gives these colours (M, 3) to random places of the
+        body."""
         by_depth = _median_by_depth(carrier, shape.inradius)
         return cls(sheets, _median_rings(places, rgb, len(shape.rims)), by_depth[:, None].astype(np.float32))
 
     def reduced(self, n: int) -> Correction:
-        """The same of pictures with pixels n times as large."""
+        """The same correction by pictures with pixels n times as large."""
         return replace(self, sheets=[sheet.reduced(n) for sheet in self.sheets])
 
     def apply(
@@ -62,7 +63,7 @@ class Correction:
         height_mask: HeightMask | None,
     ) -> None:
         """Corrects the colours of points, in place."""
-        # The extruded rings, by depth and share like the picture itself.
+        # The extruded rings, read by depth and share of the rim like the picture itself.
         near = skin_weight(places.depth, carrier.rind)[:, None]
         at_depth = read_bilinear(
             np.repeat(self.by_depth, 2, axis=1), places.depth * shape.inradius / INSET_STEP, np.zeros(len(rgb))
@@ -89,13 +90,13 @@ class Correction:
         rgb += weight * (replaced - rgb)
 
     def record(self) -> InsideRecord:
-        """Arrays and facts from which `restored` makes the same."""
+        """Arrays and facts from which `restored` makes the same correction."""
         arrays, facts = nested({str(n): sheet.record() for n, sheet in enumerate(self.sheets)})
         return arrays | {"rings": self.rings, "by_depth": self.by_depth}, facts | {"sheets": len(self.sheets)}
 
     @classmethod
     def restored(cls, record: RecordReader) -> Correction:
-        """That of a `record`. Raises ValueError if it is none."""
+        """The correction in a `record`. Raises ValueError if the record is not valid."""
         return cls(
             [Sheet.restored(record.part(str(n))) for n in range(record.count("sheets", MOST_SHEETS))],
             record.array("rings", np.float32, (None, RINGS, 3)),

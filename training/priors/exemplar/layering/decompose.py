@@ -36,7 +36,7 @@ MAX_DETAIL_LENGTH = 0.2
 MAX_ELONGATION = 4.0
 
 LEAST_SHEET = 0.3
-"""Surety from which a pixel of a sheet has its colour, and is not the colour of what is around it seen through it."""
+"""Least surety at which a pixel of a sheet has the sheet's own colour, not that of its surroundings showing through."""
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ class Layers:
     rind: float
     """Thickness of the layers along the skin, over the body's inradius."""
     ground: NDArray[np.float32]
-    """(H, W, 3). Smooth."""
+    """(H, W, 3). The smooth ground."""
     texture: NDArray[np.float32]
     """(H, W, 3). Picture minus ground, inpainted under structures and details."""
     structure: NDArray[np.float32]
@@ -74,7 +74,8 @@ class Layers:
     through: NDArray[np.float32]
     """(H, W, 3). Colours of the structures, extended a little beyond their edges."""
     heights: NDArray[np.float32]
-    """(H, W). Height over the own plane up to which they are there, in inradii; `RUNS_THROUGH` without an end."""
+    """(H, W). Height over the picture's plane up to which the structures reach, in inradii; `RUNS_THROUGH` if they do
+    not end."""
     detail: NDArray[np.float32]
     """(H, W). Opacity of the details."""
     labels: NDArray[np.int32]

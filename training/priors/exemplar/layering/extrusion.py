@@ -34,28 +34,28 @@ WAVINESS = 0.035
 class Extrusion:
     """A picture extruded along an axis: ground and structures straight, texture in layers across it.
 
-    A point near the skin shows the picture at equal depth, a deeper one at the equal share of the slice's radius.
+    A point near the skin shows the picture at equal depth, a deeper one at an equal share of the slice's radius.
     """
 
     shape: Shape
     sheet: Sheet
     grain: Grain
     seed: int
-    """Of the layers and of the waves of structures."""
+    """Seed of the texture's layers and of the structures' waves."""
     height_mask: HeightMask | None
-    """Where radial pictures end its structures."""
+    """Where its structures end, by radial pictures."""
     core: Core | None
-    """A line around the core, drawn as one shell."""
+    """The line around a core, drawn as one shell."""
     correction: Correction | None = None
-    """By radial pictures."""
+    """Correction by radial pictures."""
 
     @property
     def sheets(self) -> list[Sheet]:
-        """All that it reads."""
+        """All sheets that it reads."""
         return [self.sheet, *([] if self.correction is None else self.correction.sheets)]
 
     def reduced(self, n: int) -> Extrusion:
-        """The same of pictures with pixels n times as large."""
+        """The same extrusion with pixels n times as large in its pictures."""
         correction = None if self.correction is None else self.correction.reduced(n)
         return replace(self, sheet=self.sheet.reduced(n), correction=correction)
 
@@ -70,7 +70,7 @@ class Extrusion:
         return np.clip(rgb, 0, 1)
 
     def uncorrected(self, places: Places) -> NDArray[np.float32]:
-        """(M, 3). What the picture alone says."""
+        """(M, 3). Colours by the picture alone."""
         sheet, depth, size = self.sheet, places.depth, self.shape.inradius
         angle = self._angle(places)
         x, y = sheet.position(angle, places.share, depth, size)
@@ -121,7 +121,7 @@ class Extrusion:
 
     @property
     def own_normal(self) -> NDArray[np.float64]:
-        """(3,). Of the plane through the body's centre in which the picture is shown as it is."""
+        """(3,). Normal of the own plane: the one through the body's centre in which the picture is shown as it is."""
         return self.shape.basis[2]
 
     def position(self, places: Places) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
@@ -129,7 +129,7 @@ class Extrusion:
         return self.sheet.position(self._angle(places), places.share, places.depth, self.shape.inradius)
 
     def _above_own(self, places: Places) -> NDArray[np.float32]:
-        """(M,). Height over that plane, cells."""
+        """(M,). Height over the own plane, cells."""
         return places.level + np.float32(self.shape.lowest)
 
     def _angle(self, places: Places) -> NDArray[np.floating]:
@@ -148,7 +148,7 @@ class Extrusion:
 
     @property
     def _radius(self) -> float:
-        """Cells. About that of a ball around the body."""
+        """Approximate radius of a ball around the body, cells."""
         return max(self.shape.widest, len(self.shape.rims) / 2)
 
     def _texture(
@@ -169,7 +169,7 @@ class Extrusion:
             other = angle[rows] + np.pi * grain.share_a * around
             depth = np.maximum(places.depth[rows], sheet.rind)
             u, v = sheet.position(other, places.share[rows], depth, size)
-            # Less at the axis, where all directions meet.
+            # Swing less at the axis, where all directions meet.
             out *= np.minimum(np.hypot(u - sheet.middle[0], v - sheet.middle[1]) / (2 * swing), 1)
             return sheet.read(u + out * np.cos(other), v - out * np.sin(other), TEXTURE)
 
@@ -185,7 +185,7 @@ class Extrusion:
         rgb += core.line_at(x, y) * (self.sheet.read(x, y, PICTURE) - rgb)
 
     def _bent(self, places: Places, core: Core, angle: NDArray[np.floating]) -> NDArray[np.floating]:
-        """(M,). The share of the rim at which the picture shows the ground at equal distance from a core."""
+        """(M,). The share of the rim at which the picture shows the ground at an equal distance from the core."""
         away, shell, ring = core.shell(places, self.shape.widest, angle)
         at = ring / self.sheet.rim(angle)
         out = np.maximum(away, 0)
@@ -193,7 +193,7 @@ class Extrusion:
         return np.where(away < 0, at * (1 + away / shell), at + (1 - at) * outside)
 
     def record(self) -> InsideRecord:
-        """Arrays and facts from which `restored` makes the same."""
+        """Arrays and facts from which `restored` makes the same extrusion."""
         parts = {"sheet": self.sheet.record()}
         more = {"mask": self.height_mask, "core": self.core, "correction": self.correction}
         arrays, facts = nested(parts | {name: part.record() for name, part in more.items() if part is not None})
@@ -201,7 +201,7 @@ class Extrusion:
 
     @classmethod
     def restored(cls, record: RecordReader, shape: Shape) -> Extrusion:
-        """That of a `record`. Raises ValueError if it is none."""
+        """The extrusion in a `record`. Raises ValueError if the record is not valid."""
         sheet = Sheet.restored(record.part("sheet"))
         return cls(
             shape,
@@ -215,4 +215,4 @@ class Extrusion:
 
 
 _STRUCTURES = slice(STRUCTURE.start, HEIGHT.stop)
-"""Opacity, colour and height."""
+"""Channels of the structures' opacity, colour and height."""

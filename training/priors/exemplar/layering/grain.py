@@ -1,4 +1,4 @@
-"""The grain of a picture's texture, which says how thin its layers lie and what may be shown in the next."""
+"""The grain of a picture's texture, which sets how thin its layers are and how far each may shift it."""
 
 from __future__ import annotations
 
@@ -15,29 +15,29 @@ from training.priors.exemplar.strata import LAYER, Waves
 __all__ = ["SWING", "Grain", "Strata"]
 
 SWING = 0.12
-"""Of a layer's texture to either side, in inradii of the picture."""
+"""Largest shift of a layer's texture to either side, in inradii of the picture."""
 
 THINNEST = 1.0
-"""Thickness of a layer in cells that the grid still resolves."""
+"""Least thickness of a layer, in cells, that the grid resolves."""
 
 MOST_LAYERS = 10_000
 
 
 @dataclass(frozen=True)
 class Grain:
-    """How texture goes on in the direction that its picture does not show."""
+    """How texture continues in the direction that its picture does not show."""
 
     thickness: float
-    """Of a layer, in cells."""
+    """Thickness of a layer, in cells."""
     share_a: float
-    """Share of the full swing along the picture's direction a, and along b: rings and stripes are cut shells and
-    sheets, which go on as they are."""
+    """Share of SWING along the picture's direction a, as `share_b` along b: rings and stripes are cut shells and
+    sheets, which continue unchanged."""
     share_b: float
 
     @classmethod
     def of(cls, pictures: Sequence[Layers], across: Sequence[Layers], turns: bool) -> Grain:
-        """The grain that pictures `across` show in that direction; without any the pictures' own mean grain, but that
-        of rings around them. `turns`: whether layers are turned, which is a swing along b."""
+        """The grain that pictures `across` show in that direction; without any, the pictures' own mean grain, but for
+        rings the grain along them. `turns`: whether layers are turned, which is a swing along b."""
         deviation, a, b = np.mean([p.spread for p in pictures], axis=0)
         share_a = share_b = 1.0
         if across:
@@ -50,7 +50,7 @@ class Grain:
 
     @classmethod
     def restored(cls, record: RecordReader) -> Grain:
-        """That of a `record`. Raises ValueError if it is none."""
+        """The grain in a `record`. Raises ValueError if the record is not valid."""
         numbers = (
             record.number("thickness", THINNEST, 1e4),
             record.number("share_a", 0, 1),
@@ -63,14 +63,14 @@ class Strata:
     """The layers of a body's texture, drawn at random."""
 
     def __init__(self, count: int, thickness: float, seed: int) -> None:
-        """So many layers, this thick in radii of the body."""
+        """`thickness`: of each of the `count` layers, in radii of the body."""
         self.count = min(count, MOST_LAYERS)
         rng = np.random.default_rng(seed)
         self.phases: list[float] = rng.uniform(0, 2 * np.pi, 2).tolist()
-        """Radians."""
+        """Two random phases, in radians."""
         self.waves = Waves(thickness, rng)
         self._draws = rng.uniform(-1, 1, (self.count, 2))
 
     def draw(self, layer: NDArray[np.int64]) -> NDArray[np.float64]:
-        """(2, R). Two numbers of each layer (R,). Range [-1, 1]."""
+        """(2, R). Two random numbers for each layer (R,). Range [-1, 1]."""
         return self._draws[layer % self.count].T

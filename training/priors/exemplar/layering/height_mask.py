@@ -50,7 +50,7 @@ EDGE_WIDTH = 0.15
 """Width of the soft edge of the remaining opacity, as a share of the way from a structure's edge to its middle."""
 
 MAX_MISS_CHANCE = 0.2
-"""Largest probability that all halves miss an existing structure at which their not showing it still counts as
+"""Largest probability of all halves missing an existing structure at which its absence from them still counts as
 evidence."""
 
 
@@ -59,7 +59,7 @@ class HeightMask:
     """Remaining opacity of structures by colour, radius and height."""
 
     palette: NDArray[np.float32]
-    """(K, 3)."""
+    """(K, 3). Mean colours of the clusters."""
     opacity: NDArray[np.float32]
     """(K, RADII, HEIGHTS). Opacity of structures of this colour that run from pole to pole, range [0, 1]."""
     presence: NDArray[np.float32]
@@ -108,12 +108,12 @@ class HeightMask:
         return self.explained[_cells(radius, height)]
 
     def record(self) -> InsideRecord:
-        """Arrays and facts from which `restored` makes the same."""
+        """Arrays and facts from which `restored` makes the same mask."""
         return {name: np.asarray(getattr(self, name), dtype) for name, (dtype, _) in self._stored((0, 0)).items()}, {}
 
     @classmethod
     def restored(cls, record: RecordReader, pixels: tuple[int, int]) -> HeightMask:
-        """That of a `record`, for a picture of (H, W) pixels. Raises ValueError if it is none."""
+        """The mask in a `record`, for a picture of (H, W) pixels. Raises ValueError if the record is not valid."""
         arrays = {name: record.array(name, dtype, shape) for name, (dtype, shape) in cls._stored(pixels).items()}
         if arrays["main_colour"].min() < 0 or arrays["main_colour"].max() >= COLOURS:
             raise ValueError("a wrong main_colour")

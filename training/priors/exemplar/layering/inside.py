@@ -1,4 +1,4 @@
-"""The inside of a body whose pictures show one thing, read at any place, kept in a file and read from it again."""
+"""The inside of a body whose pictures show one thing: read at any place, stored in a file and restored from it."""
 
 from __future__ import annotations
 
@@ -20,28 +20,28 @@ from training.priors.exemplar.record import RecordReader, nested
 __all__ = ["LayeredInside"]
 
 COARSEST = 16
-"""Times as large as a picture's pixels are those of its coarsest version."""
+"""How many times larger than a picture's pixels those of its coarsest version are."""
 
 BLOCK = 100_000
-"""Points that are read at once: bounds the memory of what is between."""
+"""Points that are read at once: bounds the memory of intermediate results."""
 
 VISIBLE = 0.05
-"""Change of a colour from which a stamp shows: a seed's soft edge belongs to it up to a tenth of its contrast."""
+"""Least change of a colour by which a stamp shows: a seed's soft edge belongs to it up to a tenth of its contrast."""
 
 SOLID = 0.5
-"""Opacity from which a structure is there."""
+"""Least opacity of a structure that is there."""
 
 COURSES: dict[str, type[Extrusion] | type[Revolution] | type[Slices]] = {
     "extrusion": Extrusion,
     "revolution": Revolution,
     "slices": Slices,
 }
-"""How pictures go on, by their names in a file."""
+"""Ways in which pictures continue through a body, by their names in a file."""
 
 
 @dataclass(frozen=True)
 class LayeredInside:
-    """Layers of pictures that go on through a body, and the details that end in it."""
+    """Layers of pictures that continue through a body, and the details that end in it."""
 
     shape: Shape
     course: Extrusion | Revolution | Slices
@@ -51,12 +51,12 @@ class LayeredInside:
     grid_centre: NDArray[np.float64]
     """(3,). The same point in cells of the grid that the details were placed in."""
     cell: float
-    """World units."""
+    """Edge of a cell of that grid, world units."""
     _reduced: dict[int, LayeredInside] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @classmethod
     def of(cls, space: Space, course: Extrusion | Revolution | Slices) -> LayeredInside:
-        """Pictures that go on so in a body, without details."""
+        """The inside of a body through which pictures take this `course`, without details."""
         grid, centre = space.body.grid, space.centre.astype(np.float64)
         origin = np.asarray(grid.origin) + (centre + 0.5) * grid.cell
         return cls(course.shape, course, None, origin, centre, float(grid.cell))
@@ -118,7 +118,7 @@ class LayeredInside:
 
     @classmethod
     def restored(cls, record: RecordReader) -> LayeredInside:
-        """The inside of a `record`. Raises ValueError if it is none."""
+        """The inside in a `record`. Raises ValueError if the record is not valid."""
         way = record.facts.get("way")
         if not isinstance(way, str) or way not in COURSES:
             raise ValueError("another way that pictures go on")

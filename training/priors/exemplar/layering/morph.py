@@ -23,7 +23,7 @@ DISC_SIZE = 160
 """Pixels along a side of the unit disc on which slices are compared: fine enough to follow a muscle."""
 
 FACE_SIZE = 512
-"""Pixels along a side of the disc from which colours are read: as many as most pictures of the web have."""
+"""Pixels along a side of the disc from which colours are read: as many as most pictures on the web have."""
 
 MIN_CORRELATION, MIN_LEAD = 0.3, 0.2
 """Smallest correlation of neighbouring slices of one object, and smallest lead over other angles.
@@ -50,14 +50,14 @@ class SliceStack:
 
     @classmethod
     def of(cls, pictures: Sequence[ScaledPicture]) -> SliceStack:
-        """The stack of pictures in their order, two at least."""
+        """The stack of at least two pictures, in their order."""
         discs = [_disc(picture, DISC_SIZE) for picture in pictures]
         faces = np.round(np.stack([_disc(picture, FACE_SIZE) for picture in pictures]) * 255).astype(np.float32)
         flows = np.stack([np.stack([_flow(a, b), _flow(b, a)]) for a, b in pairwise(discs)])
         return cls(faces / np.float32(255), flows.astype(np.float16).astype(np.float32))
 
     def reduced(self, n: int) -> SliceStack:
-        """The same of faces with pixels n times as large."""
+        """The same stack with pixels n times as large in its faces."""
         return replace(self, faces=np.stack([reduced(face, n) for face in self.faces]))
 
     def read(
@@ -84,12 +84,12 @@ class SliceStack:
         return out
 
     def record(self) -> InsideRecord:
-        """Arrays and facts from which `restored` makes the same."""
+        """Arrays and facts from which `restored` makes the same stack."""
         return {"faces": np.round(self.faces * 255).astype(np.uint8), "flows": self.flows.astype(np.float16)}, {}
 
     @classmethod
     def restored(cls, record: RecordReader) -> SliceStack:
-        """That of a `record`. Raises ValueError if it is none."""
+        """The stack in a `record`. Raises ValueError if the record is not valid."""
         faces = record.array("faces", np.uint8, (None, FACE_SIZE, FACE_SIZE, 3))
         if not 2 <= len(faces) <= MOST_SHEETS:
             raise ValueError("a wrong number of slices")
@@ -109,7 +109,7 @@ class Slices:
     stack: SliceStack
 
     def reduced(self, n: int) -> Slices:
-        """The same of pictures with pixels n times as large."""
+        """The same slices with pixels n times as large in their pictures."""
         return replace(self, stack=self.stack.reduced(n))
 
     def read(self, places: Places) -> NDArray[np.float32]:
@@ -122,12 +122,12 @@ class Slices:
         return self.stack.read(share * np.cos(angle), share * np.sin(angle), places.level / len(self.shape.rims))
 
     def record(self) -> InsideRecord:
-        """Arrays and facts from which `restored` makes the same."""
+        """Arrays and facts from which `restored` makes the same slices."""
         return nested({"stack": self.stack.record()})
 
     @classmethod
     def restored(cls, record: RecordReader, shape: Shape) -> Slices:
-        """That of a `record`. Raises ValueError if it is none."""
+        """The slices in a `record`. Raises ValueError if the record is not valid."""
         return cls(shape, SliceStack.restored(record.part("stack")))
 
 

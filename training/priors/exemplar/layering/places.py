@@ -1,4 +1,4 @@
-"""Points of a body in coordinates that follow its shape, from a few tables of it."""
+"""Points of a body in coordinates that follow its shape, which a few tables describe."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ DEPTH_STEP = 2
 hundredth of a cell at a skin of any radius that cuts show, and by half a cell in the sharpest corner."""
 
 FAR_OUTSIDE = -6.0
-"""Cells outside the skin from which the depth is not known."""
+"""Least depth that is stored, in cells; it is negative outside the skin."""
 
 FLAT_END_SHARE = 0.4
-"""Area of an end slice over the widest one from which the end counts as cut off flat."""
+"""Least area of an end slice, over that of the widest slice, at which the end counts as cut off flat."""
 
 
 @dataclass(frozen=True)
@@ -31,13 +31,13 @@ class Places:
     """Points (M,) of a body. Lengths are in cells, unless said otherwise."""
 
     depth: NDArray[np.float32]
-    """(M,). Under the skin over the body's inradius, at least 0."""
+    """(M,). Depth under the skin over the body's inradius, at least 0."""
     radius: NDArray[np.float32]
     """(M,). Distance from the up axis."""
     height: NDArray[np.float32]
-    """(M,). Along the up axis, range [-1, 1] over the body."""
+    """(M,). Height along the up axis, range [-1, 1] over the body."""
     place: NDArray[np.float32]
-    """(M, 2). In a slice across the axis that a picture is carried along, from the slices' common centre."""
+    """(M, 2). Position in a slice across the axis that a picture is carried along, from the slices' common centre."""
     away: NDArray[np.float32]
     """(M,). Distance from that centre."""
     rim: NDArray[np.float32]
@@ -46,7 +46,7 @@ class Places:
     """(M,). Position along that axis, from the lowest point of the body."""
 
     def of(self, rows: NDArray[np.intp]) -> Places:
-        """Some of the points."""
+        """The points of some rows."""
         return Places(*(getattr(self, part.name)[rows] for part in fields(self)))
 
     @property
@@ -56,23 +56,23 @@ class Places:
 
     @property
     def angle(self) -> NDArray[np.float32]:
-        """(M,). Around the axis in radians."""
+        """(M,). Angle around the axis in radians."""
         return np.arctan2(self.place[:, 1], self.place[:, 0])
 
 
 @dataclass(frozen=True)
 class Shape:
-    """The shape of a body: from which the places of points in it are found. Lengths are in cells."""
+    """The shape of a body, from which the places of points in it are found. Lengths are in cells."""
 
     inradius: float
     widest: float
     """Largest distance of the skin from the up axis (`Space.widest`)."""
     half_height: float
-    """Along the up axis."""
+    """Half the height of the body along the up axis."""
     up_basis: NDArray[np.float64]
     """(3, 3). Rows e1, e2, up."""
     basis: NDArray[np.float64]
-    """(3, 3). Two directions in a slice, and that of the axis that a picture is carried along."""
+    """(3, 3). Rows: two directions in a slice, and the direction of the axis that a picture is carried along."""
     is_round: bool
     """Whether slices may be rotated: a round outline does not fix the angle."""
     lowest: float
@@ -82,7 +82,7 @@ class Shape:
     has_flat_ends: bool
     """Whether the body is cut off across that axis, as a limb is, and its ends show the inside."""
     corner: NDArray[np.float64]
-    """(3,). The first sample of the depth, from the centre."""
+    """(3,). Position of the first sample of `depth`, from the centre."""
     depth: NDArray[np.float16]
     """(X, Y, Z). Depth under the skin at every DEPTH_STEP cells, negative outside."""
 
@@ -112,14 +112,14 @@ class Shape:
         )
 
     def record(self) -> InsideRecord:
-        """Arrays and facts from which `restored` makes the same."""
+        """Arrays and facts from which `restored` makes the same shape."""
         arrays = {name: getattr(self, name) for name in ("up_basis", "basis", "rims", "corner", "depth")}
         names = "inradius", "widest", "half_height", "is_round", "lowest", "has_flat_ends"
         return arrays, {name: getattr(self, name) for name in names}
 
     @classmethod
     def restored(cls, record: RecordReader) -> Shape:
-        """That of a `record`. Raises ValueError if it is none."""
+        """The shape in a `record`. Raises ValueError if the record is not valid."""
         return cls(
             record.number("inradius", 1e-3, 1e5),
             record.number("widest", 1e-3, 1e5),
@@ -136,11 +136,11 @@ class Shape:
 
     @cached_property
     def _samples(self) -> NDArray[np.float32]:
-        """(X, Y, Z, 1). The depth in the type of the kernels."""
+        """(X, Y, Z, 1). The depth in the data type of the kernels."""
         return self.depth.astype(np.float32)[..., None]
 
     def places(self, points: NDArray[np.float64]) -> Places:
-        """Of points (M, 3) in cells from the body's centre, along the axes of its grid."""
+        """The places of points (M, 3) in cells from the body's centre, along the axes of its grid."""
         depth = read_trilinear(self._samples, ((points - self.corner) / DEPTH_STEP).astype(np.float32))
         upright = (points @ self.up_basis.T).astype(np.float32)
         planar = (points @ self.basis.T).astype(np.float32)

@@ -1,4 +1,4 @@
-"""Turns a radial picture about the axis, where it is all there is."""
+"""Turns a radial picture about the axis, if all pictures are radial."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from training.priors.exemplar.strata import beside_own, read_layers
 __all__ = ["Revolution"]
 
 OVERLAP = 0.3
-"""Sine of the angle on either side of which the halves pass into one another."""
+"""Sine of the angle, to either side of the plane between the halves, over which they blend."""
 
 
 @dataclass(frozen=True)
 class Revolution:
-    """The halves of a radial picture, each revolved about the axis by half a turn, texture in layers around it."""
+    """The halves of a radial picture, each revolved about the axis by half a turn, with texture in layers around it."""
 
     shape: Shape
     sheet: Sheet
@@ -33,15 +33,15 @@ class Revolution:
     rim: float
     """Usual distance of the skin from the axis, cells."""
     seed: int
-    """Of the layers."""
+    """Seed of the texture's layers."""
 
     @property
     def sheets(self) -> list[Sheet]:
-        """All that it reads."""
+        """All sheets that it reads."""
         return [self.sheet]
 
     def reduced(self, n: int) -> Revolution:
-        """The same of a picture with pixels n times as large."""
+        """The same revolution with pixels n times as large in its picture."""
         return replace(self, sheet=self.sheet.reduced(n))
 
     @cached_property
@@ -52,11 +52,11 @@ class Revolution:
 
     @property
     def own_normal(self) -> NDArray[np.float64]:
-        """(3,). Of the plane through the axis in which the picture is shown as it is."""
+        """(3,). Normal of the own plane: the one through the axis in which the picture is shown as it is."""
         return self.shape.basis[1]
 
     def position(self, places: Places) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """(M,), (M,). Place in the picture, cells, of points of that plane."""
+        """(M,), (M,). Place in the picture, cells, of points in the own plane."""
         right, left = (radial_position(self.sheet, places, self.shape, side) for side in (1, -1))
         is_right = places.place[:, 0] >= 0
         return np.where(is_right, right[0], left[0]), np.where(is_right, right[1], left[1])
@@ -77,7 +77,7 @@ class Revolution:
         return opacity, np.zeros(len(opacity), bool)
 
     def _halves(self, places: Places) -> tuple[tuple[int, NDArray[np.floating]], ...]:
-        """The right half (1) and the left one (-1), each with its share (M,) of what is shown at points."""
+        """The right half (1) and the left one (-1), each with its share (M,) in what the points show."""
         right = smoothstep(np.cos(places.angle), -OVERLAP, OVERLAP)
         return (1, right), (-1, 1 - right)
 
@@ -103,13 +103,13 @@ class Revolution:
         return beside_own(read_layers(height, read), own, places.place[:, 1] / grain.thickness)
 
     def record(self) -> InsideRecord:
-        """Arrays and facts from which `restored` makes the same."""
+        """Arrays and facts from which `restored` makes the same revolution."""
         arrays, facts = nested({"sheet": self.sheet.record()})
         return arrays, facts | {"grain": asdict(self.grain), "rim": self.rim, "seed": self.seed}
 
     @classmethod
     def restored(cls, record: RecordReader, shape: Shape) -> Revolution:
-        """That of a `record`. Raises ValueError if it is none."""
+        """The revolution in a `record`. Raises ValueError if the record is not valid."""
         return cls(
             shape,
             Sheet.restored(record.part("sheet")),

@@ -80,7 +80,7 @@ class _Template:
     """Expected number of copies in the body."""
     places: _GateIndex
     gate: NDArray[np.float32]
-    """(3,). Gate coordinates of their centres."""
+    """(3,). Gate coordinates of the copies' centres."""
 
 
 def scatter_details(
@@ -96,9 +96,9 @@ def scatter_details(
 ) -> Stamps:
     """Paints the details of all pictures into the grid, in place, and returns them.
 
-    In the own plane of the `course`, which the first picture of the `own_view` shows, are those of that picture and no
-    others. Elsewhere a detail is taken for a section of an object whose length across the picture follows the aspect of
-    the other families' details or, without any, equals its width. A plane crosses an object of length L with
+    The own plane of the `course`, which the first picture of the `own_view` shows, gets the details of that picture and
+    no others. Elsewhere a detail is taken for a section of an object whose length across the picture follows the aspect
+    of the other families' details or, without any, equals its width. A plane crosses an object of length L with
     probability L / H, so a face showing n of them stands for n H / L in the body.
     """
     templates = _make_templates(space, views, layers, height_mask)
@@ -150,14 +150,14 @@ class _OwnPlane:
         self.centre, self.normal = space.centre.astype(np.float64), course.own_normal
         offsets = space.cells - self.centre
         self.away = np.abs(offsets @ self.normal).astype(np.float32)
-        """(N,). Distance of the voxels, cells."""
+        """(N,). Distance of the voxels from the plane, cells."""
         near = np.flatnonzero(self.away <= 0.75)
         self.cells = space.cells[near]
         self.places = np.stack(course.position(course.shape.places(offsets[near])), axis=-1)
         self.tree = KDTree(self.places)
 
     def point(self, detail: Detail, ab: NDArray[np.float32], view: View) -> NDArray[np.float32] | None:
-        """(3,). Where it shows a detail of its picture, in cells; None where the body has no such place.
+        """(3,). Where the plane shows a detail of its picture, in cells; None if the body has no such place.
 
         `ab` (4,): directions a and b at the detail.
         """
@@ -180,7 +180,8 @@ class _Occupancy:
         self.placed: dict[tuple[int, ...], list[tuple[NDArray[np.float32], float]]] = {}
 
     def place(self, choice: NDArray[np.intp], size: float) -> int:
-        """The first of some rows of `space.cells` with room for a detail of this half length, else the last."""
+        """Takes the first of some rows of `space.cells` with room for a detail of this half length, else the last;
+        returns it."""
         for at in choice.tolist():
             point = self.space.cells[at].astype(np.float32)
             key = self._key(point)
@@ -198,7 +199,7 @@ class _Occupancy:
         return at
 
     def occupy(self, point: NDArray[np.float32], size: float) -> None:
-        """Takes the room of a detail of this half length."""
+        """Takes the room of a detail of this half length at a point."""
         self.placed.setdefault(self._key(point), []).append((point, size))
 
     def _key(self, point: NDArray[np.float32]) -> tuple[int, ...]:

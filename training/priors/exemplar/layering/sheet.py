@@ -1,4 +1,4 @@
-"""The layers of a picture as an inside reads them: at any place, at any fineness, and from a file."""
+"""The layers of a picture in the form that an inside reads: at any place, at any fineness, and from a file."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from training.priors.exemplar.sampling import read_bilinear, reduced
 __all__ = ["DETAIL", "GROUND", "PICTURE", "STRUCTURE", "TEXTURE", "THROUGH", "Sheet"]
 
 GROUND, TEXTURE, STRUCTURE, THROUGH, HEIGHT = slice(0, 3), slice(3, 6), slice(6, 7), slice(7, 10), slice(10, 11)
-"""Channels of a sheet: a smooth ground, its texture, and structures: opacity, colour, and how tall they are."""
+"""Channels of a sheet: a smooth ground, its texture, and the opacity, colour and height of the structures."""
 
 PICTURE, DETAIL = slice(11, 14), slice(14, 15)
-"""The picture itself, and the opacity of the details that end."""
+"""Channels of the picture itself, and of the opacity of the details that end."""
 
 CHANNELS = 15
 
 MOST_PIXELS = 2048
-"""Along a side of a sheet in a file."""
+"""Largest number of pixels along a side of a sheet in a file."""
 
 
 @dataclass(frozen=True)
@@ -36,19 +36,19 @@ class Sheet(Outline):
     rind: float
     """Thickness of the layers along the skin, over the body's inradius."""
     inradius: float
-    """Of the picture's face, over that of the body."""
+    """Inradius of the picture's face, over that of the body."""
     thickness: float
     """Typical half thickness of long structures, cells."""
     channels: NDArray[np.float32]
     """(H, W, CHANNELS). See the slices above."""
     labels: NDArray[np.int32]
-    """(OVER pixels per cell). Number of the detail that each pixel belongs to, 0 for none."""
+    """Number of the detail that each pixel of the picture (OVER pixels per cell) belongs to, 0 for none."""
     coarseness: int = 1
     """Pixels of the picture per pixel of `channels`, along a side."""
 
     @classmethod
     def of(cls, layers: Layers) -> Sheet:
-        """A picture's layers."""
+        """The sheet of a picture's layers."""
         source = layers.source
         structure, heights, detail = (a[..., None] for a in (layers.structure, layers.heights, layers.detail))
         parts = layers.ground, layers.texture, structure, layers.through, heights, source.rgb, detail
@@ -72,15 +72,16 @@ class Sheet(Outline):
     def read(self, x: NDArray[np.floating], y: NDArray[np.floating], channels: slice) -> NDArray[np.float32]:
         """(M, K). Some channels at places in cells."""
         n = self.coarseness
-        # A pixel of the picture lies at a whole number, a large one at the mean of those that it covers.
+        # A pixel of the picture lies at a whole number, an enlarged one at the mean of those that it covers.
         rows, columns = ((at * OVER - (n - 1) / 2) / n for at in (y, x))
         return read_bilinear(self.channels, rows, columns, channels)
 
     def position(
         self, angle: NDArray[np.floating], share: NDArray[np.floating], depth: NDArray[np.floating], inradius: float
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """(M,), (M,). Place in the picture, in cells, of points at an angle, share of the rim and depth in inradii of a
-        body of this inradius in cells: at equal depth near the skin, at the equal share of the rim below."""
+        """(M,), (M,). Place in the picture, in cells, of points of a body at an angle, a share of the rim and a depth
+        in inradii: at equal depth near the skin, at an equal share of the rim below. `inradius`: the body's, in
+        cells."""
         rim = self.rim(angle)
         by_depth = np.maximum(rim - self.inset(angle, depth * inradius), 0)
         near = skin_weight(depth, self.rind)
@@ -104,7 +105,7 @@ class Sheet(Outline):
 
     @classmethod
     def restored(cls, record: RecordReader) -> Sheet:
-        """The sheet of a `record`. Raises ValueError if it is none."""
+        """The sheet in a `record`. Raises ValueError if the record is not valid."""
         plain = record.array("levels", np.uint8, (None, None, CHANNELS - 3))
         height, width = plain.shape[:2]
         if not 2 <= min(height, width) <= max(height, width) <= MOST_PIXELS:
@@ -131,5 +132,5 @@ def skin_weight(depth: NDArray[np.floating], rind: float) -> NDArray[np.floating
 
 
 def _from_levels(levels: NDArray[np.int16]) -> NDArray[np.float32]:
-    """Steps of 1/255 as numbers."""
+    """Numbers from levels in steps of 1/255."""
     return levels.astype(np.float32) / np.float32(255)

@@ -23,13 +23,13 @@ MAX_GROUND_DISTANCE = 0.5
 """RGB distance from its ground beyond which a detail is not painted: a crumb is cut off at the cream."""
 
 GROW = np.float32(1.15)
-"""Sections are smaller than what they cut."""
+"""Factor by which a stamp is larger than its detail in the picture: sections are smaller than what they cut."""
 
 BIN = 8.0
-"""Cells along a side of the bins that stamps are looked up in: a few of them meet a bin."""
+"""Cells along a side of the bins in which stamps are looked up: a few stamps meet a bin."""
 
 MOST_STAMPS, MOST_TEXELS, MOST_CROP = 1_000_000, 50_000_000, 2048
-"""In a file: stamps, pixels of all crops, and pixels along a crop."""
+"""Largest numbers in a file: of stamps, of pixels of all crops, and of pixels along a crop."""
 
 POINT, A, B, MIDDLE, REACH, AB, ACROSS, GROUND = 0, 3, 6, 9, 11, 12, 16, 17
 """First columns of a stamp: where its centre goes in cells (3), directions a and b there (3 each), its centre in the
@@ -73,12 +73,12 @@ class Crops:
         return np.cumsum(areas) - areas
 
     def reduced(self, n: int) -> Crops:
-        """The same of pictures with pixels n times as large."""
+        """The same crops of pictures with pixels n times as large."""
         texels, boxes = [np.zeros((0, 5), np.float32)], [np.zeros((0, 4), np.int32)]
         for (row, column, height, width), first in zip(self.boxes.tolist(), self.first.tolist(), strict=True):
             crop = self.texels[first : first + height * width].reshape(height, width, 5).copy()
             crop[..., 3] *= crop[..., 4]
-            # Whole large pixels, and one more around, between which the crop fades.
+            # Padded to whole large pixels and by one more on all sides, over which the crop fades.
             sides = [(n + start % n, n + -(start + side) % n) for start, side in ((row, height), (column, width))]
             colours = np.pad(crop[..., :3], (*sides, (0, 0)), mode="edge")
             small = reduced(np.concatenate([colours, np.pad(crop[..., 3:], (*sides, (0, 0)))], axis=-1), n)
@@ -94,16 +94,17 @@ class Stamps:
 
     crops: Crops
     rows: NDArray[np.float32]
-    """(S, COLUMNS). In the order in which they are painted."""
+    """(S, COLUMNS). The stamps, in the order in which they are painted."""
     crop: NDArray[np.int32]
-    """(S,). Which crop each shows."""
+    """(S,). Number of the crop that each stamp shows."""
 
     def reduced(self, n: int) -> Stamps:
-        """The same of pictures with pixels n times as large."""
+        """The same stamps with pixels n times as large in their pictures."""
         return replace(self, crops=self.crops.reduced(n))
 
     def paint(self, rgb: NDArray[np.float32], points: NDArray[np.float32]) -> None:
-        """Paints them over colours (M, 3) at points (M, 3) in cells of the grid they were placed in, in place."""
+        """Paints the stamps over colours (M, 3), in place, at points (M, 3) in cells of the grid that they were placed
+        in."""
         if len(self.rows):
             low, counts, starts, members = self._bins
             crops = self.crops
@@ -113,7 +114,8 @@ class Stamps:
 
     @cached_property
     def _bins(self) -> tuple[NDArray[np.float32], NDArray[np.int64], NDArray[np.int64], NDArray[np.int32]]:
-        """(3,), (3,), (N + 1,), (E,). Lowest corner and number of the bins, and which stamps each meets, in order."""
+        """(3,), (3,), (N + 1,), (E,). Lowest corner and number of the bins; the first entry of each bin among the
+        stamps that meet the bins; and these, in order."""
         far = _far(self.rows[:, REACH], self.rows[:, ACROSS])[:, None]
         low, high = (self.rows[:, :A] - far), (self.rows[:, :A] + far)
         corner = low.min(0)
@@ -130,13 +132,13 @@ class Stamps:
         return corner.astype(np.float32), counts, starts.astype(np.int64), members[order].astype(np.int32)
 
     def record(self) -> InsideRecord:
-        """Arrays and facts from which `restored` makes the same."""
+        """Arrays and facts from which `restored` makes the same stamps."""
         texels = np.round(self.crops.texels * 255).astype(np.uint8)
         return {"texels": texels, "boxes": self.crops.boxes, "rows": self.rows, "crop": self.crop}, {}
 
     @classmethod
     def restored(cls, record: RecordReader) -> Stamps:
-        """Those of a `record`. Raises ValueError if it is none."""
+        """The stamps in a `record`. Raises ValueError if the record is not valid."""
         texels = record.array("texels", np.uint8, (None, 5))
         boxes, rows = record.array("boxes", np.int32, (None, 4)), record.array("rows", np.float32, (None, COLUMNS))
         crop = record.array("crop", np.int32, (len(rows),))
@@ -152,7 +154,7 @@ class Stamps:
 
 
 def _far(reach: NDArray[np.float32], across: NDArray[np.float32]) -> NDArray[np.float32]:
-    """(S,). Cells from its centre within which a stamp paints."""
+    """(S,). Distance in cells from its centre within which a stamp paints."""
     return np.maximum(reach * GROW, across) + 1
 
 
@@ -228,8 +230,8 @@ def _paint_one(
     first: int,
     coarseness: int,
 ) -> None:
-    """Paints one stamp over the colour of a place: its picture in its plane, shrinking like an ellipsoid across it,
-    over its own ground only."""
+    """Paints one stamp over the colour at a place: its picture in its plane, shrinking like an ellipsoid across it, and
+    only over ground like its own."""
     off = np.float32(0)
     for c in range(3):
         off += (rgb[c] - row[GROUND + c]) ** 2

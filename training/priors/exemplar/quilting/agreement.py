@@ -1,4 +1,5 @@
-"""Whether a horizontal and a radial picture can be of one thing in one light: whether they agree where they meet."""
+"""Tells whether a horizontal and a radial picture can show one thing in one light: whether they agree where they
+meet."""
 
 from __future__ import annotations
 
@@ -14,9 +15,10 @@ from training.priors.exemplar.quilting.disc import Disc
 __all__ = ["disagreement", "show_one_thing"]
 
 MOST_DISAGREEMENT = 0.295
-"""Up to which two pictures are of one thing. Four solids of our own have 0.10 to 0.28 with three seeds each, pictures
-of two others of their kinds in other light 0.31 (pomegranates) to 0.84, eight pairs of photographs of two fruits 0.49
-to 1.3. Differences of colour alone do not tell: two pale apples differ less than two cuts of one pomegranate."""
+"""Largest disagreement of two pictures of one thing. Four solids of our own have 0.10 to 0.28 with three seeds each,
+pictures of two others of their kinds in other light 0.31 (pomegranates) to 0.84, eight pairs of photographs of two
+fruits 0.49 to 1.3. Differences of colour alone do not tell: two pale apples differ less than two cuts of one
+pomegranate."""
 
 SAMPLES, EDGE = 96, 0.97
 """Points along a radius, and the share of it that is compared: the rim may be half background."""
@@ -29,14 +31,14 @@ HEIGHTS = np.linspace(-0.5, 0.5, 51)
 
 
 def show_one_thing(horizontal: Sequence[Disc], radial: Sequence[Disc]) -> bool:
-    """Whether every horizontal picture agrees with every radial one; both one at least."""
+    """Whether every horizontal picture agrees with every radial one; at least one of each."""
     return all(disagreement(h, r) <= MOST_DISAGREEMENT for h, r in product(horizontal, radial))
 
 
 def disagreement(horizontal: Disc, radial: Disc) -> float:
     """RMS RGB distance of the two pictures along the line where they meet, over their RMS contrast along it.
 
-    At the height and angle that suit best; 0 is one picture, sqrt(2) two that have only their mean in common.
+    Taken at the height and angle that suit best; 0 for equal pictures, sqrt(2) for two with only their mean in common.
     """
     radius = (np.arange(SAMPLES) + 0.5) / SAMPLES * EDGE
     angle = np.arange(TURNS) / TURNS * 2 * np.pi
@@ -56,5 +58,5 @@ def disagreement(horizontal: Disc, radial: Disc) -> float:
 
 
 def _smooth(lines: NDArray[np.float32]) -> NDArray[np.float32]:
-    """A sample's width of blur along the lines: no outline is known to the pixel."""
+    """The lines, blurred along their length by the width of a sample: no outline is known to the pixel."""
     return np.asarray(ndimage.gaussian_filter1d(lines, 1.0, axis=0), np.float32)

@@ -1,4 +1,4 @@
-"""What a quilt's labels cost and show at the cells of a grid, and how much of closed things there is to be."""
+"""What a quilt's labels cost and show at the cells of a grid, and how much of closed things there should be."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ DISTANCE_COST = 5.0
 by one unit of RGB: a chunk that is a tenth of a radius nearer is worth a seam of difference 0.1."""
 
 FAR = 0.15
-"""Distance in radii from which that cost does not grow for pictures in their own plane and for sectors."""
+"""Distance in radii beyond which that cost does not grow for pictures in their own plane and for sectors."""
 
 GONE_COST = 4.0
-"""Cost of a unit of colour that does not persist (law 3) and is shown all the same: what is dense closes over nothing
-and must end at a seam."""
+"""Cost of a unit of colour that does not persist (`persistence`) and is shown all the same: dense things have nothing
+to close over and must end at a seam."""
 
 REGIONS = (10, 20)
-"""Bins across the radius and the height, and as wide is the blur, in which the pictures say how much there is: an apple
-has its seeds around the middle. One gain for all places heaped them there: features of radial cuts of two pairs 2.3
-and 2.5, with regions 2.0 and 2.2."""
+"""Bins of radius and height, blurred by their width, in which the pictures tell how much of closed things there is: an
+apple has its seeds around the middle. One gain for all places heaped them there: features of radial cuts of two pairs
+2.3 and 2.5, with regions 2.0 and 2.2."""
 
 UNSEEN_COST, UNSEEN_MOST = 2.0, 0.1
-"""Cost of colours that radial pictures do not show nearby, and squared distance to the nearest of theirs from which it
-is all of it. Such colours are shown in their own plane alone: two pictures that contradict each other cannot both be
+"""Cost of colours that radial pictures do not show nearby, and squared distance to their nearest colour from which it
+applies in full. Such colours are shown in their own plane alone: two pictures that contradict each other cannot both be
 right beside it, and what is thick there is a bar in cuts across it."""
 
 NEARBY = 0.035
@@ -51,13 +51,13 @@ SECTOR_COST = 0.3
 
 OWN_COST, OWN_BAND = 1.0, 0.03
 """Gain of a picture near its own plane, and how near in radii, up to a smooth random factor: no band has an edge. With
-three times the gain the band is as wide everywhere and a bar in cuts across it."""
+three times the gain the band is equally wide everywhere and shows as a bar in cuts across it."""
 
 CORE_COST = 20.0
 """Gain of a horizontal picture around its core: more than any seam, less than that of a plane that is shown itself."""
 
 OWN_PLANE = 100.0
-"""Gain in the cells at the plane itself: it shows the picture (law 1)."""
+"""Gain in the cells at the plane itself, which shows the picture."""
 
 
 @dataclass(frozen=True)
@@ -65,9 +65,9 @@ class Regions:
     """Rings of the ball: bins of the distance from the axis and of the height."""
 
     bins: NDArray[np.int64]
-    """(M,)."""
+    """(M,). Number of each point's bin."""
     places: NDArray[np.float32]
-    """(2, M). In bins."""
+    """(2, M). Position of each point, in bins."""
     counts: NDArray[np.float64]
 
     @classmethod
@@ -106,7 +106,7 @@ class Cells:
     costs: NDArray[np.float32]
     """(M, K)."""
     gains: NDArray[np.float32]
-    """(M, K). Colour by which closed things stand out where they persist and other pictures show such colours."""
+    """(M, K). Colour by which closed things stand out, where they persist and other pictures show such colours."""
     closed: NDArray[np.float32]
     """(M, K). Colour by which closed things stand out, under the rind."""
     colours: NDArray[np.float32]

@@ -1,4 +1,4 @@
-"""Chunks of the unit ball that hold photographs: where in which picture each point of a chunk reads.
+"""Chunks of the unit ball that show photographs: which picture each point of a chunk reads, and where in it.
 
 A horizontal picture fills slabs across the axis, a radial one sectors around it, each about as thick as the things in
 pictures are long. A chunk is turned, mirrored or shifted at random, so that no two show the same; only the planes in
@@ -32,7 +32,8 @@ __all__ = [
 ]
 
 SLABS, SLAB_SPACING = 4, 0.5
-"""Sets of slabs, and distance in radii between slabs of one set: together an eighth of a radius, as seeds are long."""
+"""Sets of slabs, and distance in radii between slabs of one set: together an eighth of a radius, the length of
+seeds."""
 
 SECTOR_SETS, SECTORS = 4, 5
 """Sets of sectors, and sectors around the axis of one set: at half the radius, again an eighth of a radius."""
@@ -45,35 +46,35 @@ DRIFT, DRIFT_LENGTHS = 0.03, (0.5, 0.5, 0.16)
 membranes into wavy lines, less shows seeds as rods."""
 
 SECTOR_DRIFT, SECTOR_DRIFT_LENGTHS = 0.06, (0.25, 0.25, 0.35)
-"""The same for sectors, short around the axis, where they would show as rings."""
+"""The same for sectors: short around the axis, where they would show as rings."""
 
 SHIFT = 0.05
 """Standard deviation in radii of the shift of a sector's places."""
 
 CORE = 0.3
-"""Radius below which places drift and sectors are shifted less, to none at the axis: a core is in the middle. Sectors
-by the square, as a stem that is shifted is cut into chips."""
+"""Radius below which places drift less and sectors are shifted less, to nothing at the axis: a core is in the middle.
+For sectors this goes by the square, as a stem that is shifted is cut into chips."""
 
 OWN_AZIMUTHS = 3
-"""Most radial pictures that have a plane of their own; more would leave no room for variety near the axis."""
+"""Largest number of radial pictures with a plane of their own; more would leave no room for variety near the axis."""
 
 SHEET_HOLD = 0.04
-"""Radii around a sheet within which its picture does not drift: a sheet runs straight through (law 3), and what lies
-beside it is not folded over it."""
+"""Radii around a sheet within which its picture does not drift: a sheet runs straight through (`persistence`), and what
+lies beside it is not folded over it."""
 
 DRIFT_ONSET = 0.05
 """Distance in radii from a picture's own plane at which it drifts as much as elsewhere."""
 
 RIND = (0.05, 0.25)
-"""Depths in radii between which the rind ends: in it places keep to their depth, and chunks are avoided."""
+"""Depths in radii between which the rind ends: in the rind, places keep their depth and chunks are avoided."""
 
 GOLDEN_ANGLE = 2.399
-"""Turn in radians from one slab of a set to the next, which comes back to no earlier one."""
+"""Turn in radians from one slab of a set to the next, so that no earlier turn repeats."""
 
 
 @dataclass(frozen=True)
 class Ball:
-    """Points in the unit ball with what chunks ask of them; all float32."""
+    """Points in the unit ball with what chunks need of them; all float32."""
 
     points: NDArray[np.float32]
     """(M, 3). Along e1, e2, up."""
@@ -82,12 +83,12 @@ class Ball:
     length: NDArray[np.float32]
     """(M,). Distance from the middle."""
     angle: NDArray[np.float32]
-    """(M,). Around the axis, radians."""
+    """(M,). Angle around the axis, radians."""
     rind: NDArray[np.float32]
     """(M,). Range [0, 1]: 1 in the rind, 0 deep inside."""
     level: NDArray[np.float32]
-    """(M, 2). The place in a horizontal picture at the same angle: equally deep near the skin, at the same share of
-    the radius deeper."""
+    """(M, 2). The place in a horizontal picture at the same angle: equally deep near the skin, at the same share of the
+    radius further inside."""
 
     @classmethod
     def of(cls, points: NDArray[np.float32]) -> Ball:
@@ -114,12 +115,12 @@ class Places:
     picture: NDArray[np.int64]
     """(M,). Number of the picture in its family."""
     x: NDArray[np.float32]
-    """(M,). On the picture's disc."""
+    """(M,). Position on the picture's disc."""
     y: NDArray[np.float32]
     distance: NDArray[np.float32]
-    """(M,). From the plane in which the chunk shows the picture as it is, in radii."""
+    """(M,). Distance in radii from the plane in which the chunk shows the picture as it is."""
     rind: NDArray[np.float32]
-    """(M,). As the ball has it."""
+    """(M,). `Ball.rind` at the points."""
 
     def of(self, n: int, pictures: Sized) -> Rows:
         """The points that read picture n of these."""
@@ -130,7 +131,7 @@ class Chunks(Protocol):
     """A set of chunks that fills the ball with pictures of one family."""
 
     def distance(self, ball: Ball) -> NDArray[np.float32]:
-        """(M,). As `places` has it, without the rest of it."""
+        """(M,). The `Places.distance` alone."""
         ...
 
     def places(self, ball: Ball) -> Places:
@@ -139,7 +140,7 @@ class Chunks(Protocol):
 
 
 class OwnHeight:
-    """The first horizontal picture as it was taken, at one height; away from there it drifts, but for its sheets."""
+    """The first horizontal picture as it was taken, at one height; away from there it drifts, except for its sheets."""
 
     def __init__(self, height: float, sheets: Disc, rng: np.random.Generator) -> None:
         """`sheets`: how surely each place shows a sheet, the same in all three channels."""
@@ -183,7 +184,7 @@ class OwnAzimuths:
 
     def places(self, ball: Ball) -> Places:
         nearest, plane, off = self._nearest(ball)
-        # Half a turn on is the same plane, seen from the other side.
+        # Half a turn further is the same plane, seen from the other side.
         side = np.where(nearest // self.count % 2 == 0, 1, -1).astype(np.float32)
         x, y = ball.radius * np.cos(plane), ball.radius * np.sin(plane)
         flat = np.stack([x, y, ball.points[:, 2]], -1).astype(np.float32)
@@ -255,13 +256,13 @@ class Sectors:
 def _drifted(
     x: NDArray[np.floating], y: NDArray[np.floating], ball: Ball, noise: NDArray[np.float32]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Places in a horizontal picture, moved by noise (M, 2): half as far outwards as around, as rings of a picture
-    keep their radius, less in the core, and not in the rind."""
+    """Places in a horizontal picture, moved by noise (M, 2): half as far outwards as around, as rings of a picture keep
+    their radius, less in the core, and not at all in the rind."""
     drift = DRIFT * (1 - ball.rind)[:, None] * noise / np.maximum(np.hypot(x, y), CORE)[:, None]
     out, around = 0.5 * drift[:, 0], drift[:, 1]
     return (x + x * out - y * around).astype(np.float32), (y + y * out + x * around).astype(np.float32)
 
 
 def smooth_noise(ball: Ball, length: float, rng: np.random.Generator) -> NDArray[np.float32]:
-    """(M,). One random function with this length in radii."""
+    """(M,). One random function of this length in radii, at the points."""
     return Noise((length,) * 3, 1, rng).at(ball.points)[:, 0]

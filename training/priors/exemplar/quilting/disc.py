@@ -37,16 +37,16 @@ __all__ = [
 ]
 
 DISC_PIXELS = 560
-"""Pixels along a side of a disc's array: 510 across the disc, as fine as most photographs of the web."""
+"""Pixels along a side of a disc's array: 510 across the disc, as fine as most photographs on the web."""
 
 REACH = 1.1
-"""Half a side of that array, in radii of the disc; beyond the disc the colours of the rim go on."""
+"""Half a side of that array, in radii of the disc; the colours of the rim continue beyond the disc."""
 
 PIXEL = 2 * REACH / DISC_PIXELS
-"""Radii that a pixel of a disc is wide."""
+"""Width of a disc's pixel, in radii."""
 
 RIM = 0.985
-"""Radius from which the colour is that of the rim: the last pixels of a photographed edge are half background."""
+"""Radius beyond which the colour is that of the rim: the last pixels of a photographed edge are half background."""
 
 DIRECTIONS = 720
 """Directions in which the outline of a picture is sampled."""
@@ -62,18 +62,18 @@ REDUCTION = 4
 """Pixels of the disc per pixel of a median: what a median leaves is several times wider."""
 
 MEDIAN_PIXELS = 4
-"""Radius in pixels from which a median is taken on a coarser picture: wide ones of a fine picture take seconds."""
+"""Radius in pixels from which a median is taken on a coarser picture: wide medians of a fine picture take seconds."""
 
 ALIKE, NEAR = 0.15, 0.05
 """Standard deviations of the RGB distance, and in the rind of the distance in radii, over which colours are moved
 alike."""
 
 HALO = 0.015
-"""Radii around what is hidden that is filled in, too: edges are blurred and may cast a shadow."""
+"""Radii around hidden pixels that are filled in, too: edges are blurred and may cast a shadow."""
 
 FILLS = 0.02, 0.06, 0.2
-"""Standard deviations in radii of the surroundings put in the place of what is hidden: the narrowest that a quarter
-of is known."""
+"""Standard deviations in radii of the blurred surroundings that replace hidden pixels: the narrowest of which a quarter
+is known."""
 
 RIND_RADIUS = 0.8
 """Radius from which a face may show its rind."""
@@ -105,7 +105,7 @@ class Disc:
         sigma = max(0.5 * rim.mean() * 2 * REACH / DISC_PIXELS - 0.4, 0.0)  # against aliasing
         rgb = blurred(picture.rgb, sigma)
         found = _sample(rgb, row - r * np.sin(angle), column + r * np.cos(angle))
-        return cls.of_bytes(np.round(found * 255).astype(np.uint8))  # as finely as a file keeps it
+        return cls.of_bytes(np.round(found * 255).astype(np.uint8))  # as fine as a file stores it
 
     @classmethod
     def of_bytes(cls, rgb: NDArray[np.uint8]) -> Disc:
@@ -113,7 +113,7 @@ class Disc:
         return cls(rgb.astype(np.float32) / np.float32(255))
 
     def to_bytes(self) -> NDArray[np.uint8]:
-        """The 8-bit colours of a face made of such."""
+        """The 8-bit colours of a face that is made from such."""
         return np.round(self.rgb * 255).astype(np.uint8)
 
     def reduced(self, n: int) -> Disc:
@@ -162,7 +162,7 @@ class Medians:
         self._values, self._ranks = values, dict[int, Ranks]()
 
     def over(self, radius: float) -> NDArray[np.float32]:
-        """(H / REDUCTION, W / REDUCTION, C). The medians over a radius in radii."""
+        """(H / REDUCTION, W / REDUCTION, C). The medians over discs of this radius, in radii."""
         pixels = radius * DISC_PIXELS / (2 * REACH)
         n = max(REDUCTION, REDUCTION * int(pixels / (REDUCTION * MEDIAN_PIXELS)))
         reach = int(np.ceil(pixels / n))
@@ -175,7 +175,7 @@ class Medians:
 
 
 def halo(hidden: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """(P, P). 1 where pixels (P, P) of a disc are hidden and close to there, 0 elsewhere."""
+    """(P, P). 1 where pixels of a disc are `hidden` (P, P) and close around them, 0 elsewhere."""
     if not hidden.any():
         return np.zeros(hidden.shape, np.float32)
     away = ndimage.distance_transform_edt(~hidden)
@@ -183,7 +183,7 @@ def halo(hidden: NDArray[np.bool_]) -> NDArray[np.float32]:
 
 
 def filled_in(values: NDArray[np.float32], hidden: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """(P, P, C). Values (P, P, C) on a disc's pixels, with those around where they are hidden (P, P)."""
+    """(P, P, C). Values (P, P, C) on a disc's pixels, replaced by their surroundings where they are `hidden` (P, P)."""
     if not hidden.any():
         return values
     kept = 1 - halo(hidden)[..., None]
@@ -200,12 +200,12 @@ def filled_in(values: NDArray[np.float32], hidden: NDArray[np.bool_]) -> NDArray
 
 
 def enlarged(values: NDArray[np.float32]) -> NDArray[np.float32]:
-    """(DISC_PIXELS, DISC_PIXELS, C). Values (H / REDUCTION, W / REDUCTION, C) between their pixels."""
+    """(DISC_PIXELS, DISC_PIXELS, C). Values (H / REDUCTION, W / REDUCTION, C), interpolated to all pixels."""
     return _resampled(values, DISC_PIXELS, 1 / REDUCTION)
 
 
 def _resampled(values: NDArray[np.float32], size: int, step: float) -> NDArray[np.float32]:
-    """(size, size, C). Values at pixels `step` of their own apart."""
+    """(size, size, C). Values at places that are `step` of their pixels apart."""
     axis = (np.arange(size) + 0.5) * step - 0.5
     rows, columns = (at.ravel() for at in np.meshgrid(axis, axis, indexing="ij"))
     return read_bilinear(values, rows, columns).reshape(size, size, -1)
@@ -213,7 +213,7 @@ def _resampled(values: NDArray[np.float32], size: int, step: float) -> NDArray[n
 
 def match_light(disc: Disc, to: Disc) -> Disc:
     """The disc in the light of another one. What two fruits have in common lies at the same depth, so the medians of
-    their rings are pairs of colours, and each colour is moved as the rings that are like it: a white core stays white
+    their rings are pairs of colours, and each colour is moved like the rings that resemble it: a white core stays white
     beside flesh that is yellow in one light and orange in the other. In the rind the depth decides as well. Rings are
     compared beside the middle alone: above and below it a radial picture shows the core as far out as its poles."""
     x, y = disc_grid()
@@ -234,8 +234,8 @@ def match_light(disc: Disc, to: Disc) -> Disc:
 
 
 def ring_medians(disc: Disc, rings: int, where: NDArray[np.bool_] | bool = True) -> NDArray[np.float32]:
-    """(rings, 3). The median colours of rings of the same width from the middle to the rim, of the pixels (P, P) where
-    that is asked."""
+    """(rings, 3). The median colours of rings of the same width from the middle to the rim, over the pixels `where`
+    (P, P) is true."""
     ring = np.where(where, (np.hypot(*disc_grid()) * rings).astype(int), rings).ravel()
     order = np.argsort(ring, kind="stable")
     ends = np.searchsorted(ring[order], np.arange(rings + 1))
@@ -244,8 +244,8 @@ def ring_medians(disc: Disc, rings: int, where: NDArray[np.bool_] | bool = True)
 
 
 def even_around(disc: Disc) -> Disc:
-    """A horizontal face whose tones follow the radius alone, and whose details are as they were: light, ripeness and
-    an outline that is off the middle would show as patches wherever two of its turns meet."""
+    """The horizontal face with tones that depend on the radius alone, and unchanged details: light, ripeness and an
+    off-centre outline would show as patches wherever two turned copies meet."""
     angle = np.arange(DIRECTIONS) / DIRECTIONS * 2 * np.pi
     radius = np.linspace(0, 1, DISC_PIXELS // 4)[:, None]
     polar = disc.read(radius * np.cos(angle), radius * np.sin(angle))
@@ -258,7 +258,7 @@ def even_around(disc: Disc) -> Disc:
 
 
 def even_sides(disc: Disc) -> Disc:
-    """A radial face both of whose sides have the same tones, and whose details are as they were."""
+    """The radial face with the same tones on both sides, and unchanged details."""
     tones = smooth_disc(disc, TONE_LENGTH).rgb
     return Disc(np.clip(disc.rgb + (tones[::-1] - tones) / 2, 0, 1))
 
@@ -267,7 +267,7 @@ def even_sides(disc: Disc) -> Disc:
 class BallMap:
     """A body as the unit ball: each direction from the middle is stretched to the skin.
 
-    The middle is the centroid of the cuts through the axis, as that of a picture is its centroid: were it half way
+    The middle is the centroid of the cuts through the axis, as a picture's middle is its centroid: if it were half way
     up, a body that is wider above would show its pictures shifted.
     """
 
@@ -298,11 +298,11 @@ class BallMap:
 
     @property
     def height(self) -> float:
-        """Of the plane half way up the body, in the ball."""
+        """Height in the ball of the plane half way up the body."""
         return -self.rise / float(self.skin[LATITUDES // 2].mean())
 
     def to_ball(self, planar: NDArray[np.float32]) -> NDArray[np.float32]:
-        """(M, 3). Points (M, 3) along e1, e2 and up from half way up the axis, in cells, as points of the ball."""
+        """(M, 3). Points of the ball for points (M, 3) along e1, e2 and up from half way up the axis, in cells."""
         planar = planar - np.array([0, 0, self.rise], np.float32)
         distance = np.linalg.norm(planar, axis=1)
         up = np.arcsin(np.clip(planar[:, 2] / np.maximum(distance, 1e-6), -1, 1))

@@ -1,4 +1,4 @@
-"""A quilt in the space of the object it was made for: read at any place, kept in a file and read from it again."""
+"""A quilt in the space of the object it was made for: read at any place, stored in a file and restored from it."""
 
 from __future__ import annotations
 
@@ -21,11 +21,12 @@ from training.priors.exemplar.record import MOST_SEED, MOST_SHEETS, RecordReader
 __all__ = ["QUILT", "QuiltInside"]
 
 QUILT = "quilt 3"
-"""Kind of the record. A plain "quilt" and a "quilt 2" had the same arrays and were other insides, of which their
+"""Kind of the record. A plain "quilt" and a "quilt 2" had the same arrays but were other insides, from which their
 atoms were made."""
 
 COARSEST = 16
-"""Times as large as a photograph's pixels are those of its coarsest version: a power of two that divides it."""
+"""How many times larger than a disc's pixels those of its coarsest version are: a power of two that divides
+DISC_PIXELS."""
 
 FAMILIES = "horizontal", "radial"
 """Names of the arrays that hold the pictures."""
@@ -33,7 +34,7 @@ FAMILIES = "horizontal", "radial"
 
 @dataclass(frozen=True)
 class QuiltInside:
-    """An inside that is quilted of photographs; its record has these, the layout of their chunks and a seed."""
+    """An inside that is quilted from photographs; its record has these, the layout of their chunks and a seed."""
 
     quilt: Quilt
     horizontal: Sequence[Disc]
@@ -45,7 +46,7 @@ class QuiltInside:
     basis: NDArray[np.float64]
     """(3, 3). Rows e1, e2, up."""
     cell: float
-    """World units."""
+    """Edge of a cell, world units."""
     _reduced: dict[int, Quilt] = field(default_factory=dict, repr=False, compare=False)
 
     @classmethod
@@ -90,7 +91,7 @@ class QuiltInside:
 
     def _planar(self, points: NDArray[np.floating]) -> NDArray[np.float32]:
         """(N, 3). World points (N, 3) along the rows of `basis` from `origin`, in cells."""
-        # Not by `@`, whose threads go on looking for work for 30 ms, on cores that the reading needs.
+        # Not by `@`, whose threads keep looking for work for 30 ms, on cores that the reading needs.
         return (np.einsum("nk,ik->ni", points - self.origin, self.basis) / self.cell).astype(np.float32)
 
     def record(self) -> InsideRecord:
@@ -105,7 +106,7 @@ class QuiltInside:
 
     @classmethod
     def restored(cls, record: RecordReader) -> QuiltInside:
-        """The inside of a `record`. Raises ValueError if it is none."""
+        """The inside in a `record`. Raises ValueError if the record is not valid."""
         skin = record.array("skin", np.float64, (None, None))
         if min(skin.shape) < 4 or max(skin.shape) > 1000 or skin.min() <= 0:
             raise ValueError("a wrong skin")

@@ -1,8 +1,8 @@
-"""What there is at places of a quilt, as far as the picture that is shown there tells it.
+"""What is at places of a quilt, as far as the picture that is shown there tells.
 
 A place in a picture's rind is rind, wherever the picture is shown; one in a sheet is a structure that runs through. A
-thing stands out of the picture and ends, as the law of shape has it (`relief`), with the distance from the picture's
-plane; so do grains, in their pictures and as they are laid.
+thing stands out from the picture and, by the law of shape (`relief`), ends at a distance from the picture's plane; so
+do grains, in their pictures and as they are laid.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from training.priors.exemplar.quilting.quilt import Quilt
 __all__ = ["QuiltKinds"]
 
 LEAST_SHEET = 0.3
-"""Surety of a sheet from which a place belongs to it, as for layers."""
+"""Least surety of a sheet at which a place belongs to it, as for layers."""
 
 COVERED = 0.5
-"""Part of a place that a grain, a seed or a core covers from which it belongs to it."""
+"""Least fraction of a place that a grain, a seed or a core covers for the place to belong to it."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class _Face:
     """The kinds in a picture."""
 
     rind: float
-    """Depth in radii."""
+    """Depth of the rind in radii."""
     sheets: Disc
     until: NDArray[np.float32]
     """(P, P). Distance in radii from its plane up to which each pixel shows a thing; below 0 where there is none."""

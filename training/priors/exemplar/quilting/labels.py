@@ -32,38 +32,38 @@ from training.priors.exemplar.strata import beside_own
 __all__ = ["Label", "Source", "distance_across", "made_of_grains", "read_discs"]
 
 FINE_RINGS, LARGEST = 64, 0.16
-"""Rings from whose median colours things stand out, and their largest half width in radii."""
+"""Number of rings from whose median colours things stand out, and the largest half width of things in radii."""
 
 BLUR = 0.02
-"""Standard deviation in radii of the blur under which colours are looked for nearby: texture is none of them."""
+"""Standard deviation in radii of the blur under which colours are looked for nearby: texture does not count."""
 
 TONE = 0.05
-"""Standard deviation in radii of the blur under which colours are tones: wider than seeds and texture."""
+"""Standard deviation in radii of the blur that leaves only tones: wider than seeds and texture."""
 
 OWN_TONES = 0.1
-"""Distance in radii over which a picture's own tones pass into even ones: away from its plane, and in it where another
-picture's plane crosses, as there both are to be seen."""
+"""Distance in radii over which a picture's own tones blend into even ones: away from its plane, and within it where
+another picture's plane crosses, as both are seen there."""
 
 
 @dataclass(frozen=True)
 class Source:
-    """A picture and what the law of shape says of it."""
+    """A picture and what the law of shape (`persistence`) says about it."""
 
     disc: Disc
     even: Disc
-    """With even tones, for chunks away from the picture's own plane."""
+    """The picture with even tones, for chunks away from its own plane."""
     parts: Parts
-    """Of the even one."""
+    """Parts of `even`."""
     relief: Relief
-    """Of its things."""
+    """Relief of the things in `parts`."""
     closed: Disc
     """How far closed things stand out, the same in all three channels."""
     blurred: Disc
     tones: Disc
-    """Of the even one, without what closes: the tones of what is left there."""
+    """Tones of `even` without closed things: those of what is left where they end."""
     persistence: Persistence
     sheets: Disc
-    """The same surety in all three channels; 0 for radial pictures."""
+    """How surely each place shows a sheet, the same in all three channels; 0 for radial pictures."""
     rind: float
     """Depth in radii of the layers along the rim."""
     grains: Grains
@@ -73,13 +73,13 @@ class Source:
 
     @property
     def things(self) -> Things:
-        """What of it is laid whole."""
+        """Its things that are laid whole, as solids: its grains, or else its seeds."""
         made = self.grains if len(self.grains.radii) else self.seeds
         return made.things(self.even)
 
     @cached_property
     def bare(self) -> Source:
-        """The same picture without its seeds and its core, which are laid whole. For chunks away from its own plane."""
+        """The same picture without its seeds and its core, which are laid whole; for chunks away from its own plane."""
         laid = self.seeds.regions | self.core.region
         if not laid.any():
             return self
@@ -99,14 +99,14 @@ class Source:
         )
 
     def reduced(self, n: int) -> Source:
-        """The same picture with pixels n times as large, as far as it is shown."""
+        """The same picture with pixels n times as large, in all that is shown of it."""
         parts = Parts(*(getattr(self.parts, part.name).reduced(n) for part in fields(Parts)))
         shown = {name: getattr(self, name).reduced(n) for name in ("disc", "even", "tones")}
         return replace(self, parts=parts, relief=self.relief.reduced(n), **shown)
 
     @classmethod
     def of(cls, disc: Disc, is_horizontal: bool) -> Source:
-        """What is known of a picture."""
+        """What is known of a picture, still without a core."""
         persistence = Persistence(disc)
         sheets = find_sheets(disc, persistence) if is_horizontal else np.zeros(disc.rgb.shape[:2], np.float32)
         rind = rind_of(disc, is_horizontal)[0]
@@ -129,7 +129,7 @@ class Source:
         )
 
     def with_core(self, core: Core) -> Source:
-        """The picture with this core, which has no part in its tones."""
+        """The picture with this core, which does not affect its tones."""
         if not core.region.any():
             return self
         even, parts, relief, _ = _look_closely(self.disc, self.is_horizontal, self.rind, core.region)
@@ -147,8 +147,8 @@ class Source:
 def _look_closely(
     disc: Disc, is_horizontal: bool, rind: float, hidden: NDArray[np.bool_] | None = None
 ) -> tuple[Disc, Parts, Relief, Grains]:
-    """The picture with even tones, its parts, and the solids and the grains among its things. What is `hidden` (P, P)
-    has no part in its tones."""
+    """The picture with even tones, its parts, and the relief and the grains of its things. What is `hidden` (P, P) does
+    not affect its tones."""
     evened = even_around if is_horizontal else even_sides
     if hidden is None:
         even = evened(disc)
@@ -184,7 +184,7 @@ class Label:
         return out
 
     def _held(self, places: Places, rows: Rows, source: Source) -> NDArray[np.float32]:
-        """How much of a distance counts: nothing in the rind and in sheets, which run on."""
+        """(M,). How much of a distance counts: nothing in the rind and in sheets, which run through."""
         return (1 - places.rind[rows]) * (1 - source.sheets.read(places.x[rows], places.y[rows])[:, 0])
 
     def read_tones(self, places: Places, crossing: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -194,7 +194,7 @@ class Label:
     def read(
         self, places: Places, crossing: NDArray[np.float32], texture: NDArray[np.float32], layer: float
     ) -> NDArray[np.float32]:
-        """(M, 3). What the places show, with texture (M, 3): within a `layer` of own planes that of the picture."""
+        """(M, 3). What the places show, with texture (M, 3), or the picture's own within a `layer` of own planes."""
         shown = self._read_relief(places)
         rgb, strength = self.in_own_tones(shown[:, :3], places, crossing), shown[:, 3:4]
         if not self.is_own:
@@ -207,8 +207,8 @@ class Label:
         return self._read_relief(places)[:, :3]
 
     def gone(self, places: Places, shown: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Both (M,). Colour that does not persist from the pictures' planes to the places, and the part of it that is
-        all the same in what they show (M, 3) in even tones."""
+        """(M,), (M,). Colour that does not persist from the pictures' planes to the places, and how much of it is still
+        in what they show (M, 3) in even tones."""
         gone = np.empty(len(places.x), np.float32)
         for n, source in enumerate(self.sources):
             rows = places.of(n, self.sources)
@@ -219,7 +219,7 @@ class Label:
     def in_own_tones(
         self, even: NDArray[np.float32], places: Places, crossing: NDArray[np.float32]
     ) -> NDArray[np.float32]:
-        """(M, 3). Even tones (M, 3) as the pictures' own near their own planes.
+        """(M, 3). Colours (M, 3) in even tones, brought to the pictures' own tones near their own planes.
 
         `crossing` (M,): distances in radii from the other family's own planes.
         """

@@ -1,8 +1,8 @@
-"""What of a cut face goes on beside it: the one law of shape.
+"""What of a cut face continues beside its plane: the law of shape.
 
-A closed thing is about as tall as it is long, and a sheet that joins core and rind runs through. Neither looks at a
-colour's name: the median over a disc of radius t is what remains of a picture at distance t, as it rounds off and then
-removes things narrower than that.
+A closed thing is about as tall as it is long, and a sheet that joins core and rind runs through. Neither depends on
+what a colour stands for: the median over a disc of radius t is what remains of a picture at distance t, as it rounds
+off and then removes things narrower than that.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ DISTANCES = (0.02, 0.04, 0.07, 0.11, 0.16, 0.22)
 """Distances in radii at which the medians are taken; seeds, pores and carpels have half widths in this range."""
 
 THIN, WIDE = 0.07, 0.16
-"""Distances in radii over which a sheet has gone, and with which that is compared: the median over a disc takes away a
-line that is as wide as 0.8 of its radius. What is wider is flesh or a hollow, which ends as closed things do."""
+"""Distances in radii: one at which a sheet is gone, and one to compare that with. The median over a disc removes a line
+as wide as 0.8 of its radius. Anything wider is flesh or a hollow, which ends as closed things do."""
 
 BORDER = 0.01
 """Radii over which a sheet's surety is smoothed across its edges."""
@@ -44,16 +44,17 @@ BENDS = np.radians(np.linspace(-8, 8, 9))
 """Angles by which a sheet may lean over that length."""
 
 SHEET_QUANTILE = 0.25
-"""Of the contrast along the length. A mean would take seeds and carpels, strong but short, for sheets."""
+"""Quantile of the contrast along that length that counts. A mean would take seeds and carpels, strong but short, for
+sheets."""
 
 ANGLES, RADII = 360, 128
 """Samples around and along the radius when sheets are looked for."""
 
 CONTRAST_ANGLES = 21
-"""Samples around over whose median a sheet stands out: about 20 degrees."""
+"""Samples around the middle over whose median a sheet stands out: about 20 degrees."""
 
 SHEET_RADII = (0.12, 0.93)
-"""Radii between which sheets are: inside is the core, outside the rind."""
+"""Radii between which sheets lie: inside is the core, outside the rind."""
 
 ROWS = 8
 """Radii that a thread takes at a time."""
@@ -121,7 +122,7 @@ def _follow_lines(
     means: NDArray[np.float32],  # out [B, R, A, 3]
     steady: NDArray[np.float32],  # out [B, R, A]
 ) -> None:
-    """The mean contrast along lines through each place, and that which all but a part of the line exceed."""
+    """The mean contrast along lines through each place, and the one that all but a `quantile` of a line exceeds."""
     radii, angles, n = contrast.shape[0], contrast.shape[1], len(along)
     place = quantile * (n - 1)
     low = int(place)
@@ -160,7 +161,7 @@ def _steadiest(
     steady: NDArray[np.float32],  # [B, R, A]
     found: NDArray[np.float32],  # out [R, A]
 ) -> None:
-    """All along a steady line is a sheet, but where the picture itself does not stand out it ends."""
+    """A sheet runs all along a steady line, but ends where the picture itself does not stand out."""
     radii, angles = found.shape
     for row in range(start, stop):
         for column in range(angles):

@@ -1,10 +1,10 @@
-"""Quilts an inside of chunks of photographs of different individuals (graph-cut textures, Kwatra et al. 2003, in 3D).
+"""Quilts an inside from chunks of photographs of different individuals (graph-cut textures, Kwatra et al. 2003, in 3D).
 
 Every cell of a grid in the unit ball has a label: a set of chunks whose picture it shows. The labels minimise the sum
 of what a label costs at a cell (its distance from the plane that the picture shows, what does not persist so far from
 it, colours that the radial pictures do not show there) and of seams, which are free where both sides agree. Colours
-are read, never averaged, so an inside is as sharp as its pictures; only tones pass into one another at seams. Chunks
-hold the things of pictures as solids (`relief`); their texture is that of thin layers (`texture`).
+are read, never averaged, so an inside is as sharp as its pictures; only tones blend at seams. Chunks hold the things of
+pictures as solids (`relief`); their texture comes from thin layers (`texture`).
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ log = logging.getLogger(__name__)
 
 LEVELS = (32, 64, 96)
 """Cells across the ball, coarse to fine: seams find their way around things at the first and along their edges at the
-last. Colours do not depend on it, they are read at every point."""
+last. Colours do not depend on them, as they are read at every point."""
 
 STEPS = 5
 """Sweeps at each level; later ones change less than a cell in a thousand."""
@@ -62,42 +62,44 @@ MARGIN = 3
 """Cells around the ball."""
 
 FIRST_GAIN, GAIN_STEP, MOST_GAIN = 2.0, 1.5, 12.0
-"""Gain of a unit of colour by which a closed thing stands out: at first, by what factor a sweep changes it at most so
-that there is as much as the pictures show there, and at most. Without it there is too little: a closed thing costs
-the seams of its ends, and flesh none. A third of the most changes features by less than 0.05."""
+"""Gain of a unit of colour by which a closed thing stands out: its first value; the largest factor by which a sweep
+changes it, so that there is as much as the pictures show there; and its largest value. Without it there is too little:
+a closed thing costs the seams of its ends, and flesh none. A third of the largest value changes features by less than
+0.05."""
 
 TONE_BLEND = 0.04
-"""Standard deviation in radii over which the tones of two chunks pass into one another at their seam."""
+"""Standard deviation in radii over which the tones of two chunks blend at their seam."""
 
 OWN_WEIGHT, OWN_ALONE = 4.0, 0.015
-"""Further weight of a picture's tones in its own plane, and distance in radii from it within which they are alone: less
-than to the nearest seam, so that it is none."""
+"""Further weight of a picture's tones in its own plane, and distance in radii from it within which they alone count:
+less than to the nearest seam, so that none shows."""
 
 CROSSING = 2
-"""Cells from own planes of both families within which the nearer one is shown."""
+"""Cells from own planes of both families within which the nearer plane is shown."""
 
 SEAM_COST = 0.0075
 """Weight of a seam over the width of a cell in radii."""
 
 SEAM_WIDTH = 0.6
-"""Difference of two labels' trilinear weights within which they pass into one another: two thirds of a cell, under a
-hundredth of a radius. Without it a seam shows as a crack as soon as a cell is many pixels wide."""
+"""Difference of two labels' trilinear weights within which they blend: two thirds of a cell, under a hundredth of a
+radius. Without it a seam shows as a crack as soon as a cell is many pixels wide."""
 
 GRAIN_COVER = 0.5
-"""Least part that grains cover around a ball that shows one, in what is quilted and in a radial picture."""
+"""Least part that grains cover around a ball that is to show a grain, in the quilt and in a radial picture."""
 
 GRAIN_STEPS = 0.6 * np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)]).astype(np.float32)
-"""Places in a ball, over its radius, at which that is looked for."""
+"""Places in such a ball, over its radius, at which the cover in the quilt is read."""
 
 HEIGHTS, ANYWHERE = 0.1, 0.05
 """Standard deviation in radii of the heights of a horizontal picture's seeds around those of radial ones, which lie
-some 0.08 apart in a row; and how likely, against that, they are anywhere else."""
+some 0.08 apart in a row; and how likely, relative to that, they are anywhere else."""
 
 UNLIKE = 0.3
-"""RGB distance up to which what a seed is laid in is like what it lay in: texture is within it, a rind is not."""
+"""Largest RGB distance between a seed's new surroundings and those in its picture: texture is within it, a rind is
+not."""
 
 BLOCK = 50_000
-"""Points that are read at once: their arrays stay in the cache, which takes a third off the time of 400,000."""
+"""Points that are read at once: their arrays stay in the cache, which takes a third off the time for 400,000."""
 
 
 @dataclass(frozen=True)
@@ -111,13 +113,13 @@ class Quilt:
     chosen: NDArray[np.int32]
     """(M,). Label of each cell."""
     textures: dict[bool, TextureField]
-    """Of horizontal pictures (True) and of radial ones, as far as there are any."""
+    """Texture of horizontal pictures (True) and of radial ones (False), as far as there are any."""
     tones: NDArray[np.float32]
-    """(X, Y, Z, 3). Tones at the cells without steps at seams."""
+    """(X, Y, Z, 3). Tones at the cells, without steps at seams."""
     things: list[Things]
-    """Of the pictures, to be laid whole."""
+    """Things of the pictures that are laid whole, as solids."""
     packing: Packing | None
-    """Of these things, where there are any."""
+    """Packing of these things, if there are any."""
 
     def read(self, points: NDArray[np.float32]) -> NDArray[np.float32]:
         """(M, 3). Colours at points (M, 3) of the unit ball along e1, e2, up. Range [0, 1]."""
@@ -126,14 +128,14 @@ class Quilt:
         return np.concatenate([np.empty((0, 3), np.float32), *found])
 
     def nearest(self, points: NDArray[np.float32]) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-        """(M, 2) and (M,). The two labels that are nearest to points (M, 3), and how far they are apart, 0 to 1."""
+        """(M, 2) and (M,). The two labels nearest to points (M, 3), and how far the first one leads, 0 to 1."""
         best, shares = two_nearest(self.chosen, self.number, _in_cells(points, LEVELS[-1]), len(self.labels))
         apart = shares[:, 0] - shares[:, 1]
         self._share_crossing(best, apart, points)
         return best, apart
 
     def read_evened(self, points: NDArray[np.float32]) -> NDArray[np.float32]:
-        """(M, 3). Colours where in the quilt points (M, 3) are whose rind is as thick as in all pictures."""
+        """(M, 3). Colours at points (M, 3) of the quilt, whose rind is as thick as in all pictures (`Rinds.evened`)."""
         best, apart = self.nearest(points)
         weight = 0.5 + 0.5 * smoothstep(apart / SEAM_WIDTH)
         tones = read_trilinear(self.tones, _in_cells(points, LEVELS[-1]))
@@ -172,7 +174,7 @@ class Quilt:
         return Cores.of(self.labels)
 
     def reduced(self, n: int) -> Quilt:
-        """The same inside of pictures with pixels n times as large."""
+        """The same inside from pictures with pixels n times as large."""
         coarse = {id(s): s.reduced(n) for label in self.labels for s in label.sources}
         labels = [replace(label, sources=[coarse[id(s)] for s in label.sources]) for label in self.labels]
         textures = {k: t.reduced(n) for k, t in self.textures.items()}
@@ -181,8 +183,8 @@ class Quilt:
         return replace(self, labels=labels, textures=textures, packing=packing, things=things)
 
     def _share_crossing(self, best: NDArray[np.int32], apart: NDArray[np.float32], points: NDArray[np.float32]) -> None:
-        """Gives points (M, 3) close to own planes of both families to the nearer one: as cells, one plane would cut a
-        bar out of the other. Changes the nearest two labels (M, 2) and how far they are apart (M,)."""
+        """Gives points (M, 3) close to own planes of both families to the nearer plane: decided by cells, one plane
+        would cut a bar out of the other. Changes the two nearest labels (M, 2) and how far the first one leads (M,)."""
         own = np.array([n for n, label in enumerate(self.labels) if label.is_own], np.int32)
         if len(own) < 2:
             return
@@ -198,8 +200,8 @@ class Quilt:
 def make_quilt(
     horizontal: Sequence[Disc], radial: Sequence[Disc], seed: int, progress: Progress, height: float = 0.0
 ) -> Quilt:
-    """The quilt of horizontal and radial pictures, each 0 or more and one at least together; the first horizontal one
-    at a height in the unit ball. Bit-equal for a seed."""
+    """The quilt of horizontal and radial pictures, at least one in all; the first horizontal one at a height in the
+    unit ball. Bit-equal for a seed."""
     rinds, across, along = _make_sources(horizontal, radial, height)
     labels = _make_labels(across, along, height, seed)
     gain = np.full(REGIONS, FIRST_GAIN)
@@ -233,8 +235,8 @@ def make_quilt(
 def restore_quilt(
     horizontal: Sequence[Disc], radial: Sequence[Disc], seed: int, height: float, chosen: NDArray[np.int32]
 ) -> Quilt:
-    """The quilt that `make_quilt` found: `chosen` (M,) as it has it, the rest as it was given. Raises
-    ValueError if `chosen` is not the labels of its cells."""
+    """The quilt that `make_quilt` found, from its `chosen` (M,) and what that was given. Raises ValueError if `chosen`
+    is not a label for each cell."""
     number, _, points = _grid(LEVELS[-1])
     if chosen.shape != (len(points),):
         raise ValueError("no label for each cell")
@@ -248,7 +250,8 @@ def restore_quilt(
 def _make_sources(
     horizontal: Sequence[Disc], radial: Sequence[Disc], height: float
 ) -> tuple[Rinds, list[Source], list[Source]]:
-    """What is known of the pictures, all in the light of the first and with the rind that all have."""
+    """The rinds, and what is known of the horizontal and radial pictures, in the light of the first and with a common
+    rind."""
     first = [*horizontal, *radial][0]
     rinds = Rinds.of(horizontal, radial, height, OWN_AZIMUTHS)
     each = [(disc, depths, True) for disc, depths in zip(horizontal, rinds.across, strict=True)]
@@ -265,7 +268,8 @@ def _make_sources(
 
 
 def _with_cores(across: list[Source], along: list[Source], height: float) -> tuple[list[Source], list[Source]]:
-    """Horizontal and radial pictures with their cores: the radial ones with what they show of the first one's."""
+    """Horizontal and radial pictures with their cores: the radial ones with what they show of the first horizontal
+    one's."""
     if not across or any(len(source.grains.radii) for source in [*across, *along]):
         return across, along
     faces = [source.even for source in along]
@@ -307,9 +311,9 @@ def _packed(
     seed: int,
     ball: Ball,
 ) -> Packing | None:
-    """The pictures' things as solids in what is quilted: their `own` seeds where they show them, and out of the own
-    planes grains where both the chosen chunks and the radial pictures show some, and seeds where they lie in what they
-    lay in, at the heights of those of radial pictures."""
+    """The pictures' things as solids in the quilt. In own planes, these are the pictures' `own` seeds where they show
+    them; elsewhere, grains where both the chosen chunks and the radial pictures show some, and seeds where their
+    surroundings are like those in their picture, at the heights of the seeds of radial pictures."""
     if not any(len(some.places) for some in things):
         return None
     rng = np.random.default_rng([seed, 6])
@@ -330,7 +334,7 @@ def _packed(
         return full & (np.max(seen, axis=0) > GRAIN_COVER) if seen else full
 
     def holds_seeds(tried: Candidates) -> NDArray[np.bool_]:
-        """A horizontal picture does not say at which heights its seeds are; those of radial ones do."""
+        """A horizontal picture does not tell the heights of its seeds; the seeds of radial ones do."""
         likely = np.ones(len(tried.stamps))
         known = np.concatenate([np.empty(0), *(source.seeds.places[:, 1] for source in along)])
         if len(known):
@@ -361,7 +365,7 @@ def _is_clear(laid: Candidates, planes: list[Label]) -> NDArray[np.bool_]:
 
 
 def _grain_cover(labels: list[Label], chosen: NDArray[np.int32], ball: Ball) -> NDArray[np.float32]:
-    """(M,). How much grains cover of what the chosen labels (M,) show, and no sheet."""
+    """(M,). How much of what the chosen labels (M,) show is covered by grains and by no sheet."""
     cover = np.zeros(len(chosen), np.float32)
     for n, label in enumerate(labels):
         places = label.chunks.places(ball)
@@ -380,8 +384,8 @@ def _in_cells(points: NDArray[np.float32], size: int) -> NDArray[np.float32]:
 def _blended_tones(
     labels: list[Label], ball: Ball, number: NDArray[np.int32], chosen: NDArray[np.int32]
 ) -> NDArray[np.float32]:
-    """(X, Y, Z, 3). The labels' tones, which pass into one another at seams: the lower of two bands of a
-    multiresolution spline (Burt and Adelson 1983)."""
+    """(X, Y, Z, 3). The labels' tones, blended at seams: the lower of two bands of a multiresolution spline (Burt and
+    Adelson 1983)."""
     inside = number >= 0
     blended = np.zeros((len(ball.points), 3), np.float32)
     weights = np.zeros((len(ball.points), 1), np.float32)
@@ -405,7 +409,7 @@ def _blended_tones(
 
 
 def _make_labels(across: list[Source], along: list[Source], height: float, seed: int) -> list[Label]:
-    """Own planes first, then random chunks."""
+    """The labels, own planes first, then random chunks."""
     labels = []
     if across:
         own = OwnHeight(height, across[0].sheets, np.random.default_rng([seed, 3]))

@@ -1,8 +1,8 @@
 """What a face shows beside its plane: closed things as solids.
 
-The law of shape (`persistence`) as a picture at every distance: a closed thing is as tall as it is wide, so its outline
-closes with the distance from the plane, and beyond it is what lies around it. Every pixel has the height at which its
-colour gives way to that of the median around it, for medians of a few widths: a seed gives way to the carpel that
+This applies the law of shape (`persistence`) at every distance: a closed thing is as tall as it is wide, so its outline
+closes with the distance from the plane, and beyond its end its surroundings show. Every pixel has the height at which
+its colour gives way to that of the median around it, for medians of a few widths: a seed gives way to the carpel that
 holds it, and that to flesh. So a thing ends as a solid does, with an edge as sharp as the picture's, and no seam has to
 cut it off.
 """
@@ -34,45 +34,47 @@ from training.priors.exemplar.sampling import reduced
 __all__ = ["NARROWEST", "THING_CONTRAST", "TYPICAL", "Relief"]
 
 WIDTHS = (0.05, 0.12, 0.22)
-"""Radii in radii of the medians to which the colours of a picture give way, one after the other: seeds, carpels and
-cores."""
+"""Radii of the medians to which the colours of a picture give way, one after the other, in radii of the disc: for
+seeds, carpels and cores."""
 
 STEPS = 5
-"""Medians between two of these widths from which the height is found at which one gives way to the next."""
+"""Steps between two of these widths, at which medians tell the height at which one gives way to the next."""
 
 ROUND = np.float32(np.sqrt(2))
-"""Radius of the median at a distance, over the distance: over a disc of sqrt(2) half widths a round thing has gone."""
+"""Radius of the median at a distance, over that distance: a round thing is gone from the median over a disc of sqrt(2)
+half widths."""
 
 CALM = 2.0
-"""Times the spread of colours around a thing that its contrast must exceed to close at all: a seed lies in flesh, but
-arils lie among arils, and their median is the colour of none. At 1 pomegranates turn to mush (features 0.1 worse)."""
+"""How many times the spread of colours around it a thing's contrast must exceed for it to close at all: a seed lies in
+flesh, but arils lie among arils, and their median is the colour of none. At 1 pomegranates turn to mush (features 0.1
+worse)."""
 
 AROUND = 2.0
 """Radius in which that spread is taken, over that of the median: the thing itself must be a small part of it."""
 
 NEVER = 2.0
-"""Height of what does not close, in radii."""
+"""Height in radii that stands for what does not close."""
 
 NO_CONTRAST = 0.03
-"""RGB distance below which two colours are as good as one: then the first gives way as soon as it may."""
+"""RGB distance below which two colours count as one: then the first gives way as soon as it may."""
 
 CLOSED = 0.5
 """Height in radii up to which what stands out is closed: the widest closed thing has a half width of 0.22."""
 
 LEAST_CONTRAST, TYPICAL = 0.08, 3.5
-"""RGB distance from what is there farther on from which a thing stands out, and times the median distance in the same
-picture: as for the details of layers. Below, an orange's juice sacs are things."""
+"""Least RGB distance of a thing from what shows beyond its end, and least multiple of the median distance in the same
+picture: as for the details of layers. With less, an orange's juice sacs are things."""
 
 CLOSE = np.float32(0.01)
 """Distance in radii at which what lies between the parts of a thing that is laid whole ends."""
 
 THING_CONTRAST = 0.12
-"""RGB distance from what is there farther on from which a pixel may be of a thing that is laid whole: half as much
-again, as it is taken out of its picture."""
+"""Least RGB distance from what shows beyond its end for a pixel to be of a thing that is laid whole: half as much again
+as LEAST_CONTRAST, as the thing is taken out of its picture."""
 
 NARROWEST = 0.01
-"""Half width in radii of a thing: what is narrower is texture. The cores of eight photographs have 0.06 and more,
-a speck at the axis of a melon 0.009."""
+"""Least half width of a thing in radii: anything narrower is texture. The cores of eight photographs have 0.06 and
+more, a speck at the axis of a melon 0.009."""
 
 EDGE = np.float32(0.006)
 """Distance over which a colour gives way to the next: a pixel and a half of the disc."""
@@ -86,7 +88,7 @@ class Relief:
     """(len(WIDTHS) + 1, P, P, 4). Colours of the picture and of the medians to which it gives way, and the strength of
     their texture."""
     heights: NDArray[np.float32]
-    """(P, P, len(WIDTHS)). Distances in radii at which they do."""
+    """(P, P, len(WIDTHS)). Distances in radii at which each level gives way to the next."""
 
     @classmethod
     def of(cls, disc: Disc, strength: Disc, rind: float) -> Relief:
@@ -98,12 +100,12 @@ class Relief:
         for n in range(len(WIDTHS)):
             ends.append(_end(disc.rgb, face, medians, n, ends))
         made = cls._made(disc, strength, medians, ends)
-        # The function for small holes hides warnings of the whole process, which threads must not do.
+        # The function for small holes suppresses warnings of the whole process, which threads must not do.
         open_parts = made.closed_until(rind) < 0
         closed = ~remove_small_objects(open_parts, max_size=round(np.pi * (WIDTHS[1] / PIXEL) ** 2))
         if not closed.any():
             return made
-        # A median as wide as the widest things is the colour of none among several, as in a star.
+        # Among several things, as in a star, a median as wide as the widest has the colour of none of them.
         medians[-1] = Medians(filled_in(disc.rgb, closed)).over(WIDTHS[-1])
         ends[-1] = _end(disc.rgb, face, medians, len(WIDTHS) - 1, ends[:-1])
         return cls._made(disc, strength, medians, ends)
@@ -126,7 +128,7 @@ class Relief:
 
     def closed_until(self, rind: float) -> NDArray[np.floating]:
         """(P, P). Distance in radii up to which each pixel shows a closed thing; -1 where there is none. What touches a
-        rind of this depth is none: flesh stands out there from the colours of both."""
+        rind of this depth is no closed thing: flesh stands out there from the colours of both."""
         apart = np.linalg.norm(self.levels[:-1, ..., :3] - self.levels[-1, ..., :3], axis=-1)
         radius = np.hypot(*disc_grid())
         least = np.maximum(LEAST_CONTRAST, TYPICAL * np.median(apart[:, radius < 1], axis=1))
@@ -139,15 +141,15 @@ class Relief:
         return np.where((parts > 0) & held[parts], until, -1)
 
     def contrast(self) -> NDArray[np.floating]:
-        """(P, P). How far each pixel stands out from what is left where all has ended, over the least that counts; 0
-        outside of the face."""
+        """(P, P). How far each pixel stands out from what is left where all things have ended, over the least that
+        counts; 0 outside of the face."""
         inside = np.hypot(*disc_grid()) < 1
         apart = np.linalg.norm(self.levels[0, ..., :3] - self.levels[-1, ..., :3], axis=-1) * inside
         return apart / max(THING_CONTRAST, TYPICAL * float(np.median(apart[inside])))
 
     def closing(self, disc: Disc, strength: Disc, region: NDArray[np.bool_], hidden: NDArray[np.bool_]) -> Relief:
-        """The relief, that of this face, whose pixels in a region (P, P) close next to the plane, all at once, to what
-        is around all that is hidden (P, P)."""
+        """The relief of this face (`disc`), changed so that the pixels in a region (P, P) close next to the plane, all
+        at once, to the surroundings of all that is hidden (P, P)."""
         last = np.concatenate([disc.rgb, strength.rgb[..., :1]], -1)
         last = enlarged(Medians(filled_in(last, hidden)).over(WIDTHS[-1]))
         at = np.where(region[..., None], np.minimum(self.heights, CLOSE), self.heights)
@@ -177,8 +179,8 @@ def _end(
     n: int,
     ends: list[NDArray[np.floating]],
 ) -> NDArray[np.floating]:
-    """(H, W). Radius at which the colours before the n-th median of a face, that of `rgb` (P, P, 3), give way to it;
-    `ends` are those before."""
+    """(H, W). Radius at which the colours before the n-th median of a face `rgb` (P, P, 3) give way to that median;
+    `ends` are the radii of the medians before."""
     after, width, start = medians[n], WIDTHS[n], WIDTHS[n - 1] if n else 0.0
     fine = reduced(rgb, DISC_PIXELS // after.shape[0])
     before = medians[n - 1] if n else fine
@@ -199,7 +201,7 @@ def _end(
 
 
 def _half_way(given: NDArray[np.floating], radii: NDArray[np.floating]) -> NDArray[np.floating]:
-    """(H, W). Radius between `radii` (N,) at which what is given way (N, H, W), rising from 0 to 1, is a half."""
+    """(H, W). Radius between `radii` (N,) at which `given` (N, H, W), which rises from 0 to 1, is a half."""
     last = np.maximum((given < 0.5).sum(0) - 1, 0)
     low, high = (np.take_along_axis(given, (last + n)[None], 0)[0] for n in (0, 1))
     part = np.clip((0.5 - low) / np.maximum(high - low, 1e-6), 0, 1)

@@ -1,8 +1,8 @@
-"""Rinds of the same depth: a picture's rind is thicker on one side, and no two fruits have one as thick.
+"""Evens out rinds: a picture's rind is thicker on one side, and no two fruits have rinds of the same thickness.
 
-Where chunks of such pictures meet, a rind would have steps. So pictures are quilted with the rind that all have
-together, and the ball is bent: in a picture's own plane its rind is as thick as it shows it, and from plane to plane it
-passes from one thickness to the next.
+Where chunks of such pictures meet, a rind would have steps. So pictures are quilted with a common rind, and the ball is
+bent: in a picture's own plane its rind is as thick as the picture shows it, and between planes it changes gradually
+from one thickness to the next.
 """
 
 from __future__ import annotations
@@ -24,38 +24,39 @@ ANGLES = 360
 """Directions in which a picture's rind is measured."""
 
 STEP = 0.005
-"""Radii from one depth to the next at which that is done: more than a pixel."""
+"""Radii from one depth to the next at which that is measured: more than a pixel."""
 
 DEEPEST = 2.5
 """Depth to which a rind is followed, over the usual depth in its picture."""
 
 NARROWEST, SMOOTH = 21, 5.0
-"""Degrees of the median and standard deviation of the blur of the depths around a picture: what is narrower are the
-gaps between segments and no thickness of the rind."""
+"""Width of the median, and standard deviation of the blur, of the depths around a picture, in degrees: what is narrower
+are gaps between segments, not the thickness of the rind."""
 
 MOST = 2.0
-"""Times as thick or as thin as in all pictures a rind is at most taken for: beyond it something else is there."""
+"""Largest factor by which a rind is taken to be thicker or thinner than in all pictures: beyond it something else is
+there."""
 
 REACH = 3.0
-"""Depth over the rind's from which nothing is moved."""
+"""Depth, over the rind's, beyond which nothing is moved."""
 
 NEAR = 0.35
-"""Radians from own planes at which rinds are half as thick as in the nearest of them, half as in all pictures: by eye,
+"""Radians from an own plane at which the rind is midway between its thickness there and that in all pictures: by eye,
 no cut across an own plane has a notch in its rind."""
 
 LATITUDES, LONGITUDES = 90, 180
-"""Directions in which the ball's rind is kept."""
+"""Directions in which the ball's rind is stored."""
 
 RINGS = 50
-"""In which a rind's colours are compared with the flesh."""
+"""Rings in which a rind's colours are compared with the flesh."""
 
 BLUR = 3.0
-"""Standard deviation in pixels of a disc under which they are: a hundredth of a radius."""
+"""Standard deviation of the blur under which they are compared, in pixels of a disc: a hundredth of a radius."""
 
 
 def rind_of(disc: Disc, is_horizontal: bool) -> tuple[float, NDArray[np.float32], float]:
     """Depth in radii of the layers along the rim, to where half of their contrast with the flesh is left; the colour of
-    the flesh (3,) and half of that contrast."""
+    the flesh (3,); and half of that contrast."""
     depth = np.maximum(1 - np.hypot(*disc_grid()), 0)
     deepest = rind_depth(disc.rgb, depth, BLUR, goes_around=is_horizontal)
     colours = ring_medians(disc, RINGS)[::-1]
@@ -67,23 +68,23 @@ def rind_of(disc: Disc, is_horizontal: bool) -> tuple[float, NDArray[np.float32]
 
 @dataclass(frozen=True)
 class Rinds:
-    """How deep the rinds of pictures are, and that of the ball which has them in their planes."""
+    """Depths of the pictures' rinds, and of the ball's rind, which equals them in their planes."""
 
     across: list[NDArray[np.float64]]
     """(ANGLES,) each. Depths in radii of the horizontal pictures around their middle, degree by degree."""
     along: list[NDArray[np.float64]]
-    """(ANGLES,) each. Of the radial ones."""
+    """(ANGLES,) each. The same of the radial pictures."""
     level: float
-    """Depth of the quilt's rind at the height of the first horizontal picture: that of all horizontal ones there."""
+    """Depth of the quilt's rind at the height of the first horizontal picture, and of all horizontal ones in it."""
     usual: NDArray[np.float64]
-    """(ANGLES,). Depth of the quilt's rind from height to height, as radial pictures have it on both sides."""
+    """(ANGLES,). Depth of the quilt's rind by direction in a radial picture, the same on both sides."""
     ball: NDArray[np.float64]
-    """(2, LATITUDES + 1, LONGITUDES + 1). Depth in each direction in the ball, and in the quilt."""
+    """(2, LATITUDES + 1, LONGITUDES + 1). Depth of the rind in each direction, in the ball and in the quilt."""
 
     @classmethod
     def of(cls, horizontal: Sequence[Disc], radial: Sequence[Disc], height: float, most: int) -> Rinds:
-        """Of pictures, the first horizontal one at a height in the ball and at `most` so many radial ones in planes
-        evenly spread over half a turn."""
+        """The rinds of pictures: the first horizontal one at a height in the ball, and the first `most` radial ones in
+        planes evenly spread over half a turn."""
         across, along = [_depths(disc, True) for disc in horizontal], [_depths(disc, False) for disc in radial]
         everywhere = float(np.mean([np.median(depths) for depths in [*across, *along]]))
         usual = np.full(ANGLES, everywhere)
@@ -112,7 +113,7 @@ class Rinds:
         return cls(across, along, level, usual, np.stack([total / weights, in_quilt]))
 
     def even(self, disc: Disc, depths: NDArray[np.float64], is_horizontal: bool) -> Disc:
-        """A picture with these depths (ANGLES,) with the rind that all have."""
+        """The picture, whose rind has these depths (ANGLES,), with the common rind."""
         x, y = disc_grid()
         radius, turn = np.hypot(x, y), np.arctan2(y, x)
         usual = np.full(ANGLES, self.level) if is_horizontal else self.usual
@@ -121,7 +122,7 @@ class Rinds:
         return Disc(disc.read(there * np.cos(turn), there * np.sin(turn)))
 
     def evened(self, points: NDArray[np.float32]) -> NDArray[np.float32]:
-        """(M, 3). Where in the quilt the points (M, 3) of the ball are."""
+        """(M, 3). Points (M, 3) of the ball, moved to their places in the quilt."""
         x, y, z = points.T
         length = np.sqrt(x * x + y * y + z * z)
         rows = np.flatnonzero((1 - length < REACH * self.ball.max()) & (length > 1e-3) & (length < 1))
@@ -144,7 +145,7 @@ def _depths(disc: Disc, is_horizontal: bool) -> NDArray[np.float64]:
     contrast = np.linalg.norm(rays - flesh, axis=-1)
     strongest = contrast[: max(int(usual / STEP), 1)].argmax(0)
     under = (contrast < half) & (np.arange(len(depth))[:, None] >= strongest)
-    ends = np.where(under.any(0), np.maximum(depth[under.argmax(0)], STEP), depth[-1])  # no rind is a thin one
+    ends = np.where(under.any(0), np.maximum(depth[under.argmax(0)], STEP), depth[-1])  # no rind counts as a thin one
     return ndimage.gaussian_filter1d(ndimage.median_filter(ends, NARROWEST, mode="wrap"), SMOOTH, mode="wrap")
 
 
@@ -153,7 +154,7 @@ def _at_most(depths: NDArray[np.float64], usual: NDArray[np.float64]) -> NDArray
 
 
 def _mirrored(depths: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(ANGLES,). As a picture has them whose sides are changed."""
+    """(ANGLES,). The depths in a picture with its sides exchanged."""
     return depths[(ANGLES // 2 - np.arange(ANGLES)) % ANGLES]
 
 
@@ -163,7 +164,7 @@ def _around(depths: NDArray[np.float64], turn: NDArray[np.floating]) -> NDArray[
 
 
 def _moved(depth: NDArray[np.floating], rind: NDArray[np.floating], to: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Depths where a rind is as thick as `to`: what lies under it is pushed or stretched, to nothing at REACH."""
+    """Depths after a rind is made as thick as `to`: what lies under it is compressed or stretched, fading at REACH."""
     ends = REACH * np.maximum(rind, to)
     beyond = to + (depth - rind) * (ends - to) / (ends - rind)
     return np.where(depth < rind, depth * to / rind, np.where(depth < ends, beyond, depth))

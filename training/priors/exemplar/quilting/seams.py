@@ -29,8 +29,8 @@ def improve_labels(
 
     The seam between two neighbours costs the difference of their labels' colours at both (Kwatra et al. 2003).
     Neighbours are the six beside a cell and the eight at its corners: with six alone, seams follow the grid.
-    An eighth of the cells at a time, those of one parity: no two of them are neighbours, so any number of threads gives
-    the same labels.
+    Cells are updated an eighth at a time, those of one parity: no two of them are neighbours, so any number of threads
+    gives the same labels.
     """
     for parity in range(8):
         for_spans(_improve_labels, len(cells), labels, number, cells, colours, costs, np.float32(weight), parity)

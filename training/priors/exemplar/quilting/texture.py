@@ -1,9 +1,9 @@
 """The fine texture of cut faces, apart from the things they show.
 
-What is narrower than a seed and no stronger than what is around it is texture, and no two cuts show the same. Carried
-along an axis it would show as rods and, where places drift, as wavy lines. So only the things are quilted, and each
-thin layer of the ball has texture from elsewhere in the pictures: across the axis where a horizontal picture is shown,
-around it where a radial one is, so that either cut shows texture as it was photographed (`strata`).
+Texture is what is narrower than a seed and no stronger than its surroundings; no two cuts show the same. Carried along
+an axis it would show as rods and, where places drift, as wavy lines. So only the things are quilted, and each thin
+layer of the ball has texture from elsewhere in the pictures. Layers lie across the axis where a horizontal picture is
+shown, around it where a radial one is, so that either cut shows texture as it was photographed (`strata`).
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ from training.priors.exemplar.strata import LAYER, Waves, read_layers
 __all__ = ["Parts", "TextureField", "take_apart"]
 
 WIDTH = 0.02
-"""Radius in radii of the discs over whose medians texture stands out: narrower than seeds and arils. At 0.04 the
-features of a pomegranate are 10 % farther from other photographs, and those of oranges, apples and melons 2 to 5 %."""
+"""Radius, in radii, of the medians over which texture stands out: narrower than seeds and arils. At 0.04 the features
+of a pomegranate are 10 % farther from other photographs, and those of oranges, apples and melons 2 to 5 %."""
 
 AROUND = 0.11
 """Radius in radii of the neighbourhood whose typical contrast texture has: some seeds wide."""
 
 STRONG = (2.5, 4.0)
-"""Times the typical contrast between which a contrast passes from texture to the edge of a thing."""
+"""Multiples of the typical contrast between which a contrast changes from texture to the edge of a thing."""
 
 SHIFT = 0.1
 """Standard deviation in radii of the shift of a radial layer's places. Without it texture shows as rings."""
@@ -67,7 +67,7 @@ def take_apart(disc: Disc) -> Parts:
     residual = disc.rgb - enlarged(Medians(disc.rgb).over(WIDTH))
     contrast = np.linalg.norm(residual, axis=-1)[..., None]
     typical = enlarged(Medians(contrast).over(AROUND))
-    # An edge is one all along its width and a little beyond.
+    # An edge counts as one over all its width and a little beyond.
     scale = DISC_PIXELS / (2 * REACH)
     wide = ndimage.maximum_filter(contrast[..., 0], int(0.6 * WIDTH * scale) | 1)
     edge = blurred(wide, 0.3 * WIDTH * scale)[..., None] / (typical + 0.002)
@@ -94,7 +94,7 @@ class TextureField:
         self._waves = Waves(self.thickness, rng)
 
     def reduced(self, n: int) -> TextureField:
-        """The same texture without what pixels n times as large do not show."""
+        """The same texture without the detail that pixels n times as large do not show."""
         coarse = copy(self)
         coarse.textures = [texture.reduced(n) for texture in self.textures]
         return coarse

@@ -1,1 +1,1 @@
-"""Things of photographs that are laid whole, in every cut: grains that fill a face, seeds that lie apart, its core."""
+"""Things of photographs that are laid whole, as solids: grains that fill a face, seeds that lie apart, and its core."""

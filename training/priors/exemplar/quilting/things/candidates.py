@@ -1,4 +1,4 @@
-"""Where things of photographs may lie as solids, and how they lie there."""
+"""Where things of photographs may lie as solids, and in which direction."""
 
 from __future__ import annotations
 
@@ -17,57 +17,57 @@ SECTION = 4 / np.pi
 """Radius of a ball over the mean radius of its cuts by random planes, which is what a picture shows."""
 
 CANDIDATES = 6
-"""Times as many things as there are to be that are tried: most grains meet one that lies there already, and so do many
+"""How many times as many things are tried as are wanted: most grains meet one that lies there already, and so do many
 seeds where they are strewn in a ring."""
 
 INSIDE = 0.95
 """Largest distance of a thing's middle from that of the body."""
 
 ROWS = 0.15
-"""Standard deviation in radians around the axis of seeds around the directions in which a horizontal picture has them:
-fruits have them in rows along the axis, so that one radial cut shows a row and the next none. Strewn all around,
-features of radial cuts of two pairs of melons are 0.16 and 0.01 farther from photographs."""
+"""Standard deviation, in radians around the axis, of seeds from the directions in which a horizontal picture has them:
+fruits have them in rows along the axis, so that one radial cut shows a row and the next none. With seeds strewn all
+around, features of radial cuts of two pairs of melons are 0.16 and 0.01 farther from photographs."""
 
 LEVELS = 64
-"""Places from the axis outwards at which is looked what a horizontal picture shows there."""
+"""Number of distances from the axis at which the place in a horizontal picture is looked up."""
 
 
 class Candidates(NamedTuple):
-    """Ellipsoids that things may be laid as."""
+    """Ellipsoids in whose form things may be laid."""
 
     middles: NDArray[np.float32]
     """(M, 3). In the unit ball."""
     axes: NDArray[np.float32]
-    """(M, 2). Half axes in radii: the longer one, and that of the two across it."""
+    """(M, 2). Half axes in radii: the longer one, and the two equal ones across it."""
     long: NDArray[np.float32]
-    """(M, 3). Direction of the longer one."""
+    """(M, 3). Direction of the longer axis."""
     short: NDArray[np.float32]
-    """(M, 3). Direction of the one that lies in the picture's plane, too."""
+    """(M, 3). Direction of the shorter axis that lies in the picture's plane."""
     stamps: NDArray[np.int64]
-    """(M,). Number of the thing."""
+    """(M,). Number of the thing that each shows."""
     are_close: NDArray[np.bool_]
     """(M,). Whether they are grains."""
 
     def chosen(self, rows: NDArray[np.integer] | NDArray[np.bool_]) -> Candidates:
-        """Some of them."""
+        """The candidates of some rows."""
         return Candidates._make(field[rows] for field in self)
 
     @classmethod
     def together(cls, some: Sequence[Candidates]) -> Candidates:
-        """All of some sets of them, one at least."""
+        """All candidates of some sets, at least one."""
         return cls._make(np.concatenate(fields) for fields in zip(*some, strict=True))
 
     @property
     def radii(self) -> NDArray[np.float32]:
-        """(M,). Of discs as large as their cuts in the pictures' planes."""
+        """(M,). Radii of discs as large as their cuts in the pictures' planes."""
         return np.sqrt(self.axes.prod(1))
 
 
 def strewn(pictures: Sequence[Things], horizontal: int, rng: np.random.Generator) -> Candidates:
-    """Things of pictures, of which the first ones are `horizontal`, wherever their pictures may be shown, CANDIDATES
-    times as many as there are to be.
+    """Things strewn wherever their pictures may be shown, CANDIDATES times as many as are wanted.
 
-    There are N_A / 2b in a volume where a picture shows N_A in an area whose half width across it is b (Saltykov).
+    `horizontal`: how many of the pictures, the first ones, are horizontal. Where a picture shows N_A things in an area,
+    there are N_A / 2b in a volume, for things of half width b across the picture's plane (Saltykov).
     """
     found, first = [], 0
     for n, things in enumerate(pictures):
@@ -92,14 +92,14 @@ def strewn(pictures: Sequence[Things], horizontal: int, rng: np.random.Generator
         found.append(_placed(things, which, middles, axes, is_horizontal, first))
         first += len(things.places)
     together = Candidates.together(found)
-    return together.chosen(np.linalg.norm(together.middles, axis=1) < INSIDE)  # which NaN is not
+    return together.chosen(np.linalg.norm(together.middles, axis=1) < INSIDE)  # not NaN, either
 
 
 def in_own_planes(own: Sequence[Things], heights: Sequence[float], first: int) -> list[tuple[Candidates, bool]]:
     """The things of each picture where its own plane shows them, and whether it is a horizontal one.
 
-    `own`: of the pictures at these heights (0 or 1), then of those in planes evenly spread over half a turn. Their
-    stamps are numbered from `first`.
+    `own`: the things of the pictures at these heights (none or one), then of those in planes evenly spread over half a
+    turn. Their stamps are numbered from `first`.
     """
     found = []
     for n, things in enumerate(own):
@@ -124,7 +124,7 @@ def _placed(
     is_horizontal: bool,
     first: int,
 ) -> Candidates:
-    """Some of the things around middles (M, 3): what points outwards in the picture does so in the ball."""
+    """The things `which` (M,), laid around middles (M, 3): what points outwards in the picture does so in the ball."""
     out, x = _directions(middles[:, :2]), things.places[which, 0]
     outwards = np.column_stack([out, np.zeros(len(out))])
     if is_horizontal:
@@ -139,8 +139,8 @@ def _placed(
 
 
 def _out_at(shares: NDArray[np.floating], heights: NDArray[np.floating]) -> NDArray[np.float64]:
-    """(M,). Distances from the axis at which places (M,) of a horizontal picture are at heights (M,) in the ball; NaN
-    where there is none: towards the poles all is closer to the skin."""
+    """(M,). Distances from the axis, at heights (M,) in the ball, of the places `shares` (M,) of the radius from the
+    middle of a horizontal picture; NaN where there is none: towards the poles everything is closer to the skin."""
     part = (np.arange(LEVELS) + 0.5) / LEVELS
     out = part * np.sqrt(1 - np.square(heights))[:, None]
     points = np.stack([out, np.zeros_like(out), np.broadcast_to(heights[:, None], out.shape)], -1)
@@ -149,5 +149,5 @@ def _out_at(shares: NDArray[np.floating], heights: NDArray[np.floating]) -> NDAr
 
 
 def _directions(vectors: NDArray[np.floating]) -> NDArray[np.floating]:
-    """(M, 2). Vectors (M, 2) of length 1."""
+    """(M, 2). Vectors (M, 2), scaled to length 1."""
     return vectors / np.maximum(np.hypot(*vectors.T), 1e-4)[:, None]

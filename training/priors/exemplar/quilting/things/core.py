@@ -1,7 +1,7 @@
 """The core of a face: what stands out around the axis and ends, such as the star of an apple.
 
-There is one core, so it is laid once, as a solid, where its picture was taken, and no chunk shows any. How tall it is,
-radial pictures say. A core that they show taller than it is wide is a column, and theirs to show.
+There is one core, so it is laid once, as a solid, where its picture was taken, and no chunk shows any. Radial pictures
+tell how tall it is. A core that they show taller than it is wide is a column, and is left for them to show.
 """
 
 from __future__ import annotations
@@ -21,41 +21,42 @@ from training.priors.exemplar.sampling import blurred, read_bilinear
 __all__ = ["CORE", "Core"]
 
 CORE = 0.12
-"""Radius of what lies around the axis. A region that reaches it is a part of the core, with all that is in it."""
+"""Radius of the area around the axis. A region that reaches into it is part of the core, with all that is in it."""
 
 EDGE, STRONG = 0.5, 0.8
-"""Least contrast of its pixels over that of a core, a half as a blurred edge has it, and the quantile of what stands
-out that this is in a horizontal picture: around a star flesh is stained, and by the median that was a part of the stars
-of three apples. In radial pictures, where seeds and what holds them are as tall as a core, it is the median."""
+"""Least contrast of a core's pixels over the core's contrast, a half as at a blurred edge; and the quantile of what
+stands out that is a core's contrast in a horizontal picture: the flesh around a star is stained, and by the median it
+was a part of the stars of three apples. In radial pictures, where seeds and what holds them are as tall as a core, the
+median is taken."""
 
 NEAR = 0.15
-"""Distance in radii from the height of a horizontal picture within which radial ones are looked at for its core: two
+"""Distance in radii from the height of a horizontal picture within which its core is looked for in radial ones: two
 fruits do not have theirs at the same height."""
 
 INSIDE = 0.9
 """Radius of the disc over which the usual distance from the flesh is taken: outside is skin."""
 
 COLUMN = 1.8
-"""Times as tall as wide from which a core is a column. Of photographs two apples have 0.6 and 1.3, four oranges 2.4 to
-4.3; a drawn stone has 1.1, a drawn kiwi 3.5."""
+"""Height over width from which a core is a column. In photographs two apples have 0.6 and 1.3, four oranges 2.4 to 4.3;
+a drawn stone has 1.1, a drawn kiwi 3.5."""
 
 LEAST = 0.1
-"""Part of its width that a core fills in radial pictures that show it: else they pass beside it."""
+"""Least part of its width that a core fills in radial pictures that show it: with less they pass beside it."""
 
 HALF, PART = 0.5, 0.25
-"""Of that part, the least that is filled as far as the core goes along the axis, and as far as a column goes."""
+"""Least part that is filled, over the largest, as far as a core reaches along the axis, and as far as a column does."""
 
 MOST_OF = 0.95
 """Share of a core that is compared with what radial pictures show: a crack may reach out of it."""
 
 SMOOTH = 0.015
-"""Standard deviation in radii of the blur of those parts along the axis: a seed is several times as long."""
+"""Standard deviation in radii of the blur of the filled parts along the axis: a seed is several times as long."""
 
 MARGIN = 0.03
 """Radii around a core in which nothing but its picture is shown, so that no seam passes along its edge."""
 
 AXIS = 0.12
-"""Distance from a ridge, over that of its edge, within which directions fade: on the ridge itself there is none."""
+"""Distance from a ridge, over that of the edge, within which directions fade: on the ridge itself there is none."""
 
 
 @dataclass(frozen=True)
@@ -63,30 +64,30 @@ class Core:
     """The core of one picture as a solid, if it has any."""
 
     region: NDArray[np.bool_]
-    """(P, P). Where it is in the picture, and what lies between."""
+    """(P, P). Where the core is in the picture, and what lies between its parts."""
     form: NDArray[np.float32]
-    """(P, P, 4). The half height of the solid's ridge at each pixel, over the most, 0 where it is not; the distance of
-    the pixel from the ridge, over that of the edge; and the way from the ridge to the edge, in radii."""
+    """(P, P, 4). The half height of the solid's ridge at each pixel, over the largest, 0 outside of the core; the
+    distance of the pixel from the ridge, over that of the edge; and the vector from the ridge to the edge, in radii."""
     tall: tuple[float, float]
-    """Most half height in radii to either side of the plane, negative distances first; both 0 without any."""
+    """Largest half height in radii on either side of the plane, negative distances first; both 0 without a core."""
     ends: tuple[float, float]
-    """How far in radii the core goes below and above the horizontal picture's plane, with what radial ones show of
+    """How far in radii the core reaches below and above the horizontal picture's plane, with what radial ones show of
     it."""
     reach: float
-    """How far it goes from the axis, in radii; 0 without any."""
+    """How far it reaches from the axis, in radii; 0 without a core."""
 
     @classmethod
     def none(cls) -> Core:
-        """Of a face without any."""
+        """The core of a face without any."""
         nothing = np.zeros((DISC_PIXELS, DISC_PIXELS, 4), np.float32)
         return cls(nothing[..., 0] > 0, nothing, (0.0, 0.0), (0.0, 0.0), 0.0)
 
     @classmethod
     def across(cls, disc: Disc, rind: float, along: Sequence[Disc], height: float) -> Core:
-        """Of a horizontal face of even tones with a rind of this depth in radii, at a height in the ball.
+        """The core of a horizontal face of even tones with a rind of this depth in radii, at a height in the ball.
 
-        It has the proportions that radial faces show `along` the axis; if they do not show it, it is as tall as a disc
-        of its area is wide.
+        It has the proportions that radial faces, cut `along` the axis, show; if they do not show it, it is as tall as a
+        disc of its area is wide.
         """
         radius, contrast = np.hypot(*disc_grid()), _contrast(disc)
         parts, _ = ndimage.label(ndimage.binary_opening(contrast >= 1))
@@ -105,7 +106,7 @@ class Core:
             tall = (under + over) / 2 * float(np.quantile(radius[shape], MOST_OF)) / wide
         else:
             under = over = tall = float(np.sqrt(shape.sum() / np.pi)) * PIXEL
-        # Two fruits do not have their cores at the same height: half way to where radial pictures show it.
+        # Two fruits do not have their cores at the same height, so it goes half way to where radial pictures show it.
         below, above = (under + tall) / 2, (over + tall) / 2
         form = _form(shape)
         ridge = np.stack(disc_grid(), -1) - form[..., 1:2] * form[..., 2:]
@@ -114,8 +115,8 @@ class Core:
 
     @classmethod
     def along(cls, disc: Disc, core: Core, height: float) -> Core:
-        """Of a radial face of even tones, as far as it shows the core of a horizontal one at a height in the ball: what
-        stands out there is as thick as it is wide."""
+        """The core of a radial face of even tones, as far as it shows the core of a horizontal one at a height in the
+        ball: what stands out there is as thick as it is wide."""
         if not core.reach:
             return core
         x, y = disc_grid()
@@ -128,8 +129,8 @@ class Core:
         return replace(core, region=shape, form=form, tall=(most, most))
 
     def holds(self, x: NDArray[np.floating], y: NDArray[np.floating], rise: NDArray[np.floating]) -> NDArray[np.bool_]:
-        """(...). Whether nothing but the horizontal picture is to be shown at places (...), (...) of it and signed
-        distances (...) from its plane."""
+        """(...). Whether only the horizontal picture is to be shown at places (...), (...) of it and signed distances
+        (...) from its plane."""
         if not self.reach:
             return np.zeros(x.shape, bool)
         below, above = (end + MARGIN for end in self.ends)
@@ -139,7 +140,7 @@ class Core:
         self, disc: Disc, x: NDArray[np.floating], y: NDArray[np.floating], away: NDArray[np.floating]
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """(M, 3) and (M,). Colours of the core of this face at places (M,), (M,) of it and distances (M,) from its
-        plane, and how deep they are in it, in radii; negative outside. What is equally deep has one colour."""
+        plane, and how deep in the core they are, in radii; negative outside. Equal depths have one colour."""
         rows, columns = (np.asarray(at, np.float32) for at in to_pixels(x, y, DISC_PIXELS))
         form = read_bilinear(self.form, rows, columns)
         tall, off, way = form[:, 0] * np.where(away > 0, self.tall[1], self.tall[0]), form[:, 1], form[:, 2:]
@@ -159,8 +160,8 @@ def _contrast(disc: Disc) -> NDArray[np.floating]:
 
 
 def _stands_out(disc: Disc, reach: float, height: float) -> NDArray[np.bool_]:
-    """(P, P). Where a radial face of even tones shows something of the kind that is in the core at a height, which goes
-    up to a radius."""
+    """(P, P). Where a radial face of even tones stands out as a core does that lies at this height and reaches out to
+    this radius."""
     x, y = disc_grid()
     contrast = _contrast(disc)
     core = (contrast >= 1) & (np.abs(x) < reach) & (np.abs(y - height) < NEAR)
@@ -168,8 +169,8 @@ def _stands_out(disc: Disc, reach: float, height: float) -> NDArray[np.bool_]:
 
 
 def _seen_along(disc: Disc, reach: float, height: float) -> tuple[float, float, float, bool] | None:
-    """How far in radii below and above a height a radial face shows the core that goes up to a radius, how far from the
-    axis it shows it, and whether as a column; None if it does not."""
+    """How far in radii below and above a height a radial face shows the core that reaches out to `reach`, how far from
+    the axis it shows it, and whether as a column; None if it does not show it."""
     x, y = disc_grid()
     level, away = y[0], np.abs(x[:, 0])
     stands_out = _stands_out(disc, reach, height)[away < reach]

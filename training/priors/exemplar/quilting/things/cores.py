@@ -14,11 +14,11 @@ from training.priors.exemplar.quilting.labels import Label, Source
 __all__ = ["Cores"]
 
 ALONE = 0.015
-"""Distance in radii from a picture's own plane within which what another one has there fades: it shows the picture."""
+"""Distance in radii from a picture's own plane within which other pictures' cores fade: the plane shows its picture."""
 
 
 SOFT = 0.006
-"""Distance in radii over which a core passes into what is around it: as the colours of a relief do."""
+"""Distance in radii over which a core blends into its surroundings, as the colours of a relief do."""
 
 
 @dataclass(frozen=True)
@@ -26,14 +26,14 @@ class Cores:
     """The core of the horizontal picture, and what radial ones show of it."""
 
     height: float
-    """Of the horizontal picture, in the ball."""
+    """Height of the horizontal picture in the ball."""
     across: Source
     along: Sequence[Source]
-    """Those with own planes, evenly spread over half a turn."""
+    """The radial pictures with own planes, evenly spread over half a turn."""
 
     @classmethod
     def of(cls, labels: Sequence[Label]) -> Cores | None:
-        """Of a quilt with these labels; None without any."""
+        """The cores of a quilt with these labels; None if there are none."""
         own = {label.is_horizontal: label for label in labels if label.is_own}
         chunks = own[True].chunks if True in own else None
         if not isinstance(chunks, OwnHeight) or not own[True].sources[0].core.reach:
@@ -42,8 +42,8 @@ class Cores:
         return cls(float(chunks.height), own[True].sources[0], along)
 
     def read(self, points: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """(M, 3) and (M,). Colours of cores at points (M, 3) of the ball times how much they cover what is there, and
-        that. Range [0, 1]."""
+        """(M, 3) and (M,). Colours of cores at points (M, 3) of the ball, multiplied by how much of the point they
+        cover, and that cover. Range [0, 1]."""
         rgb, cover = np.zeros((len(points), 3), np.float32), np.zeros(len(points), np.float32)
         rise = points[:, 2] - np.float32(self.height)
         rows = np.flatnonzero(self.across.core.holds(points[:, 0], points[:, 1], rise))
@@ -59,7 +59,7 @@ class Cores:
         for n, (source, u, v, away) in enumerate(places):
             shown, deep = source.core.read(source.disc, u, v, away)
             covers = _passed(deep) * np.delete(alone, n, 0).prod(0)
-            deeper = _passed(deep - depth)  # where two meet, what a place is deeper in
+            deeper = _passed(deep - depth)  # where two meet, the one that a place is deeper in
             colours *= (1 - covers * deeper)[:, None]
             colours += (covers * (1 - covered * (1 - deeper)))[:, None] * shown
             covered += covers * (1 - covered)
@@ -69,10 +69,10 @@ class Cores:
 
 
 def _passed(depth: NDArray[np.floating]) -> NDArray[np.floating]:
-    """From 0 outside of a skin to 1 inside, by the depth in radii."""
+    """Rises from 0 outside of a core's surface to 1 inside, by the depth in radii."""
     return np.clip(depth / SOFT + 0.5, 0, 1)
 
 
 def _seen(away: NDArray[np.floating]) -> NDArray[np.floating]:
-    """How much of a core is seen at these distances in radii from the planes of others."""
+    """How much of a core is seen at these distances in radii from other pictures' planes."""
     return 1 - np.exp(-np.square(away / ALONE))

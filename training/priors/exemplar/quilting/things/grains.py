@@ -1,9 +1,9 @@
 """Grains of a face: things so close that there is nothing calm between them, such as the arils of a pomegranate.
 
 A thing on calm ground closes over it with the distance from the picture's plane (`relief`). Where things lie among
-things there is nothing to close over, and what is carried beside the plane ends wherever a seam passes: rods and
-shards. Such faces are a germ-grain model (Stoyan, Kendall and Mecke 1995): discs that overlap, the cuts of balls, which
-`packing` lays anew.
+things there is nothing to close over, and what is carried beside the plane ends wherever a seam passes, in rods and
+shards. Such faces follow a germ-grain model (Stoyan, Kendall and Mecke 1995): overlapping discs, which are cuts of
+balls that `packing` lays anew.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ FINE = 2
 """Pixels of the disc per pixel on which grains are looked for: the smallest is eight of these wide."""
 
 RADII = np.geomspace(0.015, 0.11, 9)
-"""Radii in radii of the disc at which they are looked for, a quarter apart. Seeds, arils and pores have these."""
+"""Radii of the grains that are looked for, a quarter apart, in radii of the disc. Seeds, arils and pores have these."""
 
 AROUND = 0.12
 """Standard deviation in radii of the neighbourhood from which a grain has to stand out: some grains wide."""
@@ -41,28 +41,30 @@ APART = 0.6
 """Distance of two grains over the larger one's radius below which they are one thing found twice."""
 
 ENDS = 1.5
-"""Times its radius that a grain is high if nothing around it is calm; what closes earlier is left to the relief."""
+"""Least height over radius of a grain with nothing calm around it; what closes earlier is left to the relief."""
 
 CLOSE, PACKED = 0.6, 0.68
-"""Part of a neighbourhood that grains cover where they lie close, and part of a face where they do so for it to be made
-of them. Of 22 photographs five pomegranates have 0.82 to 0.90, two oranges with fibrous cores 0.52 and 0.53, the other
-oranges, apples and melons at most 0.4."""
+"""Least part of a neighbourhood that grains cover where they lie close, and least part of a face where they do so for
+it to be made of grains. Of 22 photographs five pomegranates have 0.82 to 0.90, two oranges with fibrous cores 0.52 and
+0.53, the other oranges, apples and melons at most 0.4."""
 
 TOUCHING = 1.2
-"""Times as large as itself a grain counts for what is covered: the gaps between touching discs are no ground."""
+"""Factor by which grains are enlarged to count what they cover: the gaps between touching discs are no ground."""
 
 FACE = 0.9
 """Radius of the disc in which grains are looked for: outside is the rind."""
 
 PURE = 0.65
-"""Part of a grain that differs from its surroundings as grains of this face do: arils are darker than membranes. What
-lies between grains has less; arils with pale seeds have 0.7."""
+"""Least part of a grain that differs from its surroundings as grains of this face do: arils are darker than membranes.
+What lies between grains has less; arils with pale seeds have 0.7."""
 
 STRANGE = 2.5
-"""Times the median distance from the grains' middle colour from which one is something else: a bit of the core."""
+"""Multiple of the median distance from the grains' median colour beyond which one is something else: a bit of the
+core."""
 
 SIZES = (0.6, 1.5)
-"""Sizes of grains over the typical one that are kept. What is smaller is a highlight in one, what is larger several."""
+"""Least and largest size, over the typical one, of grains that are kept: a smaller one is a highlight in a grain, a
+larger one several grains."""
 
 
 @dataclass(frozen=True)
@@ -70,9 +72,9 @@ class Grains:
     """The grains of one picture, none if it is not made of them."""
 
     places: NDArray[np.float32]
-    """(B, 2). Of their middles on the disc."""
+    """(B, 2). Places of their middles on the disc."""
     radii: NDArray[np.float32]
-    """(B,). In radii of the disc."""
+    """(B,). Their radii, in radii of the disc."""
     cover: NDArray[np.float32]
     """(H, W). Part of the surroundings that they cover, over the disc's array. Range [0, 1]."""
 
@@ -125,20 +127,20 @@ class Grains:
         return Things.of(disc, self.places, np.repeat(self.radii[:, None], 2, 1), np.zeros(len(self.radii)))
 
     def cover_at(self, x: NDArray[np.floating], y: NDArray[np.floating]) -> NDArray[np.float32]:
-        """(M,). What grains cover around places (M,), (M,) of the disc."""
+        """(M,). The part that grains cover around places (M,), (M,) of the disc."""
         at = np.stack(to_pixels(x, y, len(self.cover)))
         return ndimage.map_coordinates(self.cover, at, order=1, mode="nearest", output=np.float32)
 
 
 def _main_contrast(rgb: NDArray[np.floating], face: NDArray[np.bool_], around: float) -> NDArray[np.floating]:
-    """(H, W). What colours (H, W, 3) differ by from those around them, along the direction in which they do most."""
+    """(H, W). Difference of colours (H, W, 3) from those around them, along the RGB direction of most difference."""
     local = rgb - blurred(rgb, around)
     main = np.linalg.eigh(local[face].T @ local[face])[1][:, -1]
     return local @ (main if main.sum() > 0 else -main)
 
 
 def _thinned(places: NDArray[np.floating], radii: NDArray[np.floating]) -> NDArray[np.intp]:
-    """Rows of the discs that are no other's, the first of two staying."""
+    """Rows of the discs without those found twice, of which the first stays."""
     kept: list[int] = []
     for n, (place, radius) in enumerate(zip(places, radii, strict=True)):
         away = np.linalg.norm(places[kept] - place, axis=1)
@@ -161,7 +163,7 @@ def _covered(
 def _within(
     axis: NDArray[np.floating], place: NDArray[np.floating], radius: float
 ) -> tuple[tuple[slice, slice], NDArray[np.bool_]]:
-    """The pixels of a disc around a place (2,), in the box that holds them."""
+    """The box around a disc at a place (2,), and which of its pixels are in the disc."""
     x, y = place
     rows, columns = (slice(*np.searchsorted(axis, (at - radius, at + radius))) for at in (x, y))
     return (rows, columns), np.hypot(axis[rows, None] - x, axis[columns] - y) < radius

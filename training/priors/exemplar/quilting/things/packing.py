@@ -1,9 +1,9 @@
 """Ellipsoids in the ball: the things of photographs laid as solids.
 
-Every ellipsoid shows a thing of a picture, turned about its longer axis: at a distance from its middle are the colours
-that the thing has there, in the direction in which the point lies. So any cut through it shows a whole thing, its
-outline all around. Grains are laid until there is no room, seeds as many as pictures show. Where two meet, the border
-is where their powers are equal (a Laguerre tessellation, as in packings of grains).
+Every ellipsoid shows a thing of a picture, turned about its longer axis: a point shows the colour that the thing has at
+the same distance from its middle, in the direction in which the point lies. So any cut through it shows a whole thing,
+with its outline all around. Grains are laid until there is no room, seeds as many as pictures show. Where two meet, the
+border is where their powers are equal (a Laguerre tessellation, as in packings of grains).
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from training.priors.exemplar.quilting.things.stamps import EXTENT, STAMP_PIXELS
 __all__ = ["NEAR", "REACHES", "Packing", "pack"]
 
 NEAR = (1.0, 0.5)
-"""Least distance of a seed, and of a grain, from what lies already, over the sum of their radii. Balls that may not
+"""Least distance of a seed, and of a grain, from what is already laid, over the sum of their radii. Balls that may not
 overlap at all fill 0.38 of space when they are laid at random; arils press one another flat."""
 
 REACHES = 1.15
-"""Times as far as its radius a grain goes where no other one is: what is left between them shows chunks."""
+"""How far a grain reaches where there is no other, over its radius: what is left between grains shows chunks."""
 
 MIXED_SIZES = 0.7
 """Grains are laid from large to small, by their radius times a random number from this to 1: small ones fill gaps."""
@@ -36,7 +36,7 @@ AXIS = 0.12
 is none."""
 
 EDGE = 0.006
-"""Distance in radii over which two things pass into one another: as a relief's colours do."""
+"""Distance in radii over which two things blend, as a relief's colours do."""
 
 LATTICE = 1.3
 """Half a side of the lattice in which things are looked up, in radii: the body and a thing's reach."""
@@ -48,16 +48,16 @@ class Packing:
 
     laid: Candidates
     stamps: NDArray[np.float32]
-    """(T, S, S, 4). Of all things."""
+    """(T, S, S, 4). Stamps of all things."""
     cell: float
     starts: NDArray[np.int64]
     """(C + 1,). Where the things of each cell of a lattice start in `members`."""
     members: NDArray[np.int64]
-    """(M,)."""
+    """(M,). Rows of the things that are laid, cell after cell."""
 
     def read(self, points: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """(M, 3) and (M,). Colours of things at points (M, 3) times how much they cover what is there, and that. Range
-        [0, 1]."""
+        """(M, 3) and (M,). Colours of things at points (M, 3), multiplied by how much of the point they cover, and that
+        cover. Range [0, 1]."""
         out = np.empty((len(points), 4), np.float32)
         laid = self.laid
         frames = laid.middles, laid.axes, laid.long, laid.short
@@ -66,7 +66,7 @@ class Packing:
         return out[:, :3], out[:, 3]
 
     def reduced(self, things: Sequence[Things]) -> Packing:
-        """The same packing with the same things, in less detail."""
+        """The same packing of the same things, which are given in less detail."""
         return replace(self, stamps=np.concatenate([t.stamps for t in things]))
 
 
@@ -77,8 +77,8 @@ def pack(
     is_free: Callable[[Candidates], NDArray[np.bool_]],
     rng: np.random.Generator,
 ) -> Packing | None:
-    """Things as ellipsoids: those that are `fixed`, and of those that are tried where `is_free`, as far as they do not
-    meet, all grains and as many seeds as there are to be; None if there is nothing."""
+    """Things as ellipsoids: those that are `fixed`, and of those that are `tried` and free, as far as they do not meet,
+    all grains and as many seeds as are wanted; None if there is nothing."""
     order = np.where(tried.are_close, -tried.radii, 1) * rng.uniform(MIXED_SIZES, 1, len(tried.radii))
     tried = tried.chosen(np.argsort(order, kind="stable"))
     tried = tried.chosen(is_free(tried))
@@ -112,8 +112,8 @@ def _laid(
     seeds: int,
     cell: float,
 ) -> NDArray[np.bool_]:
-    """(M,). Which of the things lie: the first ones, and each other one where it is far enough from all before it, up
-    to some number of seeds."""
+    """(M,). Which of the things are laid: the first `fixed` ones, and every other that is far enough from all before
+    it, up to a number of `seeds`."""
     side = _lattice(cell)
     first = np.full(side * side * side, -1, np.int64)
     following = np.full(len(radii), -1, np.int64)
@@ -162,7 +162,8 @@ def _read(
     stamps: NDArray[np.float32],  # [T, S, S, 4]
     out: NDArray[np.float32],  # [M, 4]
 ) -> None:
-    """The two things with the most power at each point, the square of the half width times 1 - q^2 at q half axes."""
+    """Shows the two things with the most power at each point: the square of the half width times 1 - q^2, at q half
+    axes."""
     side, one = _lattice(cell), np.float32(1)
     for m in range(start, stop):
         x = int((points[m, 0] + np.float32(LATTICE)) / cell)
@@ -234,7 +235,7 @@ def _show(points, m, middles, axes, long, short, thing, which, is_close, stamps,
     fade = flat + np.float32(AXIS * AXIS)
     cover = one
     if not is_close:
-        # Cuts along the picture's plane are as its outline, and smaller.
+        # Cuts parallel to the picture's plane have the thing's outline, made smaller.
         smaller = np.sqrt(max(one - w * w, np.float32(0))) + np.float32(1e-3)
         cover = _stamped(stamps, n, s / smaller, t / smaller, 3) if w < one else np.float32(0)
     stretched = np.sqrt(square / fade)

@@ -1,8 +1,8 @@
 """Seeds of a face: closed things that lie apart in calm ground, found whole.
 
-A thing stands out by some contrast from what is left where it has ended (`relief`). Regions above a contrast are a
-tree, as in stable regions (Matas et al. 2002): where several things touch, one region is all of them, and higher up
-each is one of its own. The lowest regions that are as round as things are taken; pixels below join the nearest.
+A thing stands out by some contrast from what is left where it has ended (`relief`). Regions above a contrast form a
+tree, as in stable regions (Matas et al. 2002): where several things touch, one region holds all of them, and higher up
+each has its own. The lowest regions that are as round as things are taken; pixels below join the nearest.
 """
 
 from __future__ import annotations
@@ -23,28 +23,28 @@ from training.priors.exemplar.quilting.things.stamps import Things
 __all__ = ["Seeds"]
 
 SURE = 1.7
-"""Mean of that distance in a thing, over the least: drops of juice in six oranges have 1.0 to 1.8, vessels in three
+"""Least mean contrast of a thing (`Relief.contrast`): drops of juice in six oranges have 1.0 to 1.8, vessels in three
 apples 1.2 to 2.0, four fifths of the seeds in five melons 1.7 to 3.8. Laid anew, none of the three looks wrong."""
 
 RAISED = 1.25
 """Factor of the contrast from one level of the tree to the next."""
 
 LEVELS = 9
-"""Of the tree: up to six times the least contrast."""
+"""Levels of the tree: up to six times the least contrast."""
 
 HALF_WIDTHS, LONGEST = (0.011, 0.12), 4.0
-"""Half axes in radii that a thing may have, and their largest ratio. What is narrower is taken for texture by the
-medians that tell that from things, what is wider hardly closes."""
+"""Least and largest half axes of a thing in radii, and their largest ratio. The medians that tell texture from things
+take anything narrower for texture; anything wider hardly closes."""
 
 SOLID = 0.8
 """Least share of a thing's convex hull that it fills: a disc fills 0.97 and more, two that touch up to 0.83, three in a
 row up to 0.80."""
 
 GROWN = 2
-"""Pixels by which a thing grows into the region that it was found in: there its edge is."""
+"""Pixels by which a thing grows into the region that it was found in, where its edge is."""
 
 EDGE = 0.5
-"""Of a thing's median contrast, the least that its pixels have: a half is where a blurred edge is. What is fainter is
+"""Least contrast of a thing's pixels over its median contrast: a half is where a blurred edge is. What is fainter is
 its shadow or what clings to it."""
 
 
@@ -53,19 +53,19 @@ class Seeds:
     """The seeds of one picture, if there are any."""
 
     parts: NDArray[np.int32]
-    """(P, P). Which one is at a pixel of the disc, from 1; 0 for none."""
+    """(P, P). Number of the seed at each pixel of the disc, from 1; 0 for none."""
     places: NDArray[np.float64]
-    """(B, 2). Of their middles on the disc."""
+    """(B, 2). Places of their middles on the disc."""
     axes: NDArray[np.float64]
     """(B, 2). Half axes in radii of the disc, the longer first."""
     turns: NDArray[np.float64]
-    """(B,). From the disc's x axis to the longer axis, radians."""
+    """(B,). Angle from the disc's x axis to the longer axis, radians."""
     regions: NDArray[np.bool_]
     """(P, P). Where they are, and what stands out together with them."""
 
     @classmethod
     def of(cls, relief: Relief, is_horizontal: bool, rind: float) -> Seeds:
-        """Of a face with this relief and a rind of this depth in radii."""
+        """The seeds of a face with this relief and a rind of this depth in radii."""
         x, y = disc_grid()
         radius = np.hypot(x, y)
         from_core = np.hypot(x, y * is_horizontal)
@@ -96,7 +96,7 @@ class Seeds:
 
     @classmethod
     def none(cls) -> Seeds:
-        """Of a face without any."""
+        """The seeds of a face without any."""
         pairs = np.empty((0, 2))
         nothing = np.zeros((DISC_PIXELS, DISC_PIXELS), np.int32)
         return cls(nothing, pairs, pairs, np.empty(0), nothing > 0)
@@ -117,23 +117,23 @@ def _trimmed(parts: NDArray[np.int32], contrast: NDArray[np.floating]) -> NDArra
 
 
 def _middle(region) -> NDArray[np.float64]:  # type: ignore[no-untyped-def]
-    """(2,). Of a region, on the disc."""
+    """(2,). Middle of a region, on the disc."""
     return (np.array(region.centroid) + 0.5) * PIXEL - REACH
 
 
 def _from_core(region, is_horizontal: bool) -> float:  # type: ignore[no-untyped-def]
-    """How far from the axis a thing twice as long ends, in radii."""
+    """How far from the axis a thing twice as long as this region ends, in radii."""
     turn, reach = region.orientation, np.array([[2], [-2]]) * _half_axes(region)[0]
     ends = _middle(region) + reach * [np.cos(turn), np.sin(turn)]
     return float(np.hypot(ends[:, 0], ends[:, 1] * is_horizontal).min())
 
 
 def _half_axes(region) -> tuple[float, float]:  # type: ignore[no-untyped-def]
-    """Of the ellipse with the moments of a region, in radii."""
+    """Half axes, in radii, of the ellipse with the moments of a region."""
     return region.axis_major_length / 2 * PIXEL, max(region.axis_minor_length, 1) / 2 * PIXEL
 
 
 def _is_a_thing(region) -> bool:  # type: ignore[no-untyped-def]
-    """Whether a region of a picture has the size and the shape of one."""
+    """Whether a region of a picture has the size and the shape of a thing."""
     long, short = _half_axes(region)
     return HALF_WIDTHS[0] < short <= long < min(HALF_WIDTHS[1], LONGEST * short) and region.solidity > SOLID

@@ -13,13 +13,13 @@ from training.priors.exemplar.quilting.disc import PIXEL, Disc, to_pixels
 __all__ = ["EXTENT", "STAMP_PIXELS", "Things"]
 
 STAMP_PIXELS = 64
-"""Along a side of a stamp: as fine as the disc for things with a half width of a tenth of a radius."""
+"""Pixels along a side of a stamp: as fine as the disc for things with a half width of a tenth of a radius."""
 
 EXTENT = 1.25
-"""Half a side of a stamp, in half axes of its thing: an outline that is no ellipse reaches out of it."""
+"""Half a side of a stamp, in half axes of its thing: an outline that is no ellipse reaches beyond it."""
 
 SOFT = 0.7
-"""Standard deviation in pixels of the disc of a thing's edge, which is as sharp as the picture's."""
+"""Standard deviation of the blur of a thing's edge, in pixels of the disc: the edge is as sharp as the picture's."""
 
 
 @dataclass(frozen=True)
@@ -27,11 +27,11 @@ class Things:
     """Things of one picture."""
 
     places: NDArray[np.float32]
-    """(B, 2). Of their middles on the disc."""
+    """(B, 2). Places of their middles on the disc."""
     axes: NDArray[np.float32]
     """(B, 2). Half axes in radii of the disc, the longer first."""
     turns: NDArray[np.float32]
-    """(B,). From the disc's x axis to the longer axis, radians."""
+    """(B,). Angle from the disc's x axis to the longer axis, radians."""
     stamps: NDArray[np.float32]
     """(B, S, S, 4). Colours and how much they cover, along the longer axis and across it, over EXTENT half axes."""
     are_close: bool
@@ -46,8 +46,8 @@ class Things:
         turns: NDArray[np.floating],
         parts: NDArray[np.int32] | None = None,
     ) -> Things:
-        """Things of a face, of any number. `parts` (P, P): at its pixels the number of the thing that is there, from 1
-        and 0 for none; without it they lie close and cover all of their ellipses."""
+        """Any number of things of a face. `parts` (P, P): the number of the thing at each pixel, from 1, and 0 for
+        none; without it the things lie close and cover all of their ellipses."""
         step = (np.arange(STAMP_PIXELS) + 0.5) / STAMP_PIXELS * 2 - 1
         s, t = (EXTENT * a for a in np.meshgrid(step, step, indexing="ij"))
         stamps = np.ones((len(places), STAMP_PIXELS, STAMP_PIXELS, 4), np.float32)
@@ -63,7 +63,7 @@ class Things:
         return cls(places, axes, turns, stamps, parts is None)
 
     def reduced(self, n: int) -> Things:
-        """The same things without what pixels of the disc n times as large do not show."""
+        """The same things without the detail that pixels of the disc n times as large do not show."""
         stamps = np.empty_like(self.stamps)
         for m, (stamp, axes) in enumerate(zip(self.stamps, self.axes, strict=True)):
             cover = stamp[..., 3:]
