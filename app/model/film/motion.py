@@ -61,7 +61,7 @@ class Film:
     """Keyframes, and cuts that stay the same throughout."""
 
     keyframes: tuple[Keyframe, ...]
-    """At least two, sorted by time, the first at 0. Normals of a plane turn by at most 90 degrees from one to the next."""
+    """At least two, sorted by time, the first at 0. A plane's normal turns by at most 90 degrees between neighbours."""
     cuts: tuple[Plane, ...] = ()
     """Planes that divide the object into pieces, which the explosion parts."""
 
