@@ -1,1 +1,1 @@
-"""The desktop app, in four rooms, each importing only those before it: model, jobs, session, ui."""
+"""The desktop app in four packages, each of which imports only those before it: model, jobs, session, ui."""

@@ -1,4 +1,4 @@
-"""`fruitninja-export`: a trained object, whole or cut, as a file for other programs."""
+"""`fruitninja-export`: writes a trained object, whole or cut, as a file for other programs."""
 
 from __future__ import annotations
 
@@ -48,9 +48,9 @@ def export_command(
         ),
     ] = None,
 ) -> None:
-    """Save a trained object, whole or what planes leave of it, for other programs."""
+    """Save a trained object, whole or the part that planes leave of it, for other programs."""
     planes = [parse_plane(text) for text in plane or []]
-    kind_of(out, as_)  # a name that does not fit need not wait for the object
+    kind_of(out, as_)  # reports a name that does not fit before the object is loaded
     complaint = f"--inks {inks}: give colours as #rrggbb with commas between, as in #ffffff,#231f20"
     of_inks = [] if inks is None else [parse_rgb(colour.strip(), complaint) for colour in inks.split(",")]
     solid = open_solid(trained).cut(*planes)

@@ -1,4 +1,4 @@
-"""Films of `fruitninja-render`: what was asked for, and the frames of it in one file or in a folder."""
+"""Films of `fruitninja-render`: checks what was asked for, and writes the frames to one file or to a folder."""
 
 from __future__ import annotations
 
@@ -40,19 +40,19 @@ __all__ = ["Scene", "Wanted", "film_project", "is_project", "make_film", "save_f
 PRESETS = ("turntable", "sweep", "explode")
 
 PLAIN = (1.0, 1.0, 1.0)
-"""RGB of the background where a project has that of the window's theme: there is none here."""
+"""RGB of the background if the project uses that of the window's theme, since there is no theme here."""
 
 SECONDS = 6.0
-"""Of a film: slow enough to look at what turns by."""
+"""Default length of a film: slow enough to see what turns past."""
 
 FASTEST, FASTEST_GIF = 120.0, 50.0
-"""Frames a second: of screens, and of GIFs, which count in hundredths; browsers show one of 1/100 s for 1/10 s."""
+"""Most frames a second, of screens and of GIFs. GIFs count in 1/100 s; browsers show a frame of 1/100 s for 1/10 s."""
 
 SIDECAR_LIMIT = 1 << 24
-"""Bytes of a sidecar that is read for its hash; a real one has some KB."""
+"""Bytes of the largest sidecar that is read for its hash; a real one has a few KB."""
 
 Shot = Callable[[Camera, Sequence[Piece]], NDArray[np.uint8]]
-"""Draws pieces as (H, W, 4)."""
+"""Draws pieces as a picture (H, W, 4)."""
 
 
 @dataclass(frozen=True)
@@ -64,17 +64,18 @@ class Scene:
     atoms: Atoms
     up: Vec3
     view: tuple[float, float, float]
-    """Azimuth, elevation in degrees, distance in those that fit the object into the picture; a preset begins there."""
+    """Azimuth and elevation in degrees, and distance as a multiple of that which fits the object into the picture. A
+    preset begins there."""
     size: tuple[int, int]
     """Width, height in pixels."""
 
 
 @dataclass(frozen=True)
 class Wanted:
-    """A film as the options have it."""
+    """A film as the options ask for it."""
 
     name: str
-    """One of PRESETS, or none of them for `keyframes`."""
+    """One of PRESETS, or the name of the file that `keyframes` are from."""
     planes: tuple[Plane, ...]
     seconds: float
     rate: float
@@ -91,7 +92,7 @@ def make_film(
     rate: float | None,
     transparent: bool,
 ) -> Wanted:
-    """What the options ask for. Raises InputError where they do not fit one another, or for a bad file of keyframes."""
+    """The film that the options ask for. Raises InputError for contradictory options or a bad file of keyframes."""
     fps = RATE if rate is None else rate
     _check_form(out, fps, transparent)
     if name not in PRESETS:
@@ -109,7 +110,7 @@ def make_film(
 
 
 def _check_form(out: Path, fps: float, transparent: bool) -> None:
-    """Raises InputError where a film cannot be saved so."""
+    """Raises InputError if a film cannot be saved in this form."""
     suffix = out.suffix.lower()
     if suffix and suffix not in ANIMATIONS:
         raise InputError(f"{out}: a film is saved as {', '.join(ANIMATIONS)}, or as PNGs in a folder without a suffix")
@@ -121,7 +122,7 @@ def _check_form(out: Path, fps: float, transparent: bool) -> None:
 
 
 def is_project(path: Path) -> bool:
-    """Whether a file is a project of the window, by its name."""
+    """Whether a file is a project of the window, judged by its name."""
     return path.suffix == SUFFIX
 
 
@@ -133,9 +134,9 @@ def film_project(
     background: tuple[Vec3 | None] | None,
     drawn: Callable[[float], None],
 ) -> str:
-    """Saves the film of a project of the window, of all its objects that have an inside, and returns, in words, how
-    many frames of what size it has. `size`, `fps`, `background`: None for the project's own. `drawn` is called with the
-    part that is drawn. Raises InputError where there is no film, or none can be saved."""
+    """Saves the film of one of the window's projects, with all objects that have an inside, and returns the number and
+    size of its frames in words. `size`, `fps`, `background`: None for the project's own. `drawn` is called with the
+    part that is drawn. Raises InputError if there is no film, or if it cannot be saved."""
     project = load_project(path, outside=load_settings().trusts(path))
     if len(project.film.moments) < 2:
         raise InputError(f"{path}: this project has no film; keep two keyframes in the window, and save it")
@@ -155,7 +156,7 @@ def film_project(
         atoms, meta = load_trained(found)
         inside = read_inside(found)
         objects[document.number] = Filmed(atoms, None if inside is None else Detailed(inside, atoms.pitch))
-        sources.append(sidecar_path(found))  # has checksums of the rest
+        sources.append(sidecar_path(found))  # holds checksums of the other files
         up = up or document.up or meta.up
     if up is None:
         raise InputError(f"{path}: none of its objects has an inside; train one in the window first")
@@ -164,14 +165,14 @@ def film_project(
 
 
 def save_film(out: Path, wanted: Wanted, scene: Scene, shot: Shot, settings: dict[str, str]) -> str:
-    """Saves a film and returns, in words, how many frames it has; `settings`: what else decides how frames look."""
+    """Saves a film and returns the number of its frames in words. `settings`: all else that decides how frames look."""
     solid = Solid.of_atoms(scene.atoms)
     film = film_of(wanted, scene, solid)
     count = frame_count(film.seconds, wanted.rate)
     aspect = scene.size[0] / scene.size[1]
     eye = OrbitCamera(target=vec3(solid.centre))
     eye = replace(eye, distance=fit_distance(solid.radius + scene.atoms.pitch, math.radians(eye.fov), aspect))
-    has_alpha = bool(out.suffix) or settings["background"] == "transparent"  # what animations are written from has it
+    has_alpha = bool(out.suffix) or settings["background"] == "transparent"  # animations are written from RGBA frames
 
     def draw(shown: Keyframe) -> NDArray[np.uint8]:
         rgba = shot(seen(eye, shown).camera(*scene.size, scene.up), placed(film, shown, solid))
@@ -202,6 +203,6 @@ def film_of(wanted: Wanted, scene: Scene, solid: Solid) -> Film:
         return explode(start, wanted.seconds, wanted.planes)
     if wanted.name == "turntable":
         return turntable(replace(start, planes=wanted.planes), wanted.seconds)
-    # Without a plane a horizontal one, from above.
+    # By default a horizontal plane sweeps, from above.
     moving = wanted.planes[0] if wanted.planes else Plane.of(scene.up, 0.0)
     return sweep(replace(start, planes=wanted.planes[1:]), wanted.seconds, moving, solid.points)

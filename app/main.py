@@ -11,7 +11,7 @@ from pathlib import Path
 __all__ = ["main"]
 
 REFUSED = 2
-"""Exit status of `engine.command`, which takes a second to import: a wrong path should be reported at once."""
+"""The same exit status as in `engine.command`, which takes a second to import: a wrong path is reported at once."""
 
 
 def main() -> None:
@@ -25,7 +25,7 @@ def main() -> None:
     if path is not None and not path.is_file():
         print(f"fruitninja: {path}: no such file", file=sys.stderr)
         sys.exit(REFUSED)
-    # Imported only now: the window's libraries take a second to load, and a wrong path should be reported at once.
+    # Imported only now: the window's libraries take a second to load, and a wrong path is reported at once.
     path = None if path is None else path.absolute()
     folder = leave_current_folder()
     from app.model.project import Viewing
@@ -52,10 +52,10 @@ def main() -> None:
 
 
 def leave_current_folder() -> Path:
-    """Makes the program's own folder the current one, and returns the one that was current before.
+    """Makes the program's own folder the current one, and returns the previous one.
 
-    The window's libraries search the current folder for settings, pictures, shared libraries and programs, and that may
-    be where the user has unpacked a stranger's archive.
+    The window's libraries search the current folder for settings, pictures, shared libraries and programs, and the user
+    may have unpacked a stranger's archive there.
     """
     from engine.processes import HOME
 

@@ -1,4 +1,4 @@
-"""`fruitninja-render`: a picture, a film or a page of a trained object, cut by planes, without a window."""
+"""`fruitninja-render`: draws a picture, film or page of a trained object, cut by planes, without a window."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def render_command(
     seconds: Annotated[float | None, typer.Option(help="How long the film is; 6 unless told.")] = None,
     fps: Annotated[float | None, typer.Option(help="Frames a second; 25 unless told.")] = None,
 ) -> None:
-    """Draw a trained object, whole or cut open, into a picture, or a film or a page of it."""
+    """Draw a trained object, whole or cut open, as a picture, a film or a page."""
     planes = tuple(parse_plane(text) for text in plane or [])
     width, height = parse_size(size or "1280x720")
     angles = None if camera is None else parse_numbers(camera, 3, f"--camera {camera}: give azimuth,elevation,distance")
@@ -135,7 +135,7 @@ def render_command(
 
 
 def save(path: Path, rgba: NDArray[np.uint8], transparent: bool) -> None:
-    """Saves a picture (H, W, 4) as the suffix says; without its alpha unless it is transparent."""
+    """Saves a picture (H, W, 4) in the format of the suffix, with its alpha only if it is `transparent`."""
     if path.suffix.lower() == ".png":
         save_png(path, rgba if transparent else rgba[..., :3])
     else:
@@ -143,7 +143,7 @@ def save(path: Path, rgba: NDArray[np.uint8], transparent: bool) -> None:
 
 
 def parse_size(text: str) -> tuple[int, int]:
-    """Width and height of WIDTHxHEIGHT."""
+    """Width and height from a text WIDTHxHEIGHT. Raises InputError for any other text."""
     parts = text.lower().split("x")
     if len(parts) != 2 or not all(p.isdecimal() and p.isascii() and 1 <= int(p) <= LARGEST for p in parts):
         raise InputError(f"--size {text}: give WIDTHxHEIGHT, each from 1 to {LARGEST}, as in 1280x720")

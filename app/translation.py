@@ -1,7 +1,7 @@
-"""Words that the user reads, in the user's language: GNU gettext's catalogues, by the standard library.
+"""Texts that the user reads, in the user's language: GNU gettext catalogues, read by the standard library.
 
-A catalogue lies in app/locale/LANGUAGE/LC_MESSAGES/fruitninja.mo; which one counts is said by LANGUAGE, LC_ALL,
-LC_MESSAGES or LANG, as in other programs. Without one, words are as they are written in the code.
+A catalogue lies in app/locale/LANGUAGE/LC_MESSAGES/fruitninja.mo; LANGUAGE, LC_ALL, LC_MESSAGES or LANG select one, as
+in other programs. Without a catalogue, texts are shown as they are written in the code.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ _catalogue = gettext.translation("fruitninja", LOCALE, fallback=True)
 def _(text: str) -> str:
     """The text in the user's language. Placeholders are filled in afterwards: `_("Saved {name}.").format(...)`.
 
-    Called when a module with a table of words is imported, too: the language is chosen before that, and stays.
+    Modules with tables of texts call this when they are imported: the language is chosen before that, and stays.
     """
     return _catalogue.gettext(text)
 
 
 def ngettext(one: str, many: str, count: int) -> str:
-    """One of the two, or of as many as the language has, for a count."""
+    """The form of a text for a count: one of the two given, or of as many as the user's language has."""
     return _catalogue.ngettext(one, many, count)
 
 
 def install(catalogue: gettext.NullTranslations) -> None:
-    """Takes this catalogue, whatever the user's language is. For tests, before anything with words is imported."""
+    """Uses this catalogue, whatever the user's language is. For tests, before any module with texts is imported."""
     global _catalogue
     _catalogue = catalogue

@@ -1,4 +1,4 @@
-"""A film of a knife that goes through a solid, as an animated .webp or .gif.
+"""Makes a film of a knife passing through a solid, as an animated .webp or .gif.
 
 python examples/film.py SOLID.ply film.webp
 """

@@ -1,4 +1,4 @@
-"""One thing out of a capture that shows more: what a ball around its middle holds, as a solid that is grey inside.
+"""Takes one object out of a capture that shows more: a ball around the middle, as a solid that is grey inside.
 
 python examples/keep_part.py CAPTURE part.ply
 """

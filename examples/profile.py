@@ -1,4 +1,4 @@
-"""Colours along a line from the skin through the middle, as a table: depth, red, green, blue.
+"""Samples colours along a line from the skin through the middle, as a table: depth, red, green, blue.
 
 python examples/profile.py SOLID.ply profile.csv
 """

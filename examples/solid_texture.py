@@ -1,4 +1,4 @@
-"""A solid texture: colours of the inside on a lattice, as an array (X, Y, Z, RGB).
+"""Makes a solid texture: colours of the inside on a lattice, as an array (X, Y, Z, RGB).
 
 python examples/solid_texture.py SOLID.ply texture.npy
 """

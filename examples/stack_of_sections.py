@@ -1,4 +1,4 @@
-"""Sections at equal distances along the up axis, all at one scale, as one array (layers, height, width, RGBA).
+"""Stacks evenly spaced sections along the up axis, all at one scale, as one array (layers, height, width, RGBA).
 
 python examples/stack_of_sections.py SOLID.ply stack.npy
 """

@@ -1,4 +1,4 @@
-"""The two halves of a solid as closed meshes with textured cut faces, for Blender and game engines.
+"""Exports the two halves of a solid as closed meshes with textured cut faces, for Blender and game engines.
 
 python examples/to_blender.py SOLID.ply halves.glb     (needs pip install 'fruitninja[export]')
 """

@@ -1,4 +1,4 @@
-"""A half that turns once around, as numbered pictures in a folder.
+"""Turns half a solid once around, as numbered pictures in a folder.
 
 python examples/turntable.py SOLID.ply FOLDER
 """

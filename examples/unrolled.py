@@ -1,4 +1,4 @@
-"""A cut that no knife makes: a cylinder around the up axis, at half the radius, unrolled into a picture.
+"""Makes a cut that no knife can: a cylinder around the up axis, at half the radius, unrolled into a picture.
 
 python examples/unrolled.py SOLID.ply unrolled.png
 """

@@ -1,4 +1,4 @@
-"""Volumes of the pieces that cuts make.
+"""Prints the volumes of the pieces that cuts make.
 
 python examples/volumes.py SOLID.ply
 """

@@ -1,4 +1,4 @@
-"""Gives captures an inside, cuts them, and reads them as arrays.
+"""Gives captures an inside, cuts them open, and hands out the results as arrays.
 
     import fruitninja
 
@@ -8,9 +8,9 @@
     face = solid.section((0, 0, 1, 0))  # (512, 512, 4) bytes
     solid.save("solid.ply")
 
-`load` reads a capture, `grow` and `Capture.solidify` make solids of one, `open` reads a solid again. Lengths are in
-units of the file, colours are sRGB as the capture has them. All that cannot be used raises `Error`, whose message is
-one line that says what is wrong and what to do.
+`load` reads a capture, `grow` and `Capture.solidify` make a solid of it, `open` reads a saved solid. Lengths are in
+units of the file, colours are sRGB as in the capture. Unusable input raises `Error`, whose message is one line that
+says what is wrong and what to do.
 """
 
 from __future__ import annotations

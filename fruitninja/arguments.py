@@ -1,4 +1,4 @@
-"""What callers give in their own words, as the engine's types; Error where it cannot be."""
+"""Converts callers' arguments to the engine's types; raises Error where that is impossible."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ UpLike = str | Sequence[float] | NDArray[np.floating]
 """x, y, z, -x, -y, -z, or a vector (3,) of any non-zero length."""
 
 Shape = Box | Sphere | Below
-"""What --keep of the command can name."""
+"""A shape that the command's --keep can name."""
 
 
 def as_plane(given: PlaneLike) -> Plane:
-    """The plane. Raises InputError for anything but four finite numbers with a normal that is not zero."""
+    """The plane. Raises InputError unless it is a Plane or four finite numbers with a non-zero normal."""
     if isinstance(given, Plane):
         return given
     try:
@@ -43,7 +43,7 @@ def as_plane(given: PlaneLike) -> Plane:
 
 
 def as_points(given: ArrayLike) -> NDArray[np.float64]:
-    """(N, 3). Raises InputError for another shape, or numbers that are not finite."""
+    """(N, 3). The points as floats. Raises InputError for another shape, or numbers that are not finite."""
     try:
         points = np.asarray(given, np.float64)
     except (TypeError, ValueError) as error:
@@ -54,20 +54,20 @@ def as_points(given: ArrayLike) -> NDArray[np.float64]:
 
 
 def as_up(given: UpLike | None) -> tuple[float, float, float] | None:
-    """A unit vector; None stays None, for an axis that is detected. Raises InputError for what is no axis."""
+    """The up axis as a unit vector; None (to be detected) stays None. Raises InputError for anything else."""
     if given is None:
         return None
     return parse_axis(given if isinstance(given, str) else ",".join(repr(float(value)) for value in given), "up")
 
 
 def as_detail(given: str) -> DetailName:
-    """The name of a level of detail. Raises InputError for another word."""
+    """The name of a level of detail. Raises InputError for any other word."""
     if given not in get_args(DetailName):
         raise InputError(f"detail '{given}': unknown; choose {', '.join(get_args(DetailName))}")
     return cast(DetailName, given)
 
 
 def as_isolation(keep: Iterable[Shape]) -> Isolation:
-    """What leaves only what one of the shapes contains; nothing is left out without a shape."""
+    """The isolation that keeps only what at least one of the shapes contains; without shapes it keeps everything."""
     shapes = tuple(keep)
     return (keep_only(*shapes),) if shapes else ()

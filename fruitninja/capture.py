@@ -1,4 +1,4 @@
-"""A hollow capture, as it was loaded."""
+"""A hollow capture as loaded."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ __all__ = ["Capture", "load"]
 
 @dataclass(frozen=True, eq=False)
 class Capture:
-    """A 3DGS capture, or a mesh whose surface was sampled as Gaussians: N of them, moved near the origin if they lay
-    far from it (`gaussians.origin`)."""
+    """The N Gaussians of a 3DGS capture, or of a mesh whose surface was sampled. They are moved near the origin if they
+    lay far from it (`gaussians.origin`)."""
 
     path: Path
-    """Its file."""
+    """The file that it was loaded from."""
     scene: LoadedScene
 
     def __repr__(self) -> str:
@@ -42,12 +42,12 @@ class Capture:
 
     @property
     def gaussians(self) -> Gaussians:
-        """All of its arrays."""
+        """All of the capture's arrays."""
         return self.scene.gaussians
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What was left out of the file or repaired, one line each."""
+        """What was left out or repaired while reading the file, one line each."""
         return self.scene.warnings
 
     @property
@@ -57,7 +57,7 @@ class Capture:
 
     @property
     def scales(self) -> NDArray[np.float32]:
-        """(N, 3). Standard deviations, units of the file."""
+        """(N, 3). Standard deviations along the axes, units of the file."""
         return self.gaussians.scales
 
     @property
@@ -77,26 +77,27 @@ class Capture:
 
     @cached_property
     def middle(self) -> Sphere | None:
-        """The ball that holds the object, and some of its floor, where a room or a view around it was captured, too;
-        None around an object alone. `keep=[capture.middle]` leaves out the rest."""
+        """The ball that holds the object and some of its floor, if the capture also shows the room or view around it;
+        None if it shows the object alone. `keep=[capture.middle]` leaves out the rest."""
         found = find_middle(self.gaussians)
         return None if found is None else Sphere(*found)
 
     def solidify(
         self, *, detail: str = "standard", up: UpLike | None = None, keep: Iterable[Shape] = (), seed: int = 0
     ) -> Solid:
-        """A solid of it, grey inside, for cutting and measuring without pictures. Bit-equal for the same arguments.
+        """Makes a solid that is grey inside, for cutting and measuring without pictures. Bit-equal for equal arguments.
 
         `detail`: draft, standard or high. `up`: x, y, z, -x, -y, -z or a vector (3,); None: detected. `keep`: shapes
-        outside of which nothing is the object. Raises Error if it encloses nothing.
+        that contain the object; what lies outside all of them is left out. Raises Error if the capture encloses
+        nothing.
         """
-        # torch comes with it: who only looks at solids need not wait for that
+        # This imports torch, which those who only look at solids need not wait for.
         from engine.solid.solidify import find_enclosure, solidify
 
         fineness, axis, isolation = DETAILS[as_detail(detail)], as_up(up), as_isolation(keep)
         gaussians, _ = isolated(self.gaussians, isolation, self.path.name)
         enclosure = find_enclosure(gaussians, fineness.cells, self.path.name)
-        if axis is None:  # not of what is left: a floor tells, even if it goes
+        if axis is None:  # detected before isolation: even a floor that is left out shows which way is up
             x, y, z = detect_up(without_surroundings(self.gaussians), self.scene.file_axes).axis.tolist()
             axis = x, y, z
         atoms = solidify(enclosure, fineness.cells, fineness.tolerance, seed)
@@ -111,6 +112,6 @@ class Capture:
 
 
 def load(path: PathLike, *, seed: int = 0) -> Capture:
-    """A capture (.ply, .splat, .spz, .sog, .ksplat, .glb) or a textured mesh (.obj, .glb, .ply, .stl), whose surface is
-    sampled with `seed`. Raises Error for any other file."""
+    """Reads a capture (.ply, .splat, .spz, .sog, .ksplat, .glb) or a textured mesh (.obj, .glb, .ply, .stl), whose
+    surface is sampled with `seed`. Raises Error for any other file."""
     return Capture(Path(path), load_scene(Path(path), seed))

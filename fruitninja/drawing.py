@@ -1,4 +1,4 @@
-"""Pictures of a solid: from a camera with OpenGL or without, and of a cut face straight on."""
+"""Draws pictures of a solid: from a camera, with or without OpenGL, and of a cut face seen straight on."""
 
 from __future__ import annotations
 
@@ -36,28 +36,28 @@ __all__ = [
 ]
 
 FIELD_OF_VIEW = math.radians(35.0)
-"""Vertical, radians: a portrait lens, with little perspective distortion."""
+"""Vertical field of view, radians: a portrait lens, with little perspective distortion."""
 
 LARGEST = 16384
-"""Pixels of a side: the smallest texture limit of OpenGL 4 drivers."""
+"""Most pixels along a side: the smallest texture limit of OpenGL 4 drivers."""
 
 MARGIN = 1.05
-"""Distance of a view that nobody chose: what fits exactly touches the edges."""
+"""Distance of the default view, in fitting distances: at 1 the object would touch the edges of the picture."""
 
 Rgb = tuple[float, float, float]
-"""A colour, range [0, 1]."""
+"""A colour as RGB, range [0, 1]."""
 
 Draw = Callable[[Camera, Sequence[Piece], Rgb, bool], Picture]
-"""Draws pieces over a colour, with or without light on their faces."""
+"""Draws pieces over a background colour, with or without light on their faces."""
 
 NEARER = 1.02
-"""How many times wider than its radius tells the picture of `engine.scene.camera.section` is."""
+"""Width of the picture of `engine.scene.camera.section`, in diameters of what it is asked to show."""
 
 
 @contextmanager
 def drawing(solids: Sequence[Atoms], is_cut: bool) -> Iterator[tuple[Draw, str]]:
-    """What draws pictures of solids, whole or cut, and its name: OpenGL if available, else the CPU renderer, which
-    draws one. Raises InputError for more of them without OpenGL."""
+    """Yields a function that draws solids, whole or cut, and the renderer's name: OpenGL if available, else the CPU
+    renderer, which draws only one solid. Raises InputError for several solids without OpenGL."""
     try:
         renderer = Renderer()
     except GLMissing as missing:
@@ -89,9 +89,9 @@ def frame(
     ground: Rgb | None,
     light: bool,
 ) -> NDArray[np.uint8]:
-    """(H, W, 4). One picture with every detail of its faces, over a colour or, for None, with straight alpha.
+    """(H, W, 4). One picture with full detail on its faces, over the colour `ground` or, for None, with straight alpha.
 
-    `solids`: what the faces of each solid are read from, None where its atoms are all there is.
+    `solids`: what the faces of each solid are read from, None for a solid that has only atoms.
     """
     picture = draw(view, pieces, ground or (0.0, 0.0, 0.0), light)
     if any(solids):
@@ -112,8 +112,9 @@ def draw_section(
     size: int,
     width: float | None,
 ) -> Picture:
-    """The face of one plane straight on, over black, as far as `planes` keep it: of the atoms of a field, which have
-    this pitch, or read from the inside. `size` pixels, and `width` world units wide; None: as the bounds need."""
+    """The cut face in `plane` seen straight on, over black, without what `planes` cut away. It is drawn from the atoms
+    of `field`, which have this pitch, or read from `inside`. The picture has `size` pixels a side and is `width` world
+    units wide; None: as wide as the bounds need."""
     view = section(plane, up, bounds, size, None if width is None else width / (2 * NEARER))
     picture = straight_face(field, pitch, view, plane)
     if inside is not None:
@@ -133,10 +134,10 @@ def camera_for(
     width: int,
     height: int,
 ) -> Camera:
-    """The camera on its orbit about the object's centre, `angles` its azimuth and elevation in degrees and its distance
-    in times the fitting one; None: one that shows the cut."""
+    """The camera that orbits the object's centre. `angles`: azimuth and elevation in degrees, and the distance as a
+    multiple of the fitting one; None: a view that shows the cut."""
     points = np.concatenate([atoms.surface.means, atoms.interior.means]).astype(np.float64)
-    if angles is None:  # then the picture frames the part that is left
+    if angles is None:  # the default view frames the part that is left
         for plane in planes:
             left = points[plane.distance(points) <= 0]
             points = left if len(left) else points
@@ -147,7 +148,7 @@ def camera_for(
 
 
 def ball_around(points: NDArray[np.float64], pitch: float) -> tuple[NDArray[np.float64], float]:
-    """Middle (3,) and radius of atoms with centres (N, 3), which is what a picture fits."""
+    """Centre (3,) and radius of the ball around atoms with centres (N, 3), which a picture is fitted to."""
     if not len(points):
         return np.zeros(3), 1.0
     centre = (points.min(0) + points.max(0)) / 2
@@ -155,7 +156,7 @@ def ball_around(points: NDArray[np.float64], pitch: float) -> tuple[NDArray[np.f
 
 
 def default_angles(planes: Sequence[Plane], up: NDArray[np.floating]) -> tuple[float, float]:
-    """Azimuth and elevation, degrees, of a view onto the cut faces, a little from the side."""
+    """Azimuth and elevation, in degrees, of a view onto the cut faces from slightly to one side."""
     out = np.sum([p.normal for p in planes], axis=0) if planes else np.zeros(3)
     if np.linalg.norm(out) < 1e-6:
         return 30.0, 20.0
@@ -163,13 +164,13 @@ def default_angles(planes: Sequence[Plane], up: NDArray[np.floating]) -> tuple[f
     axis = np.asarray(up, np.float64) / np.linalg.norm(up)
     e1, e2 = equator(axis)
     elevation = math.degrees(math.asin(float(np.clip(out @ axis, -1, 1))))
-    if abs(elevation) > 65:  # from above, turning about the axis shows no side: lower the elevation instead
+    if abs(elevation) > 65:  # seen from above, turning about the axis reveals no side: lower the elevation instead
         return 30.0, math.copysign(52.0, elevation)
     azimuth = math.degrees(math.atan2(float(out @ e2), float(out @ e1)))
     return azimuth + 20.0, min(elevation + 15.0, 65.0)
 
 
 def check_size(*sides: int) -> None:
-    """Raises InputError if a picture cannot have a side of so many pixels."""
+    """Raises InputError if a picture cannot have sides of these many pixels."""
     if not all(1 <= side <= LARGEST for side in sides):
         raise InputError(f"size {'x'.join(map(str, sides))}: give pixels, each side from 1 to {LARGEST}")

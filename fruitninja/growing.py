@@ -1,4 +1,4 @@
-"""Training in this process: a capture and photographs of cut faces become a solid with an inside."""
+"""Trains in this process: a capture and photographs of cut faces become a solid with an inside."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Progress = Callable[[str, float], None]
 """Called with the name of a stage and the part of it that is done, range [0, 1]."""
 
 Pictures = PathLike | Sequence[PathLike]
-"""Pictures of cut faces, or folders of them; one needs no list."""
+"""Pictures of cut faces, or folders of them; a single one needs no list."""
 
 
 def grow(
@@ -43,15 +43,16 @@ def grow(
     out: PathLike | None = None,
     progress: Progress | None = None,
 ) -> Solid:
-    """A solid with an inside: what `fruitninja-train` makes, with the same bits.
+    """Makes a solid with an inside, bit for bit the one that `fruitninja-train` makes.
 
-    `capture`: its file, or one that is loaded, which is read again. `horizontal`, `radial`, `parallel`: pictures of
+    `capture`: a file, or a loaded capture, whose file is read again. `horizontal`, `radial`, `parallel`: pictures of
     cut faces of each family, at least one in all. `detail`: draft, standard or high. `up`: x, y, z, -x, -y, -z or a
-    vector (3,); None: detected. `keep`: shapes outside of which nothing is the object. `same`: the pictures are of one
-    and the same thing. `out`: a folder for all that the command leaves there; None: nothing is left.
+    vector (3,); None: detected. `keep`: shapes that contain the object; what lies outside all of them is left out.
+    `same`: whether all pictures show the very same object. `out`: a folder for the files that the command writes;
+    None: no files are kept.
 
-    `progress` may raise to end the run: what it raises is raised here, and no result is written. What else there is to
-    know comes as Python warnings at the end. Raises Error for what cannot be used.
+    `progress` may raise an exception to end the run: it is passed on, and no result is written. Warnings of the run are
+    issued as Python warnings at its end. Raises Error for unusable input.
     """
     scene = capture.path if isinstance(capture, Capture) else Path(capture)
     if not scene.is_file():
@@ -74,7 +75,7 @@ def grow(
         if out is not None:
             return Solid(_trained(request, Path(out), listener))
         with TemporaryDirectory(prefix="fruitninja-") as folder:
-            # Its file goes with the folder: what is said of it is said of the capture.
+            # The solid's file is deleted with the folder: messages name the capture instead.
             return Solid(replace(_trained(request, Path(folder), listener), source=scene))
     finally:
         for message in listener.warnings:
@@ -86,7 +87,7 @@ def _listed(pictures: Pictures) -> Sequence[PathLike]:
 
 
 def _trained(request: Request, out: Path, listener: _Listener) -> Whole:
-    """The run's result as its file has it; but its inside is at hand, and making it from a file takes seconds."""
+    """The run's result as read from its file, but with the inside in memory: reading that one too takes seconds."""
     import torch  # takes a second, which those who only look at solids need not wait for
 
     from training.pipeline import Pipeline
@@ -98,11 +99,11 @@ def _trained(request: Request, out: Path, listener: _Listener) -> Whole:
             path = pipeline.run(resume=False)
             return Whole(*load_trained(path), pipeline.inside, path)
     finally:
-        torch.set_num_threads(threads)  # training leaves one, and the caller's own work may want them all
+        torch.set_num_threads(threads)  # training leaves it at one, and the caller's own work may want them all
 
 
 class _Listener(Reporter):
-    """Hands the events of a run to its caller."""
+    """Passes the events of a run on to the caller of `grow`."""
 
     def __init__(self, progress: Progress | None) -> None:
         super().__init__()
@@ -110,7 +111,7 @@ class _Listener(Reporter):
         self.warnings: list[str] = []
 
     def emit(self, event: str, **facts: Any) -> None:
-        """Calls back with a stage's progress, and keeps a warning for the end, where it points at the caller's line."""
+        """Reports a stage's progress, and keeps warnings until the end, when they can point at the caller's line."""
         if event == "warning":
             self.warnings.append(facts["message"])
         elif event in ("stage", "progress") and self.listener is not None:

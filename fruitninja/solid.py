@@ -1,4 +1,4 @@
-"""A solid object, whole or what planes leave of it."""
+"""A solid object, whole or the part that planes leave of it."""
 
 from __future__ import annotations
 
@@ -42,24 +42,25 @@ from training.priors.inside_file import read_inside
 __all__ = ["Solid", "Whole", "open_solid"]
 
 NOTEBOOK = (512, 384)
-"""Pixels of the picture that a notebook shows: half the width of a page."""
+"""Size in pixels of the picture that a notebook shows: half the width of a page."""
 
 WHITE = (1.0, 1.0, 1.0)
 
 SLIVER = 1e-9
-"""Of the whole volume: what is less is rounding, no piece. As meshes are cut (engine.export.meshes.cutting)."""
+"""Fraction of the whole volume up to which a part is rounding and not a piece; the same as for meshes
+(engine.export.meshes.cutting)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Whole:
-    """What a solid and all its parts share."""
+    """The data that a solid and all its parts share."""
 
     atoms: Atoms
     meta: Meta
     inside: Inside | None
-    """None where the atoms are all there is."""
+    """None if the object has only atoms."""
     source: Path
-    """The object's file, or the capture's that it was made from."""
+    """File of the object, or of the capture that it was made from."""
 
     @cached_property
     def body(self) -> Body:
@@ -73,22 +74,22 @@ class Whole:
 
     @cached_property
     def shown(self) -> Colours:
-        """Colours of the inside, where there is one, and of the atoms."""
+        """Colours of the inside, if there is one, and of the atoms."""
         return Colours(self.atoms, self.inside)
 
 
 class Solid:
-    """A solid object, or the part of it on the kept side of planes. It never changes: a cut returns another one.
+    """A solid object, or the part of it on the kept side of planes. It is immutable: cutting returns a new solid.
 
-    Lengths are in units of the file that it was made from. Where a method takes a plane, four numbers a, b, c, d do:
-    the kept side is a x + b y + c z + d <= 0.
+    Lengths are in units of the file that it was made from. A plane may also be given as four numbers a, b, c, d: the
+    kept side is a x + b y + c z + d <= 0.
     """
 
     def __init__(self, whole: Whole, planes: Sequence[Plane] = ()) -> None:
-        """`fruitninja.open`, `fruitninja.grow` and `Capture.solidify` make solids."""
+        """Call `fruitninja.open`, `fruitninja.grow` or `Capture.solidify` instead, which make solids."""
         self._whole = whole
         self.planes: tuple[Plane, ...] = tuple(planes)
-        """What is left is on the kept side of all of them."""
+        """The cuts: what is left is on the kept side of all of them."""
 
     def __repr__(self) -> str:
         atoms, cuts = self.atoms, f", cut by {len(self.planes)} planes" if self.planes else ""
@@ -106,13 +107,13 @@ class Solid:
 
     @property
     def atoms(self) -> Atoms:
-        """The opaque particles of the whole object, also where it is cut: `atoms.surface` and `atoms.interior` hold
-        their arrays."""
+        """The opaque particles of the whole object, including any part cut away: `atoms.surface` and `atoms.interior`
+        hold their arrays."""
         return self._whole.atoms
 
     @property
     def inside(self) -> Inside | None:
-        """The inside as a function of the place; None where the atoms are all there is."""
+        """The inside as a function of position; None if the object has only atoms."""
         return self._whole.inside
 
     @property
@@ -122,12 +123,12 @@ class Solid:
 
     @property
     def up(self) -> NDArray[np.float64]:
-        """(3,). Unit vector."""
+        """(3,). The up axis, a unit vector."""
         return np.array(self._whole.meta.up, np.float64)
 
     @property
     def bounds(self) -> NDArray[np.float64]:
-        """(2, 3). Least and greatest coordinates of what is left, by the centres of its atoms; zeros if none is."""
+        """(2, 3). Least and greatest coordinates of the atom centres that are left; zeros if there are none."""
         points = np.concatenate([self.atoms.surface.means, self.atoms.interior.means]).astype(np.float64)
         for plane in self.planes:
             points = points[plane.distance(points) <= 0]
@@ -135,10 +136,10 @@ class Solid:
 
     @property
     def volume(self) -> float:
-        """Units of the file cubed. Those of the two sides of a cut add up to that of what was cut.
+        """Volume, cubic units of the file. The volumes of the two sides of a cut add up to that of what was cut.
 
-        A cell of the body counts for the part of it under the skin, times the part of it on the kept side of each
-        plane, both by the distance of its centre. Raises Error if there is nothing inside.
+        Each grid cell of the body counts with the part of it under the skin times the part on the kept side of each
+        plane, both estimated from the distance of its centre. Raises Error if there is nothing inside.
         """
         body = self._whole.body
         grid = body.grid
@@ -153,11 +154,11 @@ class Solid:
     # Cutting
 
     def cut(self, *planes: PlaneLike) -> Solid:
-        """What is on the kept side of all planes."""
+        """Returns the part on the kept side of all planes."""
         return Solid(self._whole, (*self.planes, *map(as_plane, planes)))
 
     def pieces(self, *planes: PlaneLike) -> list[Solid]:
-        """All that planes divide it into, kept sides first, without what is empty."""
+        """Returns all pieces that the planes divide the solid into, kept sides first, without empty ones."""
         parts, least = [self], SLIVER * self.volume
         for plane in map(as_plane, planes):
             parts = [half for part in parts for half in (part.cut(plane), part.cut(plane.flipped()))]
@@ -169,9 +170,10 @@ class Solid:
     def section(self, plane: PlaneLike, size: int = 512, width: float | None = None) -> NDArray[np.uint8]:
         """(size, size, 4). The cut face in a plane, seen straight on from the removed side, without light.
 
-        RGB with straight alpha: transparent where the solid is not. Colours are read from the inside in all detail that
-        a pixel shows. `width`: of the picture, units of the file; None shows the whole object in any plane, at the same
-        scale in all of them. Up is upwards, and the middle is that of the whole object's bounds.
+        RGB with straight alpha: transparent outside the solid. Colours are read from the inside in all the detail that
+        a pixel shows. `width`: width of the picture, units of the file; None shows the whole object in any plane, at
+        the same scale in all of them. The up axis points upwards, and the picture is centred on the middle of the whole
+        object's bounds.
         """
         check_size(size, size)
         if width is not None and not 0 < width < np.inf:
@@ -191,10 +193,10 @@ class Solid:
         return picture.straight_alpha()
 
     def colours(self, points: ArrayLike, footprint: float | None = None) -> NDArray[np.float32]:
-        """(N, 3). RGB of the inside at points (N, 3), whatever has been cut away. Range [0, 1].
+        """(N, 3). RGB of the inside at points (N, 3), even where it has been cut away. Range [0, 1].
 
-        `footprint`: units of the file, the size of the finest details wanted, such as the distance of neighbouring
-        points; None for all there are. Outside the solid the colours mean nothing.
+        `footprint`: size of the finest details wanted, units of the file, such as the distance between neighbouring
+        points; None for all detail. Outside the solid the colours are meaningless.
         """
         given, shown = as_points(points), self._whole.shown
         if footprint is not None and not 0 < footprint < np.inf:
@@ -208,10 +210,11 @@ class Solid:
         distance: float | None = None,
         size: tuple[int, int] = (1280, 720),
     ) -> Camera:
-        """The camera of `render`: angles in degrees about and above the middle of the whole object, distance in times
-        that from which it fits the picture, size the picture's width and height in pixels.
+        """Returns the camera that `render` uses. `azimuth` and `elevation`: angles about and above the middle of the
+        whole object, degrees. `distance`: multiple of that from which the whole object fits the picture. `size`: width
+        and height of the picture in pixels.
 
-        Without any of the three it frames what is left, and sees the cut faces.
+        If none of the first three is given, it frames what is left and sees the cut faces.
         """
         check_size(*size)
         if distance is not None and not 0 < distance < np.inf:
@@ -235,9 +238,9 @@ class Solid:
         distance: float | None = None,
         size: tuple[int, int] = (1280, 720),
     ) -> NDArray[np.uint8]:
-        """(H, W, 3). A picture over white, its cut faces in full detail: what `fruitninja-render` draws.
+        """(H, W, 3). A picture over white with its cut faces in full detail, as `fruitninja-render` draws it.
 
-        From a camera, whose picture has its own size, or else from that of `Solid.camera`.
+        `camera`: also decides the picture's size; None: the camera that `Solid.camera` makes of the other arguments.
         """
         view = self.camera(azimuth, elevation, distance, size) if camera is None else camera
         inside = self.inside if self.planes else None
@@ -248,8 +251,8 @@ class Solid:
     # Files
 
     def save(self, path: PathLike) -> None:
-        """Writes the object as a .ply, or an .spz of a tenth of its size, with what belongs beside it:
-        `fruitninja.open` and all programs here open it. Raises Error for a part of an object, which `export` writes."""
+        """Writes the object as a .ply, or as an .spz of a tenth of its size, with the files that belong beside it:
+        `fruitninja.open` and all FruitNinja programs open it. Raises Error for a part of an object; use `export`."""
         out, whole = Path(path), self._whole
         if self.planes:
             raise InputError(f"{out}: only a whole object is saved so; export what is left of it instead")
@@ -269,12 +272,12 @@ class Solid:
         metres: float = 1.0,
         inks: Sequence[tuple[int, int, int]] = (),
     ) -> str:
-        """Writes what is left for other programs; returns what is in the file, in a line.
+        """Writes what is left for other programs; returns one line that says what is in the file.
 
-        `kind`: splats, mesh, volume or particles, where the name's ending does not tell. `pieces`: both sides of all
-        its planes, each an object of its own; meshes. `step`: units of the file between texels, voxels or particles.
-        `metres`: length of a unit. `inks`: what a printer's materials look like, sRGB, range [0, 255]: each voxel of a
-        stack (.zip) is then one of them. docs/EXPORT.md says what is in the files.
+        `kind`: splats, mesh, volume or particles, if the file name's ending leaves it open. `pieces`: write both sides
+        of all planes, each as an object of its own; meshes only. `step`: distance between texels, voxels or particles,
+        units of the file. `metres`: length of a unit of the file. `inks`: colours of a printer's materials, sRGB, range
+        [0, 255]: each voxel of a stack (.zip) is then one of them. docs/EXPORT.md describes the files.
         """
         whole = self._whole
         wanted = pieces, step, metres, tuple(inks)
@@ -291,12 +294,12 @@ class Solid:
         background: tuple[float, float, float] | None = None,
         progress: Callable[[float], None] | None = None,
     ) -> str:
-        """Writes a page that shows the object in any browser, without a network: it is turned, zoomed, and cut by
-        planes that the reader moves. Returns what is in it, in a line.
+        """Writes a page that shows the object in any browser, offline: the reader turns it, zooms, and moves the planes
+        that cut it. Returns one line that says what is in it.
 
-        It begins with the planes of this solid, or with one across the middle, seen as by `Solid.camera`. `background`:
-        RGB, range [0, 1]; None follows the reader's choice of dark or light. `progress` is called with the part that
-        is done, range [0, 1], for a minute or two.
+        It opens with the planes of this solid, or with one across the middle. `azimuth`, `elevation`, `distance`: as in
+        `Solid.camera`. `background`: RGB, range [0, 1]; None follows the reader's choice of dark or light. `progress`
+        is called with the part that is done, range [0, 1]; writing takes a minute or two.
         """
         out, whole = Path(path), self._whole
         if out.suffix.lower() not in PAGES:
@@ -327,7 +330,8 @@ class Solid:
 
 
 def open_solid(path: PathLike) -> Solid:
-    """A solid from its file, a .ply or .spz with the files beside it. Raises Error if it is none, or damaged."""
+    """Reads a solid from its file, a .ply or .spz with the files beside it. Raises Error if it is not a solid, or
+    damaged."""
     path = Path(path)
     atoms, meta = load_trained(path)
     return Solid(Whole(atoms, meta, read_inside(path), path))

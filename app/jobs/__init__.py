@@ -1,1 +1,2 @@
-"""Work in other processes: loading a scene (`scene_loader`, `scene_worker`) and training (`training_job`)."""
+"""Work outside the window's thread: loading a scene (`scene_loader`, `scene_worker`), training (`training_job`), saving
+films (`film`), exports, and readers that run in threads of their own."""

@@ -13,26 +13,27 @@ from engine.io.load import LoadedScene, load_sample
 __all__ = ["coarse_picture"]
 
 LEAST_FILE = 16 << 20
-"""Bytes. A smaller file is read in less than a second: it has a few hundred thousand Gaussians, or, as an .spz of
-degree 0, one million."""
+"""Smallest file that is sampled, bytes. A smaller one is read in less than a second: it has a few hundred thousand
+Gaussians, or, as an .spz of degree 0, one million."""
 
 MOST = 1 << 15
-"""Gaussians of the picture: from a disk each costs a page of 4 to 8 kB, so 0.3 GB where all of them are in the file."""
+"""Most Gaussians in the picture: each costs a page of 4 to 8 kB read from disk, so 0.3 GB for all of them."""
 
 NEIGHBOURS = 6
-"""Nearest of a Gaussian on a surface are all around it."""
+"""Number of nearest neighbours that surround a Gaussian on a surface."""
 
 REACH = 0.5
 """Standard deviation of an enlarged Gaussian, in distances to the last of its NEIGHBOURS: kernels then overlap."""
 
 LARGEST = 0.02
-"""Of the capture's side: a floater far from all others would become a ball in front of them."""
+"""Largest standard deviation after enlarging, as a part of the capture's longest side: a floater far from all others
+would otherwise become a ball in front of them."""
 
 
 def coarse_picture(path: Path) -> LoadedScene | None:
-    """A sample of the capture in a large file, enlarged so that it covers what all of them cover.
+    """A sample of the Gaussians in a large file, enlarged so that they cover what all of them cover.
 
-    None for a small file, and for one that is better read at once (engine.io.load.load_sample).
+    None for a small file, and for one that is better read as a whole (engine.io.load.load_sample).
     """
     large = path.is_file() and path.stat().st_size >= LEAST_FILE
     sample = load_sample(path, MOST) if large else None

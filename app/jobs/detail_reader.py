@@ -1,4 +1,4 @@
-"""Reads the faces of a view at rest in the background, so that no frame waits for it."""
+"""Reads, in the background, the cut faces of a view that is at rest, so that no frame waits for them."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class _Task:
         """Whether something else is wanted by now."""
 
     def read(self) -> NDArray[np.float32] | None:
-        """(H, W, 3). The picture with its faces read; None if it is not wanted any more."""
+        """(H, W, 3). The picture with its faces read; None if it is no longer wanted."""
         work = None if self.stale else self.make()
         while work is not None and not work.ended and not self.stale:
             work.advance()
@@ -31,21 +31,21 @@ class _Task:
 
 
 class DetailReader:
-    """Reads the faces of the picture that was asked for last; what is no longer wanted is given up."""
+    """Reads the faces of the picture that was requested last; a picture that is no longer wanted is abandoned."""
 
     def __init__(self, ended: Callable[[], None]) -> None:
-        """`ended` is called, in any thread, when a picture is read or given up."""
+        """`ended` is called, in any thread, when a picture has been read or abandoned."""
         self._ended = ended
         self._worker = ThreadPoolExecutor(1, "faces")
         self._running: tuple[_Task, Future[NDArray[np.float32] | None]] | None = None
 
     @property
     def busy(self) -> bool:
-        """Whether a picture was asked for and not given back yet."""
+        """Whether a picture has been requested and not yet taken."""
         return self._running is not None
 
     def start(self, make: Callable[[], FaceDetail]) -> None:
-        """Begins with what `make` gives, which it does in another thread, instead of what was begun before."""
+        """Begins a new picture in place of the last one. `make` is called in another thread."""
         self.stop()
         task = _Task(make)
         future = self._worker.submit(task.read)
@@ -53,14 +53,14 @@ class DetailReader:
         future.add_done_callback(lambda _: self._ended())
 
     def stop(self) -> None:
-        """Gives up what was begun."""
+        """Abandons the picture that was begun."""
         if self._running is not None:
             self._running[0].stale = True
             self._running = None
 
     def take(self, seconds: float) -> NDArray[np.float32] | None:
-        """(H, W, 3). The picture that was begun, if it is read or will be within so many seconds. Raises the error of
-        reading it."""
+        """(H, W, 3). The picture that was begun; None if it is not read within so many seconds. Raises the error that
+        reading it raised."""
         if self._running is None or not wait_for([self._running[1]], seconds).done:
             return None
         _, future = self._running

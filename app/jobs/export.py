@@ -1,4 +1,4 @@
-"""Exports for other programs: pictures, animations and pieces. Pictures are drawn by a function that is passed in."""
+"""Exports for other programs: pictures, animations and pieces. A function that is passed in draws the pictures."""
 
 from __future__ import annotations
 
@@ -43,27 +43,27 @@ __all__ = [
 ]
 
 Draw = Callable[[Camera, Sequence[Piece]], NDArray[np.uint8]]
-"""Draws pieces as (H, W, 4) RGBA with straight alpha."""
+"""Draws pieces as an RGBA picture (H, W, 4) with straight alpha."""
 
 ANIMATIONS = (".webp", ".gif", ".mp4")
 
 COARSE = 256
-"""Pixels of the picture in which a cut face is looked for before it is drawn large."""
+"""Pixels along a side of the small picture in which a cut face is located before it is drawn large."""
 
 SLICE_RADII = 0.02
-"""Thickness of the slice that is drawn of a cut face, in radii of the object."""
+"""Thickness of the slice that is drawn to show a cut face, in radii of the object."""
 
 SCALE_RGB = (128, 128, 128)
-"""Of the scale: readable on white, and on black behind a transparent picture."""
+"""Colour of the scale bar: readable on white, and on black behind a transparent picture."""
 
 RATE = 25
-"""Frames a second: as fluent as film, and half of what a file of more would take."""
+"""Default frames a second: as smooth as cinema film, in half the file size of a higher rate."""
 
 MOST_BYTES = 3 << 30
-"""Of the frames of a WebP or GIF, which are in memory together: what a machine with 8 GB can spare."""
+"""Most bytes of the frames of a WebP or GIF, all of which are in memory: what a machine with 8 GB can spare."""
 
 PALETTE_FRAMES = 8
-"""From which the colours of a GIF are taken: a sweep begins with skin alone and shows the flesh later."""
+"""Frames that the palette of a GIF is made from: a sweep begins with skin alone and shows the flesh later."""
 
 Frames = Iterable[NDArray[np.uint8]]
 
@@ -81,13 +81,13 @@ def save_still(path: Path, rgba: NDArray[np.uint8], transparent: bool = True) ->
 
 
 def section_picture(draw: Draw, plane: Plane, uncut: Piece, up: Vec3, solid: Solid, size: int) -> NDArray[np.uint8]:
-    """(H, W, 4). The cut face of an object, `uncut`, seen straight on, with a scale below and nothing else around it.
+    """(H, W, 4). The cut face of the object `uncut`, seen straight on, with a scale bar below and nothing else around.
 
-    The face fills the picture: its longer side is `size` pixels less a margin. Raises InputError if the plane meets
-    nothing.
+    The face fills the picture: its longer side is `size` pixels less a margin. Raises InputError if the plane misses
+    the object.
     """
     bounds = np.stack([solid.points.min(0), solid.points.max(0)]) if len(solid.points) else np.zeros((2, 3))
-    # A thin slice: what bulges out behind the face would be seen around it.
+    # A thin slice, since parts of the object that bulge out behind the face would be seen around it.
     behind = Plane(plane.flipped().normal, -plane.offset - SLICE_RADII * solid.radius)
     slice_ = [replace(uncut, planes=(plane, behind))]
     camera = section(plane, np.asarray(up), bounds, COARSE)
@@ -105,7 +105,7 @@ def section_picture(draw: Draw, plane: Plane, uncut: Piece, up: Vec3, solid: Sol
 
 
 def scale_bar(width: int, scale: float) -> NDArray[np.uint8]:
-    """(H, width, 4). A bar of a round length in the units of the file, with its number; `scale`: pixels to a unit."""
+    """(H, width, 4). A bar of a round length, labelled in units of the file. `scale`: pixels per unit."""
     longest = 0.4 * width / scale
     power = 10.0 ** math.floor(math.log10(longest))
     length = max(step * power for step in (1, 2, 5) if step * power <= longest)
@@ -123,7 +123,7 @@ def scale_bar(width: int, scale: float) -> NDArray[np.uint8]:
 
 
 def ffmpeg() -> str | None:
-    """Path of the program that writes MP4; None if it is not installed."""
+    """Path of ffmpeg, which writes MP4; None if it is not installed."""
     return shutil.which("ffmpeg")
 
 
@@ -148,7 +148,7 @@ def save_animation(path: Path, frames: Frames, rate: float = RATE) -> int:
     if not images:
         raise InputError(f"{path}: nothing to animate")
     if suffix == ".gif":
-        # One palette for all frames, so that parts that do not move do not flicker.
+        # One palette for all frames, so that still parts do not flicker.
         palette = _palette(images)
         images = [image.quantize(palette=palette, dither=Image.Dither.FLOYDSTEINBERG) for image in images]
     with atomic(path) as temporary:
@@ -165,7 +165,7 @@ def save_animation(path: Path, frames: Frames, rate: float = RATE) -> int:
 
 
 def _palette(images: Sequence[Image.Image]) -> Image.Image:
-    """A picture with the 255 colours that suit some of the pictures, all of one size, best."""
+    """A palette image with the 255 colours that best suit a sample of the pictures, which all have the same size."""
     step = -(-len(images) // PALETTE_FRAMES)
     some = np.concatenate([np.asarray(image) for image in images[::step]])
     return Image.fromarray(some).quantize(255, dither=Image.Dither.NONE)
@@ -214,8 +214,9 @@ def _blended(rgba: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def save_pieces(path: Path, pieces: Sequence[tuple[Atoms, PlacedPiece]], up: Vec3 = (0.0, 0.0, 1.0)) -> int:
-    """Saves pieces, each with the atoms of its object, in one file of Gaussians in the format of its suffix, with the
-    harmonics that all of them have; returns the number of Gaussians. Raises InputError if there are none."""
+    """Saves pieces, each given with the atoms of its object, as one file of Gaussians in the format of its suffix, with
+    the spherical harmonics that all of them have; returns the number of Gaussians. Raises InputError if there are none.
+    """
     gaussians = joined([piece_gaussians(atoms, piece.drawn()) for atoms, piece in pieces]) if pieces else None
     if gaussians is None or not len(gaussians):
         raise InputError(f"{path}: nothing to save; no piece is shown")
@@ -226,17 +227,17 @@ def save_pieces(path: Path, pieces: Sequence[tuple[Atoms, PlacedPiece]], up: Vec
 def save_meshes(
     path: Path, pieces: Sequence[PlacedPiece], colours: Colours, up: Vec3, metres: float, wanted: Callable[[], bool]
 ) -> int:
-    """Saves pieces of an object as closed meshes with textured cut faces, where they lie, in one file in the format of
-    its suffix; returns the number of triangles.
+    """Saves pieces of an object, where they are placed, as closed meshes with textured cut faces in one file in the
+    format of its suffix; returns the number of triangles.
 
-    `up` is the view's, `metres` the length of a world unit. Nothing is written if the user does not want it any more.
-    Raises InputError if there are none, or without the packages that this needs.
+    `up`: the view's up axis. `metres`: length of a world unit. `wanted`: whether the user still wants the file; if not,
+    nothing is written. Raises InputError if there are no pieces, or without the packages that this needs.
     """
     from engine.export.meshes.cutting import Wanted
     from engine.export.meshes.files import save_mesh
     from engine.export.meshes.textured import textured_pieces
 
-    # Names of objects in other programs: a word each, and no two alike.
+    # Names for objects in other programs: a single word each, and all different.
     wanted_pieces = [
         Wanted(
             f"{'_'.join(re.findall(r'[A-Za-z0-9]+', piece.name)) or 'piece'}_{number}",

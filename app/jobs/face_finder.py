@@ -1,4 +1,4 @@
-"""Finds the faces in pictures in the background, once for each content."""
+"""Finds the cut faces in pictures in the background, once per file content."""
 
 from __future__ import annotations
 
@@ -25,25 +25,25 @@ from training.priors.exemplar.pictures import axis_of, read_photograph
 __all__ = ["FaceFinder", "FoundFace", "find_face_in"]
 
 CAPACITY = 40
-"""Faces that are kept, about 2 MB each: more pictures than a project has."""
+"""Most faces that are kept, about 2 MB each: more pictures than a project has."""
 
 
 @dataclass(frozen=True, eq=False)
 class FoundFace:
-    """What a picture shows, as far as it is found without the user."""
+    """What was found in a picture without the user's help."""
 
     rgb: NDArray[np.uint8]
     """(H, W, 3). The picture as training reads it; (0, 0, 3) if it cannot be read."""
     marks: Marks = UNMARKED
-    """The outline, and the axis for either kind of cut; none where no face is found."""
+    """The outline, and the axis for either kind of cut; UNMARKED if no face was found."""
     beside: Marks = UNMARKED
-    """The axis in a file beside the picture, which is part of `marks` too."""
+    """The axis from a file beside the picture, which `marks` includes."""
     guess: CutGuess | None = None
-    """What kind of cut it seems to be."""
+    """The kind of cut that it seems to be."""
     note: str = ""
-    """What the user should look at, in a line; empty if nothing."""
+    """One line about what the user should check; empty if there is nothing."""
     problem: str = ""
-    """Why there is no outline, in a line; empty if there is one."""
+    """One line on why there is no outline; empty if there is one."""
 
     @property
     def verdict(self) -> str:
@@ -62,7 +62,7 @@ class FoundFace:
 
 
 def find_face_in(path: Path) -> FoundFace:
-    """The face in a picture file. Never raises: what is wrong is said in the result."""
+    """The face in a picture file. Never raises InputError: the result says what is wrong."""
     rgb = np.zeros((0, 0, 3), np.uint8)
     try:
         colours, cut_out = read_photograph(path)
@@ -82,16 +82,16 @@ def find_face_in(path: Path) -> FoundFace:
 
 
 class FaceFinder:
-    """A thread that finds one face after the other, and what it has found."""
+    """A thread that finds one face after the other, and the faces that it has found."""
 
     def __init__(self) -> None:
         self._worker = ThreadPoolExecutor(1, "faces")
         self._faces: dict[Path, tuple[object, Future[FoundFace]]] = {}
         self._contents: dict[str, FoundFace] = {}
-        """By the hash of the picture and what lies beside it; only the thread uses it."""
+        """Found faces by the hash of the picture and the files beside it; only the thread uses this."""
 
     def get(self, path: Path) -> FoundFace | None:
-        """What is found in a picture file; None while it is being looked at, which this starts. Never waits."""
+        """What was found in a picture file; None while the search, which this call starts, goes on. Never waits."""
         stamp = tuple(_stamp(file) for file in (path, mask_beside(path), axis_beside(path)))
         entry = self._faces.pop(path, None)
         if entry is None or entry[0] != stamp:
@@ -110,7 +110,7 @@ class FaceFinder:
         return face
 
     def close(self) -> None:
-        """Lets what is being looked at end, and looks at nothing more."""
+        """Lets the running search end, and starts no more."""
         self._worker.shutdown(wait=False, cancel_futures=True)
 
 
@@ -123,7 +123,7 @@ def _stamp(path: Path | None) -> tuple[int, int]:
 
 
 def _content(path: Path) -> str:
-    """Hash of a picture file and of the mask and axis beside it; of its path if it cannot be read."""
+    """Hash of a picture file and the mask and axis files beside it; for an unreadable file its path is used."""
     digest = hashlib.sha256()
     for file in (path, mask_beside(path), axis_beside(path)):
         digest.update(b"\0")
@@ -131,7 +131,7 @@ def _content(path: Path) -> str:
             continue
         try:
             with open_file(file) as opened:
-                hashlib.file_digest(opened, lambda: digest)  # goes on with this one
+                hashlib.file_digest(opened, lambda: digest)  # continues this digest
         except (OSError, InputError):
             digest.update(str(file).encode("utf-8", "replace"))
     return digest.hexdigest()

@@ -14,7 +14,7 @@ from engine.errors import one_line
 
 __all__ = ["Progress", "read_line"]
 
-# Fraction of a run's time that each stage takes, for one bar over all stages; measured at standard detail.
+# Fraction of a run's time that each stage takes, for one progress bar over all stages; measured at standard detail.
 STAGE_WEIGHTS = {
     "load": 0.01,
     "body": 0.03,
@@ -29,21 +29,21 @@ STAGE_WEIGHTS = {
 }
 
 MOST = 1000
-"""Warnings, and pictures of one event, that are read; a real job has a few."""
+"""Most warnings of a job, and most pictures of one event, that are read; a real job has a few."""
 
 LAST_ITERATION = 10_000_000
-"""Largest iteration that is believed; a real run has hundreds."""
+"""Largest iteration number that is accepted; a real run has hundreds."""
 
 LONGEST_GAP = 100_000
-"""Most iterations without an event that a curve is padded for: a file that skips further would fill the memory."""
+"""Most missing iterations that a curve is padded for: a file that skips further would fill the memory."""
 
 
 @dataclass
 class Progress:
     """How far a job has come. `read_line` updates it.
 
-    Event files may come from anybody: control characters are removed from texts, and only files inside of the job's
-    folder are accepted.
+    Event files may come from anybody: control characters are removed from texts, and only files inside the job's folder
+    are accepted.
     """
 
     folder: Path = Path()
@@ -53,11 +53,11 @@ class Progress:
     title: str = field(default_factory=lambda: _("Starting"))
     """Name of the stage, in the user's language."""
     stage_fraction: float = 0.0
-    """How much of the stage is done. Range [0, 1]."""
+    """Part of the stage that is done. Range [0, 1]."""
     fraction: float = 0.0
-    """How much of the run is done. Range [0, 1]; never falls."""
+    """Part of the run that is done. Range [0, 1]; never falls."""
     seconds: float = 0.0
-    """Since the run began."""
+    """Seconds since the run began."""
     remaining: float | None = None
     """Estimated seconds to the end; None while there is no estimate."""
     iteration: int = 0
@@ -67,16 +67,16 @@ class Progress:
     surface: list[float] = field(default_factory=list)
     """Loss of the surface, likewise."""
     previews: tuple[Path, ...] = ()
-    """Pictures, each of a label beside the object's cut face at the same plane."""
+    """Pictures, each of a label beside the object's cut face in the same plane."""
     warnings: list[str] = field(default_factory=list)
     result: Path | None = None
     """The finished scene."""
     report: Path | None = None
     lines: int = 0
-    """Lines read, broken ones included."""
+    """Number of lines read, including broken ones."""
 
     def resumed(self) -> Progress:
-        """The progress that a run continuing from a checkpoint starts with: curves and pictures stay."""
+        """The progress that a run resumed from a checkpoint starts with: curves and pictures stay."""
         return Progress(
             folder=self.folder,
             section=self.section,
@@ -88,7 +88,7 @@ class Progress:
 
 
 def read_line(progress: Progress, line: bytes) -> None:
-    """Applies one event. A line that is not an event (cut short by a crash, or of a later version) is ignored."""
+    """Applies one event. A line that is not an event (cut short by a crash, or from a later version) is ignored."""
     progress.lines += 1
     try:
         event = json.loads(line)
@@ -101,7 +101,7 @@ def read_line(progress: Progress, line: bytes) -> None:
     if kind == "stage" and isinstance(event.get("stage"), str):
         progress.stage = event["stage"]
         title = one_line(str(event.get("title") or progress.stage))
-        progress.title = _(title) if title else title  # gettext's word for none is the catalogue's head
+        progress.title = _(title) if title else title  # for an empty text gettext returns the catalogue's header
         progress.stage_fraction = 0.0
         _advance(progress, None)
     elif kind == "progress":
@@ -134,7 +134,7 @@ def _advance(progress: Progress, eta: Any) -> None:
 
 
 def _losses(progress: Progress, event: dict[str, Any]) -> None:
-    """Adds one iteration's losses; iterations that are repeated after a resume replace the earlier ones."""
+    """Adds one iteration's losses; iterations that are repeated after a resume replace earlier ones."""
     losses, iteration = event.get("losses"), event.get("iteration")
     if not isinstance(losses, dict) or type(iteration) is not int or not 0 < iteration <= LAST_ITERATION:
         return
@@ -150,7 +150,7 @@ def _losses(progress: Progress, event: dict[str, Any]) -> None:
 
 
 def _file_of(progress: Progress, name: Any) -> Path | None:
-    """The path of this name, None if it leads out of the job's folder."""
+    """The path of this name; None if it leads out of the job's folder."""
     if not isinstance(name, str) or "\0" in name:
         return None
     path = Path(os.path.normpath(progress.folder / name))

@@ -1,4 +1,4 @@
-"""The colours that a running training has reached so far, read from its checkpoints."""
+"""The colours that a running training job has reached so far, read from its checkpoints."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ class LiveColours:
         self._seen: tuple[tuple[str, int], ...] = ()
 
     def reset(self) -> None:
-        """Makes `newer` read the checkpoints again, for atoms that do not have their colours yet."""
+        """Makes `newer` read the checkpoints again, for atoms that do not have these colours yet."""
         self._seen = ()
 
     def newer(self, atoms: Atoms) -> Atoms | None:
         """The atoms with the latest colours; None if there are no new ones, or if they do not fit.
 
         The trainer makes the surface atoms from the same scene by the same steps, so they have the same order; colours
-        of another count (from another detail or version) do not fit. A checkpoint may bring interior atoms of its own,
-        as fine as the colours require, and spherical harmonics of another degree for the surface.
+        for a different number of atoms (from another detail or version) do not fit. A checkpoint may bring interior
+        atoms of its own, as fine as the colours require, and spherical harmonics of another degree for the surface.
         """
         written = []
         for stage in STAGES:
@@ -58,7 +58,7 @@ class LiveColours:
         surface, interior = atoms.surface, atoms.interior
         means, sigmas = tensors.get("means", interior.means), tensors.get("sigmas", interior.sigmas)
         rgb, sh = tensors.get("rgb", interior.rgb), tensors.get("sh", surface.sh)
-        # The folder may come from anybody: what does not fit, or cannot be drawn, is ignored.
+        # The folder may come from anybody: arrays that do not fit, or cannot be drawn, are ignored.
         finite = all(values.dtype == np.float32 and np.isfinite(values).all() for values in (means, sigmas, rgb, sh))
         fits = sigmas.ndim == 1 and rgb.shape == means.shape == (len(sigmas), 3) and bool((sigmas > 0).all())
         fits = fits and sh.shape in {(len(surface), (degree + 1) ** 2, 3) for degree in range(4)}

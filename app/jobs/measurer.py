@@ -1,4 +1,4 @@
-"""Volume and surface of pieces, found in the background."""
+"""Measures volume and surface area of pieces in the background."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ __all__ = ["Measurer"]
 
 
 class Measurer:
-    """One cell at a time; what was found is kept while the object has the same geometry."""
+    """Measures one cell at a time; results are kept while the object has the same geometry."""
 
     def __init__(self) -> None:
         self._worker = ThreadPoolExecutor(1, "measures")
         self._running: tuple[Atoms, Cell, Future[Extent]] | None = None
         self._found: dict[Cell, Extent] = {}
         self._of: Atoms | None = None
-        """What was found is of these."""
+        """The atoms that `_found` belongs to."""
         self._filled: tuple[Atoms, Filled] | None = None
 
     def extent(self, atoms: Atoms, cells: Sequence[Cell]) -> Extent | None:
-        """Of cells together; None while it is not known. Never waits."""
+        """The extent of cells together; None while it is not known. Never waits."""
         if self._of is None or not _same(self._of, atoms):
             self._of, self._found = atoms, {}
         if self._running is not None and self._running[2].done():
@@ -56,5 +56,5 @@ class Measurer:
 
 
 def _same(one: Atoms, other: Atoms) -> bool:
-    """Whether two objects differ in colours at most."""
+    """Whether two objects differ in nothing but colours."""
     return one.interior.means is other.interior.means and one.surface.means is other.surface.means

@@ -1,4 +1,4 @@
-"""Bends pictures onto their own planes of the object in the background, so that dragging never waits for it."""
+"""Bends pictures onto their own planes in the object, in the background, so that dragging never waits for it."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ from training.priors.exemplar.placement import OwnPlane, bend_picture, find_own_
 __all__ = ["Placed", "PlacementPreview", "Wanted"]
 
 SIDE = 384
-"""Pixels of the longer side to which a picture is reduced: what a bent one shows, and quickly turned."""
+"""Longer side, in pixels, that a picture is reduced to: as much as a bent picture shows, and quick to turn."""
 
 
 @dataclass(frozen=True, eq=False)
 class Wanted:
-    """A picture to be placed, and where."""
+    """A picture to be placed, and the family and object that it belongs to."""
 
     rgb: NDArray[np.uint8]
     """(H, W, 3). The picture."""
@@ -50,7 +50,7 @@ class Wanted:
 
     @property
     def plane_key(self) -> tuple[Family, Vec3]:
-        """All that the own plane depends on, besides the object."""
+        """Everything that the own plane depends on, apart from the object."""
         return replace(self.family, exemplars=(), prompt="", marks=()), self.up
 
 
@@ -59,7 +59,7 @@ class Placed:
     """A picture on its own plane."""
 
     marks: Marks
-    """With the axis that was used."""
+    """The marks, including the axis that was used."""
     plane: OwnPlane | None = None
     rgba: NDArray[np.uint8] | None = None
     """(S, S, 4). What the face shows, straight alpha."""
@@ -67,7 +67,7 @@ class Placed:
 
 
 class PlacementPreview:
-    """One picture's placement; of several wishes while it works, only the last one counts."""
+    """Places one picture at a time; of several requests that come meanwhile, only the last one counts."""
 
     def __init__(self) -> None:
         self._worker = ThreadPoolExecutor(1, "placement")
@@ -77,10 +77,8 @@ class PlacementPreview:
         self._plane: tuple[object, OwnPlane] | None = None
 
     def update(self, wanted: Wanted) -> Placed | None:
-        """Starts what is wanted, unless it is there or being made; returns the last that is there of the same picture.
-
-        Never waits.
-        """
+        """Starts the placement, unless it is done or another one is being made; returns the last finished placement of
+        the same picture. Never waits."""
         if self._running is not None and self._running[1].done():
             self._done = (self._running[0], self._running[1].result())
             self._running = None

@@ -1,4 +1,4 @@
-"""Where the results of an object's training are, and whether they are of what is left of its capture."""
+"""Where the results of an object's training are, and whether they belong to the part of the capture that it keeps."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ __all__ = ["default_out", "find_result", "result_folder"]
 def default_out(scene: Path, number: int = 0) -> Path:
     """The default result folder: beside the scene, or in the app's state folder if the scene's folder is read-only.
 
-    `number`: of one of several objects, as in Document.
+    `number`: as in Document, for one of several objects.
     """
     folder = scene.parent
     if not os.access(folder, os.W_OK):
@@ -33,7 +33,7 @@ def result_folder(document: Document) -> Path | None:
 
 
 def find_result(document: Document) -> Path | None:
-    """The object that was trained from what a document keeps of its scene, None if there is none."""
+    """The object that was trained from the part of the scene that a document keeps; None if there is none."""
     folder = result_folder(document)
     path = None if folder is None or document.scene is None else find_trained(folder, document.scene.stem)
     if path is None:

@@ -34,7 +34,7 @@ __all__ = ["LoadedScene", "SceneLoader", "SceneRequest"]
 
 
 LOOKED_AT = 300_000
-"""Centres that say how large a capture is."""
+"""Most centres that are used to find how large a capture is."""
 
 
 @dataclass(frozen=True)
@@ -47,9 +47,9 @@ class SceneRequest:
     trained: Path | None = None
     """A finished training result of this scene, loaded in place of a plain inside."""
     isolation: Isolation = ()
-    """What of the scene is no part of the object."""
+    """The parts of the scene that do not belong to the object."""
     opened: bool = False
-    """The scene has just been opened, and nobody has said what is no part of the object: its surroundings, if any."""
+    """Whether the scene has just been opened, so that nobody has isolated the object yet: surroundings are left out."""
 
 
 @dataclass(frozen=True)
@@ -58,12 +58,12 @@ class LoadedScene:
 
     request: SceneRequest
     capture: Gaussians | None = None
-    """All of it, with what is no part of the object."""
+    """The whole capture, including what does not belong to the object."""
     atoms: Atoms | None = None
     solid: Solid | None = None
     """The points of the atoms, or of the capture before there are atoms."""
     outline: Solid | None = None
-    """The points of the capture, with what it has beside the body: a mat, leaves. None until they are known."""
+    """The points of the capture, including what lies beside the body: a mat, leaves. None until they are known."""
     up: Vec3 = (0.0, 0.0, 1.0)
     """Detected up axis, unit vector."""
     up_reason: str = ""
@@ -73,34 +73,34 @@ class LoadedScene:
     trained: bool = False
     """Whether the inside has been trained."""
     coarse: Gaussians | None = None
-    """Some of a large capture's Gaussians, enlarged, to be shown until all are there."""
+    """Some of a large capture's Gaussians, enlarged, to be shown until all are loaded."""
     drawn: Drawn | None = None
-    """The atoms as they are drawn, made where the window does not wait for it."""
+    """The atoms prepared for drawing, in a thread that the window does not wait for."""
     inside: Inside | None = None
-    """What the faces of a trained object at rest are read from; None if its atoms are all there is."""
+    """What the faces of a trained object are read from when the view is at rest; None if it has only atoms."""
 
     @property
     def extent(self) -> NDArray[np.float64]:
-        """(N, 3). Points of what is seen of the capture; none while nothing is."""
+        """(N, 3). Points of the visible part of the capture; none until something is loaded."""
         seen = self.outline or self.solid
         return np.zeros((0, 3)) if seen is None else seen.points
 
 
 class SceneLoader:
-    """Loads one scene. `poll` brings it step by step: the capture first, a part before all of a large one, then the
-    atoms."""
+    """Loads one scene. `poll` delivers it step by step: the capture, preceded by a sample if it is large, then the
+    atoms. Of a trained object, the atoms come first."""
 
     def __init__(self, request: SceneRequest) -> None:
         self.request = request
         self.stage = f"Opening {request.scene.name}"
         """What is being done, in words."""
         self.fraction = 0.0
-        """How much is done. Range [0, 1]."""
+        """Part that is done. Range [0, 1]."""
         self.error = ""
         """Why loading ended early, in one line; what was loaded before stays."""
         self.ended = False
         self.announced = False
-        """Whether the user has read that the object can be cut."""
+        """Whether the user has been told that the object can be cut."""
         self.scene = LoadedScene(request)
         self._queue: queue.SimpleQueue[tuple[dict[str, Any], dict[str, Any]]] = queue.SimpleQueue()
         self._scratch = Scratch("fruitninja-")
@@ -180,7 +180,7 @@ class SceneLoader:
             notes=notes,
             trained=facts["trained"],
         )
-        if "up" in facts:  # of a trained object, which comes before its capture
+        if "up" in facts:  # a trained object, whose atoms come before its capture
             x, y, z = facts["up"]
             self.scene = replace(self.scene, up=(x, y, z), up_reason=facts["reason"])
 
@@ -192,7 +192,7 @@ class SceneLoader:
             try:
                 line = json.loads(text)
             except ValueError:
-                continue  # a library that prints
+                continue  # printed by a library
             arrays = _prepared(line, map_arrays(Path(line["file"]))) if "file" in line else {}
             ended = ended or bool(line.get("end"))
             self._queue.put((line, arrays))
@@ -208,8 +208,8 @@ class SceneLoader:
         self._clear()
 
     def _read_inside(self) -> None:
-        """Reads the inside of the trained object whose atoms have come."""
-        from training.priors.inside_file import read_inside  # its kernels are needed for trained objects only
+        """Reads the inside of the trained object whose atoms have arrived."""
+        from training.priors.inside_file import read_inside  # only trained objects need its kernels
 
         self._queue.put(({"stage": "Reading the inside", "part": 0.9}, {}))
         inside, notes = None, []
@@ -232,7 +232,7 @@ class SceneLoader:
 
 
 def _prepared(line: dict[str, Any], arrays: dict[str, Any]) -> dict[str, Any]:
-    """With what takes time to make of the arrays, made in the thread that reads them."""
+    """The arrays of a line with whatever takes time to make of them, made in the thread that reads them."""
     if line["ready"] == "atoms":
         surface = SurfaceAtoms(arrays["means"], arrays["scales"], arrays["quats"], arrays["sh"])
         interior = InteriorAtoms(arrays["inside"], arrays["sigmas"], arrays["rgb"], line["facts"]["exposed"])
@@ -245,7 +245,7 @@ def _prepared(line: dict[str, Any], arrays: dict[str, Any]) -> dict[str, Any]:
 
 
 def _extent(means: NDArray[np.float32]) -> Solid:
-    """A solid of centres (N, 3), without the few that most captures have far away: they must not determine what fits
+    """A solid of centres (N, 3), without the few outliers that most captures have: these must not determine what fits
     the window."""
     low, high = np.percentile(means, [2, 98], axis=0) if len(means) else np.zeros((2, 3))
     return Solid.of(means[((means >= low) & (means <= high)).all(1)])

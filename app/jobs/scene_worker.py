@@ -39,14 +39,14 @@ from engine.solid.up_axis.detect import detect_up
 from training.settings import DETAILS, Detail
 
 PLAIN = (0.83, 0.82, 0.80)
-"""RGB of an untrained inside: a neutral material that nobody takes for a trained texture."""
+"""RGB of an untrained inside: a neutral material that nobody mistakes for a trained texture."""
 
 SKIN_PITCHES = 2.0
 """Depth under the skin, in pitches, over which its colour fades into the plain one: a cut shows a rim, like a shell."""
 
 DRAFT = DETAILS["draft"]
-"""How fine the first solid is, which can be cut while the finer one is made, and how well the skin is fitted: good
-enough to look at until training fits it better, and done in seconds."""
+"""Detail of the first solid, which can be cut while the finer one is made, and of the fit of the skin: good enough to
+look at until training fits it better, and done in seconds."""
 
 
 def main() -> None:
@@ -66,7 +66,7 @@ def main() -> None:
                 detail = DETAILS[request["detail"]]
                 _write_line(stage="Finding the body", part=0.15)
                 enclosure = find_enclosure(gaussians, detail.cells, path.name)
-                del gaussians  # a large capture is not needed beside its shell
+                del gaussians  # once there is a shell, a large capture need not stay in memory
                 _solidify(enclosure, up, detail, request["seed"], folder)
     except InputError as error:
         _write_line(error=str(error))
@@ -78,9 +78,10 @@ def main() -> None:
 def _load_capture(
     path: Path, folder: Path, seed: int, isolation: Isolation | None
 ) -> tuple[Gaussians, NDArray[np.float64]]:
-    """What the isolation leaves of the capture, and the up axis; sends the whole capture, a part first if large.
+    """What the isolation leaves of the capture, and the up axis. Sends the whole capture, preceded by a sample if it is
+    large.
 
-    `isolation`: None leaves out the surroundings, if it has any.
+    `isolation`: None leaves out the surroundings, if there are any.
     """
     _write_line(stage=f"Reading {path.name}", part=0.02)
     coarse = coarse_picture(path)
@@ -104,8 +105,8 @@ def _load_capture(
 
 
 def _left_out(gaussians: Gaussians, isolation: Isolation | None) -> tuple[Isolation, NDArray[np.bool_], Gaussians]:
-    """The isolation, with surroundings for None if there are any; which Gaussians (N,) it takes; and, to tell which way
-    is up, the object with its floor."""
+    """The isolation (for None that of the surroundings, if there are any), which Gaussians (N,) it removes, and the
+    object with its floor, which shows which way is up."""
     around = removed(gaussians, (NO_SURROUNDINGS,))
     seen = gaussians[~around] if around.any() else gaussians
     if isolation is None:
@@ -126,7 +127,7 @@ def _solidify(enclosure: Enclosure, up: NDArray[np.float64], detail: Detail, see
     _write_line(stage="Making it solid", part=0.3)
     if detail.cells > DRAFT.cells:
         make_solid(DRAFT)
-        # From here on it can be cut; what follows only makes it look like the capture.
+        # From here on the object can be cut; what follows only makes it look like the capture.
         load_torch()
         _write_line(stage="Making it finer", part=0.4)
     atoms = make_solid(detail)
@@ -135,7 +136,7 @@ def _solidify(enclosure: Enclosure, up: NDArray[np.float64], detail: Detail, see
 
 
 def load_torch() -> None:
-    """Imports in a thread what fits the skin, a second of the interpreter, for which no first solid waits."""
+    """Imports torch, which fits the skin, in a thread: that takes a second, which the first solid does not wait for."""
     threading.Thread(target=importlib.import_module, args=("torch",), daemon=True).start()
 
 
@@ -168,7 +169,7 @@ def _send_trained(path: Path, folder: Path, capture: bool) -> None:
     atoms, meta = load_trained(path)
     axis: dict[str, Any] = {"up": list(meta.up), "reason": "as trained"} if capture else {}
     _send_atoms(folder, atoms, {"notes": [], "trained": True, **axis})
-    if capture:  # after the atoms: a trained object is shown solid, and drawing it as it is on file takes longer
+    if capture:  # after the atoms: a trained object is shown solid, and drawing the file's Gaussians takes longer
         gaussians = load(path).gaussians
         nothing = np.zeros(len(gaussians), bool)
         facts = {**axis, "warnings": [], "isolation": []}

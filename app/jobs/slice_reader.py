@@ -1,4 +1,4 @@
-"""Reads faces that are seen straight on in the background, so that dragging them never waits for it."""
+"""Reads, in the background, cut faces that are seen straight on, so that dragging them never waits for it."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from engine.scene.plane import Plane
 __all__ = ["Face", "SliceReader", "WantedFace"]
 
 COARSE = 4
-"""Pixels along a side that share one colour in motion: three faces of half a window then take a frame's time."""
+"""Pixels along a side that share one colour during motion: three faces of half a window then take a frame's time."""
 
 ROWS = 32
-"""Of a picture that are read before it is asked whether it is still wanted: some milliseconds."""
+"""Rows of a picture that are read between checks whether it is still wanted: a few milliseconds."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +32,7 @@ class WantedFace:
 
     atoms: Atoms
     inside: Inside | None
-    """What the face is read from at rest; None: the atoms are all there is."""
+    """What the face is read from at rest; None: there are only atoms."""
     camera: Camera
     plane: Plane
 
@@ -54,7 +54,7 @@ class Face:
 
     wanted: WantedFace
     rgba: NDArray[np.uint8]
-    """(H, W, 4). Straight alpha; the picture of the camera, or a coarse one of it."""
+    """(H, W, 4). The camera's picture, or a coarse version of it, with straight alpha."""
     coarse: bool
 
 
@@ -68,24 +68,24 @@ class _Task:
 
 
 class SliceReader:
-    """Several faces of one object: the coarse ones first, then each in full; what is no longer wanted is given up."""
+    """Reads several faces of one object, first coarsely, then in full; faces no longer wanted are abandoned."""
 
     def __init__(self, count: int) -> None:
         self.faces: list[Face | None] = [None] * count
-        """The last that was read of each."""
+        """The last picture that was read of each face."""
         self._worker = ThreadPoolExecutor(1, "slices")
         self._running: tuple[_Task, Future[Face | None]] | None = None
         self._field: tuple[Atoms, KernelField] | None = None
 
     def update(self, wanted: list[WantedFace], moving: bool) -> None:
-        """Takes over what was read and starts what is missing. Never waits. `moving`: nothing is read in full yet."""
+        """Takes over what was read and starts what is missing. Never waits. `moving`: faces are only read coarsely."""
         if self._running is not None:
             task, future = self._running
             task.stale = not task.wanted.equals(wanted[task.index]) or (moving and not task.coarse)
             if not future.done():
                 return
             face = future.result()
-            # A coarse one that came late still shows where the plane was a moment ago.
+            # A coarse picture that came late still shows where the plane was a moment ago.
             if face is not None:
                 self.faces[task.index] = face
             self._running = None
@@ -131,7 +131,7 @@ class SliceReader:
         return Face(wanted, picture.straight_alpha(), task.coarse)
 
     def _of_atoms(self, field: KernelField, camera: Camera, task: _Task) -> Picture | None:
-        """The face of the atoms, some rows at a time; None if it is no longer wanted."""
+        """The face as the atoms show it, a few rows at a time; None if it is no longer wanted."""
         parts = []
         for first in range(0, camera.height, ROWS):
             if task.stale and not task.coarse:

@@ -37,7 +37,7 @@ LOG_TAIL = 6
 """Lines at the end of a job's output that are shown if it fails."""
 
 LOG_TAIL_BYTES = 8192
-"""Bytes at the end of a job's output that these lines are looked for in: more than six lines of a traceback."""
+"""Bytes at the end of a job's output in which these lines are looked for: more than six lines of a traceback."""
 
 READ_AT_ONCE = 1 << 20
 """Bytes of events read in one poll, so that catching up with a long job does not delay a frame; a line of the trainer
@@ -86,7 +86,7 @@ def request_for(document: Document, up: Vec3) -> Request:
 
 
 def _trained_family(family: Family) -> Family:
-    """The family without settings that its kind does not use, so that these do not keep a run from being resumed."""
+    """The family without settings that its kind does not use, so that they never keep a run from being resumed."""
     if family.kind == "custom":
         return replace(family, count=len(family.custom), axis=None, span=(0.0, 1.0))
     return replace(family, axis=family.axis if family.kind == "parallel" else None, custom=())
@@ -97,11 +97,10 @@ class Job:
     """One run of the trainer, started by this session or an earlier one."""
 
     document: Document
-    """What is trained: the scene, what of it is left out, its up axis, the families and the training settings. It has
-    no cuts."""
+    """What is trained: the scene, isolation, up axis, families and training settings. It has no cuts."""
     pid: int
     started: float
-    """When the process started, seconds since 1970: a pid may be used again, a pid with a start time is unique."""
+    """When the process started, seconds since 1970: a pid may be reused, but a pid with a start time is unique."""
     stopped: bool = False
     """Whether the user has stopped it."""
     progress: Progress = field(default_factory=Progress)
@@ -110,11 +109,11 @@ class Job:
     ended: bool = False
     """Whether the process has ended."""
     offset: int = 0
-    """Bytes of the events that have been read."""
+    """Number of bytes of the events file that have been read."""
 
     @staticmethod
     def start(document: Document, up: Vec3, out: Path, resume: bool = False, program: Sequence[str] = ()) -> Job:
-        """Starts the trainer, with `out` for its result. `program`: a command to run in its place, for tests.
+        """Starts the trainer, with `out` as the result folder. `program`: a command to run in its place, for tests.
 
         Raises InputError if something is missing, the folder cannot be written, or a job is already running in it.
         """
@@ -216,7 +215,7 @@ class Job:
         self._signal(lambda process: process.resume())
 
     def stop(self) -> None:
-        """Asks the trainer to write a checkpoint and end; a suspended one is woken up for that."""
+        """Asks the trainer to write a checkpoint and end; a suspended process is woken up for that."""
         self.stopped = True
         self._write_note()
         self._signal(lambda process: process.resume())
@@ -250,7 +249,7 @@ class Job:
         except (OSError, InputError):
             return False
         end = block.rfind(b"\n") + 1
-        if not end and len(block) == READ_AT_ONCE:  # the trainer writes no such line
+        if not end and len(block) == READ_AT_ONCE:  # the trainer never writes such a long line
             end = len(block)
         for line in block[:end].splitlines():
             read_line(self.progress, line)
@@ -296,7 +295,7 @@ class Job:
 
 
 def note_path(out: Path) -> Path:
-    """The app's record of the process that trains into a result folder; the document and request are beside it."""
+    """The app's note on the process that trains into a result folder; the document and request are beside it."""
     name = hashlib.sha256(os.fsencode(out.resolve())).hexdigest()[:32]
     return state_folder() / "jobs" / f"{name}.json"
 

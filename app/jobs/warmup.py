@@ -1,8 +1,8 @@
 """Compiles and loads the render kernels before the window needs them, by drawing small frames.
 
-With software OpenGL the solid is drawn by kernels that are compiled at their first use and cached on disk. That would
-stop the window for half a minute on the first day; in the process that loads the scene nobody notices. Loading them
-from the disk takes most of a second in each process; the window does it in a thread.
+With software OpenGL the solid is drawn by kernels that are compiled at their first use and cached on disk. In the
+window that would cause a halt of half a minute on the first day; in the process that loads the scene nobody notices.
+Loading the kernels from disk takes most of a second in each process; the window does it in a thread.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ from engine.scene.rotations import facing
 __all__ = ["load_kernels", "warm_up"]
 
 SIZE = 256
-"""Pixels of a side: enough that atoms are wider than pixels, as they mostly are in the window."""
+"""Pixels along a side: enough that atoms are wider than pixels, as they mostly are in the window."""
 
 PITCH = 0.1
-"""Spacing of the ball's atoms, in its radii."""
+"""Spacing of the ball's atoms, in radii of the ball."""
 
 
 PLANE = Plane.of((0, 0, 1), 0)

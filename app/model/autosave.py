@@ -30,9 +30,9 @@ class UnsavedWork:
     project: Path | None
     """Its project file; None if it was never saved."""
     when: float
-    """Seconds since 1970."""
+    """When it was saved, seconds since 1970."""
     name: str = ""
-    """Name of the project, or of its scene."""
+    """Name of the project, or else of its scene."""
 
     def load(self) -> Project:
         """The work itself. Raises InputError if the file is broken."""
@@ -53,10 +53,11 @@ class Autosave:
         self.next = 0.0
 
     def update(self, project: Project, changed: bool, target: Path | None, now: float | None = None) -> bool:
-        """Writes the project if that is due and it differs from the last autosave; True if it was written.
+        """Writes the project if an autosave is due and it differs from the last one; True if it was written.
 
-        Without unsaved changes the autosave is removed. `target`: the project file, None if there is none yet. `now`:
-        seconds of the monotonic clock. Raises InputError if the file cannot be written.
+        `changed`: whether there are unsaved changes; without any the autosave is removed. `target`: the project file,
+        None if there is none yet. `now`: seconds of the monotonic clock. Raises InputError if the file cannot be
+        written.
         """
         now = time.monotonic() if now is None else now
         if not changed:
@@ -116,7 +117,7 @@ def _this_process() -> dict[str, float]:
 
 
 def _is_running(pid: int, started: float) -> bool:
-    """Whether this very process still runs: a pid may be used again, a pid with a start time is unique."""
+    """Whether this very process still runs: a pid may be reused, but a pid with a start time is unique."""
     try:
         return abs(psutil.Process(pid).create_time() - started) < 1.0
     except psutil.Error:

@@ -1,4 +1,4 @@
-"""The orbit camera: orbit, pan, zoom to the cursor, fit, axis views, as functions over frozen data."""
+"""The orbit camera: orbit, pan, zoom to the cursor, fit and axis views, as functions on frozen data."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ DEGREES_PER_PIXEL = 0.35
 """A drag across a window of 1000 pixels turns the object once around."""
 
 FIT_MARGIN = 1.12
-"""Radius of the sphere that is fitted into the picture, in the object's: one that touches the edges looks cramped."""
+"""Radius of the sphere that is fitted into the picture, in radii of the object: touching the edges looks cramped."""
 
 # Azimuth and elevation in degrees. Azimuth 0 looks from the first vector of the equator towards the target.
 AXIS_VIEWS: dict[str, tuple[float, float]] = {
@@ -41,9 +41,9 @@ class OrbitCamera:
     elevation: float = 22.0
     """Degrees. Range [-90, 90]."""
     distance: float = 4.0
-    """From eye to target, world units. Range (0, inf)."""
+    """Distance from eye to target, world units. Range (0, inf)."""
     fov: float = 35.0
-    """Degrees from bottom to top. Range [5, 120]."""
+    """Vertical field of view, degrees. Range [5, 120]."""
     orthographic: bool = False
 
     def camera(self, width: int, height: int, up: Vec3) -> Camera:
@@ -57,12 +57,13 @@ class OrbitCamera:
         return replace(made, fx=scale, fy=scale, orthographic=True)
 
     def turned(self, dx: float, dy: float) -> OrbitCamera:
-        """After an orbiting drag of (dx, dy) pixels: the object follows the pointer."""
+        """The camera after an orbiting drag of (dx, dy) pixels: the object follows the pointer."""
         elevation = min(90.0, max(-90.0, self.elevation + dy * DEGREES_PER_PIXEL))
         return replace(self, azimuth=_wrapped(self.azimuth - dx * DEGREES_PER_PIXEL), elevation=elevation)
 
     def panned(self, dx: float, dy: float, height: int, up: Vec3) -> OrbitCamera:
-        """After a panning drag of (dx, dy) pixels in a picture of this height: the target follows the pointer."""
+        """The camera after a panning drag of (dx, dy) pixels in a picture of this height: the target follows the
+        pointer."""
         rotation = self.camera(16, 16, up).viewmat[:3, :3]
         unit = 2 * self.distance * math.tan(math.radians(self.fov) / 2) / max(height, 1)
         return replace(self, target=vec3(np.asarray(self.target) - unit * (dx * rotation[0] + dy * rotation[1])))
@@ -70,9 +71,10 @@ class OrbitCamera:
     def zoomed(
         self, steps: float, at: tuple[float, float], size: tuple[int, int], up: Vec3, radius: float
     ) -> OrbitCamera:
-        """Nearer by `steps` notches of the wheel, towards the point under the cursor at the target's depth.
+        """The camera moved nearer by `steps` notches of the wheel, towards the point under the cursor at the target's
+        depth.
 
-        `at` is the cursor in pixels of a picture of `size` (width, height); the object's `radius` bounds the distance.
+        `at`: the cursor, in pixels of a picture of `size` (width, height). `radius`: the object's, bounds the distance.
         """
         distance = min(200 * radius, max(0.01 * radius, self.distance * 0.88**steps))
         camera = self.camera(*size, up)
@@ -84,17 +86,17 @@ class OrbitCamera:
         return replace(self, target=vec3(target), distance=distance)
 
     def fitted(self, centre: Sequence[float] | NDArray[np.floating], radius: float, aspect: float = 1.0) -> OrbitCamera:
-        """From the same side, at a distance where a sphere just fits the picture."""
+        """The camera on the same side, at the distance where a sphere just fits the picture."""
         distance = fit_distance(radius * FIT_MARGIN, math.radians(self.fov), aspect)
         return replace(self, target=vec3(centre), distance=distance)
 
     def from_side(self, view: str) -> OrbitCamera:
-        """From the side that one of AXIS_VIEWS names."""
+        """The camera on the side that a key of AXIS_VIEWS names."""
         azimuth, elevation = AXIS_VIEWS[view]
         return replace(self, azimuth=azimuth, elevation=elevation)
 
     def along(self, axis: Sequence[float], up: Vec3) -> OrbitCamera:
-        """Looking at the target from the direction of this axis (3,)."""
+        """The camera looking at the target from the direction of this axis (3,)."""
         u = np.asarray(up, np.float64)
         e1, e2 = equator(u)
         a = np.asarray(axis, np.float64) / np.linalg.norm(axis)
@@ -106,9 +108,9 @@ class OrbitCamera:
     def turned_with(
         self, turn: NDArray[np.float64], centre: Sequence[float] | NDArray[np.floating], up: Vec3
     ) -> OrbitCamera:
-        """From where the object is seen as if it had been turned by a rotation (3, 3) about a point (3,).
+        """The camera that sees the object as if it had been turned by a rotation (3, 3) about a point (3,).
 
-        The object stays where it is, and its up axis becomes `turn.T @ up`; this camera goes with that one.
+        The object stays where it is, and its up axis becomes `turn.T @ up`, which the new camera is to be used with.
         """
         before, after = equator(np.asarray(up, np.float64)), equator(turn.T @ np.asarray(up, np.float64))
         angle = math.radians(self.azimuth)
@@ -119,7 +121,7 @@ class OrbitCamera:
         return replace(self, target=vec3(target), azimuth=_wrapped(azimuth))
 
     def toward(self, goal: OrbitCamera, part: float) -> OrbitCamera:
-        """Interpolated towards another camera; 1 is the goal itself."""
+        """The camera interpolated towards `goal`; a `part` of 1 is the goal itself."""
         if part >= 1:
             return goal
 
@@ -138,7 +140,7 @@ class OrbitCamera:
 
 
 def ray(camera: Camera, at: tuple[float, float]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Origin (3,) and unit direction (3,) of the ray through a point of the picture, in pixels."""
+    """Origin (3,) and unit direction (3,) of the ray through a point `at` of the picture, in pixels."""
     u, v = (at[0] - camera.cx) / camera.fx, (at[1] - camera.cy) / camera.fy
     rotation, translation = camera.viewmat[:3, :3], camera.viewmat[:3, 3]
     if camera.orthographic:
@@ -148,7 +150,7 @@ def ray(camera: Camera, at: tuple[float, float]) -> tuple[NDArray[np.float64], N
 
 
 def project_points(camera: Camera, points: NDArray[np.floating]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Pixels (N, 2) and depths (N,) of points (N, 3). Pixels mean nothing where the depth is not above 0."""
+    """Pixels (N, 2) and depths (N,) of points (N, 3). Pixels are meaningless where the depth is not above 0."""
     local = np.asarray(points, np.float64) @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]
     depth = local[:, 2]
     scale = np.ones_like(depth) if camera.orthographic else np.where(depth > 1e-12, depth, 1.0)

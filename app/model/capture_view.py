@@ -1,4 +1,4 @@
-"""What is shown of a capture: what the isolations of its objects leave, with the marked Gaussians tinted."""
+"""The part of a capture that is shown: what the isolations of its objects leave, with marked Gaussians tinted."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from engine.scene.sh import rgb_to_sh
 __all__ = ["CaptureView", "view_of"]
 
 TINT = 0.7
-"""Share of the tint in a marked Gaussian's colour: it stands out on any colour and what it shows is still seen."""
+"""Share of the tint in a marked Gaussian's colour: it stands out on any colour, and the original still shows."""
 
 
 @dataclass(frozen=True)
@@ -28,17 +28,17 @@ class CaptureView:
     tint: Vec3
     """RGB of marked Gaussians. Range [0, 1]."""
     beside: tuple[Isolation, ...]
-    """Of the other objects that are shown."""
+    """Isolations of the other objects that are shown."""
     left: Gaussians
     """The K Gaussians that the isolation leaves."""
     marked: NDArray[np.bool_]
-    """(K,). Which of them the steps select."""
+    """(K,). Which Gaussians of `left` the steps select."""
     shown: Gaussians
-    """What is drawn: the same K with the marked ones tinted, then what the other objects keep."""
+    """What is drawn: `left` with the marked Gaussians tinted, then `others`."""
     plain: Gaussians
-    """The same without a tint."""
+    """The same as `shown` without a tint."""
     others: Gaussians
-    """What the other objects keep."""
+    """The Gaussians that the other objects keep."""
 
     def is_for(
         self,
@@ -48,7 +48,7 @@ class CaptureView:
         tint: Vec3,
         beside: tuple[Isolation, ...] = (),
     ) -> bool:
-        """Whether this is that view."""
+        """Whether this view was made from these arguments."""
         same = self.capture is capture and self.tint == tint and self.beside == beside
         return same and self.isolation == isolation and self.steps == steps
 
@@ -61,7 +61,7 @@ def view_of(
     before: CaptureView | None = None,
     beside: tuple[Isolation, ...] = (),
 ) -> CaptureView:
-    """The view of a capture. `before`: any other view, whose results are taken over as far as they are the same."""
+    """The view of a capture. `before`: any earlier view, whose results are reused where they are still valid."""
     if before is not None and before.capture is capture and before.isolation == isolation:
         left = before.left
         done = len(before.steps) if steps[: len(before.steps)] == before.steps else 0
@@ -84,7 +84,7 @@ def view_of(
 
 
 def joined(first: Gaussians, second: Gaussians) -> Gaussians:
-    """The Gaussians of both, which have equally many harmonics."""
+    """The Gaussians of both, which must have the same number of spherical harmonics."""
     if not len(second):
         return first
     names = ("means", "scales", "quats", "opacities", "sh")
@@ -93,7 +93,7 @@ def joined(first: Gaussians, second: Gaussians) -> Gaussians:
 
 
 def tinted(gaussians: Gaussians, marked: NDArray[np.bool_], tint: Vec3) -> Gaussians:
-    """The Gaussians with the marked ones (N,) mixed with a colour; faint ones become no less so."""
+    """The Gaussians with the `marked` ones (N,) mixed with a colour; opacities stay as they are."""
     if not marked.any():
         return gaussians
     sh = gaussians.sh.copy()

@@ -1,5 +1,5 @@
-"""The document of one object that the user edits: cuts, placements of the pieces, families of planes to train. Plain
-frozen data; a scene with several bodies has a document for each.
+"""The document of one object that the user edits: cuts, placements of the pieces, families of planes to train. It is
+plain frozen data; a scene with several bodies has a document for each.
 
 Pieces are not stored but derived: every slice that is on divides the pieces that it was made for (`app.model.pieces`).
 So a cut can be moved, switched off or removed later, and the pieces keep their placements.
@@ -39,7 +39,8 @@ __all__ = [
 ]
 
 Key = tuple[tuple[int, int], ...]
-"""Key of a piece: (cut id, side) for each cut that made it, in the order of the cuts. Side -1 is the kept one."""
+"""Key of a piece: (cut id, side) for each cut that made it, in the order of the cuts. Side -1 is the kept side, 1 the
+removed one."""
 
 WHOLE: Key = ()
 """Key of the object before any cut."""
@@ -49,23 +50,23 @@ CutKind = Literal["slice", "section"]
 
 Mark = Literal["", "circle", "square", "star", "heart", "moon", "bolt"]
 MARKS: tuple[Mark, ...] = tuple(mark for mark in get_args(Mark) if mark)
-"""Shapes, each in a colour of its own: they are told apart without it."""
+"""Shapes to mark pieces with. Each has a colour of its own, but can be told apart without it."""
 
 DEFAULT_GAP = 0.16
-"""In radii of the object: wide enough to tell two pieces apart and to see the rim of both faces."""
+"""Gap between pieces, in radii of the object: wide enough to tell two pieces apart and see the rim of both faces."""
 
 
 @dataclass(frozen=True)
 class Part:
-    """The plane of a cut through one piece. A stroke cuts pieces that were moved at different places of the object."""
+    """The plane of a cut through one piece. One stroke across moved pieces cuts the object at different places."""
 
     plane: Plane
     """In object space."""
     scope: Key = WHOLE
     """The piece that it cuts; WHOLE: every piece."""
     walls: tuple[Plane, ...] = ()
-    """Half-spaces, in object space, on whose kept sides it cuts. A curved blade is a plane in each of several sectors,
-    which part nothing from one another."""
+    """Half-spaces, in object space, that limit the cut to their kept sides. A curved blade has one plane in each of
+    several sectors; the walls between the sectors cut nothing."""
 
 
 @dataclass(frozen=True)
@@ -85,7 +86,7 @@ class Cut:
         return Plane(part.plane.normal, part.plane.offset - self.shift)
 
     def with_plane(self, plane: Plane) -> Cut:
-        """A cut of one part along another plane, in object space."""
+        """The cut, which must have a single part, along another plane in object space."""
         (part,) = self.parts
         return replace(self, parts=(replace(part, plane=plane),), shift=0.0)
 
@@ -108,11 +109,11 @@ class Placement:
     visible: bool = True
     removed: bool = False
     name: str = ""
-    """Empty: the piece is numbered."""
+    """The user's name for the piece; empty: it is numbered."""
     group: str = ""
-    """Name of the group that the piece is in; empty: none. What is cut of it is in the same group."""
+    """Name of the group that the piece is in; empty: none. Pieces cut from it are in the same group."""
     mark: Mark = ""
-    """By which the user tells it from others; what is cut of it has the same."""
+    """Mark that the user tells the piece by; pieces cut from it have the same."""
 
 
 @dataclass(frozen=True)
@@ -123,7 +124,7 @@ class Training:
     prior: PriorName = "exemplar"
     seed: int = 0
     iterations: int | None = None
-    """Most iterations; None: the detail's own number."""
+    """Most iterations; None: the default of the detail."""
     out: Path | None = None
     """Result folder; None: beside the scene."""
     model: Path | None = None
@@ -131,7 +132,7 @@ class Training:
     thing: str = ""
     """What the object is called in prompts; empty: the name of the scene's file."""
     same: bool = False
-    """Whether the user knows the pictures to be of one thing."""
+    """Whether the user knows that all pictures show the very same object."""
 
 
 @dataclass(frozen=True)
@@ -142,22 +143,23 @@ class Document:
     up: Vec3 | None = None
     """Unit vector; None: as detected."""
     isolation: Isolation = ()
-    """What of the capture is no part of the object; () for nothing."""
+    """The parts of the capture that do not belong to the object; () for none."""
     marked: Selection = ()
-    """What is selected of the rest of the capture, to be kept or removed next."""
+    """The selected part of the rest of the capture, to be kept or removed next."""
     cuts: tuple[Cut, ...] = ()
     placements: tuple[tuple[Key, Placement], ...] = ()
-    """Sorted by key; a piece without one has the placement of the piece that it was cut from."""
+    """Placements sorted by key; a piece without one has that of the piece that it was cut from."""
     families: tuple[Family, ...] = ()
     training: Training = field(default_factory=Training)
     gap: float = DEFAULT_GAP
-    """Between the two sides of a slice, in radii of the object. Range [0, 2]."""
+    """Gap between the two sides of a slice, in radii of the object. Range [0, 2]."""
     explode: float = 0.0
     """How far pieces are moved away from the centre, relative to their distance from it. Range [0, 2]."""
     number: int = 0
-    """0 for the only object of a scene; each of several has another number, from 1, that stays. It names the result."""
+    """0 for the only object of a scene; several objects have different, permanent numbers from 1. It is part of the
+    result folder's name."""
     name: str = ""
-    """As the user calls it; empty: by its number."""
+    """The user's name for the object; empty: it is called by its number."""
     visible: bool = True
 
     @property
@@ -183,13 +185,13 @@ class Document:
         return last + 1 if last < LARGEST_INTEGER else next(i for i in count(1) if i not in used)
 
     def next_name(self, stem: str) -> str:
-        """'Knife 3' after 'Knife 2'."""
+        """The stem with the next free number: 'Knife 3' after 'Knife 2'."""
         # Names may come from a stranger's file: \d would match digits of any script, and a number may be endless.
         numbers = [re.fullmatch(re.escape(stem) + r" ([0-9]{1,9})", cut.name) for cut in self.cuts]
         return f"{stem} {max((int(match[1]) for match in numbers if match), default=0) + 1}"
 
     def with_cut(self, parts: tuple[Part, ...], stem: str = _("Knife"), kind: CutKind = "slice") -> Document:
-        """With another cut, after all others."""
+        """With a cut added after all others."""
         return replace(self, cuts=(*self.cuts, Cut(self.next_id, self.next_name(stem), parts, kind)))
 
     def changed_cut(self, cut_id: int, change: Callable[[Cut], Cut]) -> Document:
@@ -251,7 +253,7 @@ class Document:
         return self.with_family(replace(family, exemplars=(*family.exemplars, *new)))
 
     def without_exemplar(self, kind: Kind, path: Path) -> Document:
-        """Without one of a family's pictures, and what was said of its face."""
+        """Without one of a family's pictures and the marks of its face."""
         family = self.family(kind)
         if family is None:
             return self
@@ -259,7 +261,7 @@ class Document:
         return self.with_family(replace(family.with_marks(path, UNMARKED), exemplars=others))
 
     def moved_exemplar(self, path: Path, kind: Kind, to: Kind) -> Document:
-        """With a picture in another family; its outline and axis go with it."""
+        """With a picture moved to another family, along with its outline and axis."""
         family = self.family(kind)
         if family is None or kind == to:
             return self
@@ -267,7 +269,7 @@ class Document:
         return document.with_marks(to, path, family.marks_of(path))
 
     def with_marks(self, kind: Kind, path: Path, marks: Marks) -> Document:
-        """With what the user says of the face in one of a family's pictures."""
+        """With the user's marks of the face in one of a family's pictures."""
         family = self.family(kind)
         if family is None or path not in family.exemplars:
             return self
@@ -275,7 +277,8 @@ class Document:
 
 
 def agrees(scope: Key, key: Key) -> bool:
-    """Whether a cut made for the piece `scope` also cuts the piece `key`: no cut puts them on opposite sides."""
+    """Whether a cut made for the piece `scope` also cuts the piece `key`, which is so unless some cut has them on
+    opposite sides."""
     sides = dict(scope)
     return all(sides.get(cut, side) == side for cut, side in key)
 
@@ -286,7 +289,7 @@ def _without(key: Key, cut_id: int) -> Key:
 
 
 def _widened(parts: tuple[Part, ...], cut_id: int) -> tuple[Part, ...]:
-    """The parts for pieces that a removed cut no longer divides; of those that then cut the same piece, the first."""
+    """The parts of a cut once another cut is removed: if several then cut the same piece, only the first of them."""
     first: dict[Key, Key] = {}
     for part in parts:
         first.setdefault(_without(part.scope, cut_id), part.scope)

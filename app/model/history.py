@@ -17,7 +17,7 @@ class Entry(Generic[T]):
     name: str
     state: T
     merge: str = ""
-    """Consecutive changes with the same non-empty tag are one step, as while a slider is dragged."""
+    """Tag: consecutive changes with the same non-empty tag are one step, as while a slider is dragged."""
 
 
 class History(Generic[T]):
@@ -55,7 +55,7 @@ class History(Generic[T]):
         return True
 
     def settle(self) -> None:
-        """Ends a series of merged changes: the next change is a new step."""
+        """Ends a series of merged changes, so that the next change is a new step."""
         last = self.entries[self.cursor]
         self.entries[self.cursor] = Entry(last.name, last.state)
 
@@ -68,7 +68,7 @@ class History(Generic[T]):
         return self.jump(self.cursor + 1)
 
     def jump(self, index: int) -> bool:
-        """Moves the cursor to any entry; False if there is none, or if it is there already."""
+        """Moves the cursor to an entry; False if there is no such entry, or if the cursor is there already."""
         if not 0 <= index < len(self.entries) or index == self.cursor:
             return False
         self.settle()

@@ -1,4 +1,4 @@
-"""From a stroke on the screen to a cut through the object."""
+"""Turns a stroke on the screen into a cut through the object."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ SNAP_ANGLE = 15.0
 """Degrees between the upright planes that a stroke snaps to in a view from above."""
 
 STEEP = math.cos(math.radians(20.0))
-"""Cosine of the angle between view direction and up axis above which the view counts as one from above or below."""
+"""Cosine of the angle between view direction and up axis above which the view counts as from above or below."""
 
 
 UNSEEN = 1.5
@@ -48,10 +48,10 @@ UNSEEN = 1.5
 of 200 pixels becomes four planes."""
 
 MOST_PLANES = 24
-"""Of one blade: a piece is drawn once for each. A line that needs more is smoothed until it needs no more."""
+"""Most planes of one blade: a piece is drawn once for each. A line that needs more is smoothed until it does not."""
 
 CLOSING = 0.12
-"""Of a line's length, the distance of its ends at which it was meant to close: a circle lacks a ninth of itself."""
+"""Part of a line's length within which its ends count as meant to meet: a circle may lack a ninth of itself."""
 
 
 @dataclass(frozen=True)
@@ -61,13 +61,13 @@ class Stroke:
     start: Pixel
     end: Pixel
     snap: bool = False
-    """To the horizontal and vertical planes of the object."""
+    """Whether it snaps to the horizontal and vertical planes of the object."""
     path: tuple[Pixel, ...] = ()
-    """Where it went, from start to end, for a blade that follows the line; () for a straight cut."""
+    """The line drawn from start to end, for a blade that follows it; () for a straight cut."""
 
     @property
     def length(self) -> float:
-        """Pixels."""
+        """Distance from start to end, pixels."""
         return math.dist(self.start, self.end)
 
     @property
@@ -89,8 +89,8 @@ class Outcome:
 def plane_of(camera: Camera, stroke: Stroke, up: Vec3, centre: NDArray[np.floating]) -> Plane | None:
     """The plane of a stroke: through the eye and the stroke, or the plane that it snaps to.
 
-    `centre` (3,) of the object gives a snapped horizontal plane its depth. None for a stroke that is too short to have
-    a direction. The kept side is to the right of the stroke.
+    `centre` (3,): the object's, gives a snapped horizontal plane its depth. The kept side is to the right of the
+    stroke. None if the stroke is too short to have a direction.
     """
     if stroke.length < SHORTEST:
         return None
@@ -108,20 +108,20 @@ def _plane_between(camera: Camera, a: Pixel, b: Pixel) -> Plane | None:
 
 @dataclass(frozen=True)
 class Facet:
-    """One plane of a blade, and where on it the line was drawn."""
+    """One plane of a blade, and the part of the drawn line that it follows."""
 
     plane: Plane
     stroke: Stroke
     walls: tuple[Plane, ...] = ()
-    """Half-spaces in which it cuts."""
+    """Half-spaces that limit where it cuts."""
 
 
 def blade_of(camera: Camera, stroke: Stroke, up: Vec3, centre: NDArray[np.floating]) -> tuple[Facet, ...] | str:
-    """The planes that a stroke cuts along, swept from the eye through its line; or in words why it is no blade.
+    """The planes that a stroke cuts along, swept from the eye through its line; or a message why it cannot cut.
 
     A line that goes on in one direction divides everything into what is left and what is right of it: walls across the
-    line, one at each corner, bound the planes. A closed line is cut into sectors about its middle, and what it encloses
-    is the kept side. A line without a bend is one plane, as without a path.
+    line, one at each corner, bound the planes. A closed line is divided into sectors about its middle, and the side it
+    encloses is kept. A line without a bend gives one plane, as a stroke without a path does.
     """
     line = _simplified(np.array(stroke.path or (stroke.start, stroke.end), np.float64))
     length = float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum())
@@ -143,7 +143,7 @@ def blade_of(camera: Camera, stroke: Stroke, up: Vec3, centre: NDArray[np.floati
         along = (line[-1] - line[0]) / np.linalg.norm(line[-1] - line[0])
         if ((ends - starts) @ along <= 0).any():
             return _("The blade turned back. Draw it in one direction, or all around a shape to punch it out.")
-        across = SHORTEST * np.array([-along[1], along[0]])  # on whose right is what comes before
+        across = SHORTEST * np.array([-along[1], along[0]])  # has the earlier part of the line on its right
         walls = [_plane_between(camera, _pixel(corner), _pixel(corner + across)) for corner in line[1:-1]]
         bounds = [(one and one.flipped(), other) for one, other in pairwise([None, *walls, None])]
     facets = []
@@ -156,8 +156,8 @@ def blade_of(camera: Camera, stroke: Stroke, up: Vec3, centre: NDArray[np.floati
 
 
 def _areas(line: Points) -> Points:
-    """(N,). Twice the area between the origin and each side of a closed line (N, 2); below 0 where the origin is left
-    of it, as rows of a picture count downwards."""
+    """(N,). Twice the area between the origin and each side of a closed line (N, 2), with rows counted downwards as in
+    pictures: below 0 where the origin is left of the side."""
     ends = np.roll(line, -1, axis=0)
     return np.asarray(line[:, 0] * ends[:, 1] - line[:, 1] * ends[:, 0])
 
@@ -167,14 +167,14 @@ def _pixel(point: Points) -> Pixel:
 
 
 def _simplified(line: Points) -> Points:
-    """(M, 2). The corners of a line (N, 2) that a blade needs, its ends included (Douglas and Peucker 1973)."""
+    """(M, 2). The corners of a line (N, 2) that a blade needs, including its ends (Douglas and Peucker 1973)."""
     unseen = UNSEEN
     while True:
         kept = np.zeros(len(line), bool)
         kept[[0, -1]] = True
         spans = [(0, len(line) - 1)]
         if np.linalg.norm(line[-1] - line[0]) < CLOSING * np.linalg.norm(np.diff(line, axis=0), axis=1).sum():
-            far = int(np.linalg.norm(line - line[0], axis=1).argmax())  # its ends tell nothing of a closed line
+            far = int(np.linalg.norm(line - line[0], axis=1).argmax())  # the ends of a closed line say nothing about it
             kept[far] = True
             spans = [(0, far), (far, len(line) - 1)]
         while spans:
@@ -257,7 +257,7 @@ def slice_object(
 
 
 def _crossed(piece: PlacedPiece, solid: Solid, camera: Camera, blade: Sequence[Facet]) -> bool:
-    """Whether the blade divides the piece, and its line passes over a place where it does."""
+    """Whether the blade divides the piece, and the drawn line passes over a place where it does."""
     points = piece.motion.apply(solid.points[piece.rows])
     removed, passed = np.zeros(len(points), bool), False
     for facet in blade:
@@ -280,18 +280,18 @@ def _pieces(count: int) -> str:
 
 @dataclass(frozen=True)
 class PlaneAngles:
-    """A plane in words that need no equation."""
+    """A plane as a distance and two angles, which users understand without its equation."""
 
     distance: float
-    """From the object's centre along the normal, world units."""
+    """Distance from the object's centre along the normal, world units."""
     tilt: float
     """Degrees between the normal and the up axis: 0 for a level plane, 90 for an upright one. Range [0, 180]."""
     turn: float
-    """Degrees of the normal about the up axis, from the first vector of `equator`; 0 for a level plane."""
+    """Degrees from the first vector of `equator` to the normal, about the up axis; 0 for a level plane."""
 
     @staticmethod
     def of(plane: Plane, up: NDArray[np.float64], centre: NDArray[np.floating]) -> PlaneAngles:
-        """Of a plane beside an object with this unit up axis (3,) and centre (3,)."""
+        """From a plane, for an object with this unit up axis (3,) and centre (3,)."""
         normal = np.asarray(plane.normal)
         e1, e2 = equator(up)
         along, x, y = float(normal @ up), float(normal @ e1), float(normal @ e2)
@@ -300,7 +300,7 @@ class PlaneAngles:
         return PlaneAngles(-float(plane.distance(centre)), math.degrees(math.atan2(flat, along)), turn)
 
     def plane(self, up: NDArray[np.float64], centre: NDArray[np.floating]) -> Plane:
-        """The plane that it describes."""
+        """The plane that they describe; `up` and `centre` as in `of`."""
         tilt, turn = math.radians(self.tilt), math.radians(self.turn)
         e1, e2 = equator(up)
         normal = math.cos(tilt) * up + math.sin(tilt) * (math.cos(turn) * e1 + math.sin(turn) * e2)
@@ -317,8 +317,8 @@ def plane_through(a: NDArray[np.float64], b: NDArray[np.float64], c: NDArray[np.
 def slice_evenly(
     document: Document, solid: Solid, normal: NDArray[np.float64], count: int, selected: Iterable[Key] = ()
 ) -> Document | None:
-    """Cuts what is visible, or the selected pieces of it, into `count` slices of one thickness along a unit normal
-    (3,), from the first to the last point of all of them together. None if there is nothing to cut."""
+    """Cuts the visible pieces, or only the selected ones among them, into `count` slices of equal thickness along a
+    unit normal (3,), between the first and the last point of all of them together. None if there is nothing to cut."""
     chosen = set(selected)
     visible = [piece for piece in visible_pieces(document, solid) if len(piece.rows)]
     candidates = [piece for piece in visible if not chosen or piece.key in chosen] or visible
@@ -328,7 +328,7 @@ def slice_evenly(
     low, high = min(float(a.min()) for a in along), max(float(a.max()) for a in along)
     for height in np.linspace(low, high, count + 1)[1:-1]:
         plane = Plane.through(height * normal, normal)
-        # Made for the pieces as they are now: each slice is a part of one of them, wherever it moves to.
+        # Made for the pieces as they are placed now: each slice stays a part of its piece, wherever that moves.
         parts = [
             Part(piece.motion.inverse().carried(plane), piece.key)
             for piece, a in zip(candidates, along, strict=True)

@@ -22,13 +22,13 @@ MARKERS: tuple[Marker, ...] = ("box", "sphere", "lasso")
 Point = tuple[float, float]
 
 SHORTEST = 4.0
-"""Pixels that a drag must cover: less is a click."""
+"""Pixels that a drag must cover: a shorter one is a click."""
 
 POINTER = 8.0
-"""Pixels around the pointer within which the capture's surface is looked for."""
+"""Radius around the pointer, in pixels, in which the capture's surface is looked for."""
 
 MARGIN = 0.01
-"""Part of the capture's depth by which a box goes on before and behind it, so that rounding leaves nothing out."""
+"""Part of the capture's depth by which a box extends in front of and behind it, so that rounding leaves nothing out."""
 
 SURFACE_OPACITY = 0.3
 """Opacity from which a Gaussian is a surface that one can point at."""
@@ -37,7 +37,7 @@ SURFACE_OPACITY = 0.3
 def shape_of(marker: Marker, camera: Camera, path: Sequence[Point], capture: Gaussians, depth: float) -> Shape | None:
     """The shape of a drag along `path`, in pixels from the upper left corner; None if it is too short to be one.
 
-    `depth`: along the view, world units, where nothing of the capture says how far away the shape is meant to be.
+    `depth`: along the view, world units, used if nothing of the capture shows how far away the shape is meant to be.
     """
     corners = np.array(path, np.float64)
     if np.ptp(corners, axis=0).max() < SHORTEST:
@@ -71,8 +71,8 @@ def _box(
     seen: NDArray[np.bool_],
     depth: float,
 ) -> Box | None:
-    """A box that is seen as the rectangle from `start` to `end`, at the depth of what is seen in it, and reaches
-    through the whole capture."""
+    """A box through the whole capture that looks like the rectangle from `start` to `end` at the depth of the surface
+    seen in it."""
     low, high = np.minimum(start, end), np.maximum(start, end)
     inside = seen & ((pixels >= low) & (pixels <= high)).all(1)
     at = float(np.median(depths[inside])) if inside.any() else depth
@@ -96,8 +96,8 @@ def _sphere(
     depths: NDArray[np.float64],
     depth: float,
 ) -> Sphere:
-    """A ball that touches the surface at `start` from behind and is as wide as the drag: from the middle of a fruit to
-    its rim, it is the fruit. Where no surface is, its centre is at `depth`."""
+    """A ball that touches the surface at `start` from behind and whose radius is the length of the drag: a drag from
+    the middle of a fruit to its rim gives the fruit. Without a surface there, the centre of the ball is at `depth`."""
     wide = float(np.linalg.norm(end - start)) / camera.fx
     near = depths[np.linalg.norm(pixels - start, axis=1) <= POINTER]
     origin, direction = ray(camera, (float(start[0]), float(start[1])))
@@ -134,7 +134,7 @@ def box_edges(box: Box) -> NDArray[np.float64]:
 
 
 def _turn(camera: Camera) -> tuple[float, float, float, float]:
-    """The camera's axes to world, as a quaternion."""
+    """The rotation from the camera's axes to the world's, as a quaternion."""
     place = np.eye(4)
     place[:3, :3] = camera.viewmat[:3, :3].T
     return Motion.of(place).turn

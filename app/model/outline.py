@@ -1,4 +1,4 @@
-"""The lines in which planes intersect the object: contours of the body on each plane, including those of hollows."""
+"""The lines where planes intersect the object: contours of the body on each plane, including those of hollows."""
 
 from __future__ import annotations
 
@@ -21,10 +21,11 @@ CELLS = 72
 fills a window, and coarse enough to be built within a frame or two. A cell is never smaller than the atoms' pitch."""
 
 BLUR = 0.8
-"""Standard deviation, cells, of the blur that turns counts of jittered atoms into an even inside with a smooth edge."""
+"""Standard deviation, in cells, of the blur that turns counts of jittered atoms into an even interior with a smooth
+edge."""
 
 SHELL_CELLS = 48
-"""As CELLS, for a capture, which has only a skin: coarser, so that gaps in it are at most four cells wide."""
+"""The same as CELLS for a capture, which has only a skin: coarser, so that gaps in it are at most four cells wide."""
 
 WIRES = 30
 """Quadrangles along the longest side of the net of `wires`: few enough to look through."""
@@ -43,7 +44,7 @@ def body_of_atoms(atoms: Atoms) -> Body:
     cell = max(float(np.ptp(means, axis=0).max()) / CELLS, atoms.pitch) if len(means) else 1.0
     counts, origin = _counted(means, cell)
     filled = ndimage.gaussian_filter(counts, BLUR, mode="constant") * (atoms.pitch / cell) ** 3
-    # The skin is where the density has fallen to a half. Depths need to be right only close to it.
+    # The skin is where the density has fallen to one half. Depths need to be right only near it.
     return Body(Grid(origin, cell, counts.shape), ((filled - 0.5) * 2.5 * BLUR * cell).astype(np.float32))
 
 
@@ -61,7 +62,7 @@ def body_of_shell(points: NDArray[np.floating]) -> Body:
 
 
 def _around(points: NDArray[np.floating], cell: float) -> tuple[Float, tuple[int, int, int]]:
-    """Outer corner (3,) and shape of a grid around points, with four cells of margin."""
+    """Outer corner (3,) and shape of a grid around points, with a margin of four cells."""
     if not len(points):
         return np.zeros(3), (1, 1, 1)
     origin = points.min(0).astype(np.float64) - 4 * cell
@@ -87,8 +88,8 @@ def contours(
 ) -> Float:
     """(S, 2, 3). Ends of line segments where planes intersect a body, or the part of it in any of the cells `within`.
 
-    A cell is what half-spaces keep. Segments are in no order, as short as the body's cells, and run `outset` cells
-    outside of the skin.
+    A cell of `within` is the intersection of half-spaces. Segments are in no order, as short as the body's grid cells,
+    and run `outset` grid cells outside the skin.
     """
     low, high = body.bounds()
     centre, radius = (low + high) / 2, float(np.linalg.norm(high - low)) / 2 + body.grid.cell
@@ -130,7 +131,7 @@ def _marched(values: Float) -> Float:
 
 
 def wires(body: Body, outset: float = 0.0) -> Float:
-    """(S, 2, 3). Edges of an even net of quadrangles around a body, `outset` of its cells outside of the skin.
+    """(S, 2, 3). Edges of an even net of quadrangles around a body, `outset` of its cells outside the skin.
 
     The dual net of a coarse grid (surface nets, Gibson 1998): a corner in each of its cells that the skin crosses,
     moved onto the skin, and an edge through each side of a cell that the skin crosses.
@@ -146,7 +147,7 @@ def wires(body: Body, outset: float = 0.0) -> Float:
     cells = np.argwhere(mixed)
     if not len(cells):
         return np.zeros((0, 2, 3))
-    points = coarse.grid.origin + (cells + 1.0) * cell  # a cell of the dual grid is between eight centres
+    points = coarse.grid.origin + (cells + 1.0) * cell  # a cell of the dual grid lies between eight cell centres
     step = 0.5 * body.grid.cell * np.eye(3)
     for _ in range(3):
         slope = (
@@ -159,7 +160,7 @@ def wires(body: Body, outset: float = 0.0) -> Float:
     number[mixed] = np.arange(len(cells))
     edges = []
     for axis in range(3):
-        # The side that two neighbours along the axis share: the four centres around it.
+        # The four cell centres around the side that two neighbours along the axis share.
         others = [slice(None)] * 3
         others[axis] = slice(1, -1)
         layer = inside[tuple(others)]
@@ -182,7 +183,7 @@ def wires(body: Body, outset: float = 0.0) -> Float:
 
 
 def clipped_lines(ends: Float, within: Sequence[Sequence[Plane]]) -> Float:
-    """(S, 2, 3). The parts of lines (L, 2, 3) that are in any of the cells `within`, which half-spaces bound."""
+    """(S, 2, 3). The parts of line segments (L, 2, 3) in any of the cells `within`, which half-spaces bound."""
     found = [np.zeros((0, 2, 3))]
     for cell in within:
         first, last = np.zeros(len(ends)), np.ones(len(ends))

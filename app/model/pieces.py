@@ -1,4 +1,4 @@
-"""The pieces that a document's cuts divide the object into: their half-spaces, and where each is placed."""
+"""The pieces that a document's cuts divide the object into: their half-spaces and placements."""
 
 from __future__ import annotations
 
@@ -32,15 +32,15 @@ SAMPLE = 20_000
 """Points that represent the solid when a cut divides it: 27 along each axis of a cube."""
 
 KEPT = 0.5
-"""Part of the gap that is left at least between any two of many pieces: the whole of it would take three times as many
-steps, for a difference that is not seen among a hundred pieces. Few pieces keep nearly all of it."""
+"""Least part of the gap that is left between any two of many pieces: all of it would take three times as many steps,
+for a difference that nobody sees among a hundred pieces. A few pieces keep nearly all of it."""
 
 CLOSED = 0.3
-"""Length of the mean of a blade's unit normals under which it has no direction: of a blade that goes all around it is
-0, of a half circle 0.6."""
+"""Length of the mean of a blade's unit normals below which the blade has no direction. The length is 0 for a blade that
+goes all around, and 0.6 for a half circle."""
 
 MOST_STEPS = 300
-"""Of moving pieces apart. 14 cuts through everything, which make 280 pieces, take 150."""
+"""Most steps of moving pieces apart. 14 cuts through everything, which make 280 pieces, take 150."""
 
 
 @dataclass(frozen=True)
@@ -48,17 +48,17 @@ class Solid:
     """A sample of the object's points, for questions about its extent and about which side of a plane it is on."""
 
     points: NDArray[np.float64]
-    """(N, 3). Spread over surface and interior, those of the surface first."""
+    """(N, 3). Points spread over surface and interior, those of the surface first."""
     centre: NDArray[np.float64]
     """(3,). Centre of the bounding box."""
     radius: float
-    """Of the sphere around the centre that holds all points, world units. Range (0, inf)."""
+    """Radius of the sphere around the centre that holds all points, world units. Range (0, inf)."""
     skin: int = 0
     """How many of the points are on the surface. Range [0, N]."""
 
     @staticmethod
     def of(given: NDArray[np.floating], limit: int = SAMPLE) -> Solid:
-        """From points (N, 3), of which at most `limit` are sampled, the same ones every time."""
+        """From points (N, 3), of which at most `limit` are sampled, always the same ones."""
         points = _sample(given, limit)
         if not len(points):
             return Solid(np.zeros((0, 3)), np.zeros(3), 1.0)
@@ -91,20 +91,20 @@ def _sample(points: NDArray[np.floating], limit: int) -> NDArray[np.float64]:
 
 @dataclass(frozen=True)
 class Cell:
-    """A convex part of a piece, by half-spaces in object space. Straight cuts leave one in each piece."""
+    """A convex part of a piece: an intersection of half-spaces in object space. After straight cuts a piece has one."""
 
     faces: tuple[Plane, ...] = ()
-    """At whose planes the piece ends."""
+    """Planes where the piece ends."""
     walls: tuple[Plane, ...] = ()
-    """At whose planes another cell of the piece, or of its neighbour, goes on."""
+    """Planes where the piece continues in another of its cells, or a neighbour in one of its own."""
 
     @property
     def planes(self) -> tuple[Plane, ...]:
-        """All of them."""
+        """Faces and walls."""
         return self.faces + self.walls
 
     def contains(self, points: NDArray[np.floating]) -> NDArray[np.bool_]:
-        """(N,). Which of the points (N, 3) are in it."""
+        """(N,). Which of the points (N, 3) are in the cell."""
         return np.logical_and.reduce([np.ones(len(points), bool), *(p.distance(points) <= 0 for p in self.planes)])
 
 
@@ -115,9 +115,9 @@ class PlacedPiece:
     key: Key
     name: str
     cells: tuple[Cell, ...]
-    """The parts that it consists of, at least one."""
+    """The convex parts of the piece, at least one."""
     motion: Motion
-    """From object space to world space: the user's motion, the gap and the explosion."""
+    """From object space to world space: the gap and the explosion, then the user's motion."""
     visible: bool
     rows: NDArray[np.intp]
     """(M,). Rows of the solid's points that are in this piece; empty only while nothing is loaded."""
@@ -126,7 +126,7 @@ class PlacedPiece:
     """As in `Placement`."""
 
     def drawn(self, extra: Sequence[Plane] = ()) -> list[Piece]:
-        """The renderers' pieces, one for each cell, cut further by these planes in object space."""
+        """The renderers' pieces, one for each cell, also cut by `extra` planes in object space."""
         return [Piece((*cell.planes, *extra), self.motion.matrix) for cell in self.cells]
 
 
@@ -135,7 +135,7 @@ class Member:
     """A piece of one of the objects, as it is drawn."""
 
     index: int
-    """Of its object in the documents."""
+    """Index of its object in the documents."""
     piece: PlacedPiece
 
 
@@ -145,7 +145,7 @@ class _Fragment:
 
     key: Key
     cells: tuple[tuple[Cell, NDArray[np.intp]], ...]
-    """And the rows of the solid's points in each."""
+    """The cells, each with the rows of the solid's points in it."""
 
     @property
     def rows(self) -> NDArray[np.intp]:
@@ -153,7 +153,7 @@ class _Fragment:
 
 
 def pieces(document: Document, solid: Solid) -> list[PlacedPiece]:
-    """The pieces of the object, without removed ones.
+    """The pieces of the object except removed ones.
 
     A cut divides a piece only if the solid has points on both sides; otherwise the piece stays as it is.
     """
@@ -197,7 +197,7 @@ def _divide(fragment: _Fragment, parts: Sequence[Part], cut_id: int, solid: Soli
     for cell, rows in fragment.cells:
         points = solid.points[rows]
         for part in parts:
-            # A sector goes a little beyond its points, which are a sample: no sliver of the object is lost.
+            # A sector extends a little beyond its points, which are a sample, so that no sliver of the object is lost.
             apart = np.array([wall.distance(points) for wall in part.walls]).reshape(len(part.walls), len(rows))
             near, within = (apart <= solid.spacing).all(axis=0), (apart <= 0).all(axis=0)
             if len(rows) and not near.any():
@@ -222,10 +222,10 @@ def _divide(fragment: _Fragment, parts: Sequence[Part], cut_id: int, solid: Soli
 
 
 def _direction(parts: Sequence[Part]) -> NDArray[np.float64]:
-    """(3,). Unit vector along which the removed side leaves the kept one: the mean normal of the planes.
+    """(3,). Unit vector along which the removed side moves away from the kept one: the mean normal of the planes.
 
-    A blade that goes all around has none; what it encloses leaves along the edges of its planes, towards the side from
-    which they follow one another clockwise.
+    A blade that goes all around has no mean normal; what it encloses moves along the edges of its planes, towards the
+    side from which the planes follow one another clockwise.
     """
     normals = np.array([part.plane.normal for part in parts])
     direction = normals.mean(axis=0)
@@ -235,14 +235,14 @@ def _direction(parts: Sequence[Part]) -> NDArray[np.float64]:
 
 
 def _parted(fragments: Sequence[_Fragment], directions: Mapping[Key, NDArray[np.float64]]) -> NDArray[np.float64]:
-    """(F, 3). How far each piece is moved so that no two are nearer than a gap of 1, for all gaps proportionally.
+    """(F, 3). How far each piece is moved so that no two are closer than a gap of 1; offsets scale with the gap.
 
     Any two pieces were parted by one cut, the first that has them on different sides: they do not overlap if they keep
-    apart along its direction (`directions`, by the key of the piece that it divided). Each begins half a gap away from
-    all of its own cuts, which is right for one cut or for slices side by side. Of oblique cuts the later ones push
-    pieces back over the earlier ones: these are then moved apart by what is missing, on average over those in the way,
-    until all keep apart. Such averaged projections converge, since there are places where all keep apart: pieces moved
-    away from the centre far enough.
+    apart along its direction (`directions`, by the key of the piece that it divided). Each piece begins half a gap away
+    from all of its own cuts, which is right for one cut or for slices side by side. Among oblique cuts, later ones push
+    pieces back over earlier ones: pieces are then moved apart by the distance that is missing, averaged over all pieces
+    in the way, until all keep apart. Such averaged projections converge, since a solution exists: pieces moved far
+    enough away from the centre.
     """
     count = len(fragments)
     sides: dict[Key, tuple[list[int], list[int]]] = {}
@@ -269,12 +269,12 @@ def _parted(fragments: Sequence[_Fragment], directions: Mapping[Key, NDArray[np.
 
 
 def sections(document: Document) -> tuple[Plane, ...]:
-    """The planes of all sections that are on; what is on their removed side is hidden."""
+    """The planes of all sections that are on; what is on their removed sides is hidden."""
     return tuple(cut.plane(cut.parts[0]) for cut in document.cuts if cut.kind == "section" and cut.on)
 
 
 def shown_points(piece: PlacedPiece, solid: Solid, hidden: Sequence[Plane]) -> NDArray[np.float64]:
-    """(M, 3). The points of a piece that are on the kept side of all planes `hidden`, where the piece is placed."""
+    """(M, 3). The points of a piece on the kept side of all planes `hidden`, in world space as the piece is placed."""
     points = solid.points[piece.rows]
     for plane in hidden:
         points = points[plane.distance(points) <= 0]
@@ -282,11 +282,11 @@ def shown_points(piece: PlacedPiece, solid: Solid, hidden: Sequence[Plane]) -> N
 
 
 def visible_pieces(document: Document, solid: Solid) -> list[PlacedPiece]:
-    """The pieces that are drawn."""
+    """The pieces that are not hidden."""
     return [piece for piece in pieces(document, solid) if piece.visible]
 
 
 def placed_pieces(document: Document, solid: Solid, index: int = 0) -> list[Piece]:
-    """The renderer's pieces of what is drawn of an object, without what its sections hide; `index`: of its solid."""
+    """The renderer's pieces of an object's visible pieces, without what sections hide; `index`: that of its solid."""
     hidden = sections(document)
     return [replace(drawn, solid=index) for piece in visible_pieces(document, solid) for drawn in piece.drawn(hidden)]

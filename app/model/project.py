@@ -1,6 +1,6 @@
 """The project file: the documents of a scene's objects and their view, as readable JSON.
 
-Paths are relative to the file's folder. A project that names files outside of that folder is refused until the user
+Paths are relative to the file's folder. A project that names files outside that folder is refused until the user
 allows it: a file from a stranger must not choose what the app reads and writes.
 """
 
@@ -38,16 +38,16 @@ from training.settings import DetailName
 __all__ = ["FORMAT", "SUFFIX", "Outside", "Project", "ViewMode", "Viewing", "Work", "load_project", "save_project"]
 
 FORMAT = 8
-"""Version of the file. Later ones are refused, so it grows with every change of meaning."""
+"""Version of the file format. Files of a later version are refused, so it grows with every change of meaning."""
 
 SINGLE_FORMAT = 2
-"""Latest version with only one object, whose fields are the file's own."""
+"""Last version with a single object, whose fields are at the top level of the file."""
 
 FIRST_FORMAT = 1
-"""Oldest version that is read: it had no parts of the capture left out, and is the same as the next in all else."""
+"""Oldest version that is read: it has no isolation, and is otherwise the same as version 2."""
 
 MOST_OBJECTS = 1000
-"""Of a project that is read: more than a capture shows."""
+"""Most objects in a project that is read: more than a capture shows."""
 
 SUFFIX = ".fruitninja"
 
@@ -55,14 +55,14 @@ LIMIT = 1 << 24
 """Bytes of the largest project that is read; a real one has a few KB."""
 
 SPLAT_SIZES = (0.05, 2.0)
-"""Least and greatest factor of the size of splats: smaller ones are single pixels, larger ones hide one another."""
+"""Least and greatest factor of the splats' size: smaller splats are single pixels, larger ones hide each other."""
 
 ViewMode = str
 VIEW_MODES = ("capture", "solid", "interior")
 
 
 class Outside(InputError):
-    """A project names files outside of its folder."""
+    """Raised if a project names files outside its folder."""
 
     def __init__(self, project: Path, paths: tuple[Path, ...]) -> None:
         self.project = project
@@ -73,16 +73,16 @@ class Outside(InputError):
 
 @dataclass(frozen=True)
 class Viewing:
-    """How the object is viewed. Saved with the project, not part of undo."""
+    """How the object is viewed. It is saved with the project, but not part of undo."""
 
     eye: OrbitCamera = field(default_factory=OrbitCamera)
     mode: ViewMode = "solid"
     background: Vec3 | None = None
-    """RGB of the viewport. Range [0, 1]. None: the theme's own."""
+    """RGB of the viewport's background. Range [0, 1]. None: the theme's own."""
     slices: bool = False
     """Whether three cut faces are shown beside the object."""
     cross: Vec3 | None = None
-    """Where these cross, object space; None: in the middle of the object."""
+    """Where these three cross, object space; None: in the middle of the object."""
     unit: Unit = field(default_factory=Unit)
     """What lengths are given in."""
     timeline: bool = False
@@ -90,15 +90,15 @@ class Viewing:
     film: FilmLook = field(default_factory=FilmLook)
     """How the film is saved."""
     splats: SplatLook = field(default_factory=SplatLook)
-    """Sizes and opacities that splats are looked at with; films have them as they are."""
+    """Factors of the splats' sizes and opacities in the viewport; films show splats as they are."""
 
 
 @dataclass(frozen=True)
 class Work:
-    """What undo covers."""
+    """Everything that undo covers."""
 
     documents: tuple[Document, ...]
-    """Of the scene's objects, at least one; each has another number."""
+    """Documents of the scene's objects, at least one; their numbers differ."""
     film: Timeline = field(default_factory=Timeline)
 
 
@@ -107,13 +107,13 @@ class Project:
     """The content of a project file."""
 
     documents: tuple[Document, ...]
-    """Of its objects, at least one; all of the same scene, each with another number."""
+    """Documents of its objects, at least one; all have the same scene, and their numbers differ."""
     viewing: Viewing
     film: Timeline = field(default_factory=Timeline)
 
     @property
     def work(self) -> Work:
-        """What of it undo covers."""
+        """The part that undo covers."""
         return Work(self.documents, self.film)
 
 
@@ -123,10 +123,10 @@ def save_project(path: Path, project: Project) -> None:
 
 
 def load_project(path: Path, outside: bool = False) -> Project:
-    """Reads a project. `outside`: the user has allowed it to name files outside of its folder.
+    """Reads a project. `outside`: whether the user has allowed it to name files outside its folder.
 
-    Raises Outside if it names such files without being allowed to, and InputError for anything that is not exactly a
-    project of this version.
+    Raises Outside if it names such files without being allowed to, and InputError for anything but a valid project of
+    a version from FIRST_FORMAT to FORMAT.
     """
     raw = read_file(path, LIMIT)
     try:
@@ -237,14 +237,14 @@ def _relative(path: Path | None, folder: Path) -> str | None:
 
 
 class _Reader(Fields):
-    """Turns parsed JSON into a project. Every method raises InputError for what does not belong there."""
+    """Turns parsed JSON into a project. Every method raises InputError for unexpected content."""
 
     def __init__(self, path: Path, allowed: bool) -> None:
         super().__init__(path, "project")
         self.folder = path.parent.resolve()
         self.allowed = allowed
         self.outside: list[Path] = []
-        """Paths outside of the project's folder, in the order in which the file names them."""
+        """Paths outside the project's folder, in the order in which the file names them."""
 
     def project(self, raw: Any) -> Project:
         fields = self.table(raw, "the file")
@@ -390,7 +390,7 @@ class _Reader(Fields):
         return None if value is None else self.inside(value, f"'{key}'")
 
     def inside(self, value: Any, what: str) -> Path:
-        """The path; added to `outside` if it leaves the project's folder by dots, as absolute, or through a link."""
+        """The path; added to `outside` if it leaves the project's folder by dots, by being absolute, or by a link."""
         path = Path(os.path.normpath(self.folder / self.path_text(value, what)))
         if not path.is_relative_to(self.folder):
             self.outside.append(path)  # not looked up: on Windows that may log in to a server

@@ -18,7 +18,7 @@ Vec3 = tuple[float, float, float]
 
 
 def vec3(values: ArrayLike) -> Vec3:
-    """Three plain floats of an array (3,)."""
+    """An array (3,) as three plain floats."""
     x, y, z = np.asarray(values, np.float64).tolist()
     return x, y, z
 
@@ -82,11 +82,11 @@ class Motion:
         return Motion(back.turn, vec3(-(back.rotation @ np.asarray(self.shift))))
 
     def apply(self, points: NDArray[np.floating]) -> NDArray[np.float64]:
-        """(..., 3). Moves points (..., 3)."""
+        """(..., 3). Points (..., 3) moved by this motion."""
         return np.asarray(points, np.float64) @ self.rotation.T + np.asarray(self.shift)
 
     def carried(self, plane: Plane) -> Plane:
-        """Moves a plane."""
+        """The plane moved by this motion."""
         normal = self.rotation @ np.asarray(plane.normal)
         return Plane.of(normal, plane.offset - float(normal @ np.asarray(self.shift)))
 

@@ -18,35 +18,35 @@ from engine.io.files import read_file, write_json
 __all__ = ["Settings", "cache_folder", "load_settings", "save_settings", "settings_folder", "state_folder"]
 
 RECENT = 10
-"""ProjectFiles that the menu lists."""
+"""Files that the menu of recent ones lists."""
 
 
 @dataclass(frozen=True)
 class Settings:
-    """A field that is missing or invalid in the file has its default."""
+    """The settings. A field that is missing or invalid in the file has its default."""
 
     theme: Literal["dark", "light"] = "dark"
     recent: tuple[str, ...] = ()
-    """Absolute paths, the latest first."""
+    """Absolute paths of recent files, the latest first."""
     jobs: tuple[str, ...] = ()
-    """Result folders of training jobs that may still run."""
+    """Result folders of training jobs that may still be running."""
     trusted: tuple[str, ...] = ()
-    """Projects that the user has allowed to read outside of their folders: SHA-256 of the file, a space, and its path.
+    """Projects that the user has allowed to read outside their folders: SHA-256 of the file, a space, and its path.
     Another file at the same path (the next download of the same name) is not trusted."""
     face_light: bool = True
     """Whether cut faces are lit."""
     motion: bool = True
-    """Whether pieces and the camera move to new places, or are there at once."""
+    """Whether pieces and the camera glide to new places or jump there."""
     names: bool = True
-    """Whether names and marks of pieces are written on them."""
+    """Whether names and marks of pieces are drawn on them."""
     statistics: bool = False
-    """Whether the viewport tells how much it shows and how long a frame takes."""
+    """Whether the viewport shows how much it draws and how long a frame takes."""
     wires: bool = False
     """Whether the body is drawn as a net of lines over the object."""
     scale: float = 1.0
-    """Size of the interface, in its usual one. Range [0.75, 2]."""
+    """Scale of the interface; 1 is the usual size. Range [0.75, 2]."""
     window: tuple[int, int] = (1440, 900)
-    """Size at 96 DPI, pixels."""
+    """Size of the window at 96 DPI, pixels."""
     seen_hint: bool = False
     """Whether the user has made a first cut, after which the knife's hint is no longer shown."""
 
@@ -56,11 +56,11 @@ class Settings:
         return replace(self, recent=(name, *(other for other in self.recent if other != name))[:RECENT])
 
     def without_recent(self, name: str) -> Settings:
-        """Without a file among the recent ones, by its path as listed."""
+        """Without a recent file, named by its path as listed."""
         return replace(self, recent=tuple(other for other in self.recent if other != name))
 
     def with_job(self, out: Path) -> Settings:
-        """With a result folder whose job may still run."""
+        """With a result folder whose job may still be running."""
         name = str(out.resolve())
         return replace(self, jobs=(name, *(other for other in self.jobs if other != name)))
 
@@ -69,13 +69,13 @@ class Settings:
         return replace(self, jobs=tuple(name for name in self.jobs if name != str(out.resolve())))
 
     def with_trusted(self, project: Path) -> Settings:
-        """With a project that may read outside of its folder until its content changes."""
+        """With a project that may read outside its folder until its content changes."""
         identity = _identity(project)
         others = (other for other in self.trusted if other.partition(" ")[2] != identity.partition(" ")[2])
         return replace(self, trusted=(identity, *others))
 
     def trusts(self, project: Path) -> bool:
-        """Whether the user has allowed the project, with this content, to read outside of its folder."""
+        """Whether the user has allowed the project, with this content, to read outside its folder."""
         return _identity(project) in self.trusted
 
 
@@ -95,7 +95,7 @@ def state_folder() -> Path:
 
 
 def cache_folder() -> Path:
-    """The platform's folder for what can be made again."""
+    """The platform's folder for files that can be made again."""
     return _folder("XDG_CACHE_HOME", ".cache", "Caches")
 
 
@@ -107,17 +107,17 @@ def _folder(variable: str, fallback: str, mac: str) -> Path:
     if sys.platform == "darwin":
         return Path.home() / "Library" / mac / "FruitNinja"
     given = os.environ.get(variable, "")
-    base = Path(given) if os.path.isabs(given) else Path.home() / fallback  # XDG ignores relative ones
+    base = Path(given) if os.path.isabs(given) else Path.home() / fallback  # XDG says to ignore relative paths
     return base / "fruitninja"
 
 
 FLAGS = ("face_light", "motion", "names", "statistics", "wires", "seen_hint")
 
 SMALLEST, GREATEST = 0.75, 2.0
-"""Sizes of the interface, in its usual one: smaller is not readable, larger leaves no room for the object."""
+"""Least and greatest scale of the interface: smaller is unreadable, larger leaves no room for the object."""
 
 LARGEST = 1 << 20
-"""Bytes of the largest settings that are read; real ones have a few KB."""
+"""Bytes of the largest settings file that is read; a real one has a few KB."""
 
 
 def load_settings(path: Path | None = None) -> Settings:

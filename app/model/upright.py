@@ -1,4 +1,4 @@
-"""Stands the object on a face that the user points at, and turns it freely: both only change which way is up."""
+"""Stands the object on a face that the user points at, or turns it freely: both only change which way is up."""
 
 from __future__ import annotations
 
@@ -13,25 +13,26 @@ __all__ = ["face_normal", "point_under", "turn_between"]
 Vector = NDArray[np.float64]
 
 PATCH = 0.06
-"""Radius of the patch that the first plane is fitted to, in the object's: a fingertip on a melon."""
+"""Radius of the patch that the first plane is fitted to, in radii of the object: a fingertip on a melon."""
 
 FACE = 0.25
-"""Radius within which the points of that plane count as the same face: a longer lever makes the normal more exact."""
+"""Radius, in radii of the object, within which points on that plane belong to the same face: a longer lever makes the
+normal more exact."""
 
 THICKNESS = 0.01
-"""Half the thickness of a face, in the object's radius: skins of captures are as uneven as that."""
+"""Half the thickness of a face, in radii of the object: skins of captures are that uneven."""
 
 FEWEST = 12
-"""Points that a plane is fitted to."""
+"""Fewest points that a plane is fitted to."""
 
 POINTER = 8.0
-"""Pixels around the pointer in which points count as pointed at."""
+"""Radius around the pointer, in pixels, in which points count as pointed at."""
 
 
 def point_under(points: NDArray[np.floating], camera: Camera, at: tuple[float, float]) -> Vector | None:
     """(3,). The foremost of the points (N, 3) under a point of the picture, in pixels; None if there is none.
 
-    One in ten may float before the object.
+    Up to one in ten of the points there may float in front of the object.
     """
     pixels, depth = project_points(camera, points)
     rows = np.flatnonzero((depth > camera.near) & (np.hypot(*(pixels - at).T) < POINTER))
@@ -62,8 +63,8 @@ def face_normal(points: NDArray[np.floating], at: Vector, eye: Vector, radius: f
 
 
 def turn_between(start: Vector, end: Vector) -> NDArray[np.float64]:
-    """(3, 3). The shortest rotation that takes a unit vector (3,) to another; half a turn is about the equator's first
-    vector."""
+    """(3, 3). The shortest rotation that takes one unit vector (3,) to another; half a turn is about the first vector
+    of the equator."""
     axis, cosine = np.cross(start, end), float(start @ end)
     if cosine < -1 + 1e-9:
         across = equator(start)[0]

@@ -1,5 +1,6 @@
 """One window's worth of work, without the window.
 
-`workspace` is the state and its edits; three controllers change it: `scene_controller` loads, `training_controller`
-trains, `project_files` opens, saves and closes. `session` owns all four.
+`workspace` is the state and its edits; controllers act on it, for example `scene_controller`, which loads,
+`training_controller`, which trains, and `project_files`, which opens, saves and closes. `session` is the workspace
+together with its controllers.
 """

@@ -1,7 +1,7 @@
 """The faces in the document's pictures: found in the background, shown to the user, and corrected by them.
 
-One picture at a time is open. What is corrected in it is part of its family, so that undo, saving and training know it
-at once.
+One picture at a time is open. Corrections become part of its family, so that undo, saving and training include them at
+once.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ __all__ = ["FaceController", "Hint", "OpenFace"]
 
 @dataclass(frozen=True)
 class Hint:
-    """What was found in pictures that were just added."""
+    """A message about what was found in pictures that were just added."""
 
     kind: Kind
     path: Path
@@ -40,12 +40,12 @@ class OpenFace:
         self.found: FoundFace | None = None
         """None while the face is being looked for."""
         self.placed: Placed | None = None
-        """The last placement that was made."""
+        """The latest placement."""
         self._stroke: BrushStroke | None = None
 
     @property
     def family(self) -> Family | None:
-        """The family that has the picture: undo may have moved it to another; None if no family has it."""
+        """The family that has the picture, which undo may have moved to another one; None if no family has it."""
         families = self.workspace.document.families
         return next((f for f in families if f.kind == self.kind and self.path in f.exemplars), None) or next(
             (f for f in families if self.path in f.exemplars), None
@@ -53,28 +53,28 @@ class OpenFace:
 
     @property
     def cut(self) -> Kind:
-        """How the picture is read: one of planes that were chosen one by one as the kind that these are like."""
+        """The kind of cut that the picture is read as; for planes chosen one by one, the kind that they resemble."""
         plane = self.placed.plane if self.placed is not None else None
         return plane.kind if self.kind == "custom" and plane is not None else self.kind
 
     @property
     def given(self) -> Marks:
-        """What the user has said of the face."""
+        """The marks that the user has set on the face."""
         family = self.family
         return UNMARKED if family is None else family.marks_of(self.path)
 
     @property
     def known(self) -> Marks:
-        """What is known of the face without placing it: as given, or else as found."""
+        """The marks known without placing the picture: as the user gave them, or else as found."""
         given = self.given
         found, beside = (UNMARKED, UNMARKED) if self.found is None else (self.found.marks, self.found.beside)
-        # The core of a corrected outline is that of the outline, and training finds it there.
+        # For a corrected outline the core is computed from the outline, as training does.
         core = given.core or beside.core or (found.core if given.outline is None else None)
         return Marks(given.outline or found.outline, core, given.line or found.line)
 
     @property
     def marks(self) -> Marks:
-        """Outline and axis as they are used: as known, or else as the last placement found them."""
+        """Outline and axis as they are used: as known, or else as found by the latest placement."""
         known, chosen = self.known, self.placed.marks if self.placed is not None else UNMARKED
         return Marks(known.outline, known.core or chosen.core, known.line or chosen.line)
 
@@ -85,11 +85,11 @@ class OpenFace:
             self.kind = kind
 
     def find_again(self) -> None:
-        """Drops what the user has said: the face as it was found."""
+        """Drops the user's marks, and goes back to the face as it was found."""
         self._set(_("Find face again"), UNMARKED)
 
     def drag_point(self, before: Outline, index: int, to: Place, soft: bool) -> None:
-        """Moves a point of the outline that was `before` when the drag began."""
+        """Moves a point of the outline. `before`: the outline when the drag began."""
         assert self.found is not None
         self._set_outline(_("Outline"), drag_point(before, index, to, self.found.aspect, soft), "face outline")
 
@@ -105,7 +105,7 @@ class OpenFace:
             self._set(_("Core line"), replace(self.given, line=line), "face axis")
 
     def paint(self, to: Place, radius: float, add: bool) -> None:
-        """Goes on with a stroke of the brush, or begins one. `radius` in heights of the picture."""
+        """Continues a stroke of the brush, or begins one. `radius`: in heights of the picture."""
         assert self.found is not None
         if self._stroke is None:
             self._stroke = BrushStroke(self.marks.outline, self.found.size, radius, add)
@@ -115,12 +115,12 @@ class OpenFace:
             self._set_outline(_("Add to face") if add else _("Take from face"), outline, "face brush")
 
     def settle(self) -> None:
-        """Ends a drag or a stroke: the next is another step."""
+        """Ends a drag or a stroke: the next one is a new step of undo."""
         self._stroke = None
         self.workspace.history.settle()
 
     def _set_outline(self, name: str, outline: Outline, merge: str) -> None:
-        """With this outline. A core line that was found stays where it is shown."""
+        """Sets the outline. A core line that was found stays where it is shown."""
         marks = replace(self.given, outline=outline)
         if self.cut == "radial" and marks.line is None:
             marks = replace(marks, line=self.marks.line)
@@ -131,19 +131,19 @@ class OpenFace:
 
 
 class FaceController:
-    """Finds faces, says what was found in new pictures, and opens one picture at a time."""
+    """Finds faces, tells the user what was found in new pictures, and opens one picture at a time."""
 
     def __init__(self, workspace: Workspace) -> None:
         self.workspace = workspace
         self.finder, self.placement = FaceFinder(), PlacementPreview()
         self.open_face: OpenFace | None = None
         self.hint: Hint | None = None
-        """What the user has not yet dismissed or looked at."""
+        """The message that the user has not yet dismissed or followed."""
         self._history: History[Work] | None = None
         self._known: frozenset[Path] = frozenset()
         """Pictures of the documents that the user has been told about, or that came with a project."""
         self._new: list[tuple[Kind, Path]] = []
-        """Added pictures whose faces are still looked for."""
+        """Added pictures whose faces are still being looked for."""
 
     def edit(self, kind: Kind, path: Path) -> None:
         """Opens one of the active object's pictures."""
@@ -155,16 +155,16 @@ class FaceController:
             self.hint = None
 
     def close(self) -> None:
-        """Closes the open picture; what was corrected is kept."""
+        """Closes the open picture; corrections are kept."""
         self.open_face = None
 
     def dismiss_hint(self) -> None:
-        """The user has read it."""
+        """Removes the hint, which the user has read."""
         self.hint = None
 
     @property
     def busy(self) -> bool:
-        """Whether something is being looked for or placed that the user waits for."""
+        """Whether the user is waiting for a face to be found or placed."""
         face = self.open_face
         return bool(self._new) or (face is not None and (face.found is None or self.placement.busy))
 
@@ -208,7 +208,7 @@ class FaceController:
         if not all(faces):
             return
         found = [(*entry, face) for entry, face in zip(self._new, faces, strict=True) if face is not None]
-        # One that the user should look at comes first.
+        # The picture that the user should check most urgently comes first.
         kind, path, face = max(found, key=lambda entry: _doubt(entry[0], entry[2]))
         guess = "" if face.guess is None else _("it {guess}").format(guess=describe_guess(face.guess))
         text = face.verdict if face.problem else guess
@@ -225,8 +225,7 @@ class FaceController:
 
 
 def _doubt(kind: Kind, face: FoundFace) -> int:
-    """3 for a face that is missing, 2 for one that may be something else, 1 for one that seems to belong to another
-    family than it does, else 0."""
+    """3 for a missing face, 2 for one that may be something else, 1 for one that seems to belong elsewhere, else 0."""
     if face.guess is None:
         return 3
     return 2 if face.note else int(face.guess.kind != kind and kind != "custom")

@@ -1,7 +1,7 @@
 """The film of a session: its moments, where the playhead is, and what the viewport shows of it.
 
-While the film is shown the documents are drawn as it has them (`Workspace.previewed`), and are not changed; the camera
-is the window's own, so that the user can look around from any moment and keep what is seen as another one.
+While the film is shown, the documents are drawn as in the film (`Workspace.previewed`), but not changed; the camera is
+the window's own, so that the user can look around from any moment and keep the new view as another one.
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ from engine.scene.plane import Plane
 __all__ = ["FilmController"]
 
 STEP = 2.0
-"""Seconds between a moment and the next that is added after it: slow enough for the eye to follow any change."""
+"""Seconds between the last moment and one added after it: slow enough for the eye to follow any change."""
 
 SECONDS = 6.0
-"""Of a film that is made at a click, as on the command line."""
+"""Length of a film that is made at a click, the same as on the command line."""
 
 MADE = {"turntable": _("Turntable"), "sweep": _("Plane sweep"), "explode": _("Explosion")}
 """Names of the steps that make a film."""
@@ -49,18 +49,18 @@ class FilmController:
     def __init__(self, workspace: Workspace, clock: Callable[[], float] = time.monotonic) -> None:
         self.workspace, self.clock = workspace, clock
         self.time = 0.0
-        """Of the playhead, seconds."""
+        """Position of the playhead, seconds."""
         self.playing = False
         self.selected: int | None = None
         """Index of the moment that is selected."""
         self.job: FilmJob | None = None
         """The film that is being saved, in the background."""
         self._history = workspace.history
-        """Whose film it is: another one is of another project."""
+        """The history that the film is from: another history means another project."""
         self._last = 0.0
         """When the film was last advanced."""
         self._for: tuple[object, ...] = ()
-        """What the motion below was made for."""
+        """What `_played` was made for: the film, the documents, and the ids of their solids."""
         self._documents: object = None
         """The documents as the film shows them."""
         self._played: Played | None = None
@@ -68,12 +68,12 @@ class FilmController:
 
     @property
     def available(self) -> bool:
-        """Whether there is a solid to be filmed."""
+        """Whether there is a solid to film."""
         return self.workspace.atoms is not None
 
     @property
     def ready(self) -> bool:
-        """Whether there is a film: two moments at least."""
+        """Whether there is a film: a solid and at least two moments."""
         return self.available and len(self.workspace.timeline.moments) > 1
 
     @property
@@ -87,7 +87,7 @@ class FilmController:
         return self.job is not None
 
     def save(self, out: Path, ground: Vec3 | None) -> None:
-        """Saves the film in the background; `ground`: RGB behind the object, range [0, 1], None for transparent."""
+        """Saves the film in the background. `ground`: RGB behind the object, range [0, 1]; None: transparent."""
         workspace, look = self.workspace, self.workspace.viewing.film
         wrong = too_large(out, look, workspace.timeline.seconds)
         if wrong:
@@ -124,7 +124,7 @@ class FilmController:
     # Edits
 
     def add(self) -> None:
-        """Keeps what is shown as a moment: at the playhead or, where one is already, some seconds after the last."""
+        """Keeps what is shown as a moment: at the playhead or, if one is there already, some seconds after the last."""
         film = self.workspace.timeline
         if not film.moments:
             self.time = 0.0
@@ -141,7 +141,7 @@ class FilmController:
         )
 
     def update(self) -> None:
-        """Replaces the selected moment by what is shown."""
+        """Replaces the selected moment with what is shown."""
         film, index = self.workspace.timeline, self._chosen()
         if index is not None:
             self._change(_("Change keyframe"), film.with_moment(self._now(film.moments[index].time)))
@@ -154,17 +154,17 @@ class FilmController:
             self.selected = None
 
     def clear(self) -> None:
-        """Removes all of them."""
+        """Removes all moments."""
         self.leave()
         self._change(_("Remove the film"), Timeline())
         self.time, self.selected = 0.0, None
 
     def move(self, index: int, to: float) -> None:
-        """Moves a moment to another time; one drag is one step."""
+        """Moves a moment to another time; one drag is one step of undo."""
         self._change(_("Move keyframe"), self.workspace.timeline.moved(index, to), merge=f"keyframe {index}")
 
     def preset(self, name: str) -> None:
-        """Makes a film in place of this one, from what is shown: 'turntable', 'sweep' or 'explode'."""
+        """Replaces the film with one made from what is shown: 'turntable', 'sweep' or 'explode'."""
         workspace, now = self.workspace, self._now(0.0)
         if name == "turntable":
             made = turning(now, SECONDS)
@@ -179,7 +179,8 @@ class FilmController:
         self.play()
 
     def _swept(self) -> tuple[int, Plane]:
-        """The plane that a sweep moves: of the active cut, of the last, or a level one; its open side faces the eye."""
+        """The cut id and plane that a sweep moves: those of the active cut or of the last one, or a new level plane.
+        The removed side faces the eye."""
         workspace = self.workspace
         cuts = [cut for cut in workspace.document.cuts if not cut.curved]
         chosen = next((cut for cut in cuts if cut.id == workspace.active_cut), cuts[-1] if cuts else None)
@@ -190,11 +191,11 @@ class FilmController:
         return chosen.id if chosen is not None and is_section else workspace.document.next_id, plane
 
     def _now(self, at: float) -> Moment:
-        """What the viewport shows."""
+        """What the viewport shows, as a moment."""
         return moment(at, self.workspace.viewing.eye, self.workspace.drawn_documents)
 
     def _chosen(self) -> int | None:
-        """The selected moment, if it is still there."""
+        """Index of the selected moment, if it still exists."""
         selected = self.selected
         return selected if selected is not None and selected < len(self.workspace.timeline.moments) else None
 
@@ -215,7 +216,7 @@ class FilmController:
         workspace.previewed, self._documents = (workspace.documents, documents), documents
 
     def step(self, way: int) -> None:
-        """Shows the next moment, or for -1 the one before."""
+        """Shows the next moment, or the previous one if `way` is -1."""
         times = [one.time for one in self.workspace.timeline.moments]
         later = [t for t in times if (t - self.time) * way > APART / 2]
         if later:
@@ -242,7 +243,7 @@ class FilmController:
             self.play()
 
     def leave(self) -> None:
-        """Shows the object as it is again, from where it is seen."""
+        """Shows the object as it is again; the camera stays."""
         self.playing = False
         shown = self.workspace.previewed
         if shown is not None and shown[1] is self._documents:
@@ -250,7 +251,7 @@ class FilmController:
         self._documents = None
 
     def tick(self) -> None:
-        """Goes on playing, and leaves the film where the object has changed. Called once a frame."""
+        """Continues playing, and leaves the film if the object has changed. Called once a frame."""
         workspace = self.workspace
         self._follow_job()
         if workspace.history is not self._history:
@@ -265,11 +266,11 @@ class FilmController:
             if to >= end and not self._closed:
                 self.playing, to = False, end
             self.seek(to % end if to > end else to)
-        elif self.shown and self._for[0] is not workspace.timeline:  # of its moments one has changed
+        elif self.shown and self._for[0] is not workspace.timeline:  # one of its moments has changed
             self.seek(self.time)
 
     def _motion(self) -> Played | None:
-        """The motion of the film; None without one."""
+        """The motion of the film; None if there is none."""
         workspace = self.workspace
         if not self.available or not workspace.timeline.moments:
             return None

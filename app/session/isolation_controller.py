@@ -1,6 +1,6 @@
-"""Isolating the object in a session: marks parts of the capture, keeps or removes them, proposes what could go.
+"""Isolates the object in a session: marks parts of the capture, keeps or removes them, and proposes what to remove.
 
-What is marked may take a second to find in a large capture, so that a thread of its own finds it.
+Finding the marked Gaussians may take a second in a large capture, so it happens in a thread of its own.
 """
 
 from __future__ import annotations
@@ -39,24 +39,24 @@ from engine.solid.denoise_capture import haze_and_fragments
 __all__ = ["How", "IsolationController", "Proposal"]
 
 How = Literal["replace", "add", "subtract"]
-"""What a new shape does with what is marked already."""
+"""What a new shape does to the present selection."""
 
 REMOVED = _("Left out, not lost: undo brings it back. The rest is being made solid.")
 
 
 @dataclass(frozen=True)
 class Proposal:
-    """Something that is probably no part of the object."""
+    """A part of the capture that probably does not belong to the object."""
 
     name: str
     hint: str
     selection: Selection
     count: int
-    """Gaussians that it removes. At least 1."""
+    """Number of Gaussians that it removes. At least 1."""
 
 
 class IsolationController:
-    """Edits what of the capture is the object, and keeps the view of the capture up to date."""
+    """Edits which part of the capture is the object, and keeps the view of the capture up to date."""
 
     def __init__(self, workspace: Workspace) -> None:
         self.workspace = workspace
@@ -65,7 +65,7 @@ class IsolationController:
         self.how: How = "replace"
         """What the next shape does, unless a key says otherwise."""
         self.tint: Vec3 = (1.0, 0.42, 0.29)
-        """RGB of what is marked; the window sets it to the theme's accent. Range [0, 1]."""
+        """RGB that tints what is marked; the window sets it to the theme's accent. Range [0, 1]."""
         self._thread = ThreadPoolExecutor(1, "isolate")
         self._view: Future[CaptureView] | None = None
         self._proposals: Future[tuple[Proposal, ...]] | None = None
@@ -73,13 +73,13 @@ class IsolationController:
         self._bodies: Future[tuple[Selection, ...]] | None = None
         self._bodies_of: tuple[Document, Gaussians] | None = None
         self._told_apart: set[Isolation] = set()
-        """What was looked at for separate bodies: an undone split is not made again."""
+        """Isolations that were already searched for separate bodies, so that an undone split is not made again."""
         self._asked = False
-        """Whether the user waits for the answer."""
+        """Whether the user has asked for separate bodies and waits for the answer."""
 
     @property
     def available(self) -> bool:
-        """Whether there is a capture that can be taken apart: an object that was opened with its inside has none."""
+        """Whether there is a capture to isolate parts of: an object that was opened with its inside has none."""
         shown = self.workspace.object
         if shown is None or shown.capture is None:
             return False
@@ -87,7 +87,7 @@ class IsolationController:
 
     @property
     def pending(self) -> bool:
-        """Whether the thread is at work."""
+        """Whether the thread is working."""
         return any(future is not None and not future.done() for future in (self._view, self._proposals, self._bodies))
 
     @property
@@ -102,13 +102,13 @@ class IsolationController:
 
     @property
     def _beside(self) -> tuple[Isolation, ...]:
-        """What the other objects that are shown leave out."""
+        """The isolations of the other visible objects."""
         workspace = self.workspace
         return tuple(d.isolation for d in workspace.documents if d is not workspace.document and d.visible)
 
     @property
     def proposals(self) -> tuple[Proposal, ...] | None:
-        """What could be removed from what is left, found at the first call for it; None until it is found."""
+        """What could be removed next, which the first call starts to look for; None until it is found."""
         view, workspace = self.workspace.capture_view, self.workspace
         if view is None or view.isolation != workspace.document.isolation:
             return None
@@ -123,7 +123,7 @@ class IsolationController:
 
     @property
     def last_box(self) -> Box | None:
-        """The box that was marked last, while the tool is in use; None if the last step was another one."""
+        """The box that was marked last, while the isolate tool is in use; None if the last step was not a box."""
         workspace = self.workspace
         steps = workspace.document.marked
         if workspace.tool != "isolate" or workspace.mode != "capture" or not steps:
@@ -132,13 +132,13 @@ class IsolationController:
         return shape if isinstance(shape, Box) else None
 
     def reshape(self, box: Box) -> None:
-        """Puts another box in the place of the one that was marked last."""
+        """Replaces the box that was marked last."""
         steps = self.workspace.document.marked
         changed = (*steps[:-1], replace(steps[-1], shape=box))
         self.workspace.change(_("Change the box"), replace(self.workspace.document, marked=changed), merge="box")
 
     def mark(self, camera: Camera, path: Sequence[Point], how: How) -> None:
-        """Marks what a drag along `path`, pixels of the camera's picture, describes."""
+        """Marks the shape that a drag along `path`, in pixels of the camera's picture, describes."""
         view = self.workspace.capture_view
         if view is None:
             return
@@ -163,11 +163,11 @@ class IsolationController:
         self._mark(_("Select {name}").format(name=proposal.name.lower()), proposal.selection)
 
     def invert(self) -> None:
-        """Marks everything that is not marked, and nothing else."""
+        """Marks exactly what is not marked."""
         self._mark(_("Invert selection"), (*self.workspace.document.marked, INVERT))
 
     def grow(self) -> None:
-        """Marks what touches the marked parts."""
+        """Also marks what touches the marked parts."""
         if self.workspace.document.marked:
             self._mark(_("Grow selection"), (*self.workspace.document.marked, Step("grow")))
 
@@ -192,7 +192,7 @@ class IsolationController:
         self._isolate(_("Remove"), self.workspace.document.marked)
 
     def remove_proposal(self, proposal: Proposal) -> None:
-        """Removes what was proposed, whatever is marked."""
+        """Removes what was proposed, regardless of what is marked."""
         document = self.workspace.document
         changed = replace(document, isolation=(*document.isolation, proposal.selection), marked=())
         self.workspace.change(_("Remove {name}").format(name=proposal.name.lower()), changed)
@@ -211,7 +211,7 @@ class IsolationController:
             workspace.notify(REMOVED)
 
     def _can_isolate(self, document: Document) -> bool:
-        """Whether some of what is left is marked, but not all of it; says why if not."""
+        """Whether some, but not all, of what is left is marked; tells the user why if not."""
         workspace, view = self.workspace, self.view
         if view is None:
             workspace.notify(_("One moment: what is selected is still being found."))
@@ -228,7 +228,7 @@ class IsolationController:
     # Several objects
 
     def find_objects(self) -> None:
-        """Makes separate bodies of the active object objects of their own."""
+        """Makes each separate body of the active object an object of its own."""
         self._asked = True
 
     def split_marked(self) -> None:
@@ -238,7 +238,7 @@ class IsolationController:
             self._split(_("Split off"), document, (document.marked, (*document.marked, INVERT)))
 
     def _split(self, name: str, document: Document, removed: tuple[Selection, ...]) -> None:
-        """Puts objects in the place of one: each without one of the selections, with the settings of that one."""
+        """Replaces an object by several with its settings, each without one of the selections `removed`."""
         workspace = self.workspace
         others = [one for one in workspace.documents if one is not document]
         used = {one.number for one in others}
@@ -256,8 +256,8 @@ class IsolationController:
         workspace.change_all(name, (*workspace.documents[:index], *new, *workspace.documents[index + 1 :]))
 
     def _tell_bodies_apart(self, document: Document) -> None:
-        """Has separate bodies of what is left looked for, and makes them objects; only once for the same parts, and not
-        of a project that was opened as it was saved."""
+        """Starts the search for separate bodies in what is left, and makes them objects; only once for each isolation,
+        and not for a project that was just opened."""
         workspace, view = self.workspace, self.view
         if self._bodies is not None:
             if self._bodies.done():
@@ -275,7 +275,7 @@ class IsolationController:
             self._bodies = self._thread.submit(split_bodies, view.left)
 
     def _make_objects(self, selections: tuple[Selection, ...]) -> None:
-        """Makes the bodies that were found objects, if they are still those of an object."""
+        """Makes objects of the bodies that were found, if the object that they were found in is still the same."""
         workspace = self.workspace
         assert self._bodies_of is not None
         asked, capture = self._bodies_of
@@ -288,7 +288,7 @@ class IsolationController:
             return
         untouched = not workspace.history.changed
         self._split(f"{len(selections)} objects", same[0], selections)
-        if untouched and len(workspace.history.entries) == 2:  # as opened: nothing of the user's would be lost
+        if untouched and len(workspace.history.entries) == 2:  # just opened: no work of the user would be lost
             workspace.history.saved = workspace.history.state
         workspace.notify(
             _("There are {count} separate objects. Select one in the list to cut it alone.").format(
@@ -299,7 +299,7 @@ class IsolationController:
     # Following the document
 
     def tick(self) -> None:
-        """Takes over a view that was found, and has the next one found. Called once a frame."""
+        """Takes over a view that was found, and starts to find the next one. Called once a frame."""
         workspace, shown = self.workspace, self.workspace.object
         if self._view is not None:
             if not self._view.done():
@@ -318,7 +318,7 @@ class IsolationController:
 
 
 def find_proposals(capture: Gaussians) -> tuple[Proposal, ...]:
-    """What of a capture is probably no part of the object: what is around it, its floor, small pieces, haze."""
+    """The parts of a capture that probably do not belong to the object: surroundings, floor, small pieces, haze."""
     result = []
     around = removed(capture, (NO_SURROUNDINGS,))
     if around.any():

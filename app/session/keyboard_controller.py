@@ -1,5 +1,5 @@
-"""What is done in the viewport without a pointer: a plane is placed, moved, tilted and cut along, pieces are moved and
-turned, and the view is."""
+"""Work in the viewport without a pointer: places, moves and tilts a plane and cuts along it; moves and turns pieces and
+the view."""
 
 from __future__ import annotations
 
@@ -19,28 +19,29 @@ from engine.scene.plane import Plane
 __all__ = ["KeyboardController"]
 
 STEP, ANGLE = 0.04, 5.0
-"""Radii of the object, and degrees, that one press moves something by."""
+"""How far one key press moves something, in radii of the object, and turns it, in degrees."""
 
 FINE = 0.1
-"""Part of it that one moves while Ctrl is held."""
+"""Part of these steps that a press makes while Ctrl is held."""
 
 ORBIT = 20.0
-"""Units of the window that a pointer would be dragged to look around as far as one press does."""
+"""How far one press looks around: as far as a drag of this many of the window's units."""
 
 PLACED = _("Arrows move and tilt the plane, with Shift they turn it, with Ctrl finely. Enter: cut, Esc: take it away.")
 
 
 class KeyboardController:
-    """Acts on what the tool is for."""
+    """Moves the plane, the pieces or the view with keys, depending on the tool."""
 
     def __init__(self, workspace: Workspace) -> None:
         self.workspace = workspace
         self._hinge: tuple[int, NDArray[np.float64]] | None = None
-        """Id of a cut, and the level axis that its plane tilts about: kept while it tilts over the level."""
+        """Id of a cut, and the level axis that its plane tilts about, which is kept while the plane passes through the
+        horizontal."""
 
     @property
     def section(self) -> Cut | None:
-        """The plane that keys act on: the active one, while the tool is for cutting."""
+        """The cut whose plane keys act on: the active section, while a cutting tool is chosen."""
         workspace = self.workspace
         if workspace.active_cut is None or workspace.tool not in ("knife", "plane") or workspace.mode == "capture":
             return None
@@ -48,7 +49,7 @@ class KeyboardController:
         return cut if cut.kind == "section" and cut.on and len(cut.parts) == 1 else None
 
     def enter(self, camera: Camera) -> None:
-        """Places an upright plane through the middle of the object, seen edge-on; or cuts along the one there is."""
+        """Places an upright plane through the middle of the object, seen edge-on; or cuts along the present plane."""
         workspace, cut = self.workspace, self.section
         if workspace.tool not in ("knife", "plane"):
             return
@@ -68,14 +69,14 @@ class KeyboardController:
             )
 
     def escape(self) -> None:
-        """Takes the plane away that is not cut yet."""
+        """Removes the plane that has not been cut along yet."""
         cut = self.section
         if cut is not None:
             self.workspace.remove_cut(cut.id)
             self.workspace.notify(_("Not cut."))
 
     def arrow(self, camera: Camera, x: int, y: int, shift: bool = False, fine: bool = False) -> None:
-        """An arrow to the right (x = 1), left (-1), up (y = 1) or down (-1)."""
+        """Handles an arrow key: right (x = 1), left (-1), up (y = 1) or down (-1)."""
         workspace, part = self.workspace, FINE if fine else 1.0
         cut = self.section
         if cut is not None:
@@ -91,7 +92,8 @@ class KeyboardController:
             workspace.viewing = replace(workspace.viewing, eye=eye)
 
     def _move_plane(self, camera: Camera, cut: Cut, x: float, y: float, shift: bool) -> None:
-        """Along its normal, to the right or up as it is seen; tilted about a level axis in it; turned with Shift."""
+        """Moves the plane along its normal, to the right or up as seen (x), tilts it about a level axis in it (y), or
+        turns it about the up axis (x with Shift)."""
         workspace = self.workspace
         plane, up = cut.plane(cut.parts[0]), np.asarray(workspace.up)
         normal, centre = np.asarray(plane.normal), workspace.solid.centre
@@ -113,7 +115,8 @@ class KeyboardController:
         workspace.change_cut(_("Move plane"), cut.id, lambda c: c.with_plane(moved), merge=f"keys {cut.id}")
 
     def _move_pieces(self, camera: Camera, x: float, y: float, shift: bool) -> None:
-        """In the plane of the picture, or with Shift nearer and farther; turned about its axes with the other tool."""
+        """Moves the pieces in the plane of the picture, or with Shift nearer and farther. With the turn tool, turns
+        them about the picture's axes."""
         workspace, (right, down, forward) = self.workspace, camera.viewmat[:3, :3]
         chosen = [piece for piece in workspace.pieces if piece.key in workspace.selection]
         if workspace.tool == "move":

@@ -1,4 +1,4 @@
-"""What a session tells the user and asks, and the user's settings."""
+"""What a session tells and asks the user, and the user's settings."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ __all__ = ["Messages"]
 
 @dataclass
 class Messages:
-    """The status line, an error, a question; settings are saved as they change."""
+    """The status line, an error, a question, and settings, which are saved as they change."""
 
     settings: Settings = field(default_factory=load_settings)
     message: str = ""

@@ -1,4 +1,4 @@
-"""Opening, saving and closing in a session; unsaved work is never lost without asking."""
+"""Opens, saves and closes in a session; unsaved work is never dropped without asking."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ from engine.io.picture_file import PICTURE_SUFFIXES
 __all__ = ["ProjectFiles"]
 
 PATHS_LISTED = 6
-"""Files outside of a project's folder that the question names; more would not fit the window."""
+"""Most files outside a project's folder that the question names; more would not fit the window."""
 
 
 @dataclass(frozen=True)
 class _Opened:
-    """What is open while something else is being read in its place."""
+    """What was open, kept while something else is being read in its place."""
 
     history: History[Work]
     viewing: Viewing
@@ -40,7 +40,7 @@ class _Opened:
 
 
 class ProjectFiles:
-    """The document's way from and to files."""
+    """Opens the session's documents from files, and saves them."""
 
     def __init__(
         self, workspace: Workspace, scene: SceneController, training: TrainingController, film: FilmController
@@ -49,7 +49,7 @@ class ProjectFiles:
         self.choose_path: Callable[[Callable[[Path], None]], None] | None = None
         """Opens the window's dialog for a new project's path, and calls its argument with the path chosen."""
         self._before: _Opened | None = None
-        """What comes back if the scene that is being read cannot be."""
+        """What comes back if the scene that is being read turns out to be unreadable."""
 
     def open(self, path: Path) -> None:
         """Opens a scene or a project, after asking about unsaved changes, or adds a picture to a family."""
@@ -63,7 +63,7 @@ class ProjectFiles:
         self.after_saving(lambda: act(path))
 
     def open_document(self, document: Document, viewing: Viewing, opened: bool = False) -> None:
-        """As `open_documents`, with one object that no project has."""
+        """The same as `open_documents` for a single object without a project."""
         self.open_documents((document,), viewing, None, opened=opened)
 
     def open_documents(
@@ -74,8 +74,8 @@ class ProjectFiles:
         film: Timeline | None = None,
         opened: bool = False,
     ) -> None:
-        """Replaces the session's documents and film, finds their training jobs and loads their scene. `path`: its
-        project file. `opened`: as for `SceneController.load`."""
+        """Replaces the session's documents and film, finds their training jobs and loads their scene. `path`: their
+        project file. `opened`: as in `SceneController.load`."""
         workspace = self.workspace
         if workspace.object is not None:
             self._before = _Opened(
@@ -97,7 +97,7 @@ class ProjectFiles:
             self.scene.load(result, opened=opened and result is None)
 
     def close_scene(self) -> None:
-        """Closes what is open, after asking about unsaved changes; nothing is open then."""
+        """Closes what is open, after asking about unsaved changes."""
         self.after_saving(self._open_nothing)
 
     def _open_nothing(self) -> None:
@@ -108,7 +108,7 @@ class ProjectFiles:
         self._before = None
 
     def tick(self) -> None:
-        """Goes back to what was open if the scene in its place could not be read. Called once a frame."""
+        """Goes back to what was open before if the new scene could not be read. Called once a frame."""
         workspace, before = self.workspace, self._before
         if before is None or workspace.loader is not None:
             return
@@ -128,7 +128,7 @@ class ProjectFiles:
         workspace.show_error(error)
 
     def after_saving(self, act: Callable[[], None]) -> None:
-        """Calls `act`: at once, or once the user has decided what becomes of unsaved changes."""
+        """Calls `act` at once, or once the user has decided what happens to unsaved changes."""
         if not self.workspace.history.changed:
             act()
             return
@@ -181,14 +181,14 @@ class ProjectFiles:
             self.workspace.show_error(error)
             return
         self.open_documents(project.documents, project.viewing, find_unsaved_work.project, project.film)
-        self._before = None  # it stays, whether its scene can be read or not
+        self._before = None  # recovered work stays open even if its scene cannot be read
         self.workspace.history.saved = None  # still unsaved
         self.workspace.notify(_("Your unsaved work is back. Save it to keep it."))
         find_unsaved_work.discard()
 
     @property
     def recent_name(self) -> str | None:
-        """What is open, as the recent files list it; None for what is not among them, such as a sample."""
+        """The name of what is open in the list of recent files; None if it is not listed, such as a sample."""
         path = self.workspace.path or self.workspace.document.scene
         name = None if path is None else str(path.resolve())
         return name if name in self.workspace.settings.recent else None
@@ -211,7 +211,7 @@ class ProjectFiles:
         path = path if path.suffix == SUFFIX else path.with_name(path.name + SUFFIX)
         try:
             save_project(path, self.workspace.project)
-            # A project that the user saved here is opened again without a question.
+            # A project that the user saved here is opened again without asking.
             settings = self.workspace.settings.with_recent(path).with_trusted(path)
         except InputError as error:
             self.workspace.show_error(error)

@@ -20,7 +20,7 @@ class Choice:
 
 @dataclass(frozen=True)
 class Question:
-    """A decision that the user has to make first. Esc takes the last choice."""
+    """A decision that the user has to make before going on. Esc takes the last choice."""
 
     title: str
     text: str

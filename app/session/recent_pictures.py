@@ -1,6 +1,6 @@
-"""Small pictures of the files that were open lately, kept in the user's cache folder for the empty window.
+"""Small pictures of recent files, kept in the user's cache folder and shown in the empty window.
 
-A picture is found by a hash of its file's path, so that the folder's listing does not tell what was open.
+A picture is named by a hash of its file's path, so that the folder's listing does not reveal what was open.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ SIZE = (400, 250)
 
 
 def picture_of(name: str) -> Path:
-    """Where the picture of a file is, by its path as `Settings.recent` has it; there may be none yet."""
+    """Path of the picture of a file, which may not exist yet. `name`: the file as in `Settings.recent`."""
     return _folder() / f"{hashlib.sha256(name.encode('utf-8', 'surrogateescape')).hexdigest()}.png"
 
 

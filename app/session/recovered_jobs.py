@@ -12,7 +12,7 @@ __all__ = ["describe_job", "dismiss_job", "recovered_jobs"]
 
 
 def recovered_jobs(session: Session) -> list[Job]:
-    """The jobs in the settings, as far as their scene still exists and is not the one that this session trains."""
+    """The jobs in the settings whose scene still exists, except those that this session follows already."""
     jobs = []
     for name in session.settings.jobs:
         job = Job.find(Path(name))
@@ -39,6 +39,6 @@ def describe_job(job: Job) -> str:
 
 
 def dismiss_job(session: Session, job: Job) -> None:
-    """Does not mention the job again, unless it is still running."""
+    """Forgets the job, so that it is not mentioned again, unless it is still running."""
     if job.ended:
         session.change_settings(session.settings.without_job(job.out))

@@ -1,5 +1,5 @@
-"""The scene of a session: reads it, makes its objects solid in the background, one after the other, and puts them into
-the workspace step by step."""
+"""Reads the scene of a session, makes its objects solid in the background, one after the other, and puts them into the
+workspace step by step."""
 
 from __future__ import annotations
 
@@ -21,29 +21,30 @@ __all__ = ["SceneController"]
 
 
 class SceneController:
-    """Loads one object at a time; a new load takes the place of the last."""
+    """Loads one object at a time; a new load replaces the one before."""
 
     def __init__(self, workspace: Workspace) -> None:
         self.workspace = workspace
         self.strokes: list[tuple[Camera, Stroke]] = []
-        """Of the knife, through an object that is not solid yet: they are done when it is."""
+        """Knife strokes through an object that is not solid yet: they cut once it is."""
         self._isolations: dict[int, Isolation] = {}
-        """What was left out when each object was last loaded, by its number."""
+        """The isolation with which each object was last loaded, by its number."""
         self._loading = 0
         """Number of the object that the loader loads."""
         self._interrupted: set[int] = set()
-        """Numbers of the objects whose load another one has ended: their turn comes again."""
+        """Numbers of the objects whose load was ended by another one: they are loaded again later."""
 
     def forget(self) -> None:
-        """Another scene follows: nothing of it has been loaded."""
+        """Forgets the scene, since another one follows."""
         self.strokes.clear()
         self._isolations.clear()
         self._interrupted.clear()
 
     @property
     def outdated(self) -> Document | None:
-        """An object of whose capture other parts are left out than in the solid that is shown or being made, or that
-        was never loaded; the active one first, and none while one that is up to date is being made."""
+        """An object that was never loaded, or whose isolation differs from that of the solid that is shown or being
+        made; the active one first. None if there is none, or while an object of several that is up to date is being
+        made."""
         workspace = self.workspace
         documents = sorted(workspace.documents, key=lambda document: document is not workspace.document)
         made = {number: loaded.request.isolation for number, loaded in workspace.loaded.items()} | self._isolations
@@ -58,8 +59,8 @@ class SceneController:
         return stale[0] if stale and not (waiting and len(documents) > 1) else None
 
     def load(self, result: Path | None = None, document: Document | None = None, opened: bool = False) -> None:
-        """Starts loading an object, the active one by default; with a `result`, shows that finished training in its
-        place. `opened`: its surroundings, if it has any, are left out."""
+        """Starts loading an object, by default the active one. `result`: a finished training result to show in its
+        place. `opened`: whether to leave out its surroundings, if there are any."""
         workspace = self.workspace
         document = document or workspace.document
         if workspace.loader is not None:
@@ -70,7 +71,7 @@ class SceneController:
         assert scene is not None
         shown = workspace.loaded.get(document.number)
         if shown is not None and isolation != shown.request.isolation:
-            # The solid is of something else now; the capture is shown until there is another one.
+            # The solid no longer matches the isolation; the capture is shown until there is a new one.
             workspace.loaded[document.number] = replace(shown, atoms=None, trained=False)
         self._isolations[document.number], self._loading = isolation, document.number
         try:
@@ -82,7 +83,7 @@ class SceneController:
             workspace.show_error(error)
 
     def cancel(self) -> None:
-        """Stops loading; what is loaded stays."""
+        """Stops loading; what was loaded stays."""
         if self.workspace.loader is not None:
             self.workspace.loader.cancel()
             self.workspace.loader = None
@@ -108,7 +109,7 @@ class SceneController:
         before = workspace.loaded.get(self._loading)
         first = all(one.solid is None for one in workspace.loaded.values())
         new = loader.scene
-        # The same scene again, or another object of it: one copy of the capture is shown until there is more.
+        # If the same scene is loaded again, or another object of it, they share one copy of the capture.
         same = (one for one in workspace.loaded.values() if one.request.scene == new.request.scene)
         captures = [one.capture for one in same if one.request.seed == new.request.seed and one.capture is not None]
         if captures and new.capture is not None:
@@ -130,12 +131,12 @@ class SceneController:
             workspace.notify(_("{name} is solid now. Press K and drag across it to cut it.").format(name=name))
 
     def _leave_out(self, isolation: Isolation) -> None:
-        """Takes over that surroundings were found in a scene that has just been opened."""
+        """Adopts the isolation of a scene that was just opened, whose surroundings were found and left out."""
         workspace = self.workspace
         document, changed = replace(workspace.document, isolation=isolation), workspace.history.changed
-        if find_result(document) is None:  # else it is loaded in place of this solid
+        if find_result(document) is None:  # otherwise the result is loaded in place of this solid
             self._isolations[self._loading] = isolation
         workspace.change(_("Leave out the surroundings"), document)
-        if not changed:  # nobody has done anything that should be saved
+        if not changed:  # the user has done nothing that should be saved
             workspace.history.saved = workspace.history.state
         workspace.notify(_("What is around the object is left out. Undo brings it back."))

@@ -25,13 +25,13 @@ from engine.scene.camera import Camera
 __all__ = ["Session"]
 
 AUTOSAVE_RETRY = 60.0
-"""Seconds until the next autosave after one that failed: a full disk may have space again later."""
+"""Seconds until the next autosave after a failed one: a full disk may have space again later."""
 
 
 @dataclass
 class Session(Workspace):
-    """The workspace with its controllers: `scene` loads, `isolation` says what of it is the object, `training` trains,
-    `faces` finds the faces in pictures, `film` keeps and plays moments, `throw` is a game, `keyboard` acts
+    """The workspace with its controllers: `scene` loads, `isolation` edits which part of it is the object, `training`
+    trains, `faces` finds the faces in pictures, `film` keeps and plays moments, `throw` is a game, `keyboard` acts
     without a pointer, `files` opens, saves and closes."""
 
     def __post_init__(self) -> None:
@@ -46,11 +46,11 @@ class Session(Workspace):
 
     @property
     def being_made(self) -> bool:
-        """Whether nothing can be cut yet, and the object is being made solid."""
+        """Whether the object is still being made solid, so that nothing can be cut yet."""
         return self.loader is not None and not self.loader.ended and not self.members and self.atoms is None
 
     def slice(self, camera: Camera, stroke: Stroke) -> None:
-        """As in Workspace; a stroke through what is still being made solid is done when it is."""
+        """As in Workspace; a stroke through an object that is still being made solid cuts once it is."""
         if self.throw.active:
             self.throw.slice(camera, stroke)
             return
@@ -78,7 +78,7 @@ class Session(Workspace):
         self.film.tick()
         self.throw.tick()
         if self.closing:
-            return  # and does not keep what the user did not want to be saved
+            return  # no autosave of work that the user chose not to save
         try:
             self.autosave.update(self.project, self.history.changed, self.path)
         except InputError:

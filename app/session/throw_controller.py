@@ -1,4 +1,4 @@
-"""Throw and slice: the object is thrown up and cut in flight, and nothing of the project changes unless it is kept."""
+"""Throw and slice: the object is thrown up and cut in flight; the project changes only if the user keeps the cuts."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class ThrowController:
     def __init__(self, workspace: Workspace, clock: Callable[[], float] = time.monotonic) -> None:
         self.workspace, self.clock = workspace, clock
         self.throw: Throw | None = None
-        """What is in the air."""
+        """The object in the air; None if there is none."""
         self._begun = 0.0
         self._camera: Camera | None = None
 
@@ -32,7 +32,7 @@ class ThrowController:
 
     @property
     def pieces(self) -> int:
-        """How many are in the air."""
+        """Number of pieces in the air."""
         return len(self.throw.flights) if self.throw is not None else 0
 
     def begin(self, camera: Camera) -> None:
@@ -57,7 +57,7 @@ class ThrowController:
         self._show()
 
     def slice(self, camera: Camera, stroke: Stroke) -> None:
-        """A stroke through what is in the air."""
+        """Cuts what is in the air along a stroke."""
         if self.throw is not None:
             workspace = self.workspace
             passed = self.clock() - self._begun
@@ -65,7 +65,7 @@ class ThrowController:
             self._show()
 
     def keep(self) -> None:
-        """Ends the game; the cuts made in flight are made in the object, in one step."""
+        """Ends the game and makes the cuts of the flight in the object, as one step of undo."""
         throw, workspace = self.throw, self.workspace
         self.stop()
         if throw is not None and throw.cuts:
@@ -77,17 +77,17 @@ class ThrowController:
             )
 
     def stop(self) -> None:
-        """Ends the game: the object is as it was."""
+        """Ends the game; the object is as it was before."""
         if self.throw is not None:
             self.throw = self.workspace.previewed = None
             self.workspace.notify("")
 
     def tick(self) -> None:
-        """Moves on; what has fallen is thrown again, whole. Called once a frame."""
+        """Moves the pieces on; once they have fallen, the whole object is thrown again. Called once a frame."""
         if self.throw is None:
             return
         if self.workspace.drawn_documents is self.workspace.documents or self.workspace.atoms is None:
-            self.throw = None  # something of the object has changed
+            self.throw = None  # the object has changed
         elif self.clock() - self._begun > SECONDS:
             self._start()
         else:

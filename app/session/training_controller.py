@@ -1,4 +1,4 @@
-"""Training in a session: starts the job, follows it, and shows the colours that it has reached."""
+"""Training in a session: starts jobs, follows them, and shows the colours that they have reached."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ EVENTS_EVERY = 0.25
 """Seconds between two reads of a running job's events: often enough for a bar that moves."""
 
 COLOURS_EVERY = 1.0
-"""Seconds between two checks for newer colours: the trainer writes checkpoints seldom, and loading one takes time."""
+"""Seconds between two checks for newer colours: the trainer rarely writes checkpoints, and loading one takes time."""
 
 
 @dataclass
 class Followed:
-    """A job that is followed, and what was last seen of it."""
+    """A job that is followed, and its state when it was last looked at."""
 
     job: Job
     colours: LiveColours
@@ -41,7 +41,7 @@ class TrainingController:
         self.program: tuple[str, ...] = ()
         """A command that runs in place of the trainer and writes the same events; for tests."""
         self._followed: dict[int, Followed] = {}
-        """By the object's number."""
+        """The followed jobs by their objects' numbers."""
         self._next_events = 0.0
         self._next_colours = 0.0
 
@@ -57,15 +57,15 @@ class TrainingController:
         return [followed.job for followed in self._followed.values()]
 
     def forget(self) -> None:
-        """Another scene follows: its jobs are other ones."""
+        """Stops following all jobs, since another scene follows."""
         self._followed.clear()
 
     def result_for(self, document: Document) -> Path | None:
-        """The finished result for what the document keeps of its scene, None while there is none."""
+        """The finished result for the part of the scene that the document keeps; None while there is none."""
         return None if document.number in self._followed else find_result(document)
 
     def prepare_again(self, document: Document) -> None:
-        """Makes an object solid again after other parts of its capture were left out."""
+        """Makes an object solid again after its isolation has changed."""
         workspace, shown = self.workspace, self.workspace.loaded.get(document.number)
         result = self.result_for(document)
         if shown is not None and shown.trained and result is None:
@@ -113,7 +113,7 @@ class TrainingController:
             document.training.seed,
         )
         if shown is not None and (shown.trained or not same):
-            self.scene.load()  # the same atoms as the trainer's, so that its colours fit
+            self.scene.load()  # makes the same atoms as the trainer, so that its colours fit
         workspace.notify(_("Training in the background. You can keep cutting."))
 
     def resume(self) -> None:
@@ -178,7 +178,7 @@ class TrainingController:
         self._next_events = self._next_colours = 0.0
 
     def _phase_changed(self, job: Job, phase: str, number: int) -> None:
-        """When the job has ended: says how, and shows the result."""
+        """If the job has ended, tells the user how, and shows the result."""
         workspace = self.workspace
         if phase not in ("done", "failed", "stopped"):
             return
@@ -215,7 +215,7 @@ class TrainingController:
         if shown is None or shown.atoms is None or shown.trained:
             return
         if followed.job.document.isolation != shown.request.isolation:
-            return  # its atoms are other ones
+            return  # the job's atoms are different ones
         atoms = followed.colours.newer(shown.atoms)
         if atoms is not None:
             workspace.loaded[number] = replace(shown, atoms=atoms)

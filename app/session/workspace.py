@@ -1,6 +1,6 @@
 """What the controllers of a session share: its state, every edit of the document, and messages to the user.
 
-Nothing here opens a file or starts a process; the controllers do that and put the outcome here.
+Nothing here opens a file or starts a process; the controllers do that and store the results here.
 """
 
 from __future__ import annotations
@@ -42,23 +42,23 @@ TOOLS: tuple[Tool, ...] = get_args(Tool)
 EMPTY = Solid.of(np.zeros((0, 3)))
 
 Documents = tuple[Document, ...]
-"""The documents of a scene's objects, at least one. Each has another number."""
+"""The documents of a scene's objects, at least one. Their numbers differ."""
 
 
 @dataclass
 class Workspace(Messages):
-    """The objects' documents and their history, how they are viewed, what is selected, and what the user reads."""
+    """The objects' documents and their history, how they are viewed, what is selected, and messages to the user."""
 
     history: History[Work] = field(default_factory=lambda: History(Work((Document(),))))
     viewing: Viewing = field(default_factory=Viewing)
     active: int = 0
     """Index of the object that the panels show and that is edited."""
     object_selected: bool = False
-    """Whether the user has selected the active one of several objects: the knife then cuts no other one."""
+    """Whether the user has selected the active one of several objects, so that the knife cuts only this one."""
     loaded: dict[int, LoadedScene] = field(default_factory=dict)
     """What is loaded of each object so far, by its number."""
     capture_view: CaptureView | None = None
-    """What of the capture is shown; found in the background, so that it may be that of an earlier document."""
+    """The shown part of the capture; it is found in the background and may belong to an earlier document."""
     loader: SceneLoader | None = None
     """Reads the scene in the background; None when it is done."""
     path: Path | None = None
@@ -68,19 +68,19 @@ class Workspace(Messages):
     active_cut: int | None = None
     """Id of the cut whose plane is shown with its handles."""
     previewed: tuple[Documents, Documents] | None = None
-    """Documents, and these as a film shows them: drawn in their place until something of them changes."""
+    """The documents, and others to draw in their place, as in a film or a throw, until the documents change."""
     closing: bool = False
-    """The window may close now."""
+    """Whether the window may close now."""
     geometry_version: int = 0
-    """Grows when other atoms or another capture are to be drawn."""
+    """Grows when there are new atoms or a new capture to draw."""
     colour_version: int = 0
-    """Grows when the same atoms have other colours."""
+    """Grows when the same atoms get new colours."""
     autosave: Autosave = field(default_factory=Autosave)
     folder: Path = field(default_factory=Path.home)
-    """The user's current folder: dialogs begin here."""
+    """The user's current folder, where dialogs begin."""
     _pieces: dict[tuple[int, bool], tuple[Document, Solid, list[PlacedPiece]]] = field(default_factory=dict, repr=False)
-    """By the object's number, and whether it is as it is or as the film shows it: its pieces, and the document and
-    solid that they were found for."""
+    """The document, solid and pieces found for them, by the object's number and whether the document is the real one or
+    previewed."""
 
     # Derived state
 
@@ -96,17 +96,17 @@ class Workspace(Messages):
 
     @property
     def project(self) -> Project:
-        """All that a project file holds."""
+        """Everything that a project file holds."""
         return Project(self.documents, self.viewing, self.timeline)
 
     @property
     def previewing(self) -> bool:
-        """Whether something else is drawn than the documents: a film, or what was thrown."""
+        """Whether something other than the documents is drawn: a film, or a thrown object."""
         return self.drawn_documents is not self.documents
 
     @property
     def drawn_documents(self) -> Documents:
-        """The documents as they are drawn: those of the film while it is shown."""
+        """The documents as they are drawn: the previewed ones while there is a preview."""
         preview = self.previewed
         return preview[1] if preview is not None and preview[0] is self.documents else self.documents
 
@@ -150,8 +150,8 @@ class Workspace(Messages):
 
     @property
     def shown_capture(self) -> Gaussians | None:
-        """The capture to be drawn, without what is no part of the object, or a part that stands for it; None while
-        neither is known."""
+        """The capture to draw, without what does not belong to the object, or the sample that stands in for it; None
+        while neither is known."""
         capture = self.object.capture if self.object is not None else None
         if self.object is not None and capture is None:
             return self.object.coarse
@@ -166,7 +166,7 @@ class Workspace(Messages):
 
     @property
     def view_up(self) -> Vec3:
-        """Which way is up in the view: that of the first object."""
+        """The up axis of the view: that of the first object."""
         return self.up_of(self.documents[0])
 
     def up_of(self, document: Document) -> Vec3:
@@ -178,7 +178,7 @@ class Workspace(Messages):
 
     @property
     def mode(self) -> str:
-        """What is drawn: the capture until the object is solid, the solid in a film."""
+        """What is drawn: the mode of the view, but the capture until the object is solid, and the solid in a film."""
         shown = self.viewing.mode if self.drawn_documents is self.documents else "solid"
         return shown if self.atoms is not None else "capture"
 
@@ -208,13 +208,13 @@ class Workspace(Messages):
         ]
 
     def is_cut(self, member: Member) -> bool:
-        """Whether a stroke of the knife cuts this piece where it crosses it: it is selected, or nothing is."""
+        """Whether a knife stroke that crosses this piece cuts it: only if it is selected, or if nothing is."""
         if member.index != self.active:
             return not self.object_selected
         return not self.selection or member.piece.key in self.selection
 
     def drawn(self, members: Sequence[Member]) -> list[Piece]:
-        """The renderer's pieces for members, one for each cell, without what the sections of their objects hide."""
+        """The renderer's pieces for members, one for each cell, without what their objects' sections hide."""
         order = {number: k for k, number in enumerate(self.solids)}
         documents = self.drawn_documents
         return [
@@ -248,7 +248,7 @@ class Workspace(Messages):
         return done
 
     def change_film(self, name: str, film: Timeline, merge: str = "") -> bool:
-        """Changes the film, as `change_all` changes the documents."""
+        """Changes the film as `change_all` changes the documents."""
         return self.history.do(name, replace(self.history.state, film=film), merge)
 
     def undo(self) -> None:
@@ -276,14 +276,14 @@ class Workspace(Messages):
         return done
 
     def _follow(self, before: Documents, up: Vec3) -> None:
-        """Brings what is not in the history into line with the documents."""
+        """Brings all that is not in the history into line with the documents."""
         if len(before) != len(self.documents):
             self.activate(0, False)
         self._prune_selection()
         self._follow_up(up)
 
     def activate(self, index: int, selected: bool = True) -> None:
-        """Makes an object the active one. `selected`: as in `object_selected`."""
+        """Makes an object the active one. `selected`: new value of `object_selected`."""
         self.object_selected = selected
         if index != self.active:
             self.active, self.selection, self.active_cut = index, frozenset(), None
@@ -296,7 +296,7 @@ class Workspace(Messages):
             self.active_cut = None
 
     def select_tool(self, tool: Tool) -> None:
-        """Changes the tool, and shows what it works on: cuts need the solid, isolating is done in the capture."""
+        """Changes the tool, and shows what it works on: the solid for cutting, the capture for isolating."""
         self.tool = tool
         if tool == "isolate":
             self.viewing = replace(self.viewing, mode="capture")
@@ -304,7 +304,8 @@ class Workspace(Messages):
             self.viewing = replace(self.viewing, mode="solid")
 
     def slice(self, camera: Camera, stroke: Stroke) -> None:
-        """Cuts what a knife stroke crosses of the selected object, or of all while none is; or says why it cut none."""
+        """Cuts the pieces that a knife stroke crosses, of the selected object or, if none is selected, of all. Tells
+        the user if nothing was cut."""
         met = dict.fromkeys(member.index for member in self.members)
         alone = len(self.documents) == 1 or self.object_selected
         targets = [index for index in met if index == self.active or not alone]
@@ -385,13 +386,13 @@ class Workspace(Messages):
     # The up axis
 
     def turn_object(self, turn: NDArray[np.float64]) -> None:
-        """Turns the object by a rotation (3, 3) about its centre, by its handles: which way is up changes, and the view
-        with it."""
+        """Turns the object by a rotation (3, 3) about its centre, as its handles do: its up axis changes, and the view
+        follows."""
         up = turn.T @ np.asarray(self.up)
         eye = self.viewing.eye.turned_with(turn, self.solid.centre, self.up)
         turned = replace(self.document, up=vec3(up / np.linalg.norm(up)))
         if self.change(_("Turn upright"), turned, merge="handles") and not self.active:
-            self.viewing = replace(self.viewing, eye=eye)  # exactly as turned, also about the up axis
+            self.viewing = replace(self.viewing, eye=eye)  # exactly as turned, including about the up axis
 
     def set_up(self, name: str, up: ArrayLike) -> None:
         """Makes an axis (3,), of any length but 0, the up axis."""
@@ -399,14 +400,14 @@ class Workspace(Messages):
         self.change(name, replace(self.document, up=vec3(axis / np.linalg.norm(axis))))
 
     def _follow_up(self, before: Vec3) -> None:
-        """Where the view's up is another than before, moves it so that the object is seen to turn the short way."""
+        """If the view's up axis has changed, moves the camera so that the object seems to turn the short way."""
         if self.view_up != before:
             turn = turn_between(np.asarray(self.view_up), np.asarray(before))
             eye = self.viewing.eye.turned_with(turn, self.solid_of(self.documents[0]).centre, before)
             self.viewing = replace(self.viewing, eye=eye)
 
     def stand_on(self, point: NDArray[np.float64], eye: NDArray[np.float64]) -> None:
-        """Stands the object on its face at a point (3,) that is seen from `eye` (3,), both in object space."""
+        """Stands the object on its face at a point (3,) seen from `eye` (3,), both in object space."""
         shown = self.object
         if shown is None or shown.capture is None:
             return
@@ -421,7 +422,7 @@ class Workspace(Messages):
     # Families
 
     def add_pictures(self, kind: Kind | None, paths: tuple[Path, ...]) -> None:
-        """Adds pictures of cut faces to a family: by default to the first one, or to a new horizontal one."""
+        """Adds pictures of cut faces to a family; for None to the first family, or to a new horizontal one."""
         paths = tuple(path.absolute() for path in paths if path.suffix.lower() in PICTURE_SUFFIXES)
         if not paths:
             self.notify(_("Not a picture. Use one of {kinds}.").format(kinds=", ".join(PICTURE_SUFFIXES)))

@@ -1,4 +1,4 @@
-"""Commands: menus, keyboard shortcuts and the list of shortcuts are all made from them."""
+"""Commands, which menus, keyboard shortcuts and the list of shortcuts are made from."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ class Command:
     checked: Callable[[], bool] | None = None
     """Whether the menu shows a check mark; None: it never does."""
     separated: bool = False
-    """Whether a separator is above it in the menu."""
+    """Whether the menu has a separator above it."""
 
 
 def press_shortcuts(commands: list[Command], pressing: bool) -> None:
     """Runs the command whose shortcut was pressed, unless the user is typing into a field or a popup is open.
 
-    `pressing`: Space presses the control that has the keyboard, and is no shortcut.
+    `pressing`: whether a control has the keyboard focus, so that Space presses it and is not a shortcut.
     """
     if imgui.get_io().want_text_input or imgui.is_popup_open("", imgui.PopupFlags_.any_popup):
         return

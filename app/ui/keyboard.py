@@ -1,5 +1,5 @@
-"""The window without a pointer: Tab and arrows lead from control to control, F6 from one part of the window to the
-next, and F10 to the menus; in the viewport keys do what a pointer does there."""
+"""Use of the window without a pointer: Tab and arrows lead from control to control, F6 from one part of the window to
+the next, and F10 to the menus; in the viewport, keys replace the pointer."""
 
 from __future__ import annotations
 
@@ -15,28 +15,28 @@ __all__ = ["ARROWS", "Parts", "own_keys", "press_in_viewport", "set_up_imgui"]
 Key = imgui.Key
 
 ARROWS = {Key.left_arrow: (-1, 0), Key.right_arrow: (1, 0), Key.up_arrow: (0, 1), Key.down_arrow: (0, -1)}
-"""To the right and up."""
+"""Direction of each arrow key: x to the right, y up."""
 
 PARTS = ("view", "inspector", "tools")
-"""Of the window, in the order in which F6 leads through them."""
+"""Parts of the window in the order in which F6 leads through them."""
 
 APPEARED = 4
-"""Frames after which all windows are there: each that appears takes the keyboard."""
+"""Frames after which all windows have appeared: each one that appears takes the keyboard focus."""
 
 ZOOM = {Key.equal: 1.0, Key.keypad_add: 1.0, Key.minus: -1.0, Key.keypad_subtract: -1.0}
-"""Steps of the wheel that a key is worth."""
+"""Steps of the wheel that each key counts as."""
 
 
 class Parts:
-    """Which part of the window has the keyboard."""
+    """Keeps track of which part of the window has the keyboard focus."""
 
     def __init__(self) -> None:
         self.current = "view"
         self._wanted: str | None = "view"
 
     def update(self) -> None:
-        """Once a frame, before the parts are drawn: F6, and Shift+F6 back."""
-        # Alt is held to look around with any tool; it must not take the keyboard away.
+        """Handles F6, and Shift+F6 to go back. Called once a frame, before the parts are drawn."""
+        # Alt is held to look around with any tool; it must not take the keyboard focus away.
         imgui.internal.set_key_owner(Key.left_alt, imgui.get_id("look around"))
         imgui.internal.set_key_owner(Key.right_alt, imgui.get_id("look around"))
         for chord, way in ((Key.f6, 1), (Key.mod_shift | Key.f6, -1)):
@@ -44,7 +44,7 @@ class Parts:
                 self._wanted = PARTS[(PARTS.index(self.current) + way) % len(PARTS)]
 
     def begin(self, name: str) -> None:
-        """At the beginning of a part's window: takes the keyboard there if it is its turn."""
+        """Moves the keyboard focus to a part if it is its turn. Called at the beginning of the part's window."""
         if imgui.is_window_focused(imgui.FocusedFlags_.child_windows):
             self.current = name
         if self._wanted != name or imgui.get_frame_count() < APPEARED:
@@ -57,13 +57,13 @@ class Parts:
 
 
 def own_keys(*keys: Key) -> None:
-    """Gives keys to the last item until the next frame: they do not lead to another one."""
+    """Gives keys to the last item until the next frame, so that they do not lead to another item."""
     for key in keys:
         imgui.internal.set_key_owner(key, imgui.get_item_id())
 
 
 def press_in_viewport(session: Session, camera: Camera, size: tuple[int, int], picking: bool) -> None:
-    """Keys while the viewport, which is the last item, has the keyboard. `picking`: points are being clicked."""
+    """Handles keys while the viewport, the last item, has the focus. `picking`: whether points are being clicked."""
     io, keyboard = imgui.get_io(), session.keyboard
     own_keys(*ARROWS, Key.enter, Key.keypad_enter, Key.space)
     if session.throw.active or io.want_text_input:
@@ -86,6 +86,6 @@ def press_in_viewport(session: Session, camera: Camera, size: tuple[int, int], p
 
 
 def set_up_imgui() -> None:
-    """The runner's own settings, and controls that Tab and arrows lead to."""
+    """Applies the runner's default settings, and turns on keyboard navigation by Tab and arrows."""
     hello_imgui.imgui_default_settings.setup_default_imgui_config()
     imgui.get_io().config_flags |= imgui.ConfigFlags_.nav_enable_keyboard

@@ -228,7 +228,7 @@ class Menus:
     # Menus and toolbar
 
     def show(self) -> None:
-        """The menu bar; F10 opens its first menu, from which arrows lead to the others."""
+        """Draws the menu bar; F10 opens its first menu, from which arrows lead to the others."""
         if imgui.is_key_pressed(Key.f10, False) and not imgui.get_io().want_text_input:
             imgui.open_popup(MENUS[self.commands[0].menu])
         for name in dict.fromkeys(command.menu for command in self.commands):
@@ -279,7 +279,7 @@ class Menus:
             imgui.end_menu()
 
     def context_menu(self) -> None:
-        """The menu of a right click on the object."""
+        """Draws the menu of a right click on the object."""
         if self.viewport.menu_requested:
             self.viewport.menu_requested = False
             imgui.open_popup("context")
@@ -295,7 +295,7 @@ class Menus:
         imgui.end_popup()
 
     def show_shortcuts(self) -> None:
-        """The list of all shortcuts."""
+        """Draws the list of all shortcuts while it is open."""
         if self.shortcuts_shown:
             self.shortcuts_shown = show_shortcuts(self.commands, MENUS)
 
@@ -388,7 +388,7 @@ class Menus:
         apply(new.theme, new.scale)
 
     def _resize(self, way: int) -> None:
-        """The next larger or smaller interface."""
+        """Makes the interface one size larger or smaller."""
         settings = self.session.settings
         nearest = min(range(len(SCALES)), key=lambda k: abs(SCALES[k] - settings.scale))
         scale = SCALES[min(max(nearest + way, 0), len(SCALES) - 1)]

@@ -1,4 +1,4 @@
-"""The list of everything that keys and the pointer do, over the window."""
+"""The list of everything that keys and the pointer do, drawn over the window."""
 
 from __future__ import annotations
 
@@ -40,11 +40,11 @@ KEYBOARD = (
     ("+", _("Nearer; - farther")),
     ("F10", _("The menus")),
 )
-"""What keys do beside the commands, in the same list."""
+"""What keys do apart from the commands, for the same list."""
 
 
 def show_shortcuts(commands: Sequence[Command], menus: Mapping[str, str]) -> bool:
-    """One frame of the list; whether it stays open. `menus`: their titles, by the names that commands have for them."""
+    """Draws one frame of the list; returns whether it stays open. `menus`: menu titles by the names in commands."""
     screen, stays = imgui.get_main_viewport(), True
     imgui.set_next_window_pos(screen.get_center(), imgui.Cond_.always, ImVec2(0.5, 0.5))
     imgui.set_next_window_size_constraints(ImVec2(0, 0), screen.work_size)

@@ -1,4 +1,4 @@
-"""Colours, fonts and distances of the window; the dark and the light theme have the same roles."""
+"""Colours, fonts and distances of the window; the dark and the light theme define the same roles."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Palette:
     """The active tool, the main action, progress."""
     accent_hovered: str = "#FF8468"
     accent_pressed: str = "#FF9C85"
-    """Further from the text on it than the accent itself."""
+    """Has more contrast with its text than the accent itself."""
     on_accent: str = "#1B1C1E"
     ground: str = "#1B1C1E"
     panel: str = "#232528"
@@ -33,14 +33,14 @@ class Palette:
     """Secondary text."""
     line: str = "#34373C"
     view: str = "#1F2023"
-    """Behind the object."""
+    """Background of the object."""
     trouble: str = "#F2B84B"
     curve: str = "#7FA7D9"
     """The second curve of a plot, the second of three planes."""
     third: str = "#7CCB8F"
-    """The third of three planes: told apart from the flesh of most fruit."""
+    """The third of three planes: it stands out from the flesh of most fruit."""
     marks: tuple[str, ...] = ("#F2B84B", "#7FA7D9", "#7CCB8F", "#EE9CBB", "#C9A8F0", "#62C9C9")
-    """Of the marks of pieces, in their order."""
+    """Colours of the marks of pieces, in the order of MARKS."""
 
 
 DARK = Palette()
@@ -66,7 +66,7 @@ LIGHT = Palette(
 
 _current = DARK
 _scale = 1.0
-"""Of the whole interface, as the user has set it."""
+"""Scale of the whole interface, as set by the user."""
 
 SCALES = (0.75, 1.0, 1.25, 1.5, 1.75, 2.0)
 """Sizes of the interface that the user can choose from."""
@@ -115,10 +115,10 @@ def load_fonts() -> None:
 
 
 def apply(name: str, size: float = 1.0, scaled_later: bool = False) -> None:
-    """Sets every colour, distance and the size of all text of the current ImGui context.
+    """Sets all colours, distances and text sizes of the current ImGui context.
 
-    `size`: one of SCALES. `scaled_later`: the runner scales the distances to the screen's density itself, as it does
-    with the first style.
+    `size`: one of SCALES. `scaled_later`: whether the runner itself scales the distances to the screen's density, as it
+    does with the first style.
     """
     global _current, _scale
     _current, _scale = LIGHT if name == "light" else DARK, size

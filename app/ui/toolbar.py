@@ -41,11 +41,11 @@ TOOL_NAMES: dict[Tool, str] = {
 }
 
 SMALLEST = 26.0
-"""Side of a button at 96 DPI where the window is low; in a still lower one they scroll."""
+"""Smallest side of a button at 96 DPI, for low windows; in a still lower one the buttons scroll."""
 
 
 class Toolbar:
-    """Draws them."""
+    """Draws the tools."""
 
     def __init__(
         self, session: Session, viewport: Viewport, export: ExportWindow, toggle_slices: Callable[[], None]
@@ -53,7 +53,7 @@ class Toolbar:
         self.session, self.viewport, self.export, self.toggle_slices = session, viewport, export, toggle_slices
 
     def show(self) -> None:
-        """One frame."""
+        """Draws one frame."""
         rows = len(TOOLS) + 3
         each = imgui.get_content_region_avail().y / px(rows)
         gap = min(8.0, max(3.0, 0.17 * each))

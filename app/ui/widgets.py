@@ -68,7 +68,7 @@ def mark_colour(mark: Mark) -> str:
 
 
 def tooltip(text: str, keys: str = "") -> None:
-    """Shows what the last item does, and its shortcut, while the pointer is on it: where it covers no other item."""
+    """Shows what the last item does, and its shortcut, while the pointer is on it, where it covers no other item."""
     if imgui.is_item_hovered(imgui.HoveredFlags_.for_tooltip | imgui.HoveredFlags_.allow_when_disabled):
         _place_tooltip()
         imgui.push_style_var(imgui.StyleVar_.window_padding, ImVec2(px(9), px(6)))
@@ -84,7 +84,7 @@ def tooltip(text: str, keys: str = "") -> None:
 
 
 def _place_tooltip() -> None:
-    """Beside a narrow window, on the side with more room; in a wide one below the item."""
+    """Places the tooltip beside a narrow window, on the side with more room; in a wide window, below the item."""
     low, high, space = imgui.get_item_rect_min(), imgui.get_item_rect_max(), px(8)
     left, width, middle = imgui.get_window_pos().x, imgui.get_window_size().x, (low.y + high.y) / 2
     screen = imgui.get_main_viewport()
@@ -97,7 +97,7 @@ def _place_tooltip() -> None:
 
 
 def key_caps(keys: str) -> None:
-    """A shortcut as keys: 'Ctrl+Z' as two of them."""
+    """Draws a shortcut as keys: 'Ctrl+Z' as two keys."""
     p, draw, inset = palette(), imgui.get_window_draw_list(), ImVec2(px(6), px(2))
     for number, key in enumerate(re.split(r"(?<=[^+])\+", keys)):
         if number:
@@ -113,7 +113,7 @@ def key_caps(keys: str) -> None:
 
 
 def knife_icon(draw: imgui.ImDrawList, low: ImVec2, high: ImVec2, colour: int) -> None:
-    """A kitchen knife in a square, its blade up to the left: no icon of the font looks like one."""
+    """Draws a kitchen knife in a square, its blade pointing up to the left, since the font has no such icon."""
     side = high.x - low.x
 
     def at(x: float, y: float) -> ImVec2:
@@ -147,7 +147,7 @@ def font(kind: imgui.ImFont | None) -> Iterator[None]:
 
 @contextmanager
 def colours(**roles: ImVec4) -> Iterator[None]:
-    """Other colours in the block, by their names in `imgui.Col_`."""
+    """Uses other colours in the block, given by their names in `imgui.Col_`."""
     for role, colour in roles.items():
         imgui.push_style_color(getattr(imgui.Col_, role), colour)
     yield
@@ -156,7 +156,7 @@ def colours(**roles: ImVec4) -> Iterator[None]:
 
 @contextmanager
 def modal(name: str, width: float) -> Iterator[bool]:
-    """A window in the middle, before all others, which the block fills; yields whether it is open."""
+    """A modal window in the middle, in front of all others, which the block fills; yields whether it is open."""
     imgui.set_next_window_pos(imgui.get_main_viewport().get_center(), imgui.Cond_.always, ImVec2(0.5, 0.5))
     imgui.set_next_window_size(ImVec2(px(width), 0))
     imgui.push_style_var(imgui.StyleVar_.window_padding, ImVec2(px(18), px(16)))
@@ -169,12 +169,12 @@ def modal(name: str, width: float) -> Iterator[bool]:
 
 
 def cancel_button() -> bool:
-    """The button of a modal window that leaves it; also true at Esc."""
+    """Draws the button that cancels a modal window; true if it or Esc was pressed."""
     return imgui.button(_("Cancel"), ImVec2(px(90), px(32))) or imgui.is_key_pressed(imgui.Key.escape)
 
 
 def heading(text: str) -> None:
-    """The heading of a section of the inspector."""
+    """Draws the heading of a section of the inspector."""
     imgui.dummy(ImVec2(0, px(2)))
     with font(Fonts.bold):
         imgui.text_unformatted(text)
@@ -183,13 +183,13 @@ def heading(text: str) -> None:
 
 
 def secondary(text: str, wrap: bool = False) -> None:
-    """Secondary text, in a weaker colour."""
+    """Draws secondary text, in a weaker colour."""
     with colours(text=rgba(palette().second)):
         imgui.text_wrapped(text) if wrap else imgui.text_unformatted(text)
 
 
 def row_label(text: str, width: float) -> None:
-    """What the next item is, at its left in a column `width` units wide; the item takes the rest of the row."""
+    """Labels the next item, at its left in a column `width` units wide; the item takes the rest of the row."""
     imgui.align_text_to_frame_padding()
     secondary(text)
     imgui.same_line(px(width))
@@ -197,7 +197,7 @@ def row_label(text: str, width: float) -> None:
 
 
 def list_row(label: str, chosen: bool, width: float, height: float) -> bool:
-    """A line of a list, `width` of the screen and `height` units; whether it is clicked."""
+    """Draws a line of a list; returns whether it was clicked. `width` in ImGui's units, `height` in those of `px`."""
     imgui.push_style_var(imgui.StyleVar_.selectable_text_align, ImVec2(0.0, 0.5))
     clicked = imgui.selectable(label, chosen, 0, ImVec2(width, px(height)))[0]
     imgui.pop_style_var()
@@ -213,7 +213,7 @@ def clipped(text: str, width: float) -> str:
 
 
 def right_text(text: str) -> None:
-    """Secondary text on the same line, aligned to the right edge."""
+    """Draws secondary text on the same line, aligned to the right edge."""
     imgui.same_line()
     right = imgui.get_cursor_pos_x() + imgui.get_content_region_avail().x
     imgui.set_cursor_pos_x(max(imgui.get_cursor_pos_x(), right - imgui.calc_text_size(text).x))
@@ -223,7 +223,7 @@ def right_text(text: str) -> None:
 def icon_button(label: str, size: float, active: bool = False, quiet: bool = False, colour: str = "") -> bool:
     """A square button with an icon; an active one is accented, a quiet one has no background until it is hovered.
 
-    `colour`: of the icon, '#RRGGBB'; empty: that of text.
+    `colour`: the icon's, '#RRGGBB'; empty: that of text.
     """
     p = palette()
     if active:
@@ -239,7 +239,7 @@ def icon_button(label: str, size: float, active: bool = False, quiet: bool = Fal
 
 
 def main_button(label: str, width: float = -1.0) -> bool:
-    """A button for the main action; wider than `width` where its label needs it."""
+    """A button for the main action; wider than `width` if its label needs it."""
     p = palette()
     if width > 0:
         width = max(width, imgui.calc_text_size(label).x + 2 * imgui.get_style().frame_padding.x)
@@ -249,15 +249,15 @@ def main_button(label: str, width: float = -1.0) -> bool:
 
 
 def share(width: float, *labels: str) -> float:
-    """Width of each of these buttons side by side in `width`; -1, a row for each, where a label needs more."""
+    """Width of each of these buttons side by side in `width`; -1, for a row each, if a label needs more room."""
     each = (width - (len(labels) - 1) * imgui.get_style().item_spacing.x) / len(labels)
     return each if max(imgui.calc_text_size(label).x for label in labels) + px(12) < each else -1.0
 
 
 def segmented(name: str, labels: Sequence[str], current: int, width: float, hints: Sequence[str] = ()) -> int:
-    """A choice of one among labels side by side, or in a list where they have no room; returns the index chosen.
+    """A choice of one among labels side by side, or in a list if they have no room; returns the chosen index.
 
-    `width`: of them all, window units.
+    `width`: of all of them together, window units.
     """
     p = palette()
     if max(imgui.calc_text_size(label).x for label in labels) + px(6) > width / len(labels):
@@ -292,7 +292,7 @@ def segmented(name: str, labels: Sequence[str], current: int, width: float, hint
 
 
 def _listed(name: str, labels: Sequence[str], current: int, width: float, hints: Sequence[str]) -> int:
-    """The same choice as a list that opens."""
+    """The same choice as a drop-down list."""
     imgui.set_next_item_width(width)
     if imgui.begin_combo(f"##{name}", labels[current], imgui.ComboFlags_.no_arrow_button):
         for index, label in enumerate(labels):
@@ -327,7 +327,7 @@ def int_slider(name: str, value: int, low: int, high: int) -> tuple[bool, int]:
 
 
 def range_slider(name: str, ends: tuple[float, float], hint: str) -> tuple[bool, tuple[float, float]]:
-    """A slider with two ends in [0, 1], 0.01 or more apart. A drag moves the nearer one, a double click selects all.
+    """A slider with two ends in [0, 1], at least 0.01 apart. A drag moves the nearer one, a double click selects all.
 
     By keyboard the left and right arrow move the lower end, and with Shift the upper one.
     """
@@ -366,7 +366,7 @@ def range_slider(name: str, ends: tuple[float, float], hint: str) -> tuple[bool,
 
 
 def _pressed_ends(ends: tuple[float, float]) -> tuple[float, float]:
-    """The ends of a range after a press of the left or right arrow: it moves the lower end, or the upper with Shift."""
+    """The ends of a range after a press of the left or right arrow: it moves the lower end, with Shift the upper."""
     low, high = ends
     for key, step in ((imgui.Key.left_arrow, -0.01), (imgui.Key.right_arrow, 0.01)):
         imgui.internal.set_key_owner(key, imgui.get_item_id())
@@ -378,7 +378,7 @@ def _pressed_ends(ends: tuple[float, float]) -> tuple[float, float]:
 
 
 def _number_at_right(text: str, margin: float) -> None:
-    """Text that ends `margin` to the right of the last item, vertically centred on it."""
+    """Draws text that ends `margin` to the right of the last item, vertically centred on it."""
     low, high = imgui.get_item_rect_min(), imgui.get_item_rect_max()
     size = imgui.calc_text_size(text)
     at = ImVec2(high.x + margin - size.x, (low.y + high.y - size.y) / 2)
@@ -401,7 +401,7 @@ def thin_bar(part: float, paused: bool = False) -> None:
 
 
 def format_duration(seconds: float) -> str:
-    """As minutes and seconds, with hours if there are any: '1:05', '2:03:10'."""
+    """The time as minutes and seconds, with hours if there are any: '1:05', '2:03:10'."""
     hours, rest = divmod(round(max(seconds, 0.0)), 3600)
     return f"{hours}:{rest // 60:02d}:{rest % 60:02d}" if hours else f"{rest // 60}:{rest % 60:02d}"
 

@@ -52,20 +52,20 @@ IDLE_FRAMES = 6.0
 """Frames per second while nothing happens: enough to follow a job."""
 
 WAITING_FRAMES = 12.0
-"""While the window waits for work in the background: what that brings is seen soon."""
+"""Frames per second while the window waits for work in the background: results are shown soon."""
 
 ACTIVE, WAITING_ACTIVE = 3.0, 0.1
-"""Seconds after the last event before fewer frames are drawn; while the window waits for others as many as a menu needs
-to open."""
+"""Seconds after the last event before fewer frames are drawn, in general and while the window waits for background
+work; the latter is as long as a menu needs to open."""
 
 WIDEST = 0.55
-"""Part of the window that the inspector is given at most, however large the interface is."""
+"""Largest part of the window for the inspector, however large the interface is."""
 
 INSPECTOR = 344.0
 """Width of the inspector at 96 DPI; it stays the same when the window grows."""
 
 READ_IN = 12.0
-"""Seconds until a message leaves the status line: it is of what was done last, not of what is shown for long."""
+"""Seconds until a message leaves the status line: it is about the last action, not about what is shown."""
 
 GUI_ERRORS = 3
 """Consecutive frames with an error after which the window gives up, rather than show the error for ever."""
@@ -86,7 +86,7 @@ class Window:
         self._failures = 0
         self._title = ""
         self._said, self._said_at = "", 0.0
-        """The last message in the status line, and when it came."""
+        """The last message in the status line, and when it appeared."""
 
     def run(self) -> None:
         """Shows the window until it is closed."""
@@ -139,7 +139,7 @@ class Window:
         return docking
 
     def _split(self) -> hello_imgui.DockingSplit:
-        """Where the inspector begins, at this size of the interface; the user can drag its edge."""
+        """Where the inspector begins at this scale of the interface; the user can drag its edge."""
         self._scale, width = self.session.settings.scale, self.session.settings.window[0]
         part = min(INSPECTOR * self._scale / width, WIDEST)
         split = hello_imgui.DockingSplit("MainDockSpace", "Inspector", imgui.Dir.right, part)
@@ -203,7 +203,7 @@ class Window:
             self.recent.keep()
         title = f"{session.title} - FruitNinja" if session.document.scene else "FruitNinja"
         if title != self._title:
-            glfw.set_window_title(self.window, title)  # each time an event under X11, for which the next frame is drawn
+            glfw.set_window_title(self.window, title)  # under X11 each call is an event that causes another frame
             self._title = title
         if (glfw.window_should_close(self.window) or self.params.app_shall_exit) and not session.closing:
             glfw.set_window_should_close(self.window, False)
@@ -214,8 +214,8 @@ class Window:
             self.params.app_shall_exit = True
 
     def _set_pace(self) -> None:
-        """Frames as fast as can be where something moves, few where the window waits for others, who need the processor
-        that frames would take, and fewer where nothing happens."""
+        """Sets how often frames are drawn: as often as possible while something moves, rarely while the window waits
+        for background work, which needs the processor, and even more rarely while nothing happens."""
         session, idling = self.session, self.params.fps_idling
         waits = (
             session.loader is not None
@@ -225,7 +225,7 @@ class Window:
             or self.painter.only_reads
         )
         drawing = self.painter.unfinished and not self.painter.only_reads
-        follows = self.slices.busy or session.isolation.pending  # what the hand drags is read in moments
+        follows = self.slices.busy or session.isolation.pending  # what the user drags is read within moments
         idling.enable_idling = not (self.viewport.moving or follows or drawing)
         idling.time_active_after_last_event = WAITING_ACTIVE if waits else ACTIVE
         idling.fps_idle = WAITING_FRAMES if waits else IDLE_FRAMES
@@ -244,7 +244,7 @@ class Window:
             self.session.notify(_("Open an object first, then drop pictures of its cut faces."))
 
     def _guard(self, draw: Callable[[], None]) -> None:
-        """Calls `draw` and shows its error, if any; ImGui's stacks are restored so that the frame can end."""
+        """Calls `draw` and shows its error, if any; restores ImGui's stacks so that the frame can end."""
         state = imgui.internal.ErrorRecoveryState()
         imgui.internal.error_recovery_store_state(state)
         try:
@@ -264,7 +264,7 @@ class Window:
     # Drawing
 
     def _gui(self) -> None:
-        imguizmo.im_guizmo.begin_frame()  # without it, handles do not feel the pointer
+        imguizmo.im_guizmo.begin_frame()  # otherwise handles ignore the pointer
         self.parts.update()
         held = any(imgui.is_key_down(key) for key in ARROWS)
         if not imgui.is_any_item_active() and not imguizmo.im_guizmo.is_using_any() and not held:
@@ -345,7 +345,7 @@ class Window:
         imgui.text_unformatted(message)
 
     def _opening(self, loader: SceneLoader) -> None:
-        """What is being opened, while there is nothing of it to show."""
+        """Shows what is being opened while there is nothing of it to draw yet."""
         view, width = self.viewport, px(300)
         left = view.origin.x + (view.size[0] - width) / 2
         imgui.set_cursor_screen_pos(ImVec2(left, view.origin.y + view.size[1] / 2 - px(30)))
@@ -357,7 +357,7 @@ class Window:
         imgui.end_child()
 
     def _notices(self) -> None:
-        """Cards at the bottom of the viewport: unsaved work, jobs of earlier sessions, errors."""
+        """Draws cards at the bottom of the viewport: unsaved work, jobs of earlier sessions, hints, errors."""
         view, session = self.viewport, self.session
         texts: list[tuple[str, str, Callable[[], None] | None, Callable[[], None]]] = []
         if self.unsaved:

@@ -1,1 +1,1 @@
-"""Films on their way to a file or a folder of pictures, in a process beside the window."""
+"""Saves films to a file or a folder of pictures, in a process beside the window."""

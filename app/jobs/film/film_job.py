@@ -1,4 +1,4 @@
-"""A film that is being saved by another process (`app.jobs.film.film_worker`), while the window is used on."""
+"""A film that another process saves (`app.jobs.film.film_worker`), while the user goes on using the window."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ from engine.processes import start_python
 __all__ = ["PROJECT", "FilmJob", "FilmRequest", "message_for", "too_large"]
 
 PROJECT = "film.fruitninja"
-"""Name of the project in the folder that the process reads."""
+"""Name of the project file in the folder that the process reads."""
 
 
 @dataclass(frozen=True)
 class FilmRequest:
-    """What is to be saved."""
+    """What to save."""
 
     out: Path
     """A file (.webp, .gif, .mp4), or a folder of PNGs."""
@@ -48,7 +48,7 @@ class FilmRequest:
     light: bool
     """Whether cut faces are lit."""
     loaded: Mapping[int, LoadedScene]
-    """The objects that are solid, by the numbers of their documents, in the order of these."""
+    """The objects that are solid, by the numbers of their documents, in the order of the documents."""
 
 
 def too_large(out: Path, look: FilmLook, seconds: float) -> str:
@@ -60,7 +60,8 @@ def too_large(out: Path, look: FilmLook, seconds: float) -> str:
 
 
 def message_for(request: FilmRequest, folder: Path) -> dict[str, Any]:
-    """Puts all that the process needs into a folder, and says what is there. Raises InputError if there is no room."""
+    """Puts all that the process needs into a folder, and returns the message that describes it. Raises InputError if
+    there is no room."""
     save_project(folder / PROJECT, request.project)
     solids = []
     for number, loaded in request.loaded.items():
@@ -99,15 +100,15 @@ def message_for(request: FilmRequest, folder: Path) -> dict[str, Any]:
 
 
 class FilmJob:
-    """One film. Everything but what is read here happens in a thread and in a process."""
+    """Saves one film, in a thread and a process of its own; the attributes tell the window how far it is."""
 
     def __init__(self, request: FilmRequest) -> None:
         """Raises InputError without a temporary folder."""
         self.out = request.out
         self.fraction = 0.0
-        """How much is drawn. Range [0, 1]."""
+        """Part that is drawn. Range [0, 1]."""
         self.frames = 0
-        """How many it has, once it is saved."""
+        """Number of the film's frames, once it is saved."""
         self.error = ""
         """Why it could not be saved, in one line."""
         self.cancelled = False
@@ -120,7 +121,7 @@ class FilmJob:
         self._thread.start()
 
     def cancel(self) -> None:
-        """Stops after the frame that is being drawn; a file is not written, and frames in a folder stay."""
+        """Stops after the frame that is being drawn; no file is written, but frames in a folder stay."""
         self.cancelled = True
         process = self._process
         if process is not None and process.stdin is not None:
@@ -149,13 +150,13 @@ class FilmJob:
         assert process.stdin is not None and process.stdout is not None
         with contextlib.suppress(OSError, ValueError):
             process.stdin.write((json.dumps(message) + "\n").encode())
-            process.stdin.flush()  # it stays open: the process stops when it is closed
+            process.stdin.flush()  # stdin stays open: the process stops when it is closed
         done = False
         for text in process.stdout:
             try:
                 line = json.loads(text)
             except ValueError:
-                continue  # a library that prints
+                continue  # printed by a library
             self.fraction = float(line.get("part", self.fraction))
             self.error = str(line.get("error", self.error))
             self.frames = int(line.get("frames", self.frames))

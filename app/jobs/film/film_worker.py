@@ -1,4 +1,4 @@
-"""The process that saves a film of the window's; `app.jobs.film.film_job` starts it.
+"""The process that saves a film for the window; `app.jobs.film.film_job` starts it.
 
 It reads one request as JSON from standard input, draws frame by frame and writes JSON lines to standard output. It
 stops when its input is closed: the user has cancelled, or there is no window any more.
@@ -37,13 +37,13 @@ def main() -> None:
 
 
 def _listen(stop: threading.Event) -> None:
-    """Waits until the window wants no more of it."""
+    """Waits until the window closes the input, and sets `stop`."""
     sys.stdin.read()
     stop.set()
 
 
 def save(request: dict[str, Any], stop: threading.Event) -> int:
-    """Saves the film, and returns how many frames it has. Raises InputError if that fails or `stop` is set."""
+    """Saves the film, and returns the number of its frames. Raises InputError if that fails or `stop` is set."""
     folder, out = Path(request["folder"]), Path(request["out"])
     project = load_project(folder / PROJECT, outside=True)  # the window has written it
 
@@ -61,7 +61,7 @@ def save(request: dict[str, Any], stop: threading.Event) -> int:
 
 
 def _read_object(entry: dict[str, Any]) -> Filmed:
-    """An object, and what its faces are read from; the window has read the same files."""
+    """An object, and what its faces are read from, which the window has read from the same files."""
     arrays = map_arrays(Path(entry["file"]))
     surface = SurfaceAtoms(arrays["means"], arrays["scales"], arrays["quats"], arrays["sh"])
     interior = InteriorAtoms(arrays["inside"], arrays["sigmas"], arrays["rgb"], entry["exposed"])

@@ -1,4 +1,4 @@
-"""A film as a folder of pictures, which goes on where it was stopped."""
+"""Saves a film as a folder of pictures; a film that was stopped is continued where it was."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ __all__ = ["save_frames"]
 SETTINGS = "film.json"
 
 LIMIT = 4 << 20
-"""Bytes of the settings: a film with all keyframes and planes that a file may have."""
+"""Bytes of the largest settings that are read: a film with as many keyframes and planes as a file may have."""
 
 
 def save_frames(folder: Path, settings: dict[str, Any], frames: Iterable[Callable[[], NDArray[np.uint8]]]) -> int:
-    """Saves each frame (H, W, 3 or 4) as a PNG of its own in a folder; returns how many of them were drawn now.
+    """Saves each frame (H, W, 3 or 4) as a PNG of its own in a folder; returns how many of them had to be drawn.
 
-    `settings` is JSON of all that decides the frames: those that are there already with the same settings are not drawn
-    again. Raises InputError if the folder has other frames, or if it cannot be written.
+    `settings`: JSON of all that decides what frames look like; frames that are there already with the same settings are
+    not drawn again. Raises InputError if the folder has other frames, or if it cannot be written.
     """
     with locked_folder(folder):
         remove_leftovers(folder)
@@ -41,7 +41,7 @@ def save_frames(folder: Path, settings: dict[str, Any], frames: Iterable[Callabl
 
 
 def _claim(folder: Path, settings: dict[str, Any]) -> None:
-    """Says in the folder what frames it has. Raises InputError if it has others."""
+    """Records in the folder which frames it holds. Raises InputError if it holds others."""
     path = folder / SETTINGS
     if path.exists():
         try:

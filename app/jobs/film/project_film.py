@@ -1,4 +1,4 @@
-"""Draws the film of a project: frame by frame into one file, or into a folder that goes on where it was stopped."""
+"""Draws the film of a project: into one file, or frame by frame into a folder, where a stopped film is continued."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Filmed:
 
     atoms: Atoms
     detail: Detailed | None
-    """What its faces are read from; None: from the atoms."""
+    """What its faces are read from; None: the atoms."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class Shooting:
     """Whether cut faces are lit."""
 
     def record(self) -> dict[str, Any]:
-        """As JSON."""
+        """The settings as JSON."""
         return {
             "size": list(self.look.size),
             "rate": self.look.rate,
@@ -69,11 +69,11 @@ def save_project_film(
     sources: Sequence[Path],
     drawn: Callable[[float], None],
 ) -> int:
-    """Saves the film of a project with a keyframe at least, and returns how many frames it has.
+    """Saves the film of a project with at least one keyframe, and returns the number of its frames.
 
-    `objects`: those that are solid, by the numbers of their documents; `sources`: the files that decide what they look
-    like. `drawn` is called with the part that is drawn, range [0, 1], before each frame and may raise to stop. Raises
-    InputError where it cannot be saved.
+    `objects`: those that are solid, by the numbers of their documents. `sources`: the files that decide what they look
+    like. `drawn` is called before each frame with the part that is drawn, range [0, 1], and may raise to stop. Raises
+    InputError if the film cannot be saved.
     """
     samples = {number: Solid.of_atoms(one.atoms) for number, one in objects.items()}
     documents = tuple(document for document in project.documents if document.number in samples)
@@ -109,7 +109,7 @@ def save_project_film(
 
 
 def _hash_of(path: Path) -> str:
-    """Of a file's content, hexadecimal."""
+    """SHA-256 of a file's content, hexadecimal."""
     digest = sha256()
     with open_file(path) as file:
         while block := file.read(1 << 20):

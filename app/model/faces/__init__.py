@@ -1,1 +1,1 @@
-"""The face in a picture while the user corrects it: edits of its outline, and what is said of it."""
+"""The face in a picture while the user corrects it: edits of its outline, and texts about it."""

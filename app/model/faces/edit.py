@@ -1,4 +1,4 @@
-"""Edits of the outline of a face: points that are dragged, and a brush that adds and takes away."""
+"""Edits of a face's outline: dragging its points, and a brush that adds and takes away."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ __all__ = ["BrushStroke", "Outline", "drag_point", "nearest_point", "refine"]
 Outline = tuple[Place, ...]
 
 SOFT = 0.05
-"""Of an outline's length, how far on either side of a dragged point others follow it."""
+"""How far along the outline, on either side of a dragged point, others follow it; a part of the outline's length."""
 
 MOST_REFINED = 500
-"""Points from which an outline gets no more: they are close enough together wherever it was dragged."""
+"""An outline with more points is not refined: they are close enough together wherever it was dragged."""
 
 MOST_AWAY = 0.9
 """A dragged point's neighbours follow it by less than this part of its way, so that it leads."""
 
 
 def refine(outline: Outline, aspect: float) -> Outline:
-    """With more points on the long sides, so that those near a dragged one can follow it in a curve.
+    """The outline with more points on its long sides, so that those near a dragged one can follow it in a curve.
 
     `aspect`: width of the picture over its height.
     """
@@ -41,7 +41,7 @@ def refine(outline: Outline, aspect: float) -> Outline:
 
 
 def drag_point(outline: Outline, index: int, to: Place, aspect: float, soft: bool = True) -> Outline:
-    """With one point moved to a place, and those near it along the outline by less the farther they are.
+    """The outline with one point moved to a place; others near it along the outline follow less the farther they are.
 
     `aspect`: width of the picture over its height. `soft`: False moves the one point alone.
     """
@@ -58,17 +58,17 @@ def drag_point(outline: Outline, index: int, to: Place, aspect: float, soft: boo
 
 
 def nearest_point(outline: Outline, at: Place, aspect: float) -> tuple[int, float]:
-    """Index of the point nearest to a place, and its distance in heights of the picture."""
+    """Index of the outline's point nearest to a place, and its distance in heights of the picture."""
     away = np.hypot(*((np.array(outline) - at) * (aspect, 1)).T)
     index = int(away.argmin())
     return index, float(away[index])
 
 
 class BrushStroke:
-    """A stroke of the brush over a face, from when the button is pressed until it is let go."""
+    """A stroke of the brush over a face, from the press of the button until its release."""
 
     def __init__(self, outline: Outline | None, size: tuple[int, int], radius: float, add: bool) -> None:
-        """`size`: width and height of the picture in pixels; `radius` of the brush, in heights of the picture."""
+        """`size`: width and height of the picture in pixels. `radius`: that of the brush, in heights of the picture."""
         self.before = outline
         width, height = size
         self.radius, self.add = radius * height, add
@@ -95,5 +95,5 @@ class BrushStroke:
 
     @property
     def outline(self) -> Outline | None:
-        """What is left of the face, its largest part without holes; as before the stroke if nothing is."""
+        """Outline of the painted face: of its largest part, without holes; as before the stroke if nothing is left."""
         return mask_polygon(largest_component(self.mask)) or self.before

@@ -1,4 +1,4 @@
-"""What the window says of a face that was found, in words that need no explanation."""
+"""What the window says about a face that was found, in plain words."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ CUT_NAMES: dict[Kind, str] = {
 }
 
 FAIRLY_SURE = 0.85
-"""Sureness from which a guess is called so. Of 29 photographs and 12 pictures of our own, 11 of 13 above it are right,
-and the others are level cuts of a loaf, which look like slices of one; below it 6 of 28 are wrong."""
+"""Sureness from which a guess is called fairly sure. Of 29 photographs and 12 pictures of our own, 11 of 13 above it
+are right, and the others are level cuts of a loaf, which look like slices of one; below it 6 of 28 are wrong."""
 
 
 def describe_guess(guess: CutGuess) -> str:
-    """As in 'looks like a cut across the core, fairly sure'."""
+    """The guess in words, as in 'looks like a cut across the core, fairly sure'."""
     sure = _("fairly sure") if guess.sureness >= FAIRLY_SURE else _("not sure")
     return _("looks like {cut}, {sure}").format(cut=CUT_NAMES[guess.kind], sure=sure)

@@ -1,1 +1,1 @@
-"""What moves: films, with keyframes of the camera, of planes and of the explosion, and an object that is thrown."""
+"""Motion: films with keyframes of the camera, the planes and the explosion, and an object that is thrown."""

@@ -1,9 +1,9 @@
-"""The law of motion of every film: keyframes, and what a film shows at any time between them.
+"""Motion of every film: keyframes, and what a film shows at any time between them.
 
 Values run through their keyframes on piecewise cubic curves without overshoot (F. N. Fritsch and J. Butland, "A method
 for constructing local monotone piecewise cubic interpolants", SIAM J. Sci. Stat. Comput. 5, 1984): steady motion stays
 steady, and no value leaves the range of its neighbours. A film that ends as it began goes round without a jolt; any
-other begins and ends at rest, so that two keyframes alone are joined by a smoothstep.
+other one begins and ends at rest, so that two keyframes alone are joined by a smoothstep.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from engine.scene.plane import Plane
 __all__ = ["Film", "Keyframe", "frame_count", "frame_times", "frames", "motion", "placed", "seen"]
 
 SAME = 1e-6
-"""Degrees by which two azimuths may differ and be one: far more than rounding, far less than is seen."""
+"""Degrees by which two equal azimuths may differ: far more than rounding errors, far less than anyone sees."""
 
 
 @dataclass(frozen=True)
@@ -40,39 +40,39 @@ class Keyframe:
     elevation: float
     """Degrees. Range [-90, 90]."""
     zoom: float = 1.0
-    """How much nearer the eye is than where the film is seen from at 1. Range (0, inf)."""
+    """How many times nearer the eye is than at a zoom of 1. Range (0, inf)."""
     planes: tuple[Plane, ...] = ()
-    """Each hides what is on its removed side; as many in all keyframes of a film."""
+    """Planes that hide what is on their removed sides; all keyframes of a film have the same number."""
     explosion: float = 0.0
     """How far the pieces are parted; 0 puts them together. Range [0, 2], as in a document."""
     gap: float | None = None
-    """Between the two sides of a cut, in radii of the object. Range [0, 2]. None: as the explosion has it."""
+    """Gap between the two sides of a cut, in radii of the object. Range [0, 2]. None: it follows the explosion."""
     target: Vec3 = (0.0, 0.0, 0.0)
-    """What is in the middle of the picture, world units from where the film is seen at."""
+    """What is in the middle of the picture, as an offset in world units from the target of the film's camera."""
 
     @property
     def parted(self) -> float:
-        """The gap, also where the explosion decides it."""
+        """The gap as a number, even if it follows the explosion."""
         return DEFAULT_GAP * self.explosion if self.gap is None else self.gap
 
 
 @dataclass(frozen=True)
 class Film:
-    """Keyframes, and cuts that stay."""
+    """Keyframes, and cuts that stay the same throughout."""
 
     keyframes: tuple[Keyframe, ...]
-    """At least two, by time, the first at 0. Normals of one plane turn by at most 90 degrees between two."""
+    """At least two, sorted by time, the first at 0. A plane's normal turns by at most 90 degrees between neighbours."""
     cuts: tuple[Plane, ...] = ()
     """Planes that divide the object into pieces, which the explosion parts."""
 
     @property
     def seconds(self) -> float:
-        """From the first keyframe to the last."""
+        """Length from the first keyframe to the last, seconds."""
         return self.keyframes[-1].time
 
     @property
     def closed(self) -> bool:
-        """Whether it ends as it began, so that it can be shown again and again."""
+        """Whether it ends as it began, so that it can be played in a loop."""
         first, last = self.keyframes[0], self.keyframes[-1]
         turn = math.remainder(last.azimuth - first.azimuth, 360.0)
         same = replace(last, time=first.time, azimuth=first.azimuth, gap=last.parted) == replace(
@@ -82,7 +82,7 @@ class Film:
 
 
 def frame_count(seconds: float, rate: float) -> int:
-    """Frames of a film at so many a second; at least two."""
+    """Number of frames of a film at `rate` frames a second; at least two."""
     return max(2, round(seconds * rate))
 
 
@@ -95,7 +95,7 @@ def frame_times(seconds: float, count: int, closed: bool) -> Iterator[float]:
 
 
 def frames(film: Film, count: int, centre: ArrayLike = (0.0, 0.0, 0.0)) -> Iterator[Keyframe]:
-    """What each of `count` frames shows, at least two, at the times of `frame_times`."""
+    """What each of `count` frames (at least two) shows, at the times of `frame_times`."""
     shown = motion(film, centre)
     return map(shown, frame_times(film.seconds, count, film.closed))
 
@@ -104,14 +104,14 @@ def motion(film: Film, centre: ArrayLike = (0.0, 0.0, 0.0), closed: bool | None 
     """What a film shows, as a function of the time in [0, film.seconds].
 
     A plane turns about the foot of the perpendicular from `centre` (3,), so that one through the centre stays there.
-    `closed`: whether it goes round; by default if it ends as it began.
+    `closed`: whether the film is a loop; by default it is one if it ends as it began.
     """
     keys = film.keyframes
     middle = np.asarray(centre, np.float64)
     rows = np.array([_numbers(key, middle) for key in keys])
     rows[:, 0] = np.unwrap(rows[:, 0], period=360.0)
     times = np.array([key.time for key in keys])
-    # One keyframe more at each end gives the curves their slope there: that of the next round, or rest.
+    # An extra keyframe at each end gives the curves their slope there: that of the next round, or rest.
     before, after = times[0] - (times[-1] - times[-2]), times[-1] + (times[1] - times[0])
     first, last = rows[0], rows[-1]
     if film.closed if closed is None else closed:
@@ -121,7 +121,7 @@ def motion(film: Film, centre: ArrayLike = (0.0, 0.0, 0.0), closed: bool | None 
 
 
 def seen(eye: OrbitCamera, shown: Keyframe) -> OrbitCamera:
-    """The camera of a frame; `eye` is the one that a zoom of 1 and a target of 0 mean."""
+    """The camera of a frame; `eye` is the camera for a zoom of 1 and a target of 0."""
     target = vec3(np.add(eye.target, shown.target))
     return replace(
         eye, target=target, azimuth=shown.azimuth, elevation=shown.elevation, distance=eye.distance / shown.zoom
@@ -129,7 +129,7 @@ def seen(eye: OrbitCamera, shown: Keyframe) -> OrbitCamera:
 
 
 def placed(film: Film, shown: Keyframe, solid: Solid) -> list[Piece]:
-    """The pieces of a frame: parted as the window parts them, without what the frame's planes hide."""
+    """The pieces of a frame: parted as in the window, without what the frame's planes hide."""
     cut = Document(gap=shown.parted, explode=shown.explosion)
     for plane in film.cuts:
         cut = cut.with_cut((Part(plane),))
@@ -137,7 +137,7 @@ def placed(film: Film, shown: Keyframe, solid: Solid) -> list[Piece]:
 
 
 def _numbers(key: Keyframe, centre: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(8 + 4 P,). What is interpolated: distances by their logarithm, planes as normal and distance of the centre."""
+    """(8 + 4 P,). Numbers to interpolate: the zoom by its logarithm, planes by normal and distance of the centre."""
     planes = [(*plane.normal, float(plane.distance(centre))) for plane in key.planes]
     view = [key.azimuth, key.elevation, np.log(key.zoom), *key.target]
     return np.concatenate([view, [key.explosion, key.parted], *planes])

@@ -15,10 +15,10 @@ from training.request import read_plane
 __all__ = ["eye_record", "look_record", "read_eye", "read_look", "read_timeline", "timeline_record"]
 
 MOST_PIXELS = 8192
-"""Of a side: OpenGL drivers without a larger limit are common."""
+"""Most pixels along a side: OpenGL drivers without a larger limit are common."""
 
 SLOWEST, FASTEST = 1.0, 60.0
-"""Frames a second that the window offers."""
+"""Least and most frames a second that the window offers."""
 
 
 def timeline_record(timeline: Timeline) -> list[dict[str, Any]]:
@@ -30,7 +30,7 @@ def timeline_record(timeline: Timeline) -> list[dict[str, Any]]:
 
 
 def read_timeline(fields: Fields, table: dict[str, Any]) -> Timeline:
-    """The film in the field 'film' of a project. Raises InputError for anything else."""
+    """The film in the field 'film' of a project. Raises InputError if there is no valid one."""
 
     def read_moment(raw: Any) -> Moment:
         entry = fields.table(raw, "a keyframe")
@@ -46,7 +46,7 @@ def read_timeline(fields: Fields, table: dict[str, Any]) -> Timeline:
 
 
 def look_record(look: FilmLook) -> dict[str, Any]:
-    """How a film is saved."""
+    """How a film is saved, as JSON."""
     return {"size": list(look.size), "rate": look.rate, "background": look.background, "colour": list(look.colour)}
 
 
@@ -63,7 +63,7 @@ def read_look(fields: Fields, raw: Any) -> FilmLook:
 
 
 def eye_record(eye: OrbitCamera) -> dict[str, Any]:
-    """From where something is seen."""
+    """A camera as JSON."""
     return {
         "target": eye.target,
         "azimuth": eye.azimuth,

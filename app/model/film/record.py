@@ -5,8 +5,8 @@
      "keyframes": [{"time": 0, "azimuth": 30, "elevation": 20},
                    {"time": 4, "azimuth": 90, "elevation": 35, "zoom": 1.2, "explosion": 0.5}]}
 
-A keyframe may also have "planes", [a, b, c, d] each, a "gap" and a "target", [x, y, z]. What is left out is a zoom of
-1, no planes, no explosion, a gap as the explosion has it, the middle of the object, no cuts.
+A keyframe may also have "planes", [a, b, c, d] each, a "gap" and a "target", [x, y, z]. The defaults are a zoom of 1,
+no planes, no explosion, a gap that follows the explosion, the middle of the object as the target, and no cuts.
 """
 
 from __future__ import annotations
@@ -29,23 +29,23 @@ from engine.scene.plane import Plane
 __all__ = ["LONGEST", "MOST_KEYFRAMES", "MOST_PLANES", "film_record", "read_film"]
 
 VERSION = 1
-"""Of the files; it grows with every change of meaning."""
+"""Version of the file format; it grows with every change of meaning."""
 
 LIMIT = 1 << 20
 """Bytes of the largest file that is read: thousands of keyframes."""
 
 LONGEST = 3600.0
-"""Seconds: at 25 a second, 90,000 frames."""
+"""Longest film, seconds: 90,000 frames at 25 a second."""
 
 MOST_KEYFRAMES, MOST_PLANES = 1000, 16
-"""More than anybody writes by hand."""
+"""Most keyframes of a film, and most planes of a keyframe: more than anybody writes by hand."""
 
 REQUIRED = {"time", "azimuth", "elevation"}
 OPTIONAL: dict[str, Any] = {"zoom": 1.0, "planes": [], "explosion": 0.0, "gap": None, "target": [0, 0, 0]}
 
 
 def read_film(path: Path) -> Film:
-    """The film in a file. Raises InputError with one line that begins with the path for anything else."""
+    """The film in a file. Raises InputError, one line that begins with the path, if the file is not a film."""
     fields = Fields(path, "film")
     try:
         record = parse(read_file(path, LIMIT))
@@ -100,7 +100,7 @@ def _keyframe(fields: Fields, value: Any) -> Keyframe:
 
 
 def _planes(fields: Fields, table: dict[str, Any], key: str) -> tuple[Plane, ...]:
-    """A list of planes, four numbers each."""
+    """The planes in the field `key`, four numbers each."""
 
     def plane(value: Any) -> Plane:
         a, b, c, d = fields.numbers(value, 4, f"an entry of '{key}'")

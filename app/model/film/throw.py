@@ -1,6 +1,6 @@
-"""An object that is thrown up and cut in flight: where its pieces are at any time, and what a stroke makes of them.
+"""An object that is thrown up and cut in flight: where its pieces are at any time, and what a stroke does to them.
 
-A game: gravity is gentle, and there is no air and no collision. Nothing of it is in the document until the user keeps
+It is a game: gravity is gentle, and there is no air and no collision. The document does not change until the user keeps
 the cuts.
 """
 
@@ -23,37 +23,37 @@ from engine.scene.camera import Camera
 __all__ = ["SECONDS", "Flight", "Throw", "in_flight", "sliced", "thrown"]
 
 SECONDS = 4.5
-"""From leaving the picture's lower edge until the object is back there: long enough for four or five strokes."""
+"""Time from leaving the picture's lower edge to falling back there: long enough for four or five strokes."""
 
 HEIGHT = 1.05
-"""Of the flight, in what lies between its beginning and the middle of the picture: the top is a little above it."""
+"""Height of the flight, as a multiple of that from its start to the middle of the picture: it peaks a little above."""
 
 TUMBLE = 32.0
 """Degrees a second that the object turns in flight."""
 
 PARTING, SPINNING = 0.35, 40.0
-"""Radii a second by which the sides of a cut leave each other, and degrees a second that they turn apart."""
+"""Speed at which the sides of a cut move apart, radii a second, and at which they topple outwards, degrees a second."""
 
 
 @dataclass(frozen=True)
 class Flight:
-    """Of one piece, from one moment on."""
+    """The flight of one piece from one moment on."""
 
     since: float
-    """Seconds."""
+    """When it begins, seconds."""
     start: Motion
-    """Where it was then."""
+    """Where the piece is then."""
     centre: NDArray[np.float64]
-    """(3,). The point that flies on a parabola and that the piece turns about, then; world space."""
+    """(3,). Then the place of the point that the piece turns about and that flies on a parabola, world space."""
     velocity: NDArray[np.float64]
-    """(3,). World units a second."""
+    """(3,). Velocity of that point at that moment, world units a second."""
     axis: NDArray[np.float64]
-    """(3,). Unit vector."""
+    """(3,). The axis that the piece turns about, a unit vector."""
     spin: float
     """Degrees a second about the axis."""
 
     def at(self, time: float, fall: NDArray[np.float64]) -> Motion:
-        """Where the piece is; `fall` (3,): the acceleration."""
+        """Where the piece is at a time. `fall` (3,): the acceleration of gravity."""
         passed = time - self.since
         moved = Motion.by(passed * self.velocity + 0.5 * passed**2 * fall)
         return moved.after(Motion.about(self.centre, self.axis, passed * self.spin)).after(self.start)
@@ -70,12 +70,12 @@ class Throw:
     """The object in the air."""
 
     document: Document
-    """With the cuts made so far; its pieces are where the flights have them."""
+    """The document with the cuts made so far; the flights say where its pieces are."""
     flights: Mapping[Key, Flight] = field(default_factory=dict)
     fall: Vec3 = (0.0, 0.0, 0.0)
-    """Acceleration, world units a second squared."""
+    """Acceleration of gravity, world units a second squared."""
     cuts: int = 0
-    """Made in flight."""
+    """Number of cuts made in flight."""
 
 
 def thrown(document: Document, solid: Solid, camera: Camera, distance: float, time: float) -> Throw:
@@ -88,7 +88,7 @@ def thrown(document: Document, solid: Solid, camera: Camera, distance: float, ti
     middle = camera.position + distance * camera.forward
     below = middle - (across / 2 + solid.radius) * up
     rise = HEIGHT * float(np.linalg.norm(middle - below))
-    strength = 8 * rise / SECONDS**2  # up and down again, half of the time each
+    strength = 8 * rise / SECONDS**2  # half of the time going up, half coming down
     begin = Motion.by(below - centre)
     axis = right + 0.35 * up
     axis /= np.linalg.norm(axis)
@@ -108,12 +108,12 @@ def in_flight(throw: Throw, time: float) -> Document:
 
 
 def _first(new: Placement, _: Placement) -> Placement:
-    """The new placement in place of the one before."""
+    """The first of two placements: the new one replaces the old one."""
     return new
 
 
 def sliced(throw: Throw, solid: Solid, camera: Camera, stroke: Stroke, up: Vec3, time: float) -> Throw:
-    """What a stroke makes of it: each piece that it crosses becomes two, which leave each other and turn apart."""
+    """The throw after a stroke: each piece that it crosses becomes two, which move and turn apart."""
     cut = slice_object(in_flight(throw, time), solid, camera, stroke, up).document
     if cut is None:
         return throw
@@ -132,7 +132,7 @@ def sliced(throw: Throw, solid: Solid, camera: Camera, stroke: Stroke, up: Vec3,
 
 
 def _leaving(parts: Sequence[Part], piece: PlacedPiece) -> NDArray[np.float64]:
-    """(3,). Unit vector along which a piece leaves the other side of its last cut."""
+    """(3,). Unit vector along which a piece moves away from the other side of its last cut."""
     normal = np.mean([part.plane.normal for part in parts], axis=0)
     world = piece.key[-1][1] * (piece.motion.rotation @ normal)
     return np.asarray(world / max(float(np.linalg.norm(world)), 1e-9))
@@ -150,7 +150,7 @@ def _apart(
     middle = solid.points[piece.rows].mean(0)
     motion = parent.at(time, fall)
     velocity = parent.speed(time, middle, fall) + PARTING * solid.radius * away
-    # It goes on turning as before, and topples outwards.
+    # The piece goes on turning as before, and also topples outwards.
     outwards = np.cross(fall / max(float(np.linalg.norm(fall)), 1e-9), away)
     turning = math.radians(parent.spin) * parent.axis + math.radians(SPINNING) * outwards
     spin = float(np.linalg.norm(turning))

@@ -1,5 +1,5 @@
-"""The film of a project: moments that the user has kept of the view, the planes and the explosion, and what is shown
-between them by the law of motion of all films (`app.model.film.motion`)."""
+"""The film of a project: moments of the view, the planes and the explosion that the user has kept, with the motion of
+all films between them (`app.model.film.motion`)."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ __all__ = [
 ]
 
 APART = 0.1
-"""Seconds between two moments at least: nobody sees more of them, and none hides another on the timeline."""
+"""Least seconds between two moments: nobody could see more of them, and none hides another on the timeline."""
 
 MARGIN = 0.02
-"""In radii, by which a plane that opens nothing stays outside of the object."""
+"""Distance in radii that a plane that opens nothing keeps from the object."""
 
 Background = Literal["window", "white", "black", "own", "transparent"]
 BACKGROUNDS: tuple[Background, ...] = get_args(Background)
@@ -51,7 +51,7 @@ class FilmLook:
     """Frames a second."""
     background: Background = "white"
     colour: Vec3 = (0.0, 0.45, 0.4)
-    """Of the background `own`. RGB, range [0, 1]."""
+    """Colour of the background `own`. RGB, range [0, 1]."""
 
 
 @dataclass(frozen=True)
@@ -59,16 +59,16 @@ class Opened:
     """How one object is opened."""
 
     number: int
-    """Of its document."""
+    """Number of its document."""
     gap: float
     explode: float
     """As in the document."""
     planes: tuple[tuple[int, Plane], ...] = ()
-    """Of its sections, with the ids of their cuts. In object space."""
+    """Planes of its sections in object space, each after the id of its cut."""
 
     @staticmethod
     def of(document: Document) -> Opened:
-        """As it is in a document."""
+        """How an object is opened in its document."""
         planes = ((cut.id, cut.plane(cut.parts[0])) for cut in document.cuts if cut.kind == "section" and cut.on)
         return Opened(document.number, document.gap, document.explode, tuple(planes))
 
@@ -85,13 +85,13 @@ class Moment:
 
 @dataclass(frozen=True)
 class Timeline:
-    """The moments of a film, by time."""
+    """The moments of a film, sorted by time."""
 
     moments: tuple[Moment, ...] = ()
 
     @property
     def seconds(self) -> float:
-        """How long the film is: until its last moment."""
+        """How long the film is: the time of its last moment."""
         return self.moments[-1].time if self.moments else 0.0
 
     def at(self, time: float) -> int | None:
@@ -100,7 +100,7 @@ class Timeline:
         return near[0] if near else None
 
     def with_moment(self, new: Moment) -> Timeline:
-        """With a moment, in place of one at its time."""
+        """With a moment added; it replaces one at the same time."""
         others = [other for other in self.moments if abs(other.time - new.time) >= APART / 2]
         return Timeline(tuple(sorted([*others, new], key=lambda one: one.time)))
 
@@ -109,7 +109,7 @@ class Timeline:
         return Timeline(self.moments[:index] + self.moments[index + 1 :])
 
     def moved(self, index: int, time: float) -> Timeline:
-        """With a moment at another time, between those before and after it."""
+        """With a moment moved to another time, kept between its neighbours."""
         low = self.moments[index - 1].time + APART if index else 0.0
         high = self.moments[index + 1].time - APART if index + 1 < len(self.moments) else np.inf
         new = replace(self.moments[index], time=float(np.clip(round(time, 2), low, max(low, high))))
@@ -117,19 +117,19 @@ class Timeline:
 
 
 def moment(time: float, eye: OrbitCamera, documents: tuple[Document, ...]) -> Moment:
-    """What is shown now, as the moment of a time."""
+    """What is shown now, as the moment at a time."""
     return Moment(time, eye, tuple(Opened.of(document) for document in documents))
 
 
 Played = Callable[[float], tuple[OrbitCamera, tuple[Document, ...]]]
-"""From where a film is seen at a time, and the documents as it shows them."""
+"""The camera of a film at a time, and the documents as the film shows them then."""
 
 
 def played(timeline: Timeline, documents: tuple[Document, ...], solids: Mapping[int, Solid]) -> tuple[Played, bool]:
-    """What a film of at least one moment shows of documents at any time, and whether it goes round without a jolt.
+    """What a film of at least one moment shows at any time, and whether it loops without a jolt.
 
-    `solids`: of the documents, by their numbers. A plane that a moment does not have opens nothing there: it has left
-    the object. What the moments do not know of, such as pieces that were moved, stays as it is in the documents.
+    `solids`: those of the documents, by their numbers. A plane that a moment does not have opens nothing then: it has
+    left the object. What the moments do not record, such as pieces that were moved, stays as it is in the documents.
     """
     films = [_Tracks.of(timeline, document, solids[document.number]) for document in documents]
     closed = all(one.film.closed for one in films)
@@ -147,7 +147,7 @@ def played(timeline: Timeline, documents: tuple[Document, ...], solids: Mapping[
 
 @dataclass(frozen=True)
 class _Tracks:
-    """The film of one object, and which cut each of its planes is of."""
+    """The film of one object, and the id of the cut that each of its planes belongs to."""
 
     film: Film
     ids: tuple[int, ...]
@@ -174,19 +174,19 @@ class _Tracks:
         return _Tracks(Film(tuple(keys)), tuple(id_ for id_, _ in tracks))
 
     def opened(self, document: Document, shown: Keyframe) -> Document:
-        """A document opened as a frame has it."""
+        """A document opened as in a frame."""
         slices = tuple(cut for cut in document.cuts if cut.kind == "slice")
         sections = (Cut(id_, "", (Part(plane),), "section") for id_, plane in zip(self.ids, shown.planes, strict=True))
         return replace(document, gap=shown.parted, explode=shown.explosion, cuts=(*slices, *sections))
 
 
 def _ids(states: list[Opened]) -> list[int]:
-    """Ids of the cuts of all planes, each once."""
+    """Ids of the cuts that the planes belong to, each once."""
     return list(dict.fromkeys(id_ for state in states for id_, _ in state.planes))
 
 
 def _runs(planes: list[Plane | None]) -> list[list[Plane | None]]:
-    """A plane over the moments, as several where it turns by more than 90 degrees: one leaves, another one comes."""
+    """A plane over the moments, split where it turns by more than 90 degrees: one plane leaves, another one comes."""
     runs: list[list[Plane | None]] = []
     last: Plane | None = None
     for k, plane in enumerate(planes):
@@ -199,7 +199,8 @@ def _runs(planes: list[Plane | None]) -> list[list[Plane | None]]:
 
 
 def _outside(run: list[Plane | None], k: int, solid: Solid) -> Plane:
-    """Where a plane that is missing at moment `k` opens nothing: as it last was, or will be, but beside the object."""
+    """A plane that stands in where one is missing at moment `k`: turned as before, or else as later, but outside the
+    object, so that it opens nothing."""
     before, after = [p for p in run[:k] if p is not None], [p for p in run[k:] if p is not None]
     normal = (before[-1] if before else after[0]).normal
     reach = float((solid.points @ np.asarray(normal)).max()) if len(solid.points) else 0.0
@@ -215,7 +216,7 @@ def turning(now: Moment, seconds: float) -> Timeline:
 
 
 def sweeping(now: Moment, seconds: float, number: int, cut_id: int, plane: Plane, solid: Solid) -> Timeline:
-    """A plane through the object of this number and back; `cut_id`: of the cut that it is of."""
+    """A plane that moves through the object of this number and back. `cut_id`: the cut that it belongs to."""
     film = presets.sweep(Keyframe(0.0, 0.0, 0.0), seconds, plane, solid.points)
 
     def at(key: Keyframe) -> Moment:
@@ -232,7 +233,7 @@ def sweeping(now: Moment, seconds: float, number: int, cut_id: int, plane: Plane
 
 
 def exploding(now: Moment, seconds: float) -> Timeline:
-    """The pieces apart and together again."""
+    """The pieces move apart and together again."""
     film = presets.explode(Keyframe(0.0, 0.0, 0.0), seconds, ())
 
     def at(key: Keyframe) -> Moment:

@@ -1,1 +1,1 @@
-"""Three faces across each other, and what is measured on them."""
+"""Three perpendicular cut faces, and measurements of the object."""

@@ -1,4 +1,4 @@
-"""Volume and surface of pieces."""
+"""Volume and surface area of pieces."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ __all__ = ["Extent", "Filled", "extent_of"]
 Float = NDArray[np.float32]
 
 CELLS = 96
-"""Along the longest side of the grid: a ball's volume is right to 1 % and its surface to 3 %."""
+"""Cells along the longest side of the grid: a ball's volume is right to 1 % and its surface area to 3 %."""
 
 BLUR = 1.5
-"""Standard deviation, cells, of what turns filled cells into an even share: it smooths their steps, which would count
-as surface, and what is left of the skin's bumps is wider than three cells."""
+"""Standard deviation, in cells, of the blur that turns filled cells into a smooth share: it removes their steps, which
+would count as surface, and leaves only bumps of the skin that are wider than three cells."""
 
 
 @dataclass(frozen=True)
@@ -40,26 +40,26 @@ class Extent:
 
     @property
     def surface(self) -> float:
-        """Area of all of it, world units squared."""
+        """Area of skin and cut faces together, world units squared."""
         return self.skin + self.faces
 
 
 @dataclass(frozen=True)
 class Filled:
-    """What atoms fill, on a grid."""
+    """The space that atoms fill, on a grid."""
 
     cell: float
-    """World units."""
+    """Side of a grid cell, world units."""
     centres: Float
-    """(N, 3). Of the cells that are not empty, nor far from one that is not."""
+    """(N, 3). Centres of the grid cells in or near filled space."""
     share: Float
-    """(N,). Of each cell that is filled, blurred. Range [0, 1]."""
+    """(N,). The filled share of each cell, blurred. Range [0, 1]."""
     slope: Float
     """(N,). How fast the share changes, per world unit."""
 
     @staticmethod
     def of(atoms: Atoms) -> Filled:
-        """By the law that cut faces show: filled is what is dense enough."""
+        """By the rule that cut faces follow: space is filled where the density is high enough."""
         bounds = atoms.bounds.astype(np.float64)
         cell = max(float(np.ptp(bounds, axis=0).max()), atoms.pitch) / CELLS
         grid = Grid.around(bounds, cell, round(4 * BLUR))
@@ -72,11 +72,11 @@ class Filled:
 
 
 def extent_of(filled: Filled, cell: Cell) -> Extent:
-    """The part of what is filled that is in a cell.
+    """Volume and areas of the filled space in a cell of a piece.
 
-    The volume is the sum of the shares, times a smooth step across every plane. An area is the sum of a slope in place
-    of its step: a share that rises from 0 to 1 across a surface has a slope that adds up to 1 along each line across.
-    Walls have no area: the piece goes on behind them.
+    The volume is the sum of the shares, times a smooth step across every plane. For an area, a slope takes the place of
+    the share or step: a share that rises from 0 to 1 across a surface has a slope that adds up to 1 along each line
+    across it. Walls have no area: the piece continues behind them.
     """
     steps = [filled.share, *(_step(-plane.distance(filled.centres), filled.cell) for plane in cell.planes)]
     slopes = [filled.slope, *(_slope(plane.distance(filled.centres), filled.cell) for plane in cell.faces)]
@@ -88,7 +88,7 @@ def extent_of(filled: Filled, cell: Cell) -> Extent:
 
 
 def _sum(factors: Sequence[Float]) -> float:
-    """Of the products."""
+    """The sum of the element-wise products."""
     product = factors[0].astype(np.float64)
     for factor in factors[1:]:
         product *= factor
@@ -96,7 +96,7 @@ def _sum(factors: Sequence[Float]) -> float:
 
 
 def _step(distance: Float, cell: float) -> Float:
-    """0 a cell outside of a plane, 1 a cell inside, and smooth between."""
+    """A smooth step: 0 from one cell outside a plane, 1 from one cell inside."""
     part = np.clip(distance / cell, -1, 1)
     return np.asarray(0.5 * (1 + part + np.sin(np.pi * part) / np.pi), np.float32)
 

@@ -1,4 +1,4 @@
-"""Lengths as the user reads them: captures have no scale of their own until it is said once."""
+"""Lengths as the user reads them: captures have no scale of their own until the user has given one."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ UnitName = Literal["units", "mm", "cm", "m", "in"]
 UNITS: tuple[UnitName, ...] = get_args(UnitName)
 
 LENGTHS = (1e-9, 1e9)
-"""Of a unit of the file: beyond, one of the two lengths it was found from is none."""
+"""Range of the length of a unit of the file: outside it, one of the two lengths it was computed from makes no sense."""
 
 METRES: dict[UnitName, float] = {"mm": 0.001, "cm": 0.01, "m": 1.0, "in": 0.0254}
 
@@ -24,17 +24,17 @@ class Unit:
     """What lengths are given in."""
 
     name: UnitName = "units"
-    """'units': those of the file."""
+    """Name of the unit; 'units' are those of the file."""
     length: float = 1.0
-    """How many of them a unit of the file is long. Range LENGTHS."""
+    """Length of a unit of the file, in this unit. Range LENGTHS."""
 
     @property
     def metres(self) -> float:
-        """Length of a unit of the file; one, as other programs take it, where nobody has said how long it is."""
+        """Length of a unit of the file in metres; 1, as other programs assume, if the user has not given it."""
         return self.length * METRES[self.name] if self.name in METRES else 1.0
 
     def named(self, name: UnitName) -> Unit:
-        """The same lengths in another unit; those of the file have no other length than their own."""
+        """The same lengths in another unit; going back to 'units' forgets the length."""
         if name == "units":
             return Unit()
         known = self.length * METRES[self.name] / METRES[name] if self.name in METRES else self.length

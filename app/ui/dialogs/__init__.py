@@ -1,1 +1,1 @@
-"""What opens above the window: file dialogs, and the export window with the exporter behind it."""
+"""Dialogs above the window: questions, files, even slicing, and exports with the exporter behind them."""

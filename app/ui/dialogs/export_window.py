@@ -1,4 +1,4 @@
-"""The export window: the options of a picture or of pieces, and that they are being saved."""
+"""The export window: the options of a picture or of pieces, and a note while they are being saved."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ HINTS = {
 }
 MESHES = (".glb", ".obj", ".3mf")
 LARGEST = 8192
-"""Pixels of a side; OpenGL drivers without a larger limit are common."""
+"""Most pixels along a side; OpenGL drivers without a larger limit are common."""
 
 
 class ExportWindow:
-    """A modal window for the options of one export after another."""
+    """A modal window for the options of an export."""
 
     def __init__(self, exporter: Exporter, dialogs: FileDialogs) -> None:
         self.exporter, self.dialogs = exporter, dialogs
@@ -49,7 +49,7 @@ class ExportWindow:
         self.requested = True
 
     def show(self) -> None:
-        """One frame."""
+        """Draws one frame."""
         self.exporter.step()
         if self.exporter.busy:
             self._show_progress()
@@ -121,5 +121,5 @@ class ExportWindow:
 
 
 def bounded(pixels: int) -> int:
-    """The nearest number of pixels that can be drawn."""
+    """The nearest number of pixels that can be drawn along a side."""
     return min(max(16, pixels), LARGEST)

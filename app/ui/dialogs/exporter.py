@@ -1,4 +1,4 @@
-"""Saves pictures and pieces; meshes are made and written by another thread."""
+"""Saves pictures and pieces; another thread makes and writes meshes."""
 
 from __future__ import annotations
 
@@ -31,19 +31,19 @@ class Options:
     """The options of the export window."""
 
     kind: str = "picture"
-    """'picture', 'section', 'pieces', 'meshes'."""
+    """'picture', 'section', 'pieces' or 'meshes'."""
     width: int = 1600
     height: int = 1000
     transparent: bool = True
     splats: str = ".ply"
-    """Suffix of pieces."""
+    """Suffix of pieces saved as splats."""
     separate: bool = False
     """Whether each piece is saved in its own file."""
     meshes: str = ".glb"
 
 
 class Exporter:
-    """One export at a time."""
+    """Runs one export at a time."""
 
     def __init__(self, session: Session, painter: Painter) -> None:
         self.session, self.painter = session, painter
@@ -59,7 +59,7 @@ class Exporter:
         return self._thread is not None
 
     def run(self, options: Options, path: Path) -> None:
-        """Saves at once, or starts saving meshes. Errors are shown by the session."""
+        """Saves at once, or starts saving meshes. The session shows errors."""
         try:
             if options.kind == "pieces":
                 self._pieces(options, path)
@@ -75,7 +75,7 @@ class Exporter:
             self.session.show_error(error)
 
     def step(self) -> None:
-        """Tells when meshes have been saved. Called once a frame."""
+        """Tells the user when meshes have been saved. Called once a frame."""
         if self._thread is None:
             return
         if not self._thread.is_alive():
@@ -113,7 +113,7 @@ class Exporter:
         session.notify(_("Saved {name}.").format(name=path.name))
 
     def _plane(self) -> Plane:
-        """Of the chosen cut, or of the last; raises InputError if none is straight."""
+        """The plane of the active cut, or else of the last straight one; raises InputError if there is none."""
         cuts = [cut for cut in self.session.document.cuts if not cut.curved]
         if not cuts:
             raise InputError("This needs a straight cut. Cut the object or add a plane first.")
@@ -162,7 +162,7 @@ class Exporter:
         return self.session.drawn(self.session.members)
 
     def _uncut(self) -> Piece:
-        """All of the active object, alone and in its place."""
+        """The whole active object, alone and in its original place."""
         return Piece(solid=list(self.session.solids).index(self.session.document.number))
 
     def _draw(self, camera: Camera, pieces: Sequence[Piece]) -> Frame:

@@ -1,4 +1,4 @@
-"""File dialogs: the system's own if it has one, otherwise a prompt for a path in the window."""
+"""File dialogs: the system's own if there is one, otherwise a prompt for a path in the window."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Then = Callable[[tuple[Path, ...]], None]
 
 
 def _patterns(suffixes: Iterable[str]) -> str:
-    """The names of files that a dialog shows: of cameras' in capital letters as well, which Linux tells apart."""
+    """Patterns of the files that a dialog shows, also in capitals, as cameras write them and Linux tells apart."""
     return " ".join(f"*{written}" for suffix in suffixes for written in (suffix, suffix.upper()))
 
 
@@ -51,7 +51,7 @@ class PathPrompt:
 
 
 class FileDialogs:
-    """Opens one dialog at a time and calls back with the paths chosen."""
+    """Opens one dialog at a time and calls back with the chosen paths."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder

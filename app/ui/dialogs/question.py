@@ -12,7 +12,7 @@ __all__ = ["show_question"]
 
 
 def show_question(session: Session) -> None:
-    """What the session asks, until it is answered; Esc is the last of its choices."""
+    """Shows the session's question until it is answered; Esc chooses its last answer."""
     question = session.question
     if question is None:
         return

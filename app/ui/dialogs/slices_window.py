@@ -1,4 +1,4 @@
-"""The window for slicing evenly: across which axis, and into how many."""
+"""The window for slicing evenly: across which axis, and into how many slices."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from app.ui.widgets import cancel_button, font, main_button, modal, row_label, s
 __all__ = ["SlicesWindow"]
 
 MOST = 30
-"""Slices: more are thinner than the strokes of anybody's knife, and take the window longer than a moment."""
+"""Most slices: more would be thinner than anybody cuts by hand, and take the window longer than a moment."""
 
 
 class SlicesWindow:
-    """A modal window; what was chosen last is offered again."""
+    """A modal window that offers the last choice again."""
 
     def __init__(self, session: Session) -> None:
         self.session = session
@@ -30,11 +30,11 @@ class SlicesWindow:
         self.across = _("Level")
 
     def open(self) -> None:
-        """Opens it with the next frame."""
+        """Opens the window in the next frame."""
         self.requested = True
 
     def show(self) -> None:
-        """One frame."""
+        """Draws one frame."""
         if self.requested:
             imgui.open_popup("Slices")
         with modal("Slices", 340) as opened:

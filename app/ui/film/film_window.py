@@ -1,4 +1,4 @@
-"""The window to save the film: its form, size, frames a second and background."""
+"""The window for saving the film: its format, size, frames a second and background."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ T = TypeVar("T")
 FORMS = {".mp4": _("MP4"), ".webp": _("WebP"), ".gif": _("GIF"), "": _("Frames (PNG)")}
 
 SIZES = ((1280, 720), (1920, 1080), (2560, 1440), (3840, 2160), (1080, 1080), (1080, 1920))
-"""As screens and feeds have them."""
+"""Width and height in pixels, as screens and feeds use them."""
 
 RATES = (12.0, 24.0, 25.0, 30.0, 50.0, 60.0)
 
 FASTEST_GIF = 50.0
-"""Frames a second: GIFs count in hundredths, and browsers show one of 1/100 s for 1/10 s."""
+"""Most frames a second of a GIF, which counts in 1/100 s; browsers show a frame of 1/100 s for 1/10 s."""
 
 GROUNDS: dict[Background, str] = {
     "window": _("as in the window"),
@@ -43,7 +43,7 @@ GROUNDS: dict[Background, str] = {
 
 
 class FilmWindow:
-    """A modal window; what was chosen is kept with the project."""
+    """A modal window whose choices are kept with the project."""
 
     def __init__(self, session: Session, dialogs: FileDialogs) -> None:
         self.session, self.dialogs = session, dialogs
@@ -51,11 +51,11 @@ class FilmWindow:
         self.form = ".mp4" if ffmpeg() else ".webp"
 
     def open(self) -> None:
-        """Opens it with the next frame."""
+        """Opens the window in the next frame."""
         self.requested = True
 
     def show(self) -> None:
-        """One frame."""
+        """Draws one frame."""
         if self.requested:
             imgui.open_popup("Film")
         with modal("Film", 380) as opened:
@@ -131,7 +131,7 @@ class FilmWindow:
 
 
 def _choice(name: str, current: T, choices: dict[T, str]) -> T:
-    """A list of choices by their labels; returns the one chosen."""
+    """Draws a list of choices by their labels; returns the chosen one."""
     keys = list(choices)
     index = imgui.combo(name, keys.index(current), [choices[key] for key in keys])[1]
     return keys[index]

@@ -1,4 +1,4 @@
-"""The timeline below the object: keyframes that are added, dragged, replaced and removed, and the playhead."""
+"""The timeline below the object: keyframes to add, drag, replace and remove, and the playhead."""
 
 from __future__ import annotations
 
@@ -19,29 +19,29 @@ __all__ = ["PRESETS", "TimelinePanel"]
 PRESETS = {"turntable": _("Turntable"), "sweep": _("Plane sweep"), "explode": _("Explosion")}
 
 HEIGHT = 96.0
-"""Of the panel, at 96 DPI."""
+"""Height of the panel at 96 DPI."""
 
 SHORTEST, BEYOND = 8.0, 1.15
-"""Seconds that the ruler shows at least, and how much of it is behind the last keyframe: room to drag it to."""
+"""Least seconds that the ruler shows, and its length in lengths of the film: the last keyframe can be dragged."""
 
 LABELLED = 64.0
-"""Pixels at 96 DPI between two numbers of the ruler at least."""
+"""Least pixels at 96 DPI between two numbers of the ruler."""
 
 BUTTON = 26.0
 
 
 class TimelinePanel:
-    """Draws it and passes edits on to the session."""
+    """Draws the timeline and passes edits on to the session."""
 
     def __init__(self, session: Session, window: FilmWindow) -> None:
         self.session, self.window = session, window
         self._span = SHORTEST
-        """Seconds that the ruler shows: the same while something is dragged."""
+        """Seconds that the ruler shows, which stay the same while something is dragged."""
         self._dragged = False
 
     @property
     def height(self) -> float:
-        """What it takes of the window, in the window's units; 0 while it is closed."""
+        """Height that it takes of the window, in the window's units; 0 while it is closed."""
         shown = self.session.viewing.timeline and self.session.document.scene is not None
         return px(HEIGHT) if shown else 0.0
 
@@ -51,7 +51,7 @@ class TimelinePanel:
         self.session.viewing = replace(self.session.viewing, timeline=False)
 
     def show(self, width: float) -> None:
-        """One frame, from the cursor down."""
+        """Draws one frame, from the cursor down."""
         imgui.push_style_var(imgui.StyleVar_.window_padding, ImVec2(px(10), px(8)))
         imgui.push_style_var(imgui.StyleVar_.item_spacing, ImVec2(px(5), px(6)))
         flags = imgui.WindowFlags_.no_scrollbar | imgui.WindowFlags_.no_scroll_with_mouse
@@ -188,7 +188,7 @@ class TimelinePanel:
             )
 
     def _ticks(self, draw: imgui.ImDrawList, top: float, middle: float, length: float, start: float) -> None:
-        """Lines and numbers of seconds, as many as there is room for."""
+        """Draws lines and numbers of seconds, as many as there is room for."""
         p = palette()
         step = next(s for s in (0.5, 1, 2, 5, 10, 30, 60, 300, 900, 3600) if length * s / self._span > px(LABELLED))
         for number in range(int(self._span / step) + 1):
@@ -199,7 +199,7 @@ class TimelinePanel:
                 draw.add_text(ImVec2(x + px(4), top - px(2)), u32(p.second), text)
 
     def _key(self, draw: imgui.ImDrawList, index: int, at: ImVec2, time_at: Callable[[float], float]) -> None:
-        """A keyframe: a diamond, with a ring around the selected one; a click shows it, a drag moves it."""
+        """Draws a keyframe as a diamond, with a ring if it is selected; a click shows the keyframe, a drag moves it."""
         session, film, p = self.session, self.session.film, palette()
         reach = px(9)
         imgui.set_cursor_screen_pos(ImVec2(at.x - reach, at.y - px(12)))
@@ -236,7 +236,7 @@ class TimelinePanel:
 
 
 def _button(symbol: str, label: str, wide: bool) -> bool:
-    """A button with its symbol, and its label where there is room."""
+    """A button with its symbol, and its label if there is room."""
     if wide:
         return imgui.button(f"{symbol}  {label}###{label}", ImVec2(0, px(BUTTON)))
     return icon_button(f"{symbol}###{label}", BUTTON)

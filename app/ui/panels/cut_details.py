@@ -1,4 +1,4 @@
-"""What opens below a cut of the inspector: where its plane lies, and what can be done with it."""
+"""The details that open below a cut in the inspector: where its plane lies, and what can be done with it."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ __all__ = ["CutDetails"]
 
 
 class CutDetails:
-    """Draws them for one cut and passes edits on to the session."""
+    """Draws the details of one cut and passes edits on to the session."""
 
     def __init__(self, session: Session, viewport: Viewport) -> None:
         self.session, self.viewport = session, viewport
@@ -32,7 +32,7 @@ class CutDetails:
         """Id of a cut, and a, b, c, d as typed so far."""
 
     def show(self, cut: Cut) -> None:
-        """One frame."""
+        """Draws one frame."""
         session = self.session
         imgui.indent(px(32))
         plane = cut.plane(cut.parts[0])
@@ -59,7 +59,7 @@ class CutDetails:
         imgui.unindent(px(32))
 
     def _place(self, cut: Cut, plane: Plane) -> None:
-        """Its distance and two angles; three points, or an axis that it stands across."""
+        """Draws the fields for the plane's distance and two angles, a list of axes, and the button for three points."""
         up, centre = np.asarray(self.session.up), self.session.solid.centre
         now = PlaneAngles.of(plane, up, centre)
         speed = self.session.solid.radius / 200  # a drag across the panel moves it by about a radius
@@ -71,7 +71,7 @@ class CutDetails:
             ("turn", _("Turn"), now.turn, 0.5, -180.0, 180.0, "%.1f°", _("About the upright axis")),
         ):
             row_label(title, 108)
-            value = value if abs(value) >= 5e-4 else 0.0  # and not "-0.000"
+            value = value if abs(value) >= 5e-4 else 0.0  # so that "-0.000" is never shown
             changed, new = imgui.drag_float(f"##{name}", value, step, low, high, form)
             tooltip(_("{hint}. Drag, or double click to type.").format(hint=hint))
             if changed and np.isfinite(new):

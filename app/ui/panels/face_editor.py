@@ -1,4 +1,4 @@
-"""The editor of a picture's face, in place of the viewport: outline, axis, kind of cut, and where the picture goes."""
+"""The editor of the face in a picture, shown in place of the viewport: outline, axis, kind of cut, and placement."""
 
 from __future__ import annotations
 
@@ -41,10 +41,10 @@ TOOL_HINTS = (
 )
 
 REACH = 11.0
-"""Pixels at 96 DPI from a point of which the pointer takes hold of it."""
+"""Distance from a point, in pixels at 96 DPI, within which the pointer takes hold of it."""
 
 DOTS = 28.0
-"""Pixels at 96 DPI between the points of an outline that are shown as dots. All others can be dragged as well."""
+"""Pixels at 96 DPI between the points of an outline that are shown as dots. The other points can be dragged, too."""
 
 BRUSH_RANGE = (0.008, 0.15)
 """Radius of the brush in heights of the picture: from a few pixels to a third of a face."""
@@ -52,7 +52,7 @@ BRUSH_RANGE = (0.008, 0.15)
 BRUSH = 0.03
 
 Grip = tuple[str, int]
-"""What is dragged: 'outline', 'core' or 'line', and which of its points."""
+"""What is dragged: 'outline', 'core' or 'line', and the index of its point."""
 
 
 class FaceEditor:
@@ -70,14 +70,14 @@ class FaceEditor:
         self._texture: tuple[NDArray[np.uint8], moderngl.Texture] | None = None
         self._shown: Path | None = None
         self._mode = ""
-        """How the object was viewed before the editor was opened."""
+        """The view mode before the editor was opened."""
         self._with: Tool = "select"
-        """The tool of the viewport then. Another one is used on the object, so that choosing it closes the editor."""
+        """The viewport's tool at that time. Choosing another tool, which is used on the object, closes the editor."""
         self.low, self.side = ImVec2(0, 0), ImVec2(1, 1)
         """Top left corner and size of the picture on the screen."""
 
     def show(self) -> bool:
-        """One frame, if a picture is open; False if none is."""
+        """Draws one frame if a picture is open; False if none is."""
         face, session = self.session.faces.open_face, self.session
         if (None if face is None else face.path) != self._shown:
             self._change_picture(face)
@@ -122,7 +122,8 @@ class FaceEditor:
         self._shown = None if face is None else face.path
 
     def _head(self, face: OpenFace, left: float, right: float) -> None:
-        """Name and buttons; what it seems to be, and what it is taken for. `left` and `right`: its edges."""
+        """Draws the name, the buttons, what the face seems to be, and the kind of cut that it is used as. `left` and
+        `right`: edges of this part."""
         session = self.session
         again, done = f"{icon.ICON_FA_ARROW_ROTATE_LEFT}  " + _("Find again"), f"{icon.ICON_FA_CHECK}  " + _("Done")
         widths = [imgui.calc_text_size(text).x + px(28) for text in (again, done)]
@@ -159,7 +160,7 @@ class FaceEditor:
         imgui.dummy(ImVec2(0, px(2)))
 
     def _verdict(self, face: OpenFace) -> None:
-        """What the face seems to be, or why there is none."""
+        """Says what the face seems to be, or why there is none."""
         found = face.found
         if found is None:
             secondary(_("Looking for the cut face..."))
@@ -178,7 +179,7 @@ class FaceEditor:
     # The picture
 
     def _picture(self, face: OpenFace, size: ImVec2) -> None:
-        """The picture with what is known of its face, and the pointer on it."""
+        """Draws the picture with what is known of its face, and handles the pointer on it."""
         corner, draw, p = imgui.get_cursor_screen_pos(), imgui.get_window_draw_list(), palette()
         draw.add_rect_filled(corner, ImVec2(corner.x + size.x, corner.y + size.y), u32(p.view), px(5))
         imgui.invisible_button("##picture", size)
@@ -212,7 +213,7 @@ class FaceEditor:
         draw.pop_clip_rect()
 
     def _pointer(self, face: OpenFace, hovered: bool, active: bool) -> Grip | None:
-        """Follows the pointer; returns what it has hold of, or would take."""
+        """Follows the pointer; returns the point that it holds, or would take hold of."""
         io, at = imgui.get_io(), self._place(imgui.get_mouse_pos())
         if self.tool:
             if hovered and io.mouse_wheel:
@@ -241,7 +242,7 @@ class FaceEditor:
         return what, index
 
     def _take(self, face: OpenFace, near: Grip) -> tuple[Grip, Outline]:
-        """What is dragged, and the outline to begin with."""
+        """What is dragged, and the outline at the beginning of the drag."""
         outline = face.marks.outline or ()
         if near[0] != "outline" or imgui.get_io().key_alt:
             return near, outline
@@ -263,7 +264,7 @@ class FaceEditor:
         return ("outline", index) if away < reach else None
 
     def _axis_points(self, face: OpenFace) -> list[Place]:
-        """The core of a horizontal cut, both ends of the core line of a radial one, none in a slice."""
+        """The core of a horizontal cut, both ends of the core line of a radial cut, none for a slice."""
         marks = face.marks
         if face.cut == "horizontal":
             return [marks.core] if marks.core is not None else []
@@ -304,7 +305,7 @@ class FaceEditor:
             draw.add_circle_filled(point, px(2.4), u32("#1B1C1E"))
 
     def _brush(self, draw: imgui.ImDrawList) -> None:
-        """The brush at the pointer, with its sign."""
+        """Draws the brush at the pointer, with a plus or minus sign."""
         at, radius = imgui.get_mouse_pos(), self.brush * self.side.y
         draw.add_circle(at, radius, u32("#000000", 0.6), 0, px(3.2))
         draw.add_circle(at, radius, u32("#FFFFFF"), 0, px(1.4))
@@ -333,7 +334,7 @@ class FaceEditor:
     # Places
 
     def to_screen(self, place: Place) -> ImVec2:
-        """Where a place in the picture is on the screen."""
+        """The point of the screen that shows a place in the picture."""
         return ImVec2(self.low.x + place[0] * self.side.x, self.low.y + place[1] * self.side.y)
 
     def _place(self, at: ImVec2) -> Place:

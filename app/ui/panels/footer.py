@@ -1,4 +1,4 @@
-"""The lower end of the inspector, which does not scroll: what is being prepared, and the training with its controls."""
+"""The lower end of the inspector, which does not scroll: progress of films, loading and training, with controls."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ PHASES = {"paused": _("Paused"), "stopping": _("Stopping"), "stopped": _("Stoppe
 
 
 class Footer:
-    """Draws what goes on in the background; as tall as that needs."""
+    """Draws the work in the background, as tall as necessary."""
 
     def __init__(self, session: Session) -> None:
         self.session = session
         self.height = 0.0
-        """Of the last frame, with the space above it, pixels."""
+        """Height in the last frame, including the space above it, pixels."""
 
     def show(self) -> None:
-        """One frame, from the cursor down."""
+        """Draws one frame, from the cursor down."""
         session, top = self.session, imgui.get_cursor_pos_y()
         loader, job = session.loader, session.training.job
         film = session.film.job

@@ -1,4 +1,4 @@
-"""The panel at the right: object, cuts and pieces, interior, in the order in which a user works."""
+"""The panel at the right: object, cuts and pieces, and interior, in the order in which a user works."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ AXES: dict[str, Vec3] = {
 
 
 def axis_name(axis: Vec3) -> str:
-    """'+z' for example, or 'tilted' for an axis that is none of the six."""
+    """Name of an axis, such as '+z', or 'tilted' if it is none of the six."""
     for name, known in AXES.items():
         if np.dot(known, axis) > 0.9999:
             return name
@@ -65,12 +65,12 @@ class Inspector:
         self._up: list[float] | None = None
         """The up axis as typed so far, while its list is open."""
         self._renamed: int | None = None
-        """Number of the object whose name is typed."""
+        """Number of the object whose name is being typed."""
         self._typing = False
-        """Whether the field for it has been drawn, and has the keyboard."""
+        """Whether the field for the name has been drawn, and has the keyboard focus."""
 
     def show(self) -> None:
-        """One frame."""
+        """Draws one frame."""
         above = imgui.get_content_region_avail().y - self.footer.height
         imgui.begin_child("##sections", ImVec2(0, max(above, px(80))), imgui.ChildFlags_.nav_flattened)
         self._object()
@@ -103,7 +103,7 @@ class Inspector:
             self._objects()
 
     def _objects(self) -> None:
-        """The list of several objects: shown or hidden, selected, named."""
+        """Draws the list of objects, which can be shown, hidden, selected and named."""
         for index, document in enumerate(self.session.documents):
             imgui.push_id(document.number)
             self._listed_object(index, document)
@@ -135,14 +135,14 @@ class Inspector:
             session.activate(index, not (active and session.object_selected))
         if imgui.is_item_hovered() and imgui.is_mouse_double_clicked(imgui.MouseButton_.left):
             self._renamed, self._typing = document.number, False
-            session.activate(index)  # whatever its first click did
+            session.activate(index)  # whatever the first click did
         tooltip(_("The selected object is the one that is cut; click again to cut all. Double click to name it."))
         imgui.same_line()
         imgui.align_text_to_frame_padding()
         secondary(self._state(document))
 
     def _state(self, document: Document) -> str:
-        """How far an object is, in a word or two; empty for a solid without an inside."""
+        """The state of an object in a word or two; empty for a solid without an inside."""
         if any(job.document.number == document.number and not job.ended for job in self.session.training.jobs):
             return _("in training")
         loaded = self.session.loaded.get(document.number)
@@ -151,7 +151,8 @@ class Inspector:
         return _("with an inside") if loaded.trained else ""
 
     def _up_axis(self) -> None:
-        """Which way is up: one of six axes, as detected, by a face, or in numbers, which count when the list closes."""
+        """Draws the choice of the up axis: one of six axes, as detected, by a face, or as numbers, which are taken when
+        the list closes."""
         session, document = self.session, self.session.document
         current = axis_name(session.up)
         flags = imgui.ComboFlags_.no_arrow_button | imgui.ComboFlags_.height_largest

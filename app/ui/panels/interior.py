@@ -79,7 +79,7 @@ class InteriorPanel:
         self.session.add_pictures(kind or self.open, paths)
 
     def show(self) -> None:
-        """One frame."""
+        """Draws one frame."""
         session = self.session
         heading(_("Interior"))
         self.rows.clear()
@@ -147,7 +147,7 @@ class InteriorPanel:
         imgui.dummy(ImVec2(side, side))
 
     def _edit(self, family: Family) -> None:
-        """Number of planes, range, axis, prompt and pictures of one family."""
+        """Draws the settings of one family: number of planes, range, axis, prompt and pictures."""
         session, kind = self.session, family.kind
         imgui.indent(px(4))
 
@@ -201,7 +201,7 @@ class InteriorPanel:
             imgui.set_cursor_screen_pos(ImVec2(at.x + side - px(18), at.y + px(2)))
             pressed = hovered and imgui.small_button(f"{icon.ICON_FA_XMARK}")
             pressed = pressed or deleted
-            imgui.set_cursor_screen_pos(at)  # not at the end, which may be a part of a pixel outside of the group
+            imgui.set_cursor_screen_pos(at)  # not at the end, which may be a fraction of a pixel outside the group
             imgui.end_group()
             imgui.pop_id()
             if pressed:
@@ -217,7 +217,8 @@ class InteriorPanel:
                 secondary(f"{path.name}: {face.verdict}.", wrap=True)
 
     def _picture_state(self, path: Path, at: ImVec2, side: float) -> None:
-        """What the last item, a picture, seems to show; a sign on it if it shows no face."""
+        """Adds a tooltip that says what the picture, the last item, seems to show, and a warning sign if it shows no
+        face."""
         face = self.session.faces.finder.get(path)
         family = self.session.document.family(self.open) if self.open is not None else None
         corrected = family is not None and family.marks_of(path).outline is not None
@@ -343,7 +344,7 @@ class InteriorPanel:
         self.session.change(name, replace(self.session.document, training=training), merge)
 
     def _run(self) -> None:
-        """The button for training, or what the running job shows beside its progress (`app.ui.panels.footer`)."""
+        """Draws the button for training, or the details of a job; the job's progress is in `app.ui.panels.footer`."""
         session, training = self.session, self.session.training
         job = training.job
         if job is not None:

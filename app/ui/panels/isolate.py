@@ -1,4 +1,4 @@
-"""The inspector's section for isolating the object: what is selected of the capture, and what becomes of it."""
+"""The inspector's section for isolating the object: what is selected in the capture, and what to do with it."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class IsolatePanel:
         self.session = session
 
     def show(self) -> None:
-        """One frame."""
+        """Draws one frame."""
         session, isolation = self.session, self.session.isolation
         isolation.tint = rgb(palette().accent)
         heading(_("Isolate"))

@@ -1,4 +1,4 @@
-"""What is measured: volume and surface of what is selected, the last distance, and the unit that they are given in."""
+"""Measures: volume and surface area of what is selected, the last distance, and their unit."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ __all__ = ["MeasuresPanel"]
 
 
 class MeasuresPanel:
-    """A section of the inspector, while there are slices or something is selected."""
+    """A section of the inspector that is shown while there are slices or pieces are selected."""
 
     def __init__(self, session: Session, slices: SliceViews) -> None:
         self.session, self.slices = session, slices
         self.measurer = Measurer()
 
     def show(self) -> None:
-        """One frame."""
+        """Draws one frame."""
         session = self.session
         atoms, selected = session.atoms, session.selection
         if atoms is None or not (session.viewing.slices or selected):
@@ -55,7 +55,7 @@ class MeasuresPanel:
         self._distance(unit)
 
     def _distance(self, unit: Unit) -> None:
-        """The last distance, which can be set to what it really is, and the unit."""
+        """Draws the last distance, which the user can set to its real length, and the unit."""
         session, measured = self.session, self.slices.measured
         length = None if measured is None else measured.length
         imgui.align_text_to_frame_padding()

@@ -1,4 +1,4 @@
-"""The list of pieces: shown or hidden, named, marked, in groups; how far they stand apart."""
+"""The list of pieces, which can be shown, hidden, named, marked and grouped, and how far they stand apart."""
 
 from __future__ import annotations
 
@@ -38,14 +38,14 @@ class PiecesPanel:
     def __init__(self, session: Session) -> None:
         self.session = session
         self._renamed: Key | None = None
-        """The piece whose name is typed."""
+        """The piece whose name is being typed."""
         self._typing = False
-        """Whether the field for it has been drawn, and has the keyboard."""
+        """Whether the field for the name has been drawn, and has the keyboard focus."""
         self._group = ""
         """Name of a group as typed so far."""
 
     def show(self) -> None:
-        """One frame."""
+        """Draws one frame."""
         session, document = self.session, self.session.document
         imgui.dummy(ImVec2(0, px(2)))
         for label, name, value, hint in (
@@ -57,7 +57,7 @@ class PiecesPanel:
             if changed:
                 changed_one = replace(document, gap=new) if name == "gap" else replace(document, explode=new)
                 session.change(label, changed_one, merge=name)
-        # Sorting is stable: in a group, and without one, pieces keep their order.
+        # Sorting is stable: pieces keep their order within a group, and without one.
         grouped = sorted(session.pieces, key=lambda piece: (not piece.group, piece.group))
         for group, pieces in groupby(grouped, key=lambda piece: piece.group):
             members = list(pieces)
@@ -72,14 +72,14 @@ class PiecesPanel:
         tooltip(_("Every piece back in its place; cuts, names and groups stay"), "Ctrl+G")
 
     def rename(self) -> None:
-        """Has the name of the selected piece typed."""
+        """Lets the user type the name of the selected piece."""
         if len(self.session.selection) == 1:
             (self._renamed,), self._typing = self.session.selection, False
         else:
             self.session.notify(_("Select one piece to name it."))
 
     def _header(self, group: str, members: Sequence[PlacedPiece]) -> None:
-        """The name of a group, which selects all of it."""
+        """Draws the name of a group; a click on it selects the whole group."""
         session, keys = self.session, frozenset(piece.key for piece in members)
         imgui.push_id(f"group {group}")
         shown = any(piece.visible for piece in members)
@@ -131,7 +131,7 @@ class PiecesPanel:
         tooltip(_("Delete the piece"), "Del")
 
     def _field(self, piece: PlacedPiece) -> None:
-        """The field in which a name is typed; an empty one is the number again."""
+        """Draws the field in which a name is typed; left empty, the piece is numbered again."""
         session = self.session
         imgui.set_next_item_width(-1)
         if not self._typing:
@@ -145,7 +145,7 @@ class PiecesPanel:
         self._typing, self._renamed = not ended, None if ended else self._renamed
 
     def _popup(self) -> None:
-        """Marks, and the name of a group."""
+        """Draws the choice of a mark, and the field for the name of a group."""
         session = self.session
         if not imgui.begin_popup("mark"):
             return

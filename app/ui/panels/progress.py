@@ -1,4 +1,4 @@
-"""Progress of training: loss curves, and labels beside the cut faces that the object has reached."""
+"""Progress of training: loss curves, and labels beside the object's present cut faces."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def curves(progress: Progress) -> None:
 
 
 def previews(progress: Progress, thumbnails: Thumbnails) -> None:
-    """The latest labels, each beside the object's cut face at the same plane."""
+    """Draws the latest labels, each beside the object's cut face in the same plane."""
     secondary(_("Wanted and reached"))
     width = (imgui.get_content_region_avail().x - px(8)) / 2
     for index, path in enumerate(progress.previews[:4]):

@@ -1,4 +1,4 @@
-"""What stands in the empty window: what to do first, and the files that were open lately, with pictures."""
+"""The content of the empty window: what to do first, and recent files with their pictures."""
 
 from __future__ import annotations
 
@@ -22,30 +22,30 @@ from app.ui.widgets import clipped, font, icon_button, main_button, secondary, t
 __all__ = ["RecentFiles"]
 
 EVERY = 3.0
-"""Seconds until it is looked up again which of the files are there."""
+"""Seconds between two checks of which files still exist."""
 
 CARD = 196.0
 """Width of a card at 96 DPI."""
 
 COLUMNS = 4
-"""Cards side by side at most."""
+"""Most cards side by side."""
 
 
 class RecentFiles:
-    """Keeps a picture of what is open, and draws those of the recent files."""
+    """Keeps a picture of what is open, and draws the pictures of recent files."""
 
     def __init__(self, session: Session, painter: Painter, ctx: moderngl.Context) -> None:
         self.session, self.painter = session, painter
         self.thumbnails = Thumbnails(ctx, max(SIZE))
         self.missing: frozenset[str] = frozenset()
-        """Of the recent files, those that were not there when last looked up."""
+        """Recent files that did not exist at the last check."""
         self._looked = -EVERY
         self._looking: threading.Thread | None = None
         self._kept: object = None
         """What the last picture was of."""
 
     def keep(self) -> None:
-        """Keeps a picture of what is shown, once for each file, save and solid. Call it while all is still."""
+        """Keeps a picture of what is shown, once for each file, save and solid. Call it while nothing moves."""
         session = self.session
         key = (session.path or session.document.scene, id(session.history.saved), session.geometry_version)
         if key == self._kept or session.object is None or session.loader is not None:
@@ -61,7 +61,7 @@ class RecentFiles:
     def show(
         self, origin: ImVec2, size: tuple[int, int], open_: Callable[[], None], sample: Callable[[], None]
     ) -> None:
-        """One frame, in the middle of a rectangle."""
+        """Draws one frame, in the middle of a rectangle."""
         names = self.session.settings.recent
         gap, margin = px(16), px(20)
         width = min(px(CARD), size[0] - 2 * margin)
@@ -92,7 +92,7 @@ class RecentFiles:
         imgui.pop_style_var()
 
     def _first(self, full: float, open_: Callable[[], None], sample: Callable[[], None]) -> None:
-        """What to do while nothing is open."""
+        """Draws what to do while nothing is open."""
         with font(Fonts.bold):
             imgui.text_unformatted(_("Open a capture to slice it"))
         secondary(_("or drop it here: .ply, .splat, .spz, .sog, .ksplat, .obj, .glb"), wrap=True)
@@ -104,7 +104,7 @@ class RecentFiles:
             sample()
 
     def _card(self, index: int, name: str, size: ImVec2) -> None:
-        """One recent file: its picture, its name and where it is."""
+        """Draws one recent file: its picture, name and folder."""
         p, draw, path = palette(), imgui.get_window_draw_list(), Path(name)
         low = imgui.get_cursor_screen_pos()
         high = ImVec2(low.x + size.x, low.y + size.x * SIZE[1] / SIZE[0])
@@ -136,7 +136,7 @@ class RecentFiles:
             self.session.files.forget_recent(name)
 
     def _look(self) -> None:
-        """Looks up now and then which files are there, in a thread: a drive that is gone may take long to say so."""
+        """Checks now and then which files exist, in a thread: a drive that is gone may take long to respond."""
         now = time.monotonic()
         if now - self._looked < EVERY or (self._looking is not None and self._looking.is_alive()):
             return

@@ -18,12 +18,12 @@ SIDE = 192
 """Pixels of the longer side: sharp even on a screen of twice the usual density."""
 
 CAPACITY = 64
-"""Thumbnails in the cache: more than a window shows at once, a few MB of textures."""
+"""Most thumbnails in the cache: more than a window shows at once, a few MB of textures."""
 
 
 class Thumbnails:
-    """A cache of thumbnails that drops the least recently used one. Pictures are decoded in a thread: a phone's takes
-    half a second."""
+    """A cache of thumbnails that drops the least recently used one. Pictures are decoded in a thread: one from a phone
+    takes half a second."""
 
     def __init__(self, ctx: moderngl.Context, side: int = SIDE) -> None:
         self.ctx, self.side = ctx, side
@@ -31,8 +31,8 @@ class Thumbnails:
         self._cache: dict[Path, _Entry] = {}
 
     def get(self, path: Path) -> moderngl.Texture | None:
-        """The thumbnail of a file, None until there is one. Of a file that has changed it is the one from before until
-        the new one is there. Never waits."""
+        """The thumbnail of a file; None until there is one. For a file that has changed, the old thumbnail is returned
+        until the new one is ready. Never waits."""
         entry = self._entry(path)
         if entry.read is not None and entry.read.done():
             small, entry.read = entry.read.result(), None
@@ -41,7 +41,7 @@ class Thumbnails:
         return entry.texture
 
     def is_none(self, path: Path) -> bool:
-        """Whether a file is known to be no picture."""
+        """Whether a file is known not to be a picture."""
         return self.get(path) is None and self._entry(path).read is None
 
     def _entry(self, path: Path) -> _Entry:
@@ -58,7 +58,7 @@ class Thumbnails:
         return entry
 
     def release(self) -> None:
-        """Frees all textures, and decodes nothing more."""
+        """Frees all textures, and stops decoding."""
         self._worker.shutdown(wait=False, cancel_futures=True)
         for entry in self._cache.values():
             entry.release()
@@ -67,10 +67,10 @@ class Thumbnails:
 
 @dataclass
 class _Entry:
-    """One file of the cache."""
+    """The cache entry of one file."""
 
     changed: int | None = None
-    """When the file was, in nanoseconds; -1 without one."""
+    """When the file was changed, in nanoseconds; -1 if there is no file."""
     read: Future[Image.Image | None] | None = None
     """The picture that is being decoded."""
     texture: moderngl.Texture | None = None
@@ -82,7 +82,7 @@ class _Entry:
 
 
 def _decoded(path: Path, side: int) -> Image.Image | None:
-    """The picture in a file, at most `side` pixels long; None if it is none."""
+    """The picture in a file, reduced to at most `side` pixels along its longer side; None if it is not a picture."""
     try:
         with open_picture(path) as image:
             image.draft("RGB", (side, side))

@@ -1,4 +1,4 @@
-"""What opens beside the switch of the view's mode: how splats are drawn, and what is drawn over the object."""
+"""The options that open beside the switch of the view mode: how splats are drawn, and what is drawn over the object."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ SWITCHES = {
     _("Calm motion"): "motion",
     _("Statistics"): "statistics",
 }
-"""Settings that are switched on and off, by their labels."""
+"""Settings that can be switched on and off, by their labels."""
 
 
 class ViewOptions:
-    """Draws the button and what opens from it."""
+    """Draws the button and the options that it opens."""
 
     def __init__(self, session: Session) -> None:
         self.session = session
 
     def show(self) -> None:
-        """One frame, to the right of the last item. The button is accented while splats are not drawn as they are."""
+        """Draws one frame, to the right of the last item. The button is accented while size or opacity is altered."""
         session = self.session
         imgui.same_line(0, px(8))
         size = imgui.get_frame_height() / px(1)

@@ -1,1 +1,1 @@
-"""The viewport: `viewport` handles the pointer, `painter` draws the object, the others what lies over it."""
+"""The viewport: `viewport` handles the pointer, `painter` draws the object, and the others draw what lies over it."""

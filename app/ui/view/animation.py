@@ -1,4 +1,4 @@
-"""Short animations of the view: pieces that move to new places, and the camera on its way to another view."""
+"""Short animations of the view: pieces that move to new places, and the camera moving to another view."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from app.model.rigid_transform import Motion
 __all__ = ["CameraAnimation", "PieceAnimation"]
 
 SECONDS = 0.25
-"""Duration: long enough for the eye to follow, too short to wait for."""
+"""Duration of the camera's movement: long enough for the eye to follow, too short to wait for."""
 
 PARTING = 0.45
-"""Duration of pieces' way to their places, seconds: they part calmly, and strokes do not wait for them."""
+"""Duration of the pieces' movement, seconds: they part calmly, and strokes do not wait for them."""
 
 LINGER = 1.2
 """Duration of the camera's animation, in SECONDS, including a few frames at its goal."""
 
 
 class PieceAnimation:
-    """Slides pieces to their new places when there are other pieces: after a cut, an undo or reassembling."""
+    """Slides pieces to their places when the set of pieces changes: after a cut, an undo or reassembling."""
 
     def __init__(self) -> None:
         self.begin = -10.0
@@ -37,7 +37,7 @@ class PieceAnimation:
         return time.monotonic() - self.begin < PARTING
 
     def placed(self, pieces: Sequence[PlacedPiece], moves: bool = True) -> list[PlacedPiece]:
-        """The pieces with the motions to draw them with now; unless it `moves` they are where they belong at once."""
+        """The pieces with the motions to draw them with now. `moves`: whether they slide; if not, they jump."""
         now = time.monotonic()
         keys = {piece.key for piece in pieces}
         if not moves:
@@ -56,7 +56,7 @@ class PieceAnimation:
         return result
 
     def _from(self, piece: PlacedPiece) -> Motion:
-        """Where a piece starts: at its own last place, or at that of the piece that it was cut from or contains."""
+        """Where a piece starts: at its own last place, or at that of a piece that it was cut from or contains."""
         if piece.key in self.last:
             return self.last[piece.key]
         for key, motion in self.last.items():
@@ -86,7 +86,7 @@ class CameraAnimation:
 
 
 def _interpolated(start: Motion | None, end: Motion, part: float) -> Motion:
-    """Between two motions; the rotation is that of the end already, since only translations change here."""
+    """A motion between two; it has the rotation of the end, since only translations change here."""
     if start is None:
         return end
     x, y, z = (a + part * (b - a) for a, b in zip(start.shift, end.shift, strict=True))

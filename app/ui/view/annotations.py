@@ -15,7 +15,7 @@ __all__ = ["brackets", "label", "marker_outline"]
 
 
 def label(draw: imgui.ImDrawList, at: ImVec2, text: str) -> None:
-    """Text on a background that keeps it readable, moved inside of the clip rectangle."""
+    """Draws text on a background that keeps it readable, moved inside the clip rectangle."""
     size = imgui.calc_text_size(text)
     low, high = draw.get_clip_rect_min(), draw.get_clip_rect_max()
     at = ImVec2(
@@ -27,7 +27,7 @@ def label(draw: imgui.ImDrawList, at: ImVec2, text: str) -> None:
 
 
 def brackets(draw: imgui.ImDrawList, low: NDArray[np.float64], high: NDArray[np.float64]) -> None:
-    """The four corners of a rectangle, from its low to its high corner (2,)."""
+    """Draws the four corners of a rectangle, given by its low and high corner (2,)."""
     colour, length = u32(palette().accent), px(12)
     for x, dx in ((low[0], 1), (high[0], -1)):
         for y, dy in ((low[1], 1), (high[1], -1)):
@@ -37,7 +37,7 @@ def brackets(draw: imgui.ImDrawList, low: NDArray[np.float64], high: NDArray[np.
 
 
 def marker_outline(draw: imgui.ImDrawList, marker: Marker, path: Sequence[Point], origin: ImVec2) -> None:
-    """What a drag along `path`, points from `origin`, selects: a rectangle, a circle around its start, or a lasso."""
+    """Draws the selection of a drag along `path`, relative to `origin`: a box, a circle around its start or a lasso."""
     points = [ImVec2(x + origin.x, y + origin.y) for x, y in path]
     start, end = points[0], points[-1]
     for colour, width in ((u32("#000000", 0.35), px(4)), (u32(palette().accent), px(1.8))):

@@ -1,4 +1,4 @@
-"""Handles on the faces of the box that was marked last: each is pulled along its axis."""
+"""Handles on the faces of the box that was marked last; each can be pulled along its axis."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ from engine.scene.camera import Camera
 __all__ = ["BoxHandles"]
 
 SHORTEST_AXIS = 0.1
-"""Part of a world unit's length in the picture that an axis must keep to have handles: along a line of sight a pull has
-no length."""
+"""Least foreshortened length of an axis that has handles, as a part of its full length in the picture: along a line of
+sight a pull has no length."""
 
 Face = tuple[int, int]
-"""Axis 0 to 2, and 0 for its low side or 1 for its high one."""
+"""A face of a box: its axis, 0 to 2, and 0 for the low side or 1 for the high side."""
 
 
 class BoxHandles:
-    """Draws the box and its handles; remembers which is being pulled."""
+    """Draws the box and its handles; remembers which handle is being pulled."""
 
     def __init__(self, session: Session) -> None:
         self.session = session
@@ -41,7 +41,7 @@ class BoxHandles:
         return [] if box is None else [lines(box_edges(box), palette().accent, 0.9, px(1.2) * scale, 0.35)]
 
     def show(self, camera: Camera, origin: ImVec2, free: bool) -> bool:
-        """One frame. True while a handle is hovered or pulled. `free`: the pointer does nothing else."""
+        """Draws one frame; true while a handle is hovered or pulled. `free`: whether the pointer does nothing else."""
         box = self.session.isolation.last_box
         if box is None or not (free or self._pulled):
             self._pulled = None
@@ -70,7 +70,7 @@ class BoxHandles:
 
 
 def pulled(box: Box, face: Face, shift: float) -> Box:
-    """The box with one face moved by `shift` world units along its axis, no farther than to the opposite one."""
+    """The box with one face moved by `shift` world units along its axis, but not past the opposite face."""
     axis, side = face
     low, high = np.array(box.low), np.array(box.high)
     if side:
@@ -81,7 +81,8 @@ def pulled(box: Box, face: Face, shift: float) -> Box:
 
 
 def _faces(box: Box, camera: Camera) -> tuple[dict[Face, NDArray[np.float64]], dict[Face, NDArray[np.float64]]]:
-    """Of each face that can be pulled: pixels of its centre, and how many its centre moves by for a world unit."""
+    """For each face that can be pulled: its centre (2,) in pixels, and the pixels (2,) by which that moves per world
+    unit."""
     axes = Motion(box.turn).rotation
     low, high = np.array(box.low), np.array(box.high)
     places, steps = {}, {}

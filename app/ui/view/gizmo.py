@@ -21,12 +21,12 @@ __all__ = ["handles", "on_handles"]
 gizmo = imguizmo.im_guizmo
 
 WIDE, NARROW = 0.4, 0.1
-"""Size of handles in the picture, whose width is 2: around the object, so that its faces can be clicked, and ImGuizmo's
-own for what is handled at its middle."""
+"""Sizes of handles, where the width of the picture is 2: wide ones around the object, so that its faces can be clicked,
+and ImGuizmo's default for handles in the middle of what they move."""
 
 
 def handles(session: Session, camera: Camera, origin: ImVec2, size: ImVec2) -> bool:
-    """Draws the handles of the tool; False where it has none."""
+    """Draws the handles of the tool; False if it has none."""
     if session.tool in ("move", "turn") and session.selection:
         return _piece_handles(session, camera, origin, size)
     if session.tool == "plane" and session.active_cut is not None:
@@ -77,7 +77,7 @@ def _plane_handles(session: Session, camera: Camera, origin: ImVec2, size: ImVec
 
 
 def _upright_handles(session: Session, camera: Camera, origin: ImVec2, size: ImVec2) -> bool:
-    # In a frame of the viewer, with up as z, nothing but the object moves while it is turned.
+    # The handles work in the viewer's frame, with up as z, where nothing but the object moves while it is turned.
     up, right = np.asarray(session.up), camera.viewmat[0, :3]
     viewer = np.stack([right, np.cross(up, right), up])
     to_object = np.eye(4)
@@ -100,7 +100,7 @@ def _manipulate(
     mode: object,
     place: NDArray[np.float64],
 ) -> NDArray[np.float64] | None:
-    """`place` (4, 4) after the handles were dragged; None if they were not."""
+    """Draws handles at `place` (4, 4). Returns the new matrix if they were dragged, else None."""
     gizmo.set_orthographic(camera.orthographic)
     gizmo.set_drawlist(imgui.get_window_draw_list())
     gizmo.set_rect(origin.x, origin.y, size.x, size.y)
@@ -119,7 +119,7 @@ def _manipulate(
 
 
 def on_handles() -> bool:
-    """Whether the pointer is on handles, or drags them; means something only after some were drawn."""
+    """Whether the pointer is on handles, or drags them; only meaningful after some were drawn."""
     return bool(gizmo.is_using() or gizmo.is_over())
 
 

@@ -1,4 +1,4 @@
-"""What is written over the viewport: the switch of its mode, what a film shows, the tool's hint, statistics."""
+"""Texts and controls over the viewport: switch of the mode, names, what a film shows, the tool's hint, statistics."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ MODE_HINTS = (
 
 
 def mode_switch(session: Session, origin: ImVec2, size: tuple[int, int]) -> str | None:
-    """Capture, solid or interior; the mode that was chosen now."""
+    """Draws the switch between capture, solid and interior; returns the mode if one was chosen in this frame."""
     inset = px(14)
     imgui.set_cursor_screen_pos(ImVec2(origin.x + inset, origin.y + inset))
     width = max(min(px(252), size[0] - 2 * inset - px(38)), px(24))
@@ -64,7 +64,7 @@ def mode_switch(session: Session, origin: ImVec2, size: tuple[int, int]) -> str 
 
 
 def piece_names(session: Session, camera: Camera, pieces: Sequence[PlacedPiece], origin: ImVec2) -> None:
-    """The marks and names that the user has given to pieces of the active object, where they are drawn."""
+    """Draws the marks and names that the user has given to pieces of the active object, on the pieces."""
     p, draw, document = palette(), imgui.get_window_draw_list(), session.document
     for piece in pieces:
         name = document.placement(piece.key).name
@@ -91,7 +91,8 @@ CORNERS: dict[Kind, tuple[float, float]] = {
     "parallel": (0.7, 0.7),
     "custom": (-1, 0),
 }
-"""Where on the outline of its own plane a family has its name, x to the right and y down: apart from the others."""
+"""Direction, x to the right and y down, in which a family's name lies on the outline of its own plane: apart from the
+names of others."""
 
 
 def family_names(
@@ -102,7 +103,7 @@ def family_names(
     pieces: Sequence[PlacedPiece],
     origin: ImVec2,
 ) -> None:
-    """The names of these families and of their pictures, each beside its own plane."""
+    """Draws the names of these families and of their pictures, each beside the family's own plane."""
     for family in session.document.families:
         if family.kind not in kinds:
             continue
@@ -124,7 +125,7 @@ def family_names(
 
 
 def film_label(session: Session, origin: ImVec2, size: tuple[int, int]) -> None:
-    """Says that it is the film that is shown, or what was thrown, and how to leave it."""
+    """Says that a film or a thrown object is shown, and how to leave it."""
     if session.throw.active:
         count = session.throw.pieces
         text = (
@@ -145,7 +146,7 @@ def film_label(session: Session, origin: ImVec2, size: tuple[int, int]) -> None:
 def statistics(
     session: Session, members: Sequence[Member], milliseconds: float, origin: ImVec2, size: tuple[int, int]
 ) -> None:
-    """What is shown, how many Gaussians or points it has, and the time of a frame, in a line at the bottom."""
+    """Draws a line at the bottom: the number of Gaussians, or of points and pieces, and the time of a frame."""
     if session.object is None:
         return
     if session.mode == "capture":
@@ -164,8 +165,8 @@ def statistics(
 
 
 def tool_hint(session: Session) -> None:
-    """What to do with the tool, beside the pointer; for the knife until the first cut, for isolating until something
-    is selected."""
+    """Says beside the pointer what to do with the tool; for the knife until the first cut, for isolating until
+    something is selected."""
     text = "" if session.previewing else HINTS[session.tool]
     idle = bool(session.document.marked) if session.tool == "isolate" else session.atoms is None
     if not text or idle or (session.tool == "knife" and session.settings.seen_hint):

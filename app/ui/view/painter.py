@@ -1,4 +1,4 @@
-"""Draws the workspace's objects with the GL renderer: frames of the viewport when something changes, and exports."""
+"""Draws the workspace's objects with the GL renderer: frames of the viewport as something changes, and exports."""
 
 from __future__ import annotations
 
@@ -29,39 +29,39 @@ from engine.scene.piece import Piece
 __all__ = ["REST", "Painter"]
 
 REST = 0.1
-"""Seconds after the last change of the view until it is drawn in full. The reading of faces begins then, and is given
-up as soon as the view changes again."""
+"""Seconds after the last change of the view until it is drawn in full. Reading the faces begins then, and is abandoned
+as soon as the view changes again."""
 
 SLOW, QUICK = 60.0, 20.0
-"""Milliseconds of a frame above which a moving view is drawn coarser, and below which it is drawn finer again."""
+"""Milliseconds per frame above which a moving view is drawn coarser, and below which it is drawn finer again."""
 
 STEPS = ((1.0, 0), (0.75, 1), (0.5, 1), (0.5, 2), (0.35, 3), (0.2, 4))
-"""How a moving view gets coarser: part of the pixels along a side, and level of detail, which halves the atoms each
-time. A GPU has too many atoms before it has too many pixels, a processor that draws the other way round."""
+"""How a moving view gets coarser: fraction of the pixels along a side, and level of detail, each of which halves the
+atoms. A GPU is first limited by atoms, then by pixels; a CPU that draws, the other way round."""
 
 MOST_IN_SOFTWARE = 2_000_000
-"""Gaussians of a capture that are drawn without a graphics card, where each million takes a second and 0.1 GB. Pictures
-for files have all of them."""
+"""Most Gaussians of a capture that are drawn without a graphics card, where each million takes a second and 0.1 GB.
+Pictures for files have all of them."""
 
 SLICE = 0.025
-"""Seconds between two frames in which the processor is left to the reading of faces at rest, or a capture is uploaded
-or drawn without a graphics card: input does not wait noticeably."""
+"""Seconds between two frames that are left for reading faces at rest, uploading a capture, or drawing one without a
+graphics card: input does not wait noticeably."""
 
 MODES: dict[str, Mode] = {"capture": "classic", "solid": "opaque", "interior": "interior"}
 
 
 class Painter:
-    """The renderer of a window, with what it has uploaded and drawn last."""
+    """The renderer of a window, with what it has last uploaded and drawn."""
 
     def __init__(self, ctx: moderngl.Context | None = None, wake: Callable[[], None] = lambda: None) -> None:
         """`ctx`: the window's OpenGL context; None: a new one without a window. `wake` is called, in any thread, when
-        there is something new to be drawn while the window waits."""
+        there is something new to draw while the window waits."""
         self._screen = None if ctx is None else ctx.detect_framebuffer(0)
         self.renderer = Renderer(ctx)
         self.ctx = self.renderer.ctx
         self._in_software = is_software(self.ctx.info["GL_RENDERER"])
         self.milliseconds = 0.0
-        """Moving average of the time of a frame while the view moves; before it has moved, of the last full frame."""
+        """Moving average of the time of a frame while the view moves; before the first move, time of the last frame."""
         self._timed = False
         """Whether a frame in motion has been timed."""
         self.unfinished = False
@@ -71,13 +71,13 @@ class Painter:
         self._scale = 1.0
         """Fraction of the pixels along a side that the last frame was drawn with."""
         self._capture: object = None
-        """The capture that the GPU has."""
+        """The capture on the GPU."""
         self._atoms: tuple[int, int, tuple[int, ...]] | None = None
-        """Geometry and colour version of the atoms that the GPU has, and the numbers of their objects."""
+        """Geometry and colour version of the atoms on the GPU, and the numbers of their objects."""
         self._solids: list[Atoms] = []
-        """Those atoms."""
+        """The atoms on the GPU."""
         self._key: object = None
-        """Everything that the last frame depends on, without the overlay."""
+        """Everything that the last frame depends on, apart from the overlay."""
         self._picture: moderngl.Texture | None = None
         """The last frame without the overlay."""
         self._texture: moderngl.Texture | None = None
@@ -87,13 +87,13 @@ class Painter:
         self._loading: threading.Thread | None = None
         """Loads the kernels that draw a solid without a graphics card."""
         self._uploading = False
-        """Whether something is to be uploaded or loaded before what is shown can be drawn."""
+        """Whether something must be uploaded or loaded before the workspace can be drawn."""
         self._wants_capture = False
-        """Whether the last frame is a coarse one of a capture, and the whole one is to be drawn."""
+        """Whether the last frame shows a capture coarsely, so that all of it is to be drawn next."""
         self._reader = DetailReader(wake)
         """Reads the faces of the last frame from the insides of the objects."""
         self._wants_detail = False
-        """Whether they are still to be shown."""
+        """Whether these faces have yet to be shown."""
 
     def frame(
         self,
@@ -161,7 +161,7 @@ class Painter:
             self._picture = texture
             self._reader.stop()
             self._wants_detail = not moving and mode != "capture" and any(insides)
-            self._wants_detail &= look.size == 1  # of other sizes the atoms are to be seen
+            self._wants_detail &= look.size == 1  # at other sizes the user wants to see the atoms
             self._wants_capture = gradual
         elif self._wants_capture:
             self._refine_capture(camera, background, thinned, look)
@@ -171,30 +171,30 @@ class Painter:
             self._texture = self.renderer.overlay(over) if over else self._picture
             self._restore_framebuffer()
             self._overlay_key = overlay_key
-        # Drawing it ends the sorting.
+        # Drawing the capture again ends the sorting.
         self.unfinished = moving or self._wants_detail or self._wants_capture or self._uploading
         self.unfinished |= mode == "capture" and self.renderer.sorting
         return self._texture
 
     @property
     def only_reads(self) -> bool:
-        """Whether all that is unfinished is done in the background."""
+        """Whether all unfinished work is being done in the background."""
         return self._reader.busy and not self._uploading
 
     @property
     def shown(self) -> moderngl.Texture | None:
-        """The last frame, which `frame` has returned; None before the first."""
+        """The last frame that `frame` returned; None before the first."""
         return self._texture
 
     def _thinned(self, workspace: Workspace) -> int:
-        """The level of detail at which as many Gaussians of the capture are drawn as can be without a graphics card."""
+        """The level of detail that keeps a capture within MOST_IN_SOFTWARE Gaussians; 0 with a graphics card."""
         capture = workspace.shown_capture
         if workspace.mode != "capture" or capture is None or not self._in_software:
             return 0
         return math.ceil(math.log2(max(len(capture) / MOST_IN_SOFTWARE, 1)))
 
     def _refine_capture(self, camera: Camera, background: Vec3, level: int, look: SplatLook) -> None:
-        """Draws some more of a capture at rest; when all is drawn, the frame shows it."""
+        """Draws some more of a capture at rest; once all of it is drawn, the frame shows it."""
         texture = self.renderer.refine(camera, background, level, SLICE, look)
         if texture is not None:
             self._picture, self._scale = texture, 1.0
@@ -204,15 +204,15 @@ class Painter:
     def _add_detail(
         self, camera: Camera, pieces: Sequence[Piece], insides: Sequence[Detailed | None], light: bool
     ) -> None:
-        """Has the faces of a view at rest read, and leaves them the processor for a while; when all are read, the frame
-        shows them."""
+        """Starts reading the faces of a view at rest, and leaves the processor to that for a while; once all are read,
+        the frame shows them."""
         if not self._reader.busy:
             picture = self.renderer.read()
             self._reader.start(lambda: FaceDetail(picture, camera, pieces, insides, light))
         try:
             rgb = self._reader.take(SLICE)
         except Exception:
-            self._wants_detail = False  # it would fail again, frame after frame; the faces stay as fine as their atoms
+            self._wants_detail = False  # it would fail again in every frame; the faces stay as fine as their atoms
             raise
         if rgb is not None:
             self._picture = self.renderer.replace(rgb)
@@ -228,7 +228,7 @@ class Painter:
             self.milliseconds = taken
 
     def pick(self, x: float, y: float) -> tuple[int | None, NDArray[np.float64] | None]:
-        """Index of the piece at a pixel of the frame, and the world point (3,) there. In pixels of the full size."""
+        """Index of the piece at a pixel of the full-size frame, and the world point (3,) there; None if none is."""
         if self._texture is None:
             return None, None
         found = self.renderer.pick(x * self._scale, y * self._scale)
@@ -236,8 +236,8 @@ class Painter:
         return found
 
     def snapshot(self) -> NDArray[np.uint8] | None:
-        """(H, W, 3). The last frame as it is shown, without the overlay; None before the first, and where a picture for
-        a file has taken its place on the graphics card."""
+        """(H, W, 3). The last frame as it is shown, without the overlay; None before the first frame, and after a
+        picture for a file has taken its place on the graphics card."""
         if self._picture is None or self._key is None:
             return None
         width, height = self._picture.size
@@ -245,7 +245,7 @@ class Painter:
         return to_8bit(halves[..., :3].astype(np.float32))
 
     def picture(self, workspace: Workspace, camera: Camera, pieces: Sequence[Piece]) -> NDArray[np.uint8]:
-        """(H, W, 4). A picture for a file, with straight alpha; makes the next frame be drawn again."""
+        """(H, W, 4). A picture for a file, with straight alpha. The next frame is then drawn anew."""
         self._key = None
         if not self._upload(workspace, math.inf, tinted=False):
             return np.zeros((camera.height, camera.width, 4), np.uint8)
@@ -259,18 +259,18 @@ class Painter:
         return seen.straight_alpha()
 
     def _restore_framebuffer(self) -> None:
-        """Binds the window's framebuffer again: ImGui draws into whichever is bound."""
+        """Binds the window's framebuffer again, since ImGui draws into whichever is bound."""
         if self._screen is not None:
             self._screen.use()
 
     def _upload(self, workspace: Workspace, seconds: float, tinted: bool = True) -> bool:
         """Uploads the workspace's objects unless the GPU has them; False if there is nothing to draw.
 
-        `tinted`: with what is marked of the capture in another colour. `seconds`: after which the rest of a capture
-        waits for the next frame; what was drawn before it still is.
+        `tinted`: whether marked Gaussians of the capture are tinted. `seconds`: time after which the rest of a capture
+        waits for the next frame; until then the previous one is drawn.
         """
         if workspace.object is None:
-            self._capture = None  # of another scene than the one that comes
+            self._capture = None  # the next scene is another one
             return False
         if workspace.mode == "capture":
             capture, view = workspace.shown_capture, workspace.capture_view

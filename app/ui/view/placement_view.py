@@ -1,4 +1,5 @@
-"""The object opened at a picture's own plane, with the picture on the face: where it goes, before any training."""
+"""Shows where a picture goes before any training: the object opened at the picture's own plane, with the picture on the
+face."""
 
 from __future__ import annotations
 
@@ -22,7 +23,7 @@ from training.priors.exemplar.placement import OwnPlane
 __all__ = ["PlacementView"]
 
 TILT, TURN = 24.0, 14.0
-"""Degrees by which the face is seen obliquely at first, so that the object around it is seen too."""
+"""Degrees by which the face is at first seen obliquely, so that the object around it is visible, too."""
 
 
 class PlacementView:
@@ -38,11 +39,11 @@ class PlacementView:
         """Top left corner and size on the screen."""
 
     def forget(self) -> None:
-        """The next picture is looked at from the front again."""
+        """Forgets the camera, so that the next picture is seen from the front again."""
         self._eye = self._seen = None
 
     def show(self, face: OpenFace, size: ImVec2) -> None:
-        """One frame, from the cursor on."""
+        """Draws one frame, from the cursor on."""
         low = imgui.get_cursor_screen_pos()
         self.low, self.size = low, size
         high = ImVec2(low.x + size.x, low.y + size.y)
@@ -76,7 +77,7 @@ class PlacementView:
             draw.add_image(imgui.ImTextureRef(texture.glo), low, high)
 
     def _orbit(self, plane: OwnPlane, size: ImVec2) -> None:
-        """Turns the camera with the pointer; to the face when there is another one."""
+        """Turns the camera with the pointer, or to the face if that is a new one."""
         session, io = self.session, imgui.get_io()
         if self._eye is None or self._seen != plane.kind:
             eye = session.viewing.eye.along(plane.plane.normal, session.up)
@@ -100,7 +101,7 @@ class PlacementView:
 
 
 def _centred(draw: imgui.ImDrawList, low: ImVec2, high: ImVec2, words: str) -> None:
-    """A line of secondary text in the middle of a rectangle."""
+    """Draws secondary text in the middle of a rectangle."""
     width = high.x - low.x - px(32)
     text = imgui.calc_text_size(words, wrap_width=width)
     at = ImVec2((low.x + high.x - text.x) / 2, (low.y + high.y - text.y) / 2)

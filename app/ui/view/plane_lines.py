@@ -1,5 +1,5 @@
-"""Lines on objects where planes intersect them: those of families, and the one of the knife's stroke; the sheet of the
-active section."""
+"""Lines where planes intersect objects: planes of families, of the knife's stroke and of slices; nets around bodies;
+and the sheet of the active section."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from training.families import Family
 __all__ = ["PlaneLines"]
 
 MOST = 40
-"""Planes of a family that are drawn; of more, only every second or third."""
+"""Most planes of a family that are drawn; if it has more, only every second or third is."""
 
 OUTSET = 0.6
-"""Cells between the skin and the lines: on the skin itself, which is slightly uneven, parts of them would be hidden."""
+"""Cells between the skin and the lines: on the skin itself, which is slightly uneven, parts would be hidden."""
 
 
 class PlaneLines:
-    """Lines on the workspace's objects, found again only if an object or a family has changed."""
+    """Finds lines on the workspace's objects, again only if an object or a family has changed."""
 
     def __init__(self, workspace: Workspace) -> None:
         self.workspace = workspace
@@ -43,9 +43,9 @@ class PlaneLines:
         """The lines of the last frame's slices, by the body, the plane and the cells of the piece."""
 
     def families(self, kinds: Collection[str], pieces: Sequence[PlacedPiece], scale: float) -> list[Lines]:
-        """The planes that training uses for these kinds of families, on pieces where they are placed.
+        """Lines of the planes that training uses for these kinds of families, on pieces where they are placed.
 
-        `scale`: pixels of the screen for each of the window's units.
+        `scale`: pixels of the screen per unit of the window.
         """
         p = palette()
         result = []
@@ -83,7 +83,7 @@ class PlaneLines:
         return self._wires[document.number][1]
 
     def cut(self, plane: Plane, members: Sequence[Member], scale: float) -> list[Lines]:
-        """Where a plane in world space intersects pieces of objects."""
+        """Lines where a plane in world space intersects pieces of objects."""
         found = []
         for member in members:
             piece, body = member.piece, self.body_of(self.workspace.documents[member.index])
@@ -96,7 +96,7 @@ class PlaneLines:
     def slices(
         self, planes: Sequence[Plane], colours: Sequence[str], pieces: Sequence[PlacedPiece], scale: float
     ) -> list[Lines]:
-        """Planes of object space on the active object's pieces, each in its colour."""
+        """Lines of planes of object space on the active object's pieces, each plane in its colour."""
         if not planes:
             return []
         result, body = [], self.body_of(self.workspace.document)
@@ -138,7 +138,7 @@ class PlaneLines:
         return cut if cut.kind == "section" and cut.on else None
 
     def body_of(self, document: Document) -> Body:
-        """The body of an object that is shown: of the solid, or what the capture encloses."""
+        """The body of an object as it is shown: that of the solid, or what the capture encloses."""
         workspace, number = self.workspace, document.number
         loaded, solid = workspace.loaded.get(number), workspace.solid_of(document)
         atoms = None if loaded is None else loaded.atoms
@@ -163,16 +163,16 @@ class PlaneLines:
 
 
 def halfspaces(piece: PlacedPiece) -> list[tuple[Plane, ...]]:
-    """Of each cell of a piece."""
+    """The half-spaces of each cell of a piece."""
     return [cell.planes for cell in piece.cells]
 
 
 def moved(piece: PlacedPiece, ends: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(S, 2, 3). Lines of object space, moved with a piece."""
+    """(S, 2, 3). Lines in object space, moved along with a piece."""
     return piece.motion.apply(ends.reshape(-1, 3)).reshape(ends.shape)
 
 
 def lines(ends: NDArray[np.float64], colour: str, alpha: float, width: float, hidden: float) -> Lines:
-    """The renderer's lines, in a colour '#RRGGBB'. `width` in pixels; `hidden`: opacity behind the object."""
+    """The renderer's lines, in a colour '#RRGGBB'. `width`: in pixels. `hidden`: opacity behind the object."""
     c = rgba(colour)
     return Lines(ends, (c.x, c.y, c.z, alpha), width, hidden)

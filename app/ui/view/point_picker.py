@@ -1,4 +1,4 @@
-"""Three points that are clicked on the object, for the plane through them."""
+"""Picks three points on the object by clicks, for a plane through them."""
 
 from __future__ import annotations
 
@@ -26,22 +26,22 @@ class PointPicker:
         self.cut_id: int | None = None
         """The cut that is to go through the points; None while none are picked."""
         self.points: list[NDArray[np.float64]] = []
-        """Each (3,), in object space."""
+        """The points picked so far, each (3,), in object space."""
         self._seen: list[NDArray[np.float64]] = []
-        """The same in world space."""
+        """The same points in world space."""
 
     def begin(self, cut_id: int) -> None:
-        """From now on clicks on the object are points."""
+        """Starts picking: from now on, clicks on the object are points."""
         self.cut_id, self.points, self._seen = cut_id, [], []
         self.session.select_tool("select")
         self.session.notify(_("Click three points on the object. Esc: leave the plane as it is."))
 
     def cancel(self) -> None:
-        """Clicks select again."""
+        """Ends picking: clicks select again."""
         self.cut_id, self.points, self._seen = None, [], []
 
     def click(self, member: Member | None, point: NDArray[np.float64] | None) -> None:
-        """A click on a piece, at a world point (3,)."""
+        """Handles a click on a piece, at a world point (3,)."""
         session = self.session
         if member is None or point is None or member.index != session.active:
             session.notify(_("Click on the object."))
@@ -60,7 +60,7 @@ class PointPicker:
             session.notify(_("The plane goes through the three points."))
 
     def show(self, camera: Camera, origin: ImVec2, hovered: bool) -> None:
-        """Draws the points; Esc or the end of the cut ends the picking."""
+        """Draws the points. Esc, another tool or removal of the cut ends the picking."""
         if self.cut_id is None:
             return
         gone = all(cut.id != self.cut_id for cut in self.session.document.cuts)

@@ -1,4 +1,4 @@
-"""Frames around what is selected, as far as it is seen: what sections hide is outside of them."""
+"""Frames around the visible part of what is selected; they ignore what sections hide."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def selection_frames(session: Session, camera: Camera, pieces: Sequence[PlacedPi
 
 
 def _frame(camera: Camera, points: NDArray[np.float64], origin: ImVec2) -> None:
-    """Brackets around world points (N, 3); none without points."""
+    """Draws brackets around world points (N, 3), if there are any."""
     if len(points):
         pixels = project_points(camera, points)[0] + np.array([origin.x, origin.y])
         brackets(imgui.get_window_draw_list(), pixels.min(0) - px(10), pixels.max(0) + px(10))

@@ -1,4 +1,4 @@
-"""Three cut faces beside the object: each is seen straight on, and a click in one moves the other two."""
+"""Three cut faces beside the object: each is seen straight on, and a click in one moves the other two planes."""
 
 from __future__ import annotations
 
@@ -31,16 +31,16 @@ BUTTONS = (
 )
 
 REACH = 0.25
-"""Pitches from a plane within which a measured end lies in it."""
+"""Distance in pitches up to which a measured end counts as lying in a plane."""
 
 SHORTEST_BAR = 24.0
-"""Pixels at 96 DPI; a narrower view has no scale bar."""
+"""Shortest room for a scale bar, pixels at 96 DPI; a narrower view has none."""
 
 KEYS = ((imgui.Key.page_up, 1.0), (imgui.Key.page_down, -1.0))
 
 
 def slice_colours() -> tuple[str, str, str]:
-    """The colour of each plane, in its view's frame and as a line in the other two and on the object."""
+    """The colour of each plane, for its view's frame and for its line in the other two views and on the object."""
     p = palette()
     return p.trouble, p.curve, p.third
 
@@ -50,13 +50,13 @@ class Measured:
     """A distance on a face."""
 
     index: int
-    """Of the face."""
+    """Index of the face."""
     ends: list[NDArray[np.float64]]
-    """Each (3,), object space; the first, or both."""
+    """The first end, or both, each (3,), object space."""
 
     @property
     def length(self) -> float | None:
-        """World units; None while there is one end."""
+        """Length in world units; None while there is only one end."""
         return float(np.linalg.norm(self.ends[1] - self.ends[0])) if len(self.ends) == 2 else None
 
 
@@ -67,14 +67,14 @@ class SliceViews:
         self.session, self.ctx = session, ctx
         self.reader = SliceReader(len(SLICES))
         self.measuring = False
-        """Whether a click is an end of a distance."""
+        """Whether the ruler is in use, so that a click sets an end of a distance."""
         self.measured: Measured | None = None
         self.boxes: list[tuple[ImVec2, tuple[int, int]]] = [(ImVec2(0, 0), (16, 16))] * len(SLICES)
         """Upper left corner and size of each view, in the window's units."""
         self.focus = 0
-        """The view that keys step: the last that was clicked."""
+        """Index of the view whose plane keys move: the last that was clicked."""
         self._of: object = None
-        """The object that the target and the zoom are for."""
+        """The solid that the target and the zoom belong to."""
         self._target: Vec3 = (0.0, 0.0, 0.0)
         self._zoom = 1.0
         self._textures: list[tuple[Face, moderngl.Texture] | None] = [None] * len(SLICES)
@@ -86,7 +86,7 @@ class SliceViews:
         return self.reader.busy
 
     def slices(self) -> Slices:
-        """The planes as they are now, of the active object."""
+        """The planes of the active object as they are now."""
         session, solid = self.session, self.session.solid
         centre = vec3(solid.centre)
         if self._of is not solid:  # another object, or another solid of it
@@ -96,7 +96,7 @@ class SliceViews:
         return made.moved_to(np.asarray(cross))
 
     def show(self, places: Sequence[tuple[ImVec2, tuple[int, int]]]) -> None:
-        """One frame, with the views at these places of the window."""
+        """Draws one frame, with the views at these places of the window."""
         self.boxes = list(places)
         atoms, shown = self.session.atoms, self.session.object
         before = self.slices()
@@ -124,7 +124,7 @@ class SliceViews:
             self._draw(index, now)
 
     def _pointer(self, index: int, slices: Slices) -> Slices:
-        """The planes after what the pointer does in one view."""
+        """The planes after the pointer's action in one view."""
         origin, size = self.boxes[index]
         io, mouse = imgui.get_io(), imgui.get_mouse_pos()
         at = (mouse.x - origin.x, mouse.y - origin.y)
@@ -151,7 +151,7 @@ class SliceViews:
         return slices
 
     def _measure(self, index: int, point: NDArray[np.float64]) -> None:
-        """A click with the ruler."""
+        """Handles a click with the ruler."""
         measured = self.measured
         if measured is None or measured.length is not None or measured.index != index:
             self.measured = Measured(index, [point])
@@ -185,7 +185,7 @@ class SliceViews:
         if self.focus == index:
             draw.add_rect(origin, corner, u32(colour, 0.55), 0.0, px(1))
         imgui.pop_clip_rect()
-        if index == 1:  # the upper right one
+        if index == 1:  # the upper right view
             self._tools(ImVec2(corner.x - px(40), origin.y + px(8)))
 
     def _tools(self, at: ImVec2) -> None:
@@ -202,7 +202,7 @@ class SliceViews:
             self.session.notify(_("Click the two ends of a distance on one of the faces. Esc: put the ruler away."))
 
     def _face(self, index: int, slices: Slices) -> None:
-        """What was last read of a face, moved and scaled to where it belongs now."""
+        """Draws what was last read of a face, moved and scaled to where it belongs now."""
         draw, (origin, size) = imgui.get_window_draw_list(), self.boxes[index]
         texture = self._texture(index)
         face = self.reader.faces[index]
@@ -213,7 +213,7 @@ class SliceViews:
             draw.add_text(at, u32(palette().second), word)
             return
         camera, now = face.wanted.camera, slices.camera(index, size)
-        # Of a coarse picture the last column may lie outside of the camera's.
+        # The last row or column of a coarse picture may lie outside the camera's picture.
         grain = COARSE if face.coarse else 1
         wide, high = face.rgba.shape[1] * grain, face.rgba.shape[0] * grain
         corners = []
@@ -237,7 +237,7 @@ class SliceViews:
         return held[1]
 
     def _cross(self, index: int, slices: Slices) -> None:
-        """The other two planes as lines, with a gap around the point that is looked at."""
+        """Draws the other two planes as lines, with a gap around the point where they cross."""
         draw, (origin, size) = imgui.get_window_draw_list(), self.boxes[index]
         x, y = slices.place(index, size, slices.cross)
         x, y, gap = round(x + origin.x) + 0.5, round(y + origin.y) + 0.5, px(7)
@@ -252,7 +252,7 @@ class SliceViews:
                 draw.add_line(ImVec2(x0, y0), ImVec2(x1, y1), u32(slice_colours()[other], 0.95), px(1.3))
 
     def _scale_bar(self, index: int, slices: Slices) -> None:
-        """A bar of a round length in the lower right corner."""
+        """Draws a bar of a round length in the lower right corner."""
         p, draw, (origin, size) = palette(), imgui.get_window_draw_list(), self.boxes[index]
         unit = self.session.viewing.unit
         scale = slices.camera(index, size).fx / unit.length
@@ -270,11 +270,11 @@ class SliceViews:
         draw.add_text(at, u32(p.text), text)
 
     def _distance(self, index: int, slices: Slices, measured: Measured) -> None:
-        """The ruler's line and its length."""
+        """Draws the ruler's line and its length."""
         p, draw, (origin, size) = palette(), imgui.get_window_draw_list(), self.boxes[index]
         plane, atoms = slices.planes[index], self.session.atoms
         if atoms is None or max(abs(float(plane.distance(end))) for end in measured.ends) > REACH * atoms.pitch:
-            return  # the face is another one now
+            return  # the plane has moved away from the distance
         mouse = imgui.get_mouse_pos()
         ends = [slices.place(index, size, end) for end in measured.ends]
         free = (mouse.x - origin.x, mouse.y - origin.y)
@@ -301,7 +301,7 @@ class SliceViews:
 
 
 def behind(draw: imgui.ImDrawList, start: ImVec2, end: ImVec2) -> None:
-    """A ground for a line of text between two points of its upper edge, so that a face does not make it unreadable."""
+    """Draws a background for a line of text between two points of its upper edge, to keep it readable on a face."""
     low = ImVec2(start.x - px(6), start.y - px(3))
     draw.add_rect_filled(
         low, ImVec2(end.x + px(6), end.y + imgui.get_text_line_height() + px(3)), u32(palette().view, 0.72), px(4)
@@ -309,12 +309,12 @@ def behind(draw: imgui.ImDrawList, start: ImVec2, end: ImVec2) -> None:
 
 
 def crossing(index: int) -> tuple[int, int]:
-    """Which planes a view shows as a level and as an upright line."""
+    """Indices of the planes that a view shows as its horizontal and its vertical line."""
     return ((1, 2), (0, 2), (0, 1))[index]
 
 
 def quarters(origin: ImVec2, size: tuple[float, float]) -> list[tuple[ImVec2, tuple[int, int]]]:
-    """Four places side by side, two above two, with a line between them: of the object, and of each slice."""
+    """Four places for the object and the three slices, two above two, with a line between them."""
     gap = max(1.0, round(px(2)))
     width, height = int((size[0] - gap) / 2), int((size[1] - gap) / 2)
     right, low = origin.x + width + gap, origin.y + height + gap

@@ -1,4 +1,4 @@
-"""The viewport: draws the object, and turns what the pointer does into edits and views."""
+"""The viewport: draws the object, and turns actions of the pointer into edits and views."""
 
 from __future__ import annotations
 
@@ -53,15 +53,15 @@ CUTTING = {
     "blade": _("release to cut"),
     "plane": _("release to place    Shift: snap"),
 }
-"""What letting go does, by the kind of drag that draws a stroke."""
+"""What releasing the button does, by the kind of drag that draws a stroke."""
 
 SOLID_OPACITY = 0.3
-"""Opacity from which a Gaussian of the capture can be pointed at; below, it is haze."""
+"""Opacity above which a Gaussian of the capture can be pointed at; below, it is haze."""
 
 
 @dataclass
 class Drag:
-    """What the pointer does while a button is pressed."""
+    """A drag: what the pointer does while a button is pressed."""
 
     kind: str
     """'stroke', 'blade', 'plane', 'mark', 'orbit', 'pan', 'move' or 'turn'."""
@@ -82,25 +82,25 @@ class Viewport:
         self.session, self.painter = session, painter
         self.camera_animation = CameraAnimation()
         self.piece_animations: dict[int, PieceAnimation] = {}
-        """By the object's number."""
+        """Animations of pieces by the object's number."""
         self._members: list[Member] = []
-        """What the last frame shows, in the order in which it was drawn."""
+        """The pieces that the last frame shows, in the order in which they were drawn."""
         self.drag: Drag | None = None
         self.show_families: frozenset[Kind] = frozenset()
         self.sliced: Sequence[Plane] = ()
         """The planes of the slices beside the object, in object space."""
         self.focused = False
-        """Whether the picture has the keyboard."""
+        """Whether the picture has the keyboard focus."""
         self.menu_requested = False
         self.menu_point: tuple[float, float] | None = None
-        """Where on the object the context menu was asked for, in the window's units."""
+        """Where on the object the context menu was requested, in the window's units."""
         self.size = (640, 480)
         """Width and height of the picture, in the window's units."""
         self.origin = ImVec2(0, 0)
         self.plane_lines = PlaneLines(session)
         self.point_picker = PointPicker(session)
         self._behind = False
-        """Whether there is input that the last frame has not dealt with: ImGui takes a press and a release in turn."""
+        """Whether there is input that the last frame has not handled: ImGui takes a press and a release one by one."""
         self._handled = False
         """Whether handles were drawn in the last frame."""
         self.box_handles = BoxHandles(session)
@@ -111,7 +111,7 @@ class Viewport:
 
     @property
     def moving(self) -> bool:
-        """Whether an animation is running or input waits, so that frames must be drawn without an event."""
+        """Whether an animation is running or input is waiting, so that frames must be drawn without an event."""
         sliding = any(animation.moving for animation in self.piece_animations.values())
         return (
             sliding
@@ -128,20 +128,20 @@ class Viewport:
         return eye.camera(width, height, self.session.view_up)
 
     def go(self, eye: OrbitCamera) -> None:
-        """Moves the camera there, animated."""
+        """Moves the view to a camera, animated if the settings allow it."""
         if self.session.settings.motion:
             self.camera_animation.go(self.session.viewing.eye, eye)
         self.session.viewing = replace(self.session.viewing, eye=eye)
 
     def fit(self) -> None:
-        """Fits everything into the picture, animated."""
+        """Fits everything into the picture, animated if the settings allow it."""
         before = self.session.viewing.eye
         self.session.fit(self.size[0] / max(self.size[1], 1))
         if self.session.settings.motion:
             self.camera_animation.go(before, self.session.viewing.eye)
 
     def game_keys(self) -> None:
-        """Keys that end Throw and slice, with the cuts made in flight or without them."""
+        """Handles the keys that end Throw and slice, keeping the cuts made in flight or not."""
         throw = self.session.throw
         if not throw.active or self.drag is not None:
             return
@@ -151,7 +151,7 @@ class Viewport:
             throw.keep()
 
     def show(self) -> None:
-        """One frame."""
+        """Draws one frame."""
         session = self.session
         available = imgui.get_content_region_avail()
         self.origin = imgui.get_cursor_screen_pos()
@@ -177,7 +177,7 @@ class Viewport:
         ]
         self._behind = bool(len(imgui.get_current_context().input_events_queue))
         texture = self.painter.shown
-        if not self._behind or texture is None:  # else keys come faster than frames: first all that was pressed
+        if not self._behind or texture is None:  # otherwise keys come faster than frames: handle all presses first
             texture = self.painter.frame(session, self.camera(scale), shown, background, over, moving)
         if texture is None:
             draw.add_rect_filled(self.origin, corner, u32(palette().view))
@@ -185,12 +185,12 @@ class Viewport:
             draw.add_image(imgui.ImTextureRef(texture.glo), self.origin, corner)
         imgui.push_clip_rect(self.origin, corner, True)
         camera = self.camera()
-        if self._handled and on_handles():  # which take no click while any item is under the pointer
+        if self._handled and on_handles():  # handles take no click while any item is under the pointer
             imgui.dummy(size)
             hovered = active = self.focused = False
         else:
             imgui.set_next_item_allow_overlap()
-            with colours(nav_cursor=rgba(palette().text, 0)):  # its own ring would lie outside
+            with colours(nav_cursor=rgba(palette().text, 0)):  # ImGui's own focus ring would lie outside
                 imgui.invisible_button("##canvas", size, ANY_BUTTON | imgui.ButtonFlags_.enable_nav)
             flags = imgui.HoveredFlags_.no_nav_override
             hovered, active = imgui.is_item_hovered(flags), imgui.is_item_active()
@@ -238,7 +238,7 @@ class Viewport:
         return animation.placed(self.session.pieces_of(document), moves)
 
     def _placed_members(self, pieces: list[PlacedPiece]) -> list[Member]:
-        """The visible pieces of all visible objects where they are drawn now; `pieces`: those of the active one."""
+        """The visible pieces of all visible objects where they are drawn now. `pieces`: those of the active object."""
         session, result = self.session, []
         solids = session.solids
         for index, document in enumerate(session.drawn_documents):
@@ -320,7 +320,7 @@ class Viewport:
                     session.selection = keys
         session.film.playing = False
         if kind not in ("orbit", "pan") and not session.throw.active:
-            session.film.leave()  # what is edited is the object as it is
+            session.film.leave()  # edits apply to the object as it is
         self.drag = Drag(kind, at, at, keys, depth, path=[at])
 
     def _end(self, camera: Camera, drag: Drag, at: tuple[float, float]) -> None:
@@ -369,7 +369,7 @@ class Viewport:
             session.selection = frozenset() if key is None or len(session.pieces) < 2 else frozenset([key])
 
     def _activate(self, member: Member) -> Key:
-        """Selects the object that a piece belongs to; returns the key of the piece in it."""
+        """Makes the object that a piece belongs to the active one; returns the piece's key."""
         self.session.activate(member.index, len(self.session.documents) > 1)
         return member.piece.key
 
