@@ -47,7 +47,7 @@ class Look:
     """Brightness of the lamp's reflection, 0 for a dull skin."""
 
 
-# A row takes 248 bytes at degree 3, 104 at 1, 68 at 0: the three scenes that ship take seven megabytes with their pictures.
+# A row takes 248 bytes at degree 3, 104 at 1, 68 at 0: with pictures, the three shipped scenes take seven megabytes.
 LOOKS: dict[str, Look] = {
     "watermelon": Look(8000, 3, 0.30),
     "orange": Look(13000, 1, 0.16),
