@@ -2,7 +2,7 @@
 
     python -m benchmarks.frozen_geometry [--quick] [-o docs/charts]
 
-One iteration is a picture and its gradient. Half of the atoms lie on a unit sphere, half in it, sigma = diameter / 150
+One iteration is a picture and its gradient. Half of the atoms lie on a sphere, half in it, sigma = diameter / 150
 for all, so that views of few atoms have the same footprints as views of many. Three kinds of view: the outside, the
 outside with a cut, and a section. Writes frozen_geometry.json and .png. Seconds are those of the fastest of several
 runs; `busy` is processor time over cores, which a loaded machine disturbs less.

@@ -1,4 +1,4 @@
-"""The rows of the README's tables, from docs/charts: `python -m tools.figures` prints them, a test looks for them."""
+"""Rows of the README's tables, from docs/charts: `python -m tools.figures` prints them, and a test looks for them."""
 
 from __future__ import annotations
 
@@ -36,12 +36,12 @@ def chart(name: str) -> Any:
 
 
 def row(*cells: str) -> str:
-    """Of a table."""
+    """A table row of these cells."""
     return f"| {' | '.join(cells)} |"
 
 
 def of_photographs() -> list[str]:
-    """Pairs of real photographs, means over the seeds."""
+    """Rows on pairs of real photographs, means over the seeds."""
     lines = []
     for pair, seeds in chart("photographs")["pairs"].items():
         f = {key: float(np.mean([one[key] for one in seeds])) for key in seeds[0]}
@@ -61,7 +61,7 @@ def of_photographs() -> list[str]:
 
 
 def of_captures() -> list[str]:
-    """Solids beside captures."""
+    """The row that compares solids with their captures."""
     found = chart("fidelity")["captures"]
     cells = [found[name]["standard"] for name in CAPTURES]
     return [
@@ -75,7 +75,7 @@ def of_captures() -> list[str]:
 
 
 def of_others() -> list[str]:
-    """Pictures of other individuals."""
+    """Rows on pictures of other individuals."""
     scenes = chart("oblique_cuts")["scenes"]
     found = [scenes[f"{name}_others"] for name in ("watermelon", "orange", "apple", "pomegranate")]
     ours = [f["ours"] for f in found]
@@ -88,7 +88,7 @@ def of_others() -> list[str]:
 
 
 def of_samples() -> list[str]:
-    """The three samples, by three methods."""
+    """Rows on the three samples, by three methods."""
     scenes = [chart("oblique_cuts")["scenes"][name] for name in ("watermelon", "orange", "bread")]
     names = ("ours", "nearest surface colour (PhysGaussian)", "ours given the true slices as labels")
     return [
@@ -101,7 +101,7 @@ def of_samples() -> list[str]:
 
 
 def of_methods() -> list[str]:
-    """Means of all scenes whose pictures show the object itself, in draft."""
+    """Rows on the methods, means over all scenes whose pictures show the object itself, in draft."""
     results = chart("evaluation_scenes")["results"]
     lines = []
     for name, method in METHODS.items():
@@ -114,7 +114,7 @@ def of_methods() -> list[str]:
 
 
 def of_faces() -> list[str]:
-    """Faces read from the inside beside faces of atoms."""
+    """Rows that compare faces read from the inside with faces of atoms."""
     scenes = chart("face_detail")["scenes"]
     found = [scenes[f"{name}_others"] for name in ("watermelon", "orange", "apple")]
     times = {"at the size of the picture": "1.0", "three times as large": "3.0", "eight times as large": "8.0"}
@@ -137,7 +137,7 @@ TABLES: tuple[Callable[[], list[str]], ...] = (
 
 
 def rows() -> list[str]:
-    """All of them."""
+    """All rows of all tables."""
     return [line for table in TABLES for line in table()]
 
 
