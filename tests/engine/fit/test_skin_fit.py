@@ -60,7 +60,7 @@ def discs(count: int, size: float, seed: int) -> SurfaceAtoms:
 
 
 def open_part(atoms: Atoms, size: int = 128) -> float:
-    """Share of the near half of the unit sphere, without its rim, that shows the background once the far half is cut."""
+    """Share of the near half of the unit sphere, rim excluded, that shows background once the far half is cut away."""
     holes, count = 0, 0
     for camera in cameras_around(np.zeros(3), 1.1, UP, 6, size, turn=23.0):
         alpha = opaque.render(atoms, camera, [Plane.through(np.zeros(3), camera.forward)]).alpha
