@@ -35,7 +35,7 @@ class Faults:
         patch.setattr(safetensors.numpy, "serialize_file", self._watched("serialize", serialize, 1))
 
     def arm(self, fails: int | Callable[[str, str], bool] | None, code: int = errno.ENOSPC) -> None:
-        """From now on the operation of this number fails, or every one for which the predicate holds; None: none fails."""
+        """Makes the operation of this number fail, or all for which the predicate holds; None: none fails."""
         self.done.clear()
         self.code = code
         if fails is None:

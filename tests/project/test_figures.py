@@ -1,4 +1,4 @@
-"""The figures of the README are those that were measured."""
+"""The figures of the README are the measured ones."""
 
 from __future__ import annotations
 
