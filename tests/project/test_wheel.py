@@ -81,7 +81,7 @@ def test_the_wheel_carries_what_runs_and_nothing_else(wheel: Path) -> None:
 
 
 def give_kernels(packages: Path) -> None:
-    """Copies kernels that the checkout has compiled from the same sources, with the same file times: compiling all again
+    """Copies kernels that the checkout compiled from the same sources, with the same file times: compiling all again
     would take twenty seconds and does not test the wheel. The rest is compiled beside the install, as for a user."""
     for compiled in (path for name in PACKAGES for path in (ROOT / name).rglob("__pycache__/*.nb[ic]")):
         source = compiled.parents[1] / (compiled.name.partition(".")[0] + ".py")
@@ -103,8 +103,8 @@ def test_the_wheel_works_where_nothing_else_of_the_project_is(wheel: Path, tmp_p
     pip = [sys.executable, "-m", "pip", "--python", str(binaries / "python"), "install", "--quiet"]
     subprocess.run([*pip, "--no-deps", "--no-index", "--no-compile", str(wheel)], env=environment, check=True)
     packages = Path(sysconfig.get_path("purelib", vars={"base": str(home), "platbase": str(home)}))
-    # The libraries of this environment. Python searches a folder named this way but reads none of its .pth files, so the
-    # checkout's editable install, which is one of them, stays unknown.
+    # The libraries of this environment. Python searches a folder named this way but reads none of its .pth files, so
+    # the checkout's editable install, which is one of them, stays unknown.
     (packages / "libraries.pth").write_text(sysconfig.get_path("purelib") + "\n")
     give_kernels(packages)
     folder = hostile_folder(tmp_path / "downloads")
