@@ -78,7 +78,7 @@ def test_another_light_or_table_changes_little(change: str) -> None:
 
 @pytest.mark.parametrize(("name", "light"), [("apple_h7", (1, 1, 1)), ("apple_h1", (0.9, 0.98, 1.07))])
 def test_a_shadow_of_another_colour_is_no_rind(name: str, light: tuple[float, ...]) -> None:
-    """The first has a brown shadow; in the light of the second a camera clips the white table but not the shadow on it."""
+    """The first has a brown shadow; in the second's light a camera clips the white table but not the shadow on it."""
     rgb, truth, _ = photographed(name)
     assert overlap(find_mask(np.clip(rgb * np.array(light, np.float32), 0, 1), name), truth) > 0.98
 

@@ -133,7 +133,7 @@ def test_sheets_run_through_and_seeds_end(monkeypatch: pytest.MonkeyPatch) -> No
 
 
 def test_pictures_share_their_middle_with_the_body() -> None:
-    """In a body wider above, the centroid of its cuts lies above its middle; pictures' heights start at the centroid."""
+    """In a body wider above, the centroid of its cuts lies above its middle; pictures' heights start at that point."""
     grid = Grid.around(np.array([[-1.0, -1, -1], [1, 1, 1]]), 1 / 16, 4)
     x, y, z = np.moveaxis(grid.centres(), -1, 0)
     wide = 1 + 0.3 * z  # half width of the ellipse at each height
