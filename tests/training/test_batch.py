@@ -268,7 +268,7 @@ def listening() -> set[tuple[str, int]]:
 
 
 def test_a_cluster_of_its_own_listens_to_this_machine_alone() -> None:
-    """One port each for the scheduler, two workers and their two guards; no web pages, no warning about a taken port."""
+    """One port each for the scheduler, two workers and their two guards; no web pages, no word of a taken port."""
     with socket.socket() as dask, suppress(OSError):  # if it fails, somebody else has the port
         dask.bind(("127.0.0.1", 8787))
     before = listening()
