@@ -195,7 +195,7 @@ def test_sections_hide_but_do_not_divide() -> None:
     assert sections(moved) == (Plane((0.0, 0.0, 1.0), -0.25),)
     assert sections(document.changed_cut(1, lambda cut: replace(cut, on=False))) == ()
     (whole,) = pieces(moved, BALL)
-    seen = shown_points(whole, BALL, sections(moved))  # the points that fitting the view considers
+    seen = shown_points(whole, BALL, sections(moved))  # the points that a selection frame goes around
     assert seen[:, 2].max() <= 0.25 < BALL.points[:, 2].max() and len(seen) > 0.5 * len(BALL.points)
 
 

@@ -181,7 +181,7 @@ def test_what_is_marked_is_tinted_in_the_window_and_not_in_a_saved_picture(paint
 
 
 def test_a_saved_picture_is_not_taken_for_what_is_shown(painter: Painter, session: Session) -> None:
-    """Nor is the replaced frame read, whose size may differ."""
+    """Nor is the frame read that the picture has replaced: it is gone if the sizes differ."""
     camera = EYE.camera(64, 48, session.up)
     whole = [drawn for piece in pieces(session.document, session.solid) for drawn in piece.drawn()]
     painter.frame(session, camera, whole, (0.0, 0.0, 0.0))

@@ -1,4 +1,4 @@
-"""Points on any faces: as many as asked for, in a time that does not depend on how the faces lie."""
+"""Points on any faces: as many as asked for, in a time that does not grow with how the faces lie."""
 
 from __future__ import annotations
 

@@ -151,7 +151,7 @@ def test_pieces_apart_are_put_together_by_depth(renderer: Renderer) -> None:
     alone = [reference(atoms, piece.camera(camera), piece.planes, black) for piece in pieces]
     (rgb, alpha, depth), (other, other_alpha, other_depth) = alone
     both = np.where((alpha > 0) & (other_alpha > 0), 1, 0)
-    assert both.sum() > 50  # each hides part of the other
+    assert both.sum() > 50  # the pieces overlap in the picture
     first = (depth <= other_depth)[..., None]
     over = np.where(first, rgb + (1 - alpha[..., None]) * other, other + (1 - other_alpha[..., None]) * rgb)
     ours = draw(renderer, camera, *pieces, background=black)

@@ -71,7 +71,7 @@ def evaluate(
 
 
 def cameras() -> list[Camera]:
-    """A pinhole and an orthographic camera, neither centred, and without square pixels."""
+    """A pinhole and an orthographic camera, neither centred nor with square pixels."""
     rotation = rotation_matrices(normalised_quats(np.array([[0.9, 0.2, -0.3, 0.1]])))[0]
     view = np.eye(4)
     view[:3, :3], view[:3, 3] = rotation, (0.1, -0.2, 3.0)

@@ -54,7 +54,7 @@ def lathe(profile: np.ndarray, n: int, closed: bool = True) -> Gaussians:
 
 
 def turns(mesh: trimesh.Trimesh, points: np.ndarray) -> np.ndarray:
-    """How often the mesh winds around each point: the solid angles of its triangles over 4 pi, summed."""
+    """How often the mesh winds around each point: the sum of its triangles' solid angles over 4 pi."""
     total = np.zeros(len(points))
     for corner in np.array_split(mesh.triangles, max(1, len(mesh.triangles) // 200)):
         a, b, c = np.moveaxis(corner, 1, 0)
