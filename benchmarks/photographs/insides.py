@@ -67,7 +67,7 @@ MARGIN = 0.04
 """White margin around a face, as a fraction of its size."""
 
 HEIGHTS, TURNS = np.delete(np.linspace(-0.35, 0.35, 11), 5), np.linspace(0.13, 3.0, 10)
-"""Heights of the horizontal cuts in the largest half width, without the picture's plane; angles of the radial ones."""
+"""Heights of horizontal cuts in the largest half width, without the picture's plane; radial angles in radians."""
 
 OBLIQUE = 12
 """Random cuts on the sheet."""

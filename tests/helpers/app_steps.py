@@ -82,7 +82,7 @@ def at_once(
     prepare: Callable[[Window], None] = lambda window: None,
     settings: Settings | None = None,
 ) -> None:
-    """Runs a script on the same melon made solid without the trainer's steps, for scripts that ignore how it was made."""
+    """Runs a script on the same melon made solid without the trainer's steps; for scripts that ignore its origin."""
     document = tiny(folder)
     scene = Path(document.scene or "")
     capture, _ = read_ply(scene)
