@@ -1,12 +1,12 @@
-"""Scenes per hour against workers of `fruitninja-batch`, and what bounds them.
+"""Scenes per hour against the number of `fruitninja-batch` workers, and what bounds them.
 
     python -m benchmarks.batch_scaling [--quick] [--scenes 4] [--most 2] [--preload FILE] [-o docs/charts]
 
 Trains the same small scenes (the sample orange with several seeds, one iteration at draft detail) with one worker, two,
-and so on, each time from nothing. Start-up of the cluster is told apart from the training, as are the seconds that
-scenes wait with none at work. With --preload every worker runs a file first: tests/helpers/workers/batch_worker.py
-makes runs of a second or two, which show what the workers themselves cost. Writes batch_scaling.png and
-.json, which has the numbers.
+and so on, each time from nothing. The cluster's start-up is reported apart from the training, as are the seconds that
+scenes wait while nobody works on them. With --preload every worker runs a file first:
+tests/helpers/workers/batch_worker.py makes runs of a second or two, which show what the workers themselves cost.
+Writes batch_scaling.png and .json, which has the numbers.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ from training.request import Request
 
 ORANGE = ROOT / "sample_scenes/orange"
 SMALL_RUNS = ROOT / "tests/helpers/workers/batch_worker.py"
-"""What a worker of the tests runs first."""
+"""The file that a worker runs first in the tests."""
 
 
 def requests(count: int) -> list[Request]:
-    """Runs that differ by their seeds alone, so that each costs the same."""
+    """Runs that differ only in their seeds, so that each costs the same."""
     families = (
         Family("horizontal", 12, (ORANGE / "horizontal_1.png",)),
         Family("radial", 10, (ORANGE / "radial_1.png",)),
@@ -44,7 +44,7 @@ def requests(count: int) -> list[Request]:
 
 
 def processor_seconds() -> float:
-    """Seconds of processor time of the processes that run now under this one."""
+    """Seconds of processor time of all descendants of this process that run now."""
     total = 0.0
     for child in psutil.Process().children(recursive=True):
         try:
@@ -56,7 +56,7 @@ def processor_seconds() -> float:
 
 
 def measure(workers: int, count: int) -> dict[str, Any]:
-    """One batch from nothing: seconds to the first scene's start, to the end, and of processor time."""
+    """One batch from nothing: seconds to the first scene's start, seconds to the end, and processor time."""
     begun = time.perf_counter()
     first = started = 0.0
 
@@ -86,7 +86,7 @@ def measure(workers: int, count: int) -> dict[str, Any]:
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Measures and draws."""
+    """Measures and draws the chart."""
     parser = parser_of(__doc__, "two of the tests' small scenes")
     parser.add_argument("--scenes", type=int, default=4, help="scenes of a batch")
     parser.add_argument("--most", type=int, default=2, help="the largest number of workers")
@@ -118,7 +118,7 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 def draw(figures: dict[str, Any], path: Path) -> None:
-    """Scenes per hour, and where the cores end."""
+    """Scenes per hour, and the bound that the cores set."""
     plt.rcParams.update({"font.size": 9, "axes.spines.top": False, "axes.spines.right": False})
     figure, axis = plt.subplots(figsize=(5, 3.4), layout="constrained")
     workers = [row["workers"] for row in figures["rows"]]

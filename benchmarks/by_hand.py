@@ -1,10 +1,10 @@
-"""What is written by hand against the plain form or the library: it keeps its place only while this says so.
+"""Handwritten code against its plain form or the library's: it stays only while these figures justify it.
 
     python -m benchmarks.by_hand [--quick] [-o docs/charts]
 
-Three rows: the distance transform against SciPy's, the threads against the standard library's pool on the short loops
-of a frame, and the vector lanes of the classic renderer against plain loops. Both sides of a row run in turns; figures
-are medians of processor time over cores, which a loaded machine disturbs least, and of the wall's. Writes
+Three rows: the distance transform against SciPy's, the thread loop against the standard library's pool on the short
+loops of a frame, and the vector lanes of the classic renderer against plain loops. Both sides of a row run in turns;
+figures are medians of wall time, and of processor time over cores, which a loaded machine disturbs least. Writes
 by_hand.json and .png.
 """
 
@@ -36,10 +36,10 @@ from engine.solid.distance_transform import nearest
 from engine.threads import cores, for_each
 
 LOOPS, TASKS = 12, 16
-"""Loops of a frame, and the tasks of each."""
+"""Loops per frame, and tasks per loop."""
 
 WORK = 4000
-"""Steps of a task: some twenty microseconds."""
+"""Steps of a task: about twenty microseconds."""
 
 
 @njit(cache=True, nogil=True)
@@ -59,7 +59,7 @@ def plain_blend(
     frame: Frame,
     open_tiles: NDArray[np.uint8],  # in out [tiles_y, tiles_x]
 ) -> None:
-    """`engine.render.classic.blend.blend` pixel by pixel, as one would write it first."""
+    """`engine.render.classic.blend.blend` pixel by pixel, as a first version would be written."""
     tiles, tile_starts, pair_codes = part.tiles, part.tile_starts, part.pair_codes
     records, states, lasts, tile_lasts = frame.records, frame.states, frame.lasts, frame.tile_lasts
     tiles_x = open_tiles.shape[1]
@@ -105,10 +105,10 @@ def plain_blend(
 
 
 def in_turns(ours: Callable[[], Any], other: Callable[[], Any], rounds: int) -> dict[str, dict[str, float]]:
-    """Milliseconds of both, medians of wall and busy time."""
+    """Milliseconds of both, as medians of wall and busy time."""
     spent: dict[str, list[tuple[float, float]]] = {"ours": [], "other": []}
     for run in (ours, other):
-        run()  # compiled, and the data in the cache
+        run()  # compiles, and brings the data into the cache
     for _ in range(rounds):
         for name, run in (("ours", ours), ("other", other)):
             spent[name].append(timed(run))
@@ -117,7 +117,7 @@ def in_turns(ours: Callable[[], Any], other: Callable[[], Any], rounds: int) -> 
 
 
 def distance_row(cells: int, rounds: int) -> dict[str, Any]:
-    """Distance and nearest cell to a shell, as the body is found with."""
+    """Distance and nearest cell to a shell, as finding the body needs them."""
     axis = np.linspace(-1.1, 1.1, cells)
     radius = np.linalg.norm(np.stack(np.meshgrid(axis, axis, axis, indexing="ij")), axis=0)
     shell = np.abs(radius - 0.9) < 1.5 * 2.2 / cells
@@ -145,7 +145,7 @@ def thread_row(rounds: int) -> dict[str, Any]:
 
 
 def lane_row(size: int, rounds: int) -> dict[str, Any]:
-    """Compositing of one picture, all else the same."""
+    """Compositing of one picture, everything else the same."""
     means, scales, quats, opacities, colours = scene(20_000)
     camera = view(size)
 
@@ -160,7 +160,7 @@ def lane_row(size: int, rounds: int) -> dict[str, Any]:
 
 
 def chart(rows: dict[str, dict[str, Any]], path: Path) -> None:
-    """A bar for each row: how many times longer the other way takes."""
+    """A bar for each row: how many times longer the alternative takes."""
     names = list(rows)
     ratios = [rows[name]["other"]["wall_ms"] / rows[name]["ours"]["wall_ms"] for name in names]
     figure, axes = plt.subplots(figsize=(8, 0.7 * len(names) + 1.2), layout="constrained")

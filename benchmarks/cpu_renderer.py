@@ -3,8 +3,8 @@
     python -m benchmarks.cpu_renderer [--quick] [--cores N] [-o docs/charts]
 
 Half of the Gaussians lie on a unit sphere, half in it, opaque, sigma = diameter / 150, in an order in which neighbours
-in space are neighbours in memory. Both renderers run in turn, so that what else the machine does falls on both; the
-least of several runs counts. `busy` is processor time, which a loaded machine disturbs less. Writes
+in space are neighbours in memory. The renderers take turns, so that other load on the machine falls on both; the
+fastest of several runs counts. `busy` is processor time, which a loaded machine disturbs less. Writes
 cpu_renderer.json and .png.
 """
 
@@ -39,13 +39,13 @@ SIZES = (256, 512)
 REST = 0.05
 """Seconds between turns: OpenMP's threads keep spinning for a while after torch's work."""
 REPEATS = 20
-"""Runs of the faster one in each turn; together they still take less time than the other's one."""
+"""Runs of the faster renderer in each turn; together they still take less time than one run of the other."""
 CELLS = 64
-"""Cells along an edge for the order in memory: one holds a few Gaussians of the largest scene."""
+"""Cells along an edge of the grid that orders memory: one holds a few Gaussians of the largest scene."""
 
 
 def scene(count: int, kind: torch.dtype = torch.float32) -> list[Tensor]:
-    """means, scales, quats, opacities, rgb."""
+    """Parameters of `count` Gaussians: means, scales, quats, opacities, rgb."""
     rng = np.random.default_rng(0)
     direction = rng.normal(size=(count, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
@@ -63,7 +63,7 @@ def scene(count: int, kind: torch.dtype = torch.float32) -> list[Tensor]:
 
 
 def view(size: int) -> Camera:
-    """The sphere fills most of the picture."""
+    """A camera in whose picture the sphere takes up most of the frame."""
     return orbit([0, 0, 0], [0, 0, 1], 30, 20, 3.6, size, size)
 
 
@@ -125,12 +125,12 @@ def measure(count: int, size: int, rounds: int) -> dict[str, object]:
 
 
 def pick(parameters: list[Tensor]) -> list[Tensor]:
-    """All but the quaternions: turning a sphere changes nothing, their gradient is 0."""
+    """All but the quaternions: turning a sphere changes nothing, so their gradient is 0."""
     return [parameters[0], parameters[1], parameters[3], parameters[4]]
 
 
 def peak_memory(count: int, size: int) -> float:
-    """MB of a process that does nothing but one forward+backward, libraries included."""
+    """Peak MB of a process that does nothing but one forward+backward, libraries included."""
     command = [sys.executable, "-m", "benchmarks.cpu_renderer", "--memory", str(count), str(size)]
     done = subprocess.run(command, check=True, capture_output=True, text=True, cwd=ROOT)
     return float(done.stdout)
@@ -191,7 +191,7 @@ def main(arguments: list[str] | None = None) -> None:
         print(peak / 2**20 if sys.platform == "darwin" else peak / 2**10)
         return
     folder = out_folder(options)
-    # First, because the peak of a child begins with its parent's.
+    # First, because a child's peak starts from its parent's.
     memory = None if options.quick else peak_memory(COUNTS[-1], SIZES[-1])
     rows = []
     for count in COUNTS[:1] if options.quick else COUNTS:

@@ -1,14 +1,14 @@
-"""Cut faces at rest, read from the inside, beside the same faces of atoms, at 1, 3 and 8 times the size.
+"""Cut faces at rest, read from the inside, beside the same faces drawn from atoms, at 1, 3 and 8 times the size.
 
     python -m benchmarks.face_detail [--quick] [-o docs/charts] [--detail standard] [--scenes orange_others,...]
 
-Scenes with pictures of other individuals, whose insides are quilted, and with two cuts of one thing, whose layers go
-on. In the plane of the horizontal picture: sharpness
-(RMS Laplacian) over that of the picture drawn as large, and SSIM with it at 768 pixels. Then the seconds to read a face
-that fills half of a 1280x720 window; bytes of the two files; and the difference of one frame to the next while a plane
-moves by a tenth of a cell: what is read from places and prefiltered does not flicker. Writes face_detail.json, the
-chart face_detail.png and an oblique cut of each scene as face_detail_<scene>.png (atoms above, the inside below). What
-is trained is kept in out/face_detail; delete it to measure anew.
+Scenes with pictures of other individuals, whose insides are quilted, and with two cuts of the same object, whose
+layers are continued. Measures, in the plane of the horizontal picture: sharpness (RMS Laplacian) over that of the
+picture drawn as large, and SSIM with it at 768 pixels. Then the seconds to read a face that fills half of a 1280x720
+window; the bytes of both files; and the difference from one frame to the next while a plane moves by a tenth of a
+cell: a face that is read at its places and prefiltered does not flicker. Writes face_detail.json, the chart
+face_detail.png and an oblique cut of each scene as face_detail_<scene>.png (atoms above, the inside below). Trained
+objects are kept in out/face_detail; delete it to measure anew.
 """
 
 from __future__ import annotations
@@ -52,14 +52,14 @@ from training.settings import DetailName
 ZOOMS = (1.0, 3.0, 8.0)
 SIZE, FINE_SIZE = 512, 768
 CORE = 0.75
-"""Radius in the ball within which a face is measured: the rind would dominate its sharpness."""
+"""Radius in the ball within which a face is measured: outside it the rind would dominate the sharpness."""
 
 Known = LayeredInside | QuiltInside
 
 SCENES = "watermelon_others,orange_others,apple_others,pomegranate_others,watermelon,orange"
 
 BESIDE = 0.2
-"""Distance from the axis of what the closer views look at, over the radius of the ball around the object."""
+"""Distance from the axis to the centre of the closer views, over the radius of the ball around the object."""
 
 OBLIQUE = (0.5, -0.3, 1.0)
 HALF_A_WINDOW = 1280 * 720 // 2
@@ -67,7 +67,7 @@ FRAMES = 60
 
 
 def trained(name: str, detail: DetailName, folder: Path) -> tuple[Path, tuple[float, float, float], Disc]:
-    """The trained object of a scene, made unless it is there already, its up axis and its horizontal picture."""
+    """The trained object of a scene (trained if it is not there yet), its up axis and its horizontal picture."""
     scene = load_scene(name, folder)
     out = folder / "trained" / detail / name
     path = out / f"{scene.scene.stem}.ply"
@@ -80,7 +80,7 @@ def trained(name: str, detail: DetailName, folder: Path) -> tuple[Path, tuple[fl
 
 
 def views(atoms: Atoms, plane: Plane, up: NDArray[np.float64], size: int, zooms: tuple[float, ...]) -> list[Camera]:
-    """Cameras straight onto a plane; the closer ones look beside the axis, where flesh and seeds are."""
+    """Cameras straight onto a plane; the closer ones look beside the axis, at flesh and seeds."""
     bounds = atoms.bounds
     radius = float(np.linalg.norm(bounds[1] - bounds[0])) / 2
     aside = BESIDE * radius / np.sqrt(2)
@@ -94,7 +94,7 @@ def views(atoms: Atoms, plane: Plane, up: NDArray[np.float64], size: int, zooms:
 def faces(
     atoms: Atoms, inside: Inside, field: KernelField, plane: Plane, camera: Camera
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """The face of atoms and the face that is read, both (H, W, 3)."""
+    """The face drawn from atoms and the face read from the inside, both (H, W, 3)."""
     plain = opaque.render(atoms, camera, [plane], field=field)
     read = detailed(plain, camera, [Piece((plane,))], [Detailed(inside, atoms.pitch)], light=False)
     return np.clip(plain.rgb, 0, 1), np.clip(read.rgb, 0, 1)
@@ -103,7 +103,7 @@ def faces(
 def photograph(
     inside: Known, picture: Disc, points: NDArray[np.float32]
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """The horizontal picture (H, W, 3) at places (H, W, 3) of its plane, and where it is measured (H, W)."""
+    """The horizontal picture (H, W, 3) at places (H, W, 3) in its plane, and the pixels to measure (H, W)."""
     cells = (points.reshape(-1, 3).astype(np.float64) - inside.origin) / inside.cell
     if isinstance(inside, QuiltInside):
         ball = Ball.of(inside.ball.to_ball((cells @ inside.basis.T).astype(np.float32)))

@@ -1,13 +1,13 @@
-"""How much the solid looks like the capture that it was made from, at views that nothing was fitted to.
+"""How closely the solid resembles the capture that it was made from, in held-out views.
 
     python -m benchmarks.fidelity [--quick] [-o docs/charts] [--detail draft,standard,high] [--tolerance 0.05,0.1,0.2]
         [CAPTURE ...]
 
-The capture, without the haze and floaters that are meant to go, is drawn as 3DGS; the solid as opaque atoms, after all
-that training does to its skin. Means over twelve views of the PSNR over the union of both silhouettes, of the PSNR over
-what both show as opaque, and of the IoU of the silhouettes. Writes fidelity.json, the chart fidelity.png and, for each
-capture, fidelity_<capture>.png (the capture, the solid below it, and the solid cut in half with a plain inside).
-Measures the samples if no capture is given.
+The capture, without the haze and floaters that are meant to go, is drawn as 3DGS; the solid as opaque atoms, after
+everything that training does to its skin. Means over twelve views of the PSNR over the union of both silhouettes, of
+the PSNR over what both show as opaque, and of the IoU of the silhouettes. Writes fidelity.json, the chart fidelity.png
+and, for each capture, fidelity_<capture>.png (the capture, the solid below it, and the solid cut in half with a plain
+inside). Measures the samples if no capture is given.
 """
 
 from __future__ import annotations
@@ -55,12 +55,12 @@ LEAN = 0.4
 """Tangent of the angle by which a cut face is turned from the camera."""
 
 SHOWN_EVERY = 3
-"""Of the views, those that the picture shows."""
+"""One view in this many is shown in the picture."""
 
 
 @dataclass(frozen=True)
 class Tolerant(Request):
-    """A request at another tolerance than its level of detail has."""
+    """A request that may replace the tolerance of its level of detail."""
 
     tolerance: float | None = None
 
@@ -141,7 +141,7 @@ def tolerances(text: str) -> list[float]:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Measures every capture; 1 where one was refused."""
+    """Measures every capture; returns 1 if one was refused."""
     parser = parser_of(__doc__, "the first capture in draft, two views")
     parser.add_argument("captures", type=Path, nargs="*", metavar="CAPTURE")
     parser.add_argument("--detail", default="standard", help="one or several, with commas: " + ",".join(DETAILS))

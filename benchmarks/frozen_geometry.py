@@ -1,11 +1,11 @@
-"""Frozen geometry against the full opaque renderer: seconds an iteration, and the error that truncation costs.
+"""Frozen geometry against the full opaque renderer: seconds per iteration, and the error that truncation costs.
 
     python -m benchmarks.frozen_geometry [--quick] [-o docs/charts]
 
-One iteration is a picture and its gradient. Half of the atoms lie on a unit sphere, half in it, sigma = diameter / 150
+One iteration is a picture and its gradient. Half of the atoms lie on a sphere, half in it, sigma = diameter / 150
 for all, so that views of few atoms have the same footprints as views of many. Three kinds of view: the outside, the
-outside with a cut, and a section. Writes frozen_geometry.json and .png. Seconds are the least
-of several runs; `busy` is processor time over cores, which a loaded machine disturbs less.
+outside with a cut, and a section. Writes frozen_geometry.json and .png. Seconds are those of the fastest of several
+runs; `busy` is processor time over cores, which a loaded machine disturbs less.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ def ball(count: int) -> Atoms:
 
 
 def seconds(run: Callable[[], object], times: int) -> tuple[float, float]:
-    """Least wall seconds, and least processor seconds over cores, of several runs after a first."""
+    """Least wall seconds, and least processor seconds over cores, of several runs after a warm-up."""
     run()
     wall, busy = np.min([timed(run) for _ in range(times)], axis=0)
     return float(wall), float(busy) / cores()
@@ -143,12 +143,12 @@ def measure(atoms: Atoms, camera: Camera, kind: str, times: int) -> dict[str, ob
 
 
 def chart(rows: list[dict], path: Path) -> None:
-    """Accuracy of the picture against the time of an iteration, with what training keeps marked."""
+    """Accuracy of the picture against the time of an iteration; the truncation that training uses is marked."""
     kinds = ("outside", "cut", "section")
     most = max((row["atoms"], row["pixels"]) for row in rows)
     figure, panels = plt.subplots(1, len(kinds), figsize=(13, 4.4), sharey=True, constrained_layout=True)
     shown = [next(r for r in rows if r["kind"] == kind and (r["atoms"], r["pixels"]) == most) for kind in kinds]
-    # What leaves nothing out has no error: it stands above the rest, on a line that says so.
+    # An untruncated view has no error: it stands above the rest, on a line labelled so.
     top = 10 * np.ceil(max(-row[f"keep {k}"]["error dB"] for row in shown for k in KEPT) / 10) + 10
     for kind, row, panel in zip(kinds, shown, panels, strict=True):
         names = [*(f"{k}" for k in KEPT), "all", "full renderer"]
@@ -181,7 +181,7 @@ def chart(rows: list[dict], path: Path) -> None:
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Measures, prints a row a view and writes numbers and chart."""
+    """Measures, prints a row for each view, and writes numbers and chart."""
     options = parser_of(__doc__, "the smallest scene only").parse_args(arguments)
     folder, quick = out_folder(options), options.quick
     torch.set_num_threads(cores())

@@ -4,17 +4,17 @@
 
 A melon stands in a picture of 1280 x 720, framed as the app frames it: a lattice of interior atoms under a closed skin
 of discs, as many and as large as captures of an orange and an apple give (16 of them over each pixel that shows skin).
-The camera goes round in steps of a degree, so that no frame can be kept; the cuts stay, or move in the rows that say
-so. Each mode is timed beside the floor, the same atoms drawn once as one-pixel GL_POINTS, in the same run. Writes
-gl_frames.json and .png.
+The camera goes round in steps of a degree, so that no frame can be reused; the cuts stay, except in the rows for a
+moving cut. Each mode is timed beside the floor, the same atoms drawn once as one-pixel GL_POINTS, in the same run.
+Writes gl_frames.json and .png.
 
-Where GL is software the solid is drawn by the processor's own kernels; `opaque, by shaders` is what GLSL takes there.
-The coarser rows are what a view that moves may fall back to: fewer pixels along a side, fewer atoms.
+Where GL is software, the solid is drawn by kernels on the CPU; `opaque, by shaders` is the time that GLSL takes there.
+The coarser rows are what a moving view may fall back to: fewer pixels along a side, fewer atoms.
 
-Seconds are the least of several frames; `busy` is processor time over cores, which a loaded machine disturbs less (it
-says nothing where a GPU does the work). Accuracy is measured against float64, in windows on the face, across its rim
-and on the skin of the melon of a million atoms; of classic mode on a small one. On a graphics card the files are
-gl_frames_card.json and .png: they stand beside those of software.
+Times are those of the fastest of several frames; `busy` is processor time over cores, which a loaded machine disturbs
+less (it means nothing where a GPU does the work). Accuracy is measured against float64: for the melon of a million
+atoms in windows on the face, across its rim and on the skin; for classic mode on a small melon. On a graphics card the
+files are gl_frames_card.json and .png, so that they stand beside those of software GL.
 """
 
 from __future__ import annotations
@@ -50,8 +50,8 @@ from tests.reference.opaque import reference
 
 SIZE = 1280, 720
 FOV = math.radians(35)
-AIR = 1.12  # radii that fit the picture, as the app frames an object
-DENSITY, SIGMA = 0.9, 0.75  # discs to a pitch squared, sigma in spacings: as captures of an orange and an apple give
+AIR = 1.12  # radii that fit into the picture, as the app frames an object
+DENSITY, SIGMA = 0.9, 0.75  # discs per pitch squared, sigma in spacings: as captures of an orange and an apple give
 CUTS = {
     "uncut": (),
     "one cut": (Plane.of((0.1, 0.05, 1), 0.01),),
@@ -64,7 +64,7 @@ MODES: dict[str, dict[str, Any]] = {
 }
 CLASSIC = {"classic": False, "classic, full floats": True}
 SHADERS = "opaque, by shaders"
-COARSER: dict[str, tuple[float, int]] = {  # part of the pixels along a side, level of detail
+COARSER: dict[str, tuple[float, int]] = {  # fraction of the pixels along a side, level of detail
     "coarser: 3/4 of the side, level 1": (0.75, 1),
     "coarser: 1/2, level 1": (0.5, 1),
     "coarser: 1/2, level 2": (0.5, 2),
@@ -85,10 +85,10 @@ void main() { pixel = vec4(colour, 1.0); }
 
 
 def melon(count: int) -> Atoms:
-    """`count` atoms: a ball of radius 0.5, its skin striped, its flesh with a rind and a soft grain."""
+    """A ball of radius 0.5 of `count` atoms: its skin striped, its flesh with a rind and a soft grain."""
     radius, under = 0.5, 0.4  # pitches from the skin to the lattice
     pitch = float(np.cbrt(4 / 3 * np.pi * radius**3 / count))
-    for _ in range(50):  # what the skin takes, the lattice does not have
+    for _ in range(50):  # skin and lattice share `count` atoms
         skin = DENSITY * 4 * np.pi * radius**2 / pitch**2
         pitch = float(np.cbrt(4 / 3 * np.pi * (radius - under * pitch) ** 3 / (count - skin)))
     rng = np.random.default_rng(0)
@@ -122,7 +122,7 @@ def view(step: int, width: int = SIZE[0], height: int = SIZE[1]) -> Camera:
 
 
 def point_cloud(renderer: Renderer, atoms: Atoms) -> Callable[[int], None]:
-    """The floor: all atoms once as points of one pixel, with a depth buffer."""
+    """The floor: all atoms drawn once as points of one pixel, with a depth buffer."""
     ctx = renderer.ctx
     target = ctx.framebuffer([ctx.texture(SIZE, 4)], ctx.depth_texture(SIZE))
     program = ctx.program(vertex_shader=POINTS, fragment_shader=PLAIN)
@@ -148,7 +148,7 @@ def point_cloud(renderer: Renderer, atoms: Atoms) -> Callable[[int], None]:
 
 
 def frame_times(renderer: Renderer, draw: Callable[[int], object], times: int) -> dict[str, float]:
-    """Least milliseconds of a frame, wall and busy, after one that is not counted; slow frames are repeated less."""
+    """Least milliseconds of a frame, wall and busy, after a warm-up; slow frames are repeated less often."""
 
     def frame(step: int) -> None:
         draw(step)
@@ -178,7 +178,7 @@ def speed(renderer: Renderer, shaders: Renderer, count: int, times: int) -> list
         pieces = (Piece(planes),)
         for mode, options in MODES.items():
             for _ in range(2):
-                renderer.render(view(0), pieces, **options)  # the grid of a plane is made when it is seen again
+                renderer.render(view(0), pieces, **options)  # the grid of a plane is made when the plane is seen again
 
             def draw(step: int, pieces: tuple[Piece, ...] = pieces, options: dict[str, Any] = options) -> None:
                 renderer.render(view(step), pieces, **options)
@@ -216,7 +216,7 @@ def speed(renderer: Renderer, shaders: Renderer, count: int, times: int) -> list
 
 
 def accuracy(renderer: Renderer, shaders: Renderer, count: int) -> dict[str, float]:
-    """PSNR in dB of each mode against float64: of `count` atoms with one cut, in windows."""
+    """PSNR in dB of each mode against float64, in windows: `count` atoms with one cut."""
     atoms, planes, camera = melon(count), CUTS["one cut"], view(0)
     truths = [true_window(atoms, camera, planes, *corner) for corner in WINDOWS.values()]
 
@@ -253,7 +253,7 @@ def accuracy(renderer: Renderer, shaders: Renderer, count: int) -> dict[str, flo
 
 
 def true_window(atoms: Atoms, camera: Camera, planes: Sequence[Plane], x: int, y: int) -> np.ndarray:
-    """RGB (WINDOW, WINDOW, 3) of the float64 reference in the window with this corner, of the atoms that reach it."""
+    """RGB (WINDOW, WINDOW, 3) of the float64 reference in the window with this corner, from the atoms that reach it."""
     part = replace(camera, cx=camera.cx - x, cy=camera.cy - y, width=WINDOW, height=WINDOW)
 
     def near(means: np.ndarray, reach: float) -> np.ndarray:
@@ -315,7 +315,7 @@ def chart(rows: list[dict], figures: dict[str, float], who: str, path: Path) -> 
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Measures, prints a row a mode and writes numbers and chart."""
+    """Measures, prints a row for each mode, and writes numbers and chart."""
     options = parser_of(__doc__, "a hundred thousand atoms, few frames").parse_args(arguments)
     folder, quick = out_folder(options), options.quick
     with Renderer() as renderer:

@@ -1,11 +1,11 @@
-"""Insides that the exemplar prior makes, beside the truth, on cuts that nobody trained.
+"""Insides made by the exemplar prior beside the truth, on held-out cuts.
 
     python -m benchmarks.interior [--quick] [-o docs/charts] [solid ...]
 
-For each solid of known inside: solve from the pictures of its cut faces, then compare seven cuts (oblique, off-centre,
-near the pole) with the true ones. The yardstick is another true solid of the kind on the same cuts; the ceiling is the
-truth sampled on the same grid. Writes interior_<solid>.png (upper row truth, lower row ours) and interior.json. `busy`
-is processor time, which a loaded machine disturbs less.
+For each solid of known inside: solves from the pictures of its cut faces, then compares seven cuts (oblique,
+off-centre, near the pole) with the true ones. The yardstick is another true solid of the kind on the same cuts; the
+ceiling is the truth sampled on the same grid. Writes interior_<solid>.png (truth above, ours below) and interior.json.
+`busy` is processor time, which a loaded machine disturbs less.
 """
 
 from __future__ import annotations
@@ -41,10 +41,10 @@ CUTS = (
     ((0.35, 1, 0), 0.02),
     ((1, 0.3, 0.1), 0.45),
 )
-"""Normals, and offsets from the centre as shares of the half size."""
+"""Normals, and offsets from the centre as fractions of the half size."""
 
 SIZE = 320
-"""Pixels of a cut's picture: a voxel of 192 is about a pixel."""
+"""Pixels of a cut's picture: a voxel of a 192-voxel volume is about a pixel."""
 
 PHOTOGRAPH = 384
 """Pixels of an exemplar."""
@@ -70,7 +70,7 @@ def cut_planes(solid: Solid) -> list[Plane]:
 
 
 def measure(name: str, voxels: int, folder: Path | None) -> dict[str, float]:
-    """Solves one solid, writes its sheet if there is a folder, and returns the figures, means over the cuts."""
+    """Solves one solid, writes its sheet if a folder is given, and returns the figures, means over the cuts."""
     solid, other = SOLIDS[name](0), SOLIDS[name](1)
     body = body_of(solid)
     with tempfile.TemporaryDirectory() as pictures:
@@ -110,7 +110,7 @@ def measure(name: str, voxels: int, folder: Path | None) -> dict[str, float]:
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Measures the solids named, or all."""
+    """Measures the solids named, or all of them."""
     parser = parser_of(__doc__, "one solid, coarse")
     parser.add_argument("solids", nargs="*", metavar="solid", help=f"of {', '.join(SOLIDS)} (default: all)")
     options = parser.parse_args(arguments)

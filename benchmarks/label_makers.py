@@ -2,9 +2,9 @@
 
     python -m benchmarks.label_makers [--scenes bread,orange] [--detail draft] [--quick] [-o docs/charts]
 
-The same exemplars, fill, training and cuts, which nobody trained; one prior, asked in four ways. Writes
-label_makers.json, label_makers.png (figures against processor time, which a loaded machine disturbs less) and, for
-each scene, three cuts as a sheet: truth, SDS, x0, loop, volume. Started again after an interruption it goes on; delete
+The same exemplars, fill, training and held-out cuts; one prior, queried in four ways. Writes label_makers.json,
+label_makers.png (figures against processor time, which a loaded machine disturbs less) and, for each scene, three cuts
+as a sheet: truth, SDS, x0, loop, volume. An interrupted run continues when it is started again; delete
 out/label_makers to measure anew.
 """
 
@@ -53,7 +53,7 @@ def draw(found: dict[str, dict[str, Any]], path: Path) -> None:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Runs the scenes asked for and writes what was measured; 1 where a part failed."""
+    """Runs the scenes asked for and writes the results; returns 1 if a part failed."""
     found, folder, failed = compare(
         "label_makers",
         __doc__,
@@ -61,7 +61,7 @@ def main(arguments: list[str] | None = None) -> int:
         scenes="bread",
         detail="draft",
         methods=tuple(METHODS),
-        quick_methods=("ours",),  # those that draw plane by plane take minutes
+        quick_methods=("ours",),  # the plane-by-plane methods take minutes
         cuts=12,
         shown=3,
     )

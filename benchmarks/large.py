@@ -1,11 +1,11 @@
-"""How long large captures take to open, and in how much memory: the window's own loader, from the file to the solid.
+"""How long large captures take to open, and how much memory: the window's own loader, from the file to the solid.
 
     python -m benchmarks.large [--quick] [-o docs/charts]
 
 Each capture is a sample scene whose Gaussians were divided until there are a million, two and five. The clock runs from
 the request: to the coarse picture, to the whole capture, to the solid that can be cut, to its fitted skin. Beside it
-stand the processor's seconds, which count on a busy machine, and the peak of memory: of each process, and of both
-with the pages that they share counted once. Writes large.json.
+stand processor seconds, which are the ones to compare on a busy machine, and peak memory: of each process, and of both
+with their shared pages counted once. Writes large.json.
 """
 
 from __future__ import annotations
@@ -32,17 +32,17 @@ QUICK = 300_000
 SCENE = ROOT / "sample_scenes/watermelon/watermelon.ply"
 
 REST = 0.02
-"""Standard deviation of the SH above degree 0, so that files are as large as those of captures."""
+"""Standard deviation of the SH above degree 0, so that the files are as large as those of captures."""
 
 PAUSE = 0.05
-"""Seconds between two looks at the processes."""
+"""Seconds between two readings of the processes."""
 
 
 def divided(gaussians: Gaussians, count: int) -> Gaussians:
-    """`count` Gaussians of SH degree 3 that look much like a smaller scene: each is drawn from one of its kernels."""
+    """`count` Gaussians of SH degree 3 that look much like a smaller scene: each is drawn from one of its Gaussians."""
     rng = np.random.default_rng(0)
     rows = np.arange(count) % len(gaussians)
-    part = (len(gaussians) / count) ** 0.5  # of a side, so that areas add up to the same
+    part = (len(gaussians) / count) ** 0.5  # of a side, so that the total area stays the same
     sh = rng.normal(0, REST, (count, 16, 3)).astype(np.float32)
     sh[:, 0] = gaussians.sh[rows, 0]
     scales = gaussians.scales[rows]
@@ -58,7 +58,7 @@ def divided(gaussians: Gaussians, count: int) -> Gaussians:
 
 
 def opened(path: Path) -> dict[str, Any]:
-    """What opening the file costs. Raises RuntimeError if it fails."""
+    """What opening the file costs, in seconds and memory. Raises RuntimeError if it fails."""
     row: dict[str, Any] = {"megabytes": path.stat().st_size >> 20}
     peaks = {"window_mb": 0, "worker_mb": 0, "both_mb": 0}
     begun = time.perf_counter()
@@ -73,7 +73,7 @@ def opened(path: Path) -> dict[str, Any]:
             found = (memory[0].rss, memory[1].rss, sum(getattr(m, "pss", m.rss) for m in memory))
             peaks = {name: max(peak, size >> 20) for (name, peak), size in zip(peaks.items(), found, strict=True)}
         except psutil.Error:
-            pass  # it has ended
+            pass  # the process has ended
         if loader.poll():
             scene = loader.scene
             shown = scene.coarse is not None, scene.capture is not None, scene.atoms is not None
@@ -88,7 +88,7 @@ def opened(path: Path) -> dict[str, Any]:
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Makes the captures one after the other, and opens them."""
+    """Makes the captures one after the other and opens them."""
     options = parser_of(__doc__, f"one capture of {QUICK:,} Gaussians").parse_args(arguments)
     folder = out_folder(options)
     rows = []

@@ -1,9 +1,9 @@
-"""Random oblique cuts of each sample scene beside the truth: the part of `fruitninja-evaluate` that is kept as charts.
+"""Random oblique cuts of each sample scene beside the truth: the part of `fruitninja-evaluate` that is charted.
 
     python -m benchmarks.oblique_cuts [--detail standard] [--scenes watermelon,orange] [--quick] [-o docs/charts]
 
 Writes oblique_cuts.json and, for each scene, six cuts as a sheet: truth, ours, nearest surface colour (the PhysGaussian
-rule), and ours given the true slices as labels. Started again after an interruption it goes on; delete
+rule), and ours given the true slices as labels. An interrupted run continues when it is started again; delete
 out/oblique_cuts to measure anew. `another` is another true solid of the kind on the same cuts.
 """
 
@@ -21,7 +21,7 @@ from training.evaluate.metrics import face_psnr
 
 
 def another(truth: Path, scene: str) -> dict[str, Any]:
-    """What a second true solid of the kind would reach, as another method; null where there is no second one."""
+    """The score of a second true solid of the kind, as if it were a method; null where there is no second one."""
     second = truth / f"{scene}_another.safetensors"
     if not second.is_file():
         return {"another": None}
@@ -32,7 +32,7 @@ def another(truth: Path, scene: str) -> dict[str, Any]:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Runs the scenes asked for and writes what was measured; 1 where a part failed."""
+    """Runs the scenes asked for and writes the results; returns 1 if a part failed."""
     _, _, failed = compare(
         "oblique_cuts",
         __doc__,

@@ -1,12 +1,12 @@
-"""Accuracy of the inside against training time and number of atoms: the presets, and the knobs behind them.
+"""Accuracy of the inside against training time and number of atoms: the presets, and the parameters behind them.
 
     python -m benchmarks.presets [--quick] [-o docs/charts]
 
-Each knob is turned alone, from draft or from standard; accuracy is the mean over the three sample scenes and random
-cuts of each that nobody trained: PSNR, which rewards blur where texture cannot be known, patch distance over that of
+Each parameter is varied alone, from draft or from standard; accuracy is the mean over the three sample scenes and
+random held-out cuts of each: PSNR, which rewards blur where texture cannot be known, patch distance over that of
 another true one of the kind, and sharpness, which do not. One scene misleads: by patches ten iterations look better
-than draft on the orange, and are worse over three. Writes interior_presets.json and .png, with the Pareto
-fronts (nothing is both cheaper and better) drawn and the presets marked. The chart has processor time over cores, two
+than draft on the orange, and are worse over three. Writes interior_presets.json and .png, with the Pareto fronts
+(nothing is both cheaper and better) drawn and the presets marked. The chart has processor time over cores, two
 thirds of the seconds on two cores, because a loaded machine disturbs it less.
 """
 
@@ -40,14 +40,14 @@ COSTS = {"busy": "processor seconds over cores", "atoms": "atoms"}
 FIGURES = {
     "psnr_db": ("PSNR dB", lambda value: value),
     "patch_ratio": ("patch distance over another true one's", lambda value: -value),
-    # Sharper than the truth is as wrong as blurred.
+    # Too sharp is as wrong as too blurred.
     "sharpness": ("sharpness (truth 1)", lambda value: -abs(1 - value)),
 }
-"""Titles, and what is to be large."""
+"""Titles, and the score of a value: larger is better."""
 
 
 def settings() -> dict[str, tuple[Detail, float]]:
-    """What is run: numbers, and planes as a multiple of the paper's."""
+    """The runs: their detail, and the planes as a multiple of the paper's."""
     runs: dict[str, tuple[Detail, float]] = {name: (detail, 1.0) for name, detail in DETAILS.items()}
     draft, standard = DETAILS["draft"], DETAILS["standard"]
     turned = {
@@ -65,7 +65,7 @@ def settings() -> dict[str, tuple[Detail, float]]:
 
 
 def measure(scene: str, numbers: Detail, planes: float, folder: Path) -> dict[str, Any]:
-    """One run and its figures."""
+    """Runs one setting on one scene and returns its figures."""
     scene_data = load_scene(scene, folder)
     families = tuple(replace(family, count=round(family.count * planes)) for family in scene_data.families)
     scene_data = replace(scene_data, families=families)
@@ -89,19 +89,19 @@ def measure(scene: str, numbers: Detail, planes: float, folder: Path) -> dict[st
 
 
 def mean(numbers: Detail, runs: dict[str, dict[str, Any]]) -> dict[str, Any]:
-    """Of one setting over the scenes, and each of them."""
+    """The means of one setting over the scenes, and the figures of each scene."""
     keys = ("seconds", *COSTS, *FIGURES, "ssim")
     means = {key: round(float(np.mean([run[key] for run in runs.values()])), 4) for key in keys}
     return {"numbers": asdict(numbers), **means, "scenes": runs}
 
 
 def best(runs: dict[str, dict[str, Any]], across: str, up: str) -> list[int]:
-    """Indices of the runs on the front of a figure against a cost."""
+    """Indices of the runs on the Pareto front of a figure against a cost."""
     return front([run[across] for run in runs.values()], [FIGURES[up][1](run[up]) for run in runs.values()])
 
 
 def label(panel: Any, names: Sequence[str], x: Sequence[float], y: Sequence[float]) -> None:
-    """Names beside their points; those that a preset has beside it share its label."""
+    """Writes names beside their points; names close to a preset's share its label."""
     at = panel.transAxes.inverted().transform(panel.transData.transform(np.column_stack([x, y])))
     left = sorted(range(len(names)), key=lambda i: names[i] not in DETAILS)
     while left:
@@ -154,7 +154,7 @@ def draw(runs: dict[str, dict[str, Any]], path: Path) -> None:
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Runs everything, or draft alone."""
+    """Runs every setting, or draft alone."""
     options = parser_of(__doc__, "draft alone, on one scene, kernels compiled on the way").parse_args(arguments)
     out, quick = out_folder(options), options.quick
     chosen = settings()

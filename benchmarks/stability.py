@@ -1,9 +1,9 @@
-"""How far the method holds: a hole of growing size, a wrong axis, small pictures, few planes, long steps, other seeds.
+"""How far the method holds: larger holes, a wrong axis, small pictures, few planes, long steps, other seeds.
 
     python -m benchmarks.stability [--quick] [-o docs/charts]
 
-Small solids of known inside, so that the whole takes a few minutes; the curves show where a thing
-breaks and how, not how good it can be. Writes stability.png and, with the numbers, stability.json.
+Small solids of known inside, so that the whole takes a few minutes; the curves show where the method breaks and how,
+not how good it can be. Writes stability.png and, with the numbers, stability.json.
 """
 
 from __future__ import annotations
@@ -44,21 +44,21 @@ VOXELS = 40
 CUT_SIZE = 120
 SEEDS = range(10)
 SEEDED = ("cake", "watermelon", "orange")
-"""Solids that are made with each of them: layers, seeds strewn by chance, membranes and pulp."""
+"""Solids made with each of the seeds: layers, randomly placed pips, membranes and pulp."""
 HOLES = (0, 20, 40, 60, 70, 80, 90, 100, 110, 120, 135)
-"""Half angles of the hole in a sphere, degrees. At 90 half of it is gone."""
+"""Half angles of the hole in a sphere, degrees. At 90 half of the sphere is gone."""
 TILTS = (0, 5, 10, 20, 45, 90)
 OFFSETS = (0.0, 0.1, 0.2, 0.4, 0.6)
 LABELS = (12, 16, 24, 48, 96, 160)
 PLANES = (2, 4, 8, 16, 32)
 PIXELS = (32, 48, 64, 96, 160, 320)
 FINE = 96
-"""Cells of the volume that pictures of few pixels are to fill."""
+"""Cells of the volume that small pictures have to fill."""
 RATES = (0.01, 0.1, 1.0, 10.0, 100.0, 1e4, 1e8)
 
 
 def holes(angles: Sequence[int]) -> list[dict[str, Any]]:
-    """Volume found over that under a flat lid; refusals say so."""
+    """Found volume over that under a flat lid for each hole, or the refusal."""
     rows: list[dict[str, Any]] = []
     for hole in angles:
         h = 1 - np.cos(np.radians(hole))
@@ -89,9 +89,9 @@ def core(offset: float) -> Solid:
 def labels_from_volume(
     solid: Solid, tilt: float = 0.0, seed: int = 0, pixels: int = 96, voxels: int = VOXELS
 ) -> dict[str, float]:
-    """Mean PSNR in dB of untrained cuts, with the up axis turned away by `tilt` degrees; cells along the longest side.
+    """Mean PSNR in dB of held-out cuts of a solved volume, and its cells along the longest side.
 
-    From pictures this many pixels wide.
+    The up axis is tilted by `tilt` degrees; the pictures are `pixels` wide.
     """
     body = body_of(solid, voxels)
     up = np.array([np.sin(np.radians(tilt)), 0.0, np.cos(np.radians(tilt))])
@@ -109,16 +109,16 @@ def labels_from_volume(
 
 
 def seeded(name: str, seeds: Sequence[int]) -> dict[str, Any]:
-    """The PSNR of one solid with each seed, and its spread."""
+    """The PSNR of one solid with each seed, its mean and its spread."""
     spread = [labels_from_volume(SOLIDS[name](0), seed=seed)["psnr_db"] for seed in seeds]
     return {"solid": name, "psnr_db": spread, "mean_db": round(float(np.mean(spread)), 3),
             "sd_db": round(float(np.std(spread)), 3)}  # fmt: skip
 
 
 def fitted(size: int = 96, rate: float = 1.0, planes: int = 24, kind: type[Trainer] = Trainer) -> dict[str, float]:
-    """PSNR in dB of the atoms' colours after training on true labels of this size, at this multiple of the rates.
+    """PSNR in dB of the atoms' colours after training on true labels of `size` pixels, at `rate` times the usual rates.
 
-    Of those that a label shows, and of all.
+    Once over the atoms that a label shows, once over all.
     """
     solid = SOLIDS["watermelon"](0)
     body = body_of(solid, 32)
@@ -134,7 +134,7 @@ def fitted(size: int = 96, rate: float = 1.0, planes: int = 24, kind: type[Train
         for cut in cuts
     ]
     with (
-        mock.patch.object(trainer, "INTERIOR_RATE", 10 * trainer.INTERIOR_RATE * rate),  # from even grey, so ten times
+        mock.patch.object(trainer, "INTERIOR_RATE", 10 * trainer.INTERIOR_RATE * rate),  # from grey, so ten times
         mock.patch.object(trainer, "HALVED_IN_TURNS", 20),
     ):
         training = kind(atoms, cuts, [], 0)
@@ -152,7 +152,7 @@ def fitted(size: int = 96, rate: float = 1.0, planes: int = 24, kind: type[Train
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Runs all sweeps, and draws them."""
+    """Runs all sweeps and draws them."""
     parser = parser_of(__doc__, "the first two points of each curve")
     options = parser.parse_args(arguments)
     folder = out_folder(options)
@@ -166,7 +166,7 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 def sweeps(points: int | None) -> dict[str, Any]:
-    """Every curve, or this many first points of each."""
+    """Every curve, or only the first points of each."""
     cake, orange = SOLIDS["cake"](0), SOLIDS["orange"](0)
     figures: dict[str, Any] = {"cores": os.cpu_count(), "voxels": VOXELS, "holes": holes(HOLES[:points])}
     figures["labels"] = [{"pixels": size, **fitted(size=size)} for size in LABELS[:points]]
@@ -186,7 +186,7 @@ def sweeps(points: int | None) -> dict[str, Any]:
 
 
 def draw(figures: dict[str, Any], path: Path) -> None:
-    """Small multiples, one for each thing that goes wrong."""
+    """Small multiples, one for each way to fail."""
     plt.rcParams.update({"font.size": 9, "axes.spines.top": False, "axes.spines.right": False, "axes.titlesize": 10})
     figure, axes = plt.subplots(2, 4, figsize=(14, 6), layout="constrained")
 

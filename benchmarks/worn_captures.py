@@ -1,11 +1,12 @@
-"""How far the body of a capture holds as the capture gets worse: fewer Gaussians, misplaced ones, a missing part.
+"""How far a capture's body holds as the capture gets worse: fewer Gaussians, misplaced ones, a missing part.
 
     python -m benchmarks.worn_captures [--quick] [-o docs/charts] [CAPTURE ...]
 
-Of each capture a random part of the Gaussians is kept; or all are moved at random, by a standard deviation in parts of
-the longest side; or those in a cone from the middle are left out. What is then found is compared with the body of the
-whole capture: volume of both over volume of either (1: the same; 0: refused). Writes worn_captures.json and the chart
-worn_captures.png. If no capture is given, measures a sample and those of ../shared/data.
+From each capture a random fraction of the Gaussians is kept; or all are moved at random, by a standard deviation given
+in longest sides; or those in a cone from the middle are left out. The body then found is compared with the body of the
+whole capture: the volume of their intersection over that of their union (1: the same; 0: refused). Writes
+worn_captures.json and the chart worn_captures.png. If no capture is given, measures a sample and those of
+../shared/data.
 """
 
 from __future__ import annotations
@@ -48,13 +49,13 @@ SEED = 0
 
 
 def thinned(whole: Gaussians, part: float) -> Gaussians:
-    """A random part of a capture."""
+    """A random fraction of a capture's Gaussians."""
     rng = np.random.default_rng(SEED)
     return whole[np.sort(rng.choice(len(whole), max(round(part * len(whole)), 1), replace=False))]
 
 
 def moved(whole: Gaussians, part: float) -> Gaussians:
-    """A capture whose Gaussians are moved by this part of its longest side."""
+    """A capture whose Gaussians are moved at random, with this fraction of its longest side as standard deviation."""
     rng = np.random.default_rng(SEED)
     low, high = whole.visible_bounds()
     away = rng.normal(0, part * float((high - low).max()), whole.means.shape)
@@ -62,7 +63,7 @@ def moved(whole: Gaussians, part: float) -> Gaussians:
 
 
 def opened(whole: Gaussians, angle: float) -> Gaussians:
-    """A capture without what lies in a cone from its middle, in a direction of no axis."""
+    """A capture without the Gaussians in a cone from its middle, in a direction along no axis."""
     offset = whole.means - whole.visible_bounds().mean(0)
     towards = np.array([1.0, 0.6, -0.4]) / np.linalg.norm([1.0, 0.6, -0.4])
     return whole[offset @ towards < np.cos(np.radians(angle)) * np.linalg.norm(offset, axis=1) + (angle == 0)]
@@ -73,11 +74,11 @@ WAYS: dict[str, tuple[Callable[[Gaussians, float], Gaussians], tuple[float, ...]
     "moved": (moved, MOVED, "Gaussians moved by, in longest sides"),
     "missing": (opened, MISSING, "half angle of what is missing, degrees"),
 }
-"""By name: what is done, how far, and the label of that axis."""
+"""By name: how a capture is worsened, the steps, and the axis label."""
 
 
 def overlap(whole: Body, worn: Gaussians) -> float:
-    """Volume of both bodies over that of either; 0 where none is found."""
+    """Volume of the intersection of both bodies over that of their union; 0 where no body is found."""
     try:
         other = find_body(worn).body
     except InputError:
@@ -89,7 +90,7 @@ def overlap(whole: Body, worn: Gaussians) -> float:
 
 
 def measure(path: Path, points: int | None) -> dict[str, Any]:
-    """The overlaps of one capture along each way, of the first `points` steps if given. Raises InputError."""
+    """The overlaps of one capture for each way, of the first `points` steps if given. Raises InputError."""
     capture = load(path).gaussians
     whole = find_body(capture).body
     rows: dict[str, Any] = {"gaussians": len(capture)}
@@ -99,7 +100,7 @@ def measure(path: Path, points: int | None) -> dict[str, Any]:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Measures the captures; 1 where one of them could not be."""
+    """Measures the captures; returns 1 if one of them could not be measured."""
     parser = parser_of(__doc__, "the first two points of each curve of a sample")
     parser.add_argument("captures", nargs="*", type=Path, metavar="CAPTURE")
     options = parser.parse_args(arguments)
@@ -123,7 +124,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def draw(found: dict[str, Any], path: Path) -> None:
-    """A curve for each capture, a panel for each way."""
+    """A curve for each capture, a panel for each way to worsen it."""
     plt.rcParams.update({"font.size": 9, "axes.spines.top": False, "axes.spines.right": False})
     figure, panels = plt.subplots(1, len(WAYS), figsize=(14, 3.6), sharey=True, layout="constrained")
     for panel, (name, (_, _, label)) in zip(panels, WAYS.items(), strict=True):

@@ -35,17 +35,17 @@ ALONG = (-0.35, 0.1, 0.55)
 
 
 WHITE_BALANCE = (1.06, 1.0, 0.82)
-"""Gains of a lamp's light on a picture taken for daylight."""
+"""Channel gains that lamplight gives a picture white-balanced for daylight."""
 
 SQUASHED = 0.9
-"""Height of a snapshot's face over that of the solid's: no two fruits have one outline."""
+"""Height of a snapshot's face over that of the solid's: no two fruits have the same outline."""
 
 SHADOW, SHADOW_OFFSET, SHADOW_BLUR = 0.35, (0.03, 0.02), 0.015
-"""Darkness of a drop shadow, and its offset down and to the right and its blur over the picture's side."""
+"""Darkness of a drop shadow, its offset (down, right) and its blur, the last two over the picture's side."""
 
 
 def planes(solid: Solid, kind: Kind) -> list[Plane]:
-    """The planes of this family's two or three exemplars."""
+    """The planes of a family's two or three exemplars."""
     low, high = solid.bounds
     centre, half = (low + high) / 2, (high - low) / 2
     up = np.asarray(solid.up)
@@ -87,7 +87,7 @@ def save_photographs(solid: Solid, kind: Kind, folder: Path, size: int) -> tuple
 
 
 def snapshot(solid: Solid, plane: Plane, size: int) -> NDArray[np.uint8]:
-    """(size, size, 3). The face as somebody else takes it: in lamplight, squashed, over its drop shadow."""
+    """(size, size, 3). The face as somebody else might photograph it: in lamplight, squashed, over its drop shadow."""
     rgb, inside = solid.slice(plane, crop(solid, plane, size), supersample=SUPERSAMPLE)
     at = np.mgrid[:size, :size].astype(np.float64)
     at[0] = (at[0] - (size - 1) / 2) / SQUASHED + (size - 1) / 2

@@ -40,7 +40,7 @@ def make(name: str, folder: Path, seed: int = 0) -> list[Path]:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """The command. 0 on success, 2 after one line about what cannot be done."""
+    """Runs the command. Returns 0 on success, 2 after one line about what cannot be done."""
     parser = argparse.ArgumentParser(prog="python -m sample_scenes.make", description="Make the sample scenes.")
     parser.add_argument("--out", type=Path, default=Path(__file__).parent, help="folder (default: beside this file)")
     parser.add_argument(

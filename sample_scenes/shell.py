@@ -22,8 +22,8 @@ OVERSAMPLE = 24
 """Skin samples per Gaussian: a fifth of its spacing apart, so that hardly any gap between them is missed."""
 
 MAX_GAP = 0.95
-"""Largest distance of a skin sample from the nearest nearly opaque Gaussian, in its in-plane standard deviations: a
-Gaussian is over half of its peak up to 1.18."""
+"""Largest distance from a skin sample to the nearest nearly opaque Gaussian, in the Gaussian's in-plane standard
+deviations: up to 1.18 a Gaussian is above half of its peak."""
 
 NEARLY_OPAQUE = 0.8
 """Opacity from which a Gaussian counts for closing the shell; fainter ones only add to it."""
@@ -47,7 +47,7 @@ class Look:
     """Brightness of the lamp's reflection, 0 for a dull skin."""
 
 
-# A row takes 248 bytes at degree 3, 104 at 1, 68 at 0: the three that ship take seven megabytes with their pictures.
+# A row takes 248 bytes at degree 3, 104 at 1, 68 at 0: with pictures, the three shipped scenes take seven megabytes.
 LOOKS: dict[str, Look] = {
     "watermelon": Look(8000, 3, 0.30),
     "orange": Look(13000, 1, 0.16),
@@ -93,7 +93,8 @@ def _samples(solid: Solid, count: int, rng: np.random.Generator) -> tuple[Array,
 def _distribute(solid: Solid, samples: Array, area: Array, count: int, rng: np.random.Generator) -> tuple[Array, Array]:
     """Centres (N, 3) on the skin, denser where its colour changes, and the width (N,) of the area each covers.
 
-    Like training, which splits Gaussians where pictures have detail. Two rounds of weighted k-means even them out.
+    This imitates training, which splits Gaussians where pictures have detail. Two rounds of weighted k-means space
+    the centres evenly.
     """
     colours = solid.colour(samples).astype(np.float64)
     tree = cKDTree(samples)
@@ -145,7 +146,7 @@ def _distance(samples: Array, centres: Array, quats: Array, scales: Array) -> tu
 
 
 def _close_gaps(samples: Array, centres: Array, quats: Array, scales: Array) -> Array:
-    """Scales (N, 3), with the discs nearest to uncovered samples grown in their planes until they reach them."""
+    """Scales (N, 3), with the discs nearest to uncovered samples grown in-plane until they reach them."""
     for _ in range(10):
         distance, which = _distance(samples, centres, quats, scales)
         samples, which, distance = samples[distance > MAX_GAP], which[distance > MAX_GAP], distance[distance > MAX_GAP]

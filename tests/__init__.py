@@ -1,1 +1,1 @@
-"""Tests, by room."""
+"""Tests, one package for each package of the project."""

@@ -1,4 +1,4 @@
-"""A page in a real browser that is offline and has no graphics card."""
+"""Opens a page in a real browser that is offline and has no graphics card."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ BROWSER = next(filter(None, map(shutil.which, ("chromium-headless-shell", "chrom
 
 @contextmanager
 def opened(page: Path, size: tuple[int, int], *arguments: str) -> Iterator[tuple[Any, list[str]]]:
-    """The page in a tab of this size in pixels, and all that it asks for or complains of. Skips the test where there
-    is no browser."""
+    """Opens the page in a tab of `size` pixels; yields the tab, and the list of all requests and complaints. Skips the
+    test if there is no browser."""
     sync_api = pytest.importorskip("playwright.sync_api")
     if BROWSER is None:
         pytest.skip("no Chromium: install chromium-headless-shell")

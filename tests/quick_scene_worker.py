@@ -1,4 +1,4 @@
-"""The scene worker with coarse solids whose skin is not fitted, for window tests that look at other things."""
+"""The scene worker with coarse solids whose skin is not fitted, for window tests of other features."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ __all__ = ["BODY_CELLS", "QUICK", "use_quick_worker"]
 
 QUICK = replace(DETAILS["draft"], cells=40, skin_views=12, skin_steps=4, skin_size=96, surface_views=8, surface=64)
 BODY_CELLS = 32
-"""What it takes every level of detail for, and how fine the grid is on which it finds the body."""
+"""QUICK stands in for every level of detail; BODY_CELLS sets the grid on which the body is found."""
 
 
 def use_quick_worker() -> None:
-    """Scenes that this process loads from now on are prepared by this module."""
+    """Makes this process prepare all further scenes with this module."""
 
     def start_quick(module: str, **options: Any) -> Any:
         return start_python("tests.quick_scene_worker", **options)

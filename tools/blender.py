@@ -1,4 +1,4 @@
-"""Draws exported pieces in Blender, which proves that another program reads them; the last lines are what it found:
+"""Draws exported pieces in Blender, to prove that another program reads them; the last lines say what it found:
 
 blender -b --python tools/blender.py -- PIECES.glb PICTURE.png
 """
@@ -9,7 +9,7 @@ import sys
 
 import numpy as np
 
-# Blender 3.4 of Debian 12 imports glTF by names that NumPy 1.24 no longer has.
+# Blender 3.4 of Debian 12 imports glTF with names that NumPy 1.24 no longer has.
 for name, kind in (("bool", bool), ("object", object)):
     setattr(np, name, kind)
 
@@ -17,11 +17,11 @@ import bpy  # type: ignore[import-not-found]  # noqa: E402
 from mathutils import Vector  # type: ignore[import-not-found]  # noqa: E402
 
 GAP = 1.1
-"""Widths of the whole from piece to piece."""
+"""Distance from piece to piece, in widths of the whole."""
 
 
 def main() -> None:
-    """Imports the pieces, lays them side by side and draws them with Cycles on the processor."""
+    """Imports the pieces, lays them side by side and draws them with Cycles on the CPU."""
     source, picture = sys.argv[sys.argv.index("--") + 1 :]
     bpy.ops.wm.read_factory_settings(use_empty=True)
     bpy.ops.import_scene.gltf(filepath=source)

@@ -16,15 +16,15 @@ OUT = ROOT / "out/film"
 SOLID = OUT / "watermelon/watermelon.ply"
 SAMPLE = ROOT / "sample_scenes/watermelon"
 NORMAL = (0.35, -0.2, 1.0)
-"""Of the plane that `make demo` opens the watermelon with."""
+"""Normal of the plane with which `make demo` opens the watermelon."""
 
 OPEN, HIGH, LOW = (Plane.of(NORMAL, offset) for offset in (0.0, -1.06, 0.85))
 TURN = 5.0
-"""Seconds of the turn; the sweep takes as long."""
+"""Seconds that the turn takes, and the sweep as well."""
 
 
 def main() -> None:
-    """Writes docs/pictures/film.webp, and trains the sample in draft unless that has been done."""
+    """Writes docs/pictures/film.webp; first trains the sample in draft unless that has been done."""
     if not SOLID.exists():
         program = [str(ROOT / ".venv/bin/fruitninja-train"), str(SAMPLE / "watermelon.ply"), "-o", str(SOLID.parent)]
         pictures = [f"{kind}={SAMPLE / f'{kind}_1.png'}" for kind in ("horizontal", "radial")]

@@ -1,4 +1,4 @@
-"""The picture of a notebook in docs/API.md, run in JupyterLab in a real browser: `pip install jupyterlab` first."""
+"""Takes the picture of a notebook in docs/API.md, in JupyterLab in a real browser: `pip install jupyterlab` first."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ NOTEBOOK = "photographs_to_slices.ipynb"
 PORT, TOKEN = 8912, "picture"
 SIZE = (860, 1120)
 STARTS, ENDS = 60.0, 600.0
-"""Seconds to wait for the server, and for the last cell: a draft is trained in one of them."""
+"""Seconds to wait for the server, and for the last cell: one of the cells trains a draft."""
 
 
 def main() -> None:
-    """Runs every cell of a copy and takes the picture around the slider."""
+    """Runs every cell of a copy and takes a picture around the slider."""
     folder = ROOT / "out/notebook"
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
@@ -52,7 +52,7 @@ def main() -> None:
 
 
 def _open(page: Page) -> None:
-    """The notebook without panels beside it, once the server answers."""
+    """Opens the notebook without side panels, once the server answers."""
     end = time.monotonic() + STARTS
     while True:
         try:
@@ -64,13 +64,13 @@ def _open(page: Page) -> None:
             time.sleep(0.5)
     page.wait_for_selector(".jp-Notebook .jp-Cell", timeout=1000 * STARTS)
     page.get_by_text("Kernel", exact=True).first.wait_for()
-    time.sleep(3)  # until the kernel is there, and its question whether there is news
+    time.sleep(3)  # until the kernel is ready and JupyterLab asks whether to show news
     page.get_by_role("button", name="No", exact=True).click()
     page.keyboard.press("Control+b")
 
 
 def _run(page: Page) -> None:
-    """Every cell, until the last has its number."""
+    """Runs every cell, until the last one has its number."""
     page.get_by_text("Run", exact=True).first.click()
     page.get_by_text("Run All Cells", exact=True).click()
     end = time.monotonic() + ENDS

@@ -1,4 +1,4 @@
-"""The picture of a page in the README, from a real browser: the watermelon of `make demo`."""
+"""Takes the README's picture of an HTML page in a real browser: the watermelon of `make demo`."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ PAGE = ROOT / "out/page/watermelon.html"
 PICTURE = ROOT / "docs/pictures/page.png"
 SIZE = (1200, 720)
 PATIENCE = 300_000
-"""Milliseconds: a frame of this size takes a processor some seconds."""
+"""Milliseconds to wait: a CPU takes some seconds for a frame of this size."""
 
 
 def main() -> None:

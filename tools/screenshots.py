@@ -1,8 +1,8 @@
-"""The six pictures of the README, and one of the view's options, from the real window: `make screenshots`.
+"""Takes the README's six pictures, and one of the view's options, from the real window: `make screenshots`.
 
 Runs the app under a virtual X server where there is no display, opens the watermelon, shows its families, trains it,
-cuts it, and saves what the window shows into docs/pictures/. A finished training result in out/screenshots is used
-again.
+cuts it, and saves what the window shows into docs/pictures/. A finished training result in out/screenshots is
+reused.
 """
 
 from __future__ import annotations
@@ -76,9 +76,9 @@ def take(detail: DetailName, theme: Literal["dark", "light"], only: str) -> None
                 hold(name)
 
         def hold(name: str) -> None:
-            """A picture without moving the pointer."""
+            """Takes a picture without moving the pointer."""
             driver.still()
-            if name[0] in only and name[0] != "2":  # the time of a frame is that of frames in motion: move a little
+            if name[0] in only and name[0] != "2":  # frame time is measured on frames in motion: move a little
                 eye = session.viewing.eye
                 for step in range(16):
                     session.viewing = replace(session.viewing, eye=replace(eye, azimuth=eye.azimuth + 0.2 * (step % 4)))
@@ -101,7 +101,7 @@ def take(detail: DetailName, theme: Literal["dark", "light"], only: str) -> None
         shot("5_families")
         view.show_families, window.interior.open = frozenset(), None
 
-        # The view's options, with the body as lines.
+        # The view's options, with the body as wires.
         session.change_settings(replace(session.settings, wires=True))
         driver.click(f"//Object/{icon.ICON_FA_SLIDERS}##options")
         driver.frames(3)
@@ -134,25 +134,25 @@ def take(detail: DetailName, theme: Literal["dark", "light"], only: str) -> None
             tilt(session, cut.id)
             session.training.start()
             driver.until(lambda: busy_training(session), 3600, "training with curves and pictures")
-            session.active_cut = None  # its numbers would push the pictures of the training out of the panel
+            session.active_cut = None  # its numbers would push the training's pictures out of the panel
             shot("4_training")
             driver.until(lambda: session.object is not None and session.object.trained, 3600, "the end of training")
             session.remove_cut(cut.id)
 
-        # The knife.
+        # The knife cuts.
         session.viewing = replace(session.viewing, mode="solid")
         view.fit()
         driver.still()
         driver.press(Key.k)
         driver.drag((0.30, 0.20), (0.72, 0.82), hold=lambda: hold("2_knife"))
 
-        # The halves, laid open.
+        # The halves are laid open.
         driver.still()
         assert len(session.pieces) == 2, session.message
         driver.press(Key.v)
         lay_open(session)
         view.fit()
-        eye = session.viewing.eye  # both halves together are wide, not tall: the sphere around them leaves much room
+        eye = session.viewing.eye  # the halves together are wide, not tall: the sphere around them leaves much room
         session.viewing = replace(session.viewing, eye=replace(eye, distance=0.8 * eye.distance))
         shot("3_halves")
 
@@ -164,7 +164,7 @@ def take(detail: DetailName, theme: Literal["dark", "light"], only: str) -> None
 
 
 def busy_training(session: Session) -> bool:
-    """Whether there is something to see: a curve, label pictures, colours."""
+    """Whether the training has something to show: a curve, label pictures, colours."""
     job = session.training.job
     assert job is not None and job.phase in ("running", "done"), session.error
     progress = job.progress

@@ -1,4 +1,4 @@
-"""The README's sheet of cuts: the last `make demo`, or a new one, scaled to the page."""
+"""The README's sheet of cuts, scaled to the page: from the last `make demo`, or from a new one."""
 
 from __future__ import annotations
 

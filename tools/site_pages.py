@@ -1,4 +1,4 @@
-"""Pages of the documentation site that lie at the root of the project: the README and its like stay where they are."""
+"""Adds the root's pages to the documentation site: the README and its like stay where they are."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 
 PAGES = {"index.md": "README.md", "contributing.md": "CONTRIBUTING.md", "changes.md": "CHANGELOG.md"}
-"""Names in the site, and the files at the root."""
+"""Names on the site, and the files at the root."""
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
-    """Adds the pages, their links as seen from `docs`."""
+    """Adds the pages, with their links as seen from `docs`."""
     root = Path(config.config_file_path).parent
     for name, source in PAGES.items():
         text = (root / source).read_text(encoding="utf-8").replace("](docs/", "](")

@@ -1,11 +1,11 @@
-"""Where the search for cut faces breaks: photographs with masks marked by hand, as other cameras would have taken them.
+"""Where the search for cut faces breaks: photographs with hand-marked masks, altered as other cameras would take them.
 
     python -m benchmarks.photographs.changed [--quick] [-o docs/charts] [photographs]
 
-The folder of photographs holds `masks/` and `list.csv` (by default ../shared/data/photos/fruit). Each is changed in one
-way after the other: light, colour, shadow, size, margin, tilt, blur, noise. Prints for each change how many faces
-overlap with their mask by 0.97 and more, how many by less than 0.9 with nothing said of it, how many are refused, and
-how many kinds of cut are right. Writes changed_photographs.json and .png.
+The folder of photographs holds `masks/` and `list.csv` (by default ../shared/data/photos/fruit). Each photograph is
+changed in one way after another: light, colour, shadow, size, margin, tilt, blur, noise. Prints for each change how
+many faces overlap with their mask by 0.97 and more, how many by less than 0.9 without a warning, how many are refused,
+and how many kinds of cut are right. Writes changed_photographs.json and .png.
 """
 
 from __future__ import annotations
@@ -36,13 +36,13 @@ Mask: TypeAlias = NDArray[np.bool_]
 Change: TypeAlias = Callable[[Pixels, Mask], tuple[Pixels, Mask]]
 
 GOOD, WRONG = 0.97, 0.9
-"""Overlap that is asked for, and under which a face is another one."""
+"""The overlap wanted, and the overlap below which the wrong face was found."""
 
 GAMMA = 2.2
 
 
 def lit(light: float | tuple[float, ...] | NDArray[np.floating]) -> Change:
-    """Times a light, as a camera sees it: channels that are full stay so."""
+    """Multiplies the light, as a camera sees it: channels that are full stay full."""
 
     def change(rgb: Pixels, mask: Mask) -> tuple[Pixels, Mask]:
         return np.clip(rgb**GAMMA * light, 0, 1).astype(np.float32) ** np.float32(1 / GAMMA), mask
@@ -62,7 +62,7 @@ def dimmed_corners(rgb: Pixels, mask: Mask) -> tuple[Pixels, Mask]:
 
 
 def shadowed(strength: float) -> Change:
-    """A soft shadow to the lower right that takes this part of the light away."""
+    """Adds a soft shadow to the lower right that takes this fraction of the light away."""
 
     def change(rgb: Pixels, mask: Mask) -> tuple[Pixels, Mask]:
         across = np.sqrt(mask.sum())
@@ -73,7 +73,7 @@ def shadowed(strength: float) -> Change:
 
 
 def sized(scale: float) -> Change:
-    """Resampled."""
+    """Resamples by this factor."""
 
     def change(rgb: Pixels, mask: Mask) -> tuple[Pixels, Mask]:
         size = tuple(round(scale * side) for side in mask.shape[::-1])
@@ -85,7 +85,7 @@ def sized(scale: float) -> Change:
 
 
 def tight(rgb: Pixels, mask: Mask) -> tuple[Pixels, Mask]:
-    """A fiftieth of the face left around it."""
+    """Crops to a margin of a fiftieth of the face."""
     rows, columns = np.nonzero(mask)
     margin = int(0.02 * max(np.ptp(rows), np.ptp(columns)))
     part = tuple(slice(max(at.min() - margin, 0), at.max() + margin + 1) for at in (rows, columns))
@@ -93,7 +93,7 @@ def tight(rgb: Pixels, mask: Mask) -> tuple[Pixels, Mask]:
 
 
 def wide(rgb: Pixels, mask: Mask) -> tuple[Pixels, Mask]:
-    """More than half of the picture's side added all around, in the colour of its border."""
+    """Adds more than half of the picture's side all around, in the colour of its border."""
     margin = int(0.6 * max(mask.shape))
     shown = np.empty((*(side + 2 * margin for side in mask.shape), 3), np.float32)
     shown[:] = border_colour(rgb)
@@ -134,7 +134,7 @@ def compressed(rgb: Pixels, mask: Mask) -> tuple[Pixels, Mask]:
 
 
 def noisy(rgb: Pixels, mask: Mask) -> tuple[Pixels, Mask]:
-    """Noise of ten steps of 8 bits."""
+    """Noise with a standard deviation of ten 8-bit steps."""
     noise = np.random.default_rng(0).normal(0, 0.04, rgb.shape)
     return np.clip(rgb + noise, 0, 1).astype(np.float32), mask
 
@@ -170,7 +170,7 @@ CHANGES: dict[str, Change] = {
 
 
 def measured(rgb: Pixels, truth: Mask, family: str, change: Change) -> dict[str, Any]:
-    """Of one changed photograph."""
+    """What was found in one changed photograph, beside its true mask and family."""
     rgb, truth = change(rgb, truth)
     try:
         face = find_seen_face(np.ascontiguousarray(rgb), "")
@@ -181,7 +181,7 @@ def measured(rgb: Pixels, truth: Mask, family: str, change: Change) -> dict[str,
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Changes a folder of photographs."""
+    """Changes and measures a folder of photographs."""
     options, rows = asked(__doc__, arguments)
 
     def of_one(row: dict[str, str]) -> dict[str, dict[str, Any]]:

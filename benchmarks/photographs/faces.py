@@ -1,11 +1,11 @@
-"""Cut faces found in photographs, beside masks and axes marked by hand.
+"""Cut faces found in photographs, beside hand-marked masks and axes.
 
     python -m benchmarks.photographs.faces [--quick] [-o FOLDER] [photographs]
 
 The folder of photographs holds `masks/` and `list.csv` (by default ../shared/data/photos/fruit). Prints for each the
-intersection over union with its mask, the distance of core or core line from the marks in per cent of the width, the
-kind of cut it seems to be, the seconds of processor time, and what the user is told to look at; writes outlines and
-axes on the photographs.
+intersection over union with its mask, the distance of the core or core line from the marks in per cent of the width,
+the guessed kind of cut, the seconds of processor time, and the note to the user; writes outlines and axes on the
+photographs.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def overlap(found: NDArray[np.bool_], truth: NDArray[np.bool_]) -> float:
 
 
 def axis_error(rgb: NDArray[np.float32], mask: NDArray[np.bool_], row: dict[str, str]) -> float:
-    """Distance of the found core, or of the found core line from the two marks, over the face's width; 0 for slices."""
+    """Distance of the found core, or of the core line from its two marks, over the face's width; 0 for slices."""
     width = float(np.ptp(np.nonzero(mask)[1]) + 1)
     if row["family"] == "horizontal":
         x, y = find_core(mask)
@@ -49,7 +49,7 @@ def axis_error(rgb: NDArray[np.float32], mask: NDArray[np.bool_], row: dict[str,
 
 
 def drawn(pixels: NDArray[np.uint8], mask: NDArray[np.bool_], kind: str) -> Image.Image:
-    """The photograph with the found outline in green, its core or core line in blue."""
+    """The photograph with the found outline in green and its core or core line in blue."""
     image = Image.fromarray(pixels)
     rim = Image.fromarray(mask ^ np.pad(mask, 1)[2:, 1:-1] | mask ^ np.pad(mask, 1)[1:-1, 2:])
     image.paste((0, 220, 0), mask=rim)

@@ -3,10 +3,10 @@
     python -m benchmarks.photographs.insides [--detail standard] [--seeds 0,1,2] [--pairs apple_1,...] [--quick]
         [-o docs/charts]
 
-There is no truth, so what is measured is how far cuts that nobody trained are from photographs that were not used, in
-units of the distance from photograph to photograph:
+There is no truth, so this measures how far held-out cuts are from photographs that were not used, in units of the
+distance from photograph to photograph:
 
-  own         SSIM of the cut in a picture's own plane with the picture, both brought to a disc (1: it comes back)
+  own         SSIM of the cut in a picture's own plane with the picture, both brought to a disc (1: reproduced)
   features    of a trained network, cosine distance
   patches     sliced Wasserstein distance of 7 x 7 patches
   rings       contrast across the radius over that around it, in horizontal cuts, over the same of the photographs
@@ -47,7 +47,7 @@ BODIES = {
     "watermelon": ROOT / "sample_scenes/watermelon/watermelon.ply",
     "pomegranate": SHARED / "splats/meshgs_apple_30k.ply",
 }
-"""What is cut: no pomegranate was scanned, and an apple is as round."""
+"""The body cut for each kind: no pomegranate was scanned, and an apple is as round."""
 
 PAIRS = {
     "apple_1": ("apple_h1", "apple_v1"),
@@ -61,19 +61,19 @@ PAIRS = {
 }
 
 SIDE = 224
-"""Pixels of a side of all faces: what the network sees."""
+"""Side of all faces in pixels: what the network sees."""
 
 MARGIN = 0.04
-"""Of a face, left white around it."""
+"""White margin around a face, as a fraction of its size."""
 
 HEIGHTS, TURNS = np.delete(np.linspace(-0.35, 0.35, 11), 5), np.linspace(0.13, 3.0, 10)
-"""Where it is cut across the axis, in the largest half width, not in the picture's plane; and around it, radians."""
+"""Heights of horizontal cuts in the largest half width, without the picture's plane; radial angles in radians."""
 
 OBLIQUE = 12
-"""Cuts at random on the sheet."""
+"""Random cuts on the sheet."""
 
 CORE, RIM = 0.1, 0.85
-"""Shares of the radius between which rings are looked for: not the core, and not the rind, which is one."""
+"""Fractions of the radius between which rings are looked for: without the core, and without the rind, itself a ring."""
 
 Rgb: TypeAlias = NDArray[np.float32]
 Mask: TypeAlias = NDArray[np.bool_]
@@ -81,7 +81,7 @@ Mask: TypeAlias = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Face:
-    """A cut face, as wide or high as the picture, white around it."""
+    """A cut face that fills the picture's width or height, white around it."""
 
     rgb: Rgb
     """(SIDE, SIDE, 3)."""
@@ -90,7 +90,7 @@ class Face:
 
 
 def framed(rgb: Rgb, mask: Mask) -> Face:
-    """A face (H, W, 3), (H, W) cut out."""
+    """Crops a face (H, W, 3) to its mask (H, W) and resamples it."""
     rows, columns = np.nonzero(mask)
     middle = np.array([columns.min() + columns.max(), rows.min() + rows.max()]) / 2
     half = max(np.ptp(rows), np.ptp(columns)) / 2 * (1 + MARGIN)
@@ -104,13 +104,13 @@ def framed(rgb: Rgb, mask: Mask) -> Face:
 
 
 def photograph(name: str) -> Face:
-    """A photograph with its mask by hand."""
+    """A photograph, framed by its hand-marked mask."""
     pixels, mask = read_pixels(PHOTOGRAPHS / f"{name}.png"), read_pixels(PHOTOGRAPHS / f"masks/{name}.png")
     return framed((pixels / 255).astype(np.float32), mask[..., 0] > 127)
 
 
 def cut(solid: fruitninja.Solid, normal: NDArray[np.float64], share: float) -> Face:
-    """The face of a solid in a plane, `share` of its largest half width from its middle."""
+    """The face of a solid in a plane at distance `share` of its largest half width from its middle."""
     low, high = solid.bounds
     normal = normal / np.linalg.norm(normal)
     offset = -normal @ (low + high) / 2 - share * (high - low).max() / 2
@@ -119,7 +119,7 @@ def cut(solid: fruitninja.Solid, normal: NDArray[np.float64], share: float) -> F
 
 
 def on_circles(face: Face, count: int) -> Rgb:
-    """(count, 360, 3). From the middle to the edge in every direction, by shares of the radius there."""
+    """(count, 360, 3). Colours from the middle to the edge in every direction, by fractions of the radius there."""
     rows, columns = np.nonzero(face.mask)
     middle = np.array([columns.mean(), rows.mean()])
     turns = np.radians(np.arange(360))
@@ -135,7 +135,7 @@ def on_circles(face: Face, count: int) -> Rgb:
 
 
 def on_disc(circles: Rgb, turn: int = 0) -> Rgb:
-    """(160, 160, 3). The disc that circles (N, 360, 3) make, turned by whole degrees."""
+    """(160, 160, 3). The disc made of circles (N, 360, 3), turned by whole degrees."""
     at = (np.arange(160) + 0.5) / 80 - 1
     x, y = np.meshgrid(at, -at)
     rows = np.hypot(x, y) * len(circles) - 0.5
@@ -145,7 +145,7 @@ def on_disc(circles: Rgb, turn: int = 0) -> Rgb:
 
 
 def likeness(cuts: list[Face], own: Face, turns: range) -> float:
-    """SSIM of the most alike of some cuts with a picture, turned and mirrored: how it lies is not asked."""
+    """Best SSIM of the cuts with a picture, over turns and mirroring: the picture's orientation is unknown."""
     at = (np.arange(160) + 0.5) / 80 - 1
     inside = np.hypot(*np.meshgrid(at, at)) < 0.97
     truth = on_disc(on_circles(own, 80))
@@ -158,14 +158,14 @@ def likeness(cuts: list[Face], own: Face, turns: range) -> float:
 
 
 def rings(face: Face) -> float:
-    """Contrast of the means of circles over that along them."""
+    """Contrast between the means of circles over that along the circles."""
     circles = on_circles(face, 80)[int(80 * CORE) : int(80 * RIM)]
     across, along = np.diff(circles.mean(1), axis=0), np.diff(circles, axis=1)
     return float(np.square(across).mean() / np.square(along).mean())
 
 
 def steps(face: Face) -> float:
-    """The strongest change from one row of pixels to the next, over the usual one of a pixel."""
+    """The strongest mean change from one row of pixels to the next, over the RMS change of a pixel."""
     core = ndimage.binary_erosion(face.mask, iterations=10)
     change, both = np.diff(face.rgb.mean(-1), axis=0), core[1:] & core[:-1]
     count = both.sum(1)
@@ -179,7 +179,7 @@ def patches(a: Face, b: Face) -> float:
 
 
 def compared(cuts: list[Face], photographs: dict[str, Face], own: str, network: Network, kind: str) -> dict[str, float]:
-    """Cuts of a family beside photographs of it of which one, `own`, was used."""
+    """Cuts of a family compared with its photographs, of which `own` was used for training."""
     unseen = [face for name, face in photographs.items() if name != own]
     known = unseen if len(unseen) > 1 else list(photographs.values())
     pairs = [(i, j) for i in range(len(known)) for j in range(i)]
@@ -198,7 +198,7 @@ def compared(cuts: list[Face], photographs: dict[str, Face], own: str, network: 
 
 
 def measured(solid: fruitninja.Solid, pair: str, network: Network) -> tuple[dict[str, float], NDArray[np.uint8]]:
-    """Of an object that was grown from a pair, and a sheet of its cuts."""
+    """The figures of an object grown from a pair, and a sheet of its cuts."""
     kind = pair.split("_")[0]
     up = np.array([0.0, 0.0, 1.0])
     around = [np.array([np.cos(turn), np.sin(turn), 0]) for turn in TURNS]

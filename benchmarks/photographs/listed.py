@@ -1,4 +1,4 @@
-"""Folders of photographs with masks marked by hand, and a list of what each shows."""
+"""Folders of photographs with hand-marked masks, and a list of what each shows."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from engine.io.files import read_file
 __all__ = ["PHOTOGRAPHS", "asked", "listed"]
 
 PHOTOGRAPHS = ROOT.parent / "shared/data/photos/fruit"
-"""With `masks/` and `list.csv`; what is measured unless another folder is given."""
+"""Holds `masks/` and `list.csv`; measured unless another folder is given."""
 
 
 def listed(folder: Path) -> list[dict[str, str]]:
@@ -22,7 +22,7 @@ def listed(folder: Path) -> list[dict[str, str]]:
 
 
 def asked(text: str | None, arguments: list[str] | None) -> tuple[argparse.Namespace, list[dict[str, str]]]:
-    """The options of a benchmark with this help that takes a folder of photographs, and the rows to measure."""
+    """Options of a benchmark on a folder of photographs, and the rows to measure; `text` is its help."""
     parser = parser_of(text, "four photographs")
     parser.add_argument("photographs", nargs="?", type=Path, default=PHOTOGRAPHS, help="default: photos/fruit")
     options = parser.parse_args(arguments)

@@ -1,7 +1,7 @@
-"""Every reader there is, each given any file: what `benchmarks.readers.corpus` runs in processes of its own.
+"""All readers, each given any file: `benchmarks.readers.corpus` runs them in child processes.
 
 A process reads requests, one JSON line each, from standard input and answers on standard output. What readers print
-goes to standard error, which the other side keeps. A request is a reader and a file; the answer says what came of it.
+goes to standard error, which the parent keeps. A request names a reader and a file; the answer is a `Verdict`.
 """
 
 from __future__ import annotations
@@ -49,26 +49,26 @@ from training.priors.exemplar.pictures import read_picture
 __all__ = ["PICTURE", "READERS", "SOLID", "Verdict", "run_cell"]
 
 SOLID = "solid.ply"
-"""A trained object that is sound, for readers that need one beside the file."""
+"""A sound trained object, for readers that need one beside the file."""
 PICTURE = "face.png"
-"""A picture of a cut that is sound, beside that object."""
+"""A sound picture of a cut, beside that object."""
 SOLID_FILES = (".ply", ".fruitninja.json")
 
 MEMORY = 4 << 30
-"""Bytes that may be allocated beyond what the imports took."""
+"""Bytes that readers may allocate beyond what the imports took."""
 
 Verdict = dict[str, Any]
-"""`what`: loaded, refused or failed; `words`: of the refusal or the failure; `seconds`."""
+"""`what`: loaded, refused or failed; `words`: the text of the refusal or the failure; `seconds`."""
 
 
 @dataclass(frozen=True)
 class Reader:
-    """A way into the program."""
+    """A way for a file into the program."""
 
     read: Callable[[Path, Path], Any]
-    """Takes the file and a folder of its own; raises what the product's reader raises."""
+    """Takes the file and a working folder; raises what the product's reader raises."""
     links: tuple[str, ...] = ()
-    """Names under which the folder shows the file, where a reader looks for a name. Then `SOLID` lies there, too."""
+    """Names under which the folder links to the file, for readers that look for a name; `SOLID` then lies there too."""
 
 
 def read_scene(path: Path, work: Path) -> None:
@@ -80,7 +80,7 @@ def read_scene(path: Path, work: Path) -> None:
 
 
 def check_gaussians(gaussians: Gaussians) -> None:
-    """Numbers that no renderer can draw are lies, however well they were read."""
+    """Asserts what renderers need: finite values, positive scales, opacities in [0, 1] and unit quats."""
     assert len(gaussians), "loaded, with nothing in it"
     for name, values in vars(gaussians).items():
         assert np.isfinite(values).all(), f"loaded, with NaN or Inf in {name}"
@@ -105,14 +105,14 @@ def read_exemplar(path: Path, work: Path) -> None:
 
 
 def read_project(path: Path, work: Path) -> None:
-    """As the app opens it first, and as it does once the user has allowed what lies outside."""
+    """Opens a project as the app does at first, and again as after the user has allowed files outside its folder."""
     with suppress(InputError):
         load_project(path)
     load_project(path, outside=True)
 
 
 def read_checkpoint(path: Path, work: Path) -> None:
-    """As the window takes colours from it while training goes on, and as the trainer does."""
+    """Loads the colours as the window does while training goes on, and the checkpoint as the trainer does."""
     atoms, _ = load_trained(work / SOLID)
     watch = LiveColours(work)
     watch.folder = work
@@ -121,7 +121,7 @@ def read_checkpoint(path: Path, work: Path) -> None:
 
 
 def read_job(path: Path, work: Path) -> None:
-    """A result folder in which every file of a job is this one. What makes no sense there counts as not there."""
+    """A result folder in which every file of a job is this one. What makes no sense counts as missing."""
     asked = Document(scene=path, training=Training(out=work))
     job = Job(asked, 0, 0.0, progress=Progress(work), ended=True)
     for _ in range(1000):
@@ -149,19 +149,19 @@ READERS = {
     "autosave": Reader(lambda path, work: find_unsaved_work(work), ("a.fruitninja", "a.json")),
     "batch result": Reader(lambda path, work: Task("t", dict, {}, path, "f").load_facts()),
 }
-"""The last four refuse nothing: what they cannot read they take for not there."""
+"""The last four refuse nothing: what they cannot read counts as missing."""
 
 
 def refusal_wrong(line: str, *paths: Path) -> str:
-    """What is wrong with a line that should begin with one of these paths; empty: nothing."""
+    """What is wrong with a message that should begin with one of these paths; empty if nothing is."""
     begins = line.startswith(tuple(map(str, paths)))
     return words_wrong(line, *map(str, paths)) or ("" if begins else "silent about the file")
 
 
 def run_cell(name: str, path: Path, work: Path, solid: Path) -> Verdict:
-    """Gives the file to a reader. `work`: an empty folder, as it is again afterwards; `solid`: a trained object.
+    """Gives the file to a reader. `work`: an empty folder, which is emptied again; `solid`: a trained object.
 
-    Nothing but the end of the process gets out of this.
+    Catches everything but the end of the process.
     """
     reader = READERS[name]
     links = [(work / link, path) for link in reader.links]
@@ -183,7 +183,7 @@ def run_cell(name: str, path: Path, work: Path, solid: Path) -> Verdict:
             what, words = "failed", f"out of memory: over {MEMORY >> 30} GB"
         except AssertionError as error:
             what, words = "failed", f"{error or 'an assertion'} ({place(error)})"
-        except BaseException as error:  # whatever it is, it is what this looks for
+        except BaseException as error:  # of any kind: this is what the corpus looks for
             what, words = "failed", f"{type(error).__name__}: {str(error)[:300]} ({place(error)})"
     seconds = time.perf_counter() - begun
     left = sorted(set(os.listdir(work)) - {link.name for link, _ in links})
@@ -198,33 +198,33 @@ def run_cell(name: str, path: Path, work: Path, solid: Path) -> Verdict:
 
 
 def place(error: BaseException) -> str:
-    """Where it was raised."""
+    """File and line that raised the error."""
     frame = traceback.extract_tb(error.__traceback__)[-1]
     return f"{Path(frame.filename).name}:{frame.lineno}"
 
 
 def children() -> list[str]:
-    """Processes that native code started, which no audit hook sees."""
+    """Processes started by native code, which no audit hook sees."""
     return [f"process {child.pid}" for child in psutil.Process().children()]
 
 
 def printed() -> str:
-    """What went to standard error, which is an empty file before each request; it is empty again."""
+    """First line of standard error since the last call; empties the file."""
     sys.stdout.flush()
     sys.stderr.flush()
     said = os.pread(2, 300, 0).decode("utf-8", "replace")
     os.ftruncate(2, 0)
-    os.lseek(2, 0, os.SEEK_SET)  # the next writer would leave zeros before its words
-    return "\n".join(said.splitlines()[:1]).replace(sys.prefix, "...")  # no table should tell of this machine
+    os.lseek(2, 0, os.SEEK_SET)  # or the next writer would leave zeros before its text
+    return "\n".join(said.splitlines()[:1]).replace(sys.prefix, "...")  # tables show no path of this machine
 
 
 def main() -> None:
-    """Answers requests until there are no more. Arguments: the folder to work in, and a trained object."""
+    """Answers requests until there are no more. Arguments: the working folder, and a trained object."""
     work, solid = (Path(argument) for argument in sys.argv[1:3])
     answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
-    os.dup2(2, 1)  # whatever prints, natively or not
-    warnings.simplefilter("always")  # each time, not once for each line of code
-    for name in READERS:  # what is compiled or imported late is so now, where nothing is held against it
+    os.dup2(2, 1)  # catches what native code prints, too
+    warnings.simplefilter("always")  # each time, not only once per line of code
+    for name in READERS:  # warm-up: late compiles and imports are not held against files
         for sample in (solid, solid.with_name(PICTURE)):
             run_cell(name, sample, work, solid)
     used = psutil.Process().memory_info().vms

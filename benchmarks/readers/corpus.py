@@ -1,12 +1,11 @@
-"""Every file of some folders through every reader: none may crash, hang, lie, print, write, or start anything.
+"""Gives every file of some folders to every reader: none may crash, hang, lie, print, write, or start anything.
 
     python -m benchmarks.readers.corpus DIR... [--quick] [-o out/corpus.json] [--workers 2]
 
 Each reader runs in a process that is replaced when it dies or hangs; `benchmarks.readers.all_readers` has the readers
-and what is held against them. Writes what was loaded, what was refused with which words, and what failed, as JSON and,
-beside it, as a table to read (.md); a file is named by its folder and its place in it, so that the tables can be kept.
-The folders should be of other people's making: sdists of Pillow and trimesh, captures, scans. Exit status 1 where
-something failed.
+and the checks. Writes what was loaded, what was refused with which words, and what failed, as JSON and, beside it, as
+a readable table (.md); files are named by folder and path within it, so that the tables can be kept. The folders
+should hold files by other people: sdists of Pillow and trimesh, captures, scans. Exit status 1 if anything failed.
 """
 
 from __future__ import annotations
@@ -37,17 +36,17 @@ from tests.helpers.solids import scatter
 ROOT = Path(__file__).parents[2]
 
 HANG = 30.0
-"""Seconds that a file may take: nobody waits longer to be told that it cannot be opened."""
+"""Seconds that reading a file may take: users wait no longer to learn that it cannot be opened."""
 
 START = 300.0
-"""Seconds that a process may take to be ready, on a busy machine with kernels to compile."""
+"""Seconds until a process has to be ready, on a busy machine with kernels to compile."""
 
 QUICK = 3
-"""Files of a kind in a folder that --quick takes."""
+"""Files of each kind in each folder that --quick takes."""
 
 
 class Child:
-    """A process that reads files, and a new one when it is lost."""
+    """A process that reads files, replaced by a new one when it is lost."""
 
     def __init__(self, folder: Path, solid: Path) -> None:
         self.work = Path(tempfile.mkdtemp(dir=folder))
@@ -56,7 +55,7 @@ class Child:
         self.noise = tempfile.TemporaryFile()  # noqa: SIM115 (for as long as this lives)
 
     def ask(self, reader: str, path: Path) -> Verdict:
-        """What came of a file, if only that the process did not outlive it."""
+        """The verdict on a file; failed if the process died or hung."""
         if self.process is None:
             self._start()
         assert self.process is not None and self.process.stdin is not None
@@ -78,7 +77,7 @@ class Child:
         }
 
     def end(self) -> None:
-        """The process is gone afterwards, and its folder empty."""
+        """Kills the process and empties its folder."""
         if self.process is not None:
             self.process.kill()
             self.process.wait()
@@ -114,7 +113,7 @@ class Child:
             sys.exit(f"the readers do not start: {self.noise.read(2000).decode('utf-8', 'replace')}")
 
     def _line(self, seconds: float) -> bytes | None:
-        """The next line, b'' where the process ended, None where it takes too long."""
+        """The next line, b'' if the process ended, None if it takes too long."""
         assert self.process is not None and self.process.stdout is not None
         line = b""
         until = time.monotonic() + seconds
@@ -129,7 +128,7 @@ class Child:
 
 
 def files_of(folder: Path, quick: bool) -> list[Path]:
-    """All files below, sorted; of each kind in a folder only some where it should be quick."""
+    """All files below the folder, sorted; if `quick`, only some of each kind in each folder."""
     found = sorted(path for path in folder.rglob("*") if path.is_file())
     if not quick:
         return found
@@ -144,13 +143,13 @@ def files_of(folder: Path, quick: bool) -> list[Path]:
 
 
 def stamps(folder: Path) -> dict[str, tuple[int, int]]:
-    """Size and time of everything below a folder: native code could write without being seen."""
+    """Size and time of everything below a folder: native code could write unseen."""
     found = (path for path in folder.rglob("*") if not path.is_dir())
     return {str(path): (path.lstat().st_size, path.lstat().st_mtime_ns) for path in found}
 
 
 def sound_solid(folder: Path) -> Path:
-    """A small trained object, and beside it a small picture of a cut."""
+    """Saves a small trained object, and beside it a small picture of a cut; returns the object's path."""
     save_trained(folder / SOLID, scatter(3, 4, exposed=1), Meta(source="none"))
     with open_picture(ROOT / "sample_scenes/orange/horizontal_1.png") as picture:
         picture.resize((128, 128)).save(folder / PICTURE)
@@ -190,7 +189,7 @@ def read_all(files: list[Path], workers: int, folder: Path) -> dict[tuple[Path, 
 
 
 def shape(words: str, path: Path) -> str:
-    """The words without the file's name and numbers, so that the same refusal of many files is told once."""
+    """The message without file names and numbers, so that equal refusals of many files count as one."""
     for name in (str(path), str(path.parent), sidecar_path(path).name):
         words = words.replace(name, "FILE")
     words = re.sub(r"^\S*/(solid|training|a|job)\.[\w.]+", "FILE", words)
@@ -199,7 +198,7 @@ def shape(words: str, path: Path) -> str:
 
 
 def record_of(folders: list[Path], found: dict[tuple[Path, str], Verdict], changed: list[str]) -> dict[str, Any]:
-    """The table as plain data, without a path of this machine."""
+    """The table as plain data, without paths of this machine."""
     place = {path: (f, str(path.relative_to(f))) for f in folders for path, _ in found if path.is_relative_to(f)}
 
     def named(path: Path) -> str:
@@ -250,7 +249,7 @@ def record_of(folders: list[Path], found: dict[tuple[Path, str], Verdict], chang
 
 
 QUIET = ("settings", "job", "autosave", "batch result")
-"""Readers that refuse nothing; that they loaded a file says little."""
+"""Readers that refuse nothing: that they loaded a file says little."""
 
 
 def table(record: dict[str, Any]) -> str:
@@ -276,12 +275,12 @@ def table(record: dict[str, Any]) -> str:
 
 
 def cell(text: str) -> str:
-    """Text that does not end a cell of a table."""
+    """The text for a table cell: bars escaped, newlines replaced by spaces."""
     return text.replace("|", "\\|").replace("\n", " ")
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Reads all, writes the table; 1 where something failed."""
+    """Reads all files and writes the table; returns 1 if anything failed."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument(
         "folders", nargs="+", type=Path, metavar="DIR", help="folders of files of other people's making"

@@ -1,12 +1,12 @@
-"""Splat files in and out: what each format costs, and how far other programs' readers and writers are from ours.
+"""Splat files in and out: what each format costs, and how far other programs' readers and writers differ from ours.
 
     python -m benchmarks.readers.formats [--quick] [-o docs/charts]
 
-Out: a solid of a million atoms is written by ours and read by others. In: others write twenty thousand, since some
-take minutes for a million, and ours reads them. Others are gaussforge, pygltflib and usd-core (the extras dev and usd),
-and splat-transform where it is on the PATH (npm install -g @playcanvas/splat-transform). Errors are the largest over
-every tenth atom: of places in widths of the solid, of sizes as a part, of colours from 0 to 1, of turns in degrees, and
-of spherical harmonics. Seconds are of processor time. Writes formats.json.
+Out: we write a solid of a million atoms, and others read it. In: others write twenty thousand, since some take
+minutes for a million, and we read them. Others are gaussforge, pygltflib and usd-core (the extras dev and usd), and
+splat-transform where it is on the PATH (npm install -g @playcanvas/splat-transform). Errors are the largest over every
+tenth atom: of positions in widths of the solid, of sizes as a fraction, of colours from 0 to 1, of rotations in
+degrees, and of spherical harmonics. Seconds are of processor time. Writes formats.json.
 """
 
 from __future__ import annotations
@@ -39,19 +39,19 @@ from engine.scene.sh import C0, rgb_to_sh
 ATOMS, QUICK_ATOMS = 1_000_000, 20_000
 
 SKIN = 0.1
-"""Part of the atoms that is the skin: of a solid of a million."""
+"""Fraction of the atoms in the skin of a solid of a million."""
 
 COMPARED = 100_000
-"""Atoms whose errors are looked at: every tenth of a million."""
+"""Number of atoms whose errors are measured: every tenth of a million."""
 
 UP = (0.0, -1.0, 0.0)
 
 FLIPS = {"as written": (1, 1, 1), "y and z": (1, -1, -1), "x and y": (-1, -1, 1)}
-"""Half turns by which programs bring a file into axes of their own."""
+"""Half turns by which programs bring a file into their own axes."""
 
 
 def solid(atoms: int) -> Gaussians:
-    """Like a trained one: flat atoms with spherical harmonics on a sphere, finer and coarser ones in it."""
+    """A solid like a trained one: flat atoms with SH on a sphere, finer and coarser round ones in it."""
     rng = np.random.default_rng(0)
     skin = int(SKIN * atoms)
     means = rng.normal(size=(atoms, 3))
@@ -72,7 +72,7 @@ def solid(atoms: int) -> Gaussians:
 
 
 def errors(true: Gaussians, found: Gaussians) -> dict[str, Any]:
-    """The largest of each kind, after the half turn that brings the places nearest, and how many atoms were read."""
+    """The largest errors, after the half turn that brings the positions nearest, and how many atoms were read."""
     count, same = len(found), np.arange(0, len(true), max(1, len(true) // COMPARED))
     in_order, true = count == len(true), true[same]
     tree = cKDTree(found.means)
@@ -80,14 +80,14 @@ def errors(true: Gaussians, found: Gaussians) -> dict[str, Any]:
     axes = min(FLIPS, key=lambda name: float(tree.query(turned[name].means[::100])[0].mean()))
     true = turned[axes]
     near, rows = tree.query(true.means)
-    if in_order:  # where places are coarser than atoms are dense, the nearest may be a neighbour
+    if in_order:  # where positions are coarser than the spacing of atoms, the nearest may be a neighbour
         apart = np.linalg.norm(found.means[same] - true.means, axis=1)
         near, rows = (apart, same) if apart.mean() < 2 * near.mean() + 1e-9 else (near, rows)
     found = found[rows]
     turn = np.abs((found.quats.astype(np.float64) * true.quats).sum(1)).clip(0, 1)
-    firm = true.scales.max(1) > 1.02 * true.scales.min(1)  # a sphere has no turn
+    firm = true.scales.max(1) > 1.02 * true.scales.min(1)  # a sphere has no rotation
     bands = min(found.sh.shape[1], true.sh.shape[1])
-    # Flipped axes of an ellipsoid are the same ellipsoid: the turn is compared up to half turns about them.
+    # Flipped axes of an ellipsoid are the same ellipsoid: rotations are compared up to half turns about the axes.
     for half in (np.array([0, 1, 0, 0]), np.array([0, 0, 1, 0]), np.array([0, 0, 0, 1])):
         turn = np.maximum(turn, np.abs((found.quats * _after(true.quats, half)).sum(1)).clip(0, 1))
     return {
@@ -104,7 +104,7 @@ def errors(true: Gaussians, found: Gaussians) -> dict[str, Any]:
 
 
 def _after(quats: np.ndarray, half: np.ndarray) -> np.ndarray:
-    """Quaternions (N, 4) times one."""
+    """Quaternions (N, 4) times one quaternion."""
     w, x, y, z = quats.T
     a, b, c, d = half
     return np.stack([w * a - x * b - y * c - z * d, w * b + x * a + y * d - z * c,
@@ -112,7 +112,7 @@ def _after(quats: np.ndarray, half: np.ndarray) -> np.ndarray:
 
 
 def timed(work: Callable[[], Any]) -> tuple[Any, float]:
-    """What it gives, and the seconds of processor time that it takes, with those of programs that it starts."""
+    """The result of a call and its seconds of processor time, including programs that it starts."""
     start = sum(os.times()[:4])
     return work(), sum(os.times()[:4]) - start
 
@@ -158,7 +158,7 @@ def by_pygltflib(path: Path) -> Gaussians:
 def by_usd(path: Path) -> Gaussians:
     from pxr import Usd
 
-    stage = Usd.Stage.Open(str(path))  # its prims live as long as it does
+    stage = Usd.Stage.Open(str(path))  # prims live only as long as their stage
     prim = stage.GetDefaultPrim()
     get = {a.GetName(): a.Get() for a in prim.GetAttributes() if a.HasAuthoredValue()}
     places = np.array(get["positions"])
@@ -180,17 +180,17 @@ OUT: dict[str, tuple[tuple[str, Callable[[Path], Gaussians]], ...]] = {
     ".glb": (("pygltflib", by_pygltflib),),
     ".usdc": (("usd-core", by_usd),),
 }
-"""Who reads what ours writes."""
+"""Readers by other people for each format we write."""
 
 IN = {
     "gaussforge": ("splat", "ksplat", "spz", "sog", "compressed.ply"),
     "splat-transform": ("spz", "sog", "compressed.ply", "glb"),
 }
-"""What others write and ours reads."""
+"""Writers by other people, and the formats of theirs that we read."""
 
 
 def written_by(who: str, form: str, ply: Path) -> Path:
-    """The .ply in another format by another program."""
+    """Converts the .ply to another format with another program and returns the path."""
     out = ply.with_name(f"{who}.{form}")
     if who == "splat-transform":
         subprocess.run([who, "-w", str(ply), str(out)], check=True, capture_output=True)
@@ -248,7 +248,7 @@ def attempt(read: Callable[[], Gaussians], meant: Gaussians) -> dict[str, Any]:
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Entry point."""
+    """Measures all formats and writes the figures."""
     parser = parser_of(__doc__ or "", "measure twenty thousand atoms")
     options = parser.parse_args(arguments)
     folder = out_folder(options)

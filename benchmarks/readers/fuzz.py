@@ -1,8 +1,8 @@
-"""Fuzzes every reader with as many inputs as one likes, with little memory and a watch on the time.
+"""Fuzzes every reader with any number of inputs, with limited memory and time.
 
     python -m benchmarks.readers.fuzz [--quick] [--inputs 50000] [--seed 0] [--only TARGET]
 
-Prints one JSON line for each target: inputs, how many of them were accepted, the slowest, and what broke, if anything.
+Prints one JSON line for each target: inputs, how many were accepted, the slowest, and what broke, if anything.
 """
 
 from __future__ import annotations
@@ -26,17 +26,17 @@ from hypothesis import HealthCheck, Phase, given, seed, settings
 from benchmarks.readers.targets import TARGETS, Target
 
 QUICK = 500
-"""Inputs of a quick run."""
+"""Number of inputs in a quick run."""
 
 HANG = 5.0
-"""Seconds that one input may take."""
+"""Seconds that reading one input may take."""
 
 MEMORY = 1 << 30
-"""Bytes that may be allocated beyond what the imports took: a reader that believes a header asks for more."""
+"""Bytes that readers may allocate beyond what the imports took: one that trusts a header asks for more."""
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Runs all targets; exit status 1 where one broke."""
+    """Runs all targets; exit status 1 if one broke."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true", help=f"under a minute: {QUICK} inputs")
     parser.add_argument("--inputs", type=int, default=50_000, help="over all targets")
@@ -44,7 +44,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--only", choices=list(TARGETS), metavar="TARGET", help=f"of {', '.join(TARGETS)}")
     options = parser.parse_args(arguments)
     count = QUICK if options.quick else options.inputs
-    os.fsync = lambda _: None  # type: ignore[assignment]  # no power fails here
+    os.fsync = lambda _: None  # type: ignore[assignment]  # power failures are not tested here
     used = psutil.Process().memory_info().vms
     resource.setrlimit(resource.RLIMIT_AS, (used + MEMORY, resource.getrlimit(resource.RLIMIT_AS)[1]))
     broke = False
@@ -58,7 +58,7 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 def fuzz(target: Target, inputs: int, start: int, folder: Path) -> dict[str, Any]:
-    """Counts, and the smallest input that broke the target in words, if one did."""
+    """Counts and times, and the smallest input that broke the target, in words, if one did."""
     counts = {"inputs": 0, "accepted": 0}
     slowest = 0.0
 
@@ -84,7 +84,7 @@ def fuzz(target: Target, inputs: int, start: int, folder: Path) -> dict[str, Any
     broke = None
     try:
         run()
-    except BaseException as error:  # whatever it is, it is what this looks for; the next target still runs
+    except BaseException as error:  # of any kind: this is what fuzzing looks for; the next target still runs
         if isinstance(error, KeyboardInterrupt):
             raise
         inner = error.exceptions[0] if isinstance(error, BaseExceptionGroup) else error
@@ -94,7 +94,7 @@ def fuzz(target: Target, inputs: int, start: int, folder: Path) -> dict[str, Any
 
 @contextmanager
 def watched() -> Iterator[None]:
-    """Ends what takes too long."""
+    """Interrupts the block with TimeoutError after HANG seconds."""
 
     def late(*_: object) -> None:
         raise TimeoutError(f"over {HANG} s")

@@ -1,7 +1,7 @@
-"""What opening a file must never do: start a process, use the network, write, load a library, or read elsewhere.
+"""What opening a file must never do: start a process, use the network, write, load a library, or read other files.
 
-Python tells an audit hook of all of it before it happens. Native code is not seen; `benchmarks.readers.corpus` looks at
-what that leaves behind.
+Python announces all of it to an audit hook before it happens. Native code is not seen; `benchmarks.readers.corpus`
+looks at what that leaves behind.
 """
 
 from __future__ import annotations
@@ -28,19 +28,19 @@ PROGRAM = (
     *(str(Path(p).resolve()) + os.sep for p in (sys.prefix, sys.base_prefix, Path(__file__).parents[2])),
     *("/proc/", "/sys/", "/dev/", "/usr/", "/lib", "/etc/localtime", "/etc/mime.types", "/etc/ld"),
 )
-"""Where programs and the system have their own files: a module that is imported late is read from there."""
+"""Where programs and the system keep their own files: late imports read from there."""
 
 
 class Forbidden(BaseException):
-    """Raised in place of the deed. No `except Exception` of a reader swallows it."""
+    """Raised in place of the forbidden action. No `except Exception` of a reader swallows it."""
 
 
 class _Watch:
-    """One hook for the whole process, as none can be taken away; it sleeps while nothing is guarded."""
+    """One hook for the whole process, as hooks cannot be removed; it does nothing while nothing is guarded."""
 
     installed = False
     near: tuple[str, ...] | None = None
-    """Folders that may be read; None: nothing is guarded."""
+    """Folders that may be read; None if nothing is guarded."""
     seen: list[str]
 
     @classmethod
@@ -54,17 +54,17 @@ class _Watch:
             what = f"{event} {str(args[0] if args else '')[:100]}"
         elif event == "open" or event in CHANGED:
             if not args or not isinstance(args[0], str | bytes | os.PathLike):
-                return  # a descriptor that is open already
-            cls.near = None  # resolving a path asks the system again
+                return  # an already open descriptor
+            cls.near = None  # resolving a path triggers the hook again
             try:
                 path = os.path.realpath(os.fsdecode(args[0]))
-            except ValueError:  # a null character: the system will not open it either
+            except ValueError:  # a null character: the system refuses to open it, too
                 return
             finally:
                 cls.near = near
             writes = event != "open" or bool((args[2] or 0) & WRITING)
             if writes and (path == os.devnull or ("__pycache__" in path and path.startswith(PROGRAM))):
-                return  # modules and kernels that were compiled
+                return  # compiled modules and kernels
             if not writes and path.startswith((*PROGRAM, *near)):
                 return
             what = f"{event} {path} to {'change' if writes else 'read'} it"
@@ -75,7 +75,7 @@ class _Watch:
 
 
 def _compiling() -> bool:
-    """Whether it is numba that asks: it keeps compiled kernels as pickles beside the program."""
+    """Whether the call comes from numba, which keeps compiled kernels as pickles beside the program."""
     frame: FrameType | None = sys._getframe(2)
     while frame is not None:
         if f"{os.sep}numba{os.sep}" in frame.f_code.co_filename:
@@ -86,9 +86,9 @@ def _compiling() -> bool:
 
 @contextmanager
 def guarded(*near: Path) -> Iterator[list[str]]:
-    """Until the block ends, nothing is started, sent, changed or loaded, and only what is in these folders is read.
+    """Forbids the block to start, send, change or load anything, and to read outside these folders.
 
-    Yields the list of what was tried, in words; each try raises Forbidden as well.
+    Yields the list of attempts, in words; each attempt raises Forbidden as well.
     """
     if not _Watch.installed:
         sys.addaudithook(_Watch.hook)

@@ -1,4 +1,4 @@
-"""Files that are right, and what is done to them: structure changed with values chosen to hurt, then some bytes."""
+"""Valid files and their mutations: structure changed with values chosen to hurt, then some bytes."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ NUMBERS = ("nan", "inf", "-inf", "1e38", "3.5e38", "1e39", "-1e38", "1e-45", "0"
            "1e400", "30", "-30", "40", "1e9", "1e4", "9" * 22, "²", "", "x", "0x1p3", "1_0", "\0")  # fmt: skip
 
 JUNK = st.lists(st.tuples(st.floats(0, 1), st.integers(0, 9), st.integers(0, 255)), max_size=3)
-"""Where, how, and with what the bytes of a file are changed."""
+"""Where, how, and with what value the bytes of a file are changed."""
 
 
 def broken(data: bytes, junk: list[tuple[float, int, int]]) -> bytes:
-    """The bytes with a few overwritten, cut, repeated, or put elsewhere."""
+    """The bytes with a few overwritten, cut, repeated, or moved."""
     for where, how, value in junk:
         at = int(where * max(len(data) - 1, 0))
         if how < 4:
@@ -48,13 +48,13 @@ def broken(data: bytes, junk: list[tuple[float, int, int]]) -> bytes:
 
 
 def places(value: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
-    """The way to every value of a JSON document, the document itself left out."""
+    """The paths of all values in a JSON document, except the document itself."""
     items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
     return [found for key, item in items for found in ((*path, key), *places(item, (*path, key)))]
 
 
 def poisoned(value: Any, changes: list[tuple[float, int, int]]) -> Any:
-    """The document with a few values replaced by poison, taken away, or doubled."""
+    """The document with a few values replaced by poison, removed, or duplicated."""
     value = copy.deepcopy(value)
     for where, how, which in changes:
         found = places(value)
@@ -144,7 +144,7 @@ def plys(draw: st.DrawFn) -> bytes:
 
 
 def number(code: str, text: str) -> bytes:
-    """A number as bytes, as near as the type allows."""
+    """A number as bytes, as closely as the type allows."""
     try:
         value = float(text)
     except ValueError:
@@ -166,7 +166,7 @@ def compressed() -> bytes:
 
 
 def spz(version: int, count: int, degree: int, bits: int, flags: int, body: bytes) -> bytes:
-    """An .spz of these header fields."""
+    """An .spz with these header fields."""
     return gzip.compress(struct.pack("<4sIIBBBB", b"NGSP", version, count, degree, bits, flags, 0) + body, mtime=0)
 
 
@@ -211,7 +211,7 @@ def splat_tree() -> tuple[dict[str, Any], bytes]:
 
 
 def glb(tree: Any, data: bytes) -> bytes:
-    """A .glb of this JSON."""
+    """A .glb with this JSON and these bytes."""
     text = json.dumps(tree).encode("utf-8", "surrogatepass")
     text += b" " * (-len(text) % 4)
     head = struct.pack("<4s4I", b"glTF", 2, 28 + len(text) + len(data), len(text), 0x4E4F534A)

@@ -1,4 +1,4 @@
-"""Pictures as exemplars and as textures: what is sound, what is done to it, and what is no picture for us at all."""
+"""Pictures as exemplars and as textures: sound ones, mutated ones, and files that we do not take as pictures."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from training.priors.exemplar.pictures import read_picture
 __all__ = ["FOREIGN", "PICTURES", "TEXTURES", "check_foreign", "check_picture", "check_texture"]
 
 WIDTH, HEIGHT = 44, 37
-"""Of the sound pictures: numbers that are found again in their bytes."""
+"""Size of the sound pictures: numbers that can be found in their bytes."""
 
 SIZES = (0, 1, 23, 24, 38, 1000, 9000, 32767, 65535, 2**31 - 1, 2**31, 2**32 - 1)
-"""Claimed in their place: nothing, too small, more than there is, more than can be."""
+"""Sizes claimed instead: zero, too small, larger than the data, impossible."""
 
 
 def disk() -> Image.Image:
-    """A cut face on a plain ground."""
+    """A cut face on a plain background."""
     y, x = np.mgrid[:HEIGHT, :WIDTH]
     inside = np.hypot(x - WIDTH / 2, y - HEIGHT / 2) < 15
     ground = np.full((HEIGHT, WIDTH, 3), 250, np.uint8)
@@ -39,7 +39,7 @@ def disk() -> Image.Image:
 
 @cache
 def sound() -> tuple[bytes, ...]:
-    """The disk in every format and mode that people have, with what cameras and editors write into them."""
+    """The disk in every format and mode in use, with the metadata that cameras and editors write."""
     image = disk()
     alpha = image.convert("RGBA")
     alpha.putalpha(image.convert("L").point(lambda v: 0 if v > 245 else 255))
@@ -86,10 +86,10 @@ def encoded(image: Image.Image, kind: str, extra: dict[str, Any] | None = None) 
 
 
 def places_of(data: bytes, number: int) -> list[tuple[int, str]]:
-    """Where a number may stand in the bytes, and how it is written there."""
+    """Where a number may stand in the bytes, and in which format."""
     found: list[tuple[int, str]] = []
     for code in ("<H", ">H", "<I", ">I"):
-        for value in (number, number - 1):  # WebP writes sizes less one
+        for value in (number, number - 1):  # WebP stores sizes minus one
             at = data.find(struct.pack(code, value))
             while at >= 0 and len(found) < 200:
                 found.append((at, code))
@@ -108,7 +108,7 @@ def claimed(data: bytes, which: float, size: int) -> bytes:
 
 
 def repaired(data: bytes) -> bytes:
-    """A .png with the checksums of its chunks made right again, as far as they can be found: else none gets far."""
+    """A .png with chunk checksums recomputed as far as chunks can be found; without them no reader gets far."""
     if not data.startswith(b"\x89PNG\r\n\x1a\n"):
         return data
     parts, at = [data[:8]], 8
@@ -140,11 +140,11 @@ PNG_CHUNKS = st.sampled_from(
         )),
     )
 )  # fmt: skip
-"""Put into a .png: bombs, directories of tags without end, animations, palettes that are none."""
+"""Chunks to insert into a .png: bombs, endless tag directories, animations, invalid palettes."""
 
 
 def with_chunk(data: bytes, extra: bytes, where: int) -> bytes:
-    """A .png with one more chunk after its `where`-th; any other picture as it is."""
+    """A .png with one more chunk after chunk number `where`; any other picture unchanged."""
     at = 8
     for _ in range(where + 1):
         if not data.startswith(b"\x89PNG") or at + 12 > len(data):
@@ -164,7 +164,7 @@ PICTURES: st.SearchStrategy[bytes] = st.one_of(
 
 
 def check_picture(data: bytes, folder: Path) -> bool:
-    """As an exemplar."""
+    """Reads the picture as an exemplar."""
     path = folder / "face.png"
     path.write_bytes(data)
     picture = refused(lambda: read_picture(path, "horizontal"), folder)
@@ -181,7 +181,7 @@ def check_picture(data: bytes, folder: Path) -> bool:
 
 @cache
 def foreign() -> tuple[bytes, ...]:
-    """Whatever else a file with a picture's name may hold; Pillow knows much of it, and starts programs for some."""
+    """Other kinds of file under a picture's name; Pillow reads many of them, and starts programs for some."""
     image = disk()
     written = [encoded(image.convert(mode), kind) for kind, mode in (
         ("EPS", "RGB"), ("PDF", "RGB"), ("ICO", "RGBA"), ("PCX", "RGB"), ("PPM", "RGB"), ("TGA", "RGB"), ("SGI", "RGB"),
@@ -220,10 +220,10 @@ FOREIGN: st.SearchStrategy[bytes] = st.builds(
 
 
 def check_foreign(data: bytes, folder: Path) -> bool:
-    """As an exemplar and as a texture, under a picture's name: refused, and nothing started."""
+    """Reads the file as an exemplar and as a texture, under a picture's name: refused, and nothing started."""
     assert not check_picture(data, folder), f"read as a picture: {data[:20]!r}"
     for name in ("a.obj", "a.glb"):
-        # A mesh may say that its texture cannot be used and come in grey.
+        # A mesh may report that its texture cannot be used, and load in grey.
         check_texture((name, data), folder)
     return False
 
@@ -236,7 +236,7 @@ TRIANGLE = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], np.float32)
 
 
 def check_texture(value: tuple[str, bytes], folder: Path) -> bool:
-    """On a triangle."""
+    """Reads the picture as the texture of a triangle."""
     name, data = value
     path = folder / name
     if name == "a.obj":
@@ -254,7 +254,7 @@ def check_texture(value: tuple[str, bytes], folder: Path) -> bool:
 
 
 def gltf(picture: bytes, folder: Path | None) -> bytes:
-    """A triangle with the picture inside of it, as a .glb; or beside it in a folder, as a .gltf."""
+    """A triangle with the picture embedded, as a .glb; or beside it in a folder, as a .gltf."""
     corners = TRIANGLE.tobytes() + TRIANGLE[:, :2].tobytes()
     body = corners + picture + bytes(-len(picture) % 4)
     views = [{"buffer": 0, "byteOffset": 0, "byteLength": 36}, {"buffer": 0, "byteOffset": 36, "byteLength": 24}]

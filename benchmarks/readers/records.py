@@ -1,6 +1,6 @@
-"""Records that are sound as JSON and wrong in meaning: values in each other's places, things named that are not there.
+"""Records that are valid JSON but wrong in meaning: swapped values, names of things that do not exist.
 
-`inputs` breaks values and bytes; here every value is of a kind that belongs there, or nearly.
+`inputs` breaks values and bytes; here every value has a type that belongs there, or nearly.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ NUMBERS: tuple[Any, ...] = (0, -1, 1, 2, 3, 7, 255, 2**31, 2**53, 2**53 + 1, 2**
 TEXTS = ("", " ", "horizontal", "Knife 9", "Knife ²", "Knife " + "9" * 5000, "Piece 1", "../../a.ply", "..", ".", "~",
          "/etc/hostname", "C:\\a.ply", "\\\\host\\a.ply", "a.ply/../../b.ply", "link/a.ply", "con", "a" * 300, "-o",
          "--help", "\u202e", "$(id)", "`id`", "%n%s", "file:///etc/hostname", "http://127.0.0.1/a.ply")  # fmt: skip
-"""Names that are taken, that lead out, that a shell, a printer or another system would take for something else."""
+"""Names that are taken, lead out of the folder, or mean something else to a shell, a printer or another system."""
 
 MOVES = st.lists(
     st.tuples(st.floats(0, 1), st.floats(0, 1), st.integers(0, 11), st.integers(0, 255)), min_size=1, max_size=4
@@ -45,7 +45,7 @@ MOVES = st.lists(
 
 
 def meant(record: Any, moves: list[tuple[float, float, int, int]]) -> Any:
-    """The record with values swapped, copied, listed twice, left out of lists, or taken from `NUMBERS` and `TEXTS`."""
+    """The record with values swapped, copied, repeated, left out of lists, or taken from `NUMBERS` and `TEXTS`."""
     record = copy.deepcopy(record)
     for where, other, how, which in moves:
         found = places(record)
@@ -79,20 +79,20 @@ def meant(record: Any, moves: list[tuple[float, float, int, int]]) -> Any:
 
 
 def at(record: Any, way: tuple[Any, ...]) -> Any:
-    """The value at the end of a way."""
+    """The value at the end of a path."""
     for key in way:
         record = record[key]
     return record
 
 
 def nested(value: Any, depth: int) -> Any:
-    """The value in as many lists."""
+    """The value inside `depth` lists."""
     for _ in range(depth):
         value = [value]
     return value
 
 
-# projects: what is loaded can be worked with, saved and loaded again
+# projects: a loaded project can be worked with, saved and loaded again
 
 BOX = Solid.of(np.stack(np.meshgrid(*[np.linspace(-1, 1, 6)] * 3), -1).reshape(-1, 3))
 
@@ -125,13 +125,13 @@ def check_meant_project(record: Any, folder: Path) -> bool:
 
 
 def named(document: Any) -> list[Path]:
-    """All files that a document names."""
+    """All files named in a document."""
     training = document.training
     found = [document.scene, training.out, training.model, *(p for f in document.families for p in f.exemplars)]
     return [path for path in found if path is not None]
 
 
-# requests: what is read is written and read again the same
+# requests: a request that was read is written and read back the same
 
 PLANES = (Plane.of((1, 2, 3), 0.1), Plane.of((0, 0, 1), -0.5))
 REQUEST = Request(
@@ -158,7 +158,7 @@ def check_request(data: bytes, folder: Path) -> bool:
     return True
 
 
-# a result folder: what is there may be anything, the window looks at it all the same
+# a result folder: its files may be anything, and the window looks at it all the same
 
 NOTE = {"pid": 1, "started": 1.5, "stopped": False}
 EVENTS = [
@@ -173,7 +173,7 @@ EVENTS = [
 
 
 def lines(record: Any) -> bytes:
-    """JSON lines of a list."""
+    """The items of a list as JSON lines; anything else as one line."""
     rows = record if isinstance(record, list) else [record]
     return b"".join(json.dumps(row).encode("utf-8", "surrogatepass") + b"\n" for row in rows)
 
@@ -204,7 +204,7 @@ def check_job(value: tuple[bytes, bytes], folder: Path) -> bool:
     return found is not None
 
 
-# colours that a training wrote
+# colours written by a training
 
 
 ATOMS = scatter(4, 4, exposed=2, degree=0)
@@ -217,7 +217,7 @@ FACTS = st.sampled_from((*(f'{{"exposed": {value}}}' for value in EXPOSED), "{}"
 
 @st.composite
 def colours(draw: st.DrawFn) -> bytes:
-    """A stage's file whose arrays have other shapes, types and values than the object's."""
+    """A stage's file whose arrays may differ from the object's in shape, type and values."""
     right = {"means": (4, 3), "sigmas": (4,), "rgb": (4, 3), "sh": (4, 1, 3)}
     arrays: dict[str, np.ndarray] = {}
     for name, shape in right.items():
@@ -247,7 +247,7 @@ def check_colours(data: bytes, folder: Path) -> bool:
     return True
 
 
-# settings: whatever is in them, the window starts
+# settings: whatever they contain, the window starts
 
 SETTINGS: st.SearchStrategy[bytes] = documents(
     {

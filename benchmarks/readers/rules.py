@@ -1,4 +1,4 @@
-"""What every reader promises, whatever it is given, and what may become of an input."""
+"""What every reader promises for any input, and the checks of these promises."""
 
 from __future__ import annotations
 
@@ -17,28 +17,28 @@ from training.batch.manifest import ManifestErrors
 __all__ = ["Target", "refused", "words_wrong"]
 
 LONGEST = 1000
-"""Characters of the longest line that a user is shown: a path, what is wrong with it, what to do."""
+"""Characters of the longest message a user is shown: a path, what is wrong with it, what to do."""
 
 CODE_WORDS = re.compile(
     r"Traceback|dtype|<class|<\w[\w.]* object|object at 0x|\[Errno|\b[A-Z]\w*(Error|Exception|Warning)\b"
     r"|\bb'|\\x[0-9a-f]{2}|\bNoneType\b|\bndarray\b|codec can't"
 )
-"""What belongs to programmers: a message that holds it was not written for people."""
+"""Programmers' words: a message with one of them was not written for users."""
 
 
 @dataclass(frozen=True)
 class Target:
-    """Something that reads what a user may give it."""
+    """A reader of something that a user may supply."""
 
     inputs: st.SearchStrategy[Any]
     check: Callable[[Any, Path], bool]
-    """Whether the input was accepted; raises where the promise is broken. The path is a folder to write in."""
+    """Whether the input was accepted; raises if the promise is broken. The path is a folder to write in."""
     share: float
-    """Of all inputs."""
+    """Inputs of this target, as a fraction of the number asked for."""
 
 
 def words_wrong(text: str, *quoted: str) -> str:
-    """What is wrong with a message to the user; empty: nothing. `quoted`: what it may repeat of a file."""
+    """What is wrong with a message to the user; empty if nothing is. `quoted`: text from the file it may repeat."""
     if not text.strip():
         return "empty"
     if not text.isprintable():
@@ -52,9 +52,9 @@ def words_wrong(text: str, *quoted: str) -> str:
 
 
 def refused(read: Callable[[], Any], *near: Path) -> Any:
-    """What `read` gives, None where it refuses as it should: an InputError of printable lines.
+    """The result of `read`, or None if it refuses properly: with an InputError of printable lines.
 
-    It may read what is in the folders `near`, and do nothing else.
+    `read` may read files in the folders `near`, and do nothing else.
     """
     try:
         with guarded(*near) as tried:
@@ -62,7 +62,7 @@ def refused(read: Callable[[], Any], *near: Path) -> Any:
     except InputError as error:
         result = None
         for line in str(error).split("\n") if isinstance(error, ManifestErrors) else [str(error)]:
-            # What it quotes of a file is not its own words.
+            # Text quoted from a file is not the message's own.
             assert not (wrong := words_wrong(re.sub(r"'[^']*'", "", line))), (
                 f"a refusal that is {wrong}: {line!r:.1000}"
             )

@@ -1,7 +1,7 @@
-"""What is fuzzed, and what is held against each input: one clear line, or something finite that survives a round trip.
+"""Fuzzing targets and what each input is checked for: one clear line, or something finite that survives a round trip.
 
-Each target starts from a file that is right, changes its structure with values chosen to hurt, and then some of its
-bytes. `tests/test_fuzz.py` runs a fixed few thousand of them, `benchmarks/readers/fuzz.py` as many as one likes.
+Each target starts from a valid file, changes its structure with values chosen to hurt, and then some of its bytes.
+`tests/project/test_fuzz.py` runs a fixed few thousand inputs, `benchmarks/readers/fuzz.py` any number.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ def check_scene(data: bytes, folder: Path, name: str = "a.ply") -> bool:
 
 
 def whole_project(folder: Path) -> Project:
-    """A project in which nothing has its default."""
+    """A project in which nothing has its default value."""
     document = Document(scene=folder / "melon.ply", up=(0.0, -1.0, 0.0), gap=0.3, explode=0.2)
     document = document.with_cut((Part(Plane.of((1, 2, 3), 0.1)),))
     document = document.with_cut((Part(Plane.of((-1, 0, 0), 0.7), ((1, -1),)), Part(Plane.of((0, 1, 0), 0.2))))
@@ -117,7 +117,7 @@ def check_project(data: bytes, folder: Path) -> bool:
 
 
 def json_bytes(record: Any) -> bytes:
-    """A document, whatever letters are in it."""
+    """A document as JSON bytes, whatever characters are in it."""
     return json.dumps(record).encode("utf-8", "surrogatepass")
 
 
@@ -132,7 +132,7 @@ def checkpoint_bytes() -> bytes:
 
 
 def foreign_checkpoint(facts: Any, run: str) -> bytes:
-    """A checkpoint whose facts are not this project's."""
+    """A checkpoint with facts that this project did not write."""
     return safetensors_bytes(ARRAYS, {"run": run, "facts": json.dumps(facts)})
 
 
@@ -151,7 +151,7 @@ def check_checkpoint(data: bytes, folder: Path) -> bool:
 
 
 def trained_files(suffix: str) -> tuple[Any, bytes]:
-    """A sidecar and its .ply or .spz."""
+    """A sidecar, and its .ply or .spz."""
     atoms = scatter(3, 4, exposed=1)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / f"a{suffix}"
@@ -212,7 +212,7 @@ def check_arguments(value: tuple[list[str], list[str], str], folder: Path) -> bo
 
 @st.composite
 def planes(draw: st.DrawFn) -> tuple[list[float], float]:
-    """Normals of any length, denormal and huge ones among them, and offsets."""
+    """Normals of any length, including denormal and huge ones, and offsets."""
     some = st.sampled_from((0.0, -0.0, 1.0, -1.0, 1e-320, 1e-200, 1e-12, 1e-7, 1e154, 1e200, 1e308, math.nan, math.inf))
     value = st.one_of(some, st.floats())
     return draw(st.lists(value, min_size=draw(st.sampled_from((3, 3, 3, 2))), max_size=3)), draw(value)
@@ -237,7 +237,7 @@ ENTRY = {"scene": "a.ply", "name": "one", "exemplar": {"horizontal": ["a.png"]},
 
 
 def toml(value: Any) -> str:
-    """A value in TOML, as far as TOML has it."""
+    """A value in TOML, as far as TOML can express it."""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, dict):
@@ -288,7 +288,7 @@ def check_manifest(data: bytes, folder: Path) -> bool:
     return True
 
 
-# what the trainer says to the window
+# events that the trainer sends to the window
 
 EVENT = {"event": "progress", "seconds": 1.5, "stage": "train", "part": 0.5, "eta": 3.0, "iteration": 4,
          "iterations": 9, "losses": {"section": 0.1, "surface": 0.2}, "paths": ["a"], "message": "m", "scene": "s",
@@ -304,7 +304,7 @@ def check_event(data: bytes, folder: Path) -> bool:
 
 
 def quiet(check: Callable[[Any, Path], bool]) -> Callable[[Any, Path], bool]:
-    """The check with every RuntimeWarning an error: an overflow that is only warned of is a wrong number."""
+    """The check with every RuntimeWarning as an error: an overflow that only warns is a wrong number."""
 
     def checked(value: Any, folder: Path) -> bool:
         with warnings.catch_warnings():

@@ -1,4 +1,4 @@
-"""Charts: drawn without a window, written as a whole."""
+"""Charts: drawn without a window, written atomically."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from matplotlib import pyplot as plt
 __all__ = ["ACCENT", "OTHER", "QUIET", "front", "plt", "save_chart"]
 
 ACCENT, OTHER, QUIET = "#FF6B4A", "#5B7A99", "#8F949C"
-"""Colours of what is ours or marked, of the rest, and of lines that lead the eye."""
+"""Colours of our own or marked figures, of the rest, and of guide lines."""
 
 DPI = 120
-"""A chart ten inches wide is then as wide as the README's page is drawn."""
+"""A ten-inch chart is then as wide as the README's page."""
 
 
 def save_chart(figure: plt.Figure, path: Path) -> None:
@@ -29,7 +29,7 @@ def save_chart(figure: plt.Figure, path: Path) -> None:
 
 
 def front(cost: Sequence[float], value: Sequence[float]) -> list[int]:
-    """The Pareto front: indices of the points than which no other is both cheaper and better, by rising cost."""
+    """The Pareto front: indices of the points for which no other is both cheaper and better, by rising cost."""
     order = sorted(range(len(cost)), key=lambda i: (cost[i], -value[i]))
     kept: list[int] = []
     for i in order:

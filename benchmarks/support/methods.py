@@ -1,4 +1,4 @@
-"""Methods of `training.evaluate` on some scenes, kept as numbers and as sheets of cuts."""
+"""Runs methods of `training.evaluate` on some scenes, and keeps figures and sheets of cuts."""
 
 from __future__ import annotations
 
@@ -38,11 +38,11 @@ def compare(
     shown: int,
     also: Callable[[Path, str], dict[str, Any]] = lambda truth, scene: {},
 ) -> tuple[Found, Path | None, int]:
-    """Runs a benchmark of the command line: the figures, the folder that they were written to, 1 where a part failed.
+    """Runs a benchmark; returns the figures, the folder they were written to, and 1 if a part failed.
 
-    `text`: its docstring; `scenes` and `detail`: unless the command line has others; `quick_methods`: of a quick run,
-    which has one scene in draft; `shown`: cuts of a sheet, which has the truth above the methods; `also`: further
-    figures of a scene from the folder of truths. A full run goes on from what out/NAME has.
+    `text`: the benchmark's docstring; `scenes` and `detail`: command-line defaults; `quick_methods`: methods of a
+    quick run, which has one scene in draft; `shown`: cuts on a sheet, which has the truth above the methods; `also`:
+    further figures of a scene, from the folder of truths. A full run continues from what out/NAME has.
     """
     parser = parser_of(text, f"one scene in draft, few cuts, {' and '.join(quick_methods)} alone")
     parser.add_argument("--scenes", default=scenes)
@@ -52,7 +52,7 @@ def compare(
     chosen = options.scenes.split(",")
     with tempfile.TemporaryDirectory() as scratch:
         work = ROOT / "out" / name / detail
-        if options.quick:  # what an earlier run left would be no measurement
+        if options.quick:  # results of an earlier run would not be measured anew
             chosen, detail, methods, cuts, work = ["bread"], "draft", quick_methods, QUICK_CUTS, Path(scratch)
         grid = cells(chosen, methods, [0], detail, cuts, None, work)
         failed = run_locally(grid, lambda cell, what: print(f"{cell.name}: {what}", file=sys.stderr, flush=True))

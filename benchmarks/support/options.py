@@ -1,4 +1,4 @@
-"""What every benchmark asks on its command line, and how it writes what it measured."""
+"""Command-line options that all benchmarks share, and where they write their results."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from pathlib import Path
 __all__ = ["CHARTS", "ROOT", "out_folder", "parser_of"]
 
 ROOT = Path(__file__).parents[2]
-"""Of the project."""
+"""Folder of the project."""
 
 CHARTS = ROOT / "docs/charts"
-"""Where a full run writes if it is not told otherwise: the charts of the README."""
+"""Where a full run writes by default: the charts of the README."""
 
 
 def parser_of(text: str | None, quick: str) -> argparse.ArgumentParser:
     """A parser with `--quick` and `-o/--out`.
 
-    `text`: the docstring of the benchmark, which is its help; `quick`: what a quick run leaves out.
+    `text`: the benchmark's docstring, shown as its help; `quick`: what a quick run leaves out.
     """
     parser = argparse.ArgumentParser(description=text, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true", help=f"measure little: {quick}; write only with --out")
@@ -28,7 +28,7 @@ def parser_of(text: str | None, quick: str) -> argparse.ArgumentParser:
 
 
 def out_folder(options: argparse.Namespace) -> Path | None:
-    """Where to write; None: a quick run that prints only, so that it never replaces the figures of a full one."""
+    """The folder to write to. None for a quick run, which only prints and never replaces the figures of a full one."""
     if options.out is None:
         return None if options.quick else CHARTS
     folder = Path(options.out)

@@ -1,4 +1,4 @@
-"""Time on the wall and of the processor."""
+"""Wall and processor time."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ __all__ = ["timed"]
 
 
 def timed(run: Callable[[], object]) -> tuple[float, float]:
-    """Seconds on the wall that a call takes, and of processor time, which a loaded machine disturbs less."""
+    """Seconds that a call takes: of wall time, and of processor time, which a loaded machine disturbs less."""
     wall, busy = time.perf_counter(), time.process_time()
     run()
     return time.perf_counter() - wall, time.process_time() - busy

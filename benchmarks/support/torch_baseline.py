@@ -1,9 +1,9 @@
-"""The renderer that people write in plain torch: projection, a list of Gaussians per tile, dense algebra in each tile.
+"""The renderer as commonly written in plain torch: projection, a list of Gaussians per tile, dense algebra per tile.
 
-It is the yardstick of the CPU renderers' speed, so it is written as well as its style allows: vectorised over Gaussians
-and over (pixel, Gaussian) pairs, one sort, no Python loop but the one over tiles, and gradients taken tile by tile, so
-that 500,000 Gaussians fit in memory at all. Same formula as `engine.render.classic`, but for a pixel's early end, which
-dense algebra can only mask.
+It is the yardstick of the CPU renderers' speed, so it is as fast as its style allows: vectorised over Gaussians and
+over (pixel, Gaussian) pairs, one sort, no Python loop except over tiles, and gradients taken tile by tile, so that
+500,000 Gaussians fit in memory at all. Same formula as `engine.render.classic`, except for the early end of a pixel,
+which dense algebra can only mask.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ TILE = 16
 
 
 def forward(means: Tensor, scales: Tensor, quats: Tensor, opacities: Tensor, rgb: Tensor, camera: Camera) -> Tensor:
-    """(H, W, 3). The picture on black of N Gaussians: means (N, 3), scales (N, 3), quats (N, 4), opacities (N,),
+    """(H, W, 3). The picture of N Gaussians on black: means (N, 3), scales (N, 3), quats (N, 4), opacities (N,),
     rgb (N, 3), float32 or float64."""
     with torch.no_grad():
         splats = _project(means, scales, quats, opacities, rgb, camera)
@@ -40,7 +40,7 @@ def forward_backward(
     camera: Camera,
     g_rgb: Tensor,  # [H, W, 3] dL/d(picture)
 ) -> Tensor:
-    """The picture, as `forward`; adds dL/d(parameter) to the .grad of every parameter that requires it."""
+    """Returns the picture, as `forward`; adds dL/d(parameter) to the .grad of every parameter that requires it."""
     splats = _project(means, scales, quats, opacities, rgb, camera)
     tiles, pairs = _pairs(splats, camera)
     image = _blank(camera, means)
@@ -94,7 +94,7 @@ def _project(means: Tensor, scales: Tensor, quats: Tensor, opacities: Tensor, rg
 
 
 def _pairs(splats: Tensor, camera: Camera) -> tuple[Tensor, tuple[Tensor, ...]]:
-    """Tiles that are touched (T,), and for each the rows of its splats, nearest first."""
+    """Tiles that are touched (T,), and the splats of each, as rows, nearest first."""
     across, down = -(-camera.width // TILE), -(-camera.height // TILE)
     with torch.no_grad():
         u, v, a, b, c, opacity = splats[:, :6].unbind(1)
@@ -124,7 +124,7 @@ def _pixels(tile: int, camera: Camera, like: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _blend(splats: Tensor, x: Tensor, y: Tensor) -> Tensor:
-    """(P, 3). Colours of the pixels (P,) through the splats (K, 10)."""
+    """(P, 3). Colours of pixels (P,) through splats (K, 10)."""
     dx, dy = x[:, None] - splats[:, 0], y[:, None] - splats[:, 1]
     power = -0.5 * (splats[:, 2] * dx * dx + splats[:, 4] * dy * dy) - splats[:, 3] * dx * dy
     alpha = (splats[:, 5] * torch.exp(power)).clamp(max=0.99)

@@ -1,4 +1,4 @@
-"""Procedural solids. Each function takes a seed; every seed gives another fruit of the kind."""
+"""Procedural solids. Each function takes a seed; every seed gives a different specimen."""
 
 from __future__ import annotations
 

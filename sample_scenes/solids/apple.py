@@ -25,11 +25,11 @@ from sample_scenes.solids.solid import Solid
 __all__ = ["apple"]
 
 CARPEL_TIP, SEED_TIP = 0.45, 0.6
-"""How pointed the chambers of the core and the seeds are (`shapes.drop`)."""
+"""How pointed the chambers of the core and the seeds are (`shapes.teardrop`)."""
 
 
 def apple(seed: int = 0) -> Solid:
-    """An apple, 2 units across; another true one for every seed."""
+    """An apple, 2 units across; every seed gives a different one."""
     rng = np.random.default_rng([seed, 4])
     shape = round_shape(
         (1.0, 0.98, 0.98 * rng.uniform(0.97, 1.03)),

@@ -29,7 +29,7 @@ LENGTH, WIDTH, HEIGHT = 1.0, 0.62, 0.60
 
 
 def bread(seed: int = 0) -> Solid:
-    """A loaf, 2 units long; another true one for every seed."""
+    """A loaf, 2 units long; every seed gives a different one."""
     rng = np.random.default_rng([seed, 3])
     rows, starts, items = _pores(rng)
     number = seed * 1000 + 431
@@ -103,7 +103,7 @@ def _depths(
 
 @njit(cache=True)
 def _crust(x: float, y: float, z: float, number: int) -> tuple[float, float, float]:
-    """Outside: deep brown on the dome, golden where the loaf tore open along the top, paler on the tin sides."""
+    """Outside: deep brown on the dome, golden where the loaf tore open along the top, paler on the sides of the tin."""
     blotch = fbm(2.6 * x, 2.6 * y, 2.6 * z, 3, number + 1)
     fine = fbm(11 * x, 11 * y, 11 * z, 2, number + 2)
     top = step(0.05, 0.32, z + 0.08 * blotch)

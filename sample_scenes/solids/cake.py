@@ -22,7 +22,7 @@ COAT, FILLING, SPONGES = 0.062, 0.058, 4
 
 
 def cake(seed: int = 0) -> Solid:
-    """A red velvet cake, 2 units across; another true one for every seed."""
+    """A red velvet cake, 2 units across; every seed gives a different one."""
     rng = np.random.default_rng([seed, 6])
     number = seed * 1000 + 1013
     room = 2 * HALF - COAT - 0.012 - FILLING * (SPONGES - 1)

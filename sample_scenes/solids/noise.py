@@ -84,9 +84,8 @@ def fbm(x: float, y: float, z: float, octaves: int, seed: int) -> float:
 def cell(x: float, y: float, z: float, jitter: float, seed: int) -> tuple[float, float, float, float, float, float]:
     """Cells around one jittered centre per lattice cube (Worley noise).
 
-    Returns the squared distances to the nearest and second nearest centre, a number in [0, 1) that identifies the
-    cell, and
-    the offset of the point from its centre.
+    Returns the squared distances to the nearest and second nearest centre, a number in [0, 1) that identifies the cell,
+    and the offset of the point from the cell's centre.
     """
     i, j, k = math.floor(x), math.floor(y), math.floor(z)
     first, second, name = 9.0, 9.0, 0.0

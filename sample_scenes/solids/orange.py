@@ -25,7 +25,7 @@ from sample_scenes.solids.solid import Solid
 __all__ = ["orange"]
 
 TIP = 0.6
-"""How pointed a seed is (`shapes.drop`)."""
+"""How pointed a seed is (`shapes.teardrop`)."""
 
 PEEL = 0.026
 """Thickness of the coloured peel, world units."""
@@ -35,7 +35,7 @@ MEMBRANE = 0.008
 
 
 def orange(seed: int = 0) -> Solid:
-    """An orange, 2 units across; another true one for every seed, with 9 to 11 segments."""
+    """An orange, 2 units across, with 9 to 11 segments; every seed gives a different one."""
     rng = np.random.default_rng([seed, 2])
     shape = round_shape(
         (1.0, 0.98, 0.93 * rng.uniform(0.97, 1.03)),
@@ -101,7 +101,7 @@ def _pulp(rho: float, angle: float, z: float, number: int, segment: float) -> tu
     )
     rgb = mix((0.96, 0.51, 0.06), (0.99, 0.645, 0.14), name)
     rgb = mix(rgb, (0.94, 0.45, 0.035), 0.5 * step(0.6, 0.1, near))
-    # The wall of a sac catches the light, here more and there less.
+    # The wall of a sac catches the light, more in some places than in others.
     shine = 0.3 + 0.35 * step(-0.5, 0.5, noise(6 * rho, 9 * angle, 9 * fan, number + 13))
     rgb = mix(rgb, (1.0, 0.78, 0.34), shine * step(0.17, 0.0, far - near))
     cloud = fbm(3 * rho, 5 * angle, 5 * fan, 2, number + 6)

@@ -21,14 +21,14 @@ from sample_scenes.solids.solid import Solid
 __all__ = ["pomegranate"]
 
 ARILS_PER_UNIT = 6.4
-"""Arils a world unit: each is a little under a sixth of the radius, as in the fruit."""
+"""Arils per world unit: each is a little under a sixth of the radius, as in the fruit."""
 
 STOREY_HEIGHT = -0.3
 """Height of the membrane between the upper and the lower storey of chambers."""
 
 
 def pomegranate(seed: int = 0) -> Solid:
-    """A pomegranate, 2 units across; another true one for every seed, with 5 to 7 upper and 3 lower chambers."""
+    """A pomegranate, 2 units across, with 5 to 7 upper and 3 lower chambers; every seed gives a different one."""
     rng = np.random.default_rng([seed, 5])
     shape = round_shape(
         (1.0, 0.97, 0.93 * rng.uniform(0.97, 1.03)),
@@ -77,7 +77,7 @@ def _rind(x: float, y: float, z: float, number: int) -> tuple[float, float, floa
 
 @njit(cache=True)
 def _membrane_distance(x: float, y: float, z: float, walls: NDArray[np.float64], number: int) -> float:
-    """Distance to the nearest membrane between chambers; negative in it."""
+    """Distance to the nearest membrane between chambers; negative inside the membrane."""
     rho = math.sqrt(x * x + y * y)
     bent = (
         math.atan2(y, x)

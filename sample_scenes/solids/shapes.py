@@ -115,14 +115,14 @@ def round_depths(
 
 
 def depths_at(points: NDArray[np.float64], kernel: Callable[..., None], *args: Any) -> NDArray[np.float32]:
-    """(M,). What a kernel says of points (M, 3), on all cores: kernel(start, stop, points, *args, out)."""
+    """(M,). The values of a kernel at points (M, 3), on all cores: kernel(start, stop, points, *args, out)."""
     out = np.empty(len(points), np.float32)
     for_spans(kernel, len(points), points, *args, out)
     return out
 
 
 def colours_at(points: NDArray[np.float64], kernel: Callable[..., None], *args: Any) -> NDArray[np.float32]:
-    """(M, 3). The same of colours."""
+    """(M, 3). The same for colours."""
     out = np.empty((len(points), 3), np.float32)
     for_spans(kernel, len(points), points, *args, out)
     return out
@@ -143,7 +143,7 @@ def index_items(
     halves: NDArray[np.float64],  # [M, 3] half lengths along the local axes
     kinds: NDArray[np.float64],  # [M]
 ) -> ItemGrid:
-    """Items in a look-up grid for `item_at`: each is listed in all cells that its bounding sphere touches."""
+    """Puts items into a look-up grid for `item_at`: each is listed in all cells within its reach."""
     rows = np.concatenate(
         [centres, np.reshape(np.asarray(frames), (len(centres), 9)), halves, np.reshape(kinds, (-1, 1))], axis=1
     )

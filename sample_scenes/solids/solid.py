@@ -34,11 +34,11 @@ class Solid:
     bounds: NDArray[np.float64]
     """(2, 3). Lowest and highest corner, world units."""
     up: tuple[float, float, float] = (0.0, 0.0, 1.0)
-    """Unit vector."""
+    """The up axis, a unit vector."""
 
     @staticmethod
     def of(name: str, families: tuple[Kind, ...], skin_depth: Field, skin_colour: Field) -> Solid:
-        """A solid whose bounds are those of its skin seen from the origin in 8192 directions."""
+        """A solid whose bounds are measured on its skin, in 8192 directions from the origin."""
         solid = Solid(name, families, skin_depth, skin_colour, np.zeros((2, 3)))
         points = solid.skin(directions(8192))
         return Solid(name, families, skin_depth, skin_colour, np.stack([points.min(0), points.max(0)]))
@@ -46,7 +46,7 @@ class Solid:
     def depth(self, points: NDArray[np.floating]) -> NDArray[np.float32]:
         """(...). Distance under the skin of points (..., 3), world units; exact to first order at the skin.
 
-        Positive inside. Deep inside it is no more than a monotone measure of depth.
+        Positive inside. Deep inside it only grows monotonically with depth.
         """
         flat = np.ascontiguousarray(np.reshape(points, (-1, 3)), np.float64)
         return self.skin_depth(flat).reshape(np.shape(points)[:-1])
@@ -90,8 +90,8 @@ class Solid:
     ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
         """The cut face itself: RGB (H, W, 3) over white, and the silhouette (H, W) at pixel centres.
 
-        Seen by a camera, or straight on in a square picture of this many pixels (`engine.scene.camera.section`).
-        supersample s averages s x s points a pixel; at 1 the colours are those of the pixel centres, exactly.
+        `view` is a camera, or the side in pixels of a square picture taken straight on (`engine.scene.camera.section`).
+        supersample s averages s x s points per pixel; at 1 the colours are exactly those of the pixel centres.
         """
         camera = section(plane, self.up, self.bounds, view) if isinstance(view, int) else view
         rgb = np.zeros((camera.height * camera.width, 3))

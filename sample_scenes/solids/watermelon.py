@@ -1,4 +1,4 @@
-"""A watermelon: striped skin, pale rind, red flesh, black seeds that stand in it and point to the axis."""
+"""A watermelon: striped skin, pale rind, red flesh, black seeds that point to the axis."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ from sample_scenes.solids.solid import Solid, directions
 __all__ = ["watermelon"]
 
 SEEDS = 330
-"""About a dozen on a horizontal cut, as in a seeded melon."""
+"""Number of seeds: about a dozen show on a horizontal cut, as in a seeded melon."""
 
 SPACING = 0.098
 """Least distance between two seeds; they never touch."""
 
 TIP = 0.55
-"""How pointed a seed is (`shapes.drop`)."""
+"""How pointed a seed is (`shapes.teardrop`)."""
 
 
 def watermelon(seed: int = 0) -> Solid:
-    """A watermelon, 2 units long; another true one for every seed."""
+    """A watermelon, 2 units long; every seed gives a different one."""
     rng = np.random.default_rng([seed, 1])
     stretch = rng.uniform(0.97, 1.03)
     shape = round_shape((0.82 * stretch, 0.8, 1.0), 0.025, 1.4, seed)

@@ -40,7 +40,7 @@ def drawn(path: np.ndarray) -> Stroke:
 
 
 def arc(middle: tuple[float, float], radius: float, first: float, last: float) -> np.ndarray:
-    """Part of a circle from one angle to another, degrees."""
+    """Part of a circle between two angles, degrees."""
     turn = np.radians(np.linspace(first, last, 60))
     return np.stack([middle[0] + radius * np.cos(turn), middle[1] + radius * np.sin(turn)], 1)
 
@@ -68,7 +68,7 @@ motions = st.builds(
 
 @st.composite
 def changes(draw: st.DrawFn, document: Document) -> Document:
-    """Any one thing that a user may do."""
+    """Any single edit that a user can make."""
     ids = [cut.id for cut in document.cuts]
     keys = [piece.key for piece in pieces(document, BALL)]
     what = draw(
@@ -140,7 +140,7 @@ def test_a_dragged_slider_is_one_step() -> None:
     history.settle()
     history.do("Move", 9, merge="slider")
     assert [entry.state for entry in history.entries] == [0, 8, 9]
-    history.do("Move", 8, merge="slider")  # back to where the drag began: no step is left
+    history.do("Move", 8, merge="slider")  # back to where the drag began: no step remains
     assert [entry.state for entry in history.entries] == [0, 8] and history.undo() and history.state == 0
 
 
@@ -195,11 +195,11 @@ def test_sections_hide_but_do_not_divide() -> None:
     assert sections(moved) == (Plane((0.0, 0.0, 1.0), -0.25),)
     assert sections(document.changed_cut(1, lambda cut: replace(cut, on=False))) == ()
     (whole,) = pieces(moved, BALL)
-    seen = shown_points(whole, BALL, sections(moved))  # what a frame goes around
+    seen = shown_points(whole, BALL, sections(moved))  # the points that a selection frame goes around
     assert seen[:, 2].max() <= 0.25 < BALL.points[:, 2].max() and len(seen) > 0.5 * len(BALL.points)
 
 
-# The knife
+# The knife.
 
 
 @pytest.mark.parametrize("orthographic", [False, True])
@@ -224,7 +224,7 @@ def test_the_knife_cuts_what_it_crosses_and_says_when_it_missed() -> None:
         assert miss.document is None and word in miss.message
     beside = slice_object(
         Document(), BALL, camera, Stroke((5, 150), (20, 150)), UP
-    )  # the line would cross, not the stroke
+    )  # the extended line would cross, the stroke does not
     assert beside.document is None
 
 
@@ -242,11 +242,11 @@ def test_a_blade_cuts_along_its_line_and_a_closed_one_punches(orthographic: bool
         assert cut is not None
         kept, removed = pieces(cut, BALL)
         for piece, sign in ((kept, -1), (removed, 1)):
-            assert (sign * apart[piece.rows] > -2).all()  # pixels: the line is seen through chords
+            assert (sign * apart[piece.rows] > -2).all()  # pixels: the line is made of chords
         gap = kept.motion.shift - np.asarray(removed.motion.shift)
         assert np.linalg.norm(gap) == pytest.approx(0.1 * BALL.radius)
         if apart is from_ring:
-            assert gap @ towards == pytest.approx(0.1 * BALL.radius, rel=1e-3)  # out to the user
+            assert gap @ towards == pytest.approx(0.1 * BALL.radius, rel=1e-3)  # towards the user
 
 
 def test_a_line_that_is_no_blade_is_told() -> None:
@@ -298,7 +298,7 @@ def test_slices_are_equally_thick_wherever_pieces_lie() -> None:
     thickness = 2 * BALL.radius / 7
     assert len(slices) == 7
     assert all(np.ptp(BALL.points[piece.rows] @ normal) <= thickness * 1.001 for piece in slices)
-    # Two halves one above the other by a gap: slices go on from one into the other as they lie.
+    # Two halves, one above the other by a gap: slices continue from one into the other as they lie.
     halves = slice_object(Document(), BALL, EYE.camera(400, 300, UP), Stroke((40, 150), (360, 150)), UP).document
     assert halves is not None
     first = pieces(halves, BALL)[0].key
@@ -341,7 +341,7 @@ def test_snapping_gives_the_objects_own_planes() -> None:
     assert top is not None and abs(top.normal[2]) < 1e-9
 
 
-# The eye
+# The eye.
 
 
 def test_zooming_keeps_what_lies_under_the_cursor() -> None:
@@ -400,12 +400,12 @@ def test_a_name_that_no_file_can_have_is_refused(tmp_path: Path) -> None:
         load_project(path)
 
 
-@pytest.mark.parametrize("count", [7, 12])  # of oblique cuts: some 40 pieces, and some 170
+@pytest.mark.parametrize("count", [7, 12])  # oblique cuts: about 40 pieces, and about 170
 def test_pieces_of_many_cuts_do_not_overlap(count: int) -> None:
     random, document = np.random.default_rng(count), Document()
     for normal in random.normal(size=(count, 3)):
         document = document.with_cut((Part(Plane.of(normal, random.uniform(-0.5, 0.5))),))
-    points = random.uniform(-1, 1, (30_000, 3))  # others than those that the pieces were divided by
+    points = random.uniform(-1, 1, (30_000, 3))  # not the points by which the pieces were divided
     points = points[np.linalg.norm(points, axis=1) < 1]
     beyond = {cut.id: cut.parts[0].plane.distance(points) > 0 for cut in document.cuts}
     forks: dict[tuple[object, ...], dict[int, list[np.ndarray]]] = {}
@@ -415,6 +415,6 @@ def test_pieces_of_many_cuts_do_not_overlap(count: int) -> None:
             fork = forks.setdefault((piece.key[:depth], cut), {-1: [], 1: []})
             fork[side].append(piece.motion.apply(points[inside]) @ document.cut(cut).parts[0].plane.normal)
     assert len(forks) > 5 * count - 10
-    for fork in forks.values():  # whatever a cut has parted stays on its two sides
+    for fork in forks.values():  # what a cut has parted stays on its two sides
         kept, removed = (np.concatenate(fork[side]) for side in (-1, 1))
         assert kept.max(initial=-np.inf) < removed.min(initial=np.inf)

@@ -1,4 +1,4 @@
-"""Pieces, pictures and films that leave the window."""
+"""Export of pieces, pictures and films from the window."""
 
 from __future__ import annotations
 
@@ -136,11 +136,11 @@ def test_mp4_is_written_by_ffmpeg_and_refused_in_words_without(tmp_path: Path, m
     with pytest.raises(InputError, match="cancelled"):
         save_animation(tmp_path / "c.mp4", stopped())
     left = [path.name for path in tmp_path.iterdir() if path.is_file() and path.name != "real.mp4"]
-    assert left == ["a.mp4"]  # nothing of the failed ones
+    assert left == ["a.mp4"]  # nothing is left of the failed ones
 
 
 def test_a_cut_face_fills_its_picture_with_a_scale_below() -> None:
-    """An ellipsoid off its centre: the face is an ellipse of known axes, and the scale is as long as it says."""
+    """An ellipsoid away from the centre: the face is an ellipse of known axes, and the scale is as long as it says."""
     axes = np.array([1.0, 0.6, 0.8])
     points = np.random.default_rng(0).normal(size=(4000, 3))
     solid = Solid.of((points / np.linalg.norm(points, axis=1, keepdims=True)) * axes + 5.0)
@@ -157,9 +157,9 @@ def test_a_cut_face_fills_its_picture_with_a_scale_below() -> None:
     alpha = face[..., 3] == 255
     for axis in (0, 1):
         ends = np.flatnonzero(alpha.any(axis))
-        assert abs(ends[0] - 10) <= 4 and abs(face.shape[1 - axis] - 1 - ends[-1] - 10) <= 4  # a margin all around
+        assert abs(ends[0] - 10) <= 4 and abs(face.shape[1 - axis] - 1 - ends[-1] - 10) <= 4  # the margin on every side
     bar = (picture[len(face) :, : face.shape[1] // 2, 3] > 0)[:, 10:]
-    pixels = int(np.logical_and.accumulate(bar, 1).sum(1).max())  # of the line that begins at the margin
+    pixels = int(np.logical_and.accumulate(bar, 1).sum(1).max())  # length of the line that begins at the margin
     unit = 480 / (2 * np.sqrt(0.75))
     assert any(abs(pixels - length * unit) <= 4 for length in (0.1, 0.2, 0.5))
     with pytest.raises(InputError, match="does not meet"):

@@ -1,4 +1,4 @@
-"""Faces in pictures as the window finds, corrects and places them, without a window."""
+"""Faces in pictures as the window finds, corrects and places them, without opening a window."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def overlap(a: NDArray[np.bool_], b: NDArray[np.bool_]) -> float:
 
 
 def ball_of_atoms(count: int = 24) -> Atoms:
-    """A ball of radius 1, filled with atoms on a lattice; the skin does not matter here."""
+    """A ball of radius 1 of atoms on a lattice; the skin does not matter here."""
     pitch = 2 / count
     steps = np.arange(-1 + pitch / 2, 1, pitch)
     lattice = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), -1).reshape(-1, 3)
@@ -80,7 +80,7 @@ def wait(session: Session, done: Callable[[], object]) -> None:
 
 
 def placed_again(session: Session, before: Placed | None) -> Placed:
-    """The placement after `before`, once it is there."""
+    """Waits for the placement after `before`."""
     face = session.faces.open_face
     assert face is not None
     session.faces.tick()
@@ -91,7 +91,7 @@ def placed_again(session: Session, before: Placed | None) -> Placed:
 
 @pytest.fixture
 def melon(tmp_path: Path) -> Path:
-    """A round face with a ring of seeds on white."""
+    """A round face with a ring of seeds, on white."""
     return save(tmp_path / "melon.png", disc(160, seeds=7)[0])
 
 
@@ -134,7 +134,7 @@ def test_the_brush_adds_and_takes_away_and_never_takes_all() -> None:
     painted = (np.hypot(x - np.clip(x, 0.5, 0.95), y - 0.9) <= 0.1) | polygon_mask(CIRCLE, 100, 100)
     assert add.outline is not None and overlap(polygon_mask(add.outline, 100, 100), painted) > 0.98
     part = BrushStroke(CIRCLE, (100, 100), 0.1, add=False)
-    for place in ((0.7, 0.0), (0.7, 1.0)):  # what it cuts off is no part of the face any more
+    for place in ((0.7, 0.0), (0.7, 1.0)):  # what the brush cuts off no longer belongs to the face
         part.move(place)
     assert part.outline is not None and max(place[0] for place in part.outline) < 0.62
     whole = BrushStroke(CIRCLE, (100, 100), 2.0, add=False)
@@ -175,7 +175,7 @@ def test_a_face_is_found_once_for_its_content(tmp_path: Path, melon: Path, monke
     wait(session, lambda: session.faces.finder.get(copy))
     found = session.faces.finder.get(copy)
     assert found is not None and found.marks.core == (0.4, 0.6) and len(seen) == 2
-    # As for training, the file is believed for any outline.
+    # As in training, the .axis.json file holds for any outline.
     session.change("copy", session.document.moved_exemplar(melon, "horizontal", "radial"))
     session.add_pictures("horizontal", (copy,))
     session.change("outline", session.document.with_marks("horizontal", copy, Marks(CIRCLE)))
@@ -194,7 +194,7 @@ def test_corrections_are_undone_saved_and_reach_the_request(tmp_path: Path, melo
     session.faces.tick()
     outline = face.marks.outline
     assert outline is not None
-    for step in (0.02, 0.04):  # one drag
+    for step in (0.02, 0.04):  # a single drag
         face.drag_point(outline, 3, (outline[3][0] + step, outline[3][1]), soft=True)
     face.settle()
     face.drag_core((0.55, 0.45))
@@ -216,7 +216,7 @@ def test_corrections_are_undone_saved_and_reach_the_request(tmp_path: Path, melo
     request = request_for(kept, (0.0, 0.0, 1.0))
     assert request.families[0].marks_of(melon) == given and request.same
     assert json.loads(request.to_json())["families"][0]["marks"][0]["core"] == [0.55, 0.45]
-    # To another family and back: what was said goes along.
+    # To another family and back: the corrections go along.
     moved = kept.moved_exemplar(melon, "horizontal", "radial")
     radial, horizontal = moved.family("radial"), moved.family("horizontal")
     assert radial is not None and radial.marks_of(melon) == given and horizontal is not None and not horizontal.marks
@@ -236,7 +236,7 @@ def test_corrections_are_undone_saved_and_reach_the_request(tmp_path: Path, melo
 def test_new_pictures_are_looked_at_and_the_doubtful_one_is_named(tmp_path: Path, melon: Path) -> None:
     session = session_with(tmp_path, "horizontal", melon)
     session.faces.tick()
-    assert not session.faces.busy and session.faces.hint is None  # it came with the project
+    assert not session.faces.busy and session.faces.hint is None  # the picture came with the project
     gradient = save(tmp_path / "gradient.png", np.linspace(0, 1, 90)[None, :, None] * np.ones((80, 1, 3)))
     other = save(tmp_path / "other.png", disc(160, seeds=5)[0])
     session.add_pictures("horizontal", (other, gradient))
@@ -257,12 +257,12 @@ def test_a_picture_follows_its_outline_and_axis_on_the_object(tmp_path: Path, me
     first = placed_again(session, None)
     assert first.plane is not None and first.rgba is not None
     assert np.allclose(first.plane.plane.normal, (0, 0, 1)) and np.abs(first.plane.centre).max() < 0.05
-    # A ball shows the disc unbent: flesh in the middle, rind at nine tenths of the radius, nothing outside.
+    # In the ball the disc appears undistorted: flesh in the middle, rind at nine tenths, nothing outside.
     rgba, half = first.rgba.astype(int), first.rgba.shape[0] / 2
     reach = half / 1.04
     shown = [rgba[int(half), int(half + part * reach)] for part in (0.3, 0.94)]
     assert shown[0][0] > 150 and abs(shown[1][:3] - 255 * RIND).max() < 60 and not rgba[5, 5, 3]
-    # The face moves away from the core, as `Disc` has it; the rind stays where it is.
+    # The face is moved off the core, as in `Disc`; the rind stays where it is.
     seeds = rgba[..., :3].sum(-1) < 150
     face.drag_core((0.5, 0.6))
     began = time.process_time()
@@ -279,7 +279,7 @@ def test_a_picture_follows_its_outline_and_axis_on_the_object(tmp_path: Path, me
     session.change("outline", document)
     third = placed_again(session, second)
     assert third.rgba is not None and third.rgba[int(half), int(half + 0.94 * reach), 0] > 150
-    # A radial cut is upright, and follows a core line that is turned.
+    # A radial cut is upright and follows a turned core line.
     face.set_kind("radial")
     face.find_again()
     wait(
@@ -307,7 +307,7 @@ def test_of_many_wishes_the_preview_makes_the_last(melon: Path) -> None:
         time.sleep(0.005)
     placed = preview.update(last)
     assert placed is not None and placed.marks.core == places[-1]
-    assert preview.update(replace(last, rgb=found.rgb.copy())) is None  # another picture
+    assert preview.update(replace(last, rgb=found.rgb.copy())) is None  # a different picture
     preview.close()
 
 

@@ -183,10 +183,10 @@ def test_unsaved_work_survives_a_crash(tmp_path: Path) -> None:
     autosave = Autosave(tmp_path)
     assert not autosave.update(project, changed=False, target=None, now=0)
     assert autosave.update(project, changed=True, target=tmp_path / "p.fruitninja", now=0)
-    assert not autosave.update(replace(project, viewing=Viewing()), changed=True, target=None, now=1)  # not yet due
+    assert not autosave.update(replace(project, viewing=Viewing()), changed=True, target=None, now=1)  # not due yet
     assert find_unsaved_work(tmp_path) == []  # this session is alive
     note = autosave.file.with_suffix(".json")
-    note.write_text(json.dumps(json.loads(note.read_text()) | {"started": 1.0}))  # the number belongs to another now
+    note.write_text(json.dumps(json.loads(note.read_text()) | {"started": 1.0}))  # another process has that id now
     found = find_unsaved_work(tmp_path)
     assert len(found) == 1 and found[0].load() == project and found[0].project == tmp_path / "p.fruitninja"
     found[0].discard()
@@ -204,7 +204,7 @@ def test_what_the_user_does_not_save_is_not_kept(tmp_path: Path, monkeypatch: py
     session.files.close()
     assert session.question is not None
     session.answer(next(choice for choice in session.question.choices if choice.label == "Don't save"))
-    session.autosave.next = 0.0  # as if the window took long to close
+    session.autosave.next = 0.0  # as if closing the window took long
     session.tick()
     assert session.closing and not session.autosave.file.exists()
 
@@ -238,7 +238,7 @@ def test_pictures_of_recent_files_tell_no_names_and_go_with_them(
     assert not picture_of(one).exists() and picture_of(other).exists()
     (tmp_path / "home").rename(tmp_path / "away")
     (tmp_path / "home").write_text("a file where the folder should be")
-    keep_picture(one, np.zeros((9, 9, 3), np.uint8))  # is not worth a message
+    keep_picture(one, np.zeros((9, 9, 3), np.uint8))  # fails without a message
     remove_pictures([])
 
 
@@ -287,7 +287,7 @@ def test_what_cannot_be_read_leaves_what_is_open(tmp_path: Path, monkeypatch: py
 
     def opened(name: str) -> None:
         session.files.open(tmp_path / name)
-        if session.question is not None:  # about the cut
+        if session.question is not None:  # whether to keep the cut
             session.answer(session.question.choices[1])
         end = time.monotonic() + 60
         while session.loader is not None or session.files._before is not None:
@@ -303,7 +303,7 @@ def test_what_cannot_be_read_leaves_what_is_open(tmp_path: Path, monkeypatch: py
         assert session.history is history and session.history.changed and session.path == path
         assert session.object is shown and len(session.pieces) == 2 and session.document.scene == document.scene
         session.tick()
-        assert session.loader is None  # nothing is made again
+        assert session.loader is None  # nothing is loaded again
         session.error = ""
     save_project(tmp_path / "gone.fruitninja", Project((Document(scene=tmp_path / "gone.ply"),), Viewing()))
     opened("gone.fruitninja")

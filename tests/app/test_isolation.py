@@ -1,4 +1,4 @@
-"""Isolating the object without a window: what drags mean, what is shown, and what project and results remember."""
+"""Isolating the object without a window: what drags mean, what is shown, and what projects and results remember."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def test_a_drag_selects_what_is_seen_under_it(orthographic: bool) -> None:
     assert isinstance(sphere, Sphere)
     assert np.linalg.norm(np.array(sphere.centre) - 5) < 0.1 and abs(sphere.radius - 1) < 0.06
     assert shape_of("sphere", camera, [middle, (201.0, 151.0)], capture, 6.0) is None
-    aside = drawn("sphere", (10.0, 10.0), (40.0, 10.0))  # nothing is seen there
+    aside = drawn("sphere", (10.0, 10.0), (40.0, 10.0))  # there is nothing there
     assert isinstance(aside, Sphere)
     assert abs((np.array(aside.centre) - camera.position) @ camera.forward - 6) < 1e-6
 
@@ -170,7 +170,7 @@ def test_nothing_is_removed_without_a_selection_and_not_everything() -> None:
 def test_a_scene_that_is_opened_is_shown_without_its_surroundings(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Undo brings them back for good, and nothing is to be saved."""
+    """Undo brings them back for good, and leaves nothing to save."""
     rng = np.random.default_rng(0)
     ball = rng.normal(size=(4000, 3))
     ball /= np.linalg.norm(ball, axis=1, keepdims=True)
@@ -201,7 +201,7 @@ def test_a_scene_that_is_opened_is_shown_without_its_surroundings(
     assert np.linalg.norm(seen.extent, axis=1).max() < 2
     session.undo()
     assert session.document.isolation == () and session.scene.outdated is session.document
-    seen = read(without=False)  # or, if those have been told apart by then, the walls alone
+    seen = read(without=False)  # or the walls alone, if they have been separated by then
     assert NO_SURROUNDINGS not in session.document.isolation
     assert np.linalg.norm(seen.extent, axis=1).max() > 10
     session.scene.cancel()
@@ -211,13 +211,13 @@ def test_a_scene_that_is_opened_is_shown_without_its_surroundings(
 def test_the_window_and_the_trainer_make_the_same_skin_of_what_is_left(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv("FRUITNINJA_HOME", str(tmp_path))  # the helper sets another one
-    assert scene_worker.DETAILS is training.request.DETAILS is DETAILS  # what both are as fine as
-    monkeypatch.setitem(DETAILS, "draft", QUICK)  # for both the same, coarser than theirs
+    monkeypatch.setenv("FRUITNINJA_HOME", str(tmp_path))  # the helper sets a different one
+    assert scene_worker.DETAILS is training.request.DETAILS is DETAILS  # one table of detail for both
+    monkeypatch.setitem(DETAILS, "draft", QUICK)  # the same for both, coarser than the default
     monkeypatch.setattr("engine.solid.solidify.BODY_CELLS", BODY_CELLS)
     monkeypatch.setattr(scene_loader, "start_python", scene_loader.start_python)
     use_quick_worker()
-    monkeypatch.setenv("PYTHONPATH", str(ROOT), prepend=os.pathsep)  # where its module is
+    monkeypatch.setenv("PYTHONPATH", str(ROOT), prepend=os.pathsep)  # the folder of the worker's module
     document = melon_on_a_mat(tmp_path)
     assert document.scene is not None
     isolation: Isolation = ((Step("add", Detected("floor")),),)
@@ -226,7 +226,7 @@ def test_the_window_and_the_trainer_make_the_same_skin_of_what_is_left(
     geometry, facts = prepare(request, Reporter(), lambda: None)
     assert abs(facts["gaussians"] - (len(load(document.scene).gaussians) - MAT)) < 0.05 * MAT
     loader = SceneLoader(SceneRequest(document.scene, "draft", isolation=isolation))
-    while not loader.ended and loader.scene.atoms is None:  # the first solid is the skin before it is fitted
+    while not loader.ended and loader.scene.atoms is None:  # the first solid has the skin before fitting
         loader.poll()
         time.sleep(0.02)
     loader.cancel()

@@ -1,4 +1,4 @@
-"""Trainings beside the window: started, found again, paused, stopped, and what they say."""
+"""Training jobs beside the window: started, found again, paused, stopped, and their messages."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def test_a_job_runs_to_its_end(tmp_path: Path) -> None:
 def test_a_job_is_found_again_paused_and_stopped_and_goes_on(tmp_path: Path) -> None:
     job = start(tmp_path, "--steps", "400")
     follow(job, lambda job: job.progress.iteration >= 3)
-    found = Job.find(tmp_path)  # as the next session does
+    found = Job.find(tmp_path)  # as in the next session
     assert found is not None and found.phase == "running"
     with pytest.raises(InputError, match="already works"):
         start(tmp_path)
@@ -94,7 +94,7 @@ def test_a_job_is_found_again_paused_and_stopped_and_goes_on(tmp_path: Path) -> 
     found.pause()
     follow(found, lambda job: job.phase == "paused")
     found.stop()
-    assert found.phase == "stopping"  # at once, not running again until it has ended
+    assert found.phase == "stopping"  # at once; not "running" again until it has ended
     follow(job, lambda job: job.ended)
     follow(found, lambda job: job.ended)
     assert found.phase == "stopped" and "stopped" in found.log_tail()[-1]
@@ -148,7 +148,7 @@ def test_a_real_training_speaks_as_the_window_listens(tmp_path: Path) -> None:
     assert len(job.progress.section) == 2 and job.progress.fraction == 1 and job.progress.previews
     assert job.progress.result is not None
     solid, _ = load_trained(job.progress.result)
-    window = solid.interior  # what the app would be showing: the same atoms, so that colours fit
+    window = solid.interior  # what the app would show: the same atoms, so that the colours fit
     again = LiveColours(out).newer(Atoms(solid.surface, replace(window, rgb=np.zeros_like(window.rgb)), solid.pitch))
     assert again is not None and again.interior.rgb.max() > 0.5
 
@@ -170,9 +170,9 @@ def test_the_window_takes_on_what_a_training_has_reached(tmp_path: Path) -> None
     seen = colours.newer(solid)
     assert seen is not None and seen.interior.means is solid.interior.means and (seen.interior.rgb == [1, 0, 0]).all()
     assert colours.newer(solid) is None
-    colours.reset()  # the window has made its atoms anew
+    colours.reset()  # the window has rebuilt its atoms
     assert colours.newer(solid) is not None
-    # An inside of the trainer's own making, then colours for it.
+    # An inside that the trainer made itself, then colours for it.
     means, sigmas = np.array([[0, 0, 0], [1, 2, 3]], np.float32), np.array([0.1, 0.2], np.float32)
     reached("labels", {"exposed": 1}, means=means, sigmas=sigmas, rgb=red[:2])
     seen = colours.newer(solid)
@@ -212,7 +212,7 @@ def test_the_request_is_the_documents(tmp_path: Path) -> None:
     assert (request.model, request.thing) == (tmp_path / "model", "rye bread")
     assert request.isolation == document.isolation != ()
     assert (request.detail, request.prior, request.seed, request.iterations) == ("high", "stable-diffusion", 7, 50)
-    # What another prior or kind of family would use is left out, so that it does not stand in the way of a resume.
+    # Settings of another prior or kind of family are left out, so that they do not prevent a resume.
     reordered = replace(
         document, families=document.families[::-1], training=replace(document.training, prior="exemplar")
     )
@@ -270,7 +270,7 @@ def test_a_job_that_was_left_running_is_found_at_the_next_start(
         )
         second.files.open_document(job.document, Viewing())
         assert second.training.job is not None and second.training.busy and "went on" in second.message
-        assert recovered_jobs(second) == []  # it is the one that is shown
+        assert recovered_jobs(second) == []  # it is the one being shown
     finally:
         assert first.training.job.child is not None
         first.training.job.child.kill()
@@ -351,4 +351,4 @@ def test_events_name_no_file_elsewhere_and_say_plain_words(tmp_path: Path) -> No
     assert progress.warnings == ["a?[2Jb"]
     os.mkfifo(tmp_path / "events.jsonl")
     job = Job(Document(tmp_path / "x.ply", training=Training(out=tmp_path)), pid=1 << 30, started=0.0)
-    job.poll()  # does not wait
+    job.poll()  # does not block

@@ -1,4 +1,4 @@
-"""A large capture is shown in part before it is shown whole."""
+"""A part of a large capture is shown before the whole is."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from tests.engine.scene.test_gather import painted
 def test_a_part_is_enlarged_until_it_covers_what_all_cover(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     whole = painted(20_000)
     write_ply(tmp_path / "ball.ply", whole)
-    assert coarse_picture(tmp_path / "ball.ply") is None  # so small a file is read at once
+    assert coarse_picture(tmp_path / "ball.ply") is None  # so small a file is read in one go
     monkeypatch.setattr(module, "LEAST_FILE", 0)
     monkeypatch.setattr(module, "MOST", 5000)
     part = coarse_picture(tmp_path / "ball.ply")
@@ -53,4 +53,4 @@ def test_the_window_shows_a_part_first(tmp_path: Path, monkeypatch: pytest.Monke
     assert shown and module.MOST / 2 < shown[0][0] <= module.MOST
     assert session.shown_capture is not None and len(session.shown_capture) == 300_000
     assert session.object.coarse is None
-    assert shown[0][1] == pytest.approx(session.solid.radius, rel=0.02)  # so that the view need not change
+    assert shown[0][1] == pytest.approx(session.solid.radius, rel=0.02)  # so that the view does not have to change

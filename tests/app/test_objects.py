@@ -29,7 +29,7 @@ EYE = OrbitCamera((0.5, 0.0, 0.0), -90.0, 0.0, 8.0)
 STUB = (sys.executable, str(HELPERS / "app_stub_trainer.py"))
 
 ACROSS = Stroke((0.0, 60.0), (160.0, 60.0))
-"""From edge to edge: through both balls."""
+"""From edge to edge of the viewport, through both balls."""
 
 
 def shell() -> Gaussians:
@@ -93,12 +93,12 @@ def test_strokes_through_what_is_not_solid_yet_are_done_when_it_is(
     assert [len(document.cuts) for document in session.documents] == [2, 2]
     assert [entry.name for entry in session.history.entries][-2:] == ["Cut", "Cut"]
     session.tick()
-    assert len(session.history.entries) == 4  # once
+    assert len(session.history.entries) == 4  # the strokes are done only once
 
 
 def test_separate_bodies_become_objects_once_and_undo_makes_them_one(session: Session) -> None:
     assert [document.number for document in session.documents] == [1, 2] and "2 separate objects" in session.message
-    assert not session.history.changed  # nothing was lost if it were closed now
+    assert not session.history.changed  # closing now would lose nothing
     kept = [~removed(CAPTURE, document.isolation) for document in session.documents]
     assert np.array_equal(kept[0], ~kept[1]) and kept[0].sum() == len(CAPTURE) // 2
     assert len(session.shown_capture or ()) == len(CAPTURE)
@@ -133,12 +133,12 @@ def test_a_stroke_cuts_the_selected_object_or_all(session: Session) -> None:
     assert [len(document.cuts) for document in session.documents] == [0, 1] and session.message == "Cut into two."
     session.activate(0)
     assert [session.is_cut(member) for member in session.members] == [True, False, False]
-    session.undo()  # what was undone is shown
+    session.undo()  # the document of the undone step is shown
     assert session.active == 1 and len(session.members) == 2
     session.change_object("Hide object", 0, replace(session.documents[0], visible=False))
     session.activate(1, False)
     session.slice(camera, ACROSS)
-    assert [len(document.cuts) for document in session.documents] == [0, 1]  # what is hidden is not cut
+    assert [len(document.cuts) for document in session.documents] == [0, 1]  # hidden objects are not cut
     session.activate(0)
     session.slice(camera, ACROSS)
     assert not session.documents[0].cuts and "hidden" in session.message
@@ -162,7 +162,7 @@ def test_a_load_that_another_one_ended_has_its_turn_again(session: Session, monk
     asked: list[int] = []
 
     class Loader:
-        """Notes what is asked for, and never ends by itself."""
+        """Records what is requested, and never ends by itself."""
 
         def __init__(self, request: SceneRequest) -> None:
             self.request, self.ended, self.error, self.announced = request, False, "", False
@@ -177,9 +177,9 @@ def test_a_load_that_another_one_ended_has_its_turn_again(session: Session, monk
     monkeypatch.setattr("app.session.scene_controller.SceneLoader", Loader)
     make_solid(session)
     assert session.scene.outdated is None
-    for document in session.documents:  # as when two trainings end at once
+    for document in session.documents:  # as when two trainings end at the same time
         session.scene.load(None, document)
-    assert asked == [1, 2] and session.scene.outdated is None  # the second goes on
+    assert asked == [1, 2] and session.scene.outdated is None  # the second load continues
     assert session.loader is not None
     session.loader.cancel()
     session.tick()

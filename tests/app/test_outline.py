@@ -1,4 +1,4 @@
-"""Lines where planes meet the object, against circles whose radius is known."""
+"""Lines where planes meet the object, against circles of known radius."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ PITCH = 2 / 64
 
 
 def filled(inside) -> Atoms:
-    """Atoms on a jittered lattice where a function of points (N, 3) is true."""
+    """Atoms on a jittered lattice where a predicate of points (N, 3) holds."""
     rng = np.random.default_rng(3)
     axis = np.arange(-1.6, 1.6, PITCH)
     points = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), 3).reshape(-1, 3)
@@ -83,7 +83,7 @@ def test_wires_are_a_closed_net_on_the_skin(ball: Body) -> None:
     lines = wires(ball)
     assert np.abs(np.linalg.norm(lines - (0.3, 0.1, -0.2), axis=2) - 1).max() < 0.6 * ball.grid.cell
     corners = np.unique(np.round(lines.reshape(-1, 3), 7), axis=0)
-    assert len(lines) == 2 * len(corners) - 4  # Euler's formula for quadrangles around a ball
+    assert len(lines) == 2 * len(corners) - 4  # Euler's formula for quads around a ball
     assert 1000 < len(lines) < 10_000
     outset = np.linalg.norm(wires(ball, 0.6) - (0.3, 0.1, -0.2), axis=2)
     assert outset.mean() == pytest.approx(1 + 0.6 * ball.grid.cell, abs=0.3 * ball.grid.cell)
@@ -95,7 +95,7 @@ def test_lines_end_where_their_cells_do() -> None:
     half, other = Plane.of((0, 0, 1), 0), Plane.of((1, 0, 0), -0.2)
     kept = clipped_lines(ends, [(half, other)])
     assert 50 < len(kept) < 200 and max(half.distance(kept).max(), other.distance(kept).max()) < 1e-12
-    # Nothing is lost: both sides of a plane together are as long as the lines.
+    # Nothing is lost: the parts on both sides of a plane together are as long as the lines.
     both = clipped_lines(ends, [(half,), (half.flipped(),)])
     assert length(both) == pytest.approx(length(ends))
     assert np.array_equal(clipped_lines(ends, [()]), ends)

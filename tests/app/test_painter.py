@@ -1,4 +1,4 @@
-"""What the viewport is given to show: coarse while it moves, full at rest, and what lies under a pixel in both."""
+"""What the viewport shows: coarse while it moves, full at rest, and what lies under a pixel in both cases."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def session(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Session:
 def test_a_pixel_shows_the_point_that_is_picked_there(
     painter: Painter, session: Session, density: float, moving: bool
 ) -> None:
-    """At any number of pixels to a unit of the window, and however coarse the frame is drawn."""
+    """At any pixel density, and however coarse the frame is drawn."""
     camera = EYE.camera(round(160 * density), round(120 * density), session.up)
     shown = [drawn for piece in pieces(session.document, session.solid) for drawn in piece.drawn()]
     painter._step = 3  # as after slow frames
@@ -87,8 +87,8 @@ def test_a_pixel_shows_the_point_that_is_picked_there(
     assert painter.unfinished == moving
     towards = camera.position / np.linalg.norm(camera.position)
     across = camera.viewmat[0, :3]
-    # An atom is met where its kernel is half as high. With half as many at each level, they are as much larger as
-    # covers the skin; and a pixel may be missed by half of its diagonal.
+    # Picking meets an atom where its kernel is at half height. Each level halves the number of atoms and enlarges them
+    # to cover the skin again; and a pixel may be off by half of its diagonal.
     height = math.sqrt(2 * math.log(2)) * 0.05 * 2 ** (level / 2)
     aside = math.sqrt(0.5) * EYE.distance / (camera.fx * part)
     for point in (towards, 0.8 * towards + 0.6 * across, 0.8 * towards - 0.6 * across):
@@ -147,7 +147,7 @@ def test_a_capture_is_uploaded_and_drawn_in_slices(
     show_capture(session, capture)
     session.viewing = Viewing(EYE, "capture")
     camera = EYE.camera(128, 96, session.up)
-    monkeypatch.setattr("app.ui.view.painter.SLICE", 1e-9)  # as little as can be done in a frame
+    monkeypatch.setattr("app.ui.view.painter.SLICE", 1e-9)  # as little as possible per frame
     monkeypatch.setattr(painter, "_in_software", True)
     painter._capture = None
     frames, sizes_seen = 0, []
@@ -181,7 +181,7 @@ def test_what_is_marked_is_tinted_in_the_window_and_not_in_a_saved_picture(paint
 
 
 def test_a_saved_picture_is_not_taken_for_what_is_shown(painter: Painter, session: Session) -> None:
-    """Nor is the frame that it has replaced read, which is gone where the sizes differ."""
+    """Nor is the frame read that the picture has replaced: it is gone if the sizes differ."""
     camera = EYE.camera(64, 48, session.up)
     whole = [drawn for piece in pieces(session.document, session.solid) for drawn in piece.drawn()]
     painter.frame(session, camera, whole, (0.0, 0.0, 0.0))
@@ -205,7 +205,7 @@ def test_a_camera_of_fewer_pixels_sees_the_same() -> None:
 
 
 def test_a_face_at_rest_is_read_from_the_inside(painter: Painter, session: Session) -> None:
-    """Some of it between two frames; in motion and without an inside the atoms are all there is."""
+    """Only partly between two frames; in motion, and without an inside, the face is drawn from atoms."""
     camera = EYE.camera(300, 200, session.up)
     half = [Piece((Plane.through((0, 0, 0), camera.position),))]
 
@@ -235,13 +235,13 @@ def test_a_face_at_rest_is_read_from_the_inside(painter: Painter, session: Sessi
     assert np.abs(sharp[..., :3] - saved)[changed].max() < 0.01
     assert sharp[100, 150, 0] == pytest.approx(waves(np.zeros((1, 3)))[0, 0], abs=0.3)
     frame(moving=True)
-    assert np.array_equal(frame(), plain)  # and then detail again
+    assert np.array_equal(frame(), plain)  # and the detail comes back later
     with_lines = painter.frame(session, camera, half, (0.0, 0.0, 0.0), [])
     assert with_lines is not None
     session.object = replace(session.object, inside=Broken())
     with pytest.raises(MemoryError):
         settle()
-    assert np.array_equal(frame(), plain) and not painter.unfinished  # said once
+    assert np.array_equal(frame(), plain) and not painter.unfinished  # reported once
     session.object = replace(session.object, inside=None)
     assert np.array_equal(frame(), plain) and not painter.unfinished
 
@@ -252,7 +252,7 @@ class Broken(Waves):
 
 
 class Steps:
-    """A reading in three steps of numbers that tell it from others; the first step waits to be let go."""
+    """A reading of faces in three steps that gives `number` everywhere; the first step waits for `go`."""
 
     def __init__(self, number: float, go: threading.Event, error: Exception | None = None) -> None:
         self.rgb, self.go, self.error, self.steps = np.full((1, 1, 3), number, np.float32), go, error, 0
@@ -282,5 +282,5 @@ def test_a_reading_of_faces_that_is_not_wanted_any_more_is_given_up() -> None:
     reader.start(lambda: cast(FaceDetail, third))
     with pytest.raises(OSError, match="no such picture"):
         reader.take(10)
-    assert not reader.busy and len(told) >= 2  # of the last it is told a moment later
+    assert not reader.busy and len(told) >= 2  # the last is told a moment later
     reader.close()

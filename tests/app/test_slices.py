@@ -1,4 +1,4 @@
-"""The three faces beside the object, and what is measured on them and on pieces."""
+"""The three slices beside the object, and measurements on them and on pieces."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ SIZE = (120, 90)
 
 
 class Places:
-    """An inside whose colour is the place."""
+    """An inside whose colour at each point is its position."""
 
     detail = 0.01
 
@@ -48,7 +48,7 @@ def test_three_planes_go_through_the_cross_and_views_find_their_points(slices: S
         assert abs(plane.distance(np.array(slices.cross))) < 1e-9
         point = slices.point(index, SIZE, (31.0, 57.0))
         assert abs(plane.distance(point)) < 1e-9 and np.allclose(slices.place(index, SIZE, point), (31.0, 57.0))
-        # A click moves the other two planes, the wheel this one; what is under the pointer stays as the view zooms.
+        # A click moves the other two planes, the wheel moves this one; zooming keeps what is under the pointer.
         clicked = slices.moved_to(slices.point(index, SIZE, slices.place(index, SIZE, (0.3, 0.2, 0.1))))
         assert np.isclose(clicked.planes[index].offset, plane.offset)
         assert np.isclose(slices.stepped(index, 3).planes[index].offset, plane.offset - 0.03)
@@ -59,7 +59,7 @@ def test_three_planes_go_through_the_cross_and_views_find_their_points(slices: S
 
 
 def test_the_views_are_turned_as_the_object_is_seen() -> None:
-    # Azimuth -90 looks from -y: x to the right and z up in front, y to the right from the right side.
+    # Azimuth -90 looks from -y: the front view has x right and z up, the side view y right.
     for index, right, up in ((0, (1, 0, 0), (0, 1, 0)), (1, (1, 0, 0), (0, 0, 1)), (2, (0, 1, 0), (0, 0, 1))):
         x, y = SOME.place(index, SIZE, SOME.cross)
         moved = np.array(SOME.cross) + 0.1 * np.array(right)
@@ -89,7 +89,7 @@ def test_faces_are_coarse_while_they_move_and_are_read_from_the_inside_at_rest()
     assert [face.coarse for face in read(reader, wanted, True)] == [True] * 3
     for index, face in enumerate(read(reader, wanted, False)):
         assert not face.coarse and face.rgba.shape == (90, 120, 4)
-        # The disc in which the plane meets the ball, as large as geometry says, to a pixel and a half.
+        # The disc in which the plane meets the ball has its geometric size, to a pixel and a half.
         height, scale = float(slices.planes[index].distance(np.zeros(3))), slices.camera(index, SIZE).fx
         radius = np.sqrt(face.rgba[..., 3].sum() / 255 / np.pi)
         assert abs(radius - np.sqrt(1 - height**2) * scale) < 1.5
@@ -111,7 +111,7 @@ def test_a_piece_has_the_volume_and_the_surface_of_a_cap() -> None:
     filled, plane = Filled.of(ball(0.06, radius=1.0)), Plane.of((1, 2, 3), -0.3 * np.sqrt(14))
     whole, low, cap = (extent_of(filled, Cell(faces)) for faces in ((), (plane,), (plane.flipped(),)))
     radius = (3 * whole.volume / (4 * np.pi)) ** (1 / 3)
-    assert abs(radius - 1) < 0.03 and whole.faces == 0  # with the half of its skin that stands out
+    assert abs(radius - 1) < 0.03 and whole.faces == 0  # with the half of the skin that stands out
     assert np.isclose(whole.skin, 4 * np.pi * radius**2, rtol=0.01)
     assert np.isclose(low.volume + cap.volume, whole.volume, rtol=1e-6) and np.isclose(low.faces, cap.faces, rtol=1e-4)
     height = radius - 0.3

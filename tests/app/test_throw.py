@@ -1,4 +1,4 @@
-"""Throw and slice: the flight against its closed form, cuts in the air, and that nothing is kept unasked."""
+"""Throw and slice: the flight against its closed form, cuts in the air, and that nothing is kept unless asked for."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def test_the_game_changes_nothing_unless_it_is_kept(tmp_path: Path, monkeypatch:
     session.throw.begin(CAMERA)
     session.slice(CAMERA, ACROSS)
     clock += SECONDS + 1
-    session.throw.tick()  # it has fallen: whole again, and up
+    session.throw.tick()  # it has fallen: whole again, and thrown anew
     assert session.throw.active and session.throw.pieces == 1
     session.change("Gap", document.with_cut(()))
     session.throw.tick()

@@ -93,7 +93,7 @@ def test_stand_on_a_face_is_one_step_that_can_be_undone_and_saved(side, tmp_path
     assert np.asarray(session.up) @ after.forward == pytest.approx(np.array([0, 0, 1.0]) @ before.forward)
     save_project(tmp_path / "cube.fruitninja", Project(session.documents, session.viewing))
     assert load_project(tmp_path / "cube.fruitninja").documents[0] == session.document
-    if session.history.cursor:  # it may have stood on this face already
+    if session.history.cursor:  # unless it stood on this face already
         session.undo()
     assert session.document.up is None and session.up == (0, 0, 1)
     session.stand_on(np.array([9.0, 9, 9]), np.zeros(3))

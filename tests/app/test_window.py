@@ -1,4 +1,4 @@
-"""The real window under an X server, driven by ImGui's test engine; each script in a process of its own."""
+"""The real window under an X server, driven by ImGui's test engine; each script runs in its own process."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from tests.paths import HELPERS, ROOT
 
 
 def run(name: str, folder: Path, script: str = "app_steps.py") -> None:
-    """Runs a script in a window."""
+    """Runs a script in a window, in a process of its own."""
     command = [sys.executable, str(HELPERS / script), name, str(folder)]
     if not os.environ.get("DISPLAY") and sys.platform.startswith("linux"):
         server = shutil.which("xvfb-run")
@@ -38,7 +38,7 @@ def run(name: str, folder: Path, script: str = "app_steps.py") -> None:
     try:
         said, _ = process.communicate(timeout=600)
     except subprocess.TimeoutExpired:
-        os.killpg(process.pid, signal.SIGKILL)  # the window as well, which would take a core from all other tests
+        os.killpg(process.pid, signal.SIGKILL)  # and the window, which would keep a core busy
         said, _ = process.communicate()
         pytest.fail(f"after ten minutes: {said[-3000:]}")
     if "cannot create context" in said or "Failed to create GLFW window" in said:
@@ -110,7 +110,7 @@ def test_two_thousand_random_actions_leave_nothing_behind(tmp_path: Path) -> Non
 
 @pytest.mark.parametrize("p", [DARK, LIGHT])
 def test_text_stands_out_from_every_ground_that_it_is_on(p: Palette) -> None:
-    """By 4.5 or more, the contrast of WCAG 2 for text (relative luminance of sRGB)."""
+    """By a contrast of 4.5 or more, as WCAG 2 asks for text (relative luminance of sRGB)."""
 
     grounds = (p.ground, p.panel, p.field, p.hover, p.view)
     pairs = [(text, ground) for text in (p.text, p.second) for ground in grounds]
@@ -122,7 +122,7 @@ def test_text_stands_out_from_every_ground_that_it_is_on(p: Palette) -> None:
 
 @pytest.mark.parametrize("p", [DARK, LIGHT])
 def test_text_of_every_control_stands_out_in_every_state(p: Palette) -> None:
-    """Colours as ImGui gets them, over what is behind them; pictures behind a label are taken as black and as white."""
+    """Colours as ImGui gets them, over what is behind them; pictures behind a label count as black and as white."""
 
     def over(front: ImVec4, behind: tuple[float, float, float]) -> tuple[float, float, float]:
         r, g, b = (front.w * a + (1 - front.w) * c for a, c in zip((front.x, front.y, front.z), behind, strict=True))
@@ -146,7 +146,7 @@ def test_text_of_every_control_stands_out_in_every_state(p: Palette) -> None:
 
 
 def contrast(one: tuple[float, float, float], other: tuple[float, float, float]) -> float:
-    """Of two colours, range [0, 1], by WCAG 2."""
+    """WCAG 2 contrast of two colours with channels in [0, 1]."""
 
     def luminance(colour: tuple[float, float, float]) -> float:
         parts = np.array(colour)

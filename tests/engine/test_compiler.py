@@ -1,4 +1,4 @@
-"""A kernel works wherever its file cannot be written or read."""
+"""Kernels work where their cache file cannot be written or read."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def twice(x):
 
 
 def kernel(path: Path) -> ModuleType:
-    """The module, as a new start of the program has it."""
+    """The module as a new start of the program loads it."""
     path.write_text(KERNEL) if not path.exists() else None
     spec = importlib.util.spec_from_file_location("kernel", path)
     assert spec is not None and spec.loader is not None
@@ -45,7 +45,7 @@ def test_no_room_for_a_kernel(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
 
 
 def test_no_folder_for_a_kernel(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(caching.tempfile, "TemporaryFile", refuse)  # how numba tries a folder
+    monkeypatch.setattr(caching.tempfile, "TemporaryFile", refuse)  # how numba probes a folder
     assert kernel(tmp_path / "a.py").twice(3) == 6
     assert not list(tmp_path.rglob("*.nb?"))
 
@@ -64,7 +64,7 @@ def test_half_a_kernel(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("on", [True, False])
 def test_the_collector_rests_while_a_kernel_is_compiled(on: bool) -> None:
-    """And is as it was afterwards, even if the kernel cannot be compiled."""
+    """Afterwards it is as before, even if the kernel cannot be compiled."""
 
     class Look(event.Listener):
         def __init__(self) -> None:

@@ -1,4 +1,4 @@
-"""Loops over cores: everything is done once, whoever calls, whatever fails, however many threads there are."""
+"""Loops over cores: everything is done once, whoever calls, whatever fails, with any number of threads."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def test_a_helper_takes_part_and_sleeps_when_there_is_nothing_to_do() -> None:
     time.sleep(0.2)
     assert time.process_time() - before < 0.1
     who.clear()
-    for_each(note, 20)  # and wakes up again
+    for_each(note, 20)  # the helper wakes up again
     assert len(who) == 2
 
 
@@ -147,6 +147,6 @@ def test_a_forked_child_has_threads_of_its_own() -> None:
 
 
 def test_the_window_opens_without_torch() -> None:
-    """It takes as long to import as all the rest together."""
+    """Importing torch takes as long as importing all the rest."""
     code = "import sys, app.ui.window; sys.exit('torch' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -1,4 +1,4 @@
-"""The Python interface: against closed forms, the commands, and the pages that show it."""
+"""The Python interface: against closed forms, against the commands, and the pages that show it."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ PLANE = (0.35, -0.2, 1.0, 0.1)
 
 @pytest.fixture(scope="module")
 def front(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, fruitninja.Solid]]:
-    """Where the lines of the README have been run on the sample, with a draft made tiny, and what they made."""
+    """The folder where the README's lines have run on the sample, with draft made tiny, and the solid they made."""
     place = tmp_path_factory.mktemp("front")
     (place / "sample_scenes").symlink_to(ROOT / "sample_scenes")
     section = (ROOT / "README.md").read_text(encoding="utf-8").split("### From Python")[1]
@@ -130,7 +130,7 @@ def test_every_example_runs(folder: Path, tmp_path: Path, monkeypatch: pytest.Mo
     assert rind_to_rind.shape == (200, 4) and rind_to_rind[100, 1] > rind_to_rind[100, 2] + 0.3  # red in the middle
     assert len(list((tmp_path / "turn").glob("*.png"))) == 12
     unrolled = np.asarray(Image.open(tmp_path / "unrolled.png"), np.float32)
-    assert np.abs(unrolled[:, 0] - unrolled[:, -1]).mean() < 8 < unrolled.std()  # it closes
+    assert np.abs(unrolled[:, 0] - unrolled[:, -1]).mean() < 8 < unrolled.std()  # it closes on itself
     stack, texture = np.load(tmp_path / "stack.npy"), np.load(tmp_path / "texture.npy")
     assert stack.shape == (16, 128, 128, 4) and 0.1 < (stack[8, ..., 3] > 0).mean() < 0.9
     assert texture.ndim == 4 and texture.shape[3] == 3 and texture.std() > 0.05
@@ -141,7 +141,7 @@ def test_every_example_runs(folder: Path, tmp_path: Path, monkeypatch: pytest.Mo
 
 @pytest.mark.parametrize("name", ["photographs_to_slices", "solid_texture"])
 def test_every_notebook_runs(name: str, front: tuple[Path, fruitninja.Solid], monkeypatch: pytest.MonkeyPatch) -> None:
-    """Cell by cell; the solid of the README stands for the one that it would grow anew."""
+    """Runs cell by cell; the README's solid stands in for the one that the notebook would grow."""
     folder, solid = front
     place = folder / "notebooks"
     place.mkdir(exist_ok=True)

@@ -21,13 +21,13 @@ from app.ui.window import Window
 __all__ = ["Driver", "drive"]
 
 HOUR = 3600.0
-"""After which the test engine stops hearing a script: longer than any training on a busy machine."""
+"""Seconds until the test engine stops waiting for a script: longer than any training on a busy machine."""
 
 T = TypeVar("T")
 
 
 class Driver:
-    """What a script can do; it runs in step with the window's frames."""
+    """The actions of a script, which runs in step with the window's frames."""
 
     def __init__(self, window: Window, context: imgui.test_engine.TestContext) -> None:
         self.window, self.session, self.context = window, window.session, context
@@ -37,24 +37,24 @@ class Driver:
         self.context.yield_(count)
 
     def until(self, done: Callable[[], bool], seconds: float = 60.0, what: str = "") -> None:
-        """Lets frames pass until something is so."""
+        """Lets frames pass until a condition holds."""
         start = time.monotonic()
         while not done():
             waited = time.monotonic() - start
             assert waited < seconds, (
                 f"waited {seconds:g} s for {what or done}: {self.session.message} {self.session.error}"
             )
-            # Leaves the processor to what is waited for: a frame on software GL takes more of it than a short sleep.
+            # Leaves the CPU to what is awaited: a frame on software GL takes more of it than a short sleep.
             time.sleep(min(max(waited / 10, 0.02), 0.5))
             self.context.yield_()
 
     def still(self) -> None:
-        """Until nothing moves."""
+        """Lets frames pass until nothing moves."""
         self.until(lambda: not (self.window.viewport.moving or self.window.painter.unfinished), 30.0)
         self.frames(2)
 
     def point(self, x: float, y: float) -> ImVec2:
-        """A point of the viewport, in parts of its sides."""
+        """A point of the viewport, given as fractions of its sides."""
         view = self.window.viewport
         return ImVec2(view.origin.x + x * view.size[0], view.origin.y + y * view.size[1])
 
@@ -65,7 +65,7 @@ class Driver:
         button: int = 0,
         hold: Callable[[], object] | None = None,
     ) -> None:
-        """Across the viewport; `hold` is done before the button is let go."""
+        """Drags across the viewport; `hold` is called before the button is released."""
         self.context.mouse_move_to_pos(self.point(*start))
         self.context.mouse_down(button)
         for part in (0.5, 1.0):
@@ -77,7 +77,7 @@ class Driver:
         self.frames(2)
 
     def draw(self, path: Iterable[tuple[float, float]]) -> None:
-        """Along a line through the viewport, with the button held."""
+        """Drags along a line through the viewport."""
         start, *corners = path
         self.context.mouse_move_to_pos(self.point(*start))
         self.context.mouse_down(0)
@@ -87,11 +87,11 @@ class Driver:
         self.frames(2)
 
     def click(self, reference: str) -> None:
-        """An item, by ImGui's path."""
+        """Clicks an item, by its ImGui path."""
         self.context.item_click(self.item(reference))
 
     def item(self, reference: str) -> str:
-        """A path that ImGui finds: what scrolls of the inspector is a window in it."""
+        """A path that ImGui finds: the scrolling part of the inspector is a window inside it."""
         name = "//Inspector/"
         if not reference.startswith(name):
             return reference
@@ -99,12 +99,12 @@ class Driver:
         return reference.removeprefix(name)
 
     def press(self, chord: int) -> None:
-        """Keys."""
+        """Presses keys."""
         self.context.key_press(chord)
         self.frames(2)
 
     def picture(self, path: Path | None = None) -> NDArray[np.uint8]:
-        """(H, W, 3). The whole window as it is now, saved where a path is given."""
+        """(H, W, 3). The whole window as it is now; also saved if a path is given."""
         self.frames(2)
         picture = self.between_frames(self._read)
         if path is not None:
@@ -119,34 +119,34 @@ class Driver:
         return picture[y : y + view.size[1], x : x + view.size[0]]
 
     def between_frames(self, act: Callable[[], T]) -> T:
-        """Does something where the GL context is current: at the end of a frame, in the window's own thread."""
+        """Calls a function where the GL context is current: at the end of a frame, in the window's own thread."""
         ended: Future[T] = Future()
 
         def once() -> None:
             if not ended.done():
                 try:
                     ended.set_result(act())
-                except BaseException as error:  # the window would end, and the script wait for it
+                except BaseException as error:  # it would end the window while the script waits for it
                     ended.set_exception(error)
 
         callbacks = self.window.params.callbacks
         callbacks.before_swap = once
         start = time.monotonic()
         while not ended.done():
-            # A window that has ended by an error draws no frame, and waits for the script.
+            # A window that ended with an error draws no frame, and waits for the script.
             assert time.monotonic() - start < 60, "no frame is drawn any more"
             self.frames(1)
         return ended.result()
 
     def gl_error(self) -> str:
-        """The error of OpenGL since it was asked for last, which the script's own thread cannot ask for."""
+        """OpenGL's error since the last call, which the script's own thread cannot query."""
         return self.between_frames(lambda: self.window.ctx.error)
 
     def _read(self) -> NDArray[np.uint8]:
         assert self.window.ctx.error == "GL_NO_ERROR"
         width, height = (int(side) for side in imgui.get_io().display_size)
         data = self.window.ctx.screen.read(viewport=(0, 0, width, height), components=3, alignment=1)
-        _ = self.window.ctx.error  # moderngl asks for an attachment, which a window has not, and reads the back buffer
+        _ = self.window.ctx.error  # moderngl asks for an attachment, which a window lacks, but reads the back buffer
         return np.frombuffer(data, np.uint8).reshape(height, width, 3)[::-1].copy()
 
 
@@ -158,7 +158,7 @@ def drive(
 ) -> Window:
     """Runs the window until the script has ended; an error of the script is raised here.
 
-    `start` is done in the window once it is there, `prepare` before there is one.
+    `start` is called in the window once it exists, `prepare` before.
     """
     os.environ.setdefault("LIBGL_ALWAYS_SOFTWARE", "1")
     window = Window(session, start)

@@ -1,5 +1,5 @@
 """Script for the real window: a film is made on the timeline, played and saved; the object is thrown and cut in flight;
-tests/app/test_window.py runs it in a process, with its name and FOLDER."""
+tests/app/test_window.py runs it in its own process, with NAME and FOLDER."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Key = imgui.Key
 
 
 def film(driver: Driver, folder: Path) -> None:
-    """Two keyframes, one of them dragged, scrubbing, playing, looking around, presets; the film is saved as frames."""
+    """Two keyframes, one dragged, scrubbing, playing, looking around, presets; the film is saved as frames."""
     session, window, shots = driver.session, driver.window, folder / "shots"
     control, context = session.film, driver.context
     session.add_plane()
@@ -40,7 +40,7 @@ def film(driver: Driver, folder: Path) -> None:
     first, last = (one.eye.azimuth for one in session.timeline.moments)
     assert first != last
 
-    # The second is dragged to the right: a longer film, in one step.
+    # The second keyframe is dragged to the right: a longer film, in one step.
     steps = len(session.history.entries)
     info = context.item_info(inside("##key1"))
     at = ImVec2((info.rect_full.min.x + info.rect_full.max.x) / 2, (info.rect_full.min.y + info.rect_full.max.y) / 2)
@@ -53,7 +53,7 @@ def film(driver: Driver, folder: Path) -> None:
     driver.frames(2)
     assert session.timeline.seconds > 2.2 and len(session.history.entries) == steps + 1 and control.selected == 1
 
-    # Scrubbing shows what is between, and changes nothing; Esc goes back to the object as it is.
+    # Scrubbing shows the film between keyframes and changes nothing; Esc returns to the object as it is.
     ruler = context.item_info(inside("##ruler")).rect_full
     documents = session.documents
     key0 = context.item_info(inside("##key0")).rect_full
@@ -84,7 +84,7 @@ def film(driver: Driver, folder: Path) -> None:
     driver.press(Key.mod_ctrl | Key.z)
     assert len(session.timeline.moments) == 2
 
-    # A preset, by its menu; the window to save it.
+    # A preset from its menu; then the window for saving.
     driver.click(inside("###Make"))
     driver.frames(2)
     driver.click("//$FOCUSED/Explosion")
@@ -111,7 +111,7 @@ def film(driver: Driver, folder: Path) -> None:
 
 
 def throw_and_slice(driver: Driver, folder: Path) -> None:
-    """The object is thrown and cut in flight, and the cut is kept. Pieces part calmly, or at once."""
+    """The object is thrown and cut in flight, and the cut is kept. Pieces part slowly, or at once."""
     session, throw = driver.session, driver.session.throw
     driver.press(Key.v)
     documents, now = session.documents, 0.0
@@ -140,7 +140,7 @@ def throw_and_slice(driver: Driver, folder: Path) -> None:
 
 
 def names(driver: Driver, folder: Path) -> None:
-    """A piece is named, two are marked and put into a group that is hidden as one; the interface in other sizes."""
+    """A piece is named, two are marked and grouped, and the group is hidden; the interface in other sizes."""
     session, window, context = driver.session, driver.window, driver.context
     shots = folder / "shots"
     session.jump(0)
@@ -183,18 +183,18 @@ def names(driver: Driver, folder: Path) -> None:
 
 
 def inside(name: str) -> str:
-    """The path of an item of the timeline."""
+    """The path of an item in the timeline."""
     return f"//Object/**/{name}"
 
 
 def run_all(driver: Driver, folder: Path) -> None:
-    """All of them in one window."""
+    """Runs all scripts in one window."""
     for script in (film, throw_and_slice, names):
         script(driver, folder)
 
 
 def main() -> None:
-    """Runs it."""
+    """Runs the script named on the command line."""
     folder = Path(sys.argv[2])
     at_once(folder, lambda driver: run_all(driver, folder), (800, 440))
     print("well")

@@ -1,5 +1,5 @@
 """Scripts for the real window: an object is isolated, and two objects are worked on; tests/app/test_window.py runs one
-in a process, with its name and FOLDER."""
+in its own process, with NAME and FOLDER."""
 
 from __future__ import annotations
 
@@ -34,15 +34,15 @@ Key = imgui.Key
 MAT = 3000
 
 LEFT, RIGHT, NOTHING = (0.3, 0.5), (0.7, 0.5), (0.5, 0.9)
-"""In parts of the viewport: on the first object, on the second, beside both."""
+"""Fractions of the viewport: on the first object, on the second, beside both."""
 
 
 def melon_on_a_mat(folder: Path) -> Document:
-    """The generated melon on a blue disc three times as wide, as a capture that was trained from all sides."""
+    """The synthetic melon on a blue disc three times as wide, like a capture trained from all sides."""
     os.environ["FRUITNINJA_HOME"] = str(folder / "home")
     scene = sample_document("no such sample").scene
     assert scene is not None
-    melon = read_ply(scene)[0][::4]  # the software renderer of the tests draws each of them in every frame
+    melon = read_ply(scene)[0][::4]  # the tests' software renderer draws every Gaussian in every frame
     rng = np.random.default_rng(4)
     angle, radius = rng.uniform(0, 2 * np.pi, MAT), 2.4 * np.sqrt(rng.uniform(0, 1, MAT))
     means = np.stack([radius * np.cos(angle), radius * np.sin(angle), np.full(MAT, melon.means[:, 2].min() - 0.01)], 1)
@@ -91,7 +91,7 @@ def isolate(driver: Driver, folder: Path) -> None:
     assert abs(marked() - MAT) < 0.05 * MAT
     driver.picture(shots / "isolate_1_proposal.png")
 
-    # One click removes it; the solid is made anew without it; undo brings both back.
+    # One click removes the mat; the solid is rebuilt without it; undo brings both back.
     driver.click("//Inspector/Remove")
     assert session.atoms is None
     assert abs(left() - (total - MAT)) < 0.05 * MAT
@@ -103,7 +103,7 @@ def isolate(driver: Driver, folder: Path) -> None:
     driver.press(Key.mod_ctrl | Key.z)
     assert marked() == 0
 
-    # A lasso around the melon, without what a box takes away from it below; then it grows back.
+    # A lasso around the melon, without what a box removes below it; then the selection grows back.
     driver.press(Key._1)
     driver.still()
     session.isolation.marker = "sphere"
@@ -112,7 +112,7 @@ def isolate(driver: Driver, folder: Path) -> None:
     assert 0 < ball < total
     session.isolation.marker = "lasso"
     driver.context.key_down(Key.mod_shift)
-    driver.drag((0.2, 0.2), (0.8, 0.4))  # a line encloses nothing
+    driver.drag((0.2, 0.2), (0.8, 0.4))  # a straight line encloses nothing
     driver.context.key_up(Key.mod_shift)
     assert marked() == ball
     session.isolation.marker = "box"
@@ -122,14 +122,14 @@ def isolate(driver: Driver, folder: Path) -> None:
     assert 0 < marked() < ball
     driver.picture(shots / "isolate_4_half.png")
     before = marked()
-    driver.drag((0.3, 0.4), (0.3, 0.4))  # a click is no shape
+    driver.drag((0.3, 0.4), (0.3, 0.4))  # a click makes no shape
     assert marked() == before
     driver.click("//Inspector/Invert")
     assert marked() == total - before
     driver.click("//Inspector/Clear")
     assert marked() == 0
 
-    # The face of a box is pulled, as one step of the history.
+    # A face of the box is pulled, as one step of the history.
     driver.drag((0.4, 0.2), (0.6, 0.6))
     settled()
     box, few = session.isolation.last_box, marked()
@@ -142,7 +142,7 @@ def isolate(driver: Driver, folder: Path) -> None:
     driver.press(Key.mod_ctrl | Key.z)
     assert session.isolation.last_box == box and marked() == few
 
-    # Only a box from the side stays; the project remembers it as a few numbers.
+    # Only a box drawn from the side stays; the project stores it as a few numbers.
     driver.drag((0.3, 0.15), (0.7, 0.6))
     kept = marked()
     driver.click("//Inspector/Keep only this")
@@ -160,7 +160,7 @@ def isolate(driver: Driver, folder: Path) -> None:
 
 
 def two_balls(session: Session, scene: Path) -> None:
-    """Puts two balls into the session, as if they had just been opened and made solid."""
+    """Puts two balls into the session as if they had just been opened and made solid."""
     captures, solids = [], []
     for x in (-0.7, 0.7):
         atoms = ball(1 / 12, degree=0)
@@ -184,7 +184,7 @@ def two_balls(session: Session, scene: Path) -> None:
 
 
 def several(driver: Driver, folder: Path) -> None:
-    """Selected in the view and in the list, cut alone and together, named, hidden and shown again."""
+    """Two objects are selected in the view and in the list, cut alone and together, named, hidden and shown again."""
     session, shots = driver.session, folder / "shots"
 
     def click(at: tuple[float, float], double: bool = False) -> None:
@@ -213,13 +213,13 @@ def several(driver: Driver, folder: Path) -> None:
     assert cuts() == [1, 1] and len(session.members) == 4 and session.message == "Cut 2 objects."
     driver.picture(shots / "3_both_cut.png")
 
-    # A piece of one, with the pieces of the other in the same list of what is drawn.
+    # A piece of one object is drawn in the same list as the pieces of the other.
     driver.press(Key.v)
     click((LEFT[0], 0.6))
     (key,) = session.selection
     assert session.active == 0 and key[0][0] == session.documents[0].cuts[0].id
 
-    # The list: named with a double click, hidden by its eye; the picture follows.
+    # The list: an object is named by a double click and hidden by its eye; the picture follows.
     driver.click("//Inspector/$$2/###object")
     assert session.active == 1 and session.object_selected
     driver.context.item_double_click(driver.item("//Inspector/$$2/###object"))
@@ -227,7 +227,7 @@ def several(driver: Driver, folder: Path) -> None:
     driver.context.key_chars_replace_enter("Lemon")
     driver.frames(3)
     assert session.documents[1].title == "Lemon", session.documents[1]
-    driver.context.mouse_move_to_pos(driver.point(*NOTHING))  # a row's tip, after a while, lies over the picture
+    driver.context.mouse_move_to_pos(driver.point(*NOTHING))  # a row's tooltip would soon lie over the picture
     driver.still()
     before = ground(driver.view())
     driver.press(Key.h)
@@ -242,7 +242,7 @@ def several(driver: Driver, folder: Path) -> None:
     driver.still()
     assert session.documents[1].visible and np.array_equal(ground(driver.view())[100:-60], before[100:-60])
 
-    # The capture shows both, whichever is selected.
+    # The capture view shows both objects, whichever is selected.
     session.viewing = replace(session.viewing, mode="capture")
     driver.until(lambda: session.isolation.view is not None, 30, "the capture")
     driver.still()
@@ -252,7 +252,7 @@ def several(driver: Driver, folder: Path) -> None:
 
 
 def main() -> None:
-    """Runs one of them: `isolate` on the melon, once that is solid, or `several` on two balls."""
+    """Runs one script: `isolate` on the melon once it is solid, or `several` on two balls."""
     name, folder = sys.argv[1], Path(sys.argv[2])
     document = melon_on_a_mat(folder)
     use_quick_worker()

@@ -1,4 +1,4 @@
-"""A project in which nothing is left out, and a small ball of atoms."""
+"""A project in which no field has its default, and a small ball of atoms."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from training.families import Family
 
 
 def full(folder: Path) -> Project:
-    """A project of two objects, in the first of which nothing has its default."""
+    """A project of two objects; in the first nothing has its default value."""
     document = Document(scene=folder / "scenes" / "melon.ply", up=(0.0, -1.0, 0.0), gap=0.3, explode=0.1 + 0.2)
     document = document.with_cut((Part(Plane.of((1, 2, 3), 0.1)),))
     document = document.with_cut((Part(Plane.of((-1, 1 / 3, 0), 0.7), ((1, -1),)), Part(Plane.of((0, 1, 0), 0.2))))

@@ -1,5 +1,5 @@
 """Scripts for the real window: the object is stood on a face and turned; the face in a picture is corrected;
-tests/app/test_window.py runs one in a process, with its name and FOLDER."""
+tests/app/test_window.py runs one in its own process, with NAME and FOLDER."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ from training.faces.polygon import polygon_mask
 Key = imgui.Key
 
 PHOTOGRAPH = SHARED / "photos" / "fruit" / "apple_v1.png"
-"""An apple halved; one of our own pictures where it is not at hand."""
+"""A halved apple; one of our own pictures where that file is missing."""
 
 
 def upright(driver: Driver, folder: Path) -> None:
-    """The melon is stood on what is clicked, turned by the rings, by the menu and by numbers; all of it is undone."""
+    """The melon is stood on a clicked face, turned by the rings, by the menu and by numbers; all of it is undone."""
     session, view = driver.session, driver.window.viewport
 
     def normal_at(x: float, y: float) -> NDArray[np.float64]:
@@ -54,7 +54,7 @@ def upright(driver: Driver, folder: Path) -> None:
     driver.still()
     driver.picture(folder / "shots" / "upright_2_stands.png")
 
-    # In the capture, which has no depth to read; a miss says so.
+    # In the capture, which has no depth buffer to read; a miss says so.
     driver.press(Key.mod_ctrl | Key.z)
     assert session.document.up is None
     driver.still()
@@ -66,7 +66,7 @@ def upright(driver: Driver, folder: Path) -> None:
     assert "Click on the object" in session.message
     session.viewing = replace(session.viewing, mode="solid")
 
-    # From the context menu, with any tool.
+    # From the context menu, with any tool active.
     driver.press(Key.v)
     driver.still()
     before, down = session.up, normal_at(0.45, 0.6)
@@ -75,7 +75,7 @@ def upright(driver: Driver, folder: Path) -> None:
     driver.frames(3)
     assert session.up != before and np.dot(session.up, -down) > np.cos(np.radians(6))
 
-    # The outermost ring turns the object in the picture; a drag is one step.
+    # The outermost ring turns the object in the picture plane; a drag is one step.
     session.jump(0)
     driver.press(Key.u)
     driver.still()
@@ -84,7 +84,7 @@ def upright(driver: Driver, folder: Path) -> None:
     assert session.history.cursor == 1 and session.document.up is not None
     assert session.up[2] < np.cos(np.radians(10))
     driver.picture(folder / "shots" / "upright_3_turned.png")
-    # Half the way round the melon's top: the same side is still in front, turned about the line of sight.
+    # Half way round the melon's top: the same side is still in front, turned about the line of sight.
     assert view.camera().forward @ forward > 0.99
     driver.press(Key.mod_ctrl | Key.z)
     assert session.document.up is None
@@ -103,7 +103,7 @@ def upright(driver: Driver, folder: Path) -> None:
     assert np.dot(session.up, (0.6, 0.0, 0.8)) > 1 - 1e-6, session.up
     session.jump(0)
 
-    # The handles of a piece, by the same ring.
+    # The handles of a piece, on the same ring.
     driver.press(Key.k)
     driver.drag((0.5, 0.13), (0.5, 0.97))
     driver.press(Key.t)
@@ -120,7 +120,7 @@ def upright(driver: Driver, folder: Path) -> None:
 
 
 def slices_of_one_thickness(driver: Driver, folder: Path) -> None:
-    """Slices the object by the window for it, which Esc closes; one step of undo."""
+    """Slices the object from its window, which Esc closes; a single undo step."""
     session, window = driver.session, driver.window
     for count in (0, 6):
         window.menus.slices.open()
@@ -142,7 +142,7 @@ def slices_of_one_thickness(driver: Driver, folder: Path) -> None:
 
 
 def plane_through_three_points(driver: Driver) -> None:
-    """Adds a plane, clicks three points that it then goes through, and takes it away; a menu that Esc closes."""
+    """Adds a plane, clicks three points for it to pass through, and removes it; a menu that Esc closes."""
     session, window = driver.session, driver.window
     session.add_plane()
     driver.still()
@@ -168,7 +168,7 @@ def plane_through_three_points(driver: Driver) -> None:
 
 
 def slices_beside_it(driver: Driver, folder: Path) -> None:
-    """Three faces beside the object: a click moves the planes of the other two, the wheel its own; a distance."""
+    """Three slices beside the object: a click moves the other two planes, the wheel the slice's own; a distance."""
     session, slices = driver.session, driver.window.slices
     driver.press(Key.s)
     driver.until(lambda: all(face and not face.coarse for face in slices.reader.faces), 60, "the faces")
@@ -182,7 +182,7 @@ def slices_beside_it(driver: Driver, folder: Path) -> None:
         driver.context.mouse_click(0)
         driver.frames(3)
 
-    click(1, 0.6, 0.4)  # in front: right and up
+    click(1, 0.6, 0.4)  # front view: right and up
     before = slices.slices()
     assert before.cross[0] > 0.1 and before.cross[2] > 0.1 and abs(before.cross[1] - session.solid.centre[1]) < 1e-9
     driver.context.mouse_wheel_y(2)
@@ -207,7 +207,7 @@ def slices_beside_it(driver: Driver, folder: Path) -> None:
 
 
 def drag_ring(driver: Driver, centre: NDArray[np.float64]) -> None:
-    """Drags the outermost ring of the handles around a point (3,) to the right, at its top."""
+    """Drags the top of the outermost ring around a point (3,) to the right."""
     view = driver.window.viewport
     x, y = project_points(view.camera(), centre[None])[0][0] / view.size
     for distance in np.arange(0.3, 0.0, -0.01):
@@ -221,7 +221,7 @@ def drag_ring(driver: Driver, centre: NDArray[np.float64]) -> None:
 
 
 def faces(driver: Driver, folder: Path) -> None:
-    """A picture is added, looked at, its outline and axis are dragged, painted, undone and kept."""
+    """A picture is added and viewed; its outline and axis are dragged, painted, undone and kept."""
     session, window = driver.session, driver.window
     editor, shots = window.face_editor, folder / "shots"
     path = folder / "half.png"
@@ -259,7 +259,7 @@ def faces(driver: Driver, folder: Path) -> None:
     first = preview()
     driver.picture(shots / "faces_2_found.png")
     assert len(np.unique(first.reshape(-1, 3), axis=0)) > 500  # a photograph, not a plain face
-    # A point of the outline.
+    # Drag a point of the outline.
     outline = face.marks.outline
     assert outline is not None and face.found is not None
     right = max(range(len(outline)), key=lambda index: outline[index][0])
@@ -269,7 +269,7 @@ def faces(driver: Driver, folder: Path) -> None:
     assert overlap(moved, outline) < 0.99
     second = preview()
     assert np.abs(second - first).mean() > 0.2
-    # An end of the axis.
+    # Drag an end of the axis.
     line = face.marks.line
     assert line is not None
     drag(line[0], (70.0, 10.0))
@@ -277,7 +277,7 @@ def faces(driver: Driver, folder: Path) -> None:
     third = preview()
     assert np.abs(third - second).mean() > 1.5
     driver.picture(shots / "faces_3_dragged.png")
-    # The brush.
+    # Paint with the brush.
     driver.click("//Object/Take away##face tool")
     top = min(moved, key=lambda place: place[1])
     drag((top[0], top[1] - 0.02), (0.0, 30.0))
@@ -285,7 +285,7 @@ def faces(driver: Driver, folder: Path) -> None:
     assert painted is not None and overlap(painted, moved) < 0.998
     assert polygon_mask(painted, 300, 300).sum() < polygon_mask(moved, 300, 300).sum() - 50
     driver.picture(shots / "faces_4_brush.png")
-    # Undo, one step for each drag; the picture's kind; what is kept.
+    # Undo, one step per drag; the picture's kind; what is kept.
     for _ in range(2):
         driver.press(imgui.Key.mod_ctrl | imgui.Key.z)
     assert face.given.outline == moved and session.history.entries[session.history.cursor].name == "Outline"
@@ -301,13 +301,13 @@ def faces(driver: Driver, folder: Path) -> None:
 
 
 def overlap(a: Outline, b: Outline) -> float:
-    """Intersection over union of what two outlines enclose."""
+    """Intersection over union of the areas inside two outlines."""
     one, other = (polygon_mask(outline, 300, 300) for outline in (a, b))
     return float((one & other).sum() / (one | other).sum())
 
 
 def main() -> None:
-    """Runs one of them."""
+    """Runs the script named on the command line."""
     name, folder = sys.argv[1], Path(sys.argv[2])
     script, size = {"upright": (upright, (860, 560)), "faces": (faces, (1180, 700))}[name]
     at_once(folder, lambda driver: script(driver, folder), size)

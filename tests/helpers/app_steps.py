@@ -41,27 +41,27 @@ from tests.quick_scene_worker import use_quick_worker
 
 Key = imgui.Key
 WARM = 500
-"""Actions after which the GPU holds all that it will need."""
+"""Actions after which the GPU holds everything it will need."""
 
 SLACK = 4
-"""Objects that may come later still: a buffer for a kind of cut that came by late."""
+"""Objects that may still be added later: a buffer for a kind of cut that came late."""
 
 STUB = HELPERS.joinpath("app_stub_trainer.py")
 
 
 def tiny(folder: Path) -> Document:
-    """The generated melon, coarse enough to be solid in a moment."""
+    """The synthetic melon, coarse enough to be solid in a moment."""
     os.environ["FRUITNINJA_HOME"] = str(folder / "home")
     document = sample_document("no such sample")
     return replace(document, training=Training(detail="draft", out=folder / "result"))
 
 
 def opened(folder: Path, script: Callable[[Driver], None], size: tuple[int, int] = (860, 560)) -> None:
-    """Runs a script on the tiny melon, once it is solid."""
+    """Runs a script on the tiny melon once it is solid."""
     document = tiny(folder)
 
     def run(driver: Driver) -> None:
-        # The whole of it: the size of a solid decides its gap, and the first solid is a little smaller.
+        # Until it is complete: the solid's size sets its gap, and the first solid is a little smaller.
         driver.until(lambda: driver.session.atoms is not None and driver.session.loader is None, 120, "the solid")
         driver.still()
         script(driver)
@@ -82,7 +82,7 @@ def at_once(
     prepare: Callable[[Window], None] = lambda window: None,
     settings: Settings | None = None,
 ) -> None:
-    """Runs a script on the same melon made solid without the trainer's steps: for what does not ask how it came."""
+    """Runs a script on the same melon made solid without the trainer's steps; for scripts that ignore its origin."""
     document = tiny(folder)
     scene = Path(document.scene or "")
     capture, _ = read_ply(scene)
@@ -111,19 +111,19 @@ def at_once(
 
 
 def ground(view: NDArray[np.uint8]) -> NDArray[np.bool_]:
-    """(H, W). Where the viewport shows its own background."""
+    """(H, W). Pixels where the viewport shows its own background."""
     return (np.abs(view.astype(int) - view[-40, 60].astype(int)) < 6).all(2)
 
 
 def steps(driver: Driver, folder: Path) -> None:
-    """Cut, undo, families, training, saving, opening again, exporting, as a user does it."""
+    """Cutting, undo, families, training, saving, opening again, exporting, as a user does it."""
     session, window = driver.session, driver.window
     shots = folder / "shots"
     driver.picture(shots / "1_solid.png")
     whole = ground(driver.view())
     middle = (0.5, 0.5)
 
-    # The knife: two pieces in the model and in the picture.
+    # The knife: two pieces, both in the model and in the picture.
     driver.press(Key.k)
     assert session.tool == "knife"
     driver.drag((0.5, 0.13), (0.5, 0.97), hold=lambda: driver.picture(shots / "2_stroke.png"))
@@ -140,7 +140,7 @@ def steps(driver: Driver, folder: Path) -> None:
     driver.drag((0.2, 0.5), (0.8, 0.5), hold=lambda: driver.press(Key.escape))
     assert len(session.document.cuts) == 1
 
-    # The blade: a line all around a shape punches it out of the half under it; a line that turns back is told.
+    # The blade: a closed line punches its shape out of the half under it; a line that turns back is refused.
     driver.press(Key.b)
     around = [(0.38 + 0.05 * math.cos(a), 0.45 + 0.08 * math.sin(a)) for a in np.linspace(0, 6.2, 13)]
     driver.draw(around)
@@ -166,7 +166,7 @@ def steps(driver: Driver, folder: Path) -> None:
     driver.press(Key.mod_ctrl | Key.mod_shift | Key.z)
     assert len(session.pieces) == 2
 
-    # A family, with a picture that is dropped on the window, and its planes in the viewport.
+    # A family with a picture dropped on the window; its planes appear in the viewport.
     Image.new("RGB", (64, 64), (200, 40, 40)).save(folder / "cut.png")
     driver.press(Key.v)
     window.dropped.append(folder / "cut.png")
@@ -179,7 +179,7 @@ def steps(driver: Driver, folder: Path) -> None:
     driver.picture(shots / "4_families.png")
     window.viewport.show_families = frozenset()
 
-    # Training: colours change while it runs; pause, stop.
+    # Training: colours change while it runs; it is paused and stopped.
     assert session.atoms is not None
     session.training.program = (
         sys.executable, str(STUB), "--steps", "2000", "--paint", str(len(session.atoms.interior))
@@ -229,7 +229,7 @@ def steps(driver: Driver, folder: Path) -> None:
     assert (folder / "face.png").stat().st_size > 500
     driver.picture(shots / "6_again.png")
 
-    # Closing asks about unsaved work, and can be called off.
+    # Closing asks about unsaved work and can be cancelled.
     session.reassemble()
     driver.between_frames(lambda: glfw.set_window_should_close(window.window, True))
     driver.until(lambda: session.question is not None, 5, "the question")
@@ -248,23 +248,23 @@ def steps(driver: Driver, folder: Path) -> None:
 
 
 def twice_as_dense(window: Window) -> None:
-    """A screen of 192 DPI, which has four pixels where others have one."""
+    """A screen of 192 DPI, with four pixels for one of an ordinary screen."""
     window.params.dpi_aware_params.dpi_window_size_factor = 2.0
 
 
 def habits(driver: Driver, folder: Path) -> None:
-    """On a dense screen: the hand meets what it points at; files are dropped and asked for; leaving is asked about."""
+    """On a dense screen: the pointer meets its target; files are dropped and asked for; leaving is asked about."""
     session, window = driver.session, driver.window
     assert px(1) == 2.0
     style = imgui.get_style()
     assert (style.frame_padding.x, style.item_spacing.x, style.indent_spacing) == (18, 16, 32)
-    assert style.font_size_base * style.font_scale_main * style.font_scale_dpi > 30  # drawn large, not enlarged
+    assert style.font_size_base * style.font_scale_main * style.font_scale_dpi > 30  # drawn at size, not upscaled
     driver.press(Key.k)
     driver.drag((0.5, 0.13), (0.5, 0.97), hold=lambda: driver.picture(folder / "shots" / "9_dense_stroke.png"))
     driver.still()
     assert len(session.pieces) == 2, session.message
     view = driver.view()
-    assert ground(view)[view.shape[0] // 2, view.shape[1] // 2]  # the gap is where the stroke was
+    assert ground(view)[view.shape[0] // 2, view.shape[1] // 2]  # the gap is where the stroke went
     driver.press(Key.v)
     camera = window.viewport.camera()
     for piece in session.pieces:
@@ -276,9 +276,9 @@ def habits(driver: Driver, folder: Path) -> None:
         assert session.selection == {piece.key}
     driver.picture(folder / "shots" / "9_dense.png")
 
-    # A file let go over the window, as GLFW tells of it: a picture, then a scene, which would lose work.
+    # A file dropped on the window, as GLFW reports it: a picture, then a scene, which would lose work.
     Image.new("RGB", (64, 64), (200, 40, 40)).save(folder / "cut.png")
-    told: Any = glfw.set_drop_callback(window.window, cast(Any, None))  # what GLFW calls, with C's own types
+    told: Any = glfw.set_drop_callback(window.window, cast(Any, None))  # the function that GLFW calls, with C types
 
     def drop(*paths: Path) -> None:
         told(window.window, len(paths), (ctypes.c_char_p * len(paths))(*(str(path).encode() for path in paths)))
@@ -294,7 +294,7 @@ def habits(driver: Driver, folder: Path) -> None:
     driver.press(Key.escape)
     assert session.question is None and session.document.scene == scene and session.loader is None
 
-    # The dialog in the window, where the system has none: opened and cancelled, opened and answered.
+    # The window's own dialog, where the system has none: opened and cancelled, opened and answered.
     dialogs = window.dialogs
     dialogs.native = False
     driver.press(Key.mod_ctrl | Key.o)
@@ -326,13 +326,13 @@ def habits(driver: Driver, folder: Path) -> None:
 
 
 def soak(driver: Driver, actions: int = 2000) -> None:
-    """Anything in any order: no error, nothing left on the GPU, nothing lost."""
+    """Any actions in any order: no error, nothing left on the GPU, nothing lost."""
     session, window, chance = driver.session, driver.window, random.Random(7)
     start = session.documents
     held: list[dict[str, int]] = []
 
     def afresh() -> None:
-        """The object as it was first drawn, with nothing kept from other cuts; then a count."""
+        """Restores the object as first drawn, with nothing kept from other cuts, and counts GL objects."""
         session.jump(0)
         session.viewing = replace(session.viewing, mode="solid")
         session.geometry_version += 1
@@ -384,7 +384,7 @@ def soak(driver: Driver, actions: int = 2000) -> None:
         lambda: session.change("Gap", replace(session.document, gap=chance.uniform(0, 1)), merge="gap"),
     ]  # fmt: skip
     for index in range(actions):
-        if index == WARM:  # by now buffers have grown to what is asked of them
+        if index == WARM:  # by now buffers have grown to the sizes needed
             afresh()
         if index % 100 == 0:
             driver.drag(place(), place(), button=chance.choice([0, 0, 1]))
@@ -418,7 +418,7 @@ def soak(driver: Driver, actions: int = 2000) -> None:
 
 
 def gl_objects(driver: Driver) -> dict[str, int]:
-    """How many objects of each kind GL holds in this context, whoever made them."""
+    """Number of objects of each kind in this GL context, whoever made them."""
     kinds = ("Buffer", "Texture", "Framebuffer", "VertexArray", "Program", "Shader")
 
     def look() -> dict[str, int]:
@@ -433,7 +433,7 @@ def gl_objects(driver: Driver) -> dict[str, int]:
 
 
 def main() -> None:
-    """Runs one of them."""
+    """Runs the script named on the command line."""
     name, folder = sys.argv[1], Path(sys.argv[2])
     use_quick_worker()
     if name == "steps":
@@ -441,7 +441,7 @@ def main() -> None:
     elif name == "habits":
         at_once(folder, lambda driver: habits(driver, folder), (800, 560), twice_as_dense)
     else:
-        at_once(folder, soak, (640, 300))  # most frames are drawn by the processor: a small view is a quick one
+        at_once(folder, soak, (640, 300))  # the CPU draws most frames: a small view is quick
     print("well")
 
 

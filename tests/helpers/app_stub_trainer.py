@@ -1,4 +1,4 @@
-"""Stands for `fruitninja-train` in tests of the job: speaks the same events, in a second, or as long as it is told."""
+"""Stands in for `fruitninja-train` in tests of the job: emits the same events, for a second or for N steps."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def main() -> None:
 
 
 def paint(out: Path, count: int) -> None:
-    """Leaves a checkpoint in which the whole inside is red, and a picture of a label."""
+    """Leaves a checkpoint whose whole inside is red, and a picture of a label."""
     import numpy as np
     from PIL import Image
     from safetensors.numpy import save_file

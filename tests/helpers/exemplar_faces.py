@@ -1,4 +1,4 @@
-"""Bodies and pictures of cut faces whose inside is known, and photographs."""
+"""Bodies and pictures of cut faces with a known inside, and photographs."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ RIND, FLESH, SEED = np.array([0.1, 0.5, 0.1]), np.array([0.85, 0.15, 0.15]), np.
 
 
 def quiet(_: float) -> None:
-    """Progress that nobody watches."""
+    """A progress callback that does nothing."""
 
 
 def ball(n: int = 24) -> Body:
@@ -51,8 +51,8 @@ def save(path: Path, picture: NDArray[np.floating]) -> Path:
 
 @cache
 def photograph(name: str) -> Disc:
-    """One of the photographs of fruit, whose name tells the kind of cut, with its mask by hand, as finding the face
-    takes a second; skips where they are not."""
+    """A photograph of fruit, whose name gives the kind of cut, with its hand-marked mask, as finding the face takes a
+    second; skips the test where the photographs are missing."""
     folder = SHARED / "photos/fruit"
     if not folder.exists():
         pytest.skip("the photographs are not beside the repository")

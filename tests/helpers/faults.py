@@ -1,4 +1,4 @@
-"""A disk that fails: the k-th of all operations that write under a folder raises the system's error."""
+"""A failing disk: the k-th of all operations that write under a folder raises the system's error."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ ERRORS = (errno.ENOSPC, errno.EIO, errno.EACCES)
 
 
 class Faults:
-    """Counts what is written under a folder; fails where it is told to."""
+    """Counts writes under a folder, and fails those that it is told to."""
 
     def __init__(self, folder: Path, patch: pytest.MonkeyPatch) -> None:
         self.folder = str(folder.resolve())
@@ -26,7 +26,7 @@ class Faults:
         self.fails: Callable[[str, str], bool] = lambda operation, name: False
         self.code = errno.ENOSPC
         self.real: dict[str, Any] = {"open": io.open}
-        patch.setattr(io, "open", self._open)  # pathlib's
+        patch.setattr(io, "open", self._open)  # used by pathlib
         patch.setattr(builtins, "open", self._open)
         for name, place in (("open", 0), ("mkdir", 0), ("link", 1), ("replace", 1), ("rmdir", 0), ("chmod", 0)):
             patch.setattr(os, name, self._watched(name, getattr(os, name), place))
@@ -35,7 +35,7 @@ class Faults:
         patch.setattr(safetensors.numpy, "serialize_file", self._watched("serialize", serialize, 1))
 
     def arm(self, fails: int | Callable[[str, str], bool] | None, code: int = errno.ENOSPC) -> None:
-        """From now on the operation of this number fails, or every one of which this is true; None: none does."""
+        """Makes the operation of this number fail, or all for which the predicate holds; None: none fails."""
         self.done.clear()
         self.code = code
         if fails is None:
@@ -46,7 +46,7 @@ class Faults:
             self.fails = fails
 
     def check(self, operation: str, path: str | os.PathLike[str] | None) -> None:
-        """Counts an operation. Raises OSError where it is to fail."""
+        """Counts an operation. Raises OSError if it is to fail."""
         if path is not None and not os.path.realpath(os.fspath(path)).startswith(self.folder):
             return
         name = "" if path is None else os.path.basename(os.fspath(path))
@@ -61,7 +61,7 @@ class Faults:
             try:
                 self.check(operation, None if place is None else args[place])
             except OSError as error:
-                if operation == "serialize":  # in the library's own words, with half of the file there
+                if operation == "serialize":  # with the library's own message, and half of the file written
                     with self.real["open"](args[1], "wb") as half:
                         half.write(b"half")
                     raise safetensors.SafetensorError(f"Error while serializing: I/O error: {error.strerror}") from None
@@ -86,7 +86,7 @@ class Faults:
 
 
 class _Appending(io.FileIO):
-    """A file whose disk gets full in the middle of a line."""
+    """A file whose disk fills up in the middle of a line."""
 
     def __init__(self, path: Any, faults: Faults) -> None:
         super().__init__(path, "ab")

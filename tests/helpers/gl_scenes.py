@@ -1,4 +1,4 @@
-"""What the tests of the GL engine draw, and how."""
+"""Scenes for the tests of the GL engine, and how to draw them."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def tight_ball(pitch: float) -> Atoms:
 
 
 def brush_case() -> tuple[Gaussians, Camera, NDArray[np.float32]]:
-    """A few Gaussians, the camera, and the RGBA picture (H, W, 4) over black that Brush makes of them."""
+    """A few Gaussians, the camera, and the RGBA picture (H, W, 4) over black that Brush renders of them."""
     path = SHARED / "reference/brush_tiny_case.safetensors"
     if not path.exists():
         pytest.skip("the reference pictures are not here")

@@ -1,4 +1,4 @@
-"""A folder as a stranger's archive might leave it: whatever is imported from it, or unpacked by it, leaves a mark."""
+"""A folder as a stranger's archive might leave it: a mark shows what was imported from it or read its settings."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ MODULES = (
 
 
 def hostile_folder(folder: Path) -> Path:
-    """Makes it: modules and packages of the names that the program and its libraries import, and settings of theirs."""
+    """Creates modules and packages that the program and its libraries import, and settings files of theirs."""
     code = f"open({str(folder)!r} + '/MARK-' + __name__, 'w').close()\nraise ImportError('this is not ' + __name__)\n"
     folder.mkdir()
     for name in MODULES:
@@ -28,5 +28,5 @@ def hostile_folder(folder: Path) -> Path:
 
 
 def marks(folder: Path) -> list[str]:
-    """What was run, or used."""
+    """What was run or used."""
     return sorted(path.name for path in folder.glob("MARK-*"))

@@ -1,4 +1,4 @@
-"""How bad input is refused: in one line."""
+"""Bad input is refused in one line."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ __all__ = ["refusal"]
 
 
 def refusal(read: Callable[[], object], begins: str | Path = "") -> str:
-    """The line with which input is refused, which begins with these words and names nothing of the code."""
+    """The line with which input is refused; asserts that it begins with these words and has no programmers' words."""
     with pytest.raises(InputError) as caught:
         read()
     line = str(caught.value)

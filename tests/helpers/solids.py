@@ -1,4 +1,4 @@
-"""Small solids of atoms for the tests, scenes of several bodies, and an inside of waves."""
+"""Small solids of atoms for tests, scenes of several bodies, and an inside of waves."""
 
 from __future__ import annotations
 
@@ -23,27 +23,27 @@ NO_INTERIOR = InteriorAtoms(np.zeros((0, 3), np.float32), np.zeros(0, np.float32
 
 
 def unturned(count: int) -> NDArray[np.float32]:
-    """(count, 4). Quaternions of no rotation."""
+    """(count, 4). Identity quaternions."""
     return np.tile(np.array([1, 0, 0, 0], np.float32), (count, 1))
 
 
 def round_gaussians(
     means: NDArray[np.floating], scale: float = 0.02, opacity: float = 1.0, bands: int = 1
 ) -> Gaussians:
-    """Grey balls of one size at means (N, 3), with so many bands of spherical harmonics."""
+    """Grey balls of one size at means (N, 3), with `bands` SH coefficients."""
     n = len(means)
     scales, opacities = np.full((n, 3), scale, np.float32), np.full(n, opacity, np.float32)
     return Gaussians(means.astype(np.float32), scales, unturned(n), opacities, np.zeros((n, bands, 3), np.float32))
 
 
 def joined(*parts: Gaussians) -> Gaussians:
-    """All of them in one scene."""
+    """All parts in one scene."""
     names = ("means", "scales", "quats", "opacities", "sh")
     return Gaussians(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
 
 def flat_gaussians(points: NDArray[np.float64], normals: NDArray[np.float64], size: float) -> Gaussians:
-    """Flat Gaussians, sigma `size` along the skin and a fifth of it across."""
+    """Flat Gaussians: sigma is `size` along the skin and a fifth of it across."""
     n = len(points)
     return Gaussians(
         points.astype(np.float32),
@@ -69,7 +69,7 @@ Rows = NDArray[np.bool_] | NDArray[np.integer] | slice
 
 
 def rows_of(atoms: Atoms, surface: Rows = slice(None), interior: Rows = slice(None)) -> Atoms:
-    """The atoms of these rows, none of them exposed."""
+    """The atoms in these rows, none of them exposed."""
     s, i = atoms.surface, atoms.interior
     return Atoms(
         SurfaceAtoms(s.means[surface], s.scales[surface], s.quats[surface], s.sh[surface]),
@@ -79,7 +79,7 @@ def rows_of(atoms: Atoms, surface: Rows = slice(None), interior: Rows = slice(No
 
 
 def ball(pitch: float, seed: int = 0, exposed: int = 0, degree: int = 1, radius: float = 0.5) -> Atoms:
-    """A striped skin of flat discs on a sphere around a jittered lattice with a rind, red flesh and dark seeds."""
+    """A skin of flat striped discs on a sphere, around a jittered lattice with a rind, red flesh and dark seeds."""
     rng = np.random.default_rng(seed)
     count = int(4 * np.pi * radius**2 / (0.6 * pitch) ** 2)
     rank = np.arange(count) + 0.5
@@ -108,7 +108,7 @@ def ball(pitch: float, seed: int = 0, exposed: int = 0, degree: int = 1, radius:
 
 
 def filled_ball(pitch: float, radius: float = 0.5) -> Atoms:
-    """A `ball` that is filled as training fills a body, all grey inside."""
+    """A `ball` filled as training fills a body, all grey inside."""
     grid = Grid.around(np.array([[-radius] * 3, [radius] * 3]), pitch / 2, 4)
     depth = radius - np.linalg.norm(grid.centres(), axis=-1)
     atoms = ball(pitch, radius=radius)
@@ -118,7 +118,7 @@ def filled_ball(pitch: float, radius: float = 0.5) -> Atoms:
 def with_leaf(
     atoms: Atoms, centre: tuple[float, float, float] = (0.8, 0.46, 0.65), radius: float = 0.2, spacing: float = 0.6
 ) -> Atoms:
-    """The atoms and a flat red leaf that faces the origin, of discs `spacing` pitches apart: something in front."""
+    """The atoms and, in front, a flat red leaf that faces the origin, of discs `spacing` pitches apart."""
     normal = np.array(centre) / np.linalg.norm(centre)
     across = np.cross(normal, (0.0, 0.0, 1.0))
     across /= np.linalg.norm(across)
@@ -140,7 +140,7 @@ def with_leaf(
 
 
 def scatter(surface: int, interior: int, seed: int = 0, exposed: int = 0, degree: int = 2) -> Atoms:
-    """A few soft ellipsoids and spheres of all sizes thrown into the unit cube around the origin."""
+    """A few soft ellipsoids and spheres of all sizes, scattered in the unit cube around the origin."""
     rng = np.random.default_rng(seed)
     quats = rng.normal(size=(surface, 4))
     skin = SurfaceAtoms(
@@ -164,8 +164,8 @@ def scatter(surface: int, interior: int, seed: int = 0, exposed: int = 0, degree
 
 
 def beside(*scenes: Gaussians, places: Sequence[Sequence[float]], size: float = 1.0) -> Gaussians:
-    """The scenes in one, each scaled to a longest side of `size` around its place (3,); as many harmonics as the one
-    with the fewest has."""
+    """The scenes in one, each scaled to a longest side of `size` around its place (3,); with as many SH coefficients as
+    the scene that has the fewest."""
     bands = min(scene.sh.shape[1] for scene in scenes)
     columns = []
     for scene, place in zip(scenes, places, strict=True):
@@ -177,14 +177,14 @@ def beside(*scenes: Gaussians, places: Sequence[Sequence[float]], size: float = 
 
 
 def three_samples() -> tuple[Gaussians, list[int]]:
-    """The three samples beside each other, and how many Gaussians each has."""
+    """The three samples side by side, and the number of Gaussians in each."""
     scenes = [load(SAMPLES / name / f"{name}.ply").gaussians for name in ("watermelon", "orange", "bread")]
     places = ((0, 0, 0), (1.3, 0, 0), (0.6, 1.3, 0))
     return beside(*scenes, places=places), [len(scene) for scene in scenes]
 
 
 class Waves:
-    """Waves much shorter than a pitch; it counts what is asked of it."""
+    """An inside of waves much shorter than a pitch; records the footprints of its queries."""
 
     def __init__(self) -> None:
         self.footprints: list[float] = []

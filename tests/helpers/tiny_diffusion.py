@@ -1,4 +1,4 @@
-"""A Stable Diffusion depth model of random weights, small enough for tests, in the folder layout of the real ones."""
+"""A Stable Diffusion depth model with random weights, small enough for tests, in the folder layout of real ones."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from typing import Any
 import torch
 
 NATIVE = 64
-"""Pixels of a side of the pictures that the tiny model works on."""
+"""Side in pixels of the pictures that the tiny model works on."""
 
 
 def save_tiny(folder: Path, channels: int = 5, prediction: str = "epsilon", seed: int = 0) -> Path:
-    """Builds the model and saves it as safetensors; `channels` other than 5 makes it one without depth."""
+    """Builds the model and saves it as safetensors; `channels` other than 5 gives it no depth input."""
     from diffusers import AutoencoderKL, PNDMScheduler, UNet2DConditionModel
     from transformers import CLIPTextConfig, CLIPTextModel
 
@@ -40,7 +40,7 @@ def save_tiny(folder: Path, channels: int = 5, prediction: str = "epsilon", seed
             layers_per_block=1,
             norm_num_groups=4,
             sample_size=NATIVE,
-            scaling_factor=5.0,  # codes of about unit variance, as a trained one has them
+            scaling_factor=5.0,  # codes of about unit variance, as in a trained model
         )
         vocabulary = save_tokenizer(folder / "tokenizer")
         text = CLIPTextModel(
@@ -79,7 +79,7 @@ def save_tiny(folder: Path, channels: int = 5, prediction: str = "epsilon", seed
 
 
 def save_tokenizer(folder: Path) -> int:
-    """Writes the files of a CLIP tokenizer that knows single letters only; returns how many words it has."""
+    """Writes a CLIP tokenizer that knows single letters only; returns its number of words."""
     letters = string.ascii_lowercase + string.digits + string.punctuation
     words = [*letters, *(letter + "</w>" for letter in letters), "<|startoftext|>", "<|endoftext|>"]
     folder.mkdir(parents=True)
@@ -91,7 +91,7 @@ def save_tokenizer(folder: Path) -> int:
 
 
 def save_midas(folder: Path) -> Path:
-    """Builds and saves a depth estimator of random weights."""
+    """Builds and saves a depth estimator with random weights."""
     from transformers import DPTConfig, DPTForDepthEstimation
 
     with torch.random.fork_rng():

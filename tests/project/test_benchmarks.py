@@ -1,4 +1,4 @@
-"""Every benchmark says how it is used, has a quick run, and measures nothing to say so."""
+"""Every benchmark explains its use, has a quick run, and measures nothing just to show its help."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ COMMANDS = sorted(path.stem for path in (ROOT / "benchmarks").glob("*.py") if pa
 PHOTOGRAPHS = ["photographs.changed", "photographs.faces", "photographs.insides"]
 READERS = ["readers.corpus", "readers.formats", "readers.fuzz"]
 NO_CHARTS = {"readers.corpus", "readers.fuzz"}
-"""One writes a table to a given file, the other prints."""
+"""The first writes a table to a given file, the second prints."""
 
 
 @pytest.mark.parametrize("name", [*COMMANDS, *PHOTOGRAPHS, *READERS])

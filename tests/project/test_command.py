@@ -20,7 +20,7 @@ from tests.paths import ROOT
 
 SCENE = ROOT / "sample_scenes/bread"
 
-# Each command at work in the middle of a write, or of what takes long, where a test can reach it.
+# Each command, stopped in the middle of a write or of a long computation, where a test can reach it.
 BEGIN = """
 import os, sys, time
 from pathlib import Path
@@ -81,7 +81,7 @@ sys.argv[1:] = ["-o", "out"]
 """,
 }
 
-# The commands take seconds to load: one process loads them all, and a fork of it is each command each time.
+# The commands take seconds to load: one process loads them all, and each run is a fork of it.
 SERVER = """
 import gc, json, os, sys
 import app.export_cli, app.render_cli, training.batch.cli, training.cli, training.evaluate.cli
@@ -98,7 +98,7 @@ for line in sys.stdin:
 
 @pytest.fixture(scope="module")
 def server() -> Iterator[subprocess.Popen[str]]:
-    """A process that runs code in a fork of itself and says how the fork ended."""
+    """A process that runs code in forks of itself and reports how each fork ended."""
     process = subprocess.Popen(
         [sys.executable, "-c", SERVER], env=os.environ | {"PYTHONPATH": str(ROOT)}, text=True, bufsize=1,
         stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,

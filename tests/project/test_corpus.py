@@ -1,4 +1,4 @@
-"""The watch over other people's files sees what it is there to see."""
+"""The guard over other people's files notices what it should."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def test_a_guarded_reader_can_do_nothing_but_read_what_is_near(tmp_path: Path) -
     with guarded(near) as tried:
         assert (near / "a.txt").read_text() == "x"
     assert not tried
-    (near / "b.txt").write_text("x")  # nothing is guarded any more
+    (near / "b.txt").write_text("x")  # no longer guarded
 
 
 def test_words_for_programmers_are_told_from_words_for_people() -> None:

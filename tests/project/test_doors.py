@@ -1,6 +1,6 @@
-"""Every place where the program opens a file, starts a process, listens or runs code is one that somebody thought of.
+"""Every place where the program opens a file, starts a process, listens or runs code is one that somebody reviewed.
 
-`docs/TRUST.md` lists them with what guards each; a new one belongs there, and here if it is of a dangerous kind.
+`docs/TRUST.md` lists them with their guards; a new one belongs there, and here if it is of a dangerous kind.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ DANGEROUS = {
     "dialog": r"pfd\.\w+",
 }
 """What a call or an import is named, in full, that opens a door."""
-
+"""Full names of the calls and imports that open a door, by kind of door."""
 GUARDS = r"(files\.)?(open_file|read_file|atomic|locked_folder|write_json)|save_png|save_file"
-"""What may be anywhere, as long as the document has it."""
+"""Calls that may be anywhere, as long as the document lists the file."""
 
 MODE = re.compile(r"[rwax][bt+]*")
-"""The argument by which `path.open("rb")` is told from another method that is called open."""
+"""The argument that tells `path.open("rb")` from other methods called open."""
 
 ALLOWED = {
     "picture": {"engine/io/picture_file.py"},
@@ -77,13 +77,13 @@ ALLOWED = {
     "mesh": {"engine/io/meshes/mesh.py"},
     "dialog": {"app/ui/dialogs/file_dialogs.py"},
 }
-"""Where doors of a kind may be."""
+"""Files in which doors of a kind may be."""
 
 
 def doors(path: Path) -> Iterator[tuple[str, int]]:
     """Kind and line of every door in a file."""
     tree = ast.parse(path.read_text(encoding="utf-8"))
-    # What `atomic` yields is written by whoever asked for it.
+    # What `atomic` yields is written by its caller.
     given = {
         name.id
         for node in ast.walk(tree)

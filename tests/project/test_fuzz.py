@@ -1,6 +1,6 @@
-"""Whatever is fed to the readers: one clear line, or something finite that survives a round trip.
+"""Whatever is fed to the readers, they give one clear line, or something finite that survives a round trip.
 
-The inputs are always the same few thousand; `python -m benchmarks.readers.fuzz` makes as many others as one likes.
+The inputs are always the same few thousand; `python -m benchmarks.readers.fuzz` makes any number of others.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ INPUTS = 2000
 
 @pytest.mark.parametrize("name", TARGETS)
 def test_no_input_breaks_a_reader(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(os, "fsync", lambda _: None)  # what is written is read at once, no power fails here
+    monkeypatch.setattr(os, "fsync", lambda _: None)  # files are read at once, and power failures are not tested
     target = TARGETS[name]
 
     @settings(

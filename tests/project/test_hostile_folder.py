@@ -1,4 +1,4 @@
-"""The commands and the window in a folder full of traps: all works, and nothing in it is run."""
+"""The commands and the window in a folder full of traps: everything works, and nothing in the folder is run."""
 
 from __future__ import annotations
 

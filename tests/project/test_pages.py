@@ -1,4 +1,4 @@
-"""What the pages name is there."""
+"""Everything that the pages name exists."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""The arrows between the rooms: who may import whom, as drawn in docs/ARCHITECTURE.md.
+"""The arrows between the rooms: which may import which, as drawn in docs/ARCHITECTURE.md.
 
-Imports are read from the source, those inside functions and under TYPE_CHECKING too: a reader has to follow them all
-the same.
+Imports are read from the source, including those inside functions and under TYPE_CHECKING: readers have to follow all
+of them.
 """
 
 from __future__ import annotations
@@ -15,18 +15,18 @@ import pytest
 from tests.paths import ROOT
 
 PACKAGES = ("app", "engine", "fruitninja", "sample_scenes", "shaders", "training")
-"""What is installed."""
+"""The installed packages."""
 
 FILES_OF_A_ROOM = 14
-"""As many names as a reader takes in at a glance; `__init__.py` does not count."""
+"""Most files in a room: as many names as a reader takes in at a glance; `__init__.py` does not count."""
 
 LINES_OF_A_FILE = 450
 
 FOUNDATION = ("engine.errors", "engine.compiler", "engine.processes", "engine.threads")
-"""Words, threads and processes: they know no Gaussian, and every room of the engine may use them."""
+"""Errors, compiling, processes and threads: they know no Gaussians, and every room of the engine may use them."""
 
 DRAWING = (*FOUNDATION, "engine.scene", "engine.render.projection", "engine.render.lanes")
-"""What all renderers share."""
+"""Modules that all renderers share."""
 
 MAY_IMPORT = {
     "shaders": (),
@@ -67,10 +67,10 @@ MAY_IMPORT = {
     "app.render_cli": ("app.film_cli", "app.jobs", "engine", "fruitninja", "training"),
     "app.export_cli": ("engine", "fruitninja"),
 }
-"""Of each room, the project's own modules that it may import beside itself; the longest name that fits a module rules.
+"""The project's own modules that each room may import beside itself; the longest room name that fits a module decides.
 
-`sample_scenes` describes its cuts in the words of `training.families`, and only `training.evaluate`, which cuts scenes
-of known inside, looks back at it.
+`sample_scenes` describes its cuts with `training.families`, and only `training.evaluate`, which cuts scenes of known
+inside, imports it in turn.
 """
 
 NO_OPENGL = ("imgui_bundle", "glfw", "moderngl")
@@ -92,7 +92,7 @@ KEEPS_OFF = {
     "fruitninja": NO_OPENGL,
     "sample_scenes": NO_OPENGL,
 }
-"""Libraries that a room does without: a window, OpenGL, other processes."""
+"""Libraries that a room must do without: a window, OpenGL, other processes."""
 
 
 def module_of(path: Path) -> str:
@@ -109,7 +109,7 @@ def sources() -> dict[str, Path]:
 
 @cache
 def imports(name: str) -> frozenset[str]:
-    """Modules that a module imports, our own ones in full: `from engine.scene import sh` is `engine.scene.sh`."""
+    """Modules that a module imports, our own by full name: `from engine.scene import sh` is `engine.scene.sh`."""
     path = sources()[name]
     package = name if path.name == "__init__.py" else name.rpartition(".")[0]
     found = set()
@@ -132,7 +132,7 @@ def within(name: str, room: str) -> bool:
 
 
 def room_of(name: str) -> str:
-    """The room whose law holds for a module."""
+    """The room whose rules hold for a module."""
     return max((room for room in MAY_IMPORT if within(name, room)), key=len, default="")
 
 
@@ -167,7 +167,7 @@ def test_a_room_does_without_libraries_of_another(room: str) -> None:
 
 
 def circles(graph: dict[str, set[str]]) -> list[list[str]]:
-    """Groups of modules that all reach one another."""
+    """Groups of modules that can all reach one another."""
     reach: dict[str, set[str]] = {}
     for start in graph:
         seen: set[str] = set()
@@ -191,7 +191,7 @@ def test_a_circle_is_seen() -> None:
 
 
 def tracked_folders() -> dict[str, list[Path]]:
-    """Python files of each folder of the project."""
+    """Python files in each folder of the project."""
     folders: dict[str, list[Path]] = {}
     for top in (*PACKAGES, "tests", "tools", "benchmarks", "examples"):
         for path in sorted((ROOT / top).rglob("*.py")):

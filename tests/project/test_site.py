@@ -1,4 +1,4 @@
-"""The documentation site is built without a warning, and its page on Python has all of the package."""
+"""The documentation site is built without a warning, and its page on Python lists the whole package."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Words of the window: all are in the template that translations begin with, and a catalogue changes them."""
+"""The window's texts: all are in the template from which translations begin, and a catalogue changes them."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ WRITE = {
     "label": (2,), "notify": (0,), "show_error": (0,), "ask": (0, 1), "Choice": (0,), "change": (0,), "Command": (1,),
     "change_object": (0,), "change_all": (0,), "change_film": (0,), "change_cut": (0,), "change_placements": (0,),
 }  # fmt: skip
-"""What writes words for the user, and which of its arguments they are."""
+"""Functions that draw text for the user, and the positions of their text arguments."""
 
 
 def messages(catalog: Catalog) -> set[object]:
-    """What is translated: texts, and pairs of them."""
+    """Texts to translate, plural forms as pairs."""
     return {message.id for message in catalog if message.id}
 
 
@@ -49,7 +49,7 @@ def test_the_template_has_all_words_of_the_code() -> None:
 
 
 def bare(node: ast.expr) -> Iterator[str]:
-    """Words in an expression that nobody translates: not those of a call, which may be of `_`."""
+    """Untranslated texts in an expression: not those in a call, which may be of `_`."""
     if isinstance(node, ast.Constant) and isinstance(node.value, str):
         if re.search(r"[A-Za-z]{2}", node.value.partition("##")[0]):
             yield node.value
@@ -88,7 +88,7 @@ def test_placeholders_can_be_filled_in_by_name() -> None:
 
 
 def test_a_catalogue_is_found_by_the_users_language(tmp_path: Path) -> None:
-    catalog = Catalog(locale="pl")  # three forms: 1, 2 to 4, and 5
+    catalog = Catalog(locale="pl")  # three plural forms: 1, 2 to 4, and 5
     catalog.add("Open...", "Otwórz...")
     catalog.add(("{count} piece", "{count} pieces"), ("{count} kawałek", "{count} kawałki", "{count} kawałków"))
     folder = tmp_path / "pl" / "LC_MESSAGES"

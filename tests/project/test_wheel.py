@@ -1,4 +1,4 @@
-"""The wheel: what it carries, and that it works away from the checkout, in a folder full of traps."""
+"""The wheel: its contents, and that it works away from the checkout, in a folder full of traps."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ print(app.__file__)
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     pytest.importorskip("setuptools", reason="no setuptools here to build a wheel with")
     folder = tmp_path_factory.mktemp("wheel")
-    source = folder / "source"  # building leaves files, and takes up those that an earlier build left
+    source = folder / "source"  # building leaves files, and picks up those of earlier builds
     for name in PACKAGES:
         shutil.copytree(ROOT / name, source / name, ignore=shutil.ignore_patterns("__pycache__"))
     for name in ("pyproject.toml", "README.md", "LICENSE"):
@@ -81,8 +81,8 @@ def test_the_wheel_carries_what_runs_and_nothing_else(wheel: Path) -> None:
 
 
 def give_kernels(packages: Path) -> None:
-    """What the checkout has compiled so far, for the same sources at the same times: compiling it all again would take
-    twenty seconds and is no matter of the wheel's. The rest is compiled beside what is installed, as for a user."""
+    """Copies kernels that the checkout compiled from the same sources, with the same file times: compiling all again
+    would take twenty seconds and does not test the wheel. The rest is compiled beside the install, as for a user."""
     for compiled in (path for name in PACKAGES for path in (ROOT / name).rglob("__pycache__/*.nb[ic]")):
         source = compiled.parents[1] / (compiled.name.partition(".")[0] + ".py")
         installed = packages / source.relative_to(ROOT)
@@ -103,8 +103,8 @@ def test_the_wheel_works_where_nothing_else_of_the_project_is(wheel: Path, tmp_p
     pip = [sys.executable, "-m", "pip", "--python", str(binaries / "python"), "install", "--quiet"]
     subprocess.run([*pip, "--no-deps", "--no-index", "--no-compile", str(wheel)], env=environment, check=True)
     packages = Path(sysconfig.get_path("purelib", vars={"base": str(home), "platbase": str(home)}))
-    # The libraries of this environment. A folder named so is searched, its own .pth files are not read: the editable
-    # install of the checkout, which is one, stays unknown.
+    # The libraries of this environment. Python searches a folder named this way but reads none of its .pth files, so
+    # the checkout's editable install, which is one of them, stays unknown.
     (packages / "libraries.pth").write_text(sysconfig.get_path("purelib") + "\n")
     give_kernels(packages)
     folder = hostile_folder(tmp_path / "downloads")

@@ -1,4 +1,4 @@
-"""Every write fails once, wherever it can: one line, the old file as it was, and nothing left behind."""
+"""Every write fails once, wherever it can: this gives one line, leaves the old file as it was, and nothing behind."""
 
 from __future__ import annotations
 
@@ -114,7 +114,7 @@ def test_each_write_fails_once(
     files = contents(folder)
     for number in range(1, 1000):
         code = ERRORS[number % len(ERRORS)]
-        (folder / "truth.safetensors").unlink(missing_ok=True)  # it is made only where it is missing
+        (folder / "truth.safetensors").unlink(missing_ok=True)  # made only if missing
         before = contents(folder)
         faults.arm(number, code)
         try:
@@ -126,12 +126,12 @@ def test_each_write_fails_once(
             left = contents(folder)
             assert left.keys() - {"truth.safetensors"} == before.keys(), faults.done[-1]
             for name in before:
-                assert left[name] == before[name] or name == "batch.json", (name, faults.done[-1])  # it has the time
+                assert left[name] == before[name] or name == "batch.json", (name, faults.done[-1])  # has the time
         else:
             if len(faults.done) < number:
-                break  # there is no such write any more
+                break  # there are no further writes
             failed = faults.done[number - 1]
-            assert failed[0] in ("link", "mkdir"), failed  # the folder is there; a name is also had by a copy
+            assert failed[0] in ("link", "mkdir"), failed  # the folder exists already; a failed link becomes a copy
             assert contents(folder).keys() == files.keys()
     assert number > 4
     faults.arm(None)
@@ -182,7 +182,7 @@ def test_a_picture_that_cannot_be_saved_leaves_the_last(
             assert ended.value.code == 0 and not said
             if len(faults.done) < number:
                 break
-            assert faults.done[number - 1][0] == "mkdir"  # the folder is there
+            assert faults.done[number - 1][0] == "mkdir"  # the folder exists already
             out.write_bytes(before)
     assert number > 4
     assert contents(out.parent).keys() == {"a.png"} and out.read_bytes() != before
@@ -209,7 +209,7 @@ def test_a_folder_appears_whole_or_not_at_all(tmp_path: Path, faults: Faults) ->
     assert number > 2 and contents(out) == {"unet/config.json": b"{}"}
 
 
-# what grows
+# Files that grow.
 
 
 def test_a_line_is_there_whole_or_not_at_all(tmp_path: Path, faults: Faults) -> None:
@@ -248,12 +248,12 @@ def test_a_full_device_is_said() -> None:
         reporter.emit("first")
 
 
-# runs
+# Whole runs.
 
 
 @pytest.fixture
 def short(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A run of a second or two, in which nothing is left out."""
+    """A run of a second or two that leaves no step out."""
     for name, value in SMALL.items():
         monkeypatch.setattr(name, value)
     monkeypatch.setattr("training.request.DETAILS", {"draft": SHORT})
@@ -271,7 +271,7 @@ FAILING = (
     ("fsync", ""),
     ("replace", "report.json"),
 )
-"""Stages of a run in their order, and how the disk fails there."""
+"""Stages of a run in order, and how the disk fails in each."""
 
 
 @pytest.mark.slow
@@ -297,7 +297,7 @@ def test_a_run_goes_on_after_each_failure_with_the_same_bits(short: None, tmp_pa
         assert os.strerror(faults.code) in str(caught.value) and str(out) in str(caught.value), (operation, start)
         after = contents(out)
         assert not [name for name in after if Path(name).name.startswith(".")], after.keys()
-        for name in before.keys() - {"events.jsonl"}:  # what is done again has the same bits
+        for name in before.keys() - {"events.jsonl"}:  # repeated work has the same bits
             assert after[name] == before[name] or name.endswith("training.safetensors"), name
         for line in after["events.jsonl"].splitlines():
             json.loads(line)

@@ -1,6 +1,6 @@
 """Classic 3DGS in plain torch, every pixel against every Gaussian: the formula and nothing else.
 
-Written for float64; autograd gives the derivatives. `engine.render.classic` is held to it.
+Written for float64; autograd gives the derivatives. `engine.render.classic` is tested against it.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The opaque image in plain float64 numpy: every atom at every pixel that it reaches. The renderers are held to it."""
+"""The opaque image in plain float64 numpy: every atom at every pixel it reaches. Renderers are tested against it."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ Double = NDArray[np.float64]
 
 
 def rotations(quats: NDArray[np.floating]) -> Double:
-    """(N, 3, 3). Columns are the principal axes; a quaternion without length is the identity."""
+    """(N, 3, 3). Columns are the principal axes; a quaternion of length zero gives the identity."""
     q = np.asarray(quats, np.float64)
     length = np.linalg.norm(q, axis=1, keepdims=True)
     q = np.where(length > 1e-12, q / np.maximum(length, 1e-12), [1.0, 0.0, 0.0, 0.0])
@@ -56,8 +56,8 @@ def kernel_field(
     points: NDArray[np.floating],  # [P, 3]
     footprint: float | NDArray[np.floating] = 0.0,  # [] or [P], world units per pixel
 ) -> tuple[Double, Double]:
-    """Colour (P, 3) and density (P,): sums over all atoms, in the colour those of the skin as far as the interior's are
-    less than FILLED_DENSITY; where the density is zero the colour is."""
+    """Colour (P, 3) and density (P,): sums over all atoms. In the colour, skin counts only as far as the interior falls
+    short of FILLED_DENSITY; the colour is zero where the density is."""
     means, scales, axes, rgb = ellipsoids(atoms)
     points = np.asarray(points, np.float64)
     least = 0.5 * np.broadcast_to(np.asarray(footprint, np.float64), len(points))[:, None]
@@ -65,7 +65,7 @@ def kernel_field(
     tree = KDTree(points)
     for i in range(len(means)):
         kind = int(i < len(atoms.surface))
-        # Of points farther away than this q is over its limit, whatever the atom's axes.
+        # At points farther away than this, q is over its limit, whatever the atom's axes.
         reach = 1.001 * np.sqrt(CUTOFF_Q) * max(scales[i].max(), least.max(initial=0))
         at = np.array(tree.query_ball_point(means[i], reach), int)
         used = np.maximum(scales[i], least[at])
@@ -93,12 +93,12 @@ def rays(camera: Camera) -> tuple[Double, Double]:
 
 
 def nearest(camera: Camera) -> float:
-    """Depth at which the picture begins."""
+    """Depth at which the view begins."""
     return -np.inf if camera.orthographic else camera.near
 
 
 def splats(atoms: Atoms, camera: Camera, planes: Sequence[Plane]) -> tuple[Double, Double, Double]:
-    """Colour (H, W, 3), alpha (H, W) and front depth (H, W), inf where nothing covers, of the outside."""
+    """The outside: colour (H, W, 3), alpha (H, W) and front depth (H, W), inf where nothing covers the pixel."""
     count = len(atoms.surface) + atoms.interior.exposed
     means, scales, axes, rgb = (a[:count] for a in ellipsoids(atoms))
     surface = len(atoms.surface)
@@ -122,7 +122,7 @@ def splats(atoms: Atoms, camera: Camera, planes: Sequence[Plane]) -> tuple[Doubl
             jacobian = np.array([[camera.fx, 0, 0], [0, camera.fy, 0]])
             centre = np.array([camera.fx * c[0] + camera.cx, camera.fy * c[1] + camera.cy])
         else:
-            # The local affine map of a Gaussian far outside of the picture is held at 1.3 times the field of view.
+            # The local affine map of a Gaussian far outside the picture is clamped at 1.3 times the field of view.
             side_x, side_y = 0.15 * camera.width / camera.fx, 0.15 * camera.height / camera.fy
             left, right = -camera.cx / camera.fx - side_x, (camera.width - camera.cx) / camera.fx + side_x
             top, bottom = -camera.cy / camera.fy - side_y, (camera.height - camera.cy) / camera.fy + side_y
@@ -133,7 +133,7 @@ def splats(atoms: Atoms, camera: Camera, planes: Sequence[Plane]) -> tuple[Doubl
         blurred = c0 + LOW_PASS * np.eye(2)
         rho = np.sqrt(max(np.linalg.det(c0), 0.0) / np.linalg.det(blurred))
         sharp = max(1.0, np.sqrt(np.linalg.eigvalsh(blurred)[0]) / EDGE_SLOPE)
-        # No pixel outside of the ellipse's box has a q within its limit.
+        # No pixel outside the ellipse's bounding box has a q within its limit.
         wide, high = 1.001 * np.sqrt(CUTOFF_Q * np.diag(blurred))
         rows, columns = np.nonzero((np.abs(x - centre[0]) <= wide) & (np.abs(y - centre[1]) <= high))
         u = np.stack([x[rows, columns], y[rows, columns]], -1) - centre
@@ -168,7 +168,7 @@ def splats(atoms: Atoms, camera: Camera, planes: Sequence[Plane]) -> tuple[Doubl
         covered.append(coverage(weight, edge))
         shown.append(colour / np.where(by_depth > 0, by_depth, 1)[..., None])
         if place == 0:
-            some = weight > MIN_WEIGHT  # without a layer there is nothing, whatever lies behind
+            some = weight > MIN_WEIGHT  # without a layer the pixel is empty, whatever lies behind
     here, before, behind = covered
     shares = np.stack([(1 - before) * here, before, (1 - before) * (1 - here) * behind])
     alpha = np.where(some, shares.sum(0), 0)
@@ -177,13 +177,13 @@ def splats(atoms: Atoms, camera: Camera, planes: Sequence[Plane]) -> tuple[Doubl
 
 
 def coverage(weight: NDArray[np.floating], edge: NDArray[np.floating]) -> Double:
-    """(H, W). Covered part of a pixel, range [0, 1], from sums of weights and of weights times sharpness (H, W)."""
+    """(H, W). Covered fraction of a pixel, range [0, 1], from sums of weights and of weights times sharpness (H, W)."""
     some = weight > MIN_WEIGHT
     return np.where(some, np.clip(0.5 + (weight - 0.5) * edge / np.where(some, weight, 1), 0, 1), 0)
 
 
 def faces(atoms: Atoms, camera: Camera, planes: Sequence[Plane], light: bool) -> tuple[Double, Double, Double]:
-    """Colour (H, W, 3), alpha (H, W) and depth (H, W) of the cut faces; depth inf where no ray enters through one."""
+    """The cut faces: colour (H, W, 3), alpha (H, W) and depth (H, W), inf where no ray enters through one."""
     origin, direction = rays(camera)
     size = (camera.height, camera.width)
     entry, through = np.full(size, -np.inf), np.full(size, -1)
@@ -195,7 +195,7 @@ def faces(atoms: Atoms, camera: Camera, planes: Sequence[Plane], light: bool) ->
     met = (through >= 0) & (entry > nearest(camera))
     point = origin + np.where(met, entry, 0)[..., None] * direction
     for plane in planes:
-        # The other planes that the ray enters through lie before the last: the point keeps to them by itself.
+        # The other planes through which the ray enters lie before the last one: they need no test.
         met &= (direction @ np.array(plane.normal) < 0) | (plane.distance(point) <= 0)
     scale = np.sqrt(camera.fx * camera.fy)
     footprint = (np.where(met, entry, 1) if not camera.orthographic else np.ones(size)) / scale

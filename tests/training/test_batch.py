@@ -1,4 +1,4 @@
-"""Many scenes: the bits of single runs, whatever dies on the way, and nothing done twice."""
+"""Many scenes: the same bits as single runs, whatever dies on the way, and nothing done twice."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def command(manifest: Path, out: Path, *more: str, preload: tuple[Path, ...] = (
         text=True,
         stderr=subprocess.PIPE,
         stdout=subprocess.DEVNULL,
-        start_new_session=True,  # its workers are in one group with it, as in a terminal
+        start_new_session=True,  # its workers share its process group, as in a terminal
     )
 
 
@@ -159,12 +159,12 @@ def test_what_a_killed_writer_left_breaks_no_checkpoint(tmp_path: Path) -> None:
     assert not is_intact(checkpoint)
 
 
-# any grid of plain functions, through a running cluster's address
+# Any grid of plain functions, through the address of a running cluster.
 
 
 @pytest.fixture(scope="module")
 def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    """A scheduler and a worker that somebody else has started, each a process of its own."""
+    """The address of a scheduler and a worker started by somebody else, each in its own process."""
     folder = tmp_path_factory.mktemp("cluster")
     on_change = folder / "scheduler.json"
     scheduler = ["dask_scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard"]
@@ -232,7 +232,7 @@ def test_a_grid_of_plain_functions(tmp_path: Path, address: str) -> None:
     assert outcomes[2].error.startswith("ZeroDivisionError: always so (test_batch.py:")
     assert json.loads((tmp_path / "double.json").read_text())["facts"] == {"twice": 8}
     assert not (tmp_path / "fail.json").exists()
-    # A second time only what is not done; another fingerprint or a broken file is not done.
+    # A second run does only what is not done: another fingerprint or a broken file counts as not done.
     (tmp_path / "last.json").write_text("{")
     tasks[0] = Task("double", double, {"value": 6}, tmp_path / "double.json", "other")
     outcomes = run_grid(tasks, lambda *_: None, lambda: False, scheduler=address)
@@ -268,8 +268,8 @@ def listening() -> set[tuple[str, int]]:
 
 
 def test_a_cluster_of_its_own_listens_to_this_machine_alone() -> None:
-    """One port each for the scheduler, two workers and their two guards; no web pages, and no word of a taken port."""
-    with socket.socket() as dask, suppress(OSError):  # where it fails, somebody else has it
+    """One port each for the scheduler, two workers and their two guards; no web pages, no word of a taken port."""
+    with socket.socket() as dask, suppress(OSError):  # if it fails, somebody else has the port
         dask.bind(("127.0.0.1", 8787))
     before = listening()
     with cluster_client(None, 2, 2, 0.1) as client:
@@ -299,7 +299,7 @@ def test_a_signal_waits_for_the_end_of_the_block_whichever_thread_takes_it() -> 
     assert told == ["block", "signal"] * 2
 
 
-# manifests
+# Manifests.
 
 
 def test_a_manifest_is_checked_as_a_whole(tmp_path: Path) -> None:

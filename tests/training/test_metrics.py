@@ -1,4 +1,4 @@
-"""The figures of merit against cases whose value is known."""
+"""The metrics against cases whose value is known."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def test_patch_distance_of_a_shift(face):
     # A constant added to all 147 numbers moves a projection by s * sum(direction); E[sum^2] = 1 for unit directions.
     shifted = picture + np.float32(0.2)
     assert patch_distance(shifted, inside, picture, inside) == pytest.approx(100 * 0.2**2, rel=0.25)
-    # The distance knows no places: the same texture elsewhere is the same texture.
+    # The distance ignores position: the same texture elsewhere is the same texture.
     assert patch_distance(picture[::-1], inside, picture, inside) < 0.05 * 100 * 0.2**2
 
 

@@ -23,7 +23,7 @@ from training.request import Request, read_request
 
 
 def full(folder: Path) -> Request:
-    """A request in which no field has its default."""
+    """A request in which no field has its default value."""
     marks = ((folder / "b é.png", Marks(((0.1, 0.2), (0.9, 1 / 3), (0.5, 1.0)), (0.5, 1 / 3))),)
     families = (
         Family("horizontal", 7, (folder / "a.png", folder / "b é.png"), "a slice", span=(0.1, 2 / 3), marks=marks),

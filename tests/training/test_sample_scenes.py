@@ -1,4 +1,4 @@
-"""The sample scenes: solids that keep their promises, and shipped files that are what the solids make."""
+"""The sample scenes: solids that keep their promises, and shipped files that match what the solids generate."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ def rays(count: int, seed: int = 5) -> np.ndarray:
 
 
 def test_depth_is_a_distance_at_the_skin(solid: Solid) -> None:
-    """Zero on the skin, slope one, and for two per cent of the size a true distance to either side of it."""
+    """Zero on the skin, slope one, and a true distance to either side of it for two per cent of the size."""
     points = solid.skin(rays(2000))
     assert np.abs(solid.depth(points)).max() < 1e-5
     step = 1e-3 * np.eye(3)
     slope = np.stack([solid.depth(points + e) - solid.depth(points - e) for e in step], axis=-1) / 2e-3
-    # In the creases of the bodies (an apple's hollows, a loaf's edge) no smooth depth has slope one everywhere.
+    # In the creases of a body (an apple's hollows, a loaf's edge) no smooth depth has slope one everywhere.
     assert np.quantile(np.abs(np.linalg.norm(slope, axis=-1) - 1), 0.98) < 0.05
     normals = solid.normals(points)
     for t in (-0.01, 0.005, 0.02):
@@ -51,14 +51,14 @@ def test_body_fills_its_bounds(solid: Solid) -> None:
     assert np.abs((low + high) / 2).max() < 0.08
     beyond = np.concatenate([solid.skin(rays(500)) * 1.02, [[1.2, 0, 0], [0, 0, 1.3]]])
     assert (solid.depth(beyond) < 0).all()
-    # The middle lies deep everywhere: no rind or crust may turn up there.
+    # The middle is deep everywhere: no rind or crust may appear there.
     column = np.linspace(-0.3, 0.3, 61)
     inner = np.stack(np.meshgrid(column[::10], [-0.02, 0.0, 0.01, 0.2], column, indexing="ij"), axis=-1)
     assert solid.depth(inner).min() > 0.18
 
 
 def test_slice_shows_the_colours_at_its_points(solid: Solid) -> None:
-    """Exactly: each pixel of a slice is the solid's colour where a ray, computed here by itself, meets the plane."""
+    """Each pixel of a slice has exactly the solid's colour where its ray, computed here separately, meets the plane."""
     plane = Plane.of([0.4, -0.5, 0.77], 0.05)
     n = np.asarray(plane.normal)
     for camera in (section(plane, solid.up, solid.bounds, 40), orbit([0, 0, 0], solid.up, 250, 60, 4.0, 48, 36)):
@@ -73,7 +73,7 @@ def test_slice_shows_the_colours_at_its_points(solid: Solid) -> None:
         else:
             starts, steps = camera.position[None], np.stack([x, y, 0 * x + 1], 1) @ world[:3, :3].T
         points = starts - ((starts @ n + plane.offset) / (steps @ n))[:, None] * steps
-        # The points agree to rounding; where a colour jumps (a cell's tint) that may still pick the other side.
+        # The points agree to rounding, which may still pick the other side where a colour jumps (a cell's tint).
         error = np.abs(rgb[inside] - solid.colour(points)).max(-1)
         assert np.quantile(error, 0.995) < 1e-4
         assert (solid.depth(points) > -1e-6).all()
@@ -88,7 +88,7 @@ def test_colours_are_colours_and_seeds_make_other_solids(solid: Solid) -> None:
     again, other = SOLIDS[solid.name](0), SOLIDS[solid.name](1)
     np.testing.assert_array_equal(again.colour(points), colours)
     assert np.abs(other.colour(points) - colours).mean() > 0.01
-    # Yet of one kind: the mean colour of the inside barely moves.
+    # They are of the same kind: the mean colour of the inside barely changes.
     assert np.abs(other.colour(points).mean(0) - colours.mean(0)).max() < 0.06
 
 
@@ -119,7 +119,7 @@ def test_shipped_shell_is_the_solids_skin(name: str) -> None:
 
 @pytest.mark.parametrize("name", make.SHIPPED)
 def test_shipped_pictures_are_slices(name: str) -> None:
-    """Windows of every shipped picture, made again: the middle of the face and its left rim."""
+    """Windows of every shipped picture, rendered again: the middle of the face and its left rim."""
     solid = SOLIDS[name](0)
     for kind in solid.families:
         files = sorted((SCENES / name).glob(f"{kind}_*.png"))

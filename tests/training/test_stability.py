@@ -1,7 +1,7 @@
-"""Where such methods fail: each case ends in a finite result, a counted warning, or one clear error.
+"""The limits of the method: each case ends in a finite result, a counted warning, or one clear error.
 
-Whole runs, made small, on shells of closed form with pictures drawn here; what single parts do at their limits stands
-in their own tests. The sweeps that show how far the method holds are `benchmarks/stability.py`.
+Whole small runs, on shells of closed form with pictures drawn here; the limits of single parts are covered by their own
+tests. The sweeps that show how far the method holds are `benchmarks/stability.py`.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture(scope="module")
 def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Cut faces: flesh in a rind on white, in colour, in grey, tiny and far too wide."""
+    """Pictures of cut faces: flesh in a rind on white, in colour, in grey, tiny, and far too wide."""
     folder = tmp_path_factory.mktemp("pictures")
     for name, height, width, mode in (("a", 48, 48, "RGB"), ("grey", 48, 48, "L"), ("tiny", 6, 6, "RGB"),
                                       ("wide", 10, 400, "RGB")):  # fmt: skip
@@ -98,13 +98,13 @@ def trained(
     families: tuple[Family, ...],
     up: tuple[float, float, float] | None = (0.0, 0.0, 1.0),
 ) -> tuple[Atoms, list[str]]:
-    """A small whole run: the solid that was saved, and the warnings that were given."""
+    """Runs a small training: the solid that was saved, and the warnings given."""
     write_ply(folder / "ball.ply", scene)
     events = io.StringIO()
     path = run(
         Request(folder / "ball.ply", families, "draft", up), folder / "out", Reporter(events), False, lambda: False
     )
-    atoms, _ = load_trained(path)  # refuses what is not finite
+    atoms, _ = load_trained(path)  # refuses values that are not finite
     report = json.loads((folder / "out/report.json").read_text(), parse_constant=pytest.fail)
     assert np.isfinite(report["losses"]["section"]).all()
     lines = [json.loads(line) for line in events.getvalue().splitlines()]
@@ -132,7 +132,7 @@ def test_captures_at_the_limit_become_solids(case: str, tmp_path: Path, pictures
     assert told in "\n".join(warnings)
     extent = np.ptp(scene().means, axis=0).max()
     assert len(atoms.interior) > 200
-    assert np.abs(atoms.interior.means).max() < extent  # nothing has flown off
+    assert np.abs(atoms.interior.means).max() < extent  # no atom has flown off
     assert np.abs(np.median(atoms.interior.rgb, axis=0) - FLESH).max() < 0.15
 
 
@@ -209,7 +209,7 @@ def test_atoms_are_no_finer_than_the_pictures(tmp_path: Path, monkeypatch: pytes
 
 
 def test_every_step_of_a_pipeline_can_be_overridden(tmp_path: Path, pictures: Path) -> None:
-    """Plane by plane, where all of them have a part."""
+    """Plane by plane, in the pipeline that uses all of the steps."""
     write_ply(tmp_path / "ball.ply", ball())
     steps = {"make_prior", "fill_interior", "draw_label", "smooth_interior", "make_trainer"}
     called: set[str] = set()
@@ -250,7 +250,7 @@ def test_a_wrong_axis_still_fills_the_whole(tmp_path: Path, pictures: Path) -> N
     assert np.abs(np.median(atoms.interior.rgb, axis=0) - FLESH).max() < 0.15
 
 
-# training at its limits
+# Training at its limits.
 
 
 def crossed(atoms: Atoms) -> list[Section]:
@@ -319,7 +319,7 @@ def test_a_large_learning_rate_stays_bounded(atoms: Atoms, rate: float, monkeypa
 
 @pytest.mark.parametrize("dark", [-3.0, -9.0])
 def test_colours_under_black_come_back_to_light(dark: float) -> None:
-    """The clamp at 0 has no gradient: a fit that starts under it must not stay there."""
+    """The clamp at 0 has no gradient: a fit that starts below it must not get stuck."""
     truth = patches(1, 1)
     start = replace(truth, surface=replace(truth.surface, sh=np.full_like(truth.surface.sh, dark)))
     result = fit_sh(start, views_of(truth, 12))

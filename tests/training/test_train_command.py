@@ -1,4 +1,4 @@
-"""The main job from the outside: results, the same bits after any interruption, and bad input in one line."""
+"""The main job from outside: results, the same bits after any interruption, and bad input in one line."""
 
 from __future__ import annotations
 
@@ -38,10 +38,10 @@ REQUEST = Request(
     up=(0.0, 0.0, 1.0),
 )
 SHEET_TILE, PICTURE, BODY = 48, 192, 32
-"""Pixels of a square of the contact sheet and of a photograph, and cells across the body: at their full sizes these
-would take longer than all else in so small a run."""
+"""Pixels along a tile of the contact sheet and along a photograph, and cells across the body: at full size these would
+take longer than everything else in so small a run."""
 
-# The command with its draft made tiny, for tests that have to end it from outside.
+# The command with draft made tiny, for tests that end it from outside.
 SMALL_COMMAND = f"""
 import sys
 import engine.solid.solidify, training.contact_sheet, training.optimise.training_loop, training.settings, training.skin
@@ -67,7 +67,7 @@ def make_tiny(patch: pytest.MonkeyPatch) -> None:
     patch.setattr("training.contact_sheet.TILE", SHEET_TILE)
     patch.setattr("training.priors.exemplar.pictures.MAX_SIDE", PICTURE)
     patch.setattr("engine.solid.solidify.BODY_CELLS", BODY)
-    # All iterations, however soon it settles.
+    # All iterations, however soon the loss settles.
     patch.setattr("training.optimise.training_loop.MIN_IMPROVEMENT", float("-inf"))
 
 
@@ -95,7 +95,7 @@ def test_a_run_leaves_a_solid_a_sheet_and_a_report(whole):
     assert {"train", "save", "cuts", "measure"} <= set(report["seconds"])
     assert len(load(whole / "watermelon.ply").gaussians) == len(atoms)
     assert np.asarray(Image.open(whole / "cuts.png")).std() > 10
-    # The inside of a watermelon is red, the outside is not: an interior like the skin would fail here.
+    # The inside of a watermelon is red, the outside is not: an interior coloured like the skin would fail here.
     deep = np.linalg.norm(atoms.interior.means, axis=1) < 0.4
     red, green, _ = atoms.interior.rgb[deep].mean(0)
     assert red > 1.5 * green

@@ -1,4 +1,4 @@
-"""`fruitninja-export`, from a trained object to a file that other programs open, and from bad input to one line."""
+"""`fruitninja-export`: from a trained object to a file that other programs open, and from bad input to one line."""
 
 from __future__ import annotations
 

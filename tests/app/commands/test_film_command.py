@@ -1,4 +1,4 @@
-"""`fruitninja-render --film`, from a solid to a film, whole and in two goes."""
+"""`fruitninja-render --film`: from a solid to a film, in one run and in two."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def test_a_film_in_two_goes_has_the_same_bits(
     assert "6 frames, 6 of them new" in capsys.readouterr().out
     whole = contents(tmp_path / "whole")
     assert sorted(whole) == ["film.json", *(f"frame_{k:05d}.png" for k in range(6))]
-    assert len(set(whole.values())) >= 4  # the way back shows the same as the way there
+    assert len(set(whole.values())) >= 4  # the way back shows the same frames as the way there
 
     left = 2
 
@@ -94,7 +94,7 @@ def test_films_and_backgrounds_open_again(trained: Path, tmp_path: Path, monkeyp
             image.seek(number)
             seen.append(np.asarray(image)[..., 3] > 127)
     assert not any(alpha[0, 0] for alpha in seen)
-    assert np.ptp(np.flatnonzero(seen[3].any(0))) > np.ptp(np.flatnonzero(seen[0].any(0)))  # parted is wider
+    assert np.ptp(np.flatnonzero(seen[3].any(0))) > np.ptp(np.flatnonzero(seen[0].any(0)))  # parted, it is wider
     for name, background, corner in (
         ("white", "white", (255, 255, 255)),
         ("grey", "#20262e", (32, 38, 46)),

@@ -1,4 +1,4 @@
-"""`fruitninja-render --html`: the page in a real browser, beside what Python draws, and bad input in one line."""
+"""`fruitninja-render --html`: the page in a real browser against what Python draws, and bad input in one line."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from tests.helpers.solids import filled_ball
 
 SIDE = 200
 PANEL = 288
-"""Pixels: of the picture, and of the panel beside it."""
+"""Pixels: the side of the picture, and the width of the panel beside it."""
 
 SIZE = (SIDE + PANEL, SIDE)
 
@@ -42,7 +42,7 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def page(trained: Path) -> Path:
-    """The page of half a ball over white, as the command writes it."""
+    """The page of half a ball over white, as written by the command."""
     out = trained.with_name("page.html")
     with pytest.MonkeyPatch.context() as patch:
         words = ("--plane", ",".join(map(str, PLANE)), "--background", "white")
@@ -79,8 +79,8 @@ def test_the_page_shows_what_python_draws(trained: Path, page: Path) -> None:
 
 
 def compare(page: NDArray[np.int64], python: NDArray[np.uint8]) -> None:
-    """The same silhouette to 3 % of its pixels, and the same colours but at the rim, which is a pixel or two wide:
-    there a page has the skin as a volume of cells holds it."""
+    """Asserts the same silhouette to 3 % of its pixels, and the same colours except at the rim, which is a pixel or two
+    wide: there a page shows the skin from a volume of cells."""
     seen = [shown.min(-1) < 250 for shown in (page, python)]
     assert (seen[0] & seen[1]).sum() > 0.97 * (seen[0] | seen[1]).sum()
     apart = np.abs(page - python).max(-1)[seen[0] & seen[1]]

@@ -1,4 +1,4 @@
-"""`fruitninja-render`, from a file to a picture and from bad input to one line."""
+"""`fruitninja-render`: from a file to a picture, and from bad input to one line."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The law of motion: closed forms of its presets and of films with few keyframes."""
+"""The motion of a film: closed forms of its presets and of films with few keyframes."""
 
 from __future__ import annotations
 
@@ -42,9 +42,9 @@ def test_a_sweep_passes_from_one_side_to_the_other_and_back() -> None:
     ends = low + (high - low) * np.array([EDGE, 1 - EDGE])
     assert np.allclose([places[40], places[0]], ends) and places.min() >= ends[0] - 1e-9
     assert (np.diff(places[:41]) < 0).all() and (np.diff(places[40:]) > 0).all()
-    assert np.allclose(places[1:40], places[:40:-1])  # the way back is the way there
+    assert np.allclose(places[1:40], places[:40:-1])  # the way back is the way there, reversed
     steps = np.abs(np.diff([*places, places[0]]))
-    assert steps.max() < 1.5 * 2 * (ends[1] - ends[0]) / 80 + 1e-9  # a smoothstep is 1.5 times as fast in its middle
+    assert steps.max() < 1.5 * 2 * (ends[1] - ends[0]) / 80 + 1e-9  # a smoothstep is 1.5 times as fast in the middle
     assert all(key.planes[1] == shown[0].planes[1] for key in shown)
 
 

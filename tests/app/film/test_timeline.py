@@ -43,7 +43,7 @@ def test_a_film_passes_through_its_keyframes_by_the_short_way() -> None:
         if eye is not None:
             assert np.allclose(seen.target, eye.target) and np.isclose(seen.distance, eye.distance)
             assert np.isclose((seen.azimuth - eye.azimuth + 180) % 360, 180) and seen.fov == 40.0
-    middle, _ = at(1.0)  # a smoothstep is halfway there, of a distance by its logarithm
+    middle, _ = at(1.0)  # a smoothstep is halfway there; for a distance, in its logarithm
     assert (
         np.isclose(middle.azimuth % 360, 180) and np.isclose(middle.distance, 6.0) and np.isclose(middle.target[0], 0.3)
     )
@@ -94,7 +94,7 @@ def test_keyframes_are_moved_between_their_neighbours_and_replaced() -> None:
     other = Moment(2.01, replace(EYE, azimuth=1.0))
     assert film.with_moment(other).moments == (film.moments[0], other, film.moments[2])
     assert film.at(2.02) == 1 and film.at(2.3) is None and film.without(1).moments == film.moments[::2]
-    # One moment is a still; one that does not begin at 0 is held until then.
+    # One moment is a still; a film that does not begin at 0 shows its first moment until then.
     still, _ = played(Timeline(film.moments[:1]), (HALVED,), {3: BALL})
     assert still(0.0)[0] == still(5.0)[0]
     held, _ = played(Timeline((Moment(1.0, EYE), Moment(2.0, replace(EYE, azimuth=0.0)))), (HALVED,), {3: BALL})
@@ -118,11 +118,11 @@ def test_the_window_keeps_what_is_shown_plays_it_and_leaves_it(session: Session)
     film.add()
     session.viewing = replace(session.viewing, eye=replace(EYE, azimuth=200.0))
     session.change("Explode", replace(session.document, explode=1.0))
-    film.add()  # two seconds after the last
+    film.add()  # two seconds after the last moment
     assert [one.time for one in session.timeline.moments] == [0.0, 2.0] and film.selected == 1
     untouched = session.documents
 
-    # Between them: drawn as the film has it, edited by nobody, looked around in and kept as it is seen.
+    # Between keyframes: drawn as in the film, not editable; one can look around in it and keep what is seen.
     film.seek(1.0)
     assert film.shown and session.mode == "solid" and np.isclose(session.viewing.eye.azimuth % 360, 185)
     assert np.isclose(session.drawn_documents[0].explode, 0.5) and session.documents is untouched
@@ -135,7 +135,7 @@ def test_the_window_keeps_what_is_shown_plays_it_and_leaves_it(session: Session)
     session.undo()
     assert len(session.timeline.moments) == 2 and film.shown
 
-    # Playing stops at the end; an edit of the object shows it as it is.
+    # Playing stops at the end; an edit of the object shows the object as it is.
     film.play()
     clock += 0.5
     film.tick()
@@ -148,7 +148,7 @@ def test_the_window_keeps_what_is_shown_plays_it_and_leaves_it(session: Session)
     film.tick()
     assert session.previewed is None
 
-    # What goes round goes on.
+    # A turntable goes on after a full turn.
     film.preset("turntable")
     assert film.playing and len(session.timeline.moments) == 4
     clock += 7.0
@@ -179,7 +179,7 @@ def test_a_film_is_saved_as_the_window_shows_it(session: Session, tmp_path: Path
     gaps = [int((~row[slice(*np.flatnonzero(row)[[0, -1]])]).sum()) for row in middle]
     assert gaps[0] == 0 < gaps[1] == gaps[3] < gaps[2]  # apart and together again
     first = (tmp_path / "frames" / "frame_00000.png").stat().st_mtime_ns
-    saved(tmp_path / "frames", None)  # again: all of it is there
+    saved(tmp_path / "frames", None)  # again: all frames are there
     assert (tmp_path / "frames" / "frame_00000.png").stat().st_mtime_ns == first
     stop.set()
     with pytest.raises(InputError, match="stopped"):

@@ -1,4 +1,4 @@
-"""Pieces as meshes: read again by other programs' readers they are closed, flat, and show the inside."""
+"""Pieces as meshes: read back by other programs' readers they are closed, flat, and show the inside."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def made(body: Body) -> TexturedPieces:
 
 
 def reread(path: Path) -> dict[str, trimesh.Trimesh]:
-    """The objects of a file by name, with each point once, in world units and the axes of the ball."""
+    """The objects of a file by name, with merged points, in world units and the axes of the ball."""
     turn = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
     if path.suffix != ".3mf":
         scene = trimesh.load_scene(path, split_objects=True) if path.suffix == ".obj" else trimesh.load_scene(path)
@@ -65,7 +65,7 @@ def test_the_body_of_a_ball_is_the_ball(body: Body) -> None:
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     skin = np.linalg.norm(project_onto_skin(body, RADIUS * rays), axis=1)
     assert np.abs(skin - RADIUS).max() < 0.1 * ATOMS.pitch
-    assert body.volume == pytest.approx(4 / 3 * np.pi * RADIUS**3, rel=0.02)  # of lattice cells
+    assert body.volume == pytest.approx(4 / 3 * np.pi * RADIUS**3, rel=0.02)  # volume of lattice cells
 
 
 @pytest.mark.parametrize("suffix", [".glb", ".obj", ".3mf"])
@@ -110,7 +110,7 @@ def test_a_face_shows_the_inside_right_up_to_its_edge_and_the_skin_its_atoms(
 
 
 def bilinear(picture: NDArray[np.float64], places: NDArray[np.float64]) -> NDArray[np.float64]:
-    """As a graphics card reads a picture at places from its lower left corner."""
+    """Reads a picture as a graphics card does, at places from its lower left corner."""
     height, width = picture.shape[:2]
     at = [(1 - places[:, 1]) * height - 0.5, places[:, 0] * width - 0.5]
     return np.stack([ndimage.map_coordinates(picture[..., c], at, order=1, mode="nearest") for c in range(3)], -1)
@@ -125,7 +125,7 @@ def test_a_piece_of_several_cells_is_one_closed_mesh_where_it_lies(body: Body) -
     mesh.merge_vertices(merge_tex=True, merge_norm=True)
     assert mesh.is_watertight and mesh.volume == pytest.approx(piece.volume, rel=1e-5)
     assert len(mesh.split()) == 1 and mesh.bounds.mean(0)[0] == pytest.approx(2.0, abs=0.02)
-    inner = np.abs(piece.points[piece.triangles][..., 0] - 2).max(1) < 1e-5  # no wall is left between the cells
+    inner = np.abs(piece.points[piece.triangles][..., 0] - 2).max(1) < 1e-5  # no wall remains between the cells
     assert not inner.any()
 
 

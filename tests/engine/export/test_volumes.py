@@ -1,4 +1,4 @@
-"""Volumes and particles: read again by other readers they are the body, in place, and hold what it holds."""
+"""Volumes and particles: read back by other readers they are the body, in place, with its colours and labels."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ RADIUS, CENTRE = 0.5, np.array([0.3, -0.2, 0.1])
 HALF = Plane.of((0.3, 0.2, 1.0), -0.1)
 UP, METRES = (0.0, 1.0, 0.0), 0.2
 TO_RAS = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]) * METRES * 1000
-"""What turns y up into z up, in millimetres."""
+"""Turns y up into z up, in millimetres."""
 
 
 @pytest.fixture(scope="module")
@@ -42,14 +42,14 @@ def voxels(body: Body) -> Voxels:
 
 
 def true_volume() -> float:
-    """Of what the plane keeps: a ball less a cap."""
+    """Volume of the part that the plane keeps: a ball less a cap, or the cap."""
     h = RADIUS - abs(float(HALF.distance(CENTRE)))
     cap = np.pi * h**2 * (3 * RADIUS - h) / 3
     return cap if HALF.distance(CENTRE) > 0 else 4 / 3 * np.pi * RADIUS**3 - cap
 
 
 def check(millimetres: NDArray[np.float64], rgb: NDArray[np.uint8], kind: NDArray[np.uint8]) -> None:
-    """What a file says there is at places (N, 3) of its space, against what there is."""
+    """Asserts that colours and labels read from a file at places (N, 3) of its space are the true ones."""
     points = millimetres @ np.linalg.inv(TO_RAS).T
     depth = np.minimum(RADIUS - np.linalg.norm(points - CENTRE, axis=1), -HALF.distance(points))
     clear = np.abs(depth) > 0.002
@@ -127,7 +127,7 @@ def test_a_printer_gets_pictures_of_the_stated_resolution(voxels: Voxels, tmp_pa
 
 
 def test_inks_add_up_to_the_colour() -> None:
-    """In linear light, in every block and layer, as far as inks can: what they cannot give is the nearest they can."""
+    """In linear light, in every block and layer; where the inks cannot give a colour, the nearest that they can."""
     pytest.importorskip("zarr", reason="the export extra is not installed")
     from engine.export.volumes.inks import halftoned
 
@@ -141,7 +141,7 @@ def test_inks_add_up_to_the_colour() -> None:
         shown, wanted = light[drops], linear_light(np.array([colour]))[0]
         assert not drops[~filled].any()
         assert np.abs(shown[filled].mean(0) - wanted).max() < 0.008  # two steps of 255 in this light
-        # Drops that fall by chance alone would spread by this much.
+        # Drops placed purely at random would spread by this much.
         chance = shown[filled].std(0) / np.sqrt(8**3)
         blocks = shown[8:, 8:].reshape(5, 8, 5, 8, 6, 8, 3).mean((1, 3, 5)).reshape(-1, 3)
         assert (blocks.std(0) < 0.7 * chance).all()

@@ -1,4 +1,4 @@
-"""The differentiable opaque image: the same picture, and gradients against finite differences in float64."""
+"""The differentiable opaque image: the same picture, and its gradients against finite differences in float64."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def things_behind_things(seed: int) -> Atoms:
 @pytest.mark.parametrize("made", ["scattered", "behind", "far behind"])
 def test_gradients_meet_finite_differences(made: str, camera: Camera, planes: list[Plane], seed: int) -> None:
     scene = scatter(5, 6, seed=seed, exposed=3, degree=3) if made == "scattered" else things_behind_things(seed)
-    if made == "far behind":  # by forty layers: their weights by depth are as small as they become
+    if made == "far behind":  # by forty layers: depth weights at their smallest
         scene = replace(scene, pitch=0.01)
     atoms = AtomTensors.of(scene, torch.float64)
     parameters = [getattr(atoms, name).requires_grad_() for name in PARAMETERS]
@@ -87,12 +87,12 @@ def test_gradients_meet_finite_differences(made: str, camera: Camera, planes: li
             slope = float(ends[0] - ends[1]) / (2 * step)
             wrong += abs(slope - float(given.reshape(-1)[at])) > 1e-5 * (1 + abs(slope))
             entries += 1
-    # A step may cross a jump (a fragment that enters, a front that changes); there no slope exists.
+    # A step may cross a jump (a fragment enters, a front changes), where there is no slope.
     assert wrong <= 0.03 * entries
 
 
 def test_gradients_reach_what_lies_behind() -> None:
-    """Where both the layer and what lies behind it cover a pixel in part, and of neither where it is covered."""
+    """Where both the layer and what lies behind it cover a pixel in part, but not where the layer covers it fully."""
     scene = things_behind_things(4)
     camera = orbit((0, 0, 0), UP, 30, 35, 2.0, 44, 36)
     sums = draw(splats_of(scene), [view_colours(scene, camera)], camera, [Piece(())], scene.pitch).sums

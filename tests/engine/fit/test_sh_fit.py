@@ -1,4 +1,4 @@
-"""The fit of the skin's colours: it finds what is there, needs no more bands than that, and leaves the unseen alone."""
+"""The fit of the skin's colours: finds the true ones, needs no more bands than they have, leaves the unseen alone."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def sphere(bands: int, seed: int) -> Atoms:
     means = place.standard_normal((1500, 3)).astype(np.float32)
     means /= np.linalg.norm(means, axis=1, keepdims=True)
     sh = rng.normal(0, 0.5, (len(means), bands, 3)).astype(np.float32)
-    sh[:, 1:] = np.linspace(-0.6, 0.6, 3 * (bands - 1)).reshape(bands - 1, 3)  # a sheen, the same everywhere
+    sh[:, 1:] = np.linspace(-0.6, 0.6, 3 * (bands - 1)).reshape(bands - 1, 3)  # the same sheen everywhere
     scales = np.full((len(means), 3), 0.04, np.float32)
     return Atoms(SurfaceAtoms(means, scales, unturned(len(means)), sh), NO_INTERIOR, 0.05)
 

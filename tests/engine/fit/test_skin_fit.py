@@ -1,4 +1,4 @@
-"""Fitting the skin: what the solid hides does not count, and cracks close that a whole solid would not show."""
+"""Fitting the skin: what the solid hides does not count, and cracks close that would not show in a whole solid."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ PITCH = 0.1
 
 
 def ball() -> Body:
-    """A unit ball by its closed form."""
+    """A unit ball in closed form."""
     grid = Grid(np.full(3, -1.3), 0.05, (52, 52, 52))
     return Body(grid, (1 - np.linalg.norm(grid.centres(), axis=-1)).astype(np.float32))
 
 
 def distance_from_centre(camera: Camera, points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Of the origin from the lines from the eye through points, and whether they pass it before they reach them."""
+    """Distance of the origin from the lines from the eye through points, and whether it comes before the points."""
     ray = points - camera.position
     ray /= np.linalg.norm(ray, axis=-1, keepdims=True)
     middle = -(ray @ camera.position)
@@ -44,14 +44,14 @@ def test_skin_is_hidden_where_its_line_of_sight_crosses_the_core() -> None:
     shown[view_of_core(core_of(ball(), pitch), camera, pitch).shown(skin)] = True
     distance, beyond = distance_from_centre(camera, normals)
     edge = 1 - CORE_PITCHES * pitch
-    sure = np.abs(distance - edge) > 0.08  # a cell of the body and a pixel of the core's picture
+    sure = np.abs(distance - edge) > 0.08  # tolerance: a cell of the body and a pixel of the core's picture
     assert np.array_equal(shown[sure], (~beyond | (distance > edge))[sure])
     thin = core_of(ball(), 3.0)
     assert len(view_of_core(thin, camera, pitch).shown(skin)) == len(skin)
 
 
 def discs(count: int, size: float, seed: int) -> SurfaceAtoms:
-    """Flat atoms at random on the unit sphere, all of one colour."""
+    """Flat atoms at random on the unit sphere, all of the same colour."""
     normals = np.random.default_rng(seed).normal(size=(count, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     scales = np.tile(np.array([size, size, size / 5], np.float32), (count, 1))
@@ -60,7 +60,7 @@ def discs(count: int, size: float, seed: int) -> SurfaceAtoms:
 
 
 def open_part(atoms: Atoms, size: int = 128) -> float:
-    """Part of the near half of the unit sphere, but its rim, that shows the background with the far half cut away."""
+    """Share of the near half of the unit sphere, rim excluded, that shows background once the far half is cut away."""
     holes, count = 0, 0
     for camera in cameras_around(np.zeros(3), 1.1, UP, 6, size, turn=23.0):
         alpha = opaque.render(atoms, camera, [Plane.through(np.zeros(3), camera.forward)]).alpha

@@ -1,4 +1,4 @@
-"""Joint training may not spoil the skin: what the sections ask of it, the surface views hold."""
+"""Joint training must not spoil the skin: the surface views hold it against the sections."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def views_of(truth: Atoms, atoms: Atoms, count: int, turn: float) -> list[Surfac
 
 
 def psnr(views: list[SurfaceView], atoms: Atoms) -> float:
-    """From the full renderer."""
+    """PSNR of the views in the full renderer."""
     wrong = [(opaque.render(atoms, v.camera).rgb - v.target)[v.opaque] for v in views]
     return float(-10 * np.log10(np.square(np.concatenate(wrong)).mean()))
 
@@ -48,7 +48,7 @@ def test_the_surface_stays_within_a_fifth_of_a_decibel() -> None:
         plane = Plane.of((0, 0, 1), -height)
         camera = section(plane, UP, low_high, 64, 0.55)
         weights = ViewWeights.section(atoms, plane, camera).truncated(ENTRIES)
-        none = cast(Any, None)  # what the trainer does not ask
+        none = cast(Any, None)  # not used by the trainer
         cuts.append(
             Section(family=Family("horizontal", 9), plane=plane, camera=camera, condition=none, points=none,
                     weights=weights)
@@ -58,7 +58,7 @@ def test_the_surface_stays_within_a_fifth_of_a_decibel() -> None:
         labels.append(label)
     held_out = views_of(truth, atoms, 6, 0.4)
     before = psnr(held_out, atoms)
-    cuts, labels = 8 * cuts, 8 * labels  # as many as a run has: how fast the steps shorten depends on it
+    cuts, labels = 8 * cuts, 8 * labels  # as many as in a run: the decay of the steps depends on it
     trainer = Trainer(atoms, cuts, views, seed=0)
     first = trainer.section_losses(labels).mean()
     for _ in range(40):

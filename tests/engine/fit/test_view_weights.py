@@ -1,4 +1,4 @@
-"""Frozen geometry: W colours is the full renderer's picture, and the products are each other's transpose."""
+"""Frozen geometry: W times colours is the full renderer's picture, and the products are each other's transpose."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""glTF files that cannot be opened are told what they are; those that can are read with what lies beside them."""
+"""glTF files: those that cannot be opened are named for what they are; others are read with the files beside them."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ DATA = SHARED
 
 
 def tree_of(**other: object) -> dict[str, object]:
-    """A glTF of one triangle, its array beside it in a.bin."""
+    """A glTF of one triangle, its array in a.bin beside it."""
     return {
         "asset": {"version": "2.0"},
         "scene": 0,
@@ -58,7 +58,7 @@ def primitive(**other: object) -> list[dict[str, object]]:
 
 @pytest.mark.parametrize("binary", [False, True])
 def test_a_gltf_with_its_array_beside_it(tmp_path: Path, binary: bool) -> None:
-    """Its name as the format has it, with %20; and an extension that it requires which changes nothing here."""
+    """The array's name has %20, as the format wants it; a required extension changes nothing here."""
     path = gltf(binary=binary, extensionsRequired=["KHR_materials_unlit"])(tmp_path)
     g = read_mesh(path, 50)
     assert g.means[:, :2].min() >= 0 and g.means[:, :2].sum(1).max() <= 1 + 1e-6

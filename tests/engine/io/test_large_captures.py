@@ -1,4 +1,4 @@
-"""Samples of captures, and the memory in which large ones are read."""
+"""Samples of captures, and the memory that reading large ones takes."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tests.helpers.solids import round_gaussians
 
 MOST = 70
 STRIDE = 9
-"""The least step that leaves no more of 600 than that."""
+"""The smallest step that leaves at most MOST of the 600 Gaussians."""
 
 
 def written(path: Path, kind: str) -> Path:
@@ -63,7 +63,7 @@ def test_a_capture_is_read_in_little_more_memory_than_it_takes(tmp_path: Path) -
     count = 200_000
     r = np.random.default_rng(2)
     g = round_gaussians(r.normal(size=(count, 3)), 0.01, 0.5, bands=16)
-    g.scales[7] = np.nan  # moving a row out must not copy the rest
+    g.scales[7] = np.nan  # dropping a row must not copy the rest
     path = tmp_path / "large.ply"
     write_ply(path, g)
     size = sum(a.nbytes for a in (g.means, g.scales, g.quats, g.opacities, g.sh))

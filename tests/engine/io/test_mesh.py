@@ -1,4 +1,4 @@
-"""Meshes as scenes: the shell is even and closed, colours are the texture's, and what is broken is said in one line."""
+"""Meshes as scenes: the shell is even and closed, its colours are the texture's, and broken files get one line."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def square(folder: Path, texture: NDArray[np.uint8] | None = None) -> Path:
 
 
 def ramp() -> NDArray[np.uint8]:
-    """(100, 50, 3). Red grows to the right by 5 a texel, green downwards by 2; blue is 51."""
+    """(100, 50, 3). Red grows to the right by 5 per texel, green downwards by 2; blue is 51."""
     y, x = np.mgrid[:100, :50]
     return np.stack([5 * x, 2 * y, np.full_like(x, 51)], axis=-1).astype(np.uint8)
 
@@ -55,7 +55,7 @@ def axes(g: Gaussians) -> NDArray[np.float64]:
 
 
 def kernel_sums(g: Gaussians, points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Sum of exp(-q/2) of the 24 nearest Gaussians at points (K, 3); nothing farther matters."""
+    """Sums of exp(-q/2) over the 24 nearest Gaussians at points (K, 3); nothing farther matters."""
     turn = axes(g)
     total = np.zeros(len(points))
     for j in cKDTree(g.means).query(points, k=24)[1].T:
@@ -109,7 +109,7 @@ def test_formats_agree(tmp_path: Path, suffix: str) -> None:
     """The same square, written by trimesh; texture coordinates must not be upside down in any format."""
     mesh = trimesh.load_mesh(square(tmp_path, ramp()))
     assert isinstance(mesh.visual, trimesh.visual.TextureVisuals)
-    # Another colour of the material would tint the texture in a .glb, as the format has it.
+    # In a .glb a material of another colour would tint the texture, as the format demands.
     mesh.visual.material.diffuse = np.full(4, 255, np.uint8)
     if suffix == "ply":
         mesh.visual = trimesh.visual.ColorVisuals(mesh, vertex_colors=mesh.visual.to_color().vertex_colors)
@@ -127,7 +127,7 @@ def test_formats_agree(tmp_path: Path, suffix: str) -> None:
 
 
 def test_a_scene_of_parts(tmp_path: Path) -> None:
-    """A red ball, twice as large by its node's transform, and a blue box: each its share by area, in its place."""
+    """A red ball, doubled by its node's transform, and a blue box: points by share of area, in place."""
     ball, box = trimesh.creation.icosphere(subdivisions=3), trimesh.creation.box((2, 2, 2))
     for mesh, colour in ((ball, [255, 0, 0, 255]), (box, [0, 0, 255, 255])):
         material = trimesh.visual.material.PBRMaterial(baseColorFactor=colour)
@@ -191,7 +191,7 @@ def test_faces_without_area_take_no_points(tmp_path: Path) -> None:
 
 
 def test_faces_that_are_given_twice_count_once(tmp_path: Path) -> None:
-    """In any order of their corners that turns the same way; a face and its back are two."""
+    """Faces with the same corners in the same cyclic order count once; a face and its back are two."""
     once = read_mesh(square(tmp_path, ramp()), 300)
     path = square(tmp_path)
     path.write_text(SQUARE + FACES + "f 2/2 3/3 1/1\nf 4/4 1/1 3/3\nf 1/1 2/2 3/3\n")
@@ -206,7 +206,7 @@ def test_faces_that_are_given_twice_count_once(tmp_path: Path) -> None:
 
 
 def test_a_mesh_reads_only_its_own_folder(tmp_path: Path) -> None:
-    """Whatever way a name leads out of it: a missing texture, though there is a picture."""
+    """However a name leads out of it, the texture counts as missing, even though there is a picture."""
     (tmp_path / "in").mkdir()
     path = square(tmp_path / "in")
     Image.fromarray(ramp()).save(tmp_path / "secret.png")
@@ -307,7 +307,7 @@ def test_a_scanned_apple_is_closed_and_has_its_colours() -> None:
     mesh = trimesh.load_mesh(path, process=False)
     points, _, colours = trimesh.sample.sample_surface(mesh, 20_000, sample_color=True, seed=5)
     sums = kernel_sums(g, points)
-    assert sums.min() > 1  # twice what an opaque image takes for solid
+    assert sums.min() > 1  # twice the sum that an opaque image takes for solid
     ours, theirs = rgb(g), colours[:, :3] / 255
     np.testing.assert_allclose(ours.mean(0), theirs.mean(0), atol=0.005)
     np.testing.assert_allclose(ours.std(0), theirs.std(0), atol=0.005)

@@ -1,4 +1,4 @@
-"""Pictures from files: a few kinds are decoded, in one place; nothing runs, hangs or gets more than one line."""
+"""Pictures from files: a few formats are decoded, in one place; nothing runs or hangs, and errors are one line."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ POSTSCRIPT = b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 64 64\n%%EndComments\
 
 
 PHONE = HELPERS / "phone.heic"
-"""Four quarters of one colour, taken with the camera turned by a quarter."""
+"""Four quarters of one colour each, taken with the camera turned by a quarter."""
 
 
 def encoded(kind: str, size: tuple[int, int] = (40, 30)) -> bytes:
-    if kind == "HEIF":  # which is read, but not written
+    if kind == "HEIF":  # read, but not written
         return PHONE.read_bytes()
     target = io.BytesIO()
     y, x = np.mgrid[: size[1], : size[0]]
@@ -84,14 +84,14 @@ def test_a_phone_s_picture_is_upright(tmp_path: Path) -> None:
 
 
 def test_a_damaged_phone_s_picture_is_read_or_refused() -> None:
-    """Its decoder is native code, so what would go wrong ends the process; sizes that are claimed are bounded."""
+    """Its decoder is native code, where a fault would end the process; claimed sizes are bounded."""
     whole, rng = np.frombuffer(PHONE.read_bytes(), np.uint8), np.random.default_rng(0)
     for _ in range(300):
         data = whole[: rng.integers(12, len(whole) + 1)].copy() if rng.uniform() < 0.3 else whole.copy()
         data[rng.integers(12, max(len(data), 13), rng.integers(1, 6)) % len(data)] = rng.choice([0, 1, 127, 128, 255])
         with suppress(InputError), open_picture(data.tobytes(), "phone") as image:
             assert np.asarray(image.convert("RGB")).shape[2] == 3
-    size = whole.tobytes().index(b"ispe") + 8  # of the picture, in big endian
+    size = whole.tobytes().index(b"ispe") + 8  # the picture's size, big-endian
     for claimed in (0, 2**20, 2**31 - 1, 2**32 - 1):
         data = whole.copy()
         data[size : size + 8] = np.frombuffer(struct.pack(">II", claimed, claimed), np.uint8)
@@ -100,7 +100,7 @@ def test_a_damaged_phone_s_picture_is_read_or_refused() -> None:
 
 
 def test_colours_are_those_of_the_profile() -> None:
-    """A photograph in Adobe RGB (1998): its curve and primaries as that standard has them, and those of sRGB."""
+    """A photograph in Adobe RGB (1998): curve and primaries of that standard, converted to those of sRGB."""
     path = SHARED / "photos/fruit/watermelon_v1.png"
     if not path.exists():
         pytest.skip("the photographs are not beside the repository")
@@ -156,7 +156,7 @@ PLY += "end_header\n0 0 0 0 0\n1 0 0 1 0\n0 1 0 0 1\n3 0 1 2\n"
 
 
 def gltf_with(folder: Path, picture: bytes, way: str) -> Path:
-    """A textured triangle, its picture in a buffer view, in a data URI, or in a file that is a buffer too."""
+    """A textured triangle, its picture in a buffer view, in a data URI, or in a file that is also a buffer."""
     image = Image.fromarray(np.zeros((9, 9, 3), np.uint8))
     visual = trimesh.visual.TextureVisuals(uv=[[0, 0], [1, 0], [0, 1]], image=image)
     triangle = trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]], visual=visual, process=False)
@@ -207,7 +207,7 @@ TEXTURED = [
 def test_no_texture_starts_a_program(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, make: Callable[[Path, bytes, str], Path], way: str
 ) -> None:
-    """By no way into a mesh, whether it is refused or the mesh gets one plain colour; a real texture is read by it."""
+    """In no way of reaching a mesh: it is refused or gets one plain colour; a sound texture is read the same way."""
     started: list[str] = []
     monkeypatch.setattr(EpsImagePlugin, "Ghostscript", lambda *_, **__: started.append("Ghostscript"))
     monkeypatch.setattr(subprocess, "Popen", lambda *_, **__: started.append("program"))
@@ -241,7 +241,7 @@ def test_pipes_folders_and_devices_do_not_make_it_wait(tmp_path: Path) -> None:
 
 
 def huge_png(width: int, height: int) -> bytes:
-    """A PNG that says it is as large as this."""
+    """A PNG that claims this size."""
     data = encoded("PNG")
     header = b"IHDR" + struct.pack(">2I", width, height) + data[24:29]
     return data[:12] + header + struct.pack(">I", zlib.crc32(header)) + data[33:]
@@ -262,7 +262,7 @@ def test_more_than_89_megapixels_are_not_decoded(tmp_path: Path, side: int, recw
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_damaged_pictures_get_one_line(kind: str) -> None:
-    """Cut short anywhere, or with some bytes changed: a picture or one line."""
+    """Cut short anywhere, or with some bytes changed: they give a picture or one line."""
     data = encoded(kind)
     rng = np.random.default_rng(0)
     for n in range(40):
@@ -296,7 +296,7 @@ def test_of_two_readers_the_last_to_leave_lets_warnings_through_again() -> None:
 
 
 def test_a_library_of_its_own_gets_the_same_decoders() -> None:
-    """While it reads, with other readers waiting; and afterwards all are back."""
+    """While it reads, other readers wait; afterwards all decoders are back."""
     other = encoded("PPM")
     entered = threading.Event()
 

@@ -1,4 +1,4 @@
-"""3DGS .ply files: every dialect read, every broken one refused in one line, INRIA's layout written."""
+"""3DGS .ply files: every dialect is read, every broken one refused in one line, INRIA's layout written."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ DATA = SHARED
 
 NAMES = ["x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity"]
 NAMES += ["scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"]
-# One row in the file's terms: opacity sigmoid(0) = 1/2, scales e^0, e^-1, e^-2, a quaternion of length 2.
+# One row as stored in the file: opacity sigmoid(0) = 1/2, scales e^0, e^-1, e^-2, a quaternion of length 2.
 ROW = [1.0, 2.0, 3.0, 0.25, -0.5, 0.75, 0.0, 0.0, -1.0, -2.0, 0.0, 0.0, 2.0, 0.0]
 
 
@@ -57,7 +57,7 @@ def some(n: int, degree: int, seed: int = 0) -> Gaussians:
 
 
 def assert_row(g: Gaussians) -> None:
-    """The Gaussian that ROW stands for."""
+    """Asserts that a Gaussian is the one that ROW stands for."""
     np.testing.assert_array_equal(g.means, [[1, 2, 3]])
     np.testing.assert_allclose(g.scales, np.exp([[0, -1, -2]]), rtol=1e-6)
     np.testing.assert_array_equal(g.quats, [[0, 0, 1, 0]])
@@ -79,7 +79,7 @@ def assert_row(g: Gaussians) -> None:
     ],
 )
 def test_reads_every_dialect(tmp_path: Path, kind: str, type: str, newline: str) -> None:
-    """Extra properties, extra elements around the vertices, any order, comments that are no ASCII."""
+    """Extra properties, extra elements around the vertices, any order, comments that are not ASCII."""
     lines = ["ply", f"format {kind} 1.0", "comment caf\xe9 end_header", "obj_info x"]
     lines += ["element camera 2", "property uchar a", "property short b", "element vertex 1"]
     lines += [f"property {type} {name}" for name in ["label", *reversed(NAMES), "nx"]]
@@ -122,7 +122,7 @@ def test_round_trip(tmp_path_factory: pytest.TempPathFactory, n: int, degree: in
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
 def test_written_bytes(tmp_path: Path, degree: int) -> None:
-    """Against INRIA's layout, spelled out: names in order, f_rest channel-major, logits and logs."""
+    """Against INRIA's layout, spelled out: order of names, f_rest channel-major, logits and logs."""
     g = some(3, degree)
     write_ply(tmp_path / "a.ply", g, ["one"])
     top, body = (tmp_path / "a.ply").read_bytes().split(b"end_header\n", 1)
@@ -279,7 +279,7 @@ def test_what_is_no_file(tmp_path: Path) -> None:
 @settings(max_examples=150, deadline=None)
 @given(data=st.data())
 def test_damage_never_leaks_an_error(tmp_path_factory: pytest.TempPathFactory, data: st.DataObject) -> None:
-    """Any bytes changed or cut: a scene or one line, nothing else."""
+    """Any bytes changed or cut off give a scene or one line, nothing else."""
     content = bytearray(little(ROW, changed(x=4.0)))
     for _ in range(data.draw(st.integers(0, 6))):
         content[data.draw(st.integers(0, len(content) - 1))] = data.draw(st.integers(0, 255))

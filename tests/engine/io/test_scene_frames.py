@@ -1,4 +1,4 @@
-"""Scenes in any place and unit, with any share of rubbish: read whole, or refused; never a rest of them."""
+"""Scenes at any place, in any unit, with any share of rubbish: read whole or refused, never as a remnant."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ N = 12_000
 
 
 def ball(scale: float = 1.0) -> NDArray[np.float64]:
-    """(N, 14). A sphere's skin in a file's terms."""
+    """(N, 14). A sphere's skin in the values of a file."""
     z = np.linspace(-1, 1, N)
     angle = np.pi * (1 + 5**0.5) * np.arange(N)
     rows = np.zeros((N, 14))
@@ -97,7 +97,7 @@ def test_any_place_is_the_same_scene(tmp_path: Path, places: float) -> None:
     gaussians = load(write(tmp_path / "a.ply", rows)).gaussians
     moved = gaussians.means.astype(np.float64) + gaussians.origin - places
     assert len(gaussians) == N and np.abs(moved - ball()[:, :3]).max() < 1e-3
-    assert any(gaussians.origin) == (places > 2e4)  # only where it gains something
+    assert any(gaussians.origin) == (places > 2e4)  # only where it gains precision
 
 
 @pytest.mark.parametrize("share", [1 / N, 0.1, 0.45])

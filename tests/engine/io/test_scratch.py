@@ -1,4 +1,4 @@
-"""Temporary folders: gone when closed, and swept after a killed owner, never somebody else's."""
+"""Temporary folders: gone when closed, swept after a killed owner, never somebody else's."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""SOG and .ksplat captures, written here pixel by pixel and row by row."""
+"""SOG and .ksplat captures, encoded here pixel by pixel and row by row."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from engine.scene.sh import sh_to_rgb
 from tests.engine.io.test_splat_formats import FORMATS, N, assert_near, scene, seen
 
 WIDTH = 32
-"""Pixels of a row of the pictures: 600 Gaussians leave a part of the last one empty."""
+"""Pixels in a row of the pictures: 600 Gaussians leave part of the last row empty."""
 
 
 def webp(values: np.ndarray, width: int = WIDTH) -> bytes:
-    """Rows of up to four bytes as the pixels of a picture."""
+    """Rows of up to four bytes as a picture's pixels."""
     pixels = np.full((-(-len(values) // width) * width, 4), 255, np.uint8)
     pixels[: len(values), : values.shape[1]] = values
     file = io.BytesIO()
@@ -39,8 +39,8 @@ def nearest(book: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 
 def sog(g: Gaussians, **changes: Any) -> dict[str, bytes]:
-    """Logs of places in two bytes, sizes and colours from a book, turns without their largest component, and as many
-    entries of the palette as there are Gaussians."""
+    """An .sog: logs of positions in two bytes, sizes and colours from codebooks, quats without their largest component,
+    and as many palette entries as Gaussians."""
     logs = np.sign(g.means) * np.log1p(np.abs(g.means))
     low, high = logs.min(0), logs.max(0)
     steps = np.round((logs - low) / (high - low) * 65535).astype(int)
@@ -86,9 +86,9 @@ def zipped(files: dict[str, bytes], folder: str = "") -> bytes:
 
 
 def ksplat(g: Gaussians, level: int) -> bytes:
-    """Two sections; in the first, two full buckets and one that is not."""
+    """A .ksplat of two sections; the first has two full buckets and one that is not."""
     floats, small = ("<f4", "<f2", "<f2")[level], ("<f4", "<f2", "u1")[level]
-    bands = [g.sh[:, d * d : (d + 1) ** 2] for d in range(1, g.sh_degree + 1)]  # within each, channel after channel
+    bands = [g.sh[:, d * d : (d + 1) ** 2] for d in range(1, g.sh_degree + 1)]  # in each band, channel after channel
     sh = np.concatenate([b.transpose(0, 2, 1).reshape(N, -1) for b in bands], 1) if bands else np.zeros((N, 0))
     if level == 2:
         sh = np.round((sh + 1.5) / 3 * 255)
@@ -136,7 +136,7 @@ def test_an_sog_is_read_to_its_steps(tmp_path: Path, degree: int) -> None:
     found = load(tmp_path / "a/meta.json").gaussians
     assert_near(found, true, 0.0005, 0.51 * 5 / 255, 0.02, 0.51 * 3.4 / 255)
     assert np.abs(found.sh[:, 1:] - true.sh[:, 1:]).max(initial=0) < 0.51 * 1.2 / 255
-    for folder in ("", "scene/"):  # an archive of the files, or of their folder; whatever it is called
+    for folder in ("", "scene/"):  # an archive of the files, or of a folder of any name
         again = seen(tmp_path / "a.zip", zipped(files, folder))
         np.testing.assert_array_equal(again.sh, found.sh)
         np.testing.assert_array_equal(again.means, found.means)
@@ -153,7 +153,7 @@ def test_a_ksplat_is_read_to_its_steps(tmp_path: Path, level: int, degree: int) 
     assert np.abs(found.sh[:, 1:] - true.sh[:, 1:]).max(initial=0) < step
     sample = load_sample(tmp_path / "a.ksplat", 90)
     assert sample is not None
-    np.testing.assert_array_equal(sample.gaussians.means, found.means[::7])  # across sections
+    np.testing.assert_array_equal(sample.gaussians.means, found.means[::7])  # the sample goes across sections
 
 
 @pytest.mark.skipif(not FORMATS.exists(), reason="the folder of other formats is absent")
@@ -163,7 +163,7 @@ def test_files_of_others() -> None:
         np.testing.assert_array_equal(array, getattr(same, name))
     robot = load(FORMATS / "playbot_sog/meta.json")
     assert len(robot.gaussians) == 31_000 and robot.gaussians.sh_degree == 2 and not robot.warnings
-    # It stands on a patch of ground, which lies under it, as in a .ply of such a capture: at greater y.
+    # It stands on a patch of ground below it, as in such a capture's .ply: at greater y.
     assert np.median(robot.gaussians.means[:, 1]) > -0.4 and robot.gaussians.means[:, 1].min() < -1
 
 
@@ -204,7 +204,7 @@ def test_what_cannot_be_read_gets_one_line(tmp_path: Path, name: str) -> None:
 @settings(max_examples=60, deadline=None)
 @given(st.sampled_from(["a.sog", "a.ksplat"]), st.data())
 def test_damage_never_leaks_an_error(tmp_path_factory: pytest.TempPathFactory, name: str, data: st.DataObject) -> None:
-    """Any bytes changed or cut: a scene or one line, nothing else."""
+    """Any bytes changed or cut off give a scene or one line, nothing else."""
     content = bytearray(SOG if name == "a.sog" else KSPLAT)
     for _ in range(data.draw(st.integers(0, 6))):
         place = data.draw(st.one_of(st.integers(0, len(content) - 1), st.integers(4096, 4160)))

@@ -1,4 +1,4 @@
-"""Captures as other programs write them: .splat, SuperSplat's compressed .ply, .spz, written here byte by byte."""
+"""Captures as other programs write them: .splat, SuperSplat's compressed .ply, .spz, encoded here byte by byte."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from tests.paths import SHARED
 
 DATA = SHARED / "splats"
 FORMATS = SHARED / "formats"
-N = 600  # two whole chunks of a compressed .ply and a part of one
+N = 600  # two full chunks of a compressed .ply and part of another
 Bytes = Callable[[Gaussians], bytes]
 
 
@@ -43,7 +43,7 @@ def byte(value: float | np.floating) -> int:
 
 
 def splat(g: Gaussians) -> bytes:
-    """32 bytes a row: place, size, colour and opacity, turn."""
+    """A .splat of 32 bytes per row: position, size, colour and opacity, rotation."""
     rows = []
     for place, size, quat, opacity, dc in zip(g.means, g.scales, g.quats, g.opacities, g.sh[:, 0], strict=True):
         rgba = [byte(255 * (0.5 + 0.28209479 * c)) for c in dc] + [byte(255 * opacity)]
@@ -56,7 +56,7 @@ def bits(value: float, low: float, high: float, count: int) -> int:
 
 
 def compressed(g: Gaussians) -> bytes:
-    """Bounds for each 256 rows, four words a row, bytes for spherical harmonics."""
+    """A compressed .ply: bounds for every 256 rows, four words per row, bytes for spherical harmonics."""
     logs, rgb = np.log(g.scales), 0.5 + 0.28209479 * g.sh[:, 0]
     groups = [(g.means, "{}_x {}_y {}_z"), (logs, "{}_scale_x {}_scale_y {}_scale_z"), (rgb, "{}_r {}_g {}_b")]
     names = [n for _, group in groups[:2] for end in ("min", "max") for n in group.format(end, end, end).split()]
@@ -95,7 +95,7 @@ FIELDS = ("version", "count", "degree", "bits", "flags", "zero")
 
 
 def spz(g: Gaussians, version: int = 3, extra: bytes = b"", **changes: int) -> bytes:
-    """Attribute by attribute, gzipped, or each in a zstd frame. The scene's axes are taken as the file's."""
+    """An .spz: attribute by attribute, gzipped, or each in a zstd frame. Writes the scene's axes as the file's."""
     streams = (5 + (g.sh_degree > 0)) * (version == 4)
     numbers = {"count": N, "degree": g.sh_degree, "bits": 12, "flags": 0, "zero": streams, "version": version} | changes
     head = struct.pack("<4sIIBBBB", b"NGSP", *(numbers[k] for k in FIELDS))
@@ -128,7 +128,7 @@ def spz(g: Gaussians, version: int = 3, extra: bytes = b"", **changes: int) -> b
 
 
 def flipped(g: Gaussians) -> Gaussians:
-    """Seen with y and z turned around, all but the spherical harmonics above degree 0."""
+    """The scene with y and z negated, except for the spherical harmonics above degree 0."""
     return Gaussians(
         g.means * np.array([1, -1, -1], np.float32),
         g.scales,
@@ -154,7 +154,7 @@ def seen(path: Path, content: bytes) -> Gaussians:
 
 
 def assert_near(found: Gaussians, true: Gaussians, place: float, size: float, turn: float, dc: float) -> None:
-    """To within half a step of what the format rounds to: `size` of logs, `turn` of a matrix's entries."""
+    """Asserts equality to within half a quantisation step: `size` of logs, `turn` of a matrix's entries."""
     assert len(found) == len(true) and found.sh.shape == true.sh.shape
     assert np.abs(found.means - true.means).max() < place
     assert np.abs(np.log(found.scales) - np.log(true.scales)).max() < size
@@ -185,12 +185,12 @@ def test_an_spz_is_read_to_its_steps_and_turned_as_a_ply_is(
     tmp_path: Path, version: int, degree: int, turn: float
 ) -> None:
     true = scene(degree)
-    if version <= 2:  # w is what the three others leave: near 0 their rounding is all that is left of it
+    if version <= 2:  # w follows from the other three: near 0 it is only their rounding
         true.quats[:] = np.where(np.abs(true.quats[:, :1]) < 0.25, np.array([1, 0, 0, 0], np.float32), true.quats)
     found = seen(tmp_path / "a.spz", spz(true, version))
-    place = 2**-10 if version == 1 else 0.51 / 4096  # half floats up to 4
+    place = 2**-10 if version == 1 else 0.51 / 4096  # half floats up to 4 in size
     assert_near(found, flipped(true), place, 0.51 / 16, turn, 0.51 / 255 / 0.15)
-    # Light that came from above still does: from each side the turned scene looks as the other did from the same.
+    # Light from above stays above: the flipped scene looks, from each flipped direction, as the original did.
     directions = np.random.default_rng(1).normal(size=(N, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     before, after = colours(true.sh, directions), colours(found.sh, directions * (1, -1, -1))
@@ -201,7 +201,7 @@ def test_an_spz_may_hold_more_than_is_known(tmp_path: Path) -> None:
     true, path = scene(), tmp_path / "a.spz"
     for version in (3, 4):
         assert len(seen(path, spz(true, version, flags=3, extra=b"x" * 99))) == N
-    assert len(seen(path, gzip.decompress(spz(true)))) == N  # as some tools keep it
+    assert len(seen(path, gzip.decompress(spz(true)))) == N  # as some tools store it
     path.write_bytes(spz(true, degree=4, extra=b"\x80" * 72 * N))
     loaded = load(path)
     assert loaded.gaussians.sh_degree == 3 and "degree 4" in loaded.warnings[0]
@@ -209,7 +209,7 @@ def test_an_spz_may_hold_more_than_is_known(tmp_path: Path) -> None:
 
 @pytest.mark.skipif(not FORMATS.exists(), reason="the folder of other formats is absent")
 def test_one_capture_in_two_formats_is_one_scene() -> None:
-    """Written by others, each with its own rounding and order."""
+    """Written by other programs, each with its own rounding and order."""
     one, other = (load(FORMATS / name).gaussians for name in ("biker_v4.spz", "biker.compressed.ply"))
     assert len(one) == len(other)
     away, at = cKDTree(one.means).query(other.means)
@@ -300,7 +300,7 @@ def test_what_cannot_be_read_gets_one_line_and_little_memory(tmp_path: Path, nam
 @settings(max_examples=150, deadline=None)
 @given(st.sampled_from(["a.splat", "a.spz", "b.spz", "a.ply"]), st.data())
 def test_damage_never_leaks_an_error(tmp_path_factory: pytest.TempPathFactory, name: str, data: st.DataObject) -> None:
-    """Any bytes changed or cut: a scene or one line, nothing else."""
+    """Any bytes changed or cut off give a scene or one line, nothing else."""
     content = bytearray({"a.splat": splat(scene())[:640], "a.spz": SPZ, "b.spz": SPZ4, "a.ply": PLY}[name])
     inner = bytearray(gzip.decompress(content)) if name == "a.spz" else content
     for _ in range(data.draw(st.integers(0, 6))):

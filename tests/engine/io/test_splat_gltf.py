@@ -1,4 +1,4 @@
-"""Captures in glTF: written here array by array, and the conformance file of the extension."""
+"""Captures in glTF: encoded here array by array, and the conformance file of the extension."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ FLOAT, BYTE, UNSIGNED_SHORT = 5126, 5120, 5123
 
 
 def arrays(g: Gaussians) -> dict[str, np.ndarray]:
-    """The attributes, as floats."""
+    """The attributes of the format, as floats."""
     found = {
         "POSITION": g.means,
         f"{NAME}:ROTATION": g.quats[:, [1, 2, 3, 0]],
@@ -40,14 +40,14 @@ def arrays(g: Gaussians) -> dict[str, np.ndarray]:
 
 
 def tree(attributes: dict[str, np.ndarray], changes: dict[str, Any]) -> tuple[dict[str, Any], bytes]:
-    """The JSON and the bytes of one primitive; arrays of integers are normalised, all are interleaved in pairs."""
+    """The JSON and the bytes of one primitive; integer arrays are normalised, all are interleaved in pairs."""
     views: list[dict[str, Any]] = []
     accessors: list[dict[str, Any]] = []
     data = b""
     for values in attributes.values():
         kind = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}[values.shape[1]]
         component = {"f": FLOAT, "i": BYTE, "u": UNSIGNED_SHORT}[values.dtype.kind]
-        pad = 12  # bytes of something else before each row
+        pad = 12  # unrelated bytes before each row
         rows = np.zeros((len(values), pad + values.shape[1] * values.itemsize), np.uint8)
         rows[:, pad:] = np.ascontiguousarray(values).view(np.uint8).reshape(len(values), -1)
         views.append({"buffer": 0, "byteOffset": len(data), "byteLength": rows.size, "byteStride": rows.shape[1]})
@@ -149,7 +149,7 @@ def test_drafts_had_logarithms_of_sizes(tmp_path: Path) -> None:
 
 
 def test_nodes_move_turn_and_scale_what_is_seen(tmp_path: Path) -> None:
-    """The Gaussian and its colours from any side, as the matrices of the nodes say, by two nodes one in the other."""
+    """The Gaussians, and their colours from any side, follow the matrices of two nested nodes."""
     true = scene(3)
     first, second = Rotation.from_euler("xyz", (20, 130, -50), degrees=True), Rotation.from_rotvec((0.3, 1.1, -0.7))
     outer = np.eye(4)
@@ -157,7 +157,7 @@ def test_nodes_move_turn_and_scale_what_is_seen(tmp_path: Path) -> None:
     inner = {"rotation": second.as_quat().tolist(), "scale": [0.5] * 3, "translation": [0.1, 0.2, 0.3], "mesh": 0}
     nodes = [{"matrix": outer.T.ravel().tolist(), "children": [1]}, inner, {"mesh": 0}]
     found = opened(tmp_path, glb(arrays(true), nodes=nodes))
-    assert len(found) == N  # the third is not in the scene
+    assert len(found) == N  # the third node is not in the scene
     turn = first.as_matrix() @ second.as_matrix()
     places = 2.5 * (0.5 * true.means @ second.as_matrix().T + (0.1, 0.2, 0.3)) @ first.as_matrix().T + (1, -2, 3)
     np.testing.assert_allclose(found.means, places, atol=1e-5)
@@ -179,7 +179,7 @@ def test_linear_colours_become_srgb(tmp_path: Path) -> None:
 
 @pytest.mark.skipif(not FORMATS.exists(), reason="the folder of other programs' files is absent")
 def test_the_conformance_file() -> None:
-    """One Gaussian for each type of number and each degree, from a draft: sizes are logarithms."""
+    """One Gaussian for each number type and each degree, from a draft: sizes are logarithms."""
     loaded = load(FORMATS / "khr_conformance_matrix.glb")
     g = loaded.gaussians
     assert len(g) == 15 and g.sh_degree == 3 and len(loaded.warnings) == 2
@@ -198,7 +198,7 @@ STRETCHED = [{"mesh": 0, "scale": [1, 1, 2], "name": "fruit"}]
 
 
 def changed(part: str, **values: Any) -> dict[str, Any]:
-    """The first of a list with other values."""
+    """The first element of a list with some values replaced."""
     first, *others = CONTENT[part]
     return {part: [first | values, *others]}
 

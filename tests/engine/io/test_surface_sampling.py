@@ -1,4 +1,4 @@
-"""Points on any faces: their number is what is asked for, and the time does not grow with how the faces lie."""
+"""Points on any faces: as many as asked for, in a time that does not grow with how the faces lie."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from engine.io.meshes.surface_sampling import scatter
 
 
 def stacked(copies: int, offset: float) -> NDArray[np.float64]:
-    """(copies, 3, 3). One face over and over, each a little above the last."""
+    """(copies, 3, 3). The same face repeated, each copy a little above the last."""
     face = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
     return face + offset * np.arange(copies)[:, None, None] * [0, 0, 1]
 
 
 @pytest.mark.parametrize("offset", [0.0, 1e-12, 1e-6])
 def test_faces_on_faces_take_no_longer(offset: float) -> None:
-    """Than three passes for each halving of the distance explain; it was the square of their number."""
+    """No longer than three passes for each halving of the distance explain; it was once the square of their number."""
 
     def seconds(copies: int) -> float:
         start = process_time()
@@ -33,7 +33,7 @@ def test_faces_on_faces_take_no_longer(offset: float) -> None:
 
 @pytest.mark.parametrize("width", [1e-6, 1e-20, 1e-60])
 def test_needles_and_what_lies_at_their_end_are_sampled(width: float) -> None:
-    """A needle has more cells in a row than integers, and half of the points crowd on a square at its end."""
+    """A needle has more cells in a row than integers can count; half of the points crowd on a square at its end."""
     side = width**0.5 / 1000
     corner = np.array([[0, 0, 0], [side, 0, 0], [0, side, 0]])
     needle = np.array([[0, 0, 0], [1, 0, 0], [1, width / 1e6, 0]])

@@ -1,4 +1,4 @@
-"""Trained objects on disk: the round trip, what other viewers see, and pairs that do not belong together."""
+"""Trained objects on disk: the round trip, what other viewers see, and files that do not belong together."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def test_round_trip(
 
 
 def test_other_viewers_see_a_plain_scene(tmp_path: Path) -> None:
-    """Read back with plyfile alone: surface first, then opaque spheres of one colour, padded to the surface's SH."""
+    """Read with plyfile alone: surface first, then opaque spheres of one colour each, padded to the surface's SH."""
     atoms = some(5, 4, degree=3)
     save_trained(tmp_path / "a.ply", atoms, META)
     rows = PlyData.read(str(tmp_path / "a.ply"))["vertex"].data
@@ -220,7 +220,7 @@ def test_atoms_that_no_reader_takes_are_not_saved(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("unit", [1.0, 1e-6, 1e7])  # sizes that an .spz has room for, and that it has not
+@pytest.mark.parametrize("unit", [1.0, 1e-6, 1e7])  # sizes within and beyond the range of an .spz
 def test_a_compact_object_is_the_object_to_its_steps(tmp_path: Path, unit: float) -> None:
     plain = some(40, 60, 2, 7)
     surface = dataclasses.replace(
@@ -260,7 +260,7 @@ def test_damaged_sizes_of_a_compact_object_are_told(tmp_path: Path, sizes: Any) 
 def test_an_object_has_one_form_and_no_other_file_is_taken_for_it(tmp_path: Path) -> None:
     ply, spz = tmp_path / "a.ply", tmp_path / "a.spz"
     save_trained(ply, some(3, 3, 0), META)
-    spz.write_bytes(b"NGSP of somebody else")  # the capture, say
+    spz.write_bytes(b"NGSP of somebody else")  # for instance the capture
     assert is_trained(ply) and not is_trained(spz) and find_trained(tmp_path, "a") == ply
     save_trained(ply, some(3, 3, 0, seed=1), META)
     assert spz.exists()

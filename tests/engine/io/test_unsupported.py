@@ -1,4 +1,4 @@
-"""Files that are not what their name says: each is told what it really is."""
+"""Files that are not what their name says: the message tells what each really is."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def test_a_wrong_file_is_called_by_its_name(tmp_path: Path, name: str) -> None:
 
 
 def test_a_ply_of_degree_4_is_cut_to_3_with_a_word(tmp_path: Path) -> None:
-    """Of each channel's 24 coefficients the first 15 are kept."""
+    """Only the first 15 of each channel's 24 coefficients are kept."""
     path = tmp_path / "a.ply"
     path.write_bytes(ply(72)[: -4 * 72] + np.arange(72, dtype="<f4").tobytes())
     loaded = load(path)

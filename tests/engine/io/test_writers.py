@@ -1,4 +1,4 @@
-"""What is written for other programs, read back by readers that others wrote, and by ours."""
+"""Files written for other programs, read back by readers of other origin, and by ours."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from tests.engine.io.test_splat_formats import N, scene
 from tests.engine.io.test_splat_gltf import NAME, arrays, covariances
 
 UP = (0.0, -1.0, 0.0)
-"""As captures from photographs lie."""
+"""Up axis of captures from photographs."""
 
 
 def solid(degree: int = 2) -> Gaussians:
-    """Opaque, the second half without spherical harmonics above degree 0, as an inside is."""
+    """Opaque Gaussians; the second half has no spherical harmonics above degree 0, like an inside."""
     g = scene(degree)
     sh = g.sh.copy()
     sh[N // 2 :, 1:] = 0
@@ -43,7 +43,7 @@ def written(path: Path, g: Gaussians, up: tuple[float, float, float] = UP) -> Pa
     [
         (".ply", 0, 1e-6, 0, 0),
         (".spz", 3e-4, 1 / 31, 0.014, 1 / 250),  # steps of 6 % in sizes, of 1 / 255 / 0.15 in colours
-        (".sog", 2e-4, 0.02, 0.01, 0.01),  # places of 16 bits of a logarithm, numbers from books of 256
+        (".sog", 2e-4, 0.02, 0.01, 0.01),  # positions as 16-bit logarithms, the rest from codebooks of 256
         (".glb", 0, 1e-6, 0, 1e-6),
     ],
 )
@@ -64,12 +64,12 @@ def test_each_file_is_the_object_to_its_steps(
     np.testing.assert_allclose(found.sh[:, 1:], true.sh[:, 1:], atol=rest)
     assert not found.sh[N // 2 :, 1:].any() and found.opacities.min() > 0.995
     before = (tmp_path / f"a{suffix}").read_bytes()
-    assert written(tmp_path / f"a{suffix}", solid()).read_bytes() == before  # the same bits
+    assert written(tmp_path / f"a{suffix}", solid()).read_bytes() == before  # bit for bit
 
 
 @pytest.mark.parametrize("suffix", [".ply", ".spz", ".sog"])
 def test_gaussforge_reads_what_was_meant(suffix: str, tmp_path: Path) -> None:
-    """It keeps the axes of the file, right, up, back in an .spz; and logarithms of sizes."""
+    """It keeps the file's axes (right, up, back in an .spz) and logarithms of sizes."""
     gaussforge = pytest.importorskip("gaussforge", reason="gaussforge is not installed")
     true = solid()
     content = written(tmp_path / f"a{suffix}", true).read_bytes()
@@ -77,7 +77,7 @@ def test_gaussforge_reads_what_was_meant(suffix: str, tmp_path: Path) -> None:
     assert read["numPoints"] == N and read["meta"]["shDegree"] == 2
     quats = true.quats
     if suffix == ".spz":
-        # The principal axes are flipped, too, where `moved` turns them with the object: the same ellipsoid.
+        # Flipping also flips the principal axes, where `moved` rotates them with the object: the same ellipsoid.
         true, quats = moved(true, np.diag([1.0, -1.0, -1.0])), quats * np.array([1, 1, -1, -1], np.float32)
     widths = {"positions": (3,), "scales": (3,), "rotations": (4,), "colors": (3,), "sh": (8, 3)}
     columns = {name: np.frombuffer(read[name], np.float32).reshape(N, *width) for name, width in widths.items()}
@@ -152,7 +152,7 @@ def test_a_moved_object_has_its_shape() -> None:
 
 
 def test_a_palette_takes_more_than_it_has_entries_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of 300 sets of coefficients in 16 entries, 15 of them, each Gaussian has one that is nearer than none."""
+    """With 15 of 16 entries for 300 sets of coefficients, each Gaussian gets one that is nearer than zero."""
     monkeypatch.setattr("engine.io.writers.sog.PALETTE_LEVELS", 4)
     true = solid(1)
     found = load(written(tmp_path / "a.sog", true)).gaussians
@@ -160,7 +160,7 @@ def test_a_palette_takes_more_than_it_has_entries_for(tmp_path: Path, monkeypatc
     kinds = np.unique(found.sh[:, 1:], axis=0)
     assert 8 < len(kinds) <= 16 and not found.sh[N // 2 :, 1:].any()
     left = ((found.sh - true.sh)[: N // 2, 1:] ** 2).mean() / (true.sh[: N // 2, 1:] ** 2).mean()
-    assert left < 0.75  # 15 entries for 300 even ones in nine dimensions
+    assert left < 0.75  # 15 entries for 300 evenly spread ones in nine dimensions
 
 
 def test_what_cannot_be_written_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,4 +1,4 @@
-"""Separate bodies: what is told apart, what stays one, and what goes with which."""
+"""Separate bodies: which are told apart, which stay one, and what belongs to which."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def ball(count: int, radius: float, centre: tuple[float, float, float]) -> Point
 
 
 def gaussians(*parts: Points, scale: float = 0.03) -> Gaussians:
-    """Opaque balls of one size."""
+    """Opaque balls, all of the same size."""
     return round_gaussians(np.concatenate(parts), scale)
 
 
@@ -44,7 +44,7 @@ def test_two_balls_are_two_bodies_in_any_units_and_touching_ones_are_one() -> No
     for unit in (1e-3, 1.0, 1e3):
         scene = gaussians(SMALL * unit, LARGE * unit, scale=0.03 * unit)
         bodies = find_bodies(scene)
-        assert np.array_equal(bodies.labels, np.arange(5000) < 1000)  # the one with more Gaussians is the first
+        assert np.array_equal(bodies.labels, np.arange(5000) < 1000)  # the body with more Gaussians comes first
         at = [bodies.labels[(scene.means == np.array(point, np.float32)).all(1)] for point in bodies.points]
         assert [label.tolist() for label in at] == [[0], [1]]
     assert find_bodies(gaussians(LARGE, SMALL - (0.65, 0, 0))).points == ()
@@ -70,7 +70,7 @@ def test_three_samples_in_one_file_are_three_and_each_selection_leaves_one() -> 
     for selection in selections:
         kept = ~removed(scene, (selection,))
         owners.append(int(np.bincount(expected[kept]).argmax()))
-        assert (kept == (expected == owners[-1])).mean() > 0.995  # haze between two may go with either
+        assert (kept == (expected == owners[-1])).mean() > 0.995  # haze between two bodies may go with either
     assert owners == [2, 1, 0]
 
 
@@ -90,7 +90,7 @@ def test_a_real_capture_of_one_object_is_one_body(path: Path) -> None:
 
 def test_the_command_line_names_a_body_by_its_number(tmp_path: Path) -> None:
     scene = gaussians(LARGE, SMALL)
-    floor = parse_isolation([], ["plane:0,0,1,1.5"], no_floor=False)  # of which there is nothing
+    floor = parse_isolation([], ["plane:0,0,1,1.5"], no_floor=False)  # nothing lies there
     write_ply(tmp_path / "a.ply", scene, [])
     request = Request(tmp_path / "a.ply", (), isolation=floor)
     first, second = runs_of_bodies(request, None, tmp_path).items()

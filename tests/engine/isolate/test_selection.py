@@ -1,4 +1,4 @@
-"""Selections against brute force, what touches, what is detected, and the JSON form."""
+"""Selections against brute force, growing over what touches, what is detected, and the JSON form."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def test_a_lasso_contains_what_is_drawn_inside_of_it(orthographic: bool) -> None
     ahead = local[:, 2] > 0
     places = local[:, :2] / half if orthographic else local[:, :2] / local[:, 2:] / half
     spokes = np.arctan2(*(np.array(star)[None] - places[:, None]).transpose(2, 0, 1))
-    turns = (np.roll(spokes, -1, axis=1) - spokes + np.pi) % (2 * np.pi) - np.pi  # from corner to corner
+    turns = (np.roll(spokes, -1, axis=1) - spokes + np.pi) % (2 * np.pi) - np.pi  # angle from corner to corner
     expected = (np.abs(turns.sum(1)) > np.pi) & (ahead | orthographic)
     assert np.array_equal(lasso.contains(CLOUD.means), expected)
     assert (~ahead).sum() > 50 and 200 < expected.sum() < 4000
@@ -107,7 +107,7 @@ def test_a_selection_grows_over_its_blob_and_not_into_the_next() -> None:
     scene = round_gaussians(np.concatenate([ball, ball + np.array((2.5, 0, 0))]))
     seed = Step("add", Sphere((-1.0, 0.0, 0.0), 0.2))
     assert np.array_equal(removed(scene, ((seed, Step("grow")),)), np.arange(6000) < 3000)
-    # A faint veil between them reaches both: it is no bridge.
+    # A faint veil that reaches both balls is not a bridge.
     veil = round_gaussians(np.concatenate([scene.means, [[1.25, 0, 0]]]))
     veil.scales[6000], veil.opacities[6000] = 0.3, 0.02
     assert removed(veil, ((seed, Step("grow")),))[:6000].sum() == 3000
@@ -117,7 +117,7 @@ BOX_COUNT = 6000
 
 
 def room(rotation: Rotation, reach: float = 1.6, legs: int = 0) -> Gaussians:
-    """A box of 1 x 0.6 x 1.5 on an uneven disc of radius `reach`, as dense, somewhere in space."""
+    """A box of 1 x 0.6 x 1.5 on an uneven disc of radius `reach`, of the same density, somewhere in space."""
     rng = np.random.default_rng(2)
     sides = rng.uniform(-1, 1, (BOX_COUNT, 3))
     axis = rng.integers(0, 3, BOX_COUNT)

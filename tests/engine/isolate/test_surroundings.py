@@ -1,4 +1,4 @@
-"""The middle of a capture that shows a room or a garden: objects whose extent is known, in drawn surroundings."""
+"""The middle of a capture of a room or a garden: objects of known extent in synthetic surroundings."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Draw = Callable[[np.random.Generator], list[Gaussians]]
 
 
 def splats(points: Points, size: float | Points, opacity: float = 0.8) -> Gaussians:
-    """Round Gaussians at points of the upright scene, each `size` (or one for each) large, turned with the scene."""
+    """Round Gaussians at points of the upright scene, of one `size` or one each, turned with the scene."""
     made = round_gaussians(TURN.apply(points), 1.0, opacity)
     return replace(made, scales=(made.scales * np.reshape(size, (-1, 1))).astype(np.float32))
 
@@ -36,21 +36,21 @@ def ball(rng: np.random.Generator) -> Points:
 
 
 def guitar(rng: np.random.Generator) -> Points:
-    """Half of it a ball, half of it a neck four times as long, askew, on the ground."""
+    """Half of the points a ball, half a neck four times as long, askew, on the ground."""
     along = rng.uniform(0, 4, 3000)
     neck = np.stack([0.8 + along, 0.2 * along, 1 + 0.2 * along], 1) + rng.normal(size=(3000, 3)) * 0.08
     return np.concatenate([ball(rng)[:3000], neck])
 
 
 def ground(rng: np.random.Generator, reach: float, size: float = 0.12) -> Gaussians:
-    """Coarser with the distance, from the middle to `reach`."""
+    """Ground from the middle to `reach`, coarser with distance."""
     angle, far = rng.uniform(0, 2 * np.pi, 6000), np.exp(rng.uniform(np.log(0.3), np.log(reach), 6000))
     points = np.stack([far * np.cos(angle), far * np.sin(angle), rng.normal(0, 0.01, 6000)], 1)
     return splats(points, size * far)
 
 
 def walls(rng: np.random.Generator, half: float, sides: int = 6) -> Gaussians:
-    """Some sides of a cube around the middle, without the ground: its floor lies below."""
+    """The first `sides` sides of a cube around the middle; its floor lies below the ground."""
     points = rng.uniform(-half, half, (1500 * sides, 3))
     axis, sign = np.arange(len(points)) % 3, np.where(np.arange(len(points)) % 6 < 3, 1.0, -1.0)
     keep = np.arange(len(points)) % 6 < sides
@@ -59,7 +59,7 @@ def walls(rng: np.random.Generator, half: float, sides: int = 6) -> Gaussians:
 
 
 def trees(rng: np.random.Generator) -> Gaussians:
-    """All around, as high as far."""
+    """Trees all around, up to as high as they are far away."""
     angle, far = rng.uniform(0, 2 * np.pi, 8000), 30 * np.exp(rng.normal(0, 0.3, 8000))
     height = far * rng.uniform(0, 1, 8000)
     return splats(np.stack([far * np.cos(angle), far * np.sin(angle), height], 1), 0.05 * far)
@@ -103,7 +103,7 @@ def test_the_object_is_left_of_its_surroundings_whole(shape: Callable[..., Point
     assert found[1] < 2.5 * reach
     gone = ~Sphere(*found).contains(scene.means)
     assert not gone[: len(points)].any()
-    # What is left has a floor, and nothing more around it.
+    # What is left has a floor, and no further surroundings.
     assert find_middle(scene[~gone]) is None
     gone = removed(scene, (NO_SURROUNDINGS, NO_FLOOR))
     assert gone[: len(points)][points[:, 2] > 0.15].mean() < 0.02 and (~gone[len(points) :]).sum() < 0.05 * len(points)
@@ -148,7 +148,7 @@ def test_captures_at_the_limit_have_none() -> None:
 
 
 def test_up_is_told_by_the_object_and_its_floor() -> None:
-    """Not by the walls and the view around them."""
+    """Up is not decided by the walls and the view around them."""
     rng = np.random.default_rng(5)
     scene = joined(splats(guitar(rng), 0.05), *SURROUNDED["a room and a view"](rng))
     seen = without_surroundings(scene)

@@ -1,4 +1,4 @@
-"""The classic renderer against the plain formula, its own derivatives, foreign pictures and the laws it must keep."""
+"""The classic renderer against the plain formula, its own derivatives, foreign pictures and invariants."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ CAMERAS = pytest.mark.parametrize("camera", [PINHOLE, FLAT], ids=["pinhole", "or
 
 
 def scene(n: int, bands: int, seed: int, kind: torch.dtype = torch.float64) -> list[Tensor]:
-    """Overlapping Gaussians of all shapes about the origin; bands 0 for RGB."""
+    """Overlapping Gaussians of all shapes about the origin, of `bands` SH coefficients, or RGB for 0."""
     rng = np.random.default_rng(seed)
     arrays = [
         rng.normal(0, 0.7, (n, 3)),
@@ -52,7 +52,7 @@ def scene(n: int, bands: int, seed: int, kind: torch.dtype = torch.float64) -> l
 def rasterized(
     parameters: Sequence[Tensor], camera: Camera, background: Sequence[float] = (0.0, 0.0, 0.0)
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """What `rasterize` gives for means, scales, quats, opacities and colours in one list."""
+    """Calls `rasterize` with means, scales, quats, opacities and colours given as one list."""
     means, scales, quats, opacities, colours = parameters
     return rasterize(means, scales, quats, opacities, colours, camera, background)
 
@@ -101,10 +101,10 @@ def test_gradcheck(camera: Camera, bands: int) -> None:
 
 @pytest.mark.parametrize("side", [-1, 1])
 def test_gradcheck_on_both_sides_of_every_edge(side: int) -> None:
-    """A pixel at alpha 1/255 and one at 0.99, an ended pixel, a colour at 0, a slope at the limit of the Jacobian."""
+    """A pixel at alpha 1/255 and one at 0.99, a finished pixel, a colour at 0, a slope at the limit of the Jacobian."""
     nudge = side * 1e-4
     camera = Camera(np.eye(4), 20, 20, 8, 8, 16, 16)
-    reach = math.sqrt(2 * math.log(255 * 0.8) * (0.3 + (20 * 0.3 / 5) ** 2))  # from where alpha is 1/255
+    reach = math.sqrt(2 * math.log(255 * 0.8) * (0.3 + (20 * 0.3 / 5) ** 2))  # the distance at which alpha is 1/255
     faint = [(reach + nudge + 4.5 - 8) * 5 / 20, (4.5 - 8) * 5 / 20, 5.0]
     centre = [0.5 * 6 / 20, 0.5 * 6 / 20, 6.0]  # projects onto the centre of pixel (8, 8)
     behind = [0.5 * 7 / 20, 0.5 * 7 / 20, 7.0]
@@ -156,7 +156,7 @@ def test_garden_positions_and_depths_against_a_pinhole() -> None:
         true = points[:, :2] / points[:, 2:] * k.diagonal()[:2] + k[:2, 2]
         inside = (points[:, 2] > 0.01) & (true > 0).all(axis=1) & (true < [width, height]).all(axis=1)
         hidden = np.setdiff1d(np.flatnonzero(inside), rows)
-        assert len(hidden) == 0  # so faint, none hides another
+        assert len(hidden) == 0  # so faint that none hides another
         assert np.abs(records[:, [0, 2]] + records[:, [1, 3]] - true[rows]).max() < 2e-7
         assert np.abs(records[:, 11] / points[rows, 2] - 1).max() < 1e-7
         assert (np.diff(records[:, 11]) >= 0).all()
@@ -203,7 +203,7 @@ def test_order_of_the_gaussians_is_not_seen() -> None:
 def test_where_the_tiles_lie_is_not_seen(shift: tuple[int, int]) -> None:
     parameters = scene(30, 0, seed=6)
     dx, dy = shift
-    # The same rays in a larger picture, as much added at the far side, so that the Jacobian's limits stay symmetric.
+    # The same rays in a larger picture, padded equally on the far side so that the Jacobian's limits stay symmetric.
     small = replace(FLAT, width=24, height=20)
     large = replace(small, width=24 + dx, height=20 + dy, cx=small.cx + dx, cy=small.cy + dy)
     for a, b in zip(rasterized(parameters, small), rasterized(parameters, large), strict=True):
@@ -211,7 +211,7 @@ def test_where_the_tiles_lie_is_not_seen(shift: tuple[int, int]) -> None:
 
 
 def ball(n: int) -> list[Tensor]:
-    """Opaque Gaussians on and in a unit sphere: what is behind the front is hidden."""
+    """Opaque Gaussians on and in a unit sphere: whatever lies behind the front is hidden."""
     rng = np.random.default_rng(8)
     direction = rng.normal(size=(n, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)

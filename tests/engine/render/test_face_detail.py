@@ -1,4 +1,4 @@
-"""Faces that are read from the inside: every pixel shows its place, and nothing else changes."""
+"""Faces read from the inside: every pixel shows the colour of its place, and nothing else changes."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def test_a_face_shows_its_places() -> None:
     assert np.abs(found.rgb - waves(points))[deep].max() < 2e-3
     assert np.array_equal(found.rgb[depth < -PITCH], plain.rgb[depth < -PITCH])
     assert np.array_equal(found.alpha, plain.alpha) and np.array_equal(found.depth, plain.depth)
-    # Between skin and inside neither is left at once.
+    # Between skin and inside the colour changes gradually.
     steps = np.abs(found.rgb - plain.rgb).mean(-1)
     assert steps[(depth > 0) & (depth < 0.3 * PITCH)].mean() < 0.5 * steps[deep].mean()
     assert np.allclose(inside.footprints, np.linalg.norm(points[0, 1] - points[0, 0]), rtol=1e-3)
@@ -70,7 +70,7 @@ def test_a_face_that_was_read_once_serves_every_view_of_it() -> None:
 
 @pytest.mark.parametrize("drawn_by", ["the processor", "OpenGL"])
 def test_parted_pieces_read_in_their_own_space(drawn_by: str) -> None:
-    """The same face, moved and seen from the same side of it, has the same colours; what hides it stays."""
+    """The same face, moved and seen from the same side, has the same colours; what hides it stays in front."""
     atoms = ball(PITCH)
     camera = orbit((0, 0, 0), (0, 0, 1), 20, 65, fit_distance(1.0, 0.6, 1.0), 240, 240, 0.6)
     moved = np.eye(4)
@@ -96,7 +96,7 @@ def test_parted_pieces_read_in_their_own_space(drawn_by: str) -> None:
     x, y = (columns + 0.5 - camera.cx) / camera.fx * z, (rows + 0.5 - camera.cy) / camera.fy * z
     world = (np.stack([x, y, z], -1) - camera.viewmat[:3, 3]) @ camera.viewmat[:3, :3]
     own = world - moved[:3, 3]
-    assert np.abs(PLANE.distance(own)).max() < 0.02  # only the face that looks at the camera
+    assert np.abs(PLANE.distance(own)).max() < 0.02  # only the face that is turned to the camera
     deep = np.linalg.norm(own, axis=1) < 0.5 - 3 * PITCH
     assert deep.any() and np.abs(found.rgb[rows, columns] - waves(own))[deep].max() < 0.05
 

@@ -1,4 +1,4 @@
-"""The GL engine's opaque mode against the float64 reference, and its laws."""
+"""The GL engine's opaque mode against the float64 reference, and its invariants."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ CUTS = {
 
 @pytest.fixture(scope="module", params=[True, False], ids=["shaders", "kernels"])
 def drawn_by(request: pytest.FixtureRequest) -> Iterator[Renderer]:
-    """By GLSL, and by the processor's kernels as on software GL: the same laws for both."""
+    """The renderer by GLSL, and by the CPU's kernels as on software GL: the same laws for both."""
     try:
         renderer = Renderer(shaders=request.param)
     except GLMissing as missing:
@@ -56,7 +56,7 @@ MADE = {
 
 @cache
 def truths(made: str, cut: str) -> list[tuple[Camera, tuple[np.ndarray, np.ndarray, np.ndarray]]]:
-    """Cameras, and what the reference shows to them."""
+    """Cameras, and the reference's picture for each."""
     atoms = MADE[made]()
     plane = Plane.of((0.1, -0.2, 1), 0)
     cameras = around(30, 35), around(200, 60, 4.0), section(plane, (0, 1, 0), atoms.bounds, 50)
@@ -85,7 +85,7 @@ def test_a_moved_piece_is_the_object_seen_from_elsewhere(renderer: Renderer) -> 
 
 
 def test_cut_through_a_checkerboard(renderer: Renderer) -> None:
-    """Flat, the kernel field to 2/255, and the same from five cameras."""
+    """Flat colours, the kernel field to 2/255, and the same from five cameras."""
     side = np.arange(30) - 14.5
     cells = np.stack(np.meshgrid(side, side, side, indexing="ij"), -1).reshape(-1, 3)
     dark = (np.floor(cells / 2).sum(1) % 2)[:, None]
@@ -103,7 +103,7 @@ def test_cut_through_a_checkerboard(renderer: Renderer) -> None:
         camera = around(azimuth, elevation, distance, 480, 360)
         for mark, true in zip(marks, exact, strict=True):
             c = camera.viewmat[:3, :3] @ mark + camera.viewmat[:3, 3]
-            # A window of three pixels whose middle looks at the mark.
+            # A window of three pixels centred on the mark.
             cx, cy = 1.5 - camera.fx * c[0] / c[2], 1.5 - camera.fy * c[1] / c[2]
             window = draw(renderer, replace(camera, cx=cx, cy=cy, width=3, height=3), Piece((plane,)))
             assert np.abs(window.rgb[1, 1] - true).max() <= 2 / 255
@@ -117,7 +117,7 @@ def test_cut_through_a_checkerboard(renderer: Renderer) -> None:
         assert np.abs(plane.distance(points[deep])).max() < 0.5 * z.min() / camera.fx
         colour, _ = field.at(points[deep])
         assert np.abs(picture.rgb[rows[deep], columns[deep]] - colour).max() <= 2 / 255
-    # The kept grid: nearly that.
+    # The cached grid comes close to that.
     camera = around(10, 80, 0.7, 480, 360)
     for _ in range(2):
         quick = draw(renderer, camera, Piece((plane,)), exact=False)
@@ -140,7 +140,7 @@ def test_pieces_put_back_together_are_the_uncut_object(renderer: Renderer) -> No
 
 
 def test_pieces_apart_are_put_together_by_depth(renderer: Renderer) -> None:
-    """Each as the reference draws it alone, the nearer one over the other pixel by pixel."""
+    """Each piece as the reference draws it alone, the nearer one over the other pixel by pixel."""
     atoms = ball(1 / 10)
     renderer.set_atoms(atoms)
     plane, camera = Plane.of((0.2, 0.1, 1), 0.05), around(30, 30, 1.6, 80, 60)
@@ -151,7 +151,7 @@ def test_pieces_apart_are_put_together_by_depth(renderer: Renderer) -> None:
     alone = [reference(atoms, piece.camera(camera), piece.planes, black) for piece in pieces]
     (rgb, alpha, depth), (other, other_alpha, other_depth) = alone
     both = np.where((alpha > 0) & (other_alpha > 0), 1, 0)
-    assert both.sum() > 50  # they hide each other
+    assert both.sum() > 50  # the pieces overlap in the picture
     first = (depth <= other_depth)[..., None]
     over = np.where(first, rgb + (1 - alpha[..., None]) * other, other + (1 - other_alpha[..., None]) * rgb)
     ours = draw(renderer, camera, *pieces, background=black)
@@ -162,7 +162,7 @@ def test_pieces_apart_are_put_together_by_depth(renderer: Renderer) -> None:
 
 
 def test_a_gap_shows_the_face_behind_it(renderer: Renderer) -> None:
-    """Of three slices the middle one is taken out: the lower one's face is whole although nothing was moved."""
+    """With the middle one of three slices taken out, the lower one's face is whole although nothing was moved."""
     renderer.set_atoms(tight_ball(1 / 20))
     low, high = Plane.of((0, 0, 1), 0.1), Plane.of((0, 0, 1), -0.1)
     camera = around(0, 40)
@@ -204,7 +204,7 @@ def test_culling_changes_no_pixel(renderer: Renderer, distance: float) -> None:
         camera = around(azimuth, elevation, distance)
         for planes in ((), (Plane.of((0, 0, 1), 0),), CUTS["three cuts"], (Plane.of((0, 0, 1), -0.45),)):
             for _ in range(2):
-                draw(renderer, camera, Piece(planes), exact=False)  # a grid is made for a plane that is seen again
+                draw(renderer, camera, Piece(planes), exact=False)  # a plane gets a grid when it is seen again
             for exact in (True, False):
                 few = draw(renderer, camera, Piece(planes), exact=exact)
                 all_of_them = draw(renderer, camera, Piece(planes), exact=exact, cull=False)
@@ -213,7 +213,7 @@ def test_culling_changes_no_pixel(renderer: Renderer, distance: float) -> None:
 
 
 def with_pinholes(atoms: Atoms, share: float = 0.12, size: float = 0.75) -> Atoms:
-    """A share of the skin's atoms left out, the rest a little smaller and of random colours."""
+    """The skin without a share of its atoms, the rest a little smaller and of random colours."""
     rng = np.random.default_rng(4)
     kept = rng.random(len(atoms.surface)) > share
     s = atoms.surface
@@ -224,7 +224,7 @@ def with_pinholes(atoms: Atoms, share: float = 0.12, size: float = 0.75) -> Atom
 
 
 def test_what_stands_behind_pinholes_counts(renderer: Renderer) -> None:
-    """Skins of captures have holes finer than anything that is known of them before a frame."""
+    """Skins of captures have holes finer than anything known of them before a frame is drawn."""
     renderer.set_atoms(with_pinholes(tight_ball(1 / 24)))
     assert (renderer._solids[0].skin.culling.min_cosine <= 1).mean() > 0.5
     leaks = 0
@@ -239,7 +239,7 @@ def test_what_stands_behind_pinholes_counts(renderer: Renderer) -> None:
 
 
 def test_a_shell_with_a_hole_hides_nothing(renderer: Renderer) -> None:
-    """Through a hole in the skin the far side is seen from within, so no atom may be left out."""
+    """The far side is seen from within through a hole in the skin, so no atom may be left out."""
     atoms = tight_ball(1 / 24)
     renderer.set_atoms(rows_of(atoms, atoms.surface.means[:, 2] < 0.4))
     assert (renderer._solids[0].skin.culling.min_cosine > 1).all()
@@ -301,7 +301,7 @@ def test_zoom_sweep(renderer: Renderer) -> None:
 
 
 def test_orbit_sweep(renderer: Renderer) -> None:
-    """In steps of one degree each frame differs from the last by about as much: nothing pops."""
+    """Over steps of one degree each frame differs from the last by about as much: nothing pops."""
     renderer.set_atoms(ball(1 / 20))
     pieces = (Piece((Plane.of((0.2, 0, 1), 0),)),)
     frames = []

@@ -1,4 +1,4 @@
-"""The GL engine around its formula: updates, levels, picking, overlays, other modes, and what goes wrong."""
+"""The GL engine beyond its formula: updates, levels, picking, overlays, other modes, and what can go wrong."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def some(n_surface: int, n_interior: int, seed: int = 0) -> Atoms:
 
 
 def pixel(camera: Camera, point: tuple[float, float, float]) -> tuple[int, int]:
-    """Row and column in which a world point is seen."""
+    """Row and column of the pixel that shows a world point."""
     x, y, z = camera.viewmat[:3, :3] @ point + camera.viewmat[:3, 3]
     return int(camera.fy * y / z + camera.cy), int(camera.fx * x / z + camera.cx)
 
@@ -99,7 +99,7 @@ def test_the_interior_alone_lies_within_the_solid(renderer: Renderer) -> None:
 
 
 def test_the_interior_alone_is_solid(renderer: Renderer) -> None:
-    """Its outer atoms leave no gaps, near or far: nothing of the far side, nothing of the background."""
+    """Its outer atoms leave no gaps, near or far: neither the far side nor the background shows through."""
     atoms = ball(1 / 30)
     inside = atoms.interior
     for azimuth, elevation in ((0, 0), (45, 35)):
@@ -132,7 +132,7 @@ def test_pick(renderer: Renderer) -> None:
     assert picture.alpha[0, 0] == 0
     assert renderer.pick(0, 0) == (None, None)
     assert renderer.pick(-1, 500) == (None, None)
-    # Pieces that lie together are told apart by where the point is.
+    # Pieces that lie together are told apart by the picked point.
     renderer.render(around(0, 0, 1.6), (Piece((HALF,)), Piece((HALF.flipped(),))))
     assert renderer.pick(60, 30)[0] == 1
     assert renderer.pick(60, 60)[0] == 0
@@ -158,7 +158,7 @@ def test_a_picture_lies_on_a_face_and_is_hidden_behind_it(renderer: Renderer) ->
     camera = around(0, 0, 1.5)
     before = draw(renderer, camera, background=(0, 0, 0)).rgb
     quarters = np.array([[[255, 0, 0, 255], [0, 255, 0, 255]], [[0, 0, 255, 255], [255, 255, 255, 0]]], np.uint8)
-    # Seen from x: y to the right, z up; as high as the frame, before the ball and behind it.
+    # Seen from x, with y to the right and z up, as high as the frame; once before the ball and once behind it.
     corners = np.array([[0, -0.8, 0.8], [0, 0.8, 0.8], [0, 0.8, -0.8], [0, -0.8, -0.8]])
     for x, hides in ((0.7, True), (-0.7, False)):
         texture = renderer.overlay([PictureSheet(corners + np.array([x, 0, 0]), quarters.repeat(8, 0).repeat(8, 1))])
@@ -171,23 +171,23 @@ def test_a_picture_lies_on_a_face_and_is_hidden_behind_it(renderer: Renderer) ->
 
 
 def test_an_overlay_shows_the_whole_frame(renderer: Renderer) -> None:
-    """Whatever was bound before, with whatever scissor, and whatever the overlay showed before."""
+    """Whatever was bound before, with any scissor, and whatever the overlay showed before."""
     renderer.set_atoms(tight_ball(1 / 24))
     ctx, first = renderer.ctx, renderer.ctx.fbo
     other = ctx.simple_framebuffer((300, 200))
     for azimuth in (0, 70):
         for scissor in (None, (40, 30, 7, 5)):
             frame = draw(renderer, around(azimuth, 20), Piece((HALF,)), background=(azimuth / 100, 0.5, 0)).rgb
-            other.scissor = scissor  # type: ignore[assignment]  # None: the whole, as moderngl has it
+            other.scissor = scissor  # type: ignore[assignment]  # None: no scissor in moderngl
             other.use()
             copy = np.frombuffer(renderer.overlay([]).read(), np.float16).reshape(90, 120, 4)
             assert np.array_equal(copy[..., :3].astype(np.float32), frame)
-    first.use()  # what is bound must not go
+    first.use()  # a bound framebuffer must not be released
     other.release()
 
 
 def test_in_the_context_of_another(renderer: Renderer) -> None:
-    """The owner's state does not change the picture, and the owner draws as before with what it has bound."""
+    """The owner's state does not change the picture, and afterwards the owner draws as before to what it has bound."""
     owner, first = renderer.ctx, renderer.ctx.fbo
     atoms, camera, pieces = tight_ball(1 / 20), around(30, 40), (Piece((HALF,)),)
     renderer.set_atoms(atoms)
@@ -223,11 +223,11 @@ def test_in_the_context_of_another(renderer: Renderer) -> None:
             guest.overlay([Lines(np.zeros((1, 2, 3)), (1, 0, 0, 1))])
             guest.pick(60, 45)
             assert owner.detect_framebuffer().glo == mine.glo
-            mine.use()  # brings the owner's viewport and scissor
+            mine.use()  # restores the owner's viewport and scissor
             assert own_frame() == before
         guest.release()
         assert owner.error == "GL_NO_ERROR"
-    first.use()  # what is bound must not go
+    first.use()  # a bound framebuffer must not be released
     for item in (array, program, mine):
         item.release()
 
@@ -264,7 +264,7 @@ def test_classic_parity(renderer: Renderer) -> None:
 
 @pytest.mark.parametrize("shaders", [True, False], ids=["as on a card", "in software"])
 def test_slabs_of_a_capture_add_up(shaders: bool) -> None:
-    """Faint layers by the hundred under opaque ones: nothing is lost to half floats, or where nothing more shows."""
+    """Hundreds of faint layers under opaque ones: nothing is lost to half floats, nor where nothing more shows."""
     gaussians, camera = capture(6 * PORTION), around(30, 20, width=60, height=45)
     faint = np.random.default_rng(0).random(len(gaussians)) < 0.8
     gaussians = replace(gaussians, opacities=np.where(faint, 0.02, 0.9).astype(np.float32))
@@ -315,7 +315,7 @@ def test_the_camera_does_not_wait_for_the_sort(renderer: Renderer) -> None:
     assert np.array_equal(late.rgb, exact.rgb)
 
 
-# What goes wrong
+# What can go wrong.
 
 
 @pytest.mark.parametrize(("surface", "interior"), [(0, 0), (1, 0), (0, 1), (1, 1)])
@@ -344,7 +344,7 @@ def test_camera_inside_and_planes_through_it(renderer: Renderer) -> None:
     for planes in ((), (HALF,), (Plane.through(eye, (0, 0, 1)),), (Plane.through(eye, inside.forward),)):
         for piece in (Piece(planes), Piece(tuple(p.flipped() for p in planes))):
             assert np.isfinite(draw(renderer, inside, piece).rgb).all()
-    # A camera in the part that was cut away sees the face it looks at fill the picture.
+    # A camera in the removed part sees the face fill the picture.
     seen = draw(renderer, around(0, 90, 0.08), Piece((HALF,)))
     assert seen.alpha.min() > 0.99
 
@@ -410,7 +410,7 @@ def test_sizes(renderer: Renderer) -> None:
 
 
 def test_far_from_the_origin(renderer: Renderer) -> None:
-    """A capture with world coordinates in the thousands looks as it does at home."""
+    """A capture with world coordinates in the thousands looks as it does at the origin."""
     atoms, away = tight_ball(1 / 20), np.array([4096, -8192, 1024], np.float32)
     camera, plane = around(20, 30), Plane.of((0.1, 0, 1), 0.05)
     renderer.set_atoms(atoms)

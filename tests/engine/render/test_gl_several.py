@@ -1,4 +1,4 @@
-"""Several solids in one frame: each as if it were alone, the nearer in front, picked by its own pieces."""
+"""Several solids in one frame: each as if it were alone, the nearer one in front, picked by its own pieces."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def test_each_solid_is_drawn_as_if_alone_and_hides_what_is_behind_it(drawer: Ren
     camera = around(0, 20, 2.2, 160, 90)
     left, right = Piece((HALF,), at(0, -0.8)), Piece((HALF,), at(0, 0.8))
     drawer.set_atoms(fine, coarse)
-    for _ in range(2):  # the second time from the grids, of which each solid has one in the same plane
+    for _ in range(2):  # the second time from grids: each solid has its own in the same plane
         both = draw(drawer, camera, left, replace(right, solid=1), exact=False)
     half = np.arange(160) < 80
     for atoms, piece, side in ((fine, left, half), (coarse, right, ~half)):
@@ -71,5 +71,5 @@ def test_a_solid_is_recoloured_by_its_number(drawer: Renderer) -> None:
     drawer.set_atoms(atoms, other)
     drawer.update_colours(dark.surface.sh, solid=1)
     assert np.array_equal(draw(drawer, camera, *pieces).rgb, expected.rgb)
-    drawer.set_atoms(atoms, other)  # the colours that they came with
+    drawer.set_atoms(atoms, other)  # their original colours
     assert not np.array_equal(draw(drawer, camera, *pieces).rgb, expected.rgb)

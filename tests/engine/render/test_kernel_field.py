@@ -24,7 +24,7 @@ def test_meets_the_formula(atoms: Atoms) -> None:
     rgb, density = KernelField(atoms).at(points, footprint)
     true_rgb, true_density = kernel_field(atoms, points, footprint)
     assert np.abs(density - true_density).max() < 2e-5
-    # A colour is a quotient: where almost nothing is, it has few digits.
+    # A colour is a quotient: where density is almost zero, it has few digits.
     assert np.abs((rgb - true_rgb) * true_density[:, None]).max() < 2e-5
 
 
@@ -40,7 +40,7 @@ def test_entries_are_the_terms_of_the_sums() -> None:
 
 
 def test_skin_is_not_seen_through_what_fills_the_body() -> None:
-    """Skin that reaches in from the surface, however much of it, colours what lies outside of the lattice alone."""
+    """Skin that reaches in from the surface, however much, colours only what lies outside the lattice."""
     side = np.arange(-6, 7, dtype=np.float32)
     lattice = np.stack(np.meshgrid(side, side, side), -1).reshape(-1, 3)
     inside = InteriorAtoms(lattice, np.full(len(lattice), 0.5, np.float32), np.zeros_like(lattice))
@@ -61,7 +61,7 @@ def test_skin_is_not_seen_through_what_fills_the_body() -> None:
 @pytest.mark.parametrize("footprint", [0.0, 0.02, 0.3])
 def test_a_picture_of_a_plane_has_the_same_entries(atoms: Atoms, footprint: float) -> None:
     x, y = np.meshgrid(np.linspace(-0.9, 0.8, 37), np.linspace(-0.7, 0.9, 29))
-    across, down = np.array([0.8, 0.6, 0.0]), np.array([-0.3, 0.4, 0.7])  # neither level nor at right angles
+    across, down = np.array([0.8, 0.6, 0.0]), np.array([-0.3, 0.4, 0.7])  # neither level nor orthogonal
     points = 0.1 + x[..., None] * across + y[..., None] * down
     field = KernelField(atoms)
     one, other = field.entries(points.reshape(-1, 3), footprint), field.entries_on(points, footprint)
@@ -78,7 +78,7 @@ def test_a_filled_lattice_has_the_lattice_density_at_any_footprint() -> None:
     ask = np.random.default_rng(3).uniform(-1, 1, (200, 3))
     for footprint in (0.0, 1.0, 3.0, 6.0):
         rgb, density = field.at(ask, footprint)
-        # Cut off at three standard deviations a Gaussian lacks 3 % of its volume.
+        # Cut off at three standard deviations, a Gaussian loses 3 % of its volume.
         np.testing.assert_allclose(density.mean(), 0.97 * LATTICE_DENSITY, rtol=0.01)
         np.testing.assert_allclose(density, 0.97 * LATTICE_DENSITY, rtol=0.08)
         np.testing.assert_allclose(rgb, 0.4, atol=1e-5)

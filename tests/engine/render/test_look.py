@@ -1,7 +1,7 @@
-"""The look written in GLSL is the look written in Python, term by term.
+"""The look in GLSL equals the look in Python, term by term.
 
-Each law that both share is evaluated by a small shader, built from the files that the renderer includes and captured by
-transform feedback, and by the Python function, on the same table of inputs.
+Each law that both implement is evaluated by a small shader, built from the files that the renderer includes and
+captured by transform feedback, and by the Python function, on the same table of inputs.
 """
 
 from __future__ import annotations
@@ -36,14 +36,14 @@ from tests.reference.opaque import coverage as covered_by
 Double = NDArray[np.float64]
 
 COUNT = 60
-"""Rows of a table."""
+"""Rows in a table."""
 
 CLOSE = 2e-5
-"""Relative difference of a few float32 operations."""
+"""Relative tolerance: a few float32 operations."""
 
 
 def glsl(*names: str, main: str, **defines: int) -> str:
-    """A vertex shader of these files of the package and a main function."""
+    """A vertex shader made of these files of the package and a main function."""
     first, *others = names
     included = [source(name, {}).removeprefix("#version 330 core\n") for name in others]
     return "\n".join([source(first, CONSTANTS | defines), *included, main])
@@ -53,7 +53,7 @@ def evaluate(
     renderer: Renderer, shader: str, inputs: dict[str, Any], outputs: dict[str, int], **uniforms: Any
 ) -> list[Double]:
     """Each of the outputs (N, floats) of a vertex shader, run once for each row of the inputs (N, floats)."""
-    renderer.render(cameras()[0], mode="classic")  # leaves a complete framebuffer bound, which transform feedback needs
+    renderer.render(cameras()[0], mode="classic")  # leaves a complete framebuffer bound, as transform feedback needs
     ctx = renderer.ctx
     program = ctx.program(vertex_shader=shader, varyings=tuple(outputs))
     write_uniforms(program, uniforms)
@@ -109,7 +109,7 @@ def test_spherical_harmonics(renderer: Renderer, degree: int) -> None:
 
 
 def test_rotation(renderer: Renderer) -> None:
-    """A quaternion of any length; one without a length turns nothing."""
+    """A quaternion of any length gives its rotation; one of length zero turns nothing."""
     quats = splats().quats.copy()
     quats[0] = 0
     main = "in vec4 q; out mat3 turn; void main() { turn = rotation_of(q); }"
@@ -119,7 +119,7 @@ def test_rotation(renderer: Renderer) -> None:
 
 
 def test_face_coverage(renderer: Renderer) -> None:
-    """Also the kernels' version without branches."""
+    """Also of the kernels' branch-free version."""
     rng = np.random.default_rng(1)
     density = rng.uniform(0, 2 * constants.SOLID_DENSITY, COUNT).astype(np.float32)
     footprint = np.exp(rng.uniform(-6, 1, COUNT)).astype(np.float32)
@@ -139,7 +139,7 @@ def test_face_coverage(renderer: Renderer) -> None:
 
 
 def test_skin_part(renderer: Renderer) -> None:
-    """From no interior to more than a lattice."""
+    """From no interior to more than a full lattice."""
     interior = np.linspace(0, 1.2 * constants.LATTICE_DENSITY, COUNT).astype(np.float32)
     main = "in float interior; out float part; void main() { part = skin_part(interior); }"
     (part,) = evaluate(renderer, glsl("face_look.glsl", main=main), {"interior": interior}, {"part": 1})
@@ -149,7 +149,7 @@ def test_skin_part(renderer: Renderer) -> None:
 
 
 def test_outside_shares(renderer: Renderer) -> None:
-    """From nothing to more than enough, in the layer, before and behind it; also the software frame's version."""
+    """From nothing to more than enough, in the layer, before and behind it; also in software GL's version."""
     rng = np.random.default_rng(2)
     weights = (rng.uniform(0.2, 1, (COUNT, 3)) * (rng.random((COUNT, 3)) > 0.1)).astype(np.float32)
     edges = (weights * rng.uniform(1, 2, (COUNT, 3))).astype(np.float32)
@@ -165,7 +165,7 @@ def test_outside_shares(renderer: Renderer) -> None:
     sums = np.zeros((1, COUNT, SUMS), np.float32)
     places = [0, BEFORE, BEHIND]
     sums[0][:, places], sums[0][:, [p + 1 for p in places]] = weights, edges
-    sums[0][:, [p + 2 + k for k, p in enumerate(places)]] = weights  # each shows a colour of its own
+    sums[0][:, [p + 2 + k for k, p in enumerate(places)]] = weights  # each has its own colour
     sums[0][:, BEHIND + 5] = weights[:, 2]
     kernel = [outside_shares(row) for row in sums[0]]
     assert np.allclose(kernel, expected, atol=CLOSE)
@@ -181,7 +181,7 @@ def test_outside_shares(renderer: Renderer) -> None:
 
 
 def test_depth_weight(renderer: Renderer) -> None:
-    """A quarter for each layer's depth, down to a bound; the same wherever a step begins."""
+    """A quarter for each layer's depth, down to a bound; independent of where a step begins."""
     rng = np.random.default_rng(3)
     layer = np.float32(0.25)
     front = rng.uniform(-2, 9, COUNT).astype(np.float32)
@@ -196,7 +196,7 @@ def test_depth_weight(renderer: Renderer) -> None:
 
 @pytest.mark.parametrize("camera", cameras(), ids=["pinhole", "orthographic"])
 def test_ray_entry_and_light(renderer: Renderer, camera: Camera) -> None:
-    """Where a pixel's ray meets a plane, and how bright a lamp at the eye makes it there."""
+    """The point where a pixel's ray meets a plane, and the brightness that a lamp at the eye gives it."""
     eye = replace(camera, viewmat=np.eye(4))
     plane = np.array([0.3, -0.2, -0.9])
     plane = np.append(plane / np.linalg.norm(plane), 1.9)
@@ -240,7 +240,7 @@ def test_depth_and_footprint(renderer: Renderer, camera: Camera) -> None:
 
 @pytest.mark.parametrize("camera", cameras(), ids=["pinhole", "orthographic"])
 def test_ewa_projection(renderer: Renderer, camera: Camera) -> None:
-    """Mean, conic, weight, sharpness and depth slope of project.vert.glsl and of the kernels' records."""
+    """Mean, conic, weight, sharpness and depth slope in project.vert.glsl and in the kernels' records."""
     given = splats()
     records, spans = np.zeros((COUNT, RECORD)), np.zeros((COUNT, 6), np.int32)
     project(0, COUNT, camera_record(camera), np.zeros((0, 4)), np.zeros(2, np.int64), given, records, spans)
@@ -266,7 +266,7 @@ def test_ewa_projection(renderer: Renderer, camera: Camera) -> None:
 
 
 def defines(camera: Camera) -> dict[str, int]:
-    """The switches of a camera; a switch that is off is left out."""
+    """A camera's switches; those that are off are left out."""
     return {"ORTHOGRAPHIC": 1} if camera.orthographic else {}
 
 
@@ -280,7 +280,7 @@ def test_every_constant_reaches_the_shaders() -> None:
 
 
 def test_no_shader_repeats_a_constant() -> None:
-    """Every number of the look stands in engine/scene/constants.py or engine/scene/sh.py and nowhere else."""
+    """Every number of the look is in engine/scene/constants.py or engine/scene/sh.py and nowhere else."""
     known = {abs(value): name for name, value in CONSTANTS.items()}
     number = re.compile(r"(?<![\w.])(?:\d+\.\d*|\.\d+|\d+(?=[eE]))(?:[eE][-+]?\d+)?")
     for path in files("shaders").iterdir():

@@ -1,4 +1,4 @@
-"""The opaque image on the CPU: against its formula in float64, and the laws it was made for."""
+"""The opaque image on the CPU: against its formula in float64, and the invariants it was made for."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def test_a_face_is_flat_and_looks_the_same_from_everywhere() -> None:
     targets -= plane.distance(targets)[:, None] * np.array(plane.normal)
     truth, _ = kernel_field(atoms, targets)
     for azimuth in (0, 70, 150, 220, 300):
-        # Pixels so small that the footprint is under every atom, one of them centred on each point.
+        # Pixels so small that the footprint is below every atom's size, one of them centred on each point.
         base = orbit((0, 0, 0), UP, azimuth, 50, 2.0, 8, 8)
         for target, colour in zip(targets[:12], truth[:12], strict=True):
             x, y, z = base.viewmat[:3, :3] @ target + base.viewmat[:3, 3]
@@ -113,7 +113,7 @@ def test_inner_edges_let_no_background_through() -> None:
 
 
 def skin(means: NDArray[np.floating], sigmas: NDArray[np.floating], light: NDArray[np.floating]) -> Atoms:
-    """Round atoms without an inside, black or, where `light` (N,) is 1, almost white."""
+    """Round atoms without an interior: black, or nearly white where `light` (N,) is 1."""
     sh = np.where(light > 0, 1.5, -1e6).astype(np.float32)[:, None, None].repeat(3, 2)
     scales = np.repeat(sigmas.astype(np.float32)[:, None], 3, 1)
     surface = SurfaceAtoms(means.astype(np.float32), scales, unturned(len(means)), sh)
@@ -121,10 +121,10 @@ def skin(means: NDArray[np.floating], sigmas: NDArray[np.floating], light: NDArr
 
 
 def test_an_edge_shows_what_it_covers_and_what_lies_behind_it() -> None:
-    """A dark half plane before a light plane: brightness across the edge is the share of a pixel that it leaves open,
-    and what lies behind both does not shine through."""
+    """A dark half plane before a light plane: brightness across the edge is the uncovered share of a pixel, and what
+    lies behind both does not shine through."""
     camera = section(Plane.of((0, 0, 1), 0.0), (0, 1, 0), np.array([[-1.0] * 3, [1.0] * 3]), 64)
-    side = np.arange(-2, 2, 0.05)  # more than the picture shows
+    side = np.arange(-2, 2, 0.05)  # beyond the edges of the picture
     x, y = (a.ravel() for a in np.meshgrid(side, side))
     near, far, last = (np.stack([x, y, np.full_like(x, z)], 1) for z in (0.9, 0.3, -0.6))
     means = np.concatenate([near[x <= 0], far, last])
@@ -137,13 +137,13 @@ def test_an_edge_shows_what_it_covers_and_what_lies_behind_it() -> None:
 
 
 def test_atoms_that_only_together_close_a_gap_hide_what_lies_behind() -> None:
-    """Between four atoms none has a core, but their weights add up to more than a half."""
+    """Between four atoms there is no core, but their weights add up to more than a half."""
     camera = section(Plane.of((0, 0, 1), 0.0), (0, 1, 0), np.array([[-0.1] * 3, [0.1] * 3]), 33)
     corners = [(x, y, 0.9) for x in (-0.05, 0.05) for y in (-0.05, 0.05)]
     means, sigmas = np.array([*corners, (0, 0, 0)]), np.array([0.045] * 4 + [0.2])
     atoms = skin(means, sigmas, np.array([1, 1, 1, 1, 0]))
     picture = render(atoms, camera)
-    assert picture.depth[16, 16] == picture.depth.max()  # the nearest core is the far one's
+    assert picture.depth[16, 16] == picture.depth.max()  # the nearest core belongs to the far atom
     assert picture.rgb[16, 16].min() > 0.9
 
 
@@ -166,7 +166,7 @@ def test_pieces_hide_each_other_by_depth() -> None:
     camera = orbit((0, 0, 0), UP, 0, 0, 3.0, 48, 48)
     back, front = np.eye(4), np.eye(4)
     back[0, 3], front[0, 3] = -0.6, 0.8
-    half = Plane.of((1, 0, 0), 0.0)  # keeps the far half: its face looks at the camera
+    half = Plane.of((1, 0, 0), 0.0)  # keeps the far half, whose face is turned to the camera
     behind, before = Piece((half,), back), Piece((half,), front)
     alone = render_pieces(atoms, camera, [before])
     both = render_pieces(atoms, camera, [behind, before])
@@ -248,7 +248,7 @@ def test_the_degenerate_is_finite() -> None:
         [[0, 0, 0], [1e-30, 1, 1], [1e12, 1, 1], [1e-9, 1e-9, 10], [1, 1, 1], [1e3, 1e-6, 1e-6], [0, 0, 1], [1, 0, 1]]
     )
     atoms.surface.quats[2] = 0
-    atoms.surface.means[4] = view().position  # the eye sits on it
+    atoms.surface.means[4] = view().position  # the eye lies on the atom
     atoms.surface.means[5] = view().position + 0.01 * view().forward
     for planes in ([], CUTS):
         picture = render(atoms, view(), planes)

@@ -22,7 +22,7 @@ def painted(count: int) -> Gaussians:
 
 
 def covariance(g: Gaussians, weight: np.ndarray) -> np.ndarray:
-    """(3, 3). Of the whole mixture, about the origin."""
+    """(3, 3). Covariance of the whole mixture, about the origin."""
     axes = rotation_matrices(g.quats.astype(np.float64)) * g.scales[:, None]
     return np.einsum("n,nij->ij", weight, axes @ axes.transpose(0, 2, 1) + g.means[:, :, None] * g.means[:, None])
 
@@ -36,7 +36,7 @@ def test_a_gathered_sphere_looks_the_same() -> None:
         a, b = render(many, camera), render(few, camera)
         inside = a.alpha > 0.9
         assert -10 * np.log10(((a.rgb - b.rgb)[inside] ** 2).mean()) > 30
-        assert np.percentile(b.alpha[inside], 1) > 0.9  # no holes, but for the outline
+        assert np.percentile(b.alpha[inside], 1) > 0.9  # no holes, except at the outline
         assert (np.abs(a.alpha - b.alpha) > 0.5).mean() < 0.005
 
 

@@ -1,4 +1,4 @@
-"""Rotations take directions where they say."""
+"""Rotations turn directions as they claim."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from engine.scene.rotations import facing, rotation_matrices
 
 @pytest.mark.parametrize("kind", [np.float64, np.float32])
 def test_facing_takes_z_to_the_normal(kind: DTypeLike) -> None:
-    """All round, at the poles, and a hair beside them."""
+    """In all directions, at the poles, and a hair beside them."""
     rng = np.random.default_rng(0)
     poles = np.repeat([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]], 400, axis=0)
     beside = poles + rng.normal(size=(800, 3)) * np.geomspace(1e-6, 0.1, 800)[:, None]

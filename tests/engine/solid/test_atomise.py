@@ -1,4 +1,4 @@
-"""Atomising: small opaque atoms that hide what the capture hid, and nothing where it had nothing."""
+"""Atomising: small opaque atoms that hide what the capture hid, and none where it had nothing."""
 
 from __future__ import annotations
 
@@ -33,14 +33,14 @@ def on_body(scene: Gaussians, pitch: float, body: Body) -> Atomised:
 
 
 def ball(cell: float = 0.05) -> Body:
-    """A unit ball by its closed form."""
+    """A unit ball in closed form."""
     n = int(2.6 / cell)
     grid = Grid(np.full(3, -1.3), cell, (n, n, n))
     return Body(grid, (1 - np.linalg.norm(grid.centres(), axis=-1)).astype(np.float32))
 
 
 def skin(n: int, size: float, opacity: float, radius: float = 1.0, seed: int = 0) -> Gaussians:
-    """Flat Gaussians at random on a sphere, coloured by where they are."""
+    """Flat Gaussians at random on a sphere, coloured by position."""
     rng = np.random.default_rng(seed)
     normals = rng.normal(size=(n, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
@@ -97,22 +97,22 @@ def test_what_cannot_be_seen_is_dropped() -> None:
 
 
 def test_a_veil_goes_and_what_it_veiled_is_seen() -> None:
-    # A film that a third of the light leaves through would hide the ball if it were opaque.
+    # A film that lets a third of the light through would hide the ball if it were opaque.
     veil = skin(1500, 0.06, 0.1, radius=1.3, seed=1)
     scene = joined(skin(12000, 0.03, 0.99), veil)
     made = on_body(scene, 0.05, ball())
     cameras = cameras_around(np.zeros(3), 1.4, np.array([0.0, 0, 1]), 6, 128)
-    assert contributions(veil, cameras)[0].min() > 0.05  # it is seen
+    assert contributions(veil, cameras)[0].min() > 0.05  # it is visible
     assert np.linalg.norm(made.atoms.means, axis=1).max() < 1.1
     film = joined(skin(12000, 0.03, 0.99), skin(12000, 0.06, 0.9, radius=1.3, seed=1))
     outer = on_body(film, 0.05, Body(ball().grid, ball().depth + np.float32(0.3)))
-    assert (np.linalg.norm(outer.atoms.means, axis=1) > 1.25).mean() > 0.9  # dense enough, it is the skin
+    assert (np.linalg.norm(outer.atoms.means, axis=1) > 1.25).mean() > 0.9  # if dense enough, it is the skin
 
 
 def test_weight_in_views_decides_not_opacity_alone() -> None:
     lining = skin(3000, 0.03, 0.9, radius=0.97, seed=1)  # opaque, within reach of the skin, and never seen
     floater = skin(1, 0.03, 0.99)
-    floater.means[:] = [0, -1.6, 0.2]  # seen before anything else, and no part of the object
+    floater.means[:] = [0, -1.6, 0.2]  # in front of everything, and no part of the object
     scene = joined(skin(12000, 0.03, 0.9), lining, floater)
     cameras = cameras_around(np.zeros(3), 1.1, np.array([0.0, 0, 1]), 12, 128)
     weight = contributions(scene, cameras)[0]
@@ -188,7 +188,7 @@ def test_fitting_the_skin_makes_unseen_views_better() -> None:
     assert fitted.surface.scales.max() <= np.float32(pitch)
     assert np.abs(np.linalg.norm(fitted.surface.quats, axis=1) - 1).max() < 1e-5
     stopped = fit(until=17)
-    again = fit((stopped.state(), stopped.step)).result()  # the same bits, interrupted or not
+    again = fit((stopped.state(), stopped.step)).result()  # the same bits with and without interruption
     for name in ("means", "scales", "quats", "sh"):
         assert np.array_equal(getattr(fitted.surface, name), getattr(again.surface, name))
 

@@ -1,4 +1,4 @@
-"""Filling against shapes of known volume: closed forms, and meshes whose inside is told by their own solid angles."""
+"""Filling shapes of known volume: closed forms, and meshes whose inside follows from their winding number."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ needs_meshes = pytest.mark.skipif(not MESHES.exists(), reason="the shared meshes
 
 
 def lathe(profile: np.ndarray, n: int, closed: bool = True) -> Gaussians:
-    """The skin of a polygon (r, z) turned about the z axis, evenly covered."""
+    """The evenly covered skin of a polygon (r, z) turned about the z axis."""
     rng = np.random.default_rng(0)
     ends = np.roll(profile, -1, axis=0) if closed else profile[1:]
     starts = profile if closed else profile[:-1]
@@ -41,7 +41,7 @@ def lathe(profile: np.ndarray, n: int, closed: bool = True) -> Gaussians:
     areas = np.pi * (starts[:, 0] + ends[:, 0]) * np.linalg.norm(edges, axis=1)
     which = rng.choice(len(edges), n, p=areas / areas.sum())
     r0, r1 = starts[which, 0], ends[which, 0]
-    u = rng.random(n)  # area grows with the radius along a cone's edge
+    u = rng.random(n)  # the area along a cone's edge grows with the radius
     flat = np.abs(r1 - r0) < 1e-9
     t = np.where(flat, u, (np.sqrt(r0**2 + u * (r1**2 - r0**2)) - r0) / np.where(flat, 1, r1 - r0))
     rz = starts[which] + t[:, None] * edges[which]
@@ -59,9 +59,9 @@ def turns(mesh: trimesh.Trimesh, points: np.ndarray) -> np.ndarray:
     for corner in np.array_split(mesh.triangles, max(1, len(mesh.triangles) // 200)):
         a, b, c = np.moveaxis(corner, 1, 0)
         across = np.cross(b - a, c - a)
-        above = (across * a).sum(1) - points @ across.T  # the triple product of the ways to the corners
+        above = (across * a).sum(1) - points @ across.T  # triple product of the vectors to the corners
         la, lb, lc = (cdist(points, corner) for corner in (a, b, c))
-        ab, bc, ca = (  # products of two such ways, by the law of cosines
+        ab, bc, ca = (  # dot products of two such vectors, by the law of cosines
             (lu**2 + lv**2 - ((u - v) ** 2).sum(1)) / 2
             for (u, lu), (v, lv) in pairwise([(a, la), (b, lb), (c, lc), (a, la)])
         )
@@ -88,7 +88,7 @@ def test_opacity_field_is_equation_2() -> None:
         q = ((((centres - scene.means[p]) @ axes[p]) / sigma[p]) ** 2).sum(-1)
         truth += scene.opacities[p] * np.exp(-q / 2) * (q <= 9)
     found = opacity_field(scene, grid, widen=0.02)
-    # A cell on the rim of the cutoff may fall on either side of it: exp(-4.5) of one Gaussian.
+    # A cell at the rim of the cutoff may lie on either side of it: exp(-4.5) of one Gaussian.
     assert np.quantile(np.abs(found - truth), 0.999) < 1e-5
     assert np.abs(found - truth).max() < 0.012
     assert np.array_equal(found, opacity_field(scene, grid, widen=0.02))
@@ -125,7 +125,7 @@ def test_meshes_fill_to_their_volume_and_no_farther(name: str) -> None:
     assert abs(len(atoms) * pitch**3 / mesh.volume - 1) < 0.03
     some = atoms.means[np.random.default_rng(0).choice(len(atoms), 1500, replace=False)].astype(np.float64)
     outside = some[turns(mesh, some) < 0.5]
-    # Only in the acute grooves of the block's dovetails, two cells deep, do walls touch before the groove ends.
+    # Only in the acute grooves of the block's dovetails, two cells deep, do the walls touch before the groove ends.
     assert len(outside) <= (5 if name == "angle_block" else 0)
     assert len(outside) == 0 or KDTree(points).query(outside)[0].max() < 2.5 * body.grid.cell
     if name == "torus":
@@ -146,7 +146,7 @@ def test_depth_is_the_distance_to_the_skin() -> None:
 @pytest.mark.parametrize("hole", [5, 20, 45, 60])
 def test_a_sphere_with_a_hole_is_closed_flat(hole: float, towards: tuple[float, float, float]) -> None:
     found = find_body(sphere(hole=hole, towards=towards), cells=64)
-    h = 1 - np.cos(np.radians(hole))  # what a flat lid leaves out: a cap of this height
+    h = 1 - np.cos(np.radians(hole))  # a flat lid leaves out a cap of this height
     truth = 4 / 3 * np.pi - np.pi * h**2 * (3 - h) / 3
     assert abs(found.body.volume / truth - 1) < 0.03
     assert hole < 20 or any("open" in note for note in found.notes)
@@ -157,7 +157,7 @@ def test_half_of_a_melon_is_filled() -> None:
     middle = melon.visible_bounds()[:, 0].mean()
     whole, half = find_body(melon, 64).body, find_body(melon[melon.means[:, 0] > middle]).body
     points = whole.grid.centres()[whole.inside]
-    # Its thick fuzzy wall has pockets, from which the paper's rule alone fills a lump and leaves the rest a bowl.
+    # Its thick fuzzy wall has pockets; from those the paper's rule alone fills a lump and leaves the rest a bowl.
     assert (half.at(points[points[:, 0] > middle]) > 0).mean() > 0.6
 
 
@@ -222,13 +222,13 @@ def test_a_thin_plate_is_a_solid(thickness: float) -> None:
 
 
 def thinned(whole: Gaussians, part: float) -> Gaussians:
-    """A part of the Gaussians, at random."""
+    """A random fraction of the Gaussians."""
     return whole[np.sort(np.random.default_rng(0).choice(len(whole), round(part * len(whole)), replace=False))]
 
 
 @pytest.mark.parametrize("part", [0.3, 0.1, 0.03])
 def test_a_thinned_shell_encloses_what_the_whole_one_does(part: float) -> None:
-    """Gaps of many cells between its Gaussians, which are as small as before."""
+    """With gaps of many cells between its Gaussians, which stay as small as before."""
     found = find_body(thinned(sphere(30000), part), cells=96)
     assert abs(found.body.volume / (4 / 3 * np.pi) - 1) < 0.08
     assert any("gaps" in note for note in found.notes) == (part < 0.3)
@@ -267,7 +267,7 @@ def test_atoms_stay_under_the_skin_and_leave_no_gap() -> None:
     assert radius.max() < 1 - 0.6 * pitch / 2
     assert abs(len(atoms) * pitch**3 / body.volume - 1) < 0.02
     assert np.array_equal(atoms.means, fill(body, pitch, seed=3).means)
-    # Solid to half a pitch under the skin: the weights add up to more than half a lattice's.
+    # Solid up to half a pitch under the skin: the weights sum to more than half of a lattice's.
     probe = np.random.default_rng(0).normal(size=(500, 3))
     probe *= (
         (np.random.default_rng(1).random((500, 1)) ** (1 / 3))
@@ -281,7 +281,7 @@ def test_atoms_stay_under_the_skin_and_leave_no_gap() -> None:
 def test_points_are_projected_onto_the_skin() -> None:
     ball = sphere()
     body = find_body(ball, cells=64).body
-    for steep in (0.5, 1.0, 1.5):  # the depth need not be a distance close to the skin
+    for steep in (0.5, 1.0, 1.5):  # the depth need not be a true distance near the skin
         points = project_onto_skin(Body(body.grid, body.depth * np.float32(steep)), 0.95 * ball.means)
         assert np.abs(np.linalg.norm(points, axis=1) - 1).max() < 0.1 * body.grid.cell, steep
 

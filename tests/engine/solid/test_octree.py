@@ -1,4 +1,4 @@
-"""The adaptive inside against what it stands for: the uniform fill, and colour functions known everywhere."""
+"""The adaptive inside against the uniform fill it stands for, and against colour functions known everywhere."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def test_a_third_of_the_atoms_shows_the_same_inside():
     assert len(coarse) <= BUDGET * len(fine)
     error = [np.mean((KernelField(solid(atoms)).at(points)[0] - fruit(points)) ** 2) for atoms in (fine, coarse)]
     assert 10 * np.log10(error[1] / error[0]) < 0.2
-    # Fine ones stand at the seeds.
+    # The fine atoms are at the seeds.
     seed = np.linalg.norm(coarse.means - (0.5, 0, 0), axis=1) < 0.08
     assert np.allclose(coarse.sigmas[seed], PITCH / 2)
 
@@ -89,7 +89,7 @@ def test_a_leaf_holds_matter_only():
 
 
 def test_a_pattern_as_fine_as_the_cells_is_kept():
-    """Where every cell differs from the next no budget makes mush of it."""
+    """Where every cell differs from the next, no budget blurs it."""
     checks = np.indices((24, 24, 24)).sum(0) % 2
     rgb = np.repeat(checks[..., None], 3, -1).astype(np.float32)
     assert not leaf_levels(rgb, np.ones(checks.shape, bool)).any()

@@ -1,4 +1,4 @@
-"""The up axis: analytic shapes and real captures, turned at random, with the answer turning along."""
+"""The up axis: analytic shapes and real captures, turned at random; the answer must turn along."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def can(n=8000):
 
 
 def box(n=4000):
-    """1 x 0.4 x 1.6, on z = 0: as a book stands, which would rather lie."""
+    """1 x 0.4 x 1.6, on z = 0: standing like a book, though lying would be more stable."""
     rng = np.random.default_rng(3)
     faces = []
     for axis in range(3):
@@ -121,7 +121,7 @@ def test_the_support_is_a_plane_that_reaches_beyond_the_object():
     assert float(plane.distance(shift)) == pytest.approx(0, abs=0.01)
     assert float(plane.distance(turn.apply(Z) + shift)) == pytest.approx(1, abs=0.01)
     assert plane == support_plane(turn.apply(scene) + shift, np.ones(len(scene)))
-    # Nothing stands on the cap of a bowl, and yet that is no table.
+    # Nothing stands on the cap of a bowl, but the cap is no table.
     bowls = [points[points[:, 2] > height] for points in (ball(12000), ball(30000)) for height in (-0.3, 0.0, 0.2)]
     for alone in (box(), ball(), *bowls, np.zeros((500, 3)), scene[:5]):
         assert support_plane(alone, np.ones(len(alone))) is None
@@ -162,7 +162,7 @@ def test_captures_as_they_are(name, axis):
 
 @pytest.mark.parametrize("name", ["splats/tarot_box_capture.ply", "splats/plant.splat", "meshes/trimesh_bunny.ply"])
 def test_captures_that_lie_on_their_side(name):
-    """A mat, a pot and a flat base tell more than the axes of the file."""
+    """A mat, a pot or a flat base is better evidence than the axes of the file."""
     scene = capture(name)
     for turn in Rotation.random(3, random_state=1):
         turned = replace(scene.gaussians, means=turn.apply(scene.gaussians.means).astype(np.float32))

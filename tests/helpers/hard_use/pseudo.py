@@ -1,5 +1,5 @@
-"""A language that is none: every word is accented, longer and in brackets. It shows what is not translated, and what
-has no room for longer words."""
+"""A pseudo-language: every word is accented, longer and in brackets. It shows which words are untranslated, and which
+have no room to grow."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ __all__ = ["Pseudo", "Watch"]
 
 ACCENTS = str.maketrans("aeiouyAEIOUYcnszCNSZ", "àéîöüýÀÉÎÖÜÝçñšžÇÑŠŽ")
 LONGER = 1.3
-"""As long as German, over English."""
+"""Length over English: that of German."""
 
 OF_THE_WORLD = re.compile(
     r"(Ctrl|Shift|Alt|Esc|Del|Space|Tab|Enter|F\d+|px|mm|cm|units|WebP|GIF|PNG|MP4|fps)(?![a-z])|[\w ./-]*\.\w{2,10}"
 )
-"""Names of keys, units and formats, and file names: the same in every language."""
+"""Names of keys, units and formats, and file names: the same in all languages."""
 
 
 class Pseudo(gettext.NullTranslations):
-    """The catalogue of that language."""
+    """The catalogue of the pseudo-language."""
 
     def gettext(self, message: str) -> str:
         parts = re.split(r"(\{[^}]*\})", message)
@@ -35,13 +35,13 @@ class Pseudo(gettext.NullTranslations):
 
 
 class Watch:
-    """Reads along what ImGui is given to write."""
+    """Watches every text that ImGui is given to draw."""
 
     def __init__(self) -> None:
         self.bare: set[str] = set()
-        """Words that no catalogue was asked for."""
+        """Texts that no catalogue was asked for."""
         self.cramped: set[str] = set()
-        """Labels that are wider than their buttons, and lines that run out of their windows."""
+        """Labels wider than their buttons, and lines that run out of their windows."""
         for name in ("button", "checkbox", "begin_menu", "menu_item", "menu_item_simple", "selectable", "tree_node_ex"):
             self._read(name)
         for name in ("text_unformatted", "text_wrapped", "text_disabled", "begin_combo", "radio_button"):

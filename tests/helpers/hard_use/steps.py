@@ -1,5 +1,5 @@
-"""Scripts for the real window used hard: recent files, options of the view, the keyboard alone, other languages;
-tests/app/test_window.py runs one in a process, with its name and FOLDER."""
+"""Scripts for hard use of the real window: recent files, options of the view, the keyboard alone, other languages;
+tests/app/test_window.py runs one in its own process, with NAME and FOLDER."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from app import translation
 from tests.helpers.hard_use.pseudo import Pseudo, Watch
 
 if "pseudo" in sys.argv:
-    translation.install(Pseudo())  # before anything with words is imported
+    translation.install(Pseudo())  # before importing anything that has words
 
 from app.model.knife import PlaneAngles
 from app.session.keyboard_controller import ANGLE, STEP
@@ -31,7 +31,7 @@ Key = imgui.Key
 
 
 def recent(driver: Driver, folder: Path) -> None:
-    """A saved project has a picture on the empty window; it is opened again from it, and taken off the list."""
+    """A saved project has a picture in the empty window; it is opened again from there, and removed from the list."""
     session, shots = driver.session, folder / "shots"
     path = folder / "melon.fruitninja"
     session.files.save(path)
@@ -39,7 +39,7 @@ def recent(driver: Driver, folder: Path) -> None:
     with Image.open(picture_of(str(path))) as image:
         assert image.size == (400, 250)
         colours = image.convert("RGB").getcolors(100_000)
-        assert colours is not None and len(colours) > 500  # the melon, not an even ground
+        assert colours is not None and len(colours) > 500  # the melon, not an even background
     for name in ("gone.ply", "damaged.ply"):
         session.change_settings(session.settings.with_recent(folder / name))
     (folder / "damaged.ply").write_bytes(b"ply")
@@ -60,7 +60,7 @@ def recent(driver: Driver, folder: Path) -> None:
 
 
 def options(driver: Driver, folder: Path) -> None:
-    """Sizes of splats, the body as lines and names of families: each changes the picture, and only while it is on."""
+    """Splat sizes, the body as wires and names of families: each changes the picture, and only while it is on."""
     session, window, shots = driver.session, driver.window, folder / "shots"
     cut = Image.new("RGB", (64, 64), (200, 40, 40))
     cut.save(folder / "a kiwi.png")
@@ -70,14 +70,14 @@ def options(driver: Driver, folder: Path) -> None:
     driver.still()
 
     def whole() -> tuple[int, int]:
-        """Pixels of the object, and among them those that are nearly as light as text."""
+        """Pixels of the object, and how many of them are nearly as light as text."""
         view = driver.view()
         inner = view[60:-20, 20:-120].astype(int)
         return int((~ground(view)[60:-20, 20:-120]).sum()), int((inner.min(2) > 150).sum())
 
     plain, as_it_is = whole(), driver.view().astype(int)
 
-    # A window that nothing happens in must sleep; under X11 a title that is set is an event, which wakes it.
+    # A window in which nothing happens must sleep; setting a title is an event under X11, which wakes it.
     driver.until(lambda: window.params.fps_idling.enable_idling, 10, "rest")
     titles, set_title = [], glfw.set_window_title
     glfw.set_window_title = lambda *title: titles.append(title)
@@ -101,7 +101,7 @@ def options(driver: Driver, folder: Path) -> None:
     assert (right[100:-100].min(2) > 200).sum() > 40  # the name stands beside the melon
     assert whole() == plain, (whole(), plain)
 
-    # The smallest interface, whose distances are parts of pixels, with a family open.
+    # The smallest interface, with distances of fractional pixels, and a family open.
     window.menus._resize(-1)
     window.interior.open = "horizontal"
     driver.frames(4)
@@ -130,7 +130,7 @@ def options(driver: Driver, folder: Path) -> None:
 
 
 def keyboard(driver: Driver, folder: Path) -> None:
-    """The knife and every control without a pointer, which stays in a corner."""
+    """The knife and every control without the pointer, which stays in a corner."""
     session, shots, io = driver.session, folder / "shots", imgui.get_io()
 
     def angles() -> PlaneAngles:
@@ -140,7 +140,7 @@ def keyboard(driver: Driver, folder: Path) -> None:
     def focus() -> int:
         return int(imgui.get_current_context().nav_id)
 
-    # The knife: a plane is placed, moved, tilted, turned and cut along; another one is taken away again.
+    # The knife: a plane is placed, moved, tilted, turned and used to cut; another one is removed again.
     eye = session.viewing.eye
     driver.press(Key.right_arrow)
     driver.press(Key.equal)
@@ -155,7 +155,7 @@ def keyboard(driver: Driver, folder: Path) -> None:
     assert abs(angles().distance - 3 * STEP * session.solid.radius) < 1e-6
     driver.press(Key.mod_shift | Key.right_arrow)
     assert abs(abs(angles().turn - turn) - ANGLE) < 1e-6
-    for _ in range(30):  # over the level and on, to where it began the other way up
+    for _ in range(30):  # past level and on, until it is upside down where it began
         driver.press(Key.up_arrow)
     assert abs(angles().tilt - 60) < 1e-6, angles()
     driver.press(Key.mod_ctrl | Key.up_arrow)
@@ -176,12 +176,12 @@ def keyboard(driver: Driver, folder: Path) -> None:
     assert session.pieces[0].motion != before
     session.jump(0)
 
-    # Every control of the inspector is come by, and pressed.
+    # Every control of the inspector is reached and pressed.
     driver.press(Key.f6)
     assert driver.window.parts.current == "inspector"
     add = driver.context.item_info(driver.item(f"//Inspector/{icon.ICON_FA_PLUS}  Add plane")).id_
     met = [focus()]
-    while len(met) < 24:  # twice around
+    while len(met) < 24:  # two rounds
         driver.press(Key.tab)
         met.append(focus())
         if met[-1] == add and not session.document.cuts:
@@ -212,7 +212,7 @@ def keyboard(driver: Driver, folder: Path) -> None:
 
 
 def pseudo(driver: Driver, folder: Path) -> None:
-    """Every part of the window in a language with long words: none is bare, and all have room."""
+    """Every part of the window in a language of long words: everything is translated, and everything fits."""
     session, window, shots, watch = driver.session, driver.window, folder / "shots", Watch()
 
     def look(name: str) -> None:
@@ -266,7 +266,7 @@ def pseudo(driver: Driver, folder: Path) -> None:
 
 
 def main() -> None:
-    """Runs one of them."""
+    """Runs the script named on the command line."""
     name, folder = sys.argv[1], Path(sys.argv[2])
     scripts = {"recent": recent, "options": options, "keyboard": keyboard, "pseudo": pseudo}
     size = (1440, 900) if name == "pseudo" else (860, 560)

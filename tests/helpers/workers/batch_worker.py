@@ -1,4 +1,4 @@
-"""What each worker of the batch tests loads at its start: runs of a second or two, checkpointed at every iteration."""
+"""Loaded by each worker of the batch tests: makes runs of a second or two, with a checkpoint at every iteration."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ SMALL = {
     "training.contact_sheet.TILE": 48,
     "training.optimise.training_loop.CHECKPOINT_SECONDS": 0.0,
     "training.skin.CHECKPOINT_SECONDS": 0.0,
-    "training.optimise.training_loop.MIN_IMPROVEMENT": -np.inf,  # all iterations, however soon it settles
+    "training.optimise.training_loop.MIN_IMPROVEMENT": -np.inf,  # all iterations, however soon the loss settles
 }
 
 

@@ -1,4 +1,4 @@
-"""What a worker loads whose disk is full when it first keeps the training, and has room again afterwards."""
+"""Loaded by a worker whose disk is full when it first saves its training, and has room again afterwards."""
 
 from __future__ import annotations
 

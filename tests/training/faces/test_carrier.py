@@ -1,4 +1,4 @@
-"""A cut face that lies on a plate or a board, or is reached by a finger: the face, or a line that says so."""
+"""A cut face that lies on a plate or a board, or that a finger touches: the face alone, or a line that says so."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ Mask = NDArray[np.bool_]
 
 
 def over(under: NDArray, what: Mask, colour: NDArray | list[float]) -> NDArray:
-    """A thing laid over a picture, its edge mixed by the lens."""
+    """A shape painted over a picture, its edge blurred as by a lens."""
     share = ndimage.gaussian_filter(what.astype(float), 0.7)[..., None]
     return under * (1 - share) + np.array(colour) * share
 
 
 def lay(under: NDArray, what: Mask, colour: NDArray | list[float]) -> NDArray:
-    """The same with the shadow that it throws."""
+    """The same with the shadow that it casts."""
     shade = ndimage.shift(ndimage.gaussian_filter(what.astype(float), 4), (5, 4), order=1)
     return over(under * (1 - 0.5 * shade[..., None]), what, colour)
 
 
 def photographed(picture: NDArray) -> RGB:
-    """With the noise of a camera."""
+    """The picture with a camera's noise."""
     return np.clip(picture + np.random.default_rng(0).normal(0, 0.01, picture.shape), 0, 1).astype(np.float32)
 
 
@@ -48,7 +48,7 @@ def table() -> NDArray:
 
 
 def fruit(under: NDArray) -> tuple[NDArray, Mask]:
-    """A face with a rind and a core, off the middle."""
+    """A face with a rind and a core, off-centre."""
     r = np.hypot(X - 0.08, (Y + 0.05) * 1.05)
     picture = lay(under, r < 0.5, [0.3, 0.45, 0.12])
     picture = over(picture, r < 0.46, [0.95, 0.93, 0.75])
@@ -67,7 +67,7 @@ CARRIERS = {
 def test_the_face_and_not_what_it_lies_on(name: str) -> None:
     picture, truth = fruit(lay(table(), *CARRIERS[name]))
     found = find_seen_face(photographed(picture), name)
-    assert overlap(found.mask, truth) > 0.95  # a pixel all around is 0.96
+    assert overlap(found.mask, truth) > 0.95  # a pixel too much all around gives 0.96
     assert "plate or board, which is left out" in found.note
 
 
@@ -76,7 +76,7 @@ def test_a_face_is_not_taken_for_a_plate_with_its_stone_on_it() -> None:
     for skin in (0.02, 0.04):
         picture = over(lay(table(), r < 0.75, [0.7, 0.15, 0.1]), r < 0.75 - skin, [0.96, 0.8, 0.4])
         found = find_seen_face(photographed(over(picture, np.hypot(X, Y - 0.1) < 0.3, [0.45, 0.2, 0.12])), "peach")
-        assert overlap(found.mask, r < 0.75) > 0.95  # of a skin of two pixels, one is mixed
+        assert overlap(found.mask, r < 0.75) > 0.95  # of a two-pixel skin, one pixel is mixed
         assert found.note == ""
 
 
@@ -92,14 +92,14 @@ def test_a_finger_from_the_border_is_left_out() -> None:
     picture, truth = fruit(np.full((SIZE, SIZE, 3), 0.9))
     finger = (np.abs(X) < 0.12) & (Y > 0.35)
     found = find_seen_face(photographed(over(picture, finger, [0.8, 0.58, 0.48])), "held")
-    assert overlap(found.mask, truth) > 0.93  # where it lies on the face, it hides it
+    assert overlap(found.mask, truth) > 0.93  # the finger hides part of the face
     assert "reaches from the border" in found.note
 
 
 @pytest.mark.parametrize("level", [0.0, 0.03])
 def test_a_skin_is_a_third_colour_and_a_mixture_is_none(level: float) -> None:
     thing = np.hypot(X, Y) < 0.7
-    shadow = np.clip(1.2 + X[..., None], 0.3, 1)  # light and shadow of the table are mixtures too
+    shadow = np.clip(1.2 + X[..., None], 0.3, 1)  # light and shadow on the table are mixtures, too
     picture = over(np.array([0.4, 0.5, 0.7]) * shadow, thing, [0.9, 0.85, 0.8])
     assert skin_share(photographed(picture), thing) == 0
     if level:
@@ -133,7 +133,7 @@ def test_photographed_faces_on_a_plate(name: str) -> None:
 
 
 def cheese() -> tuple[Mask, NDArray]:
-    """A face without a skin: a block, and its colour."""
+    """A face without a skin: its mask, a block, and its colour."""
     return (np.abs(X) < 0.45) & (np.abs(Y - 0.1 * X) < 0.35), np.array([0.95, 0.8, 0.42])
 
 
@@ -147,14 +147,14 @@ def test_a_face_without_a_skin_is_known_by_its_shadow(name: str) -> None:
 
 def test_dark_surroundings_of_a_core_are_no_shadow() -> None:
     r = np.hypot(X, Y)
-    ring = np.clip((r - 0.35) / 0.12, 0, 1)[..., None]  # as seeds around it
+    ring = np.clip((r - 0.35) / 0.12, 0, 1)[..., None]  # like seeds around the core
     flesh = np.array([0.45, 0.65, 0.15]) * (0.5 + 0.5 * ring)
     picture = over(over(lay(table(), r < 0.75, [0.1, 0.1, 0.1]), r < 0.75, flesh), r < 0.35, [0.92, 0.93, 0.75])
     assert overlap(find_seen_face(photographed(picture), "kiwi").mask, r < 0.75) > 0.95
 
 
 def granite() -> NDArray:
-    """Grey speckles as bright and as dark as anything."""
+    """Grey speckles from bright to dark."""
     grain = ndimage.gaussian_filter(np.random.default_rng(2).normal(size=(SIZE, SIZE, 3)), (0.8, 0.8, 0))
     return np.clip(0.5 + 0.16 * grain / grain.std(), 0, 1)
 
@@ -175,7 +175,7 @@ def cloth() -> NDArray:
 def test_a_face_on_a_chequered_cloth_is_found_and_the_user_told_to_look() -> None:
     picture, truth = fruit(cloth())
     found = find_seen_face(photographed(picture), "cloth")
-    assert overlap(found.mask, truth) > 0.85  # squares in the shadow may be taken for the face
+    assert overlap(found.mask, truth) > 0.85  # squares in the shadow may pass for the face
     assert "has several colours" in found.note
 
 
@@ -190,4 +190,4 @@ def test_nothing_is_found_on_a_cloth_alone_or_where_the_border_cuts_the_face() -
 def test_a_crust_in_the_colour_of_the_table_is_no_shadow(shade: float) -> None:
     table, r = np.array([0.8, 0.75, 0.66]), np.hypot(X, Y)
     picture = over(lay(np.ones((SIZE, SIZE, 3)) * table, r < 0.6, table * shade), r < 0.5, [0.55, 0.35, 0.65])
-    assert overlap(find_seen_face(photographed(picture), "geode").mask, r < 0.6) > 0.9  # with some of the shadow
+    assert overlap(find_seen_face(photographed(picture), "geode").mask, r < 0.6) > 0.9  # some of the shadow is included

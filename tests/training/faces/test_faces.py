@@ -1,4 +1,4 @@
-"""The cut face in a photograph: outline, axis, kind of cut, and a mask that came with it."""
+"""The cut face in a photograph: outline, axis, kind of cut, and a mask supplied with it."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ HARD = {
 
 @cache
 def photographed(name: str) -> tuple[NDArray[np.float32], NDArray[np.bool_], dict[str, str]]:
-    """A photograph, its mask by hand, and its row of the list."""
+    """A photograph, its hand-marked mask, and its row in the list."""
     if not FOLDER.exists():
         pytest.skip("the photographs are not beside the repository")
     with Image.open(FOLDER / f"{name}.png") as picture, Image.open(FOLDER / f"masks/{name}.png") as mask:
@@ -78,7 +78,7 @@ def test_another_light_or_table_changes_little(change: str) -> None:
 
 @pytest.mark.parametrize(("name", "light"), [("apple_h7", (1, 1, 1)), ("apple_h1", (0.9, 0.98, 1.07))])
 def test_a_shadow_of_another_colour_is_no_rind(name: str, light: tuple[float, ...]) -> None:
-    """That of the first is brown; in the other's light a camera clips the white table, but not the shadow on it."""
+    """The first has a brown shadow; in the second's light a camera clips the white table but not the shadow on it."""
     rgb, truth, _ = photographed(name)
     assert overlap(find_mask(np.clip(rgb * np.array(light, np.float32), 0, 1), name), truth) > 0.98
 
@@ -167,7 +167,7 @@ def test_a_lopsided_face_has_its_core_line_where_the_rim_says() -> None:
         face[mask & (np.hypot(x / 0.06, (y - end) / 0.1) < 1)] = [0.3, 0.2, 0.05]
     marked = find_core_line(face, mask)
     np.testing.assert_allclose(marked.ends[:, 0], 100, atol=4)
-    assert marked.spread < 4 < plain.spread  # pixels of 140
+    assert marked.spread < 4 < plain.spread  # pixels, of 140
     assert marked.evidence > 2 * plain.evidence + 2
 
 

@@ -1,4 +1,4 @@
-"""Outlines and axes that the user gives are what training reads."""
+"""Training reads the outlines and axes that the user gives."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from training.request import Request
 
 
 def marked(folder: Path, x: float, y: float) -> Path:
-    """A plain face with a dark spot at a place of the picture, in parts of its sides."""
+    """A plain face with a dark spot at (x, y), in fractions of the picture's sides."""
     picture, mask = disc(200)
     rows, columns = (np.mgrid[:200, :200] + 0.5) / 200
     picture = np.where((mask & (np.hypot(columns - x, rows - y) < 0.03))[..., None], SEED, picture)
@@ -50,7 +50,7 @@ def test_the_core_that_is_given_is_the_middle_of_the_disc(tmp_path: Path) -> Non
         dark = Disc.of(picture).rgb.sum(-1) < 0.5 * FLESH.sum()
         size = dark.shape[0]
         x, y = ((np.argwhere(dark).mean(0) + 0.5) / size * 2 - 1) * 1.1
-        assert abs(np.hypot(x, y) - radius) < 0.04  # the spot is stretched towards the farther rim
+        assert abs(np.hypot(x, y) - radius) < 0.04  # the spot is stretched towards the farther side of the rim
         assert radius == 0 or (x > 0 and y > 0)
         scaled = scale_to_voxels(picture, make_space(ball(), UP, 24), POLAR, 400.0)
         at_core = scaled.read(np.array([scaled.middle[0]]), np.array([scaled.middle[1]]))[0]
@@ -71,7 +71,7 @@ def test_the_core_that_is_given_lies_on_the_axis_of_the_solved_body(tmp_path: Pa
 def test_a_radial_cut_is_turned_by_the_line_that_is_given(tmp_path: Path) -> None:
     picture, mask = disc(200)
     rows, columns = (np.mgrid[:200, :200] + 0.5) / 200
-    leaning = mask & (np.abs((columns - 0.55) - 0.5 * (0.5 - rows)) < 0.02)  # a dark bar, no symmetry of the face's
+    leaning = mask & (np.abs((columns - 0.55) - 0.5 * (0.5 - rows)) < 0.02)  # a dark bar breaks the face's symmetry
     path = save(tmp_path / "bar.png", np.where(leaning[..., None], SEED, picture))
     line = ((0.55 + 0.5 * 0.35, 0.15), (0.55 - 0.5 * 0.35, 0.85))
     read = read_picture(path, "radial", Marks(line=line))
@@ -101,7 +101,7 @@ def test_an_axis_file_is_read_where_the_user_says_nothing_else(tmp_path: Path) -
 
 
 def test_a_face_is_placed_by_the_same_law_with_the_axis_that_was_found_for_it(tmp_path: Path) -> None:
-    """What the window shows for an untouched picture is what training does with it."""
+    """Training treats an untouched picture as the window shows it."""
     y, x = (np.mgrid[:200, :260] + 0.5) / 200
     turned = np.hypot(0.94 * (x - 0.65) + 0.34 * (y - 0.5), 1.3 * (0.94 * (y - 0.5) - 0.34 * (x - 0.65))) / 0.42
     rgb = np.where((turned < 1)[..., None], np.stack([0.5 + 0.3 * turned, 0.5 * turned, 0.2 + 0 * turned], -1), 1.0)

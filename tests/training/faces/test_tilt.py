@@ -1,7 +1,7 @@
-"""What the tilt of a slice that is seen obliquely leaves where its face is stretched to a disc.
+"""The error that remains when a face seen obliquely is stretched to a disc.
 
-Each direction from the core is stretched to the outline, which undoes the foreshortening. What is left is that of the
-angles, and the shift of the outline's middle by perspective, which the user's mark on the core takes out.
+Each direction from the core is stretched to the outline, which undoes the foreshortening. What remains is the error of
+the angles, and the shift of the outline's middle by perspective, which the user's mark on the core removes.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from training.priors.exemplar.quilting.disc import Disc, disc_grid
 
 SIZE, RADIUS = 400, 150
 DISTANCE = 3.0
-"""Of the camera from the face, in widths of it: as near as a telephone focuses on an orange."""
+"""Distance of the camera from the face, in face widths: as near as a phone focuses on an orange."""
 
 
 def left(degrees: float, marked: bool) -> NDArray[np.float64]:
-    """Distances in radii between where points of a round face belong on the disc and where they come to lie."""
+    """Distances in radii between the right places of points of a round face on the disc and their actual places."""
     y, x = np.mgrid[:SIZE, :SIZE] + 0.5
-    # The colours are the places, so that the disc says where each of its own came from.
+    # The colours encode places, so that the disc tells where each of its pixels came from.
     places = np.stack([x, y, np.hypot(x - SIZE / 2, y - SIZE / 2) < RADIUS], -1).astype(np.float32)
     middle, turn = np.array([[1, 0, SIZE / 2], [0, 1, SIZE / 2], [0, 0, 1]]), np.radians(degrees)
     away = np.array([[1, 0, 0], [0, np.cos(turn), 0], [0, -np.sin(turn) / (DISTANCE * 2 * RADIUS), 1]])

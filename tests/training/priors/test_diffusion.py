@@ -1,4 +1,4 @@
-"""Stable Diffusion behind the prior's door, on a tiny model of random weights."""
+"""Stable Diffusion behind the prior's interface, on a tiny model with random weights."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from training.request import Request
 
 @pytest.fixture(scope="module", autouse=True)
 def _alone():
-    """One thread: the tiny networks lose time to any more. No network: models come from local folders only."""
+    """One thread: more would slow the tiny networks down. No network access: models come from local folders only."""
     threads, connect = torch.get_num_threads(), socket.socket.connect
 
     def refuse(*_):
@@ -58,7 +58,7 @@ def prior(tiny):
 
 @pytest.fixture(scope="module")
 def picture(tmp_path_factory):
-    """A disc with a rim on white, as a photograph of a cut orange."""
+    """A disc with a rim on white, like a photograph of a cut orange."""
     image = Image.new("RGB", (96, 80), "white")
     draw = ImageDraw.Draw(image)
     draw.ellipse((18, 10, 78, 70), fill=(240, 130, 20))
@@ -69,7 +69,7 @@ def picture(tmp_path_factory):
 
 
 def blank(condition):
-    """A label before anything is drawn in it: grey on white."""
+    """A label before anything is drawn: grey on white."""
     return np.where(condition.inside[..., None], condition.render, np.float32(1))
 
 
@@ -111,7 +111,7 @@ def test_noise_of_pure_noise_is_finite_and_the_same_bits(prior):
 
 
 def test_timesteps_and_input_follow_the_models_schedule(prior):
-    """Against the forward process as DDPM has it: x_t = sqrt(a) x + sqrt(1 - a) noise, asked at t."""
+    """Against DDPM's forward process: x_t = sqrt(a) x + sqrt(1 - a) noise, asked at t."""
     betas = np.linspace(0.00085**0.5, 0.012**0.5, 1000) ** 2
     signal = np.cumprod(1 - betas)
     assert np.allclose(prior.model.sigmas, np.sqrt((1 - signal) / signal), rtol=1e-4)
@@ -140,7 +140,7 @@ def test_timesteps_and_input_follow_the_models_schedule(prior):
 
 
 def test_v_prediction_is_turned_into_noise(tiny, prior, tmp_path):
-    """The same network, said to predict v: noise = sqrt(a) v + sqrt(1 - a) x_t."""
+    """The same network, declared to predict v: noise = sqrt(a) v + sqrt(1 - a) x_t."""
     from training.priors.diffusion import StableDiffusionPrior
 
     other = shutil.copytree(tiny, tmp_path / "v")
@@ -186,7 +186,7 @@ def test_depth_and_words_reach_the_model(tiny, prior, tmp_path):
 
 
 class GaussianNetwork:
-    """Stands for the network: knows exactly that every number of a code is N(mean, 0.2^2), and depth and text nothing.
+    """Stands in for the network: knows that every number of a code is N(mean, 0.2^2), and nothing of depth and text.
 
     For clean = N(mean, s^2) and given = sqrt(a) clean + sqrt(1 - a) noise, the mean noise is
     sqrt(1 - a) (given - sqrt(a) mean) / (a s^2 + 1 - a).
@@ -258,7 +258,7 @@ def test_finetuning_learns_the_picture_and_keeps_the_rest(tiny, picture, tmp_pat
     from training.priors.diffusion import StableDiffusionPrior, finetune
     from training.priors.diffusion.loading import load_model
 
-    # Random weights know nothing yet, and these few steps must teach them something.
+    # Random weights know nothing yet, so these few steps must have an effect.
     monkeypatch.setattr("training.priors.diffusion.dreambooth.FULL_RATE", 4e-3)
     monkeypatch.setattr("training.priors.diffusion.dreambooth.LORA_RATE", 4e-3)
     cpu = torch.device("cpu")
@@ -298,7 +298,7 @@ def test_finetuning_learns_the_picture_and_keeps_the_rest(tiny, picture, tmp_pat
 
 
 def fixed_loss(prior, picture):
-    """The loss of the noise prediction on the picture, over noise levels and noises that are always the same."""
+    """Loss of the noise prediction on the picture, over fixed noise levels and noises."""
     with Image.open(picture) as image:
         code = prior.encode(np.asarray(image.convert("RGB"), np.float32)[:, 8:-8] / 255)
     rng = np.random.default_rng(3)

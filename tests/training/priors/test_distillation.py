@@ -15,7 +15,7 @@ from training.priors.sds import distill
 
 
 def reference_loss(x, y, alpha):
-    """Float64 torch, written plainly: the definition of the loss."""
+    """The definition of the loss, written plainly in float64 torch."""
     offsets = torch.arange(11, dtype=torch.float64) - 5
     taps = torch.exp(-(offsets**2) / (2 * 1.5**2))
     window = torch.outer(taps, taps) / taps.sum() ** 2
@@ -53,7 +53,7 @@ def test_a_picture_meets_itself():
 
 
 class GaussianPrior:
-    """Every pixel is N(mean, spread^2): the noise that is best predicted has a closed form."""
+    """Every pixel is N(mean, spread^2), so the best noise prediction has a closed form."""
 
     def __init__(self, mean, spread):
         self.mean, self.spread = mean, spread
@@ -83,7 +83,7 @@ def test_distillation_finds_the_mode(step, error):
 
 
 class GaussianCodes:
-    """Codes are the pictures themselves less grey; each number is N(mean, spread^2)."""
+    """Codes are the pictures minus grey; each number is N(mean, spread^2)."""
 
     def __init__(self, mean, spread):
         self.mean, self.spread = np.float32(mean), spread

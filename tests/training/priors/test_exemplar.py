@@ -1,4 +1,4 @@
-"""The exemplar prior: invariants of the insides made from pictures."""
+"""The exemplar prior: invariants of the insides it makes from pictures."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def test_rings_stay_rings_and_rind_stays_out_of_the_core(tmp_path: Path) -> None
     core, skin = volume.rgb[depth > 0.3], volume.rgb[(depth > 0.03) & (depth < 0.07)]
     assert np.abs(core - FLESH).max() < 0.1
     assert np.abs(np.median(skin, axis=0) - RIND).max() < 0.05
-    # What the picture shows the same all around is the same all around.
+    # What is the same all around in the picture is the same all around in the volume.
     centres = volume.body.grid.centres()
     level = np.abs(centres[..., 2]) < volume.body.grid.cell
     ring = level & (np.abs(np.hypot(centres[..., 0], centres[..., 1]) - 0.5) < 0.03)
@@ -38,7 +38,7 @@ def test_rings_stay_rings_and_rind_stays_out_of_the_core(tmp_path: Path) -> None
 
 
 def test_straight_walls_run_through(tmp_path: Path) -> None:
-    """Walls of the picture stand at their place at every height."""
+    """Walls in the picture keep their places at every height."""
     face, mask = disc(200)
     y, x = (np.mgrid[:200, :200] + 0.5) / 100 - 1
     face[mask & (np.minimum(np.abs(x), np.abs(y)) < 0.035) & (np.hypot(x, y) < 0.7)] = 0.95
@@ -52,11 +52,11 @@ def test_straight_walls_run_through(tmp_path: Path) -> None:
 
 
 def test_carpels_stay_carpels_and_end(tmp_path: Path) -> None:
-    """Radial pictures that all pass through a carpel say how high it is, not that it goes all around."""
+    """Radial pictures that all pass through a carpel give its height; they do not make it go all around."""
     flesh, brown = np.array([0.95, 0.92, 0.8]), np.array([0.6, 0.4, 0.2])
 
     def bend(angle: NDArray[np.floating]) -> NDArray[np.floating]:
-        """From the middle of the nearest of five carpels."""
+        """Angle from the middle of the nearest of five carpels."""
         return (angle + np.pi / 5) % (2 * np.pi / 5) - np.pi / 5
 
     y, x = (np.mgrid[:240, :240] + 0.5) / 120 - 1
@@ -86,14 +86,14 @@ def test_carpels_stay_carpels_and_end(tmp_path: Path) -> None:
 
 
 def test_a_line_around_a_core_is_one_closed_shell(tmp_path: Path) -> None:
-    """An apple's: a ring in horizontal pictures, an outline in radial ones, an ellipsoid in the body."""
+    """An apple's core line: a ring in horizontal pictures, an outline in radial ones, an ellipsoid in the body."""
     wide, tall, flesh, green = 0.45, 0.55, np.array([0.95, 0.92, 0.8]), np.array([0.6, 0.7, 0.35])
     y, x = ((np.mgrid[:320, :320] + 0.5) / 160 - 1) / 0.8
     pictures = []
     for name, high in (("across", wide), ("along", tall)):
         face = disc(320)[0]
         face[np.hypot(x, y) < 0.88] = flesh
-        away = np.hypot(x, y) * (1 - 1 / np.hypot(x / wide, y / high))  # from the line, along the ray
+        away = np.hypot(x, y) * (1 - 1 / np.hypot(x / wide, y / high))  # distance from the line, along the ray
         face[np.abs(away) < 0.016] = green
         pictures.append(save(tmp_path / f"{name}.png", face))
     families = [Family("horizontal", 40, (pictures[0],)), Family("radial", 30, (pictures[1],))]
@@ -102,7 +102,7 @@ def test_a_line_around_a_core_is_one_closed_shell(tmp_path: Path) -> None:
     shell = directions / np.linalg.norm(directions / [wide, wide, tall], axis=1, keepdims=True)
 
     def shown(points: NDArray[np.floating]) -> float:
-        """Share of places that are more green than flesh."""
+        """Share of points whose colour is closer to green than to flesh."""
         colours = volume.at(points)
         return float((np.linalg.norm(colours - green, axis=1) < np.linalg.norm(colours - flesh, axis=1)).mean())
 
@@ -123,7 +123,7 @@ def test_seeds_end_and_are_as_many_as_shown(tmp_path: Path) -> None:
         counts.append(ndimage.label(seeds)[1])
         dark.append(seeds)
     assert 4 <= np.mean(counts) <= 13
-    # A seed of a cut is gone half the radius higher, as one that ran through would not be.
+    # A seed of one cut is gone half the radius higher; one that ran through would still be there.
     assert (dark[0] & dark[-1]).sum() < 0.3 * dark[0].sum()
 
 
@@ -144,7 +144,7 @@ def test_colours_by_depth_are_the_pictures(tmp_path: Path) -> None:
 
 
 def loaf(n: int = 48) -> Body:
-    """A box of half sizes 1, 0.6 and 0.8, rounded where depth is."""
+    """A box of half sizes 1, 0.6 and 0.8 whose depth is rounded."""
     cell = 2 / n
     shape = (n + 8, round(0.6 * n) + 8, round(0.8 * n) + 8)
     grid = Grid(-np.array(shape) * cell / 2, cell, shape)
@@ -167,7 +167,7 @@ def test_a_crust_is_as_thick_in_the_corners_of_a_loaf(tmp_path: Path) -> None:
 
 
 def test_the_rim_of_an_ellipse_runs_smoothly() -> None:
-    """From voxel to voxel it goes as the ellipse does; a step is a tooth in every thin layer under the skin."""
+    """Its error changes little from voxel to voxel; a step would be a tooth in every thin layer under the skin."""
     x, y, z = np.meshgrid(np.arange(-64, 65), np.arange(-34, 35), np.arange(4), indexing="ij")
     a, b = 60.3, 30.1
     inside = (x / a) ** 2 + (y / b) ** 2 <= 1
@@ -238,7 +238,7 @@ def test_layers_come_from_the_radial_pictures(tmp_path: Path, alone: bool) -> No
     layered = face.copy()
     layered[94:108][mask[94:108] & (np.abs(np.mgrid[94:108, :200][1] - 100) < 62)] = 0.95
     radial = save(tmp_path / "layered.png", layered)
-    # Two radial pictures look alike; that does not make them a stack.
+    # Two radial pictures look alike, but that does not make them a stack.
     families = [Family("radial", 30, (radial, radial))]
     if not alone:
         families.insert(0, Family("horizontal", 40, (save(tmp_path / "flat.png", face),)))
@@ -288,7 +288,7 @@ def test_crumbs_are_cut_off_at_the_cream(tmp_path: Path) -> None:
 
 
 def test_slices_of_one_thing_are_turned_into_one_another(tmp_path: Path) -> None:
-    """A bone that wanders from slice to slice stands half way between two slices, once."""
+    """A bone that wanders from slice to slice is half way between two slices, and appears once."""
     y, x = (np.mgrid[:160, :160] + 0.5) / 80 - 1
     paths = []
     for n, at in enumerate((-0.16, 0.0, 0.16)):
@@ -300,7 +300,7 @@ def test_slices_of_one_thing_are_turned_into_one_another(tmp_path: Path) -> None
     grid = Grid(np.array([-1.25, -1.25, -1.75]), cell, (30, 30, 42))
     p = grid.centres()
     limb = np.minimum(1 - np.hypot(p[..., 0], p[..., 1]), 1.5 - np.abs(p[..., 2]))
-    # Crumbs on its flat ends do not make them grown ones, with skin.
+    # Crumbs on the flat ends do not make them natural ends, with skin.
     crumbs = np.stack([p[..., 0] - 0.5, p[..., 1] - 0.2, np.abs(p[..., 2]) - 1.55], -1)
     limb = np.maximum(limb, 0.12 - np.linalg.norm(crumbs, axis=-1))
     body = Body(grid, limb.astype(np.float32))
@@ -328,7 +328,7 @@ def test_decompose_tells_seeds_from_walls(tmp_path: Path) -> None:
 
 
 def test_a_rind_goes_around(tmp_path: Path) -> None:
-    """Layers that end at the skin differ in colour along it, and are no rind."""
+    """Layers that end at the skin vary in colour along it, and are not a rind."""
     space = make_space(ball(), UP, 64)
     area = space.widest_slice(space.planar[:, 2])
     sandwich = np.ones((160, 240, 3))

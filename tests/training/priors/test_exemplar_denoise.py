@@ -1,4 +1,4 @@
-"""The exemplar prior's denoiser against the softmax and the search that it stands for."""
+"""The exemplar prior's denoiser against the exact softmax and the exact search."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def test_posterior_is_the_softmax_over_candidates() -> None:
 
 
 def level_cut(family: Family, size: int, mask: NDArray[np.bool_]) -> Condition:
-    """A horizontal cut through the middle of a ball of 0.8 of the picture."""
+    """A horizontal cut through the middle of a ball that takes 0.8 of the picture."""
     y, x = (np.mgrid[:size, :size] + 0.5) / (size / 2) - 1
     r = (np.hypot(x, y) / 0.8).astype(np.float32)
     return Condition(
@@ -70,7 +70,7 @@ def test_denoiser_finds_the_noise(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_search_is_nearly_exact(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Within 30 dB of a search through every patch that lies like the pixel, by all of its numbers."""
+    """Agrees to 30 dB with a full search through every patch placed like the pixel, by all of the patch's numbers."""
     family = Family("horizontal", 40, (SAMPLES / "orange" / "horizontal_1.png",))
     noise = np.random.default_rng(0).normal(size=(96, 96, 3)).astype(np.float32)
     face, mask = disc(96)

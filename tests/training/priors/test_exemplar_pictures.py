@@ -1,4 +1,4 @@
-"""The exemplar prior: pictures as people have them."""
+"""The exemplar prior: pictures as users supply them."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def test_two_pictures_are_brought_to_one_light() -> None:
 
 
 def test_shades_of_dark_colours_are_not_taken_for_light() -> None:
-    """Two faces of a melon in one light, one a little redder: nothing happens to its white rind."""
+    """Two faces of a melon in the same light, one a little redder: the white rind is not changed."""
     mask = disc(160)[1]
     rind = ndimage.distance_transform_edt(mask)[..., None] < 12
     one, other = (np.where(rind, 0.9, flesh).astype(np.float32) for flesh in ([0.85, 0.16, 0.16], [0.86, 0.19, 0.18]))
@@ -143,7 +143,7 @@ SIDES = ("L", "T", "R", "B", "LR", "LT", "LTRB")
 
 
 def cropped(picture: NDArray, mask: NDArray[np.bool_], sides: str, share: float) -> NDArray:
-    """The picture without this share of the face's width on these sides."""
+    """The picture without this share of the face's width, cut off on these sides."""
     rows, columns = np.nonzero(mask)
     top, left = (round(v.min() + share * np.ptp(v)) for v in (rows, columns))
     bottom, right = (round(v.max() - share * np.ptp(v)) for v in (rows, columns))
@@ -155,7 +155,7 @@ def cropped(picture: NDArray, mask: NDArray[np.bool_], sides: str, share: float)
 
 @pytest.mark.parametrize("flesh", ["red", "pale", "two backgrounds"])
 def test_a_face_that_the_border_cuts_off_is_completed_or_refused(tmp_path: Path, flesh: str) -> None:
-    """Of a pale one only the rind stands out, once the border has taught that flesh is background."""
+    """Of a pale face only the rind stands out once the border has marked flesh as background."""
     face, mask = disc(200, seeds=6, radius=0.7)
     if flesh == "pale":
         y, x = np.mgrid[:200, :200] / 100 - 1
@@ -204,7 +204,7 @@ def test_what_the_border_cuts_off_shows_the_other_side(tmp_path: Path, kind: Kin
     size = min(whole.mask.shape[1], part.mask.shape[1])
     seen = [p.rgb[4:-4, p.mask.shape[1] - size :][: whole.mask.shape[0] - 12] for p in (whole, part)]
     rows = min(len(s) for s in seen)
-    assert np.abs(seen[0][:rows] - seen[1][:rows]).mean() < 0.04  # of colours from 0.1 to 0.9
+    assert np.abs(seen[0][:rows] - seen[1][:rows]).mean() < 0.04  # for colours from 0.1 to 0.9
 
 
 def test_what_the_border_cuts_off_of_an_oblique_slice_goes_on_as_it_was() -> None:

@@ -53,7 +53,7 @@ def inside() -> QuiltInside:
 
 
 def own_plane(inside: QuiltInside, footprint: float) -> np.ndarray:
-    """(N, 3). Points of the plane of the horizontal picture, a footprint apart."""
+    """(N, 3). Points in the plane of the horizontal picture, a footprint apart."""
     half = 0.5 * float(inside.ball.skin.mean()) * inside.cell
     side = np.arange(-half, half, footprint)
     u, v = np.meshgrid(side, side)
@@ -98,7 +98,7 @@ def test_one_family_alone_is_kept_and_makes_the_same_bits(inside: QuiltInside, h
 
 def test_a_wrong_record_is_none(inside: QuiltInside, monkeypatch: pytest.MonkeyPatch) -> None:
     arrays, facts = inside.record()
-    # What is known of the pictures takes seconds, and no wrong label is found by it.
+    # Preparing the sources takes seconds, and detects no wrong label.
     sources = [inside.quilt.rinds, *(label.sources for label in inside.quilt.labels[:2])]
     monkeypatch.setattr(quilt, "_make_sources", lambda *_: sources)
     wrong: list[tuple[dict[str, Any], dict[str, Any]]] = [
@@ -131,11 +131,11 @@ def test_a_file_is_the_object_s_own(inside: QuiltInside, tmp_path: Path) -> None
     points = own_plane(inside, 0.1)
     found = read_inside(path)
     assert found is not None and np.array_equal(found.at(points, 0.01), inside.at(points, 0.01))
-    # Other objects have none, whatever lies beside them; without its file an object is its atoms.
+    # Other objects have none, whatever lies beside them; without its file an object has only its atoms.
     save_trained(other, solid, Meta(seed=1))
     inside_path(path).rename(inside_path(other))
     assert read_inside(other) is None and read_inside(path) is None
-    # Damage, and what an older training left.
+    # Damage, and the leftovers of an older training.
     data = bytearray(inside_path(other).read_bytes())
     data[len(data) // 2] ^= 1
     inside_path(path).write_bytes(data)

@@ -1,4 +1,4 @@
-"""The inside of pictures of one thing as a function: it is its grid, finer, and the same from a file."""
+"""The inside from pictures of one object as a function: finer than its grid, and the same from a file."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ KINDS = ("horizontal alone", "radial alone", "both", "slices")
 
 @pytest.fixture(scope="module", params=KINDS)
 def volume(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Volume:
-    """Of a melon with seeds."""
+    """The volume of a melon with seeds."""
     folder = tmp_path_factory.mktemp("faces")
     faces = [save(folder / f"{n}.png", disc(seeds=8, radius=0.8 - 0.01 * n)[0]) for n in range(3)]
     both = [Family("horizontal", 8, (faces[0],)), Family("radial", 8, (faces[1],))]
@@ -33,7 +33,7 @@ def volume(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFact
 
 
 def on_an_oblique_plane(step: float) -> np.ndarray:
-    """(N, 3). Points of a cut through the ball, a step apart."""
+    """(N, 3). Points of an oblique cut through the ball, `step` apart."""
     normal = np.array([0.3, -0.5, 0.8]) / np.linalg.norm([0.3, -0.5, 0.8])
     right = np.cross(normal, UP) / np.linalg.norm(np.cross(normal, UP))
     u, v = np.meshgrid(*2 * [np.arange(-0.85, 0.85, step)])
@@ -45,7 +45,7 @@ def test_it_is_the_grid_but_finer(volume: Volume) -> None:
     assert volume.inside is not None
     points = on_an_oblique_plane(0.02)
     fine, coarse = volume.inside.at(points, 0.001), volume.at(points)
-    # Sharper everywhere, so not the same at edges; but no thing is missing and none is elsewhere.
+    # Sharper everywhere, so different at edges; but no thing is missing or misplaced.
     assert np.median(np.abs(fine - coarse)) < 0.02
     assert np.abs(fine - coarse).mean() < 0.05
     dark = [np.linalg.norm(rgb - SEED, axis=1) < 0.3 for rgb in (fine, coarse)]

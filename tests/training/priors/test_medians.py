@@ -1,4 +1,4 @@
-"""Sliding medians are SciPy's."""
+"""Sliding medians equal SciPy's."""
 
 from __future__ import annotations
 

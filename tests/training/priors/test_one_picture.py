@@ -1,4 +1,4 @@
-"""One picture alone: its own plane shows it, texture is as long in every cut, sheets run through, chambers end."""
+"""A single picture: its own plane shows it, texture is as long in every cut, sheets run through, chambers end."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from training.priors.exemplar import ExemplarPrior
 InsideOf: TypeAlias = Callable[..., Inside]
 SIZE = 360
 SEEDS = ((0.5, 0.3), (-0.2, 0.55), (-0.6, -0.1), (0.1, -0.45), (0.45, -0.35))
-"""Where seeds lie in the picture, in radii: nowhere near where a mirror or a turn has others."""
+"""Places of the seeds in the picture, in radii: never near the mirrored or turned place of another."""
 
 LINES = np.radians([20, 95, 160, 230, 300])
 
@@ -44,7 +44,7 @@ def face(lines: bool) -> NDArray[np.float32]:
 
 @pytest.fixture(scope="module")
 def alone(tmp_path_factory: pytest.TempPathFactory) -> InsideOf:
-    """Makes the inside of a ball from one such picture; once for each."""
+    """Makes the inside of a ball from one such picture, once for each."""
 
     @cache
     def inside_of(kind: Kind, lines: bool = False) -> Inside:
@@ -61,20 +61,20 @@ def solved(kind: Kind, picture: Path) -> Inside:
 
 
 def section(inside: Inside, right: tuple[float, ...], up: tuple[float, ...], off: tuple[float, ...]) -> NDArray:
-    """(SIZE, SIZE, 3). A cut through the ball as the picture shows it."""
+    """(SIZE, SIZE, 3). A cut through the ball, in the frame of the picture."""
     v, u = (1 - (np.mgrid[:SIZE, :SIZE] + 0.5) / SIZE * 2) / 0.9
     points = -u.reshape(-1, 1) * np.array(right) + v.reshape(-1, 1) * np.array(up) + np.array(off)
     return inside.at(points, 0.001).reshape(SIZE, SIZE, 3)
 
 
 def within(radius: float) -> NDArray[np.bool_]:
-    """(SIZE, SIZE). What is so near to the middle, in radii of the ball."""
+    """(SIZE, SIZE). Pixels nearer to the middle than this, in radii of the ball."""
     v, u = (np.mgrid[:SIZE, :SIZE] + 0.5) / SIZE * 2 - 1
     return np.hypot(u, v) < 0.9 * radius
 
 
 def coherence(rgb: NDArray[np.float32], where: NDArray[np.bool_]) -> float:
-    """How far texture runs in one direction at each place (Bigun and Granlund 1987): 0 in none, 1 in lines."""
+    """Coherence of the texture's direction (Bigun and Granlund 1987): 0 without one, 1 in lines."""
     grey = ndimage.gaussian_filter(rgb.mean(-1), 1.5)
     gy, gx = np.gradient(grey)
     xx, yy, xy = (ndimage.gaussian_filter(a, 8) for a in (gx * gx, gy * gy, gx * gy))
@@ -96,7 +96,7 @@ def test_its_own_plane_shows_it(alone: InsideOf, kind: Kind) -> None:
 
 @pytest.mark.parametrize("kind", ["horizontal", "radial"])
 def test_texture_is_no_lines(alone: InsideOf, kind: Kind) -> None:
-    """In no cut does it run on farther than in the picture, and none repeats what the own plane shows."""
+    """In no cut does texture run on farther than in the picture, and no cut repeats the picture's own plane."""
     inside, true = alone(kind), face(False)
     calm = within(0.55)
     known = coherence(true, calm)
@@ -112,7 +112,7 @@ def test_texture_is_no_lines(alone: InsideOf, kind: Kind) -> None:
 
 
 def test_a_faint_sheet_runs_through(alone: InsideOf) -> None:
-    """Radial lines of a horizontal picture, weaker than any seed, lie where they do in other heights."""
+    """Radial lines in a horizontal picture, weaker than any seed, keep their places at other heights."""
     inside = alone("horizontal", True)
     angles = np.arange(360) / 180 * np.pi
     r = np.linspace(0.3, 0.7, 60)[:, None]
@@ -127,7 +127,7 @@ def test_a_faint_sheet_runs_through(alone: InsideOf) -> None:
 
 
 def test_chambers_end_and_a_core_runs_through(tmp_path: Path) -> None:
-    """Five chambers around the axis are as tall as they are long, a wide core at the axis is as tall as the body."""
+    """Five chambers around the axis are as tall as they are long; a wide core on the axis is as tall as the body."""
     y, x = (np.mgrid[:SIZE, :SIZE] + 0.5) / SIZE * 2 - 1
     r, angle = np.hypot(x, y) / 0.9, np.arctan2(y, x)
     bend = (angle + np.pi / 5) % (2 * np.pi / 5) - np.pi / 5

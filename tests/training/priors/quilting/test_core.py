@@ -1,4 +1,4 @@
-"""The core of a face as a solid: against drawn stars and columns, closed forms and photographs."""
+"""The core of a face as a solid: against drawn stars and columns, closed forms, and photographs."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ TALL = 0.16
 
 
 def face(dark: NDArray[np.bool_]) -> Disc:
-    """Flesh with a rind, dark places and some grain."""
+    """Flesh with a rind, dark at these places, with some grain."""
     x, y = disc_grid()
     rgb = np.where(dark[..., None], DARK, np.where((np.hypot(x, y) > 0.94)[..., None], RIND, FLESH))
     return Disc((rgb + 0.01 * np.random.default_rng(0).standard_normal((*x.shape, 1))).astype(np.float32))
 
 
 def star() -> NDArray[np.bool_]:
-    """Five arms around the middle, none of which lies in the radial picture's plane."""
+    """Five arms around the middle, none of them in the radial picture's plane."""
     x, y = disc_grid()
     dark = np.hypot(x, y) < 0.05
     for turn in 0.3 + np.arange(5) * 2 * np.pi / 5:
@@ -39,20 +39,20 @@ def star() -> NDArray[np.bool_]:
 
 
 def pips() -> NDArray[np.bool_]:
-    """On both sides of the axis."""
+    """Pips on both sides of the axis."""
     x, y = disc_grid()
     return np.hypot((np.abs(x) - 0.12) / 0.05, y / TALL) < 1
 
 
 def core_of(source: Source, *radial: Disc) -> Core:
-    """Of a horizontal picture, with what radial ones show of it."""
+    """The core of a horizontal picture, with what radial ones show of it."""
     return Core.across(source.even, source.rind, [Source.of(disc, False).even for disc in radial], 0.0)
 
 
 def test_pictures_are_looked_at_in_threads_so_no_warning_of_the_process_is_hidden(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Of two threads that hide warnings, the last to end would leave them hidden."""
+    """If two threads hid warnings, the last to end would leave them hidden."""
 
     def refuse(*_: object, **__: object) -> None:
         raise AssertionError("hides warnings")
@@ -72,7 +72,7 @@ def test_a_core_is_as_tall_as_its_area_is_wide_or_has_the_proportions_of_radial_
     assert alone.tall == pytest.approx((half, half), rel=0.05)
     for tall, size in ((0.06, 1.0), (0.12, 1.0), (0.12, 0.7)):
         shown = face(np.hypot(x / half, y / tall) < size)
-        seen = tall * np.sqrt(3) / 2  # up to where half of the width is dark
+        seen = tall * np.sqrt(3) / 2  # the height at which half of the width is dark
         assert core_of(disc, shown).tall == pytest.approx(((1 + 1 / size) / 2 * size * seen,) * 2, rel=0.12)
 
 
@@ -91,7 +91,7 @@ def test_no_core_is_what_is_joined_to_the_rind_apart_from_the_axis_or_nothing() 
 
 
 def test_a_radial_picture_shows_solids_as_thick_as_they_are_wide() -> None:
-    """Every cut of a pip along its picture's plane at a distance is the ellipse that a spheroid has there."""
+    """Cut parallel to its picture's plane, a pip shows the ellipse that a spheroid has at that distance."""
     shown = face(pips())
     core = Core.along(Source.of(shown, False).even, core_of(Source.of(face(star()), True), shown), 0.0)
     x, y = (a[::4, ::4].ravel() for a in disc_grid())
@@ -101,7 +101,7 @@ def test_a_radial_picture_shows_solids_as_thick_as_they_are_wide() -> None:
     for away in (0.0, 0.02, 0.035, 0.055):
         rgb, deep = core.read(shown, x, y, np.full(len(x), away))
         areas.append((deep > 0).sum() * (4 * PIXEL) ** 2)
-        assert np.abs(rgb[deep > 0.005] - DARK).max(initial=0) < 0.2  # of 0.7, at the picture's own edge
+        assert np.abs(rgb[deep > 0.005] - DARK).max(initial=0) < 0.2  # of 0.7, at the edge in the picture itself
     full = 2 * np.pi * 0.05 * TALL
     assert areas[0] == pytest.approx(full, rel=0.08)
     assert areas[1] == pytest.approx(full * (1 - 0.4**2), rel=0.12)
@@ -131,11 +131,11 @@ def test_a_star_is_a_star_at_its_height_and_smaller_above_and_gone(grown: Quilt)
     areas = []
     for height in (0.0, 0.05, 0.1, 0.14, 0.25):
         points = level(height)
-        points = points[np.abs(points[:, 1]) > 0.06]  # beside the radial picture's plane
+        points = points[np.abs(points[:, 1]) > 0.06]  # away from the radial picture's plane
         dark = is_dark(grown, points)
         areas.append(dark.sum())
         inside = Disc(np.repeat(star()[..., None], 3, -1).astype(np.float32)).read(*points[:, :2].T)[:, 0]
-        assert not (dark & (inside < 0.1)).any()  # no smudge, and nothing where there is no arm
+        assert not (dark & (inside < 0.1)).any()  # no smudge, and nothing beside the arms
         if not height:
             assert dark[inside > 0.9].mean() > 0.97
     assert all(b < a for a, b in pairwise(areas[:4]))
@@ -144,7 +144,7 @@ def test_a_star_is_a_star_at_its_height_and_smaller_above_and_gone(grown: Quilt)
 
 
 def test_nothing_dark_is_left_beside_a_core(grown: Quilt) -> None:
-    """No chunk shows pips all around the axis or a star at another height."""
+    """No chunk shows pips all around the axis, or a star at another height."""
     points = np.random.default_rng(1).uniform(-0.75, 0.75, (200_000, 3)).astype(np.float32)
     far = (np.hypot(*points[:, :2].T) > REACH + 0.05) | (np.abs(points[:, 2]) > 0.25)
     points = points[far & (np.linalg.norm(points, axis=1) < 0.75)]
@@ -162,7 +162,7 @@ def test_own_planes_show_both_pictures(grown: Quilt) -> None:
 
 
 def test_a_stone_is_whole_in_every_cut() -> None:
-    """Of two fruits that have theirs at different heights: one convex piece, and none of it elsewhere."""
+    """In two fruits with stones at different heights it is one convex piece, and appears nowhere else."""
     x, y = disc_grid()
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(quilt, "LEVELS", (16, 32))
@@ -180,7 +180,7 @@ def test_a_stone_is_whole_in_every_cut() -> None:
 
 
 def test_a_long_core_keeps_its_colour_in_the_light_of_another_picture() -> None:
-    """Above and below the middle a column fills rings that are flesh in a horizontal picture."""
+    """Above and below the middle a column crosses rings that are flesh in a horizontal picture."""
     x, y = disc_grid()
     horizontal, radial = face(np.hypot(x, y) < 0.22), face(np.hypot(x / 0.22, y / 0.75) < 1)
     lit = match_light(Disc(radial.rgb * np.array([0.9, 1.0, 1.1], np.float32)), horizontal)

@@ -1,4 +1,4 @@
-"""Grains of a face as balls: against drawn discs of known size and stereology's closed forms."""
+"""Grains of a face as balls: against drawn discs of known size, and the closed forms of stereology."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def laid_out(spacing: float) -> NDArray[np.float64]:
 
 
 def drawn(places: NDArray[np.float64], radius: float) -> Disc:
-    """Dark discs on pale ground, round as things are: darkest in the middle."""
+    """Dark discs on pale ground, shaded like round things: darkest in the middle."""
     x, y = disc_grid()
     away = cKDTree(places).query(np.stack([x, y], -1))[0]
     dark = np.clip(1 - np.square(away / radius), 0, 1)[..., None]
@@ -43,7 +43,7 @@ def drawn(places: NDArray[np.float64], radius: float) -> Disc:
 
 @pytest.mark.parametrize("radius", [0.04, 0.06])
 def test_drawn_grains_are_found_where_and_as_large_as_they_are(radius: float) -> None:
-    """Smaller than drawn, as a round thing is faint at its rim."""
+    """Found smaller than drawn, as a round thing is faint at its rim."""
     places = laid_out(2.1 * radius)
     grains = Grains.of(drawn(places, radius), NEVER)
     wanted = places[np.hypot(*places.T) < 0.8]
@@ -54,13 +54,13 @@ def test_drawn_grains_are_found_where_and_as_large_as_they_are(radius: float) ->
 
 
 def test_few_things_on_calm_ground_are_no_grains() -> None:
-    """Seeds that lie apart, and a plain face: nothing of them is laid anew."""
+    """Scattered seeds and a plain face: none of them is packed anew."""
     assert not len(Grains.of(drawn(laid_out(0.3), 0.04), NEVER).radii)
     assert not len(Grains.of(Disc(np.broadcast_to(PALE, (*NEVER.shape[:2], 3)).copy()), NEVER).radii)
 
 
 def packed(radius: float, seed: int = 0) -> Packing:
-    """Of a radial picture full of grains, wherever they fit."""
+    """The packing of a radial picture full of grains, wherever they fit."""
     disc = drawn(laid_out(2.1 * radius), radius)
     things, rng = [Grains.of(disc, NEVER).things(disc)], np.random.default_rng(seed)
     made = pack(things, [], strewn(things, 0, rng), lambda tried: np.ones(len(tried.stamps), bool), rng)
@@ -69,7 +69,7 @@ def packed(radius: float, seed: int = 0) -> Packing:
 
 
 def test_balls_are_cut_as_large_as_the_picture_shows_grains() -> None:
-    """The mean radius of a ball's cuts by random planes is a quarter of pi of its own."""
+    """The mean radius of a ball's cuts by random planes is pi/4 of its own."""
     laid = packed(0.05).laid
     rng = np.random.default_rng(0)
     distance = rng.uniform(-0.5, 0.5, (200, 1))
@@ -95,7 +95,7 @@ def test_balls_lie_apart_and_fill_what_they_may() -> None:
 
 
 def test_a_ball_shows_a_grain_from_its_middle_to_its_rim() -> None:
-    """As dark in every direction as the grain is at that distance, whatever plane cuts it."""
+    """Cut by any plane, it is as dark in every direction as the grain is at that distance."""
     radius = 0.05
     picture, axes = drawn(np.zeros((1, 2)), radius), np.full((1, 2), radius)
     things = Things.of(picture, np.zeros((1, 2)), axes, np.zeros(1))
@@ -111,7 +111,7 @@ def test_a_ball_shows_a_grain_from_its_middle_to_its_rim() -> None:
         shown, cover = made.read((share * SECTION * radius * direction).astype(np.float32))
         assert cover.min() == 1
         wanted = PALE + np.sqrt(1 - share**2) * (DARK - PALE)
-        # But on the line across the picture's plane, where it is the grain's middle.
+        # Except on the line across the picture's plane, which has the colour of the grain's middle.
         assert np.quantile(np.abs(shown - wanted).max(1), 0.95) < 0.06
 
 
@@ -127,7 +127,7 @@ def test_of_photographs_pomegranates_are_made_of_grains(name: str, made_of_them:
 def test_grains_of_one_picture_alone_are_as_tall_as_wide(
     kind: Kind, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """No rods, rings or streaks: what is dark goes on as far across the picture's plane as in it."""
+    """No rods, rings or streaks: dark places extend as far across the picture's plane as in it."""
     monkeypatch.setattr(quilt, "LEVELS", (16, 32))
     rgb = drawn(laid_out(0.15), 0.07).rgb[..., ::-1, :].swapaxes(0, 1)
     x, y = disc_grid()
@@ -138,6 +138,6 @@ def test_grains_of_one_picture_alone_are_as_tall_as_wide(
     lengths = []
     for direction in np.eye(3):
         line = starts[:, None] + np.arange(-20, 20)[:, None] * 0.01 * direction
-        dark = volume.at(line)[..., 1] < 0.22  # the middles of grains alone, as their rims touch
+        dark = volume.at(line)[..., 1] < 0.22  # only the middles of grains, as their rims touch
         lengths.append(dark.sum() / (dark[:, 0].sum() + (dark[:, 1:] > dark[:, :-1]).sum()))
-    assert max(lengths) < 1.2 * min(lengths)  # 1.3 and 1.5 where layers go on
+    assert max(lengths) < 1.2 * min(lengths)  # 1.3 and 1.5 if layers continued

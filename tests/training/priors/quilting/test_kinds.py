@@ -1,4 +1,4 @@
-"""What insides tell of their kinds, against faces whose rind, flesh, seeds and sheets are known."""
+"""The kinds that insides report, against faces of known rind, flesh, seeds and sheets."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SIZE, SHEETS = 300, 7
 
 
 def truth(x: NDArray[np.floating], y: NDArray[np.floating], sheets: bool) -> NDArray[np.int64]:
-    """The kind at places of a face of radius 1: a rind a tenth thick, seeds in a ring and, between them, sheets."""
+    """Kinds at places of a face of radius 1: a rind a tenth thick, seeds in a ring and, between the seeds, sheets."""
     radius, turn = np.hypot(x, y), np.arctan2(y, x) * SHEETS / (2 * np.pi)
     kind = np.full(x.shape, int(Kind.INSIDE))
     if sheets:
@@ -33,7 +33,7 @@ def truth(x: NDArray[np.floating], y: NDArray[np.floating], sheets: bool) -> NDA
 
 
 def face(sheets: bool, light: float = 1.0) -> NDArray[np.float64]:
-    """That face on white, with a margin."""
+    """That face as a picture on white, with a margin."""
     y, x = ((np.mgrid[:SIZE, :SIZE] + 0.5) / SIZE * 2 - 1) / 0.9
     colours = np.array([np.ones(3), FLESH, RIND, SEED, PALE]) * np.array([1, *4 * [light]])[:, None]
     return colours[np.where(np.hypot(x, -y) < 1, truth(x, -y, sheets), 0)]
@@ -41,13 +41,13 @@ def face(sheets: bool, light: float = 1.0) -> NDArray[np.float64]:
 
 @pytest.fixture(scope="module", params=["quilted", "layered"])
 def inside(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Inside]:
-    """Of a ball, from the horizontal face and, if quilted, a radial one without sheets in another light."""
+    """The inside of a ball, from the horizontal face and, if quilted, a radial one without sheets in another light."""
     folder = tmp_path_factory.mktemp("faces")
     families = [Family("horizontal", 8, (save(folder / "h.png", face(True)),))]
     if request.param == "quilted":
         families.append(Family("radial", 8, (save(folder / "r.png", face(False, 0.9)),)))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(quilt, "LEVELS", (16, 32))  # colours and kinds are read at every point all the same
+        patch.setattr(quilt, "LEVELS", (16, 32))  # colours and kinds are still read at every point
         made = ExemplarPrior().solve(ball(48), UP, families, 96, 0, quiet).inside
         assert made is not None
         yield made
@@ -62,7 +62,7 @@ def level(height: float) -> NDArray[np.float64]:
 
 
 def share(inside: Inside, height: float, told: Kind, where: NDArray[np.bool_]) -> float:
-    """Of the points of a level cut where this kind is told."""
+    """Share of the chosen points of a level cut where this kind is reported."""
     return float((inside.kinds(level(height))[where] == told).mean())
 
 
@@ -86,4 +86,4 @@ def test_seeds_end_and_the_rind_goes_on(inside: Inside) -> None:
     length = np.linalg.norm(points, axis=1)
     assert share(inside, 0.45, Kind.RIND, length > 0.93) > 0.95
     assert share(inside, 0.45, Kind.RIND, length < 0.8) < 0.02
-    assert share(inside, 0.45, Kind.THING, length < 0.8) < 0.06  # seeds of the plane of the picture are 0.04 of it
+    assert share(inside, 0.45, Kind.THING, length < 0.8) < 0.06  # the seeds in the picture's plane take 0.04

@@ -1,4 +1,4 @@
-"""Insides from photographs of different individuals: their laws, on solids of our own and on photographs."""
+"""Insides from photographs of different individuals: their laws, on our own solids and on photographs."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ PAIRS = [("apple_h1", "apple_v1"), ("pomegranate_h1", "pomegranate_v4")]
 
 @pytest.fixture(autouse=True)
 def _coarse(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Seams on few cells: colours are read at every point all the same."""
+    """Computes seams on few cells: colours are still read at every point."""
     monkeypatch.setattr(quilt, "LEVELS", (16, 32))
 
 
@@ -49,12 +49,12 @@ def quilted(*pictures: Disc, seed: int = 0) -> Quilt:
 
 @cache
 def quilt_of(pair: tuple[str, str]) -> Quilt:
-    """The quilt of two photographs; with the seams of `_coarse`, so only where that holds."""
+    """The quilt of two photographs, with the seams of `_coarse`: use it only where that fixture applies."""
     return quilted(*map(photograph, pair))
 
 
 def segmented(seeds: bool, light: float = 1.0) -> Disc:
-    """A face with nine sheets from core to rind and, between them, seeds."""
+    """A face with nine sheets from core to rind and, between the sheets, seeds."""
     x, y = disc_grid()
     radius, angle = np.hypot(x, y), np.arctan2(y, x) * 9 / (2 * np.pi)
     rgb = np.broadcast_to(FLESH, (*x.shape, 3)).copy()
@@ -75,7 +75,7 @@ def level(height: float, count: int = 8_000) -> NDArray[np.float32]:
 
 
 def far_from(a: NDArray[np.float32], b: NDArray[np.float32]) -> float:
-    """Share of places whose colours differ visibly."""
+    """Share of points whose colours differ visibly."""
     return float((np.linalg.norm(a - b, axis=1) > 0.08).mean())
 
 
@@ -83,7 +83,7 @@ def far_from(a: NDArray[np.float32], b: NDArray[np.float32]) -> float:
 def test_photographs_come_back_in_their_own_planes(pair: tuple[str, str]) -> None:
     across, made = photograph(pair[0]), quilt_of(pair)
     points = level(0)
-    away = np.abs(points[:, 1]) > 0.1  # where the two meet, both have even tones and the horizontal one is followed
+    away = np.abs(points[:, 1]) > 0.1  # where the two meet, tones are even and the horizontal one wins
     shown = across.read(points[:, 0], points[:, 1])
     assert far_from(made.read(points[away]), shown[away]) < 0.02
     upright = points[:, [0, 2, 1]]
@@ -102,20 +102,20 @@ def test_no_plane_cuts_a_bar_out_of_another() -> None:
 
 
 def test_tones_make_no_step_at_seams(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(quilt, "match_light", lambda disc, _: disc)  # light that could not be matched
+    monkeypatch.setattr(quilt, "match_light", lambda disc, _: disc)  # as if the light could not be matched
     made = quilted(*(Disc(np.full((DISC_PIXELS, DISC_PIXELS, 3), value, np.float32)) for value in (0.5, 0.56)))
     rng = np.random.default_rng(0)
     points = np.concatenate([level(height) for height in rng.uniform(-0.5, 0.5, 10)])
     near = points + rng.uniform(-0.005, 0.005, points.shape).astype(np.float32)
     shown = made.read(points)
-    assert shown.std() > 0.01  # both are used
+    assert shown.std() > 0.01  # both pictures are used
     assert np.abs(made.read(near) - shown).max() < 0.015
 
 
 def test_sheets_run_through_and_seeds_end(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(quilt, "LEVELS", (32, 64))  # the sheets are a twenty-fifth of a radius thick
     x, y = disc_grid()
-    plain = np.where((np.hypot(x, y) > 0.94)[..., None], SHEET, FLESH) * [0.8, 0.9, 1.0]  # another light
+    plain = np.where((np.hypot(x, y) > 0.94)[..., None], SHEET, FLESH) * [0.8, 0.9, 1.0]  # in another light
     made = quilted(segmented(seeds=True), Disc(plain.astype(np.float32)))
     dark, pale = [], []
     for height in (0.0, 0.3, -0.4):
@@ -126,17 +126,17 @@ def test_sheets_run_through_and_seeds_end(monkeypatch: pytest.MonkeyPatch) -> No
         pale.append((shown[:, 2] > 0.4).mean())
     assert dark[0].mean() > 0.08
     for other in dark[1:]:
-        assert other[dark[0]].mean() < 0.3  # a rod has 1
-    # One of two pictures has no seeds: half as many are right.
+        assert other[dark[0]].mean() < 0.3  # a rod would give 1
+    # One of the two pictures has no seeds, so half as many are right.
     assert 0.25 < np.mean(dark[1:]) / dark[0].mean() < 0.75
     assert min(pale[1:]) > 0.7 * pale[0]
 
 
 def test_pictures_share_their_middle_with_the_body() -> None:
-    """A body wider above has the centroid of its cuts above its middle; heights of pictures start there."""
+    """In a body wider above, the centroid of its cuts lies above its middle; pictures' heights start at that point."""
     grid = Grid.around(np.array([[-1.0, -1, -1], [1, 1, 1]]), 1 / 16, 4)
     x, y, z = np.moveaxis(grid.centres(), -1, 0)
-    wide = 1 + 0.3 * z  # half an ellipse's width at each height
+    wide = 1 + 0.3 * z  # half width of the ellipse at each height
     depth = 1 - np.sqrt((x / wide) ** 2 + (y / wide) ** 2 + z**2)
     space = make_space(Body(grid, (0.8 * depth).astype(np.float32)), UP, 32)
     ball = BallMap.of(space)
@@ -159,7 +159,7 @@ def test_every_picture_is_used_and_a_seed_decides(monkeypatch: pytest.MonkeyPatc
     ]
     monkeypatch.setattr(quilt, "LEVELS", (16, 32))
     made = make_quilt(faces[:2], faces[2:], 1, lambda part: None)
-    # What is known of the pictures takes longest and has no seed.
+    # Preparing the sources takes longest and uses no seed.
     sources = made.rinds, made.labels[0].sources, made.labels[1].sources
     monkeypatch.setattr(quilt, "_make_sources", lambda *_: sources)
     again, other = (make_quilt(faces[:2], faces[2:], seed, lambda part: None) for seed in (1, 2))
@@ -203,7 +203,7 @@ def test_photographs_of_two_fruits_do_not(pair: tuple[str, str]) -> None:
 
 
 def test_what_is_known_to_be_one_thing_is_believed(tmp_path: Path) -> None:
-    """`same` takes the other way for the very same pictures."""
+    """`same` takes a different path for exactly the same pictures."""
     x = np.abs((np.mgrid[:128, :128] + 0.5) / 64 - 1)
     inside = np.hypot(*x)[..., None] < 0.8
     faces = [np.where(inside, colour, 1.0) for colour in (FLESH, FLESH * [1, 0.6, 0.6])]
@@ -227,7 +227,7 @@ def test_what_is_wide_is_no_sheet() -> None:
 
 
 def grainy() -> Disc:
-    """Flesh with a texture of some thousandths of a radius and one large dark thing."""
+    """Flesh with a texture some thousandths of a radius wide, and one large dark thing."""
     x, y = disc_grid()
     noise = ndimage.gaussian_filter(np.random.default_rng(0).standard_normal(x.shape), 1.5)
     rgb = FLESH + 0.1 * (noise / noise.std())[..., None]
@@ -260,7 +260,7 @@ def test_texture_changes_along_the_axis_as_it_does_in_a_picture() -> None:
 
 
 def test_light_is_told_from_what_is_there() -> None:
-    """Lamplight on flesh and rind goes; a white core that the other picture lacks stays white."""
+    """Lamplight on flesh and rind is removed; a white core that the other picture lacks stays white."""
     x, y = disc_grid()
     radius = np.hypot(x, y)
     plain = np.where((radius > 0.85)[..., None], 0.95, FLESH)
@@ -287,13 +287,13 @@ def test_closed_things_are_as_many_as_the_pictures_show() -> None:
     points = points[np.linalg.norm(points, axis=1) < 0.95]
     shown = (made.read(points)[:, 0] < 0.5).mean()
     x, y = disc_grid()
-    weight = np.where(np.hypot(x, y) < 0.95, np.abs(x), 0)  # of a radial picture's places in the ball
+    weight = np.where(np.hypot(x, y) < 0.95, np.abs(x), 0)  # volume in the ball for each place of a radial picture
     wanted = ((along.rgb[..., 0] < 0.5) * weight).sum() / weight.sum()
     assert 0.5 * wanted < shown < 2 * wanted
 
 
 def test_even_tones_keep_details() -> None:
-    """Light from one side goes; seeds, sheets and a core line stay as strong as they were."""
+    """Light from one side is removed; seeds, sheets and a core line stay as strong as before."""
     face = segmented(seeds=True)
     x, y = disc_grid()
     inside = np.hypot(x, y) < 0.9

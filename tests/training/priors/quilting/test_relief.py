@@ -1,4 +1,4 @@
-"""Closed things as solids and texture in layers: against discs, fields and stripes whose answer is known."""
+"""Closed things as solids, and texture in layers: against discs, fields and stripes of known answer."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ FLESH, SEED = np.array([0.9, 0.5, 0.3]), np.array([0.2, 0.1, 0.1])
 
 
 def relief(dark: NDArray[np.bool_]) -> Relief:
-    """Of dark places on plain flesh."""
+    """The relief of dark places on plain flesh."""
     x, _ = disc_grid()
     rgb = np.where(dark[..., None], SEED, FLESH).astype(np.float32)
     return Relief.of(Disc(rgb), Disc(np.full((*x.shape, 3), 0.1, np.float32)), 0.05)
 
 
 def dark_share(made: Relief, radius: float, distance: float) -> float:
-    """Of a disc around the middle, at this distance from the plane."""
+    """Dark share of a disc around the middle, at this distance from the plane."""
     x, y = disc_grid()
     rows = np.hypot(x, y) < radius
     shown = made.read(x[rows], y[rows], np.full(rows.sum(), distance))
@@ -35,7 +35,7 @@ def dark_share(made: Relief, radius: float, distance: float) -> float:
 
 @pytest.mark.parametrize("half_width", [0.04, 0.08, 0.12])
 def test_a_round_thing_is_as_tall_as_it_is_wide(half_width: float) -> None:
-    """Its volume is that of a ball within a third, and nothing of it is left at twice its half width."""
+    """Its volume is that of a ball within a third, and nothing is left of it at twice its half width."""
     x, y = disc_grid()
     made = relief(np.hypot(x, y) < half_width)
     heights = np.linspace(0, 2 * half_width, 41)
@@ -47,7 +47,7 @@ def test_a_round_thing_is_as_tall_as_it_is_wide(half_width: float) -> None:
 
 
 def test_of_a_star_flesh_is_left() -> None:
-    """A median as wide as its arms are long holds half of their colour: a grey smudge from pole to pole."""
+    """A median as wide as the arms are long has half of their colour: a grey smudge from pole to pole."""
     x, y = disc_grid()
     dark = np.zeros(x.shape, bool)
     for turn in np.arange(5) * 2 * np.pi / 5:
@@ -61,7 +61,7 @@ def test_of_a_star_flesh_is_left() -> None:
 
 
 def test_what_lies_in_a_thing_gives_way_to_that_thing() -> None:
-    """A seed in a pale carpel: first the carpel is left, then flesh."""
+    """Around a seed in a pale carpel, the carpel remains first, then flesh."""
     x, y = disc_grid()
     radius = np.hypot(x, y)
     rgb = np.where((radius < 0.1)[..., None], 1.0, FLESH)
@@ -74,7 +74,7 @@ def test_what_lies_in_a_thing_gives_way_to_that_thing() -> None:
 
 
 def test_a_star_takes_its_seeds_along() -> None:
-    """Arms full of red seeds: there is nothing calm in them for a seed to give way to, but all of it lies in flesh."""
+    """In arms full of red seeds no calm colour can replace a seed, but the whole star lies in flesh."""
     x, y = disc_grid()
     radius, turn = np.hypot(x, y), np.arctan2(y, x) * 5 / (2 * np.pi)
     across = np.abs(turn - np.round(turn)) * 2 * np.pi / 5 * radius
@@ -88,7 +88,7 @@ def test_a_star_takes_its_seeds_along() -> None:
 
 
 def test_what_is_dense_does_not_turn_to_mush() -> None:
-    """Cells among cells: their median is the colour of none, so their picture stays as it is."""
+    """In cells among cells the median is the colour of none, so their picture stays as it is."""
     x, y = disc_grid()
     dark = (np.floor(x / 0.08) + np.floor(y / 0.08)) % 2 == 0
     made = relief(dark)
@@ -112,7 +112,7 @@ def test_a_radial_cut_shows_the_texture_of_radial_pictures() -> None:
         points = np.stack([r * np.cos(angle), r * np.sin(angle), z], -1).reshape(-1, 3).astype(np.float32)
         shown = field.at(Ball.of(points))[:, 0].reshape(r.shape)
         across, along = np.diff(shown, axis=0).std(), np.diff(shown, axis=1).std()
-        assert across > 2 * along  # 1 without lines, less where layers lie across the axis
+        assert across > 2 * along  # 1 without lines, less if layers lie across the axis
         assert 3 * np.square(shown).mean() == pytest.approx(1, rel=0.3)
 
 

@@ -1,4 +1,4 @@
-"""Rinds that all pictures have alike: against drawn rinds of known depth."""
+"""Evening out the rinds of all pictures: against drawn rinds of known depth."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def is_rind(rgb: NDArray[np.float32]) -> NDArray[np.bool_]:
 
 
 def in_plane(at: NDArray[np.floating], horizontal: bool) -> NDArray[np.float32]:
-    """(M, 3). Places (M, 2) of a picture's own plane through the middle."""
+    """(M, 3). Places (M, 2) of a picture, in its own plane through the middle."""
     x, y = at.T
     zero = np.zeros_like(x)
     return np.stack([x, y, zero] if horizontal else [x, zero, y], -1).astype(np.float32)
@@ -50,7 +50,7 @@ def test_depths_are_measured(rinds: Rinds) -> None:
 
 
 def test_quilted_pictures_have_one_rind(rinds: Rinds, pictures: tuple[Disc, Disc]) -> None:
-    """As deep as on average, on the equator of both, and the same on both sides of the radial one."""
+    """It has the average depth on the equator of both, and the same depth on both sides of the radial one."""
     for disc, depths, horizontal in ((pictures[0], rinds.across[0], True), (pictures[1], rinds.along[0], False)):
         even = rinds.even(disc, depths, horizontal)
         depth = np.arange(0, 0.4, 0.001)
@@ -63,7 +63,7 @@ def test_quilted_pictures_have_one_rind(rinds: Rinds, pictures: tuple[Disc, Disc
 def test_own_planes_show_their_pictures_as_they_are(
     horizontal: bool, rinds: Rinds, pictures: tuple[Disc, Disc]
 ) -> None:
-    """Where planes of both families meet neither does; the horizontal one is at its height all around."""
+    """Except where planes of both families meet; the horizontal one keeps its height all around."""
     disc, depths = (pictures[0], rinds.across[0]) if horizontal else (pictures[1], rinds.along[0])
     even = rinds.even(disc, depths, horizontal)
     rng = np.random.default_rng(0)
@@ -71,7 +71,7 @@ def test_own_planes_show_their_pictures_as_they_are(
     turn = turn[np.abs(np.sin(turn if horizontal else turn - np.arcsin(HEIGHT))) > 0.2]
     at = np.stack([radius[: len(turn)] * np.cos(turn), radius[: len(turn)] * np.sin(turn)], -1)
     points = in_plane(at, horizontal)
-    if horizontal:  # at its height, at the same angles and distances from the middle
+    if horizontal:  # at the picture's height, at the same angles and distances from the middle
         points = np.column_stack([at * np.sqrt(1 - HEIGHT**2), HEIGHT * np.hypot(*at.T)]).astype(np.float32)
     moved = rinds.evened(points)
     scale = np.linalg.norm(moved, axis=1) / np.linalg.norm(points, axis=1)
@@ -80,7 +80,7 @@ def test_own_planes_show_their_pictures_as_they_are(
 
 
 def test_between_planes_a_rind_has_no_step(rinds: Rinds) -> None:
-    """And far from all planes it is as deep as the pictures have it together."""
+    """Far from all planes it has the depth common to the pictures."""
     turn = np.linspace(0, 2 * np.pi, 721)
     points = np.stack([0.87 * np.cos(turn), 0.87 * np.sin(turn), np.full_like(turn, -0.4)], -1)
     points *= 0.86 / np.linalg.norm(points, axis=1)[:, None]
@@ -107,7 +107,7 @@ def test_alike_rinds_are_left_alone() -> None:
 
 
 def test_each_radial_picture_has_its_own_plane() -> None:
-    """The second of two is at a right angle to the first, of however many there may be."""
+    """The second picture of two is at a right angle to the first, however many there may be."""
     thin, thick = drawn(0.1, 0.1), drawn(0.2, 0.2)
     rinds = Rinds.of([], [thin, thick], 0.0, 3)
     points = 0.85 * np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]], np.float32)

@@ -1,4 +1,4 @@
-"""Seeds of a face, found and laid whole: against drawn ellipses and stereology's closed forms."""
+"""Seeds of a face, found and placed as whole solids: against drawn ellipses and the closed forms of stereology."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ RING = 0.5
 
 
 def face(seeds: list[tuple[float, float, float]], axes: tuple[float, float] = AXES) -> Disc:
-    """Flesh with a rind and dark ellipses at (x, y) with their longer axes in a direction, and some grain."""
+    """Flesh with a rind, some grain, and dark ellipses (x, y, direction of the longer axis)."""
     x, y = disc_grid()
     rgb = np.where((np.hypot(x, y) > 0.92)[..., None], RIND, FLESH)
     for u, v, turn in seeds:
@@ -58,7 +58,7 @@ def test_drawn_seeds_are_found_as_they_lie() -> None:
 
 
 def test_seeds_that_touch_are_several() -> None:
-    """A row as melons have it, joined by what is half as dark."""
+    """A row as in melons, joined by places half as dark."""
     row = [(0.5, y, 0.0) for y in np.arange(-0.2, 0.21, 0.08)]
     disc = face(row)
     x, y = disc_grid()
@@ -84,8 +84,8 @@ def test_without_its_seeds_a_face_is_flesh() -> None:
 
 @pytest.mark.parametrize("horizontal", [True, False])
 def test_cuts_show_as_many_seeds_as_pictures_and_as_large(horizontal: bool) -> None:
-    """Ellipsoids by Saltykov's rule: as many cuts in an area as the picture has, and of the same area, in planes that
-    nobody asked for; in radial ones where the picture has them."""
+    """Ellipsoids by Saltykov's rule: in held-out planes, as many cuts per area as in the picture, and of the same area;
+    in radial ones where the picture has them."""
     places = around(16) if horizontal else [(0.5, y, 0.0) for y in np.linspace(-0.5, 0.5, 9)]
     things = [found(face(places), horizontal).things(face(places))]
     counts, areas = [], []
@@ -107,7 +107,7 @@ def test_cuts_show_as_many_seeds_as_pictures_and_as_large(horizontal: bool) -> N
 
 
 def test_a_seed_is_whole_in_every_plane_through_it() -> None:
-    """Its cuts are convex and dark all over: an ellipse along the picture, a disc across its longer axis."""
+    """Its cuts are convex and dark throughout: an ellipse along the picture, a disc across its longer axis."""
     disc = face([(0.5, 0.0, 0.0)])
     seeds = found(disc)
     things = [seeds.things(disc)]
@@ -130,7 +130,7 @@ def test_a_seed_is_whole_in_every_plane_through_it() -> None:
 
 @pytest.fixture(scope="module")
 def grown() -> Quilt:
-    """Of two fruits, seeds of the first around the axis, of the second in rows half way up."""
+    """A quilt of two fruits: the first has seeds around the axis, the second in rows half way out."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(quilt, "LEVELS", (16, 32))
         rows = [(x, y, 0.0) for x in (-0.5, 0.5) for y in (-0.2, 0.0, 0.2)]
@@ -143,7 +143,7 @@ def dark(made: Quilt, points: NDArray[np.floating]) -> NDArray[np.bool_]:
 
 def test_own_planes_show_their_seeds_where_they_are(grown: Quilt) -> None:
     for u, v, _ in around(8):
-        if abs(v) > 0.1:  # not where the radial picture's plane crosses
+        if abs(v) > 0.1:  # away from the radial picture's plane
             assert dark(grown, np.array([[u, v, 0.0]])).all()
     assert dark(grown, np.array([[0.5, 0.0, 0.2], [-0.5, 0.0, 0.2], [0.5, 0.0, -0.2]])).all()
 
@@ -156,7 +156,7 @@ def test_seeds_lie_where_both_pictures_have_them(grown: Quilt) -> None:
     radius = np.hypot(*points[:, :2].T)
     assert there.sum() > 100
     assert (np.abs(radius[there] - RING) < 0.2).mean() > 0.98
-    assert (np.abs(points[there, 2]) < 0.4).mean() > 0.8  # 0.45 if heights did not matter
+    assert (np.abs(points[there, 2]) < 0.4).mean() > 0.8  # 0.45 if heights were ignored
 
 
 @pytest.mark.parametrize(
