@@ -30,7 +30,7 @@ from training.priors.exemplar.quilting.disc import (
 )
 from training.priors.exemplar.quilting.persistence import Persistence, find_sheets
 from training.priors.exemplar.quilting.quilt import Quilt, make_quilt
-from training.priors.exemplar.quilting.texture import take_apart
+from training.priors.exemplar.quilting.texture import FINE, take_apart
 
 FLESH, SHEET, SEED = np.array([0.9, 0.5, 0.2]), np.array([1.0, 0.9, 0.7]), np.array([0.15, 0.1, 0.05])
 PAIRS = [("apple_h1", "apple_v1"), ("pomegranate_h1", "pomegranate_v4")]
@@ -237,7 +237,7 @@ def grainy() -> Disc:
 
 def test_texture_is_what_no_thing_is() -> None:
     face = grainy()
-    parts = take_apart(face)
+    parts = take_apart(face, FINE)
     whole = parts.things.rgb + parts.strength.rgb * parts.texture.rgb
     assert np.abs(whole - face.rgb).max() < 1e-5
     x, y = disc_grid()

@@ -20,7 +20,7 @@ from training.priors.exemplar.record import MOST_SEED, MOST_SHEETS, RecordReader
 
 __all__ = ["QUILT", "QuiltInside"]
 
-QUILT = "quilt 3"
+QUILT = "quilt 4"
 """Kind of the record. A plain "quilt" and a "quilt 2" had the same arrays but were other insides, from which their
 atoms were made."""
 

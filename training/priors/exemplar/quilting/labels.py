@@ -19,10 +19,10 @@ from training.priors.exemplar.quilting.disc import (
     ring_medians,
     smooth_disc,
 )
-from training.priors.exemplar.quilting.persistence import Persistence, find_sheets
+from training.priors.exemplar.quilting.persistence import LEAST_SHEET, Persistence, find_sheets
 from training.priors.exemplar.quilting.relief import Relief
 from training.priors.exemplar.quilting.rinds import rind_of
-from training.priors.exemplar.quilting.texture import Parts, take_apart
+from training.priors.exemplar.quilting.texture import FINE, WIDTH, Parts, take_apart
 from training.priors.exemplar.quilting.things.core import Core
 from training.priors.exemplar.quilting.things.grains import Grains
 from training.priors.exemplar.quilting.things.seeds import Seeds
@@ -110,7 +110,12 @@ class Source:
         persistence = Persistence(disc)
         sheets = find_sheets(disc, persistence) if is_horizontal else np.zeros(disc.rgb.shape[:2], np.float32)
         rind = rind_of(disc, is_horizontal)[0]
-        even, parts, relief, grains = _look_closely(disc, is_horizontal, rind)
+        even = _even(disc, is_horizontal)
+        parts, relief = _apart(even, rind, FINE)
+        grains, seeds = Grains.of(parts.things, relief.heights), Seeds.none()
+        if not len(grains.radii):
+            seeds = Seeds.of(relief, is_horizontal, rind)
+            parts, relief = _apart(even, rind, WIDTH, seeds.regions | (sheets > LEAST_SHEET))
         return cls(
             disc,
             even,
@@ -123,7 +128,7 @@ class Source:
             Disc(np.repeat(sheets[..., None], 3, -1)),
             rind,
             grains,
-            Seeds.of(relief, is_horizontal, rind) if not len(grains.radii) else Seeds.none(),
+            seeds,
             Core.none(),
             is_horizontal,
         )
@@ -132,7 +137,9 @@ class Source:
         """The picture with this core, which does not affect its tones."""
         if not core.region.any():
             return self
-        even, parts, relief, _ = _look_closely(self.disc, self.is_horizontal, self.rind, core.region)
+        even = _even(self.disc, self.is_horizontal, core.region)
+        things = self.seeds.regions | (self.sheets.rgb[..., 0] > LEAST_SHEET) | (core.form[..., 0] > 0)
+        parts, relief = _apart(even, self.rind, WIDTH, things)
         hidden = core.region | (relief.closed_until(self.rind) >= 0)
         return replace(
             self,
@@ -144,25 +151,25 @@ class Source:
         )
 
 
-def _look_closely(
-    disc: Disc, is_horizontal: bool, rind: float, hidden: NDArray[np.bool_] | None = None
-) -> tuple[Disc, Parts, Relief, Grains]:
-    """The picture with even tones, its parts, and the relief and the grains of its things. What is `hidden` (P, P) does
-    not affect its tones."""
+def _even(disc: Disc, is_horizontal: bool, hidden: NDArray[np.bool_] | None = None) -> Disc:
+    """The picture with even tones, which what is `hidden` (P, P) does not affect."""
     evened = even_around if is_horizontal else even_sides
     if hidden is None:
-        even = evened(disc)
-    else:
-        toned = Disc(filled_in(disc.rgb, hidden))
-        even = Disc(np.clip(disc.rgb + evened(toned).rgb - toned.rgb, 0, 1))
-    parts = take_apart(even)
-    relief = Relief.of(parts.things, parts.strength, rind)
-    return even, parts, relief, Grains.of(parts.things, relief.heights)
+        return evened(disc)
+    toned = Disc(filled_in(disc.rgb, hidden))
+    return Disc(np.clip(disc.rgb + evened(toned).rgb - toned.rgb, 0, 1))
+
+
+def _apart(even: Disc, rind: float, width: float, things: NDArray[np.bool_] | None = None) -> tuple[Parts, Relief]:
+    """The parts of a picture with even tones and the relief of its things, as `take_apart` has these."""
+    parts = take_apart(even, width, things)
+    return parts, Relief.of(parts.things, parts.strength, rind)
 
 
 def made_of_grains(disc: Disc, is_horizontal: bool) -> bool:
     """Whether a picture shows things that lie close together all over."""
-    return len(_look_closely(disc, is_horizontal, rind_of(disc, is_horizontal)[0])[3].radii) > 0
+    parts, relief = _apart(_even(disc, is_horizontal), rind_of(disc, is_horizontal)[0], FINE)
+    return len(Grains.of(parts.things, relief.heights).radii) > 0
 
 
 @dataclass(frozen=True)
