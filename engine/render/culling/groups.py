@@ -65,13 +65,13 @@ def bounding_planes(piece: Piece, solid: Solid) -> Double | None:
     planes = stack(piece.planes)
     planes[:, 3] += planes[:, :3] @ solid.centre
     # A plane that misses the object keeps all of it or nothing.
-    if (planes[:, 3] > solid.radius).any():
+    extent = np.abs(planes[:, :3]) @ solid.box[1]
+    if (planes[:, 3] > extent).any():
         return None
-    planes = planes[planes[:, 3] >= -solid.radius]
+    planes = planes[planes[:, 3] > -extent]
     if len(planes) > 1:
-        polygons = face_polygons(planes, *solid.box)
-        bounding = np.array([len(p) >= 3 for p in polygons])
-        if not bounding.any() and len(planes):
+        bounding = np.array([len(polygon) >= 3 for polygon in face_polygons(planes, *solid.box)])
+        if not bounding.any():
             return None  # no plane bounds the piece anywhere: the half-spaces have no point in common
         planes = planes[bounding]
     if len(planes) > MAX_PLANES:

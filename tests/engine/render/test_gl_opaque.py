@@ -184,6 +184,19 @@ def test_a_cut_that_misses_changes_nothing(renderer: Renderer) -> None:
         assert not gone.alpha.any()
 
 
+def test_several_cuts_that_miss_something_long_change_nothing(renderer: Renderer) -> None:
+    """Planes that pass beside the object, yet nearer to its middle than its ends are."""
+    made = ball(1 / 16)
+    thin = np.array([0.2, 1, 0.2], np.float32)
+    skin, inside = (replace(part, means=part.means * thin) for part in (made.surface, made.interior))
+    renderer.set_atoms(replace(made, surface=skin, interior=inside))
+    camera = around(20, 30)
+    whole = draw(renderer, camera)
+    beside = Plane.of((1, 0, 0), -0.4), Plane.of((-1, 0, 0), -0.4)
+    assert np.array_equal(draw(renderer, camera, Piece(beside)).rgb, whole.rgb)
+    assert not draw(renderer, camera, Piece((beside[0], beside[1].flipped()))).alpha.any()
+
+
 def test_order_does_not_matter(renderer: Renderer) -> None:
     atoms = ball(1 / 20, degree=2)
     camera, pieces = around(20, 30), (Piece((Plane.of((0, 0.2, 1), 0.1),)),)
