@@ -118,7 +118,7 @@ def _check_form(out: Path, fps: float, transparent: bool) -> None:
         raise InputError(f"{out}: {suffix} has no transparency; choose .webp or a folder, or another --background")
     fastest = FASTEST_GIF if suffix == ".gif" else FASTEST
     if not 0.1 <= fps <= fastest:
-        raise InputError(f"--fps {fps:g}: give a number from 0.1 to {fastest:g}")
+        raise InputError(f"{out}: {fps:g} frames a second; give --fps a number from 0.1 to {fastest:g}")
 
 
 def is_project(path: Path) -> bool:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 import shutil
 import subprocess
@@ -15,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
+from app.model.measure.units import Unit, round_length
 from app.model.pieces import PlacedPiece, Solid
 from app.model.rigid_transform import Vec3
 from engine.errors import InputError
@@ -80,8 +80,11 @@ def save_still(path: Path, rgba: NDArray[np.uint8], transparent: bool = True) ->
         image.save(temporary)
 
 
-def section_picture(draw: Draw, plane: Plane, uncut: Piece, up: Vec3, solid: Solid, size: int) -> NDArray[np.uint8]:
-    """(H, W, 4). The cut face of the object `uncut`, seen straight on, with a scale bar below and nothing else around.
+def section_picture(
+    draw: Draw, plane: Plane, uncut: Piece, up: Vec3, solid: Solid, size: int, unit: Unit
+) -> NDArray[np.uint8]:
+    """(H, W, 4). The cut face of the object `uncut`, seen straight on, with a scale bar in the user's `unit` below and
+    nothing else around.
 
     The face fills the picture: its longer side is `size` pixels less a margin. Raises InputError if the plane misses
     the object.
@@ -101,14 +104,13 @@ def section_picture(draw: Draw, plane: Plane, uncut: Piece, up: Vec3, solid: Sol
     cx, cy = (np.array([camera.cx, camera.cy]) - ends.mean(0)) * zoom + (width / 2, height / 2)
     scale = camera.fx * zoom
     close = replace(camera, fx=scale, fy=scale, cx=float(cx), cy=float(cy), width=width, height=height)
-    return np.concatenate([draw(close, slice_), scale_bar(width, scale)])
+    return np.concatenate([draw(close, slice_), scale_bar(width, scale, unit)])
 
 
-def scale_bar(width: int, scale: float) -> NDArray[np.uint8]:
-    """(H, width, 4). A bar of a round length, labelled in units of the file. `scale`: pixels per unit."""
-    longest = 0.4 * width / scale
-    power = 10.0 ** math.floor(math.log10(longest))
-    length = max(step * power for step in (1, 2, 5) if step * power <= longest)
+def scale_bar(width: int, scale: float, unit: Unit) -> NDArray[np.uint8]:
+    """(H, width, 4). A bar of a length that is round in the user's `unit`. `scale`: pixels per unit of the file."""
+    scale /= unit.length
+    length = round_length(0.4 * width / scale)
     line = max(2, width // 300)
     text = max(11, width // 40)
     image = Image.new("RGBA", (width, 2 * text + 2 * line))
@@ -118,7 +120,7 @@ def scale_bar(width: int, scale: float) -> NDArray[np.uint8]:
     for x in (left, right - line):
         pen.rectangle((x, bottom - 3 * line, x + line, bottom - 1), fill=SCALE_RGB)
     place = (right + text // 2, bottom)
-    pen.text(place, f"{length:g} units", fill=SCALE_RGB, font=ImageFont.load_default(text), anchor="ls")
+    pen.text(place, f"{length:g} {unit.name}", fill=SCALE_RGB, font=ImageFont.load_default(text), anchor="ls")
     return np.asarray(image)
 
 

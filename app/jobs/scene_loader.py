@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from app.model.pieces import Solid
 from app.model.rigid_transform import Vec3
+from app.translation import _
 from engine.errors import InputError
 from engine.io.fields import Fields
 from engine.io.mapped import map_arrays
@@ -92,7 +93,7 @@ class SceneLoader:
 
     def __init__(self, request: SceneRequest) -> None:
         self.request = request
-        self.stage = f"Opening {request.scene.name}"
+        self.stage = _("Opening {name}").format(name=request.scene.name)
         """What is being done, in words."""
         self.fraction = 0.0
         """Part that is done. Range [0, 1]."""
@@ -211,7 +212,7 @@ class SceneLoader:
         """Reads the inside of the trained object whose atoms have arrived."""
         from training.priors.inside_file import read_inside  # only trained objects need its kernels
 
-        self._queue.put(({"stage": "Reading the inside", "part": 0.9}, {}))
+        self._queue.put(({"stage": _("Reading the inside"), "part": 0.9}, {}))
         inside, notes = None, []
         try:
             inside = read_inside(self.request.trained or self.request.scene)

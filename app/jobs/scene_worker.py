@@ -22,6 +22,7 @@ from scipy.spatial import cKDTree
 
 from app.jobs.coarse_picture import coarse_picture
 from app.jobs.warmup import warm_up
+from app.translation import _
 from engine.errors import InputError
 from engine.io.fields import Fields
 from engine.io.files import WRITE_ERRORS, reason
@@ -64,7 +65,7 @@ def main() -> None:
                 _send_trained(Path(trained), folder, capture=False)
             else:
                 detail = DETAILS[request["detail"]]
-                _write_line(stage="Finding the body", part=0.15)
+                _write_line(stage=_("Finding the body"), part=0.15)
                 enclosure = find_enclosure(gaussians, detail.cells, path.name)
                 del gaussians  # once there is a shell, a large capture need not stay in memory
                 _solidify(enclosure, up, detail, request["seed"], folder)
@@ -83,10 +84,10 @@ def _load_capture(
 
     `isolation`: None leaves out the surroundings, if there are any.
     """
-    _write_line(stage=f"Reading {path.name}", part=0.02)
+    _write_line(stage=_("Reading {name}").format(name=path.name), part=0.02)
     coarse = coarse_picture(path)
     if coarse is not None:
-        _, gone, seen = _left_out(coarse.gaussians, isolation)
+        gone, seen = _left_out(coarse.gaussians, isolation)[1:]
         rows = ~gone
         if rows.any():
             up = detect_up(seen, coarse.file_axes)
@@ -124,14 +125,14 @@ def _solidify(enclosure: Enclosure, up: NDArray[np.float64], detail: Detail, see
         _send_atoms(folder, atoms, facts)
         return atoms
 
-    _write_line(stage="Making it solid", part=0.3)
+    _write_line(stage=_("Making it solid"), part=0.3)
     if detail.cells > DRAFT.cells:
         make_solid(DRAFT)
         # From here on the object can be cut; what follows only makes it look like the capture.
         load_torch()
-        _write_line(stage="Making it finer", part=0.4)
+        _write_line(stage=_("Making it finer"), part=0.4)
     atoms = make_solid(detail)
-    _write_line(stage="Matching the skin", part=0.6)
+    _write_line(stage=_("Matching the skin"), part=0.6)
     _send_atoms(folder, matched(atoms, enclosure, up, seed), facts)
 
 
@@ -157,7 +158,7 @@ def plain_inside(surface: SurfaceAtoms, interior: InteriorAtoms, body: Body, pit
     near = depth < 1.5 * SKIN_PITCHES * pitch
     if len(surface) and near.any():
         skin = np.clip(sh_to_rgb(surface.sh[:, 0]), 0, 1).astype(np.float32)
-        _, rows = cKDTree(surface.means).query(interior.means[near], k=min(4, len(surface)))
+        rows = cKDTree(surface.means).query(interior.means[near], k=min(4, len(surface)))[1]
         colour = skin[rows].mean(1) if rows.ndim == 2 else skin[rows]
         weight = np.clip(1.5 - depth[near] / (SKIN_PITCHES * pitch), 0, 1)[:, None].astype(np.float32)
         rgb[near] += weight * (colour - rgb[near])
@@ -165,7 +166,7 @@ def plain_inside(surface: SurfaceAtoms, interior: InteriorAtoms, body: Body, pit
 
 
 def _send_trained(path: Path, folder: Path, capture: bool) -> None:
-    _write_line(stage=f"Reading {path.name}", part=0.3)
+    _write_line(stage=_("Reading {name}").format(name=path.name), part=0.3)
     atoms, meta = load_trained(path)
     axis: dict[str, Any] = {"up": list(meta.up), "reason": "as trained"} if capture else {}
     _send_atoms(folder, atoms, {"notes": [], "trained": True, **axis})

@@ -25,6 +25,7 @@ from app.model.document import Document
 from app.model.project import SUFFIX, Project, Viewing, load_project, save_project
 from app.model.rigid_transform import Vec3
 from app.model.settings import state_folder
+from app.translation import _
 from engine.errors import InputError, one_line
 from engine.io.files import atomic, open_file, read_file, reason, write_json
 from engine.processes import start_python
@@ -50,16 +51,18 @@ NOTE_LIMIT = 1 << 16
 def missing_for_training(document: Document) -> str:
     """What the user still has to provide before training can start; empty if nothing is missing."""
     if document.scene is None:
-        return "Open an object first."
+        return _("Open an object first.")
     if document.training.prior == "stable-diffusion":
         if document.training.model is None:
-            return "Choose the folder of a Stable Diffusion depth model, under More."
+            return _("Choose the folder of a Stable Diffusion depth model, under More.")
         if not document.families:
-            return "Add a family of cuts first."
+            return _("Add a family of cuts first.")
     elif not any(family.exemplars for family in document.families):
-        return "Add a picture of a cut face first: drop one on a family, or choose one."
+        return _("Add a picture of a cut face first: drop one on a family, or choose one.")
     absent = [path for family in document.families for path in family.exemplars if not path.is_file()]
-    return f"The picture {absent[0].name} is no longer there. Remove it or put it back." if absent else ""
+    if not absent:
+        return ""
+    return _("The picture {name} is no longer there. Remove it or put it back.").format(name=absent[0].name)
 
 
 def request_for(document: Document, up: Vec3) -> Request:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
+from app.translation import _
+
 __all__ = ["Entry", "History"]
 
 T = TypeVar("T")
@@ -24,7 +26,7 @@ class History(Generic[T]):
     """A list of states with a cursor, of unlimited length."""
 
     def __init__(self, state: T) -> None:
-        self.entries: list[Entry[T]] = [Entry("Open", state)]
+        self.entries: list[Entry[T]] = [Entry(_("Open"), state)]
         self.cursor = 0
         self.saved: T | None = state
 

@@ -287,7 +287,7 @@ class IsolationController:
                 workspace.notify(_("This is one object: no part of it stands apart and has an inside of its own."))
             return
         untouched = not workspace.history.changed
-        self._split(f"{len(selections)} objects", same[0], selections)
+        self._split(_("{count} objects").format(count=len(selections)), same[0], selections)
         if untouched and len(workspace.history.entries) == 2:  # just opened: no work of the user would be lost
             workspace.history.saved = workspace.history.state
         workspace.notify(

@@ -254,9 +254,10 @@ def main(arguments: list[str] | None = None) -> None:
     folder = out_folder(options)
     if shutil.which("splat-transform") is None:
         print("splat-transform is not on the PATH; its rows will be missing")
-    rows = measure(QUICK_ATOMS if options.quick else ATOMS)
+    atoms = QUICK_ATOMS if options.quick else ATOMS
+    rows = measure(atoms)
     if folder is not None:
-        write_json(folder / "formats.json", {"atoms_out": ATOMS, "atoms_in": QUICK_ATOMS, "rows": rows})
+        write_json(folder / "formats.json", {"atoms_out": atoms, "atoms_in": QUICK_ATOMS, "rows": rows})
 
 
 if __name__ == "__main__":

@@ -24,6 +24,7 @@ from app.jobs.export import (
     section_picture,
 )
 from app.model.document import WHOLE, Document, Part
+from app.model.measure.units import Unit
 from app.model.pieces import Cell, PlacedPiece, Solid, pieces
 from app.model.rigid_transform import Motion
 from engine.errors import InputError
@@ -151,8 +152,8 @@ def test_a_cut_face_fills_its_picture_with_a_scale_below() -> None:
         inside = (((plane_points(camera, plane) - 5.0) / axes) ** 2).sum(2) <= 1
         return np.repeat((inside * 255).astype(np.uint8)[..., None], 4, 2)
 
-    picture = section_picture(draw, plane, Piece(), (0.0, 0.0, 1.0), solid, 500)
-    face = picture[: picture.shape[0] - scale_bar(picture.shape[1], 100.0).shape[0]]
+    picture = section_picture(draw, plane, Piece(), (0.0, 0.0, 1.0), solid, 500, Unit())
+    face = picture[: picture.shape[0] - scale_bar(picture.shape[1], 100.0, Unit()).shape[0]]
     assert max(face.shape[:2]) == 500 and abs(min(face.shape[:2]) - (480 * 0.6 + 20)) <= 6
     alpha = face[..., 3] == 255
     for axis in (0, 1):
@@ -163,7 +164,7 @@ def test_a_cut_face_fills_its_picture_with_a_scale_below() -> None:
     unit = 480 / (2 * np.sqrt(0.75))
     assert any(abs(pixels - length * unit) <= 4 for length in (0.1, 0.2, 0.5))
     with pytest.raises(InputError, match="does not meet"):
-        section_picture(draw_nothing, plane, Piece(), (0.0, 0.0, 1.0), solid, 500)
+        section_picture(draw_nothing, plane, Piece(), (0.0, 0.0, 1.0), solid, 500, Unit())
 
 
 def draw_nothing(camera: Camera, _: Sequence[Piece]) -> NDArray[np.uint8]:

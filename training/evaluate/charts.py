@@ -46,7 +46,8 @@ def bars(facts: Facts, key: str, scenes: list[str]) -> bytes:
     width = 0.8 / max(len(scenes), 1)
     shades = np.linspace(0.45, 1.0, len(scenes))
     for number, scene in enumerate(scenes):
-        heights = [facts[m].get(scene, {}).get(key) or np.nan for m in methods]
+        found = [facts[m].get(scene, {}).get(key) for m in methods]
+        heights = [np.nan if height is None else height for height in found]
         places = np.arange(len(methods)) + (number - (len(scenes) - 1) / 2) * width
         panel.bar(places, heights, width, color=[colour(m) for m in methods], alpha=shades[number], label=scene)
     known = [row[key] for of in facts.values() for row in of.values() if row.get(key)]

@@ -106,9 +106,8 @@ class Exporter:
 
     def _section(self, options: Options, path: Path) -> None:
         session = self.session
-        picture = section_picture(
-            self._draw, self._plane(), self._uncut(), session.up, session.solid, max(options.width, 64)
-        )
+        size, unit = max(options.width, 64), session.viewing.unit
+        picture = section_picture(self._draw, self._plane(), self._uncut(), session.up, session.solid, size, unit)
         save_still(path, picture, options.transparent)
         session.notify(_("Saved {name}.").format(name=path.name))
 
@@ -116,7 +115,7 @@ class Exporter:
         """The plane of the active cut, or else of the last straight one; raises InputError if there is none."""
         cuts = [cut for cut in self.session.document.cuts if not cut.curved]
         if not cuts:
-            raise InputError("This needs a straight cut. Cut the object or add a plane first.")
+            raise InputError(_("This needs a straight cut. Cut the object or add a plane first."))
         cut = next((cut for cut in cuts if cut.id == self.session.active_cut), cuts[-1])
         return cut.plane(cut.parts[0])
 
@@ -124,7 +123,7 @@ class Exporter:
         session = self.session
         solids = session.solids
         if not solids:
-            raise InputError("There is no solid to save yet.")
+            raise InputError(_("There is no solid to save yet."))
         pieces = [(solids[session.documents[m.index].number], m.piece) for m in session.members]
         if not options.separate:
             count = save_pieces(path, pieces, session.view_up)
@@ -142,7 +141,7 @@ class Exporter:
         session = self.session
         members = [m for m in session.members if m.index == session.active and session.is_cut(m)]
         if session.atoms is None or not members:
-            raise InputError("There is no piece to save; show or select one.")
+            raise InputError(_("There is no piece to save; show or select one."))
         colours = Colours(session.atoms, session.loaded[session.document.number].inside)
         work = partial(
             save_meshes,

@@ -35,8 +35,8 @@ FASTEST_GIF = 50.0
 
 GROUNDS: dict[Background, str] = {
     "window": _("as in the window"),
-    "white": "white",
-    "black": "black",
+    "white": _("white"),
+    "black": _("black"),
     "own": _("a colour"),
     "transparent": _("transparent"),
 }
@@ -73,7 +73,7 @@ class FilmWindow:
         look = self.session.viewing.film
         named = {size: f"{size[0]} x {size[1]}" for size in SIZES}
         row_label(_("Size"), 132)
-        size = _choice("##size", look.size, named | ({} if look.size in named else {look.size: "other"}))
+        size = _choice("##size", look.size, named | ({} if look.size in named else {look.size: _("other")}))
         row_label("", 132)
         changed, sides = imgui.input_int2("##sides", list(size))
         size = (bounded(sides[0]), bounded(sides[1])) if changed else size

@@ -50,7 +50,7 @@ def axis_name(axis: Vec3) -> str:
     for name, known in AXES.items():
         if np.dot(known, axis) > 0.9999:
             return name
-    return "tilted"
+    return _("tilted")
 
 
 class Inspector:

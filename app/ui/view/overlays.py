@@ -116,7 +116,7 @@ def family_names(
         text = FAMILY_TITLES[family.kind]
         if family.exemplars:
             more = len(family.exemplars) - 1
-            text += f": {family.exemplars[0].stem}" + (f" and {more} more" if more else "")
+            text += f": {family.exemplars[0].stem}" + (_(" and {count} more").format(count=more) if more else "")
         size = imgui.calc_text_size(text)
         left = px(14) if x > 0 else -size.x - px(14) if x < 0 else -size.x / 2
         high = -size.y - px(14) if y < 0 else -size.y / 2

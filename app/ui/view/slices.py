@@ -207,7 +207,7 @@ class SliceViews:
         texture = self._texture(index)
         face = self.reader.faces[index]
         if texture is None or face is None:
-            word = "reading..." if self.session.atoms is not None else _("not solid yet")
+            word = _("reading...") if self.session.atoms is not None else _("not solid yet")
             text = imgui.calc_text_size(word)
             at = ImVec2(origin.x + (size[0] - text.x) / 2, origin.y + (size[1] - text.y) / 2)
             draw.add_text(at, u32(palette().second), word)

@@ -113,7 +113,7 @@ def test_films_and_backgrounds_open_again(trained: Path, tmp_path: Path, monkeyp
         ("a.avi", ("--film", "turntable"), "a film is saved as"),
         ("a.gif", ("--film", "explode"), "give the planes"),
         ("a.gif", ("--film", "dance"), "--film dance: give turntable"),
-        ("a.gif", ("--film", "turntable", "--fps", "0"), "--fps 0"),
+        ("a.gif", ("--film", "turntable", "--fps", "0"), "0 frames a second"),
         ("a.gif", ("--film", "turntable", "--seconds", "nan"), "--seconds nan"),
         ("a.gif", ("--film", "none.json"), "none.json: there is no such file"),
         ("a.gif", ("--film", "none.json", "--plane", "0,0,1,0"), "of their own"),

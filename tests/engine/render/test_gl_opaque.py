@@ -188,8 +188,8 @@ def test_several_cuts_that_miss_something_long_change_nothing(renderer: Renderer
     """Planes that pass beside the object, yet nearer to its middle than its ends are."""
     made = ball(1 / 16)
     thin = np.array([0.2, 1, 0.2], np.float32)
-    skin, inside = (replace(part, means=part.means * thin) for part in (made.surface, made.interior))
-    renderer.set_atoms(replace(made, surface=skin, interior=inside))
+    skin = replace(made.surface, means=made.surface.means * thin)
+    renderer.set_atoms(Atoms(skin, replace(made.interior, means=made.interior.means * thin), made.pitch))
     camera = around(20, 30)
     whole = draw(renderer, camera)
     beside = Plane.of((1, 0, 0), -0.4), Plane.of((-1, 0, 0), -0.4)

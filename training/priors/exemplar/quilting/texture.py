@@ -83,12 +83,12 @@ def take_apart(disc: Disc, width: float, things: NDArray[np.bool_] | None = None
     radius = np.hypot(*disc_grid())
     everywhere = np.median(strongest[(radius > FLESH[0]) & (radius < FLESH[1])])
     usual = np.minimum(enlarged(Medians(strongest[..., None]).over(AROUND))[..., 0], everywhere)
-    weight = 1 - smoothstep(strongest / (usual + 0.002), *STRONG)
+    weight = (1 - smoothstep(strongest / (usual + 0.002), *STRONG)).astype(np.float32)
     if things is not None:
         weight *= 1 - halo(things)
     texture = residual * weight[..., None]
     power = np.square(texture).sum(-1)
-    strength = np.sqrt(_around(power) / (_around(weight) + 0.05)) + 0.001
+    strength = np.sqrt(_around(power) / (_around(weight) + np.float32(0.05))) + np.float32(0.001)
     return Parts(Disc(disc.rgb - texture), Disc(texture / strength), Disc(strength))
 
 
