@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from app.jobs.export import ANIMATIONS, RATE, save_animation
+from app.jobs.export import ANIMATIONS, FASTEST_GIF, RATE, save_animation
 from app.jobs.film.frame_folder import save_frames
 from app.jobs.film.project_film import Filmed, Shooting, save_project_film
 from app.jobs.results import find_result
@@ -45,8 +45,8 @@ PLAIN = (1.0, 1.0, 1.0)
 SECONDS = 6.0
 """Default length of a film: slow enough to see what turns past."""
 
-FASTEST, FASTEST_GIF = 120.0, 50.0
-"""Most frames a second, of screens and of GIFs. GIFs count in 1/100 s; browsers show a frame of 1/100 s for 1/10 s."""
+FASTEST = 120.0
+"""Most frames a second: those of fast screens."""
 
 SIDECAR_LIMIT = 1 << 24
 """Bytes of the largest sidecar that is read for its hash; a real one has a few KB."""

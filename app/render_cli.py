@@ -27,7 +27,7 @@ from fruitninja.drawing import LARGEST, MARGIN, Rgb, camera_for, default_angles,
 from fruitninja.solid import open_solid
 from training.priors.inside_file import read_inside
 
-__all__ = ["default_angles", "main"]
+__all__ = ["main"]
 
 NAMED: dict[str, Rgb | None] = {"white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0), "transparent": None}
 

@@ -16,7 +16,7 @@ from engine.render.cpu.opaque import render_pieces
 from engine.render.face_detail import Detailed, detailed, straight_face
 from engine.render.gl import GLMissing, Renderer
 from engine.scene.atoms import Atoms
-from engine.scene.camera import Camera, equator, fit_distance, orbit, plane_points, section
+from engine.scene.camera import SECTION_WIDTH, Camera, equator, fit_distance, orbit, plane_points, section
 from engine.scene.image import Picture, to_8bit
 from engine.scene.inside import Inside
 from engine.scene.piece import Piece
@@ -49,9 +49,6 @@ Rgb = tuple[float, float, float]
 
 Draw = Callable[[Camera, Sequence[Piece], Rgb, bool], Picture]
 """Draws pieces over a background colour, with or without light on their faces."""
-
-NEARER = 1.02
-"""Width of the picture of `engine.scene.camera.section`, in diameters of what it is asked to show."""
 
 
 @contextmanager
@@ -115,7 +112,7 @@ def draw_section(
     """The cut face in `plane` seen straight on, over black, without what `planes` cut away. It is drawn from the atoms
     of `field`, which have this pitch, or read from `inside`. The picture has `size` pixels a side and is `width` world
     units wide; None: as wide as the bounds need."""
-    view = section(plane, up, bounds, size, None if width is None else width / (2 * NEARER))
+    view = section(plane, up, bounds, size, None if width is None else width / (2 * SECTION_WIDTH))
     picture = straight_face(field, pitch, view, plane)
     if inside is not None:
         picture = detailed(picture, view, [Piece((plane,))], [Detailed(inside, pitch)], light=False)

@@ -31,6 +31,7 @@ from engine.scene.plane import Plane
 
 __all__ = [
     "ANIMATIONS",
+    "FASTEST_GIF",
     "RATE",
     "Draw",
     "ffmpeg",
@@ -58,6 +59,9 @@ SCALE_RGB = (128, 128, 128)
 
 RATE = 25
 """Default frames a second: as smooth as cinema film, in half the file size of a higher rate."""
+
+FASTEST_GIF = 50.0
+"""Most frames a second of a GIF, which counts in 1/100 s; browsers show a frame of 1/100 s for 1/10 s."""
 
 MOST_BYTES = 3 << 30
 """Most bytes of the frames of a WebP or GIF, all of which are in memory: what a machine with 8 GB can spare."""

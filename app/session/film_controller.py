@@ -31,7 +31,7 @@ from app.translation import _, ngettext
 from engine.errors import InputError
 from engine.scene.plane import Plane
 
-__all__ = ["FilmController"]
+__all__ = ["PRESETS", "FilmController"]
 
 STEP = 2.0
 """Seconds between the last moment and one added after it: slow enough for the eye to follow any change."""
@@ -39,7 +39,7 @@ STEP = 2.0
 SECONDS = 6.0
 """Length of a film that is made at a click, the same as on the command line."""
 
-MADE = {"turntable": _("Turntable"), "sweep": _("Plane sweep"), "explode": _("Explosion")}
+PRESETS = {"turntable": _("Turntable"), "sweep": _("Plane sweep"), "explode": _("Explosion")}
 """Names of the steps that make a film."""
 
 
@@ -173,7 +173,7 @@ class FilmController:
         else:
             cut_id, plane = self._swept()
             made = sweeping(now, SECONDS, workspace.document.number, cut_id, plane, workspace.solid)
-        self._change(MADE[name], made)
+        self._change(PRESETS[name], made)
         self.selected = None
         self.seek(0.0)
         self.play()

@@ -13,6 +13,7 @@ from imgui_bundle import imgui
 from app.model.camera_control import AXIS_VIEWS
 from app.model.project import SUFFIX
 from app.model.samples import sample_document
+from app.session.film_controller import PRESETS
 from app.session.session import Session
 from app.session.workspace import TOOLS
 from app.translation import _
@@ -21,7 +22,6 @@ from app.ui.dialogs.export_window import ExportWindow
 from app.ui.dialogs.file_dialogs import FileDialogs
 from app.ui.dialogs.slices_window import SlicesWindow
 from app.ui.film.film_window import FilmWindow
-from app.ui.film.timeline import PRESETS
 from app.ui.panels.inspector import Inspector
 from app.ui.panels.view_options import SWITCHES
 from app.ui.shortcuts import show_shortcuts

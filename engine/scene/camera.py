@@ -15,7 +15,20 @@ from numpy.typing import ArrayLike, NDArray
 
 from engine.scene.plane import Plane
 
-__all__ = ["Camera", "cameras_around", "equator", "fit_distance", "look_at", "orbit", "plane_points", "section"]
+__all__ = [
+    "SECTION_WIDTH",
+    "Camera",
+    "cameras_around",
+    "equator",
+    "fit_distance",
+    "look_at",
+    "orbit",
+    "plane_points",
+    "section",
+]
+
+SECTION_WIDTH = 1.02
+"""Width of the picture of `section`, in diameters of what it is asked to show."""
 
 
 @dataclass(frozen=True)
@@ -156,7 +169,7 @@ def section(
     matrix[:3, :3] = np.stack([np.cross(upward, n), -upward, -n])
     diagonal = float(np.linalg.norm(high - low))
     matrix[:3, 3] = -matrix[:3, :3] @ (foot + n * diagonal)
-    scale = size / (1.02 * (diagonal if radius is None else 2 * radius))
+    scale = size / (SECTION_WIDTH * (diagonal if radius is None else 2 * radius))
     return Camera(matrix, scale, scale, size / 2, size / 2, size, size, orthographic=True)
 
 

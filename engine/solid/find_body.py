@@ -97,9 +97,9 @@ def find_body(gaussians: Gaussians, cells: int = 128, name: str = "scene") -> En
             f"{name}: no closed body found; the {len(shell)} Gaussians enclose nothing (flat, too open or too thin)"
         )
     opacity, inside, depth, cap_faces = found
-    if cap_faces >= 1e-3 * np.count_nonzero(inside ^ ndimage.binary_erosion(inside)):
-        skin_faces = np.count_nonzero(inside) - np.count_nonzero(ndimage.binary_erosion(inside))
-        notes.append(f"the shell is open: holes, {cap_faces / (cap_faces + skin_faces):.1%} of its skin, were closed")
+    skin_cells = np.count_nonzero(inside ^ ndimage.binary_erosion(inside))
+    if cap_faces >= 1e-3 * skin_cells:
+        notes.append(f"the shell is open: holes, {cap_faces / (cap_faces + skin_cells):.1%} of its skin, were closed")
     enclosing = float((depth[opacity >= CORE_OPACITY] > -SKIN * grid.cell).mean())
     if enclosing < 0.5:
         notes.append(f"only {enclosing:.0%} of what is shown encloses an inside; the rest is a skin without one")

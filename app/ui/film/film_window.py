@@ -8,7 +8,7 @@ from typing import TypeVar
 
 from imgui_bundle import ImVec2, imgui
 
-from app.jobs.export import ffmpeg
+from app.jobs.export import FASTEST_GIF, ffmpeg
 from app.model.film.motion import frame_count
 from app.model.film.timeline import BACKGROUNDS, Background
 from app.model.rigid_transform import Vec3
@@ -29,9 +29,6 @@ SIZES = ((1280, 720), (1920, 1080), (2560, 1440), (3840, 2160), (1080, 1080), (1
 """Width and height in pixels, as screens and feeds use them."""
 
 RATES = (12.0, 24.0, 25.0, 30.0, 50.0, 60.0)
-
-FASTEST_GIF = 50.0
-"""Most frames a second of a GIF, which counts in 1/100 s; browsers show a frame of 1/100 s for 1/10 s."""
 
 GROUNDS: dict[Background, str] = {
     "window": _("as in the window"),

@@ -8,15 +8,15 @@ from dataclasses import replace
 from imgui_bundle import ImVec2, imgui
 from imgui_bundle import icons_fontawesome_6 as icon
 
+from app.session.film_controller import PRESETS
 from app.session.session import Session
 from app.translation import _
 from app.ui.film.film_window import FilmWindow
 from app.ui.theme import palette, px, rgba, u32
 from app.ui.widgets import colours, disabled, icon_button, secondary, tooltip
 
-__all__ = ["PRESETS", "TimelinePanel"]
+__all__ = ["TimelinePanel"]
 
-PRESETS = {"turntable": _("Turntable"), "sweep": _("Plane sweep"), "explode": _("Explosion")}
 
 HEIGHT = 96.0
 """Height of the panel at 96 DPI."""
@@ -37,7 +37,6 @@ class TimelinePanel:
         self.session, self.window = session, window
         self._span = SHORTEST
         """Seconds that the ruler shows, which stay the same while something is dragged."""
-        self._dragged = False
 
     @property
     def height(self) -> float:
@@ -207,11 +206,10 @@ class TimelinePanel:
         imgui.invisible_button(f"##key{index}", ImVec2(2 * reach, px(24)))
         hovered, active = imgui.is_item_hovered(), imgui.is_item_active()
         if imgui.is_item_activated():
-            self._dragged, film.playing = False, False
+            film.playing = False
             film.seek(session.timeline.moments[index].time)
             film.selected = index
         if active and imgui.is_mouse_dragging(imgui.MouseButton_.left, px(3)):
-            self._dragged = True
             film.move(index, time_at(imgui.get_mouse_pos().x))
             film.time = session.timeline.moments[index].time
         one = session.timeline.moments[index]

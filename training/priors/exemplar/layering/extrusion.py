@@ -49,11 +49,6 @@ class Extrusion:
     correction: Correction | None = None
     """Correction by radial pictures."""
 
-    @property
-    def sheets(self) -> list[Sheet]:
-        """All sheets that it reads."""
-        return [self.sheet, *([] if self.correction is None else self.correction.sheets)]
-
     def reduced(self, n: int) -> Extrusion:
         """The same extrusion with pixels n times as large in its pictures."""
         correction = None if self.correction is None else self.correction.reduced(n)

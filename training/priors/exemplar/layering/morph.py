@@ -15,7 +15,7 @@ from training.priors.exemplar.frames import ScaledPicture
 from training.priors.exemplar.layering.places import Places, Shape
 from training.priors.exemplar.layering.sheet import skin_weight
 from training.priors.exemplar.record import MOST_SHEETS, RecordReader, nested
-from training.priors.exemplar.sampling import read_bilinear, reduced
+from training.priors.exemplar.sampling import read_bilinear, reduced, smoothstep
 
 __all__ = ["Slices", "match_slices"]
 
@@ -79,8 +79,7 @@ class SliceStack:
             a = _sample(self.faces[k], *_origin(forth, u, v, f))
             b = _sample(self.faces[k + 1], *_origin(back, u, v, 1 - f))
             # A quick cross-fade half way blurs less than a slow one all the way.
-            w = np.clip((f - 0.5) / 0.4 + 0.5, 0, 1)[:, None]
-            out[rows] = a + w * w * (3 - 2 * w) * (b - a)
+            out[rows] = a + smoothstep((f - 0.5) / 0.4 + 0.5)[:, None] * (b - a)
         return out
 
     def record(self) -> InsideRecord:

@@ -35,11 +35,6 @@ class Revolution:
     seed: int
     """Seed of the texture's layers."""
 
-    @property
-    def sheets(self) -> list[Sheet]:
-        """All sheets that it reads."""
-        return [self.sheet]
-
     def reduced(self, n: int) -> Revolution:
         """The same revolution with pixels n times as large in its picture."""
         return replace(self, sheet=self.sheet.reduced(n))

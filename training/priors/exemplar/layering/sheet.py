@@ -13,7 +13,7 @@ from training.priors.exemplar.frames import ANGLES, Outline
 from training.priors.exemplar.layering.decompose import Layers
 from training.priors.exemplar.patches import OVER
 from training.priors.exemplar.record import RecordReader
-from training.priors.exemplar.sampling import read_bilinear, reduced
+from training.priors.exemplar.sampling import read_bilinear, reduced, smoothstep
 
 __all__ = ["DETAIL", "GROUND", "PICTURE", "STRUCTURE", "TEXTURE", "THROUGH", "Sheet"]
 
@@ -127,8 +127,7 @@ class Sheet(Outline):
 
 def skin_weight(depth: NDArray[np.floating], rind: float) -> NDArray[np.floating]:
     """1 within the rind, falling smoothly to 0 below it."""
-    t = np.clip((depth - 1.1 * rind) / (0.7 * rind + 0.1), 0, 1)
-    return 1 - t * t * (3 - 2 * t)
+    return 1 - smoothstep((depth - 1.1 * rind) / (0.7 * rind + 0.1))
 
 
 def _from_levels(levels: NDArray[np.int16]) -> NDArray[np.float32]:
