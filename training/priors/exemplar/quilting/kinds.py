@@ -16,10 +16,12 @@ from engine.scene.inside import Kind
 from training.priors.exemplar.quilting.chunks import Ball
 from training.priors.exemplar.quilting.disc import DISC_PIXELS, Disc, disc_grid, to_pixels
 from training.priors.exemplar.quilting.labels import Source
-from training.priors.exemplar.quilting.persistence import LEAST_SHEET
 from training.priors.exemplar.quilting.quilt import Quilt
 
 __all__ = ["QuiltKinds"]
+
+LEAST_SHEET = 0.3
+"""Least surety of a sheet at which a place belongs to it, as for layers."""
 
 COVERED = 0.5
 """Least fraction of a place that a grain, a seed or a core covers for the place to belong to it."""

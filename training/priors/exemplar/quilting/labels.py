@@ -19,7 +19,7 @@ from training.priors.exemplar.quilting.disc import (
     ring_medians,
     smooth_disc,
 )
-from training.priors.exemplar.quilting.persistence import LEAST_SHEET, Persistence, find_sheets
+from training.priors.exemplar.quilting.persistence import Persistence, find_sheets
 from training.priors.exemplar.quilting.relief import Relief
 from training.priors.exemplar.quilting.rinds import rind_of
 from training.priors.exemplar.quilting.texture import FINE, WIDTH, Parts, take_apart
@@ -33,6 +33,9 @@ __all__ = ["Label", "Source", "distance_across", "made_of_grains", "read_discs"]
 
 FINE_RINGS, LARGEST = 64, 0.16
 """Number of rings from whose median colours things stand out, and the largest half width of things in radii."""
+
+FAINT_SHEET = 0.05
+"""Least surety of a sheet at which a place is not taken for texture: faint membranes would be scattered."""
 
 BLUR = 0.02
 """Standard deviation in radii of the blur under which colours are looked for nearby: texture does not count."""
@@ -115,7 +118,7 @@ class Source:
         grains, seeds = Grains.of(parts.things, relief.heights), Seeds.none()
         if not len(grains.radii):
             seeds = Seeds.of(relief, is_horizontal, rind)
-            parts, relief = _apart(even, rind, WIDTH, seeds.regions | (sheets > LEAST_SHEET))
+            parts, relief = _apart(even, rind, WIDTH, seeds.regions | (sheets > FAINT_SHEET))
         return cls(
             disc,
             even,
@@ -138,7 +141,7 @@ class Source:
         if not core.region.any():
             return self
         even = _even(self.disc, self.is_horizontal, core.region)
-        things = self.seeds.regions | (self.sheets.rgb[..., 0] > LEAST_SHEET) | (core.form[..., 0] > 0)
+        things = self.seeds.regions | (self.sheets.rgb[..., 0] > FAINT_SHEET) | (core.form[..., 0] > 0)
         parts, relief = _apart(even, self.rind, WIDTH, things)
         hidden = core.region | (relief.closed_until(self.rind) >= 0)
         return replace(

@@ -25,7 +25,7 @@ from training.priors.exemplar.quilting.disc import (
 )
 from training.priors.exemplar.sampling import blurred, reduced
 
-__all__ = ["LEAST_SHEET", "Persistence", "find_sheets"]
+__all__ = ["Persistence", "find_sheets"]
 
 DISTANCES = (0.02, 0.04, 0.07, 0.11, 0.16, 0.22)
 """Distances in radii at which the medians are taken; seeds, pores and carpels have half widths in this range."""
@@ -33,9 +33,6 @@ DISTANCES = (0.02, 0.04, 0.07, 0.11, 0.16, 0.22)
 THIN, WIDE = 0.07, 0.16
 """Distances in radii: one at which a sheet is gone, and one to compare that with. The median over a disc removes a line
 as wide as 0.8 of its radius. Anything wider is flesh or a hollow, which ends as closed things do."""
-
-LEAST_SHEET = 0.3
-"""Least surety of a sheet at which a place belongs to it, as for layers."""
 
 BORDER = 0.01
 """Radii over which a sheet's surety is smoothed across its edges."""
